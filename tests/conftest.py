@@ -27,7 +27,7 @@ PHOTONS = 1e4
 FLOAT32 = 2e-6
 """Relative error of a sum of some tens of float32 numbers."""
 
-FIXED = [d for d, c in codes.DESIGNS.items() if not c.learned and d not in ("control", "custom")]
+FIXED = [name for name, code in codes.DESIGNS.items() if code.make is not None]
 """The designs that `coding.sensing_matrix` knows."""
 
 RECIPE = {

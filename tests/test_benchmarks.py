@@ -200,6 +200,14 @@ def test_decisions_are_timed(capsys):
     assert len(rows) == 2 + 2 + 2
 
 
+def test_adaptive_masks_are_tested_and_timed(capsys):
+    few = ["--validation", "1100", "--scenes", "200", "--looks", "3"]
+    benchmark("adaptive").main(few)
+    assert "| 10000 | 3 | 0." in capsys.readouterr().out
+    benchmark("adaptive").main([*few, "--latency"])
+    assert "one decision: " in capsys.readouterr().out
+
+
 def test_the_comparison_of_streaming_runs(capsys):
     """Counts of all ways are compared inside."""
     small = ["--records", "2e5", "--frame", "1e-4", "--blocks", "65536", "--rounds", "1"]

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from deepfsi.datasets import Dataset as Dataset
     from deepfsi.datasets import from_arrays as from_arrays
     from deepfsi.datasets import load_dataset as load_dataset
+    from deepfsi.design.adaptive.design import AdaptiveDesign as AdaptiveDesign
+    from deepfsi.design.adaptive.design import load_design as load_design
     from deepfsi.design.artifact import Design as Design
     from deepfsi.design.classifiers import Mlp as Mlp
     from deepfsi.design.evaluation import Result as Result
@@ -43,6 +45,7 @@ if "GOMP_SPINCOUNT" not in os.environ:
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # read when torch is imported
 
 _HOMES = {
+    "AdaptiveDesign": "design.adaptive.design",
     "Camera": "optics.camera",
     "Dataset": "datasets",
     "Design": "design.artifact",
@@ -67,11 +70,13 @@ _HOMES = {
     "ideal_observer": "design.posterior",
     "learn": "training.learning",
     "load_dataset": "datasets",
+    "load_design": "design.adaptive.design",
     "photons_per_pixel": "optics.budget",
     "predict": "laboratory.prediction",
 }
 
 __all__ = [
+    "AdaptiveDesign",
     "Camera",
     "Dataset",
     "Design",
@@ -96,6 +101,7 @@ __all__ = [
     "ideal_observer",
     "learn",
     "load_dataset",
+    "load_design",
     "photons_per_pixel",
     "predict",
 ]

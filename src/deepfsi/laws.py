@@ -11,6 +11,9 @@ from deepfsi.errors import check_known
 Light = Literal["column", "equal-dwell", "free-dwell", "two-arm"]
 """Name of a light law, see `optics.constraints`."""
 
+LOOK_LIGHT: tuple[Light, ...] = ("free-dwell", "two-arm")
+"""Light laws under which a device can show masks that are made while it looks."""
+
 RailsKind = Literal["dual", "single"]
 """Rails of each mask: positive and negative part, or one non-negative frame."""
 

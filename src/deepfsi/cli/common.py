@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from deepfsi.datasets import Dataset
+    from deepfsi.design.adaptive.design import AnyDesign
     from deepfsi.design.artifact import Design
     from deepfsi.sweeps.results import Data
 
@@ -63,6 +64,13 @@ def print_data(data: "Dataset | Data", notes: Sequence[str] = ()) -> None:
     print(f"data: {data.name}. {data.preprocessing}")
     for note in notes:
         print(f"note: {note}")
+
+
+def open_any(path: Path, trust: bool = False) -> "AnyDesign":
+    """A design file of either kind, or a folder of patterns as `open_design` takes it."""
+    from deepfsi.design.adaptive.design import load_design
+
+    return open_design(path, trust) if path.is_dir() else load_design(path, trust=trust)
 
 
 def open_design(path: Path, trust: bool = False) -> "Design":
@@ -165,8 +173,12 @@ def worst_class(rate: float, name: str, width: int = NAME_WIDTH) -> str:
     return f"{rate:.3f} ({short(name, width)})"
 
 
-def size(made: "Design") -> str:
+def size(made: "AnyDesign") -> str:
     """Masks, looks and detectors of a design: 5 masks, 2 looks, 4 detectors, both rails read."""
+    from deepfsi.design.artifact import Design
+
+    if not isinstance(made, Design):
+        return f"{made.masks} looks"
     parts = [f"{made.masks} masks"]
     if made.exposure.chooses:
         parts.append(f"{made.exposure.looks} looks")

@@ -13,9 +13,10 @@ from deepfsi.errors import InputError
 
 if TYPE_CHECKING:
     import numpy as np
+    from matplotlib.figure import Figure
 
     from deepfsi.datasets import Dataset
-    from deepfsi.design.artifact import Design
+    from deepfsi.design.adaptive.design import AdaptiveDesign, AnyDesign
     from deepfsi.design.evaluation import Result
     from deepfsi.design.stopping import Stopped
     from deepfsi.training.job import Job
@@ -116,6 +117,7 @@ def evaluate(
     """
     paths.check_design(file)
     common.check_data(data, view)
+    from deepfsi.design.artifact import Design
     from deepfsi.design.evaluation import camera_for
     from deepfsi.design.evaluation import evaluate as test
     from deepfsi.design.posterior import ideal_observer
@@ -125,20 +127,26 @@ def evaluate(
     budgets = options.numbers("photons", photons) or []
     told = {"noise": noise, "sigma": sigma, "dark": dark}
     told = {name: value for name, value in told.items() if value is not None}
-    made = common.open_design(file, trust).to(find_device(device))
+    made = common.open_any(file, trust).to(find_device(device))
     camera = camera_for(made, None, **told)
     options.check_sigma(told, [camera.noise_name])
     if ideal and camera.noise_name != "poisson":
         raise InputError(
             f"the ideal observer is of photon noise, not {camera.noise_name}: leave --ideal out"
         )
-    if first is not None:
+    if not isinstance(made, Design):
+        if ideal or first is not None:
+            raise InputError(
+                "adaptive masks are answered by the posterior of the ideal observer, after all "
+                "looks: leave --ideal and --first out"
+            )
+    elif first is not None:
         made = made.first(first)
     scenes, notes = data_of(made, data, options.size_of(size), view)
     with common.progress("evaluate", quiet=as_json) as report:
         results = test(made, scenes, budgets, camera=camera, draws=draws, seed=seed, report=report)
     bounds: list[Result] = []
-    if ideal:
+    if ideal and isinstance(made, Design):
         with common.progress("ideal observer", quiet=as_json) as report:
             bounds = ideal_observer(made, scenes, budgets, draws=draws, seed=seed, report=report)
     if as_json:
@@ -193,6 +201,7 @@ def stop(
     if out is not None:
         paths.check_file(out, paths.DESIGNS, force)
     common.check_data(data)
+    from deepfsi.design.adaptive.design import load_design
     from deepfsi.design.artifact import Design
     from deepfsi.design.stopping import looks_of, with_rule
     from deepfsi.design.stopping import stop as run
@@ -200,8 +209,8 @@ def stop(
     from deepfsi.training.training_set import find_device
 
     budget = options.number("photons", photons)
-    made = Design.load(file, find_device(device), trust=trust)
-    if out is not None:
+    made = load_design(file, find_device(device), trust=trust)
+    if out is not None and isinstance(made, Design):
         looks_of(made)
     scenes, notes = data_of(made, data, options.size_of(size))
     with common.progress("stop", quiet=as_json):
@@ -221,11 +230,11 @@ def stop(
 
 def _check_same(file: Path, job: "Job", data: "Dataset", matrix: "np.ndarray | None") -> None:
     """Raise `InputError` unless a design file is what training this job would write again."""
-    from deepfsi.design.artifact import Design
+    from deepfsi.design.adaptive.design import load_design
     from deepfsi.design.memory import memory_of
 
     with suppress(InputError):
-        there = Design.load(file)
+        there = load_design(file)
         memory = memory_of(there.info)
         of_data = memory is not None and memory.hash == data.hash
         if of_data and matrix is None and there.info["job"] == job.model_dump(mode="json"):
@@ -236,7 +245,7 @@ def _check_same(file: Path, job: "Job", data: "Dataset", matrix: "np.ndarray | N
 
 
 def _print_results(
-    made: "Design", noise: str, results: "list[Result]", bounds: "list[Result]"
+    made: "AnyDesign", noise: str, results: "list[Result]", bounds: "list[Result]"
 ) -> None:
     rows = [
         (
@@ -322,18 +331,26 @@ def show(
 ) -> None:
     """Draw the masks of a design, each with its number and its dwell.
 
+    Of adaptive masks those of one exposure of a test scene, and what was known after each.
+
     Example: deepfsi show digits.safetensors -o masks.png
     """
     paths.check_design(file)
     paths.check_file(out, paths.PICTURES, force)
+    from deepfsi.design.adaptive.design import load_design
     from deepfsi.design.artifact import Design
     from deepfsi.design.memory import memory_of
+    from deepfsi.laboratory.data import data_of
     from deepfsi.report.masks import masks_figure
 
     if count < 1:
         raise InputError(f"{count} masks cannot be drawn: give at least 1")
-    made = Design.load(file)
+    made = load_design(file)
     budget = made.info.get("job", {}).get("photons")
+    if not isinstance(made, Design):
+        scenes, _ = data_of(made)
+        common.draw("show", _exposure(made, scenes, budget), out, as_json)
+        return
     title = f"{made.name}, {common.size(made)}, {made.light}" + (
         f", {common.budget(budget)} photons" if budget else ""
     )
@@ -356,6 +373,21 @@ def show(
     common.draw("show", figure, out, as_json)
     if (memory := memory_of(made.info)) and not as_json:
         print(f"trained on: {memory.words}")
+
+
+def _exposure(made: "AdaptiveDesign", data: "Dataset", photons: float) -> "Figure":
+    """Picture of an exposure of the first test scene."""
+    from deepfsi.report.looks import exposure_figure
+
+    scene, true = data.x_test[0], made.classes[data.y_test[0]]
+    masks, scenes, chances = made.looks_at(scene, photons)
+    answer = made.classes[chances[-1].argmax()]
+    title = (
+        f"one exposure of {common.budget(photons)} photons in {made.masks} looks: {true} is "
+        f"answered {answer}, with probability {chances[-1].max():.3f}"
+    )
+    image = scene.reshape(made.image_shape)
+    return exposure_figure(image, masks, scenes, chances, made.classes, title)
 
 
 def page(

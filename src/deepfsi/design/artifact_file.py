@@ -17,7 +17,7 @@ from deepfsi.design.consistency import ReadoutDistribution
 from deepfsi.design.exposure.conditioned import ConditionedExposure
 from deepfsi.design.exposure.looks import LooksShape
 from deepfsi.design.exposure.trained import STRICT, FixedExposure, PatchExposure
-from deepfsi.design.file_content import SCHEMA, Info, damaged, read_content
+from deepfsi.design.file_content import SCHEMA, Info, damaged, read_known_masks
 from deepfsi.design.own import OwnClassifier
 from deepfsi.design.temperatures import Temperatures
 from deepfsi.imports import PATTERN
@@ -167,7 +167,7 @@ def pack(
 
 def read_design(path: str | os.PathLike[str]) -> dict[str, Any]:
     """Fields of `artifact.Design` that a file holds, or `InputError` as for `Design.load`."""
-    text, arrays = read_content(path)
+    text, arrays = read_known_masks(path)
     tensors = {key: torch.from_numpy(held) for key, held in arrays.items()}
     try:
         return _fields(Header.model_validate_json(text), tensors)

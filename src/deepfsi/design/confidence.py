@@ -8,6 +8,8 @@ exposure is classified.
 """
 
 from collections.abc import Sequence
+from functools import singledispatch
+from typing import Any
 
 import numpy as np
 import torch
@@ -61,9 +63,16 @@ def fit_temperatures(
     return Temperatures(np.stack(every, axis=1), grid)
 
 
+@singledispatch
+def stops_of(design: Any) -> tuple[tuple[int, ...], np.ndarray]:
+    """Masks or looks after which an exposure may stop, and the share of it that each takes."""
+    return design.exposure.stops(design.rails, design.light)
+
+
+@singledispatch
 def logits_at_stops(
-    design: Design,
-    scanner: Scanner,
+    design: Any,
+    scanner: Any,
     x: np.ndarray,
     photons: float,
     draws: int,

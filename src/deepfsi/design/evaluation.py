@@ -2,9 +2,10 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from functools import singledispatch
 from html import escape
 from math import prod
-from typing import Any, get_args
+from typing import Any, NamedTuple, Protocol, get_args
 
 import numpy as np
 import torch
@@ -117,8 +118,28 @@ class ResultList(list[Result]):
         return accuracy_curve(points) if points else ""
 
 
+class Tested(Protocol):
+    """A design whose masks are known before, or one that makes them while it looks."""
+
+    image_shape: tuple[int, ...]
+    classes: tuple[str, ...]
+    info: dict[str, Any]
+
+    @property
+    def name(self) -> str:
+        """Which design, a key of `codes.DESIGNS`."""
+
+    @property
+    def masks(self) -> int:
+        """Number of masks, or of looks."""
+
+    @property
+    def camera(self) -> Camera:
+        """The camera that it was made for."""
+
+
 def evaluate(
-    design: Design,
+    design: Tested,
     data: Source,
     photons: Sequence[float] | float,
     *,
@@ -166,7 +187,27 @@ def evaluate(
     scenes = as_dataset(data)
     check_data(design, scenes)
     check_draws(draws, seed)
-    scanner = scanner_for(design, camera_for(design, camera, **settings))
+    known = camera_for(design, camera, **settings)
+    guess_of, shares = answering(design, known)
+    with shown(report, f"{design.name}, {design.masks} masks") as bar:
+        return test_scenes(scenes, guess_of, budgets, draws, seed, known.noise_name, shares, bar)
+
+
+Guess = Callable[[torch.Generator, float], tuple[Tensor, Tensor, float]]
+"""Exposes scenes once at a budget: classes (b,), confidences, and the sum of expected counts."""
+
+
+class Answering(NamedTuple):
+    """Rule that exposes scenes and answers; its masks count shares (m,) of the budget."""
+
+    guess_of: Callable[[Tensor], Guess]  # for scenes (b, N)
+    shares: Tensor
+
+
+@singledispatch
+def answering(design: Any, camera: Camera) -> Answering:
+    """Rule by which a design answers scenes that a camera exposes."""
+    scanner = scanner_for(design, camera)
 
     def guess_of(x: Tensor) -> Guess:
         rates = design.rates(scanner, x)
@@ -180,12 +221,10 @@ def evaluate(
 
         return guess
 
-    shares = design.shares.view(design.masks, -1).sum(dim=1)
-    with shown(report, f"{design.name}, {design.masks} masks") as bar:
-        return test_scenes(scenes, guess_of, budgets, draws, seed, scanner.noise, shares, bar)
+    return Answering(guess_of, design.shares.view(design.masks, -1).sum(dim=1))
 
 
-def camera_for(design: Design, camera: CameraSource = None, **settings: Any) -> Camera:
+def camera_for(design: Tested, camera: CameraSource = None, **settings: Any) -> Camera:
     """Camera of a test, the design's own unless given, with other settings such as the noise."""
     # A noise of its maker's own is code, which a file must not run: it is to be given
     found = design.camera if camera is None else Camera.load(camera)
@@ -203,10 +242,6 @@ def scanner_for(design: Design, camera: Camera) -> Scanner:
     scanner = design.scanner(camera.noise, camera.sigma, dark)
     design.exposure.check_noise(scanner.noise)
     return scanner
-
-
-Guess = Callable[[torch.Generator, float], tuple[Tensor, Tensor, float]]
-"""Exposes scenes once at a budget: classes (b,), confidences, and the sum of expected counts."""
 
 
 def test_scenes(
@@ -246,7 +281,7 @@ def test_scenes(
     )
 
 
-def check_data(design: Design, data: Dataset) -> None:
+def check_data(design: Tested, data: Dataset) -> None:
     """Raise `InputError` unless a design can classify the scenes of a data set."""
     pixels = prod(design.image_shape)
     if data.pixels != pixels:

@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import AfterValidator
 
 from deepfsi.errors import InputError
+from deepfsi.optics.codes import DESIGNS
 from deepfsi.tables.tensor_files import DamagedError, read_tensors
 
 SCHEMA: Literal[1] = 1
@@ -41,6 +42,23 @@ def read_content(path: str | os.PathLike[str]) -> tuple[str, dict[str, np.ndarra
     if schema > SCHEMA:
         raise InputError(
             f"{path} has schema {schema}, and this version reads {SCHEMA}: upgrade deepfsi"
+        )
+    return text, tensors
+
+
+def is_adaptive(header: str) -> bool:
+    """True of the header of a design that makes its masks while the camera looks."""
+    code = DESIGNS.get(str(json.loads(header).get("name")))
+    return code is not None and code.adaptive
+
+
+def read_known_masks(path: str | os.PathLike[str]) -> tuple[str, dict[str, np.ndarray]]:
+    """Header and tensors of a design whose masks are known before it is shown."""
+    text, tensors = read_content(path)
+    if is_adaptive(text):
+        raise InputError(
+            f"{path} makes its masks while the camera looks, and this takes masks that are known "
+            "before: `deepfsi evaluate`, `stop` and `show` take it"
         )
     return text, tensors
 

@@ -19,8 +19,14 @@ from pydantic import TypeAdapter
 from scipy.special import log_softmax
 
 from deepfsi.datasets import Dataset, Source, as_dataset
+from deepfsi.design.adaptive.design import AdaptiveDesign, AnyDesign
 from deepfsi.design.artifact import Design
-from deepfsi.design.confidence import calibration_error, confidence_groups, logits_at_stops
+from deepfsi.design.confidence import (
+    calibration_error,
+    confidence_groups,
+    logits_at_stops,
+    stops_of,
+)
 from deepfsi.design.evaluation import check_data, check_draws
 from deepfsi.design.exposure.looks import LooksExposure
 from deepfsi.design.memory import memory_of
@@ -93,11 +99,15 @@ def looks_of(design: Design) -> LooksExposure:
     return design.exposure
 
 
-def with_rule(design: Design, rule: StoppingRule) -> Design:
+def with_rule(design: AnyDesign, rule: StoppingRule) -> AnyDesign:
     """The design with a rule of when an exposure stops, or `InputError` if it is of one look."""
-    looks_of(design)
     held = {"threshold": rule.threshold, "photons": rule.photons}
-    return replace(design, info={**design.info, "stopping": held})
+    info = {**design.info, "stopping": held}
+    if isinstance(design, AdaptiveDesign):
+        stopped = design.settings.model_copy(update={"until": rule.threshold})
+        return replace(design, settings=stopped, info=info)
+    looks_of(design)
+    return replace(design, info=info)
 
 
 def rule_of(design: Design) -> StoppingRule | None:
@@ -105,7 +115,7 @@ def rule_of(design: Design) -> StoppingRule | None:
     held = design.info.get("stopping")
     if held is None:
         return None
-    after, _ = design.exposure.stops(design.rails, design.light)
+    after, _ = stops_of(design)
     with as_input_error("the design's stopping rule", "make it again with `deepfsi stop`"):
         return TypeAdapter(StoppingRule).validate_python({"after": after, **held})
 
@@ -210,7 +220,7 @@ def _surest(confidence: np.ndarray, right: np.ndarray) -> list[float]:
 
 
 def stop(
-    design: Design,
+    design: AnyDesign,
     data: Source,
     photons: float,
     *,
@@ -224,7 +234,7 @@ def stop(
     check_draws(draws, seed)
     scenes = as_dataset(data)
     check_data(design, scenes)
-    after, used = design.exposure.stops(design.rails, design.light)
+    after, used = stops_of(design)
     if threshold is not None and not 0 <= threshold <= 1:
         raise InputError(f"threshold {threshold!r} is not a confidence: give 0 to 1")
     kept = _held_out(design, scenes, held_out)
@@ -240,7 +250,7 @@ def stop(
     return _stopped(rule, _Answers(tested, scenes.y_test, temperatures), choice, used, budget)
 
 
-def _held_out(design: Design, data: Dataset, count: int | None) -> Dataset:
+def _held_out(design: AnyDesign, data: Dataset, count: int | None) -> Dataset:
     """Data with the held-out scenes as its test part, or `InputError` if they were trained on."""
     memory = memory_of(design.info)
     if count is None and memory:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from deepfsi.datasets import Dataset, Origin, absolute, load_dataset, takes
-from deepfsi.design.artifact import Design
+from deepfsi.design.evaluation import Tested
 from deepfsi.design.memory import Memory, memory_of
 from deepfsi.errors import InputError
 from deepfsi.hardware.calibration.view import view_from
@@ -22,7 +22,7 @@ class TestData(NamedTuple):
 
 
 def data_of(
-    design: Design,
+    design: Tested,
     data: str | None = None,
     size: tuple[int, int] | None = None,
     view: Path | None = None,

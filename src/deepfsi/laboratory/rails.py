@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 from deepfsi.design.exposure import LARGEST_SCORE
-from deepfsi.design.file_content import Info, damaged, read_content
+from deepfsi.design.file_content import Info, damaged, read_known_masks
 from deepfsi.devices import find_device
 from deepfsi.errors import InputError, as_input_error
 from deepfsi.files import read_regular
@@ -61,7 +61,7 @@ class ShownDesign:
     @classmethod
     def read(cls, path: Path) -> "ShownDesign":
         """Header and tensors of a design file, or `InputError`."""
-        text, tensors = read_content(path)
+        text, tensors = read_known_masks(path)
         try:
             header = ShownHeader.model_validate_json(text)
             rails = tensors["rails"]

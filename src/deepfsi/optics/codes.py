@@ -63,6 +63,9 @@ class Code:
     seeded: bool = False  # its matrix is drawn from the seed
     shared: bool = False  # the matrix of few masks is the first of that of many: made once
     own: bool = False  # its matrix is the user's
+    # Each next mask is made from the counts so far: it has no matrix before, and shows one mask a
+    # look
+    adaptive: bool = False
 
     @property
     def learns_masks(self) -> bool:
@@ -141,6 +144,7 @@ DESIGNS: dict[str, Code] = {
         fixed_count=True,
         single_rail=True,
     ),
+    "adaptive": Code("AM", "adaptive masks", specific=True, adaptive=True),
     "custom": Code("USER", "own matrix", own=True),
 }
 """The named designs."""

@@ -33,6 +33,7 @@ LOOKS: dict[str, tuple[str, str, Any]] = {
     "lda": ("#56b4e9", "#8fd3ff", (0, (8, 2, 2, 2))),
     "class-pairs": ("#b3446c", "#e07a9f", (0, (8, 2, 1.2, 2, 1.2, 2))),
     "s-matrix": ("#9a6a3a", "#cf9a62", (0, (1, 3))),
+    "adaptive": ("#00838f", "#4dd0e1", "-"),
     "custom": ("#6a51a3", "#b39bff", "-"),
 }
 """Colour of each design on a light and a dark page (Okabe and Ito's, but yellow), and its line."""

@@ -9,6 +9,7 @@ import numpy as np
 import torch
 
 from deepfsi.datasets import Dataset
+from deepfsi.design.adaptive.design import AnyDesign
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import camera_for, evaluate
 from deepfsi.design.own import OwnClassifier
@@ -151,10 +152,10 @@ class SweepContext:
         # after the error is gone, and with it what the failed batch held
         return [done for part in again for done in self.train(part)]
 
-    def record(self, trial: Trial, design: Design) -> dict[str, Any]:
+    def record(self, trial: Trial, design: AnyDesign) -> dict[str, Any]:
         """Record of a trial whose design is tested now."""
-        if isinstance(design.classifier, OwnClassifier) and design.classifier.module is None:
-            design = design.with_classifier(trial.job.training.classifier)
+        if isinstance(design, Design):
+            design = _with_code(design, trial.job.training.classifier)
         return {
             "schema": SCHEMA,
             "key": trial.key,
@@ -166,7 +167,15 @@ class SweepContext:
         }
 
 
-def _tested(trial: Trial, design: Design, data: Dataset) -> list[dict[str, Any]]:
+def _with_code(design: Design, classifier: Any) -> Design:
+    """The design, with the code of a classifier of the user's own that its file does not run."""
+    own = design.classifier
+    if isinstance(own, OwnClassifier) and own.module is None:
+        return design.with_classifier(classifier)
+    return design
+
+
+def _tested(trial: Trial, design: AnyDesign, data: Dataset) -> list[dict[str, Any]]:
     return [
         {**result.as_dict(), "levels": levels}
         for levels in trial.test_levels

@@ -23,7 +23,7 @@ from typing import Any
 
 from pydantic import BaseModel, Field, FiniteFloat
 
-from deepfsi.design.artifact import Design
+from deepfsi.design.adaptive.design import AnyDesign, load_design
 from deepfsi.design.evaluation import Result
 from deepfsi.errors import InputError
 from deepfsi.files import (
@@ -95,10 +95,10 @@ class Records:
             return None
         return record if (whole.revision, whole.key) == (SCHEMA, trial.key) else None
 
-    def design(self, trial: Trial) -> Design | None:
+    def design(self, trial: Trial) -> AnyDesign | None:
         """Design of a trial that was trained already, perhaps for other tests."""
         try:
-            return Design.load(self._design_path(trial))
+            return load_design(self._design_path(trial))
         except InputError:
             return None
 

@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from deepfsi.datasets import Dataset
 from deepfsi.errors import InputError
 from deepfsi.imports import UNNAMED, source_hash
+from deepfsi.laws import LOOK_LIGHT
 from deepfsi.optics import codes
 from deepfsi.optics.camera import Camera
 from deepfsi.optics.detection import ONE
@@ -172,6 +173,7 @@ def _possible(code: codes.Code, camera: Camera, detectors: int) -> bool:
         or (camera.light == "two-arm" and one_rail)
         or (code.signed and camera.rails == "single")
         or (camera.light == "column" and detectors > 1)
+        or (code.adaptive and camera.light not in LOOK_LIGHT)
     )
 
 

@@ -18,8 +18,8 @@ from deepfsi.optics.masks import LearnedMasks
 from deepfsi.optics.rails import Rails
 from deepfsi.optics.scanner import Scanner
 from deepfsi.training.characterisation import characterise
+from deepfsi.training.info import provenance
 from deepfsi.training.job import Job
-from deepfsi.training.learning import provenance
 from deepfsi.training.training_set import TrainingSet
 
 

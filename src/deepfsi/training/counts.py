@@ -8,7 +8,7 @@ then at the one that its own shares ask for, until these are the same.
 
 from collections.abc import Callable
 
-from deepfsi.design.artifact import Design
+from deepfsi.design.adaptive.design import AnyDesign
 from deepfsi.progress import Report
 
 NEAR = 0.02
@@ -19,8 +19,8 @@ MOST_TRAININGS = 6
 
 
 def train_for_counts(
-    counts: float, share: float, train: Callable[[float, Report], Design], report: Report
-) -> Design:
+    counts: float, share: float, train: Callable[[float, Report], AnyDesign], report: Report
+) -> AnyDesign:
     """Design that counts a number of photons in the mean over training scenes, to within `NEAR`."""
     # Where that is not reached after `MOST_TRAININGS`, the last one: its own counts are the budget
     # of its training times the sum of its shares

@@ -284,7 +284,8 @@ class Job(Settings):
         told: dict[str, Any] = {}
         if self.code.every_pixel:
             told = {"light": "column", "detectors": "1x1", "device": None, "shortest_dwell": 0.0}
-        if self.code.single_rail:
+        one_arm = self.code.adaptive and self.camera.light != "two-arm"
+        if self.code.single_rail or one_arm:
             told |= {"rails": "single", "readout": "difference"}
         elif self.camera.rails == "single":
             told |= {"readout": "difference"}
@@ -335,6 +336,8 @@ class Job(Settings):
             faults.append(f"{self.design} is signed: use dual rails, or the s-matrix")
         if "gaussian" in (self.noise, self.masks_from().noise) and not self.camera.sigma:
             faults.append("gaussian noise is read noise: give `sigma` above 0")
+        if self.code.adaptive:
+            faults += self._adaptive_faults()
         if (matrix is not None) != self.code.own:
             faults.append(
                 'a matrix goes with the custom design, and only with it: give `design="custom"` '
@@ -345,6 +348,7 @@ class Job(Settings):
     def _matrix_faults(self, data: "Dataset", matrix: "np.ndarray | None") -> list[str]:
         import numpy as np
 
+        from deepfsi.design.adaptive.posterior import LookOptics
         from deepfsi.optics import codes, constraints, tiles
 
         camera = self.optics
@@ -352,6 +356,8 @@ class Job(Settings):
             constraints.check_light(camera.light, camera.rails)
             scene = self.exposure.scene(data)
             camera.mask_levels(scene.image_shape)
+            if self.code.adaptive:
+                LookOptics.of(camera, scene.image_shape, self.photons)
             if matrix is None:
                 tiles.check_count(self.design, self.masks, scene, self.detection(scene.image_shape))
             else:
@@ -360,6 +366,14 @@ class Job(Settings):
         except InputError as error:
             return [str(error)]
         return []
+
+    def _adaptive_faults(self) -> list[str]:
+        faults = []
+        if not isinstance(self.exposure, Fixed):
+            faults.append("adaptive masks have a look each: give no looks, nested, span or patch")
+        if self.training.classifier != MLP:
+            faults.append("adaptive masks are read by their posterior: leave `classifier` out")
+        return faults
 
     def _classifier_faults(self) -> list[str]:
         usual, mine, faults = Training(), self.training, []

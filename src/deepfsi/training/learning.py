@@ -2,27 +2,27 @@
 
 import time
 from collections.abc import Sequence
-from importlib.metadata import version
 from typing import Any
 
 import numpy as np
 import torch
-from pydantic import BaseModel
 
-from deepfsi.datasets import Dataset, Source, as_dataset
+from deepfsi.datasets import Source, as_dataset
+from deepfsi.design.adaptive.design import AnyDesign
 from deepfsi.design.artifact import Design
 from deepfsi.design.exposure.trained import TrainedExposure
-from deepfsi.design.memory import Memory
 from deepfsi.errors import InputError
 from deepfsi.optics import constraints
-from deepfsi.optics.budget import brightness, check_budget, detector_shares
+from deepfsi.optics.budget import check_budget, detector_shares
 from deepfsi.optics.features import FeatureNoise, feature_statistics
 from deepfsi.optics.masks import FixedMasks, LearnedMasks
 from deepfsi.optics.rails import Rails
 from deepfsi.progress import SILENT, Report, shown
+from deepfsi.training.adaptive import adaptive_designs
 from deepfsi.training.batches import check_fits
 from deepfsi.training.characterisation import characterise
 from deepfsi.training.counts import train_for_counts
+from deepfsi.training.info import provenance
 from deepfsi.training.job import Job, find_job
 from deepfsi.training.loop import Classifier, optimise
 from deepfsi.training.masks import final_masks, initial_masks
@@ -31,6 +31,9 @@ from deepfsi.training.training_set import TrainingSet
 
 REMEDY = "lower lr and mask_lr, or try another seed or more photons"
 """What to do where a training diverged."""
+
+USUAL_SHARE = 0.5
+"""Share of the budget that adaptive masks count, nearly: half of the mirrors are ON."""
 
 
 class Diverged(InputError):
@@ -45,7 +48,7 @@ def learn(
     device: str = "auto",
     report: Report | None = None,
     **settings: Any,
-) -> Design:
+) -> AnyDesign:
     """Train one design on all training scenes of a data set.
 
     Parameters
@@ -81,7 +84,7 @@ def learn(
     job = find_job(settings, counts)
     training_set = TrainingSet(as_dataset(data), device)
 
-    def train_at(photons: float, bar: Report) -> Design:
+    def train_at(photons: float, bar: Report) -> AnyDesign:
         at_budget = job.model_copy(update={"photons": check_budget(photons)})
         return train(training_set, [at_budget], matrix, bar)[0]
 
@@ -97,12 +100,14 @@ def train(
     jobs: Sequence[Job],
     matrix: np.ndarray | None = None,
     report: Report = SILENT,
-) -> list[Design]:
+) -> Sequence[AnyDesign]:
     """Train designs side by side that differ in budget, sigma and seed only, in their order."""
     # The jobs agree in `companions`, those of one seed one after another; the matrix (m, N) is of
     # "custom" designs
     began = time.perf_counter()
     _check(training_set, jobs, matrix)
+    if jobs[0].code.adaptive:
+        return adaptive_designs(training_set, jobs, report)
     designs = _designs(training_set, jobs, *_optimised(training_set, jobs, matrix, report))
     characterise(training_set, jobs, designs)
     seconds = (time.perf_counter() - began) / len(jobs)
@@ -185,6 +190,8 @@ def _noise(jobs: Sequence[Job], training_set: TrainingSet) -> FeatureNoise:
 def _first_share(training_set: TrainingSet, job: Job, matrix: np.ndarray | None) -> float:
     """Share of the budget that the masks count before training; parameters as for `train`."""
     job.check(training_set.data, matrix)
+    if job.code.adaptive:
+        return USUAL_SHARE
     seen, shape = training_set.seen(job.exposure), training_set.data.image_shape
     exposure = job.exposure.begin(job, shape, torch.Generator().manual_seed(job.seed))
     masks = initial_masks(seen, [job], exposure, matrix)
@@ -233,19 +240,3 @@ def _designs(
         )
         for r, each in enumerate(jobs)
     ]
-
-
-def provenance(
-    job: BaseModel, data: Dataset, device: torch.device, seconds: float
-) -> dict[str, Any]:
-    """Provenance of a design for `Design.info`, from parameters of its training."""
-    return {
-        "job": job.model_dump(mode="json"),
-        "data": Memory.of(data).model_dump(mode="json"),
-        "preprocessing": data.preprocessing,
-        "brightness": brightness(data.x_train, data.y_train),
-        "deepfsi": version("deepfsi"),
-        "torch": torch.__version__,
-        "device": device.type,
-        "seconds": seconds,
-    }

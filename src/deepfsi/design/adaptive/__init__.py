@@ -3,16 +3,5 @@
 A mirror device can show any binary mask next. After each look the posterior of the scene is known
 from all counts so far (`posterior`), with training scenes as prior (`prior`). The next mask is that
 of which the counts are expected to tell most of the class (`choice`). The answer is the posterior
-of the class.
+of the class. A `design` keeps prior and looks in one file.
 """
-
-from deepfsi.design.adaptive.evaluation import adaptive_masks
-from deepfsi.design.adaptive.posterior import AdaptivePosterior, LookOptics
-from deepfsi.design.adaptive.prior import ScenePrior
-
-__all__ = [
-    "AdaptivePosterior",
-    "LookOptics",
-    "ScenePrior",
-    "adaptive_masks",
-]

@@ -17,6 +17,7 @@ from deepfsi.design.adaptive.choice import next_masks
 from deepfsi.design.adaptive.prior import ScenePrior
 from deepfsi.design.posterior import class_chances
 from deepfsi.errors import InputError
+from deepfsi.laws import LOOK_LIGHT
 from deepfsi.optics.camera import Camera
 from deepfsi.optics.detection import Detection
 from deepfsi.optics.noise import poisson
@@ -52,7 +53,7 @@ class LookOptics:
     @classmethod
     def of(cls, camera: Camera, image_shape: tuple[int, ...], photons: float) -> "LookOptics":
         """Optics of a camera; `InputError` where it shows no binary masks, or has read noise."""
-        if camera.light not in ("free-dwell", "two-arm"):
+        if camera.light not in LOOK_LIGHT:
             raise InputError(
                 f"adaptive masks are shown by one device, not {camera.light}: give the light law "
                 "free-dwell or two-arm"

@@ -1,0 +1,80 @@
+"""Accuracy of adaptive masks: every test image once, and what the time of a decision costs.
+
+    python benchmarks/adaptive.py --data mnist --photons 1e4 --looks 32     # a quarter of an hour
+    python benchmarks/adaptive.py --data mnist --photons 1e3 --looks 16 --camera dmd-2x2
+    python benchmarks/adaptive.py --data mnist --latency                    # ms of one decision
+
+One noise draw of each test image; ± is half of Wilson's 95 % interval. The prior is all training
+images. With `--validation` the last training images are left out and read in place of the tests:
+settings are to be chosen there. `--scenes` keeps the first images of the prior alone.
+"""
+
+import argparse
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import torch
+
+import deepfsi
+from deepfsi.design.adaptive.posterior import AdaptivePosterior, LookOptics
+
+
+def main(words: Sequence[str] | None = None) -> None:
+    """Make designs, test them and print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--data", default="digits")
+    parser.add_argument("--camera", default="dmd")
+    parser.add_argument("--photons", type=float, nargs="+", default=[1e4])
+    parser.add_argument("--looks", type=int, nargs="+", default=[16])
+    parser.add_argument("--validation", type=int, default=0, help="images, in place of the tests")
+    parser.add_argument("--scenes", type=int, help="images of the prior, the first ones")
+    parser.add_argument("--latency", action="store_true", help="time of one decision, alone")
+    given = parser.parse_args(words)
+    data = deepfsi.load_dataset(given.data)
+    if given.validation:
+        data = data.hold_out(given.validation)
+    known = slice(given.scenes)
+    data = replace(data, x_train=data.x_train[known], y_train=data.y_train[known])
+    print("| photons | looks | accuracy | counts | calibration error | ms a look and image |")
+    print("| --- | --- | --- | --- | --- | --- |")
+    for looks in given.looks:
+        for photons in given.photons:
+            design = deepfsi.learn(
+                data, design="adaptive", masks=looks, photons=photons, camera=given.camera
+            )
+            if given.latency:
+                print(f"one decision: {latency(design, photons):.2f} ms", flush=True)
+                continue
+            began = time.process_time()
+            [found] = deepfsi.evaluate(design, data, photons, draws=1)
+            each = (time.process_time() - began) / looks / found.images * 1e3
+            half = (found.high - found.low) / 2
+            print(
+                f"| {photons:g} | {looks} | {found.accuracy:.4f} ± {half:.4f} "
+                f"| {found.counts:.4g} | {found.calibration_error:.3f} | {each:.2f} |",
+                flush=True,
+            )
+
+
+def latency(design: deepfsi.AdaptiveDesign, photons: float, exposures: int = 8) -> float:
+    """Median time in ms from the counts of a look to the next mask, one exposure at a time."""
+    generator, times = torch.Generator().manual_seed(0), []
+    optics = LookOptics.of(design.camera, design.image_shape, photons)
+    share = design.settings.shares[0]
+    scenes = design.prior.mean.expand(exposures, -1)
+    with torch.no_grad():
+        for scene in scenes:
+            state = AdaptivePosterior(design.prior, 1, optics)
+            for _ in range(design.masks):
+                began = time.perf_counter()
+                masks = state.choose(share, generator)
+                expected = state.expected(masks, scene[None], share)
+                state.update(masks, optics.draw(expected, generator), share)
+                times.append(time.perf_counter() - began)
+    return float(np.median(times)) * 1e3
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,306 @@
+"""A design of adaptive masks: what is known of scenes and how they are looked at, in one file."""
+
+import json
+import math
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
+
+import numpy as np
+import torch
+from pydantic import BaseModel, ConfigDict, Field
+from safetensors.numpy import save as to_bytes
+from torch import Tensor
+
+from deepfsi.design.adaptive.exposures import AT_ONCE, AdaptiveMasks, expose
+from deepfsi.design.adaptive.posterior import AdaptivePosterior, LookOptics
+from deepfsi.design.adaptive.prior import ScenePrior
+from deepfsi.design.artifact import Design
+from deepfsi.design.confidence import logits_at_stops, stops_of
+from deepfsi.design.evaluation import Answering, Guess, answering
+from deepfsi.design.file_content import SCHEMA, Info, damaged, is_adaptive, read_content
+from deepfsi.files import DESIGNS, check_ending, write_atomically
+from deepfsi.optics.camera import Camera
+from deepfsi.optics.detection import Detection
+
+
+class Look(NamedTuple):
+    """One look of exposures, and what is known after it."""
+
+    masks: Tensor  # (b, N) of 0 and 1
+    counts: Tensor  # (b, Q), expected, dark counts included
+    state: AdaptivePosterior
+
+
+@dataclass(repr=False, eq=False)
+class AdaptiveDesign:
+    """Scenes as they are known before an exposure, and how masks are made of what it counts.
+
+    Attributes
+    ----------
+    prior : ScenePrior
+        Of scenes: the training scenes, in components.
+    settings : AdaptiveMasks
+        Looks, and the share of the exposure that each takes.
+    image_shape : tuple of int
+    classes : tuple of str
+    shares : tensor, shape (K,)
+        Share of the budget that each look counts, in the mean over training scenes.
+    info : dict
+        Provenance: how it was made, on which data, with which versions. JSON types only.
+
+    Examples
+    --------
+    >>> import deepfsi
+    >>> design = deepfsi.learn("digits", camera="dmd", design="adaptive", masks=8, photons=1e4)
+    >>> [result] = deepfsi.evaluate(design, "digits", 1e4, draws=1)
+    >>> result.accuracy > 0.85
+    True
+    """
+
+    prior: ScenePrior
+    settings: AdaptiveMasks
+    image_shape: tuple[int, ...]
+    classes: tuple[str, ...]
+    shares: Tensor
+    info: dict[str, Any] = field(default_factory=dict)
+
+    name: ClassVar = "adaptive"
+    temperatures: ClassVar[None] = None  # its probabilities are a posterior's
+
+    def __repr__(self) -> str:
+        return (
+            f"<AdaptiveDesign: {self.masks} looks, {len(self.prior)} scenes known, "
+            f"{len(self.classes)} classes>"
+        )
+
+    @property
+    def masks(self) -> int:
+        """Number of looks, K: each shows a mask of its own."""
+        return self.settings.looks
+
+    @property
+    def camera(self) -> Camera:
+        """The camera that it was made for."""
+        return Camera.restored(self.info["job"]["camera"])
+
+    @property
+    def detection(self) -> Detection:
+        """Detectors on parts of the device."""
+        return self.camera.detection(self.image_shape)
+
+    def scanner(self) -> Camera:
+        """The camera under photon noise, its dark counts aside."""
+        return Camera.load(self.camera, noise="poisson")
+
+    def looks(
+        self, x: Tensor, photons: float, generator: torch.Generator, camera: Camera | None = None
+    ) -> Iterator[Look]:
+        """Looks at scenes, one after another, with counts drawn of a budget.
+
+        Parameters
+        ----------
+        x : tensor, shape (b, N)
+            Reflectance.
+        photons : float
+            Budget Φ.
+        generator : torch.Generator
+        camera : Camera, optional
+            Whose dark counts are in force; its own unless given.
+
+        Raises
+        ------
+        InputError
+            If the camera shows no binary masks, or has read noise.
+        """
+        optics = LookOptics.of(camera or self.camera, self.image_shape, photons)
+        state = AdaptivePosterior(self.prior, len(x), optics)
+        for share in self.settings.shares:
+            masks = state.choose(share, generator)
+            expected = state.expected(masks, x, share)
+            state.update(masks, optics.draw(expected, generator), share)
+            yield Look(masks, expected, state)
+
+    def looks_at(self, scene: np.ndarray, photons: float, seed: int = 0) -> tuple[np.ndarray, ...]:
+        """One exposure of a scene (N,): masks and mean scenes (K, N), and chances (K, C).
+
+        Parameters
+        ----------
+        scene : array, shape (N,)
+            Reflectance.
+        photons : float
+            Budget Φ.
+        seed : int
+            Of the noise.
+        """
+        generator = torch.Generator().manual_seed(seed)
+        with torch.no_grad():
+            looks = self.looks(torch.from_numpy(scene)[None], photons, generator)
+            each = [(look.masks[0], look.state.scene[0], look.state.chances[0]) for look in looks]
+        return tuple(
+            np.stack([part.numpy() for part in parts]) for parts in zip(*each, strict=True)
+        )
+
+    def quantised(self, levels: int) -> "AdaptiveDesign":
+        """The design as it is: its masks are ON and OFF, which any device shows."""
+        return self
+
+    def to(self, device: str | torch.device) -> "AdaptiveDesign":
+        """The design as it is: it is computed on the processor."""
+        return self
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write one safetensors file, all or nothing; its name ends in ``.safetensors``."""
+        check_ending(path, DESIGNS)
+        return write_atomically(path, self.to_bytes())
+
+    def to_bytes(self) -> bytes:
+        """Content of the design file."""
+        header = _Header(
+            settings=self.settings,
+            image_shape=self.image_shape,
+            classes=self.classes,
+            info=self.info,
+        )
+        words = header.model_dump(mode="json", by_alias=True)
+        arrays = self.prior.arrays | {"shares": self.shares.numpy()}
+        whole = {name: np.ascontiguousarray(each) for name, each in arrays.items()}
+        return to_bytes(whole, metadata={"deepfsi": json.dumps(words)})
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> "AdaptiveDesign":
+        """Read a design file, or raise `InputError` if it is no whole one of adaptive masks."""
+        text, arrays = read_content(path)
+        return cls._of(path, text, arrays)
+
+    @classmethod
+    def _of(
+        cls, path: str | os.PathLike[str], text: str, arrays: Mapping[str, np.ndarray]
+    ) -> "AdaptiveDesign":
+        try:
+            header = _Header.model_validate_json(text)
+            _check(header, arrays)
+            prior = ScenePrior.restored(arrays)
+            shares = torch.from_numpy(arrays["shares"])
+        except (KeyError, TypeError, ValueError, RuntimeError, IndexError) as error:
+            raise damaged(path) from error
+        return cls(prior, header.settings, header.image_shape, header.classes, shares, header.info)
+
+
+AnyDesign = Design | AdaptiveDesign
+"""A design whose masks are known before, or one that makes them while it looks."""
+
+
+class _Header(BaseModel):
+    """Header of a file of adaptive masks: all of the design but its arrays."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True)
+
+    schema_number: Literal[1] = Field(SCHEMA, alias="schema")
+    deepfsi: str = version("deepfsi")
+    name: Literal["adaptive"] = "adaptive"
+    settings: AdaptiveMasks
+    image_shape: tuple[Annotated[int, Field(ge=1)], ...]
+    classes: tuple[str, ...]
+    info: Info
+
+
+def _check(header: _Header, arrays: Mapping[str, np.ndarray]) -> None:
+    """Raise `ValueError` unless arrays are of a prior as `ScenePrior.arrays` gives it."""
+    (scenes, parts), pixels = arrays["levels"].shape, math.prod(header.image_shape)
+    shapes = {
+        "mean": ((pixels,), np.float32),
+        "components": ((parts, pixels), np.float32),
+        "steps": ((parts,), np.float32),
+        "levels": ((scenes, parts), np.int8),
+        "sizes": ((len(header.classes),), np.int64),
+        "numbers": ((2,), np.float64),
+        "shares": ((header.settings.looks,), np.float32),
+    }
+    for name, (shape, kind) in shapes.items():
+        held = arrays[name]
+        if held.shape != shape or held.dtype != kind or not np.isfinite(held).all():
+            raise ValueError(f"{name} is not of this design")
+    sizes, (light, spread) = arrays["sizes"], arrays["numbers"]
+    if sizes.min() < 0 or sizes.sum() != scenes or light <= 0 or spread < 0:
+        raise ValueError("the scenes of the prior are none")
+
+
+def load_design(
+    path: str | os.PathLike[str], device: str | torch.device = "cpu", *, trust: bool = False
+) -> AnyDesign:
+    """Read a design file, of masks that are known before or of adaptive ones.
+
+    Parameters
+    ----------
+    path : str or path
+    device : str or torch.device
+        Adaptive masks are computed on the processor.
+    trust : bool
+        As of `Design.load`: run the factory of a classifier of one's own, if there is one.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, damaged, truncated, not a design, or of a newer schema.
+    """
+    text, arrays = read_content(path)
+    if is_adaptive(text):
+        return AdaptiveDesign._of(path, text, arrays)
+    return Design.load(path, device, trust=trust)
+
+
+@answering.register
+def _(design: AdaptiveDesign, camera: Camera) -> Answering:
+    def guess_of(x: Tensor) -> Guess:
+        def guess(generator: torch.Generator, budget: float) -> tuple[Tensor, Tensor, float]:
+            optics = LookOptics.of(camera, design.image_shape, budget)
+            chances, counted = [], 0.0
+            for some in x.split(max(1, AT_ONCE // len(design.prior))):
+                state = AdaptivePosterior(design.prior, len(some), optics)
+                found, counts = expose(state, some, design.settings, generator)
+                chances.append(found)
+                counted += float(counts.sum())
+            sure, classes = torch.cat(chances).max(dim=-1)
+            return classes, sure, counted
+
+        return guess
+
+    return Answering(guess_of, design.shares)
+
+
+@stops_of.register
+def _(design: AdaptiveDesign) -> tuple[tuple[int, ...], np.ndarray]:
+    return tuple(range(1, design.masks + 1)), np.cumsum(design.settings.shares)
+
+
+@logits_at_stops.register
+def _(
+    design: AdaptiveDesign,
+    camera: Camera,
+    x: np.ndarray,
+    photons: float,
+    draws: int,
+    seed: int,
+    places: Any = None,
+) -> np.ndarray:
+    generator = torch.Generator().manual_seed(seed)
+    kept = range(design.masks) if places is None else places
+    chunks = []
+    with torch.no_grad():
+        for some in (
+            torch.from_numpy(x)
+            .repeat_interleave(draws, dim=0)
+            .split(max(1, AT_ONCE // len(design.prior)))
+        ):
+            looks = design.looks(some, photons, generator, camera)
+            logs = [
+                look.state.chances.clamp(min=1e-30).log()
+                for place, look in enumerate(looks)
+                if place in kept
+            ]
+            chunks.append(torch.stack(logs))
+    return torch.cat(chunks, dim=1).numpy()

@@ -1,0 +1,27 @@
+"""Provenance of designs: how they were trained, on which data, with which versions."""
+
+from importlib.metadata import version
+from typing import Any
+
+import torch
+from pydantic import BaseModel
+
+from deepfsi.datasets import Dataset
+from deepfsi.design.memory import Memory
+from deepfsi.optics.budget import brightness
+
+
+def provenance(
+    job: BaseModel, data: Dataset, device: torch.device, seconds: float
+) -> dict[str, Any]:
+    """Provenance of a design for `Design.info`, from parameters of its training."""
+    return {
+        "job": job.model_dump(mode="json"),
+        "data": Memory.of(data).model_dump(mode="json"),
+        "preprocessing": data.preprocessing,
+        "brightness": brightness(data.x_train, data.y_train),
+        "deepfsi": version("deepfsi"),
+        "torch": torch.__version__,
+        "device": device.type,
+        "seconds": seconds,
+    }

@@ -1,0 +1,75 @@
+"""Commands on adaptive masks: made, tested, drawn, stopped; refused where masks must be known."""
+
+import json
+
+import pytest
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory, digits):
+    from deepfsi import learn
+
+    made = learn(digits.hold_out(900), design="adaptive", masks=3, photons=1e4)
+    return made.save(tmp_path_factory.mktemp("adaptive") / "a.safetensors")
+
+
+def test_a_design_is_made_and_tested(done, tmp_path):
+    out = tmp_path / "a.safetensors"
+    made = ("design", "--design", "adaptive", "--masks", 2, "--photons", "1e3", "--hold-out", 1100)
+    assert "adaptive with 2 looks" in done(*made, "-o", out)
+    before = out.read_bytes()
+    done(*made, "-o", out)  # of the same settings, it may be replaced
+    assert len(out.read_bytes()) == len(before)
+
+
+def test_it_is_evaluated_with_its_looks(done, file):
+    told = json.loads(done("evaluate", file, "--photons", "1e4", "--draws", 1, "--json"))
+    [result] = told["results"]
+    assert len(result["photons_per_mask"]) == 3
+    assert 0.3 < result["accuracy"] < 1
+    assert (told["detectors"], told["readout"]) == (1, "difference")
+
+
+def test_one_exposure_is_drawn(done, file, tmp_path):
+    out = tmp_path / "looks.png"
+    done("show", file, "-o", out)
+    assert out.read_bytes().startswith(b"\x89PNG")
+
+
+def test_it_stops_early(done, file):
+    told = json.loads(done("stop", file, "--photons", "1e4", "--draws", 1, "--json"))
+    assert told["rule"]["after"] == [1, 2, 3]
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "export FILE -o a.onnx",
+        "page FILE -o a.html",
+        "dmd export FILE -o patterns",
+        "predict FILE . --photons 1e4",
+        "camera live FILE --scene . --exposure 10ms --flux 1e6 -o run",
+    ],
+)
+def test_what_needs_masks_beforehand_refuses_it(refuse, file, tmp_path, monkeypatch, words):
+    monkeypatch.chdir(tmp_path)
+    told = refuse(*words.replace("FILE", str(file)).split())
+    assert "makes its masks while the camera looks" in told
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("option", [("--ideal",), ("--first", 2)])
+def test_options_of_known_masks_are_refused(refuse, file, option):
+    assert "leave --ideal and --first out" in refuse("evaluate", file, "--photons", "1e4", *option)
+
+
+def test_it_stops_by_the_rule_that_is_written(done, file, tmp_path):
+    out = tmp_path / "b.safetensors"
+    done("stop", file, "--photons", "1e4", "--threshold", 0.6, "--draws", 1, "-o", out)
+    counts = [
+        json.loads(done("evaluate", each, "--photons", "1e4", "--draws", 1, "--json"))["results"][
+            0
+        ]["counts"]
+        for each in (file, out)
+    ]
+    assert counts[1] < 0.95 * counts[0]
