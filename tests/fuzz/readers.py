@@ -55,6 +55,17 @@ def read_design(path: Path) -> None:
             design.consistency(counts[None], 1e4)
 
 
+def read_adaptive(path: Path) -> None:
+    from deepfsi.design.adaptive.design import load_design
+    from deepfsi.design.memory import memory_of
+
+    design = load_design(path)
+    repr(design)
+    _ = design.camera, memory_of(design.info)
+    *_, chances = design.looks_at(np.full(design.image_shape, 0.5, np.float32).ravel(), 1e3)
+    assert np.isfinite(chances).all()
+
+
 def read_shown_design(path: Path) -> None:
     from deepfsi.laboratory.rails import design_rails
 
@@ -188,6 +199,7 @@ def load_small(path: Path) -> None:
 READERS = {
     "design": Reader("fixed.safetensors", read_design, (changed_tensors, mangled), 10),
     "nested design": Reader("nested.safetensors", read_design, (changed_tensors,)),
+    "adaptive design": Reader("adaptive.safetensors", read_adaptive, (changed_tensors,)),
     "patches": Reader("patches.safetensors", read_design, (changed_tensors,)),
     "looks": Reader("looks.safetensors", read_shown_design, (changed_tensors,)),
     "loop": Reader("looks/loop.safetensors", read_loop, (changed_tensors, mangled)),
@@ -284,6 +296,7 @@ def _designs(folder: Path) -> None:
     digits = from_arrays(scenes, labels, name="noise")
     quick(digits, "pca", masks=4, light="equal-dwell").save(folder / "fixed.safetensors")
     quick(digits, "pca", masks=4, nested=2).save(folder / "nested.safetensors")
+    quick(digits, "adaptive", masks=3, light="free-dwell").save(folder / "adaptive.safetensors")
     quick(digits, **PATCHES).save(folder / "patches.safetensors")
     optics = {"light": "free-dwell", "rails": "single", "levels": 2, "looks": 2}
     quick(digits, masks=4, **optics).save(folder / "looks.safetensors")

@@ -66,7 +66,10 @@ def design(
         made = learn(shown, counts=counted, matrix=own, device=device, report=report, **asked)
     lowest = made.info["job"]["photons"]
     made.save(out)
-    results = test(made, scenes, list(dict.fromkeys((lowest, job.exposure.highest(lowest)))))
+    budgets = list(dict.fromkeys((lowest, job.exposure.highest(lowest))))
+    draws = 1 if job.code.adaptive else 3  # its decisions take milliseconds
+    with common.progress("test", as_json) as report:
+        results = test(made, scenes, budgets, draws=draws, report=report)
     if as_json:
         tests = [{"classes": made.classes, **result.as_dict()} for result in results]
         common.print_json("design", {"design": str(out), "info": made.info, "tests": tests})

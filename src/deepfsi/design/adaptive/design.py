@@ -22,9 +22,16 @@ from deepfsi.design.artifact import Design
 from deepfsi.design.confidence import logits_at_stops, stops_of
 from deepfsi.design.evaluation import Answering, Guess, answering
 from deepfsi.design.file_content import SCHEMA, Info, damaged, is_adaptive, read_content
+from deepfsi.errors import as_input_error
 from deepfsi.files import DESIGNS, check_ending, write_atomically
 from deepfsi.optics.camera import Camera
 from deepfsi.optics.detection import Detection
+
+SLACK = 1e-3
+"""What rounding may change of a reflectance, or of a sum of them, relative."""
+
+MOST_REFLECTANCE, MOST_SPREAD = 1e3, 1e2
+"""Bounds of what a file may hold: a sum of all components, and the spread of a prior."""
 
 
 class Look(NamedTuple):
@@ -85,7 +92,8 @@ class AdaptiveDesign:
     @property
     def camera(self) -> Camera:
         """The camera that it was made for."""
-        return Camera.restored(self.info["job"]["camera"])
+        with as_input_error("the design's camera", "make it again"):
+            return Camera.restored(self.info["job"]["camera"])
 
     @property
     def detection(self) -> Detection:
@@ -224,8 +232,14 @@ def _check(header: _Header, arrays: Mapping[str, np.ndarray]) -> None:
         held = arrays[name]
         if held.shape != shape or held.dtype != kind or not np.isfinite(held).all():
             raise ValueError(f"{name} is not of this design")
+    if not isinstance(header.info.get("job", {}).get("camera"), dict):
+        raise ValueError("no camera is known")
+    mean, farthest = arrays["mean"], 127 * arrays["steps"] @ np.abs(arrays["components"])
+    if mean.min() < 0 or mean.max() > 1 + SLACK or farthest.max() > MOST_REFLECTANCE:
+        raise ValueError("the prior holds no reflectances")
     sizes, (light, spread) = arrays["sizes"], arrays["numbers"]
-    if sizes.min() < 0 or sizes.sum() != scenes or light <= 0 or spread < 0:
+    whole = math.isclose(light, mean.sum(dtype=float), rel_tol=SLACK) and 0 <= spread <= MOST_SPREAD
+    if sizes.min() < 0 or sizes.sum() != scenes or not whole:
         raise ValueError("the scenes of the prior are none")
 
 

@@ -23,7 +23,7 @@ class AdaptiveMasks(Settings):
 
     Examples
     --------
-    >>> from deepfsi.design.adaptive.evaluation import AdaptiveMasks
+    >>> from deepfsi.design.adaptive.exposures import AdaptiveMasks
     >>> AdaptiveMasks(looks=3, growth=4).shares
     [0.14285714285714285, 0.2857142857142857, 0.5714285714285714]
     """
