@@ -18,6 +18,7 @@ import numpy as np
 import torch
 
 import deepfsi
+from deepfsi.design.adaptive.choice import next_masks
 from deepfsi.design.adaptive.posterior import AdaptivePosterior, LookOptics
 
 
@@ -69,7 +70,7 @@ def latency(design: deepfsi.AdaptiveDesign, photons: float, exposures: int = 8) 
             state = AdaptivePosterior(design.prior, 1, optics)
             for _ in range(design.masks):
                 began = time.perf_counter()
-                masks = state.choose(share, generator)
+                masks = next_masks(state, share, generator)
                 expected = state.expected(masks, scene[None], share)
                 state.update(masks, optics.draw(expected, generator), share)
                 times.append(time.perf_counter() - began)

@@ -8,7 +8,7 @@ from scipy.stats import multivariate_normal, poisson, spearmanr
 
 from conftest import generator
 from deepfsi.datasets import Dataset, from_arrays
-from deepfsi.design.adaptive.choice import brightest, information
+from deepfsi.design.adaptive.choice import brightest, information, next_masks
 from deepfsi.design.adaptive.design import AdaptiveDesign
 from deepfsi.design.adaptive.exposures import AdaptiveMasks, prior_of
 from deepfsi.design.adaptive.posterior import AdaptivePosterior, LookOptics
@@ -186,7 +186,7 @@ def exact_information(mean, labels) -> np.ndarray:
 def test_the_first_mask_tells_nearly_as_much_as_the_best_fixed_one(seed, photons):
     """Of all 255 masks, by brute force; it is the same for all exposures."""
     x, labels = small(seed)
-    first = state_of(x, labels, photons, 4).choose(1.0, generator()).numpy()
+    first = next_masks(state_of(x, labels, photons, 4), 1.0, generator()).numpy()
     assert (first == first[0]).all()
     masks = every_mask()
     mean = expected(x, masks[None], photons, [1.0])[:, 0]
@@ -237,27 +237,27 @@ def test_names_of_classes_do_not_matter(spread):
     other = np.array([2, 0, 1])
     counts = torch.tensor([[40.0], [60.0]])
     states = [state_of(x, each, 300.0, 2, spread) for each in (labels, other[labels])]
-    masks = [state.choose(0.5, generator()) for state in states]
+    masks = [next_masks(state, 0.5, generator()) for state in states]
     assert torch.equal(*masks)
     for state in states:
         state.update(masks[0], counts, 0.5)
     changed = states[1].chances[:, other]
     torch.testing.assert_close(changed, states[0].chances, atol=1e-4, rtol=0)
-    assert torch.equal(*(state.choose(0.5, generator()) for state in states))
+    assert torch.equal(*(next_masks(state, 0.5, generator()) for state in states))
 
 
 def test_each_mask_is_of_what_its_own_exposure_counted():
     x, labels = small(5)
     state = state_of(x, labels, 1e3, 2)
-    first = state.choose(0.5, generator())
+    first = next_masks(state, 0.5, generator())
     mean = float(state.expected(first[:1], torch.from_numpy(x).mean(dim=0)[None], 0.5))
     state.update(first, torch.tensor([[0.7 * mean], [1.3 * mean]]), 0.5)
-    second = state.choose(0.5, generator())
+    second = next_masks(state, 0.5, generator())
     assert not torch.equal(second[0], second[1])
     assert set(second.unique().tolist()) <= {0.0, 1.0}
     kept = state.part(torch.tensor([False, True]))
     assert torch.equal(kept.chances, state.chances[1:])
-    assert torch.equal(kept.choose(0.5, generator()), second[1:])
+    assert torch.equal(next_masks(kept, 0.5, generator()), second[1:])
 
 
 @pytest.mark.parametrize("growth", [0.1, 1.0, 5.0])

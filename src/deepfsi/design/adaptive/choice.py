@@ -9,14 +9,11 @@ The choice is greedy, a look at a time. Sources: sequential design by expected i
 1956); 2 √counts is Anscombe's (1948).
 """
 
-from typing import TYPE_CHECKING
-
 import torch
 from torch import Tensor
 from torch.nn import functional
 
-if TYPE_CHECKING:
-    from deepfsi.design.adaptive.posterior import AdaptivePosterior
+from deepfsi.design.adaptive.posterior import AdaptivePosterior
 
 LIKELIEST = 4
 """Classes that the next mask is to separate at most."""
@@ -31,7 +28,7 @@ DARKEST = 1e-3
 """Least reflectance that the mean scene is taken to have, in choosing mirrors."""
 
 
-def next_masks(state: "AdaptivePosterior", share: float, generator: torch.Generator) -> Tensor:
+def next_masks(state: AdaptivePosterior, share: float, generator: torch.Generator) -> Tensor:
     """Masks (b, N) of 0 and 1 to be shown next, for a share of the exposure."""
     masks, prior = candidates(state), state.prior
     places, drawn = _sample(state.weights, generator)
@@ -50,7 +47,7 @@ def next_masks(state: "AdaptivePosterior", share: float, generator: torch.Genera
     return masks[torch.arange(len(masks)), best]
 
 
-def candidates(state: "AdaptivePosterior") -> Tensor:
+def candidates(state: AdaptivePosterior) -> Tensor:
     """Masks (b, P, N) that separate the likeliest classes in two groups."""
     chances, sums = state.chances, state.class_sums
     count = min(LIKELIEST, chances.shape[1])

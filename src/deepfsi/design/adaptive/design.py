@@ -15,6 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from safetensors.numpy import save as to_bytes
 from torch import Tensor
 
+from deepfsi.design.adaptive.choice import next_masks
 from deepfsi.design.adaptive.exposures import AT_ONCE, AdaptiveMasks, expose
 from deepfsi.design.adaptive.posterior import AdaptivePosterior, LookOptics
 from deepfsi.design.adaptive.prior import ScenePrior
@@ -127,7 +128,7 @@ class AdaptiveDesign:
         optics = LookOptics.of(camera or self.camera, self.image_shape, photons)
         state = AdaptivePosterior(self.prior, len(x), optics)
         for share in self.settings.shares:
-            masks = state.choose(share, generator)
+            masks = next_masks(state, share, generator)
             expected = state.expected(masks, x, share)
             state.update(masks, optics.draw(expected, generator), share)
             yield Look(masks, expected, state)

@@ -6,6 +6,7 @@ from pydantic import Field
 from torch import Tensor
 
 from deepfsi.datasets import Dataset
+from deepfsi.design.adaptive.choice import next_masks
 from deepfsi.design.adaptive.posterior import AdaptivePosterior
 from deepfsi.design.adaptive.prior import ScenePrior
 from deepfsi.frozen import Settings
@@ -73,7 +74,7 @@ def expose(
     counts, running = torch.zeros(settings.looks, dtype=torch.double), torch.arange(len(x))
     dark = state.optics.dark
     for look, share in enumerate(settings.shares):
-        masks = state.choose(share, generator)
+        masks = next_masks(state, share, generator)
         expected = state.expected(masks, x[running], share)
         state.update(masks, state.optics.draw(expected, generator), share)
         counts[look] = expected.double().sum() - dark * share * expected.numel()

@@ -13,7 +13,6 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from deepfsi.design.adaptive.choice import next_masks
 from deepfsi.design.adaptive.prior import ScenePrior
 from deepfsi.design.posterior import class_chances
 from deepfsi.errors import InputError
@@ -127,10 +126,6 @@ class AdaptivePosterior:
     def expected(self, masks: Tensor, x: Tensor, share: float) -> Tensor:
         """Expected counts (b, Q) of scenes (b, N) behind masks (b, N) for a share of the whole."""
         return self.optics.count(masks, x, share, self.gain)
-
-    def choose(self, share: float, generator: torch.Generator) -> Tensor:
-        """Masks (b, N) of 0 and 1 to be shown next, for a share of the exposure."""
-        return next_masks(self, share, generator)
 
     def update(self, masks: Tensor, counts: Tensor, share: float) -> None:
         """Take in counts (b, Q) behind masks (b, N) that were shown for a share of the exposure."""
