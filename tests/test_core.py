@@ -29,7 +29,10 @@ def check(design, digits, photons=1e5):
     assert constraints.excess(design.rails.stacked, design.light) <= constraints.SLACK
 
 
-@pytest.mark.parametrize("name", [name for name in codes.DESIGNS if name != "custom"])
+@pytest.mark.parametrize(
+    "name",
+    [name for name, code in codes.DESIGNS.items() if not (code.own or code.adaptive)],
+)
 def test_each_design_learns_digits_and_counts_no_more_light_than_there_is(digits, name):
     code = codes.DESIGNS[name]
     masks = code.counts(digits.image_shape, 10)[1] if code.fixed_count else 8
@@ -37,6 +40,14 @@ def test_each_design_learns_digits_and_counts_no_more_light_than_there_is(digits
         deepfsi.learn(digits, design=name, masks=masks, photons=1e5, camera="paper", training=FEW),
         digits,
     )
+
+
+def test_adaptive_masks_know_digits_and_count_no_more_light_than_there_is(digits):
+    few = digits.hold_out(1300)
+    made = deepfsi.learn(few, design="adaptive", masks=4, photons=1e5, camera="dmd")
+    [result] = deepfsi.evaluate(made, few, 1e5, draws=1)
+    assert result.accuracy > GUESSING
+    assert result.throughput <= 1 + constraints.SLACK
 
 
 @pytest.mark.parametrize("light", ["equal-dwell", "free-dwell", "two-arm"])

@@ -261,6 +261,15 @@ def load_design(
     ------
     InputError
         If the file is missing, damaged, truncated, not a design, or of a newer schema.
+
+    Examples
+    --------
+    >>> import deepfsi, tempfile
+    >>> few = deepfsi.Training(epochs=1)
+    >>> design = deepfsi.learn("digits", photons=1e4, masks=6, training=few)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     deepfsi.load_design(design.save(f"{folder}/d.safetensors")).masks
+    6
     """
     text, arrays = read_content(path)
     if is_adaptive(text):
