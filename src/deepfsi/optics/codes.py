@@ -144,7 +144,7 @@ DESIGNS: dict[str, Code] = {
         fixed_count=True,
         single_rail=True,
     ),
-    "adaptive": Code("AM", "adaptive masks", specific=True, adaptive=True),
+    "adaptive": Code("AM", "adaptive masking", specific=True, adaptive=True),
     "custom": Code("USER", "own matrix", own=True),
 }
 """The named designs."""
