@@ -137,6 +137,10 @@ def test_an_exposure_that_never_stops_is_a_whole_one(adaptive, few):
         ({"exposure": {"looks": 2}}, "a look each"),
         ({"training": {"classifier": torch.nn.Linear}}, "leave `classifier` out"),
         ({"masks": 65}, "1 to 64"),
+        (
+            {"camera": Camera(device="dlp7000", exposure="1ms"), "masks": 50},
+            "give at most [0-9]+ masks",
+        ),
     ],
 )
 def test_what_adaptive_masks_cannot_do_is_refused(few, settings, words):
@@ -144,6 +148,18 @@ def test_what_adaptive_masks_cannot_do_is_refused(few, settings, words):
     with pytest.raises(InputError, match=words) as error:
         learn(few, **given)
     assert "\n" not in str(error.value)
+
+
+def test_dark_counts_go_with_tests_and_stops(few, kept):
+    made = learn(kept, design="adaptive", masks=3, photons=1e3, camera=Camera(dark=300.0))
+    bright = learn(kept, design="adaptive", masks=3, photons=1e3)
+    dark, none = (evaluate(each, few, 1e3, draws=3)[0] for each in (made, bright))
+    # of light alone, of which brighter masks are better beside 300 dark counts
+    assert none.counts < dark.counts < none.counts + 100
+    assert dark.accuracy < none.accuracy
+    found = stop(made, few, 1e3, threshold=1.0, draws=3)
+    # other draws of the same noise: within five standard errors of 180 answers
+    assert found.whole.mean == pytest.approx(dark.accuracy, abs=5 * np.sqrt(0.25 / 180))
 
 
 def test_noise_that_is_not_of_photons_is_refused_in_a_test(adaptive, few):

@@ -373,6 +373,12 @@ class Job(Settings):
             faults.append("adaptive masks have a look each: give no looks, nested, span or patch")
         if self.training.classifier != MLP:
             faults.append("adaptive masks are read by their posterior: leave `classifier` out")
+        shortest = self.camera.shortest_share
+        if shortest * self.masks > 1:
+            faults.append(
+                f"{self.masks} looks are shorter than {shortest:.3g} of the exposure, the shortest "
+                f"picture of the camera: give at most {int(1 / shortest)} masks"
+            )
         return faults
 
     def _classifier_faults(self) -> list[str]:

@@ -102,8 +102,8 @@ class AdaptiveDesign:
         return self.camera.detection(self.image_shape)
 
     def scanner(self) -> Camera:
-        """The camera under photon noise, its dark counts aside."""
-        return Camera.load(self.camera, noise="poisson")
+        """The camera itself: its optics, and its dark counts."""
+        return self.camera
 
     def looks(
         self, x: Tensor, photons: float, generator: torch.Generator, camera: Camera | None = None
