@@ -18,7 +18,7 @@ import numpy as np
 import torch
 
 import deepfsi
-from deepfsi.design.adaptive.choice import next_masks
+from deepfsi.design.adaptive.exposures import look_at
 from deepfsi.design.adaptive.posterior import AdaptivePosterior, LookOptics
 
 
@@ -70,9 +70,7 @@ def latency(design: deepfsi.AdaptiveDesign, photons: float, exposures: int = 8) 
             state = AdaptivePosterior(design.prior, 1, optics)
             for _ in range(design.masks):
                 began = time.perf_counter()
-                masks = next_masks(state, share, generator)
-                expected = state.expected(masks, scene[None], share)
-                state.update(masks, optics.draw(expected, generator), share)
+                look_at(state, scene[None], share, generator)
                 times.append(time.perf_counter() - began)
     return float(np.median(times)) * 1e3
 

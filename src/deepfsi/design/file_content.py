@@ -3,6 +3,7 @@
 import json
 import math
 import os
+from collections.abc import Container
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -30,12 +31,14 @@ Info = Annotated[dict[str, Any], AfterValidator(_check_info)]
 """Provenance of a design: job and data of its training, and what was measured of it."""
 
 
-def read_content(path: str | os.PathLike[str]) -> tuple[str, dict[str, np.ndarray]]:
-    """Header, as JSON, and tensors of a design file, or `InputError` as for `Design.load`."""
+def read_content(
+    path: str | os.PathLike[str], wanted: Container[str] | None = None
+) -> tuple[str, dict[str, np.ndarray]]:
+    """Header, as JSON, and tensors, all or those wanted; `InputError` as for `Design.load`."""
     if not Path(path).exists():
         raise InputError(f"no design file at {path}: make one with `deepfsi design -o {path}`")
     try:
-        text, tensors = read_tensors(path, "deepfsi", "give a design file")
+        text, tensors = read_tensors(path, "deepfsi", "give a design file", wanted)
         schema = int(json.loads(text)["schema"])
     except (DamagedError, KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
         raise error if isinstance(error, InputError) else damaged(path) from error

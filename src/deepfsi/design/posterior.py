@@ -87,12 +87,11 @@ class IdealObserver:
         if self._impossible is not None:
             faults = read @ self._impossible.T
             logs.masked_fill_(faults > faults.amin(dim=1, keepdim=True), -torch.inf)
-        return class_chances(logs, self._sizes)
+        return class_chances(logs.softmax(dim=1), self._sizes)
 
 
-def class_chances(logs: Tensor, sizes: Sequence[int]) -> Tensor:
-    """Class probabilities (b, C) of log-likelihoods (b, n) of scenes that are sorted by class."""
-    weights = logs.softmax(dim=1)
+def class_chances(weights: Tensor, sizes: Sequence[int]) -> Tensor:
+    """Class probabilities (b, C) of probabilities (b, n) of scenes that are sorted by class."""
     sums = torch.stack([part.sum(dim=1) for part in weights.split(list(sizes), dim=1)], dim=1)
     return sums / sums.sum(dim=1, keepdim=True)
 

@@ -15,8 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from safetensors.numpy import save as to_bytes
 from torch import Tensor
 
-from deepfsi.design.adaptive.choice import next_masks
-from deepfsi.design.adaptive.exposures import AT_ONCE, AdaptiveMasks, expose
+from deepfsi.design.adaptive.exposures import AT_ONCE, AdaptiveMasks, expose, look_at
 from deepfsi.design.adaptive.posterior import AdaptivePosterior, LookOptics
 from deepfsi.design.adaptive.prior import ScenePrior
 from deepfsi.design.artifact import Design
@@ -39,7 +38,6 @@ class Look(NamedTuple):
     """One look of exposures, and what is known after it."""
 
     masks: Tensor  # (b, N) of 0 and 1
-    counts: Tensor  # (b, Q), expected, dark counts included
     state: AdaptivePosterior
 
 
@@ -128,10 +126,12 @@ class AdaptiveDesign:
         optics = LookOptics.of(camera or self.camera, self.image_shape, photons)
         state = AdaptivePosterior(self.prior, len(x), optics)
         for share in self.settings.shares:
-            masks = next_masks(state, share, generator)
-            expected = state.expected(masks, x, share)
-            state.update(masks, optics.draw(expected, generator), share)
-            yield Look(masks, expected, state)
+            masks, _ = look_at(state, x, share, generator)
+            yield Look(masks, state)
+
+    def at_once(self, x: Tensor) -> tuple[Tensor, ...]:
+        """Scenes (n, N) in parts that the memory holds the likelihoods of."""
+        return x.split(max(1, AT_ONCE // len(self.prior)))
 
     def looks_at(self, scene: np.ndarray, photons: float, seed: int = 0) -> tuple[np.ndarray, ...]:
         """One exposure of a scene (N,): masks and mean scenes (K, N), and chances (K, C).
@@ -183,12 +183,6 @@ class AdaptiveDesign:
     def load(cls, path: str | os.PathLike[str]) -> "AdaptiveDesign":
         """Read a design file, or raise `InputError` if it is no whole one of adaptive masks."""
         text, arrays = read_content(path)
-        return cls._of(path, text, arrays)
-
-    @classmethod
-    def _of(
-        cls, path: str | os.PathLike[str], text: str, arrays: Mapping[str, np.ndarray]
-    ) -> "AdaptiveDesign":
         try:
             header = _Header.model_validate_json(text)
             _check(header, arrays)
@@ -271,9 +265,9 @@ def load_design(
     ...     deepfsi.load_design(design.save(f"{folder}/d.safetensors")).masks
     6
     """
-    text, arrays = read_content(path)
-    if is_adaptive(text):
-        return AdaptiveDesign._of(path, text, arrays)
+    header, _ = read_content(path, ())
+    if is_adaptive(header):
+        return AdaptiveDesign.load(path)
     return Design.load(path, device, trust=trust)
 
 
@@ -283,7 +277,7 @@ def _(design: AdaptiveDesign, camera: Camera) -> Answering:
         def guess(generator: torch.Generator, budget: float) -> tuple[Tensor, Tensor, float]:
             optics = LookOptics.of(camera, design.image_shape, budget)
             chances, counted = [], 0.0
-            for some in x.split(max(1, AT_ONCE // len(design.prior))):
+            for some in design.at_once(x):
                 state = AdaptivePosterior(design.prior, len(some), optics)
                 found, counts = expose(state, some, design.settings, generator)
                 chances.append(found)
@@ -315,11 +309,7 @@ def _(
     kept = range(design.masks) if places is None else places
     chunks = []
     with torch.no_grad():
-        for some in (
-            torch.from_numpy(x)
-            .repeat_interleave(draws, dim=0)
-            .split(max(1, AT_ONCE // len(design.prior)))
-        ):
+        for some in design.at_once(torch.from_numpy(x).repeat_interleave(draws, dim=0)):
             looks = design.looks(some, photons, generator, camera)
             logs = [
                 look.state.chances.clamp(min=1e-30).log()

@@ -11,6 +11,7 @@ from deepfsi.design.adaptive.posterior import AdaptivePosterior
 from deepfsi.design.adaptive.prior import ScenePrior
 from deepfsi.frozen import Settings
 from deepfsi.memory import check_memory, free_memory
+from deepfsi.optics.noise import poisson
 
 AT_ONCE = 2**22
 """Log-likelihoods that are held at a time."""
@@ -62,6 +63,16 @@ class AdaptiveMasks(Settings):
         return (each / each.sum()).tolist()
 
 
+def look_at(
+    state: AdaptivePosterior, x: Tensor, share: float, generator: torch.Generator
+) -> tuple[Tensor, Tensor]:
+    """Look at scenes (b, N) for a share of the exposure: masks (b, N), expected counts (b, Q)."""
+    masks = next_masks(state, share, generator)
+    expected = state.expected(masks, x, share)
+    state.update(masks, poisson(expected, generator), share)
+    return masks, expected
+
+
 def expose(
     state: AdaptivePosterior, x: Tensor, settings: AdaptiveMasks, generator: torch.Generator
 ) -> tuple[Tensor, Tensor]:
@@ -74,9 +85,7 @@ def expose(
     counts, running = torch.zeros(settings.looks, dtype=torch.double), torch.arange(len(x))
     dark = state.optics.dark
     for look, share in enumerate(settings.shares):
-        masks = next_masks(state, share, generator)
-        expected = state.expected(masks, x[running], share)
-        state.update(masks, state.optics.draw(expected, generator), share)
+        _, expected = look_at(state, x[running], share, generator)
         counts[look] = expected.double().sum() - dark * share * expected.numel()
         last = look == settings.looks - 1
         if settings.until < 1 or last:

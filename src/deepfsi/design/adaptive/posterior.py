@@ -19,7 +19,6 @@ from deepfsi.errors import InputError
 from deepfsi.laws import LOOK_LIGHT
 from deepfsi.optics.camera import Camera
 from deepfsi.optics.detection import Detection
-from deepfsi.optics.noise import poisson
 
 DIMMEST = 1e-6
 """Least light of a scene through a mask, over that of the whole mean scene."""
@@ -81,10 +80,6 @@ class LookOptics:
             return rails
         return (rails[..., None, :] * self.areas(masks)).flatten(-3, -2)
 
-    def draw(self, expected: Tensor, generator: torch.Generator) -> Tensor:
-        """Photon counts of expected ones."""
-        return poisson(expected, generator)
-
     def count(self, masks: Tensor, x: Tensor, share: float, gain: float) -> Tensor:
         """Expected counts (b, Q) of scenes (b, N) for a share of the exposure, Φ / s = gain."""
         seen = self.readouts(masks)
@@ -111,7 +106,8 @@ class AdaptivePosterior:
         """Log-likelihoods of the scenes."""
         self._known = torch.zeros(exposures, 0, d)  # directions in which e is known by now
         self._shift = torch.zeros(exposures, d)  # mean of e of the mean scene
-        self._summary: tuple[Tensor, Tensor] | None = None
+        self._weights: Tensor | None = None
+        self._class_sums: Tensor | None = None
 
     def __len__(self) -> int:
         """Number of exposures, b."""
@@ -135,7 +131,7 @@ class AdaptivePosterior:
             counts.unbind(1), mean.unbind(1), parts.unbind(1), strict=True
         ):
             self._take(here, each, at_mean, through, share)
-        self._summary = None
+        self._weights = self._class_sums = None
 
     def _take(
         self, here: Tensor, counts: Tensor, at_mean: Tensor, through: Tensor, share: float
@@ -175,27 +171,24 @@ class AdaptivePosterior:
         """Light (b, ...) that the mean of e adds to that of the mean scene, of (b, ..., d)."""
         return (parts.flatten(1, -2) @ self._shift[..., None])[..., 0].view(parts.shape[:-1])
 
-    def _sums(self) -> tuple[Tensor, Tensor]:
-        """Weights of the scenes, and sums of coefficients over classes."""
-        if self._summary is None:
-            weights = self.logs.softmax(dim=1)
-            self._summary = weights, self.prior.mean_classes(weights)
-        return self._summary
-
     @property
     def weights(self) -> Tensor:
         """Probabilities (b, n) of the scenes of the prior."""
-        return self._sums()[0]
+        if self._weights is None:
+            self._weights = self.logs.softmax(dim=1)
+        return self._weights
 
     @property
     def class_sums(self) -> Tensor:
         """Sums (b, C, d) of the coefficients of scenes by their probabilities, over classes."""
-        return self._sums()[1]
+        if self._class_sums is None:
+            self._class_sums = self.prior.mean_classes(self.weights)
+        return self._class_sums
 
     @property
     def chances(self) -> Tensor:
         """Probabilities (b, C) of the classes."""
-        return class_chances(self.logs, self.prior.sizes)
+        return class_chances(self.weights, self.prior.sizes)
 
     @property
     def scene(self) -> Tensor:
