@@ -6,7 +6,8 @@
 
 One noise draw of each test image; ± is half of Wilson's 95 % interval. The prior is all training
 images. With `--validation` the last training images are left out and read in place of the tests:
-settings are to be chosen there. `--scenes` keeps the first images of the prior alone.
+settings are to be chosen there. `--scenes` keeps the first images of the prior alone, and with
+`--clusters` the centres of as many clusters of each class stand for them.
 """
 
 import argparse
@@ -31,6 +32,7 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--looks", type=int, nargs="+", default=[16])
     parser.add_argument("--validation", type=int, default=0, help="images, in place of the tests")
     parser.add_argument("--scenes", type=int, help="images of the prior, the first ones")
+    parser.add_argument("--clusters", type=int, help="of each class, in place of all scenes")
     parser.add_argument("--latency", action="store_true", help="time of one decision, alone")
     given = parser.parse_args(words)
     data = deepfsi.load_dataset(given.data)
@@ -43,7 +45,12 @@ def main(words: Sequence[str] | None = None) -> None:
     for looks in given.looks:
         for photons in given.photons:
             design = deepfsi.learn(
-                data, design="adaptive", masks=looks, photons=photons, camera=given.camera
+                data,
+                design="adaptive",
+                masks=looks,
+                photons=photons,
+                camera=given.camera,
+                training={"clusters": given.clusters},
             )
             if given.latency:
                 print(f"one decision: {latency(design, photons):.2f} ms", flush=True)

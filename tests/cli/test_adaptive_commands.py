@@ -22,6 +22,18 @@ def test_a_design_is_made_and_tested(done, tmp_path):
     assert len(out.read_bytes()) == len(before)
 
 
+def test_clusters_stand_for_the_scenes(done, refuse, tmp_path):
+    made = ("design", "--design", "adaptive", "--masks", 2, "--photons", "1e3", "--clusters")
+    sizes = []
+    for count in (2, 40):
+        done(*made, count, "-o", tmp_path / f"{count}.safetensors")
+        sizes.append((tmp_path / f"{count}.safetensors").stat().st_size)
+    assert sizes[0] < sizes[1]
+    told = refuse(*made, 400, "-o", tmp_path / "many.safetensors")
+    assert "400 clusters of each class are too many" in told
+    assert not (tmp_path / "many.safetensors").exists()
+
+
 def test_it_is_evaluated_with_its_looks(done, file):
     told = json.loads(done("evaluate", file, "--photons", "1e4", "--draws", 1, "--json"))
     [result] = told["results"]

@@ -91,9 +91,13 @@ def no_photons(header, tensors):
     tensors["numbers"][0] = 0.0
 
 
+def nobody(header, tensors):
+    tensors["members"][0] = 0
+
+
 CHANGES = [
     shorter, lost, other_shape, not_finite, fewer_classes, more_scenes, negative_sizes, wide,
-    no_photons,
+    no_photons, nobody,
 ]  # fmt: skip
 
 

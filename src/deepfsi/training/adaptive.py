@@ -25,7 +25,7 @@ def adaptive_designs(
 ) -> list[AdaptiveDesign]:
     """Designs of jobs that differ in budget and seed, with one prior."""
     began, data = time.perf_counter(), training_set.data
-    settings = AdaptiveMasks(looks=jobs[0].masks)
+    settings = AdaptiveMasks(looks=jobs[0].masks, clusters=jobs[0].training.clusters)
     prior, designs = prior_of(data, settings), []
     for done, job in enumerate(jobs, start=1):
         shares = _shares(prior, settings, data, job)

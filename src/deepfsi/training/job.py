@@ -144,6 +144,12 @@ class Training(Settings):
         description="design that learned masks start from; pca, or class-pairs for several looks, "
         "unless given",
     )
+    clusters: int | None = Field(
+        None,
+        ge=1,
+        description="clusters of each class whose centres stand for the training scenes of "
+        "adaptive masks; all scenes unless given",
+    )
     precision: Precision = Field(
         "auto",
         description="type of the products of learned masks and of wide networks: float32, "
@@ -447,6 +453,10 @@ def find_job(settings: Mapping[str, Any], counts: float | None = None) -> Job:
         job = Job.model_validate({**settings, "camera": camera, "photons": told})
     if counts is not None and job.exposure.highest(1.0) != 1.0:
         raise InputError("counts are of one budget: leave the range of budgets, `span`, out")
+    if job.training.clusters and not job.code.adaptive:
+        raise InputError(
+            '`clusters` are of adaptive masks: leave it out, or give `design="adaptive"`'
+        )
     if "start" in _told(settings) and not job.code.learns_masks:
         raise InputError(
             f"`start` is of learned masks, and {job.design} has its own: leave it out, or give "

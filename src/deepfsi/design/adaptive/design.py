@@ -219,6 +219,7 @@ def _check(header: _Header, arrays: Mapping[str, np.ndarray]) -> None:
         "components": ((parts, pixels), np.float32),
         "steps": ((parts,), np.float32),
         "levels": ((scenes, parts), np.int8),
+        "members": ((scenes,), np.int32),
         "sizes": ((len(header.classes),), np.int64),
         "numbers": ((2,), np.float64),
         "shares": ((header.settings.looks,), np.float32),
@@ -234,6 +235,7 @@ def _check(header: _Header, arrays: Mapping[str, np.ndarray]) -> None:
         raise ValueError("the prior holds no reflectances")
     sizes, (light, spread) = arrays["sizes"], arrays["numbers"]
     whole = math.isclose(light, mean.sum(dtype=float), rel_tol=SLACK) and 0 <= spread <= MOST_SPREAD
+    whole &= arrays["members"].min() > 0
     if sizes.min() < 0 or sizes.sum() != scenes or not whole:
         raise ValueError("the scenes of the prior are none")
 

@@ -56,6 +56,14 @@ class AdaptiveMasks(Settings):
         "in it; 0 if they are among them",
     )
 
+    clusters: int | None = Field(
+        None,
+        ge=1,
+        strict=True,
+        description="clusters of each class whose centres stand for its scenes; all scenes unless "
+        "given",
+    )
+
     @property
     def shares(self) -> list[float]:
         """Share of the exposure that each look takes; their sum is 1."""
@@ -104,5 +112,10 @@ def prior_of(data: Dataset, settings: AdaptiveMasks) -> ScenePrior:
     needed = 4 * (scenes * (3 * data.pixels + settings.components) + COPIES * AT_ONCE)
     check_memory(needed, free_memory(), "the prior of these scenes", "give fewer scenes")
     return ScenePrior(
-        data.x_train, data.y_train, len(data.classes), settings.components, settings.spread
+        data.x_train,
+        data.y_train,
+        len(data.classes),
+        settings.components,
+        settings.spread,
+        clusters=settings.clusters,
     )

@@ -4,8 +4,10 @@ from collections.abc import Mapping
 
 import numpy as np
 import torch
+from threadpoolctl import threadpool_limits
 from torch import Tensor
 
+from deepfsi.errors import InputError
 from deepfsi.optics.budget import summed_reflectance
 
 NEIGHBOURS = 3000
@@ -23,6 +25,9 @@ class ScenePrior:
     that this covariance is the identity. With a spread of 0 a scene is one of these, and components
     are principal components.
 
+    With `clusters` the centres of clusters stand for the scenes, each as likely as it has members,
+    and the covariance is that of the scenes about their centres.
+
     Parameters
     ----------
     x : array, shape (n, N)
@@ -36,7 +41,9 @@ class ScenePrior:
     spread : float
         0 or more.
     seed : int
-        Of the scenes whose neighbours are sought.
+        Of the scenes whose neighbours are sought, and of the clusters.
+    clusters : int, optional
+        Clusters of each class; `InputError` if some class has fewer than twice as many scenes.
     """
 
     def __init__(
@@ -47,6 +54,7 @@ class ScenePrior:
         components: int = 120,
         spread: float = 0.0,
         seed: int = 0,
+        clusters: int | None = None,
     ) -> None:
         order = np.argsort(labels, kind="stable")
         scenes = torch.from_numpy(np.ascontiguousarray(x[order], np.float32))
@@ -60,8 +68,13 @@ class ScenePrior:
         kept = vectors[:, -min(components, scenes.shape[1]) :].float()
         self.components = kept.T.contiguous()  # (d, N)
         self.coefficients = away @ kept  # (n, d)
-        if spread:
-            self._scale(torch.Generator().manual_seed(seed))
+        self.members = torch.ones(len(self))
+        """Training scenes that each scene stands for."""
+        if clusters is not None:
+            self._scale(self._cluster(clusters, seed))
+            self.spread = 1.0
+        elif spread:
+            self._scale(self._neighbours(torch.Generator().manual_seed(seed)) * spread)
 
     def __len__(self) -> int:
         """Number of scenes."""
@@ -83,7 +96,7 @@ class ScenePrior:
 
     @property
     def arrays(self) -> dict[str, np.ndarray]:
-        """All that a file needs, coefficients in 8 bits: n · d bytes, and N · d · 4."""
+        """All that a file needs, coefficients in 8 bits: n · (d + 4) bytes, and N · d · 4."""
         steps = self.coefficients.abs().amax(dim=0).clamp(min=1e-12) / 127
         levels = (self.coefficients / steps).round().to(torch.int8)
         found = {"mean": self.mean, "components": self.components, "steps": steps, "levels": levels}
@@ -91,6 +104,7 @@ class ScenePrior:
         return {
             **{name: each.numpy() for name, each in found.items()},
             "sizes": np.array(self.sizes),
+            "members": self.members.numpy().astype(np.int32),
             "numbers": np.array(numbers),
         }
 
@@ -100,6 +114,7 @@ class ScenePrior:
         prior = cls.__new__(cls)
         prior.sizes = arrays["sizes"].tolist()
         prior.labels = torch.arange(len(prior.sizes)).repeat_interleave(torch.tensor(prior.sizes))
+        prior.members = torch.from_numpy(arrays["members"]).float()
         prior.summed_reflectance, prior.spread = arrays["numbers"].tolist()
         prior.mean = torch.from_numpy(arrays["mean"])
         prior.components = torch.from_numpy(arrays["components"])
@@ -107,8 +122,31 @@ class ScenePrior:
         prior.coefficients = levels * torch.from_numpy(arrays["steps"])
         return prior
 
-    def _scale(self, generator: torch.Generator) -> None:
-        """Scale components by the differences of scenes from their nearest neighbours."""
+    def _cluster(self, clusters: int, seed: int) -> Tensor:
+        """Put centres of clusters in the scenes' place; differences (n, d) of scenes from them."""
+        from sklearn.cluster import KMeans
+
+        if (most := min(self.sizes) // 2) < clusters:
+            raise InputError(
+                f"{clusters} clusters of each class are too many where one has {min(self.sizes)} "
+                f"scenes: give at most {most}, or leave `clusters` out"
+            )
+        centres, members, found = [], [], []
+        for own in self.coefficients.split(self.sizes):
+            with threadpool_limits(1):  # threads would add up in any order
+                means = KMeans(clusters, n_init=1, random_state=seed).fit(own.numpy())
+            cluster = torch.from_numpy(means.labels_).long()
+            members.append(torch.bincount(cluster, minlength=clusters).float())
+            sums = torch.zeros(clusters, own.shape[1]).index_add_(0, cluster, own)
+            centres.append(sums / members[-1][:, None])
+            found.append(own - centres[-1][cluster])
+        self.sizes = [clusters] * self.classes
+        self.labels = torch.arange(self.classes).repeat_interleave(clusters)
+        self.coefficients, self.members = torch.cat(centres), torch.cat(members)
+        return torch.cat(found)
+
+    def _neighbours(self, generator: torch.Generator) -> Tensor:
+        """Differences (n, d) of some scenes from their nearest neighbours of their class."""
         chosen = torch.randperm(len(self), generator=generator)[:NEIGHBOURS].sort().values
         starts = np.cumsum([0, *self.sizes[:-1]])
         found = []
@@ -119,7 +157,11 @@ class ScenePrior:
             far = torch.cdist(own[rows], own)
             far[torch.arange(len(rows)), rows] = torch.inf
             found.append(own[rows] - own[far.argmin(dim=1)])
-        differ = torch.cat(found).double() * self.spread
+        return torch.cat(found)
+
+    def _scale(self, differ: Tensor) -> None:
+        """Scale components so that the covariance of differences (n, d) is the identity."""
+        differ = differ.double()
         covariance = differ.T @ differ / len(differ)
         least = LEAST_VARIANCE * covariance.diagonal().mean()
         covariance += least * torch.eye(len(covariance), dtype=torch.double)
