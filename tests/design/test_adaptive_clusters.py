@@ -50,7 +50,7 @@ def test_scenes_of_the_prior_vary_as_those_of_the_training(clusters):
     centres = prior.coefficients.double() @ parts
     between = centres.T @ (weights[:, None] * centres)
     whole = np.cov(x.T.astype(float), bias=True)
-    off = (parts.T @ parts + between).numpy() - whole
+    off = (parts.T @ parts / prior.spread**2 + between).numpy() - whole
     assert np.abs(off).max() < 2e-3 * np.diag(whole).mean()  # twice the least variance
     assert prior.members.sum() == len(x)
 
@@ -62,15 +62,15 @@ def test_one_centre_a_class_is_a_normal_law_of_each_class():
     masks = (rng.random((6, PIXELS)) < 0.5).astype(np.float32)
     lit = masks * (photons * shares[:, None] / x.sum(axis=1).mean())
     counts = rng.poisson(x[::9] @ lit.T)
-    state = AdaptivePosterior(
-        ScenePrior(x, labels, 3, clusters=1), len(counts), LookOptics(photons)
-    )
+    prior = ScenePrior(x, labels, 3, clusters=1)
+    state = AdaptivePosterior(prior, len(counts), LookOptics(photons))
     for mask, count, share in zip(masks, counts.T, shares, strict=True):
         row = torch.from_numpy(mask).expand(len(counts), -1)
         state.update(row, torch.from_numpy(count[:, None]).float(), share)
     means = np.stack([x[labels == k].mean(axis=0) for k in range(3)]).astype(float)
     away = x - means[labels]
-    noise = lit @ (away.T @ away / len(x)) @ lit.T + np.diag(lit @ x.mean(axis=0))
+    near = prior.spread**2 * away.T @ away / len(x)
+    noise = lit @ near @ lit.T + np.diag(lit @ x.mean(axis=0))
     logs = np.stack(
         [
             multivariate_normal(lit @ mean, noise).logpdf(counts) + np.log(size)

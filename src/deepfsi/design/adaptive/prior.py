@@ -13,6 +13,12 @@ from deepfsi.optics.budget import summed_reflectance
 NEIGHBOURS = 3000
 """Scenes whose nearest neighbours tell how far scenes lie from those of the prior, at most."""
 
+CENTRE_SPREAD = 1.4
+"""How far scenes are taken to lie from centres of clusters, over the distance of their members.
+
+Chosen on 1024 validation images of MNIST at 1e4 photons: with 1 the posterior is too sure.
+"""
+
 LEAST_VARIANCE = 1e-3
 """Least variance of a component between neighbours, over the mean of all components."""
 
@@ -26,7 +32,7 @@ class ScenePrior:
     are principal components.
 
     With `clusters` the centres of clusters stand for the scenes, each as likely as it has members,
-    and the covariance is that of the scenes about their centres.
+    and the covariance is that of the scenes about their centres, times `CENTRE_SPREAD`².
 
     Parameters
     ----------
@@ -71,8 +77,8 @@ class ScenePrior:
         self.members = torch.ones(len(self))
         """Training scenes that each scene stands for."""
         if clusters is not None:
-            self._scale(self._cluster(clusters, seed))
-            self.spread = 1.0
+            self.spread = CENTRE_SPREAD
+            self._scale(self._cluster(clusters, seed) * self.spread)
         elif spread:
             self._scale(self._neighbours(torch.Generator().manual_seed(seed)) * spread)
 
