@@ -343,7 +343,7 @@ class Job(Settings):
         if "gaussian" in (self.noise, self.masks_from().noise) and not self.camera.sigma:
             faults.append("gaussian noise is read noise: give `sigma` above 0")
         if self.code.adaptive:
-            faults += self._adaptive_faults()
+            faults += self._adaptive_faults(data)
         if (matrix is not None) != self.code.own:
             faults.append(
                 'a matrix goes with the custom design, and only with it: give `design="custom"` '
@@ -373,8 +373,16 @@ class Job(Settings):
             return [str(error)]
         return []
 
-    def _adaptive_faults(self) -> list[str]:
+    def _adaptive_faults(self, data: "Dataset") -> list[str]:
+        import numpy as np
+
         faults = []
+        fewest = int(np.bincount(data.y_train, minlength=len(data.classes)).min())
+        if (self.training.clusters or 0) > fewest // 2:
+            faults.append(
+                f"{self.training.clusters} clusters of each class are too many where one has "
+                f"{fewest} scenes: give at most {fewest // 2}, or leave `clusters` out"
+            )
         if not isinstance(self.exposure, Fixed):
             faults.append("adaptive masks have a look each: give no looks, nested, span or patch")
         if self.training.classifier != MLP:

@@ -7,7 +7,6 @@ import torch
 from threadpoolctl import threadpool_limits
 from torch import Tensor
 
-from deepfsi.errors import InputError
 from deepfsi.optics.budget import summed_reflectance
 
 NEIGHBOURS = 3000
@@ -49,7 +48,7 @@ class ScenePrior:
     seed : int
         Of the scenes whose neighbours are sought, and of the clusters.
     clusters : int, optional
-        Clusters of each class; `InputError` if some class has fewer than twice as many scenes.
+        Clusters of each class, at most as many as half of its scenes.
     """
 
     def __init__(
@@ -132,11 +131,6 @@ class ScenePrior:
         """Put centres of clusters in the scenes' place; differences (n, d) of scenes from them."""
         from sklearn.cluster import KMeans
 
-        if (most := min(self.sizes) // 2) < clusters:
-            raise InputError(
-                f"{clusters} clusters of each class are too many where one has {min(self.sizes)} "
-                f"scenes: give at most {most}, or leave `clusters` out"
-            )
         centres, members, found = [], [], []
         for own in self.coefficients.split(self.sizes):
             with threadpool_limits(1):  # threads would add up in any order
