@@ -28,7 +28,7 @@ from deepfsi.hardware.recording.acquisition import Scene
 from deepfsi.hardware.virtual.bench import BenchCounter, BenchProjector, Latencies, VirtualSetup
 from deepfsi.hardware.virtual.camera import VirtualCamera, arrival_rates
 from deepfsi.hardware.virtual.detector import TICK_S
-from deepfsi.laboratory.live.loop import read_loop
+from deepfsi.laboratory.live.known import read_looks
 from deepfsi.laboratory.live.replay import count_live, replay_run
 from deepfsi.laboratory.live.run import Bench, plan_live, run_live
 from deepfsi.laboratory.rails import design_rails
@@ -129,7 +129,8 @@ def run(
         found = [
             each.answer for each in run_live(path, patterns, acquisition, bench) if each.answer
         ]
-        again = replay_run(count_live(path), read_loop(patterns / "loop.safetensors"))
+        counted = count_live(path)
+        again = replay_run(counted, read_looks(patterns, counted.manifest))
     assert all(each.answer.agrees for each in again)
     return found
 

@@ -36,7 +36,7 @@ def next_masks(state: AdaptivePosterior, share: float, generator: torch.Generato
     left = state.unknown(parts)
     scenes = prior.coefficients[places][:, None].transpose(2, 3)  # (b, 1, d, S)
     light = (mean + state.seen(parts))[..., None] + left @ scenes
-    gain, dark = state.gain * share, state.optics.dark * share
+    gain, dark = state.gain * share, torch.as_tensor(state.optics.dark * share)[..., None]
     counts = light.clamp(min=0) * gain + dark
     unknown = left @ parts.transpose(2, 3) if prior.spread else None
     if unknown is not None:
