@@ -21,7 +21,7 @@ from deepfsi.hardware.drivers.protocols import (
     StreamingProjector,
 )
 from deepfsi.hardware.patterns.folder import read_patterns
-from deepfsi.hardware.patterns.mirrors import make_frames
+from deepfsi.hardware.patterns.mirrors import make_frame
 from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.hardware.recording.acquisition import Acquisition, Scene, prepare
 from deepfsi.hardware.recording.dead_time import NO_DEAD_TIME, DeadTime
@@ -238,11 +238,8 @@ class _Sequencer:
         projector, counter = self._bench.projector, self._bench.counter
         if asked.masks is not None:
             manifest = self._manifest
-            on = asked.masks * np.uint32(manifest.grid.mirrors)
-            made = make_frames(
-                on, manifest.device, manifest.grid, manifest.selection, manifest.seed
-            )
-            for place, frame in zip(asked.frames, made, strict=True):
+            for place, mask in zip(asked.frames, asked.masks, strict=True):
+                frame = make_frame(mask, manifest.device, manifest.grid)
                 projector.replace(int(place), frame)
         gates_s = np.append(asked.gate_ns, 0) * 1e-9
         frames = np.append(asked.frames, OFF)
