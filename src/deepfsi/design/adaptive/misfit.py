@@ -1,0 +1,96 @@
+"""Misfit of an exposure: how far its counts are from those that were expected, look after look.
+
+Before a look the posterior says which counts are to be expected, and how they vary. Were scenes
+just as the prior has them, the squared distance of counts from that, in the metric of their
+covariance, would be 1 a readout in the mean, whatever was shown before. How large the sum of all
+looks is, is measured with training scenes, each of which is left out of the prior.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from scipy.special import gammaincc
+from torch import Tensor
+
+from deepfsi.design.adaptive.choice import next_masks
+from deepfsi.design.adaptive.exposures import AdaptiveMasks
+from deepfsi.design.adaptive.posterior import AdaptivePosterior, LookOptics
+from deepfsi.design.adaptive.prior import ScenePrior
+from deepfsi.optics.noise import poisson
+from deepfsi.progress import SILENT, Report
+
+BUDGETS = (0.1, 1.0, 10.0)
+"""Budgets of the measurement, over that of the training."""
+
+LEAST_SCENES = 50
+"""Training scenes below which nothing is measured."""
+
+MOST_SCENES = 200
+"""Training scenes that are exposed at each budget, at most."""
+
+
+def misfit(state: AdaptivePosterior, masks: Tensor, counts: Tensor, share: float) -> Tensor:
+    """Squared distance (b,) of counts (b, Q) behind the next masks (b, N) from those expected."""
+    mean, parts = state.prior.light(state.optics.readouts(masks))
+    gain, dark = state.gain * share, torch.as_tensor(state.optics.dark * share)
+    left, weights = state.unknown(parts), state.weights[..., None]
+    scenes = left @ state.prior.coefficients.T  # (b, Q, n)
+    usual = scenes @ weights
+    apart = scenes - usual
+    light = (mean + state.seen(parts) + usual[..., 0]).clamp(min=0)
+    expected = light * gain + dark
+    covariance = (apart * weights[:, None, :, 0]) @ apart.transpose(1, 2)
+    if state.prior.spread:
+        covariance = covariance + left @ parts.transpose(1, 2)
+    noise = torch.diag_embed(expected.clamp(min=1e-6))
+    away = (counts - expected)[..., None]
+    solved = torch.linalg.solve(covariance * gain**2 + noise, away)
+    return (away * solved)[..., 0].sum(dim=1)
+
+
+@dataclass(frozen=True, eq=False)
+class UsualMisfit:
+    """Misfit of training scenes after each look, at several budgets."""
+
+    budgets: np.ndarray  # (B,)
+    moments: np.ndarray  # (2, B, K): mean and variance
+
+    def chance(self, total: float, look: int, photons: float) -> float:
+        """Share of sound exposures with so large a misfit after a look, from 0, at a budget."""
+        at = np.log(np.clip(photons, self.budgets[0], self.budgets[-1]))
+        mean, variance = (
+            np.exp(np.interp(at, np.log(self.budgets), np.log(each[:, look])))
+            for each in self.moments
+        )
+        return float(gammaincc(mean**2 / variance, total * mean / variance))
+
+
+@torch.no_grad()
+def measure(
+    prior: ScenePrior,
+    settings: AdaptiveMasks,
+    optics: list[LookOptics],
+    scenes: Tensor,
+    places: Tensor,
+    generator: torch.Generator,
+    report: Report = SILENT,
+) -> tuple[UsualMisfit, Tensor]:
+    """Misfit of scenes (S, N) with these places in the prior, and their counts (B, K)."""
+    totals = torch.zeros(len(optics), settings.looks, len(scenes))
+    counted = torch.zeros(len(optics), settings.looks, dtype=torch.double)
+    for row, each in enumerate(optics):
+        state = AdaptivePosterior(prior, len(scenes), each)
+        state.logs[torch.arange(len(scenes)), places] = -torch.inf
+        for look, share in enumerate(settings.shares):
+            masks = next_masks(state, share, generator)
+            expected = state.expected(masks, scenes, share)
+            counts = poisson(expected, generator)
+            totals[row, look] = misfit(state, masks, counts, share)
+            counted[row, look] = (expected - each.dark * share).double().sum() / len(scenes)
+            state.update(masks, counts, share)
+            report((row + (look + 1) / settings.looks) / len(optics))
+    sums = totals.cumsum(dim=1).double()
+    moments = torch.stack([sums.mean(dim=-1), sums.var(dim=-1)])
+    budgets = np.array([each.photons for each in optics])
+    return UsualMisfit(budgets, moments.numpy()), counted
