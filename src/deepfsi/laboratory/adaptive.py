@@ -9,7 +9,9 @@ import torch
 
 from deepfsi.design.adaptive.choice import next_masks
 from deepfsi.design.adaptive.design import AdaptiveDesign
+from deepfsi.design.adaptive.misfit import misfit
 from deepfsi.design.adaptive.posterior import AdaptivePosterior, LookOptics
+from deepfsi.design.consistency import UNSURE
 from deepfsi.files import read_regular
 from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.patterns.folder import DesignRails
@@ -49,6 +51,7 @@ class AdaptiveExposure:
         optics = LookOptics.of(design.camera, design.image_shape, conditions.photons)
         self._state = AdaptivePosterior(design.prior, 1, replace(optics, dark=dark.float()))
         self._generator = torch.Generator().manual_seed(scene)
+        self._usual, self._misfit, self._look = design.usual_misfit, 0.0, 0
 
     @torch.no_grad()
     def ask(self, look: int) -> FrameList:
@@ -64,12 +67,19 @@ class AdaptiveExposure:
         assert asked.masks is not None
         counts = torch.from_numpy(found.photons.sum(axis=1)).float()
         share = float(asked.gate_ns[0]) / self._conditions.exposure_ns
-        self._state.update(torch.from_numpy(asked.masks).float(), counts, share)
+        masks = torch.from_numpy(asked.masks).float()
+        self._look = asked.look
+        self._misfit += float(misfit(self._state, masks, counts, share))
+        self._state.update(masks, counts, share)
         return self._state.chances[0].double().numpy()
 
     def compare(self, on: AllOn) -> Likeness | None:
-        """None: nothing is kept of how the counts of training scenes are distributed."""
-        return None
+        """Misfit of all looks against that of training scenes; none where that is not known."""
+        if self._usual is None:
+            return None
+        chance = self._usual.chance(self._misfit, self._look, self._conditions.photons)
+        detail = f"a misfit of {self._misfit:.3g} in {self._look + 1} looks"
+        return Likeness(chance, chance < UNSURE, detail)
 
 
 @torch.no_grad()

@@ -6,11 +6,12 @@ covariance, would be 1 a readout in the mean, whatever was shown before. How lar
 looks is, is measured with training scenes, each of which is left out of the prior.
 """
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import torch
-from scipy.special import gammaincc
+from scipy.special import ndtr
 from torch import Tensor
 
 from deepfsi.design.adaptive.choice import next_masks
@@ -18,15 +19,17 @@ from deepfsi.design.adaptive.exposures import AdaptiveMasks
 from deepfsi.design.adaptive.posterior import AdaptivePosterior, LookOptics
 from deepfsi.design.adaptive.prior import ScenePrior
 from deepfsi.optics.noise import poisson
-from deepfsi.progress import SILENT, Report
 
 BUDGETS = (0.1, 1.0, 10.0)
 """Budgets of the measurement, over that of the training."""
 
+SMALLEST = 1e-6
+"""Misfit below which it is taken for this."""
+
 LEAST_SCENES = 50
 """Training scenes below which nothing is measured."""
 
-MOST_SCENES = 200
+MOST_SCENES = 128
 """Training scenes that are exposed at each budget, at most."""
 
 
@@ -54,30 +57,56 @@ class UsualMisfit:
     """Misfit of training scenes after each look, at several budgets."""
 
     budgets: np.ndarray  # (B,)
-    moments: np.ndarray  # (2, B, K): mean and variance
+    logarithms: np.ndarray  # (2, B, K): mean and standard deviation of its logarithm
+
+    @property
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Arrays as a design file takes them."""
+        return {"misfit_budgets": self.budgets, "misfit_logarithms": self.logarithms}
+
+    @classmethod
+    def restored(cls, arrays: Mapping[str, np.ndarray], looks: int) -> "UsualMisfit | None":
+        """Misfit from a file, None if it has none, or `ValueError` if it is damaged."""
+        if "misfit_budgets" not in arrays:
+            return None
+        made = cls(arrays["misfit_budgets"], arrays["misfit_logarithms"])
+        for held, shape in (
+            (made.budgets, (len(BUDGETS),)),
+            (made.logarithms, (2, len(BUDGETS), looks)),
+        ):
+            if held.shape != shape or held.dtype != np.float64:
+                raise ValueError("the misfit is of another design")
+            if not np.isfinite(held).all():
+                raise ValueError("the misfit is none")
+        positive = made.budgets[0] > 0 and made.logarithms[1].min() > 0
+        if not (positive and (np.diff(made.budgets) > 0).all()):
+            raise ValueError("the misfit is none")
+        return made
 
     def chance(self, total: float, look: int, photons: float) -> float:
         """Share of sound exposures with so large a misfit after a look, from 0, at a budget."""
         at = np.log(np.clip(photons, self.budgets[0], self.budgets[-1]))
-        mean, variance = (
-            np.exp(np.interp(at, np.log(self.budgets), np.log(each[:, look])))
-            for each in self.moments
+        mean, deviation = (
+            np.interp(at, np.log(self.budgets), each[:, look]) for each in self.logarithms
         )
-        return float(gammaincc(mean**2 / variance, total * mean / variance))
+        return float(ndtr((mean - np.log(max(total, SMALLEST))) / deviation))
 
 
 @torch.no_grad()
 def measure(
     prior: ScenePrior,
     settings: AdaptiveMasks,
-    optics: list[LookOptics],
+    optics: Sequence[LookOptics],
     scenes: Tensor,
     places: Tensor,
     generator: torch.Generator,
-    report: Report = SILENT,
-) -> tuple[UsualMisfit, Tensor]:
-    """Misfit of scenes (S, N) with these places in the prior, and their counts (B, K)."""
-    totals = torch.zeros(len(optics), settings.looks, len(scenes))
+) -> tuple[np.ndarray, Tensor]:
+    """Misfit and counts of scenes (S, N) in looks at several budgets, each without its own place.
+
+    Mean and standard deviation (2, B, K) of the logarithm of the misfit after each look, which is
+    nearly normal; mean counts (B, K) of each look.
+    """
+    totals = torch.zeros(len(optics), settings.looks, len(scenes), dtype=torch.double)
     counted = torch.zeros(len(optics), settings.looks, dtype=torch.double)
     for row, each in enumerate(optics):
         state = AdaptivePosterior(prior, len(scenes), each)
@@ -89,8 +118,5 @@ def measure(
             totals[row, look] = misfit(state, masks, counts, share)
             counted[row, look] = (expected - each.dark * share).double().sum() / len(scenes)
             state.update(masks, counts, share)
-            report((row + (look + 1) / settings.looks) / len(optics))
-    sums = totals.cumsum(dim=1).double()
-    moments = torch.stack([sums.mean(dim=-1), sums.var(dim=-1)])
-    budgets = np.array([each.photons for each in optics])
-    return UsualMisfit(budgets, moments.numpy()), counted
+    logs = totals.cumsum(dim=1).clamp(min=SMALLEST).log()
+    return torch.stack([logs.mean(dim=-1), logs.std(dim=-1)]).numpy(), counted

@@ -48,9 +48,10 @@ class ScenePrior:
         spread: float = 0.0,
         seed: int = 0,
     ) -> None:
-        order = np.argsort(labels, kind="stable")
-        scenes = torch.from_numpy(np.ascontiguousarray(x[order], np.float32))
-        self.labels = torch.from_numpy(labels[order].astype(np.int64))
+        self.order = np.argsort(labels, kind="stable")
+        """Rows of `x` in the order of the prior."""
+        scenes = torch.from_numpy(np.ascontiguousarray(x[self.order], np.float32))
+        self.labels = torch.from_numpy(labels[self.order].astype(np.int64))
         self.sizes: list[int] = torch.bincount(self.labels, minlength=classes).tolist()
         self.summed_reflectance = summed_reflectance(x)
         self.spread = float(spread)
