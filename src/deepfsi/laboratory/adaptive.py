@@ -9,7 +9,7 @@ import torch
 
 from deepfsi.design.adaptive.choice import next_masks
 from deepfsi.design.adaptive.design import AdaptiveDesign
-from deepfsi.design.adaptive.misfit import misfit
+from deepfsi.design.adaptive.misfit import squared_distance
 from deepfsi.design.adaptive.posterior import AdaptivePosterior, LookOptics
 from deepfsi.design.consistency import UNSURE
 from deepfsi.files import read_regular
@@ -69,7 +69,7 @@ class AdaptiveExposure:
         share = float(asked.gate_ns[0]) / self._conditions.exposure_ns
         masks = torch.from_numpy(asked.masks).float()
         self._look = asked.look
-        self._misfit += float(misfit(self._state, masks, counts, share))
+        self._misfit += float(squared_distance(self._state, masks, counts, share))
         self._state.update(masks, counts, share)
         return self._state.chances[0].double().numpy()
 

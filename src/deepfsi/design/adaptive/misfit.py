@@ -33,7 +33,9 @@ MOST_SCENES = 128
 """Training scenes that are exposed at each budget, at most."""
 
 
-def misfit(state: AdaptivePosterior, masks: Tensor, counts: Tensor, share: float) -> Tensor:
+def squared_distance(
+    state: AdaptivePosterior, masks: Tensor, counts: Tensor, share: float
+) -> Tensor:
     """Squared distance (b,) of counts (b, Q) behind the next masks (b, N) from those expected."""
     mean, parts = state.prior.light(state.optics.readouts(masks))
     gain, dark = state.gain * share, torch.as_tensor(state.optics.dark * share)
@@ -115,7 +117,7 @@ def measure(
             masks = next_masks(state, share, generator)
             expected = state.expected(masks, scenes, share)
             counts = poisson(expected, generator)
-            totals[row, look] = misfit(state, masks, counts, share)
+            totals[row, look] = squared_distance(state, masks, counts, share)
             counted[row, look] = (expected - each.dark * share).double().sum() / len(scenes)
             state.update(masks, counts, share)
     logs = totals.cumsum(dim=1).clamp(min=SMALLEST).log()
