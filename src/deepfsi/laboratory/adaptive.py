@@ -23,6 +23,12 @@ from deepfsi.laboratory.live.looks import AllOn, Conditions, FrameList, Likeness
 from deepfsi.optics.detectors import detector_map
 from deepfsi.tables.tensor_files import LARGEST
 
+DECISION_S, DECISION_A_SCENE_S = 4e-3, 1.35e-7
+"""Usual time of a decision, seconds, and what each scene of the prior adds.
+
+Measured by `benchmarks/adaptive.py --latency` with 8192 and with 60 000 scenes.
+"""
+
 
 class AdaptiveLooks:
     """Looks of a design of adaptive masks; attributes are those of `LiveLooks`."""
@@ -31,6 +37,7 @@ class AdaptiveLooks:
         self.design, self.frames = design, manifest.shown
         self.looks, self.classes, self.shortest = design.masks, design.classes, 0.0
         self.photons: float | None = design.info["job"].get("photons")
+        self.decision_s = DECISION_S + DECISION_A_SCENE_S * len(design.prior)
         until = design.settings.until
         self.rule = None if until == 1 else StopRule(threshold=until)
 

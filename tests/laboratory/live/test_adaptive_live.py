@@ -1,5 +1,6 @@
 """Laws of a live run with adaptive masks: each is made, loaded, shown and counted in its turn."""
 
+import shutil
 from base64 import b64decode
 from dataclasses import replace
 
@@ -124,7 +125,8 @@ def test_a_look_takes_the_time_to_load_its_mask(digits, patterns, tmp_path):
     run(tmp_path / "run", patterns, digits, count=2)
     for shown in read_shown(tmp_path / "run"):
         assert len(shown.lists) == LOOKS + 2
-        assert shown.clock_s > EXPOSURE_S + LOOKS * LOAD_S
+        decision_s = read_looks(patterns, read_patterns(patterns).manifest).decision_s
+        assert shown.clock_s > EXPOSURE_S + LOOKS * (LOAD_S + decision_s)
         assert shown.light_s == pytest.approx(EXPOSURE_S, rel=1e-6)
 
 
@@ -173,6 +175,14 @@ def test_a_device_that_loads_no_frame_while_it_runs_is_refused(patterns, tmp_pat
     with pytest.raises(InputError, match="dlp6500 takes no frame then: use dlp7000"):
         export_patterns(rails, frames, tmp_path / "other")
     assert not list(tmp_path.iterdir())
+
+
+def test_another_design_beside_the_first_mask_is_refused(patterns, tmp_path):
+    folder = shutil.copytree(patterns, tmp_path / "patterns")
+    with (folder / "design.safetensors").open("ab") as file:
+        file.write(b" ")
+    with pytest.raises(InputError, match="is not the design whose first mask"):
+        read_looks(folder, read_patterns(folder).manifest)
 
 
 def test_a_background_is_refused(digits, patterns):

@@ -15,6 +15,7 @@ from deepfsi.hardware.virtual.camera import (
     check_scenes,
     expected_events,
 )
+from deepfsi.laboratory.live.known import read_looks
 from deepfsi.laboratory.live.run import Bench
 from deepfsi.progress import SILENT, Report
 
@@ -32,8 +33,12 @@ def virtual_bench(
         scenes = np.concatenate([scenes, np.zeros_like(scenes[:1])])  # the last: no scene
     manifest, flux = read_patterns(patterns).manifest, acquisition.flux or 0.0
     rates = arrival_rates(patterns, scenes, camera, flux, report)
-    if manifest.device.load_us and "load" not in latencies.model_fields_set:
-        latencies = latencies.model_copy(update={"load": manifest.device.load_us * 1e-6})
+    usual = {}
+    if manifest.device.load_us:
+        usual["load"] = manifest.device.load_us * 1e-6
+    if manifest.looks:
+        usual["decision"] = read_looks(patterns, manifest).decision_s
+    latencies = Latencies(**usual | latencies.model_dump(include=latencies.model_fields_set))
 
     @lru_cache(maxsize=1)
     def light(scene: int) -> MirrorLight:

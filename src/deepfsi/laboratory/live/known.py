@@ -4,6 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
+from deepfsi.errors import InputError
+from deepfsi.files import hash_file
 from deepfsi.hardware.patterns.folder import DESIGN, LOOP
 from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.hardware.recording.live_light import ShownFrames
@@ -21,7 +23,16 @@ def read_looks(folder: Path, manifest: Manifest) -> LiveLooks:
     with torch_needed():
         from deepfsi.design.adaptive.design import AdaptiveDesign
         from deepfsi.laboratory.adaptive import AdaptiveLooks
+    if hash_file(folder / DESIGN) != manifest.design_sha256:
+        raise InputError(
+            f"{folder / DESIGN} is not the design whose first mask is beside it: export the "
+            "patterns again"
+        )
     return AdaptiveLooks(AdaptiveDesign.load(folder / DESIGN), manifest)
+
+
+DECISION_S = 0.4e-3
+"""Usual time from the counts to the class and the next dwells, seconds (`benchmarks/live.py`)."""
 
 
 class KnownMasks:
@@ -34,7 +45,7 @@ class KnownMasks:
         header = loop.header
         self.loop, self.looks, self.classes = loop, header.looks, header.classes
         self.photons, self.rule, self.shortest = header.photons, header.rule, header.shortest
-        self.manifest = manifest
+        self.manifest, self.decision_s = manifest, DECISION_S
         masks = np.array([manifest.frames[at].mask for at in manifest.shown])
         rails = np.array([manifest.frames[at].rail for at in manifest.shown])
         assert manifest.looks is not None

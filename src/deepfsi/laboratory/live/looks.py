@@ -76,6 +76,7 @@ class LiveLooks(Protocol):
     photons: float | None  # budget of the training
     rule: StopRule | None  # of the design, where it has one
     shortest: float  # dwell that it was made for, a share of the exposure
+    decision_s: float  # usual time of a decision on one core, seconds
 
     def expose(self, scene: int, conditions: Conditions) -> LiveExposure:
         """Begin an exposure of a scene."""
