@@ -36,6 +36,16 @@ def test_one_exposure_is_drawn(done, file, tmp_path):
     assert out.read_bytes().startswith(b"\x89PNG")
 
 
+def test_a_page_is_written(done, refuse, file, tmp_path):
+    out = tmp_path / "a.html"
+    told = json.loads(done("page", file, "-o", out, "--json"))
+    assert [point["photons"] for point in told["curve"]] == [10.0**power for power in range(1, 8)]
+    assert told["test"]["images"] == 300
+    assert told["rules"] == []
+    assert "knows the 537 training scenes" in out.read_text()
+    assert "end the name in .html" in refuse("page", file, "-o", tmp_path / "a")
+
+
 def test_it_stops_early(done, file):
     told = json.loads(done("stop", file, "--photons", "1e4", "--draws", 1, "--json"))
     assert told["rule"]["after"] == [1, 2, 3]
@@ -45,7 +55,6 @@ def test_it_stops_early(done, file):
     "words",
     [
         "export FILE -o a.onnx",
-        "page FILE -o a.html",
         "dmd export FILE -o patterns",
         "predict FILE . --photons 1e4",
         "camera live FILE --scene . --exposure 10ms --flux 1e6 -o run",
