@@ -6,7 +6,8 @@
 
 One noise draw of each test image; ± is half of Wilson's 95 % interval. The prior is all training
 images. With `--validation` the last training images are left out and read in place of the tests:
-settings are to be chosen there. `--scenes` keeps the first images of the prior alone.
+settings are to be chosen there. `--scenes` keeps the first images of the prior alone, and `--page`
+those that the page of the design knows.
 """
 
 import argparse
@@ -20,6 +21,7 @@ import torch
 import deepfsi
 from deepfsi.design.adaptive.exposures import look_at
 from deepfsi.design.adaptive.posterior import AdaptivePosterior, LookOptics
+from deepfsi.design.payload import of_page
 
 
 def main(words: Sequence[str] | None = None) -> None:
@@ -31,6 +33,7 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--looks", type=int, nargs="+", default=[16])
     parser.add_argument("--validation", type=int, default=0, help="images, in place of the tests")
     parser.add_argument("--scenes", type=int, help="images of the prior, the first ones")
+    parser.add_argument("--page", action="store_true", help="the images that a page knows")
     parser.add_argument("--latency", action="store_true", help="time of one decision, alone")
     given = parser.parse_args(words)
     data = deepfsi.load_dataset(given.data)
@@ -45,6 +48,8 @@ def main(words: Sequence[str] | None = None) -> None:
             design = deepfsi.learn(
                 data, design="adaptive", masks=looks, photons=photons, camera=given.camera
             )
+            if given.page:
+                design = of_page(design)
             if given.latency:
                 print(f"one decision: {latency(design, photons):.2f} ms", flush=True)
                 continue

@@ -5,9 +5,9 @@
     python benchmarks/live_trust.py --adaptive 16  # of adaptive masks in 16 looks
 
 A design of 3 looks, or one of adaptive masks, is learned on digits, and the same test scenes are
-shown to the virtual camera in each case. Of each: the accuracy of the scenes that got a class, the share that got none, and the
-share of all scenes that got a wrong class with a confidence above 0.9. Every run is replayed from
-its file, and the replay must come to the same.
+shown to the virtual camera in each case. Of each: the accuracy of the scenes that got a class, the
+share that got none, and the share of all scenes that got a wrong class with a confidence above 0.9.
+Every run is replayed from its file, and the replay must come to the same.
 """
 
 import argparse

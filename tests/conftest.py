@@ -234,3 +234,13 @@ def split(images, tmp_path):
     save_images(split / "test" / "dog", np.full((3, 6, 8), 200, np.uint8))
     save_images(split / "test" / "cat", np.full((1, 6, 8), 20, np.uint8))
     return split
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory):
+    """Give a headless Chromium with a profile of its own."""
+    from shared.browser import chromium  # needs selenium, which few tests do
+
+    with chromium(tmp_path_factory.mktemp("profile")) as chrome:
+        chrome.set_script_timeout(60)
+        yield chrome

@@ -47,6 +47,16 @@ def test_a_camera_runs_with_it_and_replays_its_run(done, file, tmp_path):
     assert {each["looks"] for each in again["scenes"]} == {3}
 
 
+def test_a_page_is_written(done, refuse, file, tmp_path):
+    out = tmp_path / "a.html"
+    told = json.loads(done("page", file, "-o", out, "--json"))
+    assert [point["photons"] for point in told["curve"]] == [10.0**power for power in range(1, 8)]
+    assert told["test"]["images"] == 300
+    assert told["rules"] == []
+    assert "knows the 537 training scenes" in out.read_text()
+    assert "end the name in .html" in refuse("page", file, "-o", tmp_path / "a")
+
+
 def test_it_stops_early(done, file):
     told = json.loads(done("stop", file, "--photons", "1e4", "--draws", 1, "--json"))
     assert told["rule"]["after"] == [1, 2, 3]
@@ -56,7 +66,6 @@ def test_it_stops_early(done, file):
     "words",
     [
         "export FILE -o a.onnx",
-        "page FILE -o a.html",
         "predict FILE . --photons 1e4",
         "camera classify FILE counts.csv --photons 1e4",
     ],

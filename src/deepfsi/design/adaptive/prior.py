@@ -108,6 +108,19 @@ class ScenePrior:
         prior.coefficients = levels * torch.from_numpy(arrays["steps"])
         return prior
 
+    def few(self, count: int, seed: int = 0) -> "ScenePrior":
+        """Prior of at most so many scenes, but one of each class, as a file would keep them."""
+        rng, own = np.random.default_rng(seed), np.array(self.sizes)
+        kept = np.minimum(own, np.maximum(own * count // len(self), 1))
+        starts = np.cumsum([0, *own[:-1]])
+        rows = [
+            start + np.sort(rng.choice(size, some, replace=False))
+            for start, size, some in zip(starts, own, kept, strict=True)
+        ]
+        arrays = self.arrays
+        levels = arrays["levels"][np.concatenate(rows)]
+        return ScenePrior.restored(arrays | {"levels": levels, "sizes": kept})
+
     def _scale(self, generator: torch.Generator) -> None:
         """Scale components by the differences of scenes from their nearest neighbours."""
         chosen = torch.randperm(len(self), generator=generator)[:NEIGHBOURS].sort().values
