@@ -380,7 +380,7 @@ def test_equal_designs_are_all_named_and_bold_and_those_of_one_class_are_marked(
 
 
 def test_confusion_matrices_are_those_of_the_chosen_mask_counts(tmp_path):
-    results = make_results(tmp_path)
+    results = make_results(tmp_path, designs=("raster", "pca"))
     assert "taken for which" not in page_of(tmp_path), "results of before have none"
     counts = np.eye(len(results.data.classes), dtype=int)
     counts[0, :2] = 7, 1
