@@ -1,13 +1,11 @@
 """The page of a comparison needs nothing else, and says what the numbers say."""
 
-import io
 import json
 import re
 
 import numpy as np
 import pytest
 from markupsafe import escape
-from matplotlib.figure import Figure
 
 from deepfsi.errors import InputError
 from deepfsi.report.accuracy import accuracy_figure
@@ -22,17 +20,8 @@ def page_of(folder):
     return build(folder).read_text(encoding="utf-8")
 
 
-@pytest.fixture
-def undrawn(monkeypatch):
-    """Leave figures empty: for tests of words beside them, which then count none of a figure's."""
-
-    def blank(figure, file, **_):
-        file.write('<svg viewBox="0 0 1 1"></svg>' if isinstance(file, io.StringIO) else b"")
-
-    monkeypatch.setattr(Figure, "savefig", blank)
-
-
 words_alone = pytest.mark.usefixtures("undrawn")
+"""Tests of words beside figures, which then count none of a figure's."""
 
 
 def test_page_is_one_self_contained_document(tmp_path):

@@ -27,7 +27,7 @@ from deepfsi.design.exposure import (
     Patches,
     find_exposure,
 )
-from deepfsi.errors import InputError, as_input_error, closest
+from deepfsi.errors import InputError, closest
 from deepfsi.frozen import Settings
 from deepfsi.imports import PATTERN, UNNAMED
 from deepfsi.laws import Scale, Widths
