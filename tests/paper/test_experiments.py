@@ -19,7 +19,7 @@ from shared.experiments import ALL, EVERY, OVIT, run_all
 from shared.results import a_point, some_results
 
 ONCE = [each for each in EVERY if each.name not in ("hardware", "detectors-cifar10")]
-"""Experiments run with one trial: the camera's takes long, and on digits both of detectors agree."""
+"""Experiments run with one trial: not the camera's, and one of the two alike on digits."""
 
 
 @pytest.fixture(scope="module")
