@@ -4,6 +4,7 @@ A statistical tolerance is five standard deviations of the estimator, so that on
 million fails by chance; the seeds are fixed, so that it then fails always.
 """
 
+import io
 import os
 import sys
 from collections.abc import Callable
@@ -214,6 +215,27 @@ def assert_moments(
     variance_error = 5 * ((fourth - variance**2) / n) ** 0.5 + rounding**2
     assert abs(samples.mean() - mean) <= mean_error
     assert abs(samples.var() - variance) <= variance_error
+
+
+@pytest.fixture
+def uncharacterised(monkeypatch):
+    """Train masks and networks alone, and not `made`, which other tests share.
+
+    What is found of a design afterwards, its readouts and its confidence, takes longer than a
+    training of a moment.
+    """
+    monkeypatch.setattr("deepfsi.training.learning.characterise", lambda *_: None)
+
+
+@pytest.fixture
+def undrawn(monkeypatch):
+    """Leave figures empty when they are saved, which takes most of the time of a page."""
+    from matplotlib.figure import Figure
+
+    def blank(figure, file, **_):
+        file.write('<svg viewBox="0 0 1 1"></svg>' if isinstance(file, io.StringIO) else b"")
+
+    monkeypatch.setattr(Figure, "savefig", blank)
 
 
 @pytest.fixture
