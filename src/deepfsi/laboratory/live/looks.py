@@ -40,7 +40,7 @@ class Conditions(NamedTuple):
 
 
 class AllOn(NamedTuple):
-    """What the all-ON frames of a scene counted, all together."""
+    """Counts of the all-ON frames of a scene, all together."""
 
     counts: float  # less what is no scene's
     noise: float  # beyond the counts' own
