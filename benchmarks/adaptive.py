@@ -6,8 +6,9 @@
 
 One noise draw of each test image; ± is half of Wilson's 95 % interval. The prior is all training
 images. With `--validation` the last training images are left out and read in place of the tests:
-settings are to be chosen there. `--scenes` keeps the first images of the prior alone, and with
-`--clusters` the centres of as many clusters of each class stand for them.
+settings are to be chosen there. `--scenes` keeps the first images of the prior alone, `--page`
+those that the page of the design knows; with `--clusters` the centres of as many clusters of each
+class stand for them.
 """
 
 import argparse
@@ -21,6 +22,7 @@ import torch
 import deepfsi
 from deepfsi.design.adaptive.exposures import look_at
 from deepfsi.design.adaptive.posterior import AdaptivePosterior, LookOptics
+from deepfsi.design.payload import of_page
 
 
 def main(words: Sequence[str] | None = None) -> None:
@@ -33,6 +35,7 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--validation", type=int, default=0, help="images, in place of the tests")
     parser.add_argument("--scenes", type=int, help="images of the prior, the first ones")
     parser.add_argument("--clusters", type=int, help="of each class, in place of all scenes")
+    parser.add_argument("--page", action="store_true", help="the images that a page knows")
     parser.add_argument("--latency", action="store_true", help="time of one decision, alone")
     given = parser.parse_args(words)
     data = deepfsi.load_dataset(given.data)
@@ -52,6 +55,8 @@ def main(words: Sequence[str] | None = None) -> None:
                 camera=given.camera,
                 training={"clusters": given.clusters},
             )
+            if given.page:
+                design = of_page(design)
             if given.latency:
                 print(f"one decision: {latency(design, photons):.2f} ms", flush=True)
                 continue

@@ -49,6 +49,7 @@ from deepfsi.hardware.recording.streaming import FrameCounts, FrameGates, Stream
 from deepfsi.hardware.virtual.bench import BenchCounter, BenchProjector, Latencies, VirtualSetup
 from deepfsi.hardware.virtual.camera import VirtualCamera, arrival_rates
 from deepfsi.laboratory.live.decisions import FrameList, Observer
+from deepfsi.laboratory.live.known import KnownMasks
 from deepfsi.laboratory.live.loop import Loop, LoopHeader
 from deepfsi.laboratory.live.run import Bench, plan_live, run_live
 
@@ -261,7 +262,8 @@ def marker_to_decision(
         for each in run_live(folder / "run", folder / "patterns", acquisition, devices)
     ]
     stream = _Replayed(folder / "run" / "photons.ptu", arguments.block)
-    observer = Observer(loop, read_patterns(folder / "patterns").manifest, acquisition)
+    manifest = read_patterns(folder / "patterns").manifest
+    observer = Observer(KnownMasks(loop, manifest), manifest, acquisition)
     found = []
     for k in range(len(scenes)):
         found += [each.chances for each in observer.observe(k, stream)]

@@ -2,11 +2,12 @@
 
     python benchmarks/live_trust.py                # half an hour, one core
     python benchmarks/live_trust.py --runs 100     # sound runs of 20 scenes too, an hour
+    python benchmarks/live_trust.py --adaptive 16  # of adaptive masks in 16 looks
 
-A design of 3 looks is learned on digits, and the same test scenes are shown to the virtual camera
-in each case. Of each: the accuracy of the scenes that got a class, the share that got none, and the
-share of all scenes that got a wrong class with a confidence above 0.9. Every run is replayed from
-its file, and the replay must come to the same.
+A design of 3 looks, or one of adaptive masks, is learned on digits, and the same test scenes are
+shown to the virtual camera in each case. Of each: the accuracy of the scenes that got a class, the
+share that got none, and the share of all scenes that got a wrong class with a confidence above 0.9.
+Every run is replayed from its file, and the replay must come to the same.
 """
 
 import argparse
@@ -22,13 +23,13 @@ from deepfsi import Looks, Training, learn, load_dataset
 from deepfsi.datasets import Dataset
 from deepfsi.devices import find_device
 from deepfsi.errors import InputError
-from deepfsi.hardware.patterns.folder import export_patterns
+from deepfsi.hardware.patterns.folder import export_patterns, read_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.recording.acquisition import Scene
 from deepfsi.hardware.virtual.bench import BenchCounter, BenchProjector, Latencies, VirtualSetup
-from deepfsi.hardware.virtual.camera import VirtualCamera, arrival_rates
+from deepfsi.hardware.virtual.camera import MirrorLight, VirtualCamera, arrival_rates
 from deepfsi.hardware.virtual.detector import TICK_S
-from deepfsi.laboratory.live.loop import read_loop
+from deepfsi.laboratory.live.known import read_looks
 from deepfsi.laboratory.live.replay import count_live, replay_run
 from deepfsi.laboratory.live.run import Bench, plan_live, run_live
 from deepfsi.laboratory.rails import design_rails
@@ -109,17 +110,26 @@ def run(
     x = data.x_test[places].reshape(-1, *data.image_shape)
     camera = VirtualCamera(**case.camera)
     dark = np.zeros_like(x[:1])  # the last one
-    rates = arrival_rates(patterns, np.concatenate([x, dark]), camera, FLUX)
-    stray = arrival_rates(patterns, dark, VirtualCamera(ambient=FLUX), FLUX)
-    rates += case.ambient * FLUX * stray / stray[0, 0].sum()
-    rates[:-1] *= lamp_of(case, len(x))[:, None, None]
+    every, lamp = np.concatenate([x, dark]), np.append(lamp_of(case, len(x)), 1.0)
+    rates = arrival_rates(patterns, every, camera, FLUX)
+    ambient = VirtualCamera(ambient=FLUX)
+    stray = arrival_rates(patterns, dark, ambient, FLUX)
+    share = case.ambient * FLUX / stray[0, 0].sum()
+    rates = (rates + share * stray) * lamp[:, None, None]
+    manifest = read_patterns(patterns).manifest
+
+    def made(scene: int, packed: np.ndarray) -> np.ndarray:
+        seen = MirrorLight(manifest, every[scene][None], camera, FLUX).rates([packed])
+        seen += share * MirrorLight(manifest, dark, ambient, FLUX).rates([packed])
+        return lamp[scene] * seen[0, 0]
+
     named = tuple(
         Scene(name=str(k), label=data.classes[y]) for k, y in enumerate(data.y_test[places])
     )
     rng = np.random.default_rng(seed)
     took = len(x) * 50e-3  # a little more than such a run takes
     outs = rng.uniform(0, took, case.blackouts)
-    setup = Dimmed(rates, camera, Latencies(), seed, outs_s=outs)
+    setup = Dimmed(rates, camera, Latencies(), seed, made, outs_s=outs)
     counter = BenchCounter(setup, (0,))
     bench = Bench(BenchProjector(setup), counter, setup.display, lambda: setup.now_s)
     stated = None if case.stated is None else case.stated * FLUX * EXPOSURE_S
@@ -129,7 +139,8 @@ def run(
         found = [
             each.answer for each in run_live(path, patterns, acquisition, bench) if each.answer
         ]
-        again = replay_run(count_live(path), read_loop(patterns / "loop.safetensors"))
+        counted = count_live(path)
+        again = replay_run(counted, read_looks(patterns, counted.manifest))
     assert all(each.answer.agrees for each in again)
     return found
 
@@ -152,6 +163,7 @@ def main() -> None:
     parser.add_argument("--scenes", type=int, default=200)
     parser.add_argument("--seed", type=int, default=31)
     parser.add_argument("--epochs", type=int, default=40)
+    parser.add_argument("--adaptive", type=int, help="looks of adaptive masks")
     parser.add_argument("--runs", type=int, default=0, help="sound runs of 20 scenes")
     parser.add_argument("--only", help="cases whose names hold these words")
     parser.add_argument("--folder", type=Path, help="keep the design and its patterns here")
@@ -159,13 +171,17 @@ def main() -> None:
     data = load_dataset("digits")
     folder = given.folder or Path(tempfile.mkdtemp())
     design, patterns = folder / "looks.safetensors", folder / "patterns"
-    if not patterns.exists():
+    if not patterns.exists() and given.adaptive:
+        words = {"design": "adaptive", "masks": given.adaptive, "seed": given.seed}
+        learn(data, camera="dmd", photons=PHOTONS, **words).save(design)
+    elif not patterns.exists():
         camera = {"light": "free-dwell", "rails": "single", "levels": 2}
         training = Training(epochs=given.epochs)
         settings = {"masks": 12, "photons": PHOTONS, "exposure": Looks(looks=3), "seed": given.seed}
         learn(data, camera=camera, training=training, **settings).save(design)
-        frames = FrameSettings(find_device("64x48"), 1e-3)
-        export_patterns(design_rails(design), frames, patterns)
+    if not patterns.exists():
+        device = find_device("64x48").model_copy(update={"load_us": 1000})
+        export_patterns(design_rails(design), FrameSettings(device, 1e-3), patterns)
     print("| what is wrong | accuracy | no class | wrong and sure | faults of scenes |")
     print("| --- | --- | --- | --- | --- |")
     places = np.random.default_rng(given.seed).permutation(len(data.x_test))[: given.scenes]

@@ -4,6 +4,7 @@ A statistical tolerance is five standard deviations of the estimator, so that on
 million fails by chance; the seeds are fixed, so that it then fails always.
 """
 
+import io
 import os
 import sys
 from collections.abc import Callable
@@ -217,6 +218,27 @@ def assert_moments(
 
 
 @pytest.fixture
+def uncharacterised(monkeypatch):
+    """Train masks and networks alone, and not `made`, which other tests share.
+
+    What is found of a design afterwards, its readouts and its confidence, takes longer than a
+    training of a moment.
+    """
+    monkeypatch.setattr("deepfsi.training.learning.characterise", lambda *_: None)
+
+
+@pytest.fixture
+def undrawn(monkeypatch):
+    """Leave figures empty when they are saved, which takes most of the time of a page."""
+    from matplotlib.figure import Figure
+
+    def blank(figure, file, **_):
+        file.write('<svg viewBox="0 0 1 1"></svg>' if isinstance(file, io.StringIO) else b"")
+
+    monkeypatch.setattr(Figure, "savefig", blank)
+
+
+@pytest.fixture
 def images(tmp_path):
     """A folder with two classes of ten 6x8 grey images: dark cats, bright dogs."""
     rng = np.random.default_rng(2)
@@ -234,3 +256,13 @@ def split(images, tmp_path):
     save_images(split / "test" / "dog", np.full((3, 6, 8), 200, np.uint8))
     save_images(split / "test" / "cat", np.full((1, 6, 8), 20, np.uint8))
     return split
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory):
+    """Give a headless Chromium with a profile of its own."""
+    from shared.browser import chromium  # needs selenium, which few tests do
+
+    with chromium(tmp_path_factory.mktemp("profile")) as chrome:
+        chrome.set_script_timeout(60)
+        yield chrome

@@ -3,6 +3,7 @@
 import importlib.util
 import os
 import sys
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from types import ModuleType
@@ -446,9 +447,11 @@ def test_networks_of_both_types_are_timed_and_compared(capsys, monkeypatch):
         bench.main(["--data", "digits"])
 
 
-def test_shares_of_a_step_are_of_its_operations(capfd, monkeypatch):
+def test_shares_of_a_step_are_of_its_operations(capfd, monkeypatch, digits):
     """All are shown, as a busy machine decides which are the largest of a small training."""
     step = benchmark("step")
+    few = replace(digits, x_train=digits.x_train[:200], y_train=digits.y_train[:200])
+    monkeypatch.setattr(step, "load_dataset", lambda _: few)
     monkeypatch.setattr(step, "SHOWN", 1000)
     step.main(["--data", "digits", "--masks", "8", "--precision", "float32"])
     title, *rows = capfd.readouterr().out.splitlines()

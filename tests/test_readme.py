@@ -23,7 +23,7 @@ BLOCKS = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
 LINES = {
     "README": 2,
     "docs/do/compare": 6,
-    "docs/do/page": 2,
+    "docs/do/page": 4,
     "docs/do/plan": 1,
     "docs/do/deploy": 2,
     "docs/do/cluster": 2,

@@ -53,6 +53,9 @@ class Device(BaseModel):
     video_us : int or None
         Shortest video frame, µs, of a controller that takes frames as a video's bit-planes and
         shows all for one time; None of one that stores frames.
+    load_us : int or None
+        Time to bring another frame into the device while a run goes on, µs; None of a controller
+        that cannot.
     lattice : {"square", "diamond"}
         Places of the mirrors.
     pitch_um : float or None
@@ -73,6 +76,7 @@ class Device(BaseModel):
     settle_us: float = Field(10.0, ge=0, allow_inf_nan=False)
     patterns: int | None = Field(None, ge=1)
     video_us: int | None = Field(None, ge=1, le=LONGEST_PICTURE_US)
+    load_us: int | None = Field(None, ge=1, le=LONGEST_PICTURE_US)
     lattice: Lattice = "square"
     pitch_um: float | None = Field(None, gt=0, allow_inf_nan=False)
     controller: Controller = "any"

@@ -56,6 +56,7 @@ def page(folder: Path) -> Path:
         for number, picture in enumerate(section.pictures, start=1):
             drawn = io.BytesIO()
             picture.figure.savefig(drawn, dpi=160)
+            picture.figure.set_layout_engine("none")  # laid out once, for the page too
             write_atomically(folder / f"{section.name}-{number}.png", drawn.getvalue())
     return write_study(folder, "Deep feature-specific imaging, reproduced", sections)
 

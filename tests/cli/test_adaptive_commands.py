@@ -48,6 +48,27 @@ def test_one_exposure_is_drawn(done, file, tmp_path):
     assert out.read_bytes().startswith(b"\x89PNG")
 
 
+def test_a_camera_runs_with_it_and_replays_its_run(done, file, tmp_path):
+    told = json.loads(done("dmd", "export", file, "-o", tmp_path / "patterns", "--json"))
+    assert (told["looks"], told["mask_frames"], told["load_s"]) == (3, 1, 3.3e-3)
+    done("data", "export", "digits", "--per-class", 1, "-o", tmp_path / "scenes")
+    shown = ("--scene", tmp_path / "scenes", "--exposure", "10ms", "--flux", "1e6")
+    done("camera", "live", tmp_path / "patterns", *shown, "-o", tmp_path / "run")
+    again = json.loads(done("camera", "classify", file, tmp_path / "run", "--json"))
+    assert [each["agrees"] for each in again["scenes"]] == [True] * 10
+    assert {each["looks"] for each in again["scenes"]} == {3}
+
+
+def test_a_page_is_written(done, refuse, file, tmp_path):
+    out = tmp_path / "a.html"
+    told = json.loads(done("page", file, "-o", out, "--json"))
+    assert [point["photons"] for point in told["curve"]] == [10.0**power for power in range(1, 8)]
+    assert told["test"]["images"] == 300
+    assert told["rules"] == []
+    assert "knows the 537 training scenes" in out.read_text()
+    assert "end the name in .html" in refuse("page", file, "-o", tmp_path / "a")
+
+
 def test_it_stops_early(done, file):
     told = json.loads(done("stop", file, "--photons", "1e4", "--draws", 1, "--json"))
     assert told["rule"]["after"] == [1, 2, 3]
@@ -57,10 +78,8 @@ def test_it_stops_early(done, file):
     "words",
     [
         "export FILE -o a.onnx",
-        "page FILE -o a.html",
-        "dmd export FILE -o patterns",
         "predict FILE . --photons 1e4",
-        "camera live FILE --scene . --exposure 10ms --flux 1e6 -o run",
+        "camera classify FILE counts.csv --photons 1e4",
     ],
 )
 def test_what_needs_masks_beforehand_refuses_it(refuse, file, tmp_path, monkeypatch, words):

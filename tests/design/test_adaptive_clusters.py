@@ -9,6 +9,7 @@ from scipy.stats import multivariate_normal
 from deepfsi import AdaptiveDesign, evaluate, learn
 from deepfsi.design.adaptive.posterior import AdaptivePosterior, LookOptics
 from deepfsi.design.adaptive.prior import ScenePrior
+from deepfsi.design.payload import check_playable
 from deepfsi.errors import InputError
 from deepfsi.training.job import Job
 
@@ -118,3 +119,16 @@ def test_a_design_of_known_masks_has_no_clusters(digits):
     with pytest.raises(InputError, match="`clusters` are of adaptive masks"):
         learn(digits, masks=4, photons=PHOTONS, training={"clusters": 3})
     assert Job(masks=4, photons=PHOTONS).training.clusters is None
+
+
+def test_light_and_misfit_are_measured_with_scenes_of_all_classes(digits):
+    """With more scenes than there are centres."""
+    design = learn(digits, **settings(4))
+    [found] = evaluate(design, digits, PHOTONS, draws=1)
+    assert found.counts / PHOTONS == pytest.approx(float(design.shares.sum()), rel=0.1)
+    assert design.usual_misfit is not None
+
+
+def test_a_page_does_not_play_centres(digits):
+    with pytest.raises(InputError, match="not centres of clusters"):
+        check_playable(learn(digits, **settings(4)))

@@ -18,18 +18,19 @@ from deepfsi_paper.mnist import accuracy as mnist
 from shared.experiments import ALL, EVERY, OVIT, run_all
 from shared.results import a_point, some_results
 
-WITHOUT_CAMERA = [each for each in EVERY if each is not camera.EXPERIMENT]
+ONCE = [each for each in EVERY if each.name not in ("hardware", "detectors-cifar10")]
+"""Experiments run with one trial: not the camera's, and one of the two alike on digits."""
 
 
 @pytest.fixture(scope="module")
 def one(tmp_path_factory):
-    """Folder in which all experiments but the camera's have been run with one trial."""
-    return run_all(tmp_path_factory.mktemp("one"), 1, WITHOUT_CAMERA)
+    """Folder in which those of `ONCE` have been run with one trial."""
+    return run_all(tmp_path_factory.mktemp("one"), 1, ONCE)
 
 
 @pytest.fixture(scope="module")
 def two(one, tmp_path_factory):
-    """Folder in which all are run with two trials, one of which was there but for the camera's."""
+    """Folder in which all are run with two trials, one of which was there for those of `ONCE`."""
     folder = tmp_path_factory.mktemp("two")
     for part in ("trials", "designs"):
         shutil.copytree(one / part, folder / part)
@@ -42,7 +43,14 @@ def done(request):
     return request.getfixturevalue(request.param)
 
 
-@cache
+@pytest.fixture(scope="module", autouse=True)
+def shown_once():
+    """Let the page and all tests of a folder share its sections."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(experiment.Experiment, "section", cache(experiment.Experiment.section))
+        yield
+
+
 def sections_of(folder):
     return {each: each.section(folder) for each in run_in(folder)}
 
@@ -62,7 +70,7 @@ def test_every_experiment_ends_in_a_section(done):
 
 
 def run_in(folder):
-    return EVERY if (folder / f"{camera.EXPERIMENT.name}.json").is_file() else WITHOUT_CAMERA
+    return EVERY if (folder / f"{camera.EXPERIMENT.name}.json").is_file() else ONCE
 
 
 def table(path):

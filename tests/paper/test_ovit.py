@@ -17,6 +17,7 @@ from deepfsi.sweeps import context
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.run import compare
 from deepfsi.sweeps.trial import plan
+from deepfsi.sweeps.workers import Workers
 from deepfsi.training.learning import Diverged, learn
 from deepfsi_paper import experiment, studies
 from deepfsi_paper.ovit import claims as ovit
@@ -129,10 +130,17 @@ def test_a_trial_that_diverges_is_named_and_the_others_are_done(images, tmp_path
     assert len(list((tmp_path / "trials").glob("*.json"))) == 9
 
 
-def test_several_processes_train_what_one_does(images, tmp_path):
-    one = EXPERIMENT.run(tmp_path / "one", command="", trials=1, device="cpu", workers=1)
-    two = EXPERIMENT.run(tmp_path / "two", command="", trials=1, device="cpu", workers=2)
-    assert [p.accuracies for p in one.points] == [p.accuracies for p in two.points]
+def test_a_study_is_trained_by_the_processes_asked_for(images, tmp_path, monkeypatch):
+    """That several train what one does is a law of `sweeps/test_queue.py`."""
+    real, asked = experiment.compare, []
+
+    def watched(*given, workers, **named):
+        asked.append(workers)
+        return real(*given, workers=Workers(1), **named)
+
+    monkeypatch.setattr(experiment, "compare", watched)
+    EXPERIMENT.run(tmp_path, command="", trials=1, device="cpu", workers=2)
+    assert asked == [Workers(2)]
 
 
 def test_a_record_names_a_design_that_can_be_read(images, tmp_path):

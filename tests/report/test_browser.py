@@ -21,20 +21,13 @@ from deepfsi.report.style import COLOURS
 from deepfsi.sweeps.results import read_results, write_results
 from deepfsi_paper.report.section import Claim, Picture, Section, Table
 from deepfsi_paper.report.study_page import write_study
-from shared.browser import CONTRASTS, CUT, OVERFLOW, SIZES, chromium, look
+from shared.browser import CONTRASTS, CUT, OVERFLOW, SIZES, look
 from shared.pages import example
 from shared.results import a_point, make_results, some_results, with_all
 
 WIDTHS, SCHEMES, KINDS = (1280, 400), ("light", "dark"), ("comparison", "study")
 A4 = {"paperWidth": 8.27, "paperHeight": 11.69, "preferCSSPageSize": True}
 A4_WIDTH = 680  # CSS pixels between the margins
-
-
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory):
-    """Give a headless Chromium with a profile of its own."""
-    with chromium(tmp_path_factory.mktemp("profile")) as chrome:
-        yield chrome
 
 
 @pytest.fixture(scope="module")

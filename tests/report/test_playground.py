@@ -12,11 +12,17 @@ from selenium.webdriver.common.by import By
 from conftest import quick, synthetic
 from deepfsi.design.payload import playable
 from deepfsi.report.playground.page import write_page
-from shared.browser import CONTRASTS, CUT, OVERFLOW, chromium, look, requests_of
 from shared.design_files import loop_of
-from shared.playground import KINDS, VECTORS, ask, fits, read_counts, verdict_at
+from shared.playground import (
+    KINDS,
+    VECTORS,
+    ask,
+    fits,
+    open_playground,
+    read_counts,
+    verdict_at,
+)
 
-WIDTHS, SCHEMES = (1280, 400), ("light", "dark")
 AGREES = 1e-5
 """Largest difference from the package's own numbers."""
 
@@ -49,28 +55,12 @@ def pages(designs, digits, tmp_path_factory):
     return {kind: (home / f"{kind}.html").as_uri() for kind in designs}
 
 
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory):
-    """Give a headless Chromium with a profile of its own."""
-    with chromium(tmp_path_factory.mktemp("profile")) as chrome:
-        chrome.set_script_timeout(60)
-        yield chrome
-
-
 @pytest.fixture
 def opened(browser, pages):
     """Give a function that opens a page and waits for it."""
 
-    def open_page(kind, width=1280, scheme="light"):
-        look(browser, width, scheme)
-        for log in ("browser", "performance"):
-            browser.get_log(log)
-        browser.get(pages.get(kind, kind))
-        for _ in range(200):
-            if browser.execute_script("return window.playground !== undefined"):
-                break
-            time.sleep(0.05)
-        return browser
+    def open_page(kind, width=1280, scheme="light", **screen):
+        return open_playground(browser, pages.get(kind, kind), width, scheme, **screen)
 
     return open_page
 
@@ -271,7 +261,8 @@ def test_least_squares_pictures(opened, designs, digits, kind):
 def test_the_picture_within_a_frame_is_of_the_frames_before(opened):
     seen, before = ask(
         opened("column"),
-        "const { squares, exposure } = page; let seen; squares.picture = counts => (seen = counts);"
+        "const { exposure, view } = page, { squares } = view;"
+        "let seen; squares.picture = counts => (seen = counts);"
         "page.drawn = {}; page.time = 0.9 * exposure.frames[1].end; page.draw();"
         "delete squares.picture; return [[...seen], [...exposure.after(1).counts]]",
     )
@@ -467,23 +458,6 @@ def test_the_point_moves_along_the_measured_curve(opened):
     assert browser.find_elements(By.CSS_SELECTOR, "#curve .trained-line")
     opened("nested")
     assert browser.find_elements(By.CSS_SELECTOR, "#curve .trained")
-
-
-@pytest.mark.parametrize("scheme", SCHEMES)
-@pytest.mark.parametrize("width", WIDTHS)
-@pytest.mark.parametrize("kind", ["column", "looks", "spectra"])
-def test_nothing_is_cut_hard_to_read_or_asked_for(opened, kind, width, scheme):
-    browser = opened(kind, width, scheme)
-    ask(browser, "page.time = 0.4 * page.exposure.length; page.draw()")
-    assert browser.execute_script("return window.innerWidth") == width
-    assert browser.execute_script(OVERFLOW) <= 0
-    assert browser.execute_script(CUT) == []
-    contrasts = browser.execute_script(CONTRASTS)
-    assert {"H1", "text", "BUTTON", "FIGCAPTION", "SPAN"} <= {tag for _, tag, _ in contrasts}
-    assert contrasts[0][0] >= 4.5, contrasts[:5]
-    assert browser.get_log("browser") == []
-    assert [url for url in requests_of(browser) if not url.startswith("file:")] == []
-    assert len(requests_of(browser)) == 0
 
 
 def test_names_that_users_give_stay_text(opened, designs, digits, tmp_path):

@@ -104,10 +104,14 @@ def chromium(profile: Path) -> Iterator[webdriver.Chrome]:
         yield chrome
 
 
-def look(browser, width=1280, scheme="light", media="screen"):
-    """Set the width, the scheme of colours and the medium of a browser."""
-    screen = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
-    features = [{"name": "prefers-color-scheme", "value": scheme}]
+def look(browser, width=1280, scheme="light", media="screen", height=900, still=False):
+    """Set the size, the scheme of colours, the medium and the motion of a browser."""
+    screen = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
+    motion = "reduce" if still else "no-preference"
+    features = [
+        {"name": "prefers-color-scheme", "value": scheme},
+        {"name": "prefers-reduced-motion", "value": motion},
+    ]
     browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", screen)
     browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": media, "features": features})
 

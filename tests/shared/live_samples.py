@@ -11,7 +11,7 @@ from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.recording.acquisition import Scene
 from deepfsi.hardware.virtual.bench import BenchCounter, BenchProjector, Latencies, VirtualSetup
 from deepfsi.hardware.virtual.camera import CAMERAS, VirtualCamera, arrival_rates
-from deepfsi.laboratory.live.loop import read_loop
+from deepfsi.laboratory.live.known import read_looks
 from deepfsi.laboratory.live.replay import Replayed, read_live_counts, replay_run
 from deepfsi.laboratory.live.run import Bench, Decided, plan_live, run_live
 from deepfsi.laboratory.rails import design_rails
@@ -61,7 +61,8 @@ def scenes_of(digits, count: int) -> tuple[np.ndarray, tuple[Scene, ...]]:
 
 def replay(folder: Path) -> tuple[Replayed, ...]:
     """Replay a run that was counted."""
-    return replay_run(read_live_counts(folder), read_loop(folder / "patterns/loop.safetensors"))
+    run = read_live_counts(folder)
+    return replay_run(run, read_looks(folder / "patterns", run.manifest))
 
 
 def live(

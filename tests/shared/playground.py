@@ -1,5 +1,7 @@
 """Designs that the tests of the page play, counts of theirs, and a test of Poisson's law."""
 
+import time
+
 import numpy as np
 import torch
 from scipy import stats
@@ -12,6 +14,7 @@ from deepfsi.design.classifiers import Mlp
 from deepfsi.optics import constraints
 from deepfsi.optics.detection import Detection
 from deepfsi.optics.rails import Rails
+from shared.browser import look
 
 VECTORS = 100
 ONE_ARM = {"light": "free-dwell", "rails": "single"}
@@ -27,6 +30,12 @@ KINDS = {
 }
 """Settings of the designs that are played."""
 
+PARTS = (
+    "page", "model", "Exposure", "LookExposure", "LeastSquares", "Random", "poisson",
+    "LookOptics", "Posterior", "candidates", "information", "nextMask", "sample",
+)  # fmt: skip
+"""Parts of a page that a test may ask."""
+
 
 def read_counts(design: Design, digits: Dataset, kind: str):
     """Scenes, budgets, expected counts for one photon, and counts (V, rails · m · D)."""
@@ -38,10 +47,32 @@ def read_counts(design: Design, digits: Dataset, kind: str):
     return scenes[:VECTORS], photons, rates, counts.reshape(VECTORS, -1)
 
 
+def open_playground(browser, address: str, width=1280, scheme="light", **screen):
+    """Open a page to play with, and wait for it."""
+    look(browser, width, scheme, **screen)
+    for log in ("browser", "performance"):
+        browser.get_log(log)
+    browser.get(address)
+    for _ in range(200):
+        if browser.execute_script("return window.playground !== undefined"):
+            break
+        time.sleep(0.05)
+    return browser
+
+
+def outside(browser, *names: str) -> list[str]:
+    """Those of some elements, by their ids, that are not wholly in view."""
+    script = (
+        "return arguments[0].filter(name => { const e = document.getElementById(name);"
+        "const box = e.getBoundingClientRect();"
+        "return !e.checkVisibility() || box.top < 0 || box.bottom > innerHeight + 0.5; })"
+    )
+    return browser.execute_script(script, names)
+
+
 def ask(browser, body, **given):
     """Value of a JavaScript function's body, with the page's parts and values by their names."""
-    names = ["page", "model", "Exposure", "LeastSquares", "Random", "poisson"]
-    head = f"const {{{', '.join(names)}}} = window.playground; const given = arguments[0];"
+    head = f"const {{{', '.join(PARTS)}}} = window.playground; const given = arguments[0];"
     return browser.execute_script(head + body, given)
 
 

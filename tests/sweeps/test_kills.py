@@ -27,7 +27,7 @@ photons = [1e2, 1e3]
 masks = {masks}
 trials = {trials}
 draws = 1
-training = {{ epochs = 2, batch = 32 }}
+training = {{ epochs = 2, batch = {batch} }}
 """
 
 
@@ -53,9 +53,11 @@ def tensors(folder: Path) -> dict[str, dict[str, bytes]]:
     }
 
 
-def sweep(tmp_path: Path, trials: int, workers: int, masks: tuple[int, ...] = MASKS) -> list[str]:
+def sweep(
+    tmp_path: Path, trials: int, workers: int, masks: tuple[int, ...] = MASKS, batch: int = 32
+) -> list[str]:
     recipe = tmp_path / "recipe.toml"
-    recipe.write_text(RECIPE.format(trials=trials, masks=list(masks)))
+    recipe.write_text(RECIPE.format(trials=trials, masks=list(masks), batch=batch))
     return ["sweep", str(recipe), "--json", "-o", str(tmp_path / "out"), "--workers", str(workers)]
 
 
@@ -103,7 +105,7 @@ def test_random_kills_lose_no_record_and_repeat_none(done, tmp_path):
 def sound(tmp_path_factory) -> dict[str, dict[str, bytes]]:
     """Give the tensors of a small sweep that nobody killed."""
     folder = tmp_path_factory.mktemp("sound")
-    words = sweep(folder, trials=1, workers=1, masks=(1, 2))
+    words = sweep(folder, trials=1, workers=1, masks=(1, 2), batch=500)
     assert CliRunner().invoke(app, words).exit_code == 0
     return tensors(folder / "out")
 
@@ -114,7 +116,7 @@ def test_a_kill_while_files_are_written_leaves_nothing_and_changes_no_bit(
     done, tmp_path, sound, moves
 ):
     """Trials that were trained together are kept together: alone one of them rounds otherwise."""
-    recipe = sweep(tmp_path, trials=1, workers=1, masks=(1, 2))
+    recipe = sweep(tmp_path, trials=1, workers=1, masks=(1, 2), batch=500)
     kill = (
         "import os, sys; from deepfsi import files; from deepfsi.cli import main\n"
         f"real, calls = os.replace, []; sys.argv = ['deepfsi', *{recipe!r}]\n"

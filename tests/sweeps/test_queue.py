@@ -110,7 +110,8 @@ def test_trials_of_one_training_train_it_once(digits, tmp_path):
 @pytest.mark.slow
 def test_processes_give_what_one_gives_and_leave_those_of_the_caller_alone(digits, tmp_path):
     recipe = small(designs=("deepfsi", "random", "control"), photons=1e3, trials=1)
-    trials = plan(recipe, digits) + shared_training(digits)
+    patches = small(designs="pca", masks=3, photons=1e3, trials=1, exposure={"patch": 4})
+    trials = plan(recipe, digits) + plan(patches, digits) + shared_training(digits)
     wild = plan(small(designs="pca", masks=6, training={"epochs": 2, "lr": 1e30}), digits)
     mine = multiprocessing.get_context("spawn").Process(target=time.sleep, args=(600,))
     mine.start()

@@ -1,5 +1,6 @@
 """Comparisons of recipes, those of the experiments among them."""
 
+import json
 import tomllib
 
 import pytest
@@ -25,6 +26,15 @@ COARSE = {
     if "quick" in file
     for part, settings in parts(file, quick=True).items()
 }
+
+
+UNLIKE = dict(
+    {
+        json.dumps({**settings, "data": "digits"}, sort_keys=True): (name, settings)
+        for name, settings in reversed(RECIPES.items())
+    }.values()
+)
+"""Recipes that differ in more than their data, which are digits here."""
 
 
 def test_levels_are_an_axis_and_a_column(digits, tmp_path):
@@ -66,7 +76,7 @@ def test_every_coarse_recipe_is_sound(settings):
     assert Recipe(**settings)
 
 
-@pytest.mark.parametrize("settings", RECIPES.values(), ids=RECIPES)
+@pytest.mark.parametrize("settings", UNLIKE.values(), ids=UNLIKE)
 def test_every_recipe_runs_small(settings, digits, tmp_path):
     camera, exposure = settings.get("camera", {}), settings.get("exposure", {})
     nested = exposure.get("nested", 0)

@@ -324,6 +324,9 @@ def test_what_is_no_job_is_one_line(settings, match):
 def test_the_budget_of_a_job_is_its_cameras_unless_given():
     camera = {"flux": 1e6, "exposure": "10ms"}
     assert find_job({"masks": 6, "camera": camera}).photons == 1e4
+    assert Job(masks=6, camera=camera) == Job(masks=6, camera=camera, photons=1e4)
+    with pytest.raises(InputError, match=r"no setting 'epochs': give `training="):
+        Job(masks=6, photons=1e4, epochs=3)
     assert find_job({"masks": 6, "camera": camera, "photons": 3.0}).photons == 3
     assert find_job({"masks": 6, "camera": camera}, counts=30.0).photons == 30
     made = find_job({"masks": 6, "photons": 1e3, "exposure": Range(span=3.0), "camera": "paper"})

@@ -60,6 +60,7 @@ def test_learned_masks_change_from_their_start(made, light, rails):
     assert not torch.allclose(short.rails.stacked, longer.rails.stacked, atol=1e-4)
 
 
+@pytest.mark.usefixtures("uncharacterised")
 @every_optics
 def test_the_control_group_has_the_masks_learned_under_gaussian_noise(digits, light, rails):
     settings = {"light": light, "rails": rails, "sigma": 2.0}
@@ -79,18 +80,21 @@ def test_training_reads_no_test_scene(digits, design):
     assert found.summed_reflectance == wanted.summed_reflectance == pytest.approx(summed)
 
 
+@pytest.mark.usefixtures("uncharacterised")
 @pytest.mark.parametrize("start", ["pca", "truncated-hadamard", "random", "lda"])
 @every_optics
 def test_masks_may_start_from_any_design(digits, start, light, rails):
     assert quick(digits, start=start, light=light, rails=rails).masks == 7
 
 
+@pytest.mark.usefixtures("uncharacterised")
 @pytest.mark.parametrize("rails", ["dual", "single"])
 @pytest.mark.parametrize("start", ["impulse", "raster", "hadamard"])
 def test_masks_may_start_from_a_design_of_all_pixels(digits, start, rails):
     assert quick(digits, masks=64, start=start, rails=rails).masks == 64
 
 
+@pytest.mark.usefixtures("uncharacterised")
 @pytest.mark.parametrize("light", ["column", "equal-dwell", "free-dwell", "two-arm"])
 def test_impulse_imaging_is_column_whatever_else_is_compared(digits, light):
     one = quick(digits, "impulse", light=light)
@@ -98,6 +102,7 @@ def test_impulse_imaging_is_column_whatever_else_is_compared(digits, light):
     assert torch.equal(one.rails.plus, torch.eye(64))
 
 
+@pytest.mark.usefixtures("uncharacterised")
 @every_optics
 def test_a_matrix_of_your_own_is_used_as_it_is(digits, light, rails):
     matrix = own_matrix(5, 64, light, rails)
@@ -133,11 +138,13 @@ def test_a_two_level_design_shows_dark_and_peak_alone(digits, made, light, rails
     constraints.check(one.rails.stacked, light)
 
 
+@pytest.mark.usefixtures("uncharacterised")
 @pytest.mark.parametrize("design", ["control", "pca", "random", "s-matrix", "raster", "custom"])
 def test_levels_hold_for_masks_that_are_not_learned_here(digits, design):
     assert two_valued(quick(digits, design, light="equal-dwell", levels=2).rails.stacked)
 
 
+@pytest.mark.usefixtures("uncharacterised")
 @every_optics
 @pytest.mark.parametrize("levels", [3, 17])
 def test_a_design_has_no_more_levels_than_its_device(digits, light, rails, levels):
@@ -148,6 +155,7 @@ def test_a_design_has_no_more_levels_than_its_device(digits, light, rails, level
     assert 2 < len(level.round().unique()) <= levels
 
 
+@pytest.mark.usefixtures("uncharacterised")
 @pytest.mark.parametrize(("light", "rails"), [("column", "dual"), ("free-dwell", "single")])
 def test_two_level_designs_train_together_as_alone(digits, light, rails):
     """But for cells so near half their frame's peak that float32 rounding decides them."""
@@ -165,6 +173,7 @@ def test_two_level_designs_train_together_as_alone(digits, light, rails):
     assert ((together[0].rails.stacked > 0) != (together[1].rails.stacked > 0)).any()
 
 
+@pytest.mark.usefixtures("uncharacterised")
 @pytest.mark.parametrize(
     ("light", "rails"),
     [("equal-dwell", "single"), ("free-dwell", "single"), ("two-arm", "dual"), ("column", "dual")],

@@ -82,6 +82,7 @@ def apart(first: Design, second: Design, pixels: torch.Tensor) -> float:
     return max(((a - b).abs().max() / b.abs().max()).item() for a, b in pairs)
 
 
+@pytest.mark.usefixtures("uncharacterised")
 @every_optics
 @pytest.mark.parametrize(
     ("design", "tight"),
@@ -94,6 +95,7 @@ def test_replicas_train_together_as_alone(few, varies, design, light, rails, tig
         assert one.info["job"] == alone.info["job"]
 
 
+@pytest.mark.usefixtures("uncharacterised")
 @every_optics
 def test_replicas_draw_the_same_counts_together_as_alone(few, light, rails):
     """Masks that learn do not: where rounding moves a rate, all draws after it may differ."""
@@ -119,6 +121,7 @@ def test_rounding_does_not_move_masks_where_pixels_never_vary(few):
         assert apart(one, alone, torch.arange(64)) <= 1e-3
 
 
+@pytest.mark.usefixtures("uncharacterised")
 @pytest.mark.parametrize("seeds", [(3, 4, 7), (3, 3, 4)])
 @pytest.mark.parametrize(
     ("design", "change"),
@@ -151,6 +154,7 @@ def test_seeds_train_together_as_alone(few, varies, monkeypatch, design, change,
         assert apart(together[0], together[2], varies) > 0.01
 
 
+@pytest.mark.usefixtures("uncharacterised")
 @pytest.mark.parametrize("looks", [1, 2])
 @pytest.mark.parametrize("precision", ["float32", "bfloat16"])
 def test_wide_networks_have_products_of_the_type_asked_for(digits, monkeypatch, looks, precision):

@@ -418,7 +418,7 @@ def page(
     from deepfsi.laboratory.data import data_of
     from deepfsi.report.playground.page import write_page
 
-    made = common.open_design(file)
+    made = common.open_any(file)
     check_playable(made)
     scenes, notes = data_of(made, data, options.size_of(size))
     with common.progress("page", quiet=as_json) as report:

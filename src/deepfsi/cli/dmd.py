@@ -227,6 +227,7 @@ def _print_patterns(command: str, patterns: "Patterns", folder: Path, as_json: b
                 "uncounted": None if cost is None else asdict(cost),
                 "dimmed": manifest.dimmed,
                 "looks": manifest.looks.count if manifest.looks else 1,
+                "load_s": device.load_us and device.load_us * 1e-6,
                 "device": device.name,
                 "cell": [grid.height, grid.width],
                 "aspect": grid.aspect,
@@ -255,6 +256,11 @@ def _print_patterns(command: str, patterns: "Patterns", folder: Path, as_json: b
     print(f"patterns: {folder}")
 
 
+def _adaptive(manifest: "Manifest") -> bool:
+    """True of masks that are made while the exposure runs."""
+    return manifest.looks is not None and manifest.looks.adaptive
+
+
 def _placed(manifest: "Manifest", grid: "Grid") -> str:
     """Cells on the device, in words."""
     device, layout = manifest.device, manifest.layout
@@ -276,6 +282,14 @@ def _counted(manifest: "Manifest", longest: float | None, cost: "Cost | None") -
     """Frames of a pass, its longest exposure and what it costs, in words."""
     sentinels = len(manifest.frames) - len(manifest.shown)
     frames = f"{len(manifest.shown)} frames of masks and {sentinels} all-ON and all-OFF ones"
+    if _adaptive(manifest):
+        assert manifest.looks is not None
+        looks, load_us = manifest.looks.count, manifest.device.load_us
+        return (
+            f"{frames}: the mask of the first look, of {looks}; a live run loads a new one before "
+            f"each look, {load_us} µs a frame on {manifest.device.name}, in which no photon is "
+            "counted; show them with `deepfsi camera live`"
+        )
     if manifest.looks or cost is None:
         looks = manifest.looks.count if manifest.looks else 1
         return (

@@ -69,7 +69,10 @@ def camera_live(
     yes: options.LargeFile = False,
     as_json: options.Json = False,
 ) -> None:
-    """Show masks, count and choose the next dwells, scene after scene, with a design of looks.
+    """Show masks, count and choose what is shown next, scene after scene.
+
+    With a design of several looks the next dwells are chosen, with one of adaptive masks the next
+    mask is made.
 
     Prints each decision as it falls. Ctrl-C keeps the scenes that are finished.
 

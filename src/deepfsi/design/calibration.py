@@ -66,8 +66,8 @@ def find_distribution(
         seen = expose(expected / total, rng)
         return [tuple(each[:, lit.ravel()] for each in pair) for pair in seen]  # type: ignore[misc]
 
-    tails, pairs = _calibrate(held, np.asarray(labels), folds, exposed)
     model = ReadoutModel.fit(held)
+    tails, pairs = _calibrate(model, held, np.asarray(labels), folds, exposed)
 
     def spread_out(part: np.ndarray) -> np.ndarray:
         whole = np.zeros((*part.shape[:-1], *lit.shape), np.float32)
@@ -85,6 +85,7 @@ def find_distribution(
 
 
 def _calibrate(
+    whole: ReadoutModel,
     rates: np.ndarray,
     labels: np.ndarray,
     folds: list[np.ndarray],
@@ -94,7 +95,6 @@ def _calibrate(
     # Each scene is compared with the model of the other folds
     members = [np.flatnonzero(labels == k) for k in np.unique(labels)]
     couples = [each[: len(each) // 2 * 2].reshape(2, -1) for each in members]
-    whole = ReadoutModel.fit(rates)
     models = [ReadoutModel.fit(np.delete(rates, fold, axis=0)) for fold in folds]
     likeness = [np.empty((len(COUNTS), couple.shape[1])) for couple in couples]
     levels = []

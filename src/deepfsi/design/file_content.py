@@ -61,7 +61,8 @@ def read_known_masks(path: str | os.PathLike[str]) -> tuple[str, dict[str, np.nd
     if is_adaptive(text):
         raise InputError(
             f"{path} makes its masks while the camera looks, and this takes masks that are known "
-            "before: `deepfsi evaluate`, `stop` and `show` take it"
+            "before: `deepfsi evaluate`, `stop`, `show`, `page`, `dmd export` and `camera live` "
+            "take it"
         )
     return text, tensors
 

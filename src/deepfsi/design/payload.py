@@ -1,20 +1,27 @@
 """A design as JSON for a page that plays it: what the page needs to expose a scene and classify it.
 
+Of adaptive masks a page knows some of the training scenes, and its answers and accuracy are those
+of a design that knows no others.
+
 Arrays are float32, every byte of them: first all lowest bytes, then the next ones, as the highest
-bytes of weights are much alike and shrink when deflated. That is written in base64.
+bytes of weights are much alike and shrink when deflated. That is written in base64. Scenes are kept
+in 16 bits, and coefficients of those of a prior in 8.
 """
 
 import base64
 import zlib
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from importlib.metadata import version
 from typing import Any
 
 import numpy as np
 
 from deepfsi.datasets import Dataset
+from deepfsi.design.adaptive.design import AdaptiveDesign, AnyDesign
+from deepfsi.design.adaptive.posterior import LookOptics
 from deepfsi.design.artifact import Design
 from deepfsi.design.classifiers import Mlp
+from deepfsi.design.confidence import stops_of
 from deepfsi.design.evaluation import check_data, evaluate
 from deepfsi.design.exposure import LARGEST_SCORE
 from deepfsi.design.memory import memory_of
@@ -29,34 +36,39 @@ BUDGETS = tuple(float(f"{10**power:.3g}") for power in np.arange(1, 7.1, 0.5))
 SCENES = 30
 """Test scenes in the page, of each class as many as can be."""
 
+COEFFICIENTS = 10**6
+"""Coefficients of training scenes in a page of adaptive masks, at most: 8 bits each."""
+
+TESTED = 300
+"""Test scenes by which the accuracy of adaptive masks is measured, at most: a look takes a ms."""
+
 LARGEST_SHORT = 2**16 - 1
 """Largest 16-bit number, the highest level of a scene."""
 
 
 def playable(
-    design: Design, data: Dataset, *, draws: int = 1, seed: int = 0, report: Report = SILENT
+    design: AnyDesign, data: Dataset, *, draws: int = 1, seed: int = 0, report: Report = SILENT
 ) -> dict[str, Any]:
     """Payload of a page: JSON types only."""
-    classifier = check_playable(design)
+    check_playable(design)
     check_data(design, data)
-    trained = _trained(design)
+    trained, budgets, tested = _trained(design), BUDGETS, data
+    if isinstance(design, AdaptiveDesign):
+        known, budgets, tested = of_page(design, seed), BUDGETS[::2], few_tests(data, seed)
+        own, design = _posterior(known, design), known
+    else:
+        own = _networks(design)
     inside = [each for each in trained or () if BUDGETS[0] <= each <= BUDGETS[-1]]
-    budgets = sorted({*BUDGETS, *inside})
-    results = evaluate(design, data, budgets, draws=draws, seed=seed, report=report.part(0, 0.8))
+    measured = sorted({*budgets, *inside})
+    results = evaluate(design, tested, measured, draws=draws, seed=seed, report=report.part(0, 0.8))
     rules = _rules(design, data, seed, report.part(0.8, 1))
-    chooser = design.exposure.network
     return {
-        **_optics(design),
+        **own,
         "name": design.name,
+        "image_shape": design.image_shape,
         "classes": design.classes,
-        "mean": pack(design.mean.cpu().numpy()),
-        "std": pack(design.std.cpu().numpy()),
-        "network": _layers(classifier),
-        "exposure": {
-            **asdict(design.exposure.header()),
-            "largest_score": LARGEST_SCORE,
-            "chooser": None if chooser is None else _layers(chooser),
-        },
+        "detectors": design.detection.count,
+        "labels": None if design.detection.labels is None else design.detection.labels.tolist(),
         "budget": trained and {"low": trained[0], "high": trained[1]},
         "temperatures": _temperatures(design),
         "rules": rules,
@@ -76,8 +88,33 @@ def playable(
     }
 
 
-def check_playable(design: Design) -> Mlp:
-    """Classifier of a design that a page can play; `InputError` for another design."""
+def of_page(design: AdaptiveDesign, seed: int = 0) -> AdaptiveDesign:
+    """The design as a page plays it: it knows some of its scenes, and no exposure stops early."""
+    prior = design.prior.few(COEFFICIENTS // len(design.prior.components), seed)
+    whole = design.settings.model_copy(update={"until": 1.0})
+    return replace(design, prior=prior, settings=whole)
+
+
+def few_tests(data: Dataset, seed: int) -> Dataset:
+    """The data with some of its test scenes, drawn by lot."""
+    rows = np.random.default_rng(seed).permutation(len(data.x_test))[:TESTED]
+    return replace(data, x_test=data.x_test[rows], y_test=data.y_test[rows])
+
+
+def check_playable(design: AnyDesign) -> None:
+    """Raise `InputError` for a design that no page can play."""
+    if isinstance(design, AdaptiveDesign):
+        LookOptics.of(design.camera, design.image_shape, 1.0)
+        if design.settings.clusters is not None:
+            raise InputError(
+                "a page knows scenes, not centres of clusters: make the design without `clusters`"
+            )
+    else:
+        _classifier(design)
+
+
+def _classifier(design: Design) -> Mlp:
+    """Classifier of a design of known masks that a page can play."""
     if design.exposure.kind == "patches":
         raise InputError(
             "this design is of image patches, each with a detector of its own, and a page shows "
@@ -98,47 +135,70 @@ def check_playable(design: Design) -> Mlp:
 
 
 def pack(values: np.ndarray) -> dict[str, Any]:
-    """An array of float32, or of uint16, for JSON."""
-    kept = np.ascontiguousarray(values, "<u2" if values.dtype == np.uint16 else "<f4")
+    """An array of float32, uint16 or int8, for JSON."""
+    kinds = {np.dtype(np.uint16): "<u2", np.dtype(np.int8): "<i1"}
+    kept = np.ascontiguousarray(values, kinds.get(values.dtype, "<f4"))
     planes = kept.reshape(-1).view(np.uint8).reshape(-1, kept.itemsize).T
     deflated = zlib.compress(planes.tobytes(), 9)
     text = base64.b64encode(deflated).decode()
     return {"shape": values.shape, "bytes": kept.itemsize, "planes": text}
 
 
-def _trained(design: Design) -> tuple[float, float] | None:
+def _trained(design: AnyDesign) -> tuple[float, float] | None:
     """Lowest and highest budget of the training; None for a design that does not say."""
-    known = {**design.info.get("job", {}), **asdict(design.exposure.header())}
+    exposure = asdict(design.exposure.header()) if isinstance(design, Design) else {}
+    known = {**design.info.get("job", {}), **exposure}
     if "photons" not in known:
         return None
     low = float(known["photons"])
     return low, low * known.get("span", 1.0)
 
 
-def _optics(design: Design) -> dict[str, Any]:
-    """Masks, light law and detectors."""
+def _networks(design: Design) -> dict[str, Any]:
+    """Masks that are known, and the networks that read their counts."""
     # Of two rails the difference M⁺ − M⁻ is kept, and their sum where it is not |M|
-    rails = design.rails
+    rails, chooser = design.rails, design.exposure.network
     difference, total = (each.cpu().numpy() for each in (rails.difference, rails.total))
     sums = None
     if rails.count == 2 and not np.array_equal(total, np.abs(difference)):
         flat = np.ptp(total, axis=1).max() < constraints.SLACK * total.max()
         sums = pack(total.mean(axis=1, keepdims=True) if flat else total)
-    labels = design.detection.labels
     return {
-        "image_shape": design.image_shape,
         "summed_reflectance": design.summed_reflectance,
         "light": design.light,
         "rails": rails.count,
         "readout": design.detection.readout,
-        "detectors": design.detection.count,
-        "labels": None if labels is None else labels.tolist(),
         "matrix": pack(difference),
         "total": sums,
+        "mean": pack(design.mean.cpu().numpy()),
+        "std": pack(design.std.cpu().numpy()),
+        "network": _layers(_classifier(design)),
+        "exposure": {
+            **asdict(design.exposure.header()),
+            "largest_score": LARGEST_SCORE,
+            "chooser": None if chooser is None else _layers(chooser),
+        },
     }
 
 
-def _temperatures(design: Design) -> dict[str, Any] | None:
+def _posterior(known: AdaptiveDesign, design: AdaptiveDesign) -> dict[str, Any]:
+    """Looks of adaptive masks, and the scenes that a page knows, of those that the design knows."""
+    optics, arrays = LookOptics.of(known.camera, known.image_shape, 1.0), known.prior.arrays
+    names = ("mean", "components", "steps", "levels")
+    return {
+        "summed_reflectance": known.prior.summed_reflectance,
+        "light": known.camera.light,
+        "rails": optics.arms,
+        "dark": optics.dark,
+        "shares": known.settings.shares,
+        "counted": known.shares.tolist(),
+        "prior": {name: pack(arrays[name]) for name in names}
+        | {"sizes": known.prior.sizes, "spread": known.prior.spread},
+        "known": {"scenes": len(known.prior), "of": len(design.prior)},
+    }
+
+
+def _temperatures(design: AnyDesign) -> dict[str, Any] | None:
     """Calibration of the probabilities, and the lowest light that is not too little."""
     known = design.temperatures
     if known is None:
@@ -151,17 +211,19 @@ def _layers(network: Mlp) -> list[dict[str, Any]]:
     return [{"weight": pack(weight), "bias": pack(bias)} for weight, bias in network.arrays]
 
 
-def _rules(design: Design, data: Dataset, seed: int, report: Report) -> list[dict[str, Any]]:
+def _rules(design: AnyDesign, data: Dataset, seed: int, report: Report) -> list[dict[str, Any]]:
     """Rules of when an exposure stops, each with the budget that it was chosen at."""
     # That which the design holds; else so many in its training's range that one is near each
     # budget, where it can stop early and its training left scenes out
     try:
-        design.exposure.stops(design.rails, design.light)
+        stops_of(design)
     except InputError:
         return []
     held = rule_of(design)
     if held is not None:
         return [asdict(held)]
+    if isinstance(design, AdaptiveDesign):
+        return []
     memory, trained = memory_of(design.info), _trained(design)
     if memory is None or not memory.held_out or not memory.is_of(data) or trained is None:
         return []
@@ -186,6 +248,7 @@ def _scenes(data: Dataset, seed: int) -> dict[str, Any]:
     levels = np.rint(share.clip(0, 1) * LARGEST_SHORT).astype(np.uint16)
     known, sums = data.wavelengths, data.x_train.sum(axis=1, dtype=float)
     return {
+        "clearest": _clearest(data, rows),
         "sums": [float(sums.min()), float(sums.max())],
         "flattest": float(data.x_train.std(axis=1).min()),
         "low": low,
@@ -194,3 +257,13 @@ def _scenes(data: Dataset, seed: int) -> dict[str, Any]:
         "labels": data.y_test[rows].tolist(),
         "wavelengths": None if known is None else np.nan_to_num(known, nan=-1).tolist(),
     }
+
+
+def _clearest(data: Dataset, rows: np.ndarray) -> int:
+    """Place of the test scene that lies nearest to its class, over the nearest of the others."""
+    kinds = np.unique(data.y_train)
+    means = np.stack([data.x_train[data.y_train == kind].mean(axis=0) for kind in kinds])
+    far = ((data.x_test[rows][:, None] - means) ** 2).sum(axis=2)
+    own = kinds == data.y_test[rows][:, None]
+    nearest, other = (np.where(each, far, np.inf).min(axis=1) for each in (own, ~own))
+    return int(np.argmin(nearest / other))

@@ -12,6 +12,9 @@ import numpy as np
 DIRECTIONS = 32
 """Directions of the scenes' covariance that are kept, at most; the rest is a diagonal."""
 
+FEW_READOUTS = 128
+"""Readouts whose whole covariance is decomposed faster than its main directions are drawn."""
+
 READOUT_ERROR = 0.02
 """Relative error of a readout that a sound device may have: rounded masks, dead time."""
 
@@ -39,16 +42,12 @@ class ReadoutModel:
     @classmethod
     def fit(cls, rates: np.ndarray) -> "ReadoutModel":
         """Model of the expected readouts (n, R) of scenes for a budget of one photon."""
-        from sklearn.utils.extmath import randomized_svd
-
         mean = rates.mean(axis=0)
         total = float(mean.sum())
         share = mean / total
         sums = rates.sum(axis=1, keepdims=True) / total
         patterns = (rates / total - sums * share) / np.sqrt(share)
-        count = min(DIRECTIONS, *patterns.shape)
-        _, sizes, axes = randomized_svd(patterns, count, random_state=0)
-        axes = axes * (sizes[:, None] / np.sqrt(len(rates)))
+        axes = _principal(patterns)
         rest = (np.square(patterns).mean(axis=0) - np.square(axes).sum(axis=0)).clip(min=0)
         return cls(total, share, float(sums.std()), axes * np.sqrt(share), rest * share)
 
@@ -84,6 +83,18 @@ class ReadoutModel:
             off = off + sign * (read - mean) / scale
             power = power + (np.maximum(mean, self.share) + dark) / np.square(scale)
         return 1 / np.maximum((np.square(off) / power).mean(axis=1), SMALLEST)
+
+
+def _principal(patterns: np.ndarray) -> np.ndarray:
+    """Principal axes (k, R) of patterns (n, R), each as long as their standard deviation."""
+    count = min(DIRECTIONS, *patterns.shape)
+    if patterns.shape[1] <= FEW_READOUTS:
+        variances, axes = np.linalg.eigh(patterns.T @ patterns / len(patterns))
+        return (axes * np.sqrt(variances.clip(min=0))).T[: -count - 1 : -1]
+    from sklearn.utils.extmath import randomized_svd
+
+    _, sizes, axes = randomized_svd(patterns, count, random_state=0)
+    return axes * (sizes[:, None] / np.sqrt(len(patterns)))
 
 
 def _distance(off: np.ndarray, noise: np.ndarray, directions: np.ndarray) -> np.ndarray:

@@ -110,7 +110,7 @@ def with_rule(design: AnyDesign, rule: StoppingRule) -> AnyDesign:
     return replace(design, info=info)
 
 
-def rule_of(design: Design) -> StoppingRule | None:
+def rule_of(design: AnyDesign) -> StoppingRule | None:
     """Rule that a design holds, if it holds one."""
     held = design.info.get("stopping")
     if held is None:

@@ -15,7 +15,7 @@ import numpy as np
 
 from deepfsi.errors import InputError
 from deepfsi.files import hash_file
-from deepfsi.hardware.patterns.folder import DESIGN, LOOP, read_patterns
+from deepfsi.hardware.patterns.folder import DESIGN, read_patterns
 from deepfsi.hardware.patterns.nominal import nominal_manifest
 from deepfsi.hardware.patterns.sequence import Manifest, Patterns
 from deepfsi.hardware.recording.acquisition import Scene, read_acquisition
@@ -25,7 +25,7 @@ from deepfsi.hardware.recording.tables import WORDS, TableSettings, count_table
 from deepfsi.imports import torch_needed
 from deepfsi.laboratory.camera import camera_of, dead_time_of
 from deepfsi.laboratory.light import dim_scenes
-from deepfsi.laboratory.live.loop import read_loop
+from deepfsi.laboratory.live.known import read_looks
 from deepfsi.laboratory.live.replay import (
     check_as_it_was,
     is_live,
@@ -106,7 +106,7 @@ def _replayed(design: str | os.PathLike[str], folder: Path, photons: float | Non
     check_as_it_was((photons,))
     run = read_live_counts(folder)
     _file_shown(design, run.manifest)
-    replayed = replay_run(run, read_loop(folder / "patterns" / LOOP))
+    replayed = replay_run(run, read_looks(folder / "patterns", run.manifest))
     return ReplayedRun(run.acquisition.exposure_s, tuple(each.answer for each in replayed))
 
 

@@ -11,7 +11,13 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 from deepfsi.design.exposure import LARGEST_SCORE
-from deepfsi.design.file_content import Info, damaged, read_known_masks
+from deepfsi.design.file_content import (
+    Info,
+    damaged,
+    is_adaptive,
+    read_content,
+    read_known_masks,
+)
 from deepfsi.devices import find_device
 from deepfsi.errors import InputError, as_input_error
 from deepfsi.files import read_regular
@@ -19,6 +25,7 @@ from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.sequence import Brightness, FrameSettings
 from deepfsi.hardware.recording.live_settings import StopRule
+from deepfsi.imports import torch_needed
 from deepfsi.laboratory.live.loop import Loop, LoopHeader, loop_from
 from deepfsi.laws import Light, Readout
 from deepfsi.optics.codes import EVERY_PIXEL
@@ -131,6 +138,10 @@ def _in_loop(held: tuple[str, np.ndarray]) -> tuple[str, np.ndarray]:
 def design_rails(file: str | os.PathLike[str]) -> DesignRails:
     """Rails of a design file, as `export_patterns` takes them."""
     path = Path(file)
+    if is_adaptive(read_content(path, ())[0]):
+        with torch_needed():
+            from deepfsi.laboratory.adaptive import adaptive_rails
+        return adaptive_rails(path)
     made = ShownDesign.read(path)
     header = made.header
     if header.name in EVERY_PIXEL:
@@ -140,9 +151,7 @@ def design_rails(file: str | os.PathLike[str]) -> DesignRails:
             "this design is of image patches, each with a detector of its own, which frames of "
             "one device cannot show: use Design.classify"
         )
-    known = header.info.get("brightness")
     with as_input_error(str(file)):
-        brightness = None if known is None else Brightness.model_validate(known)
         detectors = made.detectors
     loop = made.loop if header.exposure.looks > 1 else None
     return DesignRails(
@@ -151,7 +160,7 @@ def design_rails(file: str | os.PathLike[str]) -> DesignRails:
         header.image_shape,
         header.summed_reflectance,
         read_regular(path, LARGEST, "give a design file"),
-        brightness,
+        Brightness.of(header.info),
         detectors,
         header.readout,
         looks=None if loop is None else loop.looks,

@@ -3,21 +3,26 @@
 import time
 from collections.abc import Sequence
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from deepfsi.datasets import Dataset
 from deepfsi.design.adaptive.design import AdaptiveDesign
-from deepfsi.design.adaptive.exposures import AdaptiveMasks, expose, prior_of
-from deepfsi.design.adaptive.posterior import AdaptivePosterior, LookOptics
+from deepfsi.design.adaptive.exposures import AdaptiveMasks, prior_of
+from deepfsi.design.adaptive.misfit import (
+    BUDGETS,
+    LEAST_SCENES,
+    MOST_SCENES,
+    UsualMisfit,
+    measure,
+)
+from deepfsi.design.adaptive.posterior import LookOptics
 from deepfsi.design.adaptive.prior import ScenePrior
 from deepfsi.progress import SILENT, Report
 from deepfsi.training.info import provenance
 from deepfsi.training.job import Job
 from deepfsi.training.training_set import TrainingSet
-
-MEASURED_SCENES = 64
-"""Training scenes by which the light that each look counts is measured."""
 
 
 def adaptive_designs(
@@ -28,23 +33,25 @@ def adaptive_designs(
     settings = AdaptiveMasks(looks=jobs[0].masks, clusters=jobs[0].training.clusters)
     prior, designs = prior_of(data, settings), []
     for done, job in enumerate(jobs, start=1):
-        shares = _shares(prior, settings, data, job)
+        shares, usual = _measured(prior, settings, data, job)
         seconds = (time.perf_counter() - began) / done
         info = provenance(job, data, torch.device("cpu"), seconds)
-        designs.append(
-            AdaptiveDesign(prior, settings, data.image_shape, data.classes, shares, info)
-        )
+        known = data.image_shape, data.classes, shares, usual, info
+        designs.append(AdaptiveDesign(prior, settings, *known))
         report(done / len(jobs))
     return designs
 
 
-def _shares(prior: ScenePrior, settings: AdaptiveMasks, data: Dataset, job: Job) -> Tensor:
-    """Share of the budget (K,) that each look counts, in the mean over training scenes."""
+def _measured(
+    prior: ScenePrior, settings: AdaptiveMasks, data: Dataset, job: Job
+) -> tuple[Tensor, UsualMisfit | None]:
+    """Share of the budget (K,) that each look counts of training scenes, and their misfit."""
     generator = torch.Generator().manual_seed(job.seed)
-    rows = torch.randperm(len(data.x_train), generator=generator)[:MEASURED_SCENES]
-    scenes = torch.from_numpy(data.x_train[rows.numpy()])
-    optics = LookOptics.of(job.optics, data.image_shape, job.photons)
-    with torch.no_grad():
-        state = AdaptivePosterior(prior, len(scenes), optics)
-        _, counts = expose(state, scenes, settings, generator)
-    return (counts / (job.photons * len(scenes))).float()
+    places = torch.randperm(len(prior.order), generator=generator)[:MOST_SCENES]
+    scenes = torch.from_numpy(data.x_train[prior.order[places.numpy()]])
+    budgets = np.array(BUDGETS) * job.photons
+    optics = [LookOptics.of(job.optics, data.image_shape, each) for each in budgets.tolist()]
+    own = places if settings.clusters is None else None
+    logarithms, counts = measure(prior, settings, optics, scenes, own, generator)
+    shares = (counts[BUDGETS.index(1.0)] / job.photons).float()
+    return shares, UsualMisfit(budgets, logarithms) if len(scenes) >= LEAST_SCENES else None

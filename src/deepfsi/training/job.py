@@ -27,7 +27,7 @@ from deepfsi.design.exposure import (
     Patches,
     find_exposure,
 )
-from deepfsi.errors import InputError, as_input_error, closest
+from deepfsi.errors import InputError, closest
 from deepfsi.frozen import Settings
 from deepfsi.imports import PATTERN, UNNAMED
 from deepfsi.laws import Scale, Widths
@@ -196,10 +196,6 @@ readouts at one setting at most). Designs not named here, but for learned ones a
 """
 
 
-def _camera(given: Any) -> Any:
-    return Camera.load(given)
-
-
 class Job(Settings):
     """One design to be trained.
 
@@ -224,7 +220,7 @@ class Job(Settings):
         description="budget Φ: expected photons on the coding device, LOW:HIGH for a range of "
         "budgets; flux times exposure of the camera unless given",
     )
-    camera: Annotated[Camera, BeforeValidator(_camera)] = Field(
+    camera: Camera = Field(
         Camera(),
         description="the camera: a preset (dmd, dmd-2x2, dmd-4x4, two-arm, paper) or a "
         "TOML file; dmd unless given",
@@ -241,9 +237,20 @@ class Job(Settings):
 
     @model_validator(mode="before")
     @classmethod
-    def _tuned(cls, given: Any) -> Any:
+    def _completed(cls, given: Any) -> Any:
+        """The settings, with what the camera, the exposure and the design imply of others."""
         if not isinstance(given, Mapping):
             return given
+        for name in given.keys() - cls.model_fields.keys():
+            table, field = owner(name)
+            where = (
+                f"give `{table}={{{field!r}: ...}}`" if table else closest(name, cls.model_fields)
+            )
+            raise InputError(f"a job has no setting {name!r}: {where}")
+        camera, photons = Camera.load(given.get("camera")), given.get("photons")
+        if photons is None:
+            photons = check_one_budget(camera.budget, None)
+        given = {**given, "camera": camera, "photons": photons}
         told = given.get("training", {})
         if isinstance(told, Training):
             told = {name: getattr(told, name) for name in told.model_fields_set}
@@ -327,10 +334,6 @@ class Job(Settings):
         """Raise `InputError` for whatever the job asks that cannot be had on this data."""
         if faults := self.faults(data, matrix):
             raise InputError("; ".join(faults))
-        if (own := self.own_noise) is not None:
-            from deepfsi.optics.noise import try_own
-
-            try_own(own, self.code.learned)
 
     def faults(self, data: "Dataset", matrix: "np.ndarray | None" = None) -> list[str]:
         """Everything that the job asks and that cannot be had on this data.
@@ -449,16 +452,9 @@ def sorted_settings(flat: Mapping[str, Any]) -> dict[str, Any]:
 def find_job(settings: Mapping[str, Any], counts: float | None = None) -> Job:
     """Job of its fields, or `InputError`: its light is a budget, its camera's, or counts."""
     # Of counts the budget of the job is these, until a training says what it is
-    for name in settings.keys() - Job.model_fields.keys():
-        table, field = owner(name)
-        where = f"give `{table}={{{field!r}: ...}}`" if table else closest(name, Job.model_fields)
-        raise InputError(f"a job has no setting {name!r}: {where}")
-    camera, photons = Camera.load(settings.get("camera")), settings.get("photons")
-    if photons is None and counts is None:
-        photons = camera.budget
-    told = check_one_budget(photons, counts)
-    with as_input_error():
-        job = Job.model_validate({**settings, "camera": camera, "photons": told})
+    if counts is not None:
+        settings = {**settings, "photons": check_one_budget(settings.get("photons"), counts)}
+    job = Job(**settings)
     if counts is not None and job.exposure.highest(1.0) != 1.0:
         raise InputError("counts are of one budget: leave the range of budgets, `span`, out")
     if job.training.clusters and not job.code.adaptive:

@@ -16,6 +16,7 @@ from deepfsi.optics import constraints
 from deepfsi.optics.budget import check_budget, detector_shares
 from deepfsi.optics.features import FeatureNoise, feature_statistics
 from deepfsi.optics.masks import FixedMasks, LearnedMasks
+from deepfsi.optics.noise import try_own
 from deepfsi.optics.rails import Rails
 from deepfsi.progress import SILENT, Report, shown
 from deepfsi.training.adaptive import adaptive_designs
@@ -174,7 +175,9 @@ def _optimised(
 
 def _noise(jobs: Sequence[Job], training_set: TrainingSet) -> FeatureNoise:
     """Noise of the training of jobs."""
-    kind = jobs[0].noise
+    kind, own = jobs[0].noise, jobs[0].own_noise
+    if own is not None:
+        try_own(own, jobs[0].code.learned)
     dark = [each.camera.dark_counts if kind == "camera" else 0.0 for each in jobs]
     return FeatureNoise.of(
         kind,
@@ -183,7 +186,7 @@ def _noise(jobs: Sequence[Job], training_set: TrainingSet) -> FeatureNoise:
         [each.seed for each in jobs],
         training_set.device,
         dark,
-        jobs[0].own_noise,
+        own,
     )
 
 

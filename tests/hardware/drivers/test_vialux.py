@@ -237,6 +237,21 @@ def test_a_list_repeats_frames_that_were_loaded_once(library, tmp_path):
     assert not library.allocated
 
 
+def test_a_frame_is_replaced_between_two_lists(library, tmp_path):
+    folder = patterns(tmp_path / "patterns", masks=3)
+    other = np.flipud(list(read_frames(folder))[2])
+    with vialux.VialuxLooks() as projector:
+        projector.load(folder)
+        projector.show(np.array([2, 1]), np.array([1e-3, 44e-6]))
+        projector.replace(2, other)
+        (sequence,) = library.sequences.values()
+        for place, wanted in enumerate(read_frames(folder)):
+            kept = other if place == 2 else wanted
+            np.testing.assert_array_equal(sequence["frames"][place], kept.ravel())
+        projector.show(np.array([2, 1]), np.array([1e-3, 44e-6]))
+    assert len(library.lists) == 2
+
+
 def test_a_list_longer_than_the_table_has_longer_pictures(library, tmp_path):
     dwells = np.array([0.5, 0.1, 44e-6, 0.3])
     library.entries = 512

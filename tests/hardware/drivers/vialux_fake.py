@@ -130,6 +130,7 @@ class ALP4:
 
     def SeqPut(self, imgData, SequenceId, PicOffset, PicLoad):
         self._ALPLib.step("SeqPut")
+        assert not self._ALPLib.busy, "frames are loaded while nothing is shown"
         sequence = self._ALPLib.sequences[SequenceId.value]
         assert (imgData.dtype, imgData.ndim) == (np.uint8, 1)
         packed = sequence["controls"][vialux.DATA_FORMAT] == vialux.DATA_BINARY_TOPDOWN

@@ -13,7 +13,7 @@ from deepfsi.hardware.recording.streaming import FrameCounts
 from deepfsi.hardware.virtual.camera import CAMERAS, arrival_rates
 from deepfsi.hardware.virtual.detector import Detector
 from deepfsi.laboratory.live.decisions import SENTINELS, Observer
-from deepfsi.laboratory.live.loop import read_loop
+from deepfsi.laboratory.live.known import read_looks
 from deepfsi.laboratory.live.run import plan_live
 from shared.live_samples import LOOKS, OPTICS, make_patterns, scenes_of
 
@@ -28,8 +28,8 @@ def patterns(request, digits, tmp_path_factory):
 def observe(patterns, rates, scenes=1, background=None, **settings):
     """Decisions on scenes whose counts are their means, and the lists that were asked for."""
     acquisition = plan_live(patterns, (Scene(name="a"),), EXPOSURE_S, **settings)
-    loop, manifest = read_loop(patterns / "loop.safetensors"), read_patterns(patterns).manifest
-    observer, asked = Observer(loop, manifest, acquisition), []
+    manifest = read_patterns(patterns).manifest
+    observer, asked = Observer(read_looks(patterns, manifest), manifest, acquisition), []
     rates = rates if background is None else np.concatenate([rates, background[None]])
 
     def count(scene):

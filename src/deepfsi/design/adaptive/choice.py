@@ -36,13 +36,13 @@ def next_masks(state: AdaptivePosterior, share: float, generator: torch.Generato
     left = state.unknown(parts)
     scenes = prior.coefficients[places][:, None].transpose(2, 3)  # (b, 1, d, S)
     light = (mean + state.seen(parts))[..., None] + left @ scenes
-    gain, dark = state.gain * share, state.optics.dark * share
+    gain, dark = state.gain * share, torch.as_tensor(state.optics.dark * share)[..., None]
     counts = light.clamp(min=0) * gain + dark
     unknown = left @ parts.transpose(2, 3) if prior.spread else None
     if unknown is not None:
         usual = (counts @ drawn[:, None, :, None]).clamp(min=1e-6).rsqrt() * gain
         unknown = unknown * usual * usual.transpose(2, 3)
-    members = functional.one_hot(prior.labels[places], prior.classes).float() * drawn[..., None]
+    members = functional.one_hot(prior.labels[places], prior.classes) * drawn[..., None]
     best = information(counts, members, unknown).argmax(dim=1)
     return masks[torch.arange(len(masks)), best]
 
@@ -53,7 +53,7 @@ def candidates(state: AdaptivePosterior) -> Tensor:
     count = min(LIKELIEST, chances.shape[1])
     likely, top = chances.topk(count, dim=1)
     own = sums.gather(1, top[..., None].expand(-1, -1, sums.shape[-1]))
-    groups = _groups(count)
+    groups = _groups(count).to(sums.dtype)
     means = [
         (group @ own) / (likely @ group.T).clamp(min=1e-9)[..., None]
         for group in (groups, 1 - groups)
@@ -117,7 +117,7 @@ def information(counts: Tensor, members: Tensor, unknown: Tensor | None = None) 
 def _groups(count: int) -> Tensor:
     """All ways (P, count) to part classes in two groups: 1 for one of them, the last in neither."""
     numbers = torch.arange(1, 2 ** (count - 1))
-    return (numbers[:, None] >> torch.arange(count) & 1).float()
+    return numbers[:, None] >> torch.arange(count) & 1
 
 
 def _sample(weights: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:

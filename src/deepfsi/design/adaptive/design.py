@@ -16,6 +16,7 @@ from safetensors.numpy import save as to_bytes
 from torch import Tensor
 
 from deepfsi.design.adaptive.exposures import AT_ONCE, AdaptiveMasks, expose, look_at
+from deepfsi.design.adaptive.misfit import UsualMisfit
 from deepfsi.design.adaptive.posterior import AdaptivePosterior, LookOptics
 from deepfsi.design.adaptive.prior import ScenePrior
 from deepfsi.design.artifact import Design
@@ -55,6 +56,8 @@ class AdaptiveDesign:
     classes : tuple of str
     shares : tensor, shape (K,)
         Share of the budget that each look counts, in the mean over training scenes.
+    usual_misfit : UsualMisfit or None
+        How far counts of training scenes are from those expected; None of few training scenes.
     info : dict
         Provenance: how it was made, on which data, with which versions. JSON types only.
 
@@ -72,6 +75,7 @@ class AdaptiveDesign:
     image_shape: tuple[int, ...]
     classes: tuple[str, ...]
     shares: Tensor
+    usual_misfit: UsualMisfit | None = None
     info: dict[str, Any] = field(default_factory=dict)
 
     name: ClassVar = "adaptive"
@@ -176,6 +180,8 @@ class AdaptiveDesign:
         )
         words = header.model_dump(mode="json", by_alias=True)
         arrays = self.prior.arrays | {"shares": self.shares.numpy()}
+        if self.usual_misfit is not None:
+            arrays |= self.usual_misfit.arrays
         whole = {name: np.ascontiguousarray(each) for name, each in arrays.items()}
         return to_bytes(whole, metadata={"deepfsi": json.dumps(words)})
 
@@ -188,9 +194,11 @@ class AdaptiveDesign:
             _check(header, arrays)
             prior = ScenePrior.restored(arrays)
             shares = torch.from_numpy(arrays["shares"])
+            usual = UsualMisfit.restored(arrays, header.settings.looks)
         except (KeyError, TypeError, ValueError, RuntimeError, IndexError) as error:
             raise damaged(path) from error
-        return cls(prior, header.settings, header.image_shape, header.classes, shares, header.info)
+        known = header.settings, header.image_shape, header.classes
+        return cls(prior, *known, shares, usual, header.info)
 
 
 AnyDesign = Design | AdaptiveDesign

@@ -91,10 +91,9 @@ def expose(
     """
     chances = torch.empty(len(x), state.prior.classes)
     counts, running = torch.zeros(settings.looks, dtype=torch.double), torch.arange(len(x))
-    dark = state.optics.dark
     for look, share in enumerate(settings.shares):
         _, expected = look_at(state, x[running], share, generator)
-        counts[look] = expected.double().sum() - dark * share * expected.numel()
+        counts[look] = (expected - state.optics.dark * share).double().sum()
         last = look == settings.looks - 1
         if settings.until < 1 or last:
             chances[running] = state.chances

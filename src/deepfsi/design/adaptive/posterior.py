@@ -35,8 +35,8 @@ class LookOptics:
     ----------
     photons : float
         Budget Φ of a whole exposure.
-    dark : float
-        Dark counts of each detector in a whole exposure.
+    dark : float or tensor, shape (arms * D,)
+        Dark counts of each detector, or of each readout, in a whole exposure.
     arms : int
         2 if the light of mirrors that are OFF is counted, too.
     detectors : tensor, shape (N,), optional
@@ -44,7 +44,7 @@ class LookOptics:
     """
 
     photons: float
-    dark: float = 0.0
+    dark: float | Tensor = 0.0
     arms: int = 1
     detectors: Tensor | None = None
 
@@ -127,17 +127,24 @@ class AdaptivePosterior:
         """Take in counts (b, Q) behind masks (b, N) that were shown for a share of the exposure."""
         here = self.class_sums.sum(dim=1)  # (b, d): mean scene of the posterior before this look
         mean, parts = self.prior.light(self.optics.readouts(masks))
-        for each, at_mean, through in zip(
-            counts.unbind(1), mean.unbind(1), parts.unbind(1), strict=True
+        dark = torch.as_tensor(self.optics.dark * share, dtype=torch.double)
+        darks = dark.expand(counts.shape[1]).tolist()
+        for each, at_mean, through, own in zip(
+            counts.unbind(1), mean.unbind(1), parts.unbind(1), darks, strict=True
         ):
-            self._take(here, each, at_mean, through, share)
+            self._take(here, each, at_mean, through, self.gain * share, own)
         self._weights = self._class_sums = None
 
     def _take(
-        self, here: Tensor, counts: Tensor, at_mean: Tensor, through: Tensor, share: float
+        self,
+        here: Tensor,
+        counts: Tensor,
+        at_mean: Tensor,
+        through: Tensor,
+        gain: float,
+        dark: float,
     ) -> None:
         """One readout: counts (b,), light of the mean scene (b,) and of the components (b, d)."""
-        gain, dark = self.gain * share, self.optics.dark * share
         least = DIMMEST * float(self.prior.mean.sum())
         left = self.unknown(through)  # what scenes change of the light, given all before
         offset = at_mean + (through * self._shift).sum(dim=1)

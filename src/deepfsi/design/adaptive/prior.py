@@ -61,9 +61,10 @@ class ScenePrior:
         seed: int = 0,
         clusters: int | None = None,
     ) -> None:
-        order = np.argsort(labels, kind="stable")
-        scenes = torch.from_numpy(np.ascontiguousarray(x[order], np.float32))
-        self.labels = torch.from_numpy(labels[order].astype(np.int64))
+        self.order = np.argsort(labels, kind="stable")
+        """Rows of `x` by class: the scenes of the prior, or those that its centres stand for."""
+        scenes = torch.from_numpy(np.ascontiguousarray(x[self.order], np.float32))
+        self.labels = torch.from_numpy(labels[self.order].astype(np.int64))
         self.sizes: list[int] = torch.bincount(self.labels, minlength=classes).tolist()
         self.summed_reflectance = summed_reflectance(x)
         self.spread = float(spread)
@@ -126,6 +127,19 @@ class ScenePrior:
         levels = torch.from_numpy(arrays["levels"]).float()
         prior.coefficients = levels * torch.from_numpy(arrays["steps"])
         return prior
+
+    def few(self, count: int, seed: int = 0) -> "ScenePrior":
+        """Prior of at most so many scenes, but one of each class, as a file would keep them."""
+        rng, own = np.random.default_rng(seed), np.array(self.sizes)
+        kept = np.minimum(own, np.maximum(own * count // len(self), 1))
+        starts = np.cumsum([0, *own[:-1]])
+        rows = [
+            start + np.sort(rng.choice(size, some, replace=False))
+            for start, size, some in zip(starts, own, kept, strict=True)
+        ]
+        arrays, chosen = self.arrays, np.concatenate(rows)
+        some = {name: arrays[name][chosen] for name in ("levels", "members")}
+        return ScenePrior.restored(arrays | some | {"sizes": kept})
 
     def _cluster(self, clusters: int, seed: int) -> Tensor:
         """Put centres of clusters in the scenes' place; differences (n, d) of scenes from them."""

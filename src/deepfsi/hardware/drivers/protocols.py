@@ -23,6 +23,12 @@ class StreamingProjector(AbstractContextManager["StreamingProjector"], Protocol)
     def load(self, folder: Path, report: Report = SILENT) -> None:
         """Bring the frames of a pattern folder into the device, once, in place of earlier ones."""
 
+    def replace(self, frame: int, packed: np.ndarray) -> None:
+        """Bring another frame into the device in place of a loaded one, while none is shown.
+
+        Its packed bits (rows, bytes of a row) are as in the folder's files.
+        """
+
     def pictures(self, dwells_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Pictures as which frames are shown that are held so long: how many, and each one's time.
 

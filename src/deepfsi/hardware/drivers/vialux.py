@@ -12,7 +12,8 @@ their pattern for the whole picture time (binary, uninterrupted).
 For several looks frames are loaded once, as one sequence of the device's shortest picture time, and
 each look is a list of frames in the controller's frame look-up table (FLUT), in which a frame
 stands as often as it is repeated. So a look takes three calls to the device however many frames it
-has: the list, its length and the start.
+has: the list, its length and the start. A frame that is made while the run goes on takes the place
+of a loaded one between two lists; the controller refuses that while it shows the sequence.
 """
 
 import contextlib
@@ -277,6 +278,13 @@ class VialuxLooks(_Board):
         """Number of pictures as which each frame is shown, and each one's time, seconds."""
         picture_us, repeats = self._plan(dwells_s)
         return repeats, np.full(len(repeats), self.trigger_s or picture_us * 1e-6)
+
+    def replace(self, frame: int, packed: np.ndarray) -> None:
+        """Bring another frame into the place of a loaded one, when the last list has ended."""
+        (sequence,) = self._sequences
+        with _refusals("load a frame"):
+            self._wait(LIST_POLL_S)
+            self._alp.SeqPut(self._rows(packed[None]).ravel(), sequence, frame, 1)
 
     def show(self, frames: np.ndarray, dwells_s: np.ndarray) -> None:
         """Show a list of frames when the last list has ended; may return before its end."""

@@ -23,8 +23,14 @@ def check_stored(device: Device, frames: int) -> None:
 
 def check_limits(manifest: Manifest) -> None:
     """Raise `InputError` unless the device of a manifest can show all of its frames."""
-    device = manifest.device
+    device, looks = manifest.device, manifest.looks
     check_stored(device, len(manifest.frames))
+    if looks and looks.adaptive and device.load_us is None:
+        able = ", ".join(one.name for one in DEVICES.values() if one.load_us)
+        raise InputError(
+            f"adaptive masks are loaded while the run goes on, and {device.name} takes no frame "
+            f"then: use {able}, or a device file with its `load_us`"
+        )
     for place, frame in enumerate(manifest.frames):
         if not device.shortest_us <= frame.picture_us <= device.longest_us:
             raise InputError(

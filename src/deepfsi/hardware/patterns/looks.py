@@ -1,4 +1,4 @@
-"""Looks of a design whose dwells are chosen while the exposure runs, as a manifest has them."""
+"""Looks whose dwells or masks are chosen while the exposure runs, as a manifest has them."""
 
 import math
 from typing import Annotated
@@ -13,9 +13,9 @@ SUM_SLACK = 1e-3
 
 
 class Looks(Frozen):
-    """Looks at the same masks; their frames are loaded once."""
+    """Looks at the same masks, whose frames are loaded once, or at a new mask each."""
 
-    count: int = Field(ge=2, le=64)  # K, each 1 / K of the exposure
+    count: int = Field(ge=1, le=1024)  # K
     each_rail: bool  # Whether the two rails of a mask are frames with dwells of their own
     # Dwells of the first look, shares of the exposure; 0 for frames that it does not show. Those of
     # later ones are chosen from the counts so far: mask by mask, and those of a mask's two rails
@@ -23,14 +23,26 @@ class Looks(Frozen):
     first: tuple[Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)], ...]
     # Shortest dwell that the design was learned for, a share of the exposure
     shortest: float = Field(ge=0, lt=1)
-    # Of `loop.safetensors`, the networks that choose them
-    loop_sha256: str = Field(pattern=r"^[0-9a-f]{64}$")
+    # Of `loop.safetensors`, the networks that choose them; none where each look takes one new mask,
+    # which the design beside it makes, and the one frame of a mask is that of the first look
+    loop_sha256: str | None = Field(pattern=r"^[0-9a-f]{64}$")
 
     @model_validator(mode="after")
     def _whole(self) -> "Looks":
-        if not math.isclose(sum(self.first) * self.count, 1, abs_tol=SUM_SLACK):
+        equal = math.isclose(sum(self.first) * self.count, 1, abs_tol=SUM_SLACK)
+        if not equal and not self.adaptive:
             raise ValueError(f"the dwells of the first look are not 1/{self.count} together")
         return self
+
+    @property
+    def adaptive(self) -> bool:
+        """True where masks are made while the exposure runs."""
+        return self.loop_sha256 is None
+
+    @property
+    def first_share(self) -> float:
+        """Share of the exposure that the first look takes."""
+        return sum(self.first)
 
     def dwells(self, masks: int) -> int:
         """Number of dwells of a look at so many masks."""

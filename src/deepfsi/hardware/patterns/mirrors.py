@@ -91,9 +91,22 @@ def make_frames(
 ) -> Iterator[np.ndarray]:
     """Packed frames, one at a time."""
     # on (N,)
-    every = np.packbits(np.ones((device.rows, device.columns), dtype=np.bool_), axis=1)
     for frame in _lit_frames((each[grid.pixels] for each in on), device, grid, selection, seed):
-        yield frame ^ every if grid.layout.invert else frame
+        yield _as_written(frame, device, grid)
+
+
+def make_frame(on: np.ndarray, device: Device, grid: Grid) -> np.ndarray:
+    """Packed frame of cells (N,) that have all mirrors ON where true, and none elsewhere."""
+    sides = grid.down, grid.height, grid.across, grid.width
+    lit = np.broadcast_to(on[grid.pixels][:, None, :, None], sides)
+    return _as_written(_pack(lit, device, grid), device, grid)
+
+
+def _as_written(frame: np.ndarray, device: Device, grid: Grid) -> np.ndarray:
+    """Packed frame as the layout has it: inverted, or as it is."""
+    if not grid.layout.invert:
+        return frame
+    return frame ^ np.packbits(np.ones((device.rows, device.columns), dtype=np.bool_), axis=1)
 
 
 def _lit_frames(

@@ -18,13 +18,13 @@ all OFF.
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, Literal, get_args
+from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
 from pydantic import Field, model_validator
 
 from deepfsi.devices import LONGEST_PICTURE_S, Device
-from deepfsi.errors import InputError, check_known
+from deepfsi.errors import InputError, as_input_error, check_known
 from deepfsi.frozen import Frozen
 from deepfsi.grid import USUAL, Grid, Layout, find_grid
 from deepfsi.hardware.patterns.detectors import Detectors
@@ -173,6 +173,13 @@ class Brightness(Frozen):
     between: float = Field(ge=1)  # Mean of the brightest class over that of the dimmest
     # Largest standard deviation within a class, as a share of the class's mean
     within: float = Field(ge=0, allow_inf_nan=False)
+
+    @classmethod
+    def of(cls, info: dict[str, Any]) -> "Brightness | None":
+        """Brightness that the provenance of a design has, or none."""
+        known = info.get("brightness")
+        with as_input_error("the brightness of the design's scenes", "make it again"):
+            return None if known is None else cls.model_validate(known)
 
 
 class Manifest(Frozen):

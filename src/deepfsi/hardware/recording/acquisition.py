@@ -218,8 +218,8 @@ def _check_fit(acquisition: Acquisition, manifest: Manifest, name: str) -> None:
         return
     if manifest.looks is not None:
         raise InputError(
-            f"{name} has patterns of several looks, whose dwells are chosen while the exposure "
-            "runs: use `deepfsi camera live`"
+            f"{name} has patterns of several looks, which are chosen while the exposure runs: use "
+            "`deepfsi camera live`"
         )
     try:
         gates_of(acquisition, manifest)

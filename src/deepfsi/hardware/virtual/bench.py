@@ -6,6 +6,7 @@ come, and the counts are read from that file while it grows.
 """
 
 import math
+from collections.abc import Callable
 from contextlib import AbstractContextManager
 from io import FileIO
 from pathlib import Path
@@ -29,7 +30,8 @@ START_S = 1e-3
 class Latencies(Frozen):
     """Times of the steps of a loop, seconds; docs/understand/live-timing.md says their sources."""
 
-    # Of each pattern into the device, once before the first scene
+    # Of each pattern into the device: known masks once before the first scene, adaptive ones each
+    # before its look
     load: float = Field(3.3e-3, ge=0, le=1e3)
     # Until the display shows another scene, and it has settled
     display: float = Field(20e-3, ge=0, le=1e3)
@@ -49,9 +51,16 @@ class VirtualSetup:
     """Optical setup that virtual devices share: clock, scene on the display, and detectors."""
 
     def __init__(
-        self, rates: np.ndarray, camera: VirtualCamera, latencies: Latencies, seed: int = 0
+        self,
+        rates: np.ndarray,
+        camera: VirtualCamera,
+        latencies: Latencies,
+        seed: int = 0,
+        made: Callable[[int, np.ndarray], np.ndarray] | None = None,
     ) -> None:
-        # rates (S, F, inputs)
+        # rates (S, F, inputs); of a frame that is made while the run goes on they are (inputs,),
+        # by its scene and its packed bits
+        self._made = made
         self.latencies, self.now_s = latencies, START_S
         self._rates, self._scene, self._frame = rates, 0, 1
         rng = np.random.default_rng(seed)
@@ -68,6 +77,13 @@ class VirtualSetup:
         self.now_s += self.latencies.display
         self._see(np.array([self._frame]), np.array([max(self._ticks(self.now_s), self._end)]))
         self._scene = scene
+
+    def replace(self, frame: int, packed: np.ndarray) -> None:
+        """Load another frame in place of one, which is not shown at the moment."""
+        if self._made is None:
+            raise InputError("this virtual setup takes no frames while it runs")
+        self.now_s += self.latencies.load
+        self._rates[self._scene, frame] = self._made(self._scene, packed)
 
     def show(self, frames: np.ndarray, dwells_s: np.ndarray) -> None:
         """Let the detectors see frames; the last one stays."""
@@ -136,6 +152,10 @@ class BenchProjector(AbstractContextManager["BenchProjector"]):
         """Check every frame of a pattern folder, as a real device must read them."""
         self._times_s = check_patterns(folder, report).manifest.picture_s
         self._setup.now_s += len(self._times_s) * self._setup.latencies.load
+
+    def replace(self, frame: int, packed: np.ndarray) -> None:
+        """Load another frame in place of a loaded one."""
+        self._setup.replace(frame, packed)
 
     def pictures(self, dwells_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """One picture for each frame, of its time."""

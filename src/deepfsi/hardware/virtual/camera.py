@@ -14,7 +14,7 @@ ideal camera a gate's counts are Poisson, with the scanner's mean.
 
 import math
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -162,6 +162,39 @@ def _find_pixels(
     return np.where(inside, row * shape[1] + column, 0).astype(np.intp), inside
 
 
+class MirrorLight:
+    """Light of scenes (S, h, w) on the mirrors, and what a frame sends of it to the detectors."""
+
+    def __init__(
+        self, manifest: Manifest, scenes: np.ndarray, camera: VirtualCamera, flux: float
+    ) -> None:
+        device, self._camera, self._arms = manifest.device, camera, 2 if manifest.two_arm else 1
+        self._device, self._mirrors = device, mirrors_of_detectors(manifest, camera.detectors)
+        image = irradiance(scenes, camera, device, manifest.grid).reshape(len(scenes), -1)
+        self._light = [image[:, places] for places in self._mirrors]
+        self._inside = mirrors_of_cells(manifest)
+        self._flux = flux / manifest.summed_reflectance
+        self._stray = camera.ambient / (device.rows * device.columns)
+        if camera.gains is not None and len(camera.gains) != manifest.inputs:
+            raise InputError(
+                f"the camera has {len(camera.gains)} gains, and the patterns are for "
+                f"{manifest.inputs} detectors: give one for each"
+            )
+        self._gains = camera.efficiency * np.array(camera.gains or 1.0)
+
+    def rates(self, frames: Sequence[np.ndarray]) -> np.ndarray:
+        """Arrivals/s (S, F, inputs) at each detector behind packed frames, before dead time."""
+        lit = np.stack([unpack(frame, self._device).ravel() for frame in frames])
+        on = (lit ^ self._camera.inverted).astype(np.float32)
+        out = []
+        for arm in range(self._arms):
+            for places, light in zip(self._mirrors, self._light, strict=True):
+                seen = on[:, places] if arm == 0 else 1 - on[:, places]
+                photons = (seen @ light.T).astype(np.float64) * self._flux
+                out.append(photons + (seen @ self._inside[places])[:, None] * self._stray)
+        return np.stack(out).transpose(2, 1, 0) * self._gains + self._camera.dark
+
+
 def arrival_rates(
     patterns_folder: str | os.PathLike[str],
     scenes: np.ndarray,
@@ -169,38 +202,20 @@ def arrival_rates(
     flux: float,
     report: Report = SILENT,
 ) -> np.ndarray:
-    """Arrivals/s at each detector while each frame is shown, before dead time."""
+    """Arrivals/s (S, F, inputs) at each detector while each frame is shown, before dead time."""
     # scenes (S, h, w), or (S, N)
     manifest = read_patterns(patterns_folder).manifest
-    images = _check_scenes(scenes, manifest)
-    _check_flux(flux)
-    mirrors, count = mirrors_of_detectors(manifest, camera.detectors), manifest.detector_count
-    frames = len(manifest.frames)
+    images, frames = check_scenes(scenes, manifest, flux), len(manifest.frames)
     out = np.empty((len(images), frames, manifest.inputs))
-    device = manifest.device
-    stray = camera.ambient / (device.rows * device.columns)
-    inside = mirrors_of_cells(manifest)
     for first in range(0, len(images), SCENES_AT_ONCE):
         part = images[first : first + SCENES_AT_ONCE]
-        image = irradiance(part, camera, device, manifest.grid).reshape(len(part), -1)
-        light = [image[:, places] for places in mirrors]
-        for place, on in _blocks(patterns_folder, device, camera.inverted):
-            for column in range(manifest.inputs):
-                arm, detector = divmod(column, count)
-                lit = on[:, mirrors[detector]]
-                lit = lit if arm == 0 else 1 - lit
-                signal = (lit @ light[detector].T).astype(np.float64)
-                photons = signal * (flux / manifest.summed_reflectance)
-                photons += (lit @ inside[mirrors[detector]])[:, None] * stray
-                out[first : first + len(part), place : place + len(on), column] = photons.T
-            done = first * frames + (place + len(on)) * len(part)
-            report(done / (len(images) * frames))
-    if camera.gains is not None and len(camera.gains) != manifest.inputs:
-        raise InputError(
-            f"the camera has {len(camera.gains)} gains, and the patterns are for {manifest.inputs} "
-            "detectors: give one for each"
-        )
-    return out * camera.efficiency * np.array(camera.gains or 1.0) + camera.dark
+        light = MirrorLight(manifest, part, camera, flux)
+        place, every = 0, read_frames(patterns_folder)
+        while some := list(islice(every, FRAMES_AT_ONCE)):
+            out[first : first + len(part), place : place + len(some)] = light.rates(some)
+            place += len(some)
+            report((first * frames + place * len(part)) / (len(images) * frames))
+    return out
 
 
 def expected_events(
@@ -210,8 +225,7 @@ def expected_events(
     # As if the camera saw each scene whole: in the frames of the masks and the sentinels, in gates
     # and between them
     manifest, grid = patterns.manifest, patterns.manifest.grid
-    images = _check_scenes(scenes, manifest)
-    _check_flux(flux)
+    images = check_scenes(scenes, manifest, flux)
     opened = np.array([frame.role == "on" for frame in manifest.frames], dtype=float)
     opened[manifest.shown] = patterns.fractions.mean(axis=1)
     lit_s = manifest.pass_s if manifest.two_arm else float(manifest.picture_s @ opened)
@@ -221,14 +235,10 @@ def expected_events(
     return float(camera.efficiency * light * lit_s + dark * manifest.pass_s)
 
 
-def _check_flux(flux: float) -> None:
-    """Raise `InputError` unless a flux can be simulated."""
+def check_scenes(scenes: np.ndarray, manifest: Manifest, flux: float) -> np.ndarray:
+    """Images (S, h, w) of scenes, or `InputError` where they or their flux cannot be simulated."""
     if not 0 <= flux <= MOST_FLUX:
         raise InputError(f"a flux of {flux!r} is not allowed: give 0 to {MOST_FLUX:g} photons/s")
-
-
-def _check_scenes(scenes: np.ndarray, manifest: Manifest) -> np.ndarray:
-    """Images (S, h, w) of scenes, or `InputError`."""
     images = np.asarray(scenes)
     if images.ndim == 2 and len(manifest.image_shape) == 1:  # spectra
         images = images[:, None, :]
@@ -237,17 +247,6 @@ def _check_scenes(scenes: np.ndarray, manifest: Manifest) -> np.ndarray:
     if images.dtype.kind not in "fiub" or not np.isfinite(images).all() or images.min() < 0:
         raise InputError("scenes hold what is no reflectance: give finite numbers, 0 or more")
     return images
-
-
-def _blocks(
-    folder: str | os.PathLike[str], device: Device, inverted: bool
-) -> Iterator[tuple[int, np.ndarray]]:
-    """Some frames at a time: place of the first, mirrors ON as float32 (frames, mirrors)."""
-    place, frames = 0, read_frames(folder)
-    while some := list(islice(frames, FRAMES_AT_ONCE)):
-        lit = np.stack([unpack(frame, device).ravel() for frame in some])
-        yield place, (lit ^ inverted).astype(np.float32)
-        place += len(some)
 
 
 @dataclass(frozen=True)
@@ -276,7 +275,7 @@ def record(
     # scenes (S, h, w), or (S, N)
     target, camera = Path(out), settings.camera
     manifest = read_patterns(patterns_folder).manifest
-    scenes = _check_scenes(scenes, manifest)
+    scenes = check_scenes(scenes, manifest, settings.flux)
     if target.exists():
         raise InputError(f"'{target}' exists: name a folder that does not")
     if len(names) != len(scenes) or (labels is not None and len(labels) != len(scenes)):
@@ -284,7 +283,6 @@ def record(
             f"{len(scenes)} scenes, {len(names)} names and "
             f"{'no' if labels is None else len(labels)} labels: give one of each for every scene"
         )
-    _check_flux(settings.flux)
     given: Sequence[str | None] = labels or [None] * len(names)
     shown = (Scene(name=name, label=label) for name, label in zip(names, given, strict=True))
     wanted = plan_acquisition(

@@ -1,5 +1,6 @@
 """Virtual devices of a run, which see the scenes as a camera does."""
 
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -7,7 +8,14 @@ import numpy as np
 from deepfsi.hardware.patterns.folder import read_patterns
 from deepfsi.hardware.recording.acquisition import Acquisition
 from deepfsi.hardware.virtual.bench import BenchCounter, BenchProjector, Latencies, VirtualSetup
-from deepfsi.hardware.virtual.camera import VirtualCamera, arrival_rates, expected_events
+from deepfsi.hardware.virtual.camera import (
+    MirrorLight,
+    VirtualCamera,
+    arrival_rates,
+    check_scenes,
+    expected_events,
+)
+from deepfsi.laboratory.live.known import read_looks
 from deepfsi.laboratory.live.run import Bench
 from deepfsi.progress import SILENT, Report
 
@@ -23,8 +31,27 @@ def virtual_bench(
     camera = VirtualCamera.model_validate(acquisition.camera)
     if acquisition.live is not None and acquisition.live.background:
         scenes = np.concatenate([scenes, np.zeros_like(scenes[:1])])  # the last: no scene
-    rates = arrival_rates(patterns, scenes, camera, acquisition.flux or 0.0, report)
-    laboratory = VirtualSetup(rates, camera, latencies, acquisition.seed or 0)
+    manifest, flux = read_patterns(patterns).manifest, acquisition.flux or 0.0
+    rates = arrival_rates(patterns, scenes, camera, flux, report)
+    usual = {}
+    if manifest.device.load_us:
+        usual["load"] = manifest.device.load_us * 1e-6
+    if manifest.looks:
+        usual["decision"] = read_looks(patterns, manifest).decision_s
+    latencies = Latencies(**usual | latencies.model_dump(include=latencies.model_fields_set))
+
+    @lru_cache(maxsize=1)
+    def light(scene: int) -> MirrorLight:
+        images = check_scenes(scenes, manifest, flux)
+        return MirrorLight(manifest, images[scene][None], camera, flux)
+
+    laboratory = VirtualSetup(
+        rates,
+        camera,
+        latencies,
+        acquisition.seed or 0,
+        lambda scene, packed: light(scene).rates([packed])[0, 0],
+    )
     return Bench(
         BenchProjector(laboratory),
         BenchCounter(laboratory, acquisition.inputs, acquisition.marker_bit),

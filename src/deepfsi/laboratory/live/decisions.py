@@ -18,7 +18,7 @@ Counts are corrected for dead time frame by frame, at the rate of each. An all-O
 rate up to which that is sure ends the run; a short gate that is, by chance, is corrected as there.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,29 +31,14 @@ from deepfsi.hardware.recording.ambient import dark_frames
 from deepfsi.hardware.recording.faults import Fault
 from deepfsi.hardware.recording.live_light import LiveLight, ShownFrames
 from deepfsi.hardware.recording.live_settings import MARGIN_NS
-from deepfsi.hardware.recording.readouts import by_readout
-from deepfsi.hardware.recording.streaming import FrameCounts
-from deepfsi.laboratory.live.loop import Loop
-from deepfsi.laboratory.live.trust import SceneCounts, Trust
+from deepfsi.laboratory.live.looks import AllOn, Conditions, Count, FrameList, LiveLooks
+from deepfsi.laboratory.live.trust import Trust
 
 ON, OFF = 0, 1
 """Places of the all-ON and the all-OFF frame among the frames of a manifest."""
 
 SENTINELS = -1
 """Number of the lists of frames that begin and end each scene."""
-
-
-@dataclass(frozen=True)
-class FrameList:
-    """Frames that are shown one after another, and counted."""
-
-    look: int  # from 0; `SENTINELS` for the frames that begin and end a scene
-    frames: np.ndarray  # (F,): Places among the frames of the manifest
-    gate_ns: np.ndarray  # (F,): For how long each is counted
-
-
-Count = Callable[[FrameList], FrameCounts]
-"""Counts of a list of frames."""
 
 
 @dataclass(frozen=True)
@@ -72,17 +57,14 @@ class Decision:
 class Observer:
     """Decisions on scene after scene of a live run."""
 
-    def __init__(self, loop: Loop, manifest: Manifest, acquisition: Acquisition) -> None:
+    def __init__(self, looks: LiveLooks, manifest: Manifest, acquisition: Acquisition) -> None:
         if acquisition.live is None or manifest.looks is None:
             raise InputError("this acquisition is no live run: make one with `deepfsi camera live`")
-        self.loop, self._manifest = loop, manifest
+        self.looks, self._manifest = looks, manifest
         self._settings, self._exposure_ns = acquisition.live, round(acquisition.exposure_s * 1e9)
         self._light = LiveLight(manifest, acquisition.inputs, len(acquisition.scenes))
-        self._trust = Trust(loop, acquisition)
+        self._trust = Trust(looks.photons, acquisition)
         self._settle_s = acquisition.settle_s
-        masks = np.array([manifest.frames[at].mask for at in manifest.shown])
-        rails = np.array([manifest.frames[at].rail for at in manifest.shown])
-        self._places = manifest.looks.places(masks, rails == "minus")
         first = (manifest.frames[place].picture_us * 1000 for place in (ON, OFF))
         settle = acquisition.settle_s + usual_tolerance(manifest)
         gates = np.array([us - round(settle * 1e9) - MARGIN_NS for us in first])
@@ -98,7 +80,7 @@ class Observer:
     def measure_background(self, count: Count) -> None:
         """Measure what frames count beyond the dark counts while the scenes are dark."""
         frames = np.concatenate([[ON, OFF], self._manifest.shown])
-        gate = self._exposure_ns // self.loop.header.looks
+        gate = self._exposure_ns // self.looks.looks
         found = self._arrivals(count, FrameList(0, frames, np.full(len(frames), gate)))
         rates = found.photons.sum(axis=1) / (gate * 1e-9)
         noise = found.variance.sum(axis=1) / (gate * 1e-9) ** 2
@@ -111,36 +93,33 @@ class Observer:
 
     def observe(self, scene: int, count: Count) -> Iterator[Decision]:
         """Decisions after each look at the next scene; none if there is no light."""
-        header = self.loop.header
         ends = [self._arrivals(count, self._sentinels)]
         lit, changes = self._light.begin(ends[0])
         if not lit:
             return
         measured = self._light.flux * self._exposure_ns * 1e-9
-        photons = self._settings.photons or measured
-        features, dwell, light_ns = np.zeros(header.features), np.zeros(header.frames), 0
-        shortest = self._settings.shortest_ns / self._exposure_ns
-        inputs, looks = self.loop.inputs(features, dwell), []
-        read, noise = np.zeros((2, header.rails, header.masks, header.detectors))
-        for look in range(header.looks):
-            shown, gates = self._frames_of(self.loop.choose(inputs, look, shortest), look)
-            looks.append(self._arrivals(count, shown))
-            counts, dark = self._by_rail(looks[-1], shown)
-            read, noise = read + counts, noise + dark
-            features += self.loop.features(counts) / photons
-            dwell += gates / self._exposure_ns
-            light_ns += int(shown.gate_ns.sum())
-            inputs = self.loop.inputs(features, dwell)
-            chances, rule = self.loop.classify(inputs, photons), self._settings.rule
+        photons, rule = self._settings.photons or measured, self._settings.rule
+        exposure = self.looks.expose(scene, Conditions(
+            photons, self._exposure_ns, self._settings.shortest_ns, self._light.dark, self._ambient
+        ))  # fmt: skip
+        looks: list[ShownFrames] = []
+        light_ns = 0
+        for look in range(self.looks.looks):
+            asked = exposure.ask(look)
+            looks.append(self._arrivals(count, asked))
+            chances = exposure.take(asked, looks[-1])
+            light_ns += int(asked.gate_ns.sum())
             enough = rule is not None and rule.stops(float(chances.max()), photons)
             decision = scene, look, chances, float(photons), light_ns * 1e-9
-            if enough or look == header.looks - 1:
+            if enough or look == self.looks.looks - 1:
                 break
             yield Decision(*decision, final=False)
         ends.append(self._arrivals(count, self._sentinels))
         faults = self._light.end([ends[0], *looks, ends[1]])
-        held = SceneCounts(scene, look, read, noise, dwell, *self._all_on(ends))
-        faults += self._trust.find_faults(held, self._light, photons, measured)
+        on = self._all_on(ends)
+        faults += self._trust.find_faults(
+            scene, exposure.compare(on), on, self._light, photons, measured
+        )
         yield Decision(*decision, final=True, faults=changes + faults)
 
     def _arrivals(self, count: Count, asked: FrameList) -> ShownFrames:
@@ -163,30 +142,8 @@ class Observer:
             opens_s + each_s * (np.arange(parts) + 0.5),
         )
 
-    def _frames_of(self, asked: np.ndarray, look: int) -> tuple[FrameList, np.ndarray]:
-        """Frames of a look, and the gates (q,) of all, for dwells that are asked for."""
-        gates = np.rint(asked * self._exposure_ns).astype(np.int64)
-        own = gates[self._places]
-        kept = own > 0
-        return FrameList(look, self._manifest.shown[kept], own[kept]), gates
-
-    def _by_rail(self, found: ShownFrames, shown: FrameList) -> tuple[np.ndarray, np.ndarray]:
-        """Counts (rails, m, D) of a look that are a scene's, and noise beyond their own."""
-        manifest, header = self._manifest, self.loop.header
-        every = np.zeros((2, len(manifest.shown), manifest.inputs))
-        rows = np.searchsorted(manifest.shown, shown.frames)
-        counts, variance = found.photons.sum(axis=1), found.variance.sum(axis=1)
-        seconds = (shown.gate_ns * 1e-9)[:, None]
-        ambient, its_noise = self._ambient[:, rows]
-        dark = (self._light.dark + ambient) * seconds
-        noise = dark.clip(min=0) + its_noise * seconds**2 + (variance - counts).clip(min=0)
-        every[:, rows] = counts - dark, noise
-        held = by_readout(manifest, every)
-        read, noise = held.reshape(2, header.rails, header.masks, header.detectors)
-        return read, noise
-
-    def _all_on(self, ends: list[ShownFrames]) -> tuple[float, float, float]:
-        """Counts of a scene's all-ON frames less the dark ones, noise beyond them, and seconds."""
+    def _all_on(self, ends: list[ShownFrames]) -> AllOn:
+        """Counts of a scene's all-ON frames."""
         arm = slice(0, self._manifest.detector_count)
         counts, variance = (
             sum(float(held[ON, :, arm].sum()) for held in each)
@@ -194,4 +151,4 @@ class Observer:
         )
         seconds = sum(float(each.seconds[ON].sum()) for each in ends)
         dark = (float(self._light.dark[arm].sum()) + self._light.ambient) * seconds
-        return counts - dark, dark + max(variance - counts, 0.0), seconds
+        return AllOn(counts - dark, dark + max(variance - counts, 0.0), seconds)

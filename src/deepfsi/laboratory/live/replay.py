@@ -24,8 +24,8 @@ from deepfsi.hardware.recording.acquisition import Acquisition, check_inputs, re
 from deepfsi.hardware.recording.sentinels import PARTS
 from deepfsi.hardware.recording.streaming import FrameCounts
 from deepfsi.laboratory.live import shown
-from deepfsi.laboratory.live.decisions import Decision, FrameList, Observer
-from deepfsi.laboratory.live.loop import Loop
+from deepfsi.laboratory.live.decisions import Decision, Observer
+from deepfsi.laboratory.live.looks import FrameList, LiveLooks
 from deepfsi.laboratory.live.shown import DARK, ShownList, ShownScene, read_shown
 from deepfsi.laboratory.results import LiveScene
 from deepfsi.progress import SILENT, Report
@@ -132,9 +132,9 @@ class Replayed:
     answer: LiveScene
 
 
-def replay_run(run: LiveCounts, loop: Loop) -> tuple[Replayed, ...]:
+def replay_run(run: LiveCounts, looks: LiveLooks) -> tuple[Replayed, ...]:
     """Decisions of a live run from its counts, or `InputError` where they lead to other looks."""
-    observer = Observer(loop, run.manifest, run.acquisition)
+    observer = Observer(looks, run.manifest, run.acquisition)
     out = []
     for scene, counts in run.by_scene:
         left = list(zip(scene.lists, counts, strict=True))
@@ -147,7 +147,7 @@ def replay_run(run: LiveCounts, loop: Loop) -> tuple[Replayed, ...]:
         faults = () if last is None else last.faults
         agrees = not left and (found, faults) == (scene.chances, scene.faults)
         named = run.acquisition.scenes[scene.scene]
-        answer = LiveScene.of(named, last, loop.header.classes, scene.clock_s, agrees)
+        answer = LiveScene.of(named, last, looks.classes, scene.clock_s, agrees)
         out.append(Replayed(scene, decisions, answer))
     return tuple(out)
 

@@ -20,15 +20,17 @@ from deepfsi.hardware.drivers.protocols import (
     StreamingCounter,
     StreamingProjector,
 )
-from deepfsi.hardware.patterns.folder import LOOP, read_patterns
+from deepfsi.hardware.patterns.folder import read_patterns
+from deepfsi.hardware.patterns.mirrors import make_frame
 from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.hardware.recording.acquisition import Acquisition, Scene, prepare
 from deepfsi.hardware.recording.dead_time import NO_DEAD_TIME, DeadTime
 from deepfsi.hardware.recording.live_settings import MARGIN_NS, Live, StopRule, margin_ns
 from deepfsi.hardware.recording.streaming import FrameCounts, FrameGates
 from deepfsi.laboratory.live import shown
-from deepfsi.laboratory.live.decisions import OFF, Decision, FrameList, Observer
-from deepfsi.laboratory.live.loop import read_loop
+from deepfsi.laboratory.live.decisions import OFF, Decision, Observer
+from deepfsi.laboratory.live.known import read_looks
+from deepfsi.laboratory.live.looks import FrameList
 from deepfsi.laboratory.results import LiveScene
 
 PATIENCE_S = 5.0
@@ -82,10 +84,16 @@ def plan_live(
         raise InputError(f"exposure {exposure_s!r} is not allowed: give seconds above 0")
     if photons is not None and not (math.isfinite(photons) and photons > 0):
         raise InputError(f"photons {photons!r} is not allowed: give a number above 0")
-    header = read_loop(patterns_folder / LOOP).header
-    rule = _find_rule(header.rule, until)
-    shortest_ns = _shortest_gate(manifest, exposure_s / manifest.looks.count, shortest_s)
-    shortest_ns = max(shortest_ns, round(header.shortest * exposure_s * 1e9))
+    if background and manifest.looks.adaptive:
+        raise InputError(
+            "adaptive masks are not known before, and a `background` is measured mask by mask: "
+            "keep ambient light out, and leave it out"
+        )
+    looks = read_looks(patterns_folder, manifest)
+    rule = _find_rule(looks.rule, until)
+    look_s = exposure_s * min(manifest.looks.first_share, 1 / manifest.looks.count)
+    shortest_ns = _shortest_gate(manifest, look_s, shortest_s)
+    shortest_ns = max(shortest_ns, round(looks.shortest * exposure_s * 1e9))
     with as_input_error():
         return Acquisition(
             scenes=scenes,
@@ -149,8 +157,9 @@ def run_live(
     assert acquisition.live is not None
     live = acquisition.live.model_copy(update={"latencies": bench.latencies})
     acquisition = acquisition.model_copy(update={"live": live})
-    patterns, loop = read_patterns(patterns_folder), read_loop(patterns_folder / LOOP)
-    observer = Observer(loop, patterns.manifest, acquisition)
+    patterns = read_patterns(patterns_folder)
+    looks = read_looks(patterns_folder, patterns.manifest)
+    observer = Observer(looks, patterns.manifest, acquisition)
     with ExitStack() as stack:
         stack.enter_context(bench.projector)
         stack.enter_context(bench.counter)
@@ -209,7 +218,7 @@ def _look(
         clock_s=clock_s,
     )
     record.write(finished.model_dump_json() + "\n")
-    answer = LiveScene.of(scene, last, observer.loop.header.classes, clock_s)
+    answer = LiveScene.of(scene, last, observer.looks.classes, clock_s)
     yield Decided(place, last, clock_s, answer)
 
 
@@ -227,6 +236,11 @@ class _Sequencer:
 
     def __call__(self, asked: FrameList) -> FrameCounts:
         projector, counter = self._bench.projector, self._bench.counter
+        if asked.masks is not None:
+            manifest = self._manifest
+            for place, mask in zip(asked.frames, asked.masks, strict=True):
+                frame = make_frame(mask, manifest.device, manifest.grid)
+                projector.replace(int(place), frame)
         gates_s = np.append(asked.gate_ns, 0) * 1e-9
         frames = np.append(asked.frames, OFF)
         pictures_s = self._pictures(asked)
@@ -241,6 +255,7 @@ class _Sequencer:
                 frames=tuple(asked.frames.tolist()),
                 gate_ns=tuple(asked.gate_ns.tolist()),
                 markers=tuple(markers.tolist()),
+                masks=shown.packed(asked.masks),
             )
         )
         self.markers += int(markers.sum())

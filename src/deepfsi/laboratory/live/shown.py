@@ -4,6 +4,7 @@ A line is written when its scene is decided, so that a run that is stopped at an
 scenes before.
 """
 
+from base64 import b64encode
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from deepfsi.errors import InputError
 from deepfsi.files import read_regular
 from deepfsi.frozen import Frozen
 from deepfsi.hardware.recording.faults import Fault
-from deepfsi.laboratory.live.decisions import FrameList
+from deepfsi.laboratory.live.looks import FrameList
 
 DARK = -1
 """Number of the pass before the scenes, with these dark, by which their background is measured."""
@@ -28,12 +29,13 @@ LARGEST_FILE = 2**31
 class ShownList(Frozen):
     """A list of frames as it was shown."""
 
-    look: int = Field(ge=-1, le=63)  # From 0; -1 for those that begin and end a scene
+    look: int = Field(ge=-1, le=1023)  # From 0; -1 for those that begin and end a scene
     frames: tuple[int, ...]  # Places among the frames of the manifest
     gate_ns: tuple[int, ...]  # For how long each was counted
     # Markers that each gave, and at the end those of the all-OFF frame that was shown while the
     # next list was chosen
     markers: tuple[int, ...]
+    masks: tuple[str, ...] = ()  # Pixels ON of frames that were made for this list, as `packed`
 
     @model_validator(mode="after")
     def _whole(self) -> "ShownList":
@@ -49,7 +51,15 @@ class ShownList(Frozen):
             self.look == asked.look
             and np.array_equal(self.frames, asked.frames)
             and np.array_equal(self.gate_ns, asked.gate_ns)
+            and self.masks == packed(asked.masks)
         )
+
+
+def packed(masks: np.ndarray | None) -> tuple[str, ...]:
+    """Masks (F, N) of bool, or none, each as the base64 of its bits."""
+    if masks is None:
+        return ()
+    return tuple(b64encode(bits.tobytes()).decode() for bits in np.packbits(masks, axis=1))
 
 
 class ShownScene(Frozen):

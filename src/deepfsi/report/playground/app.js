@@ -1,43 +1,25 @@
 // The page: what the user does, and what is shown of it.
 
-import {
-  accuracyAt,
-  chanceText,
-  drawAnswer,
-  drawCounts,
-  drawCurve,
-  drawDwells,
-  drawHistory,
-  photonsText,
-  places,
-} from "./charts.js";
+import { AdaptiveView } from "./adaptive.js";
+import { accuracyAt, chanceText, drawAnswer, drawCounts, drawCurve, drawHistory, photonsText, wholeText } from "./charts.js";
+import { candidates, information, nextMask, sample } from "./choice.js";
 import { Exposure, LeastSquares, Rivals } from "./exposure.js";
+import { KnownView } from "./known.js";
+import { LookExposure, LookModel } from "./looks.js";
 import { Model } from "./model.js";
 import { poisson, Random, unpack } from "./numbers.js";
-import { colour, CurvePad, ImagePad, paint, plot, show } from "./scene.js";
+import { $, percent } from "./page.js";
+import { LookOptics, Posterior } from "./posterior.js";
+import { colour, CurvePad, ImagePad, plot, show } from "./scene.js";
 
 const SHORTEST = 6; // seconds of a whole exposure on the page at speed 1
 const LONGEST = 14;
-const MOST_ROWS = 400; // of a least-squares picture that is renewed during an exposure
-const MOSAIC = 64; // masks shown side by side
-const CURVES = ["--pca", "--deepfsi", "--truncated-hadamard", "--control", "--hadamard", "--muted"];
-
-const $ = (id) => document.getElementById(id);
-const PLACES = [1, 2, 4, 6, 8, 10];
-
-/** Smallest round number that is not below a value. */
-function roundUp(value) {
-  const unit = 10 ** Math.floor(Math.log10(value));
-  return PLACES.find((place) => place * unit >= value) * unit;
-}
-
-const percent = (share) => `${(share * 100).toFixed(share < 0.1 ? 1 : 0)} %`;
 
 class Page {
   constructor(model, scenes) {
     Object.assign(this, { model, scenes, label: null, playing: false, drawn: {} });
     this.spectrum = model.image_shape.length === 1;
-    this.squares = new LeastSquares(model);
+    this.view = model.prior ? new AdaptiveView(model) : new KnownView(model);
     const Pad = this.spectrum ? CurvePad : ImagePad;
     this.pad = new Pad($("scene"), model, scenes, () => this.drew());
     const { low, high } = model.budget ?? { low: 1e4, high: 1e4 };
@@ -46,7 +28,7 @@ class Page {
     $("mask").parentElement.classList.toggle("curves", this.spectrum);
     this.listThumbs();
     this.listen();
-    this.choose(Math.floor(scenes.length / 3));
+    this.choose(model.scenes.clearest);
   }
 
   get photons() {
@@ -100,16 +82,15 @@ class Page {
     });
   }
 
-  /** Expose anew, and show the end of the exposure. */
+  /** Expose anew; what is found at once is shown to its end. */
   renew() {
     this.pause();
-    const { model, scene, photons, seed } = this;
-    this.exposure = new Exposure(model, scene, photons, seed);
+    const { model, view, scene, photons, seed } = this;
+    this.exposure = view.expose(scene, photons, seed);
     this.rivals = new Rivals(model, scene, photons, seed);
-    const { counts } = this.exposure.after(this.exposure.frames.length);
-    this.most = roundUp(Math.max(...this.byMask(counts).flat(), 4));
-    this.time = this.exposure.length;
+    this.time = view.atEnd ? this.exposure.length : 0;
     this.drawn = {};
+    view.forget();
     this.pad.draw(scene);
     this.thumbs.forEach((thumb, place) => thumb.setAttribute("aria-pressed", place === this.chosen));
     show($("truth"), model, scene);
@@ -124,20 +105,19 @@ class Page {
     $("light").setAttribute("aria-valuetext", $("photons").textContent);
     const share = accuracyAt(model.curve, photons);
     const brightness = this.scene.reduce((a, b) => a + b, 0) / model.summed_reflectance;
-    const counted = model.rates(this.scene).reduce((a, b) => a + b, 0) * photons;
     $("light-words").textContent =
       `About ${percent(share)} of the test scenes are right with so much light. ` +
       `From this scene come ${photonsText(photons * brightness)} photons, ` +
-      `${photonsText((photons * brightness) / model.pixels)} per ${this.spectrum ? "band" : "pixel"}` +
-      (model.chooser ? "." : `; the detectors count about ${photonsText(counted)} of them.`);
+      `${photonsText((photons * brightness) / model.pixels)} per ${this.spectrum ? "band" : "pixel"}.` +
+      this.view.counted(this.scene, photons);
     const name = this.label === null ? null : model.classes[this.label];
-    $("scene-words").textContent = name === null ? "Your own scene." : `Test scene of class ${name}.`;
+    $("scene-words").textContent = name === null ? "Your own scene." : `Class ${name}. Draw, or choose another:`;
   }
 
   /** Counts [rail][mask] of all detectors together. */
   byMask(counts) {
     const { model } = this;
-    return model.peaks.map((_, rail) =>
+    return Array.from({ length: model.rails }, (_, rail) =>
       Array.from({ length: model.masks }, (_, mask) => {
         let sum = 0;
         for (let d = 0; d < model.detectors; d++) sum += counts[model.place(rail, mask, d)];
@@ -148,53 +128,47 @@ class Page {
 
   /** Draw the moment `time`; what has not changed since it was last drawn stays. */
   draw() {
-    const { exposure, model, drawn } = this;
+    const { exposure, model, drawn, view } = this;
     const { frames } = exposure;
     let count = frames.findIndex((frame) => frame.end > this.time + 1e-12);
     if (count < 0) count = frames.length;
     const now = frames[count] ?? null;
+    exposure.reach(now ? count + 1 : count);
     const part = now ? (this.time - now.begin) / now.share : 0;
-    const whole = exposure.after(count); // without the part of the frame that is on the device
-    const counts = whole.counts.slice();
+    const { counts } = exposure.after(count);
     if (now) now.places.forEach((place, i) => (counts[place] += Math.floor(now.counts[i] * part)));
-    const shown = this.time > 0 ? now : frames[0];
-    drawCounts($("counts"), model, this.byMask(counts), this.most, now && now.mask);
+    const byMask = (each) => this.byMask(each);
+    this.most = Math.max(view.most(exposure, byMask), drawn.count === undefined ? 0 : this.most);
+    drawCounts($("counts"), model, byMask(counts), this.most, now && now.mask, view.names);
     const total = counts.reduce((a, b) => a + b, 0);
-    $("count-words").textContent = `${total.toLocaleString("en").replaceAll(",", "\u202f")} photons so far.`;
+    $("count-words").textContent = wholeText(total);
     const place = Math.round((this.time / exposure.length) * 1000);
     $("time").value = place;
     $("time").setAttribute("aria-valuetext", `${Math.round(place / 10)} % of the exposure`);
     $("play").textContent = this.playing ? "Pause" : "Play";
-    this.state(count, now);
     const share = this.time / exposure.length;
+    const words = [`${percent(share)} of the exposure`, ...view.state(exposure, count, now)];
+    $("state").textContent = [...words, ...(now ? [] : ["finished"])].join(" · ");
     show($("raster"), model, this.rivals.rasterAt(share));
     show($("impulse"), model, this.rivals.impulseAt(share));
+    const shown = this.time > 0 ? now : frames[0];
+    if (drawn.frame !== shown || drawn.count === undefined) view.drawFrame(exposure, shown, count);
     if (drawn.count !== count) {
       this.drawAnswer(count);
-      const few = model.readouts <= MOST_ROWS || count === frames.length;
-      if (few && !(this.playing && performance.now() - (drawn.pictured ?? 0) < 150)) {
-        drawn.pictured = performance.now();
-        const nothing = () => null;
-        const picture = count ? this.squares.picture(whole.counts, whole.scale, exposure.photons) : null;
-        show($("squares"), model, picture ?? Array.from(this.scene, nothing));
-      }
-    }
-    if (drawn.frame !== shown || drawn.count === undefined) {
-      this.drawMask(shown);
-      if (!exposure.together) this.drawTimes(shown);
+      this.drawPicture(count);
     }
     this.drawn = { ...this.drawn, count, frame: shown };
   }
 
-  state(count, now) {
-    const { exposure, model } = this;
-    const words = [`${percent(this.time / exposure.length)} of the exposure`];
-    if (now && !exposure.together) {
-      words.push(`frame ${count + 1} of ${exposure.frames.length}`);
-      if (model.chooser) words.push(`look ${now.look + 1} of ${model.looks}`);
-    }
-    if (!now) words.push("finished");
-    $("state").textContent = words.join(" · ");
+  /** Draw the picture that the counts so far give, now and then while an exposure is played. */
+  drawPicture(count) {
+    const { drawn } = this;
+    if (this.playing && performance.now() - (drawn.pictured ?? 0) < 150) return;
+    const picture = this.view.picture(this.exposure, count);
+    if (picture === undefined) return;
+    drawn.pictured = performance.now();
+    const nothing = () => null;
+    show($("own"), this.model, picture ?? Array.from(this.scene, nothing));
   }
 
   drawAnswer(count) {
@@ -204,32 +178,19 @@ class Page {
     const { chances, sound } = unlike ? { chances: null, sound: true } : exposure.answer(count);
     const top = drawAnswer($("answer"), model, chances, sound);
     drawHistory($("history"), exposure, count, top);
-    $("answer-words").textContent = this.about(chances);
+    const none = "No probabilities are given for this scene.";
+    $("answer-words").textContent = unlike ? none : this.view.about(exposure, chances);
     $("verdict").textContent = this.verdict(count, top, chances);
-  }
-
-  about(chances) {
-    const { exposure, model } = this;
-    const { rule } = exposure;
-    if (exposure.unlike) return "No probabilities are given for this scene.";
-    const judged = rule && rule.threshold < 1
-      ? ` The dashed line is the confidence above which an exposure may stop, chosen at ${photonsText(rule.photons)} photons.`
-      : "";
-    if (!chances) return `Nothing is counted yet.${judged}`;
-    if (exposure.together) return `All masks see light at once: this is the answer to the light so far.${judged}`;
-    const dots = "Filled bars and dots are answers that the network has learned to give: ";
-    if (model.chooser) return `${dots}after each look. Outlined bars are between two looks.${judged}`;
-    const { nested } = model.exposure;
-    const when = nested ? `after mask ${nested} and each one behind it` : "after the last mask";
-    return `${dots}${when}. Outlined bars take masks that were not shown yet as for a mean scene.${judged}`;
   }
 
   verdict(count, top, chances) {
     const { exposure, model, label } = this;
+    if (this.time === 0 && !this.playing && !this.view.atEnd) return "Nothing is exposed yet: press Expose.";
     if (count < exposure.frames.length) {
       const { stop } = exposure;
-      if (!stop || count < stop.count) return "The exposure goes on.";
-      return `The exposure goes on. It could have stopped ${this.stopWords(stop)}`;
+      const going = `The exposure goes on.${chances ? ` Likeliest so far: ${model.classes[top]}.` : ""}`;
+      if (!stop || count < stop.count) return going;
+      return `${going} It could have stopped ${this.stopWords(stop)}`;
     }
     if (exposure.unlike) return "No answer: this scene is darker, brighter or flatter than all that the design was learned from.";
     const name = model.classes[top];
@@ -244,101 +205,20 @@ class Page {
   stopWords(stop) {
     const { model } = this;
     const name = model.classes[stop.chances.indexOf(Math.max(...stop.chances))];
-    const unit = model.chooser ? "look" : "mask";
-    const all = model.chooser ? model.looks : model.masks;
-    return `after ${unit} ${stop.at} of ${all} with the answer ${name}, and saved ${percent(stop.saved)} of the light.`;
+    const { unit, units } = this.view;
+    return `after ${unit} ${stop.at} of ${units} with the answer ${name}, and saved ${percent(stop.saved)} of the light.`;
   }
 
-  drawTimes(frame) {
-    const { exposure, model } = this;
-    const look = frame ? frame.look : model.looks - 1;
-    drawDwells($("dwells"), exposure, look, frame);
-    if (!model.chooser) {
-      $("dwell-words").textContent = "Share of the exposure; the same for every scene.";
-      return;
-    }
-    $("h-dwells").textContent = `Time of each mask in look ${look + 1} of ${model.looks}`;
-    $("dwell-words").textContent = look
-      ? "Share of the exposure, chosen from the counts so far. Short lines: the look before."
-      : "Share of the exposure. The first look is the same for every scene.";
-  }
-
-  drawMask(frame) {
-    const { model } = this;
-    const canvas = $("mask");
-    $("h-device").textContent = this.exposure.together || !frame ? "Masks" : "On the device now";
-    if (this.exposure.together || !frame) {
-      this.drawMosaic();
-      return;
-    }
-    this.mosaic = false;
-    const { mask, rails, share } = frame;
-    const [rail] = rails;
-    const pattern = Array.from({ length: model.pixels }, (_, i) => model.entry(rail, mask, i));
-    let peak = model.light === "equal-dwell" ? share : model.peaks[rail][mask]; // of a mirror that is always ON
-    if (rails.length > 1) peak = model.entry(0, mask, 0) + model.entry(1, mask, 0);
-    const device = pattern.map((each) => each / peak);
-    const { high } = model.scenes;
-    const passed = device.map((each, i) => each * this.scene[i]);
-    if (this.spectrum) {
-      plot(canvas, [{ values: device, ink: colour(rail ? "--deepfsi" : "--pca"), steps: true }], [0, 1]);
-      plot($("through"), [{ values: passed, ink: colour("--ink") }], [0, high]);
-    } else {
-      paint(canvas, model.image_shape, (i) => device[i]);
-      paint($("through"), model.image_shape, (i) => passed[i] / high);
-    }
-    $("through").hidden = false;
-    canvas.classList.toggle("rail-minus", rail === 1);
-    canvas.classList.toggle("rail-plus", rail === 0);
-    const which = rails.length > 1 ? ", both arms" : model.rails === 2 ? [", positive rail", ", negative rail"][rail] : "";
-    const [one, other] = this.spectrum ? ["Above", "Below"] : ["Left", "Right"];
-    const arms = this.spectrum ? "High goes in one direction, low in the other. " : "White goes in one direction, black in the other. ";
-    const all = this.spectrum ? "" : `White goes to the detector${model.detectors > 1 ? "s" : ""}. `;
-    $("mask-words").textContent =
-      `${one}: mask ${mask + 1} of ${model.masks}${which}, shown for ${percent(share / this.exposure.length)} of the exposure. ` +
-      (rails.length > 1 ? arms : all) + `${other}: the light that ${rails.length > 1 ? "goes in the first direction" : "gets there"}, ${this.spectrum ? "low" : "black"} where there is little.`;
-  }
-
-  /** All masks side by side: as they are used at once, or before and after an exposure. */
-  drawMosaic() {
-    const { model } = this;
-    if (this.mosaic) return;
-    this.mosaic = true;
-    const canvas = $("mask");
-    const count = Math.min(model.masks, this.spectrum ? CURVES.length : MOSAIC);
-    canvas.classList.remove("rail-plus", "rail-minus");
-    const value = (mask, i) => model.matrix[mask * model.pixels + i];
-    const peaks = Array.from({ length: count }, (_, mask) => Math.max(model.peaks[0][mask], model.peaks[1]?.[mask] ?? 0));
-    if (this.spectrum) {
-      const curves = places(count).map((mask) => ({
-        values: Array.from({ length: model.pixels }, (_, i) => value(mask, i) / peaks[mask]),
-        ink: colour(CURVES[mask]),
-      }));
-      plot(canvas, curves, [model.rails === 2 ? -1 : 0, 1]);
-    } else {
-      const [height, width] = model.image_shape;
-      const columns = Math.ceil(Math.sqrt(count));
-      const rows = Math.ceil(count / columns);
-      const dwells = places(count).map((mask) => model.entry(0, mask, 0) + (model.rails > 1 ? model.entry(1, mask, 0) : 0));
-      const gap = Math.max(1, Math.round(width / 12));
-      const size = [rows * (height + gap) - gap, columns * (width + gap) - gap];
-      paint(canvas, size, (at) => {
-        const [y, x] = [Math.floor(at / size[1]), at % size[1]];
-        const mask = Math.floor(y / (height + gap)) * columns + Math.floor(x / (width + gap));
-        const [row, column] = [y % (height + gap), x % (width + gap)];
-        if (mask >= count || row >= height || column >= width) return UNLIT;
-        const share = value(mask, row * width + column) / peaks[mask];
-        if (model.rails === 1) return share;
-        if (model.light === "two-arm") return (1 + value(mask, row * width + column) / dwells[mask]) / 2;
-        const bright = share > 0 ? [86, 180, 255] : [255, 125, 59];
-        return bright.map((each) => each * Math.abs(share));
-      });
-    }
-    if ($("through")) $("through").hidden = true;
-    const some = count < model.masks ? `The first ${count} of ${model.masks} masks` : `All ${model.masks} masks`;
-    const dual = model.light === "two-arm" ? " White goes in one direction, black in the other." : " Blue is counted by the positive rail, orange by the negative one.";
-    const signs = model.rails === 2 ? dual : " White is counted, black is not.";
-    $("mask-words").textContent = `${some}, each to its own brightest value.${this.spectrum ? "" : signs}`;
+  /** Expose anew and play it where one sees it; who asks for less motion sees its end at once. */
+  expose() {
+    this.renew();
+    const still = matchMedia("(prefers-reduced-motion: reduce)").matches;
+    const { bottom, height } = $("watch").getBoundingClientRect();
+    const block = height > innerHeight ? "start" : "nearest";
+    if (bottom > innerHeight) $("watch").scrollIntoView({ block, behavior: still ? "instant" : "smooth" });
+    this.time = still ? this.exposure.length : 0;
+    if (still) this.draw();
+    else this.play();
   }
 
   play() {
@@ -383,16 +263,10 @@ class Page {
       $("seed").value = this.seed;
       this.renew();
     });
-    on("expose", "click", () => {
-      this.renew();
-      this.time = 0;
-      this.play();
-    });
+    on("expose", "click", () => this.expose());
     on("another", "click", () => {
       $("seed").value = (this.seed + 1) % 2 ** 32;
-      this.renew();
-      this.time = 0;
-      this.play();
+      this.expose();
     });
     on("play", "click", () => (this.playing ? (this.pause(), this.draw()) : this.play()));
     on("step", "click", () => this.step());
@@ -409,7 +283,6 @@ class Page {
     }
     if (!this.spectrum) this.listenForPictures(on);
     const again = () => {
-      this.mosaic = false;
       this.listThumbs();
       this.renew();
     };
@@ -420,6 +293,7 @@ class Page {
       width = innerWidth;
       this.sayLight();
       this.drawn = {};
+      this.view.forget();
       this.draw();
     });
     on("scene", "focus", () => this.pad.draw(this.scene));
@@ -448,18 +322,18 @@ class Page {
   }
 }
 
-const UNLIT = [44, 56, 70];
-
 async function start() {
   const payload = JSON.parse($("payload").textContent);
-  const model = await Model.load(payload);
+  const model = await (payload.prior ? LookModel : Model).load(payload);
   const { shape, values } = await unpack(payload.scenes.levels);
   const { low, high } = payload.scenes;
   const scenes = Array.from({ length: shape[0] }, (_, place) =>
     Array.from(values.subarray(place * shape[1], (place + 1) * shape[1]), (level) => low + (level / 65535) * (high - low)),
   );
   const page = new Page(model, scenes);
-  Object.assign(window, { playground: { page, model, Exposure, LeastSquares, Random, poisson } });
+  const optics = { LookOptics, Posterior, candidates, information, nextMask, sample };
+  const parts = { Exposure, LookExposure, LeastSquares, Random, poisson, ...optics };
+  Object.assign(window, { playground: { page, model, ...parts } });
 }
 
 start().catch((error) => {

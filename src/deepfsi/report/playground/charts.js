@@ -23,8 +23,14 @@ function begin(holder, height) {
 export const photonsText = (photons) =>
   Number(photons.toPrecision(3)).toLocaleString("en").replaceAll(",", "\u202f");
 
-/** A probability in percent, with one digit but at 100 %. */
-export const chanceText = (chance) => `${(chance * 100).toFixed(chance < 0.9995 ? 1 : 0)} %`;
+/** A whole number, with the same spaces. */
+export const wholeText = (count) => count.toLocaleString("en").replaceAll(",", "\u202f");
+
+/** A probability in percent, with one digit; none is said to be 0 or 1. */
+export function chanceText(chance) {
+  if (chance < 0.0005) return "<\u00a00.1\u00a0%";
+  return chance < 0.9995 ? `${(chance * 100).toFixed(1)}\u00a0%` : ">\u00a099.9\u00a0%";
+}
 
 const power = (exponent) =>
   `10${[...String(exponent)].map((digit) => "⁰¹²³⁴⁵⁶⁷⁸⁹"[digit]).join("")}`;
@@ -39,25 +45,25 @@ export function accuracyAt(curve, photons) {
 }
 
 /** Mark the budget that a design was learned for, and name the line of guessing beside it. */
-function drawTrained(add, budget, { x, y, left, right, top, bottom, chance }) {
+function drawTrained(add, budget, words, { x, y, left, right, top, bottom, chance }) {
   const within = (value) => Math.min(Math.max(x(value), left), right);
   const [low, high] = budget ? [within(budget.low), within(budget.high)] : [left, left];
   const anchor = (low + high) / 2 > (left + right) / 2 ? "end" : "start";
-  add("text", { x: left + 4, y: Math.min(y(chance) + 13, bottom - 3) }, "guessing");
+  add("text", { x: right, y: y(chance) - 4, "text-anchor": "end" }, "guessing");
   if (!budget || x(budget.low) > right || x(budget.high) < left) return;
   const [width, height] = [high - low, bottom - top];
   if (width > 0) add("rect", { class: "trained", x: low, y: top, width, height });
   else add("path", { class: "trained-line", d: `M${low} ${top}V${bottom}` });
   const beside = width > 0 ? 0 : anchor === "end" ? -5 : 5;
   const at = (anchor === "end" ? high : low) + beside;
-  add("text", { class: "strong", x: at, y: bottom - 26, "text-anchor": anchor }, "learned for");
+  add("text", { class: "strong", x: at, y: bottom - 38, "text-anchor": anchor }, words);
 }
 
 export function drawCurve(holder, model, photons) {
   const { curve, budget } = model;
-  const height = 210;
+  const height = 168;
   const { width, add } = begin(holder, height);
-  const [left, right, top, bottom] = [42, width - 10, 12, height - 24];
+  const [left, right, top, bottom] = [42, width - 10, 22, height - 38];
   const x = (value) => left + ((Math.log10(value) - 1) / 6) * (right - left);
   const y = (value) => bottom - value * (bottom - top);
   for (const share of [0, 0.5, 1]) {
@@ -67,9 +73,11 @@ export function drawCurve(holder, model, photons) {
   const chance = model.test.commonest;
   add("path", { class: "axis", d: `M${left} ${y(chance)}H${right}`, "stroke-dasharray": "3 3" });
   for (let exponent = 1; exponent <= 7; exponent++) {
-    add("text", { x: x(10 ** exponent), y: height - 6, "text-anchor": "middle" }, power(exponent));
+    add("text", { x: x(10 ** exponent), y: bottom + 16, "text-anchor": "middle" }, power(exponent));
   }
-  drawTrained(add, budget, { x, y, left, right, top, bottom, chance });
+  add("text", { x: 0, y: 10 }, "share of test scenes that are right");
+  add("text", { x: right, y: height - 4, "text-anchor": "end" }, "photons in one exposure");
+  drawTrained(add, budget, model.prior ? "made for" : "learned for", { x, y, left, right, top, bottom, chance });
   const line = curve.map((point) => `${x(point.photons)} ${y(point.accuracy)}`).join("L");
   add("path", { class: "curve-line", d: `M${line}` });
   for (const point of curve) {
@@ -104,13 +112,13 @@ export const places = (count) => Array.from({ length: count }, (_, place) => pla
  * Counts of each mask as bars: the positive rail upward, the negative one downward. Where dwells
  * are chosen counts differ much, and heights are their square roots.
  */
-export function drawCounts(holder, model, counts, most, now) {
-  const height = 230;
+export function drawCounts(holder, model, counts, most, now, names) {
+  const height = model.rails === 2 ? 170 : 140;
   const { width, add } = begin(holder, height);
-  const [left, right, top] = [50, width - 4, 16];
+  const [left, right, top] = [50, width - 4, 22];
   const dual = model.rails === 2;
   const zero = dual ? height / 2 : height - 32;
-  const root = model.looks > 1;
+  const root = Boolean(model.chooser);
   const chart = bars(counts, { left, right, zero, reach: zero - top, most, root });
   counts.forEach((_, rail) => {
     add("path", { class: rail ? "minus" : "plus", d: chart.path(rail, places(model.masks)) });
@@ -124,14 +132,15 @@ export function drawCounts(holder, model, counts, most, now) {
     }
   }
   add("text", { x: left - 6, y: zero + 4, "text-anchor": "end" }, "0");
-  const names = model.light === "two-arm" ? ["one direction", "the other"] : ["positive rail", "negative rail"];
-  if (dual) {
-    add("text", { x: left, y: 10, class: "strong" }, names[0]);
-    add("text", { x: left, y: height - 2, class: "strong" }, names[1]);
+  const rails = model.light === "two-arm" ? ["one direction", "the other"] : ["positive rail", "negative rail"];
+  if (!dual) add("text", { x: 0, y: 10 }, names.counts);
+  else {
+    add("text", { x: 0, y: 10, class: "strong" }, `${names.counts}: ${rails[0]}`);
+    add("text", { x: left, y: height - 2, class: "strong" }, rails[1]);
   }
   const low = dual ? height - 2 : height - 4;
-  if (!dual) add("text", { x: left, y: low }, "mask 1");
-  add("text", { x: right, y: low, "text-anchor": "end" }, `mask ${model.masks}`);
+  if (!dual) add("text", { x: left, y: low }, names.one);
+  add("text", { x: right, y: low, "text-anchor": "end" }, names.all);
   if (now !== null) add("path", { class: "now", d: `M${chart.middle(now)} ${zero + 2}l5 8h-10z` });
 }
 
@@ -176,9 +185,10 @@ export function drawDwells(holder, exposure, look, now) {
 
 /** Probabilities of the classes over the exposure, as far as it is shown. */
 export function drawHistory(holder, exposure, count, top) {
-  const height = 150;
+  const height = 140;
   const { width, add } = begin(holder, height);
-  const [left, right, upper, bottom] = [50, width - 8, 10, height - 22];
+  const [left, right, upper, bottom] = [50, width - 8, 22, height - 22];
+  add("text", { x: 0, y: 10 }, "probability of each class");
   const across = (time) => left + (time / exposure.length) * (right - left);
   const y = (value) => bottom - value * (bottom - upper);
   for (const share of [0, 0.5, 1]) {

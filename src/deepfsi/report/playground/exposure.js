@@ -1,6 +1,6 @@
 // One exposure of a scene: frames, counts, answers, and the pictures to compare it with.
 
-import { Random, poisson } from "./numbers.js";
+import { factorise, Random, poisson } from "./numbers.js";
 
 const SLICES = 48; // parts of an exposure whose readouts all see light at once
 
@@ -40,14 +40,41 @@ function slicesOf(model) {
   return Array.from({ length: SLICES }, () => ({ ...slice }));
 }
 
-export class Exposure {
-  /** Draw an exposure. `until` is the rule that says where it could have stopped. */
+/** What all exposures have: frames one after another, and answers after them. */
+export class Frames {
   constructor(model, scene, photons, seed) {
-    Object.assign(this, { model, scene, photons, seed, frames: [], decisions: [] });
+    Object.assign(this, { model, scene, photons, seed, frames: [], answers: new Map(), stop: null });
     this.together = model.light === "column";
     this.unlike = model.unlike(scene);
     this.rule = this.unlike ? null : model.rule(photons);
-    this.answers = new Map();
+  }
+
+  /** Place the frames in time, one after another. */
+  lay() {
+    let end = 0;
+    for (const frame of this.frames) {
+      frame.begin = end;
+      end += frame.share;
+      frame.end = end;
+    }
+    this.length = end;
+  }
+
+  /** Stop after a frame, if it is the first after which the rule would. */
+  judge(count) {
+    if (!this.rule || this.stop || count >= this.frames.length) return;
+    const { chances, at } = this.answer(count);
+    const { end } = this.frames[count - 1];
+    if (this.rule.after.includes(at) && Math.max(...chances) > this.rule.threshold) {
+      this.stop = { count, end, saved: 1 - end / this.length, chances, at };
+    }
+  }
+}
+
+export class Exposure extends Frames {
+  /** Draw an exposure, and find where the rule of the model could have stopped it. */
+  constructor(model, scene, photons, seed) {
+    super(model, scene, photons, seed);
     const random = new Random(seed);
     const rates = model.rates(scene).map((rate) => rate * photons);
     for (let look = 0; look < model.looks; look++) {
@@ -59,15 +86,14 @@ export class Exposure {
       }
       this.frames.push(...frames);
     }
-    let end = 0;
-    for (const frame of this.frames) {
-      frame.begin = end;
-      end += frame.share;
-      frame.end = end;
+    this.lay();
+    for (let count = 1; count < this.frames.length && this.rule && !this.stop; count++) {
+      if (this.sound(count)) this.judge(count);
     }
-    this.length = end;
-    this.findStop();
   }
+
+  /** Counts are drawn beforehand: nothing is to be done to reach a moment. */
+  reach() {}
 
   /** Counts, dwells and masks shown after so many frames. */
   after(count) {
@@ -125,20 +151,6 @@ export class Exposure {
     const chances = model.classify(counts, whole, shown, dwell, sound ? whole : sofar);
     return { chances, sound, at: model.chooser ? frames[count - 1].look + 1 : shown };
   }
-
-  /** Find the first frame after which the rule would have stopped. */
-  findStop() {
-    this.stop = null;
-    if (!this.rule) return;
-    for (let count = 1; count < this.frames.length && !this.stop; count++) {
-      if (!this.sound(count)) continue;
-      const { chances, at } = this.answer(count);
-      const { end } = this.frames[count - 1];
-      if (this.rule.after.includes(at) && Math.max(...chances) > this.rule.threshold) {
-        this.stop = { count, end, saved: 1 - end / this.length, chances, at };
-      }
-    }
-  }
 }
 
 /** Pictures that other cameras record with the same photons, at times 0 to 1 of the exposure. */
@@ -171,20 +183,6 @@ export class Rivals {
 }
 
 const DAMPING = 1e-6; // of the trace of the normal matrix, which damps what masks hardly see
-
-/** Cholesky factor, in place, of a symmetric positive definite matrix. */
-function factorise(matrix, size) {
-  for (let j = 0; j < size; j++) {
-    const row = j * size;
-    for (let i = j; i < size; i++) {
-      const other = i * size;
-      let sum = matrix[other + j];
-      for (let k = 0; k < j; k++) sum -= matrix[other + k] * matrix[row + k];
-      matrix[other + j] = i === j ? Math.sqrt(sum) : sum / matrix[row + j];
-    }
-  }
-  return matrix;
-}
 
 /** Solve for a right side, in place, with a Cholesky factor. */
 function substitute(factor, size, right) {

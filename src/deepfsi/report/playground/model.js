@@ -45,7 +45,37 @@ function shareOut(dwell, shortest) {
   return dwell.map((each, place) => (shown.has(place) ? (each * total) / light : 0));
 }
 
-export class Model {
+/** What all designs have. */
+export class Design {
+  constructor(payload) {
+    Object.assign(this, payload);
+    this.pixels = payload.image_shape.reduce((a, b) => a * b);
+  }
+
+  /** True of a scene that is darker, brighter or flatter than all scenes of the training. */
+  unlike(scene) {
+    const { sums, flattest } = this.scenes;
+    const sum = scene.reduce((a, b) => a + b, 0);
+    const mean = sum / scene.length;
+    const spread = Math.sqrt(scene.reduce((all, x) => all + (x - mean) ** 2, 0) / scene.length);
+    return sum < sums[0] * 0.999 || sum > sums[1] * 1.001 || spread < flattest * 0.999;
+  }
+
+  /** True where the light is far below that of the training. */
+  tooDim(photons) {
+    return this.temperatures !== null && photons < this.temperatures.dimmest * (1 - 1e-9);
+  }
+
+  /** The stopping rule whose budget is closest, or none where none was chosen near this one. */
+  rule(photons) {
+    const far = ({ photons: own }) => Math.abs(Math.log10(own / photons));
+    const near = this.rules.filter((rule) => far(rule) <= NEAR);
+    return near.length ? near.reduce((a, b) => (far(b) < far(a) ? b : a)) : null;
+  }
+}
+
+/** A design of masks that are known before an exposure. */
+export class Model extends Design {
   /** The design of a payload, its arrays unpacked. */
   static async load(payload) {
     const layers = (packed) =>
@@ -55,15 +85,13 @@ export class Model {
           bias: await unpack(bias),
         })),
       );
-    const model = new Model();
-    Object.assign(model, payload);
+    const model = new Model(payload);
     model.matrix = (await unpack(payload.matrix)).values;
     model.total = payload.total && (await unpack(payload.total)).values;
     model.mean = (await unpack(payload.mean)).values;
     model.std = (await unpack(payload.std)).values;
     model.network = await layers(payload.network);
     model.chooser = payload.exposure.chooser && (await layers(payload.exposure.chooser));
-    model.pixels = payload.image_shape.reduce((a, b) => a * b);
     model.masks = model.matrix.length / model.pixels;
     model.features = model.mean.length;
     model.looks = payload.exposure.looks ?? 1;
@@ -184,20 +212,6 @@ export class Model {
     return Math.exp(log - Math.min(level, 0) * step);
   }
 
-  /** True of a scene that is darker, brighter or flatter than all scenes of the training. */
-  unlike(scene) {
-    const { sums, flattest } = this.scenes;
-    const sum = scene.reduce((a, b) => a + b, 0);
-    const mean = sum / scene.length;
-    const spread = Math.sqrt(scene.reduce((all, x) => all + (x - mean) ** 2, 0) / scene.length);
-    return sum < sums[0] * 0.999 || sum > sums[1] * 1.001 || spread < flattest * 0.999;
-  }
-
-  /** True where the light is far below that of the training. */
-  tooDim(photons) {
-    return this.temperatures !== null && photons < this.temperatures.dimmest * (1 - 1e-9);
-  }
-
   /** Dwells of the frames of a look, from 0, shares of the exposure. */
   choose(counts, photons, look, dwell) {
     const inputs = [...this.inputs(counts, photons, this.masks, dwell), 1 - look / this.looks];
@@ -205,12 +219,5 @@ export class Model {
     const scores = outputs(this.chooser, inputs).map((score) => bound * Math.tanh(score / bound));
     const share = softmax(scores).map((each) => each / this.looks);
     return shareOut(share, this.exposure.shortest);
-  }
-
-  /** The stopping rule whose budget is closest, or none where none was chosen near this one. */
-  rule(photons) {
-    const far = ({ photons: own }) => Math.abs(Math.log10(own / photons));
-    const near = this.rules.filter((rule) => far(rule) <= NEAR);
-    return near.length ? near.reduce((a, b) => (far(b) < far(a) ? b : a)) : null;
   }
 }

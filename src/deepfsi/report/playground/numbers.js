@@ -85,8 +85,8 @@ export async function unpack({ shape, bytes, planes }) {
   for (let byte = 0; byte < bytes; byte++) {
     for (let i = 0; i < count; i++) whole[i * bytes + byte] = plane[byte * count + i];
   }
-  const values = bytes === 2 ? new Uint16Array(whole.buffer) : new Float32Array(whole.buffer);
-  return { shape, values };
+  const kind = { 1: Int8Array, 2: Uint16Array, 4: Float32Array }[bytes];
+  return { shape, values: new kind(whole.buffer) };
 }
 
 /** Value between equidistant ones at a place from 0; the ends are held. */
@@ -98,8 +98,29 @@ export function between(values, place) {
 }
 
 export function softmax(scores) {
-  const top = Math.max(...scores);
+  const top = scores.reduce((a, b) => Math.max(a, b));
   const powers = Array.from(scores, (score) => Math.exp(score - top));
   const sum = powers.reduce((a, b) => a + b, 0);
   return powers.map((power) => power / sum);
+}
+
+/** Cholesky factor, in place, of a symmetric positive definite matrix. */
+export function factorise(matrix, size) {
+  for (let j = 0; j < size; j++) {
+    const row = j * size;
+    for (let i = j; i < size; i++) {
+      const other = i * size;
+      let sum = matrix[other + j];
+      for (let k = 0; k < j; k++) sum -= matrix[other + k] * matrix[row + k];
+      matrix[other + j] = i === j ? Math.sqrt(sum) : sum / matrix[row + j];
+    }
+  }
+  return matrix;
+}
+
+/** Logarithm of the determinant of a symmetric positive definite matrix, given by its rows. */
+export function logDeterminant(rows) {
+  const size = rows.length;
+  const factor = factorise(Float64Array.from(rows.flat()), size);
+  return rows.reduce((sum, _, i) => sum + 2 * Math.log(factor[i * size + i]), 0);
 }

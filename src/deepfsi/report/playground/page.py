@@ -8,10 +8,16 @@ from pathlib import Path
 from markupsafe import Markup
 
 from deepfsi.files import write_atomically
-from deepfsi.report.playground.words import Payload, detectors_text, facts_of, masks_text, way_text
+from deepfsi.report.playground.words import Payload, detectors_text, facts_of, lead_text, masks_text
 from deepfsi.report.rendering import render
 
-SCRIPTS = ("numbers.js", "model.js", "exposure.js", "scene.js", "charts.js", "app.js")
+SCRIPTS = tuple(
+    f"{name}.js"
+    for name in (
+        "page", "numbers", "model", "exposure", "posterior", "choice", "looks", "scene", "charts",
+        "known", "adaptive", "app",
+    )
+)  # fmt: skip
 """Modules of the page, each after those that it imports."""
 
 
@@ -22,7 +28,7 @@ def write_page(path: str | os.PathLike[str], payload: Payload) -> Path:
         payload=payload,
         script=Markup(bundle()),
         title=f"A class from few photons: {payload['data']['name']} through {masks_text(payload)}",
-        way=way_text(payload),
+        lead=lead_text(payload),
         facts=facts_of(payload),
         pixels=prod(payload["image_shape"]),
         detectors=detectors_text(payload),

@@ -1,6 +1,7 @@
 // Scenes: pictures on a canvas, and the pad on which the user draws one.
 
-const UNSEEN = [44, 56, 70]; // colour of a pixel that has not been measured
+/** Colour of a pixel that has not been measured, and of what lies between masks. */
+export const UNLIT = [44, 56, 70];
 
 const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
 
@@ -17,6 +18,21 @@ export function paint(canvas, [height, width], levels) {
     picture.data.set([...rgb, 255], 4 * i);
   }
   canvas.getContext("2d").putImageData(picture, 0, 0);
+}
+
+/** Paint images of one shape side by side, a level of each place and pixel as of `paint`. */
+export function tile(canvas, [height, width], count, columns, level) {
+  const rows = Math.ceil(count / columns);
+  const gap = Math.max(1, Math.round(width / 12));
+  const rise = height > 1 ? gap : 0; // rows of single pixels lie close
+  const size = [rows * (height + rise) - rise, columns * (width + gap) - gap];
+  paint(canvas, size, (at) => {
+    const [y, x] = [Math.floor(at / size[1]), at % size[1]];
+    const place = Math.floor(y / (height + rise)) * columns + Math.floor(x / (width + gap));
+    const [row, column] = [y % (height + rise), x % (width + gap)];
+    if (place >= count || row >= height || column >= width) return UNLIT;
+    return level(place, row * width + column);
+  });
 }
 
 /** Draw curves over the bands, each with its colour; null leaves a gap. */
@@ -55,7 +71,7 @@ export function show(canvas, model, values, range = model.scenes) {
     return;
   }
   paint(canvas, model.image_shape, (i) =>
-    values[i] === null ? UNSEEN : (values[i] - low) / (high - low),
+    values[i] === null ? UNLIT : (values[i] - low) / (high - low),
   );
 }
 

@@ -16,17 +16,26 @@ RAILS = {
 """Words for masks of so many rails."""
 
 
+def _is_adaptive(payload: Payload) -> bool:
+    """True of a page of adaptive masks."""
+    return "prior" in payload
+
+
+def _masks(payload: Payload) -> int:
+    return len(payload["shares"]) if _is_adaptive(payload) else payload["matrix"]["shape"][0]
+
+
 def masks_text(payload: Payload) -> str:
     """Number of masks."""
-    count = payload["matrix"]["shape"][0]
-    return "1 mask" if count == 1 else f"{count} masks"
+    count, kind = _masks(payload), "adaptive mask" if _is_adaptive(payload) else "mask"
+    return f"1 {kind}" if count == 1 else f"{count} {kind}s"
 
 
 def detectors_text(payload: Payload) -> str:
     """Number of detectors, and which light each of them has."""
     # The law `column` divides the light, and what is divided is counted at the same time
     light, parts = payload["light"], payload["detectors"]
-    counts = {"two-arm": 2, "column": payload["rails"] * payload["matrix"]["shape"][0]}
+    counts = {"two-arm": 2, "column": payload["rails"] * _masks(payload)}
     kinds = {"two-arm": "one on each arm", "column": f"one for {_readout(payload)}"}
     words = [kinds[light]] if light in kinds else []
     words += ["each on its part of the scene"] if parts > 1 else []
@@ -37,9 +46,19 @@ def _readout(payload: Payload) -> str:
     return "each rail of each mask" if payload["rails"] == 2 else "each mask"
 
 
+def lead_text(payload: Payload) -> str:
+    """Sentences that begin the page."""
+    how = (
+        "counts photons through masks, each made from all counts so far"
+        if _is_adaptive(payload)
+        else "counts photons through masks, and a small network reads the counts"
+    )
+    return f"This camera takes no picture: it {how}. Set a scene and its light, and press Expose."
+
+
 def way_text(payload: Payload) -> str:
     """Sentences on the way in which the camera counts."""
-    light, looks = payload["light"], payload["exposure"].get("looks")
+    light, looks = payload["light"], payload.get("exposure", {}).get("looks")
     if light == "column":
         return (
             f"Its optics split the light of each pixel among {masks_text(payload)} at once, with "
@@ -53,6 +72,11 @@ def way_text(payload: Payload) -> str:
         if light == "two-arm"
         else f", and {counting} the photons that each lets through."
     )
+    if _is_adaptive(payload):
+        words += (
+            " Each next mask is made from all counts so far: of those that separate the likeliest "
+            "classes, the one of which the counts are expected to tell most of the class."
+        )
     if looks:
         words += (
             f" It goes through its masks {looks} times, and each time it chooses from the counts "
@@ -63,14 +87,28 @@ def way_text(payload: Payload) -> str:
 
 def facts_of(payload: Payload) -> list[tuple[str, str]]:
     """Name and words of what is to be known about a design."""
-    budget, test, exposure = payload["budget"], payload["test"], payload["exposure"]
-    ends = dict.fromkeys(photons_text(budget[end]) for end in ("low", "high")) if budget else ()
-    hidden = [str(layer["weight"]["shape"][0]) for layer in payload["network"][:-1]]
+    test = payload["test"]
     facts = {
+        "Camera": way_text(payload),
         "Data": f"{payload['data']['name']}. {payload['data']['preprocessing']}",
-        "Masks": f"{masks_text(payload)}. {RAILS[payload['rails']]}",
         "Detectors": f"{detectors_text(payload)}.",
         "Light law": f"{payload['light']}: {LAWS[payload['light']]}.",
+        **(_posterior(payload) if _is_adaptive(payload) else _networks(payload)),
+        "Stopping": _stopping(payload),
+        "Accuracy": f"Share of {test['images']} test scenes that are classified rightly, with "
+        f"{test['draws']} noise draw{'s' if test['draws'] > 1 else ''} of each. The bars are 95 % "
+        f"intervals over {test['covers']}. Circles are measured; the line joins them.",
+    }
+    return [(name, words) for name, words in facts.items() if words]
+
+
+def _networks(payload: Payload) -> dict[str, str]:
+    """Facts on masks that are known before, and their network."""
+    budget, exposure = payload["budget"], payload["exposure"]
+    ends = dict.fromkeys(photons_text(budget[end]) for end in ("low", "high")) if budget else ()
+    hidden = [str(layer["weight"]["shape"][0]) for layer in payload["network"][:-1]]
+    return {
+        "Masks": f"{masks_text(payload)}. {RAILS[payload['rails']]}",
         "Learned for": f"{' to '.join(ends)} photons." if ends else "",
         "Noise": "Exact Poisson counts. There are no dark counts, no dead time and no stray light.",
         "Network": f"Fully connected, hidden layers of {' and '.join(hidden) or 'no'} units.",
@@ -78,12 +116,26 @@ def facts_of(payload: Payload) -> list[tuple[str, str]]:
         if exposure.get("nested")
         else "",
         "Probabilities": _calibrated(payload),
-        "Stopping": _stopping(payload),
-        "Accuracy": f"Share of {test['images']} test scenes that are classified rightly, with "
-        f"{test['draws']} noise draw{'s' if test['draws'] > 1 else ''} of each. The bars are 95 % "
-        f"intervals over {test['covers']}. Circles are measured; the line joins them.",
     }
-    return [(name, words) for name, words in facts.items() if words]
+
+
+def _posterior(payload: Payload) -> dict[str, str]:
+    """Facts on adaptive masks, and the scenes that the page knows."""
+    scenes, of, dark = payload["known"]["scenes"], payload["known"]["of"], payload["dark"]
+    even = len(set(payload["shares"])) == 1
+    noise = f"{dark:.3g} dark counts of each detector in a whole exposure" if dark else ""
+    return {
+        "Masks": f"{masks_text(payload)}, each shown for {'the same' if even else 'its own'} share "
+        "of the exposure. Mirrors are ON or OFF.",
+        "Noise": f"Exact Poisson counts{f', with {noise}' if noise else ''}. There are no "
+        f"{'' if dark else 'dark counts, no '}dead time and no stray light.",
+        "Prior": f"This page knows {scenes} of the {of} training scenes of the design, of each "
+        "class the same share, and the accuracy above is of these. All of them may tell more."
+        if scenes < of
+        else f"This page knows the {of} training scenes of the design.",
+        "Probabilities": "The posterior of the class. No network is trained, and nothing is "
+        "calibrated.",
+    }
 
 
 def _calibrated(payload: Payload) -> str:

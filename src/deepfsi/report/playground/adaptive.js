@@ -1,0 +1,79 @@
+// What the page shows of adaptive masks: each as it is made, and what is known of the scene by then.
+
+import { places, wholeText } from "./charts.js";
+import { LookExposure } from "./looks.js";
+import { $, roundUp } from "./page.js";
+import { colour, paint, plot, show, tile, UNLIT } from "./scene.js";
+
+const STRIP = 64; // masks side by side
+const COLUMNS = 16; // of them in a row
+
+export class AdaptiveView {
+  constructor(model) {
+    Object.assign(this, { model, spectrum: model.image_shape.length === 1 });
+    this.atEnd = false; // masks are made while one watches
+    this.unit = "look";
+    this.units = model.looks;
+    this.names = { one: "look 1", all: `look ${model.looks}`, counts: "counts of each look" };
+  }
+
+  /** Nothing is kept from one drawing to the next. */
+  forget() {}
+
+  expose(scene, photons, seed) {
+    return new LookExposure(this.model, scene, photons, seed);
+  }
+
+  /** Largest count of the charts' axis: of those that there are, and of those to be expected. */
+  most(exposure, byMask) {
+    const { model } = this;
+    const light = exposure.scene.reduce((a, b) => a + b, 0) / model.summed_reflectance;
+    const usual = 1.5 * Math.max(...model.counted) * exposure.photons * light + model.dark * Math.max(...model.shares);
+    return roundUp(Math.max(...byMask(exposure.after(exposure.taken).counts).flat(), usual / model.rails, 4));
+  }
+
+  counted() {
+    return "";
+  }
+
+  state(exposure, count, now) {
+    return now ? [`look ${count + 1} of ${this.model.looks}`] : [];
+  }
+
+  picture(exposure, count) {
+    return count ? exposure.scenes[count] : null;
+  }
+
+  about() {
+    const [scenes, of] = [this.model.known.scenes, this.model.known.of].map(wholeText);
+    const some = scenes === of ? `the ${of} training scenes` : `${scenes} of the ${of} training scenes`;
+    return `Posterior of the class. This page knows ${some}.`;
+  }
+
+  drawFrame(exposure, frame, count) {
+    const { model } = this;
+    const { pattern, look } = frame ?? exposure.frames.at(-1);
+    $("h-device").textContent = !frame ? "Last mask" : look ? "On the device now" : "First mask";
+    if (this.spectrum) plot($("mask"), [{ values: [...pattern], ink: colour("--pca"), steps: true }], [0, 1]);
+    else paint($("mask"), model.image_shape, (i) => pattern[i]);
+    show($("through"), model, exposure.scenes[count]);
+    const made = look ? `made from the counts of the ${look === 1 ? "look" : `${look} looks`} before` : "made before anything is counted";
+    const lit = pattern.reduce((a, b) => a + b, 0) / pattern.length;
+    $("mask-words").textContent =
+      `Mask ${look + 1}, ${made}: ${Math.round(lit * 100)} % of the mirrors are ON` +
+      (model.rails === 2 ? " (white); the others send their light to the second arm." : " (white) and send their light to the detector" + (model.detectors > 1 ? "s." : "."));
+    this.drawStrip(exposure, frame ? count + 1 : count);
+  }
+
+  /** Masks so far side by side; of a spectrum each is a row. */
+  drawStrip(exposure, count) {
+    const { model } = this;
+    const shape = this.spectrum ? [1, model.pixels] : model.image_shape;
+    $("strip").classList.toggle("rows", this.spectrum);
+    const shown = Math.min(model.looks, STRIP);
+    const first = Math.max(count - shown, 0);
+    const columns = this.spectrum ? 1 : Math.min(COLUMNS, shown);
+    const patterns = places(shown).map((place) => (first + place < count ? exposure.frames[first + place].pattern : null));
+    tile($("strip"), shape, shown, columns, (place, i) => (patterns[place] ? patterns[place][i] : UNLIT));
+  }
+}

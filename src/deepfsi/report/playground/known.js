@@ -1,0 +1,159 @@
+// What the page shows of a design whose masks are known before an exposure.
+
+import { drawDwells, photonsText, places } from "./charts.js";
+import { Exposure, LeastSquares } from "./exposure.js";
+import { $, percent, roundUp } from "./page.js";
+import { colour, paint, plot, tile } from "./scene.js";
+
+const MOST_ROWS = 400; // of a least-squares picture that is renewed during an exposure
+const MOSAIC = 64; // masks shown side by side
+const CURVES = ["--pca", "--deepfsi", "--truncated-hadamard", "--control", "--hadamard", "--muted"];
+
+export class KnownView {
+  constructor(model) {
+    Object.assign(this, { model, spectrum: model.image_shape.length === 1 });
+    this.squares = new LeastSquares(model);
+    this.atEnd = true; // an exposure is found at once, and its end is shown
+    this.unit = model.chooser ? "look" : "mask";
+    this.units = model.chooser ? model.looks : model.masks;
+    this.names = { one: "mask 1", all: `mask ${model.masks}`, counts: "counts of each mask" };
+  }
+
+  /** Draw all anew when it is next drawn. */
+  forget() {
+    this.mosaic = false;
+  }
+
+  expose(scene, photons, seed) {
+    return new Exposure(this.model, scene, photons, seed);
+  }
+
+  /** Largest count of the charts' axis, of counts [rail][mask] of a whole exposure. */
+  most(exposure, byMask) {
+    return roundUp(Math.max(...byMask(exposure.after(exposure.frames.length).counts).flat(), 4));
+  }
+
+  /** Sentence on the counts that are to be expected of a scene. */
+  counted(scene, photons) {
+    if (this.model.chooser) return "";
+    const counted = this.model.rates(scene).reduce((a, b) => a + b, 0) * photons;
+    return ` The detectors count about ${photonsText(counted)} of them.`;
+  }
+
+  /** What is on the device. */
+  state(exposure, count, now) {
+    if (!now || exposure.together) return [];
+    const look = this.model.chooser ? [`look ${now.look + 1} of ${this.model.looks}`] : [];
+    return [`frame ${count + 1} of ${exposure.frames.length}`, ...look];
+  }
+
+  /** Picture of the counts after so many frames; null before the first, undefined to keep it. */
+  picture(exposure, count) {
+    if (count < exposure.frames.length && this.model.readouts > MOST_ROWS) return undefined;
+    const { counts, scale } = exposure.after(count);
+    return count ? this.squares.picture(counts, scale, exposure.photons) : null;
+  }
+
+  about(exposure, chances) {
+    const { model } = this;
+    const { rule } = exposure;
+    const judged = rule && rule.threshold < 1
+      ? ` The dashed line is the confidence above which an exposure may stop, chosen at ${photonsText(rule.photons)} photons.`
+      : "";
+    if (!chances) return `Nothing is counted yet.${judged}`;
+    if (exposure.together) return `All masks see light at once: this is the answer to the light so far.${judged}`;
+    const dots = "Filled bars and dots are answers that the network has learned to give: ";
+    if (model.chooser) return `${dots}after each look. Outlined bars are between two looks.${judged}`;
+    const { nested } = model.exposure;
+    const when = nested ? `after mask ${nested} and each one behind it` : "after the last mask";
+    return `${dots}${when}. Outlined bars take masks that were not shown yet as for a mean scene.${judged}`;
+  }
+
+  drawFrame(exposure, frame) {
+    this.drawMask(exposure, frame);
+    if (!exposure.together) this.drawTimes(exposure, frame);
+  }
+
+  drawTimes(exposure, frame) {
+    const { model } = this;
+    const look = frame ? frame.look : model.looks - 1;
+    drawDwells($("dwells"), exposure, look, frame);
+    if (!model.chooser) {
+      $("dwell-words").textContent = "Share of the exposure; the same for every scene.";
+      return;
+    }
+    $("h-dwells").textContent = `Time of each mask in look ${look + 1} of ${model.looks}`;
+    $("dwell-words").textContent = look
+      ? "Share of the exposure, chosen from the counts so far. Short lines: the look before."
+      : "Share of the exposure. The first look is the same for every scene.";
+  }
+
+  drawMask(exposure, frame) {
+    const { model } = this;
+    const canvas = $("mask");
+    $("h-device").textContent = exposure.together || !frame ? "Masks" : "On the device now";
+    if (exposure.together || !frame) {
+      this.drawMosaic();
+      return;
+    }
+    this.mosaic = false;
+    const { mask, rails, share } = frame;
+    const [rail] = rails;
+    const pattern = Array.from({ length: model.pixels }, (_, i) => model.entry(rail, mask, i));
+    let peak = model.light === "equal-dwell" ? share : model.peaks[rail][mask]; // of a mirror that is always ON
+    if (rails.length > 1) peak = model.entry(0, mask, 0) + model.entry(1, mask, 0);
+    const device = pattern.map((each) => each / peak);
+    const { high } = model.scenes;
+    const passed = device.map((each, i) => each * exposure.scene[i]);
+    if (this.spectrum) {
+      plot(canvas, [{ values: device, ink: colour(rail ? "--deepfsi" : "--pca"), steps: true }], [0, 1]);
+      plot($("through"), [{ values: passed, ink: colour("--ink") }], [0, high]);
+    } else {
+      paint(canvas, model.image_shape, (i) => device[i]);
+      paint($("through"), model.image_shape, (i) => passed[i] / high);
+    }
+    $("passed").hidden = false;
+    canvas.classList.toggle("rail-minus", rail === 1);
+    canvas.classList.toggle("rail-plus", rail === 0);
+    const which = rails.length > 1 ? ", both arms" : model.rails === 2 ? [", positive rail", ", negative rail"][rail] : "";
+    const arms = this.spectrum ? "High goes in one direction, low in the other. " : "White goes in one direction, black in the other. ";
+    const all = this.spectrum ? "" : `White goes to the detector${model.detectors > 1 ? "s" : ""}. `;
+    $("h-through").textContent = rails.length > 1 ? "Light in the first direction" : "Light that passes";
+    $("mask-words").textContent =
+      `Mask ${mask + 1} of ${model.masks}${which}, shown for ${percent(share / exposure.length)} of the exposure. ` +
+      (rails.length > 1 ? arms : all);
+  }
+
+  /** All masks side by side: as they are used at once, or before and after an exposure. */
+  drawMosaic() {
+    const { model } = this;
+    if (this.mosaic) return;
+    this.mosaic = true;
+    const canvas = $("mask");
+    const count = Math.min(model.masks, this.spectrum ? CURVES.length : MOSAIC);
+    canvas.classList.remove("rail-plus", "rail-minus");
+    const value = (mask, i) => model.matrix[mask * model.pixels + i];
+    const peaks = Array.from({ length: count }, (_, mask) => Math.max(model.peaks[0][mask], model.peaks[1]?.[mask] ?? 0));
+    if (this.spectrum) {
+      const curves = places(count).map((mask) => ({
+        values: Array.from({ length: model.pixels }, (_, i) => value(mask, i) / peaks[mask]),
+        ink: colour(CURVES[mask]),
+      }));
+      plot(canvas, curves, [model.rails === 2 ? -1 : 0, 1]);
+    } else {
+      const dwells = places(count).map((mask) => model.entry(0, mask, 0) + (model.rails > 1 ? model.entry(1, mask, 0) : 0));
+      tile(canvas, model.image_shape, count, Math.ceil(Math.sqrt(count)), (mask, i) => {
+        const share = value(mask, i) / peaks[mask];
+        if (model.rails === 1) return share;
+        if (model.light === "two-arm") return (1 + value(mask, i) / dwells[mask]) / 2;
+        const bright = share > 0 ? [86, 180, 255] : [255, 125, 59];
+        return bright.map((each) => each * Math.abs(share));
+      });
+    }
+    if ($("passed")) $("passed").hidden = true;
+    const some = count < model.masks ? `The first ${count} of ${model.masks} masks` : `All ${model.masks} masks`;
+    const dual = model.light === "two-arm" ? " White goes in one direction, black in the other." : " Blue is counted by the positive rail, orange by the negative one.";
+    const signs = model.rails === 2 ? dual : " White is counted, black is not.";
+    $("mask-words").textContent = `${some}, each to its own brightest value.${this.spectrum ? "" : signs}`;
+  }
+}

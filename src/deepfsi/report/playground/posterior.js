@@ -1,0 +1,138 @@
+// Posterior of the scene, look after look: deepfsi.design.adaptive.posterior in the browser.
+
+import { softmax } from "./numbers.js";
+
+const DIMMEST = 1e-6; // least light of a scene through a mask, over that of the whole mean scene
+const LARGEST_SIZE = 1e9; // of the negative binomial law; beyond, it is Poisson's
+const UNLIKELY = 1e-12; // probability below which a scene is left out of sums
+
+/** Sum of the products of two vectors, the second from a place on. */
+export function dot(a, b, start = 0) {
+  let sum = 0;
+  for (let i = 0; i < a.length; i++) sum += a[i] * b[start + i];
+  return sum;
+}
+
+/** Add a vector times a factor, in place; the vector is read from a place on. */
+export function add(to, factor, vector, start = 0) {
+  for (let i = 0; i < to.length; i++) to[i] += factor * vector[start + i];
+  return to;
+}
+
+/** Training scenes as sums of a mean and components; those near them differ normally, by I. */
+export class Prior {
+  constructor({ mean, components, steps, levels, sizes, spread }) {
+    Object.assign(this, { mean, sizes, spread });
+    this.parts = steps.length; // d
+    const pixels = mean.length;
+    const turned = (_, i) => components[(i % this.parts) * pixels + Math.floor(i / this.parts)];
+    this.components = Float32Array.from(components, turned); // those of a pixel side by side
+    this.count = levels.length / this.parts; // n
+    this.coefficients = Float32Array.from(levels, (level, i) => level * steps[i % this.parts]);
+    this.labels = sizes.flatMap((size, place) => new Array(size).fill(place));
+    this.whole = mean.reduce((a, b) => a + b, 0);
+  }
+
+  /** Light of the mean scene through what a readout sees (N), and of each component. */
+  light(seen) {
+    const parts = new Float64Array(this.parts);
+    seen.forEach((share, pixel) => share && add(parts, share, this.components, pixel * this.parts));
+    return { mean: dot(seen, this.mean), parts };
+  }
+
+  /** Coefficients as differences from the mean scene (N). */
+  picture(coefficients) {
+    return Float64Array.from(this.mean, (_, pixel) => dot(coefficients, this.components, pixel * this.parts));
+  }
+}
+
+/** Optics of a look: what its readouts see, and what they count. */
+export class LookOptics {
+  constructor({ rails, detectors, labels, dark, summed_reflectance }, photons) {
+    Object.assign(this, { arms: rails, detectors, labels, dark, gain: photons / summed_reflectance });
+  }
+
+  detector(pixel) {
+    return this.labels ? this.labels[pixel] : 0;
+  }
+
+  /** Pixels that each readout sees, arm by arm, detector by detector. */
+  readouts(mask) {
+    const places = Array.from({ length: this.arms * this.detectors }, (_, place) => place);
+    return places.map((place) => {
+      const [arm, detector] = [Math.floor(place / this.detectors), place % this.detectors];
+      return Float64Array.from(mask, (on, i) => (this.detector(i) === detector ? (arm ? 1 - on : on) : 0));
+    });
+  }
+
+  /** Expected counts of a scene for a share of the exposure. */
+  expected(mask, scene, share) {
+    return this.readouts(mask).map((seen) => dot(seen, scene) * this.gain * share + this.dark * share);
+  }
+}
+
+export class Posterior {
+  constructor(prior, optics) {
+    Object.assign(this, { prior, optics, known: [] });
+    this.logs = new Float64Array(prior.count);
+    this.shift = new Float64Array(prior.parts); // mean of what the scene differs from those known
+    this.weigh();
+  }
+
+  /** Take in the counts of a mask that was shown for a share of the exposure. */
+  update(mask, counts, share) {
+    const here = this.middle;
+    this.optics.readouts(mask).forEach((seen, place) => this.take(here, counts[place], seen, share));
+    this.weigh();
+  }
+
+  take(here, count, seen, share) {
+    const { prior, optics, logs } = this;
+    const { mean, parts } = prior.light(seen);
+    const [gain, dark] = [optics.gain * share, optics.dark * share];
+    const least = DIMMEST * prior.whole;
+    const left = this.unknown(parts); // what scenes change of the light, given all before
+    const offset = mean + dot(parts, this.shift);
+    const usual = Math.max(offset + dot(left, here), least) * gain + dark;
+    const variance = prior.spread ? Math.max(dot(parts, left), 0) : 0;
+    const size = Math.min(usual ** 2 / Math.max(variance * gain ** 2, 1e-30), LARGEST_SIZE);
+    const part = usual / (usual + size);
+    for (let scene = 0; scene < prior.count; scene++) {
+      const light = Math.max(offset + dot(left, prior.coefficients, scene * prior.parts), least);
+      const ratio = (light * gain + dark) / usual;
+      logs[scene] += count * Math.log(ratio);
+      logs[scene] -= prior.spread ? (count + size) * Math.log1p((ratio - 1) * part) : (ratio - 1) * usual;
+    }
+    if (!prior.spread) return;
+    const total = variance + usual / gain ** 2;
+    add(this.shift, ((count - dark) / gain - offset) / total, left);
+    this.known.push(left.map((each) => each / Math.sqrt(total)));
+  }
+
+  /** Probabilities of scenes and classes, and the coefficients of scenes by them, class by class. */
+  weigh() {
+    const { prior } = this;
+    this.weights = softmax(this.logs);
+    this.chances = new Array(prior.sizes.length).fill(0);
+    this.sums = prior.sizes.map(() => new Float64Array(prior.parts));
+    this.weights.forEach((weight, scene) => {
+      const label = prior.labels[scene];
+      this.chances[label] += weight;
+      if (weight > UNLIKELY) add(this.sums[label], weight, prior.coefficients, scene * prior.parts);
+    });
+    this.middle = this.sums.reduce((sum, own) => add(sum, 1, own), new Float64Array(prior.parts));
+  }
+
+  /** Product of coefficients with the covariance that is left, given the counts. */
+  unknown(parts) {
+    const left = Float64Array.from(parts);
+    for (const direction of this.known) add(left, -dot(parts, direction), direction);
+    return left;
+  }
+
+  /** Mean scene. */
+  get scene() {
+    const here = add(this.unknown(this.middle), 1, this.shift);
+    return add(this.prior.picture(here), 1, this.prior.mean);
+  }
+}

@@ -1,0 +1,276 @@
+"""The page of adaptive masks, in Chromium: what it computes is what the package computes."""
+
+import time
+from copy import copy
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from selenium.webdriver.common.by import By
+
+from conftest import generator, synthetic
+from deepfsi import Camera, learn
+from deepfsi.design.adaptive import choice
+from deepfsi.design.adaptive.exposures import AdaptiveMasks, prior_of
+from deepfsi.design.adaptive.posterior import AdaptivePosterior, LookOptics
+from deepfsi.design.evaluation import evaluate
+from deepfsi.design.payload import few_tests, of_page, playable
+from deepfsi.design.stopping import StoppingRule, with_rule
+from deepfsi.report.playground.page import write_page
+from shared.playground import ask, open_playground
+
+LOOKS, PHOTONS, VECTORS = 6, 1e3, 20
+SURE_ENOUGH = 1 - 1 / choice.SAMPLES
+"""Probability of a class beyond which all scenes that are drawn may be of it."""
+
+SURE = 0.2
+"""Probability above which a design with a rule stops."""
+
+KINDS = {
+    "one": {"camera": "dmd"},
+    "arms": {"camera": "two-arm"},
+    "tiles": {"camera": "dmd-2x2"},
+    "dark": {"camera": Camera(dark=3e3, detectors="2x2")},
+    "among": {"camera": "dmd"},
+    "spectra": {"camera": "dmd"},
+}
+"""Cameras; of `among` a scene is one of those of the prior."""
+
+CLOSE = 1e-6
+"""Largest difference from the package in 64 bits, of sums of log-likelihoods of 1e6 counts."""
+
+
+@pytest.fixture(scope="module")
+def designs(digits):
+    few, made = replace(digits, x_train=digits.x_train[:700], y_train=digits.y_train[:700]), {}
+    for kind, settings in KINDS.items():
+        data = synthetic((24,)) if kind == "spectra" else few
+        made[kind] = learn(data, design="adaptive", masks=LOOKS, photons=PHOTONS, **settings)
+    known = AdaptiveMasks(looks=LOOKS, spread=0.0)
+    made["among"] = replace(made["among"], prior=prior_of(few, known), settings=known)
+    rule = StoppingRule(tuple(range(1, LOOKS + 1)), SURE, PHOTONS)
+    made["one"] = with_rule(made["one"], rule)
+    return made
+
+
+@pytest.fixture(scope="module")
+def pages(designs, digits, tmp_path_factory):
+    home = tmp_path_factory.mktemp("pages")
+    for kind, design in designs.items():
+        data = synthetic((24,)) if kind == "spectra" else digits
+        write_page(home / f"{kind}.html", playable(design, data))
+    return {kind: (home / f"{kind}.html").as_uri() for kind in designs}
+
+
+@pytest.fixture
+def opened(browser, pages):
+    def open_page(kind, width=1280, scheme="light", **screen):
+        return open_playground(browser, pages[kind], width, scheme, **screen)
+
+    return open_page
+
+
+@pytest.fixture
+def double():
+    """Compute in 64 bits, as a browser does."""
+    torch.set_default_dtype(torch.float64)
+    yield
+    torch.set_default_dtype(torch.float32)
+
+
+@pytest.fixture
+def exposures(designs, digits, double):
+    """Exposures of test scenes with the package in 64 bits: masks, counts, and what is known."""
+
+    def doubled(prior):
+        prior = copy(prior)
+        for name in ("mean", "components", "coefficients"):
+            setattr(prior, name, getattr(prior, name).double())
+        return prior
+
+    def expose(kind):
+        design, found = of_page(designs[kind]), []
+        data = synthetic((24,)) if kind == "spectra" else digits
+        budgets = np.geomspace(10, 1e6, VECTORS)
+        share = design.settings.shares[0]
+        for number, photons in enumerate(budgets):
+            optics = LookOptics.of(design.camera, design.image_shape, float(photons))
+            prior, x = doubled(design.prior), data.x_test[number]
+            state = AdaptivePosterior(prior, 1, optics)
+            noise, looks = generator(number), []
+            for _ in range(LOOKS):
+                start = float(torch.rand(1, 1, generator=generator(int(noise.initial_seed()))))
+                masks = choice.next_masks(state, share, generator(int(noise.initial_seed())))
+                mean = state.expected(masks, torch.from_numpy(x)[None].double(), share)
+                counts = torch.poisson(mean, generator=noise)
+                before, sure = choice.candidates(state)[0].tolist(), float(state.chances.max())
+                state.update(masks, counts, share)
+                looks.append(
+                    {
+                        "start": start, "open": sure < SURE_ENOUGH, "candidates": before,
+                        "mask": masks[0].tolist(), "expected": mean[0].tolist(),
+                        "counts": counts[0].tolist(), "chances": state.chances[0].tolist(),
+                        "scene": state.scene[0].tolist(),
+                    }
+                )  # fmt: skip
+            found.append({"photons": float(photons), "scene": x.tolist(), "looks": looks})
+        return found
+
+    return expose
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_posterior_and_masks_are_those_of_the_package(opened, designs, exposures, kind):
+    """Each look of the package, told to the page: what it counts, knows, and would show next."""
+    vectors = exposures(kind)
+    sent = [
+        {**each, "looks": [{n: v for n, v in look.items() if n != "chances"} for look in looks]}
+        for each in vectors
+        for looks in [each["looks"]]
+    ]
+    found = ask(
+        opened(kind),
+        "return given.vectors.map(({ photons, scene, looks }) => {"
+        "  const optics = new LookOptics(model, photons);"
+        "  const state = new Posterior(model.prior, optics);"
+        "  return looks.map(({ start, mask, counts }) => {"
+        "    const share = model.shares[0], before = candidates(state);"
+        "    const shown = nextMask(state, share, start);"
+        "    const expected = optics.expected(mask, scene, share);"
+        "    state.update(mask, counts, share);"
+        "    return { candidates: before.map(each => [...each]), mask: [...shown], expected,"
+        "      chances: [...state.chances], scene: [...state.scene] };"
+        "  }); });",
+        vectors=sent,
+    )
+    pairs = [
+        (mine, theirs)
+        for each, own in zip(vectors, found, strict=True)
+        for mine, theirs in zip(each["looks"], own, strict=True)
+    ]
+    wanted, told = ({name: [p[i][name] for p in pairs] for name in pairs[0][1]} for i in (0, 1))
+    np.testing.assert_allclose(told["expected"], wanted["expected"], rtol=CLOSE)
+    np.testing.assert_allclose(told["chances"], wanted["chances"], atol=CLOSE, rtol=0)
+    np.testing.assert_allclose(told["scene"], wanted["scene"], atol=CLOSE, rtol=0)
+    assert np.ptp(wanted["chances"], axis=0).max() > 0.5  # answers differ
+    # where all drawn scenes are of one class no mask tells more than another
+    undecided = [pair for pair in pairs if pair[0]["open"]]
+    assert len(undecided) > 40
+    for mine, theirs in undecided:
+        assert sorted(mine["candidates"]) == sorted(theirs["candidates"])
+        ways = [mine["mask"]]
+        if kind == "arms":  # the arms changed over tell as much
+            ways.append([1 - on for on in mine["mask"]])
+        assert theirs["mask"] in ways
+
+
+@pytest.mark.parametrize(("readouts", "spread"), [(1, 0.0), (1, 0.5), (2, 0.5), (8, 0.2)])
+def test_information_is_that_of_the_package(opened, readouts, spread):
+    rng = np.random.default_rng(readouts)
+    counts = rng.gamma(2.0, 20.0, (VECTORS, readouts, 40))
+    labels, weights = rng.integers(0, 4, 40), rng.dirichlet(np.ones(40))
+    root = rng.normal(size=(readouts, readouts)) * spread
+    unknown = root @ root.T
+    members = torch.from_numpy(np.eye(4)[labels] * weights[:, None])[None]
+    noise = torch.from_numpy(unknown)[None, None] if spread else None
+    wanted = choice.information(torch.from_numpy(counts)[None], members, noise)[0]
+    found = ask(
+        opened("one"),
+        "const { labels, weights, unknown } = given;"
+        "return given.counts.map(c => information(c, labels, weights, 4, unknown))",
+        counts=counts.tolist(), labels=labels.tolist(), weights=weights.tolist(),
+        unknown=unknown.tolist(),
+    )  # fmt: skip
+    np.testing.assert_allclose(found, wanted, rtol=1e-6)
+
+
+def test_scenes_are_drawn_as_the_package_draws_them(opened):
+    weights = np.random.default_rng(0).dirichlet(np.full(700, 0.05), 10).astype(np.float32)
+    start = float(torch.rand(1, 1, generator=generator(3)))
+    found = ask(
+        opened("one"),
+        "return given.weights.map(w => sample(Float64Array.from(w), given.start).places)",
+        weights=weights.tolist(), start=start,
+    )  # fmt: skip
+    for each, own in zip(found, weights, strict=True):
+        wanted, _ = choice._sample(torch.from_numpy(own)[None], generator(3))
+        differ = np.array(each) != wanted[0].numpy()
+        assert differ.mean() < 0.05  # points that lie between two scenes within rounding
+
+
+@pytest.mark.parametrize("kind", ["one", "tiles"])
+def test_exposures_of_the_page_are_as_often_right_as_those_of_the_package(
+    opened, designs, digits, kind
+):
+    tests = few_tests(digits, 1)
+    answers = ask(
+        opened(kind),
+        "return given.scenes.map((x, i) => {"
+        "  const e = new LookExposure(model, Float64Array.from(x), 300, i + 1);"
+        "  e.reach(model.looks); const { chances } = e.answer(model.looks);"
+        "  return chances.indexOf(Math.max(...chances)); })",
+        scenes=tests.x_test.tolist(),
+    )
+    mine = float(np.mean(np.array(answers) == tests.y_test))
+    [found] = evaluate(of_page(designs[kind]), tests, 300.0, draws=3)
+    error = np.sqrt(found.accuracy * (1 - found.accuracy) * (1 + 1 / 3) / len(answers))
+    assert abs(mine - found.accuracy) < 4 * error
+    assert 0.3 < mine < 0.95
+
+
+def test_an_exposure_is_watched_look_by_look(opened):
+    browser = opened("one")
+    said, states, scenes, strips = [], [], [], []
+    for _ in range(LOOKS):
+        browser.find_element(By.ID, "step").click()
+        said.append(int(browser.find_element(By.ID, "count-words").text.replace("\u202f", "")))
+        states.append(browser.find_element(By.ID, "state").text)
+        for held, name in ((scenes, "through"), (strips, "strip")):
+            script = f"return document.getElementById('{name}').toDataURL()"
+            held.append(browser.execute_script(script))
+    wanted = ask(browser, "return page.exposure.frames.map(f => f.counts.reduce((a, b) => a + b))")
+    assert said == np.cumsum(wanted).tolist()
+    assert states[0].endswith(f"look 2 of {LOOKS}")
+    assert states[-1].endswith("finished")
+    assert len(set(scenes)) == LOOKS
+    assert len(set(strips)) == LOOKS - 1  # after the last look nothing new is shown
+    assert browser.find_element(By.ID, "verdict").text.startswith("Answer: ")
+
+
+def test_where_the_rule_of_the_design_would_have_stopped_is_said(opened):
+    stop, chances, said = ask(
+        opened("one", still=True),
+        "document.getElementById('expose').click(); const { exposure } = page;"
+        "const sure = [...exposure.answers.values()].map(a => Math.max(...a.chances));"
+        "return [exposure.stop, sure, document.getElementById('verdict').textContent]",
+    )
+    early = [number for number, sure in enumerate(chances[:-1], start=1) if sure > SURE]
+    assert [stop["count"]] == early[:1]
+    assert f"could have stopped after look {early[0]} of {LOOKS}" in said
+
+
+def test_who_asks_for_less_motion_sees_the_end_at_once(opened):
+    browser = opened("one", still=True)
+    browser.find_element(By.ID, "expose").click()
+    assert "finished" in browser.find_element(By.ID, "state").text
+    assert not ask(browser, "return page.playing")
+
+
+def test_a_seed_repeats_an_exposure(opened):
+    body = (
+        "return given.seeds.map(s => { const e = new LookExposure(model, page.scene, 1e3, s);"
+        "e.reach(3); return e.frames.slice(0, 3).map(f => [f.counts, [...f.pattern]]); })"
+    )
+    first, again, other = ask(opened("one"), body, seeds=[3, 3, 4])
+    assert first == again
+    assert first != other
+
+
+def test_a_scene_unlike_all_of_the_training_gets_no_answer(opened):
+    browser = opened("one", still=True)
+    browser.find_element(By.ID, "clear").click()
+    time.sleep(0.2)
+    browser.find_element(By.ID, "expose").click()
+    assert browser.find_element(By.ID, "verdict").text.startswith("No answer: this scene is darker")
+    assert "%" not in browser.find_element(By.ID, "answer").text

@@ -1,0 +1,92 @@
+"""Layout of the page to play with, for designs of both kinds, in Chromium at two widths."""
+
+import time
+
+import pytest
+from selenium.webdriver.common.by import By
+
+from conftest import quick, synthetic
+from deepfsi import learn
+from deepfsi.design.payload import playable
+from deepfsi.report.playground.page import write_page
+from shared.browser import CONTRASTS, CUT, OVERFLOW, requests_of
+from shared.playground import KINDS, ask, open_playground, outside
+
+WIDTHS, SCHEMES = (1280, 400), ("light", "dark")
+ADAPTIVE = {"adaptive": "dmd", "adaptive-arms": "two-arm", "adaptive-spectra": "dmd"}
+LOOKS = 8
+"""Of adaptive masks: an exposure lasts six seconds at speed 1."""
+
+every_kind = pytest.mark.parametrize("kind", ["column", "looks", "spectra", *ADAPTIVE])
+
+
+@pytest.fixture(scope="module")
+def pages(digits, tmp_path_factory):
+    """Give a function that gives the address of the page of a design, which it makes once."""
+    home = tmp_path_factory.mktemp("pages")
+
+    def address(kind):
+        page = home / f"{kind}.html"
+        if not page.exists():
+            data = synthetic((24,)) if kind.endswith("spectra") else digits
+            if kind in ADAPTIVE:
+                settings = {"camera": ADAPTIVE[kind], "masks": LOOKS, "photons": 1e3}
+                design = learn(data, design="adaptive", **settings)
+            else:
+                design = quick(data, **KINDS[kind])
+            write_page(page, playable(design, data))
+        return page.as_uri()
+
+    return address
+
+
+@pytest.fixture
+def opened(browser, pages):
+    """Give a function that opens a page and waits for it."""
+
+    def open_page(kind, width=1280, scheme="light", **screen):
+        return open_playground(browser, pages(kind), width, scheme, **screen)
+
+    return open_page
+
+
+@every_kind
+@pytest.mark.parametrize("width", WIDTHS)
+def test_expose_exposure_and_answer_are_in_view_together(opened, kind, width):
+    browser, adaptive = opened(kind, width, height=800), kind in ADAPTIVE
+    assert outside(browser, "expose", "scene", "light") == []  # before anything is scrolled
+    if adaptive:
+        said = browser.find_element(By.ID, "verdict").text
+        assert said == "Nothing is exposed yet: press Expose."
+        assert browser.find_element(By.ID, "count-words").text == "0"
+        assert ask(browser, "return page.exposure.taken") == 1  # the first mask needs no counts
+    browser.find_element(By.ID, "expose").click()
+    time.sleep(1.5)  # where the page goes to the exposure, it goes smoothly
+    seen = ["expose", "state", "mask", "verdict", "answer", *(["through"] if adaptive else [])]
+    assert outside(browser, *seen) == []
+    if adaptive:  # masks are made while one watches
+        assert 1 < ask(browser, "return page.exposure.taken") < LOOKS
+    browser.execute_script("document.getElementById('speed').value = '16'")
+    for _ in range(200):
+        if "finished" in browser.find_element(By.ID, "state").text:
+            break
+        time.sleep(0.05)
+    assert outside(browser, *seen) == []
+    assert browser.find_element(By.ID, "verdict").text.startswith("Answer: ")
+
+
+@every_kind
+@pytest.mark.parametrize("scheme", SCHEMES)
+@pytest.mark.parametrize("width", WIDTHS)
+def test_nothing_is_cut_hard_to_read_or_asked_for(opened, kind, width, scheme):
+    browser = opened(kind, width, scheme)
+    ask(browser, "page.time = 0.4 * page.exposure.length; page.draw()")
+    assert browser.execute_script("return window.innerWidth") == width
+    assert browser.execute_script(OVERFLOW) <= 0
+    assert browser.execute_script(CUT) == []
+    contrasts = browser.execute_script(CONTRASTS)
+    assert {"H1", "text", "BUTTON", "FIGCAPTION", "SPAN"} <= {tag for _, tag, _ in contrasts}
+    assert contrasts[0][0] >= 4.5, contrasts[:5]
+    assert browser.get_log("browser") == []
+    assert [url for url in requests_of(browser) if not url.startswith("file:")] == []
+    assert len(requests_of(browser)) == 0
