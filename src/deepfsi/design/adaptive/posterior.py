@@ -102,7 +102,8 @@ class AdaptivePosterior:
         self.gain = optics.photons / prior.summed_reflectance
         """Counts of one fully reflecting pixel in a whole exposure."""
         d = prior.coefficients.shape[1]
-        self.logs = (prior.members / prior.members.max()).log().repeat(exposures, 1)
+        frequent = (prior.members / prior.members.max()).log()
+        self.logs = torch.zeros(exposures, len(prior)) + frequent
         """Log-probabilities of the scenes, up to a constant."""
         self._known = torch.zeros(exposures, 0, d)  # directions in which e is known by now
         self._shift = torch.zeros(exposures, d)  # mean of e of the mean scene
