@@ -9,7 +9,6 @@ from scipy.stats import multivariate_normal
 from deepfsi import AdaptiveDesign, evaluate, learn
 from deepfsi.design.adaptive.posterior import AdaptivePosterior, LookOptics
 from deepfsi.design.adaptive.prior import ScenePrior
-from deepfsi.design.payload import check_playable
 from deepfsi.errors import InputError
 from deepfsi.training.job import Job
 
@@ -127,8 +126,3 @@ def test_light_and_misfit_are_measured_with_scenes_of_all_classes(digits):
     [found] = evaluate(design, digits, PHOTONS, draws=1)
     assert found.counts / PHOTONS == pytest.approx(float(design.shares.sum()), rel=0.1)
     assert design.usual_misfit is not None
-
-
-def test_a_page_does_not_play_centres(digits):
-    with pytest.raises(InputError, match="not centres of clusters"):
-        check_playable(learn(digits, **settings(4)))

@@ -34,6 +34,7 @@ KINDS = {
     "dark": {"camera": Camera(dark=3e3, detectors="2x2")},
     "among": {"camera": "dmd"},
     "spectra": {"camera": "dmd"},
+    "centres": {"camera": "dmd", "training": {"clusters": 8}},
 }
 """Cameras; of `among` a scene is one of those of the prior."""
 

@@ -105,10 +105,6 @@ def check_playable(design: AnyDesign) -> None:
     """Raise `InputError` for a design that no page can play."""
     if isinstance(design, AdaptiveDesign):
         LookOptics.of(design.camera, design.image_shape, 1.0)
-        if design.settings.clusters is not None:
-            raise InputError(
-                "a page knows scenes, not centres of clusters: make the design without `clusters`"
-            )
     else:
         _classifier(design)
 
@@ -184,7 +180,7 @@ def _networks(design: Design) -> dict[str, Any]:
 def _posterior(known: AdaptiveDesign, design: AdaptiveDesign) -> dict[str, Any]:
     """Looks of adaptive masks, and the scenes that a page knows, of those that the design knows."""
     optics, arrays = LookOptics.of(known.camera, known.image_shape, 1.0), known.prior.arrays
-    names = ("mean", "components", "steps", "levels")
+    names = ("mean", "components", "steps", "levels", "members")
     return {
         "summed_reflectance": known.prior.summed_reflectance,
         "light": known.camera.light,
@@ -192,9 +188,13 @@ def _posterior(known: AdaptiveDesign, design: AdaptiveDesign) -> dict[str, Any]:
         "dark": optics.dark,
         "shares": known.settings.shares,
         "counted": known.shares.tolist(),
-        "prior": {name: pack(arrays[name]) for name in names}
+        "prior": {name: pack(arrays[name]) for name in names}  # whole numbers as float32
         | {"sizes": known.prior.sizes, "spread": known.prior.spread},
-        "known": {"scenes": len(known.prior), "of": len(design.prior)},
+        "known": {
+            "scenes": len(known.prior),
+            "of": len(design.prior),
+            "centres": design.settings.clusters is not None,
+        },
     }
 
 

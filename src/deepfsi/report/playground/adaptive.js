@@ -46,7 +46,8 @@ export class AdaptiveView {
 
   about() {
     const [scenes, of] = [this.model.known.scenes, this.model.known.of].map(wholeText);
-    const some = scenes === of ? `the ${of} training scenes` : `${scenes} of the ${of} training scenes`;
+    const known = this.model.known.centres ? "centres of clusters of training scenes" : "training scenes";
+    const some = scenes === of ? `the ${of} ${known}` : `${scenes} of the ${of} ${known}`;
     return `Posterior of the class. This page knows ${some}.`;
   }
 

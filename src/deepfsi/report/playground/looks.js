@@ -10,8 +10,8 @@ export class LookModel extends Design {
   /** The design of a payload, its arrays unpacked. */
   static async load(payload) {
     const model = new LookModel(payload);
-    const { mean, components, steps, levels } = payload.prior;
-    const arrays = Object.entries({ mean, components, steps, levels }).map(async ([name, packed]) => [
+    const { mean, components, steps, levels, members } = payload.prior;
+    const arrays = Object.entries({ mean, components, steps, levels, members }).map(async ([name, packed]) => [
       name,
       (await unpack(packed)).values,
     ]);

@@ -21,8 +21,10 @@ export function add(to, factor, vector, start = 0) {
 
 /** Training scenes as sums of a mean and components; those near them differ normally, by I. */
 export class Prior {
-  constructor({ mean, components, steps, levels, sizes, spread }) {
+  constructor({ mean, components, steps, levels, members, sizes, spread }) {
     Object.assign(this, { mean, sizes, spread });
+    const most = members.reduce((a, b) => Math.max(a, b), 1);
+    this.logs = Float64Array.from(members, (each) => Math.log(each / most)); // before all counts
     this.parts = steps.length; // d
     const pixels = mean.length;
     const turned = (_, i) => components[(i % this.parts) * pixels + Math.floor(i / this.parts)];
@@ -74,7 +76,7 @@ export class LookOptics {
 export class Posterior {
   constructor(prior, optics) {
     Object.assign(this, { prior, optics, known: [] });
-    this.logs = new Float64Array(prior.count);
+    this.logs = Float64Array.from(prior.logs);
     this.shift = new Float64Array(prior.parts); // mean of what the scene differs from those known
     this.weigh();
   }

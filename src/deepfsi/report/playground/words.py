@@ -122,6 +122,7 @@ def _networks(payload: Payload) -> dict[str, str]:
 def _posterior(payload: Payload) -> dict[str, str]:
     """Facts on adaptive masks, and the scenes that the page knows."""
     scenes, of, dark = payload["known"]["scenes"], payload["known"]["of"], payload["dark"]
+    kind = f"{'centres of clusters of ' * payload['known']['centres']}training scenes of the design"
     even = len(set(payload["shares"])) == 1
     noise = f"{dark:.3g} dark counts of each detector in a whole exposure" if dark else ""
     return {
@@ -129,10 +130,10 @@ def _posterior(payload: Payload) -> dict[str, str]:
         "of the exposure. Mirrors are ON or OFF.",
         "Noise": f"Exact Poisson counts{f', with {noise}' if noise else ''}. There are no "
         f"{'' if dark else 'dark counts, no '}dead time and no stray light.",
-        "Prior": f"This page knows {scenes} of the {of} training scenes of the design, of each "
+        "Prior": f"This page knows {scenes} of the {of} {kind}, of each "
         "class the same share, and the accuracy above is of these. All of them may tell more."
         if scenes < of
-        else f"This page knows the {of} training scenes of the design.",
+        else f"This page knows the {of} {kind}.",
         "Probabilities": "The posterior of the class. No network is trained, and nothing is "
         "calibrated.",
     }
