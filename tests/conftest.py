@@ -224,7 +224,9 @@ def uncharacterised(monkeypatch):
     What is found of a design afterwards, its readouts and its confidence, takes longer than a
     training of a moment.
     """
-    monkeypatch.setattr("deepfsi.training.learning.characterise", lambda *_: None)
+    from deepfsi.training import learning  # by its path it is not found after it was left out
+
+    monkeypatch.setattr(learning, "characterise", lambda *_: None)
 
 
 @pytest.fixture

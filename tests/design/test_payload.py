@@ -85,6 +85,7 @@ def test_the_page_of_adaptive_masks_is_small_and_plays_the_whole_exposure(digits
         "components": rng.normal(size=(parts, 64)).astype(np.float32) / 1e3,
         "steps": np.full(parts, 1e-3, np.float32),
         "levels": rng.integers(-127, 128, (scenes, parts)).astype(np.int8),
+        "members": np.ones(scenes, np.int32),
         "sizes": np.full(10, scenes // 10),
     }
     prior = ScenePrior.restored(held)
