@@ -256,11 +256,6 @@ def _print_patterns(command: str, patterns: "Patterns", folder: Path, as_json: b
     print(f"patterns: {folder}")
 
 
-def _adaptive(manifest: "Manifest") -> bool:
-    """True of masks that are made while the exposure runs."""
-    return manifest.looks is not None and manifest.looks.adaptive
-
-
 def _placed(manifest: "Manifest", grid: "Grid") -> str:
     """Cells on the device, in words."""
     device, layout = manifest.device, manifest.layout
@@ -282,16 +277,15 @@ def _counted(manifest: "Manifest", longest: float | None, cost: "Cost | None") -
     """Frames of a pass, its longest exposure and what it costs, in words."""
     sentinels = len(manifest.frames) - len(manifest.shown)
     frames = f"{len(manifest.shown)} frames of masks and {sentinels} all-ON and all-OFF ones"
-    if _adaptive(manifest):
-        assert manifest.looks is not None
-        looks, load_us = manifest.looks.count, manifest.device.load_us
+    device, chosen = manifest.device, manifest.looks
+    if chosen and chosen.adaptive:
         return (
-            f"{frames}: the mask of the first look, of {looks}; a live run loads a new one before "
-            f"each look, {load_us} µs a frame on {manifest.device.name}, in which no photon is "
-            "counted; show them with `deepfsi camera live`"
+            f"{frames}: the mask of the first look, of {chosen.count}; a live run loads a new one "
+            f"before each look, {device.load_us} µs a frame on {device.name}, in which no photon "
+            "is counted; show them with `deepfsi camera live`"
         )
-    if manifest.looks or cost is None:
-        looks = manifest.looks.count if manifest.looks else 1
+    if chosen or cost is None:
+        looks = chosen.count if chosen else 1
         return (
             f"{frames}, {looks} looks: the times written are of the first, those of the others "
             "follow from counts; show them with `deepfsi camera live`"

@@ -12,6 +12,7 @@ from deepfsi.design.adaptive.design import AdaptiveDesign
 from deepfsi.design.adaptive.misfit import squared_distance
 from deepfsi.design.adaptive.posterior import AdaptivePosterior, LookOptics
 from deepfsi.design.consistency import UNSURE
+from deepfsi.errors import as_input_error
 from deepfsi.files import read_regular
 from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.patterns.folder import DesignRails
@@ -35,7 +36,8 @@ class AdaptiveLooks:
 
     def __init__(self, design: AdaptiveDesign, manifest: Manifest) -> None:
         self.design, self.frames = design, manifest.shown
-        self.looks, self.classes, self.shortest = design.masks, design.classes, 0.0
+        self.classes, self.shortest = design.classes, 0.0
+        self.shares = tuple(design.settings.shares)
         self.photons: float | None = design.info["job"].get("photons")
         self.decision_s = DECISION_S + DECISION_A_SCENE_S * len(design.prior)
         until = design.settings.until
@@ -43,17 +45,14 @@ class AdaptiveLooks:
 
     def expose(self, scene: int, conditions: Conditions) -> "AdaptiveExposure":
         """Begin an exposure of a scene."""
-        return AdaptiveExposure(self.design, self.frames, scene, conditions)
+        return AdaptiveExposure(self, scene, conditions)
 
 
 class AdaptiveExposure:
     """One exposure of a scene with adaptive masks."""
 
-    def __init__(
-        self, design: AdaptiveDesign, frames: np.ndarray, scene: int, conditions: Conditions
-    ) -> None:
-        self._frames, self._conditions = frames, conditions
-        self._shares = design.settings.shares
+    def __init__(self, looks: AdaptiveLooks, scene: int, conditions: Conditions) -> None:
+        design, self._looks, self._conditions = looks.design, looks, conditions
         dark = torch.from_numpy(conditions.dark.clip(min=0) * conditions.exposure_ns * 1e-9)
         optics = LookOptics.of(design.camera, design.image_shape, conditions.photons)
         self._state = AdaptivePosterior(design.prior, 1, replace(optics, dark=dark.float()))
@@ -63,10 +62,10 @@ class AdaptiveExposure:
     @torch.no_grad()
     def ask(self, look: int) -> FrameList:
         """Frame of the mask that tells most of the class, as far as it is known."""
-        share = self._shares[look]
+        share = self._looks.shares[look]
         masks = next_masks(self._state, share, self._generator)
         gate = np.array([round(share * self._conditions.exposure_ns)])
-        return FrameList(look, self._frames, gate, masks.bool().numpy())
+        return FrameList(look, self._looks.frames, gate, masks.bool().numpy())
 
     @torch.no_grad()
     def take(self, asked: FrameList, found: ShownFrames) -> np.ndarray:
@@ -76,7 +75,8 @@ class AdaptiveExposure:
         share = float(asked.gate_ns[0]) / self._conditions.exposure_ns
         masks = torch.from_numpy(asked.masks).float()
         self._look = asked.look
-        self._misfit += float(squared_distance(self._state, masks, counts, share))
+        if self._usual is not None:
+            self._misfit += float(squared_distance(self._state, masks, counts, share))
         self._state.update(masks, counts, share)
         return self._state.chances[0].double().numpy()
 
@@ -99,13 +99,15 @@ def adaptive_rails(path: str | os.PathLike[str]) -> DesignRails:
     mask = next_masks(state, share, torch.Generator().manual_seed(0))
     rails = torch.stack([mask, 1 - mask]) if optics.arms == 2 else mask[None]
     cells = tuple(detector_map(camera.detectors, design.image_shape).tolist())
+    with as_input_error(str(path)):
+        brightness = Brightness.of(design.info)
     return DesignRails(
         (rails * share).numpy(),
         camera.light,
         design.image_shape,
         design.prior.summed_reflectance,
         file,
-        Brightness.of(design.info),
+        brightness,
         Detectors(count=max(cells) + 1, cells=cells) if max(cells) else None,
         looks=Looks(
             count=design.masks, each_rail=False, first=(share,), shortest=0, loop_sha256=None

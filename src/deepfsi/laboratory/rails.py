@@ -152,7 +152,7 @@ def design_rails(file: str | os.PathLike[str]) -> DesignRails:
             "one device cannot show: use Design.classify"
         )
     with as_input_error(str(file)):
-        detectors = made.detectors
+        brightness, detectors = Brightness.of(header.info), made.detectors
     loop = made.loop if header.exposure.looks > 1 else None
     return DesignRails(
         made.tensors["rails"],
@@ -160,7 +160,7 @@ def design_rails(file: str | os.PathLike[str]) -> DesignRails:
         header.image_shape,
         header.summed_reflectance,
         read_regular(path, LARGEST, "give a design file"),
-        Brightness.of(header.info),
+        brightness,
         detectors,
         header.readout,
         looks=None if loop is None else loop.looks,

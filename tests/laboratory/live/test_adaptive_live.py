@@ -166,7 +166,7 @@ def test_the_patterns_hold_the_design_and_the_first_mask(patterns):
     assert manifest.looks.adaptive
     assert [frame.role for frame in manifest.frames] == ["on", "off", "mask", "on", "off"]
     looks = read_looks(patterns, manifest)
-    assert looks.looks == LOOKS
+    assert len(looks.shares) == LOOKS
 
 
 def test_a_device_that_loads_no_frame_while_it_runs_is_refused(patterns, tmp_path):
@@ -183,6 +183,19 @@ def test_another_design_beside_the_first_mask_is_refused(patterns, tmp_path):
         file.write(b" ")
     with pytest.raises(InputError, match="is not the design whose first mask"):
         read_looks(folder, read_patterns(folder).manifest)
+
+
+@pytest.mark.parametrize("growth", [8.0, 1 / 8])
+def test_the_shortest_look_must_not_be_shorter_than_the_device_allows(digits, tmp_path, growth):
+    """Of looks of different lengths, wherever it comes."""
+    design = learn(digits.hold_out(1200), design="adaptive", masks=LOOKS, photons=1e4)
+    uneven = design.settings.model_copy(update={"growth": growth})
+    replace(design, settings=uneven).save(tmp_path / "a.safetensors")
+    patterns, scenes = shown_from(tmp_path / "a.safetensors"), scenes_of(digits, 1)[1]
+    shortest_s = EXPOSURE_S * min(uneven.shares)
+    plan_live(patterns, scenes, EXPOSURE_S, shortest_s * 0.99)
+    with pytest.raises(InputError, match="shorter than the shortest dwell"):
+        plan_live(patterns, scenes, EXPOSURE_S, shortest_s * 1.01)
 
 
 def test_a_background_is_refused(digits, patterns):

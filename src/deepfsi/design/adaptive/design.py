@@ -35,8 +35,8 @@ MOST_REFLECTANCE, MOST_SPREAD = 1e3, 1e2
 """Bounds of what a file may hold: a sum of all components, and the spread of a prior."""
 
 
-class Look(NamedTuple):
-    """One look of exposures, and what is known after it."""
+class Known(NamedTuple):
+    """Masks of a look of exposures, and what is known after it."""
 
     masks: Tensor  # (b, N) of 0 and 1
     state: AdaptivePosterior
@@ -109,7 +109,7 @@ class AdaptiveDesign:
 
     def looks(
         self, x: Tensor, photons: float, generator: torch.Generator, camera: Camera | None = None
-    ) -> Iterator[Look]:
+    ) -> Iterator[Known]:
         """Looks at scenes, one after another, with counts drawn of a budget.
 
         Parameters
@@ -130,8 +130,9 @@ class AdaptiveDesign:
         optics = LookOptics.of(camera or self.camera, self.image_shape, photons)
         state = AdaptivePosterior(self.prior, len(x), optics)
         for share in self.settings.shares:
-            masks, _ = look_at(state, x, share, generator)
-            yield Look(masks, state)
+            masks, counts, _ = look_at(state, x, share, generator)
+            state.update(masks, counts, share)
+            yield Known(masks, state)
 
     def at_once(self, x: Tensor) -> tuple[Tensor, ...]:
         """Scenes (n, N) in parts that the memory holds the likelihoods of."""

@@ -1,5 +1,7 @@
 """Exposures with adaptive masks: their settings, their prior, and their looks."""
 
+from typing import NamedTuple
+
 import numpy as np
 import torch
 from pydantic import Field
@@ -71,14 +73,19 @@ class AdaptiveMasks(Settings):
         return (each / each.sum()).tolist()
 
 
-def look_at(
-    state: AdaptivePosterior, x: Tensor, share: float, generator: torch.Generator
-) -> tuple[Tensor, Tensor]:
-    """Look at scenes (b, N) for a share of the exposure: masks (b, N), expected counts (b, Q)."""
+class Look(NamedTuple):
+    """One look of exposures."""
+
+    masks: Tensor  # (b, N) of 0 and 1
+    counts: Tensor  # (b, Q)
+    light: Tensor  # (b, Q), counts that are expected without dark ones
+
+
+def look_at(state: AdaptivePosterior, x: Tensor, share: float, generator: torch.Generator) -> Look:
+    """Next look at scenes (b, N) for a share of the exposure, which the state does not know yet."""
     masks = next_masks(state, share, generator)
     expected = state.expected(masks, x, share)
-    state.update(masks, poisson(expected, generator), share)
-    return masks, expected
+    return Look(masks, poisson(expected, generator), expected - state.optics.dark * share)
 
 
 def expose(
@@ -92,8 +99,9 @@ def expose(
     chances = torch.empty(len(x), state.prior.classes)
     counts, running = torch.zeros(settings.looks, dtype=torch.double), torch.arange(len(x))
     for look, share in enumerate(settings.shares):
-        _, expected = look_at(state, x[running], share, generator)
-        counts[look] = (expected - state.optics.dark * share).double().sum()
+        masks, found, light = look_at(state, x[running], share, generator)
+        state.update(masks, found, share)
+        counts[look] = light.double().sum()
         last = look == settings.looks - 1
         if settings.until < 1 or last:
             chances[running] = state.chances

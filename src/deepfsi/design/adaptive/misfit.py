@@ -15,11 +15,9 @@ import torch
 from scipy.special import ndtr
 from torch import Tensor
 
-from deepfsi.design.adaptive.choice import next_masks
-from deepfsi.design.adaptive.exposures import AdaptiveMasks
+from deepfsi.design.adaptive.exposures import AdaptiveMasks, look_at
 from deepfsi.design.adaptive.posterior import AdaptivePosterior, LookOptics
 from deepfsi.design.adaptive.prior import ScenePrior
-from deepfsi.optics.noise import poisson
 
 BUDGETS = (0.1, 1.0, 10.0)
 """Budgets of the measurement, over that of the training."""
@@ -116,11 +114,9 @@ def measure(
         if places is not None:
             state.logs[torch.arange(len(scenes)), places] = -torch.inf
         for look, share in enumerate(settings.shares):
-            masks = next_masks(state, share, generator)
-            expected = state.expected(masks, scenes, share)
-            counts = poisson(expected, generator)
+            masks, counts, light = look_at(state, scenes, share, generator)
             totals[row, look] = squared_distance(state, masks, counts, share)
-            counted[row, look] = (expected - each.dark * share).double().sum() / len(scenes)
+            counted[row, look] = light.double().sum() / len(scenes)
             state.update(masks, counts, share)
     logs = totals.cumsum(dim=1).clamp(min=SMALLEST).log()
     return torch.stack([logs.mean(dim=-1), logs.std(dim=-1)]).numpy(), counted

@@ -39,11 +39,6 @@ class Looks(Frozen):
         """True where masks are made while the exposure runs."""
         return self.loop_sha256 is None
 
-    @property
-    def first_share(self) -> float:
-        """Share of the exposure that the first look takes."""
-        return sum(self.first)
-
     def dwells(self, masks: int) -> int:
         """Number of dwells of a look at so many masks."""
         return masks * (2 if self.each_rail else 1)

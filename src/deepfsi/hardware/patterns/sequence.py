@@ -24,7 +24,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from deepfsi.devices import LONGEST_PICTURE_S, Device
-from deepfsi.errors import InputError, as_input_error, check_known
+from deepfsi.errors import InputError, check_known
 from deepfsi.frozen import Frozen
 from deepfsi.grid import USUAL, Grid, Layout, find_grid
 from deepfsi.hardware.patterns.detectors import Detectors
@@ -178,8 +178,7 @@ class Brightness(Frozen):
     def of(cls, info: dict[str, Any]) -> "Brightness | None":
         """Brightness that the provenance of a design has, or none."""
         known = info.get("brightness")
-        with as_input_error("the brightness of the design's scenes", "make it again"):
-            return None if known is None else cls.model_validate(known)
+        return None if known is None else cls.model_validate(known)
 
 
 class Manifest(Frozen):

@@ -32,6 +32,7 @@ def virtual_bench(
     if acquisition.live is not None and acquisition.live.background:
         scenes = np.concatenate([scenes, np.zeros_like(scenes[:1])])  # the last: no scene
     manifest, flux = read_patterns(patterns).manifest, acquisition.flux or 0.0
+    images = check_scenes(scenes, manifest, flux)
     rates = arrival_rates(patterns, scenes, camera, flux, report)
     usual = {}
     if manifest.device.load_us:
@@ -42,7 +43,6 @@ def virtual_bench(
 
     @lru_cache(maxsize=1)
     def light(scene: int) -> MirrorLight:
-        images = check_scenes(scenes, manifest, flux)
         return MirrorLight(manifest, images[scene][None], camera, flux)
 
     laboratory = VirtualSetup(

@@ -80,7 +80,7 @@ class Observer:
     def measure_background(self, count: Count) -> None:
         """Measure what frames count beyond the dark counts while the scenes are dark."""
         frames = np.concatenate([[ON, OFF], self._manifest.shown])
-        gate = self._exposure_ns // self.looks.looks
+        gate = self._exposure_ns // len(self.looks.shares)
         found = self._arrivals(count, FrameList(0, frames, np.full(len(frames), gate)))
         rates = found.photons.sum(axis=1) / (gate * 1e-9)
         noise = found.variance.sum(axis=1) / (gate * 1e-9) ** 2
@@ -104,14 +104,15 @@ class Observer:
         ))  # fmt: skip
         looks: list[ShownFrames] = []
         light_ns = 0
-        for look in range(self.looks.looks):
+        last = len(self.looks.shares) - 1
+        for look in range(last + 1):
             asked = exposure.ask(look)
             looks.append(self._arrivals(count, asked))
             chances = exposure.take(asked, looks[-1])
             light_ns += int(asked.gate_ns.sum())
             enough = rule is not None and rule.stops(float(chances.max()), photons)
             decision = scene, look, chances, float(photons), light_ns * 1e-9
-            if enough or look == self.looks.looks - 1:
+            if enough or look == last:
                 break
             yield Decision(*decision, final=False)
         ends.append(self._arrivals(count, self._sentinels))

@@ -43,7 +43,8 @@ class KnownMasks:
 
     def __init__(self, loop: Loop, manifest: Manifest) -> None:
         header = loop.header
-        self.loop, self.looks, self.classes = loop, header.looks, header.classes
+        self.loop, self.classes = loop, header.classes
+        self.shares = (1 / header.looks,) * header.looks
         self.photons, self.rule, self.shortest = header.photons, header.rule, header.shortest
         self.manifest, self.decision_s = manifest, DECISION_S
         masks = np.array([manifest.frames[at].mask for at in manifest.shown])

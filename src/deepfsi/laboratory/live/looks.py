@@ -71,7 +71,7 @@ class LiveExposure(Protocol):
 class LiveLooks(Protocol):
     """Looks of a design, as a live run needs them."""
 
-    looks: int
+    shares: tuple[float, ...]  # of the exposure that each look takes
     classes: tuple[str, ...]
     photons: float | None  # budget of the training
     rule: StopRule | None  # of the design, where it has one

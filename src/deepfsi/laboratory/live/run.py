@@ -91,8 +91,8 @@ def plan_live(
         )
     looks = read_looks(patterns_folder, manifest)
     rule = _find_rule(looks.rule, until)
-    look_s = exposure_s * min(manifest.looks.first_share, 1 / manifest.looks.count)
-    shortest_ns = _shortest_gate(manifest, look_s, shortest_s)
+    looks_s = exposure_s * np.array(looks.shares)
+    shortest_ns = _shortest_gate(manifest, looks_s, shortest_s)
     shortest_ns = max(shortest_ns, round(looks.shortest * exposure_s * 1e9))
     with as_input_error():
         return Acquisition(
@@ -120,15 +120,15 @@ def _find_rule(own: StopRule | None, until: float | None) -> StopRule | None:
     return StopRule(threshold=until)
 
 
-def _shortest_gate(manifest: Manifest, look_s: float, shortest_s: float | None) -> int:
-    """Shortest gate of a run, ns, for looks of some length."""
+def _shortest_gate(manifest: Manifest, looks_s: np.ndarray, shortest_s: float | None) -> int:
+    """Shortest gate of a run, ns, for looks of some lengths (K,)."""
     device = manifest.device
     if device.video_us is not None:
         raise InputError(
             f"{device.name} shows all frames for one time, and looks choose theirs: export for a "
             "device that stores frames, such as dlp7000"
         )
-    look_ns = np.array(look_s * 1e9)
+    look_s, look_ns = float(looks_s.min()), np.array(looks_s.max() * 1e9)
     longest_us = float(look_ns + margin_ns(look_ns)) * 1e-3 + device.settle_us
     if longest_us > device.longest_us:
         raise InputError(
