@@ -7,6 +7,7 @@ from selenium.webdriver.common.by import By
 
 from conftest import quick, synthetic
 from deepfsi import learn
+from deepfsi.design import payload
 from deepfsi.design.payload import playable
 from deepfsi.report.playground.page import write_page
 from shared.browser import CONTRASTS, CUT, OVERFLOW, requests_of
@@ -24,6 +25,8 @@ every_kind = pytest.mark.parametrize("kind", ["column", "looks", "spectra", *ADA
 def pages(digits, tmp_path_factory):
     """Give a function that gives the address of the page of a design, which it makes once."""
     home = tmp_path_factory.mktemp("pages")
+    patch = pytest.MonkeyPatch()
+    patch.setattr(payload, "BUDGETS", payload.BUDGETS[:1])  # no test reads the accuracy here
 
     def address(kind):
         page = home / f"{kind}.html"
@@ -37,7 +40,8 @@ def pages(digits, tmp_path_factory):
             write_page(page, playable(design, data))
         return page.as_uri()
 
-    return address
+    yield address
+    patch.undo()
 
 
 @pytest.fixture
