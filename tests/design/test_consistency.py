@@ -9,13 +9,13 @@ import torch
 from conftest import quick
 from deepfsi.datasets import Dataset, from_arrays
 from deepfsi.design.artifact import Design
-from deepfsi.design.calibration import (
+from deepfsi.design.consistency import REFUSED, UNSURE
+from deepfsi.design.readout_fit import (
     FEWEST_OF_A_CLASS,
     MOST_SCENES,
     find_distribution,
     sample_scenes,
 )
-from deepfsi.design.consistency import REFUSED, UNSURE
 from deepfsi.errors import InputError
 from shared.design_files import refused, rewrite
 

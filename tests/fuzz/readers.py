@@ -37,14 +37,14 @@ class Reader:
 
 def read_design(path: Path) -> None:
     from deepfsi.design.artifact import Design
-    from deepfsi.design.memory import memory_of
     from deepfsi.design.stopping import rule_of
+    from deepfsi.design.training_data import trained_on
     from deepfsi.laboratory.camera import camera_of
 
     design = Design.load(path)
     camera_of(path)
     repr(design)
-    _ = design.camera, memory_of(design.info)
+    _ = design.camera, trained_on(design.info)
     if design.exposure.chooses:
         rule_of(design)
     elif design.exposure.kind != "patches":  # whose counts are of each patch
@@ -57,11 +57,11 @@ def read_design(path: Path) -> None:
 
 def read_adaptive(path: Path) -> None:
     from deepfsi.design.adaptive.design import load_design
-    from deepfsi.design.memory import memory_of
+    from deepfsi.design.training_data import trained_on
 
     design = load_design(path)
     repr(design)
-    _ = design.camera, memory_of(design.info)
+    _ = design.camera, trained_on(design.info)
     *_, chances = design.looks_at(np.full(design.image_shape, 0.5, np.float32).ravel(), 1e3)
     assert np.isfinite(chances).all()
 

@@ -234,12 +234,12 @@ def stop(
 def _check_same(file: Path, job: "Job", data: "Dataset", matrix: "np.ndarray | None") -> None:
     """Raise `InputError` unless a design file is what training this job would write again."""
     from deepfsi.design.adaptive.design import load_design
-    from deepfsi.design.memory import memory_of
+    from deepfsi.design.training_data import trained_on
 
     with suppress(InputError):
         there = load_design(file)
-        memory = memory_of(there.info)
-        of_data = memory is not None and memory.hash == data.hash
+        known = trained_on(there.info)
+        of_data = known is not None and known.hash == data.hash
         if of_data and matrix is None and there.info["job"] == job.model_dump(mode="json"):
             return
     raise InputError(
@@ -342,7 +342,7 @@ def show(
     paths.check_file(out, paths.PICTURES, force)
     from deepfsi.design.adaptive.design import load_design
     from deepfsi.design.artifact import Design
-    from deepfsi.design.memory import memory_of
+    from deepfsi.design.training_data import trained_on
     from deepfsi.laboratory.data import data_of
     from deepfsi.report.masks import masks_figure
 
@@ -374,8 +374,8 @@ def show(
         parts=None if labels is None else labels.cpu().numpy(),
     )
     common.draw("show", figure, out, as_json)
-    if (memory := memory_of(made.info)) and not as_json:
-        print(f"trained on: {memory.words}")
+    if (known := trained_on(made.info)) and not as_json:
+        print(f"trained on: {known.words}")
 
 
 def _exposure(made: "AdaptiveDesign", data: "Dataset", photons: float) -> "Figure":

@@ -24,8 +24,8 @@ from deepfsi.design.classifiers import Mlp
 from deepfsi.design.confidence import stops_of
 from deepfsi.design.evaluation import check_data, evaluate
 from deepfsi.design.exposure import LARGEST_SCORE
-from deepfsi.design.memory import memory_of
 from deepfsi.design.stopping import rule_of, stop
+from deepfsi.design.training_data import trained_on
 from deepfsi.errors import InputError
 from deepfsi.optics import constraints
 from deepfsi.progress import SILENT, Report
@@ -224,8 +224,8 @@ def _rules(design: AnyDesign, data: Dataset, seed: int, report: Report) -> list[
         return [asdict(held)]
     if isinstance(design, AdaptiveDesign):
         return []
-    memory, trained = memory_of(design.info), _trained(design)
-    if memory is None or not memory.held_out or not memory.is_of(data) or trained is None:
+    known, trained = trained_on(design.info), _trained(design)
+    if known is None or not known.held_out or not known.is_of(data) or trained is None:
         return []
     decades = np.log10(trained[1] / trained[0])
     budgets = np.geomspace(*trained, 1 + int(np.ceil(decades - 1e-9))).tolist()

@@ -29,7 +29,7 @@ from deepfsi.design.confidence import (
 )
 from deepfsi.design.evaluation import check_data, check_draws
 from deepfsi.design.exposure.looks import LooksExposure
-from deepfsi.design.memory import memory_of
+from deepfsi.design.training_data import trained_on
 from deepfsi.errors import InputError, as_input_error
 from deepfsi.optics.budget import check_budget
 from deepfsi.statistics.intervals import wilson
@@ -252,11 +252,11 @@ def stop(
 
 def _held_out(design: AnyDesign, data: Dataset, count: int | None) -> Dataset:
     """Data with the held-out scenes as its test part, or `InputError` if they were trained on."""
-    memory = memory_of(design.info)
-    if count is None and memory:
-        count = memory.held_out or None
+    known = trained_on(design.info)
+    if count is None and known:
+        count = known.held_out or None
     kept = data.hold_out(count)
-    if memory is None or kept.hash != memory.hash:
+    if known is None or kept.hash != known.hash:
         raise InputError(
             f"this design was not trained on {data.name} without its last {len(kept.y_test)} "
             "training scenes, which calibrate its confidence: learn it with "

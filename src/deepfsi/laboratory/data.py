@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from deepfsi.datasets import Dataset, Origin, absolute, load_dataset, takes
 from deepfsi.design.evaluation import Tested
-from deepfsi.design.memory import Memory, memory_of
+from deepfsi.design.training_data import TrainedOn, trained_on
 from deepfsi.errors import InputError
 from deepfsi.hardware.calibration.view import view_from
 
@@ -28,8 +28,8 @@ def data_of(
     view: Path | None = None,
 ) -> TestData:
     """Load the data to test a design on: what is told, else what it was trained on."""
-    memory = memory_of(design.info)
-    known = memory.origin if memory else None
+    training = trained_on(design.info)
+    known = training.origin if training else None
     if data is None and known is None:
         raise InputError(
             "this design was trained on data that no file or name holds, such as arrays in memory: "
@@ -45,7 +45,7 @@ def data_of(
                 "the data to test it on, `data`"
             ) from error
         raise
-    return TestData(loaded, tuple(_notes(memory, asked, loaded)))
+    return TestData(loaded, tuple(_notes(training, asked, loaded)))
 
 
 def _asked(
@@ -73,12 +73,12 @@ def _load(origin: Origin) -> Dataset:
     return scenes if origin.view is None else view_from(scenes, Path(origin.view))
 
 
-def _notes(memory: Memory | None, asked: Origin, data: Dataset) -> list[str]:
-    known = memory.origin if memory else None
-    if memory is None or memory.is_of(data):
+def _notes(training: TrainedOn | None, asked: Origin, data: Dataset) -> list[str]:
+    known = training.origin if training else None
+    if training is None or training.is_of(data):
         return []
     if known is None:
-        return [f"this is not the data that the design was trained on, {memory.name}"]
+        return [f"this is not the data that the design was trained on, {training.name}"]
     if known == asked:
         return [
             f"{known.words} has changed since the design was trained on it: test scenes may be "

@@ -14,7 +14,7 @@ from deepfsi.datasets import prepared
 from deepfsi.datasets.display import Display
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import camera_for, check_draws, scanner_for
-from deepfsi.design.memory import memory_of
+from deepfsi.design.training_data import trained_on
 from deepfsi.errors import InputError
 from deepfsi.hardware.calibration.view import camera_view
 from deepfsi.hardware.recording.calibration_file import load_calibration
@@ -154,22 +154,22 @@ def predict(
 
 def _scenes(design: Design, pictures: Path, skip_bad: bool) -> Display:
     """Pictures as scenes of the design's data, as it saw them."""
-    memory = memory_of(design.info)
-    if memory is None or memory.origin is None:
+    known = trained_on(design.info)
+    if known is None or known.origin is None:
         raise InputError(
             "this design was trained on data that no file or name holds, such as arrays in memory, "
             "and does not know what to do to pictures: learn it from pictures, or `evaluate` it on "
             "arrays with labels"
         )
-    shown = prepared(pictures, memory.origin, skip_bad)
+    shown = prepared(pictures, known.origin, skip_bad)
     if shown.x.shape[1:] != design.image_shape:
         sides = ("x".join(map(str, shape)) for shape in (shown.x.shape[1:], design.image_shape))
         raise InputError(
             "the pictures are of {} pixels and the design's scenes of {}: bring them to its "
             "size, or learn a design with `size`".format(*sides)
         )
-    if memory.origin.view is None:
+    if known.origin.view is None:
         return shown
-    calibration = load_calibration(Path(memory.origin.view))
+    calibration = load_calibration(Path(known.origin.view))
     x = camera_view(shown.x.reshape(len(shown.x), -1), design.image_shape, calibration)
     return shown._replace(x=x, preprocessing=f"{shown.preprocessing}, then as the camera sees it")

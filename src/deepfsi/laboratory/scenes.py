@@ -4,7 +4,7 @@ from pathlib import Path
 
 from deepfsi.datasets import read_display
 from deepfsi.datasets.display import Display
-from deepfsi.design.memory import memory_of
+from deepfsi.design.training_data import trained_on
 from deepfsi.errors import InputError
 from deepfsi.hardware.patterns.folder import DESIGN, read_patterns
 from deepfsi.hardware.recording.acquisition import Scene
@@ -17,7 +17,7 @@ def displayed(source: Path, patterns: Path) -> Display:
     images = read_display(source)
     if not images.levels.chosen or read_patterns(patterns).manifest.design_sha256 is None:
         return images
-    memory = memory_of(ShownDesign.read(patterns / DESIGN).header.info)
+    memory = trained_on(ShownDesign.read(patterns / DESIGN).header.info)
     white = memory.origin.white if memory and memory.origin else None
     return images if white is None else read_display(source, white)
 

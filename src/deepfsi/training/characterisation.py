@@ -8,10 +8,10 @@ from torch import Tensor
 
 from deepfsi.datasets import Dataset
 from deepfsi.design.artifact import Design
-from deepfsi.design.calibration import sample_scenes
 from deepfsi.design.confidence import fit_temperatures
 from deepfsi.design.consistency import ReadoutDistribution
 from deepfsi.design.evaluation import scanner_for
+from deepfsi.design.readout_fit import sample_scenes
 from deepfsi.design.temperatures import Temperatures
 from deepfsi.optics.features import CHUNK
 from deepfsi.training.job import Job

@@ -7,7 +7,7 @@ import torch
 from pydantic import BaseModel
 
 from deepfsi.datasets import Dataset
-from deepfsi.design.memory import Memory
+from deepfsi.design.training_data import TrainedOn
 from deepfsi.optics.budget import brightness
 
 
@@ -17,7 +17,7 @@ def provenance(
     """Provenance of a design for `Design.info`, from parameters of its training."""
     return {
         "job": job.model_dump(mode="json"),
-        "data": Memory.of(data).model_dump(mode="json"),
+        "data": TrainedOn.of(data).model_dump(mode="json"),
         "preprocessing": data.preprocessing,
         "brightness": brightness(data.x_train, data.y_train),
         "deepfsi": version("deepfsi"),

@@ -13,7 +13,7 @@ from deepfsi.datasets import Dataset, Origin
 from deepfsi.errors import as_input_error
 
 
-class Memory(BaseModel):
+class TrainedOn(BaseModel):
     """Data of a training, an entry of `Design.info`."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -30,8 +30,8 @@ class Memory(BaseModel):
         return (self.origin.words if self.origin else f"{self.name}, in memory") + left
 
     @classmethod
-    def of(cls, data: Dataset) -> "Memory":
-        """Memory of the data that is trained on."""
+    def of(cls, data: Dataset) -> "TrainedOn":
+        """What a design remembers of data that it is trained on."""
         return cls(name=data.name, hash=data.hash, held_out=data.held_out, origin=data.origin)
 
     def is_of(self, data: Dataset) -> bool:
@@ -42,9 +42,9 @@ class Memory(BaseModel):
         return kept.hash == self.hash
 
 
-def memory_of(info: Mapping[str, Any]) -> Memory | None:
-    """Memory of the data in the `info` of a design; None for one that was made without any."""
+def trained_on(info: Mapping[str, Any]) -> TrainedOn | None:
+    """Data in the `info` of a design; None for one that was made without any."""
     if "data" not in info:
         return None
-    with as_input_error("the design's memory of its data", "train it again"):
-        return Memory.model_validate(info["data"])
+    with as_input_error("the design's training data", "train it again"):
+        return TrainedOn.model_validate(info["data"])
