@@ -41,6 +41,11 @@ class _Kind(BaseModel):
     looks: int = 1
     shortest: float = 0.0
 
+    @property
+    def chooses(self) -> bool:
+        """True if the counts so far choose what is shown next."""
+        return self.looks > 1
+
 
 class ShownHeader(BaseModel):
     """Header of a design file, as far as a device's patterns need it."""
@@ -93,7 +98,7 @@ class ShownDesign:
     def loop(self) -> Loop:
         """Its networks, or `InputError` where it has one look or a classifier of one's own."""
         header, known = self.header, self.detectors
-        if header.exposure.looks < 2:
+        if not header.exposure.chooses:
             raise InputError("this design has one look: learn one of several `looks`")
         if header.classifier.kind != "mlp":
             raise InputError(
@@ -153,7 +158,7 @@ def design_rails(file: str | os.PathLike[str]) -> DesignRails:
         )
     with as_input_error(str(file)):
         brightness, detectors = Brightness.of(header.info), made.detectors
-    loop = made.loop if header.exposure.looks > 1 else None
+    loop = made.loop if header.exposure.chooses else None
     return DesignRails(
         made.tensors["rails"],
         header.light,
