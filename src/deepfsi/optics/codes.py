@@ -245,25 +245,19 @@ def _scatter(x: np.ndarray, mean: np.ndarray) -> np.ndarray:
 
 def _leading(x: np.ndarray, mean: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Largest eigenvalues of the scatter matrix, rising, and their vectors (N, count)."""
-    # The matrix itself, N² numbers, is not made: it is applied to vectors, chunk by chunk
+    # The matrix itself, N² numbers, is not made: it is applied to vectors, of scenes that are
+    # centred once
     from scipy.sparse.linalg import LinearOperator, eigsh
 
-    def applied(vectors: np.ndarray) -> np.ndarray:
-        total = np.zeros((x.shape[1], vectors.shape[1]))
-        for chunk in np.array_split(x, -(-len(x) // 512)):
-            about_mean = chunk - mean
-            total += about_mean.T @ (about_mean @ vectors)
-        return total
-
+    centred = x - mean.astype(x.dtype)
     scatter = LinearOperator(
         (x.shape[1], x.shape[1]),
-        matvec=lambda vector: applied(vector.reshape(-1, 1))[:, 0],
-        matmat=applied,
-        dtype=np.float64,
+        matvec=lambda vector: centred.T @ (centred @ vector.ravel()),
+        dtype=x.dtype,
     )
-    start = np.random.default_rng(0).normal(size=x.shape[1])
+    start = np.random.default_rng(0).standard_normal(x.shape[1], dtype=np.float32)
     power, directions = eigsh(scatter, k=count, v0=start)
-    return power, directions
+    return power.astype(np.float64), directions.astype(np.float64)
 
 
 def discriminants(x: np.ndarray, y: np.ndarray, masks: int) -> np.ndarray:

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 Precision = Literal["auto", "float32", "bfloat16"]
 """Type of the products of training; "auto" is bfloat16 where its rounding is under the noise."""
 
-REVISION = 4
+REVISION = 5
 """Raised whenever a change makes the same job end in another design: old records then expire."""
 
 MOST_EPOCHS = 100_000
