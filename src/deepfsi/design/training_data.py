@@ -31,7 +31,7 @@ class TrainedOn(BaseModel):
 
     @classmethod
     def of(cls, data: Dataset) -> "TrainedOn":
-        """What a design remembers of data that it is trained on."""
+        """The data of a training, as a design remembers it."""
         return cls(name=data.name, hash=data.hash, held_out=data.held_out, origin=data.origin)
 
     def is_of(self, data: Dataset) -> bool:
