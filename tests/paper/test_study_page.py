@@ -77,7 +77,7 @@ def test_headings_are_in_order_and_abbreviations_explained(tmp_path):
     assert_explained(page)
     assert '<abbr title="' + ABBREVIATIONS["PN"] in page
     assert "CGs and USERS" in page
-    assert page.index("This page tests how well") < page.index('class="sketch"') < page.index("<h2")
+    assert page.index("This page tests how well") < page.index("<h2") < page.index('class="sketch"')
 
 
 def test_markup_is_text(tmp_path):

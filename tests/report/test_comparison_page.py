@@ -9,7 +9,7 @@ from markupsafe import escape
 
 from deepfsi.errors import InputError
 from deepfsi.report.accuracy import accuracy_figure
-from deepfsi.report.comparison_page import build, opened, summary
+from deepfsi.report.comparison_page import build, compared, covered, summary
 from deepfsi.report.terms import DESIGNS, LAWS
 from deepfsi.sweeps.results import write_results
 from shared.pages import assert_explained, assert_headed, assert_whole, run_without_torch, words_of
@@ -28,7 +28,9 @@ def test_page_is_one_self_contained_document(tmp_path):
     make_results(tmp_path, noises=("poisson", "gaussian"))
     assert_whole(page_of(tmp_path))
     assert sorted(p.name for p in tmp_path.iterdir()) == [
+        "accuracy.pdf",
         "accuracy.png",
+        "accuracy.svg",
         "designs",
         "report.html",
         "results.json",
@@ -89,8 +91,7 @@ def test_detectors_and_what_is_read_stand_in_tables_and_names(tmp_path):
     whole = [p for p in results.points if p.design == "impulse"]
     write_results(tmp_path / "results.json", results.with_points([*whole, *tiles]))
     text = words_of(page_of(tmp_path))
-    assert "is the most accurate design with one detector" not in text
-    assert "apart from impulse imaging at" in text
+    assert "with one detector" not in text
     for told in (
         "two-arm, dual, 2x2 detectors, both read",
         "two-arm, dual, both read",
@@ -105,11 +106,11 @@ def test_sections_come_in_order(tmp_path):
     make_results(tmp_path)
     titles = re.findall(r"<h2>(.*?)</h2>", page_of(tmp_path))
     assert titles == [
-        "Accuracy and photons",
         "Best number of masks at each budget",
         "Accuracy and number of masks",
         "Learned masks and the distribution of their values",
         "All results",
+        "What to do next",
         "How to repeat it",
         "Provenance",
         "Terms and abbreviations",
@@ -119,18 +120,31 @@ def test_sections_come_in_order(tmp_path):
 @words_alone
 def test_a_page_opens_with_what_is_compared(tmp_path):
     results = make_results(tmp_path)
-    text = opened(results)
-    assert text.count(". ") == 2
-    assert "compares 5 designs" in text
+    text = compared(results)
+    assert text.startswith("5 ways to choose a camera’s masks, at equal light (light law column): ")
     assert "360 test scenes of digits" in text
-    assert "light law (here column)" in text
-    assert "cover seeds of training (t over 3 trials); impulse imaging" in text
-    assert "which loses no photon, is no option" in text
-    assert "a detector for each of the 24 pixels" in text
+    said = covered(results)
+    assert "Impulse imaging, with a detector for each of the 24 pixels, reads 0.796" in said
+    assert "The intervals are of 95 % and cover seeds of training (t over 3 trials)." in said
     page = page_of(tmp_path)
-    assert page.index(text[:40]) < page.index('<svg class="sketch"') < page.index("<h2")
+    assert page.count("<li>") == 3
+    assert page.index("360 test scenes") < page.index('class="plot"') < page.index("<h2")
     single = results.with_points(p for p in results.points if p.design != "impulse")
-    assert "impulse" not in opened(single)
+    assert "mpulse" not in compared(single) + covered(single)
+
+
+@words_alone
+def test_what_to_do_next_is_a_command(tmp_path):
+    make_results(tmp_path)
+    assert "deepfsi compare -o runs/dmd --camera dmd --data digits" in words_of(page_of(tmp_path))
+    results = make_results(tmp_path / "dmd", lights=("free-dwell",))
+    [file] = re.findall(r"deepfsi dmd export designs/(\S+)", page_of(tmp_path / "dmd"))
+    assert (tmp_path / "dmd" / "designs" / file).is_file()
+    best = max(p.photons for p in results.points)
+    assert file in {f"{p.keys[0]}.safetensors" for p in results.points if p.photons == best}
+    for kept in (tmp_path / "dmd" / "designs").iterdir():
+        kept.unlink()
+    assert "deepfsi design --masks 16" in words_of(page_of(tmp_path / "dmd"))
 
 
 @words_alone
@@ -159,31 +173,39 @@ def test_provenance_says_what_was_not_set(tmp_path):
 
 
 @words_alone
-def test_one_budget_has_a_column_for_each_number(tmp_path):
+def test_a_cell_holds_one_number_and_its_interval_and_the_others_in_its_tip(tmp_path):
     results = make_results(tmp_path, budgets=(1e3,))
     page = page_of(tmp_path)
-    (head,) = re.findall(r'<thead><tr><th scope="col">(design at.*?)</tr></thead>', page)
-    assert words_of(head).split() == [
-        *("design", "at", "1000", "photons"),
-        *("accuracy", "balanced", "accuracy", "lowest", "class", "masks", "counts"),
-    ]
-    for point in (p for p in results.points if p.best):
-        assert f"<td>{point.masks}</td><td>{point.counts:g}</td>" in page
+    for p in (p for p in results.points if p.best):
+        [tip, shown] = re.findall(
+            rf'<td title="([^"]*)"><span[^>]*>{p.accuracy:.3f}</span><small>(.*?)</small>', page
+        )[0]
+        assert shown == f"{p.low:.3f}–{p.high:.3f}"
+        assert f"balanced {p.balanced:.3f}" in tip
+        assert f"{p.masks} mask" in tip
+        assert f"{p.counts:g} counts" in tip
     assert "Beside them: how the values" in page
 
 
 def test_summary_follows_the_numbers(tmp_path):
     results = make_results(tmp_path)
     text = summary(results, "poisson")
-    assert (
-        "DeepFSI is the most accurate design apart from impulse imaging at 100 and 10⁴ photons; "
-        "chance" in text
+    assert text.startswith(
+        "Under photon noise: DeepFSI is the most accurate at 100 and 10⁴ photons: "
+        "0.706 (0.702–0.710) at 100 with 4 masks and "
     )
-    assert "At 100 photons DeepFSI with 4 masks reaches 0.706 (0.702–0.710)" in text
-    assert "followed by PCA (FSI) with 0.616" in text
-    assert "do not overlap" in text
-    assert "Impulse imaging, with a detector for each pixel, reaches 0.796" in text
-    assert "do not overlap" not in summary(with_all(results, low=0.0, high=1.0), "poisson")
+    assert "told apart" not in text
+    wide = summary(with_all(results, low=0.0, high=1.0), "poisson")
+    assert "most accurate" not in wide
+    assert "PCA (FSI)" in wide
+    assert "cannot be told apart, as their intervals overlap: they read 0." in wide
+    few = [
+        p.model_copy(update={"low": 0.6}) if (p.design, p.photons) == ("deepfsi", 1e2) else p
+        for p in results.points
+    ]
+    text = summary(results.with_points(few), "poisson")
+    assert "At 100 photons DeepFSI and PCA (FSI) cannot be told apart" in text
+    assert "DeepFSI is the most accurate at 10⁴ photons" in text
 
 
 ONE = "one detector"
@@ -352,13 +374,12 @@ def test_equal_designs_are_all_named_and_bold_and_those_of_one_class_are_marked(
     equal = equal.model_copy(update={"data": data})
     text = summary(equal, "poisson")
     for told in (
-        "truncated Hadamard, PCA (FSI) and DeepFSI are equal and the most accurate designs",
-        "chance is 0.891, the share of the commonest class",
-        "and so do PCA (FSI) and DeepFSI",
+        "truncated Hadamard, PCA (FSI) and DeepFSI cannot be told apart",
+        "they read 0.891 to 0.891",
         "PCA (FSI) at 100 photons answers one class only",
     ):
         assert told in text
-    assert "followed by" not in text
+    assert "Chance is 0.891, the share of the commonest class" in covered(equal)
     write_results(tmp_path / "results.json", equal)
     page = page_of(tmp_path)
     assert page.count('class="first"') == 6

@@ -4,6 +4,7 @@ import io
 import json
 import math
 import os
+import shlex
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,9 @@ from deepfsi.report.terms import DESIGNS, ONE_DETECTOR
 from deepfsi.sweeps.results import Point, Results, read_results
 from deepfsi.tables.tensor_files import DamagedError, read_tensors
 
+FIGURE_FILES = ("png", "svg", "pdf")
+"""Formats of the accuracy figure beside the page."""
+
 MASKS_SHOWN = 12
 """Masks of a design that the page shows at most."""
 
@@ -36,15 +40,17 @@ Part = dict[str, Any]
 def build(folder: str | os.PathLike[str]) -> Path:
     """Write `report.html` into the output folder of a comparison, all or nothing."""
     # The folder holds `results.json` and, for the pictures of masks, `designs/<key>.safetensors`.
-    # The accuracy figure is written beside it on its own, as `accuracy.png`
+    # The accuracy figure is written beside it on its own
     home = Path(folder)
     if not (home / "results.json").is_file():
         raise InputError(f"no results in {home}: make them with `deepfsi compare -o {home}`")
     results = read_results(home / "results.json")
     text = page_text(results, home / "designs")
-    picture = io.BytesIO()
-    accuracy.accuracy_figure(results).savefig(picture, dpi=160)
-    write_atomically(home / "accuracy.png", picture.getvalue())
+    figure = accuracy.accuracy_figure(results)
+    for kind in FIGURE_FILES:
+        picture = io.BytesIO()
+        figure.savefig(picture, format=kind, dpi=160)
+        write_atomically(home / f"accuracy.{kind}", picture.getvalue())
     return write_atomically(home / "report.html", text.encode())
 
 
@@ -70,20 +76,23 @@ def page_text(results: Results, designs: Path) -> str:
     return render(
         "page.html.jinja",
         results=results,
-        opened=opened(results),
         camera=camera_text(points),
         two_rails=any(p.rails == "dual" for p in points if not p.every_pixel),
         impulse=any(p.every_pixel for p in points),
-        summary=[summary(results, noise) for noise in accuracy.noises(results)],
+        bullets=[
+            compared(results),
+            *(summary(results, noise) for noise in accuracy.noises(results)),
+            covered(results),
+        ],
         variants=len(accuracy.series(points, axes)) > len({p.design for p in points}),
         accuracy=list(accuracy_panels(results)),
         counts=list(count_panels(results)),
         tables=[best_table(results, noise) for noise in accuracy.noises(results)],
         designs=dict.fromkeys((p.title, p.label, DESIGNS.get(p.design)) for p in points),
         lights=sorted({p.light for p in points}),
-        covers=list(dict.fromkeys(p.covers for p in points)),
         confusions=list(confusions(results)),
         learned=learned,
+        following=following(results, designs),
         learned_missing=not learned and any(p.learned for p in points),
         masks_shown=MASKS_SHOWN,
         scene=scene_text(data.image_shape),
@@ -96,27 +105,34 @@ def page_text(results: Results, designs: Path) -> str:
     )
 
 
-def opened(results: Results) -> str:
-    """Say in three sentences what is compared, what the light is, and what intervals cover."""
-    points, pixels = results.points, int(np.prod(results.data.image_shape))
-    designs = len({p.design for p in points})
-    many = f"{designs} designs, ways to choose the masks of a camera," if designs > 1 else "masks"
+def compared(results: Results) -> str:
+    """Say what is compared, and how it is measured."""
+    points = [p for p in results.points if not p.every_pixel] or results.points
+    designs = len({p.design for p in results.points})
+    many = f"{designs} ways to choose a camera’s masks" if designs > 1 else "One choice of masks"
     laws = listed(sorted({p.light for p in points}))
-    text = (
-        f"This page compares {many} by the share of {results.data.test} test scenes of "
-        f"{results.data.name} that a trained network classifies correctly from the photon counts. "
-        "A photon budget Φ is the mean number of photons that reach the coding device in one "
-        f"exposure; masks share them under a light law (here {laws}), and the photons of a mask "
-        "are counted on one rail or, where it has negative entries, on two. "
+    return (
+        f"{many}, at equal light (light law {laws}): the share of {results.data.test} test scenes "
+        f"of {results.data.name} that a trained network classifies correctly from the photon "
+        "counts."
     )
-    covers = "; ".join(dict.fromkeys(p.covers for p in points))
-    text += f"The bars are 95 % intervals, which cover {covers}"
-    if any(p.every_pixel for p in points):
-        text += (
-            "; impulse imaging, which loses no photon, is no option, because it needs a detector "
-            f"for each of the {pixels} pixels"
+
+
+def covered(results: Results) -> str:
+    """Say what impulse imaging and guessing read, and what the intervals cover."""
+    ideal = sorted((p for p in results.points if p.every_pixel and p.best), key=lambda p: p.photons)
+    text = ""
+    if ideal:
+        pixels = int(np.prod(results.data.image_shape))
+        text = (
+            f"Impulse imaging, with a detector for each of the {pixels} pixels, reads "
+            f"{_ends(ideal)} photons. "
         )
-    return text + "."
+    covers = "; ".join(dict.fromkeys(p.covers for p in results.points))
+    return (
+        f"{text}Chance is {share_text(results.data.commonest)}, the share of the commonest class. "
+        f"The intervals are of 95 % and cover {covers}."
+    )
 
 
 def with_one_detector(points: Iterable[Point]) -> bool:
@@ -152,6 +168,25 @@ def optics_text(point: Point) -> str:
     return ", ".join(parts)
 
 
+def following(results: Results, designs: Path) -> tuple[str, str]:
+    """What to do next with the most accurate design of the most light, and its command."""
+    points = [p for p in results.points if p.best and not p.every_pixel]
+    shown = [p for p in points if p.light != "column"]
+    there = [p for p in shown if p.keys and (designs / f"{p.keys[0]}.safetensors").is_file()]
+    if there:
+        best = max(there, key=lambda p: (p.photons, p.accuracy))
+        file = f"designs/{best.keys[0]}.safetensors"
+        words = f"Write the patterns of {best.title} for your device, in the folder of this page:"
+        return words, f"deepfsi dmd export {file} --device dlp7000 --exposure 10ms -o patterns"
+    name = shlex.quote(str(results.recipe.get("data", results.data.name)))
+    if shown:
+        words = "Learn one design, whose file the commands for a device take:"
+    else:
+        words = "No single device shows masks of column. Compare designs that one device shows:"
+    command = "design --masks 16 --photons 1e4 -o d.safetensors" if shown else "compare -o runs/dmd"
+    return words, f"deepfsi {command} --camera dmd --data {name}"
+
+
 def scene_text(shape: tuple[int, ...]) -> str:
     """Scene's size in words."""
     if len(shape) == 1:
@@ -176,72 +211,55 @@ def ranking(points: list[Point], photons: float) -> list[Point]:
 
 
 def leading(points: list[Point], photons: float) -> list[Point]:
-    """All of a ranking that are as accurate as the first."""
-    ranked = ranking(points, photons)
-    return [p for p in ranked if math.isclose(p.accuracy, ranked[0].accuracy)]
+    """The first of a ranking, and all whose intervals overlap its own."""
+    first, *others = ranking(points, photons)
+    return [first, *(p for p in others if p.high >= first.low)]
 
 
 def summary(results: Results, noise: str) -> str:
-    """Say what the numbers say under a noise: who leads where, and how clearly at both ends."""
+    """Say which designs are the most accurate under a noise, and which cannot be told apart."""
     points = chosen(results, noise)
     axes = accuracy.series_axes(results)
     names = accuracy.series_names(points, axes, "title")
-    budgets = sorted({p.photons for p in points})
 
     def name(point: Point) -> str:
         return names[accuracy.key_of(point, axes)]
 
-    text = f"Under {noise_text(noise)}, "
-    if len(names) > 1:
-        where = " apart from impulse imaging" if any(p.every_pixel for p in points) else ""
-        where = " with one detector" if with_one_detector(points) else where
-        text += _winners({b: [name(p) for p in leading(points, b)] for b in budgets}, where)
-    text += f"chance is {share_text(results.data.commonest)}, the share of the commonest class."
-    for photons in dict.fromkeys([budgets[0], budgets[-1]]):
-        first, *others = ranking(points, photons)
-        masks = f"{first.masks} mask{'s' if first.masks > 1 else ''}"
-        text += f" At {photons_text(photons)} photons {name(first)} with {masks} "
-        text += f"reaches {_reach(first)}"
-        equal = leading(points, photons)[1:]
-        if equal:
-            text += f", and so {'do' if len(equal) > 1 else 'does'} {listed([*map(name, equal)])}"
-        elif others:
-            clear = first.low > others[0].high
-            text += (
-                f", followed by {name(others[0])} with {_reach(others[0])}; their 95 % intervals "
+    groups: dict[tuple[str, ...], list[list[Point]]] = {}
+    for photons in sorted({p.photons for p in points}):
+        together = leading(points, photons)
+        groups.setdefault(tuple(map(name, together)), []).append(together)
+    where = " with one detector" if with_one_detector(points) else ""
+    said = []
+    for best, rows in groups.items():
+        first = [row[0] for row in rows]
+        at = listed([photons_text(p.photons) for p in first])
+        if len(best) > 1:
+            every = [p.accuracy for row in rows for p in row]
+            said.append(
+                f"At {at} photons {listed([*best])} cannot be told apart, as their intervals "
+                f"overlap: they read {share_text(min(every))} to {share_text(max(every))}."
             )
-            text += "do not overlap" if clear else "overlap"
-        text += "."
-        ideal = [p for p in points if p.photons == photons and p.every_pixel]
-        if ideal and first is not ideal[0]:
-            text += f" Impulse imaging, with a detector for each pixel, reaches {_reach(ideal[0])}."
-    for point in sorted((p for p in points if p.one_class), key=lambda p: p.photons):
-        text += f" {name(point)} at {photons_text(point.photons)} photons answers one class only."
-    return text
-
-
-def _reach(point: Point) -> str:
-    low, high = share_text(point.low), share_text(point.high)
-    return f"{share_text(point.accuracy)} ({low}–{high})"
-
-
-def _winners(names: dict[float, list[str]], among: str) -> str:
-    """Beginning of a sentence: the most accurate designs by budget, and among which."""
-    wins: dict[tuple[str, ...], list[str]] = {}
-    for photons, best in names.items():
-        wins.setdefault(tuple(best), []).append(photons_text(photons))
-    (first, first_wins), *rest = wins.items()
-    verb = (
-        "are equal and the most accurate designs"
-        if len(first) > 1
-        else "is the most accurate design"
-    )
-    then = [
-        f", {listed([*who])}{' equally' if len(who) > 1 else ''} at {listed(where)}"
-        for who, where in rest
+        elif len(names) == 1:
+            said.append(f"{best[0]} reads {_ends(first)}.")
+        else:
+            said.append(f"{best[0]} is the most accurate{where} at {at} photons: {_ends(first)}.")
+    said += [
+        f"{name(p)} at {photons_text(p.photons)} photons answers one class only."
+        for p in sorted(points, key=lambda p: p.photons)
+        if p.one_class
     ]
-    where = f"at {listed(first_wins)} photons{''.join(then)}"
-    return f"{listed([*first])} {verb}{among} {where}; "
+    return f"Under {noise_text(noise)}: {' '.join(said)}"
+
+
+def _ends(rows: list[Point]) -> str:
+    """Accuracies and intervals of the first and the last of rows, in the order of their budgets."""
+    parts = []
+    for p in [rows[0], rows[-1]][: len(rows)]:
+        masks = "" if p.every_pixel else f" with {p.masks} mask{'s' if p.masks > 1 else ''}"
+        reach = f"{share_text(p.accuracy)} ({share_text(p.low)}–{share_text(p.high)})"
+        parts.append(f"{reach} at {photons_text(p.photons)}{masks}")
+    return listed(parts)
 
 
 def listed(words: list[str]) -> str:

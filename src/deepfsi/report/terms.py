@@ -33,6 +33,7 @@ class Terms:
 
     def __init__(self) -> None:
         self._used: set[str] = set()
+        self._linked: set[str] = set()
 
     @property
     def used(self) -> dict[str, str]:
@@ -40,7 +41,7 @@ class Terms:
         return {name: words for name, words in ABBREVIATIONS.items() if name in self._used}
 
     def explain(self, text: object) -> Markup:
-        """Text with its abbreviations marked; the first of each leads to the list."""
+        """Text with its abbreviations marked; the first of each in words leads to the list."""
         return Markup(_KNOWN.sub(lambda found: self._marked(found[0]), str(escape(text))))
 
     def noted(self, drawn: Markup) -> Markup:
@@ -51,7 +52,8 @@ class Terms:
 
     def _marked(self, name: str) -> str:
         marked = f'<abbr title="{escape(ABBREVIATIONS[name])}">{name}</abbr>'
-        if name in self._used:
-            return marked
         self._used.add(name)
+        if name in self._linked:
+            return marked
+        self._linked.add(name)
         return f'<a class="term" href="#term-{name}">{marked}</a>'
