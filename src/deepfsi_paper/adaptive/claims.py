@@ -173,7 +173,7 @@ def _gain_claims(kinds: Mapping[tuple[str, str], Chosen]) -> Iterable[Claim]:
                     f"With {name} {words} read more than adaptive masks at {photons_text(BRIGHT)} "
                     "photons",
                     above([-gains[BRIGHT]]),
-                    f"{-gains[BRIGHT]}",
+                    f"{-gains[BRIGHT]}, of {own[BRIGHT].masks} looks",
                 )
 
 

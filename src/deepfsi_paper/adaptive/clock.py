@@ -35,7 +35,7 @@ class Prior:
     scenes : int
         Scenes, or centres that stand for them.
     decision_s : float
-        Time from the counts of a look to the next mask: median, seconds.
+        Processor time from the counts of a look to the next mask: median, seconds.
     """
 
     recipe: str
@@ -88,17 +88,17 @@ def measure(
 
 
 def decision_time(design: AdaptiveDesign, photons: float, exposures: int = EXPOSURES) -> float:
-    """Median time in s from the counts of a look to the next mask, one exposure at a time."""
+    """Median processor time in s from the counts of a look to the next mask, one exposure alone."""
     generator, times = torch.Generator().manual_seed(0), []
     optics = LookOptics.of(design.camera, design.image_shape, photons)
     with torch.no_grad():
         for scene in design.prior.mean.expand(exposures, -1):
             state = AdaptivePosterior(design.prior, 1, optics)
             for share in design.settings.shares:
-                began = time.perf_counter()
+                began = time.process_time()
                 masks, counts, _ = look_at(state, scene[None], share, generator)
                 state.update(masks, counts, share)
-                times.append(time.perf_counter() - began)
+                times.append(time.process_time() - began)
     return float(np.median(times))
 
 
