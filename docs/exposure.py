@@ -1,11 +1,10 @@
-"""Draw the moving picture of the README: one exposure, from the first photon to the answer.
+"""Draw the moving picture of the README: one exposure with adaptive masks, from look to look.
 
     python docs/exposure.py -o docs/figures/exposure.svg
 
-A design of 20 nested ON/OFF masks is learned on MNIST (half a minute), and its stopping rule is
-calibrated on images that the training left out. Then one test image is exposed: its counts are one
-Poisson draw, the probabilities those of the design after each mask. A raster scan of the same image
-with the same light is drawn beside it. Everything moves by CSS within the file.
+The training images of MNIST are all that is known before. Then one test image is exposed: counts
+of each look are one Poisson draw, and the next mask is made from all counts so far. The exposure
+ends when the probability of a digit is high enough. Everything moves by CSS within the file.
 """
 
 import argparse
@@ -16,17 +15,21 @@ import numpy as np
 import torch
 
 import deepfsi
-from deepfsi.design.stopping import Stopped, stop
+from deepfsi.design.adaptive.exposures import look_at
+from deepfsi.design.adaptive.posterior import AdaptivePosterior, LookOptics
 from deepfsi.files import write_atomically
 
-PHOTONS = 1e5
-"""Budget of a whole exposure."""
+PHOTONS, LOOKS = 1e4, 16
+"""Budget of a whole exposure, and its looks."""
 
 THRESHOLD = 0.95
-"""Confidence at which an exposure ends."""
+"""Probability of a digit at which an exposure ends."""
 
-SCENE = 44
-"""Test image of MNIST that is shown."""
+SCENE, SEED = 129, 0
+"""Test image of MNIST that is shown, and the seed of its noise."""
+
+GREYS = 16
+"""Greys of a scene."""
 
 BEGIN, SHOW, LOOP = 0.8, 9.0, 14.0
 """Seconds before the exposure, of the exposure, and of the whole picture."""
@@ -45,7 +48,7 @@ text{font:14px system-ui,sans-serif;fill:var(--ink)}.m{fill:var(--muted)}.e{text
 
 @dataclass(frozen=True)
 class Run:
-    """One exposure that was stopped, and what led to it.
+    """One exposure that was stopped, and what was known on its way.
 
     Attributes
     ----------
@@ -53,65 +56,49 @@ class Run:
         Reflectance.
     label : str
     masks : array of bool, shape (k, h, w)
-        Mirrors ON in the frames that were shown.
-    ends : array, shape (k,)
-        Share of the exposure that is over after each mask.
+        Mirrors ON in each look that was shown.
     counts : array, shape (k,)
-    chances : array, shape (k, C)
-        Calibrated probabilities after each mask.
-    raster : array, shape (n, 3)
-        Row, column and time of the photons of a raster scan, the time a share of the exposure.
-    tested : Stopped
-        Accuracy and light of the same design over all test images.
+    known : array, shape (k + 1, h, w)
+        Mean scene before the exposure and after each look.
+    chances : array, shape (k + 1, C)
+        Probabilities of the digits, likewise.
     """
 
     scene: np.ndarray
     label: str
     masks: np.ndarray
-    ends: np.ndarray
     counts: np.ndarray
+    known: np.ndarray
     chances: np.ndarray
-    raster: np.ndarray
-    tested: Stopped
 
 
-def expose() -> Run:
-    """Learn the design, calibrate its rule, and expose one test image."""
+@torch.no_grad()
+def expose(scene: int, seed: int) -> Run:
+    """Expose one test image until a digit is likely enough."""
     data = deepfsi.load_dataset("mnist")
-    design = deepfsi.learn(
-        data.hold_out(10000),
-        photons=PHOTONS,
-        masks=20,
-        camera=deepfsi.Camera(light="equal-dwell", levels=2),
-        exposure=deepfsi.Nested(nested=2),
-        training=deepfsi.Training(start="class-pairs", hidden=(256, 128), epochs=30),
-        device="cpu",
+    design = deepfsi.learn(data, camera="dmd", design="adaptive", masks=LOOKS, photons=PHOTONS)
+    x = torch.from_numpy(data.x_test[scene])[None]
+    state = AdaptivePosterior(
+        design.prior, 1, LookOptics.of(design.camera, design.image_shape, PHOTONS)
     )
-    tested = stop(design, data, PHOTONS, held_out=10000, threshold=THRESHOLD)
-    scene = data.x_test[SCENE]
-    rates = deepfsi.photons_per_pixel(torch.from_numpy(scene), PHOTONS, design.summed_reflectance)
-    counts = design.scanner().counts(rates, torch.Generator().manual_seed(0)).numpy()[0]
-    chances = [np.full(len(data.classes), 1 / len(data.classes))]
-    for shown in range(design.fewest_masks, design.masks + 1):
-        now, enough = tested.rule.classify(design, counts[:shown], PHOTONS)
-        chances.append(now)
-        if enough:
+    generator = torch.Generator().manual_seed(seed)
+    masks, counts, known, chances = [], [], [state.scene], [state.chances]
+    for share in design.settings.shares:
+        shown, counted, _ = look_at(state, x, share, generator)
+        state.update(shown, counted, share)
+        masks.append(shown)
+        counts.append(counted)
+        known.append(state.scene)
+        chances.append(state.chances)
+        if float(state.chances.max()) > THRESHOLD:
             break
-    peaks = design.rails.plus.amax(dim=1).numpy()
-    ends = np.cumsum(peaks) / peaks.sum()
-    rng = np.random.default_rng(0)
-    arrived = rng.poisson(rates.numpy() / data.pixels)
-    places = np.repeat(np.arange(data.pixels), arrived)
-    seen = places[places < ends[shown - 1] * data.pixels]
     return Run(
-        scene.reshape(data.image_shape),
-        data.classes[data.y_test[SCENE]],
-        design.matrix[:shown].reshape(-1, *data.image_shape) > 0,
-        ends[:shown],
-        counts[:shown].astype(int),
-        np.array(chances),
-        np.column_stack([*np.divmod(seen, data.image_shape[1]), seen / data.pixels]),
-        tested,
+        x.numpy().reshape(data.image_shape),
+        data.classes[data.y_test[scene]],
+        torch.cat(masks).numpy().reshape(-1, *data.image_shape) > 0,
+        torch.cat(counts).numpy()[:, 0].astype(int),
+        torch.cat(known).numpy().reshape(-1, *data.image_shape),
+        torch.cat(chances).numpy(),
     )
 
 
@@ -181,29 +168,50 @@ def cells(lit: np.ndarray) -> str:
     return "".join(path)
 
 
+def grey_picture(picture: np.ndarray, greys: int) -> str:
+    """Paths of the cells of each grey of a picture, black left out."""
+    grey = np.rint((greys - 1) * picture.clip(0, 1)).astype(int)
+    shades = {level: 3 * f"{255 * level // (greys - 1):02x}" for level in np.unique(grey) if level}
+    return "".join(
+        f'<path fill="#{shade}" d="{cells(grey == level)}"/>' for level, shade in shades.items()
+    )
+
+
 def draw_scene(film: Film, scene: np.ndarray) -> None:
-    """Draw a scene in 16 greys."""
-    grey = np.rint(15 * scene).astype(int)
+    """Draw the scene that is exposed."""
     film.add('<text class="b" x="16" y="28">Scene</text>')
+    film.add('<rect class="off" x="16" y="40" width="160" height="160"/>')
     film.add('<g class="px" transform="translate(16 40) scale(5)">')
-    for level in np.unique(grey):
-        film.add(f'<path fill="#{3 * f"{17 * level:02x}"}" d="{cells(grey == level)}"/>')
-    film.add("</g>")
+    film.add(f"{grey_picture(scene, GREYS)}</g>")
+
+
+def draw_known(film: Film, run: Run, times: np.ndarray) -> None:
+    """Draw the scene as it is known from the counts so far."""
+    film.add('<text class="b" x="16" y="236">The scene as it</text>')
+    film.add('<text class="b" x="16" y="254">is known by then</text>')
+    film.add('<rect class="off" x="16" y="264" width="160" height="160"/>')
+    starts, ends = np.r_[0.0, times], [*times, None]
+    for picture, since, until in zip(run.known, starts, ends, strict=True):
+        film.between(
+            '<g class="px @" transform="translate(16 264) scale(5)">'
+            f"{grey_picture(picture, GREYS)}</g>",
+            float(since),
+            until,
+        )
 
 
 def draw_masks(film: Film, run: Run, times: np.ndarray) -> None:
     """Draw the masks one after another, and the counts behind each as they arrive."""
-    total = run.tested.rule.after[-1]
-    step, foot, tall = 504 / total, 408, 120 / run.counts.max()
+    step, foot, tall = 504 / LOOKS, 408, 120 / run.counts.max()
     starts = np.r_[BEGIN, times[:-1]]
     film.add('<rect class="off" x="200" y="40" width="160" height="160"/>')
-    film.add('<text class="b" x="200" y="248">Photons counted behind each mask</text>')
+    film.add('<text class="b" x="200" y="248">Photons counted in each look</text>')
     film.add(f'<rect class="faint" x="200" y="{foot}" width="504" height="1.5"/>')
     for place, (since, until, count) in enumerate(zip(starts, times, run.counts, strict=True)):
         last = place == len(times) - 1
         end = None if last else until
         film.between(
-            f'<g class="@"><text class="b" x="200" y="28">Mask {place + 1} of {total}</text>'
+            f'<g class="@"><text class="b" x="200" y="28">Mask {place + 1} of {LOOKS}</text>'
             f'<path class="px on" transform="translate(200 40) scale(5)" '
             f'd="{cells(run.masks[place])}"/></g>',
             since if place else 0.0,
@@ -229,8 +237,7 @@ def draw_masks(film: Film, run: Run, times: np.ndarray) -> None:
 
 
 def draw_chances(film: Film, run: Run, times: np.ndarray) -> None:
-    """Draw the probability of each class after each mask that is judged."""
-    judged = times[-len(run.chances) + 1 :]
+    """Draw the probability of each digit after each look."""
     wide = 250
     film.add('<text class="b" x="392" y="28">Probability of each digit</text>')
     for digit, line in enumerate(run.chances.T):
@@ -242,7 +249,7 @@ def draw_chances(film: Film, run: Run, times: np.ndarray) -> None:
             film.add('<g class="bar">')
         film.add(f'<text class="m" x="392" y="{y + 13}">{digit}</text>')
         moves = [(0.0, line[0])]
-        for at, before, after in zip(judged, line[:-1], line[1:], strict=True):
+        for at, before, after in zip(times, line[:-1], line[1:], strict=True):
             moves += [(at, before), (at + 0.15, after)]
         film.moving(
             f'<rect class="@" x="410" y="{y + 2}" width="{wide}" height="12" '
@@ -256,32 +263,9 @@ def draw_chances(film: Film, run: Run, times: np.ndarray) -> None:
     film.add(f'<text class="m" x="{x + 5:.0f}" y="71">stop</text>')
 
 
-def draw_raster(film: Film, run: Run, size: int) -> None:
-    """Draw what a raster scan has counted, pixel by pixel in the same time."""
-    film.add('<text class="b" x="16" y="236">Raster scan,</text>')
-    film.add('<text class="b" x="16" y="254">the same light</text>')
-    film.add('<rect class="off" x="16" y="264" width="160" height="160"/>')
-    film.add('<g class="px" transform="translate(16 264) scale(5)">')
-    for row, column, at in run.raster:
-        seconds = BEGIN + SHOW * at / run.ends[-1]
-        dot = f'<rect class="on @" x="{column:g}" y="{row:g}" width="1" height="1"/>'
-        film.between(dot, seconds)
-    reached = size * run.ends[-1]
-    film.moving(
-        f'<rect class="lead @" width="{size}" height=".4" y="0"/>',
-        "transform",
-        [
-            (0, "translateY(0px)"),
-            (BEGIN, "translateY(0px)"),
-            (BEGIN + SHOW, f"translateY({reached:.2f}px)"),
-        ],
-    )
-    film.add("</g>")
-
-
 def draw_light(film: Film, run: Run) -> None:
     """Draw how much of the light is used, and the answer."""
-    end, used = BEGIN + SHOW, run.ends[-1]
+    end, used = BEGIN + SHOW, len(run.masks) / LOOKS
     film.add('<text class="b" x="16" y="455">Light used</text>')
     film.add('<rect class="faint" x="110" y="443" width="594" height="14" rx="3"/>')
     film.moving(
@@ -291,13 +275,8 @@ def draw_light(film: Film, run: Run) -> None:
         [(0, "scaleX(0)"), (BEGIN, "scaleX(0)"), (end, "scaleX(1)")],
     )
     answer, sure = run.chances[-1].argmax(), run.chances[-1].max()
-    lines = (
-        f"{sure:.0%} sure after",
-        f"{len(run.masks)} masks and {used:.0%}",
-        "of the light.",
-        f"Raster: {len(run.raster)} photons.",
-    )
-    x = 220 + 504 * len(run.masks) / run.tested.rule.after[-1]
+    lines = (f"{sure:.0%} sure after", f"{len(run.masks)} looks and", f"{run.counts.sum()} photons")
+    x = 220 + 504 * used
     words = "".join(
         f'<text x="{x:.0f}" y="{336 + 20 * place}">{line}</text>'
         for place, line in enumerate(lines)
@@ -311,27 +290,21 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("-o", "--out", type=Path, default=Path("docs/figures/exposure.svg"))
     out = parser.parse_args().out
-    run = expose()
-    times = BEGIN + SHOW * run.ends / run.ends[-1]
+    run = expose(SCENE, SEED)
+    times = BEGIN + SHOW * np.arange(1, len(run.masks) + 1) / len(run.masks)
     film = Film()
     draw_scene(film, run.scene)
     draw_masks(film, run, times)
     draw_chances(film, run, times)
-    draw_raster(film, run, len(run.scene))
+    draw_known(film, run, times)
     draw_light(film, run)
     words = (
-        f"One exposure: {len(run.masks)} masks are shown one after another, photons are counted "
-        f"behind each, and the probability of the digit {run.chances[-1].argmax()} rises until the "
-        "exposure stops."
+        f"One exposure: {len(run.masks)} masks, each made from the counts so far, are shown one "
+        f"after another, and the probability of the digit {run.chances[-1].argmax()} rises until "
+        "the exposure stops."
     )
     write_atomically(out, film.svg(720, 472, words))
-    tested = run.tested
-    print(
-        f"label {run.label}, {run.counts.sum()} photons counted, {run.ends[-1]:.3f} of the light\n"
-        f"all test images: accuracy {tested.stopped.mean:.3f} "
-        f"[{tested.stopped.low:.3f}, {tested.stopped.high:.3f}] with {tested.used.mean:.3f} of the "
-        f"light, {tested.whole.mean:.3f} with all of it"
-    )
+    print(f"label {run.label}, {len(run.masks)} looks, {run.counts.sum()} photons counted")
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ from pathlib import Path
 from deepfsi.errors import InputError, check_known
 from deepfsi.files import write_atomically
 from deepfsi_paper import compression, detectors, mlgauss, quantization
+from deepfsi_paper.adaptive import claims as adaptive
 from deepfsi_paper.camera import claims as camera_study
 from deepfsi_paper.experiment import Experiment
 from deepfsi_paper.flexible import claims as flexible
@@ -26,6 +27,7 @@ STUDIES: dict[str, tuple[Experiment, ...]] = {
     "hardware": (camera_study.EXPERIMENT,),
     "flexible": (flexible.EXPERIMENT,),
     "detectors": (detectors.MNIST, detectors.CIFAR10),
+    "adaptive": (adaptive.EXPERIMENT,),
 }
 """Experiments by the name under which they are reproduced, in the order of the page."""
 

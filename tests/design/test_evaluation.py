@@ -11,7 +11,9 @@ import torch
 from conftest import PHOTONS, every_design, generator, light_on, quick, synthetic
 from deepfsi.datasets import from_arrays
 from deepfsi.design.evaluation import evaluate
+from deepfsi.design.evaluation import test_scenes as run_test
 from deepfsi.errors import InputError
+from deepfsi.progress import SILENT
 from deepfsi.statistics.intervals import balanced
 
 
@@ -206,8 +208,25 @@ def test_classify_agrees_with_evaluate(made, digits, rails):
     shares = scanner.rates(torch.from_numpy(digits.x_test) / design.summed_reflectance)
     counts = scanner.read(shares * PHOTONS, generator(5)).numpy()
     given = counts if rails == "dual" else counts[..., 0, :]
-    guess = design.classify(given, PHOTONS).argmax(axis=-1)
-    assert (guess == digits.y_test).mean() == pytest.approx(result.accuracy)
+    chances = design.classify(given, PHOTONS)
+    assert (chances.argmax(axis=-1) == digits.y_test).mean() == pytest.approx(result.accuracy)
+    true = chances[np.arange(len(chances)), digits.y_test]
+    assert result.log_loss == pytest.approx(-np.log(true.clip(min=2**-23)).mean(), rel=1e-5)
+
+
+def test_the_log_loss_of_knowing_nothing_or_the_wrong_is_finite(digits):
+    classes = len(digits.classes)
+    blind = torch.full((len(digits.x_test), classes), 1 / classes)
+    wrong = torch.nn.functional.one_hot((torch.tensor(digits.y_test) + 1) % classes, classes)
+    for chances, loss in ((blind, math.log(classes)), (wrong.float(), 23 * math.log(2))):
+        rows = iter(chances.split(1024))
+
+        def guess_of(x, rows=rows):
+            return lambda generator, budget: (next(rows), 0.0)
+
+        shares = torch.ones(1)
+        [found] = run_test(digits, guess_of, [1e3], 1, 0, "poisson", shares, SILENT)
+        assert found.log_loss == pytest.approx(loss, rel=1e-5)
 
 
 def test_one_budget_is_a_list_of_one(good, digits):

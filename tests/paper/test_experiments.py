@@ -133,6 +133,9 @@ def test_every_recipe_is_whole_and_takes_a_number_of_trials(each, quick):
     assert all(recipe.trials == 2 for recipe in each.recipes(quick, trials=2).values())
 
 
+SCENES = {"adaptive": 2500}
+"""Scenes that have as many clusters as a recipe asks for."""
+
 SHAPES = {"indian-pines": (200,), **{each.name: (64, 64) for each in OVIT}}
 
 
@@ -140,7 +143,7 @@ SHAPES = {"indian-pines": (200,), **{each.name: (64, 64) for each in OVIT}}
 @pytest.mark.parametrize("quick", [False, True])
 def test_every_recipe_can_be_planned(each, quick):
     """On scenes of the data's shape."""
-    data = synthetic(SHAPES.get(each.name, (32, 32)))
+    data = synthetic(SHAPES.get(each.name, (32, 32)), SCENES.get(each.name, 120))
     for recipe in each.recipes(quick, trials=1).values():
         trials = plan(recipe.model_copy(update={"validation": 20}), data)
         assert {trial.job.design for trial in trials} == set(recipe.designs)

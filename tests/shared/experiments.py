@@ -28,7 +28,7 @@ def tiny(experiment, trials: int):
 
 def shrunk(experiment, trials: int, part: str, quick: Recipe):
     kept = quick.model_dump(exclude={"masks"}, exclude_unset=True)
-    training = {**kept.pop("training"), **TINY["training"], "batch": 200}
+    training = {**kept.pop("training", {}), **TINY["training"], "batch": 200}
     changes = {**TINY, "training": training, "trials": trials}
     if kept.get("gaussian_photons"):
         changes["gaussian_photons"] = (80, 800)
@@ -38,6 +38,8 @@ def shrunk(experiment, trials: int, part: str, quick: Recipe):
         changes |= {"photons": (1e3, 1e5), "ratios": 0.1}
     if experiment.name.startswith("detectors"):
         changes["ratios"] = 0.05
+    if experiment.name == "adaptive":
+        training |= {"clusters": 5} if "clusters" in training else {}
     if experiment.name == "flexible":
         changes |= {"photons": 1e4, "ratios": 0.05 if part == "counts" else 0.1}
         changes["tuned"] = {}

@@ -82,6 +82,8 @@ def test_every_recipe_runs_small(settings, digits, tmp_path):
     nested = exposure.get("nested", 0)
     detectors = camera.get("detectors", "1x1")
     training = {**settings.get("training", {}), "epochs": 1, "batch": 500}
+    if "clusters" in training:
+        training["clusters"] = 5
     if "patch" in exposure:
         exposure = {**exposure, "patch": 4}
         training["classifier_arguments"] = {"width": 8, "depth": 1, "heads": 2, "hidden": 8}

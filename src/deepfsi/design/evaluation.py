@@ -55,6 +55,8 @@ class Result:
     calibration_error : float
         Mean distance of confidence, the probability of the answer, and accuracy, over 15 groups of
         answers of like confidence, all of one size.
+    log_loss : float
+        Mean of −ln p of the true class, in nats; a p below 1.2e-7 is taken for that.
     counts : float
         Photons that the detectors count, in the mean over the test scenes; without dark counts.
     throughput : float
@@ -88,6 +90,7 @@ class Result:
     rates: list[float | None]
     confusion: list[list[int]]
     calibration_error: float
+    log_loss: float
     counts: float
     throughput: float
     photons_per_mask: list[float]
@@ -193,8 +196,11 @@ def evaluate(
         return test_scenes(scenes, guess_of, budgets, draws, seed, known.noise_name, shares, bar)
 
 
-Guess = Callable[[torch.Generator, float], tuple[Tensor, Tensor, float]]
-"""Exposes scenes once at a budget: classes (b,), confidences, and the sum of expected counts."""
+LEAST_CHANCE = torch.finfo(torch.float32).eps
+"""Least probability of a true class that the log loss is taken of."""
+
+Guess = Callable[[torch.Generator, float], tuple[Tensor, float]]
+"""Exposes scenes once at a budget: class probabilities (b, C), and the sum of expected counts."""
 
 
 class Answering(NamedTuple):
@@ -212,12 +218,11 @@ def answering(design: Any, camera: Camera) -> Answering:
     def guess_of(x: Tensor) -> Guess:
         rates = design.rates(scanner, x)
 
-        def guess(generator: torch.Generator, budget: float) -> tuple[Tensor, Tensor, float]:
+        def guess(generator: torch.Generator, budget: float) -> tuple[Tensor, float]:
             *_, seen = design.expose(scanner, rates, generator, budget)
             counted = budget * float(design.exposure.shown(rates, seen).sum())
             logits = design.logits_of(seen, budget)
-            chances = (logits / design.temperature(seen, budget)).softmax(dim=-1)
-            return logits.argmax(dim=-1), chances.amax(dim=-1), counted
+            return (logits / design.temperature(seen, budget)).softmax(dim=-1), counted
 
         return guess
 
@@ -258,7 +263,8 @@ def test_scenes(
     # shares (m,) of the budget that each mask counts
     generators = [torch.Generator(shares.device).manual_seed(seed) for _ in budgets]
     confusions = np.zeros((len(budgets), len(data.classes), len(data.classes)), dtype=np.int64)
-    answers: list[list[np.ndarray]] = [[] for _ in budgets]  # confidence, and if it is right
+    # confidence, if the answer is right, and the probability of the true class
+    answers: list[list[np.ndarray]] = [[] for _ in budgets]
     counts = np.zeros(len(budgets))
     chunks = torch.arange(len(data.x_test)).split(1024)
     with torch.no_grad():
@@ -266,10 +272,11 @@ def test_scenes(
             guess, truth = guess_of(torch.from_numpy(data.x_test[rows])), data.y_test[rows]
             for place, (budget, generator) in enumerate(zip(budgets, generators, strict=True)):
                 for _ in range(draws):
-                    classes, sure, counted = guess(generator, budget)
-                    found = classes.cpu().numpy()
+                    given, counted = guess(generator, budget)
+                    chances = given.cpu().numpy()
+                    found, true = chances.argmax(axis=1), chances[np.arange(len(truth)), truth]
                     np.add.at(confusions[place], (truth, found), 1)
-                    answers[place].append(np.stack([sure.cpu().numpy(), found == truth]))
+                    answers[place].append(np.stack([chances.max(axis=1), found == truth, true]))
                     counts[place] += counted
             report(done / len(chunks))
     means = (counts / (draws * len(data.x_test))).tolist()
@@ -317,8 +324,8 @@ def _result(
     draws: int,
     share: list[float],
 ) -> Result:
-    """`Result` of a confusion matrix (C, C) and answers (2, E), sure and right, of all draws."""
-    images = int(confusion.sum()) // draws
+    """`Result` of a confusion matrix (C, C) and answers (3, E) of all draws."""
+    images, (sure, right, true) = int(confusion.sum()) // draws, answers
     accuracy = float(confusion.trace() / confusion.sum())
     low, high = wilson(accuracy, images)
     rates = [float(row[k] / row.sum()) if row.any() else None for k, row in enumerate(confusion)]
@@ -337,7 +344,8 @@ def _result(
         balanced_high=upper,
         rates=rates,
         confusion=confusion.tolist(),
-        calibration_error=calibration_error(confidence_groups(*answers)),
+        calibration_error=calibration_error(confidence_groups(sure, right)),
+        log_loss=float(-np.log(true.clip(min=LEAST_CHANCE)).mean(dtype=float)),
         counts=counts,
         throughput=sum(share),
         photons_per_mask=[budget * part for part in share],

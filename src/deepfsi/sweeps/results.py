@@ -99,6 +99,9 @@ class Point(Frozen):
     balanced_high: FiniteFloat = Field(description="upper end of its interval")
     worst: Share = Field(description="lowest accuracy of a class, in the mean over trials")
     worst_class: Count = Field(description="place of that class among those of the data")
+    log_loss: FiniteFloat | None = Field(
+        None, description="mean of −ln p of the true class, in nats, and over trials"
+    )
     counts: FiniteFloat = Field(
         description="photons that the detectors count, in the mean over test scenes and trials"
     )

@@ -155,6 +155,7 @@ def point(
         balanced_high=upper,
         worst=rates[worst_of(rates)] or 0.0,
         worst_class=worst_of(rates),
+        log_loss=float(np.mean([test["log_loss"] for test in tests])),
         counts=float(np.mean([test["counts"] for test in tests])),
         throughput=float(np.mean([test["throughput"] for test in tests])),
         seconds=float(np.mean([record["info"]["seconds"] for record, _ in members])),

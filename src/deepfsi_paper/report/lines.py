@@ -65,8 +65,9 @@ class Line:
 
 
 @styled
-def lines_figure(panels: Mapping[str, Sequence[Line]]) -> Figure:
+def lines_figure(panels: Mapping[str, Sequence[Line]], value: str = ACCURACY_AXIS) -> Figure:
     """Accuracy along logarithmic axes: a panel for each label of an axis, with a key of its own."""
+    # or other values, where their axis is named
     figure = Figure(figsize=(4.6 * len(panels), PANEL_HEIGHT), layout="constrained")
     axes = figure.subplots(1, len(panels), squeeze=False)[0]
     for ax, (label, lines) in zip(axes, panels.items(), strict=True):
@@ -77,7 +78,7 @@ def lines_figure(panels: Mapping[str, Sequence[Line]]) -> Figure:
         ax.xaxis.set_minor_locator(NullLocator())
         ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: photons_text(round(value))))
         ax.set_xlabel(label)
-    axes[0].set_ylabel(ACCURACY_AXIS)
+    axes[0].set_ylabel(value)
     return figure
 
 

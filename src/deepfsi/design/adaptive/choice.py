@@ -34,13 +34,15 @@ def next_masks(state: AdaptivePosterior, share: float, generator: torch.Generato
     places, drawn = _sample(state.weights, generator)
     mean, parts = prior.light(state.optics.readouts(masks))  # (b, P, Q), (b, P, Q, d)
     left = state.unknown(parts)
-    scenes = prior.coefficients[places][:, None].transpose(2, 3)  # (b, 1, d, S)
-    light = (mean + state.seen(parts))[..., None] + left @ scenes
+    scenes = prior.coefficients[places].transpose(1, 2)  # (b, d, S), the same for all masks
+    away = (left.flatten(1, 2) @ scenes).unflatten(1, mean.shape[1:])
+    light = (mean + state.seen(parts))[..., None] + away
     gain, dark = state.gain * share, torch.as_tensor(state.optics.dark * share)[..., None]
     counts = light.clamp(min=0) * gain + dark
     unknown = left @ parts.transpose(2, 3) if prior.spread else None
     if unknown is not None:
-        usual = (counts @ drawn[:, None, :, None]).clamp(min=1e-6).rsqrt() * gain
+        usual = (counts * drawn[:, None, None]).sum(dim=-1, keepdim=True)
+        usual = usual.clamp(min=1e-6).rsqrt() * gain
         unknown = unknown * usual * usual.transpose(2, 3)
     members = functional.one_hot(prior.labels[places], prior.classes) * drawn[..., None]
     best = information(counts, members, unknown).argmax(dim=1)
@@ -101,7 +103,7 @@ def information(counts: Tensor, members: Tensor, unknown: Tensor | None = None) 
     scale = 2 * (counts + 3 / 8).sqrt()
     weights = members.sum(dim=-1)[:, None, None]  # (b, 1, 1, S)
     scale = scale - (scale * weights).sum(dim=-1, keepdim=True)
-    sums = scale @ members[:, None]  # (b, P, Q, C)
+    sums = (scale.flatten(1, 2) @ members).unflatten(1, counts.shape[1:3])  # (b, P, Q, C)
     size = members.sum(dim=1)[:, None, None].clamp(min=1e-12)
     between = (sums / size) @ sums.transpose(2, 3)
     total = (scale * weights) @ scale.transpose(2, 3)

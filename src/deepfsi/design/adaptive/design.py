@@ -28,6 +28,9 @@ from deepfsi.files import DESIGNS, check_ending, write_atomically
 from deepfsi.optics.camera import Camera
 from deepfsi.optics.detection import Detection
 
+MOST_EXPOSURES = 32
+"""Exposures that are computed at a time, at most: a thousand of them take twice as long each."""
+
 SLACK = 1e-3
 """What rounding may change of a reflectance, or of a sum of them, relative."""
 
@@ -135,8 +138,8 @@ class AdaptiveDesign:
             yield Known(masks, state)
 
     def at_once(self, x: Tensor) -> tuple[Tensor, ...]:
-        """Scenes (n, N) in parts that the memory holds the likelihoods of."""
-        return x.split(max(1, AT_ONCE // len(self.prior)))
+        """Scenes (n, N) in parts that the memory holds the likelihoods of, and the caches masks."""
+        return x.split(max(1, min(MOST_EXPOSURES, AT_ONCE // len(self.prior))))
 
     def looks_at(self, scene: np.ndarray, photons: float, seed: int = 0) -> tuple[np.ndarray, ...]:
         """One exposure of a scene (N,): masks and mean scenes (K, N), and chances (K, C).
@@ -285,7 +288,7 @@ def load_design(
 @answering.register
 def _(design: AdaptiveDesign, camera: Camera) -> Answering:
     def guess_of(x: Tensor) -> Guess:
-        def guess(generator: torch.Generator, budget: float) -> tuple[Tensor, Tensor, float]:
+        def guess(generator: torch.Generator, budget: float) -> tuple[Tensor, float]:
             optics = LookOptics.of(camera, design.image_shape, budget)
             chances, counted = [], 0.0
             for some in design.at_once(x):
@@ -293,8 +296,7 @@ def _(design: AdaptiveDesign, camera: Camera) -> Answering:
                 found, counts = expose(state, some, design.settings, generator)
                 chances.append(found)
                 counted += float(counts.sum())
-            sure, classes = torch.cat(chances).max(dim=-1)
-            return classes, sure, counted
+            return torch.cat(chances), counted
 
         return guess
 

@@ -1,0 +1,162 @@
+"""The study of adaptive masks answers to the numbers."""
+
+from dataclasses import asdict
+from itertools import product
+
+import numpy as np
+import pytest
+
+import deepfsi
+from deepfsi.progress import SILENT
+from deepfsi_paper.adaptive import claims as study
+from deepfsi_paper.adaptive.clock import (
+    Measures,
+    Prior,
+    Rival,
+    best_at,
+    decision_time,
+    measure,
+    rivals,
+)
+from shared.figures import assert_legible, assert_sound
+from shared.results import a_point, some_results
+
+LIGHTS = (1e2, 1e3, 1e4, 1e5)
+KNOWN = {1e2: 0.2, 1e3: 0.5, 1e4: 0.85, 1e5: 0.97}
+ADAPTIVE = {1e2: 0.24, 1e3: 0.63, 1e4: 0.965, 1e5: 0.96}
+MORE = {1e2: 0.1, 1e3: 0.12, 1e4: 0.02, 1e5: 0.005}
+"""What 2 × 2 detectors add."""
+
+DECISION_S, LOAD_S = 5e-3, 3e-3
+
+
+def point(recipe, photons, accuracy, **fields):
+    accuracy = min(accuracy, 0.998)
+    shifted = tuple(accuracy + np.array([-0.001, 0.0, 0.001]))
+    loss = (1 - accuracy) * 2.0
+    given = {"light": "free-dwell", "rails": "single", "accuracies": shifted, "log_loss": loss}
+    return a_point(accuracy, 0.002, recipe=recipe, photons=photons, **{**given, **fields})
+
+
+def results(priors=(("adaptive-1x1", 3000), ("scenes-1x1", 60000)), **changed):
+    """Results; `NAME_PHOTONS` is another accuracy of a kind at a budget with one detector."""
+    points = []
+    for photons, (name, more) in product(LIGHTS, (("1x1", 0.0), ("2x2", 1.0))):
+        added = more * MORE[photons]
+        at = {
+            kind: changed.get(f"{kind}_{photons:g}", level[photons]) + added
+            for kind, level in (("adaptive", ADAPTIVE), ("fixed", KNOWN), ("looks", KNOWN))
+        }
+        adaptive = {"design": "adaptive", "detectors": name}
+        for looks, less in ((1, changed.get("less", 0.1)), (16, 0.0)):
+            one = point(f"adaptive-{name}", photons, at["adaptive"] - less, **adaptive, masks=looks)
+            points.append(one)
+        for kind in ("fixed", "looks"):
+            one = point(f"{kind}-{name}", photons, at[kind], detectors=name, masks=24)
+            points.append(one)
+    for photons in LIGHTS:
+        scenes = changed.get(f"adaptive_{photons:g}", ADAPTIVE[photons]) - changed.get(
+            "scenes", 0.2
+        )
+        one = {"design": "adaptive", "detectors": "1x1", "masks": 1}
+        points.append(point("scenes-1x1", photons, scenes, **one))
+        impulse = {"design": "impulse", "light": "column", "masks": 1024, "ratio": 1.0}
+        points.append(point("impulse", photons, 0.99, **impulse))
+    known = [Prior(recipe, "", size, DECISION_S) for recipe, size in priors]
+    two = Prior("adaptive-2x2", "", 3000, DECISION_S)
+    return some_results(points, extra=asdict(Measures(np.log2(10), LOAD_S, [*known, two])))
+
+
+def answers(**changed):
+    return {claim.text: claim.holds for claim in study.EXPERIMENT.show(results(**changed)).claims}
+
+
+@pytest.mark.parametrize(
+    ("words", "changes", "usual", "changed"),
+    [
+        ("at least 0.61 at 1000", {"adaptive_1000": 0.6}, True, False),
+        ("at least 0.96 at 10⁴", {"adaptive_10000": 0.961}, True, None),
+        ("at least 0.98 at 10⁵", {"adaptive_100000": 0.99}, False, True),
+        ("2 × 2 detectors read at least 0.72", {"adaptive_1000": 0.59}, True, False),
+        ("With one detector adaptive masks read more than learned masks w", {"fixed_1000": 0.7},
+         True, False),
+        ("With one detector adaptive masks read more than learned masks in", {"looks_10000": 0.965},
+         True, None),
+        ("learned masks with fixed dwells read more", {"adaptive_100000": 0.98}, True, False),
+        ("16 looks read more than 1,", {"less": -0.02}, True, False),
+        ("largest prior reads more than the second", {"scenes": -0.02}, False, True),
+        ("exposures of 0.1 s", {"less": 0.2}, True, False),
+        ("exposures of 1 s", {"less": 0.2}, True, True),
+    ],
+)  # fmt: skip
+def test_claims_answer_to_the_numbers(words, changes, usual, changed):
+    for given, answer in (({}, usual), (changes, changed)):
+        [holds] = {holds for text, holds in answers(**given).items() if words in text}
+        assert holds is answer
+
+
+def test_information_is_entropy_less_cross_entropy():
+    measures = Measures(np.log2(10), LOAD_S, [])
+    sure = point("adaptive-1x1", 1e4, 1.0, log_loss=0.0)
+    blind = point("adaptive-1x1", 1e4, 0.1, log_loss=float(np.log(10)))
+    worse = point("adaptive-1x1", 1e4, 0.1, log_loss=5.0)
+    assert [study.bits(each, measures) for each in (sure, blind, worse)] == pytest.approx(
+        [np.log2(10), 0.0, 0.0], abs=1e-9
+    )
+
+
+def test_by_the_clock_light_is_lost_while_masks_are_made():
+    points = [point("adaptive-1x1", each, ADAPTIVE[each], masks=10) for each in LIGHTS]
+    free, timed = Rival(points), Rival(points, 0.02)
+    assert free.at(1e4, 1.0)[1] == ADAPTIVE[1e4]
+    assert timed.at(1.25e4, 1.0)[1] == pytest.approx(ADAPTIVE[1e4])  # 0.2 of 1 s is lost
+    assert timed.at(1e4, 0.39) is None  # more than half of it
+    assert free.at(1e3 * np.sqrt(10), 1.0)[1] == pytest.approx((ADAPTIVE[1e3] + ADAPTIVE[1e4]) / 2)
+
+
+def test_the_number_of_looks_is_chosen_on_validation_images():
+    better, chosen = (
+        [
+            point("adaptive-1x1", each, accuracy, masks=looks, validation=validation)
+            for each in LIGHTS
+        ]
+        for looks, accuracy, validation in ((4, 0.9, 0.8), (16, 0.7, 0.85))
+    )
+    assert best_at(rivals([*better, *chosen]), 1e3, 1.0) == pytest.approx(0.7)
+    measures = Measures(3.3, LOAD_S, [Prior("adaptive-1x1", "", 3000, 0.03)])
+    assert best_at(rivals([*better, *chosen], measures), 1e3, 1.0) == pytest.approx(0.9)
+
+
+def test_the_table_says_what_each_kind_reads_and_tells():
+    [table] = study.EXPERIMENT.show(results()).tables
+    rows = {row[:2]: row[2:] for row in table.rows}
+    bits = np.log2(10) - 0.035 * 2 / np.log(2)
+    assert rows["one detector", "adaptive masks"][2] == f"0.965 (16), {bits:.2f} bits"
+    assert rows["one for each pixel", "impulse imaging"][0].startswith("0.990, ")
+    assert len(rows) == 7
+
+
+def test_pictures_are_legible():
+    pictures = study.EXPERIMENT.show(results()).pictures
+    assert [len(picture.figure.axes) for picture in pictures] == [2, 2, 2, 2]
+    assert [len(ax.lines) for ax in pictures[0].figure.axes] == [4, 4]
+    assert [len(ax.lines) for ax in pictures[-1].figure.axes] == [3, 3]
+    for picture in pictures:
+        assert_legible(picture.figure)
+    assert_sound(lambda: study.EXPERIMENT.show(results()).pictures[0].figure)
+
+
+def test_priors_and_entropy_are_measured(tmp_path, digits):
+    training = {"clusters": 5}
+    design = deepfsi.learn(
+        digits, design="adaptive", masks=2, photons=1e3, camera="dmd", training=training
+    )
+    design.save(tmp_path / "key.safetensors")
+    made = some_results([point("adaptive-1x1", 1e3, 0.9, design="adaptive", masks=2)])
+    found = measure(made, digits, tmp_path, 1, SILENT)
+    [prior] = found["priors"]
+    assert prior["scenes"] == 50
+    assert prior["decision_s"] > 0
+    assert found["entropy"] == pytest.approx(np.log2(10), abs=0.01)
+    assert found["load_s"] == 3.3e-3
+    assert decision_time(design, 1e3, exposures=1) > 0
