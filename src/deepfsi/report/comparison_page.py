@@ -169,7 +169,7 @@ def optics_text(point: Point) -> str:
 
 
 def following(results: Results, designs: Path) -> tuple[str, str]:
-    """What to do next with the most accurate design of the most light, and its command."""
+    """Next step with the most accurate design of the most light, in words and as a command."""
     points = [p for p in results.points if p.best and not p.every_pixel]
     shown = [p for p in points if p.light != "column"]
     there = [p for p in shown if p.keys and (designs / f"{p.keys[0]}.safetensors").is_file()]
