@@ -16,8 +16,8 @@ from deepfsi.design.classifiers import Mlp, Vit
 from deepfsi.design.consistency import Consistency, ReadoutDistribution
 from deepfsi.design.exposure.looks import Dwells, LooksExposure
 from deepfsi.design.exposure.trained import FixedExposure, Observation, TrainedExposure
-from deepfsi.design.own import Given, OwnClassifier, make, restored
-from deepfsi.design.readings import check_look, check_readouts
+from deepfsi.design.own import Given, OwnClassifier, rebuilt
+from deepfsi.design.readings import check_clicks, check_dimmed, check_look, check_readouts, gates_of
 from deepfsi.design.temperatures import Temperatures
 from deepfsi.errors import InputError, as_input_error
 from deepfsi.files import DESIGNS, check_ending, write_atomically
@@ -150,6 +150,15 @@ class Design:
         with as_input_error("the design's camera", "train it again"):
             return Camera.restored(known)
 
+    @property
+    def gates(self) -> int | None:
+        """Clicks of a readout at most, where its detectors click."""
+        return gates_of(self.info)
+
+    def scale(self, photons: Tensor | float) -> Tensor | float:
+        """Divisor of features in counts: the budget; of clicks that of the training, always."""
+        return photons if self.gates is None else 0 * photons + self.info["job"]["photons"]
+
     def scanner(
         self, noise: str | OwnNoise = "poisson", sigma: float = 1.0, dark: float = 0.0
     ) -> Scanner:
@@ -165,7 +174,7 @@ class Design:
         self, features: Tensor, photons: Tensor | float, dwell: Tensor | None = None
     ) -> Tensor:
         """Logits (..., C) of features (..., k) in counts; other parameters as of `classify`."""
-        return self.logits_of(Observation(features / photons, dwell), photons)
+        return self.logits_of(Observation(features / self.scale(photons), dwell), photons)
 
     def logits_of(self, seen: Observation, photons: Tensor | float) -> Tensor:
         """Logits (..., C) of an exposure so far, of a budget of `photons` in all."""
@@ -199,7 +208,8 @@ class Design:
         """
 
         def read(expected: Tensor, share: Tensor | float) -> Tensor:
-            return self.detection.features(scanner.read(expected, generator, share))
+            every = scanner.read(expected, generator, share) * (photons / self.scale(photons))
+            return self.detection.features(every)
 
         return self.exposure.expose(read, rates, photons, self.mean, self.std)
 
@@ -275,12 +285,13 @@ class Design:
         self.exposure.check_dwell(dwell is not None)
         frames = None if dwell is None else self._dwells.shape
         read, budget, shown = check_readouts(counts, photons, dwell, self.counts_shape, frames)
+        check_clicks(read, self.gates)
         device = self.rails.device
         with torch.no_grad():
             if shown is not None:
                 shown = self._dwells.by_mask(shown).to(device)
             budget = budget.to(device)
-            seen = Observation(self.features_of(read.to(device)) / budget, shown)
+            seen = Observation(self.features_of(read.to(device)) / self.scale(budget), shown)
             return self.chances(seen, budget).cpu().numpy()
 
     @property
@@ -314,7 +325,9 @@ class Design:
         """
         self.exposure.check_alone()
         if self.distribution is None:
-            raise InputError("this design holds no distribution: it takes 100 scenes, 50 a class")
+            raise InputError(
+                "this design holds no distribution: it takes photons, 100 scenes, 50 a class"
+            )
         read, budget, _ = check_readouts(counts, photons, None, self.counts_shape)
         if not read.numel():
             raise InputError("there are no exposures to test: give one or more")
@@ -389,6 +402,7 @@ class Design:
             If the patterns are of a design of another shape, or this one is of patches.
         """
         self.exposure.check_frames()
+        check_dimmed(dimmed, self.gates)
         if rails.shape != tuple(self.rails.stacked.shape) or image_shape != self.image_shape:
             raise InputError(
                 f"patterns of {rails.shape[1]} masks of {image_shape} cells and {len(rails)} rails "
@@ -484,14 +498,6 @@ class Design:
         InputError
             If it cannot be imported, or is not the one that the weights are of.
         """
-        made = self.classifier
-        if not isinstance(made, OwnClassifier):
-            raise InputError("this design has a classifier of the package's own: give none")
-        if not classifier:
-            raise InputError(
-                "this design does not say where its classifier is imported from: give `classifier`"
-            )
-        arguments = {} if isinstance(classifier, nn.Module) else made.arguments
         inputs = self.exposure.input_count(self.features)
-        own = make(classifier, arguments, inputs, len(self.classes))
-        return replace(self, classifier=restored(own, made.weights).to(self.rails.device))
+        made = rebuilt(self.classifier, classifier, inputs, len(self.classes))
+        return replace(self, classifier=made.to(self.rails.device))

@@ -56,13 +56,16 @@ class Result:
         Mean distance of confidence, the probability of the answer, and accuracy, over 15 groups of
         answers of like confidence, all of one size.
     counts : float
-        Photons that the detectors count, in the mean over the test scenes; without dark counts.
+        What the detectors count, in the mean over the test scenes: photons without dark counts,
+        or clicks.
+    arriving : float
+        Photons that reach the detectors, in the same mean: `counts`, but of detectors that click.
     throughput : float
-        Share of the budget that the detectors count, in the training mean; where dwells are
+        Share of the budget that reaches the detectors, in the training mean; where dwells are
         chosen, at the training's budget. Of masks that are quantised for a test only, it is that
         of the masks before.
     photons_per_mask : list of float
-        Expected counts of each mask's rails together, in the training mean; likewise.
+        Expected photons of each mask's rails together, in the training mean; likewise.
 
     Examples
     --------
@@ -89,6 +92,7 @@ class Result:
     confusion: list[list[int]]
     calibration_error: float
     counts: float
+    arriving: float
     throughput: float
     photons_per_mask: list[float]
 
@@ -193,8 +197,9 @@ def evaluate(
         return test_scenes(scenes, guess_of, budgets, draws, seed, known.noise_name, shares, bar)
 
 
-Guess = Callable[[torch.Generator, float], tuple[Tensor, Tensor, float]]
-"""Exposes scenes once at a budget: classes (b,), confidences, and the sum of expected counts."""
+Guess = Callable[[torch.Generator, float], tuple[Tensor, Tensor, float, float]]
+"""Exposes scenes once at a budget: classes (b,), confidences, sums of expected counts and of the
+photons that arrive."""
 
 
 class Answering(NamedTuple):
@@ -212,12 +217,13 @@ def answering(design: Any, camera: Camera) -> Answering:
     def guess_of(x: Tensor) -> Guess:
         rates = design.rates(scanner, x)
 
-        def guess(generator: torch.Generator, budget: float) -> tuple[Tensor, Tensor, float]:
+        def guess(generator: torch.Generator, budget: float) -> tuple[Tensor, Tensor, float, float]:
             *_, seen = design.expose(scanner, rates, generator, budget)
-            counted = budget * float(design.exposure.shown(rates, seen).sum())
+            arriving = budget * design.exposure.shown(rates, seen)
+            counted = float(scanner.expected(arriving).sum())
             logits = design.logits_of(seen, budget)
             chances = (logits / design.temperature(seen, budget)).softmax(dim=-1)
-            return logits.argmax(dim=-1), chances.amax(dim=-1), counted
+            return logits.argmax(dim=-1), chances.amax(dim=-1), counted, float(arriving.sum())
 
         return guess
 
@@ -239,7 +245,7 @@ def camera_for(design: Tested, camera: CameraSource = None, **settings: Any) -> 
 def scanner_for(design: Design, camera: Camera) -> Scanner:
     """A design's front end with the noise, the dark counts and the read noise of a camera."""
     dark = camera.dark_counts if camera.noise_name == "camera" else 0.0
-    scanner = design.scanner(camera.noise, camera.sigma, dark)
+    scanner = design.scanner(camera.detector_noise, camera.sigma, dark)
     design.exposure.check_noise(scanner.noise)
     return scanner
 
@@ -259,20 +265,20 @@ def test_scenes(
     generators = [torch.Generator(shares.device).manual_seed(seed) for _ in budgets]
     confusions = np.zeros((len(budgets), len(data.classes), len(data.classes)), dtype=np.int64)
     answers: list[list[np.ndarray]] = [[] for _ in budgets]  # confidence, and if it is right
-    counts = np.zeros(len(budgets))
+    light = np.zeros((len(budgets), 2))  # counts and photons
     chunks = torch.arange(len(data.x_test)).split(1024)
     with torch.no_grad():
         for done, rows in enumerate(chunks, start=1):
             guess, truth = guess_of(torch.from_numpy(data.x_test[rows])), data.y_test[rows]
             for place, (budget, generator) in enumerate(zip(budgets, generators, strict=True)):
                 for _ in range(draws):
-                    classes, sure, counted = guess(generator, budget)
+                    classes, sure, *sums = guess(generator, budget)
                     found = classes.cpu().numpy()
                     np.add.at(confusions[place], (truth, found), 1)
                     answers[place].append(np.stack([sure.cpu().numpy(), found == truth]))
-                    counts[place] += counted
+                    light[place] += sums
             report(done / len(chunks))
-    means = (counts / (draws * len(data.x_test))).tolist()
+    means = (light / (draws * len(data.x_test))).tolist()
     return ResultList(
         _result(
             budget, noise, confusion, np.concatenate(told, axis=1), mean, draws, shares.tolist()
@@ -313,7 +319,7 @@ def _result(
     noise: str,
     confusion: np.ndarray,
     answers: np.ndarray,
-    counts: float,
+    light: list[float],
     draws: int,
     share: list[float],
 ) -> Result:
@@ -322,6 +328,7 @@ def _result(
     accuracy = float(confusion.trace() / confusion.sum())
     low, high = wilson(accuracy, images)
     rates = [float(row[k] / row.sum()) if row.any() else None for k, row in enumerate(confusion)]
+    counts, arriving = light
     mean, lower, upper = balanced(rates, (confusion.sum(axis=1) // draws).tolist())
     return Result(
         photons=budget,
@@ -339,6 +346,7 @@ def _result(
         confusion=confusion.tolist(),
         calibration_error=calibration_error(confidence_groups(*answers)),
         counts=counts,
+        arriving=arriving,
         throughput=sum(share),
         photons_per_mask=[budget * part for part in share],
     )

@@ -181,10 +181,11 @@ def _guesses(
     def guess_of(x: Tensor) -> Guess:
         rates = rates_of(x)
 
-        def guess(generator: torch.Generator, budget: float) -> tuple[Tensor, Tensor, float]:
+        def guess(generator: torch.Generator, budget: float) -> tuple[Tensor, Tensor, float, float]:
             expected = rates * budget
             chances = observer.chances(scanner.read(expected, generator), budget)
-            return chances.argmax(dim=-1), chances.amax(dim=-1), float(expected.sum())
+            counted = float(expected.sum())
+            return chances.argmax(dim=-1), chances.amax(dim=-1), counted, counted
 
         return guess
 

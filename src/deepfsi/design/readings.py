@@ -1,6 +1,6 @@
 """Counts, budgets and dwells as users hand them over, checked."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -80,3 +80,27 @@ def check_look(
             f"{asked.sum():.4g}: show each mask for at most the shares asked"
         )
     return counts, shown
+
+
+def gates_of(info: Mapping[str, Any]) -> int | None:
+    """Clicks of a readout at most, where the detectors of a design's camera click."""
+    known = info.get("job", {}).get("camera", {})
+    return int(known.get("gates", 1)) if known.get("noise") == "click" else None
+
+
+def check_clicks(read: Tensor, gates: int | None) -> None:
+    """Raise `InputError` where a readout has more counts than its detector can click."""
+    if gates is not None and bool((read > gates).any() | (read < 0).any()):
+        raise InputError(
+            f"this design reads detectors that click at most {gates} times in a frame, and a "
+            f"readout has {float(read.max()):g} counts: give clicks from 0 to {gates}"
+        )
+
+
+def check_dimmed(dimmed: float, gates: int | None) -> None:
+    """Raise `InputError` where clicks are of patterns that pass less light than their design."""
+    if gates is not None and dimmed != 1:
+        raise InputError(
+            f"the patterns pass {dimmed:.3g} of the design's light, and clicks are not in "
+            "proportion to it: learn a design under a light law of the device"
+        )

@@ -285,7 +285,7 @@ def load_design(
 @answering.register
 def _(design: AdaptiveDesign, camera: Camera) -> Answering:
     def guess_of(x: Tensor) -> Guess:
-        def guess(generator: torch.Generator, budget: float) -> tuple[Tensor, Tensor, float]:
+        def guess(generator: torch.Generator, budget: float) -> tuple[Tensor, Tensor, float, float]:
             optics = LookOptics.of(camera, design.image_shape, budget)
             chances, counted = [], 0.0
             for some in design.at_once(x):
@@ -294,7 +294,7 @@ def _(design: AdaptiveDesign, camera: Camera) -> Answering:
                 chances.append(found)
                 counted += float(counts.sum())
             sure, classes = torch.cat(chances).max(dim=-1)
-            return classes, sure, counted
+            return classes, sure, counted, counted
 
         return guess
 
