@@ -23,7 +23,7 @@ Readout = Literal["difference", "both"]
 Scale = Literal["each", "common"]
 """Whether each feature has a standard deviation of its own, or all a common one."""
 
-Noise = Literal["none", "gaussian", "poisson", "ml_gauss", "camera"]
+Noise = Literal["none", "gaussian", "poisson", "ml_gauss", "camera", "click"]
 """Name of a detector noise, see `optics.noise`."""
 
 MOST_LAYERS = 64

@@ -94,8 +94,6 @@ def test_trainings_end_when_counts_are_near_and_anyhow():
 def test_light_is_told_once(digits):
     with pytest.raises(InputError, match="told once"):
         learn(digits, masks=4)
-    with pytest.raises(InputError, match="told once"):
-        learn(digits, masks=4, photons=1e3, counts=30)
     with pytest.raises(InputError, match="one budget"):
         learn(digits, masks=4, counts=30, span=10)
     for bad in (-3.0, float("nan"), 1e16):

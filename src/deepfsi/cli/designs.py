@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 def design(
     out: options.DesignFile,
     settings: dict[str, Any],
-    counts: options.Counts = None,
     data: options.Data = "digits",
     size: options.Size = None,
     skip_bad: options.SkipBad = False,
@@ -53,6 +52,7 @@ def design(
     from deepfsi.training.learning import learn
 
     own = common.read_matrix(matrix)
+    counts = settings.pop("counts", None)
     counted = None if counts is None else options.number("counts", counts)
     scenes = common.load(data, options.size_of(size), view, skip_bad=skip_bad)
     asked = options.job_settings(settings, scenes, own)

@@ -61,12 +61,6 @@ Matrix = Annotated[
 
 # one design
 
-Counts = Annotated[
-    str | None,
-    typer.Option(
-        help="instead of --photons: expected number of detected photons, averaged over the scenes"
-    ),
-]
 DesignFile = Annotated[Path, typer.Option("--out", "-o", help="design file, .safetensors")]
 Noise = Annotated[
     str | None, typer.Option(help="noise of the tests; that of the design's camera unless given")

@@ -11,13 +11,12 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from deepfsi.design import artifact_file
+from deepfsi.design import artifact_file, readings
 from deepfsi.design.classifiers import Mlp, Vit
 from deepfsi.design.consistency import Consistency, ReadoutDistribution
 from deepfsi.design.exposure.looks import Dwells, LooksExposure
 from deepfsi.design.exposure.trained import FixedExposure, Observation, TrainedExposure
-from deepfsi.design.own import Given, OwnClassifier, make, restored
-from deepfsi.design.readings import check_look, check_readouts
+from deepfsi.design.own import Given, OwnClassifier, rebuilt
 from deepfsi.design.temperatures import Temperatures
 from deepfsi.errors import InputError, as_input_error
 from deepfsi.files import DESIGNS, check_ending, write_atomically
@@ -150,6 +149,15 @@ class Design:
         with as_input_error("the design's camera", "train it again"):
             return Camera.restored(known)
 
+    @property
+    def gates(self) -> int | None:
+        """Clicks of a readout at most, where its detectors click."""
+        return readings.gates_of(self.info)
+
+    def scale(self, photons: Tensor | float) -> Tensor | float:
+        """Divisor of features in counts: the budget; of clicks that of the training, always."""
+        return photons if self.gates is None else 0 * photons + self.info["job"]["photons"]
+
     def scanner(
         self, noise: str | OwnNoise = "poisson", sigma: float = 1.0, dark: float = 0.0
     ) -> Scanner:
@@ -165,7 +173,7 @@ class Design:
         self, features: Tensor, photons: Tensor | float, dwell: Tensor | None = None
     ) -> Tensor:
         """Logits (..., C) of features (..., k) in counts; other parameters as of `classify`."""
-        return self.logits_of(Observation(features / photons, dwell), photons)
+        return self.logits_of(Observation(features / self.scale(photons), dwell), photons)
 
     def logits_of(self, seen: Observation, photons: Tensor | float) -> Tensor:
         """Logits (..., C) of an exposure so far, of a budget of `photons` in all."""
@@ -199,7 +207,8 @@ class Design:
         """
 
         def read(expected: Tensor, share: Tensor | float) -> Tensor:
-            return self.detection.features(scanner.read(expected, generator, share))
+            every = scanner.read(expected, generator, share) * (photons / self.scale(photons))
+            return self.detection.features(every)
 
         return self.exposure.expose(read, rates, photons, self.mean, self.std)
 
@@ -236,7 +245,7 @@ class Design:
         def show(dwell: Tensor) -> tuple[Tensor, Tensor]:
             nonlocal counted
             asked = self._dwells.by_rail(dwell.cpu().numpy())
-            counts, shown = check_look(read, asked, self.counts_shape)
+            counts, shown = readings.check_look(read, asked, self.counts_shape)
             features = self.features_of(torch.from_numpy(counts).to(dwell))
             counted = counted + features
             return features / budget, torch.from_numpy(self._dwells.by_mask(shown)).to(dwell)
@@ -274,13 +283,16 @@ class Design:
         """
         self.exposure.check_dwell(dwell is not None)
         frames = None if dwell is None else self._dwells.shape
-        read, budget, shown = check_readouts(counts, photons, dwell, self.counts_shape, frames)
+        read, budget, shown = readings.check_readouts(
+            counts, photons, dwell, self.counts_shape, frames
+        )
+        readings.check_clicks(read, self.gates)
         device = self.rails.device
         with torch.no_grad():
             if shown is not None:
                 shown = self._dwells.by_mask(shown).to(device)
             budget = budget.to(device)
-            seen = Observation(self.features_of(read.to(device)) / budget, shown)
+            seen = Observation(self.features_of(read.to(device)) / self.scale(budget), shown)
             return self.chances(seen, budget).cpu().numpy()
 
     @property
@@ -314,8 +326,10 @@ class Design:
         """
         self.exposure.check_alone()
         if self.distribution is None:
-            raise InputError("this design holds no distribution: it takes 100 scenes, 50 a class")
-        read, budget, _ = check_readouts(counts, photons, None, self.counts_shape)
+            raise InputError(
+                "this design holds no distribution: it takes photons, 100 scenes, 50 a class"
+            )
+        read, budget, _ = readings.check_readouts(counts, photons, None, self.counts_shape)
         if not read.numel():
             raise InputError("there are no exposures to test: give one or more")
         dark = np.broadcast_to(np.asarray(background, dtype=float), read.shape)
@@ -389,12 +403,9 @@ class Design:
             If the patterns are of a design of another shape, or this one is of patches.
         """
         self.exposure.check_frames()
-        if rails.shape != tuple(self.rails.stacked.shape) or image_shape != self.image_shape:
-            raise InputError(
-                f"patterns of {rails.shape[1]} masks of {image_shape} cells and {len(rails)} rails "
-                f"are not of this design, with {self.masks} masks of {self.image_shape} and "
-                f"{self.rails.count} rails: export it with `deepfsi dmd`"
-            )
+        readings.check_dimmed(dimmed, self.gates)
+        own = tuple(self.rails.stacked.shape), self.image_shape
+        readings.check_patterns((rails.shape, image_shape), own)
         return replace(
             self,
             rails=Rails.of(torch.from_numpy(rails).to(self.rails.difference)),
@@ -484,14 +495,6 @@ class Design:
         InputError
             If it cannot be imported, or is not the one that the weights are of.
         """
-        made = self.classifier
-        if not isinstance(made, OwnClassifier):
-            raise InputError("this design has a classifier of the package's own: give none")
-        if not classifier:
-            raise InputError(
-                "this design does not say where its classifier is imported from: give `classifier`"
-            )
-        arguments = {} if isinstance(classifier, nn.Module) else made.arguments
         inputs = self.exposure.input_count(self.features)
-        own = make(classifier, arguments, inputs, len(self.classes))
-        return replace(self, classifier=restored(own, made.weights).to(self.rails.device))
+        made = rebuilt(self.classifier, classifier, inputs, len(self.classes))
+        return replace(self, classifier=made.to(self.rails.device))

@@ -58,13 +58,16 @@ class Result:
     log_loss : float
         Mean of −ln p of the true class, in nats; a p below 1.2e-7 is taken for that.
     counts : float
-        Photons that the detectors count, in the mean over the test scenes; without dark counts.
+        What the detectors count, in the mean over the test scenes: photons without dark counts,
+        or clicks.
+    arriving : float
+        Photons that reach the detectors, in the same mean: `counts`, but of detectors that click.
     throughput : float
-        Share of the budget that the detectors count, in the training mean; where dwells are
+        Share of the budget that reaches the detectors, in the training mean; where dwells are
         chosen, at the training's budget. Of masks that are quantised for a test only, it is that
         of the masks before.
     photons_per_mask : list of float
-        Expected counts of each mask's rails together, in the training mean; likewise.
+        Expected photons of each mask's rails together, in the training mean; likewise.
 
     Examples
     --------
@@ -92,6 +95,7 @@ class Result:
     calibration_error: float
     log_loss: float
     counts: float
+    arriving: float
     throughput: float
     photons_per_mask: list[float]
 
@@ -199,8 +203,9 @@ def evaluate(
 LEAST_CHANCE = torch.finfo(torch.float32).eps
 """Least probability of a true class that the log loss is taken of."""
 
-Guess = Callable[[torch.Generator, float], tuple[Tensor, float]]
-"""Exposes scenes once at a budget: class probabilities (b, C), and the sum of expected counts."""
+Guess = Callable[[torch.Generator, float], tuple[Tensor, float, float]]
+"""Exposes scenes once at a budget: class probabilities (b, C), and the sums of expected counts and
+of the photons that arrive."""
 
 
 class Answering(NamedTuple):
@@ -218,11 +223,13 @@ def answering(design: Any, camera: Camera) -> Answering:
     def guess_of(x: Tensor) -> Guess:
         rates = design.rates(scanner, x)
 
-        def guess(generator: torch.Generator, budget: float) -> tuple[Tensor, float]:
+        def guess(generator: torch.Generator, budget: float) -> tuple[Tensor, float, float]:
             *_, seen = design.expose(scanner, rates, generator, budget)
-            counted = budget * float(design.exposure.shown(rates, seen).sum())
+            arriving = budget * design.exposure.shown(rates, seen)
+            counted = float(scanner.expected(arriving).sum())
             logits = design.logits_of(seen, budget)
-            return (logits / design.temperature(seen, budget)).softmax(dim=-1), counted
+            chances = (logits / design.temperature(seen, budget)).softmax(dim=-1)
+            return chances, counted, float(arriving.sum())
 
         return guess
 
@@ -244,7 +251,7 @@ def camera_for(design: Tested, camera: CameraSource = None, **settings: Any) -> 
 def scanner_for(design: Design, camera: Camera) -> Scanner:
     """A design's front end with the noise, the dark counts and the read noise of a camera."""
     dark = camera.dark_counts if camera.noise_name == "camera" else 0.0
-    scanner = design.scanner(camera.noise, camera.sigma, dark)
+    scanner = design.scanner(camera.detector_noise, camera.sigma, dark)
     design.exposure.check_noise(scanner.noise)
     return scanner
 
@@ -265,21 +272,21 @@ def test_scenes(
     confusions = np.zeros((len(budgets), len(data.classes), len(data.classes)), dtype=np.int64)
     # confidence, if the answer is right, and the probability of the true class
     answers: list[list[np.ndarray]] = [[] for _ in budgets]
-    counts = np.zeros(len(budgets))
+    light = np.zeros((len(budgets), 2))  # counts and photons
     chunks = torch.arange(len(data.x_test)).split(1024)
     with torch.no_grad():
         for done, rows in enumerate(chunks, start=1):
             guess, truth = guess_of(torch.from_numpy(data.x_test[rows])), data.y_test[rows]
             for place, (budget, generator) in enumerate(zip(budgets, generators, strict=True)):
                 for _ in range(draws):
-                    given, counted = guess(generator, budget)
+                    given, *sums = guess(generator, budget)
                     chances = given.cpu().numpy()
                     found, true = chances.argmax(axis=1), chances[np.arange(len(truth)), truth]
                     np.add.at(confusions[place], (truth, found), 1)
                     answers[place].append(np.stack([chances.max(axis=1), found == truth, true]))
-                    counts[place] += counted
+                    light[place] += sums
             report(done / len(chunks))
-    means = (counts / (draws * len(data.x_test))).tolist()
+    means = (light / (draws * len(data.x_test))).tolist()
     return ResultList(
         _result(
             budget, noise, confusion, np.concatenate(told, axis=1), mean, draws, shares.tolist()
@@ -320,7 +327,7 @@ def _result(
     noise: str,
     confusion: np.ndarray,
     answers: np.ndarray,
-    counts: float,
+    light: list[float],
     draws: int,
     share: list[float],
 ) -> Result:
@@ -329,6 +336,7 @@ def _result(
     accuracy = float(confusion.trace() / confusion.sum())
     low, high = wilson(accuracy, images)
     rates = [float(row[k] / row.sum()) if row.any() else None for k, row in enumerate(confusion)]
+    counts, arriving = light
     mean, lower, upper = balanced(rates, (confusion.sum(axis=1) // draws).tolist())
     return Result(
         photons=budget,
@@ -347,6 +355,7 @@ def _result(
         calibration_error=calibration_error(confidence_groups(sure, right)),
         log_loss=float(-np.log(true.clip(min=LEAST_CHANCE)).mean(dtype=float)),
         counts=counts,
+        arriving=arriving,
         throughput=sum(share),
         photons_per_mask=[budget * part for part in share],
     )

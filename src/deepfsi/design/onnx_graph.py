@@ -50,7 +50,7 @@ class _Fixed(nn.Module):
 
     def forward(self, counts: Tensor, photons: Tensor) -> tuple[Tensor, ...]:
         budget = photons.unsqueeze(-1)
-        seen = Observation(self.design.features_of(counts) / budget)
+        seen = Observation(self.design.features_of(counts) / self.design.scale(budget))
         return (self.design.chances(seen, budget),)
 
 

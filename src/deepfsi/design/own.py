@@ -193,3 +193,17 @@ def seeded(seed: int) -> Iterator[None]:
     with torch.random.fork_rng():
         torch.manual_seed(seed)
         yield
+
+
+def rebuilt(
+    known: nn.Module, classifier: "Given | None", inputs: int, classes: int
+) -> OwnClassifier:
+    """Classifier with a user's code and the weights of one that was read from a file."""
+    if not isinstance(known, OwnClassifier):
+        raise InputError("this design has a classifier of the package's own: give none")
+    if not classifier:
+        raise InputError(
+            "this design does not say where its classifier is imported from: give `classifier`"
+        )
+    arguments = {} if isinstance(classifier, nn.Module) else known.arguments
+    return restored(make(classifier, arguments, inputs, classes), known.weights)

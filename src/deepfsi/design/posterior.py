@@ -181,10 +181,11 @@ def _guesses(
     def guess_of(x: Tensor) -> Guess:
         rates = rates_of(x)
 
-        def guess(generator: torch.Generator, budget: float) -> tuple[Tensor, float]:
+        def guess(generator: torch.Generator, budget: float) -> tuple[Tensor, float, float]:
             expected = rates * budget
             chances = observer.chances(scanner.read(expected, generator), budget)
-            return chances, float(expected.sum())
+            counted = float(expected.sum())
+            return chances, counted, counted
 
         return guess
 

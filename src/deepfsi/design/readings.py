@@ -1,6 +1,6 @@
 """Counts, budgets and dwells as users hand them over, checked."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -8,6 +8,9 @@ import torch
 from torch import Tensor
 
 from deepfsi.errors import InputError
+
+Patterns = tuple[tuple[int, ...], tuple[int, ...]]
+"""Shapes of rails (rails, m, N), and of the cells of a pattern."""
 
 LONGEST_LOOK = 1.05
 """Longest time of a look over that asked for: frames last whole microseconds."""
@@ -80,3 +83,38 @@ def check_look(
             f"{asked.sum():.4g}: show each mask for at most the shares asked"
         )
     return counts, shown
+
+
+def gates_of(info: Mapping[str, Any]) -> int | None:
+    """Clicks of a readout at most, where the detectors of a design's camera click."""
+    known = info.get("job", {}).get("camera", {})
+    return int(known.get("gates", 1)) if known.get("noise") == "click" else None
+
+
+def check_clicks(read: Tensor, gates: int | None) -> None:
+    """Raise `InputError` where a readout has more counts than its detector can click."""
+    if gates is not None and bool((read > gates).any() | (read < 0).any()):
+        raise InputError(
+            f"this design reads detectors that click at most {gates} times in a frame, and a "
+            f"readout has {float(read.max()):g} counts: give clicks from 0 to {gates}"
+        )
+
+
+def check_dimmed(dimmed: float, gates: int | None) -> None:
+    """Raise `InputError` where clicks are of patterns that pass less light than their design."""
+    if gates is not None and dimmed != 1:
+        raise InputError(
+            f"the patterns pass {dimmed:.3g} of the design's light, and clicks are not in "
+            "proportion to it: learn a design under a light law of the device"
+        )
+
+
+def check_patterns(given: Patterns, own: Patterns) -> None:
+    """Raise `InputError` where patterns of a device are not of a design's own shape."""
+    if given != own:
+        ((rails, masks, _), cells), ((own_rails, own_masks, _), own_cells) = given, own
+        raise InputError(
+            f"patterns of {masks} masks of {cells} cells and {rails} rails are not of this design, "
+            f"with {own_masks} masks of {own_cells} and {own_rails} rails: export it with "
+            "`deepfsi dmd`"
+        )

@@ -34,12 +34,16 @@ from deepfsi.units import Seconds
 
 if TYPE_CHECKING:
     from deepfsi.optics.detection import Detection
+    from deepfsi.optics.noise import OwnNoise
 
 UNIT_EXPOSURE_S = 1.0
 """Exposure where none is given, seconds: rates are then the counts of an exposure."""
 
 GUARD_S = 2e-6
 """Time of a frame, besides settling, that is not counted, seconds."""
+
+MOST_GATES = 1_000_000
+"""Gates of a frame at most: with more, clicks are as good as Poisson counts."""
 
 LONGEST_DEAD_TIME_S = 1e-5
 """Longest dead time of a counter, seconds."""
@@ -204,7 +208,11 @@ class Camera(Settings):
     noise: Noise = Field(
         default_factory=lambda known: "camera" if known.get("dark") else "poisson",
         description="noise of the counts: poisson, gaussian, camera (photons, dark counts and "
-        "read noise), none, or module:function of your own; poisson, or camera with dark counts",
+        "read noise), click (a gated detector that fires at most once in a gate), none, or "
+        "module:function of your own; poisson, or camera with dark counts",
+    )
+    gates: int = Field(
+        1, ge=1, le=MOST_GATES, description="gates of a frame, for click noise: G clicks at most"
     )
     sigma: float = Field(
         default_factory=lambda known: float(known.get("noise") != "camera"),
@@ -266,6 +274,14 @@ class Camera(Settings):
             )
         return noise
 
+    @field_validator("gates")
+    @classmethod
+    def _of_clicks(cls, gates: int, info: ValidationInfo) -> int:
+        noise = noise_name(info.data.get("noise", "click"))
+        if gates > 1 and noise != "click":
+            raise ValueError(f"{noise} noise has no gates: give noise click, or leave gates out")
+        return gates
+
     @classmethod
     def load(cls, source: "CameraSource" = None, **settings: Any) -> "Camera":
         """Camera of a preset's name, a TOML file or a mapping, with single settings in their place.
@@ -286,6 +302,8 @@ class Camera(Settings):
         fields = {**_fields(source), **settings}
         if settings.get("noise", "camera") != "camera":
             fields["dark"] = settings.get("dark", 0.0)  # only camera noise has dark counts
+        if settings.get("noise", "click") != "click":
+            fields["gates"] = settings.get("gates", 1)  # only clicks have gates
         for field in fields:
             if field not in cls.model_fields:
                 raise InputError(
@@ -345,6 +363,13 @@ class Camera(Settings):
         return noise_name(self.noise)
 
     @property
+    def detector_noise(self) -> "str | OwnNoise":
+        """The noise as `Scanner` takes it."""
+        from deepfsi.optics.noise import Click
+
+        return Click(self.gates) if self.noise_name == "click" else self.noise
+
+    @property
     def layout(self) -> Layout:
         """Place of the cells of its masks on the device."""
         return Layout(region=self.region, stretch=self.stretch)
@@ -389,6 +414,9 @@ class Camera(Settings):
             )
         if self.dark:
             lines.append(f"{self.dark_counts:.4g} dark counts of a detector in an exposure")
+        if self.noise_name == "click":
+            gates = f"{self.gates} gates" if self.gates > 1 else "one gate"
+            lines.append(f"detectors that click at most once in a gate, {gates} a frame")
         if self.sigma and self.noise_name in ("gaussian", "camera"):
             lines.append(f"read noise of {self.sigma:g} counts rms a readout")
         if self.dead_time:
@@ -464,6 +492,7 @@ EXAMPLES = {
     "dead_time": '"20ns"',
     "dead_time_model": '"non-paralysable"',
     "noise": '"camera"',
+    "gates": "1",
     "sigma": "0.0",
 }
 """Values of a camera file, as TOML writes them."""

@@ -11,7 +11,7 @@ from torch.nn import functional
 from deepfsi.laws import Scale
 from deepfsi.optics.detection import Detection, Readouts
 from deepfsi.optics.masks import FixedMasks, LearnedMasks
-from deepfsi.optics.noise import OwnNoise, attach_gradient, readout, root, variance
+from deepfsi.optics.noise import Click, OwnNoise, attach_gradient, readout, root, variance
 from deepfsi.optics.rails import Rails
 from deepfsi.optics.scanner import project, project_rails
 
@@ -73,7 +73,7 @@ class FeatureNoise:
         """Features (B, R, m) from counts of two rails."""
         # mean, total (B, R, m)
         with torch.set_grad_enabled(self.own is not None and torch.is_grad_enabled()):
-            rates = torch.stack([total + mean, total - mean]).mul(self.gain / 2).clamp(min=0)
+            rates = self._rates(mean, total)
             shown = torch.ones_like(rates[:1], dtype=torch.bool)
             if read is not None:
                 shown = read.shown.unsqueeze(1)
@@ -85,6 +85,17 @@ class FeatureNoise:
         if self.own is not None:
             return features
         return attach_gradient(features, mean, self._power(total, read))
+
+    def expected(self, mean: Tensor, total: Tensor) -> Tensor:
+        """Counts (R,) of an exposure, in the mean over noise and scenes."""
+        # mean, total (B, R, m)
+        rates = self._rates(mean, total)
+        counts = self.own.expected(rates) if isinstance(self.own, Click) else rates
+        return counts.sum(dim=(0, 3)).mean(dim=0)
+
+    def _rates(self, mean: Tensor, total: Tensor) -> Tensor:
+        """Expected photons (2, B, R, m) of the rails."""
+        return torch.stack([total + mean, total - mean]).mul(self.gain / 2).clamp(min=0)
 
     def _drawn(self, rates: Tensor, replica: int, read: Readouts | None) -> Tensor:
         """Counts (2, B, m) of the rails of one training."""

@@ -88,6 +88,17 @@ class LearnedMasks(nn.Module):
             return self._shown(Rails(matrix, self._dwell()[..., 0, :, None].expand_as(matrix)))
         return self._shown(Rails(matrix, matrix.abs()))
 
+    def dim(self, factor: Tensor) -> None:
+        """Pass a factor (R,) of the light, up to 1."""
+        with torch.no_grad():
+            each = factor[:, None, None]
+            if self.light == "column":
+                self.unit *= each
+            elif self.rails == "single":
+                self.weight.copy_(torch.logit(torch.sigmoid(self.weight) * each, eps=1e-6))
+            else:
+                self.weight.copy_(torch.atanh(torch.tanh(self.weight) * each))
+
     @property
     def disjoint(self) -> bool:
         """True if the total is |M|, and its gradient that of |M|."""

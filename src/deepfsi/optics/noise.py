@@ -6,9 +6,14 @@
     ml_gauss  F(r) = r + √r ε         its smooth stand-in; used for training
     camera    F(r) ~ Poisson(r + d) − d + σ ε
                                       photon noise, dark counts d and read noise together
+    click     F(r) ~ Binomial(G, 1 − exp(−r / G))
+                                      a detector that fires at most once in each of G gates
 
 Dark counts are known from frames with the light off, and what is expected of them is subtracted.
 One detector has D of them in a whole exposure, and a frame its share d of these by its time.
+
+Clicks are no photons: their mean is not the rate, and a frame gives G of them at most. They are
+drawn by `Click`, a function as a user's own noise is.
 
 A function of the user's own, from expected counts r of a rail and a generator to counts, is a noise
 too; masks train through it where its draws have a gradient in r.
@@ -19,6 +24,7 @@ A rail that is dark by construction is not read out and adds no noise.
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, get_args
 
 import torch
@@ -30,6 +36,35 @@ from deepfsi.laws import Noise, check_noise
 
 OwnNoise = Callable[[Tensor, torch.Generator | None], Tensor]
 """A user's own noise: counts of expected counts (..., m), drawn with a generator."""
+
+
+@dataclass(frozen=True)
+class Click:
+    """Noise of a detector that fires at most once in each of `gates` gates of a frame."""
+
+    gates: int = 1
+
+    def __call__(self, rates: Tensor, generator: torch.Generator | None = None) -> Tensor:
+        """Clicks of rates (..., m), with the gradient of `attach_gradient`."""
+        # With the mean G p and the variance G p (1 − p) that is f′(k) [k / p + (G − k) / (1 − p)]
+        # / 2, the trapezoid rule for what is exact, ∂ E f / ∂p = G E[f(k + 1) − f(k)] of G − 1
+        # gates: no error where f is at most quadratic
+        chance = -torch.expm1(-rates / self.gates)
+        fixed = chance.detach()
+        if self.gates == 1:
+            drawn = torch.rand(
+                fixed.shape, generator=generator, device=fixed.device, dtype=fixed.dtype
+            )
+            counts = (drawn < fixed).to(fixed.dtype)
+        else:
+            counts = torch.binomial(torch.full_like(fixed, self.gates), fixed, generator)
+        mean = self.gates * chance
+        return attach_gradient(counts, mean, mean * (1 - chance))
+
+    def expected(self, rates: Tensor) -> Tensor:
+        """Mean clicks of rates (..., m)."""
+        return -self.gates * torch.expm1(-rates / self.gates)
+
 
 POISSON_LIMIT = 1e6
 """Rate in counts above which `poisson` samples the rounded Gaussian limit.
@@ -48,8 +83,12 @@ def check_dark(dark: object, noise: str) -> float:
     return dark
 
 
-def resolve(noise: str | OwnNoise) -> tuple[str, OwnNoise | None]:
-    """Name of a noise, and its function where it is a user's own."""
+def resolve(noise: str | OwnNoise, gates: int = 1) -> tuple[str, OwnNoise | None]:
+    """Name of a noise, and its function where it is a user's own or counts clicks."""
+    if noise == "click":
+        return "click", Click(gates)
+    if isinstance(noise, Click):
+        return "click", noise
     if not isinstance(noise, str):
         return imports.path_of(noise) or imports.UNNAMED, noise
     return check_noise(noise), imports.named(noise) if ":" in noise else None

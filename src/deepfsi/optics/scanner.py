@@ -9,6 +9,7 @@ from deepfsi.errors import InputError
 from deepfsi.optics.detection import Detection
 from deepfsi.optics.masks import FixedMasks
 from deepfsi.optics.noise import (
+    Click,
     OwnNoise,
     attach_gradient,
     check_dark,
@@ -29,10 +30,11 @@ class Scanner(nn.Module):
     ----------
     masks : FixedMasks or LearnedMasks
         Gives the rails of masks ([replicas,] m, N).
-    noise : {"poisson", "gaussian", "ml_gauss", "camera", "none"} or callable
+    noise : {"poisson", "gaussian", "ml_gauss", "camera", "click", "none"} or callable
         Under photon noise `poisson` to test, and either it or `ml_gauss` to train; `camera` adds
-        dark counts and read noise to it. Or a noise of your own: a function from expected counts
-        of rails and a generator to counts, or its import path.
+        dark counts and read noise to it; `click` is of detectors that fire at most once, and
+        `Click(gates)` of several gates a frame. Or a noise of your own: a function from expected
+        counts of rails and a generator to counts, or its import path.
     sigma : float
         Read noise in counts rms per readout, for gaussian and camera noise.
     dark : float
@@ -136,6 +138,10 @@ class Scanner(nn.Module):
             dark = self.dark * time.detach() * share
             counts = readout(rates, self.noise, self.sigma, generator, dark)
         return torch.where(shown, counts, 0.0)
+
+    def expected(self, rates: Tensor) -> Tensor:
+        """Mean counts of rails that so many photons reach: as many, but of detectors that click."""
+        return self._own.expected(rates) if isinstance(self._own, Click) else rates
 
     def rates(self, photons: Tensor) -> Tensor:
         """Expected counts of each rail; shapes as `counts`."""

@@ -70,7 +70,7 @@ def _shares(design: Design, scenes: Tensor, photons: float, seed: int) -> Tensor
 
 def _distribution(design: Design, scenes: Tensor, labels: Tensor) -> ReadoutDistribution | None:
     """Distribution of the readouts of scenes (n, N) of classes (n,), if it can be had."""
-    if not design.exposure.comparable:
+    if not design.exposure.comparable or design.gates is not None:
         return None
     rows = sample_scenes(len(scenes), prod(design.counts_shape))
     x, several = scenes[rows], (labels[rows].cpu().numpy(), len(design.classes), design.detection)

@@ -40,6 +40,9 @@ Streams = list[SeedStream]
 class Features(ABC):
     """Inputs of the classifiers in the steps of a training."""
 
+    expected: Tensor
+    """Counts (R,) in the mean over the scenes of the last step, where masks learn on counts."""
+
     @abstractmethod
     def at(self, step: int) -> Tensor:
         """Inputs (B, R, …) of a step; of K looks (K · B, R, …)."""
@@ -158,6 +161,7 @@ class MlGaussFeatures(LearnedFeatures):
         ]
 
 
+@dataclass
 class CountedFeatures(LearnedFeatures):
     """Features of learned masks under a noise whose counts of each rail are drawn.
 
@@ -165,18 +169,24 @@ class CountedFeatures(LearnedFeatures):
     batch.
     """
 
+    penalised: bool = False  # whether the counts are a part of the loss
+
     def noisy(self, step: int) -> list[Tensor]:
         """Centred features of a step."""
         rails = self.masks()
         read = self.detection.readouts(rails)
         masks = self.detection.read_of(rails)
-        parts = []
+        parts, counted = [], []
         for stream in self.streams:
             x = self.x.index_select(0, stream.with_mean[step])
             mean, counts = project_rails(x, masks.each(stream.part), self.detection.count)
             expected = mean[:-1] + mean[-1], counts[:-1] + counts[-1]
             drawn = stream.noise.counted(*expected, stream.readouts(read))
             parts.append(drawn - (drawn.mean(dim=0) if stream.noise.own else mean[-1]))
+            if self.penalised:
+                counted.append(stream.noise.expected(*expected))
+        if self.penalised:
+            self.expected = torch.cat(counted)
         return parts
 
 
@@ -347,6 +357,7 @@ def features_of(
         return ConditionedFeatures(streams, masks, x, exposure, law, scale, detection)
     assert isinstance(masks, LearnedMasks)
     if noise.counting:
-        return CountedFeatures(streams, masks, x, scale, detection)
+        few = job.training.counts is not None
+        return CountedFeatures(streams, masks, x, scale, detection, few)
     kind = MlGaussFeatures if job.noise == "ml_gauss" else ReadNoiseFeatures
     return kind(streams, masks, x, scale, detection)

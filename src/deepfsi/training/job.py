@@ -139,10 +139,17 @@ class Training(Settings):
     balance: bool = Field(
         False, description="weigh training scenes so that all classes count alike in the loss"
     )
+    counts: float | None = Field(
+        None,
+        gt=0,
+        allow_inf_nan=False,
+        description="mean counts of an exposure, that masks learn to take of the photons; without "
+        "photons, the budget at which a design counts so many is found",
+    )
     start: Annotated[str, AfterValidator(_start)] = Field(
         "pca",
-        description="design that learned masks start from; pca, or class-pairs for several looks, "
-        "unless given",
+        description="design that learned masks start from; pca, class-pairs for several looks, or "
+        "random for few counts, unless given",
     )
     clusters: int | None = Field(
         None,
@@ -194,6 +201,10 @@ Chosen on the last 10 000 training images of MNIST at 1e3, 1e4 and 1e5 photons, 
 the same grid: lr 2e-3, 5e-3, 1e-2; scale each, common; dropout 0, 0.1 (for those of a thousand
 readouts at one setting at most). Designs not named here, but for learned ones and PCA, are untuned.
 """
+
+
+FEW_COUNTS: dict[str, Any] = {"start": "random", "mask_lr": 0.3}
+"""Settings of a training for few counts, where none are given."""
 
 
 class Job(Settings):
@@ -251,9 +262,7 @@ class Job(Settings):
         if photons is None:
             photons = check_one_budget(camera.budget, None)
         given = {**given, "camera": camera, "photons": photons}
-        told = given.get("training", {})
-        if isinstance(told, Training):
-            told = {name: getattr(told, name) for name in told.model_fields_set}
+        told = _training_of(given)
         exposure = find_exposure(given.get("exposure", {}))
         if not (isinstance(told, Mapping) and isinstance(exposure, Exposure)):
             return given
@@ -262,7 +271,8 @@ class Job(Settings):
                 raise InputError(
                     f"a training has no setting {name!r}: {closest(name, Training.model_fields)}"
                 )
-        usual = {**exposure.training, **TUNED.get(given.get("design", "deepfsi"), {})}
+        few = FEW_COUNTS if told.get("counts") is not None else {}
+        usual = {**exposure.training, **TUNED.get(given.get("design", "deepfsi"), {}), **few}
         return {**given, "exposure": exposure, "training": {**usual, **told}}
 
     @property
@@ -278,7 +288,8 @@ class Job(Settings):
         own = self.training.noise
         if own is not None:
             return noise_name(own)
-        return self.exposure.training_noise(self.camera.noise_name)
+        known = self.camera.noise_name
+        return known if self.training.counts else self.exposure.training_noise(known)
 
     @property
     def own_noise(self) -> "OwnNoise | None":
@@ -286,7 +297,7 @@ class Job(Settings):
         from deepfsi.optics.noise import resolve
 
         told = self.training.noise
-        return resolve(self.camera.noise if told is None else told)[1]
+        return resolve(self.camera.noise if told is None else told, self.camera.gates)[1]
 
     @property
     def optics(self) -> Camera:
@@ -341,6 +352,10 @@ class Job(Settings):
         The matrix (m, N) is of a design whose masks are the user's own.
         """
         faults = [*self._classifier_faults(), *self.exposure.faults(self)]
+        if self.training.counts is not None:
+            from deepfsi.training.few_counts import faults as of_counts
+
+            faults += of_counts(self, data.image_shape)
         if self.code.signed and self.camera.rails == "single":
             faults.append(f"{self.design} is signed: use dual rails, or the s-matrix")
         if "gaussian" in (self.noise, self.masks_from().noise) and not self.camera.sigma:
@@ -451,17 +466,25 @@ def sorted_settings(flat: Mapping[str, Any]) -> dict[str, Any]:
 
 def find_job(settings: Mapping[str, Any], counts: float | None = None) -> Job:
     """Job of its fields, or `InputError`: its light is a budget, its camera's, or counts."""
-    # Of counts the budget of the job is these, until a training says what it is
-    if counts is not None:
-        settings = {**settings, "photons": check_one_budget(settings.get("photons"), counts)}
+    # Of counts alone the budget of the job is these, until a training says what it is
+    within = counts is not None and settings.get("photons") is not None
+    if within:
+        settings = {**settings, "training": {**_training_of(settings), "counts": counts}}
+    elif counts is not None:
+        settings = {**settings, "photons": check_one_budget(None, counts)}
     job = Job(**settings)
+    if counts is not None and not within and job.camera.noise_name == "click":
+        raise InputError(
+            "clicks are not in proportion to the light, so that they tell no budget: give "
+            "`photons`, too"
+        )
     if counts is not None and job.exposure.highest(1.0) != 1.0:
         raise InputError("counts are of one budget: leave the range of budgets, `span`, out")
     if job.training.clusters and not job.code.adaptive:
         raise InputError(
             '`clusters` are of adaptive masks: leave it out, or give `design="adaptive"`'
         )
-    if "start" in _told(settings) and not job.code.learns_masks:
+    if "start" in _training_of(settings) and not job.code.learns_masks:
         raise InputError(
             f"`start` is of learned masks, and {job.design} has its own: leave it out, or give "
             '`design="deepfsi"`'
@@ -469,7 +492,9 @@ def find_job(settings: Mapping[str, Any], counts: float | None = None) -> Job:
     return job
 
 
-def _told(settings: Mapping[str, Any]) -> set[str]:
-    """Names of the settings of the training that were given."""
+def _training_of(settings: Mapping[str, Any]) -> Any:
+    """Settings of the training that were given."""
     told = settings.get("training", {})
-    return told.model_fields_set if isinstance(told, Training) else set(told)
+    if not isinstance(told, Training):
+        return told
+    return {name: getattr(told, name) for name in told.model_fields_set}

@@ -57,8 +57,9 @@ def learn(
     data : Dataset, str, path or tuple of arrays
         Or whatever `load_dataset` makes one of: a name, a path, ``(x, y)``.
     counts : float, optional
-        Instead of `photons`: photons that the detectors are to count, in the mean over training
-        scenes. Learned masks are trained again until that holds, see `training.counts`.
+        What the detectors are to count, in the mean over training scenes. Instead of `photons`:
+        learned masks are trained again until that holds, see `training.counts`. With `photons`:
+        masks learn to count no more of that budget, see `training.few_counts`.
     matrix : array, shape (m, N), optional
         Your own sensing matrix, for ``design="custom"``.
     device : {"auto", "cpu", "cuda"}
@@ -90,7 +91,7 @@ def learn(
         return train(training_set, [at_budget], matrix, bar)[0]
 
     with shown(report, f"{job.design}, {job.masks} masks") as bar:
-        if counts is None:
+        if counts is None or job.training.counts is not None:
             return train_at(job.photons, bar)
         share = _first_share(training_set, job, matrix)
         return train_for_counts(counts, share, train_at, bar)
@@ -110,10 +111,12 @@ def train(
     if jobs[0].code.adaptive:
         return adaptive_designs(training_set, jobs, report)
     designs = _designs(training_set, jobs, *_optimised(training_set, jobs, matrix, report))
+    for job, design in zip(jobs, designs, strict=True):
+        design.info = provenance(job, training_set.data, training_set.device, 0.0)
     characterise(training_set, jobs, designs)
     seconds = (time.perf_counter() - began) / len(jobs)
-    for job, design in zip(jobs, designs, strict=True):
-        design.info = provenance(job, training_set.data, training_set.device, seconds)
+    for design in designs:
+        design.info["seconds"] = seconds
         labels = design.detection.labels
         if labels is not None:
             design.info["detector_light"] = detector_shares(

@@ -28,7 +28,8 @@ from deepfsi.optics.masks import FixedMasks, LearnedMasks
 from deepfsi.progress import SILENT, Report
 from deepfsi.training.batches import batch_of
 from deepfsi.training.draws import seed_streams, side_by_side
-from deepfsi.training.features import features_of
+from deepfsi.training.features import CountedFeatures, features_of
+from deepfsi.training.few_counts import CountsCost, dim_start
 from deepfsi.training.job import VIT, Job
 from deepfsi.training.precision import network_dtype
 from deepfsi.training.training_set import TrainingSet
@@ -71,6 +72,11 @@ def optimise(
     streams = seed_streams([each.seed for each in jobs], noise, labels, batch)
     features = features_of(training_set, job, masks, noise, streams, exposures[0], choose)
     weights = training_set.class_weights if settings.balance else None
+    steps, cost = len(labels) // batch, None
+    if isinstance(features, CountedFeatures) and settings.counts is not None:
+        few = settings.counts, features.detection
+        start = dim_start(features.masks, features.x, noise, *few)
+        cost = CountsCost(settings.counts, start, settings.epochs * steps)
 
     def shuffle() -> None:
         for stream in streams:
@@ -79,7 +85,8 @@ def optimise(
     def loss(step: int) -> Tensor:
         logits = classify(features.at(step))
         truth = side_by_side([each.labels(step) for each in streams])
-        return _loss(logits, truth, weights, isinstance(classifiers[0], Vit)) / batch
+        value = _loss(logits, truth, weights, isinstance(classifiers[0], Vit)) / batch
+        return value if cost is None else value + cost(features.expected).sum()
 
     groups = [parameter_group(classify, settings.lr, settings.decay)]
     if choosers:
@@ -90,7 +97,7 @@ def optimise(
     tokens = exposures[0].tokens(training_set.data.image_shape)
     elements = batch * len(jobs) * tokens * max(job.masks, *settings.hidden, 1)
     with _threads(elements), draws:
-        descend(groups, settings.epochs, len(labels) // batch, shuffle, loss, report)
+        descend(groups, settings.epochs, steps, shuffle, loss, report)
     for trained in (classify, choose):
         trained.hand_back()
     for network in [*classifiers, *choosers]:

@@ -1,0 +1,118 @@
+"""Few counts within a budget of photons: what they cost in the loss of a training.
+
+The loss is that of the answers and a cost of the mean counts c of a step, for the counts C that are
+asked for:
+
+    loss = cross entropy + μ log(c / T) + (ρ / 2) log²(c / T)
+
+T falls from the counts of the start to C over the first third of the training, while masks learn
+from more light. Then the multiplier μ follows the counts, dμ = κ log(c / T) a step: it ends where
+the mean counts are C, and is what a factor e of counts costs in nats (the λ of a cost λ c is μ / C
+there). Masks start with ten times the counts, but not so bright that nearly all gates click: such
+readouts teach nothing.
+"""
+
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+
+from deepfsi.design.exposure import Fixed
+from deepfsi.optics.detection import Detection
+from deepfsi.optics.features import CHUNK, FeatureNoise
+from deepfsi.optics.masks import LearnedMasks
+from deepfsi.optics.noise import Click
+from deepfsi.optics.scanner import project_rails
+
+if TYPE_CHECKING:
+    from deepfsi.training.job import Job
+
+RAMP = 1 / 3
+"""Part of the training after which the counts are to be those asked for."""
+
+STIFFNESS = 3.0
+"""ρ, nats."""
+
+PACE = 0.005
+"""κ, nats a step."""
+
+COUNTING = ("poisson", "camera", "click")
+"""Noises under which counts are drawn, whose mean is known."""
+
+START = 10.0
+"""Counts of the start over those asked for, at most."""
+
+CLICKING = 0.9
+"""Part of the gates that click at the start, at most."""
+
+HALVINGS = 30
+"""Steps of the search for the brightness of the start."""
+
+
+def faults(job: "Job", image_shape: tuple[int, ...]) -> list[str]:
+    """Everything in a job of few counts within its budget that cannot be had."""
+    counts, camera = job.training.counts or 0.0, job.optics
+    if not job.code.learned or not isinstance(job.exposure, Fixed):
+        return [
+            "counts within a budget are of learned masks that are shown once each: leave "
+            '`counts` or `photons` out, or give `design="deepfsi"` without looks, nested, span '
+            "or patch"
+        ]
+    if job.noise not in COUNTING:
+        return [
+            f"counts within a budget are trained on counts, not under {job.noise} noise: give "
+            f"one of {', '.join(COUNTING)}"
+        ]
+    most, of = job.photons, "the photons of its budget"
+    if job.noise == "click":
+        readouts = job.masks * camera.rail_count * job.detection(image_shape).count
+        most, of = min(most, readouts * camera.gates), "the clicks of all its gates"
+    if counts < most:
+        return []
+    return [f"{counts:g} counts are not fewer than {most:g}, {of}: give fewer"]
+
+
+class CountsCost:
+    """Cost of the counts of trainings side by side, step by step."""
+
+    def __init__(self, counts: float, start: Tensor, steps: int) -> None:
+        # start (R,): counts before the training
+        self._counts, self._start, self._steps = counts, start.log(), RAMP * steps
+        self.multiplier, self._step = torch.zeros_like(start), 0
+
+    def __call__(self, expected: Tensor) -> Tensor:
+        """Cost (R,) of expected counts (R,) of a step, and one step of the multiplier."""
+        done = min(1.0, self._step / self._steps)
+        goal = (1 - done) * self._start + done * torch.tensor(self._counts).log()
+        excess = expected.log() - goal
+        cost = self.multiplier * excess + STIFFNESS / 2 * excess.square()
+        if done == 1:
+            self.multiplier = self.multiplier + PACE * excess.detach().clamp(-1, 1)
+        self._step += 1
+        return cost
+
+
+def dim_start(
+    masks: LearnedMasks, x: Tensor, noise: FeatureNoise, counts: float, detection: Detection
+) -> Tensor:
+    """Dim masks before their training, and return the counts (R,) of these."""
+    # x (n + 1, N): centred scenes, and their mean
+    scenes = (x[:-1][:CHUNK] + x[-1]).float()
+
+    def counted() -> Tensor:
+        return noise.expected(*project_rails(scenes, detection.read_of(masks()), detection.count))
+
+    with torch.no_grad():
+        bright, goal = counted(), START * counts
+        if isinstance(noise.own, Click):
+            readouts = (2 if masks.rails == "dual" else 1) * masks().masks * detection.count
+            goal = max(counts, min(goal, CLICKING * noise.own.gates * readouts))
+        low, high = torch.full_like(bright, -20.0), torch.zeros_like(bright)
+        whole = {name: each.clone() for name, each in masks.state_dict().items()}
+        for _ in range(HALVINGS):
+            masks.load_state_dict(whole)
+            middle = (low + high) / 2
+            masks.dim(middle.exp())
+            over = counted() > goal
+            low, high = torch.where(over, low, middle), torch.where(over, middle, high)
+        return counted()
