@@ -27,7 +27,6 @@ from deepfsi.optics import constraints
 from deepfsi.optics.budget import check_budget
 from deepfsi.optics.camera import Camera
 from deepfsi.optics.detection import ONE, Detection
-from deepfsi.optics.grey_levels import quantise
 from deepfsi.optics.noise import OwnNoise
 from deepfsi.optics.rails import Rails
 from deepfsi.optics.scanner import Scanner
@@ -154,12 +153,13 @@ class Design:
         self, noise: str | OwnNoise = "poisson", sigma: float = 1.0, dark: float = 0.0
     ) -> Scanner:
         """The optical front end, with a noise of your choice; parameters as for `Scanner`."""
-        return Scanner.from_rails(self.rails.stacked, noise, sigma, dark, self.detection)
+        rails = self.exposure.front(self.rails.stacked)
+        return Scanner.from_rails(rails, noise, sigma, dark, self.detection)
 
     def rates(self, scanner: Scanner, scenes: Tensor) -> Tensor:
         """Expected counts (..., rails, m · D) of reflectances (..., N), for a budget of one."""
         seen = self.exposure.cut(scenes.to(self.rails.device), self.image_shape)
-        return scanner.rates(seen / self.summed_reflectance)
+        return self.exposure.rates(scanner, seen / self.summed_reflectance)
 
     def logits(
         self, features: Tensor, photons: Tensor | float, dwell: Tensor | None = None
@@ -201,7 +201,8 @@ class Design:
         def read(expected: Tensor, share: Tensor | float) -> Tensor:
             return self.detection.features(scanner.read(expected, generator, share))
 
-        return self.exposure.expose(read, rates, photons, self.mean, self.std)
+        placed = self.exposure.placed(rates, generator)
+        return self.exposure.expose(read, placed, photons, self.mean, self.std)
 
     def classify_live(
         self,
@@ -337,8 +338,8 @@ class Design:
 
         Classifier and statistics stay; a camera with so many `levels` trains for such a device.
         """
-        shown = Rails.of(quantise(self.rails.stacked, self.light, levels))
-        return replace(self, rails=shown, distribution=None)
+        shown, exposure = self.exposure.quantised(self.rails.stacked, self.light, levels)
+        return replace(self, rails=Rails.of(shown), exposure=exposure, distribution=None)
 
     def first(self, masks: int) -> "Design":
         """The first masks alone, with the light that the constraint gives to so many.
@@ -388,7 +389,7 @@ class Design:
         InputError
             If the patterns are of a design of another shape, or this one is of patches.
         """
-        self.exposure.check_frames()
+        self.exposure.check_device()
         if rails.shape != tuple(self.rails.stacked.shape) or image_shape != self.image_shape:
             raise InputError(
                 f"patterns of {rails.shape[1]} masks of {image_shape} cells and {len(rails)} rails "
@@ -419,10 +420,10 @@ class Design:
                 f"a design with a {type(self.classifier).__name__} classifier cannot be saved: "
                 "give it as deepfsi.OwnClassifier(module)"
             )
-        own, network = isinstance(self.classifier, OwnClassifier), self.exposure.network
+        own = isinstance(self.classifier, OwnClassifier)
         weights: dict[str, dict[str, Tensor]] = {
             "classifier": self.classifier.weights if own else self.classifier.state_dict(),  # type: ignore[dict-item]
-            "exposure": network.state_dict() if network is not None else {},
+            "exposure": self.exposure.weights,
             "distribution": self.distribution.tensors if self.distribution else {},
             "temperatures": self.temperatures.tensors if self.temperatures else {},
         }

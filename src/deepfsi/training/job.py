@@ -255,6 +255,8 @@ class Job(Settings):
         if isinstance(told, Training):
             told = {name: getattr(told, name) for name in told.model_fields_set}
         exposure = find_exposure(given.get("exposure", {}))
+        if isinstance(exposure, Exposure) and exposure.own_count and given.get("masks") is None:
+            given["masks"] = exposure.own_count
         if not (isinstance(told, Mapping) and isinstance(exposure, Exposure)):
             return given
         for name in told:
@@ -294,7 +296,7 @@ class Job(Settings):
 
         Impulse imaging is `column` whatever else is compared, and a design of one rail has one.
         """
-        told: dict[str, Any] = {}
+        told = self.exposure.optics(self.camera)
         if self.code.every_pixel:
             told = {"light": "column", "detectors": "1x1", "device": None, "shortest_dwell": 0.0}
         one_arm = self.code.adaptive and self.camera.light != "two-arm"
