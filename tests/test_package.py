@@ -39,7 +39,7 @@ HAVE_FIELDS = {
     "Range",
     "Nested",
 }
-HAVE_FIELDS |= {"Looks", "Patches"}
+HAVE_FIELDS |= {"Looks", "Passing", "Patches"}
 """Those whose keywords are the fields of a model, which says what it does not know."""
 
 

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from deepfsi.design.exposure import Fixed as Fixed
     from deepfsi.design.exposure import Looks as Looks
     from deepfsi.design.exposure import Nested as Nested
+    from deepfsi.design.exposure import Passing as Passing
     from deepfsi.design.exposure import Patches as Patches
     from deepfsi.design.exposure import Range as Range
     from deepfsi.design.own import OwnClassifier as OwnClassifier
@@ -57,6 +58,7 @@ _HOMES = {
     "Mlp": "design.classifiers",
     "Nested": "design.exposure",
     "OwnClassifier": "design.own",
+    "Passing": "design.exposure",
     "Patches": "design.exposure",
     "Range": "design.exposure",
     "Result": "design.evaluation",
@@ -88,6 +90,7 @@ __all__ = [
     "Mlp",
     "Nested",
     "OwnClassifier",
+    "Passing",
     "Patches",
     "Range",
     "Result",

@@ -4,10 +4,11 @@ import pytest
 from pydantic import BaseModel, ValidationError
 
 from conftest import generator, synthetic
-from deepfsi import Fixed, Looks, Nested, Patches, Range
+from deepfsi import Fixed, Looks, Nested, Passing, Patches, Range
 from deepfsi.design.exposure import AnyExposure, find_exposure
 from deepfsi.design.exposure.conditioned import ConditionedExposure
 from deepfsi.design.exposure.looks import LooksExposure
+from deepfsi.design.exposure.passing import PassingExposure
 from deepfsi.design.exposure.trained import FixedExposure, PatchExposure
 from deepfsi.errors import InputError
 from shared.jobs import job
@@ -21,6 +22,7 @@ KINDS = [
     ({"nested": 3, "span": 10.0}, Nested(nested=3, span=10.0)),
     ({"looks": 4}, Looks(looks=4)),
     ({"patch": 8}, Patches(patch=8)),
+    ({"bins": 6, "jitter": 2.0}, Passing(bins=6, jitter=2.0)),
 ]
 
 
@@ -43,7 +45,7 @@ def test_settings_ask_for_a_kind_and_come_back_from_json(settings, wanted):
     ("settings", "wanted"),
     [
         ({"looks": 1}, Fixed()),
-        ({"looks": 1, "nested": 0, "span": 1.0, "patch": 0}, Fixed()),
+        ({"looks": 1, "nested": 0, "span": 1.0, "patch": 0, "bins": 0}, Fixed()),
         ({"looks": 1, "span": 10.0}, Range(span=10.0)),
         ({"looks": 3, "nested": 0, "span": 1}, Looks(looks=3)),
     ],
@@ -58,6 +60,7 @@ def test_settings_that_ask_for_nothing_are_left_out(settings, wanted):
     ("settings", "match"),
     [
         ({"look": 3}, "an exposure has no setting look: give one of looks, patch, nested, span"),
+        ({"bins": 4, "looks": 2}, "bins and looks are of different exposures: give one"),
         ({"looks": 4, "span": 10.0}, "span and looks are of different exposures: give one"),
         ({"looks": 4, "nested": 2}, "nested and looks are of different exposures: give one"),
         ({"looks": 4, "patch": 8}, "patch and looks are of different exposures: give one"),
@@ -144,7 +147,13 @@ def test_tests_are_refused_the_noise_that_cannot_be_had(settings, wanted):
     assert len(found) == (2 if isinstance(wanted, Looks) else 0)
 
 
-TRAINED = (FixedExposure, *3 * (ConditionedExposure,), LooksExposure, PatchExposure)
+TRAINED = (
+    FixedExposure,
+    *3 * (ConditionedExposure,),
+    LooksExposure,
+    PatchExposure,
+    PassingExposure,
+)
 
 
 @pytest.mark.parametrize(

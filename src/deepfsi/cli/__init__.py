@@ -23,6 +23,7 @@ from deepfsi.cli import (
 from deepfsi.cli.deploy import export, plan
 from deepfsi.cli.designs import design, evaluate, page, show, stop
 from deepfsi.cli.groups import Group
+from deepfsi.cli.mask import mask
 from deepfsi.cli.predict import predict
 from deepfsi.cli.settings import SettingsCommand
 from deepfsi.cli.studies import compare, report, reproduce, sweep
@@ -55,7 +56,7 @@ def _start(
 
 
 _HEADINGS: dict[str, tuple[Callable[..., None], ...]] = {
-    "Design": (design, show, page, evaluate, predict, stop, export),
+    "Design": (design, show, page, evaluate, predict, stop, export, mask),
     "Study": (compare, plan, sweep, reproduce, report),
 }
 for _heading, _commands in _HEADINGS.items():

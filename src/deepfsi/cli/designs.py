@@ -75,7 +75,7 @@ def design(
         common.print_json("design", {"design": str(out), "info": made.info, "tests": tests})
         return
     common.print_data(scenes)
-    print(job.optics.words)
+    print(job.exposure.words(job.optics))
     for result in results:
         print(
             f"{made.name} with {common.size(made)} at {common.budget(result.photons)} photons: "
@@ -365,9 +365,10 @@ def show(
     labels = made.detection.labels
     if labels is not None:
         title += "\nlines: parts of the device that one detector sees"
+    matrix, shape = made.exposure.drawing(made.rails.difference, made.mask_shape)
     figure = masks_figure(
-        made.matrix,
-        made.mask_shape,
+        matrix.cpu().numpy(),
+        shape,
         title,
         count,
         dwells=None if dwells is None else dwells.detach().cpu().numpy(),

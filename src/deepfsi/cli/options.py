@@ -319,11 +319,14 @@ def _fixed_count(job: Mapping[str, Any], data: "Dataset") -> int:
     from deepfsi.optics import codes, tiles
     from deepfsi.optics.detection import ONE
 
+    exposure = find_exposure(job.get("exposure", {}))
+    if exposure.own_count:
+        return exposure.own_count
     design = codes.check_design(job.get("design", "deepfsi"))
     code = codes.DESIGNS[design]
     if not code.fixed_count:
         raise InputError(f"{design} needs a number of masks: add --masks, for instance --masks 10")
-    scene = find_exposure(job.get("exposure", {})).scene(data)
+    scene = exposure.scene(data)
     detection = ONE if code.every_pixel else job["camera"].detection(scene.image_shape)
     return tiles.count_allowed(design, scene, detection)[1]
 

@@ -26,7 +26,6 @@ from deepfsi.optics import constraints
 from deepfsi.optics.budget import check_budget
 from deepfsi.optics.camera import Camera
 from deepfsi.optics.detection import ONE, Detection
-from deepfsi.optics.grey_levels import quantise
 from deepfsi.optics.noise import OwnNoise
 from deepfsi.optics.rails import Rails
 from deepfsi.optics.scanner import Scanner
@@ -162,12 +161,13 @@ class Design:
         self, noise: str | OwnNoise = "poisson", sigma: float = 1.0, dark: float = 0.0
     ) -> Scanner:
         """The optical front end, with a noise of your choice; parameters as for `Scanner`."""
-        return Scanner.from_rails(self.rails.stacked, noise, sigma, dark, self.detection)
+        rails = self.exposure.front(self.rails.stacked)
+        return Scanner.from_rails(rails, noise, sigma, dark, self.detection)
 
     def rates(self, scanner: Scanner, scenes: Tensor) -> Tensor:
         """Expected counts (..., rails, m · D) of reflectances (..., N), for a budget of one."""
         seen = self.exposure.cut(scenes.to(self.rails.device), self.image_shape)
-        return scanner.rates(seen / self.summed_reflectance)
+        return self.exposure.rates(scanner, seen / self.summed_reflectance)
 
     def logits(
         self, features: Tensor, photons: Tensor | float, dwell: Tensor | None = None
@@ -210,7 +210,8 @@ class Design:
             every = scanner.read(expected, generator, share) * (photons / self.scale(photons))
             return self.detection.features(every)
 
-        return self.exposure.expose(read, rates, photons, self.mean, self.std)
+        placed = self.exposure.placed(rates, generator)
+        return self.exposure.expose(read, placed, photons, self.mean, self.std)
 
     def classify_live(
         self,
@@ -282,10 +283,8 @@ class Design:
             If shapes do not match the design, counts are not finite or the budget is not above 0.
         """
         self.exposure.check_dwell(dwell is not None)
-        frames = None if dwell is None else self._dwells.shape
-        read, budget, shown = readings.check_readouts(
-            counts, photons, dwell, self.counts_shape, frames
-        )
+        shapes = self.counts_shape, None if dwell is None else self._dwells.shape
+        read, budget, shown = readings.check_readouts(counts, photons, dwell, *shapes)
         readings.check_clicks(read, self.gates)
         device = self.rails.device
         with torch.no_grad():
@@ -351,8 +350,8 @@ class Design:
 
         Classifier and statistics stay; a camera with so many `levels` trains for such a device.
         """
-        shown = Rails.of(quantise(self.rails.stacked, self.light, levels))
-        return replace(self, rails=shown, distribution=None)
+        shown, exposure = self.exposure.quantised(self.rails.stacked, self.light, levels)
+        return replace(self, rails=Rails.of(shown), exposure=exposure, distribution=None)
 
     def first(self, masks: int) -> "Design":
         """The first masks alone, with the light that the constraint gives to so many.
@@ -402,7 +401,7 @@ class Design:
         InputError
             If the patterns are of a design of another shape, or this one is of patches.
         """
-        self.exposure.check_frames()
+        self.exposure.check_device()
         readings.check_dimmed(dimmed, self.gates)
         own = tuple(self.rails.stacked.shape), self.image_shape
         readings.check_patterns((rails.shape, image_shape), own)
@@ -430,10 +429,10 @@ class Design:
                 f"a design with a {type(self.classifier).__name__} classifier cannot be saved: "
                 "give it as deepfsi.OwnClassifier(module)"
             )
-        own, network = isinstance(self.classifier, OwnClassifier), self.exposure.network
+        own = isinstance(self.classifier, OwnClassifier)
         weights: dict[str, dict[str, Tensor]] = {
             "classifier": self.classifier.weights if own else self.classifier.state_dict(),  # type: ignore[dict-item]
-            "exposure": network.state_dict() if network is not None else {},
+            "exposure": self.exposure.weights,
             "distribution": self.distribution.tensors if self.distribution else {},
             "temperatures": self.temperatures.tensors if self.temperatures else {},
         }

@@ -16,6 +16,7 @@ from deepfsi.design.classifiers import Mlp, Vit, restored
 from deepfsi.design.consistency import ReadoutDistribution
 from deepfsi.design.exposure.conditioned import ConditionedExposure
 from deepfsi.design.exposure.looks import LooksShape
+from deepfsi.design.exposure.passing import PassingShape
 from deepfsi.design.exposure.trained import STRICT, FixedExposure, PatchExposure
 from deepfsi.design.file_content import SCHEMA, Info, damaged, read_known_masks
 from deepfsi.design.own import OwnClassifier
@@ -139,7 +140,7 @@ class Header(BaseModel):
     image_shape: tuple[Count, ...]
     classes: tuple[str, ...]
     exposure: Annotated[
-        FixedExposure | ConditionedExposure | LooksShape | PatchExposure,
+        FixedExposure | ConditionedExposure | LooksShape | PatchExposure | PassingShape,
         Field(discriminator="kind"),
     ]
     classifier: Annotated[MlpSize | VitSize | OwnShape, Field(discriminator="kind")]

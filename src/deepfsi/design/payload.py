@@ -116,6 +116,11 @@ def _classifier(design: Design) -> Mlp:
             "this design is of image patches, each with a detector of its own, and a page shows "
             "one device: give a design of whole scenes"
         )
+    if design.exposure.kind == "passing":
+        raise InputError(
+            "this design is of scenes that pass a static pattern, and a page shows masks one after "
+            "the other: give a design of scenes at rest"
+        )
     if not isinstance(design.classifier, Mlp):
         raise InputError(
             "a page has no classifier of your own in it: give a design with the package's own, "

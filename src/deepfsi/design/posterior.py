@@ -169,6 +169,11 @@ def _front_end(
             "the dwells of this design follow the counts: give one of fixed dwells, learned with "
             "1 look"
         )
+    if design.exposure.kind == "passing":
+        raise InputError(
+            "scenes that pass a pattern have a place of their own in each exposure, which the "
+            "ideal observer does not know: use evaluate"
+        )
     scanner = design.scanner()
     return scanner, lambda x: design.rates(scanner, x)
 

@@ -156,6 +156,11 @@ def design_rails(file: str | os.PathLike[str]) -> DesignRails:
             "this design is of image patches, each with a detector of its own, which frames of "
             "one device cannot show: use Design.classify"
         )
+    if header.exposure.kind == "passing":
+        raise InputError(
+            "this design is one static pattern that scenes pass, which no sequence of frames "
+            "shows: write the pattern with `deepfsi mask`"
+        )
     with as_input_error(str(file)):
         brightness, detectors = Brightness.of(header.info), made.detectors
     loop = made.loop if header.exposure.chooses else None

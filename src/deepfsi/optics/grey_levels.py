@@ -8,6 +8,12 @@ from deepfsi.laws import Light
 from deepfsi.optics.constraints import peak
 
 
+def check_levels(levels: int) -> None:
+    """Raise `InputError` unless masks can have so many grey levels."""
+    if levels < 2:
+        raise InputError(f"{levels} grey levels are not allowed: give at least 2, dark included")
+
+
 def quantise(rails: Tensor, light: Light, levels: int) -> Tensor:
     """Rails as a device shows them: each frame in `levels` grey levels from dark to its own peak.
 
@@ -16,8 +22,7 @@ def quantise(rails: Tensor, light: Light, levels: int) -> Tensor:
 
     Shapes: rails (..., 2 or 1, m, N).
     """
-    if levels < 2:
-        raise InputError(f"{levels} grey levels are not allowed: give at least 2, dark included")
+    check_levels(levels)
     steps = levels - 1
     if light == "two-arm":
         total = rails.sum(dim=-3)

@@ -12,6 +12,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from deepfsi.datasets import Dataset
+from deepfsi.design.exposure import Exposure
 from deepfsi.errors import InputError
 from deepfsi.imports import UNNAMED, source_hash
 from deepfsi.laws import LOOK_LIGHT
@@ -149,7 +150,7 @@ def count_trials(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None
     """Number of trials of a recipe, by the lengths of its axes."""
     # Parameters as of `plan`
     return sum(
-        len(_counts(recipe, design, named, exposure.scene(data), matrix))
+        len(_counts(recipe, design, named, exposure, data, matrix))
         * math.prod(map(len, recipe.training_axes(design).values()))
         * recipe.trials
         * len(recipe.budgets(named.camera.noise_name))
@@ -178,10 +179,17 @@ def _possible(code: codes.Code, camera: Camera, detectors: int) -> bool:
 
 
 def _counts(
-    recipe: Recipe, design: str, named: NamedCamera, scene: Dataset, matrix: np.ndarray | None
+    recipe: Recipe,
+    design: str,
+    named: NamedCamera,
+    exposure: Exposure,
+    data: Dataset,
+    matrix: np.ndarray | None,
 ) -> Sequence[int]:
-    """Mask counts of a design for a scene as its masks see it."""
-    code = codes.DESIGNS[design]
+    """Mask counts of a design for scenes as its masks see them."""
+    code, scene = codes.DESIGNS[design], exposure.scene(data)
+    if exposure.own_count:
+        return [exposure.own_count]
     if code.own and matrix is not None:
         return [len(matrix)]
     detection = ONE if code.every_pixel else named.camera.detection(scene.image_shape)
@@ -194,7 +202,7 @@ def _jobs(
     """Yield camera, variant of the settings, and job of every trial that can be."""
     for (design, named), exposure in product(_kinds(recipe, data), recipe.exposures()):
         for masks, training, seed, photons in product(
-            _counts(recipe, design, named, exposure[1].scene(data), matrix),
+            _counts(recipe, design, named, exposure[1], data, matrix),
             recipe.trainings(design),
             range(recipe.trials),
             recipe.budgets(named.camera.noise_name),

@@ -13,6 +13,7 @@ from torch import Tensor
 from deepfsi.design.classifiers import Replicas
 from deepfsi.design.exposure.conditioned import ConditionedExposure, first
 from deepfsi.design.exposure.looks import LooksExposure
+from deepfsi.design.exposure.passing import PassingExposure
 from deepfsi.design.exposure.trained import FixedExposure, PatchExposure, TrainedExposure
 from deepfsi.laws import Light, Scale
 from deepfsi.optics import constraints
@@ -28,8 +29,10 @@ from deepfsi.optics.masks import FixedMasks, LearnedMasks
 from deepfsi.optics.noise import root
 from deepfsi.optics.rails import Rails
 from deepfsi.optics.scanner import Scanner, measure, project, project_rails
+from deepfsi.optics.transit import FixedPattern, LearnedPattern
 from deepfsi.training.draws import SeedStream, side_by_side
 from deepfsi.training.job import Job
+from deepfsi.training.passing import PassingFeatures
 from deepfsi.training.precision import product_dtype
 from deepfsi.training.training_set import TrainingSet
 
@@ -335,9 +338,12 @@ def features_of(
     streams: Streams,
     exposure: TrainedExposure,
     choose: Replicas,
-) -> Features:
+) -> Features | PassingFeatures:
     """Features of the kind of exposure of jobs, of which `job` is one."""
     scale, detection = job.training.scale, job.detection(training_set.data.image_shape)
+    if isinstance(exposure, PassingExposure):
+        assert isinstance(masks, FixedPattern | LearnedPattern)
+        return PassingFeatures(streams, masks, training_set.full, scale)
     if isinstance(exposure, PatchExposure):
         seen = training_set.seen(job.exposure)
         patches, lit = seen.full.view(len(training_set.full), -1, seen.data.pixels), seen.varying

@@ -264,6 +264,8 @@ class Job(Settings):
         given = {**given, "camera": camera, "photons": photons}
         told = _training_of(given)
         exposure = find_exposure(given.get("exposure", {}))
+        if isinstance(exposure, Exposure) and exposure.own_count and given.get("masks") is None:
+            given["masks"] = exposure.own_count
         if not (isinstance(told, Mapping) and isinstance(exposure, Exposure)):
             return given
         for name in told:
@@ -305,7 +307,7 @@ class Job(Settings):
 
         Impulse imaging is `column` whatever else is compared, and a design of one rail has one.
         """
-        told: dict[str, Any] = {}
+        told = self.exposure.optics(self.camera)
         if self.code.every_pixel:
             told = {"light": "column", "detectors": "1x1", "device": None, "shortest_dwell": 0.0}
         one_arm = self.code.adaptive and self.camera.light != "two-arm"
@@ -361,7 +363,9 @@ class Job(Settings):
         if "gaussian" in (self.noise, self.masks_from().noise) and not self.camera.sigma:
             faults.append("gaussian noise is read noise: give `sigma` above 0")
         if self.code.adaptive:
-            faults += self._adaptive_faults(data)
+            from deepfsi.training.adaptive import faults as of_adaptive
+
+            faults += of_adaptive(self, data)
         if (matrix is not None) != self.code.own:
             faults.append(
                 'a matrix goes with the custom design, and only with it: give `design="custom"` '
@@ -390,28 +394,6 @@ class Job(Settings):
         except InputError as error:
             return [str(error)]
         return []
-
-    def _adaptive_faults(self, data: "Dataset") -> list[str]:
-        import numpy as np
-
-        faults = []
-        fewest = int(np.bincount(data.y_train, minlength=len(data.classes)).min())
-        if (self.training.clusters or 0) > fewest // 2:
-            faults.append(
-                f"{self.training.clusters} clusters of each class are too many where one has "
-                f"{fewest} scenes: give at most {fewest // 2}, or leave `clusters` out"
-            )
-        if not isinstance(self.exposure, Fixed):
-            faults.append("adaptive masks have a look each: give no looks, nested, span or patch")
-        if self.training.classifier != MLP:
-            faults.append("adaptive masks are read by their posterior: leave `classifier` out")
-        shortest = self.camera.shortest_share
-        if shortest * self.masks > 1:
-            faults.append(
-                f"{self.masks} looks are shorter than {shortest:.3g} of the exposure, the shortest "
-                f"picture of the camera: give at most {int(1 / shortest)} masks"
-            )
-        return faults
 
     def _classifier_faults(self) -> list[str]:
         usual, mine, faults = Training(), self.training, []

@@ -18,6 +18,7 @@ from deepfsi.optics.features import FeatureNoise, feature_statistics
 from deepfsi.optics.masks import FixedMasks, LearnedMasks
 from deepfsi.optics.noise import try_own
 from deepfsi.optics.rails import Rails
+from deepfsi.optics.transit import FixedPattern
 from deepfsi.progress import SILENT, Report, shown
 from deepfsi.training.adaptive import adaptive_designs
 from deepfsi.training.batches import check_fits
@@ -27,6 +28,7 @@ from deepfsi.training.info import provenance
 from deepfsi.training.job import Job, find_job
 from deepfsi.training.loop import Classifier, optimise
 from deepfsi.training.masks import final_masks, initial_masks
+from deepfsi.training.passing import passing_statistics
 from deepfsi.training.precision import dtypes
 from deepfsi.training.training_set import TrainingSet
 
@@ -68,8 +70,8 @@ def learn(
     settings
         Fields of `Job`: ``design``, ``masks``, ``photons`` (the camera's budget unless given),
         ``camera`` (a `Camera`, a preset's name, a TOML file or fields), ``exposure`` (`Looks`,
-        `Nested`, `Range`, `Patches` or their fields), ``training`` (`Training` or its fields) and
-        ``seed``.
+        `Nested`, `Range`, `Patches`, `Passing` or their fields), ``training`` (`Training` or its
+        fields) and ``seed``.
 
     Raises
     ------
@@ -220,15 +222,13 @@ def _designs(
     job, s = jobs[0], training_set.summed_reflectance
     light, shape = job.optics.light, training_set.data.image_shape
     rails, detection = masks().stacked, job.detection(shape)
+    seen, scale = training_set.seen(job.exposure).full, job.training.scale
     with torch.no_grad():
-        mean, std, counts = feature_statistics(
-            training_set.seen(job.exposure).full,
-            masks,
-            noise,
-            job.training.scale,
-            detection,
-            exposures[0].drawn(rails, light),
-        )
+        if isinstance(masks, FixedPattern):
+            mean, std, counts = passing_statistics(seen, masks, noise, scale, job.seed)
+        else:
+            drawn = exposures[0].drawn(rails, light)
+            mean, std, counts = feature_statistics(seen, masks, noise, scale, detection, drawn)
     return [
         Design(
             name=each.design,
@@ -241,7 +241,7 @@ def _designs(
             light=light,
             image_shape=shape,
             classes=training_set.data.classes,
-            exposure=exposures[r],
+            exposure=exposures[r].trained(masks, r),
             detection=detection,
         )
         for r, each in enumerate(jobs)

@@ -72,10 +72,10 @@ def optimise(
     streams = seed_streams([each.seed for each in jobs], noise, labels, batch)
     features = features_of(training_set, job, masks, noise, streams, exposures[0], choose)
     weights = training_set.class_weights if settings.balance else None
-    steps, cost = len(labels) // batch, None
-    if isinstance(features, CountedFeatures) and settings.counts is not None:
-        few = settings.counts, features.detection
-        start = dim_start(features.masks, features.x, noise, *few)
+    steps = len(labels) // batch
+    counted = features if isinstance(features, CountedFeatures) and features.penalised else None
+    if counted is not None and settings.counts is not None:
+        start = dim_start(counted.masks, counted.x, noise, settings.counts, counted.detection)
         cost = CountsCost(settings.counts, start, settings.epochs * steps)
 
     def shuffle() -> None:
@@ -86,7 +86,7 @@ def optimise(
         logits = classify(features.at(step))
         truth = side_by_side([each.labels(step) for each in streams])
         value = _loss(logits, truth, weights, isinstance(classifiers[0], Vit)) / batch
-        return value if cost is None else value + cost(features.expected).sum()
+        return value if counted is None else value + cost(counted.expected).sum()
 
     groups = [parameter_group(classify, settings.lr, settings.decay)]
     if choosers:

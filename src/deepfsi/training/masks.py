@@ -6,6 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from deepfsi.design.exposure.passing import PassingExposure
 from deepfsi.design.exposure.trained import TrainedExposure
 from deepfsi.errors import InputError
 from deepfsi.optics import codes, constraints, tiles
@@ -13,7 +14,9 @@ from deepfsi.optics.camera import Camera
 from deepfsi.optics.detection import Detection
 from deepfsi.optics.grey_levels import quantise
 from deepfsi.optics.masks import FixedMasks, LearnedMasks
+from deepfsi.optics.transit import FixedPattern, LearnedPattern
 from deepfsi.training.job import Job
+from deepfsi.training.passing import initial_pattern
 from deepfsi.training.training_set import TrainingSet
 
 
@@ -27,6 +30,10 @@ def initial_masks(
     # The scenes are those that the masks see; the matrix (m, N) is a user's own
     job, camera, shape = jobs[0], jobs[0].optics, seen.data.image_shape
     detection, levels = job.detection(shape), camera.mask_levels(shape)
+    if isinstance(exposure, PassingExposure):
+        seeds, learned = [each.seed for each in jobs], job.code.learned
+        held = seeds if learned else matrix_seeds(jobs)
+        return initial_pattern(exposure.transit, held, learned, levels, seen.device)
     if matrix is not None:
         rails = constraints.own_rails(matrix, camera.light, camera.rails).unsqueeze(0)
     else:
@@ -57,6 +64,9 @@ def final_masks(
     masks: LearnedMasks, seen: TrainingSet, job: Job, exposure: TrainedExposure
 ) -> FixedMasks:
     """Masks after training, of all pixels: dark where they were not learned."""
+    if isinstance(masks, LearnedPattern):
+        with torch.no_grad():
+            return FixedPattern(masks.pattern, masks.transit)
     light, pixels = job.optics.light, seen.pixels(job.optics.light)
     with torch.no_grad():
         learned = masks().stacked

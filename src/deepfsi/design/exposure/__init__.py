@@ -5,61 +5,27 @@
     Nested    the first masks alone give an answer, too, and the network is told how many
     Looks     several looks; the counts so far choose the dwells of the next
     Patches   an image seen patch by patch, with a detector for each patch and mask
+    Passing   a scene that passes a static pattern, of which each time bin is a readout
 
 These are the settings. What a trained design does with them is in the modules beside.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Protocol
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from pydantic import BeforeValidator, Field, SerializeAsAny
 
+from deepfsi.design.exposure.base import Exposure as Exposure
+from deepfsi.design.exposure.base import Job as Job
+from deepfsi.design.exposure.transits import Passing as Passing
 from deepfsi.errors import InputError, as_input_error
-from deepfsi.frozen import Settings
 
 if TYPE_CHECKING:
     from torch import Generator
 
     from deepfsi.datasets import Dataset
     from deepfsi.design.exposure.trained import TrainedExposure as Trained
-    from deepfsi.optics.camera import Camera
-    from deepfsi.optics.codes import Code
-
-
-class Job(Protocol):
-    """A job, as far as its exposure asks for it: `training.job.Job`."""
-
-    @property
-    def design(self) -> str:
-        """Name of the design."""
-
-    @property
-    def masks(self) -> int:
-        """Number of masks, m."""
-
-    @property
-    def photons(self) -> float:
-        """Lowest budget."""
-
-    @property
-    def training(self) -> Any:
-        """Settings of the training."""
-
-    @property
-    def code(self) -> "Code":
-        """All that the design's name implies."""
-
-    @property
-    def optics(self) -> "Camera":
-        """The camera as the design has it."""
-
-    @property
-    def noise(self) -> str:
-        """Name of the noise that is trained under."""
-
-    def features(self, image_shape: tuple[int, ...]) -> int:
-        """Numbers that are read of the masks of scenes of a shape, k."""
 
 
 LOOKING = ("free-dwell", "two-arm")
@@ -73,66 +39,6 @@ LARGEST_SCORE = 4.0
 
 A mask that is never shown is never learned, and the scores would not come back from there.
 """
-
-TRAINING_NOISE = {"poisson": "ml_gauss"}
-"""Noise that is trained under in place of a camera's own."""
-
-
-class Exposure(Settings):
-    """An exposure of which every mask is shown once, and all are needed."""
-
-    training: ClassVar[dict[str, Any]] = {"start": "pca"}
-    """Settings of the training where none are given."""
-
-    @property
-    def parts(self) -> int:
-        """Parts of an exposure after which the network answers."""
-        return 1
-
-    side_by_side: ClassVar[bool] = True
-    """Whether jobs that differ in budget and seed train together."""
-
-    rounds_products: ClassVar[bool] = True
-    """Whether products of masks in bfloat16 were tried."""
-
-    def rounds_networks(self, device: str, wide: bool) -> bool:
-        """True if networks are faster in bfloat16: wide ones, on a processor."""
-        return device == "cpu" and wide
-
-    def highest(self, photons: float) -> float:
-        """Highest budget of a training whose lowest is `photons`."""
-        return photons
-
-    def training_noise(self, noise: str) -> str:
-        """Noise to train under where the camera has another."""
-        return TRAINING_NOISE.get(noise, noise)
-
-    def brightest(self, masks: int) -> int:
-        """Fewest masks, of m, that the whole light may come to."""
-        return masks
-
-    def seen(self, data: "Dataset") -> "Dataset":
-        """The data as the masks see it: whole scenes."""
-        return data
-
-    def scene(self, data: "Dataset") -> "Dataset":
-        """One training scene as the masks see it: its shape, and the classes."""
-        return self.seen(replace(data, x_train=data.x_train[:1], y_train=data.y_train[:1]))
-
-    def begin(self, job: Job, image_shape: tuple[int, ...], seed: "Generator") -> "Trained":
-        """The exposure of a design that is to be trained on scenes of a shape."""
-        # Where it has a network of its own, that is untrained
-        from deepfsi.design.exposure.trained import FixedExposure
-
-        return FixedExposure()
-
-    def faults(self, job: Job) -> list[str]:
-        """Everything that a job asks of this exposure and that cannot be had."""
-        return []
-
-    def test_faults(self, noises: Sequence[str]) -> list[str]:
-        """Everything in noises of tests that cannot be had."""
-        return []
 
 
 class Fixed(Exposure):
@@ -380,13 +286,18 @@ KINDS: dict[str, type[Exposure]] = {
     "patch": Patches,
     "nested": Nested,
     "span": Range,
+    "bins": Passing,
+    "speed": Passing,
+    "jitter": Passing,
+    "speed_jitter": Passing,
+    "pattern_width": Passing,
 }
 """Kind of exposure by the setting that asks for it; the first that is given counts."""
 
-EXPOSURE_FIELDS = ("nested", "looks", "patch")
+EXPOSURE_FIELDS = ("nested", "looks", "patch", *Passing.model_fields)
 """Settings that ask for an exposure by an option of their own; a range is one of budgets."""
 
-NEUTRAL = {"looks": "1", "nested": "0", "span": "1", "patch": "0"}
+NEUTRAL = {"looks": "1", "nested": "0", "span": "1", "patch": "0", "bins": "0"}
 """Values of these settings that ask for nothing."""
 
 

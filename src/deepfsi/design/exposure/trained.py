@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as validated
-from torch import Tensor
+from torch import Tensor, nn
 
 from deepfsi.design.classifiers import Mlp
 from deepfsi.design.consistency import ReadoutDistribution
@@ -23,8 +23,10 @@ from deepfsi.laws import Light
 from deepfsi.optics import constraints
 from deepfsi.optics.camera import Camera
 from deepfsi.optics.detection import Detection
+from deepfsi.optics.grey_levels import quantise
 from deepfsi.optics.masks import LearnedMasks
 from deepfsi.optics.rails import Rails
+from deepfsi.optics.scanner import Scanner
 
 STRICT = ConfigDict(extra="forbid", strict=True)
 """Configuration of what a design file's header holds: no further fields, no conversions."""
@@ -89,6 +91,39 @@ class TrainedExposure:
 
     def check(self, rails: Rails, light: Light, image_shape: tuple[int, ...]) -> None:
         """Raise `ValueError` unless rails can be exposed so; parameters as for `Design`."""
+
+    @property
+    def weights(self) -> dict[str, Tensor]:
+        """Tensors of the design file besides rails, statistics and classifier."""
+        return {} if self.network is None else self.network.state_dict()
+
+    def trained(self, masks: nn.Module, replica: int) -> "TrainedExposure":
+        """The kind with what it keeps of the masks after a training of several replicas."""
+        return self
+
+    def quantised(
+        self, rails: Tensor, light: Light, levels: int
+    ) -> tuple[Tensor, "TrainedExposure"]:
+        """Rails (2 or 1, m, N) in grey levels, and the kind that shows them."""
+        return quantise(rails, light, levels), self
+
+    def front(self, rails: Tensor) -> Tensor:
+        """Rails (2 or 1, m, N) of the scanner that reads scenes."""
+        return rails
+
+    def rates(self, scanner: Scanner, scenes: Tensor) -> Tensor:
+        """Expected counts (..., rails, m · D) of photons (..., N)."""
+        return scanner.rates(scenes)
+
+    def placed(self, rates: Tensor, generator: torch.Generator) -> Tensor:
+        """Expected counts (..., rails, m · D) of exposures of scenes with such `rates`."""
+        return rates
+
+    def drawing(
+        self, matrix: Tensor, mask_shape: tuple[int, ...]
+    ) -> tuple[Tensor, tuple[int, ...]]:
+        """Picture of a sensing matrix (m, N): its masks, and the shape of one."""
+        return matrix, mask_shape
 
     def learned_masks(self, start: Tensor, camera: Camera, levels: int) -> LearnedMasks:
         """Masks that learn from a matrix (R, m, N), under the camera's light law."""
@@ -213,6 +248,10 @@ class TrainedExposure:
 
     def check_frames(self) -> None:
         """Raise `InputError` unless frames of one device, or one graph, can expose so."""
+
+    def check_device(self) -> None:
+        """Raise `InputError` unless frames of one device can expose so."""
+        self.check_frames()
 
     def check_noise(self, noise: str) -> None:
         """Raise `InputError` unless the exposure can be tested under a noise."""
