@@ -332,7 +332,7 @@ def test_same_results_make_the_same_page(tmp_path):
         (None, "no results in"),
         ("{", r"cannot be used: .*; run the comparison again"),
         ("[]", r"cannot be used: .*; run the comparison again"),
-        ({"schema": 4, "points": []}, "upgrade deepfsi"),
+        ({"schema": 5, "points": []}, "upgrade deepfsi"),
         ({"schema": 1, "points": []}, "this version; run the comparison again"),
         ({"points": []}, "no finished point"),
         ({"points": [{}]}, r"at points\.0\.trained_under"),

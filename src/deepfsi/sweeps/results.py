@@ -11,7 +11,7 @@ from deepfsi.errors import as_input_error
 from deepfsi.files import read_regular, write_atomically
 from deepfsi.optics.codes import EVERY_PIXEL
 
-SCHEMA = 3
+SCHEMA = 4
 """Schema of results and of records, the only one; tests of records of another are run anew."""
 
 

@@ -25,7 +25,7 @@ from deepfsi.training.job import REVISION, Job, classifier_name
 MOST_TRIALS = 100_000
 """Trials of one recipe: months of training, and records that still fit the memory."""
 
-SCHEMA = 4
+SCHEMA = 5
 """Version of what the keys of trials are hashes of."""
 
 
