@@ -19,6 +19,7 @@ from deepfsi.cli import (
     dmd,
     live,
     record,
+    transits,
 )
 from deepfsi.cli.deploy import export, plan
 from deepfsi.cli.designs import design, evaluate, page, show, stop
@@ -80,6 +81,7 @@ _OF_CAMERA: dict[str, dict[str, Callable[..., None]]] = {
         "count": camera.camera_count,
         "classify": classify.camera_classify,
         "image": camera.camera_image,
+        "transits": transits.camera_transits,
     },
     "Calibrate the camera": {
         "spots": calibrations.camera_spots,

@@ -187,6 +187,11 @@ def camera_count(
     from deepfsi.laboratory.camera import camera_of, dead_time_of
     from deepfsi.laboratory.live.replay import check_as_it_was, count_live, is_live
 
+    if folder.suffix == ".ptu":
+        raise InputError(
+            f"{folder} is a photon file without patterns: give the folder of an acquisition, or "
+            "use `deepfsi camera transits` for scenes that pass a pattern"
+        )
     if is_live(folder):
         given = exposure, settle, repeats, tolerance, background, inputs, marker, flat
         check_as_it_was((*given, *settings.values()))

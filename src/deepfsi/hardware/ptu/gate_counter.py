@@ -9,16 +9,21 @@ from deepfsi.hardware.ptu.header import Header, Kind
 from deepfsi.hardware.ptu.records import EARLIEST_TICK, Part
 
 
+def check_input(number: int, kind: Kind) -> None:
+    """Raise `InputError` unless a kind of counter has an input of that number, from 0."""
+    if not 0 <= number < kind.inputs:
+        raise InputError(
+            f"input {number}, counted from 0, is not one of {kind.name}: give 0 to "
+            f"{kind.inputs - 1} (--input 1 to {kind.inputs})"
+        )
+
+
 class GateCounter:
     """Counter of the photons in gates."""
 
     def __init__(self, kind: Kind, inputs: Sequence[int], name: object) -> None:
         for each in inputs:
-            if not 0 <= each < kind.inputs:
-                raise InputError(
-                    f"input {each}, counted from 0, is not one of {kind.name}: give 0 to "
-                    f"{kind.inputs - 1} (--input 1 to {kind.inputs})"
-                )
+            check_input(each, kind)
         self._inputs, self._name = tuple(inputs), name
         self._edges = np.zeros(0, np.int64)  # starts and stops in turn, of gates not yet taken
         self._before = np.zeros((0, len(inputs)), np.int64)  # photons before each, in those done

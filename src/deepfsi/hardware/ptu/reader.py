@@ -26,10 +26,13 @@ import numpy as np
 
 from deepfsi.errors import InputError
 from deepfsi.hardware.ptu.contents import Contents, Tally
-from deepfsi.hardware.ptu.gate_counter import GateCounter
+from deepfsi.hardware.ptu.gate_counter import GateCounter, check_input
 from deepfsi.hardware.ptu.header import read_header
 from deepfsi.hardware.ptu.records import read_parts
 from deepfsi.progress import SILENT, Report
+
+MOST_PHOTONS = 2**27
+"""Photons whose times are held at once, at most."""
 
 MOST_MARKERS = 2**24
 """Markers of a file at most."""
@@ -64,6 +67,22 @@ def read_markers(
                 f"{path} has more than {MOST_MARKERS} markers; give one for each frame"
             )
     return np.concatenate(times), np.concatenate(bits)
+
+
+def read_photons(
+    path: str | os.PathLike[str], number: int = 0, report: Report = SILENT
+) -> tuple[np.ndarray, float]:
+    """Times of the photons on an input, seconds (n,), and that of the last event of all."""
+    header = read_header(path)
+    check_input(number, header.kind)
+    times, reached, found = [np.zeros(0, np.int64)], 0, 0
+    for part in read_parts(header, report):
+        part.check(path)
+        times.append(part.photons(number))
+        reached, found = part.reached, found + len(times[-1])
+        if found > MOST_PHOTONS:
+            raise InputError(f"{path} has more than {MOST_PHOTONS} photons: give a shorter record")
+    return np.concatenate(times) * header.tick_s, reached * header.tick_s
 
 
 def count_gates(

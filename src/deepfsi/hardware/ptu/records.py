@@ -91,6 +91,14 @@ class Part:
             return np.zeros(len(places), np.int64), total
         return np.searchsorted(np.flatnonzero(found), places), total
 
+    def photons(self, number: int) -> np.ndarray:
+        """Times of the photons on an input, int64 (n,)."""
+        lengths = self.runs.end - self.runs.begin
+        skipped = self.runs.begin - (np.cumsum(lengths) - lengths)
+        words = self.words[np.repeat(skipped, lengths) + np.arange(lengths.sum())]
+        times = np.repeat(self.runs.base, lengths) + (words & np.uint32(self.kind.time_mask))
+        return times[words >> np.uint32(self.kind.shift) == self.kind.first + number]
+
 
 @dataclass(frozen=True)
 class _State:

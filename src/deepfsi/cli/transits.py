@@ -1,0 +1,82 @@
+"""Command of scenes that pass a pattern: transits found in a photon file, and their classes."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from deepfsi.cli import common, options, paths
+from deepfsi.errors import InputError
+
+
+def camera_transits(
+    design: Annotated[Path, typer.Argument(help="design file of scenes that pass a pattern")],
+    file: Annotated[Path, typer.Argument(metavar="PTU", help="photon file, without markers")],
+    bins: Annotated[str, typer.Option("--bin", help="length of a time bin, such as 100us")],
+    photons: Annotated[
+        float | None, typer.Option(help="budget of a transit; that of the training unless given")
+    ] = None,
+    background: Annotated[
+        float | None,
+        typer.Option(help="counts/s without a scene; from the record unless given"),
+    ] = None,
+    false_alarms: Annotated[
+        float, typer.Option(help="expected false alarms in the whole record, at most")
+    ] = 0.01,
+    counter_input: Annotated[
+        int, typer.Option("--input", min=1, help="input of the counter, 1 for the first")
+    ] = 1,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", help="table of starts, classes and counts of bins, .csv"),
+    ] = None,
+    trust: options.Trust = False,
+    force: options.Force = False,
+    as_json: options.Json = False,
+) -> None:
+    """Find the transits in a photon file without markers, count their bins, and classify them.
+
+    A transit is a rise of the rate: as many photons within the time of all bins as background alone
+    has with the stated number of false alarms in the record.
+
+    Example: deepfsi camera transits passing.safetensors photons.ptu --bin 100us
+    """
+    paths.check_design(design)
+    paths.check_there(file, "a .ptu file")
+    if out is not None:
+        paths.check_file(out, (".csv",), force)
+    from deepfsi.design.artifact import Design
+    from deepfsi.files import write_atomically
+    from deepfsi.laboratory.transits import classify_transits
+
+    made = common.open_any(design, trust)
+    if not isinstance(made, Design):
+        raise InputError(f"{design} makes its masks while it looks: give one of passing scenes")
+    with common.progress("transits", quiet=as_json) as report:
+        found = classify_transits(
+            made,
+            file,
+            options.seconds("bin", bins),
+            photons=photons,
+            background=background,
+            false_alarms=false_alarms,
+            counter_input=counter_input - 1,
+            report=report,
+        )
+    if out is not None:
+        write_atomically(out, found.as_csv().encode())
+    if as_json:
+        common.print_json("camera.transits", found.as_dict())
+        return
+    rows = [
+        [f"{each.start_s:.6g}", f"{sum(each.counts)}", each.predicted, f"{each.confidence:.3f}"]
+        for each in found.transits
+    ]
+    common.print_table("Transits", ["start, s", "photons", "class", "confidence"], rows)
+    print(
+        f"{len(rows)} transits in {found.seconds:.4g} s: {found.threshold.photons} photons or more "
+        f"within a transit, at a background of {found.background:.4g} counts/s; "
+        f"{found.threshold.false_alarms:.2g} false alarms are expected in the record"
+    )
+    if out is not None:
+        print(f"saved: {out}")
