@@ -373,7 +373,7 @@ def _clock(results: Results, measures: Measures) -> Picture:
     groups = _groups(results, measures)
     looks: dict[str, tuple[str, Look]] = {
         "adaptive": ("adaptive masks", {"color": COLOURS["adaptive"]}),
-        "free": ("were they made in no time", {"color": COLOURS["adaptive"], "linestyle": ":"}),
+        "free": ("the same, made in no time", {"color": COLOURS["adaptive"], "linestyle": ":"}),
         "known": ("learned masks", {"color": COLOURS["deepfsi"]}),
     }
     panels = {}
