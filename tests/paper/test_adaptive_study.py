@@ -127,6 +127,12 @@ def test_the_number_of_looks_is_chosen_on_validation_images():
     assert best_at(rivals([*better, *chosen], measures), 1e3, 1.0) == pytest.approx(0.9)
 
 
+def test_designs_that_lack_a_budget_are_not_compared_by_the_clock():
+    whole = [point("fixed-1x1", each, KNOWN[each], masks=24) for each in LIGHTS]
+    part = [point("looks-1x1", each, 0.99, masks=96) for each in LIGHTS[1:3]]
+    assert [each.points for each in rivals([*part, *whole])] == [whole]
+
+
 def test_the_table_says_what_each_kind_reads_and_tells():
     [table] = study.EXPERIMENT.show(results()).tables
     rows = {row[:2]: row[2:] for row in table.rows}

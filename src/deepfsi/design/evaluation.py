@@ -332,7 +332,8 @@ def _result(
     share: list[float],
 ) -> Result:
     """`Result` of a confusion matrix (C, C) and answers (3, E) of all draws."""
-    images, (sure, right, true) = int(confusion.sum()) // draws, answers
+    images = int(confusion.sum()) // draws
+    sure, right, true = answers
     accuracy = float(confusion.trace() / confusion.sum())
     low, high = wilson(accuracy, images)
     rates = [float(row[k] / row.sum()) if row.any() else None for k, row in enumerate(confusion)]

@@ -306,13 +306,23 @@ def _kind_lines(
     ]
 
 
+def _panels(
+    kinds: Mapping[tuple[str, str], Chosen], value: Callable[[Point], float] | None = None
+) -> dict[str, list[Line]]:
+    """Lines against photons; of 2 × 2 detectors where there is more than one budget."""
+    return {
+        f"{BUDGET_AXIS}, {name}": _kind_lines(kinds, each, value)
+        for each, name in DETECTORS.items()
+        if each == "1x1" or len(kinds["adaptive", each]) > 1
+    }
+
+
 def _against_photons(kinds: Mapping[tuple[str, str], Chosen]) -> Picture:
-    panels = {f"{BUDGET_AXIS}, {DETECTORS[each]}": _kind_lines(kinds, each) for each in DETECTORS}
     return Picture(
-        lines_figure(panels),
-        "Masks made for the scene in view. Accuracy against photons, with one detector and with "
-        "2 × 2, at the number of looks or masks that is best on validation images. Impulse imaging "
-        "has a detector for each pixel. Bars: 95 % intervals.",
+        lines_figure(_panels(kinds)),
+        "Masks made for the scene in view. Accuracy against photons, at the number of looks or "
+        "masks that is best on validation images. Impulse imaging has a detector for each pixel. "
+        "Bars: 95 % intervals.",
         "Accuracy against photons of adaptive masks and others; numbers in the table.",
     )
 
@@ -349,12 +359,7 @@ def _against_looks(results: Results, measures: Measures) -> Picture:
 
 
 def _information(kinds: Mapping[tuple[str, str], Chosen], measures: Measures) -> Picture:
-    panels = {
-        f"{BUDGET_AXIS}, {DETECTORS[each]}": _kind_lines(
-            kinds, each, lambda point: bits(point, measures)
-        )
-        for each in DETECTORS
-    }
+    panels = _panels(kinds, lambda point: bits(point, measures))
     return Picture(
         lines_figure(panels, "information about the class (bits, at least)"),
         "What the answers tell of the class, in bits: the entropy of the classes less the cross "
@@ -368,7 +373,7 @@ def _clock(results: Results, measures: Measures) -> Picture:
     groups = _groups(results, measures)
     looks: dict[str, tuple[str, Look]] = {
         "adaptive": ("adaptive masks", {"color": COLOURS["adaptive"]}),
-        "free": ("were they made in no time", {"color": COLOURS["adaptive"], "linestyle": ":"}),
+        "free": ("the same, made in no time", {"color": COLOURS["adaptive"], "linestyle": ":"}),
         "known": ("learned masks", {"color": COLOURS["deepfsi"]}),
     }
     panels = {}

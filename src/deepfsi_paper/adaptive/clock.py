@@ -131,11 +131,19 @@ class Rival:
 
 
 def rivals(points: Iterable[Point], measures: Measures | None = None) -> list[Rival]:
-    """Designs by part, variant and number of masks; their masks cost time where measures say so."""
+    """Designs by part, variant and number of masks, but those that lack a budget that others have.
+
+    Where measures are given, each mask costs the time that it takes to make and to load.
+    """
     groups: dict[tuple[str, str, int], list[Point]] = {}
     for point in sorted(points, key=lambda point: point.photons):
         groups.setdefault((point.recipe, point.variant, point.masks), []).append(point)
-    return [Rival(own, measures.dead_s(own[0]) if measures else 0.0) for own in groups.values()]
+    most = max(map(len, groups.values()), default=0)
+    return [
+        Rival(own, measures.dead_s(own[0]) if measures else 0.0)
+        for own in groups.values()
+        if len(own) == most
+    ]
 
 
 def best_at(every: Iterable[Rival], flux: float, wall_s: float) -> float | None:
