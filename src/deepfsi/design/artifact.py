@@ -11,13 +11,12 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from deepfsi.design import artifact_file
+from deepfsi.design import artifact_file, readings
 from deepfsi.design.classifiers import Mlp, Vit
 from deepfsi.design.consistency import Consistency, ReadoutDistribution
 from deepfsi.design.exposure.looks import Dwells, LooksExposure
 from deepfsi.design.exposure.trained import FixedExposure, Observation, TrainedExposure
 from deepfsi.design.own import Given, OwnClassifier, rebuilt
-from deepfsi.design.readings import check_clicks, check_dimmed, check_look, check_readouts, gates_of
 from deepfsi.design.temperatures import Temperatures
 from deepfsi.errors import InputError, as_input_error
 from deepfsi.files import DESIGNS, check_ending, write_atomically
@@ -153,7 +152,7 @@ class Design:
     @property
     def gates(self) -> int | None:
         """Clicks of a readout at most, where its detectors click."""
-        return gates_of(self.info)
+        return readings.gates_of(self.info)
 
     def scale(self, photons: Tensor | float) -> Tensor | float:
         """Divisor of features in counts: the budget; of clicks that of the training, always."""
@@ -246,7 +245,7 @@ class Design:
         def show(dwell: Tensor) -> tuple[Tensor, Tensor]:
             nonlocal counted
             asked = self._dwells.by_rail(dwell.cpu().numpy())
-            counts, shown = check_look(read, asked, self.counts_shape)
+            counts, shown = readings.check_look(read, asked, self.counts_shape)
             features = self.features_of(torch.from_numpy(counts).to(dwell))
             counted = counted + features
             return features / budget, torch.from_numpy(self._dwells.by_mask(shown)).to(dwell)
@@ -283,9 +282,9 @@ class Design:
             If shapes do not match the design, counts are not finite or the budget is not above 0.
         """
         self.exposure.check_dwell(dwell is not None)
-        frames = None if dwell is None else self._dwells.shape
-        read, budget, shown = check_readouts(counts, photons, dwell, self.counts_shape, frames)
-        check_clicks(read, self.gates)
+        shape, frames = self.counts_shape, None if dwell is None else self._dwells.shape
+        read, budget, shown = readings.check_readouts(counts, photons, dwell, shape, frames)
+        readings.check_clicks(read, self.gates)
         device = self.rails.device
         with torch.no_grad():
             if shown is not None:
@@ -325,10 +324,8 @@ class Design:
         """
         self.exposure.check_alone()
         if self.distribution is None:
-            raise InputError(
-                "this design holds no distribution: it takes photons, 100 scenes, 50 a class"
-            )
-        read, budget, _ = check_readouts(counts, photons, None, self.counts_shape)
+            raise InputError("no distribution is held: it takes photons, 100 scenes, 50 a class")
+        read, budget, _ = readings.check_readouts(counts, photons, None, self.counts_shape)
         if not read.numel():
             raise InputError("there are no exposures to test: give one or more")
         dark = np.broadcast_to(np.asarray(background, dtype=float), read.shape)
@@ -402,7 +399,7 @@ class Design:
             If the patterns are of a design of another shape, or this one is of patches.
         """
         self.exposure.check_frames()
-        check_dimmed(dimmed, self.gates)
+        readings.check_dimmed(dimmed, self.gates)
         if rails.shape != tuple(self.rails.stacked.shape) or image_shape != self.image_shape:
             raise InputError(
                 f"patterns of {rails.shape[1]} masks of {image_shape} cells and {len(rails)} rails "

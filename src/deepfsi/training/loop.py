@@ -74,9 +74,8 @@ def optimise(
     weights = training_set.class_weights if settings.balance else None
     steps, cost = len(labels) // batch, None
     if isinstance(features, CountedFeatures) and settings.counts is not None:
-        few = settings.counts, features.detection
-        start = dim_start(features.masks, features.x, noise, *few)
-        cost = CountsCost(settings.counts, start, settings.epochs * steps)
+        dim_start(features.masks, features.x, noise, settings.counts, features.detection)
+        cost = CountsCost(settings.counts, settings.epochs * steps)
 
     def shuffle() -> None:
         for stream in streams:
