@@ -325,9 +325,7 @@ class Design:
         """
         self.exposure.check_alone()
         if self.distribution is None:
-            raise InputError(
-                "this design holds no distribution: it takes photons, 100 scenes, 50 a class"
-            )
+            raise InputError("no distribution is held: it takes photons, 100 scenes, 50 a class")
         read, budget, _ = readings.check_readouts(counts, photons, None, self.counts_shape)
         if not read.numel():
             raise InputError("there are no exposures to test: give one or more")

@@ -1,15 +1,10 @@
 """Few counts within a budget of photons: what they cost in the loss of a training.
 
-The loss is that of the answers and a cost of the mean counts c of a step, for the counts C that are
-asked for:
-
-    loss = cross entropy + μ log(c / T) + (ρ / 2) log²(c / T)
-
-T falls from the counts of the start to C over the first third of the training, while masks learn
-from more light. Then the multiplier μ follows the counts, dμ = κ log(c / T) a step: it ends where
-the mean counts are C, and is what a factor e of counts costs in nats (the λ of a cost λ c is μ / C
-there). Masks start with ten times the counts, but not so bright that nearly all gates click: such
-readouts teach nothing.
+The loss is the cross entropy plus μ c / C, of the mean counts c of a step and the counts C that are
+asked for. The cost grows from 0 over the first third of the training, while masks learn from more
+light; then its weight follows the counts, d log μ = κ log(c / C) in a whole training, until they
+are those asked for. Masks start with ten times the counts, but not so bright that nearly
+all gates click: such readouts teach nothing.
 """
 
 from typing import TYPE_CHECKING
@@ -30,11 +25,14 @@ if TYPE_CHECKING:
 RAMP = 1 / 3
 """Part of the training after which the counts are to be those asked for."""
 
-STIFFNESS = 3.0
-"""ρ, nats."""
+FIRST_WEIGHT = 0.4
+"""μ before it follows the counts, nats: of what few counts were found to cost, 0.1 to 1."""
 
-PACE = 0.005
-"""κ, nats a step."""
+PACE = 12.0
+"""κ: the counts follow the weight within a tenth of a training or so."""
+
+MOST_EXCESS = 0.3
+"""Largest |log(c / C)| that the weight follows, as counts that are far off take time to fall."""
 
 COUNTING = ("poisson", "camera", "click")
 """Noises under which counts are drawn, whose mean is known."""
@@ -75,27 +73,25 @@ def faults(job: "Job", image_shape: tuple[int, ...]) -> list[str]:
 class CountsCost:
     """Cost of the counts of trainings side by side, step by step."""
 
-    def __init__(self, counts: float, start: Tensor, steps: int) -> None:
-        # start (R,): counts before the training
-        self._counts, self._start, self._steps = counts, start.log(), RAMP * steps
-        self.multiplier, self._step = torch.zeros_like(start), 0
+    def __init__(self, counts: float, steps: int) -> None:
+        self._counts, self._steps, self._step = counts, steps, 0
+        self.weight = torch.tensor(FIRST_WEIGHT)
 
     def __call__(self, expected: Tensor) -> Tensor:
-        """Cost (R,) of expected counts (R,) of a step, and one step of the multiplier."""
-        done = min(1.0, self._step / self._steps)
-        goal = (1 - done) * self._start + done * torch.tensor(self._counts).log()
-        excess = expected.log() - goal
-        cost = self.multiplier * excess + STIFFNESS / 2 * excess.square()
-        if done == 1:
-            self.multiplier = self.multiplier + PACE * excess.detach().clamp(-1, 1)
+        """Cost (R,) of expected counts (R,) of a step, and one step of the weight."""
+        ratio, done = expected / self._counts, self._step / (RAMP * self._steps)
         self._step += 1
-        return cost
+        if done < 1:
+            return done * self.weight * ratio
+        excess = ratio.detach().log().clamp(-MOST_EXCESS, MOST_EXCESS)
+        self.weight = self.weight.to(excess) * (PACE / self._steps * excess).exp()
+        return self.weight * ratio
 
 
 def dim_start(
     masks: LearnedMasks, x: Tensor, noise: FeatureNoise, counts: float, detection: Detection
-) -> Tensor:
-    """Dim masks before their training, and return the counts (R,) of these."""
+) -> None:
+    """Dim masks before their training, where they would count too much."""
     # x (n + 1, N): centred scenes, and their mean
     scenes = (x[:-1][:CHUNK] + x[-1]).float()
 
@@ -115,4 +111,3 @@ def dim_start(
             masks.dim(middle.exp())
             over = counted() > goal
             low, high = torch.where(over, low, middle), torch.where(over, middle, high)
-        return counted()

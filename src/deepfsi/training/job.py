@@ -203,7 +203,7 @@ readouts at one setting at most). Designs not named here, but for learned ones a
 """
 
 
-FEW_COUNTS: dict[str, Any] = {"start": "random", "mask_lr": 0.3}
+FEW_COUNTS: dict[str, Any] = {"start": "random"}
 """Settings of a training for few counts, where none are given."""
 
 

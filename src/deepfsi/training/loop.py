@@ -75,8 +75,8 @@ def optimise(
     steps = len(labels) // batch
     counted = features if isinstance(features, CountedFeatures) and features.penalised else None
     if counted is not None and settings.counts is not None:
-        start = dim_start(counted.masks, counted.x, noise, settings.counts, counted.detection)
-        cost = CountsCost(settings.counts, start, settings.epochs * steps)
+        dim_start(counted.masks, counted.x, noise, settings.counts, counted.detection)
+        cost = CountsCost(settings.counts, settings.epochs * steps)
 
     def shuffle() -> None:
         for stream in streams:
