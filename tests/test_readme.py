@@ -30,6 +30,7 @@ LINES = {
     "docs/do/reproduce": 3,
     "docs/do/camera": 9,
     "docs/do/live": 6,
+    "docs/do/passing": 5,
 }
 """Pages with such lines, and the number of commands in each."""
 
@@ -61,7 +62,7 @@ def test_no_line_is_left_out():
     words = {line.split()[1] for page in LINES for line in lines(page)}
     assert words == {
         *("compare", "design", "evaluate", "show", "page", "stop", "plan", "export", "sweep"),
-        *("reproduce", "report", "dmd", "camera", "data"),
+        *("reproduce", "report", "dmd", "camera", "data", "mask"),
     }
     for page in (ROOT / "docs/do").glob("*.md"):
         assert f"docs/do/{page.stem}" in LINES or "```sh\n" not in page.read_text()
@@ -162,6 +163,20 @@ def test_the_camera_page_is_right_about_its_scenes(run):
     right = re.search(r"right: (\d+) of 10 exposures", printed["camera classify"])
     assert int(right.group(1)) >= 8
     assert "Generic T2" in printed["camera inspect"]
+
+
+@pytest.mark.slow
+def test_the_page_of_passing_scenes_finds_and_reads_them(done, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    text = (ROOT / "docs/do/passing.md").read_text()
+    [block] = re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL)
+    for line in lines("docs/do/passing"):
+        if "transits" in line:
+            exec(block, {})
+        printed = done(*shlex.split(line)[1:])
+    assert "20 transits in" in printed
+    assert len((tmp_path / "transits.csv").read_text().splitlines()) == 21
+    assert "<polygon" in (tmp_path / "pattern.svg").read_text()
 
 
 @pytest.mark.slow

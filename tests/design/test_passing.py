@@ -19,7 +19,9 @@ from deepfsi.optics.features import FeatureNoise
 from deepfsi.optics.transit import FixedPattern
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.trial import plan
+from deepfsi.training.learning import train
 from deepfsi.training.passing import passing_statistics
+from deepfsi.training.training_set import TrainingSet
 from shared.design_files import refused, rewrite
 
 PASSING = {"bins": 6, "speed": 1.5, "jitter": 1.0, "speed_jitter": 0.05}
@@ -240,3 +242,24 @@ def test_a_recipe_has_axes_of_passing_scenes(data):
     assert {trial.job.masks for trial in trials} == {6}
     assert {trial.job.camera.light for trial in trials} == {"equal-dwell"}
     assert {trial.variant for trial in trials} == {"jitter 0.0", "jitter 2.0"}
+
+
+@pytest.mark.parametrize("design", ["deepfsi", "random"])
+def test_designs_trained_together_are_those_trained_alone(data, design):
+    jobs = [
+        deepfsi.Job(
+            design=design, photons=photons, exposure=PASSING, training={**RECIPE, "batch": 32}
+        )
+        for photons in (1e3, 1e4)
+    ]
+    together = train(TrainingSet(data, "cpu"), jobs)
+    for job, found in zip(jobs, together, strict=True):
+        [alone] = train(TrainingSet(data, "cpu"), [job])
+        assert torch.allclose(found.exposure.pattern, alone.exposure.pattern, atol=1e-4)
+        assert torch.allclose(found.std, alone.std, rtol=1e-3)
+
+
+def test_a_number_of_counts_is_had(data):
+    design = deepfsi.learn(data, counts=2e3, exposure=PASSING, training=RECIPE)
+    [result] = deepfsi.evaluate(design, data, design.info["job"]["photons"], draws=1)
+    assert result.counts == pytest.approx(2e3, rel=0.1)

@@ -162,7 +162,7 @@ def simulate_transits(
     *,
     photons: float,
     background: float,
-    gaps: tuple[float, float] = (1.0, 3.0),
+    gaps: tuple[float, float] = (2.0, 5.0),
     seed: int = 0,
 ) -> np.ndarray:
     """Write a photon file of scenes that pass one after the other; their starts, seconds (n,).
