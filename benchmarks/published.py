@@ -1,6 +1,6 @@
 """Designs beside published masks of a single-photon-detection neural network, on the same light.
 
-    python benchmarks/published.py FOLDER -o runs/published  # table of docs/understand/limits.md
+    python benchmarks/published.py FOLDER -o runs/published  # table of docs/understand/published.md
     python benchmarks/published.py FOLDER --neurons 10 --epochs 1 -o runs/short
 
 FOLDER holds `incoherent_nK.npz` with `masks` (K, 784), `readout` (10, K) and `bias` (10,), K = 10,
