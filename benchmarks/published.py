@@ -1,6 +1,6 @@
 """Designs beside published masks of a single-photon-detection neural network, on the same light.
 
-    python benchmarks/published.py FOLDER -o runs/published  # table of docs/understand/limits.md
+    python benchmarks/published.py FOLDER -o runs/published  # table of docs/understand/published.md
     python benchmarks/published.py FOLDER --neurons 10 --epochs 1 -o runs/short
 
 FOLDER holds `incoherent_nK.npz` with `masks` (K, 784), `readout` (10, K) and `bias` (10,), K = 10,
@@ -15,8 +15,8 @@ A scene x in [0, 1]^784 gives a neuron the rate u = masks · x; it clicks with t
 these at M = masks · s / Φ, so that there is a smallest budget Φ at which they obey a constraint.
 Designs of ours are trained under that constraint at that budget, with rails and number of masks
 chosen on validation images, and tested once on exact counts; then for detectors that click at most
-once, as the network's do: masks learn to click no more than the network, at no more than its budget.
-`--few` prints that table alone.
+once, as the network's do: masks learn to click no more than the network, at no more than its
+budget. `--few` prints that table alone.
 """
 
 import argparse

@@ -1,10 +1,10 @@
 """Few counts within a budget of photons: what they cost in the loss of a training.
 
-The loss is the cross entropy plus μ c / C, of the mean counts c of a step and the counts C that are
-asked for. The cost grows from 0 over the first third of the training, while masks learn from more
-light; then its weight follows the counts, d log μ = κ log(c / C) in a whole training, until they
-are those asked for. Masks start with ten times the counts, but not so bright that nearly
-all gates click: such readouts teach nothing.
+The loss is the cross entropy plus μ max(0, c / C − 1), of the mean counts c of a step and the
+counts C that are asked for. The cost grows from 0 over the first third of the training, while masks
+learn from more light; then its weight follows the counts, d log μ = κ log(c / C) in a whole
+training. Masks start with ten times the counts, but not so bright that nearly all gates click: such
+readouts teach nothing.
 """
 
 from typing import TYPE_CHECKING
@@ -82,10 +82,10 @@ class CountsCost:
         ratio, done = expected / self._counts, self._step / (RAMP * self._steps)
         self._step += 1
         if done < 1:
-            return done * self.weight * ratio
+            return done * self.weight * (ratio - 1).clamp(min=0)
         excess = ratio.detach().log().clamp(-MOST_EXCESS, MOST_EXCESS)
         self.weight = self.weight.to(excess) * (PACE / self._steps * excess).exp()
-        return self.weight * ratio
+        return self.weight * (ratio - 1).clamp(min=0)
 
 
 def dim_start(
