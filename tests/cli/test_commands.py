@@ -233,7 +233,9 @@ def test_a_design_for_a_budget_of_counts(done, refuse, tmp_path):
     assert " counts (a share of 0." in done(*words, "--counts", 30, "--force")
     file.unlink()
     assert "told once" in refuse(*words)
-    assert "--counts" in refuse(*words, "--counts", 30, "--photons", "1e3")
+    assert "1000 counts are not fewer than 1000" in refuse(
+        *words, "--counts", 1000, "--photons", "1e3"
+    )
     for bad in ("0", "-1", "nan", "many", ""):
         refuse(*words, f"--counts={bad}")
 
@@ -430,6 +432,6 @@ def test_experiments_are_listed(done):
     listed = json.loads(done("reproduce", "list", "--json"))["experiments"]
     assert {row["name"] for row in listed} == {
         *("mnist", "compression", "mlgauss", "quantization", "indian-pines", "hardware"),
-        *("flexible", "detectors", "ovit", "ovit-images", "ovit-full"),
+        *("adaptive", "flexible", "detectors", "ovit", "ovit-images", "ovit-full"),
     }
     assert "compression" in done("reproduce", "list")

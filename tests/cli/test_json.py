@@ -46,8 +46,12 @@ STEPS = {
 }
 """Words after each command, in an order in which each finds what it needs."""
 
-ELSEWHERE = {"camera spots", "camera calibrate", "camera check", "camera import"}
-"""Commands whose JSON is tested with calibrations, the reference target and other counters."""
+ELSEWHERE = {
+    *("camera spots", "camera calibrate", "camera check", "camera import"),
+    *("camera transits", "mask"),
+}
+"""Commands whose JSON is tested with calibrations, the reference target, other counters and
+scenes that pass."""
 
 
 def commands(group: typer.core.TyperGroup, before: str = "") -> dict[str, typer.core.TyperCommand]:

@@ -318,7 +318,7 @@ def test_adaptive_masks_tell_more_than_fixed_ones_and_as_sure_as_right(digits, m
 
 @pytest.mark.slow
 def test_four_detectors_tell_more_than_one_and_two_arms_more_than_one(digits):
-    settings = {"looks": 8}
+    settings = {"looks": 8, "draws": 4}
     one, four, arms = (
         tried(digits, 300.0, camera=camera, **settings) for camera in ("dmd", "dmd-2x2", "two-arm")
     )

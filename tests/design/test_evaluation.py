@@ -222,7 +222,11 @@ def test_the_log_loss_of_knowing_nothing_or_the_wrong_is_finite(digits):
         rows = iter(chances.split(1024))
 
         def guess_of(x, rows=rows):
-            return lambda generator, budget: (next(rows), 0.0)
+            def guess(generator, budget):
+                given = next(rows)
+                return given.argmax(dim=1), given, 0.0, 0.0
+
+            return guess
 
         shares = torch.ones(1)
         [found] = run_test(digits, guess_of, [1e3], 1, 0, "poisson", shares, SILENT)

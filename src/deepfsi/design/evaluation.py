@@ -203,9 +203,9 @@ def evaluate(
 LEAST_CHANCE = torch.finfo(torch.float32).eps
 """Least probability of a true class that the log loss is taken of."""
 
-Guess = Callable[[torch.Generator, float], tuple[Tensor, float, float]]
-"""Exposes scenes once at a budget: class probabilities (b, C), and the sums of expected counts and
-of the photons that arrive."""
+Guess = Callable[[torch.Generator, float], tuple[Tensor, Tensor, float, float]]
+"""Exposes scenes once at a budget: classes (b,), which rounded probabilities may not tell apart,
+probabilities (b, C), and the sums of expected counts and of the photons that arrive."""
 
 
 class Answering(NamedTuple):
@@ -223,13 +223,13 @@ def answering(design: Any, camera: Camera) -> Answering:
     def guess_of(x: Tensor) -> Guess:
         rates = design.rates(scanner, x)
 
-        def guess(generator: torch.Generator, budget: float) -> tuple[Tensor, float, float]:
+        def guess(generator: torch.Generator, budget: float) -> tuple[Tensor, Tensor, float, float]:
             *_, seen = design.expose(scanner, rates, generator, budget)
             arriving = budget * design.exposure.shown(rates, seen)
             counted = float(scanner.expected(arriving).sum())
             logits = design.logits_of(seen, budget)
             chances = (logits / design.temperature(seen, budget)).softmax(dim=-1)
-            return chances, counted, float(arriving.sum())
+            return logits.argmax(dim=-1), chances, counted, float(arriving.sum())
 
         return guess
 
@@ -279,9 +279,9 @@ def test_scenes(
             guess, truth = guess_of(torch.from_numpy(data.x_test[rows])), data.y_test[rows]
             for place, (budget, generator) in enumerate(zip(budgets, generators, strict=True)):
                 for _ in range(draws):
-                    given, *sums = guess(generator, budget)
-                    chances = given.cpu().numpy()
-                    found, true = chances.argmax(axis=1), chances[np.arange(len(truth)), truth]
+                    classes, given, *sums = guess(generator, budget)
+                    found, chances = classes.cpu().numpy(), given.cpu().numpy()
+                    true = chances[np.arange(len(truth)), truth]
                     np.add.at(confusions[place], (truth, found), 1)
                     answers[place].append(np.stack([chances.max(axis=1), found == truth, true]))
                     light[place] += sums

@@ -186,11 +186,11 @@ def _guesses(
     def guess_of(x: Tensor) -> Guess:
         rates = rates_of(x)
 
-        def guess(generator: torch.Generator, budget: float) -> tuple[Tensor, float, float]:
+        def guess(generator: torch.Generator, budget: float) -> tuple[Tensor, Tensor, float, float]:
             expected = rates * budget
             chances = observer.chances(scanner.read(expected, generator), budget)
             counted = float(expected.sum())
-            return chances, counted, counted
+            return chances.argmax(dim=-1), chances, counted, counted
 
         return guess
 

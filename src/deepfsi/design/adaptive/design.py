@@ -288,7 +288,7 @@ def load_design(
 @answering.register
 def _(design: AdaptiveDesign, camera: Camera) -> Answering:
     def guess_of(x: Tensor) -> Guess:
-        def guess(generator: torch.Generator, budget: float) -> tuple[Tensor, float, float]:
+        def guess(generator: torch.Generator, budget: float) -> tuple[Tensor, Tensor, float, float]:
             optics = LookOptics.of(camera, design.image_shape, budget)
             chances, counted = [], 0.0
             for some in design.at_once(x):
@@ -296,7 +296,8 @@ def _(design: AdaptiveDesign, camera: Camera) -> Answering:
                 found, counts = expose(state, some, design.settings, generator)
                 chances.append(found)
                 counted += float(counts.sum())
-            return torch.cat(chances), counted, counted
+            every = torch.cat(chances)
+            return every.argmax(dim=-1), every, counted, counted
 
         return guess
 
