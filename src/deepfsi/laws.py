@@ -26,6 +26,9 @@ Scale = Literal["each", "common"]
 Noise = Literal["none", "gaussian", "poisson", "ml_gauss", "camera", "click"]
 """Name of a detector noise, see `optics.noise`."""
 
+MLP, VIT = "mlp", "vit"
+"""Names of the paper's classifier, and of the transformer of patches, in settings."""
+
 MOST_LAYERS = 64
 """Hidden layers of a network at most."""
 

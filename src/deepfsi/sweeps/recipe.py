@@ -18,13 +18,13 @@ from deepfsi.datasets import Dataset
 from deepfsi.design.evaluation import MOST_DRAWS
 from deepfsi.design.exposure import Exposure, find_exposure
 from deepfsi.errors import InputError, as_input_error, closest
-from deepfsi.laws import check_noise
+from deepfsi.laws import MLP, check_noise
 from deepfsi.optics import codes, tiles
 from deepfsi.optics.budget import BUDGETS
 from deepfsi.optics.camera import Camera, Levels
 from deepfsi.optics.detection import ONE, Detection
 from deepfsi.sweeps.workers import Resources
-from deepfsi.training.job import MLP, Training
+from deepfsi.training.job import Training
 
 PAPER_RATIOS = tuple((k / 10) ** 2 for k in range(1, 11))
 """1, 4, 9, … 100 %."""

@@ -1,4 +1,4 @@
-"""Designs of adaptive masks: what is known of scenes, and no masks; what they refuse."""
+"""Designs of adaptive masks: what is known of scenes, and no masks."""
 
 import time
 from collections.abc import Sequence
@@ -19,10 +19,9 @@ from deepfsi.design.adaptive.misfit import (
 )
 from deepfsi.design.adaptive.posterior import LookOptics
 from deepfsi.design.adaptive.prior import ScenePrior
-from deepfsi.design.exposure import Fixed
 from deepfsi.progress import SILENT, Report
 from deepfsi.training.info import provenance
-from deepfsi.training.job import MLP, Job
+from deepfsi.training.job import Job
 from deepfsi.training.training_set import TrainingSet
 
 
@@ -41,28 +40,6 @@ def adaptive_designs(
         designs.append(AdaptiveDesign(prior, settings, *known))
         report(done / len(jobs))
     return designs
-
-
-def faults(job: Job, data: Dataset) -> list[str]:
-    """Everything in a job of adaptive masks that cannot be had."""
-    found = []
-    fewest = int(np.bincount(data.y_train, minlength=len(data.classes)).min())
-    if (job.training.clusters or 0) > fewest // 2:
-        found.append(
-            f"{job.training.clusters} clusters of each class are too many where one has "
-            f"{fewest} scenes: give at most {fewest // 2}, or leave `clusters` out"
-        )
-    if not isinstance(job.exposure, Fixed):
-        found.append("adaptive masks have a look each: give no looks, nested, span or patch")
-    if job.training.classifier != MLP:
-        found.append("adaptive masks are read by their posterior: leave `classifier` out")
-    shortest = job.camera.shortest_share
-    if shortest * job.masks > 1:
-        found.append(
-            f"{job.masks} looks are shorter than {shortest:.3g} of the exposure, the shortest "
-            f"picture of the camera: give at most {int(1 / shortest)} masks"
-        )
-    return found
 
 
 def _measured(

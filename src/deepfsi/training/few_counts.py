@@ -7,20 +7,14 @@ training. Masks start with ten times the counts, but not so bright that nearly a
 readouts teach nothing.
 """
 
-from typing import TYPE_CHECKING
-
 import torch
 from torch import Tensor
 
-from deepfsi.design.exposure import Fixed
 from deepfsi.optics.detection import Detection
 from deepfsi.optics.features import CHUNK, FeatureNoise
 from deepfsi.optics.masks import LearnedMasks
 from deepfsi.optics.noise import Click
 from deepfsi.optics.scanner import project_rails
-
-if TYPE_CHECKING:
-    from deepfsi.training.job import Job
 
 RAMP = 1 / 3
 """Part of the training after which the counts are to be those asked for."""
@@ -34,9 +28,6 @@ PACE = 12.0
 MOST_EXCESS = 0.3
 """Largest |log(c / C)| that the weight follows, as counts that are far off take time to fall."""
 
-COUNTING = ("poisson", "camera", "click")
-"""Noises under which counts are drawn, whose mean is known."""
-
 START = 10.0
 """Counts of the start over those asked for, at most."""
 
@@ -45,29 +36,6 @@ CLICKING = 0.9
 
 HALVINGS = 30
 """Steps of the search for the brightness of the start."""
-
-
-def faults(job: "Job", image_shape: tuple[int, ...]) -> list[str]:
-    """Everything in a job of few counts within its budget that cannot be had."""
-    counts, camera = job.training.counts or 0.0, job.optics
-    if not job.code.learned or not isinstance(job.exposure, Fixed):
-        return [
-            "counts within a budget are of learned masks that are shown once each: leave "
-            '`counts` or `photons` out, or give `design="deepfsi"` without looks, nested, span '
-            "or patch"
-        ]
-    if job.noise not in COUNTING:
-        return [
-            f"counts within a budget are trained on counts, not under {job.noise} noise: give "
-            f"one of {', '.join(COUNTING)}"
-        ]
-    most, of = job.photons, "the photons of its budget"
-    if job.noise == "click":
-        readouts = job.masks * camera.rail_count * job.detection(image_shape).count
-        most, of = min(most, readouts * camera.gates), "the clicks of all its gates"
-    if counts < most:
-        return []
-    return [f"{counts:g} counts are not fewer than {most:g}, {of}: give fewer"]
 
 
 class CountsCost:

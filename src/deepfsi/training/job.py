@@ -30,9 +30,10 @@ from deepfsi.design.exposure import (
 from deepfsi.errors import InputError, closest
 from deepfsi.frozen import Settings
 from deepfsi.imports import PATTERN, UNNAMED
-from deepfsi.laws import Scale, Widths
+from deepfsi.laws import MLP, VIT, Scale, Widths
 from deepfsi.optics.budget import BUDGETS, check_budget, check_one_budget
 from deepfsi.optics.camera import Camera, Noise, noise_name
+from deepfsi.training.faults import of_adaptive_masks, of_few_counts
 
 if TYPE_CHECKING:
     import numpy as np
@@ -50,9 +51,6 @@ REVISION = 5
 
 MOST_EPOCHS = 100_000
 """Epochs of one training: far more than any has needed, and fewer than never end."""
-
-MLP, VIT = "mlp", "vit"
-"""Names of the paper's classifier, and of the transformer of patches, in settings."""
 
 VIT_SIZES = ("width", "depth", "heads", "hidden")
 """Arguments of that transformer."""
@@ -355,17 +353,13 @@ class Job(Settings):
         """
         faults = [*self._classifier_faults(), *self.exposure.faults(self)]
         if self.training.counts is not None:
-            from deepfsi.training.few_counts import faults as of_counts
-
-            faults += of_counts(self, data.image_shape)
+            faults += of_few_counts(self, data.image_shape)
         if self.code.signed and self.camera.rails == "single":
             faults.append(f"{self.design} is signed: use dual rails, or the s-matrix")
         if "gaussian" in (self.noise, self.masks_from().noise) and not self.camera.sigma:
             faults.append("gaussian noise is read noise: give `sigma` above 0")
         if self.code.adaptive:
-            from deepfsi.training.adaptive import faults as of_adaptive
-
-            faults += of_adaptive(self, data)
+            faults += of_adaptive_masks(self, data)
         if (matrix is not None) != self.code.own:
             faults.append(
                 'a matrix goes with the custom design, and only with it: give `design="custom"` '

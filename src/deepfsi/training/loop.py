@@ -23,6 +23,7 @@ from deepfsi.design.classifiers import Mlp, Replicas, Vit
 from deepfsi.design.exposure.trained import TrainedExposure
 from deepfsi.design.own import OwnClassifier, make, seeded
 from deepfsi.errors import InputError
+from deepfsi.laws import VIT
 from deepfsi.optics.features import FeatureNoise
 from deepfsi.optics.masks import FixedMasks, LearnedMasks
 from deepfsi.progress import SILENT, Report
@@ -30,7 +31,7 @@ from deepfsi.training.batches import batch_of
 from deepfsi.training.draws import seed_streams, side_by_side
 from deepfsi.training.features import CountedFeatures, features_of
 from deepfsi.training.few_counts import CountsCost, dim_start
-from deepfsi.training.job import VIT, Job
+from deepfsi.training.job import Job
 from deepfsi.training.precision import network_dtype
 from deepfsi.training.training_set import TrainingSet
 
