@@ -113,6 +113,7 @@ def test_a_camera_is_described_in_words(done, lab):
         ('rails = "triple"', "rails"),
         ("flux = 'many'", "flux"),
         ("levels = 1", "levels"),
+        ("gates = 4", "gates"),
     ],
 )
 def test_nonsense_in_a_camera_file_is_one_line_with_its_key(refuse, tmp_path, line, said):

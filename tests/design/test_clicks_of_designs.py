@@ -5,9 +5,11 @@ import pytest
 import torch
 
 from conftest import PHOTONS, quick, same
+from deepfsi import Camera
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate
 from deepfsi.errors import InputError
+from deepfsi.sweeps.recipe import Recipe
 
 FEW = 60.0
 
@@ -83,3 +85,11 @@ def test_no_distribution_is_known_of_clicks(clicking):
 def test_what_is_of_photons_refuses_clicks(digits, settings, match):
     with pytest.raises(InputError, match=match):
         quick(digits, noise="click", photons=PHOTONS, **settings)
+
+
+def test_gates_are_of_detectors_that_click_in_a_recipe_too():
+    assert Camera(gates=4).noise_name == "click"
+    [named] = Recipe(camera={"gates": 4, "light": "column"}, photons=1e3, masks=4).cameras()
+    assert (named.camera.gates, named.camera.noise_name) == (4, "click")
+    with pytest.raises(InputError, match="poisson noise has no gates: give noise click"):
+        Camera(gates=4, noise="poisson")

@@ -17,9 +17,7 @@ from pydantic import (
     AfterValidator,
     BeforeValidator,
     Field,
-    PlainSerializer,
     ValidationInfo,
-    WithJsonSchema,
     field_validator,
 )
 
@@ -28,8 +26,8 @@ from deepfsi.errors import InputError, as_input_error, check_known, closest
 from deepfsi.files import read_toml
 from deepfsi.frozen import Settings
 from deepfsi.grid import Layout, Region, find_grid
-from deepfsi.imports import UNNAMED
-from deepfsi.laws import Light, RailsKind, Readout, check_noise
+from deepfsi.laws import Light, RailsKind, Readout
+from deepfsi.optics.noise_names import Noise, noise_name
 from deepfsi.units import Seconds
 
 if TYPE_CHECKING:
@@ -66,32 +64,6 @@ def _levels(count: int) -> int:
 
 Levels = Annotated[int, Field(ge=0, le=2**24), AfterValidator(_levels)]
 """Grey levels, dark included; 0 for continuous masks."""
-
-
-def noise_name(noise: Any) -> str:
-    """Name or import path of a noise that is given by name or as a function."""
-    if isinstance(noise, str):
-        return noise
-    from deepfsi.optics.noise import resolve
-
-    return resolve(noise)[0]
-
-
-def _known_noise(noise: Any) -> Any:
-    if not (isinstance(noise, str) or callable(noise)):
-        raise ValueError("give a noise's name, or noise(rates, generator) of your own")
-    if isinstance(noise, str) and noise != UNNAMED:
-        check_noise(noise)
-    return noise
-
-
-Noise = Annotated[
-    Any,
-    AfterValidator(_known_noise),
-    PlainSerializer(noise_name, return_type=str),
-    WithJsonSchema({"type": "string"}),
-]
-"""Name of a noise, import path of one's own, or its function."""
 
 
 def _detectors(given: Any) -> str | tuple[int, ...]:
@@ -205,14 +177,20 @@ class Camera(Settings):
         description="non-paralysable (a SPAD, a counter's electronics), or paralysable (a "
         "photomultiplier)",
     )
+    gates: int = Field(
+        1,
+        ge=1,
+        le=MOST_GATES,
+        description="gates of a frame, in each of which a detector clicks at most once; for click "
+        "noise",
+    )
     noise: Noise = Field(
-        default_factory=lambda known: "camera" if known.get("dark") else "poisson",
+        default_factory=lambda known: (
+            "click" if known.get("gates", 1) > 1 else "camera" if known.get("dark") else "poisson"
+        ),
         description="noise of the counts: poisson, gaussian, camera (photons, dark counts and "
         "read noise), click (a gated detector that fires at most once in a gate), none, or "
-        "module:function of your own; poisson, or camera with dark counts",
-    )
-    gates: int = Field(
-        1, ge=1, le=MOST_GATES, description="gates of a frame, for click noise: G clicks at most"
+        "module:function of your own; poisson, click with gates, or camera with dark counts",
     )
     sigma: float = Field(
         default_factory=lambda known: float(known.get("noise") != "camera"),
@@ -264,23 +242,27 @@ class Camera(Settings):
             )
         return exposure
 
+    @field_validator("gates")
+    @classmethod
+    def _without_dark_counts(cls, gates: int, info: ValidationInfo) -> int:
+        if gates > 1 and info.data.get("dark"):
+            raise ValueError("clicks have no dark counts here: leave dark or gates out")
+        return gates
+
     @field_validator("noise")
     @classmethod
-    def _with_dark_counts(cls, noise: Any, info: ValidationInfo) -> Any:
+    def _with_dark_counts_or_gates(cls, noise: Any, info: ValidationInfo) -> Any:
         if info.data.get("dark") and noise_name(noise) != "camera":
             raise ValueError(
                 f"{noise_name(noise)} noise has no dark counts: give noise camera, or leave dark "
                 "or noise out"
             )
+        if info.data.get("gates", 1) > 1 and noise_name(noise) != "click":
+            raise ValueError(
+                f"{noise_name(noise)} noise has no gates: give noise click, or leave gates or "
+                "noise out"
+            )
         return noise
-
-    @field_validator("gates")
-    @classmethod
-    def _of_clicks(cls, gates: int, info: ValidationInfo) -> int:
-        noise = noise_name(info.data.get("noise", "click"))
-        if gates > 1 and noise != "click":
-            raise ValueError(f"{noise} noise has no gates: give noise click, or leave gates out")
-        return gates
 
     @classmethod
     def load(cls, source: "CameraSource" = None, **settings: Any) -> "Camera":

@@ -32,7 +32,8 @@ from deepfsi.frozen import Settings
 from deepfsi.imports import PATTERN, UNNAMED
 from deepfsi.laws import MLP, VIT, Scale, Widths
 from deepfsi.optics.budget import BUDGETS, check_budget, check_one_budget
-from deepfsi.optics.camera import Camera, Noise, noise_name
+from deepfsi.optics.camera import Camera
+from deepfsi.optics.noise_names import Noise, noise_name
 from deepfsi.training.faults import of_adaptive_masks, of_few_counts
 
 if TYPE_CHECKING:
