@@ -68,7 +68,7 @@ def test_more_counts_than_gates_are_no_clicks(clicking):
 
 
 def test_no_distribution_is_known_of_clicks(clicking):
-    with pytest.raises(InputError, match="that takes photons, 100 scenes"):
+    with pytest.raises(InputError, match="it takes photons, 100 scenes"):
         clicking.consistency(np.ones((3, clicking.masks)), FEW)
 
 
