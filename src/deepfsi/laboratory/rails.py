@@ -11,6 +11,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 from deepfsi.design.exposure import LARGEST_SCORE
+from deepfsi.design.exposure.transits import STATIC
 from deepfsi.design.file_content import (
     Info,
     damaged,
@@ -157,10 +158,7 @@ def design_rails(file: str | os.PathLike[str]) -> DesignRails:
             "one device cannot show: use Design.classify"
         )
     if header.exposure.kind == "passing":
-        raise InputError(
-            "this design is one static pattern that scenes pass, which no sequence of frames "
-            "shows: write the pattern with `deepfsi mask`"
-        )
+        raise InputError(STATIC)
     with as_input_error(str(file)):
         brightness, detectors = Brightness.of(header.info), made.detectors
     loop = made.loop if header.exposure.chooses else None

@@ -17,8 +17,8 @@ def displayed(source: Path, patterns: Path) -> Display:
     images = read_display(source)
     if not images.levels.chosen or read_patterns(patterns).manifest.design_sha256 is None:
         return images
-    memory = trained_on(ShownDesign.read(patterns / DESIGN).header.info)
-    white = memory.origin.white if memory and memory.origin else None
+    known = trained_on(ShownDesign.read(patterns / DESIGN).header.info)
+    white = known.origin.white if known and known.origin else None
     return images if white is None else read_display(source, white)
 
 

@@ -10,6 +10,7 @@ from pydantic.dataclasses import dataclass as validated
 from torch import Tensor, nn
 
 from deepfsi.design.exposure.trained import STRICT, Observation, TrainedExposure
+from deepfsi.design.exposure.transits import STATIC
 from deepfsi.errors import InputError
 from deepfsi.laws import Light
 from deepfsi.optics.grey_levels import check_levels
@@ -120,13 +121,6 @@ class PassingExposure(TrainedExposure):
             "counts of passing scenes are not compared with the training, as each passes at a "
             "place of its own: use Design.classify"
         )
-
-
-STATIC = (
-    "this design is one static pattern that scenes pass, which no sequence of frames shows: write "
-    "the pattern with `deepfsi mask`"
-)
-"""Why it is not for a device's frames."""
 
 
 @validated(frozen=True, config=STRICT)

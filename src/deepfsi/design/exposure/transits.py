@@ -17,6 +17,13 @@ if TYPE_CHECKING:
     from deepfsi.optics.transit import Transit
 
 
+STATIC = (
+    "this design is one static pattern that scenes pass, which no sequence of frames shows: write "
+    "the pattern with `deepfsi mask`"
+)
+"""Why it is not for a device's frames."""
+
+
 class Passing(Exposure):
     """A scene that passes a static pattern, of which each time bin is a readout.
 
