@@ -1,6 +1,7 @@
 """The site builds without a warning, its links lead somewhere, and its tables leave nothing out."""
 
 import inspect
+import math
 import pkgutil
 import re
 import shutil
@@ -17,6 +18,7 @@ ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 sys.path[:0] = [str(DOCS), str(DOCS / "extensions")]
 
+import chart  # noqa: E402
 import check_site  # noqa: E402
 import commands  # noqa: E402
 import formats  # noqa: E402
@@ -138,6 +140,56 @@ def test_messages_show_what_they_fill_in(tmp_path):
     )
     found = ["‹path› has ‹…› rows: give at most 3, ‹b›"]
     assert messages.of_module(tmp_path / "a.py") == found
+
+
+def test_a_chart_reads_budgets_values_and_intervals():
+    texts = ("1e2", "10⁴", "3 · 10³", "10 000", "1e2 photons", "0.0001 s")
+    assert [chart.number(text, whole=True) for text in texts] == [100, 1e4, 3000, 1e4, 100, 1e-4]
+    assert math.isnan(chart.number("2 looks", whole=True))
+    assert math.isnan(chart.reach("refused")[0])
+    assert chart.reach("**0.530 ± 0.003 (41)**") == (0.53, 0.003, 0.003)
+    assert chart.reach("−0.08 [−0.16, +0.01]") == pytest.approx((-0.08, 0.08, 0.09))
+
+
+TABLE = ("| design | 1e2 | 10⁴ |", "| --- | --- | --- |", "| DeepFSI | 0.4 ± 0.1 | **0.9** |")
+
+
+def test_a_chart_has_the_points_of_its_table_on_a_logarithmic_axis():
+    heads, rows = chart.read(["words", *TABLE, "", "| other |"])
+    places, lines = chart.chosen(heads, rows, ["DeepFSI"])
+    [ax] = chart.drawn(places, lines, "photons", "accuracy").axes
+    assert ax.get_xscale() == "log"
+    assert ax.lines[0].get_xydata().tolist() == [[100, 0.4], [1e4, 0.9]]
+    assert [(end - start)[1] for start, end in ax.collections[0].get_segments()] == [
+        pytest.approx(0.2),
+        0,
+    ]
+
+
+def test_rows_without_numbers_become_bars():
+    heads, rows = chart.read(["| what | gain |", "| --- | --- |", "| a | 1 |", "| b | 3 |"])
+    places, lines = chart.chosen(heads, rows, [])
+    [ax] = chart.drawn(places, lines, "", "gain").axes
+    assert [bar.get_width() for bar in ax.patches] == [1, 3]
+    assert [label.get_text() for label in ax.get_yticklabels()] == ["a", "b"]
+
+
+@pytest.mark.parametrize(
+    ("options", "fault"),
+    [
+        (":alt: a\n:show: PCA", "the table has no 'PCA', it has DeepFSI"),
+        (":show: DeepFSI", "it needs the option alt, what one sees in words"),
+    ],
+)
+def test_a_wrong_chart_stops_the_build_with_one_line(tmp_path, options, fault):
+    extensions = f"import sys; sys.path.insert(0, {str(DOCS / 'extensions')!r})"
+    (tmp_path / "conf.py").write_text(f"{extensions}\nextensions = ['myst_parser', 'chart']\n")
+    table = "\n".join(TABLE)
+    (tmp_path / "index.md").write_text(f"# A\n\n```{{chart}} b\n{options}\n```\n\n(b)=\n{table}\n")
+    command = [sys.executable, "-m", "sphinx", "-q", "-W", str(tmp_path), str(tmp_path / "html")]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode
+    assert f"chart b: {fault}" in done.stderr.splitlines()[0]
 
 
 def test_types_and_allowed_values_are_words():
