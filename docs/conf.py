@@ -37,6 +37,7 @@ extensions = [
     "messages",
     "modules",
     "playable",
+    "wrapped",
 ]
 exclude_patterns = [
     "_build",
@@ -49,6 +50,7 @@ exclude_patterns = [
 suppress_warnings = ["config.cache"]
 default_role = "py:obj"
 smartquotes = False
+highlight_language = "text"
 
 myst_enable_extensions = ["colon_fence", "deflist", "dollarmath", "attrs_inline"]
 myst_heading_anchors = 4

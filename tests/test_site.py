@@ -25,6 +25,7 @@ import formats  # noqa: E402
 import links  # noqa: E402
 import messages  # noqa: E402
 import modules  # noqa: E402
+import wrapped  # noqa: E402
 
 LISTED = re.compile(r"^```\{modules\} (.+)$", re.M)
 OF_THE_HOUSE = {
@@ -190,6 +191,13 @@ def test_a_wrong_chart_stops_the_build_with_one_line(tmp_path, options, fault):
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode
     assert f"chart b: {fault}" in done.stderr.splitlines()[0]
+
+
+def test_options_stay_whole_where_code_wraps():
+    code = '<pre>a --hold-out<span class="w"> </span>-o b-c.npz\n--x 1</pre>'
+    marked = re.findall('<span class="option">(.*?)</span>', wrapped.whole(code))
+    assert marked == ["--hold-out", "-o", "--x"]
+    assert wrapped.whole("<p>a --hold-out b</p>") == "<p>a --hold-out b</p>"
 
 
 def test_types_and_allowed_values_are_words():

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import ClassVar
 
 import matplotlib
-from docutils.parsers.rst.directives import unchanged, unchanged_required
+from docutils.parsers.rst.directives import flag, unchanged, unchanged_required
 from markdown import Made
 from matplotlib.figure import Figure
 
@@ -93,11 +93,11 @@ def looks(names):
     return taken
 
 
-def drawn(places, lines, x, y):
+def drawn(places, lines, x, y, scale="linear"):
     """Figure of lines with their intervals, or of bars."""
     bars = isinstance(places[0], str)
-    tall = 0.8 + 0.24 * len(places) * max(len(lines), 1.3) if bars else 3.3
-    figure = Figure((5.4, tall), layout="constrained")
+    tall = 0.8 + 0.24 * len(places) * max(len(lines), 1.3) if bars else 3.1
+    figure = Figure((4.5, tall), layout="constrained")
     ax = figure.subplots()
     for place, (name, key) in enumerate(zip(lines, looks(lines), strict=True)):
         values, *spread = zip(*map(reach, lines[name]), strict=True)
@@ -105,6 +105,8 @@ def drawn(places, lines, x, y):
         if bars:
             wide = 0.8 / len(lines)
             at = [row + wide * (place - (len(lines) - 1) / 2) for row in range(len(places))]
+            if len(lines) == 1:
+                look["color"] = [style.COLOURS[own] for own in looks(places)]
             ax.barh(at, values, wide, xerr=spread, error_kw={"elinewidth": 0.9}, **look)
         else:
             look |= {"ls": style.LINES[key], "marker": "o", "ms": 3.5}
@@ -117,10 +119,12 @@ def drawn(places, lines, x, y):
         ax.set_xlabel(y)
     else:
         scaled(ax, places)
-        ax.set(xlabel=x, ylabel=y)
+        ax.set(xlabel=x, ylabel=y, yscale=scale)
+        ax.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+        ax.minorticks_off()
     ax.grid(axis="x" if bars else "both")
     if len(lines) > 1:
-        columns = style.columns(lines, 5.2, style.STYLE["font.size"])
+        columns = style.columns(lines, 4.4, style.STYLE["font.size"])
         figure.legend(loc="outside lower center", ncols=columns, frameon=False)
     return figure
 
@@ -131,7 +135,6 @@ def scaled(ax, places):
         ax.set_xscale("log")
     ticks = places[:: 1 + len(places) // 9]
     ax.set_xticks(ticks, [style.photons_text(tick) for tick in ticks])
-    ax.minorticks_off()
 
 
 class Chart(Made):
@@ -143,6 +146,7 @@ class Chart(Made):
         "show": unchanged,
         "x": unchanged,
         "y": unchanged,
+        "log": flag,
     }
 
     def text(self):
@@ -167,7 +171,8 @@ class Chart(Made):
         path = Path(self.env.app.outdir) / "charts" / name
         path.parent.mkdir(parents=True, exist_ok=True)
         with matplotlib.rc_context({**style.STYLE, "font.family": "sans-serif"}):
-            drawn(places, lines, x, y).savefig(path, facecolor="white", metadata={"Date": None})
+            figure = drawn(places, lines, x, y, "log" if "log" in self.options else "linear")
+            figure.savefig(path, facecolor="white", metadata={"Date": None})
         address = "../" * self.env.docname.count("/") + f"charts/{name}"
         image = f'<img class="chart" src="{address}" alt="{escape(self.options["alt"])}">'
         numbers = f"\n\n*The numbers are in [the table](#{label}).*" if label else ""
