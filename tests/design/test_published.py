@@ -100,7 +100,7 @@ def test_what_cannot_be_found_is_said_in_one_line(collection, monkeypatch, where
         load_design("smal")
 
 
-@pytest.mark.parametrize("spoilt", ["{", '{"format": 2}', '{"designs": {"../a": {}}}'])
+@pytest.mark.parametrize("spoilt", ["{", '{"schema_version": 2}', '{"designs": {"../a": {}}}'])
 def test_a_spoilt_index_is_refused(collection, spoilt):
     (collection / INDEX).write_text(spoilt)
     with pytest.raises(InputError, match=f"{INDEX} cannot be used.*make the collection again"):

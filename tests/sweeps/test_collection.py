@@ -104,7 +104,12 @@ def test_a_collection_is_made_once_and_opened_by_name(mine, done, tmp_path, monk
     told = json.loads(done("designs", "make", mine, "-o", folder, "--json"))
     assert (folder / "small.safetensors").stat().st_mtime_ns == first  # there already
     monkeypatch.setenv(VARIABLE, str(folder))
-    assert json.loads(done("designs", "list", "--json"))["designs"] == told["designs"]
+    listed = json.loads(done("designs", "list", "--json"))
+    assert listed["designs"] == told["designs"]
+    assert (told["schema"], listed["schema"]) == (
+        "deepfsi.designs.make/1",
+        "deepfsi.designs.list/1",
+    )
     assert isinstance(load_design("looking"), AdaptiveDesign)
     assert load_design("small").info["data"]["origin"]["data"] == "digits"
     small = told["designs"]["small"]

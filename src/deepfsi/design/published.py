@@ -32,6 +32,8 @@ NAME = r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}"
 
 Name = Annotated[str, Field(pattern=f"^{NAME}$")]
 Hash = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
+Words = Annotated[str, Field(max_length=200, pattern="^[^\x00-\x1f\x7f-\x9f]*$")]
+Share = Annotated[float, Field(ge=0, le=1)]
 
 
 class Published(Frozen):
@@ -54,12 +56,12 @@ class Published(Frozen):
     """
 
     sha256: Hash
-    recognises: str
-    data: str
-    photons: float
-    accuracy: float
-    low: float
-    high: float
+    recognises: Words
+    data: Words
+    photons: Annotated[float, Field(gt=0, allow_inf_nan=False)]
+    accuracy: Share
+    low: Share
+    high: Share
     recipe: Hash
 
 
@@ -68,13 +70,13 @@ class Index(Frozen):
 
     Attributes
     ----------
-    format : int
-        Number of this format.
+    schema_version : int
+        Version of the format.
     designs : dict of str to Published
         By name.
     """
 
-    format: Literal[1] = 1
+    schema_version: Literal[1] = 1
     designs: dict[Name, Published] = Field({})
 
     @classmethod

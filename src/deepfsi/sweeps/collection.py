@@ -16,12 +16,12 @@ from pydantic import Field, model_validator
 
 from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.design.evaluation import Result, evaluate
-from deepfsi.design.published import INDEX, Index, Name, Published
+from deepfsi.design.published import INDEX, Index, Name, Published, Words
 from deepfsi.errors import InputError, as_input_error, check_known
 from deepfsi.files import hash_file, read_toml, write_atomically
 from deepfsi.frozen import Frozen
 from deepfsi.progress import Report
-from deepfsi.sweeps.card import card
+from deepfsi.sweeps.cards import card
 from deepfsi.training.job import REVISION, Job, find_job, sorted_settings
 from deepfsi.training.learning import learn
 
@@ -29,7 +29,7 @@ TRAINING_SHARE = 0.7
 """Share of the progress that the training of a design takes; the rest is its test."""
 
 
-class Origin(Frozen):
+class DataTerms(Frozen):
     """Whose data a design was trained on.
 
     Attributes
@@ -61,8 +61,8 @@ class DesignRecipe(Frozen):
         Single settings of a job, as options of `deepfsi design` are.
     """
 
-    recognises: str
-    data: str
+    recognises: Words
+    data: Words
     rescale: tuple[float, float] | None = None
     split: str | None = None
     size: tuple[int, int] | None = None
@@ -95,12 +95,12 @@ class Collection(Frozen):
     ----------
     designs : dict of str to DesignRecipe
         By name.
-    data : dict of str to Origin
+    data : dict of str to DataTerms
         By the data of the designs.
     """
 
     designs: dict[Name, DesignRecipe] = Field(min_length=1)
-    data: dict[str, Origin]
+    data: dict[str, DataTerms]
 
     @model_validator(mode="after")
     def _sound(self) -> "Collection":
@@ -202,9 +202,9 @@ def _make(
     )
     content = design.to_bytes()
     sha256 = hashlib.sha256(content).hexdigest()
-    entry, origin = _entry(recipe, result, sha256), collection.data[recipe.data]
+    entry, terms = _entry(recipe, result, sha256), collection.data[recipe.data]
     command = f"{command} --only {name} -o FOLDER"
-    words = card(name, recipe, origin, data, design, result, sha256, command)
+    words = card(name, recipe, terms, data, design, result, sha256, command)
     write_atomically(folder / f"{name}.safetensors", content)
     write_atomically(folder / f"{name}.md", words.encode())
     index = _index(folder)  # as it is now: another process may have made another design

@@ -13,13 +13,13 @@ from deepfsi.design.training_data import trained_on
 from deepfsi.training.job import Job
 
 if TYPE_CHECKING:
-    from deepfsi.sweeps.collection import DesignRecipe, Origin
+    from deepfsi.sweeps.collection import DataTerms, DesignRecipe
 
 
 def card(
     name: str,
     recipe: "DesignRecipe",
-    origin: "Origin",
+    terms: "DataTerms",
     data: Dataset,
     design: AnyDesign,
     result: Result,
@@ -33,8 +33,8 @@ def card(
     name : str
     recipe : DesignRecipe
         What it was made of.
-    origin : Origin
-        Whose data they are.
+    terms : DataTerms
+        Of the data.
     data : Dataset
     design : Design or AdaptiveDesign
     result : Result
@@ -49,7 +49,7 @@ def card(
     return Template(template, undefined=StrictUndefined, keep_trailing_newline=True).render(
         name=name,
         recipe=recipe,
-        origin=origin,
+        terms=terms,
         classes=data.classes,
         camera=recipe.job.optics.words.replace("\n", "; "),
         masks=_masks(recipe.job),
