@@ -56,6 +56,8 @@ def say_stopped() -> None:
         kept = "; finished trials are kept, run again to go on" if resumes else ""
         if sys.argv[1:3] in (["camera", "live"], ["camera", "record"]):
             kept = "; finished scenes are kept"
+        if sys.argv[1:3] == ["designs", "make"]:
+            kept = "; finished designs are kept, run again to go on"
         print(f"deepfsi: stopped{kept}", file=sys.stderr)
 
 

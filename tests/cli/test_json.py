@@ -48,10 +48,10 @@ STEPS = {
 
 ELSEWHERE = {
     *("camera spots", "camera calibrate", "camera check", "camera import"),
-    *("camera transits", "mask"),
+    *("camera transits", "mask", "designs make", "designs list"),
 }
-"""Commands whose JSON is tested with calibrations, the reference target, other counters and
-scenes that pass."""
+"""Commands whose JSON is tested with calibrations, the reference target, other counters, scenes
+that pass and published designs."""
 
 
 def commands(group: typer.core.TyperGroup, before: str = "") -> dict[str, typer.core.TyperCommand]:

@@ -155,6 +155,19 @@ def read_recipe(path: Path) -> None:
     check_recipe(only(read_recipe(str(path))), lambda recipe: data)
 
 
+def read_index(path: Path) -> None:
+    from deepfsi.design.published import Index
+
+    Index.read(path.parent)
+
+
+def read_list(path: Path) -> None:
+    from deepfsi.sweeps.collection import Collection
+
+    for recipe in Collection.read(path).designs.values():
+        _ = recipe.job, recipe.hash
+
+
 def read_results(path: Path) -> None:
     from deepfsi.sweeps.results import read_results
 
@@ -230,6 +243,8 @@ READERS = {
     "report's design": Reader("out/designs/key.safetensors",
                               lambda path: build_report(path.parents[1] / "results.json"),
                               (changed_tensors,), 1),
+    "index": Reader("published/designs.json", read_index, (changed_json, mangled)),
+    "list of designs": Reader("designs.toml", read_list, (changed_toml, mangled)),
     "npz": Reader("data.npz", load_data, (changed_zip, changed_zip, mangled), 8),
     "zip": Reader("pictures.zip", load_small, (changed_zip, mangled), 5),
     "zip of images": Reader("pictures.zip", load_data, (changed_zip,), 2),
@@ -357,6 +372,16 @@ def _settings(folder: Path) -> None:
               "masks = [3, 4]", "trials = 2", "[camera]", "light = ['column', 'equal-dwell']",
               "[training]", "epochs = 1", "hidden = [8, 8]", "[exposure]", "looks = 1")  # fmt: skip
     (folder / "recipe.toml").write_text("\n".join(recipe))
+    wanted = ("[designs.one]", "recognises = 'it'", "data = 'digits'", "size = [8, 8]",
+              "[designs.one.settings]", "camera = 'dmd'", "photons = 1e4", "masks = 4",
+              "levels = 2", "hidden = [8]", "[data.digits]", "citation = 'a'",
+              "licence = 'b'")  # fmt: skip
+    (folder / "designs.toml").write_text("\n".join(wanted))
+    entry = {"sha256": "0" * 64, "recognises": "it", "data": "digits", "photons": 1e4,
+             "accuracy": 0.5, "low": 0.4, "high": 0.6, "recipe": "1" * 64}  # fmt: skip
+    (folder / "published").mkdir()
+    index = json.dumps({"schema_version": 1, "designs": {"one": entry}})
+    (folder / "published" / "designs.json").write_text(index)
     (folder / "out" / "designs").mkdir(parents=True)
     points = [a_point(photons=photons, masks=4) for photons in (1e2, 1e4)]
     written = json.dumps(some_results(points, data={"image_shape": (4, 4)}).as_dict())

@@ -14,6 +14,7 @@ from deepfsi.cli import (
     calibrations,
     camera,
     classify,
+    collection,
     common,
     data,
     dmd,
@@ -63,6 +64,7 @@ _HEADINGS: dict[str, tuple[Callable[..., None], ...]] = {
 for _heading, _commands in _HEADINGS.items():
     for _command in _commands:
         app.command(cls=SettingsCommand, rich_help_panel=_heading)(_command)
+app.add_typer(collection.app, name="designs", rich_help_panel="Design")
 app.add_typer(dmd.dmd, name="dmd", rich_help_panel="Camera")
 app.add_typer(camera.camera, name="camera", rich_help_panel="Camera")
 app.add_typer(data.app, name="data", rich_help_panel="Data")

@@ -73,7 +73,7 @@ def camera_classify(
 
     Example: deepfsi camera classify one-dmd.safetensors run_0001
     """
-    paths.check_design(file)
+    file = paths.check_design(file)
     options_of_tables = {
         "background": background, "settle": settle, "exposures": exposures, "gain": gain,
         "read-noise": read_noise, "repeats": None if repeats == 1 else repeats,

@@ -30,8 +30,7 @@ def export(
 
     Example: deepfsi export digits.safetensors -o digits.onnx
     """
-    paths.check_design(file)
-    target = out or file.with_suffix(".onnx")
+    target, file = out or file.with_suffix(".onnx"), paths.check_design(file)
     paths.check_file(target, (".onnx",), force)
     from deepfsi.design.onnx_graph import to_onnx
     from deepfsi.files import write_atomically

@@ -118,7 +118,7 @@ def evaluate(
 
     Example: deepfsi evaluate digits.safetensors --photons 1e2,1e3,1e4
     """
-    paths.check_design(file)
+    file = paths.check_design(file)
     common.check_data(data, view)
     from deepfsi.design.artifact import Design
     from deepfsi.design.evaluation import camera_for
@@ -200,7 +200,7 @@ def stop(
 
     Example: deepfsi stop nested.safetensors --photons 1e5
     """
-    paths.check_design(file)
+    file = paths.check_design(file)
     if out is not None:
         paths.check_file(out, paths.DESIGNS, force)
     common.check_data(data)
@@ -338,7 +338,7 @@ def show(
 
     Example: deepfsi show digits.safetensors -o masks.png
     """
-    paths.check_design(file)
+    file = paths.check_design(file)
     paths.check_file(out, paths.PICTURES, force)
     from deepfsi.design.adaptive.design import load_design
     from deepfsi.design.artifact import Design
@@ -412,7 +412,7 @@ def page(
 
     Example: deepfsi page digits.safetensors -o digits.html
     """
-    paths.check_design(file)
+    file = paths.check_design(file)
     paths.check_file(out, (".html",), force)
     common.check_data(data)
     from deepfsi.design.payload import check_playable, playable

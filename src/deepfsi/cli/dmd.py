@@ -98,10 +98,12 @@ def dmd_export(
     paths.check_new_folder(out)
     from deepfsi.devices import find_device
     from deepfsi.hardware.calibration.reference import write_reference
+    from deepfsi.hardware.calibration.scans import SCANS
     from deepfsi.hardware.patterns.folder import export_patterns
     from deepfsi.hardware.patterns.sequence import FrameSettings
     from deepfsi.laboratory.camera import camera_of, picture_time
 
+    file = file if str(file) in SCANS else paths.check_design(file)
     rails = _rails(file, size, detectors)
     known = camera_of(file, **settings)
     shown_by = (known.device or find_device("dlp7000")).timed(
@@ -148,7 +150,6 @@ def _rails(file: Path, size: str | None, detectors: int | None) -> "DesignRails"
                 f"--{option} is for {' and '.join(SCANS)}: {file} has the {own} of its design; "
                 "leave it out"
             )
-    paths.check_design(file)
     from deepfsi.laboratory.rails import design_rails
 
     return design_rails(file)

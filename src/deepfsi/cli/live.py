@@ -87,7 +87,7 @@ def camera_live(
         )
     if counter_config is not None:
         paths.check_there(counter_config, "counter configuration")
-    times = latencies_of(latency or [])
+    times, source = latencies_of(latency or []), paths.check_design(source)
     from deepfsi.hardware.drivers.protocols import StreamingProjector
     from deepfsi.hardware.drivers.vialux import VialuxLooks
     from deepfsi.laboratory.camera import camera_of, dead_time_of, exposure_of, flux_of
@@ -154,7 +154,6 @@ def _patterns(source: Path, as_json: bool) -> Iterator[Path]:
     if source.is_dir():
         yield source
         return
-    paths.check_design(source)
     from deepfsi.laboratory.rails import patterns_for_now
 
     with common.progress("patterns", as_json) as report, patterns_for_now(source, report) as made:

@@ -29,7 +29,7 @@ def mask(
     """
     from deepfsi.laboratory.static_pattern import ENDS, write_photomask
 
-    paths.check_design(file)
+    file = paths.check_design(file)
     paths.check_file(out, ENDS, force)
     pattern = write_photomask(file, out, pixel)
     rows, columns = pattern.shape

@@ -12,13 +12,16 @@ TABLES = (".csv", ".parquet")
 """Ends of the names of files."""
 
 
-def check_design(path: Path) -> None:
-    """Raise `InputError` unless there is a file, or a folder of patterns, at the path."""
-    if path.exists():
-        return
-    longer = path.with_name(f"{path.name}.safetensors")
-    advice = f"did you mean {longer}?" if longer.is_file() else "make one with `deepfsi design`"
-    raise InputError(f"no design file at {path}: {advice}")
+def check_design(path: Path) -> Path:
+    """Path of a design file, of a folder of patterns, or of a published design by its name."""
+    from deepfsi.design.published import find_design
+
+    found = find_design(path)
+    if not found.exists():
+        longer = path.with_name(f"{path.name}.safetensors")
+        advice = f"did you mean {longer}?" if longer.is_file() else "make one with `deepfsi design`"
+        raise InputError(f"no design file at {path}: {advice}")
+    return found
 
 
 def check_there(path: Path, what: str) -> None:

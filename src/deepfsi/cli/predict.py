@@ -39,7 +39,7 @@ def predict(
 
     Example: deepfsi predict digits.safetensors pictures/ --photons 1e4 -o classes.csv
     """
-    paths.check_design(file)
+    file = paths.check_design(file)
     paths.check_there(pictures, "a picture, or a folder of pictures")
     if out is not None:
         paths.check_file(out, (".csv",), force)

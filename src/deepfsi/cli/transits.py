@@ -41,7 +41,7 @@ def camera_transits(
 
     Example: deepfsi camera transits passing.safetensors photons.ptu --bin 100us
     """
-    paths.check_design(design)
+    design = paths.check_design(design)
     paths.check_there(file, "a .ptu file")
     if out is not None:
         paths.check_file(out, (".csv",), force)

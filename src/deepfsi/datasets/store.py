@@ -75,23 +75,29 @@ def _check_file(path: Path, known_hash: str) -> FileCheck:
 
 def retrieve(name: str, file: str, known_hash: str, mirrors: tuple[str, ...]) -> None:
     """Bring one file into the cache, unless it is there whole, from the first mirror that can."""
-    import pooch
-
-    pooch.get_logger().setLevel("WARNING")
     failures = []
     for mirror in mirrors:
-        try:
-            with terminal_bar(file) as report:
-                shown = _Download(report)
-                pooch.retrieve(mirror + file, known_hash, file, cache(name), progressbar=shown)
+        if not (reason := fetch(mirror + file, known_hash, cache(name) / file)):
             return
-        except (OSError, ValueError) as error:  # no connection, no such file; wrong hash
-            reason = "wrong hash" if isinstance(error, ValueError) else type(error).__name__
-            failures.append(f"{urlsplit(mirror).netloc} ({reason})")
+        failures.append(f"{urlsplit(mirror).netloc} ({reason})")
     raise InputError(
         f"{name}: cannot download {file} from {' or '.join(failures)}; try again, or put the "
         f"original files into a folder {name} and set DEEPFSI_DATA to the folder that holds it"
     )
+
+
+def fetch(url: str, known_hash: str | None, path: Path) -> str:
+    """Bring the file of an address to a path, unless it is there whole; say why it could not be."""
+    # The hash is "algorithm:hex"; without one the file may not be there yet
+    import pooch
+
+    pooch.get_logger().setLevel("WARNING")
+    try:
+        with terminal_bar(path.name) as report:
+            pooch.retrieve(url, known_hash, path.name, path.parent, progressbar=_Download(report))
+    except (OSError, ValueError) as error:  # no connection, no such file; wrong hash
+        return "wrong hash" if isinstance(error, ValueError) else type(error).__name__
+    return ""
 
 
 class _Download:

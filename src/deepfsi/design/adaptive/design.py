@@ -23,6 +23,7 @@ from deepfsi.design.artifact import Design
 from deepfsi.design.confidence import logits_at_stops, stops_of
 from deepfsi.design.evaluation import Answering, Guess, answering
 from deepfsi.design.file_content import SCHEMA, Info, damaged, is_adaptive, read_content
+from deepfsi.design.published import find_design
 from deepfsi.errors import as_input_error
 from deepfsi.files import DESIGNS, check_ending, write_atomically
 from deepfsi.optics.camera import Camera
@@ -255,11 +256,13 @@ def _check(header: _Header, arrays: Mapping[str, np.ndarray]) -> None:
 def load_design(
     path: str | os.PathLike[str], device: str | torch.device = "cpu", *, trust: bool = False
 ) -> AnyDesign:
-    """Read a design file, of masks that are known before or of adaptive ones.
+    """Read a design, of masks that are known before or of adaptive ones.
 
     Parameters
     ----------
     path : str or path
+        Design file; or the name of a published design, such as ``"dmd-mnist"``, in the folder or at
+        the address of the environment variable `DEEPFSI_DESIGNS` (`published.find_design`).
     device : str or torch.device
         Adaptive masks are computed on the processor.
     trust : bool
@@ -268,7 +271,8 @@ def load_design(
     Raises
     ------
     InputError
-        If the file is missing, damaged, truncated, not a design, or of a newer schema.
+        If the file is missing, damaged, truncated, not a design, or of a newer schema; if a
+        published design is unknown, out of reach, or has another hash than its index says.
 
     Examples
     --------
@@ -279,6 +283,7 @@ def load_design(
     ...     deepfsi.load_design(design.save(f"{folder}/d.safetensors")).masks
     6
     """
+    path = find_design(path)
     header, _ = read_content(path, ())
     if is_adaptive(header):
         return AdaptiveDesign.load(path)

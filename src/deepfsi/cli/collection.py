@@ -1,0 +1,88 @@
+"""Commands of published designs: make a collection, and list one."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from deepfsi.cli import common, options, paths
+from deepfsi.cli.groups import Group
+
+if TYPE_CHECKING:
+    from deepfsi.design.published import Published
+
+app = typer.Typer(
+    cls=Group,
+    invoke_without_command=True,
+    callback=common.help_if_bare,
+    help="Published designs, which go by a name: make a collection of them, list one.\n\n"
+    "Example: deepfsi designs make --only dmd-mnist -o published",
+)
+
+
+@app.command("make")
+def designs_make(
+    out: options.Folder,
+    source: Annotated[
+        Path | None,
+        typer.Argument(metavar="[LIST]", help="your own list, TOML; the package's unless given"),
+    ] = None,
+    only: Annotated[
+        str | None, typer.Option(help="names, separated by commas; all unless given")
+    ] = None,
+    as_json: options.Json = False,
+) -> None:
+    """Train, test and write the designs of a list, each with a card, and their index.
+
+    Designs that are in the folder already are left. Ctrl-C keeps those that are finished, and the
+    same command goes on.
+
+    Example: deepfsi designs make -o published
+    """
+    paths.check_folder(out)
+    from deepfsi.sweeps.collection import Collection, make
+
+    collection, made = Collection.read(source), {}
+    command = "deepfsi designs make" + (f" {source.name}" if source else "")
+    for one in make(
+        collection, out, options.words(only), command, lambda name: common.progress(name, as_json)
+    ):
+        made[one.name] = one.entry
+        if not as_json:
+            print(f"{one.name}: {'there already, ' * one.there}{_told(one.entry)}", flush=True)
+    if as_json:
+        common.print_json("designs.make", {"folder": str(out), "designs": _json(made)})
+        return
+    print(f'open one with DEEPFSI_DESIGNS={out} and its name, as deepfsi.load_design("{one.name}")')
+
+
+@app.command("list")
+def designs_list(as_json: options.Json = False) -> None:
+    """List the collection in the folder, or at the address, that DEEPFSI_DESIGNS names.
+
+    Example: deepfsi designs list
+    """
+    from deepfsi.design.published import read_index
+
+    where, designs = read_index()
+    if as_json:
+        common.print_json("designs.list", {"where": where, "designs": _json(designs)})
+        return
+    heads = ("name", "recognises", "photons", "accuracy")
+    rows = [
+        (name, each.recognises, common.budget(each.photons), _share(each))
+        for name, each in designs.items()
+    ]
+    common.print_table(where, heads, rows)
+
+
+def _told(entry: "Published") -> str:
+    return f"test accuracy {_share(entry)} at {common.budget(entry.photons)} photons"
+
+
+def _share(entry: "Published") -> str:
+    return common.share(entry.accuracy, entry.low, entry.high)
+
+
+def _json(designs: "dict[str, Published]") -> dict[str, dict[str, object]]:
+    return {name: entry.model_dump() for name, entry in designs.items()}

@@ -1,0 +1,183 @@
+"""Published designs: design files of a collection, opened by their names.
+
+A collection is a folder, or an address that serves one: files NAME.safetensors, a card NAME.md of
+each, and `designs.json`, which holds the hash of each file. No torch.
+"""
+
+import os
+import re
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Annotated, Literal
+from urllib.parse import urlsplit
+from urllib.request import url2pathname
+
+from pydantic import Field
+
+from deepfsi.errors import InputError, as_input_error, closest
+from deepfsi.files import hash_file, read_regular
+from deepfsi.frozen import Frozen
+
+VARIABLE = "DEEPFSI_DESIGNS"
+"""Environment variable: folder or address of a collection."""
+
+INDEX = "designs.json"
+"""Name of the index of a collection."""
+
+LARGEST_INDEX = 2**20
+"""Bytes of an index at most."""
+
+NAME = r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}"
+"""Names of published designs."""
+
+Name = Annotated[str, Field(pattern=f"^{NAME}$")]
+Hash = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
+Words = Annotated[str, Field(max_length=200, pattern="^[^\x00-\x1f\x7f-\x9f]*$")]
+Share = Annotated[float, Field(ge=0, le=1)]
+
+
+class Published(Frozen):
+    """A published design, as an index tells it.
+
+    Attributes
+    ----------
+    sha256 : str
+        Of the file NAME.safetensors, in hex.
+    recognises : str
+        What it tells apart, in words.
+    data : str
+        Data set that it was trained on.
+    photons : float
+        Budget Φ of its training.
+    accuracy, low, high : float
+        On the test scenes at that budget, with its 95 % interval, which the card explains.
+    recipe : str
+        SHA-256 of the settings that it was made with.
+    """
+
+    sha256: Hash
+    recognises: Words
+    data: Words
+    photons: Annotated[float, Field(gt=0, allow_inf_nan=False)]
+    accuracy: Share
+    low: Share
+    high: Share
+    recipe: Hash
+
+
+class Index(Frozen):
+    """Index of a collection, the file `designs.json`.
+
+    Attributes
+    ----------
+    schema_version : int
+        Version of the format.
+    designs : dict of str to Published
+        By name.
+    """
+
+    schema_version: Literal[1] = 1
+    designs: dict[Name, Published] = Field({})
+
+    @classmethod
+    def read(cls, folder: Path) -> "Index":
+        """Index in a folder."""
+        path = folder / INDEX
+        content = read_regular(path, LARGEST_INDEX, "give the folder of a collection of designs")
+        with as_input_error(str(path), "make the collection again"):
+            return cls.model_validate_json(content)
+
+
+def find_design(given: str | os.PathLike[str]) -> Path:
+    """Path of a design file: the one that was given, or that of a published design by its name.
+
+    A name has no ending and no separator, and nothing is at that path. It is looked for in the
+    folder or at the address that the environment variable `DEEPFSI_DESIGNS` gives (`http`, `https`,
+    `file`). Files of an address are kept in the user's cache.
+
+    Parameters
+    ----------
+    given : str or path
+
+    Raises
+    ------
+    InputError
+        If the variable is not set, no such name is in the collection, it cannot be reached, or the
+        file's hash is not that of the index.
+    """
+    name, path = os.fspath(given), Path(given)
+    if path.exists() or not re.fullmatch(NAME, name):
+        return path
+    if (longer := path.with_name(f"{name}.safetensors")).is_file():
+        raise InputError(f"no design file at {name}: did you mean {longer}?")
+    where, designs = read_index(f"no design file at {name}: make one with `deepfsi design`, or")
+    if name not in designs:
+        raise InputError(
+            f"no file and no published design '{name}' in the collection at {where}: "
+            f"{closest(name, designs) if designs else 'it is empty'}"
+        )
+    folder, sha256 = _folder(where), designs[name].sha256
+    if folder is None:
+        return _from_address(name, sha256, where)
+    path = folder / f"{name}.safetensors"
+    if hash_file(path) != sha256:
+        raise InputError(
+            f"{path} is not the file that {INDEX} beside it names (wrong sha256), changed or "
+            "damaged: copy the original, or make it again with `deepfsi designs make`"
+        )
+    return path
+
+
+def read_index(unset: str = "no collection is known:") -> tuple[str, dict[str, Published]]:
+    """Folder or address of the collection, and its designs by name.
+
+    Parameters
+    ----------
+    unset : str
+        Beginning of the error where the variable is not set.
+    """
+    where = os.environ.get(VARIABLE, "").rstrip("/")
+    if not where:
+        raise InputError(
+            f"{unset} set {VARIABLE} to the folder or address of a collection of published designs"
+        )
+    folder = _folder(where)
+    if folder is not None:
+        return where, Index.read(folder).designs
+    from deepfsi.datasets.store import fetch
+
+    with TemporaryDirectory() as there:
+        _check_fetched(f"{where}/{INDEX}", fetch(f"{where}/{INDEX}", None, Path(there, INDEX)))
+        return where, Index.read(Path(there)).designs
+
+
+def _folder(where: str) -> Path | None:
+    """Folder of a collection; None at an address of the web."""
+    if "://" not in where:
+        return Path(where).expanduser()
+    scheme, _, path, *_ = urlsplit(where)
+    if scheme == "file":
+        return Path(url2pathname(path))
+    if scheme not in ("http", "https"):
+        raise InputError(
+            f"{VARIABLE} is '{where}': give a folder, or an address of http, https or file"
+        )
+    return None
+
+
+def _from_address(name: str, sha256: str, address: str) -> Path:
+    """A published design in the cache, downloaded unless it is there whole."""
+    from deepfsi.datasets.store import cache, fetch
+
+    path = cache("designs") / f"{name}-{sha256[:12]}.safetensors"
+    url = f"{address}/{name}.safetensors"
+    _check_fetched(url, fetch(url, f"sha256:{sha256}", path))
+    return path
+
+
+def _check_fetched(url: str, failure: str) -> None:
+    if failure:
+        raise InputError(
+            f"cannot download {url} ({failure}), and nothing of it was kept: try again, or set "
+            f"{VARIABLE} to another address or to a folder"
+        )
