@@ -187,7 +187,7 @@ def _values(
         raise InputError(f"{name}: names of classes go with labels; y is of floats, give `values`")
     parts = [given] if test is None else [given, test]
     found = []
-    for part, count, what in zip(parts, scenes, (f"{name}: y", f"{name}: y_test"), strict=True):
+    for part, count, what in zip(parts, scenes, (f"{name}: y", f"{name}: y_test"), strict=False):
         y = np.asarray(part, dtype=np.float32)
         y = y[:, None] if y.ndim == 1 else y
         if y.ndim != 2 or len(y) != count or not np.isfinite(y).all():

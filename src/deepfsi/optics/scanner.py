@@ -178,7 +178,7 @@ class Scanner(nn.Module):
             return self._own.variance(rates)
         shown, time = self._shown(rates)
         every = variance(rates, shown, self.noise, self.sigma, self.dark * time)
-        return torch.where(shown, every, 0.0)
+        return torch.where(shown, every, 0.0).expand_as(rates)
 
     def _shown(self, rates: Tensor) -> tuple[Tensor, Tensor]:
         """Which rails are not dark by construction, and their share of the exposure."""
