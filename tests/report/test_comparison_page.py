@@ -332,7 +332,7 @@ def test_same_results_make_the_same_page(tmp_path):
         (None, "no results in"),
         ("{", r"cannot be used: .*; run the comparison again"),
         ("[]", r"cannot be used: .*; run the comparison again"),
-        ({"schema": 5, "points": []}, "upgrade deepfsi"),
+        ({"schema": 6, "points": []}, "upgrade deepfsi"),
         ({"schema": 1, "points": []}, "this version; run the comparison again"),
         ({"points": []}, "no finished point"),
         ({"points": [{}]}, r"at points\.0\.trained_under"),
@@ -369,7 +369,7 @@ def test_report_needs_no_torch(tmp_path):
 @words_alone
 def test_equal_designs_are_all_named_and_bold_and_those_of_one_class_are_marked(tmp_path):
     results = make_results(tmp_path, designs=("pca", "deepfsi", "truncated-hadamard"))
-    data = results.data.model_copy(update={"commonest": 0.891})
+    data = results.data.model_copy(update={"chance": 0.891})
     equal = with_all(results, accuracy=0.891, low=0.8, high=0.95, one_class=True)
     equal = equal.model_copy(update={"data": data})
     text = summary(equal, "poisson")

@@ -78,7 +78,7 @@ def some_results(
         "train": 1000,
         "validation": 200,
         "test": 360,
-        "commonest": 0.1,
+        "chance": 0.1,
         "preprocessing": "x / 16",
         "mean_reflectance": 0.42,
     }

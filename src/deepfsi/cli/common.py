@@ -163,6 +163,11 @@ def share(mean: float, low: float, high: float) -> str:
     return f"{mean:.3f} ± {(high - low) / 2:.3f}"
 
 
+def error(rmse: float, bound: float | None) -> str:
+    """A root mean squared error, and in brackets a bound where there is one: 0.052 (0.071)."""
+    return f"{rmse:.3g}" if bound is None else f"{rmse:.3g} ({bound:.3g})"
+
+
 def short(name: str, width: int = NAME_WIDTH) -> str:
     """Beginning of a long name, for a table."""
     return name if len(name) <= width else f"{name[: width - 1]}…"

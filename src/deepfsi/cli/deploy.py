@@ -89,7 +89,7 @@ def plan(
     from deepfsi.sweeps.workers import Workers
 
     accuracy = options.number("target", target)
-    fields = options.recipe_fields(data, size, skip_bad, designs, ratios, trials)
+    fields = options.recipe_fields(data, size, skip_bad, None, designs, ratios, trials)
     recipe, scenes = check_recipe(options.recipe_settings(settings, fields, PLANNED))
     options.check_sigma(settings, recipe.noises)
     check_plan(recipe, scenes, accuracy)

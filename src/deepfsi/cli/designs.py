@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from contextlib import suppress
+from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
 
     from deepfsi.datasets import Dataset
     from deepfsi.design.adaptive.design import AdaptiveDesign, AnyDesign
+    from deepfsi.design.estimation import Estimates
     from deepfsi.design.evaluation import Result
     from deepfsi.design.stopping import Stopped
     from deepfsi.training.job import Job
@@ -29,6 +31,7 @@ def design(
     data: options.Data = "digits",
     size: options.Size = None,
     skip_bad: options.SkipBad = False,
+    normal: options.Normal = None,
     hold_out: Annotated[
         int,
         typer.Option(
@@ -54,7 +57,7 @@ def design(
     own = common.read_matrix(matrix)
     counts = settings.pop("counts", None)
     counted = None if counts is None else options.number("counts", counts)
-    scenes = common.load(data, options.size_of(size), view, skip_bad=skip_bad)
+    scenes = common.load(data, options.size_of(size), view, skip_bad=skip_bad, normal=normal)
     asked = options.job_settings(settings, scenes, own)
     job = find_job(asked, counted)
     options.check_sigma(settings, (job.camera.noise_name, job.noise))
@@ -79,13 +82,35 @@ def design(
     for result in results:
         print(
             f"{made.name} with {common.size(made)} at {common.budget(result.photons)} photons: "
-            f"test accuracy {common.share(result.accuracy, result.low, result.high)}, "
+            f"{_score(result)}, "
             f"{common.budget(result.counts)} counts (a share of {result.throughput:.3f})\n"
-            f"balanced accuracy "
-            f"{common.share(result.balanced, result.balanced_low, result.balanced_high)}, "
-            f"worst class {_worst(result, made.classes)}"
+            f"{_details(result, made.classes)}"
         )
     print(f"saved: {out}")
+
+
+def _score(result: "Result | Estimates") -> str:
+    """Test accuracy, area under the ROC curve of two classes, or R² of values."""
+    from deepfsi.design.estimation import Estimates
+
+    if isinstance(result, Estimates):
+        return f"R² {common.share(result.r2, result.low, result.high)}"
+    return f"test accuracy {common.share(result.accuracy, result.low, result.high)}"
+
+
+def _details(result: "Result | Estimates", classes: Sequence[str]) -> str:
+    """What a test says of each class, or of each value."""
+    from deepfsi.design.estimation import Estimates
+
+    if isinstance(result, Estimates):
+        errors = (common.error(*each) for each in zip_longest(result.rmse, result.bound or ()))
+        told = ", ".join(map(" ".join, zip(result.values, errors, strict=True)))
+        return f"root mean squared error (of the best linear estimator): {told}"
+    balanced = common.share(result.balanced, result.balanced_low, result.balanced_high)
+    words = f"balanced accuracy {balanced}, worst class {_worst(result, classes)}"
+    if result.auc is None:
+        return words
+    return f"{words}, AUC {common.share(result.auc, result.auc_low or 0, result.auc_high or 1)}"
 
 
 def evaluate(
@@ -162,7 +187,10 @@ def evaluate(
         common.print_json("evaluate", said)
         return
     common.print_data(scenes, notes)
-    _print_results(made, camera.noise_name, results, bounds)
+    if made.values:
+        _print_estimates(made, camera.noise_name, results)
+    else:
+        _print_results(made, camera.noise_name, results, bounds)
 
 
 def stop(
@@ -250,10 +278,12 @@ def _check_same(file: Path, job: "Job", data: "Dataset", matrix: "np.ndarray | N
 def _print_results(
     made: "AnyDesign", noise: str, results: "list[Result]", bounds: "list[Result]"
 ) -> None:
+    two = results[0].auc is not None
     rows = [
         (
             common.budget(r.photons),
             common.share(r.accuracy, r.low, r.high),
+            *([common.share(r.auc or 0, r.auc_low or 0, r.auc_high or 1)] if two else []),
             f"{r.balanced:.3f}",
             _worst(r, made.classes),
             common.budget(r.counts),
@@ -262,7 +292,8 @@ def _print_results(
         )
         for r in sorted(results, key=lambda r: r.photons)
     ]
-    heads = ("photons", "accuracy", "balanced", "worst class", "counts", "counted", "ECE")
+    answers = ("accuracy", *(["AUC"] if two else []), "balanced", "worst class")
+    heads = ("photons", *answers, "counts", "counted", "ECE")
     common.print_table(f"{made.name}, {common.size(made)}, {noise} noise", heads, rows)
     for result in sorted(results, key=lambda r: r.photons):
         _print_confusion(result, made.classes)
@@ -275,10 +306,31 @@ def _print_results(
                 for r in sorted(bounds, key=lambda r: r.photons)
             ],
         )
-    print(f"± half of the 95 % interval: {results[0].covers}")
+    _print_covered(results[0].covers)
+    print("ECE: expected calibration error, between probabilities and how often they are right")
+
+
+def _print_estimates(made: "AnyDesign", noise: str, results: "list[Estimates]") -> None:
+    rows = [
+        (
+            common.budget(r.photons),
+            common.share(r.r2, r.low, r.high),
+            *(common.error(*each) for each in zip_longest(r.rmse, r.bound or ())),
+            common.budget(r.counts),
+            f"{r.throughput:.3f}",
+        )
+        for r in sorted(results, key=lambda r: r.photons)
+    ]
+    heads = ("photons", "R²", *map(common.short, results[0].values), "counts", "counted")
+    common.print_table(f"{made.name}, {common.size(made)}, {noise} noise", heads, rows)
+    print("of each value: root mean squared error (that of the best linear estimator)")
+    _print_covered(results[0].covers)
+
+
+def _print_covered(covers: str) -> None:
+    print(f"± half of the 95 % interval: {covers}")
     print("counts: photons that detectors count, in the mean over test scenes")
     print("counted: share of the budget that they count, in the mean over training scenes")
-    print("ECE: expected calibration error, between probabilities and how often they are right")
 
 
 def _print_confusion(result: "Result", classes: Sequence[str]) -> None:

@@ -37,6 +37,10 @@ Size = Annotated[
 SkipBad = Annotated[
     bool, typer.Option("--skip-bad", help="leave pictures that cannot be read out, and name them")
 ]
+Normal = Annotated[
+    str | None,
+    typer.Option(help="class to be told from anomalies, which are made of its scenes"),
+]
 View = Annotated[
     Path | None,
     typer.Option(
@@ -335,6 +339,7 @@ def recipe_fields(
     data: str | None,
     size: str | None,
     skip_bad: bool,
+    normal: str | None,
     designs: str | None,
     ratios: str | None,
     trials: int | None,
@@ -344,6 +349,7 @@ def recipe_fields(
         "data": data,
         "size": size_of(size),
         "skip_bad": skip_bad or None,
+        "normal": normal,
         "designs": words(designs),
         "ratios": numbers("ratios", ratios),
         "trials": trials,

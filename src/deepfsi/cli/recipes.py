@@ -45,7 +45,7 @@ def check_recipe(
     from deepfsi.sweeps import recipe_check
 
     def load(recipe: "Recipe") -> "Dataset":
-        told = {name: getattr(recipe, name) for name in ("split", "images", "skip_bad")}
+        told = {name: getattr(recipe, name) for name in ("split", "images", "skip_bad", "normal")}
         return common.load(recipe.data, recipe.size, **told)
 
     return recipe_check.check_recipe(settings, load, matrix)

@@ -1,5 +1,6 @@
 """Commands that train many designs: compare, sweep, reproduce, report."""
 
+from itertools import zip_longest
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Annotated, Any
@@ -26,6 +27,7 @@ def compare(
     data: options.Data = "digits",
     size: options.Size = None,
     skip_bad: options.SkipBad = False,
+    normal: options.Normal = None,
     designs: options.Designs = None,
     ratios: options.Ratios = None,
     trials: options.Trials = None,
@@ -40,6 +42,8 @@ def compare(
     as_json: options.Json = False,
 ) -> None:
     """Train every design at every photon budget, and report the accuracy of each.
+
+    Of data with values (an .npz whose y are floats) R², of --normal the area under the ROC curve.
 
     The mask count of each design is chosen on validation data, and the test set is read once. A
     stopped comparison goes on where it was when run again with the same output folder.
@@ -65,7 +69,7 @@ def compare(
         if data == "digits" and not (ratios or trials or "masks" in settings):
             base |= QUICK
     fields = options.recipe_fields(
-        data if data != "digits" else None, size, skip_bad, designs, ratios, trials
+        data if data != "digits" else None, size, skip_bad, normal, designs, ratios, trials
     )
     chosen = check_recipe(options.recipe_settings(settings, fields, base), own)
     options.check_sigma(settings, (*chosen[0].noises, *chosen[0].test_noise))
@@ -322,6 +326,7 @@ def _axis(name: str, point: "Point") -> str:
 
 def _print_points(results: "Results") -> None:
     from deepfsi.report.accuracy import series_axes
+    from deepfsi.report.measures import WORDS
 
     best = [point for point in results.points if point.best]
     apart = [axis for axis in series_axes(results) if axis not in ("design", "masks")]
@@ -340,30 +345,53 @@ def _print_points(results: "Results") -> None:
         )
         for p in best
     ]
-    heads = ("design", "photons", "masks", "accuracy", "counts", *apart_heads)
+    measure = WORDS[results.data.measure]
+    heads = ("design", "photons", "masks", measure.name, "counts", *apart_heads)
     common.print_table(results.title, heads, rows)
-    width = common.NAME_WIDTH if len(axes) < CROWDED else CROWDED_WIDTH
-    common.print_table(
-        "each class counting alike",
-        ("design", "photons", "balanced", "worst class", *apart_heads),
-        [
-            (
-                *(p.label, common.budget(p.photons)),
-                common.share(p.balanced, p.balanced_low, p.balanced_high),
-                common.worst_class(p.worst, results.data.classes[p.worst_class], width),
-                *(_axis(axis, p) for axis in axes),
-            )
-            for p in best
-        ],
-    )
+    part = _value_by_value if results.data.values else _class_by_class
+    part(results, best, axes, apart_heads)
     common.print_designs(p.design for p in best)
     for p in best:
         if p.one_class:
             print(f"{p.label} at {common.budget(p.photons)} photons answers one class only")
-    print(f"chance: {results.data.commonest:.3f}, the share of the commonest class of the test")
+    print(f"chance: {results.data.chance:.3f}, {measure.guessing}")
     print("± half of the 95 % interval: " + "; ".join(dict.fromkeys(p.covers for p in best)))
-    print("balanced: mean of the classes' accuracies, each class counting alike")
     print("counts: photons that detectors count, in the mean over test scenes")
     if results.had_choice:
-        measure = " by balanced accuracy" if results.chosen_by == "balanced" else ""
-        print(f"mask counts were chosen on validation data{measure}; the table is of test data")
+        by = " by balanced accuracy" if results.chosen_by == "balanced" else ""
+        print(f"mask counts were chosen on validation data{by}; the table is of test data")
+
+
+def _class_by_class(
+    results: "Results", best: "list[Point]", axes: list[str], heads: list[str]
+) -> None:
+    """Print the accuracies of points in which each class counts alike."""
+    width = common.NAME_WIDTH if len(axes) < CROWDED else CROWDED_WIDTH
+    rows = [
+        (
+            *(p.label, common.budget(p.photons)),
+            common.share(p.balanced or 0.0, p.balanced_low or 0.0, p.balanced_high or 0.0),
+            common.worst_class(p.worst, results.data.classes[p.worst_class], width),
+            *(_axis(axis, p) for axis in axes),
+        )
+        for p in best
+    ]
+    columns = ("design", "photons", "balanced", "worst class", *heads)
+    common.print_table("each class counting alike", columns, rows)
+    print("balanced: mean of the classes' accuracies, each class counting alike")
+
+
+def _value_by_value(
+    results: "Results", best: "list[Point]", axes: list[str], heads: list[str]
+) -> None:
+    """Print the errors of each value, beside those of the best linear estimator."""
+    rows = [
+        (
+            *(p.label, common.budget(p.photons)),
+            *(common.error(e, b) for e, b in zip_longest(p.rmse, p.bound)),
+            *(_axis(axis, p) for axis in axes),
+        )
+        for p in best
+    ]
+    columns = ("design", "photons", *map(common.short, results.data.values), *heads)
+    common.print_table("root mean squared error (best linear estimator)", columns, rows)

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from deepfsi.datasets.dataset import Dataset, Labels, Reflectance
+from deepfsi.datasets.dataset import Dataset, Labels, Reflectance, Truth
 from deepfsi.datasets.values import Values, grey, measure, reflectance
 from deepfsi.errors import InputError
 from deepfsi.memory import check_memory, free_memory
@@ -16,7 +16,7 @@ from deepfsi.tables.array_files import read_npz
 
 Range: TypeAlias = tuple[float, float]
 Scenes: TypeAlias = tuple[npt.ArrayLike, npt.ArrayLike]
-"""Scenes (n, H, W), (n, H, W, 3) or (n, N), and their labels (n,)."""
+"""Scenes (n, H, W), (n, H, W, 3) or (n, N), and their labels (n,) or values (n, q)."""
 
 
 class Options(NamedTuple):
@@ -29,6 +29,7 @@ class Options(NamedTuple):
     split: str | None
     white: float | None
     skip_bad: bool = False
+    normal: str | None = None
 
 
 SPLIT_MINIMUM = 5
@@ -48,11 +49,15 @@ def from_arrays(
     y_test: npt.ArrayLike | None = None,
     *,
     classes: Sequence[str] | None = None,
+    values: Sequence[str] | None = None,
     name: str = "arrays",
     seed: int = 0,
     rescale: Range | None = None,
 ) -> Dataset:
     """Make a data set of arrays in memory. The training scenes are shuffled with the seed.
+
+    Integers and strings are classes. Floats are values, such as a position or an abundance, which a
+    design then learns to estimate.
 
     Parameters
     ----------
@@ -60,12 +65,16 @@ def from_arrays(
         Scenes. Floats are reflectance in [0, 1], truth values 0 and 1; uint8 is divided by 255,
         other integers by the white of their depth, as `deepfsi.datasets.values` says. Colours
         are turned to grey.
-    y : array, shape (n,)
-        Labels, integers or strings. Their sorted values become the classes 0 .. C-1.
+    y : array, shape (n,) or (n, q)
+        Labels (n,), integers or strings, whose sorted values become the classes 0 .. C-1. Or
+        floats, q values of each scene in units of your own.
     x_test, y_test : array, optional
-        The test part, kept in its order. Without it, a stratified fifth is drawn with the seed.
+        The test part, kept in its order. Without it, a fifth is drawn with the seed, of each class
+        its share.
     classes : sequence of str, optional
         Class names. Integer labels then count into them from 0; string labels are among them.
+    values : sequence of str, optional
+        Names of the q values; value 1, value 2, … unless given.
     name : str
         Name of the data set in tables and records.
     seed : int
@@ -89,50 +98,117 @@ def from_arrays(
     >>> data = deepfsi.from_arrays(x, y)
     >>> data.classes, data.x_train.shape, data.x_test.shape
     (('bright', 'dark'), (16, 2), (4, 2))
+    >>> deepfsi.from_arrays(x, [0.1, 0.8] * 10, values=["left pixel"]).values
+    ('left pixel',)
     """
-    test = x_test, y_test
-    return split_arrays((x, y), test, classes=classes, name=name, seed=seed, rescale=rescale)
+    names = Names(classes, values)
+    return split_arrays(
+        (x, y), (x_test, y_test), names=names, name=name, seed=seed, rescale=rescale
+    )
+
+
+class Names(NamedTuple):
+    """Names of classes or of values, where they are given."""
+
+    classes: Sequence[str] | None = None
+    values: Sequence[str] | None = None
+
+
+NO_NAMES = Names()
 
 
 def split_arrays(
     train: Scenes,
     test: Sequence[npt.ArrayLike | None] = (None, None),
     *,
-    classes: Sequence[str] | None = None,
+    names: Names = NO_NAMES,
     name: str,
     seed: int,
     rescale: Range | None,
-    values: str | None = None,
+    described: str | None = None,
     white: float | None = None,
 ) -> Dataset:
-    """`from_arrays` with a description of the values, for `Dataset.preprocessing`."""
+    """`from_arrays` with a description of the scenes, for `Dataset.preprocessing`."""
     # Parameters as of `from_arrays` and `load_dataset`; without a test part, it is drawn from the
-    # training part, and without a description the values are described as they are
+    # training part, and without a description the scenes are described as they are
     check_seed(seed)
     x_test, y_test = test
     if (x_test is None) != (y_test is None):
         raise InputError(f"{name}: only one of x_test and y_test is there; give both or neither")
     given = [train[0]] if x_test is None else [train[0], x_test]
-    scenes, described, white = _scenes(given, name, white)
-    x, y = scenes[0], _labels(train[1], len(scenes[0]), f"{name}: y")
-    names, numbers = _classes(y, classes, name)
-    labels = _class_numbers(y, numbers, f"{name}: y")
-    _check_counts(labels, names, name, drawn=y_test is None)
-    if y_test is None:
+    scenes, words, white = _scenes(given, name, white)
+    found = _values if np.asarray(train[1]).dtype.kind == "f" else _classes
+    y, tested, called = found(train[1], y_test, names, [len(part) for part in scenes], name)
+    if tested is None:
         from sklearn.model_selection import train_test_split
 
         order, drawn = train_test_split(
-            np.arange(len(labels)), test_size=0.2, stratify=labels, random_state=seed
+            np.arange(len(y)),
+            test_size=0.2,
+            stratify=y if "classes" in called else None,
+            random_state=seed,
         )
-        tested = x[drawn], labels[drawn]
+        held = scenes[0][drawn], y[drawn]
     else:
-        order = np.random.default_rng(seed).permutation(len(labels))
-        known = _labels(y_test, len(scenes[1]), f"{name}: y_test")
-        tested = scenes[1], _class_numbers(known, numbers, f"{name}: y_test")
-    trained = x[order], labels[order]
-    said = values or described
-    data = assemble(name, trained, tested, classes=names, values=said, rescale=rescale)
+        order = np.random.default_rng(seed).permutation(len(y))
+        held = scenes[1], tested
+    trained = scenes[0][order], y[order]
+    said = described or words
+    data = assemble(name, trained, held, described=said, rescale=rescale, **called)
     return replace(data, white=white)
+
+
+Answers: TypeAlias = tuple[Truth, Truth | None, dict[str, Any]]
+"""Classes (n,) or values (n, q) of the training and the test part, and their names."""
+
+
+def _classes(
+    given: npt.ArrayLike, test: npt.ArrayLike | None, names: Names, scenes: list[int], name: str
+) -> Answers:
+    """Class numbers of labels, which are integers or strings."""
+    y = _labels(given, scenes[0], f"{name}: y")
+    if names.values is not None:
+        raise InputError(f"{name}: names of values go with y of floats; give `classes`, or floats")
+    called, numbers = _class_names(y, names.classes, name)
+    labels = _class_numbers(y, numbers, f"{name}: y")
+    _check_counts(labels, called, name, drawn=test is None)
+    tested = None
+    if test is not None:
+        known = _labels(test, scenes[1], f"{name}: y_test")
+        tested = _class_numbers(known, numbers, f"{name}: y_test")
+    return labels, tested, {"classes": called}
+
+
+def _values(
+    given: npt.ArrayLike, test: npt.ArrayLike | None, names: Names, scenes: list[int], name: str
+) -> Answers:
+    """Values of scenes, which are floats."""
+    if names.classes is not None:
+        raise InputError(f"{name}: names of classes go with labels; y is of floats, give `values`")
+    parts = [given] if test is None else [given, test]
+    found = []
+    for part, count, what in zip(parts, scenes, (f"{name}: y", f"{name}: y_test"), strict=False):
+        y = np.asarray(part, dtype=np.float32)
+        y = y[:, None] if y.ndim == 1 else y
+        if y.ndim != 2 or len(y) != count or not np.isfinite(y).all():
+            raise InputError(
+                f"{what} of shape {np.shape(part)} for {count} scenes; give (scenes,) or "
+                "(scenes, values) finite numbers"
+            )
+        found.append(y)
+    count = found[0].shape[1]
+    called = tuple(names.values or (f"value {k + 1}" for k in range(count)))
+    if len(set(called)) != count or any(y.shape[1] != count for y in found):
+        raise InputError(
+            f"{name}: {count} values of a training scene, {found[-1].shape[1]} of a test scene, "
+            f"named {', '.join(called)}; give each value one name of its own, in both parts"
+        )
+    if len(found[0]) < SPLIT_MINIMUM or not (np.ptp(found[0], axis=0) > 0).all():
+        raise InputError(
+            f"{name}: a value is the same of all training scenes, or they are fewer than "
+            f"{SPLIT_MINIMUM}; give values that differ"
+        )
+    return found[0], found[1] if test is not None else None, {"values": called}
 
 
 def _check_counts(labels: Labels, names: tuple[str, ...], name: str, drawn: bool) -> None:
@@ -200,11 +276,14 @@ def _labels(given: npt.ArrayLike, scenes: int, what: str) -> npt.NDArray[Any]:
             f"{what} has shape {labels.shape} for {scenes} scenes; give one label for each"
         )
     if labels.dtype.kind not in "iuU":
-        raise InputError(f"{what} is {labels.dtype}; give labels that are integers or strings")
+        raise InputError(
+            f"{what} is {labels.dtype}; give labels that are integers or strings, or values that "
+            "are floats"
+        )
     return labels
 
 
-def _classes(
+def _class_names(
     labels: npt.NDArray[Any], classes: Sequence[str] | None, name: str
 ) -> tuple[tuple[str, ...], dict[int | str, int]]:
     """Class names, and the class number of each label."""
@@ -231,17 +310,18 @@ def _class_numbers(labels: npt.NDArray[Any], numbers: dict[int | str, int], what
 
 def assemble(
     name: str,
-    train: tuple[Reflectance, Labels],
-    test: tuple[Reflectance, Labels],
+    train: tuple[Reflectance, Truth],
+    test: tuple[Reflectance, Truth],
     *,
-    classes: tuple[str, ...],
-    values: str,
+    described: str,
     rescale: Range | None,
+    classes: tuple[str, ...] = (),
+    values: tuple[str, ...] = (),
     wavelengths: npt.NDArray[np.float64] | None = None,
 ) -> Dataset:
     """Data set of scenes that are ready but for rescaling, which is done in place."""
     # Parameters as of `split_arrays` and `Dataset`; each part is reflectance, (n, H, W) or (n, N),
-    # and classes, (n,)
+    # and classes, (n,), or values, (n, q)
     low, high = (0.0, 1.0) if rescale is None else rescale
     if not 0 <= low < high <= 1:
         raise InputError(f"rescale ({low}, {high}): give low and high with 0 <= low < high <= 1")
@@ -260,7 +340,9 @@ def assemble(
         y_test=test[1],
         image_shape=train[0].shape[1:],
         classes=classes,
-        preprocessing=f"{values}{mapped}.",
+        values=values,
+        measure="R²" if values else "accuracy",
+        preprocessing=f"{described}{mapped}.",
         wavelengths=wavelengths,
     )
 
@@ -287,14 +369,16 @@ def draw_stratified(
 def load_npz(path: Path, options: Options) -> Dataset:
     """Data set of the arrays `x` and `y`, and of a test part where it is there."""
     arrays = read_npz(path)
-    if not {"x", "y"} <= arrays.keys() <= {"x", "y", "x_test", "y_test"}:
+    if not {"x", "y"} <= arrays.keys() <= {"x", "y", "x_test", "y_test", "values"}:
         raise InputError(
             f"{path} holds {', '.join(arrays) or 'nothing'}; "
-            "give x and y, optionally x_test and y_test, and no other names"
+            "give x and y, optionally x_test, y_test and names of values, and no other names"
         )
+    called = arrays.get("values")
     return split_arrays(
         (arrays["x"], arrays["y"]),
         (arrays.get("x_test"), arrays.get("y_test")),
+        names=Names(values=None if called is None else np.atleast_1d(called).astype(str).tolist()),
         name=path.stem,
         seed=options.seed,
         rescale=options.rescale,

@@ -4,7 +4,7 @@ import hashlib
 import json
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -14,6 +14,11 @@ from deepfsi.errors import InputError
 
 Reflectance: TypeAlias = npt.NDArray[np.float32]
 Labels: TypeAlias = npt.NDArray[np.int64]
+Truth: TypeAlias = npt.NDArray[Any]
+"""Classes (n,) int64, or values (n, q) float32."""
+
+Measure = Literal["accuracy", "AUC", "R²"]
+"""What the answers to a data set are measured by."""
 
 
 class Origin(BaseModel):
@@ -30,6 +35,7 @@ class Origin(BaseModel):
     split: str | None = None
     white: float | None = None
     skip_bad: bool = False
+    normal: str | None = None
     # Absolute path of the calibration folder of the camera that sees the scenes
     view: str | None = None
 
@@ -38,12 +44,13 @@ class Origin(BaseModel):
         """Name or path, with size and camera."""
         size = f" at {self.size[0]}x{self.size[1]}" if self.size else ""
         view = f" as the camera of {self.view} sees it" if self.view else ""
-        return f"{self.data}{size}{view}"
+        normal = f", {self.normal} against anomalies" if self.normal is not None else ""
+        return f"{self.data}{size}{view}{normal}"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Dataset:
-    """Labelled scenes in a training and a test part.
+    """Scenes in a training and a test part, with the class or the values of each.
 
     Attributes
     ----------
@@ -51,12 +58,12 @@ class Dataset:
         Name in tables and records.
     x_train, x_test : array, shape (n, N), float32
         Reflectance after preprocessing, dimensionless in [0, 1].
-    y_train, y_test : array, shape (n,), int64
-        Class of each scene, 0 .. C-1.
+    y_train, y_test : array
+        Class of each scene, 0 .. C-1, (n,) int64; or its values, (n, q) float32.
     image_shape : tuple of int
         (H, W) for images, (B,) for spectra of B bands; its product is N.
     classes : tuple of str
-        The C class names, in the order of the labels.
+        The C class names, in the order of the labels; none where scenes have values.
     preprocessing : str
         Changes made to the source's values, in one sentence.
     wavelengths : array, shape (N,), float64, or None
@@ -68,6 +75,12 @@ class Dataset:
         What loads it again; None for arrays in memory, and for scenes changed after loading.
     held_out : int
         Training scenes that `hold_out` left out.
+    values : tuple of str
+        Names of the q values of a scene, such as its position; none where scenes have classes.
+    measure : {"accuracy", "AUC", "R²"}
+        Measure of the answers: of scenes with classes the accuracy, of one class against anomalies
+        (`datasets.anomalies`) the area under the ROC curve, of values the share of their variance
+        that the answers explain.
 
     Examples
     --------
@@ -81,9 +94,9 @@ class Dataset:
 
     name: str
     x_train: Reflectance
-    y_train: Labels
+    y_train: Truth
     x_test: Reflectance
-    y_test: Labels
+    y_test: Truth
     image_shape: tuple[int, ...]
     classes: tuple[str, ...]
     preprocessing: str
@@ -91,12 +104,15 @@ class Dataset:
     white: float | None = None
     origin: Origin | None = None
     held_out: int = 0
+    values: tuple[str, ...] = ()
+    measure: Measure = "accuracy"
 
     def __repr__(self) -> str:
         shape = "x".join(map(str, self.image_shape))
+        answers = f"{len(self.classes)} classes" if self.classes else ", ".join(self.values)
         return (
             f"<Dataset {self.name}: {len(self.x_train)} training and {len(self.x_test)} test "
-            f"scenes of {shape}, {len(self.classes)} classes>"
+            f"scenes of {shape}, {answers}>"
         )
 
     @property
@@ -104,12 +120,30 @@ class Dataset:
         """Number of pixels (or bands) of a scene, N."""
         return int(self.x_train.shape[1])
 
+    @property
+    def answers(self) -> int:
+        """Number of classes, or of values: what a network gives of a scene."""
+        return len(self.classes or self.values)
+
+    @property
+    def groups(self) -> Labels:
+        """Class of each training scene (n,); where scenes have values all are of one."""
+        return self.y_train if self.classes else np.zeros(len(self.y_train), dtype=np.int64)
+
+    @property
+    def chance(self) -> float:
+        """Measure of guessing: the share of the commonest class of the test; 0.5 AUC; 0 R²."""
+        if self.measure == "accuracy":
+            return float(np.bincount(self.y_test).max() / len(self.y_test))
+        return 0.5 if self.measure == "AUC" else 0.0
+
     @cached_property
     def hash(self) -> str:
-        """SHA-256 in hex over the arrays, their shapes and the class names."""
+        """SHA-256 in hex over the arrays, their shapes and the names of classes or values."""
         arrays = (self.x_train, self.y_train, self.x_test, self.y_test)
         shapes = [array.shape for array in arrays]
-        digest = hashlib.sha256(json.dumps([shapes, self.image_shape, self.classes]).encode())
+        words = json.dumps([shapes, self.image_shape, self.classes or self.values])
+        digest = hashlib.sha256(words.encode())
         for array in arrays:
             digest.update(np.ascontiguousarray(array).data)
         return digest.hexdigest()
@@ -129,7 +163,7 @@ class Dataset:
                 f"hold out at least 1 and at most {n - 1}"
             )
         rest = n - count
-        left = np.bincount(self.y_train[:rest], minlength=len(self.classes))
+        left = np.bincount(self.groups[:rest], minlength=len(self.classes))
         if not left.all():
             raise InputError(
                 f"{self.name}: with {count} of {n} training scenes held out, class "

@@ -52,7 +52,7 @@ def load_idx(name: str, rescale: Range) -> Dataset:
         (_framed(images), labels.astype(np.int64)),
         (_framed(images_test), labels_test.astype(np.int64)),
         classes=ORIGINALS[name].classes,
-        values="Padded from 28x28 to 32x32 with black, divided by 255",
+        described="Padded from 28x28 to 32x32 with black, divided by 255",
         rescale=rescale,
     )
 

@@ -8,6 +8,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from deepfsi.datasets import cifar, idx, indian_pines, pictures
+from deepfsi.datasets.anomalies import one_class
 from deepfsi.datasets.arrays import Options, Range, load_npz, split_arrays
 from deepfsi.datasets.catalog import CIFAR, NAMES
 from deepfsi.datasets.cubes import SUFFIXES, read_cube
@@ -42,6 +43,7 @@ def load_dataset(
     split: str | None = None,
     white: float | None = None,
     skip_bad: bool = False,
+    normal: str | None = None,
 ) -> Dataset:
     """Load a data set by its name, from a path, or from arrays.
 
@@ -61,7 +63,8 @@ def load_dataset(
         - a hyperspectral cube (``.mat``, ``.npy`` or ENVI's ``.hdr``), whose label map lies beside
           it under the same name with ``_gt`` added, as in `cubes.read_cube`;
         - an ``.npz`` file with `x`, `y` and, if it has its own test part, `x_test`, `y_test`, or
-          a tuple of these arrays, as in `from_arrays`.
+          a tuple of these arrays, as in `from_arrays`. A `y` of floats is of values, whose names a
+          file may hold as `values`.
     size : int or (int, int), optional
         Side or (H, W) in pixels to which images are brought: those of a folder or zip file by
         averaging over areas, CIFAR-10's bilinearly. Needed where they differ in size.
@@ -81,6 +84,9 @@ def load_dataset(
         that of the fewest bits that hold the largest value, as `deepfsi.datasets.values` says.
     skip_bad : bool
         Leave images that cannot be read out, which `Dataset.preprocessing` then names.
+    normal : str, optional
+        Class to be told from anomalies, as `datasets.anomalies` makes them of its scenes; scenes of
+        the other classes are in the test part alone.
 
     Examples
     --------
@@ -88,7 +94,13 @@ def load_dataset(
     >>> deepfsi.load_dataset("digits").image_shape
     (8, 8)
     """
-    options = Options(size, seed, rescale, images, split, white, skip_bad)
+    options = Options(size, seed, rescale, images, split, white, skip_bad, normal)
+    data = _load(source, options)
+    return data if normal is None else one_class(data, normal, seed)
+
+
+def _load(source: str | os.PathLike[str] | tuple[Any, ...], options: Options) -> Dataset:
+    """Data set of a source with its own classes or values."""
     if isinstance(source, tuple):
         return _load_arrays(source, options)
     if not isinstance(source, str | os.PathLike):
@@ -100,7 +112,7 @@ def load_dataset(
     name = os.fspath(source)
     _refuse(options, name if name in NAMES else _existing(name).name, takes(name))
     data = _load_name(name, options) if name in NAMES else _load_path(_existing(name), options)
-    known = options._replace(size=pictures.as_shape(size), white=data.white)
+    known = options._replace(size=pictures.as_shape(options.size), white=data.white)
     return replace(data, origin=Origin(data=absolute(name), **known._asdict()))
 
 
@@ -180,7 +192,7 @@ def _load_name(name: str, options: Options) -> Dataset:
             name=name,
             seed=seed,
             rescale=rescale or DIM_BLACK,
-            values="Divided by 16",
+            described="Divided by 16",
         )
     return idx.load_idx(name, rescale or DIM_BLACK)
 

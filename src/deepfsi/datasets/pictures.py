@@ -92,7 +92,7 @@ def from_listings(
         name=name,
         seed=options.seed,
         rescale=options.rescale,
-        values=f"{drawn}{tally.words}{sized}; {levels.words}",
+        described=f"{drawn}{tally.words}{sized}; {levels.words}",
     )
     return replace(data, white=levels.white if levels.chosen else None)
 

@@ -187,7 +187,7 @@ class SpectralImage:
             (spectra[train], y[train].astype(np.int64)),
             (spectra[test], y[test].astype(np.int64)),
             classes=self.class_names,
-            values=self._describe(split, spectra.shape[1]),
+            described=self._describe(split, spectra.shape[1]),
             rescale=rescale,
             wavelengths=wavelengths,
         )

@@ -12,12 +12,12 @@ import torch
 from torch import Tensor, nn
 
 from deepfsi.design import artifact_file, readings
-from deepfsi.design.classifiers import Mlp, Vit
 from deepfsi.design.consistency import Consistency, ReadoutDistribution
 from deepfsi.design.exposure.looks import Dwells, LooksExposure
 from deepfsi.design.exposure.trained import FixedExposure, Observation, TrainedExposure
 from deepfsi.design.own import Given, OwnClassifier, rebuilt
 from deepfsi.design.temperatures import Temperatures
+from deepfsi.design.values import Values, check_classes
 from deepfsi.errors import InputError, as_input_error
 from deepfsi.files import DESIGNS, check_ending, write_atomically
 from deepfsi.inline import mask_picture
@@ -54,6 +54,7 @@ class Design:
         Light law that the rails obey.
     image_shape : tuple of int
     classes : tuple of str
+        Their names; none of a design that estimates values.
     exposure : TrainedExposure
         Dwells of the masks, and the classifier's inputs.
     detection : Detection
@@ -64,6 +65,8 @@ class Design:
         Of the readouts of training scenes: what `consistency` tests counts against.
     temperatures : Temperatures, optional
         What divides the logits at each budget, so that probabilities are those of being right.
+    values : Values, optional
+        Names, mean and standard deviation of the values that it estimates in place of classes.
 
     Examples
     --------
@@ -91,14 +94,16 @@ class Design:
     info: dict[str, Any] = field(default_factory=dict)
     distribution: ReadoutDistribution | None = None
     temperatures: Temperatures | None = None
+    values: Values | None = None
 
     def __repr__(self) -> str:
         budget = self.info.get("job", {}).get("photons")
         trained = f", learned at {budget:g} photons" if budget else ""
+        answers = ", ".join(self.values.names) if self.values else f"{len(self.classes)} classes"
         network = getattr(self.classifier, "title", type(self.classifier).__name__)
         return (
             f"<Design {self.name}: {self.masks} masks of {'x'.join(map(str, self.mask_shape))}, "
-            f"{self.light}, {self.rails.kind} rails, {network}, {len(self.classes)} classes"
+            f"{self.light}, {self.rails.kind} rails, {network}, {answers}"
             f"{trained}>"
         )
 
@@ -282,17 +287,32 @@ class Design:
         InputError
             If shapes do not match the design, counts are not finite or the budget is not above 0.
         """
+        check_classes(self.values, "classify")
+        with torch.no_grad():
+            return self.chances(*self._observed(counts, photons, dwell)).cpu().numpy()
+
+    def estimate(self, counts: Any, photons: Any, dwell: Any = None) -> np.ndarray:
+        """Values (..., q) of one or many exposures, in the units that the training had.
+
+        Parameters and errors as of `classify`; raises `InputError` if the design answers classes.
+        """
+        if self.values is None:
+            raise InputError("this design answers classes and estimates no values: use classify")
+        with torch.no_grad():
+            outputs = self.logits_of(*self._observed(counts, photons, dwell))
+            return self.values.estimated(outputs).cpu().numpy()
+
+    def _observed(self, counts: Any, photons: Any, dwell: Any) -> tuple[Observation, Tensor]:
+        """Exposures and their budgets, checked; parameters of `classify`."""
         self.exposure.check_dwell(dwell is not None)
         shapes = self.counts_shape, None if dwell is None else self._dwells.shape
         read, budget, shown = readings.check_readouts(counts, photons, dwell, *shapes)
         readings.check_clicks(read, self.gates)
         device = self.rails.device
-        with torch.no_grad():
-            if shown is not None:
-                shown = self._dwells.by_mask(shown).to(device)
-            budget = budget.to(device)
-            seen = Observation(self.features_of(read.to(device)) / self.scale(budget), shown)
-            return self.chances(seen, budget).cpu().numpy()
+        if shown is not None:
+            shown = self._dwells.by_mask(shown).to(device)
+        budget = budget.to(device)
+        return Observation(self.features_of(read.to(device)) / self.scale(budget), shown), budget
 
     @property
     def _dwells(self) -> Dwells:
@@ -341,6 +361,7 @@ class Design:
         """Move to a device; returns self."""
         for name in ("rails", "classifier", "mean", "std", "shares", "exposure"):
             setattr(self, name, getattr(self, name).to(device))
+        self.values = self.values and self.values.to(device)
         return self  # its distribution stays: counts are tested where they arrive
 
     def quantised(self, levels: int) -> "Design":
@@ -422,29 +443,7 @@ class Design:
 
     def to_bytes(self) -> bytes:
         """Content of the design file, or `InputError` if the classifier cannot be described."""
-        if not isinstance(self.classifier, Mlp | Vit | OwnClassifier):
-            raise InputError(
-                f"a design with a {type(self.classifier).__name__} classifier cannot be saved: "
-                "give it as deepfsi.OwnClassifier(module)"
-            )
-        own = isinstance(self.classifier, OwnClassifier)
-        weights: dict[str, dict[str, Tensor]] = {
-            "classifier": self.classifier.weights if own else self.classifier.state_dict(),  # type: ignore[dict-item]
-            "exposure": self.exposure.weights,
-            "distribution": self.distribution.tensors if self.distribution else {},
-            "temperatures": self.temperatures.tensors if self.temperatures else {},
-        }
-        header = artifact_file.Header(
-            exposure=self.exposure.header(),
-            classifier=self.classifier.header,  # type: ignore[arg-type]
-            readout=self.detection.readout,
-            **{name: getattr(self, name) for name in artifact_file.WORDS},
-        )
-        tensors = {name: getattr(self, name) for name in artifact_file.STATISTICS}
-        tensors["rails"] = self.rails.stacked
-        if self.detection.labels is not None:
-            tensors["detectors"] = self.detection.labels
-        return artifact_file.pack(header, tensors, weights)
+        return artifact_file.pack(self)
 
     @classmethod
     def load(
@@ -493,5 +492,6 @@ class Design:
             If it cannot be imported, or is not the one that the weights are of.
         """
         inputs = self.exposure.input_count(self.features)
-        made = rebuilt(self.classifier, classifier, inputs, len(self.classes))
+        answers = len(self.values.names) if self.values else len(self.classes)
+        made = rebuilt(self.classifier, classifier, inputs, answers)
         return replace(self, classifier=made.to(self.rails.device))

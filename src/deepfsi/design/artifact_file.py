@@ -5,7 +5,7 @@ import math
 import os
 from collections.abc import Mapping
 from importlib.metadata import version
-from typing import Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import torch
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
@@ -21,12 +21,17 @@ from deepfsi.design.exposure.trained import STRICT, FixedExposure, PatchExposure
 from deepfsi.design.file_content import SCHEMA, Info, damaged, read_known_masks
 from deepfsi.design.own import OwnClassifier
 from deepfsi.design.temperatures import Temperatures
+from deepfsi.design.values import Values
+from deepfsi.errors import InputError
 from deepfsi.imports import PATTERN
 from deepfsi.laws import MOST_LAYERS, Light, Readout, SummedReflectance, Widths
 from deepfsi.optics import constraints
 from deepfsi.optics.codes import check_design
 from deepfsi.optics.detection import Detection
 from deepfsi.optics.rails import Rails
+
+if TYPE_CHECKING:
+    from deepfsi.design.artifact import Design
 
 WORDS = ("name", "light", "summed_reflectance", "image_shape", "classes", "info")
 """Fields of a design that its header holds as they are."""
@@ -116,7 +121,9 @@ class Header(BaseModel):
     image_shape : tuple of int
         Rows and columns of a scene, or values of a spectrum.
     classes : tuple of str
-        Names, in the order of the classifier's outputs.
+        Names, in the order of the classifier's outputs; none of a design that estimates values.
+    values : tuple of str
+        Names of these, likewise.
     info : dict
         Provenance: settings of the training, data and their hash, versions, device, seconds.
     schema_number : int
@@ -139,6 +146,7 @@ class Header(BaseModel):
     summed_reflectance: SummedReflectance
     image_shape: tuple[Count, ...]
     classes: tuple[str, ...]
+    values: tuple[str, ...] = ()
     exposure: Annotated[
         FixedExposure | ConditionedExposure | LooksShape | PatchExposure | PassingShape,
         Field(discriminator="kind"),
@@ -150,14 +158,38 @@ class Header(BaseModel):
     def _consistent(self) -> "Header":
         if (self.classifier.kind == "vit") != (self.exposure.kind == "patches"):
             raise ValueError("a transformer reads patches, and nothing else does")
+        if bool(self.classes) == bool(self.values):
+            raise ValueError("a design answers either classes or values")
         return self
 
 
-def pack(
-    header: Header, tensors: Mapping[str, Tensor], weights: Mapping[str, Mapping[str, Tensor]]
-) -> bytes:
-    """Content of a design file."""
-    every = dict(tensors)
+def pack(design: "Design") -> bytes:
+    """Content of a design file, or `InputError` if its classifier cannot be described."""
+    classifier, values = design.classifier, design.values
+    if not isinstance(classifier, Mlp | Vit | OwnClassifier):
+        raise InputError(
+            f"a design with a {type(classifier).__name__} classifier cannot be saved: "
+            "give it as deepfsi.OwnClassifier(module)"
+        )
+    own = isinstance(classifier, OwnClassifier)
+    weights: dict[str, dict[str, Tensor]] = {
+        "classifier": classifier.weights if own else classifier.state_dict(),  # type: ignore[dict-item]
+        "exposure": design.exposure.weights,
+        "distribution": design.distribution.tensors if design.distribution else {},
+        "temperatures": design.temperatures.tensors if design.temperatures else {},
+        "values": values.tensors if values else {},
+    }
+    header = Header(
+        exposure=design.exposure.header(),
+        classifier=classifier.header,  # type: ignore[arg-type]
+        readout=design.detection.readout,
+        values=values.names if values else (),
+        **{name: getattr(design, name) for name in WORDS},
+    )
+    every = {name: getattr(design, name) for name in STATISTICS}
+    every["rails"] = design.rails.stacked
+    if design.detection.labels is not None:
+        every["detectors"] = design.detection.labels
     for part, state in weights.items():
         every |= {f"{part}.{key}": value for key, value in state.items()}
     # cloned: a user's module may share one tensor between layers
@@ -211,7 +243,7 @@ def _fields(header: Header, tensors: Mapping[str, Tensor]) -> dict[str, Any]:
             {"mlp": Mlp, "vit": Vit}[size.kind],
             weights,
             inputs=exposure.input_count(features),
-            classes=len(header.classes),
+            classes=len(header.classes or header.values),
             **size.model_dump(exclude={"kind"}),
         )
     words = {name: getattr(header, name) for name in WORDS}
@@ -219,7 +251,7 @@ def _fields(header: Header, tensors: Mapping[str, Tensor]) -> dict[str, Any]:
     shape = exposure.compared(rails.count, masks * detection.count)
     arrays = {name: each.numpy() for name, each in known.items()}
     distribution = ReadoutDistribution.restored(arrays, *shape) if known else None
-    held = _weights(tensors, "temperatures.")
+    held, scale = (_weights(tensors, part) for part in ("temperatures.", "values."))
     parts = {
         "rails": rails,
         "exposure": exposure,
@@ -227,6 +259,7 @@ def _fields(header: Header, tensors: Mapping[str, Tensor]) -> dict[str, Any]:
         "classifier": classifier,
         "distribution": distribution,
         "temperatures": Temperatures.restored(held, exposure.count_stops(masks)) if held else None,
+        "values": Values.restored(header.values, scale) if header.values else None,
     }
     return {**words, **statistics, **parts}
 

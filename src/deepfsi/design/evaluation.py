@@ -14,6 +14,7 @@ from torch import Tensor
 from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.design.confidence import calibration_error, confidence_groups
+from deepfsi.design.values import Values
 from deepfsi.errors import InputError
 from deepfsi.inline import accuracy_curve, confusion_table
 from deepfsi.laws import Noise
@@ -22,6 +23,7 @@ from deepfsi.optics.camera import Camera, CameraSource
 from deepfsi.optics.scanner import Scanner
 from deepfsi.progress import Report, shown
 from deepfsi.statistics.intervals import balanced, wilson, worst_of
+from deepfsi.statistics.roc import auc
 
 MOST_DRAWS = 10_000
 """Noise draws of each scene in one test: enough for any interval, and an end in sight."""
@@ -68,6 +70,10 @@ class Result:
         of the masks before.
     photons_per_mask : list of float
         Expected photons of each mask's rails together, in the training mean; likewise.
+    auc, auc_low, auc_high : float or None
+        Of two classes, the probability that an exposure of the second gets more of its probability
+        than one of the first, the area under the ROC curve, and its 95 % interval over test images
+        (`statistics.roc.auc`).
 
     Examples
     --------
@@ -98,6 +104,9 @@ class Result:
     arriving: float
     throughput: float
     photons_per_mask: list[float]
+    auc: float | None
+    auc_low: float | None
+    auc_high: float | None
 
     def _repr_html_(self) -> str:
         classes = [str(place) for place in range(len(self.confusion))]
@@ -133,6 +142,10 @@ class Tested(Protocol):
     info: dict[str, Any]
 
     @property
+    def values(self) -> Values | None:
+        """Values that it estimates in place of classes."""
+
+    @property
     def name(self) -> str:
         """Which design, a key of `codes.DESIGNS`."""
 
@@ -155,8 +168,10 @@ def evaluate(
     seed: int = 0,
     report: Report | None = None,
     **settings: Any,
-) -> list[Result]:
-    """Accuracy on the test scenes of a data set under noise, a `Result` for each budget.
+) -> list[Any]:
+    """Test on the test scenes of a data set under noise: a `Result` for each budget.
+
+    Of a design that estimates values, an `estimation.Estimates` for each.
 
     Parameters
     ----------
@@ -195,10 +210,20 @@ def evaluate(
     check_data(design, scenes)
     check_draws(draws, seed)
     known = camera_for(design, camera, **settings)
+    title = f"{design.name}, {design.masks} masks"
+    if isinstance(design, Design) and design.values:
+        from deepfsi.design.estimation import test_values
+
+        with shown(report, title) as bar:
+            scanner = scanner_for(design, known)
+            return test_values(design, scanner, scenes, budgets, draws, seed, bar)
     guess_of, shares = answering(design, known)
-    with shown(report, f"{design.name}, {design.masks} masks") as bar:
+    with shown(report, title) as bar:
         return test_scenes(scenes, guess_of, budgets, draws, seed, known.noise_name, shares, bar)
 
+
+TINY = torch.finfo(torch.float32).tiny
+"""Least probability that the log-odds are taken of."""
 
 LEAST_CHANCE = torch.finfo(torch.float32).eps
 """Least probability of a true class that the log loss is taken of."""
@@ -270,7 +295,8 @@ def test_scenes(
     # shares (m,) of the budget that each mask counts
     generators = [torch.Generator(shares.device).manual_seed(seed) for _ in budgets]
     confusions = np.zeros((len(budgets), len(data.classes), len(data.classes)), dtype=np.int64)
-    # confidence, if the answer is right, and the probability of the true class
+    # confidence, if the answer is right, probability of the true class, log-odds of the last class
+    # over the first, and place of the scene
     answers: list[list[np.ndarray]] = [[] for _ in budgets]
     light = np.zeros((len(budgets), 2))  # counts and photons
     chunks = torch.arange(len(data.x_test)).split(1024)
@@ -283,13 +309,21 @@ def test_scenes(
                     found, chances = classes.cpu().numpy(), given.cpu().numpy()
                     true = chances[np.arange(len(truth)), truth]
                     np.add.at(confusions[place], (truth, found), 1)
-                    answers[place].append(np.stack([chances.max(axis=1), found == truth, true]))
+                    odds = np.subtract(*np.log(chances[:, [-1, 0]].clip(min=TINY).T))
+                    told = chances.max(axis=1), found == truth, true, odds, rows.numpy()
+                    answers[place].append(np.stack(told))
                     light[place] += sums
             report(done / len(chunks))
     means = (light / (draws * len(data.x_test))).tolist()
     return ResultList(
         _result(
-            budget, noise, confusion, np.concatenate(told, axis=1), mean, draws, shares.tolist()
+            budget,
+            noise,
+            confusion,
+            np.concatenate(told, axis=1),
+            mean,
+            shares.tolist(),
+            data.y_test,
         )
         for budget, confusion, told, mean in zip(budgets, confusions, answers, means, strict=True)
     )
@@ -303,6 +337,10 @@ def check_data(design: Tested, data: Dataset) -> None:
             f"{data.name} has {data.pixels} pixels and the design {pixels}: use the data "
             "(and `size`) that it was made for"
         )
+    values = design.values.names if design.values else ()
+    if data.values != values:
+        here, there = (", ".join(names) or "classes" for names in (data.values, values))
+        raise InputError(f"{data.name} has {here}, and the design answers {there}: use such data")
     if data.classes != design.classes:
         raise InputError(
             f"{data.name} has other classes than the design ({', '.join(design.classes[:12])})"
@@ -328,12 +366,17 @@ def _result(
     confusion: np.ndarray,
     answers: np.ndarray,
     light: list[float],
-    draws: int,
     share: list[float],
+    labels: np.ndarray,
 ) -> Result:
-    """`Result` of a confusion matrix (C, C) and answers (3, E) of all draws."""
-    images = int(confusion.sum()) // draws
-    sure, right, true = answers
+    """`Result` of a confusion matrix (C, C) and answers (5, E) of all draws; labels (n,)."""
+    images = len(labels)
+    draws = answers.shape[1] // images
+    sure, right, true, odds, places = answers
+    area: tuple[float, float, float] | tuple[None, None, None] = (None, None, None)
+    if len(confusion) == 2 and confusion.any(axis=1).all():
+        scores = odds[np.argsort(places, kind="stable")].reshape(images, draws)
+        area = auc(scores, labels == 1)
     accuracy = float(confusion.trace() / confusion.sum())
     low, high = wilson(accuracy, images)
     rates = [float(row[k] / row.sum()) if row.any() else None for k, row in enumerate(confusion)]
@@ -359,4 +402,5 @@ def _result(
         arriving=arriving,
         throughput=sum(share),
         photons_per_mask=[budget * part for part in share],
+        **dict(zip(("auc", "auc_low", "auc_high"), area, strict=True)),
     )

@@ -21,6 +21,7 @@ from deepfsi.design.classifiers import Mlp
 from deepfsi.design.exposure.looks import LooksExposure
 from deepfsi.design.exposure.trained import Observation
 from deepfsi.design.own import OwnClassifier
+from deepfsi.design.values import check_classes
 from deepfsi.errors import InputError
 from deepfsi.optics.dwells import share_out
 
@@ -90,6 +91,7 @@ def to_onnx(design: Design) -> bytes:
         raise InputError(
             "an ONNX graph is written with the package onnx: pip install onnx onnxruntime"
         ) from None
+    check_classes(design.values, "an ONNX graph")
     own = isinstance(design.classifier, OwnClassifier)
     if not own and not isinstance(design.classifier, Mlp):
         raise InputError(

@@ -26,6 +26,7 @@ from deepfsi.design.evaluation import check_data, evaluate
 from deepfsi.design.exposure import LARGEST_SCORE
 from deepfsi.design.stopping import rule_of, stop
 from deepfsi.design.training_data import trained_on
+from deepfsi.design.values import check_classes
 from deepfsi.errors import InputError
 from deepfsi.optics import constraints
 from deepfsi.progress import SILENT, Report
@@ -81,7 +82,7 @@ def playable(
             "images": results[0].images,
             "draws": draws,
             "covers": results[0].covers,
-            "commonest": float(np.bincount(data.y_test).max() / len(data.y_test)),
+            "commonest": data.chance,
         },
         "data": {"name": data.name, "preprocessing": data.preprocessing},
         "version": version("deepfsi"),
@@ -103,6 +104,7 @@ def few_tests(data: Dataset, seed: int) -> Dataset:
 
 def check_playable(design: AnyDesign) -> None:
     """Raise `InputError` for a design that no page can play."""
+    check_classes(design.values, "a page")
     if isinstance(design, AdaptiveDesign):
         LookOptics.of(design.camera, design.image_shape, 1.0)
     else:

@@ -15,6 +15,7 @@ from torch import Tensor
 from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import Guess, Result, check_data, check_draws, test_scenes
+from deepfsi.design.values import check_classes
 from deepfsi.errors import InputError
 from deepfsi.memory import check_memory, free_memory
 from deepfsi.optics.budget import check_budget, summed_reflectance
@@ -143,6 +144,7 @@ def ideal_observer(
     """
     budgets = [check_budget(b) for b in np.atleast_1d(np.asarray(photons, dtype=object))]
     scenes = as_dataset(data)
+    check_classes(scenes.values, "the ideal observer")
     check_draws(draws, seed)
     scanner, rates_of = _front_end(design, scenes)
     with torch.no_grad(), shown(report, "ideal observer") as bar:

@@ -30,6 +30,7 @@ from deepfsi.design.confidence import (
 from deepfsi.design.evaluation import check_data, check_draws
 from deepfsi.design.exposure.looks import LooksExposure
 from deepfsi.design.training_data import trained_on
+from deepfsi.design.values import check_classes
 from deepfsi.errors import InputError, as_input_error
 from deepfsi.optics.budget import check_budget
 from deepfsi.statistics.intervals import wilson
@@ -230,6 +231,7 @@ def stop(
     seed: int = 0,
 ) -> Stopped:
     """Choose when to stop on held-out scenes, and test it on the test scenes."""
+    check_classes(design.values, "a stopping rule")
     budget = check_budget(photons)
     check_draws(draws, seed)
     scenes = as_dataset(data)

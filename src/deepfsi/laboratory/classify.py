@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from deepfsi.design.values import check_classes
 from deepfsi.errors import InputError
 from deepfsi.files import hash_file
 from deepfsi.hardware.patterns.folder import DESIGN, read_patterns
@@ -191,6 +192,7 @@ def _opened(design: str | os.PathLike[str], patterns: Patterns | None, trust: bo
 
     file = Path(design) if patterns is None else _file_shown(design, patterns.manifest)
     made = Design.load(file, trust=trust)
+    check_classes(made.values, "a classified run")
     if made.exposure.chooses:
         raise InputError(f"{design} chooses dwells while the exposure runs: give a live run of it")
     return made if patterns is None else made.as_shown(*patterns.realised)

@@ -61,6 +61,7 @@ def _asked(
     same = [
         "rescale",
         "view",
+        "normal",
         *(option for option in ("size", "white", "skip_bad") if option in allowed),
     ]
     kept = {option: getattr(known, option) for option in same}

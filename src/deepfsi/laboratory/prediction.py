@@ -15,6 +15,7 @@ from deepfsi.datasets.display import Display
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import camera_for, check_draws, scanner_for
 from deepfsi.design.training_data import trained_on
+from deepfsi.design.values import check_classes
 from deepfsi.errors import InputError
 from deepfsi.hardware.calibration.view import camera_view
 from deepfsi.hardware.recording.calibration_file import load_calibration
@@ -124,6 +125,7 @@ def predict(
     >>> found.pictures[3].label, len(found.pictures)
     ('3', 10)
     """
+    check_classes(design.values, "predict")
     budget = check_budget(photons)
     check_draws(1, seed)
     tested = camera_for(design, camera, **settings)

@@ -11,6 +11,7 @@ import torch
 
 from deepfsi.design.artifact import Design
 from deepfsi.design.exposure.passing import PassingExposure
+from deepfsi.design.values import check_classes
 from deepfsi.errors import InputError
 from deepfsi.hardware.ptu.reader import read_photons
 from deepfsi.hardware.recording.transits import (
@@ -106,6 +107,7 @@ def classify_transits(
         If the design is of another exposure, the file is damaged, or it does not tell its
         background.
     """
+    check_classes(design.values, "a transit's answer")
     path, budget = (
         passing_of(design).transit,
         check_budget(photons or design.info["job"]["photons"]),

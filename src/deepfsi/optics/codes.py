@@ -63,6 +63,7 @@ class Code:
     seeded: bool = False  # its matrix is drawn from the seed
     shared: bool = False  # the matrix of few masks is the first of that of many: made once
     own: bool = False  # its matrix is the user's
+    of_classes: bool = False  # made of the classes of scenes, which those with values have not
     # Each next mask is made from the counts so far: it has no matrix before, and shows one mask a
     # look
     adaptive: bool = False
@@ -129,12 +130,14 @@ DESIGNS: dict[str, Code] = {
         lambda data, masks, seed: discriminants(data.x_train, data.y_train, masks),
         lambda shape, classes: min(classes - 1, int(np.prod(shape))),
         specific=True,
+        of_classes=True,
     ),
     "class-pairs": Code(
         "CP",
         "differences of class means",
         lambda data, masks, seed: class_pairs(data.x_train, data.y_train, masks),
         specific=True,
+        of_classes=True,
     ),
     "s-matrix": Code(
         "S",
@@ -144,7 +147,7 @@ DESIGNS: dict[str, Code] = {
         fixed_count=True,
         single_rail=True,
     ),
-    "adaptive": Code("AM", "adaptive masking", specific=True, adaptive=True),
+    "adaptive": Code("AM", "adaptive masking", specific=True, adaptive=True, of_classes=True),
     "custom": Code("USER", "own matrix", own=True),
 }
 """The named designs."""

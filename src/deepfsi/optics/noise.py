@@ -65,6 +65,10 @@ class Click:
         """Mean clicks of rates (..., m)."""
         return -self.gates * torch.expm1(-rates / self.gates)
 
+    def variance(self, rates: Tensor) -> Tensor:
+        """Variance of the clicks of rates (..., m)."""
+        return self.expected(rates) * torch.exp(-rates / self.gates)
+
 
 POISSON_LIMIT = 1e6
 """Rate in counts above which `poisson` samples the rounded Gaussian limit.

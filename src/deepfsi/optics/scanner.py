@@ -130,18 +130,61 @@ class Scanner(nn.Module):
 
         The dwells of their frames are `share` of the masks' own, for dark counts.
         """
-        every = Detection(count=self.detection.count).readouts(self._arranged())
-        shown, time = (each.movedim(0, -2)[..., : rates.shape[-2], :] for each in every)
+        shown, time = self._shown(rates)
         if self._own is not None:
             counts = self._own(torch.where(shown, rates, 1.0), generator)
         else:
-            dark = self.dark * time.detach() * share
+            dark = self.dark * time * share
             counts = readout(rates, self.noise, self.sigma, generator, dark)
         return torch.where(shown, counts, 0.0)
 
     def expected(self, rates: Tensor) -> Tensor:
         """Mean counts of rails that so many photons reach: as many, but of detectors that click."""
         return self._own.expected(rates) if isinstance(self._own, Click) else rates
+
+    @property
+    def known(self) -> bool:
+        """True of a noise whose mean and variance are known: all but a user's own."""
+        return self._own is None or isinstance(self._own, Click)
+
+    def moments(self, rates: Tensor) -> tuple[Tensor, Tensor]:
+        """Mean and variance (..., k) of features of rails that so many photons reach.
+
+        Parameters
+        ----------
+        rates : tensor, shape (..., rails, m · D)
+            Expected photons, as from `rates`.
+        """
+        return self.detection.features(self.expected(rates)), self.detection.totals(
+            self._variance(rates)
+        )
+
+    def information(self, rates: Tensor) -> Tensor:
+        """Fisher information (..., rails, m · D) of counts about the photons that they expect.
+
+        Of counts y ~ Poisson(r) it is 1 / r, of clicks exp(−r / G) / (G p) with the chance of a
+        click p = 1 − exp(−r / G), and of other noise 1 / variance. Of a rail that is dark by
+        construction it is 0.
+        """
+        power = self._variance(rates)
+        if isinstance(self._own, Click):
+            slope = torch.exp(-rates / self._own.gates)
+            power = power / slope.square()
+        return torch.where(power > 0, 1 / power.where(power > 0, 1.0), 0.0)
+
+    def _variance(self, rates: Tensor) -> Tensor:
+        """Variance of the counts of rails that so many photons reach."""
+        if isinstance(self._own, Click):
+            return self._own.variance(rates)
+        shown, time = self._shown(rates)
+        every = variance(rates, shown, self.noise, self.sigma, self.dark * time)
+        return torch.where(shown, every, 0.0).expand_as(rates)
+
+    def _shown(self, rates: Tensor) -> tuple[Tensor, Tensor]:
+        """Which rails are not dark by construction, and their share of the exposure."""
+        every = Detection(count=self.detection.count).readouts(self._arranged())
+        shown, time = (each.movedim(0, -2)[..., : rates.shape[-2], :] for each in every)
+        return shown, time.detach()
 
     def rates(self, photons: Tensor) -> Tensor:
         """Expected counts of each rail; shapes as `counts`."""

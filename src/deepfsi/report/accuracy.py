@@ -12,6 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, MultipleLocator, NullLocator
 
 from deepfsi.report import style
+from deepfsi.report.measures import WORDS
 from deepfsi.sweeps.results import Results
 
 Measured: TypeAlias = Any
@@ -95,6 +96,11 @@ def figure_names(points: Iterable[Measured], axes: Fields) -> dict[tuple[str, ..
     return series_names(rows, axes) if max(map(len, names.values())) > LONGEST else names
 
 
+def axis_of(results: Results) -> str:
+    """Name of the axis of what is measured."""
+    return WORDS[results.data.measure].axis
+
+
 def noises(results: Results) -> list[str]:
     """Noise models of a comparison, in the order in which they appear."""
     return list(dict.fromkeys(point.noise for point in results.points))
@@ -107,14 +113,15 @@ def accuracy_figure(results: Results, top: float = 1.0) -> Figure:
     # intervals. Circles are feature-specific designs, squares others. Where all were tested at one
     # budget, each design has a line of its own, the most accurate on top
     panels, chosen = noises(results), [p for p in results.points if p.best]
-    axes_apart, chance = series_axes(results), results.data.commonest
+    axes_apart, chance, axis = series_axes(results), results.data.chance, axis_of(results)
     if len({p.photons for p in chosen}) == 1:
-        return _ranking_figure(chosen, panels, axes_apart, chance, top)
+        return _ranking_figure(chosen, panels, axes_apart, chance, top, axis)
     figure = Figure(figsize=(5.4 * len(panels), style.PANEL_HEIGHT), layout="constrained")
     axes = figure.subplots(1, len(panels), squeeze=False)[0]
     for ax, noise in zip(axes, panels, strict=True):
         points = [p for p in chosen if p.noise == noise]
         accuracy_axes(ax, points, axes_apart, attrgetter("photons"), chance, top=top)
+        ax.set_ylabel(axis)
         ax.set_xlabel(style.BUDGET_AXIS)
         budgets = sorted({p.photons for p in points})
         short = all(len(style.photons_text(budget)) <= 4 for budget in budgets)
@@ -161,7 +168,12 @@ def marker_key(figure: Figure, points: Iterable[Measured], *words: str) -> None:
 
 
 def _ranking_figure(
-    points: Sequence[Measured], panels: Sequence[str], axes: Fields, chance: float, top: float
+    points: Sequence[Measured],
+    panels: Sequence[str],
+    axes: Fields,
+    chance: float,
+    top: float,
+    axis: str,
 ) -> Figure:
     """Accuracies at one budget: a line for each series, a panel for each noise."""
     names = figure_names(points, axes)
@@ -185,7 +197,7 @@ def _ranking_figure(
         ax.set_ylim(-0.6, len(rows) - 0.4)
         ax.set_xlim(0, top)
         ax.xaxis.set_major_locator(MultipleLocator(top / 4))
-        ax.set_xlabel(style.ACCURACY_AXIS)
+        ax.set_xlabel(axis)
         ax.grid(axis="x")
         ax.axvline(chance, **CHANCE)
         ax.annotate(
@@ -204,8 +216,9 @@ def count_figure(results: Results) -> Figure:
     # Filled markers are the mask counts that were chosen; designs whose count is fixed have one
     figure = Figure(figsize=(4.9, style.PANEL_HEIGHT), layout="constrained")
     ax, axes = figure.subplots(), tuple(a for a in series_axes(results) if a != "masks")
-    chance, masks, best = results.data.commonest, attrgetter("masks"), attrgetter("best")
+    chance, masks, best = results.data.chance, attrgetter("masks"), attrgetter("best")
     accuracy_axes(ax, results.points, axes, masks, chance, filled=best)
+    ax.set_ylabel(axis_of(results))
     ax.set_xlabel("number of masks m")
     ax.xaxis.set_major_locator(LogLocator(base=2, numticks=12))
     ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))

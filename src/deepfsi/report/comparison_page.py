@@ -17,10 +17,11 @@ from deepfsi.files import write_atomically
 from deepfsi.inline import confusion_table
 from deepfsi.report import accuracy
 from deepfsi.report.masks import masks_figure, peak, signed, values_figure
+from deepfsi.report.measures import WORDS
 from deepfsi.report.rendering import flat, render, share_text
 from deepfsi.report.style import noise_text, photons_text, svg
 from deepfsi.report.terms import DESIGNS, ONE_DETECTOR
-from deepfsi.sweeps.results import Point, Results, read_results
+from deepfsi.sweeps.results import Data, Point, Results, read_results
 from deepfsi.tables.tensor_files import DamagedError, read_tensors
 
 FIGURE_FILES = ("png", "svg", "pdf")
@@ -96,6 +97,10 @@ def page_text(results: Results, designs: Path) -> str:
         learned_missing=not learned and any(p.learned for p in points),
         masks_shown=MASKS_SHOWN,
         scene=scene_text(data.image_shape),
+        answers=answers_text(data),
+        names=data.classes or data.values,
+        measure=WORDS[data.measure],
+        errors=list(errors(results)),
         optics=optics_text,
         facts=[
             ("Data", list(flat({k: v for k, v in data.as_dict().items() if k != "classes"}))),
@@ -111,11 +116,9 @@ def compared(results: Results) -> str:
     designs = len({p.design for p in results.points})
     many = f"{designs} ways to choose a camera’s masks" if designs > 1 else "One choice of masks"
     laws = listed(sorted({p.light for p in points}))
-    return (
-        f"{many}, at equal light (light law {laws}): the share of {results.data.test} test scenes "
-        f"of {results.data.name} that a trained network classifies correctly from the photon "
-        "counts."
-    )
+    scenes = f"{results.data.test} test scenes of {results.data.name}"
+    task = WORDS[results.data.measure].task.format(scenes=scenes)
+    return f"{many}, at equal light (light law {laws}): {task}."
 
 
 def covered(results: Results) -> str:
@@ -129,8 +132,9 @@ def covered(results: Results) -> str:
             f"{_ends(ideal)} photons. "
         )
     covers = "; ".join(dict.fromkeys(p.covers for p in results.points))
+    guessing = WORDS[results.data.measure].guessing
     return (
-        f"{text}Chance is {share_text(results.data.commonest)}, the share of the commonest class. "
+        f"{text}Chance is {share_text(results.data.chance)}, {guessing}. "
         f"The intervals are of 95 % and cover {covers}."
     )
 
@@ -243,7 +247,8 @@ def summary(results: Results, noise: str) -> str:
         elif len(names) == 1:
             said.append(f"{best[0]} reads {_ends(first)}.")
         else:
-            said.append(f"{best[0]} is the most accurate{where} at {at} photons: {_ends(first)}.")
+            most = "most accurate" if results.data.measure == "accuracy" else "best"
+            said.append(f"{best[0]} is the {most}{where} at {at} photons: {_ends(first)}.")
     said += [
         f"{name(p)} at {photons_text(p.photons)} photons answers one class only."
         for p in sorted(points, key=lambda p: p.photons)
@@ -271,7 +276,8 @@ def accuracy_panels(results: Results) -> Iterator[Part]:
     """Accuracy against photons, a picture for each noise."""
     for i, noise in enumerate(accuracy.noises(results)):
         part = results.with_points(chosen(results, noise))
-        words = f"Accuracy against photon budget under {noise_text(noise)}; numbers in the table."
+        name = title_of(results)
+        words = f"{name} against photon budget under {noise_text(noise)}; numbers in the table."
         picture = svg(accuracy.accuracy_figure(part), f"accuracy{i}", words)
         yield {"heading": noise_text(noise).capitalize(), "picture": Markup(picture)}
 
@@ -289,7 +295,7 @@ def count_panels(results: Results) -> Iterator[tuple[str, list[Part]]]:
         for j, photons in enumerate(sorted({p.photons for p in points})):
             part = results.with_points(p for p in points if p.photons == photons)
             where = f"{photons_text(photons)} photons"
-            words = f"Accuracy against number of masks at {where}; numbers in the last table."
+            words = f"{title_of(results)} against number of masks at {where}; see the last table."
             picture = svg(accuracy.count_figure(part), f"count{i}-{j}", words)
             panels.append({"heading": where, "picture": Markup(picture)})
         yield noise_text(noise).capitalize(), panels
@@ -310,6 +316,33 @@ def best_table(results: Results, noise: str) -> Part:
         "rows": rows,
         "leaders": {photons: leading(points, photons) for photons in budgets},
     }
+
+
+def errors(results: Results) -> Iterator[Part]:
+    """Root mean squared errors of values at the chosen mask counts, by noise, series and budget."""
+    axes = accuracy.series_axes(results)
+    for noise in accuracy.noises(results):
+        points = [p for p in chosen(results, noise) if p.rmse]
+        if points:
+            names = accuracy.series_names(points, axes, "title")
+            rows = [
+                (names[accuracy.key_of(p, axes)], p)
+                for p in sorted(points, key=lambda p: (p.photons, -p.accuracy))
+            ]
+            yield {"heading": noise_text(noise).capitalize(), "rows": rows}
+
+
+def answers_text(data: Data) -> str:
+    """What is asked of a scene: its class, or its values."""
+    if data.values:
+        return f"values: {listed([*data.values])}"
+    return f"{len(data.classes)} classes"
+
+
+def title_of(results: Results) -> str:
+    """Name of the measure at the beginning of a sentence."""
+    name = WORDS[results.data.measure].name
+    return name[0].upper() + name[1:]
 
 
 def confusions(results: Results) -> Iterator[Part]:

@@ -191,10 +191,15 @@ def _plan(recipe: Recipe, results: Results, target: float) -> dict[str, Any]:
 
 def check_plan(recipe: Recipe, data: Dataset, target: float) -> None:
     """Raise `InputError` for what cannot be planned."""
-    chance = float(np.bincount(data.y_test).max() / len(data.y_test))
-    if not chance < target < 1:
+    if data.measure != "accuracy":
         raise InputError(
-            f"target {target:g} is not allowed: give an accuracy below 1 and above {chance:.3g}, "
+            f"a plan is of accuracies, and answers to {data.name} are measured by {data.measure}: "
+            "use compare"
+        )
+    if not data.chance < target < 1:
+        raise InputError(
+            f"target {target:g} is not allowed: give an accuracy below 1 and above "
+            f"{data.chance:.3g}, "
             f"that of guessing the commonest class of {data.name}"
         )
     if len(set(recipe.photons)) < 3 or not recipe.held_out(data):

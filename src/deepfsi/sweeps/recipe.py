@@ -158,6 +158,9 @@ class Recipe(BaseModel):
     data: str = Field("digits", description="name, folder of images or .npz file")
     size: tuple[int, int] | None = Field(None, description="height, width of folder images")
     skip_bad: bool = Field(False, description="leave images that cannot be read out, and name them")
+    normal: str | None = Field(
+        None, description="class to be told from anomalies made of its scenes"
+    )
     images: int | None = Field(None, ge=1, description="training images that are taken; all")
     split: Literal["random", "blocks"] | None = Field(
         None, description="how a hyperspectral image is divided for testing; random unless given"

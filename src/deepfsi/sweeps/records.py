@@ -24,6 +24,7 @@ from typing import Any
 from pydantic import BaseModel, Field, FiniteFloat
 
 from deepfsi.design.adaptive.design import AnyDesign, load_design
+from deepfsi.design.estimation import Estimates
 from deepfsi.design.evaluation import Result
 from deepfsi.errors import InputError
 from deepfsi.files import (
@@ -37,8 +38,8 @@ from deepfsi.sweeps.locks import Locks, inside
 from deepfsi.sweeps.results import SCHEMA
 from deepfsi.sweeps.trial import Trial
 
-MEASURED = ("accuracy", "low", "high", "balanced", "counts", "throughput")
-"""Numbers of a test that are columns of the table."""
+MEASURED = ("accuracy", "auc", "r2", "low", "high", "balanced", "counts", "throughput")
+"""Numbers of a test that are columns of the table, where it has them."""
 
 
 Finished = tuple[Trial, Mapping[str, Any], bytes | None]
@@ -51,6 +52,13 @@ LARGEST_FILE = 2**26
 @dataclass(frozen=True)
 class _Tested(Result):
     """Test of a trial, of masks of so many grey levels."""
+
+    levels: int
+
+
+@dataclass(frozen=True)
+class _Estimated(Estimates):
+    """The same of values."""
 
     levels: int
 
@@ -68,8 +76,8 @@ class _Record(BaseModel):
     revision: int = Field(alias="schema")
     key: str
     design: str
-    validation: list[_Tested]
-    test: list[_Tested] = Field(min_length=1)
+    validation: list[_Tested | _Estimated]
+    test: list[_Tested | _Estimated] = Field(min_length=1)
     info: _Info
 
 
@@ -179,12 +187,17 @@ def rows(records: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
                     "test_noise": test["noise"],
                     "test_photons": test["photons"],
                     "levels": test["levels"],
-                    "validation": validation and validation["accuracy"],
-                    **{name: test[name] for name in MEASURED},
+                    "validation": validation and _score(validation),
+                    **{name: test[name] for name in MEASURED if name in test},
                     "seconds": record["info"]["seconds"],
                 }
             )
     return table
+
+
+def _score(test: Mapping[str, Any]) -> float:
+    """Accuracy of a test, or R²."""
+    return test["r2"] if "r2" in test else test["accuracy"]
 
 
 def write_table(records: Sequence[Mapping[str, Any]], path: Path) -> Path:

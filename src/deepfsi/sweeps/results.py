@@ -7,11 +7,12 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat, model_validator
 
+from deepfsi.datasets.dataset import Measure
 from deepfsi.errors import as_input_error
 from deepfsi.files import read_regular, write_atomically
 from deepfsi.optics.codes import EVERY_PIXEL
 
-SCHEMA = 4
+SCHEMA = 5
 """Schema of results and of records, the only one; tests of records of another are run anew."""
 
 
@@ -34,6 +35,9 @@ def _some(points: tuple["Point", ...]) -> tuple["Point", ...]:
 
 Share = Annotated[float, Field(ge=0, le=1)]
 """Number from 0 to 1."""
+
+Score = Annotated[float, Field(le=1, allow_inf_nan=False)]
+"""Accuracy, area under a ROC curve, or R², which a bad guess takes below 0."""
 
 Budget = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 """Finite number above 0."""
@@ -84,21 +88,34 @@ class Point(Frozen):
     learned: bool = Field(description="whether its masks are trained")
     ratio: FiniteFloat = Field(description="m · D / N, readouts of a rail over pixels")
     trials: Count = Field(description="trainings with different seeds that are averaged")
-    validation: Share | None = Field(
-        description="mean accuracy on validation data, if any was held out; balanced accuracy "
+    validation: Score | None = Field(
+        description="mean measure on validation data, if any was held out; balanced accuracy "
         "where a recipe balances its training"
     )
-    accuracy: Share = Field(description="mean over trials")
+    accuracy: Score = Field(
+        description="measure of the answers, in the mean over trials: accuracy, area under the ROC "
+        "curve of one class against anomalies, or R² of values"
+    )
     low: FiniteFloat = Field(description="lower end of its 95 % interval")
     high: FiniteFloat = Field(description="upper end of its 95 % interval")
     covers: str = Field(description="what the interval covers")
-    balanced: Share = Field(description="mean of the classes' accuracies")
-    balanced_low: FiniteFloat = Field(
-        description="lower end of its interval, which covers the same"
+    balanced: Share | None = Field(
+        None, description="mean of the classes' accuracies; none of values"
     )
-    balanced_high: FiniteFloat = Field(description="upper end of its interval")
-    worst: Share = Field(description="lowest accuracy of a class, in the mean over trials")
-    worst_class: Count = Field(description="place of that class among those of the data")
+    balanced_low: FiniteFloat | None = Field(
+        None, description="lower end of its interval, which covers the same"
+    )
+    balanced_high: FiniteFloat | None = Field(None, description="upper end of its interval")
+    worst: Score = Field(
+        description="lowest accuracy of a class, or R² of a value, in the mean over trials"
+    )
+    worst_class: Count = Field(description="place of that class or value among those of the data")
+    rmse: tuple[FiniteFloat, ...] = Field(
+        (), description="root mean squared error of each value, in the mean over trials"
+    )
+    bound: tuple[FiniteFloat, ...] = Field(
+        (), description="that of the best linear estimator of the same counts, likewise"
+    )
     log_loss: FiniteFloat | None = Field(
         None, description="mean of −ln p of the true class, in nats, and over trials"
     )
@@ -110,7 +127,7 @@ class Point(Frozen):
         "that are quantised for a test only, that of the masks before"
     )
     seconds: FiniteFloat = Field(description="mean time of a training")
-    accuracies: tuple[Share, ...] = Field(description="of each trial")
+    accuracies: tuple[Score, ...] = Field(description="measure of each trial")
     keys: tuple[Key, ...] = Field(min_length=1, description="design file of each trial")
     best: bool = Field(
         description="whether its mask count was chosen on validation data, or nothing was chosen"
@@ -138,13 +155,19 @@ class Data(Frozen):
     image_shape: tuple[Count, ...] = Field(
         min_length=1, description="rows and columns of a scene, or bands of a spectrum"
     )
-    classes: tuple[str, ...] = Field(min_length=1, description="names of the classes")
+    classes: tuple[str, ...] = Field(description="names of the classes; none where it has values")
+    values: tuple[str, ...] = Field(
+        (), description="names of its values; none where it has classes"
+    )
+    measure: Measure = Field(
+        "accuracy", description="what `accuracy` of a point is: accuracy, AUC or R²"
+    )
     train: Count = Field(description="scenes trained on")
     validation: Count = Field(description="scenes held out")
     test: Count = Field(description="scenes tested on")
-    commonest: FiniteFloat = Field(
-        description="share of the test scenes that are of their commonest class: the accuracy of "
-        "guessing it"
+    chance: FiniteFloat = Field(
+        description="measure of guessing: the share of the test scenes that are of their commonest "
+        "class, an area of 0.5, or R² 0"
     )
     preprocessing: str = Field(description="steps from the data's own values to reflectance")
     mean_reflectance: FiniteFloat = Field(description="of a pixel of the training scenes")
@@ -178,7 +201,7 @@ class Results(Frozen):
         description="data that mask counts were chosen on: validation or nothing"
     )
     chosen_by: str = Field(
-        "accuracy", description="accuracy that they were chosen by: accuracy or balanced"
+        "accuracy", description="measure that they were chosen by: accuracy, balanced, auc or r2"
     )
     points: Annotated[tuple[Point, ...], AfterValidator(_some)] = Field(
         description="one for each setting"
@@ -187,7 +210,8 @@ class Results(Frozen):
 
     @model_validator(mode="after")
     def _of_one_comparison(self) -> "Results":
-        if any(point.worst_class >= len(self.data.classes) for point in self.points):
+        names = self.data.classes or self.data.values
+        if any(point.worst_class >= len(names) for point in self.points):
             raise ValueError("the worst class of a point is none of the data's")
         return self
 

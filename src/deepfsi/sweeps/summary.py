@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from deepfsi.datasets import Dataset
-from deepfsi.design.evaluation import COVERS
+from deepfsi.datasets.dataset import Measure
 from deepfsi.design.exposure import find_exposure
 from deepfsi.optics import codes
 from deepfsi.optics.detection import Detection
@@ -33,6 +33,13 @@ AXES = (
     "masks",
 )
 """Fields that tell the points of a summary apart."""
+
+MEASURES: dict[Measure, tuple[str, str, str]] = {
+    "accuracy": ("accuracy", "low", "high"),
+    "AUC": ("auc", "auc_low", "auc_high"),
+    "R²": ("r2", "low", "high"),
+}
+"""Fields of a test that hold a measure and its 95 % interval."""
 
 
 def summarise(
@@ -59,10 +66,14 @@ def summarise(
             )
             key = (*trained, test["noise"], test["photons"], test["levels"], job["masks"])
             groups[key].append((record, index))
-    measure = "balanced" if recipe.balances else "accuracy"
+    measure = "balanced" if recipe.balances else MEASURES[data.measure][0]
     points = [
         point(
-            dict(zip(AXES, key, strict=True)), members, _pixels_seen(members[0][0], data), measure
+            dict(zip(AXES, key, strict=True)),
+            members,
+            _pixels_seen(members[0][0], data),
+            measure,
+            data.measure,
         )
         for key, members in groups.items()
     ]
@@ -102,10 +113,12 @@ def facts_of(data: Dataset, held_out: int) -> Data:
         hash=data.hash,
         image_shape=data.image_shape,
         classes=data.classes,
+        values=data.values,
+        measure=data.measure,
         train=train,
         validation=held_out,
         test=len(data.x_test),
-        commonest=float(np.bincount(data.y_test).max() / len(data.y_test)),
+        chance=data.chance,
         preprocessing=data.preprocessing,
         mean_reflectance=float(data.x_train[:train].mean(dtype=np.float64)),
     )
@@ -128,13 +141,12 @@ def point(
     members: Sequence[tuple[Mapping[str, Any], int]],
     pixels: float,
     chosen_by: str = "accuracy",
+    measure: Measure = "accuracy",
 ) -> Point:
     """One point of a summary: trials averaged."""
     tests = [record["test"][index] for record, index in members]
-    accuracy, low, high = _over_trials(tests, "accuracy", "low", "high")
-    balanced, lower, upper = _over_trials(tests, "balanced", "balanced_low", "balanced_high")
+    score, accuracy = MEASURES[measure][0], _over_trials(tests, *MEASURES[measure])
     several = f"training seeds (Student's t over {len(tests)} trials)"
-    rates = _mean_rates(tests)
     validated = [record["validation"][index] for record, index in members if record["validation"]]
     code = codes.DESIGNS[axes["design"]]
     return Point(
@@ -146,25 +158,41 @@ def point(
         ratio=axes["masks"] / pixels,
         trials=len(tests),
         validation=float(np.mean([v[chosen_by] for v in validated])) if validated else None,
-        accuracy=accuracy,
-        low=low,
-        high=high,
-        covers=several if len(tests) > 1 else COVERS,
-        balanced=balanced,
-        balanced_low=lower,
-        balanced_high=upper,
-        worst=rates[worst_of(rates)] or 0.0,
-        worst_class=worst_of(rates),
-        log_loss=float(np.mean([test["log_loss"] for test in tests])),
+        **dict(zip(("accuracy", "low", "high"), accuracy, strict=True)),
+        covers=several if len(tests) > 1 else tests[0]["covers"],
+        **(_of_values(tests) if measure == "R²" else _of_classes(tests)),
         counts=float(np.mean([test["counts"] for test in tests])),
         throughput=float(np.mean([test["throughput"] for test in tests])),
         seconds=float(np.mean([record["info"]["seconds"] for record, _ in members])),
-        accuracies=tuple(float(test["accuracy"]) for test in tests),
+        accuracies=tuple(float(test[score]) for test in tests),
         keys=tuple(record["design"] for record, _ in members),
         best=True,
-        confusion=np.sum([test["confusion"] for test in tests], axis=0).tolist(),
-        one_class=all(np.any(test["confusion"], axis=0).sum() == 1 for test in tests),
     )
+
+
+def _of_classes(tests: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Fields of a point whose answers are classes."""
+    rates, balanced = _mean_rates(tests), ("balanced", "balanced_low", "balanced_high")
+    return {
+        **dict(zip(balanced, _over_trials(tests, *balanced), strict=True)),
+        "worst": rates[worst_of(rates)] or 0.0,
+        "worst_class": worst_of(rates),
+        "log_loss": float(np.mean([test["log_loss"] for test in tests])),
+        "confusion": np.sum([test["confusion"] for test in tests], axis=0).tolist(),
+        "one_class": all(np.any(test["confusion"], axis=0).sum() == 1 for test in tests),
+    }
+
+
+def _of_values(tests: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Fields of a point whose answers are values."""
+    each = np.mean([test["r2_each"] for test in tests], axis=0).tolist()
+    known = [test["bound"] for test in tests if test["bound"] is not None]
+    return {
+        "worst": min(each),
+        "worst_class": each.index(min(each)),
+        "rmse": np.mean([test["rmse"] for test in tests], axis=0).tolist(),
+        "bound": np.mean(known, axis=0).tolist() if known else (),
+    }
 
 
 def _over_trials(
@@ -173,7 +201,8 @@ def _over_trials(
     """Mean of a measure, and its interval: over trials, of a single one over its test images."""
     values = [float(test[measure]) for test in tests]
     ends = (tests[0][low], tests[0][high]) if len(tests) == 1 else student(values)
-    return float(np.mean(values)), max(ends[0], 0.0), min(ends[1], 1.0)
+    least = min(0.0, *values)  # R² is below 0 where guessing the mean is better
+    return float(np.mean(values)), max(ends[0], least), min(ends[1], 1.0)
 
 
 def _mean_rates(tests: Sequence[Mapping[str, Any]]) -> list[float | None]:

@@ -20,12 +20,13 @@ from deepfsi.optics import codes
 from deepfsi.optics.camera import Camera
 from deepfsi.optics.detection import ONE
 from deepfsi.sweeps.recipe import NamedCamera, Recipe, TestNoise
-from deepfsi.training.job import REVISION, Job, classifier_name
+from deepfsi.training.job import REVISION, Job
+from deepfsi.training.own_names import classifier_name, loss_name
 
 MOST_TRIALS = 100_000
 """Trials of one recipe: months of training, and records that still fit the memory."""
 
-SCHEMA = 5
+SCHEMA = 6
 """Version of what the keys of trials are hashes of."""
 
 
@@ -45,7 +46,7 @@ class Trial(BaseModel):
     data: str = Field(description="name")
     data_hash: str = Field(description="of scenes and labels")
     matrix_hash: str = Field("", description="of one's own masks")
-    source_hash: str = Field("", description="of the files of one's own classifier and noise")
+    source_hash: str = Field("", description="of the files of one's own classifier, loss and noise")
     validation: int = Field(description="training scenes held out")
     draws: int = Field(description="noise draws of each test scene")
     test_photons: tuple[float, ...] = Field(description="budgets of the tests")
@@ -230,7 +231,8 @@ def _optics_text(recipe: Recipe) -> str:
 
 def _own_names(job: Job, test_noise: Sequence[str]) -> list[str]:
     """Import paths of a user's own parts that a trial needs."""
-    every = {job.noise, *test_noise, classifier_name(job.training.classifier)}
+    own = classifier_name(job.training.classifier), loss_name(job.training.loss) or ""
+    every = {job.noise, *test_noise, *own}
     return sorted(name for name in every if ":" in name or name == UNNAMED)
 
 

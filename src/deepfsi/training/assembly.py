@@ -8,6 +8,7 @@ from torch import Tensor, nn
 from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.design.own import OwnClassifier, make
+from deepfsi.design.values import Values
 from deepfsi.errors import InputError
 from deepfsi.laws import Light
 from deepfsi.optics import constraints
@@ -42,8 +43,8 @@ def design_of(
         Its masks, without replicas, and its detectors.
     classifier : nn.Module
         From (batch, k) counts as the scanner gives them, m differences y⁺ − y⁻ unless its
-        `detection` says otherwise, to (batch, C) logits. A copy is taken. One of `OwnClassifier`
-        keeps its import path in the design's file.
+        `detection` says otherwise, to (batch, C) logits, or to (batch, q) standardised values. A
+        copy is taken. One of `OwnClassifier` keeps its import path in the design's file.
     data : Dataset, str, path or tuple of arrays
         That the training was on: its training scenes give the mean light, its classes their names.
     photons : float
@@ -69,7 +70,7 @@ def design_of(
     design = Design(
         name="custom",
         rails=rails,
-        classifier=_copy(classifier, read, len(scenes.classes)).to(rails.device),
+        classifier=_copy(classifier, read, scenes.answers).to(rails.device),
         mean=torch.zeros(read, device=rails.device),
         std=torch.full((read,), 1 / budget, device=rails.device),
         shares=_counted(rails, scanner.detection, mean) / s,
@@ -78,6 +79,7 @@ def design_of(
         detection=scanner.detection,
         image_shape=scenes.image_shape,
         classes=scenes.classes,
+        values=Values.of(scenes),
         info=provenance(job, scenes, rails.device, 0.0),
     )
     del design.info["job"]["training"], design.info["seconds"]  # not known of a training elsewhere

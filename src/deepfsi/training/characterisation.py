@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from math import prod
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -31,10 +32,11 @@ def characterise(training_set: TrainingSet, jobs: Sequence[Job], designs: Sequen
             or chooses
             or not torch.equal(*(each.rails.stacked for each in (first, design)))
         ):
-            design.distribution = _distribution(design, scenes, training_set.labels)
+            design.distribution = _distribution(design, scenes, training_set.data.groups)
         else:
             design.distribution = first.distribution
-        design.temperatures = find_temperatures(design, job, training_set.data)
+        if design.classes:
+            design.temperatures = find_temperatures(design, job, training_set.data)
 
 
 def find_temperatures(design: Design, job: Job, data: Dataset) -> Temperatures:
@@ -68,12 +70,13 @@ def _shares(design: Design, scenes: Tensor, photons: float, seed: int) -> Tensor
     return shares / len(scenes)
 
 
-def _distribution(design: Design, scenes: Tensor, labels: Tensor) -> ReadoutDistribution | None:
+def _distribution(design: Design, scenes: Tensor, labels: np.ndarray) -> ReadoutDistribution | None:
     """Distribution of the readouts of scenes (n, N) of classes (n,), if it can be had."""
     if not design.exposure.comparable or design.gates is not None:
         return None
     rows = sample_scenes(len(scenes), prod(design.counts_shape))
-    x, several = scenes[rows], (labels[rows].cpu().numpy(), len(design.classes), design.detection)
+    x = scenes[rows]
+    several = labels[rows], len(design.classes) or 1, design.detection
     with torch.no_grad():
         rates, lit = design.rates(design.scanner(), x), x.sum(dim=-1) / design.summed_reflectance
         return design.exposure.distribution(rates, lit, *several, design.mean, design.std)

@@ -1,10 +1,11 @@
-"""Faults of jobs that go beyond one setting: few counts within a budget, and adaptive masks."""
+"""Faults of jobs that go beyond one setting: few counts, values, and adaptive masks."""
 
 from typing import TYPE_CHECKING, Protocol
 
 from deepfsi.design.exposure import Exposure, Fixed
 from deepfsi.design.exposure.base import Job
 from deepfsi.laws import MLP
+from deepfsi.optics.codes import DESIGNS
 
 if TYPE_CHECKING:
     from deepfsi.datasets import Dataset
@@ -52,6 +53,28 @@ def of_few_counts(job: WholeJob, image_shape: tuple[int, ...]) -> list[str]:
     if counts < most:
         return []
     return [f"{counts:g} counts are not fewer than {most:g}, {of}: give fewer"]
+
+
+def of_values(job: WholeJob) -> list[str]:
+    """Everything in a job on scenes with values that is of classes alone."""
+    found = []
+    if job.code.of_classes:
+        found.append(
+            f"{job.design} is made of classes, and these scenes have values: give another design"
+        )
+    elif job.code.learns_masks and DESIGNS[job.training.start].of_classes:
+        found.append(
+            f"masks cannot start from {job.training.start}, which is made of classes, where scenes "
+            'have values: give `start="pca"`'
+        )
+    if job.exposure.of_classes:
+        found.append(
+            "several looks are decided by the probabilities of classes, and these scenes have "
+            "values: leave `looks` out"
+        )
+    if job.training.balance:
+        found.append("`balance` is of classes, and these scenes have values: leave it out")
+    return found
 
 
 def of_adaptive_masks(job: WholeJob, data: "Dataset") -> list[str]:

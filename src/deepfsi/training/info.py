@@ -19,7 +19,7 @@ def provenance(
         "job": job.model_dump(mode="json"),
         "data": TrainedOn.of(data).model_dump(mode="json"),
         "preprocessing": data.preprocessing,
-        "brightness": brightness(data.x_train, data.y_train),
+        "brightness": brightness(data.x_train, data.groups),
         "deepfsi": version("deepfsi"),
         "torch": torch.__version__,
         "device": device.type,

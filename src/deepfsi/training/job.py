@@ -5,19 +5,11 @@ to choose it. Options of the command line, keywords of `learn`, axes of recipes,
 of the documents are made from these fields.
 """
 
-import re
 from collections.abc import Collection, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import (
-    AfterValidator,
-    BeforeValidator,
-    Field,
-    PlainSerializer,
-    WithJsonSchema,
-    model_validator,
-)
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from deepfsi.design.exposure import (
     KINDS,
@@ -29,12 +21,12 @@ from deepfsi.design.exposure import (
 )
 from deepfsi.errors import InputError, closest
 from deepfsi.frozen import Settings
-from deepfsi.imports import PATTERN, UNNAMED
 from deepfsi.laws import MLP, VIT, Scale, Widths
 from deepfsi.optics.budget import BUDGETS, check_budget, check_one_budget
 from deepfsi.optics.camera import Camera
 from deepfsi.optics.noise_names import Noise, noise_name
-from deepfsi.training.faults import of_adaptive_masks, of_few_counts
+from deepfsi.training.faults import of_adaptive_masks, of_few_counts, of_values
+from deepfsi.training.own_names import Classifier, Loss, classifier_name
 
 if TYPE_CHECKING:
     import numpy as np
@@ -74,24 +66,6 @@ def _start(name: str) -> str:
     return name
 
 
-def classifier_name(given: Any) -> str:
-    """Name or import path of a classifier that is given by name, as a module or as a factory."""
-    if isinstance(given, str):
-        return given
-    from deepfsi.design.own import describe
-
-    return describe(given, None)[0]
-
-
-def _classifier(given: Any) -> Any:
-    if not (isinstance(given, str) or callable(given)):
-        raise ValueError(f"give {MLP}, or a module or factory of your own")
-    name = classifier_name(given)
-    if name not in (MLP, VIT, UNNAMED) and not re.fullmatch(PATTERN, name):
-        raise ValueError(f"give {MLP}, or module:factory of your own")
-    return given
-
-
 def _is_size(given: Any) -> bool:
     return isinstance(given, int) and not isinstance(given, bool) and given >= 1
 
@@ -122,12 +96,9 @@ class Training(Settings):
         (40, 128), description="widths of the hidden layers of mlp"
     )
     dropout: float = Field(0.0, ge=0, lt=1, description="share of hidden units left out in a step")
-    classifier: Annotated[
-        Any,
-        AfterValidator(_classifier),
-        PlainSerializer(classifier_name, return_type=str),
-        WithJsonSchema({"type": "string"}),
-    ] = Field(MLP, description="mlp, or module:factory of a torch module of your own")
+    classifier: Classifier = Field(
+        MLP, description="mlp, or module:factory of a torch module of your own"
+    )
     classifier_arguments: dict[str, Any] = Field(
         {}, description="keyword arguments of that factory, besides the numbers"
     )
@@ -160,6 +131,11 @@ class Training(Settings):
         "auto",
         description="type of the products of learned masks and of wide networks: float32, "
         "bfloat16, or auto: bfloat16 where its rounding is below the noise",
+    )
+    loss: Loss = Field(
+        None,
+        description="module:function of a loss of your own, of outputs (n, C) and truth (n,) of "
+        "classes or (n, q) of values; cross entropy, or the squared error of values, unless given",
     )
     noise: Noise | None = Field(
         None,
@@ -355,11 +331,15 @@ class Job(Settings):
         faults = [*self._classifier_faults(), *self.exposure.faults(self)]
         if self.training.counts is not None:
             faults += of_few_counts(self, data.image_shape)
+        if data.values:
+            faults += of_values(self)
+        if self.training.balance and self.training.loss is not None:
+            faults.append("`balance` weighs the usual loss: leave it out, or `loss`")
         if self.code.signed and self.camera.rails == "single":
             faults.append(f"{self.design} is signed: use dual rails, or the s-matrix")
         if "gaussian" in (self.noise, self.masks_from().noise) and not self.camera.sigma:
             faults.append("gaussian noise is read noise: give `sigma` above 0")
-        if self.code.adaptive:
+        if self.code.adaptive and data.classes:
             faults += of_adaptive_masks(self, data)
         if (matrix is not None) != self.code.own:
             faults.append(

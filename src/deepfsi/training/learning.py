@@ -122,7 +122,7 @@ def train(
         labels = design.detection.labels
         if labels is not None:
             design.info["detector_light"] = detector_shares(
-                training_set.data.x_train, training_set.data.y_train, labels.cpu().numpy()
+                training_set.data.x_train, training_set.data.groups, labels.cpu().numpy()
             )
     return designs
 
@@ -241,6 +241,7 @@ def _designs(
             light=light,
             image_shape=shape,
             classes=training_set.data.classes,
+            values=training_set.values,
             exposure=exposures[r].trained(masks, r),
             detection=detection,
         )

@@ -1,4 +1,4 @@
-"""The loop of training: steps that train R classifiers side by side, and masks where they learn.
+"""The loop of training: steps that train R networks side by side, and masks where they learn.
 
 One step, for B scenes and m masks: gather scenes, multiply them with all masks at once, draw noise,
 standardise, classify, descend. The scenes stay on the device, nothing is read back within an epoch,
@@ -16,7 +16,6 @@ from typing import Any
 
 import torch
 from torch import Tensor, nn
-from torch.nn import functional
 
 from deepfsi.datasets import Dataset
 from deepfsi.design.classifiers import Mlp, Replicas, Vit
@@ -32,14 +31,12 @@ from deepfsi.training.draws import seed_streams, side_by_side
 from deepfsi.training.features import CountedFeatures, features_of
 from deepfsi.training.few_counts import CountsCost, dim_start
 from deepfsi.training.job import Job
+from deepfsi.training.losses import find_loss, total
 from deepfsi.training.precision import network_dtype
 from deepfsi.training.training_set import TrainingSet
 
 Classifier = Mlp | Vit | OwnClassifier
 """What is trained to classify."""
-
-EARLY_LOOKS_WEIGHT = 0.2
-"""Weight of the loss of the answers before the last look, in their mean; the last has 1."""
 
 CHOOSER_LR = 0.2
 """Learning rate of the network that chooses dwells, over that of the classifier."""
@@ -73,6 +70,8 @@ def optimise(
     streams = seed_streams([each.seed for each in jobs], noise, labels, batch)
     features = features_of(training_set, job, masks, noise, streams, exposures[0], choose)
     weights = training_set.class_weights if settings.balance else None
+    rows = isinstance(classifiers[0], Vit)
+    each = find_loss(settings.loss, training_set.values is not None, weights, rows)
     steps = len(labels) // batch
     counted = features if isinstance(features, CountedFeatures) and features.penalised else None
     if counted is not None and settings.counts is not None:
@@ -84,9 +83,8 @@ def optimise(
             stream.shuffle()
 
     def loss(step: int) -> Tensor:
-        logits = classify(features.at(step))
-        truth = side_by_side([each.labels(step) for each in streams])
-        value = _loss(logits, truth, weights, isinstance(classifiers[0], Vit)) / batch
+        truth = side_by_side([stream.labels(step) for stream in streams])
+        value = total(each, classify(features.at(step)), truth) / batch
         return value if counted is None else value + cost(counted.expected).sum()
 
     groups = [parameter_group(classify, settings.lr, settings.decay)]
@@ -146,7 +144,7 @@ def _classifiers(
     jobs: Sequence[Job], data: Dataset, exposure: TrainedExposure, device: torch.device
 ) -> list[Classifier]:
     """Classifiers of jobs, untrained."""
-    job, settings, classes = jobs[0], jobs[0].training, len(data.classes)
+    job, settings, classes = jobs[0], jobs[0].training, data.answers
     inputs = exposure.input_count(job.features(data.image_shape))
     if settings.own:
         made = make(settings.classifier, settings.classifier_arguments, inputs, classes, job.seed)
@@ -158,23 +156,6 @@ def _classifiers(
         tokens, sizes = exposure.tokens(data.image_shape), settings.classifier_arguments
         return [Vit(inputs, tokens, classes, **sizes, generator=seed) for seed in seeds]
     return [Mlp(inputs, classes, settings.hidden, settings.dropout, seed) for seed in seeds]
-
-
-def _loss(logits: Tensor, labels: Tensor, weights: Tensor | None, rows: bool) -> Tensor:
-    """Sum over scenes and replicas (B, R) of the cross entropy of logits (K · B, R, C), K answers.
-
-    Scenes have the weights (C,) of their classes, if there are any. Classes are along the last
-    axis in memory with `rows`, else along the first: that is rounded otherwise.
-    """
-    answers = len(logits) // len(labels)
-    by_class, truth = logits.flatten(0, 1), labels.repeat(answers, 1).flatten()
-    if not rows:  # sums over few classes are many times faster along a leading axis
-        by_class, truth = by_class.T.contiguous()[None], truth[None]
-    if answers == 1:
-        return functional.cross_entropy(by_class, truth, weights, reduction="sum")
-    each = functional.cross_entropy(by_class, truth, weights, reduction="none")
-    *early, last = each.view(answers, -1).sum(dim=1)
-    return last + EARLY_LOOKS_WEIGHT / len(early) * sum(early)
 
 
 @contextmanager

@@ -8,6 +8,7 @@ from torch import Tensor
 
 from deepfsi.datasets import Dataset
 from deepfsi.design.exposure import Exposure
+from deepfsi.design.values import Values
 from deepfsi.errors import InputError
 from deepfsi.laws import Light
 from deepfsi.optics import codes, tiles
@@ -27,8 +28,10 @@ class TrainingSet:
         self.data = data
         self._name, self.device = device, find_device(device)
         self.summed_reflectance = summed_reflectance(data.x_train)
-        labels = np.require(data.y_train, requirements="W")
-        self.labels = torch.from_numpy(labels).to(self.device)
+        self.values = Values.of(data)
+        # (n,) classes, or (n, q) standardised values
+        truth = torch.from_numpy(np.require(data.y_train, requirements="W"))
+        self.labels = (self.values.standardised(truth) if self.values else truth).to(self.device)
         x = np.require(data.x_train, requirements="W")  # a cluster shares arrays read-only
         self.full = torch.from_numpy(x).to(self.device)
         self.matrices = {} if matrices is None else matrices

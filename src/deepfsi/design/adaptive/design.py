@@ -84,6 +84,7 @@ class AdaptiveDesign:
 
     name: ClassVar = "adaptive"
     temperatures: ClassVar[None] = None  # its probabilities are a posterior's
+    values: ClassVar[None] = None  # it answers classes
 
     def __repr__(self) -> str:
         return (

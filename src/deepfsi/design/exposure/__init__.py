@@ -138,6 +138,8 @@ class Looks(Exposure):
     'poisson'
     """
 
+    of_classes: ClassVar[bool] = True
+
     training: ClassVar[dict[str, Any]] = {"start": "class-pairs"}
     """On MNIST's validation images at 1e4 photons, 64 masks and 4 looks 0.866; 0.845 from pca."""
 
@@ -251,7 +253,7 @@ class Patches(Exposure):
         return replace(
             data,
             x_train=patches.reshape(-1, self.patch**2),
-            y_train=np.repeat(data.y_train, patches.shape[1]),
+            y_train=np.repeat(data.y_train, patches.shape[1], axis=0),
             x_test=np.zeros((0, self.patch**2), np.float32),
             y_test=data.y_test[:0],
             image_shape=(self.patch, self.patch),

@@ -68,6 +68,9 @@ class Exposure(Settings):
     side_by_side: ClassVar[bool] = True
     """Whether jobs that differ in budget and seed train together."""
 
+    of_classes: ClassVar[bool] = False
+    """Whether it is decided by the probabilities of classes."""
+
     rounds_products: ClassVar[bool] = True
     """Whether products of masks in bfloat16 were tried."""
 

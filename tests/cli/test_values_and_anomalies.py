@@ -1,0 +1,66 @@
+"""Values in place of classes, and one class against anomalies, on the command line."""
+
+import json
+
+import numpy as np
+import pytest
+
+from shared.values import placed_digits
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory):
+    """An .npz file of 400 digits and the centres of their light."""
+    data, path = placed_digits(), tmp_path_factory.mktemp("values") / "placed.npz"
+    x, y = data.x_train[:400].reshape(-1, 8, 8), data.y_train[:400]
+    np.savez(path, x=x, y=y, values=np.array(data.values))
+    return path
+
+
+def test_values_go_from_design_to_the_report(done, refuse, file, tmp_path):
+    made = tmp_path / "v.safetensors"
+    few = ("--photons", "1e4", "--masks", 3, "--epochs", 2)
+    out = done("design", "--data", file, *few, "-o", made)
+    assert "R² " in out
+    assert "of the best linear estimator): row " in out
+    told = json.loads(done("evaluate", made, "--photons", "1e4", "--json"))["results"][0]
+    assert told["values"] == ["row", "column"]
+    table = done("evaluate", made, "--photons", "1e3,1e4")
+    assert "row" in table
+    assert "accuracy" not in table
+    for words in (("stop", made, "--photons", "1e4"), ("page", made, "-o", tmp_path / "p.html")):
+        assert "is of classes, and this design estimates row, column" in refuse(*words)
+    plan = ("plan", "--data", file, "--target", "0.9", "-o", tmp_path / "plan")
+    assert "measured by R²: use compare" in refuse(*plan)
+
+    folder = tmp_path / "out"
+    words = ("--designs", "pca,impulse", "--workers", 1, "--data", file, *few, "-o", folder)
+    printed = done("compare", *words)
+    assert "root mean squared error (best linear estimator)" in printed
+    assert "worst class" not in printed
+    results = json.loads((folder / "results.json").read_text())
+    assert results["data"]["measure"] == "R²"
+    assert results["data"]["chance"] == 0
+    assert all(len(point["rmse"]) == 2 for point in results["points"])
+    page = (folder / "report.html").read_text()
+    assert "Errors of each value" in page
+    assert "R² at each budget" in page
+    assert "classified correctly" not in page
+    assert "is the most accurate" not in page
+
+
+def test_one_class_against_anomalies_goes_from_design_to_the_report(done, refuse, tmp_path):
+    made = tmp_path / "three.safetensors"
+    few = ("--normal", "3", "--photons", "1e5", "--masks", 4, "--epochs", 3)
+    assert "AUC 0." in done("design", *few, "-o", made)
+    out = done("evaluate", made, "--photons", "1e5")  # it remembers the class
+    assert "AUC" in out
+    assert "anomaly" in out
+    folder = tmp_path / "out"
+    words = ("--designs", "pca", "--workers", 1, *few, "-o", folder)
+    assert "AUC" in done("compare", *words)
+    results = json.loads((folder / "results.json").read_text())
+    assert (results["data"]["measure"], results["chosen_by"]) == ("AUC", "auc")
+    assert "area under the ROC curve" in (folder / "report.html").read_text()
+    bad = ("design", "--normal", "13", "--photons", "1e4", "--masks", 4, "-o", tmp_path / "x")
+    assert "no class '13'" in refuse(*bad[:-1], f"{bad[-1]}.safetensors")

@@ -1,0 +1,202 @@
+"""Designs that estimate values: bounds, units, files, and what is of classes alone."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from deepfsi.design.artifact import Design
+from deepfsi.design.bounds import cramer_rao, linear_bound
+from deepfsi.design.evaluation import evaluate, scanner_for
+from deepfsi.design.onnx_graph import to_onnx
+from deepfsi.design.payload import check_playable
+from deepfsi.design.posterior import ideal_observer
+from deepfsi.design.stopping import stop
+from deepfsi.errors import InputError
+from deepfsi.laboratory.prediction import predict
+from deepfsi.optics.noise import Click
+from deepfsi.optics.scanner import Scanner
+from deepfsi.training.learning import learn
+from shared.values import SLOPES, SPREAD, linear_scenes, placed_digits
+
+SIGMA = 4.0
+COLUMN = {"light": "column", "rails": "dual"}
+READ_NOISE = COLUMN | {"noise": "gaussian", "sigma": SIGMA}
+
+
+@pytest.fixture(scope="module")
+def placed():
+    return placed_digits()
+
+
+@pytest.fixture(scope="module")
+def design(placed):
+    return learn(placed, camera="dmd", photons=1e4, masks=8, training={"epochs": 15})
+
+
+@pytest.fixture(scope="module")
+def linear():
+    """Linear scenes, and a design of random masks with a linear network under read noise."""
+    data = linear_scenes(6000, 6000)
+    training = {"epochs": 12, "batch": 200, "classifier": torch.nn.Linear(8, 2), "scale": "each"}
+    made = learn(data, camera=READ_NOISE, photons=1e3, masks=8, design="random", training=training)
+    return data, made
+
+
+def test_the_bound_is_the_posterior_of_the_linear_gaussian_model(linear):
+    """Of x = 0.5 + θ B + SPREAD ε, y = Φ M x / s + noise, by its own formula."""
+    data, made = linear
+    gain = 1e3 / made.summed_reflectance
+    mask = made.matrix.astype(float) * gain
+    frames = (made.rails.stacked > 0).any(dim=-1).sum().item() / 8  # rails that are read
+    noise = SPREAD**2 * mask @ mask.T + SIGMA**2 * frames * np.eye(8)
+    inverse = np.eye(2) + (mask @ SLOPES.T).T @ np.linalg.solve(noise, mask @ SLOPES.T)
+    expected = np.sqrt(np.diag(np.linalg.inv(inverse)))
+    found = linear_bound(made, scanner_for(made, made.camera), data, 1e3)
+    assert found == pytest.approx(expected, rel=5 / math.sqrt(2 * 6000))
+
+
+def test_a_linear_network_reaches_the_bound_and_none_is_below_it(linear):
+    data, made = linear
+    [result] = evaluate(made, data, 1e3, draws=2)
+    error = 5 / math.sqrt(2 * result.images)  # relative, of a root mean square of so many
+    for rmse, bound in zip(result.rmse, result.bound, strict=True):
+        assert bound * (1 - error) < rmse < bound * (1.02 + error)
+    assert result.low < result.r2 < result.high < 1
+
+
+def test_brightness_is_estimated_as_well_as_its_photons_are_counted(placed):
+    """x = θ e: the information of all counts about θ is their number over θ²."""
+    made = learn(placed, camera=COLUMN, photons=1e4, masks=8, design="pca", training={"epochs": 1})
+    scene = placed.x_test[:3]
+    counted = (made.rates(made.scanner(), torch.from_numpy(scene)) * 1e4).sum(dim=(1, 2)).numpy()
+    found = cramer_rao(made, scene, scene[:, None], 1e4)[:, 0]
+    assert found == pytest.approx(1 / np.sqrt(counted), rel=1e-5)
+    twice = cramer_rao(made, scene, np.stack([scene, scene], axis=1), 1e4)
+    assert np.isinf(twice).all()  # two values that do the same cannot be told apart
+    with pytest.raises(InputError, match=r"\(n, 64\) and \(n, values, 64\)"):
+        cramer_rao(made, scene, scene, 1e4)
+
+
+@pytest.mark.parametrize("gates", [1, 3])
+def test_information_of_clicks_is_that_of_their_distribution(gates):
+    rates = torch.tensor([[0.2, 1.0, 4.0]], dtype=torch.float64, requires_grad=True)
+    scanner = Scanner.from_rails(torch.ones(1, 3, 1, dtype=torch.float64), Click(gates))
+    clicks = torch.arange(gates + 1, dtype=torch.float64)[:, None, None]
+    chance = torch.distributions.Binomial(gates, -torch.expm1(-rates / gates))
+    weights = chance.log_prob(clicks).exp().detach()
+    slopes = torch.cat([torch.autograd.grad(row.sum(), rates, retain_graph=True)[0]
+                        for row in chance.log_prob(clicks)])  # fmt: skip
+    expected = (weights[:, 0] * slopes.square()).sum(dim=0)
+    assert scanner.information(rates.detach())[0].numpy() == pytest.approx(expected.numpy())
+
+
+@pytest.mark.parametrize("noise", ["poisson", "gaussian", "camera", "none", Click(1), Click(4)])
+def test_moments_are_those_of_drawn_counts(noise):
+    rails = torch.tensor([[[0.5, 0.0], [0.2, 0.3]], [[0.0, 0.4], [0.0, 0.0]]])
+    dark = 3.0 if noise == "camera" else 0.0
+    scanner = Scanner.from_rails(rails, noise, 2.0, dark)
+    rates = scanner.rates(torch.tensor([6.0, 3.0]))
+    draws = 40_000
+    drawn = scanner.detection.features(
+        scanner.read(rates.expand(draws, 2, 2), torch.Generator().manual_seed(0))
+    ).double()
+    mean, power = (each.double() for each in scanner.moments(rates))
+    off = 5 * (power / draws).sqrt() + 1e-6
+    assert ((drawn.mean(dim=0) - mean).abs() <= off).all()
+    fourth = ((drawn - mean) ** 4).mean(dim=0)
+    assert ((drawn.var(dim=0) - power).abs() <= 5 * (fourth / draws).sqrt() + 1e-6).all()
+
+
+def test_units_are_the_users_own(placed, design):
+    """The same training in other units: errors in these, R² as it was."""
+    other = placed_digits(scale=7.0, offset=100.0)
+    again = learn(other, camera="dmd", photons=1e4, masks=8, training={"epochs": 15})
+    [one], [two] = evaluate(design, placed, 1e4), evaluate(again, other, 1e4)
+    assert two.r2 == pytest.approx(one.r2, abs=0.01)
+    assert two.rmse == pytest.approx([7 * each for each in one.rmse], rel=0.05)
+    assert two.bound == pytest.approx([7 * each for each in one.bound], rel=0.05)
+
+
+def test_without_light_the_mean_is_answered(placed):
+    dark = learn(placed, camera="dmd", photons=1e-3, masks=4, training={"epochs": 3})
+    [result] = evaluate(dark, placed, 1e-3, draws=1)
+    assert abs(result.r2) < 0.02
+    assert result.bound == pytest.approx(placed.y_test.std(axis=0).tolist(), rel=1e-3)
+
+
+def test_learned_masks_estimate_better_than_a_raster_scan(placed, design):
+    raster = learn(placed, camera="dmd", photons=1e4, masks=64, design="raster",
+                   training={"epochs": 15})  # fmt: skip
+    [learned], [scanned] = evaluate(design, placed, 1e4), evaluate(raster, placed, 1e4)
+    assert learned.low > scanned.high
+
+
+def test_a_file_keeps_values_and_estimates_as_before(placed, design, tmp_path):
+    path = design.save(tmp_path / "d.safetensors")
+    back = Design.load(path)
+    assert back.values.names == ("row", "column")
+    assert back.to_bytes() == path.read_bytes()
+    counts = np.random.default_rng(0).poisson(50, (5, *design.counts_shape))
+    np.testing.assert_array_equal(back.estimate(counts, 1e4), design.estimate(counts, 1e4))
+    assert design.estimate(counts, 1e4).shape == (5, 2)
+    assert "row, column" in repr(back)
+
+
+def test_estimates_of_the_scanners_counts_are_those_of_the_test(placed, design):
+    """By hand: counts of the scanner, `estimate`, and the errors; its interval holds both."""
+    scenes = torch.from_numpy(placed.x_test) * (1e4 / placed.x_train.sum(axis=1).mean())
+    counts = design.scanner().counts(scenes, torch.Generator().manual_seed(3))[:, 0].numpy()
+    errors = design.estimate(counts, 1e4) - placed.y_test
+    [result] = evaluate(design, placed, 1e4, draws=1)
+    for rmse, low, high in zip(np.sqrt((errors**2).mean(axis=0)), result.rmse_low,
+                               result.rmse_high, strict=True):  # fmt: skip
+        assert low - (high - low) < rmse < high + (high - low)
+
+
+def test_ranges_nested_masks_and_passing_scenes_estimate_values(placed):
+    few = {"epochs": 2}
+    nested = learn(placed, camera="dmd", photons=1e4, masks=8, exposure={"nested": 2},
+                   training=few)  # fmt: skip
+    [result] = evaluate(nested.first(4), placed, 1e5, draws=1)
+    assert result.bound is not None
+    passing = learn(placed, camera="dmd", photons=1e4, exposure={"bins": 12, "speed": 1.0},
+                    training=few)  # fmt: skip
+    [result] = evaluate(passing, placed, 1e4, draws=1)
+    assert result.bound is None
+
+
+def test_what_is_of_classes_is_refused_in_one_line(placed, design, digits, tmp_path):
+    counts = np.ones(design.counts_shape)
+    for refused in (
+        lambda: design.classify(counts, 1e4),
+        lambda: stop(design, placed, 1e4),
+        lambda: check_playable(design),
+        lambda: to_onnx(design),
+        lambda: predict(design, tmp_path, 1e4),
+        lambda: ideal_observer(design, placed, 1e4),
+    ):
+        with pytest.raises(InputError, match="is of classes") as error:
+            refused()
+        assert "\n" not in str(error.value)
+    with pytest.raises(InputError, match="has classes, and the design answers row, column"):
+        evaluate(design, digits, 1e4)
+    with pytest.raises(InputError, match="answers classes and estimates no values"):
+        learn(digits, camera="dmd", photons=1e4, masks=2, design="pca",
+              training={"epochs": 1}).estimate(np.ones((2, 2)), 1e4)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("settings", "told"),
+    [
+        ({"design": "lda", "masks": 1}, "lda is made of classes"),
+        ({"design": "adaptive"}, "adaptive is made of classes"),
+        ({"training": {"start": "class-pairs"}}, 'give `start="pca"`'),
+        ({"exposure": {"looks": 2}}, "leave `looks` out"),
+        ({"training": {"balance": True}}, "`balance` is of classes"),
+    ],
+)
+def test_jobs_that_need_classes_are_refused(placed, settings, told):
+    with pytest.raises(InputError, match=told):
+        learn(placed, **{"camera": "dmd", "photons": 1e4, "masks": 4, **settings})

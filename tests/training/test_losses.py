@@ -1,0 +1,73 @@
+"""Losses: the usual ones against torch's, and those of a user's own."""
+
+import pytest
+import torch
+from torch.nn import functional
+
+from deepfsi.design.evaluation import evaluate
+from deepfsi.errors import InputError
+from deepfsi.training import losses
+from deepfsi.training.job import Training
+from deepfsi.training.learning import learn
+from shared.values import placed_digits
+
+
+def absolute(outputs, truth):
+    """Absolute error, whose best answer is the median."""
+    return (outputs - truth).abs().mean(dim=-1)
+
+
+def test_cross_entropy_is_torchs_in_both_orders():
+    logits, labels = torch.randn(40, 3, generator=torch.Generator().manual_seed(0)), None
+    labels = torch.arange(40) % 3
+    weights = torch.tensor([0.5, 1.0, 2.0])
+    for rows in (True, False):
+        found = losses.cross_entropy(logits, labels, weights, rows)
+        expected = functional.cross_entropy(logits, labels, weights, reduction="none")
+        torch.testing.assert_close(found, expected)
+
+
+def test_answers_of_early_looks_count_less():
+    outputs = torch.tensor([[[1.0]], [[2.0]], [[5.0]]])  # three answers to one scene
+    total = losses.total(losses.squared_error, outputs, torch.zeros(1, 1, 1))
+    assert total == pytest.approx(25 + losses.EARLY_LOOKS_WEIGHT * (1 + 4) / 2)
+
+
+def test_a_loss_of_ones_own_that_is_the_usual_one_trains_the_same_design():
+    data, few = placed_digits(), {"camera": "dmd", "photons": 1e4, "masks": 4}
+    usual = learn(data, **few, training={"epochs": 2})
+    own = learn(data, **few, training={"epochs": 2, "loss": losses.squared_error})
+    assert torch.equal(usual.rails.stacked, own.rails.stacked)
+    assert own.info["job"]["training"]["loss"] == "deepfsi.training.losses:squared_error"
+    named = Training(epochs=2, loss="deepfsi.training.losses:squared_error")
+    assert torch.equal(learn(data, **few, training=named).rails.stacked, own.rails.stacked)
+    other = learn(data, **few, training={"epochs": 2, "loss": absolute})
+    assert not torch.equal(usual.rails.stacked, other.rails.stacked)
+    assert evaluate(other, data, 1e4, draws=1)[0].r2 > 0.3
+
+
+def test_a_loss_of_ones_own_serves_classes_too(digits):
+    def focal(logits, labels):
+        log = functional.cross_entropy(logits, labels, reduction="none")
+        return (1 - (-log).exp()).square() * log
+
+    training = {"epochs": 8, "loss": focal}
+    made = learn(digits, camera="dmd", photons=1e5, masks=8, training=training)
+    assert evaluate(made, digits, 1e5, draws=1)[0].accuracy > 0.6
+    assert made.info["job"]["training"]["loss"] == "own"
+
+
+@pytest.mark.parametrize(
+    ("loss", "told"),
+    [
+        (lambda outputs, truth: outputs.mean(), r"gives \(\) of"),
+        (lambda outputs, truth: outputs.detach()[:, 0], "no gradient"),
+        (lambda outputs, truth: outputs @ truth, "fails at outputs of shape"),
+        ("no.such:loss", "cannot be imported"),
+        ("squared", "give module:function"),
+    ],
+)
+def test_a_bad_loss_is_refused_in_one_line(digits, loss, told):
+    with pytest.raises(InputError, match=told) as error:
+        learn(digits, camera="dmd", photons=1e4, masks=2, training={"epochs": 1, "loss": loss})
+    assert "\n" not in str(error.value)
