@@ -169,13 +169,12 @@ def classify_table(
     >>> len(found.scenes), found.scenes[0].photons
     (5, 10000.0)
     """
-    settings = settings or TableSettings()
     patterns = read_patterns(design) if Path(design).is_dir() else None
     made = _opened(design, patterns, trust)
+    settings = replace(settings or TableSettings(), clicks=made.gates)
     if camera:
         dead = dead_time_of(camera_of(made.camera, **camera), camera)
         settings = replace(settings, dead_time=dead or NO_DEAD_TIME)
-    settings = replace(settings, clicks=made.gates)
     manifest = _nominal(design, settings) if patterns is None else patterns.manifest
     counts, scenes = count_table(read_table(Path(table), WORDS), manifest, settings, str(table))
     return _classified(made, counts, scenes, settings.photons, force, str(table))
