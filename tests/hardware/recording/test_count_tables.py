@@ -288,7 +288,7 @@ def test_clicks_that_tell_no_budget_need_it(tmp_path):
     manifest = exported(tmp_path / "p").manifest
     for rate in (0.0, 1e9):
         table = clicks_table(manifest, rate)
-        with pytest.raises(InputError, match="does not tell its budget: all-ON frames click in ev"):
+        with pytest.raises(InputError, match="does not tell its budget: all-ON frames leave less"):
             count_table(table, manifest, TableSettings(clicks=8))
         assert count_table(table, manifest, TableSettings(clicks=8, photons=9.0))[0].valid.all()
     bare = Table(table.values[:, 2:-2], table.names[2:-2])

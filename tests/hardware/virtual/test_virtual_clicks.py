@@ -7,6 +7,7 @@ from virtual_samples import SUMMED_REFLECTANCE, patterns, scenes
 
 from deepfsi.errors import InputError
 from deepfsi.hardware.patterns.sequence import Patterns
+from deepfsi.hardware.recording.clicks import light_of_clicks
 from deepfsi.hardware.recording.counting import count
 from deepfsi.hardware.recording.counts import read_counts
 from deepfsi.hardware.recording.dead_time import DeadTime
@@ -142,3 +143,14 @@ def test_too_many_gates_and_too_short_ones_are_refused(tmp_path):
         count(run, clicks=100_000)
     with pytest.raises(InputError, match="too coarse for gates of"):
         count(run, clicks=10**9)
+
+
+@pytest.mark.parametrize(("unfired", "told"), [(24, False), (25, True), (400, True), (1000, False)])
+def test_few_gates_without_a_click_tell_no_budget(tmp_path, unfired, told):
+    """Of 1000 with all ON; and as many clicks with all ON as with all OFF tell none."""
+    manifest = patterns(tmp_path / "p", "equal-dwell", "dual").manifest
+    clicks = np.array([[500, 0, 500, 0]])[..., None] - np.array([[unfired, 0, 0, 0]])[..., None]
+    ends = clicks, clicks, np.full((1, 4, 1), 500)
+    light = light_of_clicks(ends, 1e-3, 2, manifest)
+    wanted = -np.log(unfired / 1000) / 1e-3 if told else np.nan
+    assert light["flux"] == pytest.approx(np.full(2, wanted), nan_ok=True)

@@ -28,6 +28,9 @@ from deepfsi.hardware.recording.readouts import by_rail
 ENDS = [0, 1, -2, -1]
 """Frames of a pass that are all ON, all OFF, all ON and all OFF."""
 
+LEAST_UNFIRED = 25
+"""Gates of all ON without a click that tell the light, at least: to 1 / 5 of a photon in each."""
+
 
 @dataclass(frozen=True)
 class ClickWindows:
@@ -68,8 +71,8 @@ def light_of_clicks(
 ) -> dict[str, Any]:
     """Light of all scenes together, as of `Counts`, from the frames of `ENDS`."""
     # ends: photons and clicks (P, 4, inputs), and so many open gates (P, 4, 1) of one width. The
-    # flux is NaN where they do not tell it: an input fired in all gates of all ON, or no more often
-    # than with all OFF
+    # flux is NaN where they do not tell it: an input fired in nearly all gates of all ON, or not
+    # more often than with all OFF
     photons, fired, gates = (
         each.reshape(-1, 2, 2, each.shape[-1]).sum(axis=(0, 1)) for each in ends
     )  # (on and off, inputs)
@@ -78,7 +81,8 @@ def light_of_clicks(
         rate = np.where(held > 1, held, -np.log1p(-share)) / width_s
     arm = slice(0, manifest.detector_count)
     dark = dark_frames(rate[0], rate[1], manifest.detector_count)
-    flux = float((rate[0] - dark)[arm].sum()) if np.isfinite(rate[:, arm]).all() else np.nan
+    told = ((held > 1) | (gates - fired >= LEAST_UNFIRED))[0, arm].all()
+    flux = float((rate[0] - dark)[arm].sum()) if told else np.nan
     on, off = share[:, arm].sum(axis=1) / width_s
     return {
         "on_rate": np.full(scenes, on),
@@ -93,8 +97,9 @@ def check_budget_of_clicks(flux: np.ndarray, source: str) -> None:
     """Raise `InputError` where clicks do not tell the flux (S,)."""
     if not np.isfinite(flux).any():
         raise InputError(
-            f"{source} does not tell its budget: all-ON frames click in every gate, or no more "
-            "often than all-OFF ones; give `photons`, or look at the order of frames"
+            f"{source} does not tell its budget: all-ON frames leave less than {LEAST_UNFIRED} "
+            "gates without a click, or click no more often than all-OFF ones; give `photons`, or "
+            "look at the order of frames"
         )
 
 
