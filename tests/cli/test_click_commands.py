@@ -8,6 +8,7 @@ from typer.testing import CliRunner
 
 from deepfsi.cli import app
 from deepfsi.hardware.patterns.folder import read_patterns
+from deepfsi.hardware.recording.counting import count
 
 SCENES = 200
 PHOTONS = 1500.0
@@ -98,6 +99,22 @@ def test_a_recording_of_virtual_devices_is_counted_in_clicks(done, lab, tmp_path
     words = ["--exposure", "25ms", "--flux", PHOTONS / 25e-3, "-o", tmp_path / "run"]
     done("camera", "record", lab / "patterns", "--scene", pictures, *words)
     assert json.loads(done("camera", "count", tmp_path / "run", "--json"))["gates"] == GATES
+
+
+def test_photon_counts_are_not_taken_for_clicks(done, refuse, lab, tmp_path):
+    done(*simulate(lab, "--virtual", "ideal"), "-o", tmp_path / "free")
+    count(tmp_path / "free")
+    words = ["camera", "classify", lab / "patterns", tmp_path / "free"]
+    assert f"counted in photons, and this design reads clicks of {GATES}" in refuse(*words)
+
+
+def test_virtual_devices_of_a_run_have_no_gates(refuse, lab, tmp_path):
+    (tmp_path / "gated.toml").write_text("gates = 2\n")
+    words = ["--exposure", "25ms", "--flux", 1e4, "--virtual", tmp_path / "gated.toml"]
+    words = [lab / "patterns", "--scene", lab / "images" / "0", *words]
+    assert "leave gates out of its camera" in refuse(
+        "camera", "record", *words, "-o", tmp_path / "run"
+    )
 
 
 def test_a_table_of_clicks_is_classified(done, refuse, lab, tmp_path):

@@ -56,7 +56,7 @@ class Detector(Frozen):
         if self.gates and (self.dead_time_s or self.afterpulse_probability or self.jitter_s):
             raise ValueError(
                 "a gated detector is blind until its gate ends, and has no dead time, afterpulses "
-                "or jitter here: leave them out, or `gates`"
+                "or jitter here: leave them or gates out"
             )
         return self
 
