@@ -163,3 +163,13 @@ def test_a_camera_has_gates_for_clicks_alone():
         Camera.load({"noise": "click", "dark": 2.0})
     with pytest.raises(InputError, match="gates"):
         Camera.load({"noise": "click", "gates": 0})
+
+
+def test_clicks_have_no_dead_time():
+    """A detector is blind until its gate ends, whatever its dead time."""
+    for fields in ({"gates": 4}, {"noise": "click"}):
+        with pytest.raises(InputError, match="clicks have no dead time here: leave dead_time"):
+            Camera.load({"dead_time": 2e-8, **fields})
+    lab = Camera.load({"dead_time": 2e-8})
+    assert Camera.load(lab, noise="click").dead_time == 0
+    assert (lab.clicks, Camera(noise="click").clicks, Camera(gates=4).clicks) == (None, 1, 4)

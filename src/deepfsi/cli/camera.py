@@ -101,19 +101,21 @@ def camera_simulate(
 ) -> None:
     """Record scenes with a virtual camera, in a photon file such as a real counter writes.
 
-    Exposure, flux, dark counts and dead time are those of the design's camera unless given.
+    Exposure, flux, dark counts, dead time and gates are those of the design's camera unless given.
 
     Example: deepfsi camera simulate patterns --scene images --flux 1e7 --exposure 10ms -o run_0001
     """
     paths.check_new_folder(out)
     from deepfsi.hardware.patterns.folder import read_patterns
     from deepfsi.hardware.virtual.camera import RecordingSettings, expected_events, record
-    from deepfsi.laboratory.camera import camera_of, exposure_of, flux_of
+    from deepfsi.laboratory.camera import camera_of, clicks_of, exposure_of, flux_of
     from deepfsi.laboratory.scenes import displayed
 
-    known = camera_of(patterns, **settings)
+    known, seen = camera_of(patterns, **settings), find_camera(virtual, patterns, settings)
+    if virtual is None:
+        seen = seen.model_copy(update={"gates": clicks_of(patterns)})
     recording = RecordingSettings(
-        find_camera(virtual, patterns, settings),
+        seen,
         flux_of(known),
         exposure_of(known),
         options.optional_seconds("settle", settle),
@@ -178,13 +180,14 @@ def camera_count(
     A shorter exposure than the recorded one is counted in shorter gates, and more of them. Frames
     that all last longer or shorter than planned are counted as they are, and the drift is said.
     Inputs and marker are the acquisition's, and the dead time is that of the folder's calibration
-    or of the design's camera, unless given.
+    or of the design's camera, unless given. For a design of detectors that click the first photon
+    of each of its gates counts, in equal parts of a frame's exposure.
 
     Example: deepfsi camera count run_0001 --exposure 1ms
     """
     from deepfsi.hardware.recording.counting import count
     from deepfsi.laboratory.calibration import gains_of
-    from deepfsi.laboratory.camera import camera_of, dead_time_of
+    from deepfsi.laboratory.camera import camera_of, clicks_of, dead_time_of
     from deepfsi.laboratory.live.replay import check_as_it_was, count_live, is_live
 
     if folder.suffix == ".ptu":
@@ -209,6 +212,7 @@ def camera_count(
             dead_time=dead_time_of(camera_of(folder, **settings), settings),
             background=background,
             gains=() if flat is None else gains_of(flat),
+            clicks=clicks_of(folder),
             report=report,
         )
     print_counts(counts, folder, as_json)
@@ -221,7 +225,8 @@ def print_counts(
     from deepfsi.hardware.ptu.header import read_header
     from deepfsi.hardware.recording.acquisition import read_acquisition
 
-    names = [scene.name for scene in read_acquisition(folder)[0].scenes]
+    run = read_acquisition(folder)[0]
+    names = [scene.name for scene in run.scenes]
     problems = read_header(folder / "photons.ptu").problems
     summary: dict[str, Any] = {
         "scenes": len(counts.counts),
@@ -238,6 +243,7 @@ def print_counts(
         "arrivals": float(counts.arrivals.sum()),
         "ambient": float(counts.ambient.sum()),
         "gains": list(counts.gains),
+        "gates": counts.gates,
         "problems": list(problems),
     }
     if as_json:
@@ -259,10 +265,13 @@ def print_counts(
         )
     if counts.gains:
         print(f"efficiencies corrected: {', '.join(f'{gain:.3f}' for gain in counts.gains)}")
+    kind = "photons" if counts.gates is None else f"clicks of up to {counts.gates} a frame"
+    stated = counts.gates is not None and run.flux in counts.flux
+    source = "that acquisition.json states" if stated else "by the all-ON frames"
     print(
         f"{summary['scenes']} scenes, {summary['exposures']} exposures of {counts.exposure_s:g} s, "
         f"{summary['whole']} of them whole\n"
-        f"{summary['photons_counted']} photons counted; budget by the all-ON frames "
+        f"{summary['photons_counted']} {kind} counted; budget {source} "
         f"{_span(counts.photons)} photons an exposure, dark "
         f"{_span(counts.dark_rate[counts.valid.any(axis=1)])} counts/s\n"
         f"clocks: frames last {_drifted(counts.drift)}\n"
@@ -391,13 +400,15 @@ def ask_for_room(events: float) -> None:
 def find_camera(name: str | None, source: Path, settings: dict[str, Any]) -> "VirtualCamera":
     """Virtual camera of a name or a TOML file, else as the design's camera is described.
 
-    Where that has no exposure time it is no laboratory's, and a photomultiplier is taken.
+    Where that has neither an exposure time nor gates it is no laboratory's, and a photomultiplier
+    is taken.
     """
     from deepfsi.hardware.virtual.camera import CAMERAS, VirtualCamera
     from deepfsi.laboratory.camera import camera_of, virtual_of
 
     if name is None:
-        described = camera_of(source, camera=settings.get("camera")).exposure is not None
+        known = camera_of(source, camera=settings.get("camera"))
+        described = known.exposure is not None or known.clicks is not None
         return virtual_of(camera_of(source, **settings)) if described else CAMERAS["pmt"]
     if name in CAMERAS:
         return CAMERAS[name]
@@ -411,5 +422,7 @@ def _span(values: "np.ndarray") -> str:
     """The numbers among some, from the least to the largest."""
     import numpy as np
 
+    if np.isnan(values).all():
+        return "unknown"
     ends = [f"{end:.4g}" for end in (np.nanmin(values), np.nanmax(values))]
     return " to ".join(dict.fromkeys(ends))

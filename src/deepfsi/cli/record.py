@@ -57,7 +57,7 @@ def camera_record(
     from deepfsi.hardware.recording.acquisition import plan_acquisition
     from deepfsi.hardware.recording.counting import count
     from deepfsi.hardware.virtual.camera import expected_events
-    from deepfsi.laboratory.camera import camera_of, dead_time_of, flux_of
+    from deepfsi.laboratory.camera import camera_of, clicks_of, dead_time_of, flux_of
     from deepfsi.laboratory.live.bench import virtual_bench
     from deepfsi.laboratory.live.run import Bench
     from deepfsi.laboratory.record import record_run
@@ -102,7 +102,7 @@ def camera_record(
         live.ask("end the recording in the counter's software")
     dead = dead_time_of(known, settings)
     with common.progress("counting", quiet=as_json) as report:
-        counts = count(out, dead_time=dead, report=report)
+        counts = count(out, dead_time=dead, clicks=clicks_of(patterns), report=report)
     camera.print_counts(counts, out, as_json, "camera.record")
     if not as_json:
         print(f"run: {out}; then: deepfsi camera classify {patterns} {out}")

@@ -10,7 +10,7 @@ from deepfsi.hardware.calibration.fit import BLACK, WHITE, calibrate_run, spot_s
 from deepfsi.hardware.calibration.reference import ReferenceFit, find_reference
 from deepfsi.hardware.recording.acquisition import read_acquisition
 from deepfsi.hardware.recording.calibration_file import Calibration, save_calibration
-from deepfsi.hardware.recording.counts import read_counts
+from deepfsi.hardware.recording.counts import Counts, check_photons, read_counts
 from deepfsi.hardware.recording.picture import reconstruct
 from deepfsi.progress import SILENT, Report
 
@@ -25,7 +25,7 @@ def calibrate(folder: Path, spots: Path, out: Path) -> tuple[Calibration, Path, 
     """Fit the camera's view to a counted run of the spots, and write it to a folder."""
     # Gives it with its file, and the file of the cells that each detector sees, of several
     acquisition, patterns = read_acquisition(folder)
-    shown, counts = read_display(spots), read_counts(folder)
+    shown, counts = read_display(spots), _photons(folder)
     found = calibrate_run(
         dict(zip(shown.names, shown.x, strict=True)),
         [scene.name for scene in acquisition.scenes],
@@ -41,9 +41,14 @@ def calibrate(folder: Path, spots: Path, out: Path) -> tuple[Calibration, Path, 
 
 def check_view(folder: Path, report: Report = SILENT) -> ReferenceFit:
     """Place of scenes on the device, from a counted run of the reference target."""
-    return find_reference(read_counts(folder), read_acquisition(folder)[1], report)
+    return find_reference(_photons(folder), read_acquisition(folder)[1], report)
 
 
 def gains_of(flat: Path) -> tuple[float, ...]:
     """Relative efficiency of each detector, from a counted run of a uniform white scene."""
-    return find_gains(read_counts(flat), read_acquisition(flat)[1])
+    return find_gains(_photons(flat), read_acquisition(flat)[1])
+
+
+def _photons(folder: Path) -> Counts:
+    """Counts of a run, or `InputError` if they are clicks."""
+    return check_photons(read_counts(folder), folder)

@@ -48,6 +48,11 @@ def _known(path: Path) -> Camera | None:
         return None if known is None else Camera.restored(known)
 
 
+def clicks_of(source: Path) -> int | None:
+    """Gates of a frame of which a design reads clicks; None where it reads photon counts."""
+    return camera_of(source).clicks
+
+
 def exposure_of(camera: Camera) -> float:
     """Time of a whole exposure in seconds, or `InputError` where the camera has none."""
     if camera.exposure is None:

@@ -20,6 +20,7 @@ from deepfsi.hardware.patterns.folder import DESIGN, read_patterns
 from deepfsi.hardware.patterns.nominal import nominal_manifest
 from deepfsi.hardware.patterns.sequence import Manifest, Patterns
 from deepfsi.hardware.recording.acquisition import Scene, read_acquisition
+from deepfsi.hardware.recording.clicks import check_budget_of_clicks
 from deepfsi.hardware.recording.counts import Counts, load_counts
 from deepfsi.hardware.recording.dead_time import NO_DEAD_TIME
 from deepfsi.hardware.recording.tables import WORDS, TableSettings, count_table
@@ -46,6 +47,13 @@ UNTESTED = (
     "needs 50 scenes of each class"
 )
 """Remark on counts of a design without a distribution."""
+
+
+CLICKS = (
+    "not tested for what the design was trained for, as that test is of photon counts. Clicks are "
+    "read right at the budget of the training alone: this is {:.3g} photons, that was {:.3g}"
+)
+"""Remark on clicks, with their budget and that of the training."""
 
 
 def classify_run(
@@ -162,9 +170,9 @@ def classify_table(
     >>> len(found.scenes), found.scenes[0].photons
     (5, 10000.0)
     """
-    settings = settings or TableSettings()
     patterns = read_patterns(design) if Path(design).is_dir() else None
     made = _opened(design, patterns, trust)
+    settings = replace(settings or TableSettings(), clicks=made.gates)
     if camera:
         dead = dead_time_of(camera_of(made.camera, **camera), camera)
         settings = replace(settings, dead_time=dead or NO_DEAD_TIME)
@@ -219,7 +227,9 @@ def _classified(
     source: str,
 ) -> ClassifiedRun:
     """Classes of counted scenes (S, R) of a design as it was shown."""
-    known = np.isfinite(counts.photons)
+    _check_clicks(design, counts, photons, source)
+    measured = np.isfinite(counts.photons)
+    known = measured if photons is None else counts.valid.any(axis=1)
     budgets = np.where(known, counts.photons if photons is None else photons, 1.0)
     dim = () if force else dim_scenes(design, np.where(known, budgets, np.nan))
     counts = replace(counts, faults=(*dim, *counts.faults))
@@ -257,9 +267,27 @@ def _classified(
             )
         )
     remarks = (UNTESTED,) if found is None else tuple(found.remarks)
+    if counts.gates is not None:
+        mean = float(budgets[some].mean())
+        remarks = (CLICKS.format(mean, design.info["job"]["photons"]),)
     return ClassifiedRun(
         design.name, design.masks, design.classes, tuple(classified), counts.faults, found, remarks
     )
+
+
+def _check_clicks(design: "Design", counts: Counts, photons: float | None, source: str) -> None:
+    """Raise `InputError` unless counts are of the kind that a design reads, and of some budget."""
+    if counts.gates != design.gates:
+        counted, wanted = (
+            "photons" if gates is None else f"clicks of {gates} gates a frame"
+            for gates in (counts.gates, design.gates)
+        )
+        raise InputError(
+            f"{source} was counted in {counted}, and this design reads {wanted}: count again with "
+            "`deepfsi camera count`"
+        )
+    if counts.gates is not None and photons is None:
+        check_budget_of_clicks(counts.flux, source)
 
 
 def _consistency(

@@ -245,8 +245,10 @@ class Camera(Settings):
     @field_validator("gates")
     @classmethod
     def _without_dark_counts(cls, gates: int, info: ValidationInfo) -> int:
-        if gates > 1 and info.data.get("dark"):
-            raise ValueError("clicks have no dark counts here: leave dark or gates out")
+        for name in ("dark", "dead_time"):
+            if gates > 1 and info.data.get(name):
+                words = {"dark": "dark counts", "dead_time": "dead time"}[name]
+                raise ValueError(f"clicks have no {words} here: leave {name} or gates out")
         return gates
 
     @field_validator("noise")
@@ -257,6 +259,8 @@ class Camera(Settings):
                 f"{noise_name(noise)} noise has no dark counts: give noise camera, or leave dark "
                 "or noise out"
             )
+        if info.data.get("dead_time") and noise_name(noise) == "click":
+            raise ValueError("clicks have no dead time here: leave dead_time or noise out")
         if info.data.get("gates", 1) > 1 and noise_name(noise) != "click":
             raise ValueError(
                 f"{noise_name(noise)} noise has no gates: give noise click, or leave gates or "
@@ -284,6 +288,8 @@ class Camera(Settings):
         fields = {**_fields(source), **settings}
         if settings.get("noise", "camera") != "camera":
             fields["dark"] = settings.get("dark", 0.0)  # only camera noise has dark counts
+        if settings.get("noise") == "click":
+            fields["dead_time"] = settings.get("dead_time", 0.0)  # a gate that fired is blind
         if settings.get("noise", "click") != "click":
             fields["gates"] = settings.get("gates", 1)  # only clicks have gates
         for field in fields:
@@ -349,7 +355,12 @@ class Camera(Settings):
         """The noise as `Scanner` takes it."""
         from deepfsi.optics.noise import Click
 
-        return Click(self.gates) if self.noise_name == "click" else self.noise
+        return self.noise if self.clicks is None else Click(self.clicks)
+
+    @property
+    def clicks(self) -> int | None:
+        """Clicks of a readout at most, its gates; None of detectors that count photons."""
+        return self.gates if self.noise_name == "click" else None
 
     @property
     def layout(self) -> Layout:

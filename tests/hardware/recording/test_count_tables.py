@@ -239,3 +239,71 @@ def test_law_units_of_an_analogue_detector_are_counts_with_read_noise(tmp_path):
 def test_an_analogue_detector_has_no_dead_time():
     with pytest.raises(InputError, match="counts no photons: leave `dead_time` out"):
         TableSettings(gain=2.0, dead_time=DeadTime(seconds=1e-8))
+
+
+# Clicks
+
+
+def clicks_table(manifest, rate: float, scenes: int = 60, gates: int = 8) -> Table:
+    """Clicks of exposures at a rate of photons/s with all ON, half of it behind masks."""
+    light = {"on": rate, "off": 0.0, "mask": rate / 2}
+    photons = manifest.picture_s * [light[frame.role] for frame in manifest.frames]
+    chance = -np.expm1(-photons / gates)
+    drawn = np.random.default_rng(2).binomial(gates, chance, (scenes, len(photons)))
+    return Table(drawn.astype(float), tuple(column_names(manifest)))
+
+
+def test_clicks_of_a_table_are_read_as_they_are_and_tell_the_budget(tmp_path):
+    """The budget by what all-ON gates miss, to five standard errors of 2 x 8 x 60 gates."""
+    manifest = exported(tmp_path / "p").manifest
+    mean = 0.8  # photons in a gate with all ON
+    rate = mean * 8 / manifest.picture_s[0]
+    table = clicks_table(manifest, rate)
+    counts, scenes = count_table(table, manifest, TableSettings(clicks=8))
+    assert len(scenes) == 60
+    assert counts.gates == 8
+    rail, mask, column, _ = manifest.read
+    drawn = table.values[:, manifest.shown]
+    assert np.array_equal(counts.signal()[:, 0, rail, mask], drawn[:, column])
+    error = np.sqrt(np.expm1(mean) / (2 * 8 * 60)) / mean
+    assert counts.flux == pytest.approx(np.full(60, rate), rel=5 * error)
+    assert (counts.background == 0).all()
+    given = count_table(table, manifest, TableSettings(photons=50.0, clicks=8))[0]
+    assert np.array_equal(given.counts, counts.counts)
+
+
+def test_more_counts_than_gates_are_refused_with_their_place(tmp_path):
+    manifest = exported(tmp_path / "p").manifest
+    table = clicks_table(manifest, 1e5)
+    table.values[4, 3] = 9
+    match = "9 counts in mask1 of exposure 5, and .* clicks at most 8 times in a frame: give clicks"
+    with pytest.raises(InputError, match=match):
+        count_table(table, manifest, TableSettings(clicks=8))
+    table.values[4, 3] = 2.5
+    with pytest.raises(InputError, match=r"holds 2\.5, which is no count"):
+        count_table(table, manifest, TableSettings(clicks=8))
+
+
+def test_clicks_that_tell_no_budget_need_it(tmp_path):
+    manifest = exported(tmp_path / "p").manifest
+    for rate in (0.0, 1e9):
+        table = clicks_table(manifest, rate)
+        with pytest.raises(InputError, match="does not tell its budget: all-ON frames leave less"):
+            count_table(table, manifest, TableSettings(clicks=8))
+        assert count_table(table, manifest, TableSettings(clicks=8, photons=9.0))[0].valid.all()
+    bare = Table(table.values[:, 2:-2], table.names[2:-2])
+    with pytest.raises(InputError, match="no all-ON and all-OFF frames, which tell the budget"):
+        count_table(bare, manifest, TableSettings(clicks=8))
+
+
+@pytest.mark.parametrize(
+    ("settings", "name"),
+    [
+        ({"background": 3.0}, "`background`"),
+        ({"dead_time": DeadTime(seconds=1e-8)}, "`dead_time`"),
+        ({"gain": 2.0}, "`gain` or `read_noise`"),
+    ],
+)
+def test_clicks_are_corrected_for_nothing(settings, name):
+    with pytest.raises(InputError, match=f"{name} is of photon counts, and this design reads cl"):
+        TableSettings(clicks=8, **settings)

@@ -2,9 +2,19 @@
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
+from deepfsi.hardware.patterns.timing import ClickGates
 from deepfsi.hardware.virtual import detector as module
-from deepfsi.hardware.virtual.detector import TICK_S, Detector, Stream, arrivals, divide, thin
+from deepfsi.hardware.virtual.detector import (
+    TICK_S,
+    Detector,
+    Shutter,
+    Stream,
+    arrivals,
+    divide,
+    thin,
+)
 
 TAU = 5e-8
 DEAD = round(TAU / TICK_S)
@@ -16,9 +26,11 @@ def rng(seed: int = 0) -> np.random.Generator:
     return np.random.default_rng(seed)
 
 
-def record(detector: Detector, durations: np.ndarray, rates: np.ndarray, seed=0) -> np.ndarray:
+def record(
+    detector: Detector, durations: np.ndarray, rates: np.ndarray, seed=0, shutter=None
+) -> np.ndarray:
     """All events of a course of rates, sorted."""
-    stream, start, events = Stream(detector, rng(seed)), 0, []
+    stream, start, events = Stream(detector, rng(seed), shutter), 0, []
     for pieces, flow in divide(durations, rates[:, None]):
         events.append(stream.events(start, pieces, flow[:, 0]))
         start += int(pieces.sum())
@@ -111,3 +123,31 @@ def test_chunks_are_the_course_in_pieces(monkeypatch):
     loads = [float((rates.sum(axis=1) * pieces).sum() * TICK_S) for pieces, rates in chunks]
     assert max(loads) <= 2 * 1000
     assert len(chunks) > 50
+
+
+# A gated detector
+
+GATES = ClickGates(4, 1e-6, np.array([2e-6, 0.5e-6]), np.array([2, 1]))
+"""Four gates in each of two exposures of a frame, and in one of another."""
+
+
+def test_a_gated_detector_registers_the_first_arrival_of_each_gate_alone(monkeypatch):
+    """Whatever chunks they come in; gate by gate from the arrivals of a free one."""
+    monkeypatch.setattr(module, "EVENTS_AT_ONCE", 50)
+    lengths = np.tile(np.array([20e-6, 4e-6]), 100)
+    durations = np.rint(lengths / TICK_S).astype(np.int64)
+    starts, rates = np.cumsum(durations) - durations, np.tile([4e5, 1e6], 100)
+    wanted, free = [], record(Detector(), durations, rates)
+    for place, start in enumerate(starts):
+        width, number = GATES.width_s[place % 2] / TICK_S, 4 * GATES.exposures[place % 2]
+        for gate in range(number):
+            opens = start + 1e-6 / TICK_S + gate * width
+            wanted += free[(free >= opens) & (free < opens + width)][:1].tolist()
+    assert 200 < len(wanted) < len(free) / 2
+    fired = record(Detector(gates=4), durations, rates, shutter=Shutter(starts, GATES))
+    assert fired.tolist() == wanted
+
+
+def test_a_gated_detector_has_no_other_blindness():
+    with pytest.raises(ValidationError, match="blind until its gate ends, and has no dead time"):
+        Detector(gates=2, dead_time_s=1e-8)

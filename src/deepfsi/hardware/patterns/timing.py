@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
@@ -35,6 +36,27 @@ class Gates:
     def starts_s(self) -> np.ndarray:
         """Starts of the gates, shape (f, R)."""
         return self.settle_s + self.length_s[:, None] * np.arange(self.repeats)
+
+
+@dataclass(frozen=True)
+class ClickGates:
+    """Equal parts of what each frame is exposed for, in which a detector fires at most once."""
+
+    # Of a mask's frame the gates of its exposures, each cut in as many parts; of an all-ON or
+    # all-OFF frame what is left of it between settling and the usual tolerance of markers
+    number: int  # in an exposure
+    offset_s: float  # of the first in each frame, after its start
+    width_s: np.ndarray  # (F,): Duration of each
+    exposures: np.ndarray  # (F,): How many follow each other in a frame: R, or 1 of a sentinel
+
+    @classmethod
+    def of(cls, manifest: Manifest, gates: Gates, number: int) -> Self:
+        """So many in each exposure of the frames of a pass."""
+        width = (manifest.picture_s - gates.settle_s - usual_tolerance(manifest)) / number
+        width[manifest.shown] = gates.length_s / number
+        exposures = np.ones(len(width), np.int64)
+        exposures[manifest.shown] = gates.repeats
+        return cls(number, gates.settle_s, width, exposures)
 
 
 def usual_tolerance(manifest: Manifest) -> float:

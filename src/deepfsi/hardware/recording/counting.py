@@ -9,7 +9,7 @@ import numpy as np
 
 from deepfsi.errors import InputError
 from deepfsi.hardware.patterns.sequence import Manifest
-from deepfsi.hardware.patterns.timing import Gates
+from deepfsi.hardware.patterns.timing import ClickGates, Gates
 from deepfsi.hardware.ptu.header import Header, read_header
 from deepfsi.hardware.ptu.reader import inspect
 from deepfsi.hardware.recording.acquisition import (
@@ -23,6 +23,12 @@ from deepfsi.hardware.recording.acquisition import (
 from deepfsi.hardware.recording.alignment import find_steps
 from deepfsi.hardware.recording.ambient import Ambient
 from deepfsi.hardware.recording.calibration_file import load_calibration
+from deepfsi.hardware.recording.clicks import (
+    ClickWindows,
+    check_clicks,
+    check_gated,
+    light_of_clicks,
+)
 from deepfsi.hardware.recording.counts import Counts
 from deepfsi.hardware.recording.dead_time import (
     NO_DEAD_TIME,
@@ -71,16 +77,35 @@ def count(
     dead_time: DeadTime | None = None,
     background: str | None = None,
     gains: tuple[float, ...] = (),
+    clicks: int | None = None,
     report: Report = SILENT,
 ) -> Counts:
     """Count the photons of each readout and write counts.npz."""
     # background: the scene that was dark, or the folder of a recording with the scene dark, of the
     # same patterns and wiring. gains: relative efficiency of each detector, as `find_gains` gives
-    # them
+    # them. clicks: gates of a frame's exposure, of each of which the first photon alone counts
     recorded, patterns = read_acquisition(folder)
     check_fixed(recorded, folder)
     acquisition, manifest = recorded.rewired(inputs, marker_bit), patterns.manifest
     gates = gates_of(acquisition, manifest, exposure_s, settle_s, repeats)
+    planned = gates_of(acquisition, manifest)
+    changed = not np.array_equal(gates.length_s, planned.length_s)
+    changed = changed or gates.settle_s != planned.settle_s
+    check_gated(acquisition, clicks, changed, folder)
+    if clicks is not None:
+        of_photons = {
+            "dead time": dead_time is not None,
+            "a background": background is not None,
+            "a flat field": bool(gains),
+        }
+        check_clicks(clicks, of_photons)
+        exposure = acquisition.exposure_s if exposure_s is None else exposure_s
+        of_gates = ClickGates.of(manifest, gates, clicks)
+        counts = _count_clicks(
+            Path(folder), acquisition, manifest, (exposure, gates, of_gates), tolerance_s, report
+        )
+        counts.save(Path(folder), recorded)
+        return counts
     dead, shares = _find_dead_time(Path(folder), dead_time), _check_gains(gains, manifest)
 
     def correct(rates: np.ndarray) -> Correction:
@@ -91,7 +116,7 @@ def count(
     ambient = Ambient.none(manifest)
     if background is not None and own is None:
         ambient = _read_dark(Path(background), acquisition, manifest, gates, correct)
-    header = _read_counter(Path(folder) / "photons.ptu", gates, manifest)
+    header = _read_counter(Path(folder) / "photons.ptu", gates.length_s, manifest)
     frames = find_frames(header, acquisition, manifest, tolerance_s, report.part(0.0, 0.4))
     check_gates(header, gates, manifest, frames)
     windows = Windows.of(manifest, gates, frames)
@@ -127,7 +152,7 @@ def count(
     light = find_light(
         arrivals, variance, open_s, parts.middles, scenes, acquisition.inputs, manifest, lost
     )
-    _check_lit(header, acquisition, light)
+    _check_lit(header, acquisition, bool(light.lit.any()))
     flux = ambient.of_flux(light.flux, str(header.path))
     light = replace(light, flux=flux)
     gated = found[fits][:, windows.gates].swapaxes(1, 2)
@@ -145,9 +170,67 @@ def count(
         ambient_variance=ambient.variance,
         dead_time=dead,
         gains=gains,
+        gates=None,
     )
     counts.save(Path(folder), recorded)
     return counts
+
+
+def _count_clicks(
+    folder: Path,
+    acquisition: Acquisition,
+    manifest: Manifest,
+    asked: tuple[float, Gates, ClickGates],
+    tolerance_s: float | None,
+    report: Report,
+) -> Counts:
+    """Clicks of each readout in exposures of so many seconds."""
+    exposure, gates, of_gates = asked
+    header = _read_counter(folder / "photons.ptu", of_gates.width_s, manifest)
+    # Clicks saturate, so that they do not tell which frames are the brightest
+    frames = find_frames(
+        header, acquisition, manifest, tolerance_s, report.part(0.0, 0.4), by_light=False
+    )
+    check_gates(header, gates, manifest, frames)
+    whole, windows = frames.whole, Windows.of(manifest, gates, frames)
+    parts = ClickWindows.of(of_gates, len(acquisition.scenes))
+    (found, seconds), (parted, open_s) = _count_windows(
+        header, frames.starts_s[whole], frames.until_s, (windows, parts), acquisition.inputs,
+        report.part(0.4, 1.0),
+    )  # fmt: skip
+    _check_lit(header, acquisition, bool(found.any()))
+    arm = slice(0, manifest.detector_count)
+    late = find_lateness(windows, found[..., arm].sum(axis=-1), seconds)
+    clicks, fired = parts.sums(np.minimum(parted, 1), manifest.shown)
+    photons, gates_open = (
+        parts.sums(each, manifest.shown)[1] for each in (parted, (open_s > 0)[..., None])
+    )
+    ends = photons, fired, gates_open
+    light = light_of_clicks(ends, float(of_gates.width_s[0]), len(found), manifest)
+    # Where clicks do not tell the flux, it is the one that was stated
+    flux = np.where(np.isfinite(light["flux"]), light["flux"], acquisition.flux or np.nan)
+    counts = by_readout(manifest, _spread(whole, clicks, 0))
+    ambient = Ambient.none(manifest)
+    return Counts(
+        on_rate=_spread(whole, light["on_rate"], np.nan),
+        off_rate=_spread(whole, light["off_rate"], np.nan),
+        flux=_spread(whole, flux, np.nan),
+        dark_rate=_spread(whole, light["dark_rate"], 0),
+        counts=counts,
+        arrivals=counts.astype(float),
+        variance=counts * (1 - counts / of_gates.number),
+        valid=np.repeat(whole[:, None], gates.repeats, axis=1),
+        gate_s=gates.length_s,
+        exposure_s=exposure,
+        settle_s=gates.settle_s,
+        lengths_s=lengths_by_readout(manifest, gates.length_s),
+        drift=frames.drift,
+        inputs=acquisition.inputs,
+        faults=(*frames.faults, *late),
+        ambient=ambient.counts,
+        ambient_variance=ambient.variance,
+        gates=of_gates.number,
+    )
 
 
 def _read_dark(
@@ -165,7 +248,7 @@ def _read_dark(
             f"{folder} was recorded with other patterns: record the dark scene as the others"
         )
     acquisition = recorded.rewired(run.inputs, run.marker_bit)
-    header = _read_counter(folder / "photons.ptu", gates, manifest)
+    header = _read_counter(folder / "photons.ptu", gates.length_s, manifest)
     frames = find_frames(header, acquisition, manifest, None, SILENT)
     windows = Windows.of(manifest, gates, frames)
     starts = frames.starts_s[frames.whole]
@@ -204,14 +287,14 @@ def _name_dark(scene: int | None) -> tuple[Fault, ...]:
     return (Fault(kind="background", scene=scene, detail=detail),)
 
 
-def _read_counter(path: Path, gates: Gates, manifest: Manifest) -> Header:
-    """Header of a counter's file with enough inputs, and times fine enough for the gates."""
+def _read_counter(path: Path, lengths_s: np.ndarray, manifest: Manifest) -> Header:
+    """Header of a counter's file with enough inputs, and times fine enough for gates (n,)."""
     header = read_header(path)
     check_inputs(manifest, header.kind.inputs, f"{header.path} ({header.kind.name})")
-    if gates.length_s.min() < LEAST_GATE_TICKS * header.tick_s:
+    if lengths_s.min() < LEAST_GATE_TICKS * header.tick_s:
         raise InputError(
             f"{header.path} has times in steps of {header.tick_s:g} s, too coarse for gates of "
-            f"{gates.length_s.min():g} s: give a longer exposure"
+            f"{lengths_s.min():g} s: give a longer exposure"
         )
     return header
 
@@ -220,7 +303,7 @@ def _count_windows(
     header: Header,
     frames_s: np.ndarray,
     until_s: float,
-    sets: tuple[Windows | FrameParts, ...],
+    sets: tuple[Windows | FrameParts | ClickWindows, ...],
     inputs: tuple[int, ...],
     report: Report,
 ) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -272,9 +355,9 @@ def _check_gains(gains: tuple[float, ...], manifest: Manifest) -> np.ndarray:
     return np.array(gains or (1.0,) * manifest.inputs)
 
 
-def _check_lit(header: Header, acquisition: Acquisition, light: Light) -> None:
+def _check_lit(header: Header, acquisition: Acquisition, lit: bool) -> None:
     """Raise `InputError` if no pass has light, saying which inputs have photons."""
-    if light.lit.any():
+    if lit:
         return
     contents = inspect(header.path)
     there = ", ".join(f"{n} photons on input {k + 1}" for k, n in sorted(contents.photons.items()))
@@ -313,6 +396,13 @@ def _show_ends(header: Header, photons: np.ndarray, seconds: np.ndarray) -> np.n
     return fits
 
 
+def _spread(whole: np.ndarray, values: np.ndarray, lost: float) -> np.ndarray:
+    """Values (S, ...) of all scenes, from those (P, ...) of scenes that were recorded whole."""
+    out = np.full((len(whole), *values.shape[1:]), lost, values.dtype)
+    out[whole] = values
+    return out
+
+
 def _by_scene(
     manifest: Manifest,
     whole: np.ndarray,
@@ -323,13 +413,8 @@ def _by_scene(
 ) -> dict[str, np.ndarray]:
     """Readouts of gates (P, R, f, inputs) and rates of frames (P, F, inputs), of all scenes."""
 
-    def spread(values: np.ndarray, lost: float = np.nan) -> np.ndarray:
-        out = np.full((len(whole), *values.shape[1:]), lost, values.dtype)
-        out[whole] = values
-        return out
-
     def readouts(factor: np.ndarray | int) -> np.ndarray:
-        return spread(by_readout(manifest, gated * factor), 0)
+        return _spread(whole, by_readout(manifest, gated * factor), 0)
 
     rates, arm = rates * factors.arrivals, slice(0, manifest.detector_count)
     on, off = (np.nanmean(rates[:, frames], axis=1) for frames in ([0, -2], [1, -1]))
@@ -337,8 +422,8 @@ def _by_scene(
         "counts": readouts(1),
         "arrivals": readouts(factors.arrivals[:, None, manifest.shown]),
         "variance": readouts(factors.variance[:, None, manifest.shown]),
-        "on_rate": spread(on[:, arm].sum(axis=1)),
-        "off_rate": spread(off[:, arm].sum(axis=1)),
-        "flux": spread(light.flux),
-        "dark_rate": spread(by_rail(manifest, light.dark_rate), 0),
+        "on_rate": _spread(whole, on[:, arm].sum(axis=1), np.nan),
+        "off_rate": _spread(whole, off[:, arm].sum(axis=1), np.nan),
+        "flux": _spread(whole, light.flux, np.nan),
+        "dark_rate": _spread(whole, by_rail(manifest, light.dark_rate), 0),
     }

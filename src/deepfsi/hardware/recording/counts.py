@@ -89,10 +89,14 @@ class Counts:
     dead_time: DeadTime = NO_DEAD_TIME  # for which the arrivals and all rates are corrected
     # Relative efficiency of each detector, corrected too; empty where none was measured
     gains: tuple[float, ...] = ()
+    # G of clicks, the first photons of the gates of a frame's exposure; None of photon counts
+    gates: int | None = None
 
     @property
     def background(self) -> np.ndarray:
         """Counts that each readout holds without the scene, float64 (S, rails, m[, D])."""
+        if self.gates is not None:
+            return np.zeros_like(self.counts[:, 0], float)  # clicks are read as they are
         lengths = np.expand_dims(self.lengths_s, tuple(range(2, self.dark_rate.ndim)))
         return self.dark_rate[:, :, None] * lengths + self.ambient
 
@@ -150,6 +154,16 @@ def read_counts(folder: str | os.PathLike[str]) -> Counts:
     """Counts of a folder as `count` wrote them."""
     acquisition, patterns = read_acquisition(folder)
     return load_counts(Path(folder), acquisition, patterns.manifest)
+
+
+def check_photons(counts: Counts, folder: str | os.PathLike[str]) -> Counts:
+    """Counts of photons as they are; `InputError` if they are clicks."""
+    if counts.gates is not None:
+        raise InputError(
+            f"{folder} was counted in clicks, which are not in proportion to the light: record it "
+            "with the patterns of a design or a scan for photon counts"
+        )
+    return counts
 
 
 def load_counts(folder: Path, acquisition: Acquisition, manifest: Manifest) -> Counts:
@@ -220,6 +234,7 @@ class _Provenance(Frozen):
     faults: tuple[Fault, ...]
     dead_time: DeadTime
     gains: tuple[Positive, ...] = ()
+    gates: int | None = Field(None, ge=1)
 
 
 def _member(

@@ -47,6 +47,7 @@ def find_frames(
     manifest: Manifest,
     tolerance_s: float | None,
     report: Report,
+    by_light: bool = True,
 ) -> Frames:
     """Frames of a recording by its markers, and by photons where markers leave a doubt."""
     path, tick_s = header.path, header.tick_s
@@ -56,13 +57,14 @@ def find_frames(
     last = float(times.max(initial=0)) * tick_s
     # The file of a recording that was cut holds all photons up to the last marker.
     until = last - 2 * max(MARKER_SLACK_S, tick_s) if header.problems else np.inf
+    inputs = acquisition.inputs[: manifest.detector_count]
     try:
         aligned = align(
             times * tick_s,
             manifest,
             len(acquisition.scenes),
             tolerance_s=tolerance_s,
-            counter=_photon_counter(header, acquisition.inputs[: manifest.detector_count], until),
+            counter=_photon_counter(header, inputs, until) if by_light else None,
             cut=bool(header.problems),
         )
     except InputError as error:

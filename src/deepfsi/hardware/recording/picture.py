@@ -9,7 +9,7 @@ from scipy.linalg import lstsq
 from deepfsi.errors import InputError
 from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.recording.acquisition import read_acquisition
-from deepfsi.hardware.recording.counts import load_counts
+from deepfsi.hardware.recording.counts import check_photons, load_counts
 
 LEAST_SINGULAR_VALUE = 1e-3
 """Least singular value that a picture is made from, of the sensing matrix's largest."""
@@ -20,7 +20,7 @@ def reconstruct(folder: str | os.PathLike[str]) -> np.ndarray:
     # The mean of all valid exposures, and of all pictures that explain it the one of smallest norm.
     # Directions that the masks hardly see are left out (singular values below 1e-3 of the largest)
     acquisition, patterns = read_acquisition(folder)
-    counts = load_counts(Path(folder), acquisition, patterns.manifest)
+    counts = check_photons(load_counts(Path(folder), acquisition, patterns.manifest), folder)
     flux = np.nanmean(counts.flux) if acquisition.flux is None else acquisition.flux
     budget = float(flux * counts.exposure_s)
     if not budget > 0:

@@ -18,6 +18,12 @@ from deepfsi.errors import InputError, check_known, closest
 from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.hardware.recording.acquisition import MOST_READOUTS, Scene
 from deepfsi.hardware.recording.ambient import Ambient
+from deepfsi.hardware.recording.clicks import (
+    ENDS,
+    check_budget_of_clicks,
+    check_clicks,
+    light_of_clicks,
+)
 from deepfsi.hardware.recording.counts import Counts
 from deepfsi.hardware.recording.dead_time import NO_DEAD_TIME, DeadTime, check_rates
 from deepfsi.hardware.recording.faults import Fault
@@ -49,6 +55,8 @@ class TableSettings:
     dead_time: DeadTime = NO_DEAD_TIME  # of a photon counter, to be corrected for
     # Exposures with the scene dark, whose counts are subtracted; a table as that of the others
     dark: Table | None = None
+    # Gates of a frame, of tables of clicks: values from 0 to this
+    clicks: int | None = None
 
     def __post_init__(self) -> None:
         if self.exposures is not None:
@@ -66,6 +74,13 @@ class TableSettings:
             )
         if self.repeats < 1:
             raise InputError(f"`repeats` {self.repeats} is not allowed: give 1 or more")
+        if self.clicks is not None:
+            of_photons = {
+                "`background`": self.background is not None or self.dark is not None,
+                "`dead_time`": bool(self.dead_time.seconds),
+                "`gain` or `read_noise`": self.analogue,
+            }
+            check_clicks(self.clicks, of_photons)
 
     @property
     def analogue(self) -> bool:
@@ -98,7 +113,7 @@ def count_table(
     """Counts of the exposures in a table, and their scenes."""
     read, sentinels = _find_values(table, manifest, settings, name)
     scenes, place = _find_scenes(table, len(read), settings.repeats, name)
-    _check_values(read, settings, name)
+    _check_values(read, manifest, settings, name)
     times, shown = _find_times(manifest, settings.settle_s), manifest.shown
     exposure = float(times[shown].sum() / manifest.shares.sum())
     lengths = manifest.shares * exposure
@@ -108,10 +123,10 @@ def count_table(
     if settings.dark is not None:
         ambient = _find_ambient(settings.dark, sentinels, times, lengths, manifest, settings)
         light["flux"] = ambient.of_flux(light["flux"], name)
-    _check_budget(light["flux"], settings, name)
+    _check_budget(light, settings, name)
     repeats = np.bincount(place)
     valid = np.arange(repeats.max()) < repeats[:, None]
-    scale = (lengths / times[shown])[:, None]
+    scale = (lengths / times[shown])[:, None] if settings.clicks is None else 1.0
 
     def by_scene(frames: np.ndarray) -> np.ndarray:
         """Readouts (S, R, rails, m[, D]) from those of masks' frames (E, f, inputs)."""
@@ -135,6 +150,7 @@ def count_table(
         ambient_variance=ambient.variance,
         inputs=tuple(range(manifest.inputs)),
         dead_time=settings.dead_time,
+        gates=settings.clicks,
     )
     return counts, scenes
 
@@ -153,7 +169,7 @@ def _find_ambient(
     read, known = _find_values(dark, manifest, settings, name)
     if known != sentinels:
         raise InputError(f"{name} must have all-ON and all-OFF frames if the other has, or none")
-    _check_values(read, settings, name)
+    _check_values(read, manifest, settings, name)
     mean, variance = _correct(read, times, manifest, settings, name)
     scale = (lengths_s / times[shown])[:, None]
     gates = mean[:, shown] * scale, variance[:, shown] * scale**2
@@ -164,6 +180,8 @@ def _correct(
     read: np.ndarray, times: np.ndarray, manifest: Manifest, settings: TableSettings, name: str
 ) -> tuple[np.ndarray, np.ndarray]:
     """Arrivals and their variance in all frames, of what was read (E, F, inputs) in times (F,)."""
+    if settings.clicks is not None:
+        return read, read * (1 - read / settings.clicks)
     if settings.analogue:
         found = read * (settings.gain or 1.0)
         return found, found.clip(min=0) + (settings.read_noise or 0.0) ** 2
@@ -275,8 +293,8 @@ def _find_scenes(
     return tuple(scenes), place
 
 
-def _check_values(read: np.ndarray, settings: TableSettings, name: str) -> None:
-    """Raise `InputError` for too many values, and for photon counts that are none."""
+def _check_values(read: np.ndarray, manifest: Manifest, settings: TableSettings, name: str) -> None:
+    """Raise `InputError` for too many values, and for photon counts or clicks that are none."""
     if read[:, 2:-2].size > MOST_READOUTS:
         raise InputError(f"{name} holds more than {MOST_READOUTS} values: split it")
     wrong = read[(read < 0) | (read % 1 != 0)]
@@ -284,6 +302,14 @@ def _check_values(read: np.ndarray, settings: TableSettings, name: str) -> None:
         raise InputError(
             f"{name} holds {wrong[0]:g}, which is no count of photons: give whole numbers, 0 or "
             "more, or --gain and --read-noise of an analogue detector"
+        )
+    most = settings.clicks
+    if most is not None and (read > most).any():
+        row, value = np.argwhere(read.reshape(len(read), -1) > most)[0].tolist()
+        raise InputError(
+            f"{name} has {read[row].ravel()[value]:g} counts in {column_names(manifest)[value]} of "
+            f"exposure {row + 1}, and a detector of this design clicks at most {most} times in a "
+            f"frame: give clicks from 0 to {most}"
         )
 
 
@@ -310,6 +336,10 @@ def _find_light(
             "dark_rate": by_rail(manifest, dark),
             "faults": (),
         }
+    if settings.clicks is not None:
+        width = float(times[0]) / settings.clicks
+        ends, gates = mean[:, ENDS], np.full((len(mean), len(ENDS), 1), settings.clicks)
+        return light_of_clicks((ends, ends, gates), width, scenes, manifest)
     found, noise = np.zeros((2, scenes, *mean.shape[1:]))
     np.add.at(found, place, mean)
     np.add.at(noise, place, variance)
@@ -341,14 +371,17 @@ def _find_light(
     }
 
 
-def _check_budget(flux: np.ndarray, settings: TableSettings, name: str) -> None:
+def _check_budget(light: dict[str, Any], settings: TableSettings, name: str) -> None:
     """Raise `InputError` if nothing tells the budget."""
     if settings.photons is not None:
         return
-    if np.isnan(flux).all():
+    flux = light["flux"]
+    if np.isnan(light["on_rate"]).all():
         raise InputError(
             f"{name} has no all-ON and all-OFF frames, which tell the budget: give `photons`"
         )
+    if settings.clicks is not None:
+        check_budget_of_clicks(flux, name)
     if not (flux > 0).any():
         raise InputError(
             f"{name} has no light: its all-ON frames are not brighter than the all-OFF ones; look "

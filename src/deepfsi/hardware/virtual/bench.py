@@ -60,6 +60,10 @@ class VirtualSetup:
     ) -> None:
         # rates (S, F, inputs); of a frame that is made while the run goes on they are (inputs,),
         # by its scene and its packed bits
+        if camera.gates:
+            raise InputError(
+                "virtual devices of a run have no gates: leave gates out of its camera"
+            )
         self._made = made
         self.latencies, self.now_s = latencies, START_S
         self._rates, self._scene, self._frame = rates, 0, 1

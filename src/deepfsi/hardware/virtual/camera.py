@@ -30,11 +30,18 @@ from deepfsi.grid import Grid
 from deepfsi.hardware.patterns.folder import read_frames, read_patterns
 from deepfsi.hardware.patterns.mirrors import unpack
 from deepfsi.hardware.patterns.sequence import Manifest, Patterns
+from deepfsi.hardware.patterns.timing import ClickGates
 from deepfsi.hardware.ptu.header import GENERIC_T2
 from deepfsi.hardware.ptu.writer import Writer
-from deepfsi.hardware.recording.acquisition import Acquisition, Scene, plan_acquisition, prepare
+from deepfsi.hardware.recording.acquisition import (
+    Acquisition,
+    Scene,
+    gates_of,
+    plan_acquisition,
+    prepare,
+)
 from deepfsi.hardware.recording.calibration_file import Row
-from deepfsi.hardware.virtual.detector import TICK_S, Detector, Stream, divide
+from deepfsi.hardware.virtual.detector import TICK_S, Detector, Shutter, Stream, divide
 from deepfsi.hardware.virtual.parts import (
     Parts,
     check_parts,
@@ -302,7 +309,12 @@ def record(
         flow = arrival_rates(patterns_folder, scenes, camera, settings.flux, report.part(0, 0.5))
         rng = np.random.default_rng(settings.seed)
         path = draft / "photons.ptu"
-        write_photons(path, manifest, flow, camera, rng, acquisition.inputs, report.part(0.5, 1))
+        clicks = None
+        if camera.gates:
+            clicks = ClickGates.of(manifest, gates_of(acquisition, manifest), camera.gates)
+        write_photons(
+            path, manifest, flow, camera, rng, acquisition.inputs, report.part(0.5, 1), clicks
+        )
     return acquisition
 
 
@@ -323,16 +335,20 @@ def write_photons(
     rng: np.random.Generator,
     inputs: Sequence[int] | None = None,
     report: Report = SILENT,
+    gates: ClickGates | None = None,
 ) -> None:
     """Write the photons and markers of one pass for each scene, one right after another."""
-    # rates (S, F, inputs)
+    # rates (S, F, inputs); gates: of a detector that is gated
     wired = range(rates.shape[2]) if inputs is None else inputs
     check_file_inputs(wired)
     picture = np.array([frame.picture_us for frame in manifest.frames], dtype=np.int64)
     durations = np.tile(picture * round(1e-6 / TICK_S), len(rates))
     ends = np.cumsum(durations)
     marks = ends - durations
-    streams = [Stream(camera, rng) for _ in range(rates.shape[2])]
+    streams = [
+        Stream(camera, rng, None if gates is None else Shutter(marks, gates))
+        for _ in range(rates.shape[2])
+    ]
     times, codes = np.empty(0, np.int64), np.empty(0, np.int16)
     start = 0
     with Writer(path, tick_s=TICK_S) as writer:

@@ -11,14 +11,20 @@ quenched) only from those it registered. At a steady arrival rate n they registe
 
 Each registered count is followed by an afterpulse with a probability of its own, an exponential
 delay after its dead time. Afterpulses blind nothing and are not followed by others.
+
+A *gated* detector registers the first arrival in each of its gates, and none between them: of r
+arrivals that are expected in G gates of one length it gives Binomial(G, 1 - exp(-r / G)) clicks.
 """
 
 from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from deepfsi.frozen import Frozen
+from deepfsi.hardware.patterns.timing import ClickGates
 
 TICK_S = 1e-12
 """Unit of event times, seconds."""
@@ -42,6 +48,17 @@ class Detector(Frozen):
     # Mean delay of an afterpulse after the end of the dead time, seconds
     afterpulse_s: float = Field(1e-7, gt=0, le=1e-3)
     jitter_s: float = Field(0.0, ge=0, le=1e-6)  # Standard deviation of a time stamp, seconds
+    # Of an exposure of a frame, in each of which it fires at most once; None if it is always open
+    gates: int | None = Field(None, ge=1, le=10**6)
+
+    @model_validator(mode="after")
+    def _blind_until_a_gate_ends(self) -> Self:
+        if self.gates and (self.dead_time_s or self.afterpulse_probability or self.jitter_s):
+            raise ValueError(
+                "a gated detector is blind until its gate ends, and has no dead time, afterpulses "
+                "or jitter here: leave them or gates out"
+            )
+        return self
 
     def registered(self, rate: np.ndarray) -> np.ndarray:
         """Counts/s without afterpulses at steady arrival rates, shape of `rate`."""
@@ -66,11 +83,39 @@ def divide(durations: np.ndarray, rates: np.ndarray) -> Iterator[tuple[np.ndarra
         yield pieces[first:last], rates[source[first:last]]
 
 
+@dataclass
+class Shutter:
+    """Gates of one detector in the frames of a recording: of each the first arrival is registered.
+
+    Times are ticks.
+    """
+
+    starts: np.ndarray  # (n,): Of all frames, rising
+    gates: ClickGates  # of a pass of F frames, which n is a multiple of
+    _fired: int = field(default=-1, init=False)  # the last gate in which it did
+
+    def first(self, times: np.ndarray) -> np.ndarray:
+        """Those of arrivals (a,), which follow all before, that are the first of their gate."""
+        gates, frames = self.gates, len(self.gates.width_s)
+        frame = np.searchsorted(self.starts, times, side="right") - 1
+        since = times - self.starts[frame] - self.gates.offset_s / TICK_S
+        # Edges of gates are whole ticks, to which they are rounded
+        gate = np.floor((since + 0.5) / (gates.width_s[frame % frames] / TICK_S)).astype(np.int64)
+        most = gates.number * gates.exposures
+        inside = (frame >= 0) & (gate >= 0) & (gate < most[frame % frames])
+        times, which = times[inside], (frame * most.max() + gate)[inside]
+        fires = np.diff(which, prepend=self._fired) > 0
+        self._fired = int(which[-1]) if len(which) else self._fired
+        return times[fires]
+
+
 class Stream:
     """Events of one detector in order of time, from one chunk to the next."""
 
-    def __init__(self, detector: Detector, rng: np.random.Generator) -> None:
-        self.detector, self.rng = detector, rng
+    def __init__(
+        self, detector: Detector, rng: np.random.Generator, shutter: Shutter | None = None
+    ) -> None:
+        self.detector, self.rng, self._shutter = detector, rng, shutter
         self._dead = round(detector.dead_time_s / TICK_S)
         self._last = -self._dead - 1
 
@@ -94,6 +139,8 @@ class Stream:
         return times
 
     def _register(self, times: np.ndarray) -> np.ndarray:
+        if self._shutter is not None:
+            return self._shutter.first(times)
         if self._dead == 0 or not len(times):
             return times
         if self.detector.paralysable:
