@@ -80,7 +80,7 @@ def design(
         print(
             f"{made.name} with {common.size(made)} at {common.budget(result.photons)} photons: "
             f"test accuracy {common.share(result.accuracy, result.low, result.high)}, "
-            f"{common.budget(result.counts)} counts (a share of {result.throughput:.3f})\n"
+            f"{_counted(result)} (a share of {result.throughput:.3f})\n"
             f"balanced accuracy "
             f"{common.share(result.balanced, result.balanced_low, result.balanced_high)}, "
             f"worst class {_worst(result, made.classes)}"
@@ -231,6 +231,14 @@ def stop(
         print(f"saved with this rule: {out}")
 
 
+def _counted(result: "Result") -> str:
+    """What the detectors count, in words; of clicks the photons that reach them, too."""
+    counts = common.budget(result.counts)
+    if not result.clicks:
+        return f"{counts} counts"
+    return f"{counts} clicks of {common.budget(result.arriving)} photons that arrive"
+
+
 def _check_same(file: Path, job: "Job", data: "Dataset", matrix: "np.ndarray | None") -> None:
     """Raise `InputError` unless a design file is what training this job would write again."""
     from deepfsi.design.adaptive.design import load_design
@@ -250,21 +258,23 @@ def _check_same(file: Path, job: "Job", data: "Dataset", matrix: "np.ndarray | N
 def _print_results(
     made: "AnyDesign", noise: str, results: "list[Result]", bounds: "list[Result]"
 ) -> None:
+    results = sorted(results, key=lambda r: r.photons)
+    light_heads, light, meaning = common.counted(results)
     rows = [
         (
             common.budget(r.photons),
             common.share(r.accuracy, r.low, r.high),
             f"{r.balanced:.3f}",
             _worst(r, made.classes),
-            common.budget(r.counts),
+            *counts,
             f"{r.throughput:.3f}",
             f"{r.calibration_error:.3f}",
         )
-        for r in sorted(results, key=lambda r: r.photons)
+        for r, counts in zip(results, light, strict=True)
     ]
-    heads = ("photons", "accuracy", "balanced", "worst class", "counts", "counted", "ECE")
+    heads = ("photons", "accuracy", "balanced", "worst class", *light_heads, "counted", "ECE")
     common.print_table(f"{made.name}, {common.size(made)}, {noise} noise", heads, rows)
-    for result in sorted(results, key=lambda r: r.photons):
+    for result in results:
         _print_confusion(result, made.classes)
     if bounds:
         common.print_table(
@@ -276,8 +286,9 @@ def _print_results(
             ],
         )
     print(f"± half of the 95 % interval: {results[0].covers}")
-    print("counts: photons that detectors count, in the mean over test scenes")
-    print("counted: share of the budget that they count, in the mean over training scenes")
+    print(meaning)
+    reached = "reaches them" if results[0].clicks else "they count"
+    print(f"counted: share of the budget that {reached}, in the mean over training scenes")
     print("ECE: expected calibration error, between probabilities and how often they are right")
 
 

@@ -329,18 +329,19 @@ def _print_points(results: "Results") -> None:
     axes = [axis for axis in axes if len({str(getattr(point, axis)) for point in best}) > 1]
     apart_heads = [AXIS_HEADS.get(axis, axis) for axis in axes]
     best.sort(key=lambda p: (p.photons, -p.accuracy))
+    light_heads, light, meaning = common.counted(best)
     rows = [
         (
             p.label,
             common.budget(p.photons),
             str(p.masks),
             common.share(p.accuracy, p.low, p.high),
-            common.budget(p.counts),
+            *counts,
             *(_axis(axis, p) for axis in axes),
         )
-        for p in best
+        for p, counts in zip(best, light, strict=True)
     ]
-    heads = ("design", "photons", "masks", "accuracy", "counts", *apart_heads)
+    heads = ("design", "photons", "masks", "accuracy", *light_heads, *apart_heads)
     common.print_table(results.title, heads, rows)
     width = common.NAME_WIDTH if len(axes) < CROWDED else CROWDED_WIDTH
     common.print_table(
@@ -363,7 +364,7 @@ def _print_points(results: "Results") -> None:
     print(f"chance: {results.data.commonest:.3f}, the share of the commonest class of the test")
     print("± half of the 95 % interval: " + "; ".join(dict.fromkeys(p.covers for p in best)))
     print("balanced: mean of the classes' accuracies, each class counting alike")
-    print("counts: photons that detectors count, in the mean over test scenes")
+    print(meaning)
     if results.had_choice:
         measure = " by balanced accuracy" if results.chosen_by == "balanced" else ""
         print(f"mask counts were chosen on validation data{measure}; the table is of test data")

@@ -37,7 +37,7 @@ from deepfsi.sweeps.locks import Locks, inside
 from deepfsi.sweeps.results import SCHEMA
 from deepfsi.sweeps.trial import Trial
 
-MEASURED = ("accuracy", "low", "high", "balanced", "counts", "throughput")
+MEASURED = ("accuracy", "low", "high", "balanced", "counts", "arriving", "throughput")
 """Numbers of a test that are columns of the table."""
 
 

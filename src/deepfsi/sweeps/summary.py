@@ -157,6 +157,7 @@ def point(
         worst_class=worst_of(rates),
         log_loss=float(np.mean([test["log_loss"] for test in tests])),
         counts=float(np.mean([test["counts"] for test in tests])),
+        arriving=float(np.mean([test["arriving"] for test in tests])),
         throughput=float(np.mean([test["throughput"] for test in tests])),
         seconds=float(np.mean([record["info"]["seconds"] for record, _ in members])),
         accuracies=tuple(float(test["accuracy"]) for test in tests),
