@@ -2,6 +2,7 @@
 
     python benchmarks/published.py FOLDER -o runs/published  # table of docs/understand/published.md
     python benchmarks/published.py FOLDER --neurons 10 --epochs 1 -o runs/short
+    python benchmarks/published.py FOLDER --few --seeds 0 1 2  # the table for clicks alone
 
 FOLDER holds `incoherent_nK.npz` with `masks` (K, 784), `readout` (10, K) and `bias` (10,), K = 10,
 50, 100 and 400: weights of the incoherent networks for MNIST of S.-Y. Ma, T. Wang, J. Laydevant,
@@ -11,12 +12,19 @@ public at github.com/mcmahon-lab/Single-Photon-Detection-Neural-Networks under t
 Commons Attribution 4.0, as PyTorch models: save those arrays with `numpy.savez`.
 
 A scene x in [0, 1]^784 gives a neuron the rate u = masks · x; it clicks with the probability
-1 − exp(−u), once, and the classes are readout · clicks + bias. Masks M that see λ = Φ x / s are
-these at M = masks · s / Φ, so that there is a smallest budget Φ at which they obey a constraint.
-Designs of ours are trained under that constraint at that budget, with rails and number of masks
-chosen on validation images, and tested once on exact counts; then for detectors that click at most
-once, as the network's do: masks learn to click no more than the network, at no more than its
-budget. `--few` prints that table alone.
+1 − exp(−u), once, and the classes are readout · clicks + bias. In K shots, exposures of one scene,
+the mean output decides. K shots are one exposure of K gates: the sums of clicks are
+Binomial(K, 1 − exp(−u)), and all that the network needs, as it is linear. Ours is not: it reads
+each shot, and the mean of the logits decides. The mean of the log probabilities would decide alike,
+as in each shot they differ from the logits by one number for all classes. Accuracies of one shot
+are means over as many shots.
+
+Masks M that see λ = Φ x / s are these at M = masks · s / Φ, so that there is a smallest budget Φ at
+which they obey a constraint. Designs of ours are trained under that constraint at that budget, with
+rails and number of masks chosen on validation images, and tested once on exact counts; then for
+detectors that click at most once, as the network's do: masks learn to click no more than the
+network, at no more than its budget. `--few` prints that table alone, with the mean and the standard
+deviation over the training seeds.
 """
 
 import argparse
@@ -29,7 +37,8 @@ import numpy as np
 import torch
 
 from deepfsi.datasets import Dataset, load_dataset
-from deepfsi.design.evaluation import evaluate
+from deepfsi.design.artifact import Design
+from deepfsi.design.evaluation import evaluate, scanner_for
 from deepfsi.laws import Light
 from deepfsi.optics import constraints
 from deepfsi.optics.budget import summed_reflectance
@@ -58,6 +67,9 @@ CLICKING: dict[int, dict[str, Any]] = {
 
 FEWER = 0.97
 """Clicks that ours are trained for over those of the network, so that they are no more."""
+
+SHOTS = 10
+"""Exposures of a scene that are averaged, beside one alone."""
 
 HIDDEN = (512, 256)
 """Hidden layers of our classifier."""
@@ -94,14 +106,26 @@ class Network:
         rates = x @ self.masks.T
         return np.random.default_rng(seed).random(rates.shape) < -np.expm1(-rates)
 
-    def classes(self, clicks: np.ndarray) -> np.ndarray:
-        """Classes (n,) of clicks (n, K)."""
-        return (clicks @ self.readout.T + self.bias).argmax(axis=1)
+    def classes(self, clicks: np.ndarray, shots: int = 1) -> np.ndarray:
+        """Classes (n,) of the clicks (n, K) in so many shots, by the mean output."""
+        return (clicks @ self.readout.T / shots + self.bias).argmax(axis=1)
 
     def least_photons(self, light: Light, s: float) -> float:
         """Smallest budget at which the masks obey a constraint, for a summed reflectance s."""
         rails = torch.from_numpy(self.masks)[None]
         return s * (1 + constraints.excess(rails, light))
+
+
+def read_networks(
+    folder: Path, sizes: Sequence[int], pixels: int, parser: argparse.ArgumentParser
+) -> dict[int, Network]:
+    """Networks of a folder by their numbers of neurons; the parser says what is missing."""
+    files = {size: folder / f"incoherent_n{size}.npz" for size in sizes}
+    if missing := [str(path) for path in files.values() if not path.is_file()]:
+        parser.error(
+            f"{', '.join(missing)} missing: `published.py --help` names the source, {SOURCE}"
+        )
+    return {size: Network.read(path, pixels) for size, path in files.items()}
 
 
 def recipe(light: Light, photons: Sequence[float], epochs: int, data: str = "mnist") -> Recipe:
@@ -123,18 +147,25 @@ def chosen(points: Sequence[Point], photons: float) -> Point:
     return max(here, key=lambda point: point.validation or 0)
 
 
+def share(right: np.ndarray) -> str:
+    """Mean of scenes that are right (n,), or their shares, with its 95 % interval over them."""
+    low, high = wilson(float(right.mean()), len(right))
+    return f"{right.mean():.4f} [{low:.4f}, {high:.4f}]"
+
+
 def print_networks(networks: dict[int, Network], data: Dataset) -> None:
     """Table of the published networks: accuracy, clicks, and budgets at which their masks fit."""
-    heads = ("neurons", "accuracy, their own", "clicks", "arriving", *(f"Φ, {x}" for x in LAWS))
+    heads = ("neurons", "1 shot", f"{SHOTS} shots", "clicks", "arriving")
+    heads += tuple(f"Φ, {light}" for light in LAWS)
     print(f"| {' | '.join(heads)} |")
     print("| --- " * len(heads) + "|")
     s = summed_reflectance(data.x_train)
     for size, network in networks.items():
-        clicks = network.clicks(data.x_test)
-        right = float((network.classes(clicks) == data.y_test).mean())
-        low, high = wilson(right, len(data.y_test))
+        clicks = [network.clicks(data.x_test, seed) for seed in range(SHOTS)]
+        once = np.mean([network.classes(each) == data.y_test for each in clicks], axis=0)
+        several = network.classes(np.sum(clicks, axis=0), SHOTS) == data.y_test
         budgets = " | ".join(f"{network.least_photons(light, s):.0f}" for light in LAWS)
-        seen = f"{right:.4f} [{low:.4f}, {high:.4f}] | {clicks.sum(axis=1).mean():.1f}"
+        seen = f"{share(once)} | {share(several)} | {np.mean(clicks) * size:.1f}"
         seen += f" | {network.arriving(data.x_test):.1f}"
         print(f"| {size} | {seen} | {budgets} |", flush=True)
 
@@ -158,13 +189,34 @@ def print_ours(
         )
 
 
+def right_in(made: Design, data: Dataset, photons: float, shots: int) -> np.ndarray:
+    """Whether the mean of a design's logits over shots is right, for each test scene (n,)."""
+    scanner = scanner_for(made, made.camera)
+    generator = torch.Generator().manual_seed(shots)
+    right = []
+    with torch.no_grad():
+        for rows in torch.arange(len(data.x_test)).split(1024):
+            rates = made.rates(scanner, torch.from_numpy(data.x_test[rows]))
+            logits = torch.zeros(len(rows), len(data.classes))
+            for _ in range(shots):
+                *_, seen = made.expose(scanner, rates, generator, photons)
+                logits += made.logits_of(seen, photons)
+            right.append(logits.argmax(dim=1).numpy() == data.y_test[rows])
+    return np.concatenate(right)
+
+
 def print_few(
-    networks: dict[int, Network], data: Dataset, light: Light, seeds: int, epochs: int | None
+    networks: dict[int, Network],
+    data: Dataset,
+    light: Light,
+    seeds: Sequence[int],
+    epochs: int | None,
 ) -> None:
     """Table of ours, for detectors that click, at no more clicks and Φ than the networks."""
     s, part = summed_reflectance(data.x_train), data.hold_out()
-    print(f"\n| {light}, clicks of | Φ | seed | validation | ours | clicks | arriving |")
-    print("| --- " * 7 + "|")
+    heads = (f"{light}, clicks of", "Φ", "seed", "validation", "1 shot", f"{SHOTS} shots")
+    print(f"\n| {' | '.join((*heads, 'clicks', 'arriving'))} |")
+    print("| --- " * (len(heads) + 2) + "|")
     for size, network in networks.items():
         photons = network.least_photons(light, s)
         clicks = float(network.clicks(part.x_train).sum(axis=1).mean())
@@ -172,7 +224,8 @@ def print_few(
         training = {"hidden": HIDDEN, "lr": 3e-3, **usual["training"]}
         if epochs is not None:
             training["epochs"] = epochs
-        for seed in range(seeds):
+        found = []
+        for seed in seeds:
             made = learn(
                 part,
                 counts=FEWER * clicks,
@@ -183,12 +236,22 @@ def print_few(
                 seed=seed,
             )
             [held] = evaluate(made, part, photons, draws=1)
-            [seen] = evaluate(made, data, photons, draws=1)
-            accuracy = (
-                f"{held.accuracy:.4f} | {seen.accuracy:.4f} [{seen.low:.4f}, {seen.high:.4f}]"
-            )
-            light_of = f"{seen.counts:.1f} | {seen.arriving:.1f}"
-            print(f"| {size} | {photons:.0f} | {seed} | {accuracy} | {light_of} |", flush=True)
+            [seen] = evaluate(made, data, photons, draws=SHOTS)
+            several = right_in(made, data, photons, SHOTS)
+            found.append((held.accuracy, seen.accuracy, several.mean(), seen.counts, seen.arriving))
+            shares = f"{held.accuracy:.4f} | {seen.accuracy:.4f} [{seen.low:.4f}, {seen.high:.4f}]"
+            shares += f" | {share(several)} | {seen.counts:.1f} | {seen.arriving:.1f}"
+            print(f"| {size} | {photons:.0f} | {seed} | {shares} |", flush=True)
+        if len(seeds) > 1:
+            print(f"| {size} | {photons:.0f} | mean ± SD | {over_seeds(found)} |", flush=True)
+
+
+def over_seeds(found: Sequence[tuple[float, ...]]) -> str:
+    """Means and standard deviations over seeds: three accuracies, clicks and photons."""
+    mean, spread = np.mean(found, axis=0), np.std(found, axis=0, ddof=1)
+    digits = (4, 4, 4, 1, 1)
+    cells = zip(mean, spread, digits, strict=True)
+    return " | ".join(f"{value:.{n}f} ± {off:.{n}f}" for value, off, n in cells)
 
 
 def main(words: list[str] | None = None) -> None:
@@ -200,13 +263,12 @@ def main(words: list[str] | None = None) -> None:
     parser.add_argument("--epochs", type=int, help="15, and for clicks those chosen, unless given")
     parser.add_argument("--few", action="store_true", help="the tables for clicks alone")
     parser.add_argument("--laws", nargs="+", default=list(LAWS), choices=LAWS)
-    parser.add_argument("--seeds", type=int, default=3, help="of the designs for clicks")
+    parser.add_argument(
+        "--seeds", type=int, nargs="+", default=[0, 1, 2], help="of the designs for clicks"
+    )
     asked = parser.parse_args(words)
-    files = {size: asked.folder / f"incoherent_n{size}.npz" for size in asked.neurons}
-    if missing := [str(path) for path in files.values() if not path.is_file()]:
-        parser.error(f"{', '.join(missing)} missing: --help names the source, {SOURCE}")
     data = load_dataset(asked.data, rescale=(0.0, 1.0))
-    networks = {size: Network.read(path, data.pixels) for size, path in files.items()}
+    networks = read_networks(asked.folder, asked.neurons, data.pixels, parser)
     print_networks(networks, data)
     for light in () if asked.few else asked.laws:
         print_ours(networks, data, light, asked.epochs or 15, asked.out)

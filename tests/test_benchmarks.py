@@ -1,12 +1,6 @@
 """The benchmarks run, and what they compare is what they say."""
 
-import importlib.util
-import os
-import sys
 from dataclasses import replace
-from functools import cache
-from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import psutil
@@ -16,29 +10,17 @@ from torch import Tensor
 from torch.nn import functional
 
 from conftest import generator, quick
-from deepfsi.datasets import load_dataset
 from deepfsi.design.classifiers import Mlp
 from deepfsi.hardware.patterns.mirrors import recount, unpack
-from deepfsi.optics import constraints
-from deepfsi.optics.budget import summed_reflectance
 from deepfsi.optics.noise import attach_gradient
 from deepfsi.training.job import Job, Training
 from deepfsi.training.learning import train
 from deepfsi.training.training_set import TrainingSet
+from shared.benchmarks import benchmark
 
 DRAWS = 400_000
 RATES = torch.tensor([[0.7, 1.3], [0.4, 0.0]], dtype=torch.float64)
 """Two readouts; the second has one rail."""
-
-
-@cache
-def benchmark(name: str) -> ModuleType:
-    path = Path(__file__).parents[1] / "benchmarks" / f"{name}.py"
-    spec = importlib.util.spec_from_file_location(f"benchmarks_{name}", path)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
 
 
 def network() -> Mlp:
@@ -349,77 +331,6 @@ def test_the_faults_of_the_table_of_power_are_what_they_are_called(digits):
 
 def flat(rates: np.ndarray) -> np.ndarray:
     return np.sort(rates.reshape(len(rates), -1))
-
-
-def published_network(folder: Path, pixels: int) -> Path:
-    """Write a network of five neurons, as `published` reads it."""
-    rng = np.random.default_rng(2)
-    parts = {"masks": 3 * rng.random((5, pixels)) ** 3, "readout": rng.normal(size=(10, 5))}
-    path = folder / "incoherent_n5.npz"
-    np.savez(path, bias=np.zeros(10), **parts)
-    return path
-
-
-def test_published_masks_fit_their_constraint_at_their_smallest_budget(tmp_path):
-    published = benchmark("published")
-    network = published.Network.read(published_network(tmp_path, 36), 64)
-    x, s = np.random.default_rng(3).random((20_000, 64)), 30.0
-    inner = x.reshape(-1, 8, 8)[:, 1:-1, 1:-1].reshape(-1, 36)
-    with np.load(tmp_path / "incoherent_n5.npz") as file:
-        rates = inner @ file["masks"].T
-    np.testing.assert_allclose(x @ network.masks.T, rates, rtol=1e-9)
-    clicks = network.clicks(x)
-    spread = 0.5 / np.sqrt(len(x))
-    assert np.abs((clicks + np.expm1(-rates)).mean(axis=0)).max() < 5 * spread
-    for light in published.LAWS:
-        photons = network.least_photons(light, s)
-        matrix = torch.from_numpy(network.masks * s / photons)[None]
-        assert constraints.excess(matrix, light) == pytest.approx(0, abs=1e-9)
-
-
-def test_designs_are_compared_with_a_published_network(tmp_path, capsys):
-    published_network(tmp_path, 64)
-    words = ["--data", "digits", "--neurons", "5", "--epochs", "1", "-o", str(tmp_path / "out")]
-    words += ["--seeds", "1"]
-    benchmark("published").main([str(tmp_path), *words])
-    printed = capsys.readouterr().out
-    for head in (
-        "| neurons |",
-        "| column, Φ of |",
-        "| free-dwell, Φ of |",
-        "| column, clicks of |",
-        "| free-dwell, clicks of |",
-    ):
-        assert head in printed
-    assert printed.count("\n| 5 | ") == 5
-    with pytest.raises(SystemExit):
-        benchmark("published").main([str(tmp_path), "--neurons", "7"])
-    assert "CC BY 4.0" in capsys.readouterr().err
-
-
-SPDNN = Path(os.environ.get("DEEPFSI_DATA") or ".") / "spdnn"
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not SPDNN.is_dir(), reason="needs $DEEPFSI_DATA/spdnn")
-def test_published_networks_reach_what_was_published():
-    """Accuracy in one shot, clicks, and smallest budgets, of Ma et al.'s weights."""
-    published, data = benchmark("published"), load_dataset("mnist", rescale=(0.0, 1.0))
-    s = summed_reflectance(data.x_train)
-    known = {
-        10: (0.782, 6.3, 1402, 5112),
-        50: (0.930, 34.4, 2240, 17655),
-        100: (0.952, 71.6, 3121, 31324),
-        400: (0.973, 303, 9681, 133815),
-    }
-    for size, (accuracy, clicked, *budgets) in known.items():
-        network = published.Network.read(SPDNN / f"incoherent_n{size}.npz", data.pixels)
-        clicks = network.clicks(data.x_test)
-        right = (network.classes(clicks) == data.y_test).mean()
-        assert abs(right - accuracy) < 5 * np.sqrt(accuracy * (1 - accuracy) / len(clicks))
-        assert clicks.sum(axis=1).mean() == pytest.approx(clicked, rel=0.01)
-        found = [network.least_photons(light, s) for light in published.LAWS]
-        assert found == pytest.approx(budgets, abs=0.6)
 
 
 def test_products_of_detectors_are_those_of_masks_that_are_dark_elsewhere(capsys):

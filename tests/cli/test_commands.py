@@ -101,6 +101,26 @@ def test_design_evaluate_show(done, tmp_path):
         assert image.width > 200
 
 
+def test_clicks_stand_beside_the_photons_that_arrive(done, tmp_path):
+    """Photon counts are the photons that arrive, and need no second column."""
+    file = tmp_path / "clicks.safetensors"
+    camera = ["--light", "column", "--rails", "single"]
+    words = ["--photons", "100", "--masks", 4, "--epochs", 1, "--noise", "click", *camera]
+    assert " clicks of " in done("design", *words, "-o", file)
+    [test] = json.loads(done("evaluate", file, "--photons", "100", "--json"))["results"]
+    printed = done("evaluate", file, "--photons", "100")
+    assert f" {test['counts']:.2e}".replace("e+00", "e0") in printed
+    assert f" {test['arriving']:.2e}".replace("e+01", "e1") in printed
+    assert "arriving: photons that reach them" in printed
+    assert "reaches them" in printed
+    assert "arriving" not in done("evaluate", file, "--photons", "100", "--noise", "poisson")
+    words = ["--designs", "pca", *words, "--trials", 1, "--workers", 1, "-o", tmp_path / "out"]
+    printed = done("compare", *words)
+    [point] = json.loads((tmp_path / "out" / "results.json").read_text())["points"]
+    assert point["arriving"] > 2 * point["counts"]
+    assert f" {point['arriving']:.2e}".replace("e+01", "e1") in printed
+
+
 def test_the_ideal_observer_stands_beside_the_network(done, refuse, made, tmp_path):
     file = made("pca", "column", "dual").save(tmp_path / "one.safetensors")
     words = ["evaluate", file, "--photons", "1e4,1e2", "--draws", 1]

@@ -62,6 +62,20 @@ def test_all_designs_and_numbers_are_in_the_tables(tmp_path):
 
 
 @words_alone
+@pytest.mark.parametrize("noise", ["poisson", "click"])
+def test_clicks_stand_beside_the_photons_that_arrive(tmp_path, noise):
+    """Photon counts are the photons that arrive, and need no second column."""
+    light = {"noise": noise, "counts": 28.4, "arriving": 94.9 if noise == "click" else 28.4}
+    results = make_results(tmp_path)
+    points = [point.model_copy(update=light) for point in results.points]
+    write_results(tmp_path / "results.json", results.with_points(points))
+    page = page_of(tmp_path)
+    assert ("28.4 clicks of 94.9 photons that arrive" in page) == (noise == "click")
+    assert ('<td data-value="94.9">94.9</td>' in page) == (noise == "click")
+    assert ("arriving" in page) == (noise == "click")
+
+
+@words_alone
 def test_masks_are_named_by_the_budget_that_they_learned_at(tmp_path):
     """Tested at several budgets and grey levels, the file of a design is drawn once, as it is."""
     results = make_results(tmp_path, designs=("deepfsi",))

@@ -11,7 +11,7 @@ from shared.trials import small
 def record(photons, masks, seed, validation, test, noise="ml_gauss", detectors="1x1"):
     result = {"noise": "poisson", "photons": photons, "throughput": 0.5, "low": 0.1, "high": 0.9}
     result["covers"] = "test images"
-    result |= {"counts": 0.5 * photons, "log_loss": 0.7}
+    result |= {"counts": 0.5 * photons, "arriving": 0.5 * photons, "log_loss": 0.7}
     result |= {"levels": 0, "balanced": 0.4, "balanced_low": 0.2, "balanced_high": 0.6}
     result["rates"] = [0.4] * 10
     result["confusion"] = np.ones((10, 10)).tolist()
@@ -41,9 +41,9 @@ def test_mask_counts_are_chosen_on_validation_never_on_test(digits):
 
 def test_counts_are_the_mean_over_trials(digits):
     bright = record(1e3, 3, 1, 0.8, 0.5)
-    bright["test"][0] |= {"counts": 700.0, "log_loss": 0.5}
+    bright["test"][0] |= {"counts": 700.0, "arriving": 900.0, "log_loss": 0.5}
     (point,) = summary(digits, [record(1e3, 3, 0, 0.8, 0.5), bright])
-    assert point.counts == 600
+    assert (point.counts, point.arriving) == (600, 700)
     assert point.log_loss == pytest.approx(0.6)
 
 

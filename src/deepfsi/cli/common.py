@@ -20,7 +20,9 @@ if TYPE_CHECKING:
     from deepfsi.datasets import Dataset
     from deepfsi.design.adaptive.design import AnyDesign
     from deepfsi.design.artifact import Design
-    from deepfsi.sweeps.results import Data
+    from deepfsi.design.estimation import Estimates
+    from deepfsi.design.evaluation import Result
+    from deepfsi.sweeps.results import Data, Point
 
 
 def is_given(context: typer.Context, parameter: str) -> bool:
@@ -156,6 +158,21 @@ def budget(photons: float) -> str:
     """Photons as all commands print and take them: 1e4, 3.16e4."""
     mantissa, exponent = f"{photons:.2e}".split("e")
     return f"{mantissa.rstrip('0').rstrip('.')}e{int(exponent)}"
+
+
+def counted(
+    tests: "Sequence[Result | Estimates | Point]",
+) -> tuple[tuple[str, ...], list[tuple[str, ...]], str]:
+    """Heads and cells of what detectors count, and what they mean; of clicks with the photons."""
+    if not any(test.clicks for test in tests):
+        meaning = "counts: photons that detectors count, in the mean over test scenes"
+        return ("counts",), [(budget(test.counts),) for test in tests], meaning
+    meaning = "counts: clicks of the detectors, arriving: photons that reach them"
+    cells: list[tuple[str, ...]] = [
+        (budget(test.counts), "–" if test.arriving is None else budget(test.arriving))
+        for test in tests
+    ]
+    return ("counts", "arriving"), cells, f"{meaning}, in the mean over test scenes"
 
 
 def share(mean: float, low: float, high: float) -> str:

@@ -1,14 +1,13 @@
 """Commands of one design: design, evaluate, stop, show, page."""
 
-from collections.abc import Sequence
 from contextlib import suppress
-from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from deepfsi.cli import common, options, paths
+from deepfsi.cli.results import details, print_estimates, print_results, score
 from deepfsi.cli.settings import job_fields, with_settings
 from deepfsi.errors import InputError
 
@@ -17,8 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from deepfsi.datasets import Dataset
-    from deepfsi.design.adaptive.design import AdaptiveDesign, AnyDesign
-    from deepfsi.design.estimation import Estimates
+    from deepfsi.design.adaptive.design import AdaptiveDesign
     from deepfsi.design.evaluation import Result
     from deepfsi.design.stopping import Stopped
     from deepfsi.training.job import Job
@@ -82,35 +80,10 @@ def design(
     for result in results:
         print(
             f"{made.name} with {common.size(made)} at {common.budget(result.photons)} photons: "
-            f"{_score(result)}, "
-            f"{common.budget(result.counts)} counts (a share of {result.throughput:.3f})\n"
-            f"{_details(result, made.classes)}"
+            f"{score(result)}, {counted(result)} (a share of {result.throughput:.3f})\n"
+            f"{details(result, made.classes)}"
         )
     print(f"saved: {out}")
-
-
-def _score(result: "Result | Estimates") -> str:
-    """Test accuracy, area under the ROC curve of two classes, or R² of values."""
-    from deepfsi.design.estimation import Estimates
-
-    if isinstance(result, Estimates):
-        return f"R² {common.share(result.r2, result.low, result.high)}"
-    return f"test accuracy {common.share(result.accuracy, result.low, result.high)}"
-
-
-def _details(result: "Result | Estimates", classes: Sequence[str]) -> str:
-    """What a test says of each class, or of each value."""
-    from deepfsi.design.estimation import Estimates
-
-    if isinstance(result, Estimates):
-        errors = (common.error(*each) for each in zip_longest(result.rmse, result.bound or ()))
-        told = ", ".join(map(" ".join, zip(result.values, errors, strict=True)))
-        return f"root mean squared error (of the best linear estimator): {told}"
-    balanced = common.share(result.balanced, result.balanced_low, result.balanced_high)
-    words = f"balanced accuracy {balanced}, worst class {_worst(result, classes)}"
-    if result.auc is None:
-        return words
-    return f"{words}, AUC {common.share(result.auc, result.auc_low or 0, result.auc_high or 1)}"
 
 
 def evaluate(
@@ -188,9 +161,9 @@ def evaluate(
         return
     common.print_data(scenes, notes)
     if made.values:
-        _print_estimates(made, camera.noise_name, results)
+        print_estimates(made, camera.noise_name, results)
     else:
-        _print_results(made, camera.noise_name, results, bounds)
+        print_results(made, camera.noise_name, results, bounds)
 
 
 def stop(
@@ -273,84 +246,6 @@ def _check_same(file: Path, job: "Job", data: "Dataset", matrix: "np.ndarray | N
     raise InputError(
         f"{file} exists already, of other settings: give another name, or --force to replace it"
     )
-
-
-def _print_results(
-    made: "AnyDesign", noise: str, results: "list[Result]", bounds: "list[Result]"
-) -> None:
-    two = results[0].auc is not None
-    rows = [
-        (
-            common.budget(r.photons),
-            common.share(r.accuracy, r.low, r.high),
-            *([common.share(r.auc or 0, r.auc_low or 0, r.auc_high or 1)] if two else []),
-            f"{r.balanced:.3f}",
-            _worst(r, made.classes),
-            common.budget(r.counts),
-            f"{r.throughput:.3f}",
-            f"{r.calibration_error:.3f}",
-        )
-        for r in sorted(results, key=lambda r: r.photons)
-    ]
-    answers = ("accuracy", *(["AUC"] if two else []), "balanced", "worst class")
-    heads = ("photons", *answers, "counts", "counted", "ECE")
-    common.print_table(f"{made.name}, {common.size(made)}, {noise} noise", heads, rows)
-    for result in sorted(results, key=lambda r: r.photons):
-        _print_confusion(result, made.classes)
-    if bounds:
-        common.print_table(
-            "ideal observer of these counts, training scenes as prior",
-            ("photons", "accuracy"),
-            [
-                (common.budget(r.photons), common.share(r.accuracy, r.low, r.high))
-                for r in sorted(bounds, key=lambda r: r.photons)
-            ],
-        )
-    _print_covered(results[0].covers)
-    print("ECE: expected calibration error, between probabilities and how often they are right")
-
-
-def _print_estimates(made: "AnyDesign", noise: str, results: "list[Estimates]") -> None:
-    rows = [
-        (
-            common.budget(r.photons),
-            common.share(r.r2, r.low, r.high),
-            *(common.error(*each) for each in zip_longest(r.rmse, r.bound or ())),
-            common.budget(r.counts),
-            f"{r.throughput:.3f}",
-        )
-        for r in sorted(results, key=lambda r: r.photons)
-    ]
-    heads = ("photons", "R²", *map(common.short, results[0].values), "counts", "counted")
-    common.print_table(f"{made.name}, {common.size(made)}, {noise} noise", heads, rows)
-    print("of each value: root mean squared error (that of the best linear estimator)")
-    _print_covered(results[0].covers)
-
-
-def _print_covered(covers: str) -> None:
-    print(f"± half of the 95 % interval: {covers}")
-    print("counts: photons that detectors count, in the mean over test scenes")
-    print("counted: share of the budget that they count, in the mean over training scenes")
-
-
-def _print_confusion(result: "Result", classes: Sequence[str]) -> None:
-    """Print which classes are taken for which; of many, the most frequent mistakes."""
-    from deepfsi.statistics.confusion import MOST_CLASSES, frequent, shares
-
-    where = f"at {common.budget(result.photons)} photons, % of the true class"
-    if len(classes) > MOST_CLASSES:
-        told = [
-            (classes[i], classes[j], f"{100 * x:.1f}") for i, j, x in frequent(result.confusion)
-        ]
-        common.print_table(f"most frequent mistakes {where}", ("true", "answered", "share"), told)
-        return
-    found = shares(result.confusion)
-    rows = [
-        (common.short(name), *(f"{100 * x:.0f}" if x else "" for x in row))
-        for name, row in zip(classes, found, strict=True)
-    ]
-    heads = ("true \\ answered", *(common.short(name, 5) for name in classes))
-    common.print_table(f"answers {where}", heads, rows)
 
 
 def _print_stopped(found: "Stopped", size: str) -> None:
@@ -484,7 +379,3 @@ def page(
         return
     common.print_data(scenes, notes)
     print(f"page to play with: {out}")
-
-
-def _worst(result: "Result", classes: Sequence[str]) -> str:
-    return common.worst_class(result.rates[result.worst] or 0.0, classes[result.worst])

@@ -334,19 +334,20 @@ def _print_points(results: "Results") -> None:
     axes = [axis for axis in axes if len({str(getattr(point, axis)) for point in best}) > 1]
     apart_heads = [AXIS_HEADS.get(axis, axis) for axis in axes]
     best.sort(key=lambda p: (p.photons, -p.accuracy))
+    light_heads, light, meaning = common.counted(best)
     rows = [
         (
             p.label,
             common.budget(p.photons),
             str(p.masks),
             common.share(p.accuracy, p.low, p.high),
-            common.budget(p.counts),
+            *counts,
             *(_axis(axis, p) for axis in axes),
         )
-        for p in best
+        for p, counts in zip(best, light, strict=True)
     ]
     measure = WORDS[results.data.measure]
-    heads = ("design", "photons", "masks", measure.name, "counts", *apart_heads)
+    heads = ("design", "photons", "masks", measure.name, *light_heads, *apart_heads)
     common.print_table(results.title, heads, rows)
     part = _value_by_value if results.data.values else _class_by_class
     part(results, best, axes, apart_heads)
@@ -356,7 +357,7 @@ def _print_points(results: "Results") -> None:
             print(f"{p.label} at {common.budget(p.photons)} photons answers one class only")
     print(f"chance: {results.data.chance:.3f}, {measure.guessing}")
     print("± half of the 95 % interval: " + "; ".join(dict.fromkeys(p.covers for p in best)))
-    print("counts: photons that detectors count, in the mean over test scenes")
+    print(meaning)
     if results.had_choice:
         by = " by balanced accuracy" if results.chosen_by == "balanced" else ""
         print(f"mask counts were chosen on validation data{by}; the table is of test data")

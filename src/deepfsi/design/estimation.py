@@ -85,6 +85,11 @@ class Estimates:
     throughput: float
     photons_per_mask: list[float]
 
+    @property
+    def clicks(self) -> bool:
+        """True of detectors that click, whose counts are fewer than the photons that arrive."""
+        return self.noise == "click"
+
     def as_dict(self) -> dict[str, Any]:
         """JSON types only."""
         return asdict(self)

@@ -117,6 +117,11 @@ class Result:
         )
 
     @property
+    def clicks(self) -> bool:
+        """True of detectors that click, whose counts are fewer than the photons that arrive."""
+        return self.noise == "click"
+
+    @property
     def worst(self) -> int:
         """Place of the class with the lowest accuracy."""
         return worst_of(self.rates)

@@ -40,9 +40,9 @@ def share_text(value: float | None) -> str:
     return "–" if value is None else f"{value:.3f}"
 
 
-def counts_text(counts: float) -> str:
-    """Write a mean number of counts with three digits."""
-    return photons_text(float(f"{counts:.3g}"))
+def counts_text(counts: float | None) -> str:
+    """Write a mean number of counts with three digits; a dash where it is not known."""
+    return "–" if counts is None else photons_text(float(f"{counts:.3g}"))
 
 
 def flat(tree: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, str]]:

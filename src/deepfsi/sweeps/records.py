@@ -38,7 +38,10 @@ from deepfsi.sweeps.locks import Locks, inside
 from deepfsi.sweeps.results import SCHEMA
 from deepfsi.sweeps.trial import Trial
 
-MEASURED = ("accuracy", "auc", "r2", "low", "high", "balanced", "counts", "throughput")
+MEASURED = (
+    *("accuracy", "auc", "r2", "low", "high", "balanced"),
+    *("counts", "arriving", "throughput"),
+)
 """Numbers of a test that are columns of the table, where it has them."""
 
 

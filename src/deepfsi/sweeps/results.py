@@ -120,7 +120,13 @@ class Point(Frozen):
         None, description="mean of −ln p of the true class, in nats, and over trials"
     )
     counts: FiniteFloat = Field(
-        description="photons that the detectors count, in the mean over test scenes and trials"
+        description="photons that the detectors count, or clicks, in the mean over test scenes and "
+        "trials"
+    )
+    arriving: FiniteFloat | None = Field(
+        None,
+        description="photons that reach the detectors, in the same mean: as many as the counts, "
+        "but of detectors that click",
     )
     throughput: FiniteFloat = Field(
         description="share of the budget that the detectors count, in the training mean; of masks "
@@ -140,6 +146,11 @@ class Point(Frozen):
     one_class: bool = Field(
         False, description="whether each trial gives one class as the answer to every test scene"
     )
+
+    @property
+    def clicks(self) -> bool:
+        """True of detectors that click, whose counts are fewer than the photons that arrive."""
+        return self.noise == "click"
 
     @property
     def every_pixel(self) -> bool:

@@ -162,6 +162,7 @@ def point(
         covers=several if len(tests) > 1 else tests[0]["covers"],
         **(_of_values(tests) if measure == "R²" else _of_classes(tests)),
         counts=float(np.mean([test["counts"] for test in tests])),
+        arriving=float(np.mean([test["arriving"] for test in tests])),
         throughput=float(np.mean([test["throughput"] for test in tests])),
         seconds=float(np.mean([record["info"]["seconds"] for record, _ in members])),
         accuracies=tuple(float(test[score]) for test in tests),

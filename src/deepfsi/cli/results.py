@@ -1,0 +1,134 @@
+"""Tests of designs as the commands print them."""
+
+from collections.abc import Sequence
+from itertools import zip_longest
+from typing import TYPE_CHECKING
+
+from deepfsi.cli import common
+
+if TYPE_CHECKING:
+    from deepfsi.design.adaptive.design import AnyDesign
+    from deepfsi.design.estimation import Estimates
+    from deepfsi.design.evaluation import Result
+
+
+def score(result: "Result | Estimates") -> str:
+    """Test accuracy, area under the ROC curve of two classes, or R² of values."""
+    from deepfsi.design.estimation import Estimates
+
+    if isinstance(result, Estimates):
+        return f"R² {common.share(result.r2, result.low, result.high)}"
+    return f"test accuracy {common.share(result.accuracy, result.low, result.high)}"
+
+
+def details(result: "Result | Estimates", classes: Sequence[str]) -> str:
+    """What a test says of each class, or of each value."""
+    from deepfsi.design.estimation import Estimates
+
+    if isinstance(result, Estimates):
+        errors = (common.error(*each) for each in zip_longest(result.rmse, result.bound or ()))
+        told = ", ".join(map(" ".join, zip(result.values, errors, strict=True)))
+        return f"root mean squared error (of the best linear estimator): {told}"
+    balanced = common.share(result.balanced, result.balanced_low, result.balanced_high)
+    words = f"balanced accuracy {balanced}, worst class {_worst(result, classes)}"
+    if result.auc is None:
+        return words
+    return f"{words}, AUC {common.share(result.auc, result.auc_low or 0, result.auc_high or 1)}"
+
+
+def counted(result: "Result") -> str:
+    """What the detectors count, in words; of clicks the photons that reach them, too."""
+    counts = common.budget(result.counts)
+    if not result.clicks:
+        return f"{counts} counts"
+    return f"{counts} clicks of {common.budget(result.arriving)} photons that arrive"
+
+
+def print_results(
+    made: "AnyDesign", noise: str, results: "list[Result]", bounds: "list[Result]"
+) -> None:
+    """Print the tests of a design, and those of the ideal observer where there are any."""
+    two = results[0].auc is not None
+    results = sorted(results, key=lambda r: r.photons)
+    light_heads, light, meaning = common.counted(results)
+    rows = [
+        (
+            common.budget(r.photons),
+            common.share(r.accuracy, r.low, r.high),
+            *([common.share(r.auc or 0, r.auc_low or 0, r.auc_high or 1)] if two else []),
+            f"{r.balanced:.3f}",
+            _worst(r, made.classes),
+            *counts,
+            f"{r.throughput:.3f}",
+            f"{r.calibration_error:.3f}",
+        )
+        for r, counts in zip(results, light, strict=True)
+    ]
+    answers = ("accuracy", *(["AUC"] if two else []), "balanced", "worst class")
+    heads = ("photons", *answers, *light_heads, "counted", "ECE")
+    common.print_table(f"{made.name}, {common.size(made)}, {noise} noise", heads, rows)
+    for result in results:
+        _print_confusion(result, made.classes)
+    if bounds:
+        common.print_table(
+            "ideal observer of these counts, training scenes as prior",
+            ("photons", "accuracy"),
+            [
+                (common.budget(r.photons), common.share(r.accuracy, r.low, r.high))
+                for r in sorted(bounds, key=lambda r: r.photons)
+            ],
+        )
+    _print_covered(results[0], meaning)
+    print("ECE: expected calibration error, between probabilities and how often they are right")
+
+
+def print_estimates(made: "AnyDesign", noise: str, results: "list[Estimates]") -> None:
+    """Print the tests of a design that estimates values."""
+    results = sorted(results, key=lambda r: r.photons)
+    light_heads, light, meaning = common.counted(results)
+    rows = [
+        (
+            common.budget(r.photons),
+            common.share(r.r2, r.low, r.high),
+            *(common.error(*each) for each in zip_longest(r.rmse, r.bound or ())),
+            *counts,
+            f"{r.throughput:.3f}",
+        )
+        for r, counts in zip(results, light, strict=True)
+    ]
+    heads = ("photons", "R²", *map(common.short, results[0].values), *light_heads, "counted")
+    common.print_table(f"{made.name}, {common.size(made)}, {noise} noise", heads, rows)
+    print("of each value: root mean squared error (that of the best linear estimator)")
+    _print_covered(results[0], meaning)
+
+
+def _print_covered(result: "Result | Estimates", meaning: str) -> None:
+    """Print what intervals cover, and what counts and shares are."""
+    print(f"± half of the 95 % interval: {result.covers}")
+    print(meaning)
+    reached = "reaches them" if result.clicks else "they count"
+    print(f"counted: share of the budget that {reached}, in the mean over training scenes")
+
+
+def _print_confusion(result: "Result", classes: Sequence[str]) -> None:
+    """Print which classes are taken for which; of many, the most frequent mistakes."""
+    from deepfsi.statistics.confusion import MOST_CLASSES, frequent, shares
+
+    where = f"at {common.budget(result.photons)} photons, % of the true class"
+    if len(classes) > MOST_CLASSES:
+        told = [
+            (classes[i], classes[j], f"{100 * x:.1f}") for i, j, x in frequent(result.confusion)
+        ]
+        common.print_table(f"most frequent mistakes {where}", ("true", "answered", "share"), told)
+        return
+    found = shares(result.confusion)
+    rows = [
+        (common.short(name), *(f"{100 * x:.0f}" if x else "" for x in row))
+        for name, row in zip(classes, found, strict=True)
+    ]
+    heads = ("true \\ answered", *(common.short(name, 5) for name in classes))
+    common.print_table(f"answers {where}", heads, rows)
+
+
+def _worst(result: "Result", classes: Sequence[str]) -> str:
+    return common.worst_class(result.rates[result.worst] or 0.0, classes[result.worst])

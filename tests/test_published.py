@@ -1,0 +1,162 @@
+"""Published networks and rules for few photons, beside which designs are compared."""
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from deepfsi.datasets import load_dataset
+from deepfsi.design.evaluation import evaluate
+from deepfsi.optics import constraints
+from deepfsi.optics.budget import summed_reflectance
+from deepfsi.training.learning import learn
+from shared.benchmarks import HERE, benchmark
+
+
+@pytest.fixture
+def rules(monkeypatch):
+    monkeypatch.syspath_prepend(HERE)
+    return benchmark("few_photons")
+
+
+def published_network(folder: Path, pixels: int, light: float = 3.0) -> Path:
+    """Write a network of five neurons, as `published` reads it."""
+    rng = np.random.default_rng(2)
+    parts = {"masks": light * rng.random((5, pixels)) ** 3, "readout": rng.normal(size=(10, 5))}
+    path = folder / "incoherent_n5.npz"
+    np.savez(path, bias=np.zeros(10), **parts)
+    return path
+
+
+def test_published_masks_fit_their_constraint_at_their_smallest_budget(tmp_path):
+    published = benchmark("published")
+    network = published.Network.read(published_network(tmp_path, 36), 64)
+    x, s = np.random.default_rng(3).random((20_000, 64)), 30.0
+    inner = x.reshape(-1, 8, 8)[:, 1:-1, 1:-1].reshape(-1, 36)
+    with np.load(tmp_path / "incoherent_n5.npz") as file:
+        rates = inner @ file["masks"].T
+    np.testing.assert_allclose(x @ network.masks.T, rates, rtol=1e-9)
+    clicks = network.clicks(x)
+    spread = 0.5 / np.sqrt(len(x))
+    assert np.abs((clicks + np.expm1(-rates)).mean(axis=0)).max() < 5 * spread
+    for light in published.LAWS:
+        photons = network.least_photons(light, s)
+        matrix = torch.from_numpy(network.masks * s / photons)[None]
+        assert constraints.excess(matrix, light) == pytest.approx(0, abs=1e-9)
+
+
+def test_designs_are_compared_with_a_published_network(tmp_path, capsys):
+    published_network(tmp_path, 64)
+    words = ["--data", "digits", "--neurons", "5", "--epochs", "1", "-o", str(tmp_path / "out")]
+    words += ["--seeds", "0", "1"]
+    benchmark("published").main([str(tmp_path), *words])
+    printed = capsys.readouterr().out
+    for head in (
+        "| neurons |",
+        "| column, Φ of |",
+        "| free-dwell, Φ of |",
+        "| column, clicks of |",
+        "| free-dwell, clicks of |",
+    ):
+        assert head in printed
+    assert printed.count("\n| 5 | ") == 9
+    for rows in (printed.split("clicks of |")[1], printed.split("clicks of |")[2]):
+        first, second, mean = (row.split(" | ") for row in rows.split("\n")[2:5])
+        for place in (3, 6, 7):
+            both = [float(row[place].split()[0].strip("|")) for row in (first, second)]
+            middle, spread = map(float, mean[place].strip(" |").split(" ± "))
+            off = 0.11 if place > 5 else 2e-4  # of rounded numbers
+            assert middle == pytest.approx(np.mean(both), abs=off)
+            assert spread == pytest.approx(np.std(both, ddof=1), abs=off)
+    with pytest.raises(SystemExit):
+        benchmark("published").main([str(tmp_path), "--neurons", "7"])
+    assert "CC BY 4.0" in capsys.readouterr().err
+
+
+def test_shots_are_averaged(digits):
+    """One shot is the usual test; of many the mean of linear logits is that of expected clicks."""
+    published = benchmark("published")
+    camera = {"light": "column", "rails": "single", "noise": "click"}
+    how = {"epochs": 2, "classifier": "torch.nn:Linear"}
+    made = learn(digits, photons=20, masks=12, camera=camera, training=how)
+    [usual] = evaluate(made, digits, 20, draws=1)
+    once = published.right_in(made, digits, 20, 1)
+    spread = np.sqrt(usual.accuracy * (1 - usual.accuracy) / len(once))
+    assert abs(once.mean() - usual.accuracy) < 5 * np.sqrt(2) * spread
+    scanner = made.scanner("click")
+    rates = made.rates(scanner, torch.from_numpy(digits.x_test))
+    expected = made.detection.features(scanner.expected(20 * rates))
+    wanted = made.logits(expected, 20).argmax(dim=1).numpy() == digits.y_test
+    many = published.right_in(made, digits, 20, 300)
+    assert (many == wanted).mean() > 0.85
+    assert (once == wanted).mean() < 0.75
+
+
+SPDNN = Path(os.environ.get("DEEPFSI_DATA") or ".") / "spdnn"
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not SPDNN.is_dir(), reason="needs $DEEPFSI_DATA/spdnn")
+def test_published_networks_reach_what_was_published():
+    """Accuracy in one shot and ten, clicks, and smallest budgets, of Ma et al.'s weights."""
+    published, data = benchmark("published"), load_dataset("mnist", rescale=(0.0, 1.0))
+    s = summed_reflectance(data.x_train)
+    known = {
+        10: (0.782, 0.871, 6.3, 1402, 5112),
+        50: (0.930, 0.955, 34.4, 2240, 17655),
+        100: (0.952, 0.969, 71.6, 3121, 31324),
+        400: (0.973, 0.983, 303, 9681, 133815),
+    }
+    for size, (once, ten, clicked, *budgets) in known.items():
+        network = published.Network.read(SPDNN / f"incoherent_n{size}.npz", data.pixels)
+        shots = [network.clicks(data.x_test, seed) for seed in range(10)]
+        clicks = shots[0]
+        for accuracy, found in (
+            (once, network.classes(clicks)),
+            (ten, network.classes(np.sum(shots, axis=0), 10)),
+        ):
+            right = (found == data.y_test).mean()
+            assert abs(right - accuracy) < 5 * np.sqrt(accuracy * (1 - accuracy) / len(clicks))
+        assert clicks.sum(axis=1).mean() == pytest.approx(clicked, rel=0.01)
+        found = [network.least_photons(light, s) for light in published.LAWS]
+        assert found == pytest.approx(budgets, abs=0.6)
+
+
+def test_the_rule_of_photons_is_the_rule_of_bayes_where_they_are_independent(rules, digits):
+    """Two classes, a photon of which lands at their pixel with 3/4: the majority decides."""
+    y = np.arange(40_000) % 2
+    x = np.where(y[:, None] == np.arange(2), 0.75, 0.25).astype(np.float32)
+    data = replace(digits, x_train=x, y_train=y, x_test=x, y_test=y, classes=("0", "1"))
+    for photons, wanted in ((1, 0.75), (3, 0.75**3 + 3 * 0.75**2 * 0.25)):
+        right, _ = rules.first_photons(data, photons)
+        assert abs(right.mean() - wanted) < 5 * np.sqrt(wanted * (1 - wanted) / len(y))
+
+
+@pytest.mark.parametrize("click", [True, False])
+def test_eigentasks_are_ordered_by_their_noise_which_is_that_of_counts(rules, digits, click):
+    """Noise 1 by their scale, and a mean square of 1 / β² over scenes."""
+    masks = np.random.default_rng(5).random((6, 64)) < 0.2
+    detectors = rules.Detectors(masks.astype(float), click).scaled(digits.x_train, 4.0)
+    assert detectors.mean(digits.x_train).sum(axis=1).mean() == pytest.approx(4, rel=1e-4)
+    tasks, signal = rules.eigentasks(detectors, digits.x_train)
+    assert (np.diff(signal) < 0).all()
+    mean = detectors.mean(digits.x_train) @ tasks
+    assert (mean**2).mean(axis=0) == pytest.approx(signal, rel=1e-6)
+    rng, draws = np.random.default_rng(6), 40
+    off = [detectors.counts(digits.x_train, rng) @ tasks - mean for _ in range(draws)]
+    noise = np.einsum("dnk,dnl->kl", off, off) / (draws * len(mean))
+    assert np.abs(noise - np.eye(6)).max() < 5 * np.sqrt(3 / (draws * len(mean)))
+
+
+def test_rules_for_few_photons_are_tabled(rules, tmp_path, capsys, monkeypatch):
+    published_network(tmp_path, 64, light=0.05)
+    monkeypatch.setattr(rules, "OPEN", (0.5,))
+    rules.main([str(tmp_path), "--data", "digits", "--neurons", "5"])
+    photons, tasks = capsys.readouterr().out.split("| neurons |")
+    accuracy = [float(row.split(" | ")[1].split()[0]) for row in photons.splitlines()[3:8]]
+    assert accuracy == sorted(accuracy)
+    assert 0.1 < accuracy[0] < 0.4
+    assert tasks.count("\n| 5 | ") == 3
