@@ -6,7 +6,6 @@ Everything made by a build lies in `docs/generated` (pages) and `docs/_build` (t
 import sys
 import warnings
 from importlib.metadata import version as version_of
-from importlib.util import find_spec
 from pathlib import Path
 
 from matplotlib import get_data_path
@@ -64,7 +63,7 @@ sphinx_gallery_conf = {
     "examples_dirs": SCRIPTS,
     "gallery_dirs": [f"generated/{name}" for name in SCRIPTS],
     "ignore_pattern": r"\blesson\.py$",
-    "filename_pattern": "/plot_" if find_spec("deepinv") else "/plot_(?!deepinv)",
+    "filename_pattern": "/plot_",
     "within_subsection_order": "FileNameSortKey",
     "abort_on_example_error": True,
     "reset_modules": ("matplotlib", "quiet.silence"),
