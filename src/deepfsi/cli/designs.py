@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from deepfsi.cli import common, options, paths
-from deepfsi.cli.results import details, print_estimates, print_results, score
+from deepfsi.cli.results import counts_text, details, print_estimates, print_results, score
 from deepfsi.cli.settings import job_fields, with_settings
 from deepfsi.errors import InputError
 
@@ -80,7 +80,7 @@ def design(
     for result in results:
         print(
             f"{made.name} with {common.size(made)} at {common.budget(result.photons)} photons: "
-            f"{score(result)}, {counted(result)} (a share of {result.throughput:.3f})\n"
+            f"{score(result)}, {counts_text(result)} (a share of {result.throughput:.3f})\n"
             f"{details(result, made.classes)}"
         )
     print(f"saved: {out}")

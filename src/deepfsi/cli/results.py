@@ -36,7 +36,7 @@ def details(result: "Result | Estimates", classes: Sequence[str]) -> str:
     return f"{words}, AUC {common.share(result.auc, result.auc_low or 0, result.auc_high or 1)}"
 
 
-def counted(result: "Result") -> str:
+def counts_text(result: "Result") -> str:
     """What the detectors count, in words; of clicks the photons that reach them, too."""
     counts = common.budget(result.counts)
     if not result.clicks:
