@@ -39,6 +39,7 @@ extensions = [
     "messages",
     "modules",
     "playable",
+    "words",
 ]
 exclude_patterns = [
     "_build",

@@ -1,7 +1,8 @@
 """What the tutorial needs while the site is built, so that its scripts hold a reader's lines alone.
 
 The scripts run in a folder of their own, with ``my-pictures`` in it. A command line is
-``os.system("deepfsi ...")`` in a script; its page shows the command, and below it what it prints.
+``os.system("deepfsi ...")`` in a script; its page shows the command, and below it what it prints. A
+camera file that a script writes is shown as a file.
 """
 
 import ast
@@ -11,6 +12,7 @@ import shlex
 import shutil
 import subprocess
 import sys
+import textwrap
 from pathlib import Path
 
 PICTURES = "my_pictures.py"
@@ -51,25 +53,30 @@ def run(line):
     print(done.stdout)
 
 
-def commands_of(code):
-    """Command lines of a block of code that holds nothing else; none of any other."""
+def calls(code):
+    """Calls of a block of code that holds nothing else, each with its first argument; or none."""
     try:
         found = [each.value for each in ast.parse(code).body]
-        if all(ast.unparse(each.func) == "os.system" for each in found):
-            return [ast.literal_eval(each.args[0]) for each in found]
-    except (AttributeError, SyntaxError):
-        pass
-    return []
+        return [(ast.unparse(each.func), ast.literal_eval(each.args[0])) for each in found]
+    except (AttributeError, IndexError, SyntaxError, ValueError):
+        return []
 
 
 def shown(block):
-    """Block of code of a page: command lines as such."""
-    code = "".join(line[4:] or "\n" for line in block[1].splitlines(keepends=True))
-    lines = commands_of(code)
-    if lines:
-        told = "".join(f"    $ {line}\n" for line in lines)
-        return f".. code-block:: console\n\n{told}\n\n"
+    """Block of code of a page: command lines as such, and a file that is written as a file."""
+    found = calls(textwrap.dedent(block[1]))
+    names = {name for name, _ in found}
+    if names == {"os.system"}:
+        return directive("console", "\n".join(f"$ {line}" for _, line in found))
+    if len(found) == 1 and (file := re.fullmatch(r"Path\('(.+)'\)\.write_text", found[0][0])):
+        return directive("toml", found[0][1], f":caption: {file[1]}\n")
     return block[0].replace("    import os\n", "")
+
+
+def directive(language, text, options=""):
+    """A block of code in reStructuredText."""
+    body = textwrap.indent(f"{options}\n{text}", "    ")
+    return f".. code-block:: {language}\n{body}\n\n"
 
 
 def turn(app, page, source):
