@@ -69,6 +69,7 @@ sphinx_gallery_conf = {
     "filename_pattern": "/plot_" if find_spec("deepinv") else "/plot_(?!deepinv)",
     "within_subsection_order": "FileNameSortKey",
     "abort_on_example_error": True,
+    "ignore_repr_types": r"<class 'int'>",
     "reset_modules": ("matplotlib", "quiet.silence", "lessons.begin"),
     "parallel": True,
     "show_memory": False,
