@@ -13,6 +13,8 @@ from matplotlib import get_data_path
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE / "extensions"))
 
+import lessons  # noqa: E402
+
 # joblib says so when it replaces a process that holds much memory, which is no fault of a script
 warnings.filterwarnings("ignore", "A worker stopped while some jobs", UserWarning)
 
@@ -32,11 +34,12 @@ extensions = [
     "chart",
     "commands",
     "formats",
+    "lessons",
     "links",
     "messages",
     "modules",
     "playable",
-    "wrapped",
+    "words",
 ]
 exclude_patterns = [
     "_build",
@@ -59,14 +62,16 @@ autosummary_generate = True
 numpydoc_show_class_members = False
 
 SCRIPTS = [each.parent.name for each in sorted(HERE.glob("*/GALLERY_HEADER.rst"))]
+PREPARED = {"tutorial": lessons.prepared(HERE / "tutorial", HERE / "_build" / "tutorial")}
 sphinx_gallery_conf = {
-    "examples_dirs": SCRIPTS,
+    "examples_dirs": [str(PREPARED.get(name, name)) for name in SCRIPTS],
     "gallery_dirs": [f"generated/{name}" for name in SCRIPTS],
-    "ignore_pattern": r"\blesson\.py$",
+    "subsection_order": [f"gallery/{name}" for name in ("light", "designs", "camera", "packages")],
     "filename_pattern": "/plot_",
     "within_subsection_order": "FileNameSortKey",
     "abort_on_example_error": True,
-    "reset_modules": ("matplotlib", "quiet.silence"),
+    "ignore_repr_types": r"<class 'int'>",
+    "reset_modules": ("matplotlib", "quiet.silence", "lessons.begin"),
     "parallel": True,
     "show_memory": False,
     "download_all_examples": False,
@@ -75,13 +80,17 @@ sphinx_gallery_conf = {
 
 html_theme = "pydata_sphinx_theme"
 html_title = "DeepFSI"
+html_logo = "static/logo.svg"
+html_favicon = "static/favicon.svg"
 html_context = {"default_mode": "auto"}
 html_static_path = ["static", f"{get_data_path()}/fonts/ttf/STIXGeneral.ttf"]
 html_css_files = ["site.css"]
+html_js_files = ["site.js"]
 html_math_renderer = "mathml"
 html_show_sourcelink = False
 html_copy_source = False
 html_theme_options = {
+    "logo": {"text": "DeepFSI", "alt_text": ""},
     "navbar_align": "left",
     "show_nav_level": 1,
     "show_prev_next": True,

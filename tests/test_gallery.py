@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 DOCS = Path(__file__).parent.parent / "docs"
-GALLERY = sorted(DOCS.glob("gallery/plot_*.py"))
+GALLERY = sorted(DOCS.glob("gallery/*/plot_*.py"))
 SCRIPTS = [*GALLERY, *sorted(DOCS.glob("tutorial/plot_*.py"))]
 
 

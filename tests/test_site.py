@@ -25,7 +25,7 @@ import formats  # noqa: E402
 import links  # noqa: E402
 import messages  # noqa: E402
 import modules  # noqa: E402
-import wrapped  # noqa: E402
+import words  # noqa: E402
 
 LISTED = re.compile(r"^```\{modules\} (.+)$", re.M)
 OF_THE_HOUSE = {
@@ -77,7 +77,8 @@ def test_a_bad_link_and_a_file_from_elsewhere_are_found(tmp_path):
     ("link", "page"),
     [
         ("[a](../../CONTRIBUTING.md#b)", "[a](/lookup/contributing.md#b)"),
-        ("[a](../gallery/plot_b.py)", "[a](/generated/gallery/plot_b.rst)"),
+        ("[a](../gallery/b/plot_c.py)", "[a](/generated/gallery/b/plot_c.rst)"),
+        ("[a](../../tutorial/plot_b.py)", "[a](/generated/tutorial/plot_b.rst)"),
         ("[a](b.md#c)", "[a](b.md#c)"),
     ],
 )
@@ -195,9 +196,8 @@ def test_a_wrong_chart_stops_the_build_with_one_line(tmp_path, options, fault):
 
 def test_options_stay_whole_where_code_wraps():
     code = '<pre>a --hold-out<span class="w"> </span>-o b-c.npz\n--x 1</pre>'
-    marked = re.findall('<span class="option">(.*?)</span>', wrapped.whole(code))
-    assert marked == ["--hold-out", "-o", "--x"]
-    assert wrapped.whole("<p>a --hold-out b</p>") == "<p>a --hold-out b</p>"
+    marked = re.findall('<span class="word">(.*?)</span>', words.kept(code))
+    assert marked == ["--hold-out", "-o", "b-c.npz", "--x"]
 
 
 def test_types_and_allowed_values_are_words():

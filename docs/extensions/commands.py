@@ -47,7 +47,7 @@ def section(command, context):
     if not hasattr(command, "commands"):
         parameters = [each.get_help_record(context) for each in command.get_params(context)]
         rows = [row(*record) for record in parameters if record and "--help" not in record[0]]
-        parts.append(table(["option", "meaning", "default"], rows))
+        parts.append(table(["option", "meaning", "default"], rows, "options"))
     return "\n\n".join(parts)
 
 

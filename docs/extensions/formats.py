@@ -39,7 +39,8 @@ def section(path, title=None):
     """Heading, summary and table of a model."""
     found = model(path)
     summary = inspect.cleandoc(found.__doc__).partition("\n\n")[0]
-    return f"### {title or found.__name__}\n\n{summary}\n\n{table(HEADS, rows(found))}"
+    told = table(HEADS, rows(found), "fields")
+    return f"### {title or found.__name__}\n\n{summary}\n\n{told}"
 
 
 HEADS = ["field", "meaning", "type", "default"]

@@ -15,8 +15,8 @@ HOMES = (
         lambda path: f"/lookup/{path.split('/')[-1].lower()}",
     ),
     (
-        r"(?:\.\./)*(?:gallery|tutorial)/plot_\w+\.py",
-        lambda path: f"/generated/{'/'.join(path.split('/')[-2:])[:-3]}.rst",
+        r"(?:\.\./)*(?:gallery/\w+|tutorial)/plot_\w+\.py",
+        lambda path: f"/generated/{path.replace('../', '')[:-3]}.rst",
     ),
 )
 

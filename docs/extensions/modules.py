@@ -1,20 +1,24 @@
 """Reference of the modules of a folder of the package, from their docstrings.
 
-The directive `modules` makes a section of each module that has public names; names that the
-package itself gives have a section of their own, and are left out. Fields of a model become its
-attributes, from their descriptions.
+The directive `modules` lists each module that has public names; each has a page of its own, which
+is written before Sphinx reads pages. Names that the package itself gives stand on another page, and
+are left out. Fields of a model become its attributes, from their descriptions.
 """
 
 import pkgutil
 import re
 from importlib import import_module
-from inspect import isclass, isfunction
+from inspect import getdoc, isclass, isfunction
+from pathlib import Path
 
 from formats import rows
-from markdown import Made
+from markdown import Made, table
 from pydantic import BaseModel
 
 import deepfsi
+
+HOME = "generated/api"
+LISTED = re.compile(r"^```\{modules\} (.+)$", re.M)
 
 
 def names(module):
@@ -37,20 +41,44 @@ def under(folder):
         yield each.name
 
 
-def section(path):
-    """Section of a module."""
+def listed(arguments):
+    """Modules of some folders that have public names."""
+    paths = [path for folder in arguments.split() for path in under(folder)]
+    return [path for path in paths if names(import_module(path))]
+
+
+def page(path):
+    """Page of a module."""
     module = import_module(path)
-    found = names(module)
-    if not found:
-        return ""
-    lines = [f".. automodule:: {path}", "   :no-members:", ""]
-    for name in found:
-        lines += [f".. auto{'class' if isclass(vars(module)[name]) else 'function'}:: {name}"]
-        members = ["   :members:", "   :exclude-members: model_config", ""]  # pydantic's own
-        lines += members if isclass(vars(module)[name]) else [""]
-    lines.insert(3, f".. currentmodule:: {path}\n")
+    lines = [f".. automodule:: {path}", "   :no-members:", "", f".. currentmodule:: {path}", ""]
+    for name in names(module):
+        kind = "class" if isclass(vars(module)[name]) else "function"
+        lines += [f".. auto{kind}:: {name}"]
+        members = ["   :members:", "   :exclude-members: model_config"]  # pydantic's own
+        lines += [*(members if kind == "class" else []), ""]
     text = "\n".join(lines)
-    return f"## `{path}`\n\n```{{eval-rst}}\n{text}\n```"
+    return f"# `{path}`\n\n```{{eval-rst}}\n{text}\n```\n"
+
+
+def write_pages(app):
+    """Write the pages of all modules that are listed; none in a quick build."""
+    home = Path(app.srcdir) / HOME
+    pages = {}
+    if not app.config.quick:
+        for path in (Path(app.srcdir) / "lookup/api").glob("*.md"):
+            found = listed(" ".join(LISTED.findall(path.read_text())))
+            pages |= {home / f"{each}.md": page(each) for each in found}
+    for old in set(home.glob("*.md")) - set(pages):
+        old.unlink()
+    home.mkdir(parents=True, exist_ok=True)
+    for path, text in pages.items():
+        if not path.exists() or path.read_text() != text:
+            path.write_text(text)
+
+
+def summary(path):
+    """First sentence of a module's docstring."""
+    return getdoc(import_module(path)).partition("\n\n")[0]
 
 
 def fields(model):
@@ -96,15 +124,19 @@ class Modules(Made):
     final_argument_whitespace = True
 
     def text(self):
-        """Markdown of the sections; none where they are left out, for a quick build."""
+        """List of the modules, which lead to their pages; none in a quick build."""
         if self.config.quick:
             return ""
-        paths = [path for folder in self.arguments[0].split() for path in under(folder)]
-        return "\n\n".join(filter(None, map(section, paths)))
+        found = listed(self.arguments[0])
+        rows = [(f"[`{each}`](/{HOME}/{each}.md)", summary(each)) for each in found]
+        tree = "\n".join(f"{each.removeprefix('deepfsi.')} </{HOME}/{each}>" for each in found)
+        hidden = f"```{{toctree}}\n:hidden:\n\n{tree}\n```"
+        return f"{hidden}\n\n{table(['module', 'what it holds'], rows, 'options')}"
 
 
 def setup(app):
-    """Add the directive, and read docstrings before numpydoc does."""
+    """Add the directive, write pages, and read docstrings before numpydoc does."""
+    app.connect("builder-inited", write_pages)
     app.connect("autodoc-process-docstring", with_fields, priority=390)
     app.connect("autodoc-process-docstring", as_text, priority=400)
     app.add_directive("modules", Modules)

@@ -1,7 +1,8 @@
 """A page to play with, made while the site is built.
 
 The directive `playable` has commands as its content: it shows them, runs them in a folder of their
-own, and embeds the page that they write. Its argument is the page's name.
+own, and embeds the page that they write, whole. Its argument is the page's name. Without content it
+embeds the page that another makes.
 """
 
 import shlex
@@ -12,7 +13,8 @@ from pathlib import Path
 
 from markdown import Made
 
-FRAME = """<iframe class="playable" src="{address}" title="A camera to play with"></iframe>"""
+FRAME = """<p><a href="{address}">Open it on its own</a></p>
+<iframe class="playable" src="{address}" title="A camera to play with"></iframe>"""
 
 
 def made(commands, name, folder):
@@ -31,16 +33,15 @@ class Playable(Made):
     required_arguments = 1
 
     def text(self):
-        """Commands, and the page in a frame; the commands alone in a quick build."""
-        shown = "```sh\n" + "\n".join(self.content) + "\n```"
+        """The page in a frame, and commands below it; the commands alone in a quick build."""
+        name = self.arguments[0]
+        shown = "Made by\n\n```sh\n" + "\n".join(self.content) + "\n```" if self.content else ""
         if self.config.quick:
             return shown
-        name = self.arguments[0]
-        made(self.content, name, Path(self.env.app.outdir) / "play")
+        if self.content:
+            made(self.content, name, Path(self.env.app.outdir) / "play")
         address = "../" * self.env.docname.count("/") + f"play/{name}"
-        frame = f"```{{raw}} html\n{FRAME.format(address=address)}\n```"
-        link = f'```{{raw}} html\n<p><a href="{address}">Open it on its own</a></p>\n```'
-        return f"{link}\n\n{frame}\n\nMade by\n\n{shown}"
+        return f"```{{raw}} html\n{FRAME.format(address=address)}\n```\n\n{shown}"
 
 
 def setup(app):

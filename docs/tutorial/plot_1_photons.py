@@ -5,22 +5,16 @@
 This tutorial takes an hour. It goes from a folder of your own pictures to masks, a comparison,
 patterns for a micromirror device, and a decision about the light that you need.
 
-Every number on these pages was computed when the site was built, with small settings. Each page
-is a Python script that you can download at its end. Where a command line does the same, it is run
-too, and its output is shown.
+At its end you know which masks, how many photons and how long an exposure your task needs. Every
+number on these pages was computed when the site was built, with small settings. Each page is a
+Python script, to download at its end and to run in the folder that holds your pictures. Commands
+are those that you type in a terminal there; the script runs them by ``os.system``.
 """
-
-import tempfile
-from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-from lesson import write_digits
 
 import deepfsi
-from deepfsi.report.style import STYLE, photons_text
-
-plt.rcParams.update(STYLE)
 
 # %%
 # A folder of pictures
@@ -32,21 +26,23 @@ plt.rcParams.update(STYLE)
 #       0/  0000.png  0010.png  ...
 #       1/  0001.png  0011.png  ...
 #
-# As a stand-in, 1797 handwritten digits of 8 × 8 pixels are written in this form. They train in
-# seconds. With a folder of your own, leave this step out; otherwise put
-# :download:`lesson.py </tutorial/lesson.py>`, which writes them, beside this script.
+# On these pages ``my-pictures`` holds 1797 handwritten digits of 8 × 8 pixels, which train in
+# seconds.
+#
+# .. dropdown:: No pictures at hand?
+#
+#    These lines write the digits (:download:`my_pictures.py </tutorial/my_pictures.py>`):
+#
+#    .. literalinclude:: /tutorial/my_pictures.py
+#       :lines: 3-
 
-folder = tempfile.TemporaryDirectory()
-pictures = Path(folder.name) / "my-pictures"
-write_digits(pictures)
-
-data = deepfsi.load_dataset(pictures)
+data = deepfsi.load_dataset("my-pictures")
 print(data.preprocessing)
 print(len(data.x_train), "pictures to train with,", len(data.x_test), "to test with")
 
 # %%
 # A fifth of the pictures of each class is set aside for tests; no training ever sees it. Larger
-# pictures are averaged to the size that you want, ``load_dataset(pictures, size=(32, 32))``.
+# pictures are averaged to the size that you want, ``load_dataset("my-pictures", size=(32, 32))``.
 # Pixel values become *reflectance*, 0 for black and 1 for white.
 
 # %%
@@ -63,7 +59,7 @@ brightness = float(data.x_train.sum(axis=1).mean())
 scene = data.x_test[0]
 for photons in (1e2, 1e4):
     expected = deepfsi.photons_per_pixel(scene, photons, brightness)
-    print(f"budget {photons_text(photons)}: this scene sends {expected.sum():.0f} photons")
+    print(f"budget {photons:g}: this scene sends {expected.sum():.0f} photons")
 
 # %%
 # Photons arrive at random. If λ are expected, the count is a Poisson number with mean λ and
@@ -83,15 +79,14 @@ for column, photons in zip(axes.T, budgets, strict=True):
     for ax, counts in zip(column, (impulse, raster), strict=True):
         ax.imshow(counts.reshape(8, 8), cmap="gray", vmin=0)
         ax.set(xticks=[], yticks=[], xlabel=f"counts: {counts.sum()}")
-    column[0].set_title(f"{photons_text(photons)} photons")
+    column[0].set_title(f"{photons:g} photons")
 axes[0, 0].set_ylabel("impulse imaging")
 axes[1, 0].set_ylabel("raster scan")
 figure.supxlabel("each picture from black to its own largest count", fontsize=9)
-folder.cleanup()
 plt.show()
 
 # %%
-# The raster scan throws away 63 of 64 photons, because the mirrors of all other pixels are OFF. A
+# The raster scan loses 63 of 64 photons, because the mirrors of all other pixels are OFF. A
 # *mask* that opens many mirrors at once counts more of the light. Which masks to open, for a given
 # question, is what the next page learns.
 #

@@ -6,49 +6,41 @@ The masks become frames of a real device, with a time for each. A virtual camera
 writes a photon file; the same commands then read the file of your own camera.
 """
 
-import tempfile
+import os
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-from lesson import commands_in, write_digits
 
 from deepfsi.hardware.patterns.folder import read_frames, read_patterns
 from deepfsi.hardware.patterns.mirrors import unpack
 from deepfsi.hardware.recording.counts import read_counts
-from deepfsi.report.style import STYLE
-
-plt.rcParams.update(STYLE)
-
-# %%
-# The folder of page 1 once more, and a function that runs a command line in it. Both are in
-# :download:`lesson.py </tutorial/lesson.py>`; to run this page yourself, put it beside the script.
-
-folder = tempfile.TemporaryDirectory()
-work = Path(folder.name)
-write_digits(work / "my-pictures")
-run = commands_in(work)
 
 # %%
 # Your camera
 # -----------
 #
-# A laboratory describes its camera once, in a file, in its own units. This one has a DLP7000 of
-# 1024 × 768 mirrors and one detector, which counts 10⁷ photons per second when all mirrors are ON.
-# In an exposure of 1 ms that is a budget of 10⁴ photons. The detector is blind for 28.5 ns after
-# each count. What is not said follows from the rest; ``camera describe`` says what it can show.
+# You describe your camera once, in a file, in its own units. This one has a DLP7000 of 1024 × 768
+# mirrors and one detector, which counts 10⁷ photons per second when all mirrors are ON. In an
+# exposure of 1 ms that is a budget of 10⁴ photons. The detector is blind for 28.5 ns after each
+# count.
 
-(work / "my-lab.toml").write_text("""
+Path("my-lab.toml").write_text("""\
 light = "free-dwell"    # one device, one detector
 device = "dlp7000"
 exposure = "1ms"
 flux = 1e7              # counts/s, all mirrors of the region ON
 dead_time = "28.5ns"
 """)
-run("deepfsi camera describe my-lab.toml")
-run(
-    r"""deepfsi design --camera my-lab.toml --data my-pictures \
-    --masks 8 --epochs 30 -o mine.safetensors"""
+
+# %%
+# What the file does not say follows from the rest. ``camera describe`` says what the camera can
+# show, and ``design`` learns masks for it:
+
+os.system("deepfsi camera describe my-lab.toml")
+os.system(
+    "deepfsi design --camera my-lab.toml --data my-pictures --masks 8 --epochs 30 "
+    "-o for-my-lab.safetensors"
 )
 
 # %%
@@ -59,7 +51,7 @@ run(
 #
 # The masks become frames of the device, with picture times in which an exposure has room.
 
-run("deepfsi dmd export mine.safetensors -o frames")
+os.system("deepfsi dmd export for-my-lab.safetensors -o frames")
 
 # %%
 # Frames with all mirrors ON and all OFF come first and last. They tell the light and the dark
@@ -68,9 +60,9 @@ run("deepfsi dmd export mine.safetensors -o frames")
 # The light law is now a timetable: each frame is counted for its **share** of the exposure,
 # and the shares sum to 1.
 
-patterns = read_patterns(work / "frames")
+patterns = read_patterns("frames")
 manifest = patterns.manifest
-frames = [unpack(frame, manifest.device) for frame in read_frames(work / "frames")]
+frames = [unpack(frame, manifest.device) for frame in read_frames("frames")]
 figure, axes = plt.subplots(2, 4, figsize=(6.4, 3.6), layout="constrained")
 for ax, place, share in zip(axes.flat, manifest.shown, manifest.shares, strict=True):
     ax.imshow(frames[place], cmap="gray", interpolation="antialiased")
@@ -85,15 +77,15 @@ plt.show()
 # Two test pictures of each class are put before a virtual camera with the light and the dead time
 # of the file.
 
-run("deepfsi data export my-pictures --per-class 2 -o scenes")
-run("deepfsi camera simulate frames --scene scenes --repeats 1 -o run_0001")
+os.system("deepfsi data export my-pictures --per-class 2 -o scenes")
+os.system("deepfsi camera simulate frames --scene scenes --repeats 1 -o run_0001")
 
 # %%
 # In the laboratory, ``deepfsi camera prepare`` makes the folder instead, and your counter's own
 # ``photons.ptu`` is put into it. From here on everything is the same.
 
-run("deepfsi camera count run_0001")
-run("deepfsi camera classify mine.safetensors run_0001")
+os.system("deepfsi camera count run_0001")
+os.system("deepfsi camera classify for-my-lab.safetensors run_0001")
 
 # %%
 # ``classify`` names scenes whose counts do not look like those of the training: stray light, a
@@ -101,7 +93,7 @@ run("deepfsi camera classify mine.safetensors run_0001")
 #
 # The counts of one scene of each of three classes, with their standard deviations:
 
-counts = read_counts(work / "run_0001")
+counts = read_counts("run_0001")
 signal, spread = counts.signal()[:, 0, 0], np.sqrt(counts.variance[:, 0, 0])
 figure, ax = plt.subplots(figsize=(6.4, 3.2), layout="constrained")
 for number, (scene, marker, colour) in enumerate(
@@ -112,7 +104,6 @@ for number, (scene, marker, colour) in enumerate(
     ax.errorbar(at, signal[scene], spread[scene], label=f"a {scene // 2}", **style)
 ax.set(xlabel="mask", ylabel="counts in 1 ms", xticks=range(1, 9), ylim=(0, 750))
 ax.legend(title="scene", ncols=3, loc="upper center")
-folder.cleanup()
 plt.show()
 
 # %%

@@ -7,27 +7,14 @@ every scene needs the whole exposure.
 """
 
 import json
-import tempfile
+import os
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-from lesson import commands_in, write_digits
 
 import deepfsi
 from deepfsi.design.stopping import stop
-from deepfsi.report.style import COLOURS, LINES, STYLE
-
-plt.rcParams.update(STYLE | {"text.parse_math": True})
-
-# %%
-# The folder of page 1 once more, and a function that runs a command line in it. Both are in
-# :download:`lesson.py </tutorial/lesson.py>`; to run this page yourself, put it beside the script.
-
-folder = tempfile.TemporaryDirectory()
-work = Path(folder.name)
-write_digits(work / "my-pictures")
-run = commands_in(work)
 
 # %%
 # From an accuracy to photons
@@ -36,26 +23,24 @@ run = commands_in(work)
 # Say that your task needs 80 % right. ``plan`` trains each design at a few budgets, and again where
 # its curve meets the target.
 
-run(
-    r"""deepfsi plan --data my-pictures --target 0.8 \
-    --designs pca,deepfsi --photons 1e2,1e3,1e4 --masks 8 \
-    --trials 1 --epochs 15 --workers 1 -o plan"""
+os.system(
+    "deepfsi plan --data my-pictures --target 0.8 --designs pca,deepfsi "
+    "--photons 1e2,1e3,1e4 --masks 8 --trials 1 --epochs 15 --workers 1 -o plan"
 )
 
 # %%
 # The answer is an interval of photons. It covers the test images, and what may lie between the
 # budgets that were tried.
 
-needs = json.loads((work / "plan/plan.json").read_text())["needs"]
+needs = json.loads(Path("plan/plan.json").read_text())["needs"]
 figure, ax = plt.subplots(figsize=(6.4, 3.6), layout="constrained")
-for need, marker in zip(needs, "Do", strict=True):
+for need, marker, colour in zip(needs, "Do", ("C0", "C1"), strict=True):
     tried = need["tried"]
     photons = [each["photons"] for each in tried]
     accuracy = np.array([each["accuracy"] for each in tried])
     low = accuracy - [each["low"] for each in tried]
     high = [each["high"] for each in tried] - accuracy
-    colour, line = COLOURS[need["design"]], LINES.get(need["design"], "-")
-    style = {"color": colour, "linestyle": line, "marker": marker, "capsize": 3}
+    style = {"color": colour, "marker": marker, "capsize": 3}
     ax.errorbar(photons, accuracy, (low, high), label=need["design"], **style)
     ends = need["low"] or photons[0], need["high"] or photons[-1]
     height = 0.8 + (0.012 if marker == "o" else -0.012)
@@ -89,24 +74,22 @@ for flux in (1e5, 1e6, 1e7):
 # read, so an exposure may end as soon as its answer is sure. Confidence and threshold are set on
 # pictures that the training left out (``--hold-out``).
 
-run(
-    r"""deepfsi design --data my-pictures --photons 1e4 --masks 12 \
-    --nested 2 --light equal-dwell --hold-out 300 --epochs 40 \
-    -o nested.safetensors"""
+os.system(
+    "deepfsi design --data my-pictures --photons 1e4 --masks 12 --nested 2 "
+    "--light equal-dwell --hold-out 300 --epochs 40 -o nested.safetensors"
 )
-run("deepfsi stop nested.safetensors --photons 1e4")
+os.system("deepfsi stop nested.safetensors --photons 1e4")
 
 # %%
 # The threshold was chosen so that nothing is lost on the pictures left out. A lower one saves more
 # light and costs accuracy. In Python ``stop`` gives the whole curve:
 
-design = deepfsi.Design.load(work / "nested.safetensors")
-found = stop(design, work / "my-pictures", 1e4)
-folder.cleanup()
+design = deepfsi.Design.load("nested.safetensors")
+found = stop(design, "my-pictures", 1e4)
 
 figure, ax = plt.subplots(figsize=(6.4, 3.6), layout="constrained")
 curve = sorted((each["used"], each["accuracy"]) for each in found.curve)
-ax.plot(*zip(*curve, strict=True), color=COLOURS["deepfsi"], label="stopped, by threshold")
+ax.plot(*zip(*curve, strict=True), color="C1", label="stopped, by threshold")
 ax.errorbar(
     found.used.mean,
     found.stopped.mean,

@@ -1,6 +1,7 @@
 """Layout of the page to play with, for designs of both kinds, in Chromium at two widths."""
 
 import time
+from pathlib import Path
 
 import pytest
 from selenium.webdriver.common.by import By
@@ -10,7 +11,7 @@ from deepfsi import learn
 from deepfsi.design import payload
 from deepfsi.design.payload import playable
 from deepfsi.report.playground.page import write_page
-from shared.browser import CONTRASTS, CUT, OVERFLOW, requests_of
+from shared.browser import CONTRASTS, CUT, OVERFLOW, look, requests_of
 from shared.playground import KINDS, ask, open_playground, outside
 
 WIDTHS, SCHEMES = (1280, 400), ("light", "dark")
@@ -94,3 +95,31 @@ def test_nothing_is_cut_hard_to_read_or_asked_for(opened, kind, width, scheme):
     assert browser.get_log("browser") == []
     assert [url for url in requests_of(browser) if not url.startswith("file:")] == []
     assert len(requests_of(browser)) == 0
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_an_embedded_page_stands_whole_and_shows_its_exposure(browser, pages, tmp_path, width):
+    script = (Path(__file__).parents[2] / "docs/static/site.js").read_text()
+    frame = f'<iframe class="playable" src="{pages("looks")}" style="width: 100%; border: 0">'
+    home = tmp_path / "home.html"
+    home.write_text(f"<!doctype html><script>{script}</script><p>Above</p>{frame}</iframe>")
+    look(browser, width, height=800)
+    browser.get(home.as_uri())
+    embedded = browser.find_element(By.CSS_SELECTOR, "iframe")
+    size = "const e = document.documentElement; return [e.scrollHeight, innerHeight]"
+    for _ in range(200):
+        browser.switch_to.default_content()
+        browser.switch_to.frame(embedded)
+        whole, seen = browser.execute_script(size)
+        if whole == seen > 1000:
+            break
+        time.sleep(0.05)
+    assert whole == seen > 1000
+    browser.find_element(By.ID, "expose").click()
+    time.sleep(1.5)  # the page goes to the exposure smoothly
+    ends = "return [expose, answer].map((each) => each.getBoundingClientRect())"
+    first, last = browser.execute_script(ends)
+    browser.switch_to.default_content()
+    top = browser.execute_script("return arguments[0].getBoundingClientRect().top", embedded)
+    assert top + first["top"] >= 0
+    assert top + last["bottom"] <= 800

@@ -26,12 +26,13 @@ class ScenePrior:
     """Scenes, each as likely as another, as sums of a mean and of components.
 
     A scene that is exposed lies near one of these: their difference is normal, with the covariance
-    of the differences of nearest neighbours of a class, times `spread`². Components are scaled so
-    that this covariance is the identity. With a spread of 0 a scene is one of these, and components
-    are principal components.
+    of the differences of nearest neighbours of a class, times the square of `spread`. Components
+    are scaled so that this covariance is the identity. With a spread of 0 a scene is one of these,
+    and components are principal components.
 
     With `clusters` the centres of clusters stand for the scenes, each as likely as it has members,
-    and the covariance is that of the scenes about their centres, times `CENTRE_SPREAD`².
+    and the covariance is that of the scenes about their centres, times the square of
+    `CENTRE_SPREAD`.
 
     Parameters
     ----------

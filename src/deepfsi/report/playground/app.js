@@ -14,6 +14,7 @@ import { colour, CurvePad, ImagePad, plot, show } from "./scene.js";
 
 const SHORTEST = 6; // seconds of a whole exposure on the page at speed 1
 const LONGEST = 14;
+const embedded = window !== parent; // as high as it is whole: what is in view is not known
 
 class Page {
   constructor(model, scenes) {
@@ -215,7 +216,7 @@ class Page {
     const still = matchMedia("(prefers-reduced-motion: reduce)").matches;
     const { bottom, height } = $("watch").getBoundingClientRect();
     const block = height > innerHeight ? "start" : "nearest";
-    if (bottom > innerHeight) $("watch").scrollIntoView({ block, behavior: still ? "instant" : "smooth" });
+    if (embedded || bottom > innerHeight) $("watch").scrollIntoView({ block, behavior: still ? "instant" : "smooth" });
     this.time = still ? this.exposure.length : 0;
     if (still) this.draw();
     else this.play();
@@ -322,7 +323,14 @@ class Page {
   }
 }
 
+/** Tell a page that embeds this one how high it is, so that nothing need scroll within. */
+function tellHeight() {
+  const whole = document.documentElement;
+  new ResizeObserver(() => parent.postMessage({ playable: Math.ceil(whole.getBoundingClientRect().height) }, "*")).observe(whole);
+}
+
 async function start() {
+  if (embedded) tellHeight();
   const payload = JSON.parse($("payload").textContent);
   const model = await (payload.prior ? LookModel : Model).load(payload);
   const { shape, values } = await unpack(payload.scenes.levels);

@@ -1,0 +1,70 @@
+"""Scripts of the tutorial hold a reader's lines alone; their pages show commands as commands."""
+
+import re
+import sys
+from pathlib import Path
+
+import pytest
+
+DOCS = Path(__file__).parents[1] / "docs"
+sys.path[:0] = [str(DOCS / "extensions")]
+
+import lessons  # noqa: E402
+import words  # noqa: E402
+
+SCRIPTS = sorted((DOCS / "tutorial").glob("plot_*.py"))
+
+
+def turned(code):
+    """Page of the tutorial with a block of code, as Sphinx reads it."""
+    source = [f".. code-block:: Python\n\n\n{code}\n\nText.\n"]
+    lessons.turn(None, "generated/tutorial/plot_1_a", source)
+    return source[0]
+
+
+def test_command_lines_are_shown_as_commands():
+    page = turned(
+        '    os.system("deepfsi a")\n    os.system(\n        "deepfsi b "\n        "-o c"\n    )\n'
+    )
+    assert ".. code-block:: console\n" in page
+    assert "    $ deepfsi a\n    $ deepfsi b -o c\n" in page
+    assert "os.system" not in page
+    assert page.endswith("Text.\n")
+
+
+def test_a_file_is_shown_as_a_file():
+    page = turned('    Path("my-lab.toml").write_text("""\\\n    a = 1\n    """)\n')
+    assert ".. code-block:: toml\n    :caption: my-lab.toml\n\n    a = 1\n" in page
+
+
+@pytest.mark.parametrize("code", ["x = os.system(1)", 'f("a")', "os.system(line)", "1 +"])
+def test_other_code_stays(code):
+    assert f"    {code}\n" in turned(f"    import os\n    {code}\n")
+
+
+@pytest.mark.parametrize("path", SCRIPTS, ids=lambda path: path.stem)
+def test_no_scaffolding(path):
+    text = path.read_text()
+    assert not re.search(r"tempfile|lesson|report\.style|def |sys\.|subprocess", text)
+    assert "my-pictures" in text
+
+
+def test_the_folder_of_the_scripts_is_new_at_each_build(tmp_path):
+    folder = tmp_path / "a"
+    lessons.prepared(DOCS / "tutorial", folder)
+    (folder / "left.over").touch()
+    assert lessons.prepared(DOCS / "tutorial", folder) == folder
+    names = {path.name for path in folder.iterdir()}
+    assert names == {"GALLERY_HEADER.rst", *(path.name for path in SCRIPTS)}
+
+
+def test_a_command_that_fails_ends_the_build():
+    with pytest.raises(lessons.subprocess.CalledProcessError):
+        lessons.run("deepfsi no-such-command")
+
+
+def test_words_of_code_stay_whole():
+    page = {"body": '<p>a-b</p><pre><span class="a-b">x --masks</span> 8</pre>'}
+    words.keep(None, "", "", page, None)
+    kept = '<span class="a-b">x <span class="word">--masks</span></span> 8'
+    assert page["body"] == f"<p>a-b</p><pre>{kept}</pre>"
