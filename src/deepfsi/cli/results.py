@@ -22,7 +22,7 @@ def score(result: "Result | Estimates") -> str:
 
 
 def details(result: "Result | Estimates", classes: Sequence[str]) -> str:
-    """What a test says of each class, or of each value."""
+    """Test of each class in words, or of each value."""
     from deepfsi.design.estimation import Estimates
 
     if isinstance(result, Estimates):
@@ -37,7 +37,7 @@ def details(result: "Result | Estimates", classes: Sequence[str]) -> str:
 
 
 def counts_text(result: "Result") -> str:
-    """What the detectors count, in words; of clicks the photons that reach them, too."""
+    """Counts of the detectors in words; of clicks the photons that reach them, too."""
     counts = common.budget(result.counts)
     if not result.clicks:
         return f"{counts} counts"

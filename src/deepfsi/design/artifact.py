@@ -294,7 +294,7 @@ class Design:
     def estimate(self, counts: Any, photons: Any, dwell: Any = None) -> np.ndarray:
         """Values (..., q) of one or many exposures, in the units that the training had.
 
-        Parameters and errors as of `classify`; raises `InputError` if the design answers classes.
+        Parameters as for `classify`. Raises `InputError` as that, or if it answers classes.
         """
         if self.values is None:
             raise InputError("this design answers classes and estimates no values: use classify")
@@ -309,10 +309,9 @@ class Design:
         read, budget, shown = readings.check_readouts(counts, photons, dwell, *shapes)
         readings.check_clicks(read, self.gates)
         device = self.rails.device
-        if shown is not None:
-            shown = self._dwells.by_mask(shown).to(device)
         budget = budget.to(device)
-        return Observation(self.features_of(read.to(device)) / self.scale(budget), shown), budget
+        dwells = None if shown is None else self._dwells.by_mask(shown).to(device)
+        return Observation(self.features_of(read.to(device)) / self.scale(budget), dwells), budget
 
     @property
     def _dwells(self) -> Dwells:

@@ -1,4 +1,4 @@
-"""How well values can be estimated from the counts of a design.
+"""Bounds of how well values can be estimated from the counts of a design.
 
 `linear_bound` is the error of the best linear estimator. With f the expected features of a scene, θ
 its values, V the mean variance of the features' noise, and covariances over scenes,

@@ -174,9 +174,7 @@ def evaluate(
     report: Report | None = None,
     **settings: Any,
 ) -> list[Any]:
-    """Test on the test scenes of a data set under noise: a `Result` for each budget.
-
-    Of a design that estimates values, an `estimation.Estimates` for each.
+    """Test on the scenes of a data set under noise: a `Result`, or `Estimates`, for each budget.
 
     Parameters
     ----------

@@ -36,11 +36,11 @@ class Values:
         return cls(names, mean, std)
 
     def standardised(self, values: Tensor) -> Tensor:
-        """What a network is to answer of values (..., q)."""
+        """Truth for a network of values (..., q)."""
         return (values - self.mean) / self.std
 
     def estimated(self, outputs: Tensor) -> Tensor:
-        """Values (..., q) of what a network answers, in their own units."""
+        """Values (..., q) of answers of a network, in their own units."""
         return self.mean + self.std * outputs
 
     def to(self, device: str | torch.device) -> Self:
@@ -49,7 +49,7 @@ class Values:
 
     @property
     def tensors(self) -> dict[str, Tensor]:
-        """What a design file holds."""
+        """Tensors of a design file."""
         return {"mean": self.mean, "std": self.std}
 
 

@@ -333,7 +333,7 @@ def errors(results: Results) -> Iterator[Part]:
 
 
 def answers_text(data: Data) -> str:
-    """What is asked of a scene: its class, or its values."""
+    """Answers that are asked of a scene: its class, or its values."""
     if data.values:
         return f"values: {listed([*data.values])}"
     return f"{len(data.classes)} classes"

@@ -8,7 +8,7 @@ from deepfsi.report.style import ACCURACY_AXIS
 
 @dataclass(frozen=True)
 class MeasureWords:
-    """How a page names a measure."""
+    """Words of a page for a measure."""
 
     name: str  # in headings and tables
     axis: str  # of a figure

@@ -61,7 +61,7 @@ class _Tested(Result):
 
 @dataclass(frozen=True)
 class _Estimated(Estimates):
-    """The same of values."""
+    """Test of a trial whose answers are values, likewise."""
 
     levels: int
 

@@ -34,7 +34,7 @@ def design_of(
 ) -> Design:
     """Design of a scanner and a network that were trained together, elsewhere.
 
-    Its counts at another budget are scaled to that of the training. Raises `InputError` if scanner,
+    Counts at another budget are scaled to that of the training. Raises `InputError` if scanner,
     classifier and data do not fit together, or the masks break their constraint.
 
     Parameters
@@ -43,13 +43,12 @@ def design_of(
         Its masks, without replicas, and its detectors.
     classifier : nn.Module
         From (batch, k) counts as the scanner gives them, m differences y⁺ − y⁻ unless its
-        `detection` says otherwise, to (batch, C) logits, or to (batch, q) standardised values. A
-        copy is taken. One of `OwnClassifier` keeps its import path in the design's file.
+        `detection` says otherwise, to (batch, C) logits or (batch, q) standardised values. Copied;
+        one of `OwnClassifier` keeps its import path in the design's file.
     data : Dataset, str, path or tuple of arrays
         That the training was on: its training scenes give the mean light, its classes their names.
     photons : float
-        Budget Φ of the training: photons were ``photons_per_pixel(x, photons, s)``, s the mean of
-        the training scenes' sums.
+        Budget Φ of the training: photons were ``photons_per_pixel(x, photons, s)``.
     light : {"column", "equal-dwell", "free-dwell", "two-arm"}
         Constraint that masks obey; that of `LearnedMasks` masks is their own.
 
