@@ -232,7 +232,7 @@ def stop(
 
 
 def _counted(result: "Result") -> str:
-    """What the detectors count, in words; of clicks the photons that reach them, too."""
+    """Counts in words; of clicks the photons that reach the detectors, too."""
     counts = common.budget(result.counts)
     if not result.clicks:
         return f"{counts} counts"
