@@ -31,6 +31,7 @@ LINES = {
     "docs/do/camera": 9,
     "docs/do/live": 6,
     "docs/do/passing": 5,
+    "docs/do/values": 5,
 }
 """Pages with such lines, and the number of commands in each."""
 
@@ -177,6 +178,18 @@ def test_the_page_of_passing_scenes_finds_and_reads_them(done, tmp_path, monkeyp
     assert "20 transits in" in printed
     assert len((tmp_path / "transits.csv").read_text().splitlines()) == 21
     assert "<polygon" in (tmp_path / "pattern.svg").read_text()
+
+
+@pytest.mark.slow
+def test_the_page_of_values_runs(run, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    text, names = (ROOT / "docs/do/values.md").read_text(), {}
+    for block in re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL):
+        exec(block.replace("epochs=30", "epochs=4"), names)
+    assert names["result"].r2 > 0.5
+    printed = run("docs/do/values")
+    assert "AUC" in "".join(printed.values())
+    assert (tmp_path / "runs/placed/report.html").stat().st_size > 100
 
 
 @pytest.mark.slow
