@@ -19,8 +19,8 @@ CHUNK = 1024
 """Scenes that are exposed at once."""
 
 COVERS = (
-    "test images and noise draws, for this one trained design (normal, images as the trials, the "
-    "variance of their values as it is)"
+    "test images and noise draws, for this one trained design (normal, images as the trials; the "
+    "variance of the values is taken as known)"
 )
 
 
