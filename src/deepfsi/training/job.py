@@ -333,13 +333,15 @@ class Job(Settings):
             faults += of_few_counts(self, data.image_shape)
         if data.values:
             faults += of_values(self)
+            if self.code.of_classes:  # it has no masks of such data, whose number could be told
+                return faults
         if self.training.balance and self.training.loss is not None:
             faults.append("`balance` weighs the usual loss: leave it out, or `loss`")
         if self.code.signed and self.camera.rails == "single":
             faults.append(f"{self.design} is signed: use dual rails, or the s-matrix")
         if "gaussian" in (self.noise, self.masks_from().noise) and not self.camera.sigma:
             faults.append("gaussian noise is read noise: give `sigma` above 0")
-        if self.code.adaptive and data.classes:
+        if self.code.adaptive:
             faults += of_adaptive_masks(self, data)
         if (matrix is not None) != self.code.own:
             faults.append(
