@@ -48,14 +48,12 @@ def print_results(
     made: "AnyDesign", noise: str, results: "list[Result]", bounds: "list[Result]"
 ) -> None:
     """Print the tests of a design, and those of the ideal observer where there are any."""
-    two = results[0].auc is not None
     results = sorted(results, key=lambda r: r.photons)
     light_heads, light, meaning = common.counted(results)
     rows = [
         (
             common.budget(r.photons),
             common.share(r.accuracy, r.low, r.high),
-            *([common.share(r.auc or 0, r.auc_low or 0, r.auc_high or 1)] if two else []),
             f"{r.balanced:.3f}",
             _worst(r, made.classes),
             *counts,
@@ -64,10 +62,12 @@ def print_results(
         )
         for r, counts in zip(results, light, strict=True)
     ]
-    answers = ("accuracy", *(["AUC"] if two else []), "balanced", "worst class")
-    heads = ("photons", *answers, *light_heads, "counted", "ECE")
+    heads = ("photons", "accuracy", "balanced", "worst class", *light_heads, "counted", "ECE")
     common.print_table(f"{made.name}, {common.size(made)}, {noise} noise", heads, rows)
     for result in results:
+        if result.auc is not None:
+            area = common.share(result.auc, result.auc_low or 0, result.auc_high or 1)
+            print(f"AUC at {common.budget(result.photons)} photons: {area}")
         _print_confusion(result, made.classes)
     if bounds:
         common.print_table(

@@ -15,9 +15,10 @@ from deepfsi.design import artifact_file, readings
 from deepfsi.design.consistency import Consistency, ReadoutDistribution
 from deepfsi.design.exposure.looks import Dwells, LooksExposure
 from deepfsi.design.exposure.trained import FixedExposure, Observation, TrainedExposure
+from deepfsi.design.file_content import check_classes
 from deepfsi.design.own import Given, OwnClassifier, rebuilt
 from deepfsi.design.temperatures import Temperatures
-from deepfsi.design.values import Values, check_classes
+from deepfsi.design.values import Values
 from deepfsi.errors import InputError, as_input_error
 from deepfsi.files import DESIGNS, check_ending, write_atomically
 from deepfsi.inline import mask_picture

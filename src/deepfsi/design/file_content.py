@@ -5,7 +5,7 @@ import math
 import os
 from collections.abc import Container
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from pydantic import AfterValidator
@@ -13,6 +13,9 @@ from pydantic import AfterValidator
 from deepfsi.errors import InputError
 from deepfsi.optics.codes import DESIGNS
 from deepfsi.tables.tensor_files import DamagedError, read_tensors
+
+if TYPE_CHECKING:
+    from deepfsi.design.values import Values
 
 SCHEMA: Literal[1] = 1
 """Number of the design file's schema."""
@@ -65,6 +68,16 @@ def read_known_masks(path: str | os.PathLike[str]) -> tuple[str, dict[str, np.nd
             "take it"
         )
     return text, tensors
+
+
+def check_classes(values: "Values | tuple[str, ...] | None", what: str) -> None:
+    """Raise `InputError` where a design estimates values and `what` is of classes."""
+    if values:
+        names = values if isinstance(values, tuple) else values.names
+        raise InputError(
+            f"{what} is of classes, and this design estimates {', '.join(names)}: use "
+            "Design.estimate, or `deepfsi evaluate`"
+        )
 
 
 def damaged(path: str | os.PathLike[str]) -> InputError:

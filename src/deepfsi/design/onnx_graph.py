@@ -20,8 +20,8 @@ from deepfsi.design.artifact import Design
 from deepfsi.design.classifiers import Mlp
 from deepfsi.design.exposure.looks import LooksExposure
 from deepfsi.design.exposure.trained import Observation
+from deepfsi.design.file_content import check_classes
 from deepfsi.design.own import OwnClassifier
-from deepfsi.design.values import check_classes
 from deepfsi.errors import InputError
 from deepfsi.optics.dwells import share_out
 

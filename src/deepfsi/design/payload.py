@@ -24,9 +24,9 @@ from deepfsi.design.classifiers import Mlp
 from deepfsi.design.confidence import stops_of
 from deepfsi.design.evaluation import check_data, evaluate
 from deepfsi.design.exposure import LARGEST_SCORE
+from deepfsi.design.file_content import check_classes
 from deepfsi.design.stopping import rule_of, stop
 from deepfsi.design.training_data import trained_on
-from deepfsi.design.values import check_classes
 from deepfsi.errors import InputError
 from deepfsi.optics import constraints
 from deepfsi.progress import SILENT, Report

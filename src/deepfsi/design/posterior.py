@@ -15,7 +15,7 @@ from torch import Tensor
 from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import Guess, Result, check_data, check_draws, test_scenes
-from deepfsi.design.values import check_classes
+from deepfsi.design.file_content import check_classes
 from deepfsi.errors import InputError
 from deepfsi.memory import check_memory, free_memory
 from deepfsi.optics.budget import check_budget, summed_reflectance

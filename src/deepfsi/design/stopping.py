@@ -29,8 +29,8 @@ from deepfsi.design.confidence import (
 )
 from deepfsi.design.evaluation import check_data, check_draws
 from deepfsi.design.exposure.looks import LooksExposure
+from deepfsi.design.file_content import check_classes
 from deepfsi.design.training_data import trained_on
-from deepfsi.design.values import check_classes
 from deepfsi.errors import InputError, as_input_error
 from deepfsi.optics.budget import check_budget
 from deepfsi.statistics.intervals import wilson

@@ -8,7 +8,6 @@ import torch
 from torch import Tensor
 
 from deepfsi.datasets import Dataset
-from deepfsi.errors import InputError
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,13 +50,3 @@ class Values:
     def tensors(self) -> dict[str, Tensor]:
         """Tensors of a design file."""
         return {"mean": self.mean, "std": self.std}
-
-
-def check_classes(values: "Values | tuple[str, ...] | None", what: str) -> None:
-    """Raise `InputError` where a design estimates values and `what` is of classes."""
-    if values:
-        names = values.names if isinstance(values, Values) else values
-        raise InputError(
-            f"{what} is of classes, and this design estimates {', '.join(names)}: use "
-            "Design.estimate, or `deepfsi evaluate`"
-        )

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from deepfsi.design.values import check_classes
+from deepfsi.design.file_content import check_classes
 from deepfsi.errors import InputError
 from deepfsi.files import hash_file
 from deepfsi.hardware.patterns.folder import DESIGN, read_patterns

@@ -14,8 +14,8 @@ from deepfsi.datasets import prepared
 from deepfsi.datasets.display import Display
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import camera_for, check_draws, scanner_for
+from deepfsi.design.file_content import check_classes
 from deepfsi.design.training_data import trained_on
-from deepfsi.design.values import check_classes
 from deepfsi.errors import InputError
 from deepfsi.hardware.calibration.view import camera_view
 from deepfsi.hardware.recording.calibration_file import load_calibration

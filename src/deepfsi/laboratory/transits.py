@@ -11,7 +11,7 @@ import torch
 
 from deepfsi.design.artifact import Design
 from deepfsi.design.exposure.passing import PassingExposure
-from deepfsi.design.values import check_classes
+from deepfsi.design.file_content import check_classes
 from deepfsi.errors import InputError
 from deepfsi.hardware.ptu.reader import read_photons
 from deepfsi.hardware.recording.transits import (
