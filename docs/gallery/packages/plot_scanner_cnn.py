@@ -66,7 +66,7 @@ ax.plot(losses, color="#0072b2")
 ax.set(xlabel="step", ylabel="cross-entropy, training pictures", ylim=(0, None))
 left.suptitle(f"accuracy {right:.2f} on 360 test pictures, 10⁴ photons", fontsize=9)
 with torch.no_grad():
-    matrix = masks()[0].numpy()
+    matrix = masks().difference.numpy()
 peak = abs(matrix).max()
 axes = side.subplots(4, 4)
 for cell, mask in zip(axes.flat, matrix, strict=True):
