@@ -16,6 +16,7 @@ from pydantic import Field, model_validator
 
 from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.design.evaluation import Result, evaluate
+from deepfsi.design.file_content import check_classes
 from deepfsi.design.published import INDEX, Index, Name, Published, Words
 from deepfsi.errors import InputError, as_input_error, check_known
 from deepfsi.files import hash_file, read_toml, write_atomically
@@ -84,6 +85,7 @@ class DesignRecipe(Frozen):
         """The data set, or `InputError` where it is not at hand or the job cannot be had on it."""
         options = {"rescale": self.rescale, "split": self.split, "size": self.size}
         data = load_dataset(self.data, **options)  # type: ignore[arg-type]
+        check_classes(data.values, "a published design")
         self.job.check(data)
         return data
 
