@@ -47,7 +47,7 @@ def confusion_table(confusion: Sequence[Sequence[int]], classes: Sequence[str]) 
 
 def _percent(share: float) -> str:
     """Share in per cent; nothing for none, so that mistakes stand out."""
-    return f"{100 * share:.1f}" if share else ""
+    return "" if share == 0 else "100" if share == 1 else f"{100 * share:.1f}"
 
 
 def mask_picture(matrix: np.ndarray, shape: tuple[int, ...]) -> str:

@@ -1,10 +1,8 @@
 """The paper's experiments by name: each a recipe, figures, the numbers behind them, and claims."""
 
-import io
 from pathlib import Path
 
 from deepfsi.errors import InputError, check_known
-from deepfsi.files import write_atomically
 from deepfsi_paper import compression, detectors, mlgauss, quantization
 from deepfsi_paper.adaptive import claims as adaptive
 from deepfsi_paper.camera import claims as camera_study
@@ -44,7 +42,7 @@ def is_study(folder: Path) -> bool:
 
 
 def page(folder: Path) -> Path:
-    """Write `report.html` from whatever experiments a folder holds, and figures as `NAME-1.png`.
+    """Write `report.html` from whatever experiments a folder holds, with its figures.
 
     Raises
     ------
@@ -54,12 +52,6 @@ def page(folder: Path) -> Path:
     sections = [section for each in _every() if (section := each.section(folder))]
     if not sections:
         raise InputError(f"no experiment in {folder}: run `deepfsi reproduce mnist -o {folder}`")
-    for section in sections:
-        for number, picture in enumerate(section.pictures, start=1):
-            drawn = io.BytesIO()
-            picture.figure.savefig(drawn, dpi=160)
-            picture.figure.set_layout_engine("none")  # laid out once, for the page too
-            write_atomically(folder / f"{section.name}-{number}.png", drawn.getvalue())
     return write_study(folder, "Deep feature-specific imaging, reproduced", sections)
 
 

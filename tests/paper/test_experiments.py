@@ -60,7 +60,7 @@ def test_every_experiment_ends_in_a_section(done):
     page = studies.page(done).read_text()
     for each, section in sections_of(done).items():
         for number in range(1, len(section.pictures) + 1):
-            assert (done / f"{each.name}-{number}.png").read_bytes().startswith(b"\x89PNG")
+            assert (done / f"figures/{each.name}-{number}.png").read_bytes().startswith(b"\x89PNG")
         assert section.title in page
         assert section.pictures
         assert section.claims

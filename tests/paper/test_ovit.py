@@ -13,6 +13,7 @@ from deepfsi.design.artifact import Design
 from deepfsi.errors import InputError
 from deepfsi.report.accuracy import accuracy_figure
 from deepfsi.report.comparison_page import page_text
+from deepfsi.report.figures import Figures
 from deepfsi.sweeps import context
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.run import compare
@@ -72,7 +73,7 @@ def test_a_study_ends_in_a_page_with_figures_and_claims(images, tmp_path):
     assert [claim.text.split()[3] for claim in section.claims[:3]] == ["RS", "HB", "FSI"]
     assert all(claim.measured for claim in section.claims)
     for number in (1, 2):
-        assert (tmp_path / f"ovit-{number}.png").read_bytes().startswith(b"\x89PNG")
+        assert (tmp_path / f"figures/ovit-{number}.png").read_bytes().startswith(b"\x89PNG")
     assert len(table(tmp_path / "ovit-trials.csv")) == 20
     assert {row["data"] for row in table(tmp_path / "ovit-trials.csv")} == {"synthetic"}
 
@@ -194,7 +195,7 @@ def test_points_have_the_share_of_the_masks_in_the_pixels_of_a_patch(images, tmp
 
 def test_a_comparison_of_patches_has_a_page_with_their_masks(tmp_path):
     results, _ = compare(TINY, synthetic((8, 8)), tmp_path, command="deepfsi", device="cpu")
-    page = page_text(results, tmp_path / "designs")
+    page = page_text(results, tmp_path / "designs", Figures())
     assert "all 16 masks" in page or "of 16 masks" in page
 
 

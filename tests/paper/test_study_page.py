@@ -30,8 +30,9 @@ def section(**changes) -> Section:
 
 def test_page_is_one_self_contained_document(tmp_path):
     page = page_of(tmp_path / "out", example(tmp_path))
-    assert_whole(page, {"photon-noise/accuracy.csv", "photon-noise/masks%2010.csv"})
-    assert [p.name for p in (tmp_path / "out").iterdir()] == ["report.html"]
+    files = {"photon-noise/accuracy.csv", "photon-noise/masks%2010.csv"}
+    assert_whole(page, tmp_path / "out", files)
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {"figures", "report.html"}
 
 
 @pytest.mark.usefixtures("undrawn")

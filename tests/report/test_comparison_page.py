@@ -26,12 +26,10 @@ words_alone = pytest.mark.usefixtures("undrawn")
 
 def test_page_is_one_self_contained_document(tmp_path):
     make_results(tmp_path, noises=("poisson", "gaussian"))
-    assert_whole(page_of(tmp_path))
+    assert_whole(page_of(tmp_path), tmp_path)
     assert sorted(p.name for p in tmp_path.iterdir()) == [
-        "accuracy.pdf",
-        "accuracy.png",
-        "accuracy.svg",
         "designs",
+        "figures",
         "report.html",
         "results.json",
     ]
@@ -138,7 +136,7 @@ def test_a_page_opens_with_what_is_compared(tmp_path):
     assert text.startswith("5 ways to choose a camera’s masks, at equal light (light law column): ")
     assert "360 test scenes of digits" in text
     said = covered(results)
-    assert "Impulse imaging, with a detector for each of the 24 pixels, reads 0.796" in said
+    assert "Impulse imaging, with a detector for each of the 24 pixels, reaches 0.796" in said
     assert "The intervals are of 95 % and cover seeds of training (t over 3 trials)." in said
     page = page_of(tmp_path)
     assert page.count("<li>") == 3
@@ -212,7 +210,7 @@ def test_summary_follows_the_numbers(tmp_path):
     wide = summary(with_all(results, low=0.0, high=1.0), "poisson")
     assert "most accurate" not in wide
     assert "PCA (FSI)" in wide
-    assert "cannot be told apart, as their intervals overlap: they read 0." in wide
+    assert "cannot be told apart, as their intervals overlap: they reach 0." in wide
     few = [
         p.model_copy(update={"low": 0.6}) if (p.design, p.photons) == ("deepfsi", 1e2) else p
         for p in results.points
@@ -335,9 +333,14 @@ def test_markup_in_names_is_text(tmp_path):
     assert page.count("<script>") == 1
 
 
-def test_same_results_make_the_same_page(tmp_path):
+def test_same_results_make_the_same_page_and_figures(tmp_path):
     make_results(tmp_path, designs=("deepfsi",))
-    assert page_of(tmp_path) == page_of(tmp_path)
+    first, second = (
+        [page_of(tmp_path), *(path.read_bytes() for path in sorted(tmp_path.glob("figures/*")))]
+        for _ in range(2)
+    )
+    assert first == second
+    assert len(first) == 1 + 3 * first[0].count('class="drawing"') > 1
 
 
 @pytest.mark.parametrize(
@@ -389,7 +392,7 @@ def test_equal_designs_are_all_named_and_bold_and_those_of_one_class_are_marked(
     text = summary(equal, "poisson")
     for told in (
         "truncated Hadamard, PCA (FSI) and DeepFSI cannot be told apart",
-        "they read 0.891 to 0.891",
+        "they reach 0.891 to 0.891",
         "PCA (FSI) at 100 photons answers one class only",
     ):
         assert told in text
@@ -419,7 +422,7 @@ def test_confusion_matrices_are_those_of_the_chosen_mask_counts(tmp_path):
     assert page.count("<table class='confusion'>") == len(chosen) > 1
     assert page.count("<details open>") == 1
     assert words_of(page).count("87.5 12.5") == len(chosen)
-    assert_whole(page)
+    assert_whole(page, tmp_path)
     assert_headed(page)
     points[0] = points[0].model_copy(update={"confusion": ((1, 2),), "best": True})
     write_results(tmp_path / "results.json", results.with_points(points))

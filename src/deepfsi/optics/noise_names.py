@@ -7,6 +7,13 @@ from pydantic import AfterValidator, PlainSerializer, WithJsonSchema
 from deepfsi.imports import UNNAMED
 from deepfsi.laws import check_noise
 
+NOISES = {"poisson": "photon noise", "gaussian": "Gaussian read noise", "camera": "camera noise"}
+
+
+def noise_text(noise: str) -> str:
+    """Name of a noise model for headings and sentences."""
+    return NOISES.get(noise, f"{noise} noise")
+
 
 def noise_name(noise: Any) -> str:
     """Name or import path of a noise that is given by name or as a function."""

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, MultipleLocator, NullLocator
 
+from deepfsi.optics.noise_names import noise_text
 from deepfsi.report import style
 from deepfsi.report.measures import WORDS
 from deepfsi.sweeps.results import Results
@@ -130,7 +131,7 @@ def accuracy_figure(results: Results, top: float = 1.0) -> Figure:
         )
         ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: style.photons_text(value)))
         if len(panels) > 1:
-            ax.set_title(style.noise_text(noise))
+            ax.set_title(noise_text(noise))
     marker_key(figure, chosen, _hollow(chosen))
     return figure
 
@@ -205,7 +206,7 @@ def _ranking_figure(
             textcoords="offset points", color=style.MUTED,
         )  # fmt: skip
         if len(panels) > 1:
-            ax.set_title(style.noise_text(noise), pad=14)
+            ax.set_title(noise_text(noise), pad=14)
     marker_key(figure, points)
     return figure
 

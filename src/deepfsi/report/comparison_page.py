@@ -1,6 +1,5 @@
 """The output folder of a comparison, as one HTML page that needs nothing else."""
 
-import io
 import json
 import math
 import os
@@ -15,17 +14,16 @@ from markupsafe import Markup
 from deepfsi.errors import InputError
 from deepfsi.files import write_atomically
 from deepfsi.inline import confusion_table
+from deepfsi.optics.noise_names import noise_text
 from deepfsi.report import accuracy
+from deepfsi.report.figures import Figures
 from deepfsi.report.masks import masks_figure, peak, signed, values_figure
 from deepfsi.report.measures import WORDS
 from deepfsi.report.rendering import flat, render, share_text
-from deepfsi.report.style import noise_text, photons_text, svg
+from deepfsi.report.style import photons_text
 from deepfsi.report.terms import DESIGNS, ONE_DETECTOR
 from deepfsi.sweeps.results import Data, Point, Results, read_results
 from deepfsi.tables.tensor_files import DamagedError, read_tensors
-
-FIGURE_FILES = ("png", "svg", "pdf")
-"""Formats of the accuracy figure beside the page."""
 
 MASKS_SHOWN = 12
 """Masks of a design that the page shows at most."""
@@ -39,19 +37,14 @@ Part = dict[str, Any]
 
 
 def build(folder: str | os.PathLike[str]) -> Path:
-    """Write `report.html` into the output folder of a comparison, all or nothing."""
-    # The folder holds `results.json` and, for the pictures of masks, `designs/<key>.safetensors`.
-    # The accuracy figure is written beside it on its own
+    """Write `report.html` and its figures into the output folder of a comparison."""
+    # The folder holds `results.json` and, for the pictures of masks, `designs/<key>.safetensors`
     home = Path(folder)
     if not (home / "results.json").is_file():
         raise InputError(f"no results in {home}: make them with `deepfsi compare -o {home}`")
-    results = read_results(home / "results.json")
-    text = page_text(results, home / "designs")
-    figure = accuracy.accuracy_figure(results)
-    for kind in FIGURE_FILES:
-        picture = io.BytesIO()
-        figure.savefig(picture, format=kind, dpi=160)
-        write_atomically(home / f"accuracy.{kind}", picture.getvalue())
+    figures = Figures()
+    text = page_text(read_results(home / "results.json"), home / "designs", figures)
+    figures.write(home)
     return write_atomically(home / "report.html", text.encode())
 
 
@@ -69,11 +62,11 @@ def read_masks(path: Path) -> tuple[np.ndarray, tuple[int, ...]]:
     return rails, shape
 
 
-def page_text(results: Results, designs: Path) -> str:
-    """Text of the page."""
+def page_text(results: Results, designs: Path, figures: Figures) -> str:
+    """Text of the page, whose figures are added to those given."""
     data, points = results.data, results.points
     axes = accuracy.series_axes(results)
-    learned = list(learned_masks(results, designs))
+    learned = list(learned_masks(results, designs, figures))
     return render(
         "page.html.jinja",
         results=results,
@@ -86,8 +79,8 @@ def page_text(results: Results, designs: Path) -> str:
             covered(results),
         ],
         variants=len(accuracy.series(points, axes)) > len({p.design for p in points}),
-        accuracy=list(accuracy_panels(results)),
-        counts=list(count_panels(results)),
+        accuracy=list(accuracy_panels(results, figures)),
+        counts=list(count_panels(results, figures)),
         tables=[best_table(results, noise) for noise in accuracy.noises(results)],
         designs=dict.fromkeys((p.title, p.label, DESIGNS.get(p.design)) for p in points),
         lights=sorted({p.light for p in points}),
@@ -122,13 +115,13 @@ def compared(results: Results) -> str:
 
 
 def covered(results: Results) -> str:
-    """Say what impulse imaging and guessing read, and what the intervals cover."""
+    """Say what impulse imaging and guessing reach, and what the intervals cover."""
     ideal = sorted((p for p in results.points if p.every_pixel and p.best), key=lambda p: p.photons)
     text = ""
     if ideal:
         pixels = int(np.prod(results.data.image_shape))
         text = (
-            f"Impulse imaging, with a detector for each of the {pixels} pixels, reads "
+            f"Impulse imaging, with a detector for each of the {pixels} pixels, reaches "
             f"{_ends(ideal)} photons. "
         )
     covers = "; ".join(dict.fromkeys(p.covers for p in results.points))
@@ -186,7 +179,9 @@ def following(results: Results, designs: Path) -> tuple[str, str]:
     if shown:
         words = "Learn one design, whose file the commands for a device take:"
     else:
-        words = "No single device shows masks of column. Compare designs that one device shows:"
+        words = (
+            "No single device shows masks of the light law column. Compare designs that one shows:"
+        )
     command = "design --masks 16 --photons 1e4 -o d.safetensors" if shown else "compare -o runs/dmd"
     return words, f"deepfsi {command} --camera dmd --data {name}"
 
@@ -242,13 +237,14 @@ def summary(results: Results, noise: str) -> str:
             every = [p.accuracy for row in rows for p in row]
             said.append(
                 f"At {at} photons {listed([*best])} cannot be told apart, as their intervals "
-                f"overlap: they read {share_text(min(every))} to {share_text(max(every))}."
+                f"overlap: they reach {share_text(min(every))} to {share_text(max(every))}."
             )
         elif len(names) == 1:
-            said.append(f"{best[0]} reads {_ends(first)}.")
+            said.append(f"{best[0]} reaches {_ends(first)}.")
         else:
             most = "most accurate" if results.data.measure == "accuracy" else "best"
-            said.append(f"{best[0]} is the {most}{where} at {at} photons: {_ends(first)}.")
+            reach = _ends(first) if len(first) > 1 else _reach(first[0])
+            said.append(f"{best[0]} is the {most}{where} at {at} photons: {reach}.")
     said += [
         f"{name(p)} at {photons_text(p.photons)} photons answers one class only."
         for p in sorted(points, key=lambda p: p.photons)
@@ -259,12 +255,15 @@ def summary(results: Results, noise: str) -> str:
 
 def _ends(rows: list[Point]) -> str:
     """Accuracies and intervals of the first and the last of rows, in the order of their budgets."""
-    parts = []
-    for p in [rows[0], rows[-1]][: len(rows)]:
-        masks = "" if p.every_pixel else f" with {p.masks} mask{'s' if p.masks > 1 else ''}"
-        reach = f"{share_text(p.accuracy)} ({share_text(p.low)}–{share_text(p.high)})"
-        parts.append(f"{reach} at {photons_text(p.photons)}{masks}")
-    return listed(parts)
+    ends = [rows[0], rows[-1]][: len(rows)]
+    return listed([_reach(p, f" at {photons_text(p.photons)}") for p in ends])
+
+
+def _reach(point: Point, where: str = "") -> str:
+    """Accuracy, interval, place and number of masks of a point."""
+    interval = f"({share_text(point.low)}–{share_text(point.high)})"
+    masks = "" if point.every_pixel else f" with {point.masks} mask{'s' if point.masks > 1 else ''}"
+    return f"{share_text(point.accuracy)} {interval}{where}{masks}"
 
 
 def listed(words: list[str]) -> str:
@@ -272,32 +271,32 @@ def listed(words: list[str]) -> str:
     return " and ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
 
 
-def accuracy_panels(results: Results) -> Iterator[Part]:
+def accuracy_panels(results: Results, figures: Figures) -> Iterator[Part]:
     """Accuracy against photons, a picture for each noise."""
-    for i, noise in enumerate(accuracy.noises(results)):
+    for i, noise in enumerate(accuracy.noises(results), start=1):
         part = results.with_points(chosen(results, noise))
         name = title_of(results)
         words = f"{name} against photon budget under {noise_text(noise)}; numbers in the table."
-        picture = svg(accuracy.accuracy_figure(part), f"accuracy{i}", words)
-        yield {"heading": noise_text(noise).capitalize(), "picture": Markup(picture)}
+        picture = figures.add(f"accuracy-{i}", accuracy.accuracy_figure(part), words)
+        yield {"heading": noise_text(noise).capitalize(), "picture": picture}
 
 
-def count_panels(results: Results) -> Iterator[tuple[str, list[Part]]]:
+def count_panels(results: Results, figures: Figures) -> Iterator[tuple[str, list[Part]]]:
     """Accuracy against mask count for each noise and budget, if any design has several counts."""
     if all(
         len({p.masks for p in rows}) < 2
         for rows in accuracy.series(results.points, COUNTED).values()
     ):
         return
-    for i, noise in enumerate(accuracy.noises(results)):
+    for i, noise in enumerate(accuracy.noises(results), start=1):
         points = [p for p in results.points if p.noise == noise]
         panels = []
-        for j, photons in enumerate(sorted({p.photons for p in points})):
+        for j, photons in enumerate(sorted({p.photons for p in points}), start=1):
             part = results.with_points(p for p in points if p.photons == photons)
             where = f"{photons_text(photons)} photons"
             words = f"{title_of(results)} against number of masks at {where}; see the last table."
-            picture = svg(accuracy.count_figure(part), f"count{i}-{j}", words)
-            panels.append({"heading": where, "picture": Markup(picture)})
+            picture = figures.add(f"count-{i}-{j}", accuracy.count_figure(part), words)
+            panels.append({"heading": where, "picture": picture})
         yield noise_text(noise).capitalize(), panels
 
 
@@ -355,7 +354,7 @@ def confusions(results: Results) -> Iterator[Part]:
                 "a confusion matrix is not of the data's classes: run the comparison again"
             )
         names = accuracy.series_names(points, axes, "title")
-        for point in sorted(points, key=lambda p: (p.photons, -p.accuracy)):
+        for point in sorted(points, key=lambda p: (p.every_pixel, p.photons, -p.accuracy)):
             where = f"{photons_text(point.photons)} photons, {noise_text(noise)}"
             yield {
                 "heading": f"{names[accuracy.key_of(point, axes)]}, {where}",
@@ -363,25 +362,27 @@ def confusions(results: Results) -> Iterator[Part]:
             }
 
 
-def learned_masks(results: Results, designs: Path) -> Iterator[Part]:
+def learned_masks(results: Results, designs: Path, figures: Figures) -> Iterator[Part]:
     """Masks and value distributions of every learned design whose files are there, by budget."""
     axes = accuracy.series_axes(results)
-    for i, noise in enumerate(accuracy.noises(results)):
+    for i, noise in enumerate(accuracy.noises(results), start=1):
         points = [p for p in chosen(results, noise) if p.learned]
         names = accuracy.series_names(points, axes, "title")
-        for j, (key, members) in enumerate(accuracy.series(points, axes).items()):
+        for j, (key, members) in enumerate(accuracy.series(points, axes).items(), start=1):
             # the files hold masks before they are quantised for a test
             files = {designs / f"{p.keys[0]}.safetensors": p for p in members if not p.levels}
             there = sorted((p.trained_at, path) for path, p in files.items() if path.is_file())
             panels = [
-                _mask_panel(files[path], *read_masks(path), f"masks{i}-{j}-{place}")
-                for place, (_, path) in enumerate(there)
+                _mask_panel(files[path], *read_masks(path), f"{i}-{j}-{place}", figures)
+                for place, (_, path) in enumerate(there, start=1)
             ]
             if panels:
                 yield {"heading": f"{names[key]}, {noise_text(noise)}", "panels": panels}
 
 
-def _mask_panel(point: Point, rails: np.ndarray, shape: tuple[int, ...], name: str) -> Part:
+def _mask_panel(
+    point: Point, rails: np.ndarray, shape: tuple[int, ...], number: str, figures: Figures
+) -> Part:
     """Masks of one design at one budget, and the distribution of their values."""
     masks, where = rails.shape[1], f"{photons_text(point.trained_at)} photons"
     shown = f"the brightest {MASKS_SHOWN} of {masks} masks"
@@ -393,6 +394,6 @@ def _mask_panel(point: Point, rails: np.ndarray, shape: tuple[int, ...], name: s
     return {
         "heading": where,
         "note": f"{shown}, peak {end:.2g}, {counted} of the budget counted",
-        "drawn": Markup(svg(drawn, f"{name}-masks", f"{words}, {shown}.")),
-        "spread": Markup(svg(values, f"{name}-values", said)),
+        "drawn": figures.add(f"masks-{number}", drawn, f"{words}, {shown}."),
+        "spread": figures.add(f"values-{number}", values, said),
     }

@@ -42,8 +42,6 @@ COLOURS = {design: look[0] for design, look in LOOKS.items()}
 DARK_COLOURS = {design: look[1] for design, look in LOOKS.items()}
 LINES = {design: look[2] for design, look in LOOKS.items()}
 
-NOISES = {"poisson": "photon noise", "gaussian": "Gaussian read noise", "camera": "camera noise"}
-
 CSS_NAMES = {
     INK: "ink",
     MUTED: "muted",
@@ -100,15 +98,10 @@ def photons_text(photons: float) -> str:
     return power if factor == "1" else f"{factor} × {power}"
 
 
-def noise_text(noise: str) -> str:
-    """Name of a noise model for headings and sentences."""
-    return NOISES.get(noise, f"{noise} noise")
-
-
 def svg(figure: Figure, name: str, words: str) -> str:
     """Turn a figure into an SVG in a box for an HTML page; the same figure gives the same text."""
     # It is at least as large as on paper, and so large that its smallest words have `LEAST_TEXT`
-    # pixels; where the page has less room, the box scrolls
+    # pixels. Where the page has less room it shrinks to `LEAST_SHARE` of that, and then scrolls
     text = io.StringIO()
     with matplotlib.rc_context(STYLE):
         figure.savefig(text, format="svg", transparent=True, metadata={"Date": None})
@@ -121,8 +114,9 @@ def svg(figure: Figure, name: str, words: str) -> str:
     assert view is not None, "matplotlib gives every figure a viewBox"
     sizes = [float(size) for size in re.findall(r"font:[^;\"]*?([\d.]+)px", body)]
     scale = max(96 / 72, LEAST_TEXT / min(sizes, default=LEAST_TEXT))  # an SVG's unit is a point
-    width = f"width: {math.ceil(72 * figure.get_figwidth() * scale)}px"
-    head = f'<svg class="plot" role="img" aria-label="{escape(words)}" style="{width}" {view[0]}>'
+    width = math.ceil(72 * figure.get_figwidth() * scale)
+    size = f"--width: {width}px; --least: {math.ceil(LEAST_SHARE * width)}px"
+    head = f'<svg class="plot" role="img" aria-label="{escape(words)}" style="{size}" {view[0]}>'
     drawn = re.sub(r"<svg[^>]*>", lambda _: head, body, count=1)
     return f'<div class="drawing">{drawn}</div>'
 
@@ -147,6 +141,9 @@ SMALL = 7.5
 
 LEAST_TEXT = 12
 """Size of the smallest words on a page, pixels."""
+
+LEAST_SHARE = 0.7
+"""Size of a figure on a narrow page, as a share of its size where there is room."""
 
 BUDGET_AXIS = "photon budget Φ (photons)"
 ACCURACY_AXIS = "accuracy (share correct)"

@@ -14,6 +14,7 @@ from deepfsi.datasets.dataset import Measure
 from deepfsi.design.exposure import find_exposure
 from deepfsi.optics import codes
 from deepfsi.optics.detection import Detection
+from deepfsi.optics.noise_names import noise_text
 from deepfsi.statistics.intervals import student, worst_of
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.results import SCHEMA, Data, Point, Provenance, Results
@@ -87,7 +88,7 @@ def summarise(
             points[place] = points[place].model_copy(update={"best": best, **kept})
     return Results(
         revision=SCHEMA,
-        title=f"{data.name} under {' and '.join(recipe.noises)} noise",
+        title=f"{data.name} under {' and '.join(map(noise_text, recipe.noises))}",
         command=command,
         recipe=recipe.model_dump(mode="json"),
         data=facts_of(data, held_out),

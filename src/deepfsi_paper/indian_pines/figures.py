@@ -11,6 +11,7 @@ from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
 from scipy.ndimage import distance_transform_edt
 
+from deepfsi.optics.noise_names import noise_text
 from deepfsi.report import style
 from deepfsi_paper.indian_pines.measures import ClassMap, Overview, SpectralMasks
 from deepfsi_paper.report import scales
@@ -161,7 +162,7 @@ def spectral_masks_figure(rows: Sequence[SpectralMasks], scene: Overview, *, tit
             _shade(ax, scene.water)
             count = min(len(curves), len(LOOKS))
             ax.set_title(
-                f"{style.photons_text(row.photons)} photons, {style.noise_text(noise)}: "
+                f"{style.photons_text(row.photons)} photons, {noise_text(noise)}: "
                 f"{count} of {masks} masks",
                 fontsize=style.SMALL + 0.5,
             )

@@ -19,6 +19,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocat
 
 from deepfsi.errors import InputError
 from deepfsi.optics.codes import DESIGNS
+from deepfsi.optics.noise_names import noise_text
 from deepfsi.report import style
 from deepfsi.report.accuracy import accuracy_axes, marker_key, noises, series_axes
 from deepfsi.report.masks import brightest, mask_axes, peak, signed
@@ -147,7 +148,7 @@ def error_figure(results: Results) -> Figure:
             1 / len(results.data.classes),
             span=(max(errors), min(errors)),
         )
-        ax.set_title(style.noise_text(noise))
+        ax.set_title(noise_text(noise))
         ax.label_outer()
         ax.set_xlabel("noise: RMS error of impulse imaging (reflectance)\nless noise →")
         ax.xaxis.set_major_locator(LogLocator(numticks=8))
@@ -183,7 +184,7 @@ def masks_table_figure(rows: Sequence[LearnedMasks], count: int = 6) -> Figure:
         for noise, left in zip(scales.AXIS_NOISES, (0.27, 0.27 + block), strict=True):
             end, first = _tiles(figure, row, noise, count, (left, top, tile, tall, gap))
             if place == 0:
-                first.set_title(style.noise_text(noise))
+                first.set_title(noise_text(noise))
             words = figure.text(left / style.PAGE_WIDTH, (bottom - 0.04) / total, f"peak {end:.2g}")
             words.set(fontsize=8, verticalalignment="top")
         left = 0.27 + 2 * block + 0.5
@@ -284,7 +285,7 @@ def measures_figure(
         _budget_axis(ax, [row.photons for row in members])
     for ax in list(axes.flat)[len(measures) :]:
         ax.remove()
-    known = {kind: style.noise_text(kind) if kind in LOOKS else kind for kind in kinds}
+    known = {kind: noise_text(kind) if kind in LOOKS else kind for kind in kinds}
     named = {**known, **names}
     bar = Line2D([], [], color=style.MUTED, linestyle="none", marker="|", markersize=9)
     _legend(figure, {named[kind]: line for kind, line in handles.items()} | {"95 % interval": bar})
@@ -332,7 +333,7 @@ def starts_figure(
         left.set_ylabel(style.ACCURACY_AXIS)
         right.set_ylabel("accuracy less that from PCA")
         right.yaxis.set_major_formatter(FuncFormatter(lambda value, _: scales.signed_text(value)))
-        several = f"{style.noise_text(noise)}: " if len(rows) > 1 else ""
+        several = f"{noise_text(noise)}: " if len(rows) > 1 else ""
         left.set_title(f"{several}accuracy")
         right.set_title(f"{several}difference")
         budgets = {row.photons for row in accuracies if row.noise == noise}
@@ -401,7 +402,7 @@ def _value_shares(ax: Axes, row: LearnedMasks, floor: float) -> None:
             color=look["color"],
             linestyle=look["linestyle"],
             linewidth=1.2,
-            label=style.noise_text(noise),
+            label=noise_text(noise),
         )
     ax.set_yscale("log")
     ax.set_ylim(floor, 1.5)

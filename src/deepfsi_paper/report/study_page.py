@@ -8,12 +8,10 @@ from dataclasses import dataclass
 from numbers import Integral, Real
 from pathlib import Path, PurePosixPath
 
-from markupsafe import Markup
-
 from deepfsi.errors import InputError
 from deepfsi.files import write_atomically
+from deepfsi.report.figures import Figures
 from deepfsi.report.rendering import flat, render
-from deepfsi.report.style import svg
 from deepfsi_paper.report.section import Cell, Claim, Section, Table
 
 WIDE = 5.5
@@ -32,8 +30,9 @@ class Shown:
 
 
 def write_study(folder: str | os.PathLike[str], title: str, sections: Sequence[Section]) -> Path:
-    """Write `report.html` into a folder, all or nothing."""
+    """Write `report.html` and its figures into a folder."""
     check(sections)
+    home, figures = Path(folder), Figures()
     text = render(
         "study.html.jinja",
         Path(__file__).parent,
@@ -47,20 +46,21 @@ def write_study(folder: str | os.PathLike[str], title: str, sections: Sequence[S
                 "pictures": [
                     (
                         picture,
-                        Markup(svg(picture.figure, f"figure{i}-{j}", picture.words)),
+                        figures.add(f"{section.name}-{number}", picture.figure, picture.words),
                         picture.figure.get_figwidth() > WIDE,
                     )
-                    for j, picture in enumerate(section.pictures)
+                    for number, picture in enumerate(section.pictures, start=1)
                 ],
                 "tables": [(table, *columns(table)) for table in section.tables],
                 "facts": list(flat(section.facts)),
             }
-            for i, section in enumerate(sections)
+            for section in sections
         ],
         claims=[(section, claim) for section in sections for claim in section.claims],
         answers=ANSWERS,
     )
-    return write_atomically(Path(folder) / "report.html", text.encode())
+    figures.write(home)
+    return write_atomically(home / "report.html", text.encode())
 
 
 def check(sections: Sequence[Section]) -> None:

@@ -1,0 +1,42 @@
+"""Figures of a page: drawn on it, and as files in a folder beside it."""
+
+import io
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+from markupsafe import Markup
+from matplotlib.figure import Figure
+
+from deepfsi.files import write_atomically
+from deepfsi.report.style import STYLE, svg
+
+FOLDER = "figures"
+
+KINDS: dict[str, Any] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}, "png": {}}
+"""Formats of the files, and what they leave out so that the same figure gives the same file."""
+
+
+class Figures:
+    """Figures of one page by their names, which are those of their files."""
+
+    def __init__(self) -> None:
+        self.drawn: dict[str, Figure] = {}
+
+    def add(self, name: str, figure: Figure, words: str) -> Markup:
+        """Part of the page with a figure, what it shows in words, and links to its files."""
+        drawing = svg(figure, name, words)
+        figure.set_layout_engine("none")  # laid out once, for the files too
+        self.drawn[name] = figure
+        links = ", ".join(f'<a href="{FOLDER}/{name}.{kind}">{kind}</a>' for kind in KINDS)
+        return Markup(f'{drawing}<p class="quiet files">Figure as a file: {links}</p>')
+
+    def write(self, home: Path) -> None:
+        """Write the files of all figures into the folder `figures` of a page's folder."""
+        (home / FOLDER).mkdir(parents=True, exist_ok=True)
+        for name, figure in self.drawn.items():
+            for kind, left_out in KINDS.items():
+                file = io.BytesIO()
+                with matplotlib.rc_context({**STYLE, "svg.fonttype": "path"}):
+                    figure.savefig(file, format=kind, dpi=160, metadata=left_out)
+                write_atomically(home / FOLDER / f"{name}.{kind}", file.getvalue())
