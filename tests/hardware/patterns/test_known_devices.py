@@ -87,7 +87,7 @@ def test_the_page_on_devices_has_their_numbers():
     assert rows == [
         (
             one.name,
-            f"{one.columns} x {one.rows}, {one.pitch_um} µm"
+            f"{one.columns}x{one.rows}, {one.pitch_um}\u00a0µm"
             f"{', diamond' if one.lattice == 'diamond' else ''} | {one.controller}"
             f"{f', {one.patterns}' if one.patterns else ''} | {one.shortest_us}",
         )
