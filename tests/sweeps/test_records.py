@@ -20,6 +20,9 @@ def test_a_table_has_a_row_for_each_test(digits, tmp_path):
     assert len(csv) == len(records) * 4
     assert csv["counts"].to_list() == [t["counts"] for r in records for t in r["test"]]
     assert csv["accuracy"].to_list() == [t["accuracy"] for r in records for t in r["test"]]
+    for measure in ("accuracy", "balanced"):
+        held = [t[measure] for r in records for t in r["validation"]]
+        assert csv[f"validation_{measure}"].to_list() == held
     assert set(csv["levels"]) == {0, 769}
     with pytest.raises(InputError, match=r"\.csv or \.parquet"):
         write_table(records, tmp_path / "all.xls")

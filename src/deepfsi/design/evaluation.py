@@ -14,6 +14,7 @@ from torch import Tensor
 from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.design.confidence import calibration_error, confidence_groups
+from deepfsi.design.estimation import test_values
 from deepfsi.design.values import Values
 from deepfsi.errors import InputError
 from deepfsi.inline import accuracy_curve, confusion_table
@@ -215,8 +216,6 @@ def evaluate(
     known = camera_for(design, camera, **settings)
     title = f"{design.name}, {design.masks} masks"
     if isinstance(design, Design) and design.values:
-        from deepfsi.design.estimation import test_values
-
         with shown(report, title) as bar:
             scanner = scanner_for(design, known)
             return test_values(design, scanner, scenes, budgets, draws, seed, bar)

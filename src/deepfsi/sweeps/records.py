@@ -44,6 +44,8 @@ MEASURED = (
 )
 """Numbers of a test that are columns of the table, where it has them."""
 
+CHOSEN_BY = ("accuracy", "balanced", "auc", "r2")
+"""Measures that mask counts are chosen by on validation scenes; columns of the table likewise."""
 
 Finished = tuple[Trial, Mapping[str, Any], bytes | None]
 """A trial, its record, and its design file where it was trained now."""
@@ -180,7 +182,7 @@ def rows(records: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
         for part in ("camera", "exposure", "training", "noise"):
             del settings[part]
         for index, test in enumerate(record["test"]):
-            validation = record["validation"][index] if record["validation"] else None
+            validation = record["validation"][index] if record["validation"] else {}
             table.append(
                 {
                     "key": record["key"],
@@ -190,17 +192,16 @@ def rows(records: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
                     "test_noise": test["noise"],
                     "test_photons": test["photons"],
                     "levels": test["levels"],
-                    "validation": validation and _score(validation),
+                    **{
+                        f"validation_{name}": validation.get(name)
+                        for name in CHOSEN_BY
+                        if name in test
+                    },
                     **{name: test[name] for name in MEASURED if name in test},
                     "seconds": record["info"]["seconds"],
                 }
             )
     return table
-
-
-def _score(test: Mapping[str, Any]) -> float:
-    """Accuracy of a test, or R²."""
-    return test["r2"] if "r2" in test else test["accuracy"]
 
 
 def write_table(records: Sequence[Mapping[str, Any]], path: Path) -> Path:
