@@ -30,6 +30,9 @@ DESIGNS = {
     "control": "control group|cg",
     "adaptive": "adaptive masks",
     "deepfsi": "deepfsi|dfsi|ovit|learned",
+    "random": "random",
+    "lda": "lda",
+    "s-matrix": "s-matrix",
 }
 OTHERS = ("pca", "deepfsi", "truncated-hadamard", "hadamard", "control", "lda", "random", "custom")
 
