@@ -7,6 +7,8 @@ STYLE = {
     "figure.figsize": (4.8, 3.4),
     "font.size": 10,
     "axes.titlesize": 10,
+    "figure.titlesize": 10,
+    "figure.titleweight": "bold",
     "legend.frameon": False,
     "text.parse_math": True,
 }

@@ -35,8 +35,8 @@ dead_time = "28.5ns"
 """)
 
 # %%
-# What the file does not say has a default. ``camera describe`` prints what the camera can show, and
-# ``design`` learns masks for it:
+# What the file does not say follows from it or has a default. ``camera describe`` prints what the
+# camera can show, and ``design`` learns masks for it:
 
 os.system("deepfsi camera describe my-lab.toml")
 os.system(

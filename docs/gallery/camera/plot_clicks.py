@@ -65,14 +65,18 @@ for (name, results), colour, mark in zip(ways.items(), colours, "osD", strict=Tr
     off = (share[0] - share[1], share[2] - share[0])
     ax.errorbar(seen, share[0], off, fmt=f"{mark}-", color=colour, capsize=3, label=name)
     for each in results:
-        side = (
-            {"ha": "left", "xytext": (7, 3)} if mark == "D" else {"ha": "right", "xytext": (-7, 3)}
+        right = mark == "D"
+        ax.annotate(
+            f"{each.arriving:.0f}",
+            (each.counts, each.accuracy),
+            xytext=(9, -6 if each.accuracy > 0.5 else 2) if right else (-7, 3),
+            textcoords="offset points",
+            ha="left" if right else "right",
+            color=colour,
         )
-        place = (each.counts, each.accuracy)
-        ax.annotate(f"{each.arriving:.0f}", place, textcoords="offset points", color=colour, **side)
 ax.axhline(0.1, color="0.4", linestyle=":")
-ax.text(78, 0.085, "guessing", ha="right", va="top")
-ax.set(xscale="log", xlim=(2.3, 80), ylim=(0, 1))
+ax.text(88, 0.085, "guessing", ha="right", va="top")
+ax.set(xscale="log", xlim=(1.9, 90), ylim=(0, 1))
 ax.set_xticks([3, 8, 24, 60], ["3", "8", "24", "60"])
 ax.minorticks_off()
 ax.set(xlabel="clicks, or photons counted, in the mean", ylabel="accuracy")

@@ -38,17 +38,22 @@ with tempfile.TemporaryDirectory() as folder:
 
 first = patterns.manifest.shown[0]
 window = patterns.manifest.grid.window
-figure, (left, middle, right) = plt.subplots(1, 3, figsize=(4.8, 2.6), layout="constrained")
-image = left.imshow(design.matrix[0].reshape(8, 8), cmap="cividis", vmin=0)
-left.set_title("mask")
-figure.colorbar(image, ax=left, location="bottom", label="share of light")
-middle.imshow(mirrors[first], cmap="gray", interpolation="antialiased")
-middle.set_title("its frame")
-middle.set_xlabel(f"{patterns.manifest.shares[0]:.0%} of the time")
+figure, axes = plt.subplot_mosaic(
+    [["mask", "cell"], ["frame", "frame"]],
+    figsize=(4.8, 5.6),
+    height_ratios=(1, 1.4),
+    layout="constrained",
+)
+image = axes["mask"].imshow(design.matrix[0].reshape(8, 8), cmap="cividis", vmin=0)
+axes["mask"].set_title("mask")
+figure.colorbar(image, ax=axes["mask"], label="share of light")
 top, side = window[0].start, window[1].start
-right.imshow(mirrors[first][top + 240 : top + 336, side + 240 : side + 336], cmap="gray")
-right.set_title("one cell")
-right.set_xlabel("96 × 96 mirrors")
-for ax in (left, middle, right):
+cell = mirrors[first][top + 288 : top + 384, side + 192 : side + 288]
+axes["cell"].imshow(cell, cmap="gray")
+axes["cell"].set_title("one cell of the frame")
+axes["frame"].imshow(mirrors[first], cmap="gray", interpolation="antialiased")
+share = patterns.manifest.shares[0]
+axes["frame"].set_title(f"frame, counted for {share:.0%} of the exposure")
+for ax in axes.values():
     ax.set(xticks=[], yticks=[])
 plt.show()

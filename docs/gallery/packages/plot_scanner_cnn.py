@@ -13,12 +13,11 @@ from torch import nn
 import deepfsi
 from deepfsi.optics.masks import LearnedMasks
 
-torch.manual_seed(0)
-
 # %%
 # Sixteen signed masks obey ``free-dwell`` (one device, each frame for its own time). The network
 # after them treats the features as a signal of 16 samples.
 
+torch.manual_seed(0)
 digits = deepfsi.load_dataset("digits")
 x, y = torch.from_numpy(digits.x_train), torch.from_numpy(digits.y_train)
 brightness = float(x.sum(dim=1).mean())
