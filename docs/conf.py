@@ -71,11 +71,13 @@ sphinx_gallery_conf = {
     "within_subsection_order": "FileNameSortKey",
     "abort_on_example_error": True,
     "ignore_repr_types": r"<class 'int'>",
-    "reset_modules": ("matplotlib", "quiet.silence", "lessons.begin"),
+    "reset_modules": ("matplotlib", "quiet.silence", "figures.style", "lessons.begin"),
     "parallel": True,
     "show_memory": False,
     "download_all_examples": False,
     "write_computation_times": False,
+    "min_reported_time": float("inf"),
+    "show_signature": False,
 }
 
 html_theme = "pydata_sphinx_theme"

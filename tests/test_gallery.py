@@ -50,6 +50,15 @@ def test_form(path):
     assert "\nplt.show()\n" in text
 
 
+@pytest.mark.parametrize("path", SCRIPTS, ids=lambda path: path.stem)
+def test_figures_are_drawn_for_a_phone(path):
+    """`docs/extensions/figures.py` has their style; wider ones have too small words there."""
+    text = path.read_text()
+    assert "rcParams" not in text
+    assert "fontsize" not in text
+    assert {float(width) for width in re.findall(r"figsize=\(([\d.]+),", text)} <= {4.8}
+
+
 def test_moving_picture_stands_alone():
     """It loads nothing, runs no script, is small, and stops for readers who want no motion."""
     file = DOCS / "figures" / "exposure.svg"

@@ -2,13 +2,13 @@
 1. Your pictures as photons
 ===========================
 
-This tutorial takes an hour. It goes from a folder of your own pictures to masks, a comparison,
-patterns for a micromirror device, and a decision about the light that you need.
+At the end of this tutorial you know which masks, how many photons and how long an exposure your
+task needs. It takes an hour and has five pages. This one turns your pictures into photon counts.
 
-At its end you know which masks, how many photons and how long an exposure your task needs. Every
-number on these pages was computed when the site was built, with small settings. Each page is a
-Python script, to download at its end and to run in the folder that holds your pictures. Commands
-are those that you type in a terminal there; the script runs them by ``os.system``.
+Every number on these pages was computed when the site was built, with small settings. Each page is
+a Python script. Download it at the end of the page, and run it in the folder that holds your
+pictures. Commands are those that you type in a terminal there; the script runs them by
+``os.system``.
 """
 
 import matplotlib.pyplot as plt
@@ -41,9 +41,9 @@ print(data.preprocessing)
 print(len(data.x_train), "pictures to train with,", len(data.x_test), "to test with")
 
 # %%
-# A fifth of the pictures of each class is set aside for tests; no training ever sees it. Larger
-# pictures are averaged to the size that you want, ``load_dataset("my-pictures", size=(32, 32))``.
-# Pixel values become *reflectance*, 0 for black and 1 for white.
+# A fifth of the pictures of each class is set aside for tests; no training ever sees it. Pixel
+# values become *reflectance*, 0 for black and 1 for white. Larger pictures are averaged to the size
+# that you want: ``load_dataset("my-pictures", size=(32, 32))``.
 
 # %%
 # The photon budget
@@ -51,9 +51,11 @@ print(len(data.x_train), "pictures to train with,", len(data.x_test), "to test w
 #
 # A camera does not see reflectance; it counts photons. The **photon budget** Φ is the number of
 # photons that are expected to reach the coding device (the micromirrors) in one exposure, in the
-# mean over the training scenes. A pixel of reflectance x then receives λ = Φ x / s photons in the
-# mean, where s is the mean summed reflectance of the training scenes. Illumination is fixed: a
-# brighter scene sends more photons.
+# mean over the training scenes.
+#
+# Let s be the summed reflectance of a training scene, in the mean. Then a pixel of reflectance x
+# receives λ = Φ x / s photons in the mean. Illumination is fixed: a brighter scene sends more
+# photons.
 
 brightness = float(data.x_train.sum(axis=1).mean())
 scene = data.x_test[0]
@@ -63,32 +65,32 @@ for photons in (1e2, 1e4):
 
 # %%
 # Photons arrive at random. If λ are expected, the count is a Poisson number with mean λ and
-# standard deviation √λ: 100 photons are known to 10 %, 10 000 to 1 %. This *photon noise* belongs
-# to light itself, and no detector is without it.
+# standard deviation √λ: 100 photons are known to 10 %, 10⁴ to 1 %. This *photon noise* belongs to
+# light itself, and no detector is without it.
 #
-# The same scene at four budgets, counted in two ways. *Impulse imaging* has a detector for every
-# pixel, and each counts for the whole exposure. A *raster scan* has one detector, and shows it one
-# pixel after another, each for 1/64 of the exposure.
+# The figure shows the same scene at four budgets, counted in two ways. *Impulse imaging* has a
+# detector for every pixel, and each counts for the whole exposure. A *raster scan* has one
+# detector, and shows it one pixel after another, each for 1/64 of the exposure. Each picture is
+# drawn from black, no count, to white, its own largest count.
 
 rng = np.random.default_rng(0)
-budgets = (1e2, 1e3, 1e4, 1e5)
-figure, axes = plt.subplots(2, 4, figsize=(6.4, 3.8), layout="constrained")
-for column, photons in zip(axes.T, budgets, strict=True):
+budgets = {"100 photons": 1e2, "1000 photons": 1e3, "10⁴ photons": 1e4, "10⁵ photons": 1e5}
+figure, axes = plt.subplots(2, 4, figsize=(4.8, 3), layout="constrained")
+for column, (name, photons) in zip(axes.T, budgets.items(), strict=True):
     expected = deepfsi.photons_per_pixel(scene, photons, brightness)
     impulse, raster = rng.poisson(expected), rng.poisson(expected / data.pixels)
     for ax, counts in zip(column, (impulse, raster), strict=True):
         ax.imshow(counts.reshape(8, 8), cmap="gray", vmin=0)
         ax.set(xticks=[], yticks=[], xlabel=f"counts: {counts.sum()}")
-    column[0].set_title(f"{photons:g} photons")
+    column[0].set_title(name)
 axes[0, 0].set_ylabel("impulse imaging")
 axes[1, 0].set_ylabel("raster scan")
-figure.supxlabel("each picture from black to its own largest count", fontsize=9)
 plt.show()
 
 # %%
 # The raster scan loses 63 of 64 photons, because the mirrors of all other pixels are OFF. A
-# *mask* that opens many mirrors at once counts more of the light. Which masks to open, for a given
-# question, is what the next page learns.
+# *mask* with many mirrors ON at once counts more of the light. The next page learns which mirrors
+# to turn ON for a given question.
 #
 # Exercises
 # ---------
@@ -98,8 +100,8 @@ plt.show()
 #
 # .. dropdown:: Answer
 #
-#    10⁴ / 1024, about 10. Each pixel has 1/1024 of the exposure, so of each pixel's photons 1/1024
-#    are counted; the sum over pixels is Φ/N.
+#    10⁴ / 1024, about 10. Each pixel is seen for 1/1024 of the exposure, so 1/1024 of its photons
+#    are counted. The sum over all N pixels is Φ/N.
 #
 # **2.** Your scene sends 2 · 10⁶ photons per second to the device. How long is an exposure of 10⁴
 # photons?

@@ -18,9 +18,9 @@ import deepfsi
 # Learn a design
 # --------------
 #
-# Eight signed masks at 10⁴ photons, for one micromirror device and one detector. That is the camera
-# unless you say otherwise; its masks are then non-negative, and ``--rails dual`` makes them signed.
-# On the command line it is
+# This command learns eight masks at 10⁴ photons. The camera is one micromirror device with one
+# detector, unless you name another. Masks for it are non-negative by default; ``--rails dual``
+# makes them signed.
 
 os.system(
     "deepfsi design --data my-pictures --photons 1e4 --masks 8 --rails dual --epochs 30 "
@@ -28,34 +28,40 @@ os.system(
 )
 
 # %%
-# and in Python::
+# The same in Python::
 #
 #     camera, training = deepfsi.Camera(rails="dual"), deepfsi.Training(epochs=30)
 #     deepfsi.learn(data, camera=camera, photons=1e4, masks=8, training=training)
 #
-# The file holds everything; Python reads it with
+# The file holds the whole design. Python reads it:
 
 design = deepfsi.Design.load("mine.safetensors")
 print(design)
 
 # %%
-# Read the output line by line. *Test accuracy* is the share of test pictures that are classified
-# rightly from noisy counts. ± is half of the **95 % interval**: if you repeated the test with other
-# pictures of the same kind, intervals made in this way would hold the true accuracy in 95 of 100
-# repetitions. It says nothing about another training; page 3 trains several times for that.
-# *Counts* are the photons that the detector counts, here a fraction of the budget, since a mask is
-# shown for a part of the time and opens a part of the mirrors.
+# What the command prints:
+#
+# - *Test accuracy* is the share of test pictures that are classified rightly from noisy counts.
+# - ± is half of the **95 % interval**. If you repeated the test with other pictures of the same
+#   kind, intervals made in this way would hold the true accuracy in 95 of 100 repetitions. The
+#   interval says nothing about another training; page 3 trains several times for that.
+# - *Counts* are the photons that the detector counts. They are a share of the budget, since each
+#   mask is shown for a part of the time and has a part of the mirrors ON.
+# - *Balanced accuracy* is the mean of the classes' accuracies. The worst class is named after its
+#   accuracy.
 
 # %%
 # Masks and rails
 # ---------------
 #
-# A mask has positive and negative values, but mirrors are only ON or OFF. So each mask is shown as
-# two frames, its **rails**: the positive part M⁺, then the negative part M⁻. Each gives a count,
-# and the network reads the difference y = y⁺ − y⁻. The value of a pixel is the share of its
-# photons that is counted.
+# These masks have positive and negative values, but mirrors are only ON or OFF. So each mask is
+# shown as two frames, its **rails**: the positive part M⁺, then the negative part M⁻. Each gives a
+# count, and the network reads the difference y = y⁺ − y⁻.
+#
+# In the figure each mask has its two rails below it. The value of a pixel is the share of its
+# photons that is counted. Rails are drawn from black, 0, to white, the largest value of the bar.
 
-figure, axes = plt.subplots(3, 8, figsize=(6.4, 2.9), layout="constrained")
+figure, axes = plt.subplots(3, 8, figsize=(4.8, 2.1), layout="constrained")
 plus, minus = design.rails.stacked.numpy()
 peak = abs(design.matrix).max()
 for column, signed, first, second in zip(axes.T, design.matrix, plus, minus, strict=True):
@@ -66,15 +72,15 @@ for column, signed, first, second in zip(axes.T, design.matrix, plus, minus, str
         ax.set(xticks=[], yticks=[])
 for ax, name in zip(axes[:, 0], ("mask M", "rail M⁺", "rail M⁻"), strict=True):
     ax.set_ylabel(name)
-figure.colorbar(image, ax=axes, label="share of a pixel's light")
+figure.colorbar(image, ax=axes, label="share of light")
 plt.show()
 
 # %%
 # One exposure
 # ------------
 #
-# The scene's photons, the Poisson counts behind each rail, and the class probabilities that the
-# network gives. ``scanner().counts`` stands for your detector.
+# One scene sends its photons, each rail gives a Poisson count, and the network turns the counts
+# into class probabilities. Here ``scanner().counts`` stands for your detector.
 
 data = deepfsi.load_dataset("my-pictures")
 scene = torch.from_numpy(data.x_test[3])
@@ -82,23 +88,26 @@ expected = deepfsi.photons_per_pixel(scene, 1e4, design.summed_reflectance)
 counts = design.scanner().counts(expected, torch.Generator().manual_seed(0)).numpy()
 probabilities = design.classify(counts, photons=1e4)
 
-figure, (left, middle, right) = plt.subplots(
-    1, 3, figsize=(6.4, 2.8), width_ratios=(1, 1.6, 1.6), layout="constrained"
+figure, axes = plt.subplot_mosaic(
+    [["scene", "counts"], ["scene", "answer"]],
+    figsize=(4.8, 3.8),
+    width_ratios=(1, 2.4),
+    layout="constrained",
 )
-left.imshow(data.x_test[3].reshape(8, 8), cmap="gray", vmin=0, vmax=1)
-left.set(xticks=[], yticks=[], title=f"scene: a {data.classes[data.y_test[3]]}")
+axes["scene"].imshow(data.x_test[3].reshape(8, 8), cmap="gray", vmin=0, vmax=1)
+axes["scene"].set(xticks=[], yticks=[], title=f"scene: a {data.classes[data.y_test[3]]}")
 places = np.arange(1, 9)
-middle.bar(places - 0.2, counts[0], width=0.4, color="#b2182b", label="y⁺")
-middle.bar(places + 0.2, counts[1], width=0.4, color="#2166ac", label="y⁻")
-middle.set(xlabel="mask", ylabel="counts", xticks=places)
-middle.legend()
-right.bar(range(10), probabilities, color="#5d6670")
-right.set(xlabel="class", ylabel="probability", xticks=range(10), ylim=(0, 1))
+axes["counts"].bar(places - 0.2, counts[0], width=0.4, color="#b2182b", label="y⁺")
+axes["counts"].bar(places + 0.2, counts[1], width=0.4, color="#2166ac", label="y⁻")
+axes["counts"].set(xlabel="mask", ylabel="counts", xticks=places)
+axes["counts"].legend(ncols=2, loc="lower right", bbox_to_anchor=(1, 1))
+axes["answer"].bar(range(10), probabilities, color="0.4")
+axes["answer"].set(xlabel="class", ylabel="probability", xticks=range(10), ylim=(0, 1))
 plt.show()
 
 # %%
-# The network is given the budget as well: ``classify`` divides the counts by it. On a real camera
-# an all-ON frame tells the budget.
+# The network also needs the budget: ``classify`` divides the counts by it. A real camera measures
+# the budget with all mirrors ON.
 #
 # Exercises
 # ---------
@@ -109,13 +118,13 @@ plt.show()
 # .. dropdown:: Answer
 #
 #    y = 50. Poisson variances add, also in a difference: √(200 + 150), about 19. So a mask whose
-#    rails are both bright has a noisy difference, which the training takes into account.
+#    rails are both bright has a noisy difference. The training takes this into account.
 #
 # **2.** Learn the same design without ``--rails dual``: non-negative masks, one frame each. Which
-# is better here, and why may it be?
+# design is better here, and why may that be?
 #
 # .. dropdown:: Answer
 #
-#    Here the intervals overlap, and 360 pictures do not tell. On one device a single rail can be
-#    better: each of its frames is a feature of its own, and the network can do any subtraction
-#    itself, where a dual-rail mask spends two frames on one number.
+#    Here the intervals overlap: 360 pictures do not decide. On one device a single rail can be
+#    better. Each frame is then a feature of its own, and the network can subtract by itself. A mask
+#    of two rails needs two frames for one number.

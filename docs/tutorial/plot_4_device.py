@@ -2,8 +2,9 @@
 4. Onto a micromirror device
 ============================
 
-The masks become frames of a real device, with a time for each. A virtual camera shows them and
-writes a photon file; the same commands then read the file of your own camera.
+At the end of this page the masks are frames for a micromirror device, and a photon file has become
+classes. A virtual camera writes the photon file here; the same commands read the file of your own
+camera.
 """
 
 import os
@@ -34,8 +35,8 @@ dead_time = "28.5ns"
 """)
 
 # %%
-# What the file does not say follows from the rest. ``camera describe`` says what the camera can
-# show, and ``design`` learns masks for it:
+# What the file does not say follows from it or has a default. ``camera describe`` prints what the
+# camera can show, and ``design`` learns masks for it:
 
 os.system("deepfsi camera describe my-lab.toml")
 os.system(
@@ -44,30 +45,30 @@ os.system(
 )
 
 # %%
-# The design file keeps the camera, so the commands that follow need no file.
+# The design file contains the camera, so the commands that follow do not name it.
 #
 # Frames
 # ------
 #
-# The masks become frames of the device, with picture times in which an exposure has room.
+# ``dmd export`` writes the masks as frames of the device, with a picture time for each.
 
 os.system("deepfsi dmd export for-my-lab.safetensors -o frames")
 
 # %%
-# Frames with all mirrors ON and all OFF come first and last. They tell the light and the dark
-# counts of every exposure. *Cost in time* says what share of the clock counts no photons.
+# Frames with all mirrors ON and all OFF come first and last. They measure the light and the dark
+# counts of every exposure. *Cost in time* is the share of the time in which no photons are counted.
 #
-# The light law is now a timetable: each frame is counted for its **share** of the exposure,
-# and the shares sum to 1.
+# The light law has become times: each frame is counted for its **share** of the exposure, and the
+# shares sum to 1. The figure shows the frames of the eight masks with their shares; white mirrors
+# are ON.
 
 patterns = read_patterns("frames")
 manifest = patterns.manifest
 frames = [unpack(frame, manifest.device) for frame in read_frames("frames")]
-figure, axes = plt.subplots(2, 4, figsize=(6.4, 3.6), layout="constrained")
+figure, axes = plt.subplots(2, 4, figsize=(4.8, 2.4), layout="constrained")
 for ax, place, share in zip(axes.flat, manifest.shown, manifest.shares, strict=True):
     ax.imshow(frames[place], cmap="gray", interpolation="antialiased")
-    ax.set(xticks=[], yticks=[], xlabel=f"{share:.1%} of the time")
-figure.suptitle("frames of the eight masks: white mirrors are ON", fontsize=9)
+    ax.set(xticks=[], yticks=[], xlabel=f"{share:.1%}")
 plt.show()
 
 # %%
@@ -81,27 +82,24 @@ os.system("deepfsi data export my-pictures --per-class 2 -o scenes")
 os.system("deepfsi camera simulate frames --scene scenes --repeats 1 -o run_0001")
 
 # %%
-# In the laboratory, ``deepfsi camera prepare`` makes the folder instead, and your counter's own
-# ``photons.ptu`` is put into it. From here on everything is the same.
+# In the laboratory, ``deepfsi camera prepare`` makes the folder ``run_0001`` instead, and you put
+# your counter's file ``photons.ptu`` into it. The next commands are the same for both.
 
 os.system("deepfsi camera count run_0001")
 os.system("deepfsi camera classify for-my-lab.safetensors run_0001")
 
 # %%
-# ``classify`` names scenes whose counts do not look like those of the training: stray light, a
-# wrong mask order or another kind of scene show there, before you trust a class.
+# A *remark* would name scenes whose counts do not look like those of the training. The cause may be
+# stray light, masks in a wrong order, or another kind of scene.
 #
-# The counts of one scene of each of three classes, with their standard deviations:
+# The figure shows the counts of one scene of each of three classes, with their standard deviations.
 
 counts = read_counts("run_0001")
 signal, spread = counts.signal()[:, 0, 0], np.sqrt(counts.variance[:, 0, 0])
-figure, ax = plt.subplots(figsize=(6.4, 3.2), layout="constrained")
-for number, (scene, marker, colour) in enumerate(
-    zip((0, 2, 14), "os^", ("#0072b2", "#d55e00", "#009e73"), strict=True)
-):
-    at = np.arange(1, 9) + 0.12 * (number - 1)
-    style = {"color": colour, "linestyle": "none", "marker": marker, "capsize": 2}
-    ax.errorbar(at, signal[scene], spread[scene], label=f"a {scene // 2}", **style)
+figure, ax = plt.subplots(layout="constrained")
+for number, (scene, marker) in enumerate(zip((0, 2, 14), "os^", strict=True)):
+    at = np.arange(1, 9) + 0.15 * (number - 1)
+    ax.errorbar(at, signal[scene], spread[scene], fmt=marker, label=f"a {scene // 2}", capsize=2)
 ax.set(xlabel="mask", ylabel="counts in 1 ms", xticks=range(1, 9), ylim=(0, 750))
 ax.legend(title="scene", ncols=3, loc="upper center")
 plt.show()
@@ -114,16 +112,16 @@ plt.show()
 #
 # .. dropdown:: Answer
 #
-#    Not with eight frames. A frame is counted for 44 µs less 10 µs, in which the mirrors settle,
-#    and 2 µs of margin: for 32 µs at least. So the exposure has room for 31 frames. The training
-#    knows it from the camera, and gives no frame less.
+#    Not with eight frames. The shortest frame is counted for 32 µs: 44 µs less 10 µs, in which the
+#    mirrors settle, and 2 µs of margin. So up to 31 frames fit into the exposure. The training
+#    reads this limit from the camera, and gives every frame at least 32 µs.
 #
 # **2.** Your detector has an efficiency of 0.25, and 10⁵ photons reach the device. Which budget
 # does the classifier get?
 #
 # .. dropdown:: Answer
 #
-#    2.5 · 10⁴. For the counts a photon that is not detected is the same as one that never came, so
+#    2.5 · 10⁴. In the counts, a photon that is not detected is the same as one that never came. So
 #    the camera works as an ideal one with the budget times the efficiency. ``camera count`` finds
 #    the budget from the all-ON frames, efficiency included.
 #
@@ -131,5 +129,5 @@ plt.show()
 #
 # .. dropdown:: Answer
 #
-#    The brightest ones, the all-ON frames above all. The budget is then estimated too low, and the
-#    masks' counts look too large beside it.
+#    The brightest ones, most of all the all-ON frames. The budget is then estimated too low, and
+#    the masks' counts are too large for it.

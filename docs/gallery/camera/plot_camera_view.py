@@ -2,8 +2,8 @@
 What the camera sees
 ====================
 
-A virtual camera shows the masks on a micromirror device and writes a photon file, as a real one
-would. The file is counted, and the counts give classes and a least-squares picture.
+Twenty masks give counts that are enough for a class, but hardly for a picture. A virtual camera
+shows the masks on a micromirror device and writes a photon file, as a real one would.
 """
 
 import tempfile
@@ -20,20 +20,18 @@ from deepfsi.hardware.recording.counting import count
 from deepfsi.hardware.recording.picture import reconstruct
 from deepfsi.hardware.virtual.camera import CAMERAS, RecordingSettings, record
 from deepfsi.laboratory.rails import design_rails
-from deepfsi.report.style import STYLE
-
-plt.rcParams.update(STYLE)
 
 # %%
-# Twenty non-negative masks of one device and one detector (the camera unless another is given),
-# each shown for its own share of the exposure.
+# Twenty non-negative masks are learned for one device and one detector, which is the camera unless
+# another is given. Each mask is shown for its own share of the exposure.
 
 digits = deepfsi.load_dataset("digits")
 design = deepfsi.learn(digits, photons=1e5, masks=20, training={"epochs": 30})
 
 # %%
-# Frames for a device of 64 × 48 mirrors, and a recording of four digits: 10 ms each at 10⁷ photons
-# per second. Counting finds each frame by its marker and its photons by the frame's gate.
+# They become frames for a device of 64 × 48 mirrors. Four digits are recorded, for 10 ms each at
+# 10⁷ photons per second. ``count`` finds each frame by its marker, and its photons by the frame's
+# gate.
 
 scenes, labels = digits.x_test[:4], digits.y_test[:4]
 with tempfile.TemporaryDirectory() as folder:
@@ -48,25 +46,26 @@ with tempfile.TemporaryDirectory() as folder:
     pictures = reconstruct(run)
 
 # %%
-# The classifier reads the counts less background, and the budget that the all-ON frames tell. The
-# counts of 20 masks are enough for a class, and hardly for a picture of 64 pixels.
+# The classifier reads the counts, less the background, and the budget from the all-ON frames. Below
+# the counts are least-squares pictures, with the class and its probability.
 
 shown = design.as_shown(*patterns.realised)
 signal = design.readouts(counts.signal()[:, 0])
 probabilities = shown.classify(signal, counts.photons)
 
-figure, axes = plt.subplots(3, 4, figsize=(6.4, 5.6), sharey="row", layout="constrained")
+figure, axes = plt.subplots(3, 4, figsize=(4.8, 4.4), sharey="row", layout="constrained")
 for place in range(4):
     above, middle, below = axes[:, place]
     above.imshow(scenes[place].reshape(8, 8), cmap="gray", vmin=0, vmax=1)
-    above.set_title(f"scene: a {labels[place]}")
-    middle.bar(np.arange(1, 21), signal[place], width=1, color="#5d6670")
-    middle.set(xticks=(1, 10, 20), xlabel="mask")
+    above.set_title(f"a {labels[place]}")
+    middle.bar(np.arange(1, 21), signal[place], width=1, color="0.4")
+    middle.set(xticks=(1, 20), xlabel="mask")
     below.imshow(pictures[place], cmap="gray", vmin=0, vmax=1)
     found = probabilities[place].argmax()
-    below.set_xlabel(f"read as {design.classes[found]} ({probabilities[place].max():.2f})")
+    below.set_xlabel(f"a {design.classes[found]}: {probabilities[place].max():.2f}")
     for ax in (above, below):
         ax.set(xticks=[], yticks=[])
+axes[0, 0].set_ylabel("scene")
 axes[1, 0].set_ylabel("counts in 10 ms")
-axes[2, 0].set_ylabel("picture from counts")
+axes[2, 0].set_ylabel("from counts")
 plt.show()

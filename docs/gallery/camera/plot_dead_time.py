@@ -2,8 +2,8 @@
 Dead time of a photon counter
 =============================
 
-After each photon a counter is blind for its dead time, so bright light loses a larger share of its
-photons than dim light. The loss is known from the counted rate, and corrected.
+After each photon a counter is blind for its dead time, so it loses a larger share of bright light
+than of dim light. The loss follows from the counted rate, and is corrected.
 """
 
 import matplotlib.pyplot as plt
@@ -11,10 +11,7 @@ import numpy as np
 
 from deepfsi.hardware.recording.dead_time import DeadTime
 from deepfsi.hardware.virtual.detector import Detector
-from deepfsi.report.style import STYLE
 from deepfsi_paper.camera.gate_counts import draw
-
-plt.rcParams.update(STYLE | {"text.parse_math": True})
 
 # %%
 # Two counters of 28.5 ns dead time see light of 10⁵ to 10⁷·⁵ photons per second, each rate for ten
@@ -31,26 +28,27 @@ for paralysable in (False, True):
     counted[paralysable] = counts.sum(axis=1) / gates.sum(axis=1)
 
 # %%
-# Rates up to ``most_registered`` are corrected. Beyond it, a dead time that is wrong by a tenth
-# would make the light wrong by more than a tenth.
+# Counted rates up to ``most_registered`` are corrected. At a higher rate, a dead time that is wrong
+# by a tenth would make the light wrong by more than a tenth.
 
 figure, (above, below) = plt.subplots(
-    2, 1, figsize=(6.4, 5), sharex=True, height_ratios=(2, 1.3), layout="constrained"
+    2, 1, figsize=(4.8, 5), sharex=True, height_ratios=(2, 1.5), layout="constrained"
 )
-for paralysable, colour in ((False, "#0072b2"), (True, "#d55e00")):
-    name = "paralysable" if paralysable else "non-paralysable"
+kinds = ((False, "non-paralysable", "o", "C0"), (True, "paralysable", "s", "C1"))
+for paralysable, name, marker, colour in kinds:
+    style = {"color": colour, "linestyle": "none", "markersize": 4}
     dead = DeadTime(seconds=28.5e-9, paralysable=paralysable)
     seen = counted[paralysable]
     allowed = seen < dead.most_registered
     corrected = seen[allowed] * dead.correction(seen[allowed]).arrivals
-    above.loglog(rates, seen, "o", color=colour, label=f"counted, {name}")
-    below.semilogx(rates, 100 * (seen / rates - 1), "o", color=colour, label="as counted")
+    above.loglog(rates, seen, marker=marker, label=f"counted, {name}", **style)
+    below.semilogx(rates, 100 * (seen / rates - 1), marker=marker, **style)
     error = 100 * (corrected / rates[allowed] - 1)
-    below.semilogx(rates[allowed], error, "x", color=colour, label="corrected")
+    below.semilogx(rates[allowed], error, marker="x", label=f"corrected, {name}", **style)
 above.loglog(rates, rates, color="0.4", linestyle=":", label="every photon counted")
 above.set(ylabel="counts per second")
 above.legend()
 below.axhline(0, color="0.4", linestyle=":")
-below.set(xlabel="photons per second at the counter", ylabel="error, %")
-below.legend(ncols=2)
+below.set(xlabel="photons per second at the counter", ylabel="error (%)")
+below.legend(loc="lower left")
 plt.show()

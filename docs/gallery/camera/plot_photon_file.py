@@ -2,8 +2,8 @@
 A photon file
 =============
 
-A PicoQuant PTU file holds the arrival time of every photon and a marker at the start of every
-frame. The markers find the frames; the photons between them are the counts.
+A PicoQuant PTU file holds the arrival time of every photon, and a marker at the start of every
+frame. The count of a frame is the number of photons between its marker and the next.
 """
 
 import tempfile
@@ -14,13 +14,10 @@ import numpy as np
 
 from deepfsi.hardware.ptu.reader import count_gates, inspect, read_markers
 from deepfsi.hardware.ptu.writer import Writer
-from deepfsi.report.style import STYLE
-
-plt.rcParams.update(STYLE)
 
 # %%
-# A small file to read: 24 frames of 1 ms with different light, photons at random times. Yours comes
-# from the counter's own program.
+# This makes a small file to read: 24 frames of 1 ms, each with its own light, and photons at random
+# times. Your file comes from the counter's own program.
 
 rng = np.random.default_rng(0)
 tick = 1e-12
@@ -38,7 +35,8 @@ codes = np.concatenate([np.full(24, -1), np.zeros(len(photons))]).astype(np.int1
 order = np.argsort(times, kind="stable")
 
 # %%
-# ``inspect`` says what a file holds; markers and gates give the counts of each frame.
+# ``inspect`` lists what a file contains. The times of the markers give the gates, in which the
+# photons of each frame are counted.
 
 with tempfile.TemporaryDirectory() as folder:
     path = Path(folder) / "photons.ptu"
@@ -50,19 +48,20 @@ with tempfile.TemporaryDirectory() as folder:
 print(contents.model_dump_json(indent=1))
 
 # %%
-# Above, the photons of the first four frames as they arrive; below, the counts of all frames with
-# the standard deviation √n of photon counts.
+# Above are the photons of the first four frames (dots, at random heights so that they can be seen)
+# and the markers (lines). Below are the counts of all frames, with the standard deviation √n of
+# photon counts.
 
 figure, (above, below) = plt.subplots(
-    2, 1, figsize=(6.4, 4.6), height_ratios=(1, 2), layout="constrained"
+    2, 1, figsize=(4.8, 4.4), height_ratios=(1, 2), layout="constrained"
 )
 first = photons[photons < 4 * frame] * tick * 1e3
-above.plot(first, rng.uniform(0.1, 0.9, len(first)), ".", color="#0072b2", markersize=2)
-above.vlines(marked[:5] * tick * 1e3, 0, 1, color="#d55e00")
-above.set(xlim=(-0.05, 4.05), ylim=(0, 1), yticks=[], xlabel="time, ms")
-above.set_title("photons (dots, spread upwards to be seen) and markers (lines)")
-below.errorbar(range(1, 25), counts, np.sqrt(counts), fmt="o", color="#0072b2", capsize=2)
+above.plot(first, rng.uniform(0.1, 0.9, len(first)), ".", markersize=2)
+above.vlines(marked[:5] * tick * 1e3, 0, 1, color="C1")
+above.set(xlim=(-0.05, 4.05), ylim=(0, 1), yticks=[], xlabel="time (ms)")
+above.set_title("photons and markers")
+below.errorbar(range(1, 25), counts, np.sqrt(counts), fmt="o", capsize=2, label="counted")
 below.stairs(light, np.arange(0.5, 25), color="0.4", linestyle=":", label="expected")
 below.set(xlabel="frame", ylabel="counts", ylim=(0, None))
-below.legend()
+below.legend(ncols=2, loc="lower right", bbox_to_anchor=(1, 1))
 plt.show()

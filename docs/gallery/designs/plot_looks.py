@@ -2,17 +2,15 @@
 Looks: counts choose what is shown next
 =======================================
 
-The exposure is cut into four looks. After each one a network chooses, from the counts so far, for
-how long each mask is shown in the next look, and the classifier gives its answer so far.
+An exposure is divided into four looks. After each look a network chooses, from the counts so far,
+for how long each mask is shown in the next one. The classifier answers after every look.
 """
 
 import matplotlib.pyplot as plt
 import numpy as np
 
 import deepfsi
-from deepfsi.report.style import STYLE
 
-plt.rcParams.update(STYLE)
 PHOTONS = 1e4
 
 # %%
@@ -29,8 +27,8 @@ design = deepfsi.learn(
 )
 
 # %%
-# ``classify_live`` asks for the counts of each look. Here a Poisson draw stands for the camera;
-# ``scene`` holds the counts that each mask would give if it were shown for the whole exposure.
+# ``classify_live`` asks for the counts of each look. Here Poisson numbers stand for the camera. In
+# ``scene`` are the counts that each mask would give if it were shown for the whole exposure.
 
 picture = digits.x_test[17]
 photons = deepfsi.photons_per_pixel(picture, PHOTONS, design.summed_reflectance)
@@ -51,26 +49,32 @@ def note(look, probabilities, photons):
     return False
 
 
-design.classify_live(show, PHOTONS, note)
+answer = design.classify_live(show, PHOTONS, note)
+print(f"answer: {digits.classes[answer.argmax()]}, probability {answer.max():.3f}")
 
 # %%
-# Left, the picture. Middle, the time of each mask in each look: equal for every scene in the first
-# look, chosen from the counts in the others. Right, the answer after each look.
+# The budget is 10⁴ photons. Above, the scene, and the probability of three classes after each look.
+# Below, the time of each mask in each look. The times of the first look are the same for every
+# scene, the others are chosen from the counts.
 
-figure, (left, middle, right) = plt.subplots(
-    1, 3, figsize=(6.4, 3.2), width_ratios=(1, 1.6, 1.8), layout="constrained"
+figure, axes = plt.subplot_mosaic(
+    [["scene", "answer"], ["times", "times"]],
+    figsize=(4.8, 4.8),
+    width_ratios=(1, 2),
+    layout="constrained",
 )
-left.imshow(picture.reshape(8, 8), cmap="gray", vmin=0, vmax=1)
-left.set(xticks=[], yticks=[], title=f"scene: a {digits.classes[digits.y_test[17]]}")
-image = middle.imshow(100 * np.array(dwells).T, cmap="cividis", vmin=0, aspect="auto")
-middle.set(xticks=range(4), xticklabels=range(1, 5), yticks=(0, 11), yticklabels=(1, 12))
-middle.set(xlabel="look", ylabel="mask", title="time of each mask")
-figure.colorbar(image, ax=middle, label="% of the exposure")
+axes["scene"].imshow(picture.reshape(8, 8), cmap="gray", vmin=0, vmax=1)
+axes["scene"].set(xticks=[], yticks=[], title=f"scene: a {digits.classes[digits.y_test[17]]}")
 likeliest = np.argsort(-np.mean(chances, axis=0))[:3]
-for place, marker, colour in zip(likeliest, "os^", ("#d55e00", "#0072b2", "#009e73"), strict=True):
+for place, marker in zip(likeliest, "os^", strict=True):
     line = [probabilities[place] for probabilities in chances]
-    right.plot(range(1, 5), line, marker=marker, color=colour, label=digits.classes[place])
-right.set(xticks=range(1, 5), xlabel="looks so far", ylabel="probability", ylim=(0, 1.02))
-right.set_title("answer, at 10⁴ photons")
-right.legend(title="class", loc="center right")
+    axes["answer"].plot(range(1, 5), line, marker=marker, label=digits.classes[place])
+axes["answer"].set(xticks=range(1, 5), xlabel="looks so far", ylabel="probability", ylim=(0, 1.02))
+axes["answer"].legend(title="class", loc="center right")
+image = axes["times"].imshow(100 * np.array(dwells), cmap="cividis", vmin=0, aspect="auto")
+axes["times"].set(xticks=range(12), xticklabels=range(1, 13), xlabel="mask")
+axes["times"].set(
+    yticks=range(4), yticklabels=range(1, 5), ylabel="look", title="time of each mask"
+)
+figure.colorbar(image, ax=axes["times"], label="% of the exposure")
 plt.show()

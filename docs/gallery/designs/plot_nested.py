@@ -2,21 +2,19 @@
 Nested masks
 ============
 
-Nested masks are ordered: any number of them, from the first on, can be read by the same network.
-So one design serves short sequences and long ones, and an exposure may end early.
+Nested masks are ordered, and one network can answer after any number of them. So one design serves
+short sequences and long ones, and an exposure may end early.
 """
 
 import matplotlib.pyplot as plt
 import numpy as np
 
 import deepfsi
-from deepfsi.report.style import COLOURS, STYLE
-
-plt.rcParams.update(STYLE)
+from deepfsi.report.style import COLOURS
 
 # %%
-# Non-negative masks for one micromirror device and one detector, each shown for its own time. The
-# first two are enough for an answer.
+# Sixteen non-negative masks for one micromirror device and one detector, each shown for its own
+# time. ``nested=2`` lets the network answer from the first two masks on.
 
 digits = deepfsi.load_dataset("digits")
 design = deepfsi.learn(
@@ -24,7 +22,8 @@ design = deepfsi.learn(
 )
 
 # %%
-# ``design.first(k)`` keeps the first k masks, which then share the whole exposure.
+# ``design.first(k)`` keeps the first k masks, which then share the whole exposure. Bars are 95 %
+# intervals over 360 test pictures, for this trained design.
 
 counts = [2, 3, 4, 6, 8, 12, 16]
 results = [deepfsi.evaluate(design.first(k), digits, 1e5)[0] for k in counts]
@@ -33,11 +32,10 @@ accuracy = np.array([result.accuracy for result in results])
 low = accuracy - [result.low for result in results]
 high = [result.high for result in results] - accuracy
 
-figure, ax = plt.subplots(figsize=(6.4, 3.6), layout="constrained")
+figure, ax = plt.subplots(layout="constrained")
 ax.errorbar(counts, accuracy, (low, high), color=COLOURS["deepfsi"], marker="o", capsize=3)
 ax.axhline(0.1, color="0.4", linestyle=":")
 ax.text(16, 0.11, "guessing", ha="right", va="bottom")
 ax.set(xlabel="masks shown", ylabel="accuracy", ylim=(0, 1), xticks=range(2, 17, 2))
-ax.set_title("One design of 16 nested masks at 10⁵ photons")
-figure.supxlabel("95 % intervals over 360 test pictures, for this trained design", fontsize=9)
+ax.set_title("one design of 16 nested masks at 10⁵ photons")
 plt.show()

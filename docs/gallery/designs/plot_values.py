@@ -2,9 +2,9 @@
 Estimate values: how much of each material
 ==========================================
 
-A pixel of a hyperspectral image often holds several materials. Its spectrum is the sum of theirs,
-each weighted by its *abundance*, and a camera of few photons is asked for the abundances, not for
-the spectrum. Give values as floats in place of labels, and masks are learned that estimate them.
+Give values as floats in place of labels, and the masks are learned to estimate them. Here the
+values are *abundances*: how much of each material a pixel of a hyperspectral image holds. Its
+spectrum is the sum of the materials' spectra, each weighted by its abundance.
 """
 
 import matplotlib.pyplot as plt
@@ -12,13 +12,11 @@ import numpy as np
 
 import deepfsi
 from deepfsi.design.bounds import cramer_rao
-from deepfsi.report.style import COLOURS, STYLE, photons_text
-
-plt.rcParams.update(STYLE)
+from deepfsi.report.style import COLOURS, photons_text
 
 # %%
-# Three materials of 64 bands, mixed at random. The abundances of one pixel sum to 1, so that two of
-# them say all.
+# Three materials with spectra of 64 bands are mixed at random. The abundances of a pixel sum to 1,
+# so two of them are enough.
 
 bands = np.linspace(0, 1, 64)
 materials = np.stack(
@@ -34,8 +32,8 @@ data = deepfsi.from_arrays(spectra, shares[:, :2], values=["first", "second"], n
 print(data)
 
 # %%
-# Designs of one DMD and one detector, each trained at the budget that it is tested at. `evaluate`
-# gives the root mean squared error of each value, in its own unit.
+# Designs for one DMD and one detector, each trained at the budget that it is tested at.
+# ``evaluate`` gives the root mean squared error of each value, in the unit of that value.
 
 budgets = (1e3, 1e4, 1e5, 1e6)
 designs = {"raster": 64, "pca": 4, "deepfsi": 4}
@@ -58,23 +56,23 @@ for photons in budgets:
     bounds.append(float(np.sqrt((every**2).mean(axis=0)).mean()))
 
 # %%
-# The *Cramér–Rao bound* is the least error of an estimator of these counts that is right in the
-# mean. A network that has seen the abundances of the training is not: with little light it answers
-# close to their mean, and its error is below the bound. With more light the two meet. At 10⁶
-# photons the learned masks are above the bound, and behind PCA: so short a training does not find
-# what so much light allows.
+# The *Cramér–Rao bound* is the least error of an estimator that is right in the mean. A network is
+# not: with little light it answers close to the mean of the training, and its error can be below
+# the bound. With more light the two meet.
+#
+# At 10⁶ photons the error of the learned masks is above the bound, and above that of PCA. So short
+# a training does not reach what so much light allows.
 
-figure, ax = plt.subplots(figsize=(6.4, 4), layout="constrained")
+figure, ax = plt.subplots(figsize=(4.8, 4.4), layout="constrained")
 titles = {"raster": "raster scan, 64 bands", "pca": "PCA, 4 masks", "deepfsi": "learned, 4 masks"}
 for name, values in errors.items():
     ax.plot(budgets, values, "o-", color=COLOURS[name], label=titles[name])
-ax.plot(budgets, bounds, ":", color="0.4", label="Cramér–Rao bound of the learned masks")
+ax.plot(budgets, bounds, ":", color="0.4", label="bound, learned masks")
 spread = float(data.y_test.std(axis=0).mean())
-ax.axhline(spread, color="0.6", linewidth=0.9, linestyle="--", label="answering the mean")
-ax.set(xscale="log", yscale="log", xlabel="photon budget Φ", ylabel="RMS error of an abundance")
+ax.axhline(spread, color="0.6", linewidth=0.9, linestyle="--", label="always the mean")
+ax.set(xscale="log", yscale="log", xlabel="photon budget", ylabel="RMS error of an abundance")
 ax.set_xticks(budgets, [photons_text(photons) for photons in budgets])
 ax.set_yticks([0.01, 0.1], ["0.01", "0.1"])
 ax.minorticks_off()
-ax.grid(alpha=0.3)
-ax.legend(frameon=False, loc="lower left")
+ax.legend(loc="lower left")
 plt.show()

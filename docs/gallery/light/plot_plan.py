@@ -2,8 +2,8 @@
 How much light does an accuracy need?
 =====================================
 
-Each design is trained at a few budgets, and again where its curve meets the target. The answer is
-an interval of photons.
+``photons_needed`` answers with an interval of photons for each design. It trains each at a few
+budgets, and again near the budget at which the accuracy meets the target.
 """
 
 import tempfile
@@ -13,15 +13,13 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import deepfsi
-from deepfsi.report.style import COLOURS, LINES, STYLE
+from deepfsi.report.style import COLOURS, LINES
 from deepfsi.sweeps.planning import photons_needed
 from deepfsi.sweeps.recipe import Recipe
 
-plt.rcParams.update(STYLE | {"text.parse_math": True})
-
 # %%
-# Three designs of ten masks on digits, with a target accuracy of 0.8, for one micromirror device
-# with one detector.
+# Three designs of ten masks are planned for digits and one micromirror device with one detector.
+# The target is an accuracy of 0.8.
 
 digits = deepfsi.load_dataset("digits")
 recipe = Recipe(
@@ -35,10 +33,10 @@ with tempfile.TemporaryDirectory() as folder:
 
 # %%
 # Dots are trained designs, with 95 % intervals over the 360 test pictures. Thick bars at the target
-# are the photons needed: 95 % intervals that also cover what lies between tried budgets. One
+# are the photons needed: 95 % intervals that also cover what lies between the tried budgets. A bar
 # without an upper end is drawn to the highest budget.
 
-figure, ax = plt.subplots(figsize=(6.4, 4), layout="constrained")
+figure, ax = plt.subplots(layout="constrained")
 for place, need in enumerate(plan["needs"]):
     name, tried = need["design"], need["tried"]
     photons = [each["photons"] for each in tried]
@@ -46,10 +44,11 @@ for place, need in enumerate(plan["needs"]):
     low = accuracy - [each["low"] for each in tried]
     high = [each["high"] for each in tried] - accuracy
     style = {"color": COLOURS[name], "linestyle": LINES.get(name, "-"), "marker": "osD"[place]}
-    ax.errorbar(photons, accuracy, (low, high), capsize=2, label=name, **style)
+    ax.errorbar(photons, accuracy, (low, high), capsize=2, label=need["title"], **style)
     ends = need["low"] or photons[0], need["high"] or photons[-1]
-    ax.plot(ends, [0.8] * 2, color=COLOURS[name], linewidth=6, alpha=0.6)
+    height = plan["target"] + 0.025 * (place - 1)  # a little apart, to be seen
+    ax.plot(ends, [height] * 2, color=COLOURS[name], linewidth=5, alpha=0.6)
 ax.axhline(plan["target"], color="0.4", linestyle=":")
-ax.set(xscale="log", xlabel="photon budget of an exposure", ylabel="accuracy", ylim=(0, 1))
+ax.set(xscale="log", xlabel="photon budget", ylabel="accuracy", ylim=(0, 1))
 ax.legend(loc="lower right")
 plt.show()

@@ -2,8 +2,8 @@
 Scanner before a network of your own
 ====================================
 
-``Scanner`` turns photons per pixel into noisy features and lets gradients through. So a
-convolutional network of your own and the masks before it are trained in one ordinary loop.
+A convolutional network of your own and the masks before it are trained in one ordinary loop of
+torch. ``Scanner`` turns photons per pixel into noisy features, and gradients pass through it.
 """
 
 import matplotlib.pyplot as plt
@@ -12,15 +12,12 @@ from torch import nn
 
 import deepfsi
 from deepfsi.optics.masks import LearnedMasks
-from deepfsi.report.style import STYLE
-
-torch.manual_seed(0)
-plt.rcParams.update(STYLE)
 
 # %%
-# Sixteen signed masks that obey ``free-dwell`` (one device, each frame for its own time), then a
-# network that treats the features as a signal of 16 samples.
+# Sixteen signed masks obey ``free-dwell`` (one device, each frame for its own time). The network
+# after them treats the features as a signal of 16 samples.
 
+torch.manual_seed(0)
 digits = deepfsi.load_dataset("digits")
 x, y = torch.from_numpy(digits.x_train), torch.from_numpy(digits.y_train)
 brightness = float(x.sum(dim=1).mean())
@@ -38,7 +35,7 @@ camera = nn.Sequential(
 )
 
 # %%
-# A loop as in any program of torch. Noise is drawn anew in every step.
+# The loop is as in any program of torch. Noise is drawn anew in every step.
 
 optimiser = torch.optim.Adam(camera.parameters(), lr=1e-2)
 losses = []
@@ -50,7 +47,7 @@ for _ in range(250):
     losses.append(loss.item())
 
 # %%
-# The test draws exact Poisson counts.
+# The test draws exact Poisson counts, at 10⁴ photons.
 
 camera[0] = deepfsi.Scanner(masks, noise="poisson")
 camera.eval()
@@ -59,20 +56,19 @@ with torch.no_grad():
     right = (camera(unseen).argmax(dim=1).numpy() == digits.y_test).mean()
 print(f"accuracy on {len(digits.y_test)} test pictures: {right:.3f}")
 
-figure = plt.figure(figsize=(6.4, 3.6), layout="constrained")
-left, side = figure.subfigures(1, 2, width_ratios=(1, 1))
-ax = left.subplots()
-ax.plot(losses, color="#0072b2")
-ax.set(xlabel="step", ylabel="cross-entropy, training pictures", ylim=(0, None))
-left.suptitle(f"accuracy {right:.2f} on 360 test pictures, 10⁴ photons", fontsize=9)
+figure = plt.figure(figsize=(4.8, 4.6), layout="constrained")
+above, below = figure.subfigures(2, 1)
+ax = above.subplots()
+ax.plot(losses)
+ax.set(xlabel="step", ylabel="cross-entropy", ylim=(0, None), title="training")
 with torch.no_grad():
     matrix = masks().difference.numpy()
 peak = abs(matrix).max()
-axes = side.subplots(4, 4)
+axes = below.subplots(2, 8)
 for cell, mask in zip(axes.flat, matrix, strict=True):
     image = cell.imshow(mask.reshape(8, 8), cmap="RdBu_r", vmin=-peak, vmax=peak)
     cell.set(xticks=[], yticks=[])
-side.suptitle("learned masks", fontsize=9)
+below.suptitle("learned masks")
 ticks = (-peak, 0, peak)
-side.colorbar(image, ax=axes, label="share of a pixel's light", ticks=ticks, format="%.2f")
+below.colorbar(image, ax=axes, label="share of light", ticks=ticks, format="%.2f")
 plt.show()
