@@ -29,8 +29,12 @@ DESIGNS = {
     "pca": "pca|fsi",
     "control": "control group|cg",
     "adaptive": "adaptive masks",
-    "deepfsi": "deepfsi|dfsi|ovit|learned",
+    "lda": "linear discriminants|lda",
+    "random": "random masks|rnd",
+    "custom": r"\d+ looks",
+    "deepfsi": "deepfsi|dfsi|ovit|learned|fixed dwells",
 }
+SECOND = ("custom", "class-pairs")
 OTHERS = ("pca", "deepfsi", "truncated-hadamard", "hadamard", "control", "lda", "random", "custom")
 
 
@@ -84,11 +88,11 @@ def chosen(heads, rows, show):
 
 
 def looks(names):
-    """Design whose colour and line each name has: its own, and of two that share one the next."""
+    """Design whose colour and line each name has: its own, or one that no other design has."""
     taken = []
     for name in names:
-        own = (key for key, words in DESIGNS.items() if re.search(rf"\b({words})\b", name.lower()))
-        free = (key for key in (*own, *OTHERS) if key not in taken)
+        own = [key for key, words in DESIGNS.items() if re.search(rf"\b({words})\b", name.lower())]
+        free = (key for key in (*own, *(SECOND if own else ()), *OTHERS) if key not in taken)
         taken.append(next(free, "raster"))
     return taken
 
