@@ -88,13 +88,17 @@ def chosen(heads, rows, show):
 
 
 def looks(names):
-    """Design whose colour and line each name has: its own, or one that no other design has."""
-    taken = []
-    for name in names:
-        own = [key for key, words in DESIGNS.items() if re.search(rf"\b({words})\b", name.lower())]
-        free = (key for key in (*own, *(SECOND if own else ()), *OTHERS) if key not in taken)
-        taken.append(next(free, "raster"))
-    return taken
+    """Design whose colour and line each name has: its own, or one that no other name has."""
+    owned = {
+        name: [key for key, words in DESIGNS.items() if re.search(rf"\b({words})\b", name.lower())]
+        for name in names
+    }
+    taken = {}
+    for name in sorted(names, key=lambda name: not owned[name]):
+        own = owned[name]
+        free = (*own, *(SECOND if own else ()), *OTHERS)
+        taken[name] = next((key for key in free if key not in taken.values()), "raster")
+    return [taken[name] for name in names]
 
 
 def drawn(places, lines, x, y, scale="linear"):
