@@ -200,6 +200,24 @@ def test_options_stay_whole_where_code_wraps():
     assert marked == ["--hold-out", "-o", "b-c.npz", "--x"]
 
 
+def test_a_design_has_the_same_colour_in_every_chart_and_others_have_none_of_its():
+    assert chart.looks(["dedicated", "FSI", "LDA", "learned masks"]) == [
+        "truncated-hadamard",
+        "pca",
+        "lda",
+        "deepfsi",
+    ]
+    assert chart.looks(["8 looks", "4 looks"]) == ["custom", "class-pairs"]
+
+
+def test_a_number_stays_in_one_line_but_code_keeps_its_spaces():
+    text = '<p a="1 000">10 000, ± 0.01 at 95 %, 10, 100</p><code>10 000</code> 5 000<br>1 % 2'
+    assert words.joined(text) == (
+        '<p a="1 000">10\u00a0000, ±\u00a00.01 at 95\u00a0%, 10, 100</p>'
+        "<code>10 000</code> 5\u00a0000<br>1\u00a0% 2"
+    )
+
+
 def test_types_and_allowed_values_are_words():
     schema = {"type": "array", "items": {"type": "number", "minimum": 0, "maximum": 1e15}}
     assert formats.kind(schema) == "list of number, 0 to 1e15"

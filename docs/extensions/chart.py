@@ -29,11 +29,13 @@ DESIGNS = {
     "pca": "pca|fsi",
     "control": "control group|cg",
     "adaptive": "adaptive masks",
-    "deepfsi": "deepfsi|dfsi|ovit|learned",
-    "random": "random",
-    "lda": "lda",
+    "lda": "linear discriminants|lda",
+    "random": "random|rnd",
+    "custom": r"\d+ looks",
     "s-matrix": "s-matrix",
+    "deepfsi": "deepfsi|dfsi|ovit|learned|fixed dwells",
 }
+SECOND = ("custom", "class-pairs")
 OTHERS = ("pca", "deepfsi", "truncated-hadamard", "hadamard", "control", "lda", "random", "custom")
 
 
@@ -87,13 +89,17 @@ def chosen(heads, rows, show):
 
 
 def looks(names):
-    """Design whose colour and line each name has: its own, and of two that share one the next."""
-    taken = []
-    for name in names:
-        own = (key for key, words in DESIGNS.items() if re.search(rf"\b({words})\b", name.lower()))
-        free = (key for key in (*own, *OTHERS) if key not in taken)
-        taken.append(next(free, "raster"))
-    return taken
+    """Design whose colour and line each name has: its own, or one that no other name has."""
+    owned = {
+        name: [key for key, words in DESIGNS.items() if re.search(rf"\b({words})\b", name.lower())]
+        for name in names
+    }
+    taken = {}
+    for name in sorted(names, key=lambda name: not owned[name]):
+        own = owned[name]
+        free = (*own, *(SECOND if own else ()), *OTHERS)
+        taken[name] = next((key for key in free if key not in taken.values()), "raster")
+    return [taken[name] for name in names]
 
 
 def drawn(places, lines, x, y, scale="linear"):

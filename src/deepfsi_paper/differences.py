@@ -88,7 +88,7 @@ def difference(first: Trials, second: Trials) -> Difference:
 def above(differences: Iterable[Difference], limit: float = 0.0) -> bool | None:
     """Test that all differences are above a limit."""
     # Yes if every 95 % interval is. No if one lies below it, by an interval widened for as many
-    # looks as there are differences (Bonferroni). Else open
+    # comparisons as there are differences (Bonferroni). Else open
     every = list(differences)
     wide = 1 - (1 - CONFIDENCE) / max(len(every), 1)
     if any(each.interval(wide)[1] < limit for each in every):

@@ -125,7 +125,7 @@ def photon_claims(photon: dict[tuple[str, float], Point]) -> list[Claim]:
             "Truncation is prior knowledge about the scene.",
         ),
         _claim(
-            "PN: the control group is below DeepFSI in the starved half "
+            "PN: the control group is below DeepFSI in the dimmer half "
             f"(up to {photons_text(half)} photons)",
             _compared(photon, "deepfsi", "control", half * 1.001),
         ),

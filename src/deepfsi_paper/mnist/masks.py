@@ -1,4 +1,4 @@
-"""Masks learned under read noise and under photon noise, from starved to bright."""
+"""Masks learned under read noise and under photon noise, from dim to bright light."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -150,9 +150,9 @@ def _claims(measures: Measures) -> tuple[Claim, ...]:
         "masks divide the scene among them."
     )
     grown = _minus(likeness[bright], likeness[dim])
-    spanned = "Starved, PN's masks span fewer independent directions than AGN's"
+    spanned = "In dim light PN's masks span fewer independent directions than AGN's"
     return (
-        _claim("Starved, PN's masks use less light than AGN's", across(LIGHT)),
+        _claim("In dim light PN's masks use less light than AGN's", across(LIGHT)),
         _claim(spanned, across(SPAN), repeated),
         Claim(
             "AGN's and PN's masks become alike as light grows",

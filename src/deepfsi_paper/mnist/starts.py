@@ -36,8 +36,8 @@ def show(results: Results) -> Finding:
     clear = [place for place, each in compared.items() if _matters(each, len(compared))]
     found = (
         f"The largest difference to the start from principal components is {said}. {len(clear)} of "
-        f"{len(compared)} differences are clearly beyond {MATTERS}, by intervals widened for as "
-        "many looks."
+        f"{len(compared)} differences are clearly beyond {MATTERS}, by intervals widened for "
+        f"{len(compared)} comparisons."
     )
     claim = Claim(
         f"The initial matrix changes accuracy by more than {MATTERS} somewhere",
