@@ -11,6 +11,7 @@ from deepfsi.cli.settings import SettingsCommand, laboratory_fields, with_settin
 from deepfsi.errors import InputError
 
 if TYPE_CHECKING:
+    from deepfsi.devices import Device
     from deepfsi.grid import Grid, Layout
     from deepfsi.hardware.patterns.folder import DesignRails
     from deepfsi.hardware.patterns.sequence import Manifest, Patterns
@@ -244,7 +245,7 @@ def _print_patterns(command: str, patterns: "Patterns", folder: Path, as_json: b
         f"{_counted(manifest, longest, cost)}\n{_placed(manifest, grid)}\n"
         f"limits of {device.name}: {len(manifest.frames)} frames"
         f"{'' if device.patterns is None else f' of {device.patterns}'}, pictures of "
-        f"{min(times)} to {max(times)} µs ({device.shortest_us} to {device.longest_us} allowed)"
+        f"{min(times)} to {max(times)} µs ({_allowed(device)} allowed)"
     )
     for departure in departures(device):
         print(f"beyond its documents: {departure}")
@@ -255,6 +256,16 @@ def _print_patterns(command: str, patterns: "Patterns", folder: Path, as_json: b
             "equal-dwell instead"
         )
     print(f"patterns: {folder}")
+
+
+def _allowed(device: "Device") -> str:
+    """Times of pictures that a device allows, µs."""
+    from deepfsi.devices import LONGEST_PICTURE_US
+
+    ends = device.longest_us < LONGEST_PICTURE_US
+    return (
+        f"{device.shortest_us} to {device.longest_us}" if ends else f"{device.shortest_us} or more"
+    )
 
 
 def _placed(manifest: "Manifest", grid: "Grid") -> str:

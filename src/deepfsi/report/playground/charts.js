@@ -63,7 +63,7 @@ export function drawCurve(holder, model, photons) {
   const { curve, budget } = model;
   const height = 168;
   const { width, add } = begin(holder, height);
-  const [left, right, top, bottom] = [42, width - 10, 22, height - 38];
+  const [left, right, top, bottom] = [42, width - 14, 22, height - 38];
   const x = (value) => left + ((Math.log10(value) - 1) / 6) * (right - left);
   const y = (value) => bottom - value * (bottom - top);
   for (const share of [0, 0.5, 1]) {
@@ -120,9 +120,6 @@ export function drawCounts(holder, model, counts, most, now, names) {
   const zero = dual ? height / 2 : height - 32;
   const root = Boolean(model.chooser);
   const chart = bars(counts, { left, right, zero, reach: zero - top, most, root });
-  counts.forEach((_, rail) => {
-    add("path", { class: rail ? "minus" : "plus", d: chart.path(rail, places(model.masks)) });
-  });
   add("path", { class: "axis", d: `M${left} ${zero}H${right}` });
   for (const share of root ? [1 / 4, 1] : [1 / 2, 1]) {
     const rise = chart.scale(most * share);
@@ -132,10 +129,14 @@ export function drawCounts(holder, model, counts, most, now, names) {
     }
   }
   add("text", { x: left - 6, y: zero + 4, "text-anchor": "end" }, "0");
+  counts.forEach((_, rail) => {
+    add("path", { class: rail ? "minus" : "plus", d: chart.path(rail, places(model.masks)) });
+  });
+  const scaled = root ? " (square-root scale)" : "";
   const rails = model.light === "two-arm" ? ["one direction", "the other"] : ["positive rail", "negative rail"];
-  if (!dual) add("text", { x: 0, y: 10 }, names.counts);
+  if (!dual) add("text", { x: 0, y: 10 }, `${names.counts}${scaled}`);
   else {
-    add("text", { x: 0, y: 10, class: "strong" }, `${names.counts}: ${rails[0]}`);
+    add("text", { x: 0, y: 10, class: "strong" }, `${names.counts}${scaled}: ${rails[0]}`);
     add("text", { x: left, y: height - 2, class: "strong" }, rails[1]);
   }
   const low = dual ? height - 2 : height - 4;

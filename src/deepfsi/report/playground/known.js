@@ -62,11 +62,14 @@ export class KnownView {
       : "";
     if (!chances) return `Nothing is counted yet.${judged}`;
     if (exposure.together) return `All masks see light at once: this is the answer to the light so far.${judged}`;
-    const dots = "Filled bars and dots are answers that the network has learned to give: ";
-    if (model.chooser) return `${dots}after each look. Outlined bars are between two looks.${judged}`;
+    const dots = "Filled bars and dots: the answer";
+    const learned = "which the network was trained on";
+    if (model.chooser) {
+      return `${dots} after a whole look, ${learned}. Outlined bars: the answer between two looks.${judged}`;
+    }
     const { nested } = model.exposure;
-    const when = nested ? `after mask ${nested} and each one behind it` : "after the last mask";
-    return `${dots}${when}. Outlined bars take masks that were not shown yet as for a mean scene.${judged}`;
+    const when = nested ? `after mask ${nested} and each later one` : "after the last mask";
+    return `${dots} ${when}, ${learned}. Outlined bars: the answer before that, with the counts of a mean scene for masks that were not shown yet.${judged}`;
   }
 
   drawFrame(exposure, frame) {
