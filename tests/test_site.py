@@ -200,6 +200,15 @@ def test_options_stay_whole_where_code_wraps():
     assert marked == ["--hold-out", "-o", "b-c.npz", "--x"]
 
 
+def test_no_line_breaks_within_a_number():
+    body = "<p>0.5 ± 0.003 of 10 000, 7 · 10⁴ and 95 % in 3 ms, 2 × 2 of 7 masks</p>"
+    kept = words.whole(f'{body}<pre>10 000</pre><img alt="10 000"><code>3 ms</code>')
+    bound = ("± 0.003", "10 000,", "7 · 10⁴", "95 %", "3 ms,", "2 × 2")
+    for number in bound:
+        body = body.replace(number, number.replace(" ", "\N{NO-BREAK SPACE}"))
+    assert kept == f'{body}<pre>10 000</pre><img alt="10 000"><code>3 ms</code>'
+
+
 def test_types_and_allowed_values_are_words():
     schema = {"type": "array", "items": {"type": "number", "minimum": 0, "maximum": 1e15}}
     assert formats.kind(schema) == "list of number, 0 to 1e15"

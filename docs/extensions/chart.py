@@ -106,7 +106,7 @@ def drawn(places, lines, x, y, scale="linear"):
             wide = 0.8 / len(lines)
             at = [row + wide * (place - (len(lines) - 1) / 2) for row in range(len(places))]
             if len(lines) == 1:
-                look["color"] = [style.COLOURS[own] for own in looks(places)]
+                look["color"] = [style.COLOURS[looks([own])[0]] for own in places]
             ax.barh(at, values, wide, xerr=spread, error_kw={"elinewidth": 0.9}, **look)
         else:
             look |= {"ls": style.LINES[key], "marker": "o", "ms": 3.5}
