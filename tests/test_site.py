@@ -168,6 +168,13 @@ def test_a_chart_has_the_points_of_its_table_on_a_logarithmic_axis():
     ]
 
 
+def test_a_logarithmic_chart_leaves_out_zero():
+    lines = {"time": ["0.0", "0.2", "23"]}
+    [ax] = chart.drawn([1e3, 1e4, 1e6], lines, "scenes", "s", "log").axes
+    assert ax.lines[0].get_xydata().tolist() == [[1e4, 0.2], [1e6, 23]]
+    assert ax.get_xticks().tolist() == [1e4, 1e6]
+
+
 def test_rows_without_numbers_become_bars():
     heads, rows = chart.read(["| what | gain |", "| --- | --- |", "| a | 1 |", "| b | 3 |"])
     places, lines = chart.chosen(heads, rows, [])

@@ -1,4 +1,4 @@
-"""Where lines may break: code at spaces alone, not behind the hyphens of ``--masks``; numbers nowhere.
+"""Where lines may break: code at spaces, not behind the hyphens of ``--masks``; numbers nowhere.
 
 A number stays together with its error, its power of ten, its thousands, and a short unit: ± 0.003,
 7 · 10⁴, 10 000, 95 %, 3 ms.
