@@ -146,10 +146,10 @@ def draw_figure(found: dict[tuple, tuple], path: Path) -> None:
                     taus, means, errors, color=colour, linestyle=line, marker="o", markersize=3,
                     capsize=2, label=f"{name}, {word}",
                 )  # fmt: skip
-        axis.set(title=model, xlabel="dead time, ns")
+        axis.set(title=model, xlabel="dead time (ns)", ylabel="accuracy (share correct)")
+        axis.tick_params(labelleft=True)  # each panel can be read alone
         axis.grid(alpha=0.3)
-    axes[0].set_ylabel("accuracy")
-    axes[0].legend(fontsize=8)
+        axis.legend(fontsize=8)
     figure.savefig(path, dpi=110)
 
 

@@ -115,11 +115,12 @@ def drawn(places, lines, x, y, scale="linear"):
             wide = 0.8 / len(lines)
             at = [row + wide * (place - (len(lines) - 1) / 2) for row in range(len(places))]
             if len(lines) == 1:
-                look["color"] = [style.COLOURS[own] for own in looks(places)]
+                look["color"] = [style.COLOURS[looks([own])[0]] for own in places]
             ax.barh(at, values, wide, xerr=spread, error_kw={"elinewidth": 0.9}, **look)
         else:
             look |= {"ls": style.LINES[key], "marker": "o", "ms": 3.5}
-            kept = [k for k, value in enumerate(values) if not math.isnan(value)]
+            least = 0 if scale == "log" else -math.inf  # a logarithmic axis has no place for 0
+            kept = [k for k, value in enumerate(values) if value > least]
             part = [[each[k] for k in kept] for each in (places, values, *spread)]
             ax.errorbar(*part[:2], yerr=part[2:], elinewidth=0.9, capsize=2, **look)
     if bars:
@@ -127,7 +128,7 @@ def drawn(places, lines, x, y, scale="linear"):
         ax.invert_yaxis()
         ax.set_xlabel(y)
     else:
-        scaled(ax, places)
+        scaled(ax, [at for at in places if any(at in line.get_xdata() for line in ax.lines)])
         ax.set(xlabel=x, ylabel=y, yscale=scale)
         ax.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
         ax.minorticks_off()

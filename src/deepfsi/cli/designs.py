@@ -334,8 +334,8 @@ def _exposure(made: "AdaptiveDesign", data: "Dataset", photons: float) -> "Figur
     masks, scenes, chances = made.looks_at(scene, photons)
     answer = made.classes[chances[-1].argmax()]
     title = (
-        f"one exposure of {common.budget(photons)} photons in {made.masks} looks: {true} is "
-        f"answered {answer}, with probability {chances[-1].max():.3f}"
+        f"one exposure of {common.budget(photons)} photons in {made.masks} looks. Class: {true}. "
+        f"Answer: {answer}, with probability {chances[-1].max():.3f}"
     )
     image = scene.reshape(made.image_shape)
     return exposure_figure(image, masks, scenes, chances, made.classes, title)

@@ -1,5 +1,6 @@
 """Picture of one exposure with adaptive masks: what was shown, and what was known by then."""
 
+import textwrap
 from collections.abc import Sequence
 
 import numpy as np
@@ -14,6 +15,9 @@ from deepfsi.report.style import COLOURS, GREYS, GRID, styled
 
 COLUMNS = 8
 """Looks that are drawn, at most."""
+
+TILE = 0.75
+"""Width of a look, inches."""
 
 ROWS = ("mask", "mean scene\nby then", "probability\nby then")
 
@@ -36,9 +40,10 @@ def exposure_figure(
     # scene (H, W); after K looks masks and mean scenes (K, N), and chances (K, C)
     places, shape = drawn_looks(len(masks)), scene.shape
     layout = ConstrainedLayoutEngine(w_pad=0.02, h_pad=0.03, wspace=0.02, hspace=0.02)
-    size = len(places) + 1, 2 * shape[0] / shape[1] + 1.6
-    figure = Figure(figsize=size, layout=layout)
-    figure.suptitle(title, fontsize=9, x=0.01, horizontalalignment="left")
+    wide = TILE * (len(places) + 1)
+    figure = Figure(figsize=(wide, 2 * TILE * shape[0] / shape[1] + 1.6), layout=layout)
+    told = textwrap.fill(title, int(12 * wide))
+    figure.suptitle(told, fontsize=9, x=0.01, horizontalalignment="left")
     grid = figure.subplots(3, len(places) + 1, squeeze=False)
     light = ScalarMappable(Normalize(0, float(scene.max()) or 1.0), GREYS)
     mask_axes(grid[1, 0], scene, light)
