@@ -39,11 +39,15 @@ def section(path, title=None):
     """Heading, summary and table of a model."""
     found = model(path)
     summary = inspect.cleandoc(found.__doc__).partition("\n\n")[0]
-    told = table(HEADS, rows(found), "fields")
+    lines = [
+        (name, meaning, f"{kind}; {default}" if default else kind)
+        for name, meaning, kind, default in rows(found)
+    ]
+    told = table(HEADS, lines, "fields")
     return f"### {title or found.__name__}\n\n{summary}\n\n{told}"
 
 
-HEADS = ["field", "meaning", "type", "default"]
+HEADS = ["field", "meaning", "type; default"]
 
 
 def rows(found):
