@@ -1,7 +1,7 @@
 """Reference of the command line, made from the commands themselves.
 
 The directive `commands` lists those under one heading of ``deepfsi --help``, with every command of
-their groups and every option. A table of these commands comes first.
+their groups and every option; the directive `overview` makes a table of these commands.
 """
 
 import inspect
@@ -26,20 +26,26 @@ def headings():
     return found
 
 
-def reference(heading):
-    """Table and sections of the commands under a heading."""
+def named(heading):
+    """Commands and groups under a heading, each with its context."""
     whole = typer.main.get_command(app)
     top = whole.context_class(whole, info_name="deepfsi")
-    found = [
-        pair for name in headings()[heading] for pair in below(whole.commands[name], name, top)
-    ]
+    return [pair for name in headings()[heading] for pair in below(whole.commands[name], name, top)]
+
+
+def reference(heading):
+    """Sections of the commands under a heading."""
+    return "\n\n".join(section(*pair) for pair in named(heading))
+
+
+def overview(heading):
+    """Table of the commands under a heading, each with its first sentence."""
     rows = [
         (f"[`{context.command_path}`](#{anchor(context)})", said(command.help).partition("\n\n")[0])
-        for command, context in found
+        for command, context in named(heading)
         if not hasattr(command, "commands")
     ]
-    told = table(["command", "what it does"], rows, "options")
-    return "\n\n".join([told, *(section(*pair) for pair in found)])
+    return table(["command", "what it does"], rows, "options")
 
 
 def below(command, name, above):
@@ -121,7 +127,18 @@ class Commands(Made):
         return reference(self.arguments[0])
 
 
+class Overview(Made):
+    """The directive of the table; its argument is a heading."""
+
+    required_arguments = 1
+
+    def text(self):
+        """Markdown of the table."""
+        return overview(self.arguments[0])
+
+
 def setup(app):
-    """Add the directive."""
+    """Add the directives."""
     app.add_directive("commands", Commands)
+    app.add_directive("overview", Overview)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

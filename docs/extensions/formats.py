@@ -26,6 +26,7 @@ NAMES = {
 }
 BOUNDS = {"minimum": "≥", "exclusiveMinimum": ">", "maximum": "≤", "exclusiveMaximum": "<"}
 CONSTANTS = {"schema": "version of the format", "schema_version": "version of the format"}
+REQUIRED, DEFAULTS, FOLLOWS = WORDS = ("*required*", "its defaults", "follows from the others")
 CONSTANTS["kind"] = "which of several kinds the table is of"
 
 
@@ -39,15 +40,19 @@ def section(path, title=None):
     """Heading, summary and table of a model."""
     found = model(path)
     summary = inspect.cleandoc(found.__doc__).partition("\n\n")[0]
-    lines = [
-        (name, meaning, f"{kind}; {default}" if default else kind)
-        for name, meaning, kind, default in rows(found)
-    ]
+    lines = [(name, meaning, typed(kind, default)) for name, meaning, kind, default in rows(found)]
     told = table(HEADS, lines, "fields")
     return f"### {title or found.__name__}\n\n{summary}\n\n{told}"
 
 
-HEADS = ["field", "meaning", "type; default"]
+HEADS = ["field", "meaning", "type"]
+
+
+def typed(kind, default):
+    """Type and default of a field in one cell."""
+    if not default:
+        return kind
+    return f"{kind}; {default}" if default in WORDS else f"{kind}; default {default}"
 
 
 def rows(found):
@@ -59,7 +64,7 @@ def rows(found):
         if not meaning:
             raise LookupError(f"{found.__name__}.{name} has no description: give its field one")
         required = name in schema.get("required", ())
-        default = "required" if required else usual(found, name, field)
+        default = REQUIRED if required else usual(found, name, field)
         yield f"`{name}`", meaning, kind(field), default
 
 
@@ -67,11 +72,11 @@ def usual(found, name, field):
     """Default of a field in words."""
     if "default" in field:
         if "$ref" in field:
-            return "its defaults"
+            return DEFAULTS
         return f"`{json.dumps(field['default'], ensure_ascii=False)}`".replace("`null`", "none")
     declared = getattr(found, "model_fields", {}).get(name)
     follows = declared is not None and declared.default_factory_takes_validated_data
-    return "follows from the others" if follows else ""
+    return FOLLOWS if follows else ""
 
 
 def meanings(found):

@@ -12,7 +12,7 @@ from importlib import import_module
 from inspect import getdoc, isclass, isfunction
 from pathlib import Path
 
-from formats import rows
+from formats import rows, typed
 from markdown import Made, table
 from pydantic import BaseModel
 
@@ -88,9 +88,8 @@ def fields(model):
     """Lines of a section of attributes, from the fields of a model."""
     lines = ["Attributes", "----------"]
     for name, meaning, kind, default in rows(model):
-        words = re.sub(r"\[(.+?)\]\(.+?\)", r"\1", kind).replace("`", "")
-        usual = f"; {default.replace('`', '')}" if default else ""
-        lines += [f"{name.strip('`')} : {words}{usual}", f"    {meaning}"]
+        words = re.sub(r"\[(.+?)\]\(.+?\)", r"\1", typed(kind, default))
+        lines += [f"{name.strip('`')} : {re.sub('[`*]', '', words)}", f"    {meaning}"]
     return [*lines, ""]
 
 
@@ -118,6 +117,11 @@ def as_text(app, what, name, thing, options, lines):
             line = re.sub(r"\||(?<=\()\*(?=\w)|(?<=, )\*(?=\w)", r"\\\g<0>", line)
         out.append(line)
     lines[:] = out
+
+
+def short(app, what, name, thing, options, signature, returns):
+    """Signature of a class or a function, its defaults that are objects cut to their names."""
+    return re.sub(r"(=\w+)\((?:[^()]|\([^()]*\))+\)", r"\1(...)", signature or ""), returns
 
 
 class Modules(Made):
@@ -161,6 +165,7 @@ def setup(app):
     app.connect("builder-inited", write_pages)
     app.connect("autodoc-process-docstring", with_fields, priority=390)
     app.connect("autodoc-process-docstring", as_text, priority=400)
+    app.connect("autodoc-process-signature", short)
     app.add_directive("modules", Modules)
     app.add_directive("names", Names)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

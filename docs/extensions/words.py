@@ -1,13 +1,13 @@
 """Code whose lines break at spaces alone: a browser would break ``--masks`` behind its hyphens.
 
-Names of modules break behind their dots where they stand as headings and in links to the next page.
+Long words of code in sentences, tables and headings may break behind a dot, a slash and the like.
 """
 
 import re
 
 CODE = re.compile(r'<pre>.*?</pre>|<div class="[^"]*messages.*?</div>', re.S)
-HEADING = re.compile(r"<h1>.*?</h1>", re.S)
-MODULE = re.compile(r"(?<=\w)[._](?=\w+[\w.]*</span>)")
+LONG = re.compile(r'(?<=<span class="pre">)[^<]{16,}(?=</span>)')
+JOINT = re.compile(r"(?<=\w)[./_:=(]+(?=\w)")
 WORD = re.compile(r"[^\s&]*-[^\s&]*")
 
 
@@ -18,19 +18,19 @@ def kept(code):
     return "".join(parts)
 
 
-def broken(title):
-    """Title with a place to break behind each dot and underscore of a module's name."""
-    return MODULE.sub(r"\g<0><wbr>", title)
+def breakable(text):
+    """HTML with places to break in its long words of code."""
+    return LONG.sub(lambda word: JOINT.sub(r"\g<0><wbr>", word[0]), text)
 
 
 def keep(app, page, template, context, doctree):
-    """Keep the words of all code of a page, and break names of modules in links to others."""
+    """Keep the short words of all code of a page, and let long ones break."""
     if "body" in context:
         body = CODE.sub(lambda found: kept(found[0]), context["body"])
-        context["body"] = HEADING.sub(lambda found: broken(found[0]), body)
+        context["body"] = breakable(body)
     for side in ("prev", "next"):
         if context.get(side):
-            context[side] = context[side] | {"title": broken(context[side]["title"])}
+            context[side] = context[side] | {"title": breakable(context[side]["title"])}
 
 
 def setup(app):
