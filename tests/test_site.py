@@ -200,6 +200,24 @@ def test_options_stay_whole_where_code_wraps():
     assert marked == ["--hold-out", "-o", "b-c.npz", "--x"]
 
 
+def test_quoted_words_keep_their_quotes_where_code_wraps():
+    code = '<div class="messages docutils">give light=&quot;free-dwell&quot;, or none</div>'
+    [marked] = re.findall('<span class="word">(.*?)</span>', words.kept(code))
+    assert marked == "light=&quot;free-dwell&quot;,"
+
+
+def test_long_words_of_code_break_behind_dots_and_slashes_alone():
+    text = '<span class="pre">--shortest-dwell</span> <span class="pre">hardware.ptu.reader</span>'
+    broken = text.replace("hardware.ptu.", "hardware.<wbr>ptu.<wbr>")
+    assert words.breakable(text) == broken
+
+
+def test_defaults_that_are_objects_are_cut_in_signatures():
+    given = "(*, camera=Camera(light='a', sigma=f(1)), exposure=Fixed(), hidden=(40, 128), seed=0)"
+    short, _ = modules.short(None, "class", "", None, None, given, None)
+    assert short == "(*, camera=Camera(...), exposure=Fixed(), hidden=(40, 128), seed=0)"
+
+
 def test_types_and_allowed_values_are_words():
     schema = {"type": "array", "items": {"type": "number", "minimum": 0, "maximum": 1e15}}
     assert formats.kind(schema) == "list of number, 0 to 1e15"

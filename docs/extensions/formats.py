@@ -102,7 +102,8 @@ def comments(found):
         above = itertools.takewhile(re.compile(r" *# ").match, reversed(lines[: field.lineno - 1]))
         said = [line.strip()[2:] for line in above][::-1]
         said += lines[field.end_lineno - 1].encode()[field.end_col_offset :].decode().split("  # ")
-        if text := " ".join(said).strip():
+        text = " ".join(each for each in said if each.strip() != "fmt: skip").strip()
+        if text:
             told[field.target.id] = text if text.endswith(".") else f"{text}."
     return told
 

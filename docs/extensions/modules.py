@@ -121,7 +121,9 @@ def as_text(app, what, name, thing, options, lines):
 
 def short(app, what, name, thing, options, signature, returns):
     """Signature of a class or a function, its defaults that are objects cut to their names."""
-    return re.sub(r"(=\w+)\((?:[^()]|\([^()]*\))+\)", r"\1(...)", signature or ""), returns
+    if signature:
+        return re.sub(r"(=\w+)\((?:[^()]|\([^()]*\))+\)", r"\1(...)", signature), returns
+    return None
 
 
 class Modules(Made):

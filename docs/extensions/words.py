@@ -8,7 +8,7 @@ import re
 CODE = re.compile(r'<pre>.*?</pre>|<div class="[^"]*messages.*?</div>', re.S)
 LONG = re.compile(r'(?<=<span class="pre">)[^<]{16,}(?=</span>)')
 JOINT = re.compile(r"(?<=\w)[./_:=(]+(?=\w)")
-WORD = re.compile(r"[^\s&]*-[^\s&]*")
+WORD = re.compile(r"(?:&#?\w+;|[^\s&])*-(?:&#?\w+;|[^\s&])*")
 
 
 def kept(code):
