@@ -207,7 +207,7 @@ def test_quoted_words_keep_their_quotes_where_code_wraps():
 
 
 def test_long_words_of_code_break_behind_dots_and_slashes_alone():
-    text = '<span class="pre">--shortest-dwell</span> <span class="pre">hardware.ptu.reader</span>'
+    text = '<span class="pre">--shortest-dwell</span> <span class="pre">hardware.ptu.stream_reader</span>'
     broken = text.replace("hardware.ptu.", "hardware.<wbr>ptu.<wbr>")
     assert words.breakable(text) == broken
 

@@ -6,7 +6,7 @@ Long words of code in sentences, tables and headings may break behind a dot, a s
 import re
 
 CODE = re.compile(r'<pre>.*?</pre>|<div class="[^"]*messages.*?</div>', re.S)
-LONG = re.compile(r'(?<=<span class="pre">)[^<]{16,}(?=</span>)')
+LONG = re.compile(r'(?<=<span class="pre">)[^<]{20,}(?=</span>)')
 JOINT = re.compile(r"(?<=\w)[./_:=(]+(?=\w)")
 WORD = re.compile(r"(?:&#?\w+;|[^\s&])*-(?:&#?\w+;|[^\s&])*")
 

@@ -33,7 +33,7 @@ COVERS = "test images and noise draws, for this one trained design (Wilson, imag
 
 @dataclass(frozen=True)
 class Result:
-    """What a test of one design at one budget gave.
+    """Accuracy and counts of one design at one budget.
 
     Attributes
     ----------
