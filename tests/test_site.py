@@ -206,10 +206,11 @@ def test_quoted_words_keep_their_quotes_where_code_wraps():
     assert marked == "light=&quot;free-dwell&quot;,"
 
 
-def test_long_words_of_code_break_behind_dots_and_slashes_alone():
-    text = '<span class="pre">--shortest-dwell</span> <span class="pre">hardware.ptu.stream_reader</span>'
-    broken = text.replace("hardware.ptu.", "hardware.<wbr>ptu.<wbr>")
-    assert words.breakable(text) == broken
+def test_long_words_of_code_break_behind_dots_slashes_and_underscores():
+    short = '<span class="pre">a.b_c</span>'
+    long = '<span class="pre">hardware.ptu.gate_counter</span>'
+    broken = long.replace("hardware.ptu.gate_", "hardware.<wbr>ptu.<wbr>gate_<wbr>")
+    assert words.breakable(short + long) == short + broken
 
 
 def test_defaults_that_are_objects_are_cut_in_signatures():
