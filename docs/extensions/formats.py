@@ -131,7 +131,9 @@ def plain(field):
     if name == "array":
         items = field.get("prefixItems")
         if items:
-            return f"list of {len(items)}: {', '.join(kind(each) for each in items)}"
+            kinds = [kind(each) for each in items]
+            told = f"each {kinds[0]}" if len(set(kinds)) == 1 else ", ".join(kinds)
+            return f"list of {len(items)}: {told}"
         return f"list of {kind(field['items'])}"
     if name == "object":
         return "table"
