@@ -25,6 +25,8 @@ NAMES = {
     "boolean": "true or false",
 }
 BOUNDS = {"minimum": "≥", "exclusiveMinimum": ">", "maximum": "≤", "exclusiveMaximum": "<"}
+EXACT = 2**53
+"""Largest whole number that JSON gives exactly everywhere: a limit that no reader needs."""
 CONSTANTS = {"schema": "version of the format", "schema_version": "version of the format"}
 REQUIRED, DEFAULTS, FOLLOWS = WORDS = ("*required*", "its defaults", "follows from the others")
 CONSTANTS["kind"] = "which of several kinds the table is of"
@@ -126,6 +128,8 @@ def kind(field):
 def plain(field):
     """Type of a number, text, list or table."""
     name = field.get("type")
+    if field.get("maximum") == EXACT:
+        field = {key: value for key, value in field.items() if key != "maximum"}
     if name == "null":
         return "none"
     if name == "array":

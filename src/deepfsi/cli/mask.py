@@ -22,8 +22,8 @@ def mask(
 ) -> None:
     """Write the static pattern that scenes pass for a photomask, with its scale.
 
-    In an .svg the polygons are open, in micrometres; a .png has a dot for each pixel. Learn the
-    design with --levels 2 for a binary pattern.
+    In an .svg, polygons mark what is open, in micrometres; a .png has a dot for each pixel. Learn
+    the design with --levels 2 for a binary pattern.
 
     Example: deepfsi mask passing.safetensors --pixel 5 -o pattern.svg
     """
