@@ -59,6 +59,7 @@ myst_heading_anchors = 4
 
 autodoc_typehints = "none"
 autosummary_generate = True
+autodoc_member_order = "bysource"
 numpydoc_show_class_members = False
 
 SCRIPTS = [each.parent.name for each in sorted(HERE.glob("*/GALLERY_HEADER.rst"))]

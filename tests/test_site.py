@@ -95,7 +95,7 @@ def test_every_heading_of_the_command_line_has_a_page():
 def test_every_option_is_in_the_reference():
     text = commands.reference("Design")
     assert "| `--photons <str>` | budget Φ: expected photons on the coding device," in text
-    assert "| `-o, --out <path>` | design file, .safetensors | required |" in text
+    assert "| `-o, --out <path>` | design file, .safetensors | *required* |" in text
     assert "$ deepfsi design --data mnist" in text
 
 
@@ -109,7 +109,7 @@ def test_every_field_of_a_file_has_a_meaning_and_a_type(path):
 
 @pytest.mark.parametrize("name", deepfsi.__all__)
 def test_every_name_of_the_package_is_on_its_page_with_an_example(name):
-    page = (DOCS / "lookup/api/package.md").read_text()
+    page = "".join(each.read_text() for each in (DOCS / "lookup/api/package").glob("*.md"))
     assert re.search(rf"^.. auto(class|function):: {name}$", page, re.M)
     assert "\nExamples\n---" in inspect.getdoc(getattr(deepfsi, name))
 
@@ -224,6 +224,25 @@ def test_no_line_breaks_within_a_number():
     for number in bound:
         body = body.replace(number, number.replace(" ", "\N{NO-BREAK SPACE}"))
     assert kept == f'{body}<pre>10 000</pre><img alt="10 000"><code>3 ms</code>'
+
+
+def test_quoted_words_keep_their_quotes_where_code_wraps():
+    code = '<div class="messages docutils">give light=&quot;free-dwell&quot;, or none</div>'
+    [marked] = re.findall('<span class="word">(.*?)</span>', words.kept(code))
+    assert marked == "light=&quot;free-dwell&quot;,"
+
+
+def test_long_words_of_code_break_behind_dots_slashes_and_underscores():
+    short = '<span class="pre">a.b_c</span>'
+    long = '<span class="pre">hardware.ptu.gate_counter</span>'
+    broken = long.replace("hardware.ptu.gate_", "hardware.<wbr>ptu.<wbr>gate_<wbr>")
+    assert words.breakable(short + long) == short + broken
+
+
+def test_defaults_that_are_objects_are_cut_in_signatures():
+    given = "(*, camera=Camera(light='a', sigma=f(1)), exposure=Fixed(), hidden=(40, 128), seed=0)"
+    short, _ = modules.short(None, "class", "", None, None, given, None)
+    assert short == "(*, camera=Camera(...), exposure=Fixed(), hidden=(40, 128), seed=0)"
 
 
 def test_types_and_allowed_values_are_words():

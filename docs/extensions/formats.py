@@ -25,7 +25,10 @@ NAMES = {
     "boolean": "true or false",
 }
 BOUNDS = {"minimum": "≥", "exclusiveMinimum": ">", "maximum": "≤", "exclusiveMaximum": "<"}
+EXACT = 2**53
+"""Largest whole number that JSON gives exactly everywhere: a limit that no reader needs."""
 CONSTANTS = {"schema": "version of the format", "schema_version": "version of the format"}
+REQUIRED, DEFAULTS, FOLLOWS = WORDS = ("*required*", "its defaults", "follows from the others")
 CONSTANTS["kind"] = "which of several kinds the table is of"
 
 
@@ -39,11 +42,19 @@ def section(path, title=None):
     """Heading, summary and table of a model."""
     found = model(path)
     summary = inspect.cleandoc(found.__doc__).partition("\n\n")[0]
-    told = table(HEADS, rows(found), "fields")
+    lines = [(name, meaning, typed(kind, default)) for name, meaning, kind, default in rows(found)]
+    told = table(HEADS, lines, "fields")
     return f"### {title or found.__name__}\n\n{summary}\n\n{told}"
 
 
-HEADS = ["field", "meaning", "type", "default"]
+HEADS = ["field", "meaning", "type"]
+
+
+def typed(kind, default):
+    """Type and default of a field in one cell."""
+    if not default:
+        return kind
+    return f"{kind}; {default}" if default in WORDS else f"{kind}; default {default}"
 
 
 def rows(found):
@@ -55,7 +66,7 @@ def rows(found):
         if not meaning:
             raise LookupError(f"{found.__name__}.{name} has no description: give its field one")
         required = name in schema.get("required", ())
-        default = "required" if required else usual(found, name, field)
+        default = REQUIRED if required else usual(found, name, field)
         yield f"`{name}`", meaning, kind(field), default
 
 
@@ -63,11 +74,11 @@ def usual(found, name, field):
     """Default of a field in words."""
     if "default" in field:
         if "$ref" in field:
-            return "its defaults"
+            return DEFAULTS
         return f"`{json.dumps(field['default'], ensure_ascii=False)}`".replace("`null`", "none")
     declared = getattr(found, "model_fields", {}).get(name)
     follows = declared is not None and declared.default_factory_takes_validated_data
-    return "follows from the others" if follows else ""
+    return FOLLOWS if follows else ""
 
 
 def meanings(found):
@@ -93,7 +104,8 @@ def comments(found):
         above = itertools.takewhile(re.compile(r" *# ").match, reversed(lines[: field.lineno - 1]))
         said = [line.strip()[2:] for line in above][::-1]
         said += lines[field.end_lineno - 1].encode()[field.end_col_offset :].decode().split("  # ")
-        if text := " ".join(said).strip():
+        text = " ".join(each for each in said if each.strip() != "fmt: skip").strip()
+        if text:
             told[field.target.id] = text if text.endswith(".") else f"{text}."
     return told
 
@@ -116,12 +128,16 @@ def kind(field):
 def plain(field):
     """Type of a number, text, list or table."""
     name = field.get("type")
+    if field.get("maximum") == EXACT:
+        field = {key: value for key, value in field.items() if key != "maximum"}
     if name == "null":
         return "none"
     if name == "array":
         items = field.get("prefixItems")
         if items:
-            return f"list of {len(items)}: {', '.join(kind(each) for each in items)}"
+            kinds = [kind(each) for each in items]
+            told = f"each {kinds[0]}" if len(set(kinds)) == 1 else ", ".join(kinds)
+            return f"list of {len(items)}: {told}"
         return f"list of {kind(field['items'])}"
     if name == "object":
         return "table"

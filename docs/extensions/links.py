@@ -29,8 +29,12 @@ def turned(text):
 
 
 def whole(name):
-    """Text of a file at the root of the repository, its links as in a page of the site."""
-    return (ROOT / name).read_text().replace("](docs/", "](/")
+    """Text of a file at the root of the repository, its links as in a page of the site.
+
+    A link whose words are the path of a page gets the title of the page.
+    """
+    text = (ROOT / name).read_text().replace("](docs/", "](/")
+    return re.sub(r"\[docs/[\w/-]+\.md\](?=\(/)", "[]", text)
 
 
 def turn(app, page, source):

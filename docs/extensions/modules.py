@@ -1,8 +1,9 @@
 """Reference of the modules of a folder of the package, from their docstrings.
 
 The directive `modules` lists each module that has public names; each has a page of its own, which
-is written before Sphinx reads pages. Names that the package itself gives stand on another page, and
-are left out. Fields of a model become its attributes, from their descriptions.
+is written before Sphinx reads pages. Names that the package itself gives stand on pages of their
+own, and are left out; the directive `names` lists those of one of these pages. Fields of a model
+become its attributes, from their descriptions.
 """
 
 import pkgutil
@@ -11,13 +12,15 @@ from importlib import import_module
 from inspect import getdoc, isclass, isfunction
 from pathlib import Path
 
-from formats import rows
+from formats import rows, typed
 from markdown import Made, table
 from pydantic import BaseModel
 
 import deepfsi
 
 HOME = "generated/api"
+OF_THE_PACKAGE = "lookup/api/package"
+NAMED = re.compile(r"^\.\. auto(?:class|function):: (\w+)$", re.M)
 LISTED = re.compile(r"^```\{modules\} (.+)$", re.M)
 
 
@@ -76,18 +79,17 @@ def write_pages(app):
             path.write_text(text)
 
 
-def summary(path):
-    """First sentence of a module's docstring."""
-    return getdoc(import_module(path)).partition("\n\n")[0]
+def summary(thing):
+    """First paragraph of the docstring of a module, a class or a function."""
+    return getdoc(thing).partition("\n\n")[0]
 
 
 def fields(model):
     """Lines of a section of attributes, from the fields of a model."""
     lines = ["Attributes", "----------"]
     for name, meaning, kind, default in rows(model):
-        words = re.sub(r"\[(.+?)\]\(.+?\)", r"\1", kind).replace("`", "")
-        usual = f"; {default.replace('`', '')}" if default else ""
-        lines += [f"{name.strip('`')} : {words}{usual}", f"    {meaning}"]
+        words = re.sub(r"\[(.+?)\]\(.+?\)", r"\1", typed(kind, default))
+        lines += [f"{name.strip('`')} : {re.sub('[`*]', '', words)}", f"    {meaning}"]
     return [*lines, ""]
 
 
@@ -117,6 +119,13 @@ def as_text(app, what, name, thing, options, lines):
     lines[:] = out
 
 
+def short(app, what, name, thing, options, signature, returns):
+    """Signature of a class or a function, its defaults that are objects cut to their names."""
+    if signature:
+        return re.sub(r"(=\w+)\((?:[^()]|\([^()]*\))+\)", r"\1(...)", signature), returns
+    return None
+
+
 class Modules(Made):
     """The directive; its arguments are folders of the package."""
 
@@ -128,16 +137,37 @@ class Modules(Made):
         if self.config.quick:
             return ""
         found = listed(self.arguments[0])
-        rows = [(f"[`{each}`](/{HOME}/{each}.md)", summary(each)) for each in found]
+        rows = [(f"[`{each}`](/{HOME}/{each}.md)", summary(import_module(each))) for each in found]
         tree = "\n".join(f"{each.removeprefix('deepfsi.')} </{HOME}/{each}>" for each in found)
         hidden = f"```{{toctree}}\n:hidden:\n\n{tree}\n```"
         return f"{hidden}\n\n{table(['module', 'what it holds'], rows, 'options')}"
 
 
+class Names(Made):
+    """The directive of the package's own names; its argument is the page that explains them."""
+
+    required_arguments = 1
+
+    def text(self):
+        """Table of the names; elsewhere with the anchors that they had on one page of all."""
+        home = f"{OF_THE_PACKAGE}/{self.arguments[0]}"
+        page = Path(self.env.srcdir) / f"{home}.md"
+        self.env.note_dependency(str(page))
+        found = NAMED.findall(page.read_text())
+        links = [f"{{py:obj}}`{name} <deepfsi.{name}>`" for name in found]
+        if self.env.docname != home:
+            anchors = [f'<span id="deepfsi.{name}"></span>' for name in found]
+            links = [anchor + link for anchor, link in zip(anchors, links, strict=True)]
+        told = [summary(getattr(deepfsi, name)) for name in found]
+        return table(["name", "what it is"], zip(links, told, strict=True), "options")
+
+
 def setup(app):
-    """Add the directive, write pages, and read docstrings before numpydoc does."""
+    """Add the directives, write pages, and read docstrings before numpydoc does."""
     app.connect("builder-inited", write_pages)
     app.connect("autodoc-process-docstring", with_fields, priority=390)
     app.connect("autodoc-process-docstring", as_text, priority=400)
+    app.connect("autodoc-process-signature", short)
     app.add_directive("modules", Modules)
+    app.add_directive("names", Names)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,13 +1,16 @@
 """Where lines may break: code at spaces, not behind the hyphens of ``--masks``; numbers nowhere.
 
+Long words of code in sentences, tables and headings may break behind a dot, a slash and the like.
 A number stays together with its error, its power of ten, its thousands, and a short unit: ± 0.003,
 7 · 10⁴, 10 000, 95 %, 3 ms.
 """
 
 import re
 
-CODE = re.compile(r"<pre>.*?</pre>", re.S)
-WORD = re.compile(r"[^\s&]*-[^\s&]*")
+CODE = re.compile(r'<pre>.*?</pre>|<div class="[^"]*messages.*?</div>', re.S)
+LONG = re.compile(r'(?<=<span class="pre">)[^<]{20,}(?=</span>)')
+JOINT = re.compile(r"(?<=\w)[./_:=(]+(?=\w)")
+WORD = re.compile(r"(?:&#?\w+;|[^\s&])*-(?:&#?\w+;|[^\s&])*")
 PLACES = (r"(?<=±) (?=\d)", r"(?<=\d) (?=[·×] \d)", r"(?<=\d [·×]) (?=\d)", r"(?<=\d) (?=\d{3}\b)")
 NUMBER = re.compile("|".join((*PLACES, r"(?<=\d) (?=%|(?:ms|ns|µs|s|MB|GB)\b)")))
 
@@ -26,10 +29,19 @@ def whole(body):
     return "".join(part for place, part in enumerate(parts) if place % 3 != 2)
 
 
+def breakable(text):
+    """HTML with places to break in its long words of code."""
+    return LONG.sub(lambda word: JOINT.sub(r"\g<0><wbr>", word[0]), text)
+
+
 def keep(app, page, template, context, doctree):
-    """Keep the words of all code of a page, and its numbers."""
+    """Keep the short words of all code of a page and its numbers, and let long words break."""
     if "body" in context:
-        context["body"] = whole(CODE.sub(lambda found: kept(found[0]), context["body"]))
+        body = CODE.sub(lambda found: kept(found[0]), context["body"])
+        context["body"] = breakable(whole(body))
+    for side in ("prev", "next"):
+        if context.get(side):
+            context[side] = context[side] | {"title": breakable(context[side]["title"])}
 
 
 def setup(app):

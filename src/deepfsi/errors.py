@@ -19,7 +19,7 @@ __all__ = ["InputError", "as_input_error", "check_known", "closest", "faults"]
 
 
 class InputError(ValueError):
-    """Something given from outside cannot be used.
+    """Input that cannot be used.
 
     The message is one line that says what was given, what is allowed and what to do.
     The command line prints it and ends with exit code 2.

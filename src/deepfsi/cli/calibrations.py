@@ -75,8 +75,8 @@ def camera_check(folder: options.Run, as_json: options.Json = False) -> None:
     """Say how scenes lie on the device, from a run of the reference target: before data are taken.
 
     Put reference.png of the folder of patterns in the place of the scenes, alone and on black,
-    record a pass and count it. Where orientation, scale, shift or rotation are not those of the
-    masks, or the counts do not tell, the exit code is 1.
+    record a pass and count it. If orientation, scale, shift or rotation differ from those of the
+    masks, or the counts do not show them, the exit code is 1.
 
     Example: deepfsi camera check run_reference
     """

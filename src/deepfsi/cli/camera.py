@@ -177,11 +177,14 @@ def camera_count(
 ) -> None:
     """Count the photons in each frame's gate; name missing, doubled and late markers.
 
-    A shorter exposure than the recorded one is counted in shorter gates, and more of them. Frames
-    that all last longer or shorter than planned are counted as they are, and the drift is said.
-    Inputs and marker are the acquisition's, and the dead time is that of the folder's calibration
-    or of the design's camera, unless given. For a design of detectors that click the first photon
-    of each of its gates counts, in equal parts of a frame's exposure.
+    An exposure shorter than the recorded one is counted in more and shorter gates. If all frames
+    last longer or shorter than planned, they are counted as they are, and the drift is printed.
+
+    Unless given, inputs and marker are those of the acquisition, and the dead time is that of the
+    folder's calibration or of the design's camera.
+
+    For a design of detectors that click, the exposure of a frame is divided into equal gates, and
+    only the first photon of each gate counts.
 
     Example: deepfsi camera count run_0001 --exposure 1ms
     """

@@ -34,7 +34,7 @@ def designs_make(
 ) -> None:
     """Train, test and write the designs of a list, each with a card, and their index.
 
-    Designs that are in the folder already are left. Ctrl-C keeps those that are finished, and the
+    Designs that are already in the folder are kept. Ctrl-C keeps those that are finished, and the
     same command goes on.
 
     Example: deepfsi designs make -o published

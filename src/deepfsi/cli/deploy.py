@@ -74,9 +74,12 @@ def plan(
 ) -> None:
     """Find how many photons, masks and detectors each design needs for a target accuracy.
 
-    Every design is trained at a few budgets, then where its curve meets the target; what lies
-    between is interpolated, and the interval says how far that can be trusted. Stopped, it goes on
-    where it was when run again with the same output folder, also with another target.
+    Every design is trained at a few budgets, then near the budget at which its accuracy meets the
+    target. Accuracies in between are interpolated; the interval covers any shape that the curve may
+    plausibly have there.
+
+    A stopped plan goes on when it is run again with the same output folder, also with another
+    target.
 
     Example: deepfsi plan --data mnist --target 0.9 --designs pca,deepfsi -o runs/plan
     """

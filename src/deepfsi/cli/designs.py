@@ -112,7 +112,7 @@ def evaluate(
 ) -> None:
     """Test a design at any budgets, under exact photon noise.
 
-    On the test scenes of the data that it was trained on, which it remembers.
+    The test scenes are those of the data that it was trained on, which the design remembers.
 
     Example: deepfsi evaluate digits.safetensors --photons 1e2,1e3,1e4
     """
@@ -281,7 +281,7 @@ def show(
 ) -> None:
     """Draw the masks of a design, each with its number and its dwell.
 
-    Of adaptive masks those of one exposure of a test scene, and what was known after each.
+    Adaptive masks are drawn for one exposure of a test scene, with what was known after each.
 
     Example: deepfsi show digits.safetensors -o masks.png
     """

@@ -71,10 +71,10 @@ def camera_live(
 ) -> None:
     """Show masks, count and choose what is shown next, scene after scene.
 
-    With a design of several looks the next dwells are chosen, with one of adaptive masks the next
-    mask is made.
+    A design of several looks chooses the next dwells, a design of adaptive masks makes the next
+    mask.
 
-    Prints each decision as it falls. Ctrl-C keeps the scenes that are finished.
+    Prints each decision when it is made. Ctrl-C keeps the scenes that are finished.
 
     Example: deepfsi camera live patterns --scene images --exposure 10ms --flux 1e6 -o run_0002
     """

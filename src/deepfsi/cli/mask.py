@@ -22,8 +22,8 @@ def mask(
 ) -> None:
     """Write the static pattern that scenes pass for a photomask, with its scale.
 
-    Polygons are what is open, in micrometres, and a picture has a dot for each pixel. A binary
-    pattern is learned with --levels 2.
+    In an .svg, polygons mark what is open, in micrometres; a .png has a dot for each pixel. Learn
+    the design with --levels 2 for a binary pattern.
 
     Example: deepfsi mask passing.safetensors --pixel 5 -o pattern.svg
     """

@@ -39,13 +39,11 @@ SkipBad = Annotated[
 ]
 Normal = Annotated[
     str | None,
-    typer.Option(help="class to be told from anomalies, which are made of its scenes"),
+    typer.Option(help="class to be told from anomalies; these are made from its own scenes"),
 ]
 View = Annotated[
     Path | None,
-    typer.Option(
-        help="folder of a camera's calibration: train on the scenes as this camera sees them"
-    ),
+    typer.Option(help="folder of a camera's calibration: take the scenes as this camera sees them"),
 ]
 Device = Annotated[str, typer.Option(help="auto, cpu or cuda")]
 Workers = Annotated[

@@ -43,7 +43,8 @@ def compare(
 ) -> None:
     """Train every design at every photon budget, and report the accuracy of each.
 
-    Of data with values (an .npz whose y are floats) R², of --normal the area under the ROC curve.
+    Data with values (an .npz whose y are floats) are reported by R², --normal by the area under
+    the ROC curve.
 
     The mask count of each design is chosen on validation data, and the test set is read once. A
     stopped comparison goes on where it was when run again with the same output folder.
@@ -105,9 +106,9 @@ def sweep(
 ) -> None:
     """Run all trials of a recipe, on all cores, a GPU or a Ray cluster.
 
-    It may be stopped at any moment: run again with the same output folder it goes on where it was.
-    After a change of the recipe what it still shares is used; --force where results would be lost.
-    Several may work on one folder.
+    It may be stopped at any moment: run again with the same output folder, it goes on where it
+    was. After a change of the recipe, trials that are still in it are used; where others would be
+    lost, --force is needed. Several processes may work on one folder.
 
     Example: deepfsi sweep baseline -o runs/baseline --table runs/baseline.csv
     """
@@ -140,7 +141,7 @@ def reproduce(
         str,
         typer.Argument(
             help="mnist, compression, mlgauss, quantization, indian-pines, ovit, hardware, "
-            "flexible, detectors, or list"
+            "flexible, detectors, adaptive, or list"
         ),
     ],
     out: options.Folder = Path("runs/paper"),
@@ -157,8 +158,8 @@ def reproduce(
 ) -> None:
     """Repeat an experiment of the paper: figures, the numbers behind them, and its claims.
 
-    Experiments in one folder share what they train and one page. Stopped, they go on when run
-    again; with more --trials they add what is missing.
+    Experiments in one folder share one page, and the trials that several of them need. A stopped
+    experiment goes on when it is run again; with more --trials it adds those that are missing.
 
     Example: deepfsi reproduce mnist --quick -o runs/paper
     """

@@ -36,8 +36,8 @@ def camera_transits(
 ) -> None:
     """Find the transits in a photon file without markers, count their bins, and classify them.
 
-    A transit is a rise of the rate: as many photons within the time of all bins as background alone
-    has with the stated number of false alarms in the record.
+    A transit is a rise of the rate: the photons within the time of all bins exceed a threshold,
+    which background alone exceeds as often as --false-alarms says.
 
     Example: deepfsi camera transits passing.safetensors photons.ptu --bin 100us
     """

@@ -34,7 +34,7 @@ COVERS = "test images and noise draws, for this one trained design (Wilson, imag
 
 @dataclass(frozen=True)
 class Result:
-    """One design at one budget.
+    """Accuracy and counts of one design at one budget.
 
     Attributes
     ----------
@@ -175,7 +175,7 @@ def evaluate(
     report: Report | None = None,
     **settings: Any,
 ) -> list[Any]:
-    """Test on the scenes of a data set under noise: a `Result`, or `Estimates`, for each budget.
+    """Test a design on a data set under noise: a `Result`, or `Estimates`, for each budget.
 
     Parameters
     ----------

@@ -136,7 +136,7 @@ def classify_table(
         Folder of the patterns that were shown, or the design file, which knows no times of frames.
     table : str or path
         A value for each frame, in the order of the patterns: .csv, .parquet, .npy, .mat or .h5
-        (FILE:VARIABLE), an exposure a row or a column.
+        (``FILE:VARIABLE``), an exposure a row or a column.
     settings : TableSettings, optional
         Budget and background in counts, times in seconds, and the like.
     camera : mapping, optional

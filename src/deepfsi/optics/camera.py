@@ -155,7 +155,7 @@ class Camera(Settings):
     levels: Levels | None = Field(
         None,
         description="grey levels of the masks, dark included: 2 for ON and OFF, 0 for continuous "
-        "values; the mirrors of a cell of the device, and dark, unless given",
+        "values; one for each mirror of a cell, and dark, unless given",
     )
     flux: float | None = Field(
         None,

@@ -151,7 +151,7 @@ Filled = Annotated[Axis[Value], Field(min_length=1)]
 
 
 class Recipe(BaseModel):
-    """Comparison. Each tuple is an axis; a single value stands for an axis of one."""
+    """A comparison: every list is an axis, and a single value stands for a list of one."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -159,9 +159,11 @@ class Recipe(BaseModel):
     size: tuple[int, int] | None = Field(None, description="height, width of folder images")
     skip_bad: bool = Field(False, description="leave images that cannot be read out, and name them")
     normal: str | None = Field(
-        None, description="class to be told from anomalies made of its scenes"
+        None, description="class to be told from anomalies; these are made from its own scenes"
     )
-    images: int | None = Field(None, ge=1, description="training images that are taken; all")
+    images: int | None = Field(
+        None, ge=1, description="training images that are taken; all unless given"
+    )
     split: Literal["random", "blocks"] | None = Field(
         None, description="how a hyperspectral image is divided for testing; random unless given"
     )

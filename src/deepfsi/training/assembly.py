@@ -32,7 +32,7 @@ def design_of(
     *,
     light: Light = "column",
 ) -> Design:
-    """Design of a scanner and a network that were trained together, elsewhere.
+    """Make a design of a scanner and a network that you have trained together.
 
     Counts at another budget are scaled to that of the training. Raises `InputError` if scanner,
     classifier and data do not fit together, or the masks break their constraint.

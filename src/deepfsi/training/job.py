@@ -89,9 +89,13 @@ class Training(Settings):
         None, ge=2, description="scenes of a step; a hundredth of all, 32 to 500, unless given"
     )
     lr: LearningRate = Field(
-        1e-2, description="peak of the one-cycle schedule; what was tuned for the design, or this"
+        1e-2,
+        description="peak learning rate of a one-cycle schedule; the default holds where none was "
+        "tuned for the design",
     )
-    mask_lr: LearningRate = Field(1e-1, description="the same for masks, relative to their rms")
+    mask_lr: LearningRate = Field(
+        1e-1, description="peak learning rate of the masks, relative to their rms"
+    )
     hidden: Annotated[Widths, BeforeValidator(_widths)] = Field(
         (40, 128), description="widths of the hidden layers of mlp"
     )
@@ -113,24 +117,24 @@ class Training(Settings):
         None,
         gt=0,
         allow_inf_nan=False,
-        description="mean counts of an exposure, that masks learn to take of the photons; without "
-        "photons, the budget at which a design counts so many is found",
+        description="mean counts of an exposure: with photons, masks learn to count no more of "
+        "them; without, the budget at which a design counts so many is found",
     )
     start: Annotated[str, AfterValidator(_start)] = Field(
         "pca",
-        description="design that learned masks start from; pca, class-pairs for several looks, or "
-        "random for few counts, unless given",
+        description="design that learned masks start from; unless given pca, for several looks "
+        "class-pairs, for few counts random",
     )
     clusters: int | None = Field(
         None,
         ge=1,
-        description="clusters of each class whose centres stand for the training scenes of "
-        "adaptive masks; all scenes unless given",
+        description="of adaptive masks: the prior is the centres of so many clusters of each "
+        "class; all training scenes unless given",
     )
     precision: Precision = Field(
         "auto",
-        description="type of the products of learned masks and of wide networks: float32, "
-        "bfloat16, or auto: bfloat16 where its rounding is below the noise",
+        description="number type of the products of learned masks and of wide networks: float32, "
+        "bfloat16, or auto (bfloat16 where its rounding is below the noise)",
     )
     loss: Loss = Field(
         None,
@@ -140,8 +144,8 @@ class Training(Settings):
     noise: Noise | None = Field(
         None,
         description="noise of the training, if other than the camera's: ml_gauss, poisson, "
-        "gaussian, camera, none; ml_gauss for photon noise, exact counts for several looks, "
-        "unless given",
+        "gaussian, camera or none; unless given ml_gauss stands for photon noise, and several "
+        "looks get exact counts",
     )
 
     @model_validator(mode="before")

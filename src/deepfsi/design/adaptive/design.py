@@ -48,7 +48,7 @@ class Known(NamedTuple):
 
 @dataclass(repr=False, eq=False)
 class AdaptiveDesign:
-    """Scenes as they are known before an exposure, and how masks are made of what it counts.
+    """Adaptive masks: what is known of scenes, and how the counts so far make the next mask.
 
     Attributes
     ----------
@@ -257,7 +257,7 @@ def _check(header: _Header, arrays: Mapping[str, np.ndarray]) -> None:
 def load_design(
     path: str | os.PathLike[str], device: str | torch.device = "cpu", *, trust: bool = False
 ) -> AnyDesign:
-    """Read a design, of masks that are known before or of adaptive ones.
+    """Open a design file: a `Design`, or an `AdaptiveDesign` if its masks are adaptive.
 
     Parameters
     ----------

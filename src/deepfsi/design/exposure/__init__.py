@@ -95,7 +95,7 @@ class Range(Conditioned):
 
 
 class Nested(Conditioned):
-    """One design of whose masks the first ones alone give an answer.
+    """One design whose first masks alone already give an answer.
 
     Examples
     --------
@@ -129,7 +129,7 @@ class Nested(Conditioned):
 
 
 class Looks(Exposure):
-    """Several looks of one length, of which the counts so far choose the dwells of the next.
+    """Several looks of equal length: the counts so far choose the dwells of the next look.
 
     Examples
     --------
@@ -210,7 +210,7 @@ class Looks(Exposure):
 
 
 class Patches(Exposure):
-    """An image seen patch by patch: one set of masks for all patches, a transformer behind.
+    """An image seen patch by patch: the same masks for all patches, read by a transformer.
 
     A patch has a detector for each mask, and a budget is of the whole image, which the patches
     share as they share its light.

@@ -25,7 +25,7 @@ STATIC = (
 
 
 class Passing(Exposure):
-    """A scene that passes a static pattern, of which each time bin is a readout.
+    """Scenes that move past one static pattern: each time bin is a readout.
 
     The pattern is learned (`deepfsi`) or drawn ON and OFF (`random`). Its middle is where the scene
     is in the middle of the bins; place and speed are drawn for each exposure where they jitter.

@@ -189,7 +189,7 @@ class Manifest(Frozen):
     device: Device  # That shows the frames
     # Rows and columns of the masks, or values of a spectrum
     image_shape: tuple[Annotated[int, Field(ge=1)], ...] = Field(min_length=1, max_length=2)
-    masks: int = Field(ge=1, le=MOST_FRAMES)  # m
+    masks: int = Field(ge=1, le=MOST_FRAMES)  # number of masks, m
     rails: Literal[1, 2]  # 2 for signed masks, or 1
     light: str  # Light law of the design
     # Realised matrix over designed one. Below 1 where one device cannot realise the design

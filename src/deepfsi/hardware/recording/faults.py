@@ -32,16 +32,16 @@ SPOILING = ("dark", "unsteady", "brighter", "flicker", "budget", "gain", "unsure
 class Fault(Frozen):
     """Fault of a recording's markers or of its light."""
 
-    # Of markers. `missing`: the marker is restored from its neighbours and the schedule. `extra`:
-    # it is dropped. `late`, or early: replaced by the schedule's time. `lost`: the time of the
-    # frame, or of the whole pass, is not known. Of the light. `dark`: there is none. `unsteady`: it
-    # changed within the pass. `brighter`: a mask sends more than all mirrors ON. `flicker`: it has
-    # a rhythm, in all passes. `level`: it is of another brightness from this scene on.
-    # `background`: so are the dark frames. `blind`: one of several detectors saw almost none in all
-    # scenes together. `gain`: several detectors share it as no scenes of the training do. `budget`:
-    # there is less of it than a design was trained for, or, of a live run, it is not the stated
-    # one. Of a live run, too, `unsure`: a scene's counts do not look like the training's.
-    # `unlike`: nor do those of several scenes before
+    # Markers: `missing`, restored from its neighbours and the schedule; `extra`, dropped; `late` or
+    # early, replaced by the time of the schedule; `lost`, the time of the frame or of the whole
+    # pass is not known. Light: `dark`, there is none; `unsteady`, it changed within the pass;
+    # `brighter`, a mask sends more than all mirrors ON; `flicker`, it has a rhythm, in all passes;
+    # `level`, its brightness is another from this scene on; `background`, so is that of the dark
+    # frames. Detectors: `blind`, one of several saw almost no light in all scenes together; `gain`,
+    # they share the light as in no scenes of the training. `budget`: there is less light than the
+    # design was trained for, or, in a live run, not the stated light. Live runs: `unsure`, the
+    # counts of a scene do not look like those of the training; `unlike`, nor do those of several
+    # scenes before
     kind: Literal[
         "missing", "extra", "late", "lost",
         "dark", "unsteady", "brighter", "flicker", "level", "background", "blind", "budget",
