@@ -70,6 +70,7 @@ for column, signed, first, second in zip(axes.T, design.matrix, plus, minus, str
     column[2].imshow(second.reshape(8, 8), cmap="gray", vmin=0, vmax=peak)
     for ax in column:
         ax.set(xticks=[], yticks=[])
+        ax.spines[:].set_visible(True)
 for ax, name in zip(axes[:, 0], ("mask M", "rail M⁺", "rail M⁻"), strict=True):
     ax.set_ylabel(name)
 figure.colorbar(image, ax=axes, label="share of light")

@@ -68,6 +68,7 @@ axes = below.subplots(2, 8)
 for cell, mask in zip(axes.flat, matrix, strict=True):
     image = cell.imshow(mask.reshape(8, 8), cmap="RdBu_r", vmin=-peak, vmax=peak)
     cell.set(xticks=[], yticks=[])
+    cell.spines[:].set_visible(True)
 below.suptitle("learned masks")
 ticks = (-peak, 0, peak)
 below.colorbar(image, ax=axes, label="share of light", ticks=ticks, format="%.2f")
