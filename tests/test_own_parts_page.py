@@ -26,8 +26,8 @@ def test_the_pages_on_your_own_parts(tmp_path, monkeypatch, done):
         exec(block, names)
     assert names["accuracy"] > 0.8
     assert names["mine"] > 0.7
-    assert names["read"] > 0.7
-    assert names["saturated"][1].accuracy > 0.7
+    assert names["measured"] > 0.7
+    assert names["results"][1].accuracy > 0.7
     for line in LINES:
         done(*shlex.split(line)[1:], *BRIEFLY.get(line.split()[1], "").split())
     for table in TABLES:
