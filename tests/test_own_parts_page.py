@@ -12,7 +12,7 @@ from deepfsi.sweeps.trial import plan
 DO = Path(__file__).parent.parent / "docs/do"
 PAGE = "".join((DO / f"own-{part}.md").read_text() for part in ("classifier", "noise", "optics"))
 MODULE, *BLOCKS = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)
-LINES = re.findall(r"^deepfsi .*$", PAGE, flags=re.MULTILINE)
+LINES = re.findall(r"^deepfsi .*$", PAGE.replace("\\\n", ""), flags=re.MULTILINE)
 BRIEFLY = {"design": "--epochs 1", "compare": "--epochs 1 --designs pca --masks 3"}
 TABLES = re.findall(r"```toml\n(.*?)```", PAGE, flags=re.DOTALL)
 
