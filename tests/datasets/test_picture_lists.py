@@ -1,6 +1,9 @@
 """Images that a .csv file names, with their labels."""
 
+import numpy as np
+import pytest
 from dataset_samples import refused
+from PIL import Image
 
 from deepfsi.datasets import load_dataset
 
@@ -52,3 +55,56 @@ def test_a_bad_table_of_file_names_and_labels(images, tmp_path):
         load_dataset(path)
     with refused("only a folder, a zip file or CIFAR-10"):
         load_dataset(listed(images, path, folder="pets/"), images=5)
+
+
+def valued(images, path, cells, heading=""):
+    """A .csv file of all images, with the cells of each in the order of their names."""
+    names = sorted(each.relative_to(images.parent).as_posix() for each in images.rglob("*.png"))
+    rows = [",".join([name, *cells(place)]) for place, name in enumerate(names)]
+    path.write_text("\n".join(filter(None, [heading, *rows])) + "\n")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("cells", "heading", "names"),
+    [
+        (lambda k: [f"{k}.5"], "", ("value 1",)),
+        (lambda k: [f"{k}", f"{-k}e-1"], "file,row,column", ("row", "column")),
+        (lambda k: [f"{k}", f"{2 * k}"], "", ("value 1", "value 2")),
+    ],
+)
+def test_numbers_with_a_point_and_several_numbers_are_values(
+    images, tmp_path, cells, heading, names
+):
+    data = load_dataset(valued(images, tmp_path / "places.csv", cells, heading))
+    assert data.values == names
+    assert data.classes == ()
+    given = sorted(list(map(float, cells(k))) for k in range(20))
+    held = np.concatenate([data.y_train, data.y_test])
+    assert np.array(sorted(held.tolist())) == pytest.approx(np.array(given))
+
+
+def test_each_picture_keeps_its_own_values(images, tmp_path):
+    """The value of each is its mean level, which follows it through shuffle and split."""
+    names = sorted(images.rglob("*.png"))
+    means = [np.asarray(Image.open(name)).mean() / 255 for name in names]
+    path = valued(images, tmp_path / "light.csv", lambda k: [f"{means[k]:.9f}"])
+    data = load_dataset(path, rescale=(0, 1))
+    for x, y in ((data.x_train, data.y_train), (data.x_test, data.y_test)):
+        assert y[:, 0] == pytest.approx(x.mean(axis=1), abs=1e-6)
+
+
+def test_whole_numbers_are_classes(images, tmp_path):
+    data = load_dataset(valued(images, tmp_path / "counts.csv", lambda k: [str(k % 2)]))
+    assert data.classes == ("0", "1")
+    assert data.values == ()
+
+
+def test_a_word_among_several_numbers_and_lines_of_other_lengths_are_refused(images, tmp_path):
+    path = tmp_path / "places.csv"
+    with refused(str(path), "2 columns beside the file name", "'far'"):
+        load_dataset(valued(images, path, lambda k: ["1.5", "far" if k == 3 else "2"]))
+    with refused(str(path), "line 5", "is not an image and its label"):
+        load_dataset(valued(images, path, lambda k: ["1.5"] * (1 if k == 4 else 2)))
+    with refused("places", "finite numbers"):
+        load_dataset(valued(images, path, lambda k: ["nan" if k == 3 else "1.5"]))

@@ -23,8 +23,8 @@ Data = Annotated[
     str,
     typer.Option(
         "--data",
-        help="name (deepfsi data list), folder or .zip of images, .csv of file names and labels, "
-        "cube, or .npz",
+        help="name (deepfsi data list), folder or .zip of images, .csv of file names and labels "
+        "or values, cube, or .npz",
     ),
 ]
 TestData = Annotated[

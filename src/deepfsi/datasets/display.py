@@ -50,7 +50,7 @@ def read_display(
     source = Path(path)
     labels: tuple[str, ...] | None = None
     if source.is_file() and source.suffix.lower() == ".csv":
-        pictures = list_labels(source)
+        pictures, _ = list_labels(source)
     elif source.is_file():
         pictures = [picture_file(source)]
     elif not source.is_dir():
@@ -62,8 +62,8 @@ def read_display(
     folder = source.parent if source.is_file() else source
     pixels, tally, kept = read_all(pictures, shape, bilinear, skip_bad)
     names = tuple(Path(pictures[place].where).relative_to(folder).as_posix() for place in kept)
-    if pictures[0].label:
-        labels = tuple(pictures[place].label for place in kept)
+    if isinstance(pictures[0].label, str) and pictures[0].label:
+        labels = tuple(str(pictures[place].label) for place in kept)
     levels, sized = tally.levels(white), sized_text(shape, bilinear)
     said = f"{tally.words}{sized}; {levels.words}"
     x = reflectance(pixels, levels)

@@ -59,7 +59,9 @@ def load_dataset(
         - a folder or ``.zip`` file with a sub-folder of images for each class, or with such folders
           within its own ``train/`` and ``test/``. Images of one depth; colours turn grey;
         - a ``.csv`` file with the file name and the label of an image in each line, whose names
-          begin in the folder of its own name beside it, ``pets/`` of ``pets.csv``, or in its own;
+          begin in the folder of its own name beside it, ``pets/`` of ``pets.csv``, or in its own.
+          Numbers in place of the label are values where a line has several, or where any has a
+          decimal point or an exponent; a heading names them;
         - a hyperspectral cube (``.mat``, ``.npy`` or ENVI's ``.hdr``), whose label map lies beside
           it under the same name with ``_gt`` added, as in `cubes.read_cube`;
         - an ``.npz`` file with `x`, `y` and, if it has its own test part, `x_test`, `y_test`, or

@@ -1,9 +1,9 @@
 """Images in folders and zip files, and those that a ``.csv`` file names.
 
 Folders and zip files hold one folder for each class, or such folders within their own ``train/``
-and ``test/``. A ``.csv`` file has the name and the label of an image in each line. A zip file is
-read in place, never unpacked. It may come from anywhere, so that its names, the sizes it declares
-and the images' own sizes are all checked before memory is spent on them.
+and ``test/``. A ``.csv`` file has the name and the label, or the values, of an image in each line.
+A zip file is read in place, never unpacked. It may come from anywhere, so that its names, the
+sizes it declares and the images' own sizes are all checked before memory is spent on them.
 """
 
 import csv
@@ -21,7 +21,7 @@ from typing import IO, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from deepfsi.datasets.arrays import Options, draw_stratified, split_arrays
+from deepfsi.datasets.arrays import Names, Options, draw_stratified, split_arrays
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.datasets.decoding import Shape, Tally
 from deepfsi.datasets.values import reflectance
@@ -45,14 +45,14 @@ MAX_PIXELS = 2**30
 MOST_NAMES = 20
 """Images that one line names at most."""
 
-LIST_ADVICE = "give a line of text for each image, its file name and its label"
+LIST_ADVICE = "give a line of text for each image, its file name and its label, or its values"
 """What to do about a list of images that cannot be used."""
 
 
 class Picture(NamedTuple):
     """An image that is not yet read."""
 
-    label: str
+    label: str | tuple[float, ...]  # its class, or its values
     where: str  # for messages
     open: Callable[[], IO[bytes]]
 
@@ -60,12 +60,20 @@ class Picture(NamedTuple):
 def load_pictures(path: Path, options: Options) -> Dataset:
     """Load the images of a folder, a zip file or a ``.csv`` file."""
     name = path.resolve().stem if path.is_file() else path.resolve().name
+    if path.suffix.lower() == ".csv":
+        pictures, values = list_labels(path)
+        return from_listings([pictures], name, options, values=values)
     with open_listings(path) as listings:
         return from_listings(listings, name, options)
 
 
 def from_listings(
-    listings: list[list[Picture]], name: str, options: Options, bilinear: bool = False
+    listings: list[list[Picture]],
+    name: str,
+    options: Options,
+    *,
+    bilinear: bool = False,
+    values: tuple[str, ...] = (),
 ) -> Dataset:
     """Data set of the images of one part, or of a training and a test part."""
     # Parameters as of `load_dataset` and `read_all`
@@ -89,6 +97,7 @@ def from_listings(
     data = split_arrays(
         (x[:n], labels[:n]),
         (x[n:], labels[n:]) if test else (None, None),
+        names=Names(values=values or None),
         name=name,
         seed=options.seed,
         rescale=options.rescale,
@@ -132,9 +141,6 @@ def open_listings(path: Path) -> Iterator[list[list[Picture]]]:
     if path.is_dir():
         yield list_folder(path)
         return
-    if path.suffix.lower() == ".csv":
-        yield [list_labels(path)]
-        return
     with open_zip(path, "pack it again") as archive:
         yield _list_zip(archive, path)
 
@@ -147,29 +153,37 @@ def list_folder(folder: Path) -> list[list[Picture]]:
     return [_group(_walk(part), str(part)) for part in parts]
 
 
-def list_labels(path: Path) -> list[Picture]:
-    """Images that a ``.csv`` file names, with their labels, in its order."""
+def list_labels(path: Path) -> tuple[list[Picture], tuple[str, ...]]:
+    """Images that a ``.csv`` file names, with their labels or values, and the values' names."""
     # Names are from the folder beside it that has its name, `pets/` of `pets.csv`, or else from its
-    # own folder. A first line that names no image is a heading
+    # own folder. A first line that names no image is a heading. Numbers are values where a line has
+    # several, or any has a decimal point or an exponent; whole numbers are classes, as in arrays
     try:
         lines = read_regular(path, MAX_FILE, LIST_ADVICE).decode("utf-8-sig").splitlines()
         rows = list(csv.reader(lines, delimiter=next((d for d in ";\t" if d in lines[0]), ",")))
     except (OSError, UnicodeDecodeError, csv.Error, IndexError) as error:
         raise InputError(f"cannot read {path} ({error}): {LIST_ADVICE}") from error
     folder = path.with_suffix("") if path.with_suffix("").is_dir() else path.parent
-    pictures = []
+    heading: tuple[str, ...] = ()
+    named: list[tuple[str, tuple[str, ...]]] = []
     for number, row in enumerate(rows, 1):
-        if not row or (number == 1 and not is_image(Path(row[0].strip()).name)):
-            continue
-        name, *label = map(str.strip, row)
-        if not (is_image(Path(name).name) and len(label) == 1 and label[0]):
+        name, *cells = map(str.strip, row or [""])
+        if number == 1 and not is_image(Path(name).name):
+            heading = tuple(cells)
+        elif row and is_image(Path(name).name) and all(cells) and _as_many(cells, named):
+            named.append((name, tuple(cells)))
+        elif row:
             raise InputError(
                 f"{path}, line {number}: {', '.join(row)!r} is not an image "
                 f"and its label: {LIST_ADVICE}"
             )
-        pictures.append(picture_file(folder / name, label[0]))
-    if not pictures:
+    if not named:
         raise InputError(f"{path} names no image: {LIST_ADVICE}")
+    values = _values_of([cells for _, cells in named], path)
+    pictures = [
+        picture_file(folder / name, values[place] if values else cells[0])
+        for place, (name, cells) in enumerate(named)
+    ]
     missing = [picture.where for picture in pictures if not Path(picture.where).is_file()]
     if missing:
         raise InputError(
@@ -179,7 +193,27 @@ def list_labels(path: Path) -> list[Picture]:
     lines_of = Counter(picture.where for picture in pictures)
     if twice := [where for where, count in lines_of.items() if count > 1]:
         raise InputError(f"{path} names {_listed(twice)} twice: give each image one line")
-    return pictures
+    return pictures, heading if values and len(heading) == len(values[0]) else ()
+
+
+def _as_many(cells: list[str], named: list[tuple[str, tuple[str, ...]]]) -> bool:
+    """True of a line with as many cells as the lines before it, and at least one."""
+    return len(cells) == (len(named[0][1]) if named else max(len(cells), 1))
+
+
+def _values_of(rows: list[tuple[str, ...]], path: Path) -> list[tuple[float, ...]]:
+    """Values of images, or none where their cells are labels."""
+    several = len(rows[0]) > 1
+    try:
+        values = [tuple(map(float, cells)) for cells in rows]
+    except ValueError as error:
+        if several:
+            raise InputError(
+                f"{path} has {len(rows[0])} columns beside the file name, and a cell that is no "
+                f"number ({error}): {LIST_ADVICE}"
+            ) from None
+        return []
+    return [] if not several and all(cell.lstrip("+-").isdigit() for [cell] in rows) else values
 
 
 def _walk(folder: Path) -> Iterator[tuple[tuple[str, ...], Picture | None]]:
@@ -190,7 +224,7 @@ def _walk(folder: Path) -> Iterator[tuple[tuple[str, ...], Picture | None]]:
                 yield (part.name, path.name), picture_file(path, part.name)
 
 
-def picture_file(path: Path, label: str = "") -> Picture:
+def picture_file(path: Path, label: str | tuple[float, ...] = "") -> Picture:
     """Picture of a file."""
 
     def read() -> IO[bytes]:
