@@ -148,3 +148,14 @@ def test_what_is_of_photons_refuses_a_design_of_clicks(refuse, lab, tmp_path):
     assert "fixed dwells" in refuse("camera", "live", lab / "patterns", *words)
     assert "counted in clicks" in refuse("camera", "image", lab / "run")
     assert not (tmp_path / "a").exists()
+
+
+@pytest.mark.parametrize(("photons", "full"), [(3000, True), (200, False)])
+def test_full_gates_are_told_when_a_design_is_learned(done, tmp_path, photons, full):
+    """Forty gates of a design for 3000 photons nearly all click, and those for 200 do not."""
+    said = done(
+        "design", "--data", "digits", "--camera", "dmd", "--rails", "single", "--noise", "click",
+        "--gates", 4, "--photons", photons, "--masks", 10, "--epochs", 1,
+        "-o", tmp_path / "clicks.safetensors",
+    )  # fmt: skip
+    assert ("of the gates click, which tells little of a scene" in said) == full

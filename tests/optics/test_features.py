@@ -80,3 +80,15 @@ def test_features_of_each_job_are_brought_to_a_mean_square_of_one_in_their_batch
         power = (features.square() * seen).sum(dim=over, keepdim=True)
         expected = features / (power / seen.sum(dim=over, keepdim=True)).sqrt()
         assert torch.allclose(found, expected, rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize("scale", ["each", "common"])
+@pytest.mark.parametrize("some", [False, True])
+def test_features_that_do_not_vary_in_a_batch_are_0_and_have_finite_gradients(scale, some):
+    """As of detectors whose gates all click."""
+    features = torch.zeros(50, 1, 3, requires_grad=True)
+    shown = torch.ones(50, 1, 3) if some else None
+    scaled = standardise(features, scale, shown)
+    scaled.sum().backward()
+    assert (scaled == 0).all()
+    assert features.grad.isfinite().all()

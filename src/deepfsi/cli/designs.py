@@ -7,7 +7,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from deepfsi.cli import common, options, paths
-from deepfsi.cli.results import counts_text, details, print_estimates, print_results, score
+from deepfsi.cli.results import (
+    counts_text,
+    details,
+    print_estimates,
+    print_full_gates,
+    print_results,
+    score,
+)
 from deepfsi.cli.settings import job_fields, with_settings
 from deepfsi.errors import InputError
 
@@ -83,6 +90,7 @@ def design(
             f"{score(result)}, {counts_text(result)} (a share of {result.throughput:.3f})\n"
             f"{details(result, made.classes)}"
         )
+    print_full_gates(made, results)
     print(f"saved: {out}")
 
 
@@ -164,6 +172,7 @@ def evaluate(
         print_estimates(made, camera.noise_name, results)
     else:
         print_results(made, camera.noise_name, results, bounds)
+    print_full_gates(made, results)
 
 
 def stop(

@@ -1,5 +1,6 @@
 """Tests of designs as the commands print them."""
 
+import math
 from collections.abc import Sequence
 from itertools import zip_longest
 from typing import TYPE_CHECKING
@@ -10,6 +11,10 @@ if TYPE_CHECKING:
     from deepfsi.design.adaptive.design import AnyDesign
     from deepfsi.design.estimation import Estimates
     from deepfsi.design.evaluation import Result
+
+MOST_CLICKS = 0.95
+"""Share of gates that click above which one is told: with r photons in a gate the information on
+log r is r² e⁻ʳ / (1 − e⁻ʳ), highest at a share of 0.80, and 0.73 of that at 0.95."""
 
 
 def score(result: "Result | Estimates") -> str:
@@ -42,6 +47,22 @@ def counts_text(result: "Result") -> str:
     if not result.clicks:
         return f"{counts} counts"
     return f"{counts} clicks of {common.budget(result.arriving)} photons that arrive"
+
+
+def print_full_gates(made: "AnyDesign", results: "Sequence[Result | Estimates]") -> None:
+    """Say at which budgets nearly all gates click, so that clicks tell little of a scene."""
+    from deepfsi.design.artifact import Design
+
+    if not isinstance(made, Design) or made.gates is None:
+        return
+    gates = math.prod(made.counts_shape) * made.gates
+    for result in results:
+        if result.clicks and result.counts > MOST_CLICKS * gates:
+            print(
+                f"note: at {common.budget(result.photons)} photons {result.counts / gates:.0%} of "
+                "the gates click, which tells little of a scene: give more --gates, or a lower "
+                "--photons"
+            )
 
 
 def print_results(

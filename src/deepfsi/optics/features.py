@@ -128,18 +128,25 @@ class FeatureNoise:
         return variance(total * self.gain, read.lit, self.kind, self.sigma, dark) / self.gain
 
 
+LEAST_POWER = 1e-20
+"""Mean square of features, in units of the scene, below which they do not vary."""
+
+
 def standardise(features: Tensor, scale: Scale, shown: Tensor | None = None) -> Tensor:
     """Divide centred features by the standard deviation of their batch."""
     # features (B, R, m)
     if shown is not None:
         over = (0,) if scale == "each" else (0, 2)
         power = (features.square() * shown).sum(dim=over, keepdim=True)
-        return features / (power / shown.sum(dim=over, keepdim=True).clamp(min=1)).sqrt()
+        power = power / shown.sum(dim=over, keepdim=True).clamp(min=1)
+        return features / power.clamp(min=LEAST_POWER).sqrt()
     if scale == "each":
-        columns = functional.batch_norm(features.flatten(1), None, None, training=True, eps=1e-20)
+        columns = functional.batch_norm(
+            features.flatten(1), None, None, training=True, eps=LEAST_POWER
+        )
         return columns.view_as(features)
     size = torch.linalg.vector_norm(features, dim=(0, 2)) / (features[:, 0].numel() ** 0.5)
-    return features / size[:, None]
+    return features / size.clamp(min=LEAST_POWER**0.5)[:, None]
 
 
 def deviation(power: Tensor, scale: Scale, weights: Tensor | None = None) -> Tensor:
