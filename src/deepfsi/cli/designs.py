@@ -75,9 +75,8 @@ def design(
     lowest = made.info["job"]["photons"]
     made.save(out)
     budgets = list(dict.fromkeys((lowest, job.exposure.highest(lowest))))
-    draws = 1 if job.code.adaptive else 3  # its decisions take milliseconds
     with common.progress("test", as_json) as report:
-        results = test(made, scenes, budgets, draws=draws, report=report)
+        results = test(made, scenes, budgets, draws=job.draws, report=report)
     if as_json:
         tests = [{"classes": made.classes, **result.as_dict()} for result in results]
         common.print_json("design", {"design": str(out), "info": made.info, "tests": tests})

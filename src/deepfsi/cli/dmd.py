@@ -262,10 +262,9 @@ def _allowed(device: "Device") -> str:
     """Times of pictures that a device allows, µs."""
     from deepfsi.devices import LONGEST_PICTURE_US
 
-    ends = device.longest_us < LONGEST_PICTURE_US
-    return (
-        f"{device.shortest_us} to {device.longest_us}" if ends else f"{device.shortest_us} or more"
-    )
+    if device.longest_us == LONGEST_PICTURE_US:
+        return f"{device.shortest_us} or more"
+    return f"{device.shortest_us} to {device.longest_us}"
 
 
 def _placed(manifest: "Manifest", grid: "Grid") -> str:

@@ -18,9 +18,7 @@ def check_design(path: Path) -> Path:
 
     found = find_design(path)
     if not found.exists():
-        longer = path.with_name(f"{path.name}.safetensors")
-        advice = f"did you mean {longer}?" if longer.is_file() else "make one with `deepfsi design`"
-        raise InputError(f"no design file at {path}: {advice}")
+        raise InputError(f"no design file at {path}: make one with `deepfsi design`")
     return found
 
 

@@ -36,9 +36,7 @@ def details(result: "Result | Estimates", classes: Sequence[str]) -> str:
         return f"root mean squared error (of the best linear estimator): {told}"
     balanced = common.share(result.balanced, result.balanced_low, result.balanced_high)
     words = f"balanced accuracy {balanced}, worst class {_worst(result, classes)}"
-    if result.auc is None:
-        return words
-    return f"{words}, AUC {common.share(result.auc, result.auc_low or 0, result.auc_high or 1)}"
+    return words if result.auc is None else f"{words}, AUC {_area(result)}"
 
 
 def counts_text(result: "Result") -> str:
@@ -87,8 +85,7 @@ def print_results(
     common.print_table(f"{made.name}, {common.size(made)}, {noise} noise", heads, rows)
     for result in results:
         if result.auc is not None:
-            area = common.share(result.auc, result.auc_low or 0, result.auc_high or 1)
-            print(f"AUC at {common.budget(result.photons)} photons: {area}")
+            print(f"AUC at {common.budget(result.photons)} photons: {_area(result)}")
         _print_confusion(result, made.classes)
     if bounds:
         common.print_table(
@@ -149,6 +146,11 @@ def _print_confusion(result: "Result", classes: Sequence[str]) -> None:
     ]
     heads = ("true \\ answered", *(common.short(name, 5) for name in classes))
     common.print_table(f"answers {where}", heads, rows)
+
+
+def _area(result: "Result") -> str:
+    """Area under the ROC curve of two classes."""
+    return common.share(result.auc or 0, result.auc_low or 0, result.auc_high or 1)
 
 
 def _worst(result: "Result", classes: Sequence[str]) -> str:

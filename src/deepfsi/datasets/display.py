@@ -48,7 +48,6 @@ def read_display(
     # Pictures have one size and one depth, or raise `InputError`; colours are turned to grey. Those
     # of more than 8 bits have reflectance 1 at `white`, found as for `load_dataset` unless given
     source = Path(path)
-    labels: tuple[str, ...] | None = None
     if source.is_file() and source.suffix.lower() == ".csv":
         pictures, _ = list_labels(source)
     elif source.is_file():
@@ -62,12 +61,12 @@ def read_display(
     folder = source.parent if source.is_file() else source
     pixels, tally, kept = read_all(pictures, shape, bilinear, skip_bad)
     names = tuple(Path(pictures[place].where).relative_to(folder).as_posix() for place in kept)
-    if isinstance(pictures[0].label, str) and pictures[0].label:
-        labels = tuple(str(pictures[place].label) for place in kept)
+    labels = [pictures[place].label for place in kept]
+    classes = tuple(label for label in labels if label and isinstance(label, str)) or None
     levels, sized = tally.levels(white), sized_text(shape, bilinear)
     said = f"{tally.words}{sized}; {levels.words}"
     x = reflectance(pixels, levels)
-    return Display(names, labels, x, levels, said, tally.written)
+    return Display(names, classes, x, levels, said, tally.written)
 
 
 def write_display(

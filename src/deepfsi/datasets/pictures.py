@@ -11,7 +11,7 @@ import io
 import warnings
 import zipfile
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
@@ -164,25 +164,29 @@ def list_labels(path: Path) -> tuple[list[Picture], tuple[str, ...]]:
     except (OSError, UnicodeDecodeError, csv.Error, IndexError) as error:
         raise InputError(f"cannot read {path} ({error}): {LIST_ADVICE}") from error
     folder = path.with_suffix("") if path.with_suffix("").is_dir() else path.parent
-    heading: tuple[str, ...] = ()
-    named: list[tuple[str, tuple[str, ...]]] = []
+    heading: list[str] = []
+    if not (rows[0] and is_image(Path(rows[0][0].strip()).name)):
+        heading = [cell.strip() for cell in rows[0][1:]]
+        rows[0] = []
+    names, answers = list[str](), list[list[str]]()
     for number, row in enumerate(rows, 1):
-        name, *cells = map(str.strip, row or [""])
-        if number == 1 and not is_image(Path(name).name):
-            heading = tuple(cells)
-        elif row and is_image(Path(name).name) and all(cells) and _as_many(cells, named):
-            named.append((name, tuple(cells)))
-        elif row:
+        if not row:
+            continue
+        name, *cells = map(str.strip, row)
+        as_many = len(cells) == len(answers[0]) if answers else len(cells) > 0
+        if not (is_image(Path(name).name) and as_many and all(cells)):
             raise InputError(
                 f"{path}, line {number}: {', '.join(row)!r} is not an image "
                 f"and its label: {LIST_ADVICE}"
             )
-    if not named:
+        names.append(name)
+        answers.append(cells)
+    if not names:
         raise InputError(f"{path} names no image: {LIST_ADVICE}")
-    values = _values_of([cells for _, cells in named], path)
+    values = _values_of(answers, path)
+    labels: Sequence[str | tuple[float, ...]] = values or [label for [label] in answers]
     pictures = [
-        picture_file(folder / name, values[place] if values else cells[0])
-        for place, (name, cells) in enumerate(named)
+        picture_file(folder / name, label) for name, label in zip(names, labels, strict=True)
     ]
     missing = [picture.where for picture in pictures if not Path(picture.where).is_file()]
     if missing:
@@ -193,27 +197,23 @@ def list_labels(path: Path) -> tuple[list[Picture], tuple[str, ...]]:
     lines_of = Counter(picture.where for picture in pictures)
     if twice := [where for where, count in lines_of.items() if count > 1]:
         raise InputError(f"{path} names {_listed(twice)} twice: give each image one line")
-    return pictures, heading if values and len(heading) == len(values[0]) else ()
+    return pictures, tuple(heading) if values and len(heading) == len(values[0]) else ()
 
 
-def _as_many(cells: list[str], named: list[tuple[str, tuple[str, ...]]]) -> bool:
-    """True of a line with as many cells as the lines before it, and at least one."""
-    return len(cells) == (len(named[0][1]) if named else max(len(cells), 1))
-
-
-def _values_of(rows: list[tuple[str, ...]], path: Path) -> list[tuple[float, ...]]:
+def _values_of(rows: list[list[str]], path: Path) -> list[tuple[float, ...]]:
     """Values of images, or none where their cells are labels."""
-    several = len(rows[0]) > 1
-    try:
-        values = [tuple(map(float, cells)) for cells in rows]
-    except ValueError as error:
-        if several:
-            raise InputError(
-                f"{path} has {len(rows[0])} columns beside the file name, and a cell that is no "
-                f"number ({error}): {LIST_ADVICE}"
-            ) from None
+    columns = len(rows[0])
+    if columns == 1 and all(cell.lstrip("+-").isdigit() for [cell] in rows):
         return []
-    return [] if not several and all(cell.lstrip("+-").isdigit() for [cell] in rows) else values
+    try:
+        return [tuple(map(float, cells)) for cells in rows]
+    except ValueError as error:
+        if columns == 1:
+            return []
+        raise InputError(
+            f"{path} has {columns} columns beside the file name, and a cell that is no number "
+            f"({error}): {LIST_ADVICE}"
+        ) from None
 
 
 def _walk(folder: Path) -> Iterator[tuple[tuple[str, ...], Picture | None]]:

@@ -106,10 +106,12 @@ def find_design(given: str | os.PathLike[str]) -> Path:
         file's hash is not that of the index.
     """
     name, path = os.fspath(given), Path(given)
-    if path.exists() or not re.fullmatch(NAME, name):
+    if path.exists():
         return path
-    if (longer := path.with_name(f"{name}.safetensors")).is_file():
+    if path.name and (longer := path.with_name(f"{path.name}.safetensors")).is_file():
         raise InputError(f"no design file at {name}: did you mean {longer}?")
+    if not re.fullmatch(NAME, name):
+        return path
     where, designs = read_index(f"no design file at {name}: make one with `deepfsi design`, or")
     if name not in designs:
         raise InputError(

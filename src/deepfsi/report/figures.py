@@ -34,9 +34,9 @@ class Figures:
     def write(self, home: Path) -> None:
         """Write the files of all figures into the folder `figures` of a page's folder."""
         (home / FOLDER).mkdir(parents=True, exist_ok=True)
-        for name, figure in self.drawn.items():
-            for kind, left_out in KINDS.items():
-                file = io.BytesIO()
-                with matplotlib.rc_context({**STYLE, "svg.fonttype": "path"}):
+        with matplotlib.rc_context({**STYLE, "svg.fonttype": "path"}):
+            for name, figure in self.drawn.items():
+                for kind, left_out in KINDS.items():
+                    file = io.BytesIO()
                     figure.savefig(file, format=kind, dpi=160, metadata=left_out)
-                write_atomically(home / FOLDER / f"{name}.{kind}", file.getvalue())
+                    write_atomically(home / FOLDER / f"{name}.{kind}", file.getvalue())

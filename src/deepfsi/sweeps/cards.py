@@ -84,6 +84,6 @@ def _masks(job: Job) -> str:
 
 
 def _counts(result: Result) -> str:
-    if result.noise == "click":
+    if result.clicks:
         return f"{result.counts:.4g} clicks of {result.arriving:.4g} photons that arrive, mean"
     return f"{result.counts:.4g} of them counted in the mean"

@@ -198,9 +198,8 @@ def _make(
     design = learn(
         data, report=report.part(0.0, TRAINING_SHARE), **sorted_settings(recipe.settings)
     )
-    draws = 1 if job.code.adaptive else 3  # its decisions take milliseconds
     [result] = evaluate(
-        design, data, job.photons, draws=draws, report=report.part(TRAINING_SHARE, 1.0)
+        design, data, job.photons, draws=job.draws, report=report.part(TRAINING_SHARE, 1.0)
     )
     content = design.to_bytes()
     sha256 = hashlib.sha256(content).hexdigest()

@@ -264,6 +264,11 @@ class Job(Settings):
         return DESIGNS[self.design]
 
     @property
+    def draws(self) -> int:
+        """Noise draws of a test of this design: one of adaptive masks, which take milliseconds."""
+        return 1 if self.code.adaptive else 3
+
+    @property
     def noise(self) -> str:
         """Name of the noise that is trained under."""
         own = self.training.noise

@@ -20,8 +20,8 @@ import numpy as np
 
 from deepfsi.errors import InputError
 from deepfsi.hardware.patterns.sequence import Manifest
-from deepfsi.hardware.patterns.timing import ClickGates
-from deepfsi.hardware.recording.acquisition import MOST_READOUTS, Acquisition
+from deepfsi.hardware.patterns.timing import ClickGates, Gates
+from deepfsi.hardware.recording.acquisition import MOST_READOUTS, Acquisition, gates_of
 from deepfsi.hardware.recording.ambient import dark_frames
 from deepfsi.hardware.recording.readouts import by_rail
 
@@ -114,10 +114,21 @@ def check_clicks(clicks: int, refused: dict[str, bool]) -> None:
             )
 
 
-def check_gated(run: Acquisition, gates: int | None, changed: bool, folder: object) -> None:
+def variance_of(clicks: np.ndarray, gates: int) -> np.ndarray:
+    """Variance of clicks of so many gates, as they tell it."""
+    return clicks * (1 - clicks / gates)
+
+
+def check_gated(
+    run: Acquisition, manifest: Manifest, gates: Gates, clicks: int | None, folder: object
+) -> None:
     """Raise `InputError` if a gated detector made a file whose gates are not those counted."""
     known = (run.camera or {}).get("gates")
-    if known is not None and (known != gates or changed):
+    if known is None:
+        return
+    planned = gates_of(run, manifest)
+    same = np.array_equal(gates.length_s, planned.length_s) and gates.settle_s == planned.settle_s
+    if known != clicks or not same:
         raise InputError(
             f"{folder} holds the first photons alone of {known} gates in {run.exposure_s:g} s: "
             "count these gates, of that exposure and settle time, or record again"

@@ -28,6 +28,7 @@ from deepfsi.hardware.recording.clicks import (
     check_clicks,
     check_gated,
     light_of_clicks,
+    variance_of,
 )
 from deepfsi.hardware.recording.counts import Counts
 from deepfsi.hardware.recording.dead_time import (
@@ -88,10 +89,7 @@ def count(
     check_fixed(recorded, folder)
     acquisition, manifest = recorded.rewired(inputs, marker_bit), patterns.manifest
     gates = gates_of(acquisition, manifest, exposure_s, settle_s, repeats)
-    planned = gates_of(acquisition, manifest)
-    changed = not np.array_equal(gates.length_s, planned.length_s)
-    changed = changed or gates.settle_s != planned.settle_s
-    check_gated(acquisition, clicks, changed, folder)
+    check_gated(acquisition, manifest, gates, clicks, folder)
     if clicks is not None:
         of_photons = {
             "dead time": dead_time is not None,
@@ -218,7 +216,7 @@ def _count_clicks(
         dark_rate=_spread(whole, light["dark_rate"], 0),
         counts=counts,
         arrivals=counts.astype(float),
-        variance=counts * (1 - counts / of_gates.number),
+        variance=variance_of(counts, of_gates.number),
         valid=np.repeat(whole[:, None], gates.repeats, axis=1),
         gate_s=gates.length_s,
         exposure_s=exposure,

@@ -23,6 +23,7 @@ from deepfsi.hardware.recording.clicks import (
     check_budget_of_clicks,
     check_clicks,
     light_of_clicks,
+    variance_of,
 )
 from deepfsi.hardware.recording.counts import Counts
 from deepfsi.hardware.recording.dead_time import NO_DEAD_TIME, DeadTime, check_rates
@@ -181,7 +182,7 @@ def _correct(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Arrivals and their variance in all frames, of what was read (E, F, inputs) in times (F,)."""
     if settings.clicks is not None:
-        return read, read * (1 - read / settings.clicks)
+        return read, variance_of(read, settings.clicks)
     if settings.analogue:
         found = read * (settings.gain or 1.0)
         return found, found.clip(min=0) + (settings.read_noise or 0.0) ** 2
