@@ -17,7 +17,7 @@ from shared.playground import KINDS, ask, open_playground, outside
 WIDTHS, SCHEMES = (1280, 400), ("light", "dark")
 ADAPTIVE = {"adaptive": "dmd", "adaptive-arms": "two-arm", "adaptive-spectra": "dmd"}
 LOOKS = 8
-"""Of adaptive masks: an exposure lasts six seconds at speed 1."""
+"""Of adaptive masks: an exposure lasts five seconds at speed 1."""
 
 every_kind = pytest.mark.parametrize("kind", ["column", "looks", "spectra", *ADAPTIVE])
 
@@ -60,10 +60,10 @@ def opened(browser, pages):
 def test_expose_exposure_and_answer_are_in_view_together(opened, kind, width):
     browser, adaptive = opened(kind, width, height=800), kind in ADAPTIVE
     assert outside(browser, "expose", "scene", "light") == []  # before anything is scrolled
+    said = browser.find_element(By.ID, "verdict").text
+    assert said == "Nothing is exposed yet: press Expose."
+    assert browser.find_element(By.ID, "count-words").text == "0"
     if adaptive:
-        said = browser.find_element(By.ID, "verdict").text
-        assert said == "Nothing is exposed yet: press Expose."
-        assert browser.find_element(By.ID, "count-words").text == "0"
         assert ask(browser, "return page.exposure.taken") == 1  # the first mask needs no counts
     browser.find_element(By.ID, "expose").click()
     time.sleep(1.5)  # where the page goes to the exposure, it goes smoothly
@@ -123,3 +123,30 @@ def test_an_embedded_page_stands_whole_and_shows_its_exposure(browser, pages, tm
     top = browser.execute_script("return arguments[0].getBoundingClientRect().top", embedded)
     assert top + first["top"] >= 0
     assert top + last["bottom"] <= 800
+
+
+OVERPRINT = """
+const texts = [...document.querySelectorAll('.chart svg text')].filter(e => e.checkVisibility());
+const boxes = texts.map(e => e.getBoundingClientRect());
+return texts.flatMap((a, i) => texts.slice(i + 1).filter((b, k) => {
+  const [p, q] = [boxes[i], boxes[i + 1 + k]];
+  return Math.min(p.right, q.right) - Math.max(p.left, q.left) > 1
+    && Math.min(p.bottom, q.bottom) - Math.max(p.top, q.top) > 3;
+}).map(b => `${a.textContent} | ${b.textContent}`));
+"""
+"""Words of charts that stand on each other; lines of text touch by up to 3 pixels."""
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_no_words_of_a_chart_stand_on_others(opened, width):
+    """Of few and of many classes, for designs of little and of much light."""
+    browser = opened("looks", width)
+    for chance in (0.5, 1 / 3, 1 / 4, 1 / 5, 1 / 6, 1 / 10, 1 / 100):
+        for low, high in ((30, 30), (1e4, 1e4), (1e6, 1e6), (1e3, 1e6)):
+            ask(
+                browser,
+                "model.test.commonest = given.chance; model.budget = given.budget;"
+                "page.time = 0.7 * page.exposure.length; page.sayLight(); page.draw()",
+                chance=chance, budget={"low": low, "high": high},
+            )  # fmt: skip
+            assert browser.execute_script(OVERPRINT) == [], (chance, low, high)

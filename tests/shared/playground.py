@@ -77,10 +77,11 @@ def ask(browser, body, **given):
 
 
 def verdict_at(browser, exponent: float) -> str:
-    """What the page says at a budget of 10 to this power."""
+    """What the page says at the end of an exposure at a budget of 10 to this power."""
     browser.execute_script(
         "const l = document.getElementById('light'); l.value = arguments[0];"
-        "l.dispatchEvent(new Event('input'))", exponent
+        "l.dispatchEvent(new Event('input'));"
+        "const { page } = window.playground; page.time = page.exposure.length; page.draw()", exponent
     )  # fmt: skip
     return browser.find_element(By.ID, "verdict").text
 

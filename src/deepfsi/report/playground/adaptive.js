@@ -11,7 +11,6 @@ const COLUMNS = 16; // of them in a row
 export class AdaptiveView {
   constructor(model) {
     Object.assign(this, { model, spectrum: model.image_shape.length === 1 });
-    this.atEnd = false; // masks are made while one watches
     this.unit = "look";
     this.units = model.looks;
     this.names = { one: "look 1", all: `look ${model.looks}`, counts: "counts of each look" };

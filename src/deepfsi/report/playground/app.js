@@ -12,8 +12,7 @@ import { $, percent } from "./page.js";
 import { LookOptics, Posterior } from "./posterior.js";
 import { colour, CurvePad, ImagePad, plot, show } from "./scene.js";
 
-const SHORTEST = 6; // seconds of a whole exposure on the page at speed 1
-const LONGEST = 14;
+const SECONDS = 5; // of a whole exposure on the page at speed 1
 const embedded = window !== parent; // as high as it is whole: what is in view is not known
 
 class Page {
@@ -83,13 +82,13 @@ class Page {
     });
   }
 
-  /** Expose anew; what is found at once is shown to its end. */
+  /** A new exposure, of which nothing is shown yet. */
   renew() {
     this.pause();
     const { model, view, scene, photons, seed } = this;
     this.exposure = view.expose(scene, photons, seed);
     this.rivals = new Rivals(model, scene, photons, seed);
-    this.time = view.atEnd ? this.exposure.length : 0;
+    this.time = 0;
     this.drawn = {};
     view.forget();
     this.pad.draw(scene);
@@ -176,17 +175,17 @@ class Page {
     const { exposure, model } = this;
     const { unlike } = exposure;
     if (!this.playing && !unlike) exposure.answerAll(count);
-    const { chances, sound } = unlike ? { chances: null, sound: true } : exposure.answer(count);
-    const top = drawAnswer($("answer"), model, chances, sound);
+    const { chances } = unlike ? { chances: null } : exposure.answer(count);
+    const top = drawAnswer($("answer"), model, chances);
     drawHistory($("history"), exposure, count, top);
     const none = "No probabilities are given for this scene.";
-    $("answer-words").textContent = unlike ? none : this.view.about(exposure, chances);
+    $("answer-words").textContent = unlike ? none : this.view.about(exposure);
     $("verdict").textContent = this.verdict(count, top, chances);
   }
 
   verdict(count, top, chances) {
     const { exposure, model, label } = this;
-    if (this.time === 0 && !this.playing && !this.view.atEnd) return "Nothing is exposed yet: press Expose.";
+    if (this.time === 0 && !this.playing) return "Nothing is exposed yet: press Expose.";
     if (count < exposure.frames.length) {
       const { stop } = exposure;
       const going = `The exposure goes on.${chances ? ` Likeliest so far: ${model.classes[top]}.` : ""}`;
@@ -226,13 +225,11 @@ class Page {
     if (this.time >= this.exposure.length - 1e-9) this.time = 0;
     this.playing = true;
     let before = null;
-    const frames = this.exposure.frames.length;
-    const seconds = Math.min(Math.max(frames * 0.3, SHORTEST), LONGEST);
     const tick = (now) => {
       if (!this.playing) return;
       const passed = before === null ? 0 : (now - before) / 1000;
       before = now;
-      this.time += (passed * Number($("speed").value) * this.exposure.length) / seconds;
+      this.time += (passed * Number($("speed").value) * this.exposure.length) / SECONDS;
       if (this.time >= this.exposure.length) {
         this.time = this.exposure.length;
         this.playing = false;

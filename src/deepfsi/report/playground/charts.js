@@ -56,7 +56,8 @@ function drawTrained(add, budget, words, { x, y, left, right, top, bottom, chanc
   else add("path", { class: "trained-line", d: `M${low} ${top}V${bottom}` });
   const beside = width > 0 ? 0 : anchor === "end" ? -5 : 5;
   const at = (anchor === "end" ? high : low) + beside;
-  add("text", { class: "strong", x: at, y: bottom - 38, "text-anchor": anchor }, words);
+  const line = chance < 0.2 ? bottom - 38 : bottom - 8; // clear of the line of guessing and its name
+  add("text", { class: "strong", x: at, y: line, "text-anchor": anchor }, words);
 }
 
 export function drawCurve(holder, model, photons) {
@@ -209,8 +210,7 @@ export function drawHistory(holder, exposure, count, top) {
   if (known.length && top !== null) {
     const points = known.map(([at, { chances }]) => `${across(time(at))} ${y(chances[top])}`);
     add("path", { class: "class-line top", d: `M${points.join("L")}` });
-    const dots = exposure.together ? [] : known.filter(([, { sound }]) => sound);
-    for (const [at, { chances }] of dots) {
+    for (const [at, { chances }] of exposure.together ? [] : known) {
       add("circle", { class: "dot", cx: across(time(at)), cy: y(chances[top]), r: 3.5 });
     }
   }
@@ -228,12 +228,11 @@ export function drawHistory(holder, exposure, count, top) {
 }
 
 /** Bars of the classes' probabilities, the ten likeliest where there are many. */
-export function drawAnswer(list, model, chances, sound) {
+export function drawAnswer(list, model, chances) {
   const order = places(model.classes.length);
   const many = order.length > 12;
   if (many && chances) order.sort((a, b) => chances[b] - chances[a]);
   const top = chances ? chances.indexOf(Math.max(...chances)) : null;
-  list.classList.toggle("unsound", !sound);
   const rows = order.slice(0, many ? 10 : undefined).map((place) => {
     const row = document.createElement("li");
     if (place === top) row.className = "top";

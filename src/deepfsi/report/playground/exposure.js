@@ -4,8 +4,6 @@ import { factorise, Random, poisson } from "./numbers.js";
 
 const SLICES = 48; // parts of an exposure whose readouts all see light at once
 
-const FEW = 64; // frames of an exposure whose every answer is found
-
 /** Frames of one device in their order: the readouts of each, and its share of the exposure. */
 function framesOf(model, dwell = null, look = 0) {
   const frames = [];
@@ -117,19 +115,20 @@ export class Exposure extends Frames {
   }
 
   /**
-   * Probabilities after so many frames. They are `sound` where the network learned to answer: at
-   * the end, after a look, and after enough of nested masks. Where all masks see light at once they
-   * are those of so much light.
+   * The last probabilities by so many frames, of those that the network learned to give: at the end,
+   * after a look, and after enough of nested masks. Where all masks see light at once they are those
+   * of so much light.
    */
   answer(count) {
-    if (!this.answers.has(count)) this.answers.set(count, this.findAnswer(count));
-    return this.answers.get(count);
+    let last = count;
+    while (last > 0 && !this.sound(last)) last--;
+    if (!this.answers.has(last)) this.answers.set(last, this.findAnswer(last));
+    return this.answers.get(last);
   }
 
-  /** Find the answers after all frames up to one; of many only those that the network learned. */
+  /** Find all answers that there are by so many frames. */
   answerAll(count) {
-    const few = this.frames.length <= FEW;
-    for (let at = 1; at <= count; at++) if (few || this.sound(at)) this.answer(at);
+    for (let at = 1; at <= count; at++) this.answer(at);
   }
 
   /** True after frames that the network has learned to answer after. */
@@ -143,13 +142,11 @@ export class Exposure extends Frames {
 
   findAnswer(count) {
     const { model, photons, frames } = this;
-    if (count === 0) return { chances: null, sound: false };
+    if (count === 0) return { chances: null };
     const { counts, dwell, shown } = this.after(count);
-    const sound = this.sound(count);
-    const sofar = photons * frames[count - 1].end;
-    const whole = this.together ? sofar : photons;
-    const chances = model.classify(counts, whole, shown, dwell, sound ? whole : sofar);
-    return { chances, sound, at: model.chooser ? frames[count - 1].look + 1 : shown };
+    const light = this.together ? photons * frames[count - 1].end : photons;
+    const chances = model.classify(counts, light, shown, dwell);
+    return { chances, at: model.chooser ? frames[count - 1].look + 1 : shown };
   }
 }
 

@@ -13,7 +13,6 @@ export class KnownView {
   constructor(model) {
     Object.assign(this, { model, spectrum: model.image_shape.length === 1 });
     this.squares = new LeastSquares(model);
-    this.atEnd = true; // an exposure is found at once, and its end is shown
     this.unit = model.chooser ? "look" : "mask";
     this.units = model.chooser ? model.looks : model.masks;
     this.names = { one: "mask 1", all: `mask ${model.masks}`, counts: "counts of each mask" };
@@ -54,22 +53,16 @@ export class KnownView {
     return count ? this.squares.picture(counts, scale, exposure.photons) : null;
   }
 
-  about(exposure, chances) {
+  about(exposure) {
     const { model } = this;
     const { rule } = exposure;
     const judged = rule && rule.threshold < 1
       ? ` The dashed line is the confidence above which an exposure may stop, chosen at ${photonsText(rule.photons)} photons.`
       : "";
-    if (!chances) return `Nothing is counted yet.${judged}`;
     if (exposure.together) return `All masks see light at once: this is the answer to the light so far.${judged}`;
-    const dots = "Filled bars and dots: the answer";
-    const learned = "which the network was trained on";
-    if (model.chooser) {
-      return `${dots} after a whole look, ${learned}. Outlined bars: the answer between two looks.${judged}`;
-    }
     const { nested } = model.exposure;
-    const when = nested ? `after mask ${nested} and each later one` : "after the last mask";
-    return `${dots} ${when}, ${learned}. Outlined bars: the answer before that, with the counts of a mean scene for masks that were not shown yet.${judged}`;
+    const when = model.chooser ? "each look" : nested ? `mask ${nested} and each later one` : "the last mask";
+    return `The network answers after ${when}.${judged}`;
   }
 
   drawFrame(exposure, frame) {

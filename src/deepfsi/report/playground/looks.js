@@ -64,7 +64,7 @@ export class LookExposure extends Frames {
       frame.counts = expected.map((rate) => poisson(rate, counting));
       this.state.update(frame.pattern, frame.counts, frame.share);
       this.scenes.push(this.state.scene);
-      this.answers.set(this.taken, { chances: this.state.chances, sound: true, at: this.taken });
+      this.answers.set(this.taken, { chances: this.state.chances, at: this.taken });
       this.judge(this.taken);
     }
   }
@@ -79,7 +79,7 @@ export class LookExposure extends Frames {
   }
 
   answer(count) {
-    return this.answers.get(count) ?? { chances: null, sound: true };
+    return this.answers.get(count) ?? { chances: null };
   }
 
   /** Every answer is found as its look is taken. */

@@ -190,12 +190,9 @@ export class Model extends Design {
     return inputs;
   }
 
-  /**
-   * Calibrated probabilities of the classes; parameters as of `inputs`. Where the network did not
-   * learn to answer, their temperature is that of `light`, the light so far.
-   */
-  classify(counts, photons, shown = this.masks, dwell = null, light = photons) {
-    const temperature = this.temperature(light, shown, dwell);
+  /** Calibrated probabilities of the classes; parameters as of `inputs`. */
+  classify(counts, photons, shown = this.masks, dwell = null) {
+    const temperature = this.temperature(photons, shown, dwell);
     const logits = outputs(this.network, this.inputs(counts, photons, shown, dwell));
     return softmax(logits.map((each) => each / temperature));
   }
