@@ -81,7 +81,8 @@ def verdict_at(browser, exponent: float) -> str:
     browser.execute_script(
         "const l = document.getElementById('light'); l.value = arguments[0];"
         "l.dispatchEvent(new Event('input'));"
-        "const { page } = window.playground; page.time = page.exposure.length; page.draw()", exponent
+        "const { page } = window.playground; page.time = page.exposure.length; page.draw()",
+        exponent,
     )  # fmt: skip
     return browser.find_element(By.ID, "verdict").text
 
