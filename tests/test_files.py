@@ -7,7 +7,8 @@ import sys
 import pytest
 
 from deepfsi.errors import InputError
-from deepfsi.files import remove_drafts, write_atomically
+from deepfsi.files import GrowingFile, check_room, new_folder, remove_drafts, write_atomically
+from shared.disks import nearly_full
 
 
 def test_a_write_onto_a_folder_leaves_nothing(tmp_path):
@@ -73,3 +74,47 @@ def test_a_draft_of_another_host_goes_after_a_day(tmp_path):
     os.utime(draft, (1, 1))
     remove_drafts(tmp_path)
     assert sorted(tmp_path.iterdir()) == sorted(others)
+
+
+def test_a_growing_file_takes_all_bytes_however_few_the_disk_takes_at_a_time(tmp_path, monkeypatch):
+    usual = os.write
+    monkeypatch.setattr(os, "write", lambda file, part: usual(file, part[:7]))
+    with GrowingFile(tmp_path / "file") as file:
+        assert [file.write(bytes(range(100))), file.write(b"end")] == [100, 3]
+    assert (tmp_path / "file").read_bytes() == bytes(range(100)) + b"end"
+
+
+def test_a_growing_file_on_a_full_disk_keeps_whole_parts_and_says_so(tmp_path, monkeypatch):
+    """Where the disk fails, and where `write` takes nothing and says nothing."""
+    with GrowingFile(tmp_path / "file") as file:
+        file.write(b"12345678" * 10)
+        with nearly_full(100), pytest.raises(InputError, match=r"cannot write .*file: File"):
+            file.write(b"12345678" * 10)
+        assert (tmp_path / "file").stat().st_size == 80
+        file.seek(0)
+        file.write(b"start")  # as the header of a recording is written again
+        file.seek(80)
+        monkeypatch.setattr(os, "write", lambda file, part: 0)
+        with pytest.raises(InputError, match="No space left on device; what was written before"):
+            file.write(b"more")
+    assert (tmp_path / "file").read_bytes() == b"start678" + b"12345678" * 9
+
+
+def test_nothing_is_left_of_what_a_disk_does_not_take(tmp_path):
+    def fill(folder):
+        with new_folder(folder) as draft:
+            (draft / "a").write_bytes(bytes(200))
+
+    for write in (lambda path: write_atomically(path, bytes(200)), fill):
+        with (
+            nearly_full(100),
+            pytest.raises(InputError, match="too large; nothing of it"),
+        ):
+            write(tmp_path / "new")
+        assert os.listdir(tmp_path) == []
+
+
+def test_room_is_asked_for_before_the_work(tmp_path):
+    check_room(tmp_path / "not" / "there" / "yet", 1e3, "write less")
+    with pytest.raises(InputError, match=r"1e\+12 MB, and its disk has .* MB free: .* write less"):
+        check_room(tmp_path / "not" / "there" / "yet", 1e18, "write less")

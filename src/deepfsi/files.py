@@ -8,6 +8,8 @@ place when it is whole. A killed process leaves its draft behind; the next one t
 folder removes it.
 """
 
+import errno
+import math
 import os
 import re
 import shutil
@@ -19,7 +21,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
 from hashlib import file_digest
-from io import BufferedReader
+from io import BufferedReader, FileIO
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -132,6 +134,45 @@ def open_atomically(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
         except BaseException:
             draft.unlink(missing_ok=True)
             raise
+
+
+class GrowingFile(FileIO):
+    """A new file that others read while it grows, and that takes each part whole or not at all.
+
+    A disk may take some bytes of a part, and no more: what an unbuffered file's `write` returns
+    says so, and nothing else does.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        super().__init__(os.fspath(path), "x")
+
+    def write(self, part: bytes, /) -> int:  # type: ignore[override]
+        """Write all of a part; `InputError` if the disk does not take it, and then none of it."""
+        size, left = os.fstat(self.fileno()).st_size, memoryview(part)
+        try:
+            while left:
+                taken = os.write(self.fileno(), left)
+                if not taken:
+                    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+                left = left[taken:]
+        except OSError as error:
+            self.truncate(size)
+            raise InputError(
+                f"cannot write {self.name}: {error.strerror or error}; what was written before "
+                "is kept: free the disk, or give a folder on another one"
+            ) from error
+        return len(part)
+
+
+def check_room(path: str | os.PathLike[str], size: float, advice: str) -> None:
+    """Raise `InputError` where the disk of a file to be has no room for so many bytes."""
+    above = next((each for each in Path(path).absolute().parents if each.exists()), None)
+    free = shutil.disk_usage(above).free if above else math.inf
+    if size > free:
+        raise InputError(
+            f"{path} would take {size / 1e6:.4g} MB, and its disk has {free / 1e6:.4g} MB free: "
+            f"free the disk, give a folder on another one, or {advice}"
+        )
 
 
 @contextmanager

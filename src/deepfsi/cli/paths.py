@@ -11,6 +11,9 @@ PICTURES = (".png", ".svg", ".pdf")
 TABLES = (".csv", ".parquet")
 """Ends of the names of files."""
 
+PROBE = 2**20
+"""Bytes that must fit a disk before any work whose result goes there."""
+
 
 def check_design(path: Path) -> Path:
     """Path of a design file, of a folder of patterns, or of a published design by its name."""
@@ -58,12 +61,12 @@ def check_new_folder(path: Path) -> None:
 
 
 def _check_writable(path: Path, folder: Path) -> None:
-    """Make a file in the folder, or in the lowest one above that is there, and leave nothing."""
+    """Write a file in the folder, or in the lowest one above that is there, and leave nothing."""
     there = next(each for each in (folder, *folder.parents) if each.exists())
     if not there.is_dir():
         raise InputError(f"cannot write to {path}: {there} is a file; give another place")
     try:
-        with tempfile.TemporaryFile(dir=there):
-            pass
+        with tempfile.TemporaryFile(dir=there) as file:
+            file.write(bytes(PROBE))  # a file may be made where nothing can be written into it
     except OSError as error:
         raise InputError(f"cannot write to {path}: {error.strerror}; give another place") from None

@@ -1,5 +1,8 @@
 """Files of frames: the same bits in every format; what is not a frame is refused."""
 
+import os
+from typing import get_args
+
 import numpy as np
 import pytest
 from pattern_samples import FORMATS, SMALL, every_format, export, grey
@@ -7,7 +10,10 @@ from PIL import Image
 
 from deepfsi.devices import DEVICES, find_device
 from deepfsi.errors import InputError
+from deepfsi.hardware.patterns import folder
 from deepfsi.hardware.patterns.folder import check_patterns, read_frames
+from deepfsi.hardware.patterns.sequence import Format
+from shared.disks import nearly_full
 
 
 def test_formats_hold_the_same_bits(tmp_path):
@@ -21,6 +27,34 @@ def test_formats_hold_the_same_bits(tmp_path):
     assert packed.dtype == np.uint8
     assert np.array_equal(packed, np.stack(frames[0]))
     assert (tmp_path / "raw" / "frames.bin").read_bytes() == packed.tobytes()
+
+
+EVERY_FORMAT = get_args(Format)
+BOARD = DEVICES["dlp6500"].model_copy(update={"columns": 37, "rows": 26})
+"""A device of few mirrors that takes every format."""
+
+
+@pytest.mark.parametrize("form", EVERY_FORMAT)
+def test_a_full_disk_leaves_no_patterns_whichever_file_it_cuts(tmp_path, form):
+    """Libraries that write a small array or picture by themselves say nothing of what was lost."""
+    whole = tmp_path / "whole"
+    export(whole, device=BOARD, format=form)
+    for path in [each for each in whole.rglob("*") if each.is_file()]:
+        with nearly_full(path.stat().st_size - 1), pytest.raises(InputError, match="cannot write"):
+            export(tmp_path / "cut", device=BOARD, format=form)
+        assert os.listdir(tmp_path) == ["whole"]
+
+
+def test_frames_ask_for_their_room(tmp_path, monkeypatch):
+    """Of every format that has a size known before: at least that of its files of frames."""
+    asked = []
+    monkeypatch.setattr(folder, "check_room", lambda path, size, advice: asked.append(size))
+    for form in EVERY_FORMAT:
+        export(tmp_path / form, device=BOARD, format=form)
+        parts = [*(tmp_path / form).glob("frames*"), *(tmp_path / form).glob("images/*")]
+        files = [each.stat().st_size for each in parts if each.is_file()]
+        header = 0 if form == "raw" else 128
+        assert form == "png" or sum(files) - header * len(files) <= asked[-1] <= sum(files)
 
 
 @every_format

@@ -7,6 +7,7 @@ import pytest
 from deepfsi.errors import InputError
 from deepfsi.hardware.ptu.reader import inspect, read_markers
 from deepfsi.hardware.ptu.writer import Writer
+from shared.disks import nearly_full
 
 
 def test_what_is_written_is_read_back_by_us_and_by_ptufile(tmp_path):
@@ -47,6 +48,19 @@ def test_the_same_events_give_the_same_bytes_however_they_are_split(tmp_path, mo
             for part in np.array_split(np.arange(1000), parts):
                 writer.write(times[part], codes[part])
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+
+
+def test_a_growing_file_loses_no_record_in_silence(tmp_path):
+    """A disk that fills up within a write: an error, and before it whole records alone."""
+    path, times, codes = tmp_path / "a.ptu", np.arange(1000) * 1000, np.zeros(1000, int)
+    with Writer(path, growing=True) as writer:
+        writer.write(times, codes)
+        full = nearly_full(path.stat().st_size + 2002)
+        with full, pytest.raises(InputError, match=r"cannot write .*a.ptu: File too large"):
+            writer.write(times + 10**6, codes)
+    contents = inspect(path)
+    assert contents.photons == {0: 1000}
+    assert contents.problems == ()
 
 
 def test_a_stopped_writer_leaves_what_was_there(tmp_path):

@@ -5,6 +5,7 @@ design if it was given, `loop.safetensors` of a design of several looks, and the
 and sentinels (`frame_files`).
 """
 
+import io
 import json
 import math
 import os
@@ -19,7 +20,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from deepfsi.errors import InputError, as_input_error, check_known
-from deepfsi.files import check_unpacked, hash_file, new_folder, read_regular
+from deepfsi.files import check_room, check_unpacked, hash_file, new_folder, read_regular
 from deepfsi.grid import find_grid
 from deepfsi.hardware.patterns import frame_files, mirrors, planes, sequence
 from deepfsi.hardware.patterns.detectors import Detectors
@@ -116,6 +117,7 @@ def export_patterns(
     )
     ends = np.full_like(counted.on[0], grid.mirrors), np.zeros_like(counted.on[0])
     every = chain(ends, counted.on, ends)
+    check_room(folder, frame_files.size(total, settings), 'write `format="png"`, which is small')
     with new_folder(folder) as draft:
         frames = mirrors.make_frames(every, device, grid, settings.selection, settings.seed)
         hashes = frame_files.write_frames(draft, frames, total, settings, report)
@@ -174,7 +176,9 @@ def list_frames(
 
 def _write(folder: Path, patterns: sequence.Patterns, design: DesignRails) -> sequence.Patterns:
     """Write all files of a folder but the frames; the patterns with the manifest as written."""
-    np.save(folder / "mirrors.npy", patterns.on)
+    array = io.BytesIO()  # numpy itself loses what a full disk does not take of a small file
+    np.save(array, patterns.on)
+    (folder / "mirrors.npy").write_bytes(array.getvalue())
     for name, content in ((DESIGN, design.file), (LOOP, design.loop)):
         if content is not None:
             (folder / name).write_bytes(content)

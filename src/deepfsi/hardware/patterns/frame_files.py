@@ -21,7 +21,13 @@ from PIL.PngImagePlugin import PngImageFile
 
 from deepfsi.errors import InputError
 from deepfsi.files import open_regular
-from deepfsi.hardware.patterns.planes import load_planes, read_picture, reading, write_planes
+from deepfsi.hardware.patterns.planes import (
+    load_planes,
+    read_picture,
+    reading,
+    save_picture,
+    write_planes,
+)
 from deepfsi.hardware.patterns.sequence import FrameSettings, Manifest
 from deepfsi.progress import SILENT, Report
 
@@ -53,7 +59,7 @@ def write_frames(
         (folder / "frames").mkdir()
         for place, frame in enumerate(hashed()):
             picture = Image.frombytes("1", (device.columns, device.rows), frame.tobytes())
-            picture.save(folder / _png(place, total), compress_level=1)  # faster, no larger
+            save_picture(picture, folder / _png(place, total), compress_level=1)  # no larger
     else:
         with (folder / STREAMS[format]).open("wb") as stream:
             if format == "npy":
@@ -61,6 +67,14 @@ def write_frames(
             for frame in hashed():
                 stream.write(frame.data)
     return hashes
+
+
+def size(total: int, settings: FrameSettings) -> int:
+    """Bytes of so many frames, of a format that does not compress them; else 0."""
+    device = settings.device
+    if settings.format == "planes":
+        return math.ceil(total / device.packed_frames(total)) * 3 * device.rows * device.columns
+    return 0 if settings.format == "png" else total * device.frame_bytes
 
 
 def load_frames(folder: Path, manifest: Manifest) -> Iterator[np.ndarray]:

@@ -53,7 +53,7 @@ def write_planes(folder: Path, frames: Iterable[np.ndarray], total: int, device:
     """Write frames, each (rows, bytes of a row), as they come."""
     (folder / "images").mkdir()
     for image, picture in enumerate(pack_planes(frames, total, device)):
-        Image.fromarray(picture).save(folder / _file(image))
+        save_picture(Image.fromarray(picture), folder / _file(image))
 
 
 def pack_planes(frames: Iterable[np.ndarray], total: int, device: Device) -> Iterator[np.ndarray]:
@@ -108,6 +108,13 @@ def reading(name: str) -> Iterator[None]:
         raise
     except (OSError, SyntaxError, ValueError) as error:
         raise InputError(f"{name} cannot be read ({error}): export the patterns again") from None
+
+
+def save_picture(picture: Image.Image, path: Path, **options: int) -> None:
+    """Write a picture in the format that its name ends in."""
+    file = io.BytesIO()  # Pillow itself loses what a full disk does not take
+    picture.save(file, Image.registered_extensions()[path.suffix], **options)
+    path.write_bytes(file.getvalue())
 
 
 def _file(image: int) -> str:

@@ -5,12 +5,12 @@ import struct
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from importlib.metadata import version
-from typing import Any, BinaryIO, Self, cast
+from typing import Any, BinaryIO, Self
 
 import numpy as np
 
 from deepfsi.errors import InputError
-from deepfsi.files import open_atomically
+from deepfsi.files import GrowingFile, open_atomically
 from deepfsi.hardware.ptu.header import GENERIC_T2, MAGIC, TICKS_S
 
 LATEST_WRITTEN_TICK = 2**55
@@ -55,10 +55,8 @@ class Writer:
                 self._file.seek(0)
                 self._file.write(self._header())
 
-    def _opener(self) -> AbstractContextManager[BinaryIO]:
-        if not self._growing:
-            return open_atomically(self._path)
-        return cast(BinaryIO, open(self._path, "xb", buffering=0))
+    def _opener(self) -> AbstractContextManager[BinaryIO | GrowingFile]:
+        return GrowingFile(self._path) if self._growing else open_atomically(self._path)
 
     def write(self, times: np.ndarray, codes: np.ndarray) -> None:
         """Append events: times in ticks, integers (n,), and a code for each, integers (n,)."""

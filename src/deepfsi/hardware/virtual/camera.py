@@ -25,7 +25,7 @@ from pydantic import Field, field_validator
 
 from deepfsi.devices import Device
 from deepfsi.errors import InputError
-from deepfsi.files import new_folder
+from deepfsi.files import check_room, new_folder
 from deepfsi.grid import Grid
 from deepfsi.hardware.patterns.folder import read_frames, read_patterns
 from deepfsi.hardware.patterns.mirrors import unpack
@@ -307,6 +307,9 @@ def record(
     with new_folder(target) as draft:
         acquisition = prepare(draft, patterns_folder, wanted)
         flow = arrival_rates(patterns_folder, scenes, camera, settings.flux, report.part(0, 0.5))
+        if not camera.gates:
+            events = float(np.einsum("sfd,f->", camera.registered(flow), manifest.picture_s))
+            check_room(target, 4 * events, "give less `flux` or a shorter `exposure`")
         rng = np.random.default_rng(settings.seed)
         path = draft / "photons.ptu"
         clicks = None

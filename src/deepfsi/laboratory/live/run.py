@@ -10,11 +10,12 @@ from collections.abc import Callable, Generator, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Generic, TextIO, TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 
 from deepfsi.errors import InputError, as_input_error
+from deepfsi.files import GrowingFile
 from deepfsi.hardware.drivers.protocols import (
     PassProjector,
     StreamingCounter,
@@ -167,7 +168,7 @@ def run_live(
         prepare(folder, patterns_folder, acquisition)
         bench.counter.start(folder / "photons.ptu")
         show = _Sequencer(bench, patterns.manifest, acquisition)
-        record = stack.enter_context((folder / shown.NAME).open("x", encoding="utf-8", buffering=1))
+        record = stack.enter_context(GrowingFile(folder / shown.NAME))
         if live.background:
             bench.display(shown.DARK)
             _measure(bench.clock, observer, show, record)
@@ -178,7 +179,7 @@ def run_live(
 
 
 def _measure(
-    clock: Callable[[], float], observer: Observer, show: "_Sequencer", record: TextIO
+    clock: Callable[[], float], observer: Observer, show: "_Sequencer", record: GrowingFile
 ) -> None:
     """Measure the masks' own background, and record what was shown for it."""
     start = clock()
@@ -191,7 +192,7 @@ def _measure(
         light_s=0.0,
         clock_s=clock() - start,
     )
-    record.write(line.model_dump_json() + "\n")
+    record.write(f"{line.model_dump_json()}\n".encode())
 
 
 def _look(
@@ -200,7 +201,7 @@ def _look(
     clock: Callable[[], float],
     observer: Observer,
     show: "_Sequencer",
-    record: TextIO,
+    record: GrowingFile,
 ) -> Iterator[Decided]:
     """Decide on a scene; its line is in the record before the last decision is given."""
     start, show.lists, first, last = clock(), [], show.markers, None
@@ -217,7 +218,7 @@ def _look(
         light_s=0.0 if last is None else last.light_s,
         clock_s=clock_s,
     )
-    record.write(finished.model_dump_json() + "\n")
+    record.write(f"{finished.model_dump_json()}\n".encode())
     answer = LiveScene.of(scene, last, observer.looks.classes, clock_s)
     yield Decided(place, last, clock_s, answer)
 
