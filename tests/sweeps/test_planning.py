@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from deepfsi.errors import InputError
+from deepfsi.statistics.crossing import Crossing, crossing
 from deepfsi.sweeps import planning
-from deepfsi.sweeps.planning import Crossing, check_plan, crossing, next_budget, photons_needed
+from deepfsi.sweeps.planning import check_plan, next_budget, photons_needed
 from deepfsi.sweeps.recipe import Recipe
 
 DECADES = (1e2, 1e3, 1e4, 1e5, 1e6)
