@@ -33,6 +33,15 @@ def test_what_a_page_cannot_play_is_refused(made):
     )
     with pytest.raises(InputError, match=r"for shared\.noises:photons noise"):
         check_playable(other)
+    read = {"light": "column", "noise": "camera", "dark": 5, "sigma": 2}
+    noises = {
+        "read noise of 2 counts": read,
+        "for gaussian noise": {**read, "noise": "gaussian", "dark": 0},
+    }
+    for words, camera in noises.items():
+        with pytest.raises(InputError, match=words):
+            check_playable(replace(good, info={"job": {"camera": camera}}))
+    check_playable(replace(good, info={"job": {"camera": {**read, "sigma": 0}}}))
     with pytest.raises(InputError, match="of image patches"):
         check_playable(replace(good, exposure=PatchExposure(4)))
     check_playable(good)

@@ -27,6 +27,9 @@ KINDS = {
     "looks-both": {"masks": 5, "looks": 3, "light": "free-dwell", "readout": "both"},
     "nested": {"masks": 9, "nested": 3, "span": 1e3, "photons": 1e2, **ONE_ARM},
     "spectra": {"masks": 5, "light": "free-dwell"},
+    "dark": {"masks": 6, "dark": 300, "detectors": "2x2", **ONE_ARM},
+    "dark-arms": {"masks": 5, "dark": 300, "light": "two-arm"},
+    "dark-looks": {"masks": 5, "looks": 3, "dark": 300, "light": "free-dwell", "readout": "both"},
 }
 """Settings of the designs that are played."""
 

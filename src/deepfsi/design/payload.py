@@ -22,7 +22,7 @@ from deepfsi.design.adaptive.posterior import LookOptics
 from deepfsi.design.artifact import Design
 from deepfsi.design.classifiers import Mlp
 from deepfsi.design.confidence import stops_of
-from deepfsi.design.evaluation import check_data, evaluate
+from deepfsi.design.evaluation import check_data, evaluate, scanner_for
 from deepfsi.design.exposure import LARGEST_SCORE
 from deepfsi.design.file_content import check_classes
 from deepfsi.design.stopping import rule_of, stop
@@ -128,11 +128,16 @@ def _classifier(design: Design) -> Mlp:
             "a page has no classifier of your own in it: give a design with the package's own, "
             "which `classifier` mlp learns"
         )
-    noise = design.camera.noise_name
-    if noise not in ("poisson", "ml_gauss"):
+    camera = design.camera
+    if camera.noise_name == "camera" and camera.sigma:
         raise InputError(
-            f"this design is for {noise} noise, and a page draws photon counts: give a design for "
-            "poisson noise"
+            f"this design is for read noise of {camera.sigma:g} counts, and a page draws photon "
+            "and dark counts: give a design of sigma 0"
+        )
+    if camera.noise_name not in ("poisson", "ml_gauss", "camera"):
+        raise InputError(
+            f"this design is for {camera.noise_name} noise, and a page draws photon and dark "
+            "counts: give a design for poisson or camera noise"
         )
     return design.classifier
 
@@ -171,6 +176,7 @@ def _networks(design: Design) -> dict[str, Any]:
         "light": design.light,
         "rails": rails.count,
         "readout": design.detection.readout,
+        **_dark(design),
         "matrix": pack(difference),
         "total": sums,
         "mean": pack(design.mean.cpu().numpy()),
@@ -182,6 +188,13 @@ def _networks(design: Design) -> dict[str, Any]:
             "chooser": None if chooser is None else _layers(chooser),
         },
     }
+
+
+def _dark(design: Design) -> dict[str, Any]:
+    """Dark counts of a detector in an exposure, and of each readout."""
+    scanner = scanner_for(design, design.camera)
+    each = pack(scanner.dark_counts(design.rails.count).cpu().numpy()) if scanner.dark else None
+    return {"dark": scanner.dark, "dark_counts": each}
 
 
 def _posterior(known: AdaptiveDesign, design: AdaptiveDesign) -> dict[str, Any]:

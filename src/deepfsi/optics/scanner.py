@@ -130,13 +130,21 @@ class Scanner(nn.Module):
 
         The dwells of their frames are `share` of the masks' own, for dark counts.
         """
-        shown, time = self._shown(rates)
+        shown, time = self._shown(rates.shape[-2])
         if self._own is not None:
             counts = self._own(torch.where(shown, rates, 1.0), generator)
         else:
             dark = self.dark * time * share
             counts = readout(rates, self.noise, self.sigma, generator, dark)
         return torch.where(shown, counts, 0.0)
+
+    def dark_counts(self, rails: int) -> Tensor:
+        """Expected dark counts (rails, m · D) of the readouts of an exposure of 1 or 2 rails.
+
+        A rail that is dark by construction is not read out, and has none.
+        """
+        shown, time = self._shown(rails)
+        return torch.where(shown, self.dark * time, 0.0)
 
     def expected(self, rates: Tensor) -> Tensor:
         """Mean counts of rails that so many photons reach: as many, but of detectors that click."""
@@ -176,14 +184,14 @@ class Scanner(nn.Module):
         """Variance of the counts of rails that so many photons reach."""
         if isinstance(self._own, Click):
             return self._own.variance(rates)
-        shown, time = self._shown(rates)
+        shown, time = self._shown(rates.shape[-2])
         every = variance(rates, shown, self.noise, self.sigma, self.dark * time)
         return torch.where(shown, every, 0.0).expand_as(rates)
 
-    def _shown(self, rates: Tensor) -> tuple[Tensor, Tensor]:
+    def _shown(self, rails: int) -> tuple[Tensor, Tensor]:
         """Which rails are not dark by construction, and their share of the exposure."""
         every = Detection(count=self.detection.count).readouts(self._arranged())
-        shown, time = (each.movedim(0, -2)[..., : rates.shape[-2], :] for each in every)
+        shown, time = (each.movedim(0, -2)[..., :rails, :] for each in every)
         return shown, time.detach()
 
     def rates(self, photons: Tensor) -> Tensor:

@@ -74,10 +74,11 @@ export class Exposure extends Frames {
   constructor(model, scene, photons, seed) {
     super(model, scene, photons, seed);
     const random = new Random(seed);
-    const rates = model.rates(scene).map((rate) => rate * photons);
+    const light = model.rates(scene).map((rate) => rate * photons);
+    const rates = model.darkCounts ? light.map((rate, place) => rate + model.darkCounts[place]) : light;
     for (let look = 0; look < model.looks; look++) {
-      const { counts, dwell } = this.after(this.frames.length);
-      const chosen = dwell && model.choose(counts, photons, look, dwell);
+      const { lit, dwell } = this.after(this.frames.length);
+      const chosen = dwell && model.choose(lit, photons, look, dwell);
       const frames = this.together ? slicesOf(model) : framesOf(model, chosen, look);
       for (const frame of frames) {
         frame.counts = frame.places.map((place) => poisson(rates[place] * frame.scale, random));
@@ -93,7 +94,7 @@ export class Exposure extends Frames {
   /** Counts are drawn beforehand: nothing is to be done to reach a moment. */
   reach() {}
 
-  /** Counts, dwells and masks shown after so many frames. */
+  /** Counts, those of light, dwells and masks shown after so many frames. */
   after(count) {
     const { model } = this;
     const counts = new Float64Array(model.readouts);
@@ -111,7 +112,7 @@ export class Exposure extends Frames {
     });
     const next = this.frames[count];
     const shown = this.together || model.chooser || !next ? model.masks : next.mask;
-    return { counts, scale, dwell, shown };
+    return { counts, lit: model.withoutDark(counts, scale), scale, dwell, shown };
   }
 
   /**
@@ -143,9 +144,9 @@ export class Exposure extends Frames {
   findAnswer(count) {
     const { model, photons, frames } = this;
     if (count === 0) return { chances: null };
-    const { counts, dwell, shown } = this.after(count);
+    const { lit, dwell, shown } = this.after(count);
     const light = this.together ? photons * frames[count - 1].end : photons;
-    const chances = model.classify(counts, light, shown, dwell);
+    const chances = model.classify(lit, light, shown, dwell);
     return { chances, at: model.chooser ? frames[count - 1].look + 1 : shown };
   }
 }
@@ -154,15 +155,18 @@ export class Exposure extends Frames {
 export class Rivals {
   constructor(model, scene, photons, seed) {
     const light = Array.from(scene, (x) => (x * photons) / model.summed_reflectance);
+    // Their detectors have the dark counts of this camera's, whose mean is subtracted
+    const { dark } = model;
+    const draw = (each, parts, random) => poisson((each + dark) / parts, random) - dark / parts;
     this.scale = model.summed_reflectance / photons;
     const raster = new Random(seed, 1);
-    this.raster = light.map((each) => poisson(each / light.length, raster) * light.length);
+    this.raster = light.map((each) => draw(each, light.length, raster) * light.length);
     const impulse = new Random(seed, 2);
     this.slices = 16;
     this.impulse = [light.map(() => 0)];
     for (let slice = 0; slice < this.slices; slice++) {
       const before = this.impulse[slice];
-      this.impulse.push(light.map((each, i) => before[i] + poisson(each / this.slices, impulse)));
+      this.impulse.push(light.map((each, i) => before[i] + draw(each, this.slices, impulse)));
     }
   }
 

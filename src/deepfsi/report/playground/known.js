@@ -36,7 +36,9 @@ export class KnownView {
   counted(scene, photons) {
     if (this.model.chooser) return "";
     const counted = this.model.rates(scene).reduce((a, b) => a + b, 0) * photons;
-    return ` The detectors count about ${photonsText(counted)} of them.`;
+    const dark = this.model.darkCounts?.reduce((a, b) => a + b, 0);
+    const more = dark ? ` and ${photonsText(dark)} dark counts` : "";
+    return ` The detectors count about ${photonsText(counted)} of them${more}.`;
   }
 
   /** What is on the device. */
@@ -49,8 +51,8 @@ export class KnownView {
   /** Picture of the counts after so many frames; null before the first, undefined to keep it. */
   picture(exposure, count) {
     if (count < exposure.frames.length && this.model.readouts > MOST_ROWS) return undefined;
-    const { counts, scale } = exposure.after(count);
-    return count ? this.squares.picture(counts, scale, exposure.photons) : null;
+    const { lit, scale } = exposure.after(count);
+    return count ? this.squares.picture(lit, scale, exposure.photons) : null;
   }
 
   about(exposure) {

@@ -90,6 +90,7 @@ export class Model extends Design {
     model.total = payload.total && (await unpack(payload.total)).values;
     model.mean = (await unpack(payload.mean)).values;
     model.std = (await unpack(payload.std)).values;
+    model.darkCounts = payload.dark ? (await unpack(payload.dark_counts)).values : null;
     model.network = await layers(payload.network);
     model.chooser = payload.exposure.chooser && (await layers(payload.exposure.chooser));
     model.masks = model.matrix.length / model.pixels;
@@ -148,6 +149,12 @@ export class Model extends Design {
       }
     });
     return rates.map((rate) => rate / this.summed_reflectance);
+  }
+
+  /** Counts less those that are expected in the dark; `scale` is the share of each readout's time. */
+  withoutDark(counts, scale) {
+    const dark = this.darkCounts;
+    return dark ? counts.map((count, place) => count - dark[place] * scale[place]) : counts;
   }
 
   /** Features that the networks read of counts. */

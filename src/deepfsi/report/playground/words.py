@@ -110,7 +110,7 @@ def _networks(payload: Payload) -> dict[str, str]:
     return {
         "Masks": f"{masks_text(payload)}. {RAILS[payload['rails']]}",
         "Learned for": f"{' to '.join(ends)} photons." if ends else "",
-        "Noise": "Exact Poisson counts. There are no dark counts, no dead time and no stray light.",
+        "Noise": _noise(payload["dark"]),
         "Network": f"Fully connected, hidden layers of {' and '.join(hidden) or 'no'} units.",
         "Nested": f"The first {exposure['nested']} masks are enough for an answer."
         if exposure.get("nested")
@@ -121,15 +121,13 @@ def _networks(payload: Payload) -> dict[str, str]:
 
 def _posterior(payload: Payload) -> dict[str, str]:
     """Facts on adaptive masks, and the scenes that the page knows."""
-    scenes, of, dark = payload["known"]["scenes"], payload["known"]["of"], payload["dark"]
+    scenes, of = payload["known"]["scenes"], payload["known"]["of"]
     kind = f"{'centres of clusters of ' * payload['known']['centres']}training scenes of the design"
     even = len(set(payload["shares"])) == 1
-    noise = f"{dark:.3g} dark counts of each detector in a whole exposure" if dark else ""
     return {
         "Masks": f"{masks_text(payload)}, each shown for {'the same' if even else 'its own'} share "
         "of the exposure. Mirrors are ON or OFF.",
-        "Noise": f"Exact Poisson counts{f', with {noise}' if noise else ''}. There are no "
-        f"{'' if dark else 'dark counts, no '}dead time and no stray light.",
+        "Noise": _noise(payload["dark"]),
         "Prior": f"This page knows {scenes} of the {of} {kind}, of each "
         "class the same share, and the accuracy above is of these. All of them may tell more."
         if scenes < of
@@ -137,6 +135,16 @@ def _posterior(payload: Payload) -> dict[str, str]:
         "Probabilities": "The posterior of the class. No network is trained, and nothing is "
         "calibrated.",
     }
+
+
+def _noise(dark: float) -> str:
+    """Words for the counts, with so many dark counts of a detector in an exposure."""
+    if not dark:
+        return "Exact Poisson counts. There are no dark counts, no dead time and no stray light."
+    return (
+        f"Exact Poisson counts, with {dark:.3g} dark counts of each detector in a whole exposure, "
+        "whatever the light. There is no dead time and no stray light."
+    )
 
 
 def _calibrated(payload: Payload) -> str:
