@@ -1,4 +1,4 @@
-"""Files are written whole or not at all."""
+"""Files are written whole or not at all, and text is read as any editor saves it."""
 
 import os
 import subprocess
@@ -7,7 +7,17 @@ import sys
 import pytest
 
 from deepfsi.errors import InputError
-from deepfsi.files import GrowingFile, check_room, new_folder, remove_drafts, write_atomically
+from deepfsi.files import (
+    WINDOWS,
+    GrowingFile,
+    check_room,
+    content_of,
+    new_folder,
+    read_text,
+    read_toml,
+    remove_drafts,
+    write_atomically,
+)
 from shared.disks import nearly_full
 
 
@@ -118,3 +128,53 @@ def test_room_is_asked_for_before_the_work(tmp_path):
     check_room(tmp_path / "not" / "there" / "yet", 1e3, "write less")
     with pytest.raises(InputError, match=r"1e\+12 MB, and its disk has .* MB free: .* write less"):
         check_room(tmp_path / "not" / "there" / "yet", 1e18, "write less")
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-32"])
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+def test_text_is_the_same_from_every_editor(tmp_path, encoding, end):
+    path = tmp_path / "file"
+    path.write_bytes(f"a = 'ü'{end}b = 2{end}".encode(encoding))
+    assert read_text(path, 100, "") == "a = 'ü'\nb = 2\n"
+    assert read_toml(path) == {"a": "ü", "b": 2}
+
+
+def test_the_mark_says_the_order_of_bytes(tmp_path):
+    (tmp_path / "big").write_bytes(b"\xfe\xff\x00a\x00\xe9")
+    assert read_text(tmp_path / "big", 100, "") == "aé"
+
+
+def test_text_of_windows_is_read_where_tables_are(tmp_path):
+    path = tmp_path / "names"
+    path.write_bytes("müsli, 5 µm, €".encode("cp1252"))
+    assert read_text(path, 100, "", WINDOWS) == "müsli, 5 µm, €"
+    with pytest.raises(InputError, match="holds text of another encoding, not text in UTF-8: save"):
+        read_text(path, 100, "save it again")
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"", "nothing"),
+        (b"PK\x03\x04\x14\0", "a zip file"),
+        (b"\n<!DOCTYPE html><html>", "a web page"),
+        (b"\xef\xbb\xbf<html>", "a web page"),
+        (b"version https://git-lfs.github.com/spec/v1\n", "a pointer of Git LFS"),
+        (b"\x89PNG\r\n\x1a\n", "a PNG picture"),
+        (b"1,2\r\n", "text"),
+        (bytes(range(256)), "data of an unknown kind"),
+    ],
+)
+def test_what_a_file_holds_is_told_by_its_first_bytes(tmp_path, content, said):
+    (tmp_path / "file.npz").write_bytes(content)
+    assert content_of(tmp_path / "file.npz").startswith(said)
+
+
+@pytest.mark.parametrize(
+    "content", [b"a\0b", "ab".encode("utf-16-le"), b"\xff\xfea", b"\x81\x8d", b"PK\x03\x04\0"]
+)
+def test_what_is_no_text_is_one_line(tmp_path, content):
+    (tmp_path / "file").write_bytes(content)
+    with pytest.raises(InputError, match="not text in UTF-8: save it again") as error:
+        read_text(tmp_path / "file", 100, "save it again", WINDOWS)
+    assert "\n" not in str(error.value)

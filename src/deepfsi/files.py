@@ -8,6 +8,7 @@ place when it is whole. A killed process leaves its draft behind; the next one t
 folder removes it.
 """
 
+import codecs
 import errno
 import math
 import os
@@ -28,12 +29,50 @@ from typing import Any, BinaryIO
 from deepfsi.errors import InputError
 from deepfsi.owners import PATTERN, owner_of, this_process
 
+BYTE_ORDER_MARKS = {
+    codecs.BOM_UTF8: "utf-8",
+    codecs.BOM_UTF32_LE: "utf-32-le",  # begins like that of UTF-16
+    codecs.BOM_UTF32_BE: "utf-32-be",
+    codecs.BOM_UTF16_LE: "utf-16-le",
+    codecs.BOM_UTF16_BE: "utf-16-be",
+}
+"""Encodings of text that begins with a byte order mark."""
+
+CONTENTS = {
+    b"PK\x03\x04": "a zip file (such as .npz, .xlsx or .pt)",
+    b"\x93NUMPY": "a NumPy array (.npy)",
+    b"MATLAB ": "MATLAB variables (.mat)",
+    b"\x89HDF": "an HDF5 file",
+    b"PAR1": "a Parquet table",
+    b"\x1f\x8b": "a gzip file",
+    b"BZh": "a bzip2 file",
+    b"\xfd7zXZ": "an xz file",
+    b"7z\xbc\xaf": "a 7z file",
+    b"Rar!": "a RAR file",
+    b"\xd0\xcf\x11\xe0": "an old Office document (such as .xls)",
+    b"%PDF": "a PDF",
+    b"\x89PNG": "a PNG picture",
+    b"\xff\xd8\xff": "a JPEG picture",
+    b"GIF8": "a GIF picture",
+    b"BM": "a BMP picture",
+    b"II*\0": "a TIFF picture",
+    b"MM\0*": "a TIFF picture",
+    b"SIMPLE  =": "a FITS file",
+    b"PQTTTR": "a PTU file of photons",
+    b"version https://git-lfs": "a pointer of Git LFS, not the file itself (git lfs pull)",
+    b"ENVI": "an ENVI header",
+}
+"""Kinds of files by their first bytes."""
+
 DESIGNS = (".safetensors",)
 """Ends of the names of design files."""
 
 DRAFT_SECONDS = 86400.0
 """Age from which a draft of another host is left over: its process cannot be asked for."""
 
+
+WINDOWS = "cp1252"
+"""Encoding of text that Windows' programs save for western Europe and America."""
 
 LARGEST_TOML = 2**18
 """Bytes of a TOML file at most."""
@@ -80,13 +119,51 @@ def read_regular(path: str | os.PathLike[str], largest: int, advice: str) -> byt
         return file.read()
 
 
+def content_of(path: str | os.PathLike[str]) -> str:
+    """Kind of what a file holds, whatever its name says, as a part of a message."""
+    with open_regular(path) as file:
+        head = file.read(512)
+    if not head:
+        return "nothing"
+    kind = next((kind for start, kind in CONTENTS.items() if head.startswith(start)), "")
+    if not kind and re.match(rb"(\xef\xbb\xbf)?\s*<(!doctype|html|\?xml)", head, re.IGNORECASE):
+        kind = "a web page (a download that failed?)"
+    printable = bytes({*range(32, 256), *b"\t\r\n\f"})
+    return kind or ("data of an unknown kind" if head.translate(None, printable) else "text")
+
+
+def read_text(
+    path: str | os.PathLike[str], largest: int, advice: str, other: str | None = None
+) -> str:
+    """Text of a file of any editor, its lines ended by line feeds alone.
+
+    A byte order mark says which of UTF-8, UTF-16 and UTF-32 it is. Text without one is UTF-8, or
+    where it is none and `other` is given, that encoding: `WINDOWS`, in which Excel saves tables.
+    """
+    content = read_regular(path, largest, advice)
+    found = next((mark for mark in BYTE_ORDER_MARKS if content.startswith(mark)), b"")
+    encoding = BYTE_ORDER_MARKS.get(found, "utf-8")
+    try:
+        text = content[len(found) :].decode(encoding)
+    except UnicodeDecodeError:
+        try:
+            text = content.decode("ascii" if found or other is None else other)
+        except UnicodeDecodeError:
+            text = "\0"
+    if "\0" in text:
+        kind = content_of(path)
+        what = "text of another encoding" if kind in ("text", "data of an unknown kind") else kind
+        raise InputError(f"{path} holds {what}, not text in UTF-8: {advice}")
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
 def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
     """Tables of a TOML file."""
-    content = read_regular(path, LARGEST_TOML, "give a TOML file")
-    if max(part.count(b".") for part in re.split(rb"[\n,={}\[\]]", content)) > MOST_DOTS:
+    content = read_text(path, LARGEST_TOML, "give a TOML file")
+    if max(part.count(".") for part in re.split(r"[\n,={}\[\]]", content)) > MOST_DOTS:
         raise InputError(f"{path} has a key of more than {MOST_DOTS} dots: break it up")
     try:
-        return tomllib.loads(content.decode("utf-8"))
+        return tomllib.loads(content)
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path} is no TOML file: {error}") from None
 

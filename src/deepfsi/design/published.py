@@ -15,7 +15,7 @@ from urllib.request import url2pathname
 from pydantic import Field
 
 from deepfsi.errors import InputError, as_input_error, closest
-from deepfsi.files import hash_file, read_regular
+from deepfsi.files import hash_file, read_text
 from deepfsi.frozen import Frozen
 
 VARIABLE = "DEEPFSI_DESIGNS"
@@ -83,7 +83,7 @@ class Index(Frozen):
     def read(cls, folder: Path) -> "Index":
         """Index in a folder."""
         path = folder / INDEX
-        content = read_regular(path, LARGEST_INDEX, "give the folder of a collection of designs")
+        content = read_text(path, LARGEST_INDEX, "give the folder of a collection of designs")
         with as_input_error(str(path), "make the collection again"):
             return cls.model_validate_json(content)
 

@@ -9,7 +9,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat, 
 
 from deepfsi.datasets.dataset import Measure
 from deepfsi.errors import as_input_error
-from deepfsi.files import read_regular, write_atomically
+from deepfsi.files import read_text, write_atomically
 from deepfsi.optics.codes import EVERY_PIXEL
 
 SCHEMA = 5
@@ -244,6 +244,6 @@ def write_results(path: Path, results: Results) -> Path:
 def read_results(path: Path) -> Results:
     """Results that `write_results` wrote, or `InputError`."""
     again = "run the comparison again"
-    content = read_regular(path, LARGEST_FILE, again)
+    content = read_text(path, LARGEST_FILE, again)
     with as_input_error(str(path), again):
         return Results.model_validate_json(content)

@@ -20,7 +20,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from deepfsi.errors import InputError, as_input_error, check_known
-from deepfsi.files import check_room, check_unpacked, hash_file, new_folder, read_regular
+from deepfsi.files import check_room, check_unpacked, hash_file, new_folder, read_text
 from deepfsi.grid import find_grid
 from deepfsi.hardware.patterns import frame_files, mirrors, planes, sequence
 from deepfsi.hardware.patterns.detectors import Detectors
@@ -194,7 +194,7 @@ def _write(folder: Path, patterns: sequence.Patterns, design: DesignRails) -> se
 def read_patterns(folder: str | os.PathLike[str]) -> sequence.Patterns:
     """Patterns of a folder, without reading its frames."""
     path = Path(folder) / "manifest.json"
-    content = read_regular(path, LARGEST_MANIFEST, "make patterns with `deepfsi dmd export`")
+    content = read_text(path, LARGEST_MANIFEST, "make patterns with `deepfsi dmd export`")
     with as_input_error(str(path), "export the patterns again"):
         manifest = sequence.Manifest.model_validate_json(content)
     if manifest.sha256 not in (None, _digest(content)):

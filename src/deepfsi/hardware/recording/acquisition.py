@@ -18,7 +18,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, model_validator
 
 from deepfsi.errors import InputError, as_input_error
-from deepfsi.files import hash_file, new_folder, read_regular, write_atomically
+from deepfsi.files import hash_file, new_folder, read_regular, read_text, write_atomically
 from deepfsi.frozen import Frozen
 from deepfsi.hardware.patterns.folder import companions, read_patterns
 from deepfsi.hardware.patterns.sequence import Manifest, Patterns
@@ -173,7 +173,7 @@ def read_acquisition(folder: str | os.PathLike[str]) -> tuple[Acquisition, Patte
     """Settings and patterns of a recording, checked for consistency."""
     path = Path(folder) / "acquisition.json"
     hint = "make the folder with `deepfsi camera prepare` or `simulate`"
-    content = read_regular(path, LARGEST_JSON, hint)
+    content = read_text(path, LARGEST_JSON, hint)
     with as_input_error(str(path)):
         acquisition = Acquisition.model_validate_json(content)
     patterns = read_patterns(path.parent / "patterns")

@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import Field, FiniteFloat, model_validator
 
 from deepfsi.errors import as_input_error
-from deepfsi.files import read_regular, write_atomically
+from deepfsi.files import read_text, write_atomically
 from deepfsi.frozen import Frozen
 from deepfsi.hardware.recording.dead_time import DeadTime
 
@@ -101,6 +101,6 @@ def save_calibration(calibration: Calibration, folder: Path) -> Path:
 def load_calibration(folder: Path) -> Calibration:
     """Read `calibration.json` of a folder."""
     path = Path(folder) / "calibration.json"
-    content = read_regular(path, LARGEST_FILE, "calibrate the camera")
+    content = read_text(path, LARGEST_FILE, "calibrate the camera")
     with as_input_error(f"'{path}'", "calibrate the camera again"):
         return Calibration.model_validate_json(content)
