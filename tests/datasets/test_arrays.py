@@ -202,7 +202,7 @@ BAD_ARRAYS: dict[str, tuple[tuple[Any, ...], tuple[str, ...]]] = {
     "no pixels": ((np.ones((30, 0)), Y), ("(30, 0)",)),
     "dark": ((X * 0, Y), ("dark",)),
     "lengths": ((X, Y[:-1]), ("(29,)", "30 scenes")),
-    "labels in two dimensions": ((X, Y[:, None]), ("(30, 1)", "30 scenes")),
+    "labels in two dimensions": ((X, Y.reshape(15, 2)), ("(15, 2)", "30 scenes")),
     "values of other scenes": ((X, Y[:-1] / 2), ("(29,)", "30 scenes")),
     "values without a limit": ((X, np.where(Y, np.inf, 1.0)), ("finite",)),
     "one value of all": ((X, Y * 0.0), ("the same of all",)),
@@ -349,3 +349,36 @@ def test_arrays_that_memory_does_not_hold_are_refused_before_they_are_copied(mon
         from_arrays(x, y)
     monkeypatch.setattr(arrays, "free_memory", lambda: 8 * x.size)
     assert from_arrays(x, y).pixels == 20
+
+
+@pytest.mark.parametrize(
+    ("y", "said"),
+    [
+        (Y.astype(float), "whole numbers written as floats (0, 1, 2): if they are classes, give"),
+        (Y.astype(np.float16)[:, None], "whole numbers written as floats"),
+        (np.eye(3)[Y], "a single 1 in each row, as of classes in one-hot form"),
+        (np.ma.masked_equal(Y, 1), "y hides 10 values under a mask"),
+        (np.ma.masked_less(Y / 7, 0.1), "y hides 10 values under a mask"),
+    ],
+)
+def test_labels_as_other_programs_save_them_are_no_values(y, said):
+    with refused(said):
+        from_arrays(X, y)
+
+
+def test_values_stay_values():
+    """Names make whole numbers values; so do fractions, and numbers of too few scenes each."""
+    named = from_arrays(X, Y.astype(float), values=["row"])
+    assert (named.values, named.classes) == (("row",), ())
+    for y in (Y + 0.5, np.arange(30.0), np.stack([Y, 2 - Y], axis=1) * 1.0, np.eye(3)[Y] * 0.5):
+        assert from_arrays(X, y).values
+
+
+@pytest.mark.parametrize("y", [Y[:, None], Y[None], [f"{k} " for k in Y], Y.astype(">u2")])
+def test_vectors_of_labels_are_read_as_matlab_has_them(y):
+    assert from_arrays(X, y).hash == from_arrays(X, Y).hash
+
+
+def test_a_mask_of_scenes_is_refused():
+    with refused("x hides 1 values under a mask"):
+        from_arrays(np.ma.masked_equal(X, X.max()), Y)

@@ -45,12 +45,6 @@ def test_image_folder_with_its_own_split(split):
         load_dataset(split)
 
 
-def test_classes_may_be_called_train_and_test(images):
-    (images / "cat").rename(images / "train")
-    (images / "dog").rename(images / "test")
-    assert load_dataset(images).classes == ("test", "train")
-
-
 def test_size_averages_over_areas(images):
     save_images(images / "cat", np.full((1, 3, 3), 40, np.uint8))
     with refused("000.png is 3x3", "001.png is 6x8", "size"):

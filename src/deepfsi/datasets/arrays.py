@@ -13,6 +13,7 @@ from deepfsi.datasets.values import Values, grey, measure, reflectance
 from deepfsi.errors import InputError
 from deepfsi.memory import check_memory, free_memory
 from deepfsi.tables.array_files import read_npz
+from deepfsi.tables.text_files import is_whole, spelling
 
 Range: TypeAlias = tuple[float, float]
 Scenes: TypeAlias = tuple[npt.ArrayLike, npt.ArrayLike]
@@ -188,6 +189,7 @@ def _values(
     parts = [given] if test is None else [given, test]
     found = []
     for part, count, what in zip(parts, scenes, (f"{name}: y", f"{name}: y_test"), strict=False):
+        check_unmasked(part, what)
         y = np.asarray(part, dtype=np.float32)
         y = y[:, None] if y.ndim == 1 else y
         if y.ndim != 2 or len(y) != count or not np.isfinite(y).all():
@@ -196,6 +198,8 @@ def _values(
                 "(scenes, values) finite numbers"
             )
         found.append(y)
+    if names.values is None:
+        check_no_classes(found[0], f"{name}: y")
     count = found[0].shape[1]
     called = tuple(names.values or (f"value {k + 1}" for k in range(count)))
     if len(set(called)) != count or any(y.shape[1] != count for y in found):
@@ -209,6 +213,33 @@ def _values(
             f"{SPLIT_MINIMUM}; give values that differ"
         )
     return found[0], found[1] if test is not None else None, {"values": called}
+
+
+def check_no_classes(
+    values: npt.NDArray[Any],
+    what: str,
+    for_classes: str = "give integers (`y.astype(int)`) or strings",
+    for_values: str = "name them with `values`",
+) -> None:
+    """Raise `InputError` for values (n, q) that are classes as other programs save them.
+
+    These are whole numbers of which each stands for many scenes, as of MATLAB or a table with a
+    gap, and rows of zeros with a single 1. A design would estimate them without a word.
+    """
+    distinct = np.unique(values)
+    single = values.shape[1] == 1
+    many = 1 < len(distinct) <= len(values) / SPLIT_MINIMUM
+    if single and many and not (distinct % 1).any():
+        kinds = ", ".join(f"{value:g}" for value in distinct[:4])
+        said = f"whole numbers written as floats ({kinds}{', …' * (len(distinct) > 4)})"
+    elif not single and set(distinct) == {0, 1} and (values.sum(axis=1) == 1).all():
+        said = "a single 1 in each row, as of classes in one-hot form"
+        for_classes = "give the place of each 1 as an integer (`y.argmax(axis=1)`)"
+    else:
+        return
+    raise InputError(
+        f"{what} holds {said}: if they are classes, {for_classes}; if they are values, {for_values}"
+    )
 
 
 def _check_counts(labels: Labels, names: tuple[str, ...], name: str, drawn: bool) -> None:
@@ -237,6 +268,7 @@ def _scenes(
     given: dict[str, Values] = {}
     said = ""
     for part, what in zip(parts, (f"{name}: x", f"{name}: x_test"), strict=False):
+        check_unmasked(part, what)
         scenes = np.asarray(part)
         if scenes.ndim == 4 and scenes.shape[3] in COLOURS and scenes.size:
             said = "; colours turned to grey" if scenes.shape[3] > 1 else ""
@@ -268,9 +300,14 @@ def _scenes(
 
 def _labels(given: npt.ArrayLike, scenes: int, what: str) -> npt.NDArray[Any]:
     """Labels (n,), integers or strings, one for each of so many scenes."""
+    check_unmasked(given, what)
     labels = np.asarray(given)
     if labels.dtype == object and all(isinstance(label, str) for label in labels.flat):
         labels = labels.astype(str)
+    if labels.shape in ((scenes, 1), (1, scenes)):  # MATLAB's vectors
+        labels = labels.ravel()
+    if labels.dtype.kind == "U":
+        labels = np.array([spelling(label) for label in labels.flat]).reshape(labels.shape)
     if labels.shape != (scenes,):
         raise InputError(
             f"{what} has shape {labels.shape} for {scenes} scenes; give one label for each"
@@ -293,9 +330,31 @@ def _class_names(
         raise InputError(f"{name}: only one class, {', '.join(names)}; give two or more")
     if len(set(names)) < len(names):
         raise InputError(f"{name}: classes {', '.join(names)}; give each its own name")
+    _check_spellings(names, name)
     if classes is not None:
         known = list(names if labels.dtype.kind == "U" else range(len(names)))
     return names, {label: number for number, label in enumerate(known)}
+
+
+def _check_spellings(names: Sequence[str], name: str) -> None:
+    """Raise `InputError` for two names that are one but for blanks, case, zeros or a last dot."""
+    by_key: dict[str, str] = {}
+    for each in names:
+        key = " ".join(spelling(each).split()).rstrip(". ")
+        key = key.casefold() if len(key) > 1 else key  # letters to be read may be large or small
+        key = str(int(key)) if is_whole(key) else key
+        if (other := by_key.setdefault(key, each)) != each:
+            raise InputError(
+                f"{name}: the classes {other!r} and {each!r} differ in case, blanks, zeros or a "
+                "dot alone: give both the same name, or names that differ"
+            )
+
+
+def check_unmasked(values: npt.ArrayLike, what: str) -> None:
+    """Raise `InputError` for a masked array that hides values: they would be read all the same."""
+    if np.ma.is_masked(values):
+        hidden = int(np.ma.getmaskarray(values).sum())
+        raise InputError(f"{what} hides {hidden} values under a mask: leave out those scenes")
 
 
 def _class_numbers(labels: npt.NDArray[Any], numbers: dict[int | str, int], what: str) -> Labels:

@@ -56,6 +56,7 @@ def read_display(
         raise InputError(f"no picture at {source}: give an image file, or a folder of some")
     elif found := sorted(file for file in source.iterdir() if is_image(file.name)):
         pictures = [picture_file(file) for file in found]
+        _check_flat(source)
     else:
         pictures = [picture for part in list_folder(source) for picture in part]
     folder = source.parent if source.is_file() else source
@@ -67,6 +68,17 @@ def read_display(
     said = f"{tally.words}{sized}; {levels.words}"
     x = reflectance(pixels, levels)
     return Display(names, classes, x, levels, said, tally.written)
+
+
+def _check_flat(folder: Path) -> None:
+    """Raise `InputError` for folders of images beside images, as one is meant."""
+    inner = [each for each in sorted(folder.iterdir()) if each.is_dir() and each.name[0] != "."]
+    for each in inner:
+        if any(is_image(file.name) for file in each.iterdir()):
+            raise InputError(
+                f"{folder} holds images and folders of images, such as {each.name}: give one of "
+                "them, or move the images that lie beside the folders"
+            )
 
 
 def write_display(

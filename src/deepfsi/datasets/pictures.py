@@ -6,27 +6,44 @@ A zip file is read in place, never unpacked. It may come from anywhere, so that 
 sizes it declares and the images' own sizes are all checked before memory is spent on them.
 """
 
-import csv
 import io
+import os
+import re
 import warnings
 import zipfile
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from deepfsi.datasets.arrays import Names, Options, draw_stratified, split_arrays
+from deepfsi.datasets.arrays import (
+    Names,
+    Options,
+    check_no_classes,
+    draw_stratified,
+    split_arrays,
+)
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.datasets.decoding import Shape, Tally
 from deepfsi.datasets.values import reflectance
 from deepfsi.errors import InputError
 from deepfsi.files import check_unpacked, read_regular
+from deepfsi.tables.text_files import (
+    LABEL_HEADS,
+    WITHOUT_VALUE,
+    Rows,
+    has_decimal_commas,
+    is_whole,
+    number_of,
+    read_rows,
+    spelling,
+)
 from deepfsi.tables.zip_files import open_zip, read_entry
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".gif", ".pgm", ".tif", ".tiff", ".webp")
@@ -49,12 +66,29 @@ LIST_ADVICE = "give a line of text for each image, its file name and its label, 
 """What to do about a list of images that cannot be used."""
 
 
+SPLITS = ("train", "test", "training", "testing", "val", "valid", "validation", "eval")
+"""Names of folders, in lower case, that are parts of a data set and no classes."""
+
+OF_SYSTEMS = ("__MACOSX", "@eaDir", "$RECYCLE.BIN", "System Volume Information", "lost+found")
+"""Folders that operating systems and servers put beside those of a user, as do hidden ones."""
+
+UTF8_FLAG = 0x800
+"""Bit of an entry of a zip file whose name is in UTF-8; otherwise it is in code page 437."""
+
+DEEPEST = 4
+"""Folders below each other that are looked into."""
+
+
 class Picture(NamedTuple):
     """An image that is not yet read."""
 
     label: str | tuple[float, ...]  # its class, or its values
     where: str  # for messages
     open: Callable[[], IO[bytes]]
+
+
+_Entry = tuple[tuple[str, ...], Picture | None]
+"""Folders and name of a file with its picture, or of a folder with None."""
 
 
 def load_pictures(path: Path, options: Options) -> Dataset:
@@ -147,47 +181,45 @@ def open_listings(path: Path) -> Iterator[list[list[Picture]]]:
 
 def list_folder(folder: Path) -> list[list[Picture]]:
     """Images of a folder: of one part, or of its training and test part."""
-    parts = [folder / "train", folder / "test"]
-    if not (all(part.is_dir() for part in parts) and any(p.is_dir() for p in parts[0].iterdir())):
-        parts = [folder]
-    return [_group(_walk(part), str(part)) for part in parts]
+    return _listings(_walk(folder), str(folder))
 
 
 def list_labels(path: Path) -> tuple[list[Picture], tuple[str, ...]]:
     """Images that a ``.csv`` file names, with their labels or values, and the values' names."""
     # Names are from the folder beside it that has its name, `pets/` of `pets.csv`, or else from its
-    # own folder. A first line that names no image is a heading. Numbers are values where a line has
+    # own folder. A first line that names no file is a heading. Numbers are values where a line has
     # several, or any has a decimal point or an exponent; whole numbers are classes, as in arrays
-    try:
-        lines = read_regular(path, MAX_FILE, LIST_ADVICE).decode("utf-8-sig").splitlines()
-        rows = list(csv.reader(lines, delimiter=next((d for d in ";\t" if d in lines[0]), ",")))
-    except (OSError, UnicodeDecodeError, csv.Error, IndexError) as error:
-        raise InputError(f"cannot read {path} ({error}): {LIST_ADVICE}") from error
+    rows = read_rows(path, MAX_FILE, LIST_ADVICE)
     folder = path.with_suffix("") if path.with_suffix("").is_dir() else path.parent
-    heading: list[str] = []
-    if not (rows[0] and is_image(Path(rows[0][0].strip()).name)):
-        heading = [cell.strip() for cell in rows[0][1:]]
-        rows[0] = []
-    names, answers = list[str](), list[list[str]]()
-    for number, row in enumerate(rows, 1):
-        if not row:
-            continue
-        name, *cells = map(str.strip, row)
+    numbered = list(zip(rows.lines, rows.cells, strict=True))
+    heading: tuple[str, ...] = ()
+    if numbered and not re.search(r"[./\\]", numbered[0][1][0]):
+        heading = numbered.pop(0)[1][1:]
+    names, answers = list[str](), list[tuple[str, ...]]()
+    for number, (name, *cells) in numbered:
         as_many = len(cells) == len(answers[0]) if answers else len(cells) > 0
-        if not (is_image(Path(name).name) and as_many and all(cells)):
+        if not (is_image(re.split(r"[/\\]", name)[-1]) and as_many and all(cells)):
+            later = ": put the column of file names first" if any(map(is_image, cells)) else ""
             raise InputError(
-                f"{path}, line {number}: {', '.join(row)!r} is not an image "
-                f"and its label: {LIST_ADVICE}"
+                f"{path}, line {number}: {', '.join([name, *cells])!r} is not an image "
+                f"and its label{later}: {LIST_ADVICE}"
             )
         names.append(name)
-        answers.append(cells)
+        answers.append(tuple(cells))
     if not names:
         raise InputError(f"{path} names no image: {LIST_ADVICE}")
-    values = _values_of(answers, path)
-    labels: Sequence[str | tuple[float, ...]] = values or [label for [label] in answers]
-    pictures = [
-        picture_file(folder / name, label) for name, label in zip(names, labels, strict=True)
-    ]
+    values = _values_of(answers, rows, path)
+    named = bool(heading) and heading[0].lower() not in LABEL_HEADS
+    if values and len(heading or answers[0]) == len(values[0]) == 1 and not named:
+        check_no_classes(
+            np.array(values),
+            str(path),
+            "write them without a point, 1 and not 1.0",
+            "write their name over the column",
+        )
+    labels: Sequence[str | tuple[float, ...]] = values or [spelling(label) for [label] in answers]
+    find = _finder(folder)
+    pictures = [picture_file(find(name), label) for name, label in zip(names, labels, strict=True)]
     missing = [picture.where for picture in pictures if not Path(picture.where).is_file()]
     if missing:
         raise InputError(
@@ -197,31 +229,61 @@ def list_labels(path: Path) -> tuple[list[Picture], tuple[str, ...]]:
     lines_of = Counter(picture.where for picture in pictures)
     if twice := [where for where, count in lines_of.items() if count > 1]:
         raise InputError(f"{path} names {_listed(twice)} twice: give each image one line")
-    return pictures, tuple(heading) if values and len(heading) == len(values[0]) else ()
+    return pictures, heading if values and len(heading) == len(values[0]) else ()
 
 
-def _values_of(rows: list[list[str]], path: Path) -> list[tuple[float, ...]]:
+def _finder(folder: Path) -> Callable[[str], Path]:
+    r"""Function from a name to its file: as it is, or in another spelling, case, or with `\`."""
+
+    @cache
+    def spellings(place: Path) -> dict[str, list[str]]:
+        found: dict[str, list[str]] = {}
+        for each in sorted(place.iterdir()) if place.is_dir() else ():
+            found.setdefault(spelling(each.name).casefold(), []).append(each.name)
+        return found
+
+    def find(name: str) -> Path:
+        path = folder / name
+        if path.is_file():
+            return path
+        here = folder
+        for part in name.replace("\\", "/").split("/"):
+            alike = spellings(here).get(spelling(part).casefold(), [])
+            here = here / (alike[0] if len(alike) == 1 and part not in alike else part)
+        return here if here.is_file() else path
+
+    return find
+
+
+def _values_of(answers: list[tuple[str, ...]], rows: Rows, path: Path) -> list[tuple[float, ...]]:
     """Values of images, or none where their cells are labels."""
-    columns = len(rows[0])
-    if columns == 1 and all(cell.lstrip("+-").isdigit() for [cell] in rows):
+    columns = len(answers[0])
+    if columns == 1 and all(is_whole(cell) for [cell] in answers):
         return []
-    try:
-        return [tuple(map(float, cells)) for cells in rows]
-    except ValueError as error:
-        if columns == 1:
-            return []
+    every = [cell for cells in answers for cell in cells]
+    comma = has_decimal_commas(every, rows.separator)
+    numbers = [number_of(cell, comma) for cell in every]
+    wrong = [cell for cell, number in zip(every, numbers, strict=True) if number is None]
+    no_value = [cell for cell in wrong if cell.lower() in WITHOUT_VALUE]
+    if columns == 1 and wrong and (len(no_value) < len(wrong) or len(wrong) == len(every)):
+        return []
+    if wrong:
         raise InputError(
-            f"{path} has {columns} columns beside the file name, and a cell that is no number "
-            f"({error}): {LIST_ADVICE}"
-        ) from None
+            f"{path} has {columns} columns beside the file name, and a cell that is no finite "
+            f"number ({(no_value or wrong)[0]!r}): {LIST_ADVICE}"
+        )
+    found = [number for number in numbers if number is not None]
+    return [tuple(found[at : at + columns]) for at in range(0, len(found), columns)]
 
 
-def _walk(folder: Path) -> Iterator[tuple[tuple[str, ...], Picture | None]]:
-    for part in folder.iterdir():
-        if part.is_dir():
-            yield (part.name,), None
-            for path in part.iterdir():
-                yield (part.name, path.name), picture_file(path, part.name)
+def _walk(folder: Path, above: tuple[str, ...] = ()) -> Iterator[_Entry]:
+    with os.scandir(folder) as entries:
+        parts = [(entry, entry.is_dir()) for entry in entries if not _is_of_system(entry.name)]
+    for entry, is_dir in parts:
+        names = (*above, entry.name)
+        yield names, None if is_dir else picture_file(Path(entry.path))
+        if is_dir and len(names) < DEEPEST:
+            yield from _walk(Path(entry.path), names)
 
 
 def picture_file(path: Path, label: str | tuple[float, ...] = "") -> Picture:
@@ -237,33 +299,59 @@ def _list_zip(archive: zipfile.ZipFile, path: Path) -> list[list[Picture]]:
     entries: dict[tuple[str, ...], Picture | None] = {}
     for info in archive.infolist():
         names = _safe_names(info, path)
-        if names[0] == "__MACOSX" or any(name.startswith(".") for name in names):
+        if any(map(_is_of_system, names)):
             continue
         if names in entries and not info.is_dir():
             raise InputError(f"{path} holds {'/'.join(names)} twice; pack it again")
-        picture = None
-        if not info.is_dir():
-            where = f"{path}/{'/'.join(names)}"
-            label = names[-2] if len(names) > 1 else ""
-            picture = Picture(label, where, partial(_open_entry, archive, info, where))
-        entries[names] = picture
+        where = f"{path}/{'/'.join(names)}"
+        opened = partial(_open_entry, archive, info, where)
+        entries[names] = None if info.is_dir() else Picture("", where, opened)
+    return _listings(entries.items(), str(path))
 
-    found = list(entries.items())
+
+def _is_of_system(name: str) -> bool:
+    return name.startswith(".") or name in OF_SYSTEMS
+
+
+def _listings(entries: Iterable[_Entry], where: str) -> list[list[Picture]]:
+    """Images of one part, or of a training and a test part, whose folders are so called."""
+    found = list(entries)
     while len({names[0] for names, _ in found}) == 1 and any(len(names) > 2 for names, _ in found):
         found = [(names[1:], picture) for names, picture in found if len(names) > 1]
-    parts = {
-        part: [(names[1:], picture) for names, picture in found if names[0] == part and names[1:]]
-        for part in ("train", "test")
-    }
-    own_split = parts["test"] and any(len(n) > 1 or not picture for n, picture in parts["train"])
-    if own_split:
-        return [_group(inside, f"{path}/{part}") for part, inside in parts.items()]
-    return [_group(found, str(path))]
+    inside: dict[str, list[_Entry]] = {}
+    for names, picture in found:
+        if len(names) > 1 or picture is None:
+            entry = names[1:], picture
+            inside.setdefault(names[0], []).extend([entry] if entry[0] else [])
+    parts = {name.lower(): name for name in sorted(inside) if name.lower() in SPLITS[:2]}
+    train = inside.get(parts.get("train", ""), [])
+    if inside.get(parts.get("test", "")) and any(len(n) > 1 or not pic for n, pic in train):
+        other = [
+            "/".join(names)
+            for names, picture in found
+            if names[0] not in parts.values() and picture and is_image(names[-1])
+        ]
+        if other:
+            raise InputError(
+                f"{where} holds images outside of {' and '.join(parts.values())} "
+                f"({_listed(other)}): move them into one of the two, or away"
+            )
+        return [_group(inside[parts[part]], f"{where}/{parts[part]}") for part in SPLITS[:2]]
+    if inside and all(name.lower() in SPLITS for name in inside):
+        raise InputError(
+            f"{where} holds the folders {', '.join(sorted(inside))}, which name no classes: put a "
+            "folder of each class into train and test there"
+        )
+    return [_group(found, where)]
 
 
 def _safe_names(info: zipfile.ZipInfo, path: Path) -> tuple[str, ...]:
     """Folders and file name of an entry, where nothing about it is a trick."""
-    name = info.filename.replace("\\", "/")
+    name = info.filename
+    if not info.flag_bits & UTF8_FLAG:  # macOS writes UTF-8 without the flag that says so
+        with suppress(UnicodeError):
+            name = name.encode("cp437").decode("utf-8")
+    name = name.replace("\\", "/")
     names = tuple(part for part in name.split("/") if part)
     absolute = name.startswith("/") or (names and names[0][1:2] == ":")
     if not names or absolute or ".." in names or not name.isprintable():
@@ -277,20 +365,27 @@ def _open_entry(archive: zipfile.ZipFile, info: zipfile.ZipInfo, where: str) -> 
     return io.BytesIO(read_entry(archive, info, where, MAX_FILE, "remove it"))
 
 
-def _group(entries: Iterable[tuple[tuple[str, ...], Picture | None]], where: str) -> list[Picture]:
-    """Images of all class folders, in the order of their names; what else lies there is ignored."""
-    # `entries` are names from `where` on, with None for a folder
+def _group(entries: Iterable[_Entry], where: str) -> list[Picture]:
+    """Images of all class folders, in the order of their names; other files there are ignored."""
+    # `entries` are names from `where` on
     classes: dict[str, list[tuple[str, Picture]]] = {}
+    astray = []
     for names, picture in entries:
-        if names[0].startswith(".") or (len(names) == 1 and picture):
-            continue
-        found = classes.setdefault(names[0], [])
-        if len(names) == 2 and picture and is_image(names[1]):
-            found.append((names[1], picture))
+        found = classes.setdefault(spelling(names[0]), []) if len(names) > 1 or not picture else []
+        if picture and is_image(names[-1]):
+            if len(names) == 2:
+                found.append((names[1], picture._replace(label=spelling(names[0]))))
+            else:
+                astray.append("/".join(names))
     if not classes:
         raise InputError(
             f"{where} has no sub-folders; put the images of each class into its own, or give a "
             ".csv file of file names and labels"
+        )
+    if astray:
+        raise InputError(
+            f"{where} holds images that lie in no folder of a class, or in folders within one "
+            f"({_listed(astray)}): move them into the folder of their class, or away"
         )
     for label, found in classes.items():
         if not found:
