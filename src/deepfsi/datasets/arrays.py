@@ -353,7 +353,7 @@ def _check_spellings(names: Sequence[str], name: str) -> None:
 def check_unmasked(values: npt.ArrayLike, what: str) -> None:
     """Raise `InputError` for a masked array that hides values: they would be read all the same."""
     if np.ma.is_masked(values):
-        hidden = int(np.ma.getmaskarray(values).sum())
+        hidden = int(np.ma.getmaskarray(np.ma.asanyarray(values)).sum())
         raise InputError(f"{what} hides {hidden} values under a mask: leave out those scenes")
 
 
