@@ -45,7 +45,7 @@ def table(data: deepfsi.Dataset, seeds: int, epochs: int) -> None:
                     training={"epochs": epochs},
                     seed=seed,
                 )
-                [result] = deepfsi.evaluate(made, data, photons)
+                [result] = deepfsi.evaluate(made, data, photons, seed=seed)
                 values = data.measure == "R²"
                 read = [result.r2, *result.rmse, *result.bound] if values else [result.auc]
                 found.append(read)

@@ -66,13 +66,13 @@ plt.show()
 # Read an interval
 # ----------------
 #
-# Ask of every interval what it **covers**. A line below the tables says it: *training seeds
-# (Student's t over 3 trials)*. So these bars tell how far another training of the same design would
-# differ. They are wide because three trainings tell little about their spread. The interval of page
-# 2 covered test images instead. Neither covers pictures of another kind than yours.
+# Ask of every interval what it **covers**. A line below the tables says it: *test images, noise
+# draws and training seeds (3 trainings)*. So these bars tell how far another training, tested with
+# other pictures of the same kind, would differ. None covers pictures of another kind than yours.
 #
-# Where two intervals are far apart, the designs differ. Where they overlap a little, the designs
-# may still differ. Where they overlap much, more trials or more test pictures must decide.
+# Where two intervals are far apart, the designs differ. Where they overlap, the designs may still
+# differ: all are tested with the same pictures. The report compares them picture by picture, and
+# says which cannot be told apart. Then more test pictures or more trials must decide.
 #
 # The best design at one budget need not be the best at another, so compare at the budgets of your
 # own camera. Here the raster scan comes close at 10⁴ photons. The pictures have only 64 pixels,

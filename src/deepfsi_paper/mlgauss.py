@@ -3,8 +3,8 @@
 from collections.abc import Iterable
 
 from deepfsi.report.style import photons_text
+from deepfsi.statistics.differences import Difference, above
 from deepfsi.sweeps.results import Results
-from deepfsi_paper.differences import Difference, above
 from deepfsi_paper.experiment import Experiment, Finding, points
 from deepfsi_paper.paired_maps import pair
 from deepfsi_paper.report.section import Claim, Picture

@@ -7,8 +7,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from deepfsi.report.style import photons_text
+from deepfsi.statistics.differences import Difference, difference
 from deepfsi.sweeps.results import Point
-from deepfsi_paper.differences import Difference, difference
 from deepfsi_paper.experiment import budgets
 from deepfsi_paper.report.maps import accuracy_grid, contour_figure
 

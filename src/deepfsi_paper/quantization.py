@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from deepfsi.statistics.differences import Difference, above, of_trials, signed
 from deepfsi.sweeps.results import Results
-from deepfsi_paper.differences import Difference, above, of_trials, signed
 from deepfsi_paper.experiment import Experiment, Finding, points
 from deepfsi_paper.paired_maps import pair
 from deepfsi_paper.report.section import Claim, Picture

@@ -36,12 +36,12 @@ def test_balanced_accuracy_is_the_mean_of_the_classes(results, digits):
         assert result.balanced == pytest.approx(np.mean(result.rates))
         assert 0 <= result.balanced_low <= result.balanced <= result.balanced_high <= 1
         assert result.rates[result.worst] == min(result.rates)
-        expected = balanced(result.rates, np.bincount(digits.y_test).tolist())
+        expected = balanced(np.array(result.right), digits.y_test)
         assert (result.balanced_low, result.balanced_high) == expected[1:], "draws are no scenes"
 
 
-def test_the_interval_is_wilsons_over_images_and_says_what_it_covers(results):
-    for result in results:
+def test_the_interval_of_one_draw_is_wilsons_over_images_and_says_what_it_covers(good, digits):
+    for result in evaluate(good, digits, [1e2, 1e4], draws=1):
         n, z = result.images, 1.959964
         p = round(result.accuracy * n) / n
         middle = (p + z**2 / (2 * n)) / (1 + z**2 / n)
@@ -52,9 +52,27 @@ def test_the_interval_is_wilsons_over_images_and_says_what_it_covers(results):
 
 
 def test_more_draws_do_not_pretend_to_more_images(good, digits):
-    few, many = (evaluate(good, digits, 1e3, draws=draws)[0] for draws in (1, 8))
-    assert few.images == many.images == len(digits.y_test)
-    assert many.high - many.low > 0.8 * (few.high - few.low)
+    """They leave the spread of images' probabilities p of an answer that is right, var p / n."""
+    one, some, many = (evaluate(good, digits, 1e3, draws=draws)[0] for draws in (1, 8, 64))
+    assert one.images == many.images == len(digits.y_test)
+    p = np.array(many.right)
+    noise = np.mean(p * (1 - p)) / (1 - 1 / 64)  # variance of one draw, of an image
+    images = p.var() - noise / 64
+    for result, draws in ((one, 1), (some, 8), (many, 64)):
+        half = 1.96 * math.sqrt((images + noise / draws) / result.images)
+        assert (result.high - result.low) / 2 == pytest.approx(half, rel=0.08)
+
+
+def test_shares_of_right_draws_are_those_of_the_images_in_their_order(good, digits):
+    """Their mean over a class is its rate; in light an image is right in all draws or in none."""
+    [bright] = evaluate(good, digits, 1e7, draws=2)
+    right = np.array(bright.right)
+    assert right.mean() == pytest.approx(bright.accuracy)
+    assert [right[digits.y_test == k].mean() for k in range(10)] == pytest.approx(bright.rates)
+    back = replace(digits, x_test=digits.x_test[::-1].copy(), y_test=digits.y_test[::-1].copy())
+    [other] = evaluate(good, back, 1e7, draws=2)
+    assert np.mean(right == other.right[::-1]) > 0.98 > np.mean(right == other.right)
+    assert not {"right", "area_terms"} & bright.as_dict().keys()
 
 
 def test_a_trained_design_reads_better_with_more_light(results):

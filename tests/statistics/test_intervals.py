@@ -2,9 +2,18 @@
 
 import numpy as np
 import pytest
+from scipy import stats
 from scipy.stats import binom, binomtest
 
-from deepfsi.statistics.intervals import balanced, student, wilson, worst_of
+from deepfsi.statistics.intervals import (
+    accuracy,
+    balanced,
+    balanced_terms,
+    over_images,
+    student,
+    wilson,
+    worst_of,
+)
 
 
 @pytest.mark.parametrize("images", [1, 2, 7, 500])
@@ -16,26 +25,83 @@ def test_wilsons_interval_is_scipys(images):
     assert wilson(1.0, images)[1] == 1
 
 
+def shares(rates, images):
+    """Answers right or wrong (n,) of so many images of each class at a rate, and their classes."""
+    labels = np.repeat(np.arange(len(images)), images)
+    counts = [round(rate * count) for rate, count in zip(rates, images, strict=True)]
+    right = np.concatenate([np.arange(n) < k for k, n in zip(counts, images, strict=True)])
+    return right.astype(float), labels
+
+
+@pytest.mark.parametrize("images", [1, 2, 7, 500])
+def test_of_one_draw_and_one_training_the_interval_is_wilsons(images):
+    for right in {0, 1, images // 3, images - 1, images}:
+        found = accuracy(np.arange(images) < right)
+        assert found == pytest.approx((right / images, *wilson(right / images, images)))
+
+
+def test_draws_that_are_averaged_narrow_it():
+    """Of images that are all alike, 30 draws vary by a thirtieth of right and wrong."""
+    rng = np.random.default_rng(0)
+    one, many = (accuracy(rng.binomial(k, 0.7, 4000) / k) for k in (1, 30))
+    assert many.high - many.low == pytest.approx((one.high - one.low) / 30**0.5, rel=0.1)
+
+
+def crossed(rng, images, seeds, rate, spread=0.3, draws=3):
+    """Shares of draws right (S, n): images, seeds and both together move a normal threshold."""
+    parts = 1.5, spread if seeds > 1 else 0.0, 0.5  # deviations, in those of the noise
+    place = stats.norm.ppf(rate) * (1 + sum(part**2 for part in parts)) ** 0.5
+    image, seed, both = (
+        part * rng.standard_normal(size)
+        for part, size in zip(parts, [images, (seeds, 1), (seeds, images)], strict=True)
+    )
+    return rng.binomial(draws, stats.norm.cdf(place + image + seed + both)) / draws
+
+
+@pytest.mark.parametrize("images", [24, 100, 1000])
+@pytest.mark.parametrize("seeds", [1, 3, 5])
+@pytest.mark.parametrize("rate", [0.6, 0.9])
+def test_it_covers_images_seeds_and_draws(images, seeds, rate):
+    """In 95 % of 400 studies and at most 99 %, less or more four standard deviations."""
+    rng = np.random.default_rng(images + seeds)
+    ends = [accuracy(crossed(rng, images, seeds, rate)) for _ in range(400)]
+    covered = sum(low <= rate <= high for _, low, high in ends)
+    assert binom.ppf(3e-5, 400, 0.95) <= covered <= binom.ppf(1 - 3e-5, 400, 0.99)
+    assert all(0 <= low <= mean <= high <= 1 for mean, low, high in ends)
+
+
+def test_seeds_alone_or_images_alone_are_not_enough():
+    """An interval over three seeds of the same 24 images misses, and so does one over images."""
+    rng = np.random.default_rng(4)
+    studies = [crossed(rng, 24, 3, 0.8, spread=0.05) for _ in range(300)]
+    seeds = np.mean([low <= 0.8 <= high for low, high in (student(s.mean(1)) for s in studies)])
+    assert seeds < 0.8
+    wide = [crossed(rng, 1000, 3, 0.8) for _ in range(300)]
+    images = np.mean([low <= 0.8 <= high for _, low, high in (accuracy(s.mean(0)) for s in wide)])
+    assert images < 0.6
+
+
 def test_every_class_counts_alike():
-    mean, low, high = balanced([0.99, 0.0, 0.5], [600, 6, 5])
-    assert mean == pytest.approx(1.49 / 3)
+    right, labels = shares([0.99, 0.0, 0.6], [600, 6, 5])
+    mean, low, high = balanced(right, labels)
+    assert mean == pytest.approx(1.59 / 3)
     assert low < mean < high
-    assert balanced([0.99, 0.0, None], [600, 6, 0]) == balanced([0.99, 0.0], [600, 6])
+    assert balanced_terms(right, labels).mean() == pytest.approx(mean)
 
 
 def test_of_one_class_it_is_wilsons():
-    assert balanced([0.8], [50]) == pytest.approx((0.8, *wilson(0.8, 50)))
+    assert balanced(*shares([0.8], [50])) == pytest.approx((0.8, *wilson(0.8, 50)))
 
 
 def test_of_alike_classes_it_narrows_with_the_root_of_their_number():
     """C classes of n images, far from 0 and 1, are known as well as one of C · n, but for z²/2n."""
-    _, low, high = balanced([0.5] * 9, [400] * 9)
+    _, low, high = balanced(*shares([0.5] * 9, [400] * 9))
     assert high - low == pytest.approx(np.diff(wilson(0.5, 3600))[0], rel=1.96**2 / 800)
 
 
 def test_a_class_of_one_image_widens_it():
     for rate in (0.0, 1.0):
-        _, low, high = balanced([0.9, rate], [1000, 1])
+        _, low, high = balanced(*shares([0.9, rate], [1000, 1]))
         assert high - low > 0.3
         assert 0 <= low <= (0.9 + rate) / 2 <= high <= 1
 
@@ -54,10 +120,29 @@ def test_a_class_of_one_image_widens_it():
 def test_it_covers_the_truth(truth, images, share):
     """Of 1000 tests that share, less five standard deviations."""
     rng = np.random.default_rng(3)
-    right = rng.binomial(images, truth, (1000, len(images)))
-    found = [balanced((row / np.array(images)).tolist(), images) for row in right]
+    right = rng.binomial(images, truth, (1000, len(images))) / np.array(images)
+    found = [balanced(*shares(row, images)) for row in right]
     covered = np.mean([low <= np.mean(truth) <= high for _, low, high in found])
     assert covered >= binom.ppf(3e-7, 1000, share) / 1000
+
+
+def test_the_balanced_accuracy_covers_seeds_too():
+    rng = np.random.default_rng(2)
+    labels = np.arange(120) % 3
+    ends = [balanced(crossed(rng, 120, 3, 0.8), labels) for _ in range(400)]
+    covered = sum(low <= 0.8 <= high for _, low, high in ends)
+    assert binom.ppf(3e-5, 400, 0.95) <= covered
+
+
+def test_means_without_bounds_cover_images_and_seeds():
+    rng = np.random.default_rng(5)
+
+    def study():
+        return 0.9 + 0.3 * (rng.standard_normal(50) + 0.3 * rng.standard_normal((4, 1)))
+
+    covered = sum(low <= 0.9 <= high for _, low, high in (over_images(study()) for _ in range(400)))
+    assert binom.ppf(3e-5, 400, 0.95) <= covered <= binom.ppf(1 - 3e-5, 400, 0.99)
+    assert over_images(np.full((2, 5), 0.4)) == pytest.approx((0.4, 0.4, 0.4))
 
 
 def test_the_worst_class_is_among_those_that_are_tested():

@@ -5,7 +5,12 @@ import pytest
 from scipy import stats
 from sklearn.metrics import roc_auc_score
 
-from deepfsi.statistics.roc import auc
+from deepfsi.statistics.roc import auc as auc_of
+from deepfsi.statistics.roc import auc_terms
+
+
+def auc(scores, positive):
+    return auc_of(auc_terms(scores, positive), positive)
 
 
 def normal_scores(seed, images=120, draws=2, distance=1.0):
@@ -44,3 +49,20 @@ def test_an_area_of_one_has_an_interval():
     area, low, high = auc(np.array([[0.0], [0.1], [0.9], [1.0]]), np.array([0, 0, 1, 1], bool))
     assert (area, high) == (1.0, 1.0)
     assert low < 1
+
+
+def test_it_covers_training_seeds_too():
+    """Three trainings that look at the same images, each with a distance of its own."""
+    covered, runs = 0, 300
+    truth = stats.norm.cdf(1.0 / np.sqrt(2 * (1 + 0.25) + 0.3**2))
+    for seed in range(runs):
+        rng = np.random.default_rng(seed)
+        image, positive = rng.normal(size=(200, 1)), np.arange(200) % 3 == 0
+        rows = []
+        for _ in range(3):
+            apart = (1.0 + 0.3 * rng.normal()) * positive[:, None]
+            scores = image + apart + 0.5 * rng.normal(size=(200, 1))
+            rows.append(auc_terms(scores, positive))
+        _, low, high = auc_of(np.array(rows), positive)
+        covered += low <= truth <= high
+    assert covered >= stats.binom.ppf(3e-5, runs, 0.95)

@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from deepfsi.statistics.intervals import accuracy, balanced, student
+from deepfsi.statistics.terms import pack, unpack
 from deepfsi.sweeps.summary import summarise
 from shared.trials import small
 
@@ -161,3 +163,46 @@ def test_confusions_are_the_sum_over_trials_at_chosen_mask_counts(digits):
     assert found[3].best
     assert np.array_equal(found[3].confusion, np.full((10, 10), 2))
     assert found[6].confusion == ()
+
+
+def with_images(entry, right):
+    """A record that keeps the share of draws of each test image that are right."""
+    terms = {"accuracy": pack(right)}
+    return {
+        **entry,
+        "test": [{**entry["test"][0], "accuracy": float(right.mean()), "terms": terms}],
+    }
+
+
+def test_an_interval_over_trials_covers_images_and_seeds_where_records_keep_them(digits):
+    """One meaning of ±, whatever the number of trials: more trainings do not know other images."""
+    rng = np.random.default_rng(0)
+    chance = rng.random(len(digits.y_test)) ** 0.5
+    rows = [rng.binomial(3, chance) / 3 for _ in range(3)]
+    records = [with_images(record(1e3, 3, k, 0.8, 0.5), row) for k, row in enumerate(rows)]
+    (point,) = summary(digits, records)
+    assert (point.accuracy, point.low, point.high) == pytest.approx(
+        accuracy(np.stack(rows)), abs=1e-6
+    )
+    ends = balanced(np.stack(rows), digits.y_test)[1:]
+    assert (point.balanced_low, point.balanced_high) == pytest.approx(ends, abs=1e-6)
+    assert point.high - point.low > 2 * 1.9 * np.std(np.mean(rows, axis=0)) / len(chance) ** 0.5
+    assert "images" in point.covers
+    assert "3 trainings" in point.covers
+    assert [unpack(text) for text in point.terms] == [pytest.approx(row, abs=1e-6) for row in rows]
+
+
+def test_records_of_an_earlier_version_keep_the_old_rule_and_say_so(digits):
+    rng = np.random.default_rng(0)
+    old = [record(1e3, 3, k, 0.8, v) for k, v in enumerate((0.80, 0.83))]
+    new = with_images(record(1e3, 3, 2, 0.8, 0.5), rng.binomial(3, 0.8, len(digits.y_test)) / 3)
+    (point,) = summary(digits, [*old, new])
+    assert (point.low, point.high) == pytest.approx(student(point.accuracies))
+    assert "earlier version" in point.covers
+    assert point.terms == ()
+
+
+def test_images_are_kept_of_the_chosen_masks_alone(digits):
+    right = np.ones(len(digits.y_test))
+    records = [with_images(record(1e3, m, 0, m / 10, 0.5), right) for m in (3, 6)]
+    assert [(p.masks, bool(p.terms)) for p in summary(digits, records)] == [(3, False), (6, True)]

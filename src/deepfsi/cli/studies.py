@@ -263,13 +263,17 @@ def _run(
 
 
 def _finish(command: str, results: "Results", out: Path, as_json: bool) -> None:
-    from deepfsi.report.comparison_page import build
+    from deepfsi.report.comparison_page import build, leader_differences
     from deepfsi.sweeps.results import write_results
 
     write_results(out / "results.json", results)
     page = build(out)
     if as_json:
-        common.print_json(command, {"report": str(page), **results.as_dict()})
+        found = results.as_dict()
+        for point in found["points"]:
+            point.pop("terms", None)
+        told = {"differences": list(leader_differences(results))}
+        common.print_json(command, {"report": str(page), **found, **told})
         return
     common.print_data(results.data)
     _print_points(results)

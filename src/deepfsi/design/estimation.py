@@ -1,7 +1,7 @@
 """Tests of designs that estimate values: R² and errors over budgets, beside what is possible."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -13,14 +13,13 @@ from deepfsi.design.artifact import Design
 from deepfsi.design.bounds import linear_bound
 from deepfsi.optics.scanner import Scanner
 from deepfsi.progress import Report
-from deepfsi.statistics.intervals import Z
+from deepfsi.statistics.intervals import Z, over_images
 
 CHUNK = 1024
 """Scenes that are exposed at once."""
 
 COVERS = (
-    "test images and noise draws, for this one trained design (normal, images as the trials; the "
-    "variance of the values is taken as known)"
+    "test images and noise draws, of one training; the variance of the values is taken as known"
 )
 
 
@@ -52,6 +51,9 @@ class Estimates:
         none.
     counts, arriving, throughput, photons_per_mask
         As of `evaluation.Result`.
+    explained : list of float
+        Of each test image 1 − its squared error over the variance, in the mean over draws and
+        values; R² is the mean over images. Not in `as_dict`.
 
     Examples
     --------
@@ -84,6 +86,7 @@ class Estimates:
     arriving: float
     throughput: float
     photons_per_mask: list[float]
+    explained: list[float] = field(default_factory=list, repr=False)
 
     @property
     def clicks(self) -> bool:
@@ -91,8 +94,8 @@ class Estimates:
         return self.noise == "click"
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON types only."""
-        return asdict(self)
+        """JSON types only, without the numbers of each image."""
+        return {name: value for name, value in asdict(self).items() if name != "explained"}
 
 
 def test_values(
@@ -154,13 +157,14 @@ def _result(
     variance[variance == 0] = np.nan  # of a value that is the same of all test scenes no R² is
     lost = squares / variance
     counts, arriving = light
-    r2, reach = 1 - float(lost.mean()), float(_half(lost.mean(axis=1)))
+    explained = 1 - lost.mean(axis=1)
+    r2, low, high = over_images(explained)
     return Estimates(
         photons=budget,
         noise=noise,
         r2=r2,
-        low=r2 - reach,
-        high=min(r2 + reach, 1.0),
+        low=low,
+        high=min(high, 1.0),
         covers=COVERS,
         images=errors.shape[1],
         draws=len(errors),
@@ -174,6 +178,7 @@ def _result(
         arriving=arriving,
         throughput=sum(shares),
         photons_per_mask=[budget * part for part in shares],
+        explained=explained.tolist(),
     )
 
 

@@ -1,7 +1,7 @@
 """Accuracy of a design over budgets, with intervals that say what they cover."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from functools import singledispatch
 from html import escape
 from math import prod
@@ -23,13 +23,18 @@ from deepfsi.optics.budget import check_budget
 from deepfsi.optics.camera import Camera, CameraSource
 from deepfsi.optics.scanner import Scanner
 from deepfsi.progress import Report, shown
-from deepfsi.statistics.intervals import balanced, wilson, worst_of
-from deepfsi.statistics.roc import auc
+from deepfsi.statistics.intervals import accuracy as accuracy_of
+from deepfsi.statistics.intervals import balanced, worst_of
+from deepfsi.statistics.roc import auc, auc_terms
 
 MOST_DRAWS = 10_000
 """Noise draws of each scene in one test: enough for any interval, and an end in sight."""
 
-COVERS = "test images and noise draws, for this one trained design (Wilson, images as the trials)"
+COVERS = "test images and noise draws, of one training"
+"""What the interval of a test covers."""
+
+OF_IMAGES = ("right", "area_terms")
+"""Fields of a `Result` that hold a number for each image."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +48,7 @@ class Result:
     noise : str
         Of this test.
     accuracy, low, high : float
-        Mean over images and noise draws, and its 95 % interval.
+        Mean over images and noise draws, and its 95 % interval (`statistics.intervals.accuracy`).
     covers : str
         What the interval covers.
     images, draws : int
@@ -75,6 +80,11 @@ class Result:
         Of two classes, the probability that an exposure of the second gets more of its probability
         than one of the first, the area under the ROC curve, and its 95 % interval over test images
         (`statistics.roc.auc`).
+    right : list of float
+        Share of the draws of each test image that is answered right, in the order of the images: to
+        compare designs on the same images (`statistics.differences.paired`). Not in `as_dict`.
+    area_terms : list of float
+        Of two classes, terms of the images whose mean is the area (`statistics.roc.auc_terms`).
 
     Examples
     --------
@@ -108,6 +118,8 @@ class Result:
     auc: float | None
     auc_low: float | None
     auc_high: float | None
+    right: list[float] = field(default_factory=list, repr=False)
+    area_terms: list[float] = field(default_factory=list, repr=False)
 
     def _repr_html_(self) -> str:
         classes = [str(place) for place in range(len(self.confusion))]
@@ -128,8 +140,8 @@ class Result:
         return worst_of(self.rates)
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON types only."""
-        return asdict(self)
+        """JSON types only, without the numbers of each image."""
+        return {name: value for name, value in asdict(self).items() if name not in OF_IMAGES}
 
 
 class ResultList(list[Result]):
@@ -375,19 +387,21 @@ def _result(
     images = len(labels)
     draws = answers.shape[1] // images
     sure, right, true, odds, places = answers
+    order = np.argsort(places, kind="stable")
+    each = right[order].reshape(images, draws).mean(axis=1, dtype=float)
+    terms: np.ndarray = np.zeros(0)
     area: tuple[float, float, float] | tuple[None, None, None] = (None, None, None)
     if len(confusion) == 2 and confusion.any(axis=1).all():
-        scores = odds[np.argsort(places, kind="stable")].reshape(images, draws)
-        area = auc(scores, labels == 1)
-    accuracy = float(confusion.trace() / confusion.sum())
-    low, high = wilson(accuracy, images)
+        terms = auc_terms(odds[order].reshape(images, draws), labels == 1)
+        area = auc(terms, labels == 1)
+    _, low, high = accuracy_of(each)
     rates = [float(row[k] / row.sum()) if row.any() else None for k, row in enumerate(confusion)]
     counts, arriving = light
-    mean, lower, upper = balanced(rates, (confusion.sum(axis=1) // draws).tolist())
+    mean, lower, upper = balanced(each, labels)
     return Result(
         photons=budget,
         noise=noise,
-        accuracy=accuracy,
+        accuracy=float(confusion.trace() / confusion.sum()),
         low=low,
         high=high,
         covers=COVERS,
@@ -405,4 +419,6 @@ def _result(
         throughput=sum(share),
         photons_per_mask=[budget * part for part in share],
         **dict(zip(("auc", "auc_low", "auc_high"), area, strict=True)),
+        right=each.tolist(),
+        area_terms=terms.tolist(),
     )

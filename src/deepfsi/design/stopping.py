@@ -33,7 +33,7 @@ from deepfsi.design.file_content import check_classes
 from deepfsi.design.training_data import trained_on
 from deepfsi.errors import InputError, as_input_error
 from deepfsi.optics.budget import check_budget
-from deepfsi.statistics.intervals import wilson
+from deepfsi.statistics.intervals import accuracy
 
 THRESHOLDS = 1 - np.geomspace(0.5, 1e-7, 135)
 """Confidences that are tried, and 1, which none is above."""
@@ -203,7 +203,7 @@ class _Answers:
         each = np.bincount(self.images, values) / np.bincount(self.images)
         mean, count = float(each.mean()), len(each)
         if values.dtype == bool:
-            return Estimate(mean, *wilson(mean, count))
+            return Estimate(*accuracy(each))
         half = 1.96 * float(each.std(ddof=1)) / count**0.5
         return Estimate(mean, mean - half, mean + half)
 

@@ -22,6 +22,7 @@ from deepfsi.report.measures import WORDS
 from deepfsi.report.rendering import flat, render, share_text
 from deepfsi.report.style import photons_text
 from deepfsi.report.terms import DESIGNS, ONE_DETECTOR
+from deepfsi.statistics.differences import difference
 from deepfsi.sweeps.results import Data, Point, Results, read_results
 from deepfsi.tables.tensor_files import DamagedError, read_tensors
 
@@ -210,9 +211,29 @@ def ranking(points: list[Point], photons: float) -> list[Point]:
 
 
 def leading(points: list[Point], photons: float) -> list[Point]:
-    """The first of a ranking, and all whose intervals overlap its own."""
+    """The first of a ranking, and all that it is not told apart from on the same test images."""
     first, *others = ranking(points, photons)
-    return [first, *(p for p in others if p.high >= first.low)]
+    return [first, *(p for p in others if difference(first, p).low <= 0)]
+
+
+def leader_differences(results: Results) -> Iterator[dict[str, Any]]:
+    """Paired differences of the first of each ranking to the others, by noise and budget."""
+    for noise in accuracy.noises(results):
+        points, axes = chosen(results, noise), accuracy.series_axes(results)
+        names = accuracy.series_names(points, axes, "title")
+        for photons in sorted({p.photons for p in points}):
+            first, *others = ranking(points, photons)
+            for other in others:
+                apart = difference(first, other)
+                yield {
+                    "noise": noise,
+                    "photons": photons,
+                    "first": names[accuracy.key_of(first, axes)],
+                    "second": names[accuracy.key_of(other, axes)],
+                    "difference": apart.mean,
+                    "low": apart.low,
+                    "high": apart.high,
+                }
 
 
 def summary(results: Results, noise: str) -> str:
@@ -236,8 +257,8 @@ def summary(results: Results, noise: str) -> str:
         if len(best) > 1:
             every = [p.accuracy for row in rows for p in row]
             said.append(
-                f"At {at} photons {listed([*best])} cannot be told apart, as their intervals "
-                f"overlap: they reach {share_text(min(every))} to {share_text(max(every))}."
+                f"At {at} photons {listed([*best])} cannot be told apart on the same test "
+                f"scenes: they reach {share_text(min(every))} to {share_text(max(every))}."
             )
         elif len(names) == 1:
             said.append(f"{best[0]} reaches {_ends(first)}.")

@@ -16,6 +16,7 @@ from deepfsi.design.own import OwnClassifier
 from deepfsi.errors import InputError
 from deepfsi.progress import SILENT, Report
 from deepfsi.sweeps.results import SCHEMA
+from deepfsi.sweeps.summary import terms_of
 from deepfsi.sweeps.trial import Trial
 from deepfsi.training.batches import check_fits, footprint, memory_for
 from deepfsi.training.learning import Diverged, companions, train
@@ -177,7 +178,7 @@ def _with_code(design: Design, classifier: Any) -> Design:
 
 def _tested(trial: Trial, design: AnyDesign, data: Dataset) -> list[dict[str, Any]]:
     return [
-        {**result.as_dict(), "levels": levels}
+        {**result.as_dict(), "levels": levels, "terms": terms_of(result)}
         for levels in trial.test_levels
         for noise in trial.test_noise
         for result in evaluate(

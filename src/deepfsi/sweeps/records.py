@@ -17,7 +17,7 @@ import json
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +35,7 @@ from deepfsi.files import (
     write_atomically,
 )
 from deepfsi.sweeps.locks import Locks, inside
-from deepfsi.sweeps.results import SCHEMA
+from deepfsi.sweeps.results import SCHEMA, Packed
 from deepfsi.sweeps.trial import Trial
 
 MEASURED = (
@@ -56,16 +56,18 @@ LARGEST_FILE = 2**26
 
 @dataclass(frozen=True)
 class _Tested(Result):
-    """Test of a trial, of masks of so many grey levels."""
+    """Test of a trial, of masks of so many grey levels, and values of its images by measure."""
 
-    levels: int
+    levels: int = field(kw_only=True)
+    terms: dict[str, Packed] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class _Estimated(Estimates):
     """Test of a trial whose answers are values, likewise."""
 
-    levels: int
+    levels: int = field(kw_only=True)
+    terms: dict[str, Packed] = field(default_factory=dict)
 
 
 class _Info(BaseModel):

@@ -11,6 +11,7 @@ from deepfsi.datasets.dataset import Measure
 from deepfsi.errors import as_input_error
 from deepfsi.files import read_text, write_atomically
 from deepfsi.optics.codes import EVERY_PIXEL
+from deepfsi.statistics.terms import unpack
 
 SCHEMA = 5
 """Schema of results and of records, the only one; tests of records of another are run anew."""
@@ -47,6 +48,15 @@ Count = Annotated[int, Field(ge=0, le=2**53)]
 
 Key = Annotated[str, Field(pattern=r"^[^/\\\x00.][^/\\\x00]*$")]
 """Name of a design's file, in the folder of designs and no other."""
+
+
+def _packed(text: str) -> str:
+    unpack(text)
+    return text
+
+
+Packed = Annotated[str, AfterValidator(_packed)]
+"""Values of test images, as `statistics.terms` packs them."""
 
 
 class Frozen(BaseModel):
@@ -134,6 +144,12 @@ class Point(Frozen):
     )
     seconds: FiniteFloat = Field(description="mean time of a training")
     accuracies: tuple[Score, ...] = Field(description="measure of each trial")
+    terms: tuple[Packed, ...] = Field(
+        (),
+        description="at a chosen mask count: of each trial, values of the test scenes whose mean "
+        "is its measure, such as the share of noise draws that are right; 32-bit floats, zlib, "
+        "base64. None of trials of earlier versions",
+    )
     keys: tuple[Key, ...] = Field(min_length=1, description="design file of each trial")
     best: bool = Field(
         description="whether its mask count was chosen on validation data, or nothing was chosen"

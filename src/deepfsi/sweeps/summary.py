@@ -3,6 +3,7 @@
 import platform
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
 from typing import Any
@@ -11,11 +12,22 @@ import numpy as np
 
 from deepfsi.datasets import Dataset
 from deepfsi.datasets.dataset import Measure
+from deepfsi.design.estimation import Estimates
+from deepfsi.design.evaluation import Result
 from deepfsi.design.exposure import find_exposure
 from deepfsi.optics import codes
 from deepfsi.optics.detection import Detection
 from deepfsi.optics.noise_names import noise_text
-from deepfsi.statistics.intervals import student, worst_of
+from deepfsi.statistics.intervals import (
+    Interval,
+    accuracy,
+    balanced,
+    over_images,
+    student,
+    worst_of,
+)
+from deepfsi.statistics.roc import auc
+from deepfsi.statistics.terms import pack, unpack
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.results import SCHEMA, Data, Point, Provenance, Results
 
@@ -42,6 +54,9 @@ MEASURES: dict[Measure, tuple[str, str, str]] = {
 }
 """Fields of a test that hold a measure and its 95 % interval."""
 
+BALANCED = ("balanced", "balanced_low", "balanced_high")
+"""Those of the balanced accuracy."""
+
 
 def summarise(
     recipe: Recipe,
@@ -52,8 +67,6 @@ def summarise(
     seconds: float,
 ) -> Results:
     """Points of a comparison: trials averaged, mask counts chosen on validation data."""
-    # The interval of a point is Student's over its trials (training seeds); of a single trial, the
-    # one over its test images
     held_out = recipe.held_out(data)
     groups = defaultdict(list)
     for record in records:
@@ -74,7 +87,7 @@ def summarise(
             members,
             _pixels_seen(members[0][0], data),
             measure,
-            data.measure,
+            data,
         )
         for key, members in groups.items()
     ]
@@ -84,7 +97,7 @@ def summarise(
     for rivals in chosen.values():
         for place in rivals:
             best = not held_out or place == max(rivals, key=lambda p: points[p].validation or 0)
-            kept = {} if best else {"confusion": ()}
+            kept = {} if best else {"confusion": (), "terms": ()}
             points[place] = points[place].model_copy(update={"best": best, **kept})
     return Results(
         revision=SCHEMA,
@@ -141,13 +154,13 @@ def point(
     axes: Mapping[str, Any],
     members: Sequence[tuple[Mapping[str, Any], int]],
     pixels: float,
-    chosen_by: str = "accuracy",
-    measure: Measure = "accuracy",
+    chosen_by: str,
+    data: Dataset,
 ) -> Point:
     """One point of a summary: trials averaged."""
-    tests = [record["test"][index] for record, index in members]
-    score, accuracy = MEASURES[measure][0], _over_trials(tests, *MEASURES[measure])
-    several = f"training seeds (Student's t over {len(tests)} trials)"
+    tests, measure = [record["test"][index] for record, index in members], data.measure
+    trials = _Trials.of(tests, data)
+    score = MEASURES[measure][0]
     validated = [record["validation"][index] for record, index in members if record["validation"]]
     code = codes.DESIGNS[axes["design"]]
     return Point(
@@ -159,24 +172,86 @@ def point(
         ratio=axes["masks"] / pixels,
         trials=len(tests),
         validation=float(np.mean([v[chosen_by] for v in validated])) if validated else None,
-        **dict(zip(("accuracy", "low", "high"), accuracy, strict=True)),
-        covers=several if len(tests) > 1 else tests[0]["covers"],
-        **(_of_values(tests) if measure == "R²" else _of_classes(tests)),
+        **dict(zip(("accuracy", "low", "high"), trials.measured(measure), strict=True)),
+        covers=trials.covers,
+        **(_of_values(tests) if measure == "R²" else _of_classes(trials)),
         counts=float(np.mean([test["counts"] for test in tests])),
         arriving=float(np.mean([test["arriving"] for test in tests])),
         throughput=float(np.mean([test["throughput"] for test in tests])),
         seconds=float(np.mean([record["info"]["seconds"] for record, _ in members])),
         accuracies=tuple(float(test[score]) for test in tests),
+        terms=tuple(pack(row) for row in trials.terms.get(measure, ())),
         keys=tuple(record["design"] for record, _ in members),
         best=True,
     )
 
 
-def _of_classes(tests: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def terms_of(result: Result | Estimates) -> dict[str, str]:
+    """Values of the test images by measure, packed for a record."""
+    if isinstance(result, Estimates):
+        return {"R²": pack(np.array(result.explained))}
+    found = {"accuracy": result.right, "AUC": result.area_terms}
+    return {measure: pack(np.array(values)) for measure, values in found.items() if values}
+
+
+@dataclass(frozen=True)
+class _Trials:
+    """Tests of one setting, with terms (S, n) of its images by measure where records keep them."""
+
+    tests: Sequence[Mapping[str, Any]]
+    terms: Mapping[str, np.ndarray]
+    labels: np.ndarray  # (n,) classes of the images
+
+    @classmethod
+    def of(cls, tests: Sequence[Mapping[str, Any]], data: Dataset) -> "_Trials":
+        kept = [test.get("terms", {}) for test in tests]
+        shared = [name for name in kept[0] if all(name in each for each in kept)]
+        terms = {name: np.stack([unpack(each[name]) for each in kept]) for name in shared}
+        return cls(tests, terms, data.y_test)
+
+    @property
+    def covers(self) -> str:
+        """Sources of chance in the intervals."""
+        if len(self.tests) == 1:
+            return str(self.tests[0]["covers"])
+        if self.terms:
+            return f"test images, noise draws and training seeds ({len(self.tests)} trainings)"
+        return (
+            f"training seeds alone (Student's t over {len(self.tests)} trials, whose records of an "
+            "earlier version keep no images)"
+        )
+
+    def measured(self, measure: str) -> tuple[float, float, float]:
+        """Mean of a measure, or of the balanced accuracy, with its interval."""
+        fields = BALANCED if measure == "balanced" else MEASURES[measure]  # type: ignore[index]
+        values = [float(test[fields[0]]) for test in self.tests]
+        mean = float(np.mean(values))
+        terms = self.terms.get("accuracy" if measure == "balanced" else measure)
+        if len(self.tests) == 1:
+            low, high = (float(self.tests[0][end]) for end in fields[1:])
+        elif terms is None:
+            low, high = student(values)
+            least = min(0.0, *values)  # R² is below 0 where guessing the mean is better
+            low, high = max(low, least), min(high, 1.0)
+        else:
+            _, low, high = self._interval(measure, terms)
+        return mean, low, min(high, 1.0)
+
+    def _interval(self, measure: str, terms: np.ndarray) -> Interval:
+        """Interval of a measure over images and seeds; terms (S, n)."""
+        if measure == "accuracy":
+            return accuracy(terms)
+        if measure == "balanced":
+            return balanced(terms, self.labels)
+        return auc(terms, self.labels == 1) if measure == "AUC" else over_images(terms)
+
+
+def _of_classes(trials: _Trials) -> dict[str, Any]:
     """Fields of a point whose answers are classes."""
-    rates, balanced = _mean_rates(tests), ("balanced", "balanced_low", "balanced_high")
+    tests = trials.tests
+    rates = _mean_rates(tests)
     return {
-        **dict(zip(balanced, _over_trials(tests, *balanced), strict=True)),
+        **dict(zip(BALANCED, trials.measured("balanced"), strict=True)),
         "worst": rates[worst_of(rates)] or 0.0,
         "worst_class": worst_of(rates),
         "log_loss": float(np.mean([test["log_loss"] for test in tests])),
@@ -195,16 +270,6 @@ def _of_values(tests: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "rmse": np.mean([test["rmse"] for test in tests], axis=0).tolist(),
         "bound": np.mean(known, axis=0).tolist() if known else (),
     }
-
-
-def _over_trials(
-    tests: Sequence[Mapping[str, Any]], measure: str, low: str, high: str
-) -> tuple[float, float, float]:
-    """Mean of a measure, and its interval: over trials, of a single one over its test images."""
-    values = [float(test[measure]) for test in tests]
-    ends = (tests[0][low], tests[0][high]) if len(tests) == 1 else student(values)
-    least = min(0.0, *values)  # R² is below 0 where guessing the mean is better
-    return float(np.mean(values)), max(ends[0], least), min(ends[1], 1.0)
 
 
 def _mean_rates(tests: Sequence[Mapping[str, Any]]) -> list[float | None]:

@@ -10,10 +10,10 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from deepfsi.report.style import BUDGET_AXIS, COLOURS, PAPER, photons_text
+from deepfsi.statistics.differences import Difference, above, difference, signed
 from deepfsi.sweeps.results import Point, Results
 from deepfsi_paper.adaptive.clock import LEAST_LEFT, Measures, Rival, best_at, measure, rivals
 from deepfsi_paper.adaptive.figures import clock_figure
-from deepfsi_paper.differences import Difference, above, difference, signed
 from deepfsi_paper.experiment import Experiment, Finding, budgets
 from deepfsi_paper.report.lines import Line, lines_figure
 from deepfsi_paper.report.section import Claim, Picture, Table

@@ -11,6 +11,7 @@ from deepfsi.grid import Grid, find_grid
 from deepfsi.hardware.patterns.mirrors import recount, unpack
 from deepfsi.optics.codes import DESIGNS
 from deepfsi.report.style import photons_text
+from deepfsi.statistics.differences import Difference, above, of_trials
 from deepfsi.sweeps.results import Results
 from deepfsi_paper.bootstrap import (
     cluster_bootstrap,
@@ -48,7 +49,6 @@ from deepfsi_paper.camera.published import (
     WILCOXON,
 )
 from deepfsi_paper.camera.view_figures import mirrors_figure, views_figure
-from deepfsi_paper.differences import Difference, above, of_trials
 from deepfsi_paper.experiment import Experiment, Finding
 from deepfsi_paper.report.section import Claim, Picture, Table
 

@@ -41,10 +41,10 @@ from deepfsi.hardware.virtual.camera import (
     record,
 )
 from deepfsi.progress import Report
+from deepfsi.statistics.differences import Difference, of_trials
 from deepfsi.sweeps.results import Point, Results
 from deepfsi.sweeps.workers import cores, processes
 from deepfsi_paper.camera.gate_counts import black_rates, draw, draw_counts, subtract_background
-from deepfsi_paper.differences import Difference, of_trials
 
 FLUX = 1e7
 """Photons/s on the device from a mean scene."""

@@ -15,8 +15,7 @@ from scipy import stats
 
 from deepfsi.design.stopping import Estimate, Stopped
 from deepfsi.report.style import BUDGET_AXIS, photons_text
-from deepfsi.sweeps.results import Point, Results
-from deepfsi_paper.differences import (
+from deepfsi.statistics.differences import (
     CONFIDENCE,
     Difference,
     above,
@@ -24,6 +23,7 @@ from deepfsi_paper.differences import (
     of_trials,
     signed,
 )
+from deepfsi.sweeps.results import Point, Results
 from deepfsi_paper.experiment import Experiment, Finding, budgets, points
 from deepfsi_paper.flexible.figures import LOOKS, Stops, stopping_figure
 from deepfsi_paper.flexible.measures import Measures, Prefix, measure

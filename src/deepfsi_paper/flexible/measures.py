@@ -8,13 +8,15 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from deepfsi.datasets import Dataset
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate
 from deepfsi.design.stopping import Stopped, stop
 from deepfsi.progress import SILENT, Report
+from deepfsi.statistics.intervals import accuracy
 from deepfsi.sweeps.results import Point, Results
-from deepfsi_paper.differences import of_trials
 from deepfsi_paper.experiment import budgets, points
 
 
@@ -44,6 +46,11 @@ class Prefix:
     accuracy: float
     low: float
     high: float
+
+    @property
+    def terms(self) -> tuple[str, ...]:
+        """Values of the images of each trial, which are not kept."""
+        return ()
 
 
 @dataclass(frozen=True)
@@ -86,10 +93,9 @@ def _prefixes(results: Results, recipe: str, data: Dataset, folder: Path) -> Ite
         ]
         for photons, *trials in zip(tested, *tests, strict=True):
             accuracies = [test.accuracy for test in trials]
-            mean = of_trials(accuracies)
-            ends = mean.interval() if len(trials) > 1 else (trials[0].low, trials[0].high)
+            measured = accuracy(np.array([test.right for test in trials]))
             ratio = masks / data.pixels
-            yield Prefix(recipe, masks, ratio, photons, accuracies, mean.mean, *ends)
+            yield Prefix(recipe, masks, ratio, photons, accuracies, *measured)
 
 
 def _stopped(results: Results, recipe: str, data: Dataset, folder: Path) -> list[Stopped]:

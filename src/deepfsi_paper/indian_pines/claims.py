@@ -15,9 +15,9 @@ from deepfsi.datasets.indian_pines import SURROGATE, where
 from deepfsi.report.accuracy import accuracy_figure
 from deepfsi.report.comparison_page import listed
 from deepfsi.report.style import INK, photons_text
+from deepfsi.statistics.differences import Difference, above, difference, of_trials
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.results import Point, Results
-from deepfsi_paper.differences import Difference, above, difference, of_trials
 from deepfsi_paper.experiment import Experiment, Finding, best
 from deepfsi_paper.indian_pines.figures import (
     class_maps_figure,

@@ -6,8 +6,8 @@ from typing import Any
 from deepfsi.report.accuracy import accuracy_figure
 from deepfsi.report.comparison_page import listed
 from deepfsi.report.style import photons_text
+from deepfsi.statistics.differences import Difference, above, difference
 from deepfsi.sweeps.results import Point, Results
-from deepfsi_paper.differences import Difference, above, difference
 from deepfsi_paper.experiment import Experiment, Finding, best
 from deepfsi_paper.mnist.figures import error_figure
 from deepfsi_paper.report.section import Claim, Picture, Table

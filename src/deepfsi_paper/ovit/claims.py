@@ -21,8 +21,8 @@ from deepfsi.progress import Report
 from deepfsi.report.accuracy import accuracy_figure
 from deepfsi.report.comparison_page import listed
 from deepfsi.report.style import photons_text
+from deepfsi.statistics.differences import Difference, above, difference, of_trials
 from deepfsi.sweeps.results import Point, Results
-from deepfsi_paper.differences import Difference, above, difference, of_trials
 from deepfsi_paper.experiment import Experiment, Finding, cifar10_here
 from deepfsi_paper.measures import effective_directions
 from deepfsi_paper.ovit.figures import LearnedMasks, patch_masks_figure
