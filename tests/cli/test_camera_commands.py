@@ -255,7 +255,7 @@ def test_bad_input_is_one_line(refuse, lab, tmp_path, monkeypatch, words, said):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--exposure", "10s"], "--dwell"),
+        (["--exposure", "10s"], "longer --exposure"),
         (["--exposure", "1ms", "--flux", "-1"], "flux"),
         (["--exposure", "1ms", "--virtual", "eye"], "pmt"),
         (["--exposure", "1ms", "--scene", "nothing.png"], "nothing.png"),

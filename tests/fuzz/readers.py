@@ -222,6 +222,7 @@ READERS = {
     "frames": Reader("npy/frames.npy", check_patterns, (mangled,), 1),
     "png frames": Reader("png/frames/0002.png", check_patterns, (mangled,), 1),
     "planes": Reader("planes/images/0000.bmp", check_patterns, (mangled,), 1),
+    "bmp frames": Reader("bmp/frames/0002.bmp", check_patterns, (mangled,), 1),
     "table of planes": Reader("planes/patterns.csv", check_patterns, (mangled,), 1),
     "acquisition": Reader("run/acquisition.json", read_run, (changed_json, mangled)),
     "counts": Reader("run/counts.npz", read_run, (changed_zip, mangled)),
@@ -319,7 +320,7 @@ def _designs(folder: Path) -> None:
     rails = design_rails(folder / "looks.safetensors")
     export_patterns(rails, FrameSettings(device, 1e-3), folder / "looks")
     rails = design_rails(folder / "fixed.safetensors")
-    for kind in ("npy", "png"):
+    for kind in ("npy", "png", "bmp"):
         export_patterns(rails, FrameSettings(device, 1e-3, format=kind), folder / kind)
     packed = device.model_copy(update={"controller": "dlpc900"})
     export_patterns(rails, FrameSettings(packed, 1e-3, format="planes"), folder / "planes")

@@ -110,75 +110,10 @@ def test_dwells_are_those_of_a_live_run(opened, designs, digits, kind):
     assert (np.ptp(wanted, axis=0) > 1e-3).all()  # they depend on the counts
 
 
-DARK = [kind for kind in KINDS if "dark" in kind]
-"""Designs for cameras with dark counts."""
-
-
-@pytest.mark.parametrize("kind", DARK)
-def test_dark_counts_are_drawn_for_the_time_of_each_readout(opened, designs, kind):
-    """Without light the counts of 400 exposures are Poisson's, of D dark counts of a detector."""
-    design, exposures = designs[kind], 400
-    frames, total = ask(
-        opened(kind),
-        "const black = page.scene.map(() => 0), total = new Float64Array(model.readouts);"
-        "let frames;"
-        "for (let seed = 1; seed <= given.exposures; seed++) {"
-        "  const e = new Exposure(model, black, 1, seed);"
-        "  e.after(e.frames.length).counts.forEach((count, i) => (total[i] += count));"
-        "  frames = e.frames.map(f => [f.places, f.share]);"
-        "} return [frames, [...total]]",
-        exposures=exposures,
-    )
-    if kind == "dark-looks":  # its dwells differ from exposure to exposure, but not their sum
-        wanted, found = 300, sum(total) / exposures
-    else:
-        wanted, found = np.zeros(len(total)), np.array(total) / exposures
-        for places, share in frames:
-            wanted[places] += 300 * share
-        assert wanted.sum() == pytest.approx(
-            300 * (2 if kind == "dark-arms" else 4) * sum(share for _, share in frames), rel=1e-6
-        )
-        own = design.scanner("camera", 0.0, 300.0).dark_counts(design.rails.count)
-        np.testing.assert_allclose(wanted, own.flatten(), rtol=1e-5)
-    np.testing.assert_array_less(np.abs(found - wanted), 5 * np.sqrt(wanted / exposures))
-
-
-@pytest.mark.parametrize("kind", ["dark", "dark-arms"])
-def test_the_answer_is_that_of_the_counts_without_the_dark_ones(opened, designs, kind):
-    design = designs[kind]
-    counts, chances, seen = ask(
-        opened(kind),
-        "const e = new Exposure(model, page.scene, 1e4, 3);"
-        "const { counts, lit } = e.after(e.frames.length);"
-        "return [[...counts], e.answer(e.frames.length).chances, [...lit]]",
-    )  # fmt: skip
-    dark = design.scanner("camera", 0.0, 300.0).dark_counts(design.rails.count).numpy().ravel()
-    read = np.array(counts) - dark
-    assert all(count == int(count) for count in counts)  # what a counter shows
-    np.testing.assert_allclose(seen, read, atol=1e-3)
-    wanted = design.classify(read.reshape(design.counts_shape), 1e4)
-    np.testing.assert_allclose(chances, wanted, atol=AGREES, rtol=0)
-
-
-def test_pictures_of_other_cameras_have_dark_counts_of_the_same_detectors(opened):
-    """Mean 0 where there is no light, with the variance of 300 dark counts of each detector."""
-    raster, impulse, unit = ask(
-        opened("dark"),
-        "const { constructor: Rivals } = page.rivals, black = page.scene.map(() => 0);"
-        "const rivals = new Rivals(model, black, 1e4, 1);"
-        "return [rivals.rasterAt(1), rivals.impulseAt(1), rivals.scale]",
-    )
-    for picture, variance in ((raster, 300 * len(raster)), (impulse, 300)):
-        drawn = np.array(picture) / unit
-        assert abs(drawn.mean()) < 5 * np.sqrt(variance / len(drawn))
-        assert 0.4 < drawn.var() / variance < 1.9  # of 64 values: 5 standard errors
-
-
-@pytest.mark.parametrize("kind", ["looks", "looks-both", "dark-looks"])
+@pytest.mark.parametrize("kind", ["looks", "looks-both"])
 def test_an_exposure_is_one_of_classify_live(opened, designs, kind):
     """The package, given the counts that the page has drawn, asks for the same dwells."""
     design, browser = designs[kind], opened(kind)
-    dark = 300 if kind == "dark-looks" else 0  # of a detector, for the time of each frame
     frames, chances = ask(
         browser,
         "const e = new Exposure(model, page.scene, 300, 5);"
@@ -193,7 +128,7 @@ def test_an_exposure_is_one_of_classify_live(opened, designs, kind):
         for at, mask, rail, share, count in frames:
             if at == look:
                 place = (rail, mask) if design.rails.count == 2 else (mask,)
-                counts[place], shown[place] = count - dark * share, share
+                counts[place], shown[place] = count, share
         np.testing.assert_allclose(shown, dwell, atol=AGREES, rtol=0)
         return counts
 

@@ -27,11 +27,18 @@ KINDS = {
     "looks-both": {"masks": 5, "looks": 3, "light": "free-dwell", "readout": "both"},
     "nested": {"masks": 9, "nested": 3, "span": 1e3, "photons": 1e2, **ONE_ARM},
     "spectra": {"masks": 5, "light": "free-dwell"},
-    "dark": {"masks": 6, "dark": 300, "detectors": "2x2", **ONE_ARM},
-    "dark-arms": {"masks": 5, "dark": 300, "light": "two-arm"},
-    "dark-looks": {"masks": 5, "looks": 3, "dark": 300, "light": "free-dwell", "readout": "both"},
 }
 """Settings of the designs that are played."""
+
+DARK = 300.0
+"""Dark counts of a detector in an exposure."""
+
+DARK_KINDS = {
+    "single": {"masks": 6, "dark": DARK, "detectors": "2x2", **ONE_ARM},
+    "arms": {"masks": 5, "dark": DARK, "light": "two-arm"},
+    "looks": {"masks": 5, "looks": 3, "dark": DARK, "light": "free-dwell", "readout": "both"},
+}
+"""Settings of designs for cameras with dark counts."""
 
 PARTS = (
     "page", "model", "Exposure", "LookExposure", "LeastSquares", "Random", "poisson",

@@ -396,7 +396,7 @@ def ask_for_room(events: float) -> None:
         return
     raise InputError(
         f"the recording would hold {size}: lower --flux, show fewer scenes, export with a shorter "
-        "--dwell (all of a pass is recorded), or add --yes"
+        "--exposure (all of a pass is recorded), or add --yes"
     )
 
 

@@ -22,7 +22,7 @@ dmd = typer.Typer(
     invoke_without_command=True,
     callback=common.help_if_bare,
     help="Patterns for a micromirror device (DMD): export and check them, list the devices.\n\n"
-    "Example: deepfsi dmd export digits.safetensors --device dlp7000 --dwell 1ms -o patterns",
+    "Example: deepfsi dmd export digits.safetensors --device dlp7000 --exposure 10ms -o patterns",
 )
 
 
@@ -56,8 +56,9 @@ def dmd_export(
     dwell: Annotated[
         str | None,
         typer.Option(
+            hidden=True,
             help="mean picture time of a frame, settling included, such as 1ms or 44us; what the "
-            "camera's exposure takes unless given, or 1ms"
+            "camera's exposure takes unless given, or 1ms",
         ),
     ] = None,
     selection: Annotated[
@@ -80,8 +81,8 @@ def dmd_export(
         str | None,
         typer.Option(
             "--format",
-            help="npy or raw (packed bits), png (one a frame), or planes (24 frames a picture, "
-            "with a pattern table); what the device takes unless given",
+            help="npy or raw (packed bits), png or bmp (one a frame), or planes (24 frames a "
+            "picture); what the device takes unless given",
         ),
     ] = None,
     as_json: options.Json = False,
@@ -94,7 +95,7 @@ def dmd_export(
 
     A calibration needs no design: deepfsi dmd export hadamard --size 32x32 -o scan
 
-    Example: deepfsi dmd export one-dmd.safetensors --device dlp7000 --dwell 1ms -o patterns
+    Example: deepfsi dmd export one-dmd.safetensors --device dlp7000 --exposure 10ms -o patterns
     """
     paths.check_new_folder(out)
     from deepfsi.devices import find_device

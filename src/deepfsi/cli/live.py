@@ -228,7 +228,7 @@ def _print_run(
         raise InputError(
             f"no scene of {folder} has light: no all-ON frame is brighter than the all-OFF "
             "ones; check the lamp, the inputs and the counter's trigger levels, or export "
-            "with a longer --dwell"
+            "with a longer --exposure"
         )
     if all(scene.predicted is None for scene in scenes):
         from deepfsi.cli import as_options

@@ -21,6 +21,10 @@ SLACK = 1.01
 """Time of pictures over what the gates of an exposure take: pictures are of whole microseconds."""
 
 
+SENTINEL_SHARE = 0.1
+"""Time of an all-ON frame of several looks, as a share of the exposure: it measures their light."""
+
+
 def camera_of(source: Camera | str | os.PathLike[str], **settings: Any) -> Camera:
     """Camera, or that of a design file, its patterns or a run, with other settings."""
     # `camera` among the settings names another to begin with: a preset or a TOML file. Where none
@@ -64,6 +68,8 @@ def picture_time(rails: DesignRails, device: Device, camera: Camera) -> float:
     """Mean picture time of a frame in seconds: what the camera's exposure takes, or 1 ms."""
     if camera.exposure is None:
         return 1e-3
+    if rails.looks is not None:  # a live run times the masks itself
+        return max(SENTINEL_SHARE * camera.exposure, device.shortest_us * 1e-6)
     frames = int((rails.rails.max(axis=-1) > 0).sum())
     return SLACK * camera.exposure / frames + device.settle_us * 1e-6
 

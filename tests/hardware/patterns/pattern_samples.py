@@ -11,7 +11,7 @@ from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.progress import SILENT
 
-FORMATS = ("npy", "png", "raw")
+FORMATS = ("npy", "png", "bmp", "raw")
 
 SMALL = find_device("67x50")
 """Not whole bytes across, and cells of 8 x 8 leave margins."""

@@ -185,8 +185,8 @@ def test_progress_and_rights_of_the_folder(tmp_path):
 
 def damage(folder: Path, form: str, place: int) -> None:
     """Flip the first mirror of a frame."""
-    if form == "png":
-        path = folder / "frames" / f"{place:04d}.png"
+    if form in ("png", "bmp"):
+        path = folder / "frames" / f"{place:04d}.{form}"
         with Image.open(path) as picture:
             changed = picture.copy()
         changed.putpixel((3, 2), 0 if changed.getpixel((3, 2)) else 255)
@@ -240,7 +240,7 @@ def test_a_manifest_may_be_laid_out_anew(tmp_path):
         ("image_shape", [4, 5], r"shape \(10, 20\)"),
         ("masks", 3, "mask that does not exist"),
         ("schema_version", 2, "schema_version"),
-        ("format", "bmp", "format"),
+        ("format", "gif", "format"),
     ],
 )
 def test_a_manifest_that_does_not_fit_is_refused(tmp_path, key, value, message):

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from pattern_samples import FORMATS, SMALL, every_format, export, grey
 from PIL import Image
+from vendor_readers import read_one_bit
 
 from deepfsi.devices import DEVICES, find_device
 from deepfsi.errors import InputError
@@ -22,7 +23,7 @@ def test_formats_hold_the_same_bits(tmp_path):
     frames = [list(read_frames(tmp_path / form)) for form in FORMATS]
     for same in zip(*frames, strict=True):
         assert np.array_equal(same[0], same[1])
-        assert np.array_equal(same[0], same[2])
+        assert all(np.array_equal(same[0], each) for each in same[2:])
     packed = np.load(tmp_path / "npy" / "frames.npy")
     assert packed.dtype == np.uint8
     assert np.array_equal(packed, np.stack(frames[0]))
@@ -51,7 +52,8 @@ def test_frames_ask_for_their_room(tmp_path, monkeypatch):
     monkeypatch.setattr(folder, "check_room", lambda path, size, advice: asked.append(size))
     for form in EVERY_FORMAT:
         export(tmp_path / form, device=BOARD, format=form)
-        parts = [*(tmp_path / form).glob("frames*"), *(tmp_path / form).glob("images/*")]
+        names = ("frames*", "frames/*", "images/*")
+        parts = [path for name in names for path in (tmp_path / form).glob(name)]
         files = [each.stat().st_size for each in parts if each.is_file()]
         header = 0 if form == "raw" else 128
         assert form == "png" or sum(files) - header * len(files) <= asked[-1] <= sum(files)
@@ -68,7 +70,10 @@ def test_the_left_mirror_is_the_highest_bit_and_on_is_white(tmp_path, form):
     frames = list(read_frames(tmp_path / "p"))[2:4]
     assert frames[0][0].tolist() == [0b11111000, 0, 0]
     assert frames[1][2].tolist() == [0, 0b00000001, 0b11110000]
-    if form == "png":
+    if form == "bmp":
+        for mirrors, path in zip(wanted, ("0002.bmp", "0003.bmp"), strict=True):
+            assert np.array_equal(read_one_bit(tmp_path / "p" / "frames" / path), mirrors)
+    elif form == "png":
         for mirrors, path in zip(wanted, ("0002.png", "0003.png"), strict=True):
             with Image.open(tmp_path / "p" / "frames" / path) as picture:
                 assert picture.mode == "1"
@@ -95,14 +100,15 @@ def test_a_frame_of_the_dlp7000_is_98304_bytes(tmp_path):
 @every_format
 def test_a_missing_frame_is_found_and_named(tmp_path, form):
     export(tmp_path / "p", format=form)
-    path = tmp_path / "p" / {"npy": "frames.npy", "png": "frames", "raw": "frames.bin"}[form]
-    if form == "png":
-        (path / "0009.png").unlink()
+    pictures = form in ("png", "bmp")
+    path = tmp_path / "p" / {"npy": "frames.npy", "raw": "frames.bin"}.get(form, "frames")
+    if pictures:
+        (path / f"0009.{form}").unlink()
     else:
         path.write_bytes(path.read_bytes()[: -4 * SMALL.frame_bytes - 3])
-    with pytest.raises(InputError, match=r"0009\.png is missing" if form == "png" else "frame 9;"):
+    with pytest.raises(InputError, match=rf"0009\.{form} is missing" if pictures else "frame 9;"):
         check_patterns(tmp_path / "p")
-    if form != "png":
+    if not pictures:
         path.unlink()
         with pytest.raises(InputError, match=f"{path.name} is missing"):
             check_patterns(tmp_path / "p")
@@ -112,10 +118,15 @@ def test_a_missing_frame_is_found_and_named(tmp_path, form):
 def test_other_files_than_the_frames_are_refused(tmp_path, form):
     export(tmp_path / "p", format=form)
     path = (
-        tmp_path / "p" / {"npy": "frames.npy", "png": "frames/0003.png", "raw": "frames.bin"}[form]
-    )
+        tmp_path / "p"
+        / {"npy": "frames.npy", "raw": "frames.bin"}.get(form, f"frames/0003.{form}")
+    )  # fmt: skip
     whole = path.read_bytes()
-    contents = [b"", whole[: len(whole) // 2], whole + b"x" if form != "png" else b"GIF89a"]
+    contents = [
+        b"",
+        whole[: len(whole) // 2],
+        b"GIF89a" if form in ("png", "bmp") else whole + b"x",
+    ]
     if form == "npy":
         contents += [whole.replace(b"|u1", b"|i1", 1), whole.replace(b"(14,", b"(13,", 1)]
         contents += [b"\x93NUMPY\x01\x00\x76\x00" + b"{" * 118 + whole[128:]]
@@ -123,7 +134,7 @@ def test_other_files_than_the_frames_are_refused(tmp_path, form):
         path.write_bytes(content)
         with pytest.raises(InputError):
             check_patterns(tmp_path / "p")
-    if form == "png":
+    if form in ("png", "bmp"):
         for mode, size in (("L", (67, 50)), ("1", (50, 67))):
             Image.new(mode, size).save(path)
             with pytest.raises(InputError, match="one bit a pixel"):

@@ -3,11 +3,13 @@
 import csv
 import json
 import shutil
+from typing import get_args
 
 import numpy as np
 import pytest
 from pattern_samples import UNEQUAL, export, grey
 from vendor_readers import (
+    load_settings,
     play_dlpc347x,
     play_dlpc350,
     play_dlpc900,
@@ -17,6 +19,7 @@ from vendor_readers import (
 from deepfsi.devices import DEVICES, Device
 from deepfsi.errors import InputError
 from deepfsi.hardware.patterns.folder import check_patterns, read_frames
+from deepfsi.hardware.patterns.sequence import Format
 
 SIZE = {"columns": 37, "rows": 26}
 """Rows of no whole bytes, and of no whole 4 bytes of a bitmap."""
@@ -52,6 +55,8 @@ def test_a_dlpc900_shows_every_frame_for_its_own_time(tmp_path, name):
     assert min(times) == device.shortest_us
     assert len([*(tmp_path / "p" / "images").iterdir()]) == 2
     assert_shown(play_dlpc900(tmp_path / "p"), mirrors, times)
+    export(tmp_path / "q", masks, device=device, format="bmp")
+    assert_shown(load_settings(tmp_path / "q"), mirrors, times)
 
 
 def test_a_dlpc350_takes_green_red_and_blue_in_turn(tmp_path):
@@ -104,15 +109,56 @@ def test_bit_planes_are_read_back_and_checked(tmp_path, name):
     assert check_patterns(tmp_path / "p").manifest == shown.manifest
 
 
-@pytest.mark.parametrize("name", ["patterns.csv", "sequence.txt"])
-def test_tables_that_were_changed_are_found(tmp_path, name):
-    export(tmp_path / "p", device=family("dlp6500"), format="planes")
+@pytest.mark.parametrize(
+    ("form", "name"),
+    [("planes", "patterns.csv"), ("planes", "sequence.txt"), ("bmp", "settings.txt"),
+     ("bmp", "patterns.csv"), ("npy", "patterns.csv")],
+)  # fmt: skip
+def test_tables_that_were_changed_are_found(tmp_path, form, name):
+    export(tmp_path / "p", device=family("dlp6500"), format=form)
     path = tmp_path / "p" / name
     path.write_text(path.read_text().replace("1", "2"))
     with pytest.raises(InputError, match=f"{name} does not say what manifest.json says"):
         check_patterns(tmp_path / "p")
     path.unlink()
+    if form == "npy":  # earlier versions wrote none
+        check_patterns(tmp_path / "p")
+        return
     with pytest.raises(InputError, match=f"{name} is missing"):
+        check_patterns(tmp_path / "p")
+
+
+@pytest.mark.parametrize("form", get_args(Format))
+@pytest.mark.parametrize("name", ["dlp6500", "dlp7000", "dlp4710"])
+def test_every_format_has_its_table_of_times(tmp_path, name, form):
+    """Times and the file of each frame, in their order: the sum is that of a pass."""
+    device = family(name)
+    if form == "planes" and not device.packed:
+        pytest.skip("takes no bit-planes")
+    manifest = export(tmp_path / "p", grey(28, rails=1), device=device, format=form).manifest
+    with (tmp_path / "p" / "patterns.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [int(row["pattern"]) for row in rows] == list(range(32))
+    lasting = [int(row["exposure_us"]) + int(row["dark_us"]) for row in rows]
+    assert sum(lasting) * 1e-6 == pytest.approx(manifest.pass_s)
+    assert [row["shows"] for row in rows[:3]] == ["all ON", "all OFF", "mask 0, plus"]
+    assert {float(row["settle_us"]) for row in rows} == {device.settle_us}
+    assert all((tmp_path / "p" / row["image"]).is_file() for row in rows)
+    pictures = {"npy": 1, "raw": 1, "planes": 2}.get(form, 32)
+    assert len({row["image"] for row in rows}) == pictures
+    assert (tmp_path / "p" / "settings.txt").exists() == (name == "dlp6500" and form == "bmp")
+
+
+def test_the_table_of_an_earlier_version_is_as_good(tmp_path):
+    """It had no column for the time to settle."""
+    export(tmp_path / "p", device=family("dlp6500"), format="planes")
+    path = tmp_path / "p" / "patterns.csv"
+    lines = [line.rpartition(",")[0] for line in path.read_text().splitlines()]
+    assert lines[0] == "pattern,image,bit,exposure_us,dark_us,trigger_out,new_image,shows"
+    path.write_text("\n".join([*lines, ""]))
+    check_patterns(tmp_path / "p")
+    path.write_text("\n".join([*lines[:-1], ""]))
+    with pytest.raises(InputError, match=r"patterns\.csv does not say"):
         check_patterns(tmp_path / "p")
 
 

@@ -1,7 +1,9 @@
 """Readers of what is exported, written from the controllers' documents and without the package.
 
 bmp          Windows bitmap: header of 54 bytes, rows from the bottom, blue, green, red, each row
-             filled to 4 bytes
+             filled to 4 bytes; of one bit a pixel two colours follow the header, and the leftmost
+             pixel is the highest bit
+settings     of TI's DLPC900REF-SW: "Normal Mode", then file,bits,exposure,dark,colour,in,out
 batch file   of TI's DLPC900REF-SW: a command a line, "NAME : 0x00 0x01 ..."
 LUT entry    12 bytes, DLPC900 programmer's guide DLPU018J, 0x1A34
 video        DLPC347x: bit-planes of one picture after another
@@ -39,6 +41,35 @@ def read_bmp(path: Path) -> np.ndarray:
     ]
     pixels = np.frombuffer(b"".join(reversed(rows)), np.uint8).reshape(height, width, 3)
     return pixels[..., 0] + 2**8 * pixels[..., 1].astype(int) + 2**16 * pixels[..., 2].astype(int)
+
+
+def read_one_bit(path: Path) -> np.ndarray:
+    """Mirrors of a bitmap of one bit a pixel, ON white: bool (rows, columns)."""
+    content = path.read_bytes()
+    assert content[:2] == b"BM"
+    start, size, width, height, planes, bits, compression = struct.unpack_from(
+        "<IIiiHHI", content, 10
+    )
+    assert (size, planes, bits, compression) == (40, 1, 1, 0)
+    black, white = content[54:58], content[58:62]
+    assert (black[:3], white[:3]) == (b"\0\0\0", b"\xff\xff\xff")
+    stride = 4 * -(-width // 32)
+    assert len(content) == start + height * stride
+    lines = np.frombuffer(content[start:], np.uint8).reshape(height, stride)[::-1]
+    return np.unpackbits(lines, axis=1)[:, :width].astype(bool)
+
+
+def load_settings(folder: Path) -> list[Shown]:
+    """Frames that TI's program for a DLPC900 shows once it has loaded its pattern settings."""
+    first, *lines = (folder / "settings.txt").read_text().splitlines()
+    assert first == "Normal Mode"
+    out = []
+    for line in lines:
+        name, bits, exposure, dark, colour, trigger_in, trigger_out = line.split(",")
+        assert (bits, trigger_in, trigger_out) == ("1", "0", "1")
+        assert colour in "1234567"
+        out.append(Shown(read_one_bit(folder / name), int(exposure), int(dark)))
+    return out
 
 
 def play_dlpc900(folder: Path) -> list[Shown]:

@@ -29,14 +29,14 @@ from deepfsi.devices import DEVICES, PLANES, Device
 from deepfsi.errors import InputError
 from deepfsi.hardware.drivers.dlpc900_images import encode_picture
 from deepfsi.hardware.drivers.holding import let_go, refusals
-from deepfsi.hardware.patterns.folder import read_frames, read_patterns
-from deepfsi.hardware.patterns.limits import check_limits
-from deepfsi.hardware.patterns.planes import (
+from deepfsi.hardware.patterns.controller_tables import (
     DISPLAY_MODE,
     ON_THE_FLY,
     dlpc900_commands,
-    pack_planes,
 )
+from deepfsi.hardware.patterns.folder import read_frames, read_patterns
+from deepfsi.hardware.patterns.limits import check_limits
+from deepfsi.hardware.patterns.planes import pack_planes
 from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.progress import SILENT, Report
 

@@ -170,7 +170,7 @@ class _Board(ABC):
         if not shortest <= picture_us <= longest:
             raise InputError(
                 f"a picture time of {picture_us} µs is not possible: the Vialux device keeps "
-                f"{shortest} to {longest} µs; export with another --dwell"
+                f"{shortest} to {longest} µs; export with another --exposure"
             )
         self._alp.SetTiming(sequence, pictureTime=picture_us)
         return sequence

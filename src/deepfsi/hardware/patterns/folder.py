@@ -1,8 +1,8 @@
 """Folder of patterns: rails of a design to binary frames, and back.
 
 A folder holds `manifest.json`, `mirrors.npy` (mirrors ON in each cell of each mask's frame), the
-design if it was given, `loop.safetensors` of a design of several looks, and the frames of all masks
-and sentinels (`frame_files`).
+design if it was given, `loop.safetensors` of a design of several looks, the frames of all masks and
+sentinels (`frame_files`), and tables of their times (`controller_tables`).
 """
 
 import io
@@ -22,7 +22,7 @@ import numpy as np
 from deepfsi.errors import InputError, as_input_error, check_known
 from deepfsi.files import check_room, check_unpacked, hash_file, new_folder, read_text
 from deepfsi.grid import find_grid
-from deepfsi.hardware.patterns import frame_files, mirrors, planes, sequence
+from deepfsi.hardware.patterns import controller_tables, frame_files, mirrors, sequence
 from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.patterns.limits import check_limits, check_stored
 from deepfsi.hardware.patterns.looks import Looks
@@ -185,9 +185,8 @@ def _write(folder: Path, patterns: sequence.Patterns, design: DesignRails) -> se
     digest = _digest(patterns.manifest.model_dump_json())
     manifest = patterns.manifest.model_copy(update={"sha256": digest})
     (folder / "manifest.json").write_bytes(manifest.model_dump_json(indent=1).encode())
-    if manifest.format == "planes":
-        for name, table in planes.tables(manifest).items():
-            (folder / name).write_bytes(table.encode())
+    for name, table in controller_tables.tables(manifest).items():
+        (folder / name).write_bytes(table.encode())
     return sequence.Patterns(manifest, patterns.on)
 
 
@@ -263,8 +262,7 @@ def check_patterns(folder: str | os.PathLike[str], report: Report = SILENT) -> s
                 "patterns again"
             )
         report((place + 1) / len(manifest.frames))
-    if manifest.format == "planes":
-        planes.check_tables(folder, manifest)
+    controller_tables.check_tables(folder, manifest)
     for name, digest in companions(manifest).items():
         if hash_file(folder / name) != digest:
             raise InputError(

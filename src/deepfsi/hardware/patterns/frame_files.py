@@ -2,8 +2,9 @@
 
 npy    frames.npy, uint8 (frames, rows, bytes of a row)
 png    frames/0000.png ..., one bit a pixel, ON white
+bmp    frames/0000.bmp ..., the same as Windows bitmaps, which programs of controllers read
 raw    frames.bin, the same bytes as frames.npy without its header, top row first
-planes 24 frames a picture, with tables (`planes`)
+planes 24 frames a picture (`planes`)
 """
 
 import hashlib
@@ -16,7 +17,8 @@ from pathlib import Path
 from typing import IO
 
 import numpy as np
-from PIL import Image
+from PIL import Image, ImageFile
+from PIL.BmpImagePlugin import BmpImageFile
 from PIL.PngImagePlugin import PngImageFile
 
 from deepfsi.errors import InputError
@@ -33,6 +35,12 @@ from deepfsi.progress import SILENT, Report
 
 STREAMS = {"npy": "frames.npy", "raw": "frames.bin"}
 """Files of the formats that hold all frames in one."""
+
+READERS: dict[str, type[ImageFile.ImageFile]] = {"png": PngImageFile, "bmp": BmpImageFile}
+"""Readers of the formats that hold a frame in each file."""
+
+BMP_HEADER = 62
+"""Bytes of a bitmap of one bit a pixel before its rows."""
 
 
 def write_frames(
@@ -55,11 +63,12 @@ def write_frames(
 
     if format == "planes":
         write_planes(folder, hashed(), total, device)
-    elif format == "png":
+    elif format in READERS:
+        options = {"compress_level": 1} if format == "png" else {}  # no larger
         (folder / "frames").mkdir()
         for place, frame in enumerate(hashed()):
             picture = Image.frombytes("1", (device.columns, device.rows), frame.tobytes())
-            save_picture(picture, folder / _png(place, total), compress_level=1)  # no larger
+            save_picture(picture, folder / frame_file(place, total, format), **options)
     else:
         with (folder / STREAMS[format]).open("wb") as stream:
             if format == "npy":
@@ -74,6 +83,8 @@ def size(total: int, settings: FrameSettings) -> int:
     device = settings.device
     if settings.format == "planes":
         return math.ceil(total / device.packed_frames(total)) * 3 * device.rows * device.columns
+    if settings.format == "bmp":
+        return total * (BMP_HEADER + device.rows * 4 * math.ceil(device.columns / 32))
     return 0 if settings.format == "png" else total * device.frame_bytes
 
 
@@ -84,9 +95,11 @@ def load_frames(folder: Path, manifest: Manifest) -> Iterator[np.ndarray]:
     if manifest.format == "planes":
         yield from load_planes(folder, manifest)
         return
-    if manifest.format == "png":
+    if manifest.format in READERS:
+        reader = READERS[manifest.format]
         for place in range(total):
-            with read_picture(folder / _png(place, total), device, PngImageFile, "1") as picture:
+            path = folder / frame_file(place, total, manifest.format)
+            with read_picture(path, device, reader, "1") as picture:
                 yield np.frombuffer(picture.tobytes(), dtype=np.uint8).reshape(shape)
         return
     header = "|u1" if manifest.format == "npy" else None
@@ -95,9 +108,9 @@ def load_frames(folder: Path, manifest: Manifest) -> Iterator[np.ndarray]:
             yield np.frombuffer(file.read(device.frame_bytes), dtype=np.uint8).reshape(shape)
 
 
-def _png(place: int, total: int) -> str:
+def frame_file(place: int, total: int, format: str) -> str:
     """File of a frame, with as many digits as the last one needs."""
-    return f"frames/{place:0{max(4, len(str(total - 1)))}d}.png"
+    return f"frames/{place:0{max(4, len(str(total - 1)))}d}.{format}"
 
 
 def npy_header(kind: str, shape: tuple[int, ...]) -> bytes:

@@ -35,7 +35,8 @@ def check_limits(manifest: Manifest) -> None:
         if not device.shortest_us <= frame.picture_us <= device.longest_us:
             raise InputError(
                 f"frame {place} ({frame}) lasts {frame.picture_us} µs, and {device.name} shows "
-                f"{device.shortest_us} to {device.longest_us} µs: export again with another --dwell"
+                f"{device.shortest_us} to {device.longest_us} µs: export again with another "
+                "--exposure"
             )
     times = {frame.picture_us for frame in manifest.frames}
     if device.video_us and len(times) > 1:

@@ -53,7 +53,7 @@ _READ_BY: dict[Rail | None, tuple[tuple[int, int], ...]] = {
 Selection = Literal["ordered", "random"]
 """Choice of the mirrors of a grey cell."""
 
-Format = Literal["npy", "raw", "png", "planes"]
+Format = Literal["npy", "raw", "png", "bmp", "planes"]
 """Files of the frames."""
 
 
@@ -80,7 +80,8 @@ class FrameSettings:
         check_known("format", self.format, get_args(Format))
         if self.format == "planes" and not self.device.packed:
             raise InputError(
-                f"{self.device.name} takes no pictures of 24 bit-planes: use format npy, raw or png"
+                f"{self.device.name} takes no pictures of 24 bit-planes: use format "
+                "npy, raw, png or bmp"
             )
 
     @property
@@ -104,8 +105,8 @@ class FrameSettings:
                 raise InputError(
                     f"{total} frames, {together} in each picture of the video, would last {one} µs "
                     f"each, and {self.device.name} shows {self.device.longest_us} at most: give a "
-                    f"shorter --dwell, or masks that make with {sentinels} sentinels a multiple of "
-                    "more frames"
+                    f"shorter --exposure, or masks that make with {sentinels} sentinels a multiple "
+                    "of more frames"
                 )
             return [one] * len(pictures), one
         return pictures, sentinel

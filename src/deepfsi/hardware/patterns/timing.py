@@ -92,7 +92,7 @@ def find_gates(
     if fit < 1:
         raise InputError(
             f"an exposure of {exposure_s:g} s does not fit frames with {settle:g} s to settle: "
-            f"give at most {max(longest, 0):.3g} s, or export with a longer --dwell"
+            f"give at most {max(longest, 0):.3g} s, or export with a longer --exposure"
         )
     if repeats is not None and not 1 <= repeats <= fit:
         raise InputError(f"{repeats} repeats do not fit: give 1 to {fit}")

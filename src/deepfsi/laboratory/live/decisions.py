@@ -71,7 +71,7 @@ class Observer:
         if gates.min() < 1:
             raise InputError(
                 f"all-ON and all-OFF frames of {manifest.frames[ON].picture_us} µs are too short "
-                "to be counted: export with a longer --dwell"
+                "to be counted: export with a longer --exposure"
             )
         self._sentinels = FrameList(SENTINELS, np.array([ON, OFF]), gates)
         # Counts/s of each input in each frame of the masks that are no scene's, and their variance
