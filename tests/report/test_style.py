@@ -1,8 +1,11 @@
 """What all figures share: settings, colours of the page, and words."""
 
+import matplotlib.style
 import pytest
+from cycler import cycler
 
 from deepfsi.report.accuracy import accuracy_figure
+from deepfsi.report.figures import Figures
 from deepfsi.report.style import photons_text, svg
 from shared.figures import assert_sound
 from shared.results import make_results
@@ -11,6 +14,36 @@ from shared.results import make_results
 def test_figures_leave_matplotlib_as_it_was(tmp_path):
     results = make_results(tmp_path)
     assert_sound(lambda: accuracy_figure(results))
+
+
+CALLERS = [
+    {"text.usetex": True},  # there may be no LaTeX
+    {"font.family": "no such font", "font.size": 40.0, "axes.unicode_minus": False},
+    {"savefig.bbox": "tight", "savefig.facecolor": "pink", "savefig.transparent": True},
+    {"figure.dpi": 30.0, "figure.autolayout": True, "path.simplify": False},
+    {"svg.fonttype": "path", "svg.hashsalt": "another", "pdf.fonttype": 42, "image.cmap": "jet"},
+    {"axes.prop_cycle": cycler(color=["red"]), "axes.grid": True, "axes.formatter.use_locale": True},
+    dict(matplotlib.style.library["dark_background"]),
+]
+"""What a program may have set before a figure is drawn."""
+
+
+def test_figures_are_the_same_whatever_the_caller_set(tmp_path):
+    """On the page and as files; also a theme, and a font or a LaTeX that are not there."""
+    results = make_results(tmp_path)
+
+    def drawn(name):
+        figures = Figures()
+        page = figures.add("a", accuracy_figure(results), "words")
+        figures.write(tmp_path / name)
+        return page, [path.read_bytes() for path in sorted((tmp_path / name).rglob("a.*"))]
+
+    wanted = drawn("plain")
+    for number, settings in enumerate(CALLERS):
+        with matplotlib.rc_context(settings):
+            before = matplotlib.rcParams.copy()
+            assert drawn(str(number)) == wanted, settings
+            assert matplotlib.rcParams == before
 
 
 def test_svg_colours_follow_the_page(tmp_path):

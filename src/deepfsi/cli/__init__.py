@@ -1,6 +1,7 @@
 """The command line: parses, calls, prints. Heavy imports happen in the command that needs them."""
 
 import io
+import os
 import re
 import sys
 from collections.abc import Callable
@@ -98,6 +99,8 @@ for _heading, _named in _OF_CAMERA.items():
 
 def main() -> NoReturn:
     """Entry point: 0 done, 1 a check failed, 2 bad input, 130 stopped by Ctrl-C."""
+    # Figures are files here: a notebook's backend, or settings of a user's own, would break them
+    os.environ |= {"MPLBACKEND": "agg", "MATPLOTLIBRC": os.devnull}
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # a console may lack a letter of a name

@@ -92,9 +92,11 @@ def draw(command: str, figure: "Figure", path: Path, as_json: bool) -> None:
     import io
 
     from deepfsi.files import write_atomically
+    from deepfsi.report.style import drawing
 
     picture = io.BytesIO()
-    figure.savefig(picture, dpi=160, format=path.suffix.lower()[1:])
+    with drawing():
+        figure.savefig(picture, dpi=160, format=path.suffix.lower()[1:])
     write_atomically(path, picture.getvalue())
     if as_json:
         print_json(command, {"picture": str(path)})

@@ -4,12 +4,11 @@ import io
 from pathlib import Path
 from typing import Any
 
-import matplotlib
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from deepfsi.files import write_atomically
-from deepfsi.report.style import STYLE, svg
+from deepfsi.report.style import drawing, svg
 
 FOLDER = "figures"
 
@@ -34,7 +33,7 @@ class Figures:
     def write(self, home: Path) -> None:
         """Write the files of all figures into the folder `figures` of a page's folder."""
         (home / FOLDER).mkdir(parents=True, exist_ok=True)
-        with matplotlib.rc_context({**STYLE, "svg.fonttype": "path"}):
+        with drawing(**{"svg.fonttype": "path"}):
             for name, figure in self.drawn.items():
                 for kind, left_out in KINDS.items():
                     file = io.BytesIO()

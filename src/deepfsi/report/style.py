@@ -4,11 +4,12 @@ import io
 import math
 import re
 from collections.abc import Callable, Iterable
+from contextlib import AbstractContextManager
 from functools import wraps
 from html import escape
 from typing import Any, ParamSpec
 
-import matplotlib
+import matplotlib.style
 from matplotlib.colorbar import Colorbar
 from matplotlib.figure import Figure
 
@@ -77,12 +78,17 @@ STYLE: Any = {
 }
 
 
+def drawing(**changes: Any) -> AbstractContextManager[None]:
+    """Context of matplotlib's defaults and `STYLE`, whatever the caller's program or files set."""
+    return matplotlib.style.context(["default", STYLE | changes])
+
+
 def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
-    """Draw with `STYLE`, and leave matplotlib's settings as they were."""
+    """Draw in the context of `drawing`, and leave matplotlib's settings as they were."""
 
     @wraps(draw)
     def wrapper(*args: P.args, **kwargs: P.kwargs) -> Figure:
-        with matplotlib.rc_context(STYLE):
+        with drawing():
             return draw(*args, **kwargs)
 
     return wrapper
@@ -103,7 +109,7 @@ def svg(figure: Figure, name: str, words: str) -> str:
     # It is at least as large as on paper, and so large that its smallest words have `LEAST_TEXT`
     # pixels. Where the page has less room it shrinks to `LEAST_SHARE` of that, and then scrolls
     text = io.StringIO()
-    with matplotlib.rc_context(STYLE):
+    with drawing():
         figure.savefig(text, format="svg", transparent=True, metadata={"Date": None})
     body = text.getvalue()
     body = body[body.index("<svg") :]
