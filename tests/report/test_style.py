@@ -22,7 +22,11 @@ CALLERS = [
     {"savefig.bbox": "tight", "savefig.facecolor": "pink", "savefig.transparent": True},
     {"figure.dpi": 30.0, "figure.autolayout": True, "path.simplify": False},
     {"svg.fonttype": "path", "svg.hashsalt": "another", "pdf.fonttype": 42, "image.cmap": "jet"},
-    {"axes.prop_cycle": cycler(color=["red"]), "axes.grid": True, "axes.formatter.use_locale": True},
+    {
+        "axes.prop_cycle": cycler(color=["red"]),
+        "axes.grid": True,
+        "axes.formatter.use_locale": True,
+    },
     dict(matplotlib.style.library["dark_background"]),
 ]
 """What a program may have set before a figure is drawn."""

@@ -30,6 +30,7 @@ from deepfsi.optics.detection import ONE, Detection
 from deepfsi.optics.noise import OwnNoise
 from deepfsi.optics.rails import Rails
 from deepfsi.optics.scanner import Scanner
+from deepfsi.optics.surroundings import torch_defaults
 
 
 @dataclass(repr=False)
@@ -163,6 +164,7 @@ class Design:
         """Divisor of features in counts: the budget; of clicks that of the training, always."""
         return photons if self.gates is None else 0 * photons + self.info["job"]["photons"]
 
+    @torch_defaults()
     def scanner(
         self, noise: str | OwnNoise = "poisson", sigma: float = 1.0, dark: float = 0.0
     ) -> Scanner:
@@ -170,6 +172,7 @@ class Design:
         rails = self.exposure.front(self.rails.stacked)
         return Scanner.from_rails(rails, noise, sigma, dark, self.detection)
 
+    @torch_defaults()
     def rates(self, scanner: Scanner, scenes: Tensor) -> Tensor:
         """Expected counts (..., rails, m · D) of reflectances (..., N), for a budget of one."""
         seen = self.exposure.cut(scenes.to(self.rails.device), self.image_shape)
@@ -181,11 +184,13 @@ class Design:
         """Logits (..., C) of features (..., k) in counts; other parameters as of `classify`."""
         return self.logits_of(Observation(features / self.scale(photons), dwell), photons)
 
+    @torch_defaults()
     def logits_of(self, seen: Observation, photons: Tensor | float) -> Tensor:
         """Logits (..., C) of an exposure so far, of a budget of `photons` in all."""
         inputs = seen.inputs(self.mean, self.std)
         return self.classifier(self.exposure.condition(inputs, photons))
 
+    @torch_defaults()
     def chances(self, seen: Observation, photons: Tensor | float) -> Tensor:
         """Calibrated probabilities (..., C) of an exposure so far; parameters of `logits_of`."""
         return (self.logits_of(seen, photons) / self.temperature(seen, photons)).softmax(dim=-1)
@@ -219,6 +224,7 @@ class Design:
         placed = self.exposure.placed(rates, generator)
         return self.exposure.expose(read, placed, photons, self.mean, self.std)
 
+    @torch_defaults()
     def classify_live(
         self,
         read: Callable[[np.ndarray], Any],
@@ -268,6 +274,7 @@ class Design:
                     break
         return chances
 
+    @torch_defaults()
     def classify(self, counts: Any, photons: Any, dwell: Any = None) -> np.ndarray:
         """Class probabilities (..., C) of one or many exposures.
 
@@ -292,6 +299,7 @@ class Design:
         with torch.no_grad():
             return self.chances(*self._observed(counts, photons, dwell)).cpu().numpy()
 
+    @torch_defaults()
     def estimate(self, counts: Any, photons: Any, dwell: Any = None) -> np.ndarray:
         """Values (..., q) of one or many exposures, in the units that the training had.
 
@@ -325,6 +333,7 @@ class Design:
         every = counts.flatten(-2) if self.detection.count > 1 else counts
         return self.detection.features(every if self.rails.count == 2 else every.unsqueeze(-2))
 
+    @torch_defaults()
     def consistency(self, counts: Any, photons: Any, background: Any = 0.0) -> Consistency:
         """Consistency of exposures with the training, each of another scene.
 
@@ -364,6 +373,7 @@ class Design:
         self.values = self.values and self.values.to(device)
         return self  # its distribution stays: counts are tested where they arrive
 
+    @torch_defaults()
     def quantised(self, levels: int) -> "Design":
         """The design as a device of that many grey levels shows it, dark included (paper: 769).
 
@@ -372,6 +382,7 @@ class Design:
         shown, exposure = self.exposure.quantised(self.rails.stacked, self.light, levels)
         return replace(self, rails=Rails.of(shown), exposure=exposure, distribution=None)
 
+    @torch_defaults()
     def first(self, masks: int) -> "Design":
         """The first masks alone, with the light that the constraint gives to so many.
 
@@ -400,6 +411,7 @@ class Design:
             temperatures=self.temperatures and self.temperatures.scaled(share, masks - fewest + 1),
         )
 
+    @torch_defaults()
     def as_shown(self, rails: np.ndarray, image_shape: tuple[int, ...], dimmed: float) -> "Design":
         """The design as patterns on a device realise it.
 
@@ -441,11 +453,13 @@ class Design:
         check_ending(path, DESIGNS)
         return write_atomically(path, self.to_bytes())
 
+    @torch_defaults()
     def to_bytes(self) -> bytes:
         """Content of the design file, or `InputError` if the classifier cannot be described."""
         return artifact_file.pack(self)
 
     @classmethod
+    @torch_defaults()
     def load(
         cls,
         path: str | os.PathLike[str],
@@ -478,6 +492,7 @@ class Design:
             design = design.with_classifier(classifier or design.classifier.factory)
         return design.to(device)
 
+    @torch_defaults()
     def with_classifier(self, classifier: Given) -> "Design":
         """The design with its classifier made by the user's code, and the weights it has.
 

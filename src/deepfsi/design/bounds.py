@@ -26,8 +26,10 @@ from deepfsi.design.artifact import Design
 from deepfsi.errors import InputError
 from deepfsi.optics.budget import check_budget
 from deepfsi.optics.scanner import Scanner
+from deepfsi.optics.surroundings import torch_defaults
 
 
+@torch_defaults()
 def linear_bound(
     design: Design, scanner: Scanner, data: Dataset, photons: float
 ) -> list[float] | None:
@@ -58,6 +60,7 @@ def linear_bound(
     return np.sqrt(np.clip(left, 0, None)).tolist()
 
 
+@torch_defaults()
 def cramer_rao(
     design: Design, scenes: Any, derivatives: Any, photons: float, scanner: Scanner | None = None
 ) -> np.ndarray:

@@ -25,6 +25,7 @@ from deepfsi.hardware.recording.transits import (
 )
 from deepfsi.hardware.virtual.transits import write_transits
 from deepfsi.optics.budget import check_budget
+from deepfsi.optics.surroundings import torch_defaults
 from deepfsi.progress import SILENT, Report
 
 FALSE_ALARMS = 0.01
@@ -67,6 +68,7 @@ class ClassifiedTransits:
         return text.getvalue()
 
 
+@torch_defaults()
 def classify_transits(
     design: Design,
     file: str | os.PathLike[str],
@@ -156,6 +158,7 @@ def passing_of(design: Design) -> PassingExposure:
     return design.exposure
 
 
+@torch_defaults()
 def simulate_transits(
     design: Design,
     scenes: np.ndarray,
