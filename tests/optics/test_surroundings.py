@@ -1,4 +1,4 @@
-"""What a caller's program set in torch breaks nothing that it calls, and changes no number."""
+"""What a caller's program set in torch and NumPy breaks nothing it calls, and changes no number."""
 
 from contextlib import ExitStack, contextmanager
 
@@ -39,6 +39,7 @@ SETTINGS = {
     "coarse products": lambda: changed(torch.set_float32_matmul_precision, "medium", "highest"),
     "anomalies": lambda: torch.autograd.set_detect_anomaly(True),
     "deterministic": lambda: changed(torch.use_deterministic_algorithms, True, False),
+    "NumPy's errors": lambda: np.errstate(all="raise"),
     "another seed": lambda: changed(torch.manual_seed, 5, 0),
 }
 
@@ -55,6 +56,7 @@ def state():
         torch.are_deterministic_algorithms_enabled(),
         torch.get_num_threads(),
         torch.get_rng_state().numpy().tobytes(),
+        np.geterr(),
     )
 
 
@@ -143,7 +145,7 @@ def test_everything_that_users_call_gives_the_same_whatever_torch_is_set_to(digi
         "as shown": lambda: (
             design.as_shown(design.rails.stacked.numpy(), design.image_shape, 1.0)
             .quantised(8)
-            .rails.stacked
+            .rails.stacked.numpy()
         ),
         "onnx": lambda: to_onnx(design),
         "page": lambda: str(playable(looks, digits)),

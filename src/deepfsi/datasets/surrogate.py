@@ -64,6 +64,7 @@ OPTICS = 0.5
 """Standard deviation of the point spread, pixels."""
 
 
+@np.errstate(under="ignore")
 def simulate(
     labels: npt.NDArray[np.integer], wavelengths: Floats, seed: int
 ) -> npt.NDArray[np.uint16]:

@@ -30,7 +30,7 @@ from deepfsi.optics.detection import ONE, Detection
 from deepfsi.optics.noise import OwnNoise
 from deepfsi.optics.rails import Rails
 from deepfsi.optics.scanner import Scanner
-from deepfsi.optics.surroundings import torch_defaults
+from deepfsi.optics.surroundings import library_defaults
 
 
 @dataclass(repr=False)
@@ -105,8 +105,7 @@ class Design:
         network = getattr(self.classifier, "title", type(self.classifier).__name__)
         return (
             f"<Design {self.name}: {self.masks} masks of {'x'.join(map(str, self.mask_shape))}, "
-            f"{self.light}, {self.rails.kind} rails, {network}, {answers}"
-            f"{trained}>"
+            f"{self.light}, {self.rails.kind} rails, {network}, {answers}{trained}>"
         )
 
     def _repr_html_(self) -> str:
@@ -164,7 +163,6 @@ class Design:
         """Divisor of features in counts: the budget; of clicks that of the training, always."""
         return photons if self.gates is None else 0 * photons + self.info["job"]["photons"]
 
-    @torch_defaults()
     def scanner(
         self, noise: str | OwnNoise = "poisson", sigma: float = 1.0, dark: float = 0.0
     ) -> Scanner:
@@ -172,7 +170,7 @@ class Design:
         rails = self.exposure.front(self.rails.stacked)
         return Scanner.from_rails(rails, noise, sigma, dark, self.detection)
 
-    @torch_defaults()
+    @library_defaults()
     def rates(self, scanner: Scanner, scenes: Tensor) -> Tensor:
         """Expected counts (..., rails, m · D) of reflectances (..., N), for a budget of one."""
         seen = self.exposure.cut(scenes.to(self.rails.device), self.image_shape)
@@ -184,13 +182,12 @@ class Design:
         """Logits (..., C) of features (..., k) in counts; other parameters as of `classify`."""
         return self.logits_of(Observation(features / self.scale(photons), dwell), photons)
 
-    @torch_defaults()
+    @library_defaults()
     def logits_of(self, seen: Observation, photons: Tensor | float) -> Tensor:
         """Logits (..., C) of an exposure so far, of a budget of `photons` in all."""
         inputs = seen.inputs(self.mean, self.std)
         return self.classifier(self.exposure.condition(inputs, photons))
 
-    @torch_defaults()
     def chances(self, seen: Observation, photons: Tensor | float) -> Tensor:
         """Calibrated probabilities (..., C) of an exposure so far; parameters of `logits_of`."""
         return (self.logits_of(seen, photons) / self.temperature(seen, photons)).softmax(dim=-1)
@@ -224,7 +221,7 @@ class Design:
         placed = self.exposure.placed(rates, generator)
         return self.exposure.expose(read, placed, photons, self.mean, self.std)
 
-    @torch_defaults()
+    @library_defaults(grad=False)
     def classify_live(
         self,
         read: Callable[[np.ndarray], Any],
@@ -263,18 +260,16 @@ class Design:
             counted = counted + features
             return features / budget, torch.from_numpy(self._dwells.by_mask(shown)).to(dwell)
 
-        looks = self.exposure.expose_live(show, self.mean, self.std)
-        with torch.no_grad():
-            for look, seen in enumerate(looks, start=1):
-                if until is None and look < self.exposure.looks:
-                    continue
-                so_far = Observation(counted / budget, seen.dwell)
-                chances = self.chances(so_far, budget).cpu().numpy()
-                if until is not None and until(look, chances, budget):
-                    break
+        for look, seen in enumerate(self.exposure.expose_live(show, self.mean, self.std), 1):
+            if until is None and look < self.exposure.looks:
+                continue
+            so_far = Observation(counted / budget, seen.dwell)
+            chances = self.chances(so_far, budget).cpu().numpy()
+            if until is not None and until(look, chances, budget):
+                break
         return chances
 
-    @torch_defaults()
+    @library_defaults(grad=False)
     def classify(self, counts: Any, photons: Any, dwell: Any = None) -> np.ndarray:
         """Class probabilities (..., C) of one or many exposures.
 
@@ -287,8 +282,7 @@ class Design:
             Budget Φ of each exposure, or an estimate of it (an all-ON frame gives one).
         dwell : array, shape (..., m), optional
             Share of the exposure that each mask had, or (..., 2, m) where its rails are frames of
-            their own: goes with designs that choose dwells, whose counts are those of all looks
-            together.
+            their own: for designs that choose dwells, whose counts are of all looks together.
 
         Raises
         ------
@@ -296,10 +290,9 @@ class Design:
             If shapes do not match the design, counts are not finite or the budget is not above 0.
         """
         check_classes(self.values, "classify")
-        with torch.no_grad():
-            return self.chances(*self._observed(counts, photons, dwell)).cpu().numpy()
+        return self.chances(*self._observed(counts, photons, dwell)).cpu().numpy()
 
-    @torch_defaults()
+    @library_defaults(grad=False)
     def estimate(self, counts: Any, photons: Any, dwell: Any = None) -> np.ndarray:
         """Values (..., q) of one or many exposures, in the units that the training had.
 
@@ -307,9 +300,8 @@ class Design:
         """
         if self.values is None:
             raise InputError("this design answers classes and estimates no values: use classify")
-        with torch.no_grad():
-            outputs = self.logits_of(*self._observed(counts, photons, dwell))
-            return self.values.estimated(outputs).cpu().numpy()
+        outputs = self.logits_of(*self._observed(counts, photons, dwell))
+        return self.values.estimated(outputs).cpu().numpy()
 
     def _observed(self, counts: Any, photons: Any, dwell: Any) -> tuple[Observation, Tensor]:
         """Exposures and their budgets, checked; parameters of `classify`."""
@@ -333,7 +325,7 @@ class Design:
         every = counts.flatten(-2) if self.detection.count > 1 else counts
         return self.detection.features(every if self.rails.count == 2 else every.unsqueeze(-2))
 
-    @torch_defaults()
+    @library_defaults()
     def consistency(self, counts: Any, photons: Any, background: Any = 0.0) -> Consistency:
         """Consistency of exposures with the training, each of another scene.
 
@@ -373,7 +365,6 @@ class Design:
         self.values = self.values and self.values.to(device)
         return self  # its distribution stays: counts are tested where they arrive
 
-    @torch_defaults()
     def quantised(self, levels: int) -> "Design":
         """The design as a device of that many grey levels shows it, dark included (paper: 769).
 
@@ -382,7 +373,6 @@ class Design:
         shown, exposure = self.exposure.quantised(self.rails.stacked, self.light, levels)
         return replace(self, rails=Rails.of(shown), exposure=exposure, distribution=None)
 
-    @torch_defaults()
     def first(self, masks: int) -> "Design":
         """The first masks alone, with the light that the constraint gives to so many.
 
@@ -411,7 +401,6 @@ class Design:
             temperatures=self.temperatures and self.temperatures.scaled(share, masks - fewest + 1),
         )
 
-    @torch_defaults()
     def as_shown(self, rails: np.ndarray, image_shape: tuple[int, ...], dimmed: float) -> "Design":
         """The design as patterns on a device realise it.
 
@@ -453,13 +442,12 @@ class Design:
         check_ending(path, DESIGNS)
         return write_atomically(path, self.to_bytes())
 
-    @torch_defaults()
     def to_bytes(self) -> bytes:
         """Content of the design file, or `InputError` if the classifier cannot be described."""
         return artifact_file.pack(self)
 
     @classmethod
-    @torch_defaults()
+    @library_defaults()
     def load(
         cls,
         path: str | os.PathLike[str],
@@ -492,7 +480,7 @@ class Design:
             design = design.with_classifier(classifier or design.classifier.factory)
         return design.to(device)
 
-    @torch_defaults()
+    @library_defaults()
     def with_classifier(self, classifier: Given) -> "Design":
         """The design with its classifier made by the user's code, and the weights it has.
 

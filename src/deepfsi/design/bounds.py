@@ -26,10 +26,10 @@ from deepfsi.design.artifact import Design
 from deepfsi.errors import InputError
 from deepfsi.optics.budget import check_budget
 from deepfsi.optics.scanner import Scanner
-from deepfsi.optics.surroundings import torch_defaults
+from deepfsi.optics.surroundings import library_defaults
 
 
-@torch_defaults()
+@library_defaults()
 def linear_bound(
     design: Design, scanner: Scanner, data: Dataset, photons: float
 ) -> list[float] | None:
@@ -60,7 +60,7 @@ def linear_bound(
     return np.sqrt(np.clip(left, 0, None)).tolist()
 
 
-@torch_defaults()
+@library_defaults()
 def cramer_rao(
     design: Design, scenes: Any, derivatives: Any, photons: float, scanner: Scanner | None = None
 ) -> np.ndarray:

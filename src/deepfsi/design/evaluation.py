@@ -22,7 +22,7 @@ from deepfsi.laws import Noise
 from deepfsi.optics.budget import check_budget
 from deepfsi.optics.camera import Camera, CameraSource
 from deepfsi.optics.scanner import Scanner
-from deepfsi.optics.surroundings import torch_defaults
+from deepfsi.optics.surroundings import library_defaults
 from deepfsi.progress import Report, shown
 from deepfsi.statistics.intervals import accuracy as accuracy_of
 from deepfsi.statistics.intervals import balanced, worst_of
@@ -177,7 +177,7 @@ class Tested(Protocol):
         """The camera that it was made for."""
 
 
-@torch_defaults()
+@library_defaults()
 def evaluate(
     design: Tested,
     data: Source,

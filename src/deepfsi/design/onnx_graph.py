@@ -24,7 +24,7 @@ from deepfsi.design.file_content import check_classes
 from deepfsi.design.own import OwnClassifier
 from deepfsi.errors import InputError
 from deepfsi.optics.dwells import share_out
-from deepfsi.optics.surroundings import torch_defaults
+from deepfsi.optics.surroundings import library_defaults
 
 SCHEMA = 1
 """Number of the schema of the graph's inputs, output and metadata."""
@@ -83,7 +83,7 @@ class _Look(_Fixed):
         return chances, exposure.dwells.by_rail(shown).reshape(-1, *exposure.dwells.shape)
 
 
-@torch_defaults()
+@library_defaults()
 def to_onnx(design: Design) -> bytes:
     """Write a design as an ONNX graph that does what `Design.classify` does."""
     try:

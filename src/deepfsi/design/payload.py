@@ -29,7 +29,7 @@ from deepfsi.design.stopping import rule_of, stop
 from deepfsi.design.training_data import trained_on
 from deepfsi.errors import InputError
 from deepfsi.optics import constraints
-from deepfsi.optics.surroundings import torch_defaults
+from deepfsi.optics.surroundings import library_defaults
 from deepfsi.progress import SILENT, Report
 
 BUDGETS = tuple(float(f"{10**power:.3g}") for power in np.arange(1, 7.1, 0.5))
@@ -48,7 +48,7 @@ LARGEST_SHORT = 2**16 - 1
 """Largest 16-bit number, the highest level of a scene."""
 
 
-@torch_defaults()
+@library_defaults()
 def playable(
     design: AnyDesign, data: Dataset, *, draws: int = 1, seed: int = 0, report: Report = SILENT
 ) -> dict[str, Any]:

@@ -20,7 +20,7 @@ from deepfsi.errors import InputError
 from deepfsi.memory import check_memory, free_memory
 from deepfsi.optics.budget import check_budget, summed_reflectance
 from deepfsi.optics.scanner import Scanner
-from deepfsi.optics.surroundings import torch_defaults
+from deepfsi.optics.surroundings import library_defaults
 from deepfsi.progress import Report, shown
 
 AT_ONCE = 2**24
@@ -98,7 +98,7 @@ def class_chances(weights: Tensor, sizes: Sequence[int]) -> Tensor:
     return sums / sums.sum(dim=1, keepdim=True)
 
 
-@torch_defaults()
+@library_defaults()
 def ideal_observer(
     design: Design | Tensor,
     data: Source,

@@ -33,7 +33,7 @@ from deepfsi.design.file_content import check_classes
 from deepfsi.design.training_data import trained_on
 from deepfsi.errors import InputError, as_input_error
 from deepfsi.optics.budget import check_budget
-from deepfsi.optics.surroundings import torch_defaults
+from deepfsi.optics.surroundings import library_defaults
 from deepfsi.statistics.intervals import accuracy
 
 THRESHOLDS = 1 - np.geomspace(0.5, 1e-7, 135)
@@ -221,7 +221,7 @@ def _surest(confidence: np.ndarray, right: np.ndarray) -> list[float]:
     return [float(sorted_right[:count].mean()) for count in kept]
 
 
-@torch_defaults()
+@library_defaults()
 def stop(
     design: AnyDesign,
     data: Source,

@@ -22,7 +22,7 @@ from deepfsi.hardware.recording.live_light import ShownFrames
 from deepfsi.hardware.recording.live_settings import StopRule
 from deepfsi.laboratory.live.looks import AllOn, Conditions, FrameList, Likeness
 from deepfsi.optics.detectors import detector_map
-from deepfsi.optics.surroundings import torch_defaults
+from deepfsi.optics.surroundings import library_defaults
 from deepfsi.tables.tensor_files import LARGEST
 
 DECISION_S, DECISION_A_SCENE_S = 4e-3, 1.35e-7
@@ -61,7 +61,7 @@ class AdaptiveExposure:
         self._usual, self._misfit, self._look = design.usual_misfit, 0.0, 0
 
     @torch.no_grad()
-    @torch_defaults()
+    @library_defaults()
     def ask(self, look: int) -> FrameList:
         """Frame of the mask that tells most of the class, as far as it is known."""
         share = self._looks.shares[look]
@@ -70,7 +70,7 @@ class AdaptiveExposure:
         return FrameList(look, self._looks.frames, gate, masks.bool().numpy())
 
     @torch.no_grad()
-    @torch_defaults()
+    @library_defaults()
     def take(self, asked: FrameList, found: ShownFrames) -> np.ndarray:
         """Probabilities (C,) of the classes, from the photons of a look and those before."""
         assert asked.masks is not None
@@ -93,7 +93,7 @@ class AdaptiveExposure:
 
 
 @torch.no_grad()
-@torch_defaults()
+@library_defaults()
 def adaptive_rails(path: str | os.PathLike[str]) -> DesignRails:
     """Mask of the first look of a design file, at the budget of its training, as rails."""
     design, file = AdaptiveDesign.load(path), read_regular(Path(path), LARGEST, "give a design")

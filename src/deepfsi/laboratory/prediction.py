@@ -22,7 +22,7 @@ from deepfsi.hardware.recording.calibration_file import load_calibration
 from deepfsi.laboratory.light import dim_scenes
 from deepfsi.optics.budget import check_budget
 from deepfsi.optics.camera import CameraSource
-from deepfsi.optics.surroundings import torch_defaults
+from deepfsi.optics.surroundings import library_defaults
 
 AT_ONCE = 1024
 """Pictures that are exposed together."""
@@ -73,7 +73,7 @@ class Predictions:
         return text.getvalue()
 
 
-@torch_defaults()
+@library_defaults()
 def predict(
     design: Design,
     pictures: str | os.PathLike[str],

@@ -25,7 +25,7 @@ from deepfsi.hardware.recording.transits import (
 )
 from deepfsi.hardware.virtual.transits import write_transits
 from deepfsi.optics.budget import check_budget
-from deepfsi.optics.surroundings import torch_defaults
+from deepfsi.optics.surroundings import library_defaults
 from deepfsi.progress import SILENT, Report
 
 FALSE_ALARMS = 0.01
@@ -68,7 +68,7 @@ class ClassifiedTransits:
         return text.getvalue()
 
 
-@torch_defaults()
+@library_defaults()
 def classify_transits(
     design: Design,
     file: str | os.PathLike[str],
@@ -158,7 +158,7 @@ def passing_of(design: Design) -> PassingExposure:
     return design.exposure
 
 
-@torch_defaults()
+@library_defaults()
 def simulate_transits(
     design: Design,
     scenes: np.ndarray,

@@ -1,20 +1,21 @@
-"""Torch as it is after its import, whatever the program around the package set."""
+"""Torch and NumPy as they are after their import, whatever the program around the package set."""
 
 from collections.abc import Callable
 from contextlib import ExitStack
 from functools import wraps
 from typing import ParamSpec, TypeVar
 
+import numpy as np
 import torch
 
 P = ParamSpec("P")
 R = TypeVar("R")
 
 
-def torch_defaults(
+def library_defaults(
     grad: bool | None = None,
 ) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Decorator of what users call: their autocast, types, devices and modes change no result.
+    """Decorator of what users call: their autocast, types, devices and errors change no result.
 
     What stays as the program set it: threads, deterministic algorithms, flushing of denormals, and
     the state of the global generator, which nothing here draws from.
@@ -39,6 +40,7 @@ def torch_defaults(
 
 def _set_defaults(stack: ExitStack, grad: bool | None) -> None:
     """Enter what differs from the defaults, to be left with the stack."""
+    stack.enter_context(np.errstate(divide="warn", over="warn", under="ignore", invalid="warn"))
     recorded = torch.is_grad_enabled() if grad is None else grad
     if torch.is_inference_mode_enabled():
         stack.enter_context(torch.inference_mode(False))  # which records gradients again

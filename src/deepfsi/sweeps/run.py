@@ -10,7 +10,7 @@ import numpy as np
 
 from deepfsi.datasets import Dataset
 from deepfsi.errors import InputError
-from deepfsi.optics.surroundings import torch_defaults
+from deepfsi.optics.surroundings import library_defaults
 from deepfsi.progress import SILENT, Report
 from deepfsi.sweeps.context import SweepContext
 from deepfsi.sweeps.queue import run_trials
@@ -49,7 +49,7 @@ def check_kept(
         )
 
 
-@torch_defaults(grad=True)
+@library_defaults(grad=True)
 def compare(
     recipe: Recipe,
     data: Dataset,

@@ -18,14 +18,14 @@ from deepfsi.optics.detection import Detection
 from deepfsi.optics.masks import LearnedMasks
 from deepfsi.optics.rails import Rails
 from deepfsi.optics.scanner import Scanner
-from deepfsi.optics.surroundings import torch_defaults
+from deepfsi.optics.surroundings import library_defaults
 from deepfsi.training.characterisation import characterise
 from deepfsi.training.info import provenance
 from deepfsi.training.job import Job
 from deepfsi.training.training_set import TrainingSet
 
 
-@torch_defaults(grad=True)
+@library_defaults(grad=True)
 def design_of(
     scanner: Scanner,
     classifier: nn.Module,

@@ -18,7 +18,7 @@ from deepfsi.optics.features import FeatureNoise, feature_statistics
 from deepfsi.optics.masks import FixedMasks, LearnedMasks
 from deepfsi.optics.noise import try_own
 from deepfsi.optics.rails import Rails
-from deepfsi.optics.surroundings import torch_defaults
+from deepfsi.optics.surroundings import library_defaults
 from deepfsi.optics.transit import FixedPattern
 from deepfsi.progress import SILENT, Report, shown
 from deepfsi.training.adaptive import adaptive_designs
@@ -44,7 +44,7 @@ class Diverged(InputError):
     """Training ended in numbers that are not finite."""
 
 
-@torch_defaults(grad=True)
+@library_defaults(grad=True)
 def learn(
     data: Source,
     *,
@@ -101,7 +101,7 @@ def learn(
         return train_for_counts(counts, share, train_at, bar)
 
 
-@torch_defaults(grad=True)
+@library_defaults(grad=True)
 def train(
     training_set: TrainingSet,
     jobs: Sequence[Job],

@@ -28,7 +28,7 @@ from deepfsi.errors import as_input_error
 from deepfsi.files import DESIGNS, check_ending, write_atomically
 from deepfsi.optics.camera import Camera
 from deepfsi.optics.detection import Detection
-from deepfsi.optics.surroundings import torch_defaults
+from deepfsi.optics.surroundings import library_defaults
 
 MOST_EXPOSURES = 32
 """Exposures that are computed at a time, at most: a thousand of them take twice as long each."""
@@ -144,7 +144,7 @@ class AdaptiveDesign:
         """Scenes (n, N) in parts that the memory holds the likelihoods of, and the caches masks."""
         return x.split(max(1, min(MOST_EXPOSURES, AT_ONCE // len(self.prior))))
 
-    @torch_defaults()
+    @library_defaults()
     def looks_at(self, scene: np.ndarray, photons: float, seed: int = 0) -> tuple[np.ndarray, ...]:
         """One exposure of a scene (N,): masks and mean scenes (K, N), and chances (K, C).
 
@@ -178,7 +178,7 @@ class AdaptiveDesign:
         check_ending(path, DESIGNS)
         return write_atomically(path, self.to_bytes())
 
-    @torch_defaults()
+    @library_defaults()
     def to_bytes(self) -> bytes:
         """Content of the design file."""
         header = _Header(
@@ -195,7 +195,7 @@ class AdaptiveDesign:
         return to_bytes(whole, metadata={"deepfsi": json.dumps(words)})
 
     @classmethod
-    @torch_defaults()
+    @library_defaults()
     def load(cls, path: str | os.PathLike[str]) -> "AdaptiveDesign":
         """Read a design file, or raise `InputError` if it is no whole one of adaptive masks."""
         text, arrays = read_content(path)

@@ -63,6 +63,7 @@ def spot_scenes(
     return scenes
 
 
+@np.errstate(under="ignore")
 def calibrate(
     scenes: np.ndarray,
     pictures: np.ndarray,

@@ -80,6 +80,7 @@ def reference_picture(image_shape: tuple[int, ...]) -> np.ndarray:
     return np.kron(TARGET, np.ones((down, across)))
 
 
+@np.errstate(under="ignore")
 def expected_shares(patterns: Patterns) -> np.ndarray:
     """Light of the target in each frame that shows masks, of that of all mirrors ON, (f,)."""
     model = _Model(patterns.manifest)
@@ -213,6 +214,7 @@ class _Readouts:
         return np.asarray(wanted - (model / size) @ parts)
 
 
+@np.errstate(under="ignore")
 def find_reference(counts: Counts, patterns: Patterns, report: Report = SILENT) -> ReferenceFit:
     """Place of the target in a recording of it alone, all passes and exposures together."""
     from scipy.stats import chi2

@@ -5,7 +5,6 @@ design if it was given, `loop.safetensors` of a design of several looks, the fra
 sentinels (`frame_files`), and tables of their times (`controller_tables`).
 """
 
-import io
 import json
 import math
 import os
@@ -176,9 +175,10 @@ def list_frames(
 
 def _write(folder: Path, patterns: sequence.Patterns, design: DesignRails) -> sequence.Patterns:
     """Write all files of a folder but the frames; the patterns with the manifest as written."""
-    array = io.BytesIO()  # numpy itself loses what a full disk does not take of a small file
-    np.save(array, patterns.on)
-    (folder / "mirrors.npy").write_bytes(array.getvalue())
+    counts = np.ascontiguousarray(patterns.on, "<u4")
+    with (folder / "mirrors.npy").open("wb") as file:  # numpy.save loses what a disk does not take
+        file.write(frame_files.npy_header("<u4", counts.shape))
+        file.write(counts.data)
     for name, content in ((DESIGN, design.file), (LOOP, design.loop)):
         if content is not None:
             (folder / name).write_bytes(content)
