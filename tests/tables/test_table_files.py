@@ -1,6 +1,9 @@
 """Tables of numbers: the same table from every kind of file, and one line for what is none."""
 
+import datetime
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import h5py
@@ -11,7 +14,8 @@ from scipy.io import savemat
 
 from deepfsi.errors import InputError
 from deepfsi.tables import table_files
-from deepfsi.tables.table_files import is_table, read_table
+from deepfsi.tables.table_files import is_table, read_table, read_whole
+from deepfsi.tables.text_files import number_of
 
 VALUES = np.random.default_rng(2).integers(0, 1000, (3, 5))
 NAMES = tuple("abcde")
@@ -85,24 +89,129 @@ def test_columns_of_words_stand_apart(tmp_path):
         "\ufeffa;b\n1;2\n3;4\n",
         "# by a counter\n1 2\n3  4\n",
         '"a","b"\n"1","2"\n"3","4"\n\n',
+        "sep=;\na;b;;\n1;2;;\n3;4;;\n",
+        "a;b\n1,0;2,0\n3,0;4,0\n",  # Excel where a comma is the point
+        "a\tb\t\r1,0\t2e0\t\r3.\t+4\t\r",  # of an old Mac
+        '"a, b";c\n"1";" 2"\n3;4\n',
+        "a,b\n1,2,\n3,4,\n",
     ],
 )
 def test_text_is_read_as_other_programs_write_it(tmp_path, text):
     path = tmp_path / "t.txt"
-    path.write_bytes(text.encode())
-    assert np.array_equal(read_table(path).values, [[1, 2], [3, 4]])
+    for encoding in ("utf-8", "utf-16"):
+        path.write_bytes(text.encode(encoding))
+        assert np.array_equal(read_table(path).values, [[1, 2], [3, 4]])
+
+
+def test_names_of_windows_are_read(tmp_path):
+    path = tmp_path / "t.csv"
+    path.write_bytes("scene,\xb5\n\xfc,1\n".encode("cp1252"))
+    table = read_table(path, ("scene",))
+    assert (table.names, table.words) == (("\xb5",), {"scene": ("\xfc",)})
+
+
+SPELLINGS = "1_0;1e3; 5 ;\uff10;nan;+1;0x10;True;1.;.5;1d3;1e400;--1;1 2;-0.5E-3;infinity;.;1e;7"
+
+
+@pytest.mark.parametrize("text", SPELLINGS.split(";"))
+def test_tables_and_lists_agree_on_what_is_a_number(tmp_path, text):
+    path = tmp_path / "t.csv"
+    path.write_text(f"a,b\n1,{text}\n", "utf-8")
+    value = number_of(text)
+    if value is None:
+        with pytest.raises(InputError, match="row 2 of column b holds"):
+            read_table(path)
+    else:
+        assert read_table(path).values.tolist() == [[1.0, value]]
+
+
+def test_a_wide_table_costs_little_more_than_its_numbers(tmp_path):
+    """A series of polars for each of many columns took 150 times the file."""
+    path, columns = tmp_path / "wide.csv", 20_000
+    path.write_text("\n".join([",".join(["123"] * columns)] * 6))
+    read_table(path)  # what is imported once
+    code = (
+        "import resource, sys; from deepfsi.tables.table_files import read_table\n"
+        "import deepfsi.tables.columns\n"
+        "def peak(): return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss\n"
+        "before = peak(); print(read_table(sys.argv[1]).values.shape, peak() - before)"
+    )
+    run = [sys.executable, "-c", code, str(path)]
+    said = subprocess.run(run, capture_output=True, text=True, check=True).stdout
+    assert said.startswith("(6, 20000)")
+    assert int(said.split()[-1]) * 1024 < 40 * path.stat().st_size + 2**24
+
+
+@pytest.mark.parametrize("kind", ["txt", "npy", "parquet", "mat 7.3"])
+def test_whole_numbers_are_exact_to_64_bits(tmp_path, kind):
+    values = np.array([[2**62 + 1, 1], [2**53 + 1, -(2**60) - 1]])
+    path = tmp_path / f"t.{kind.split()[0]}"
+    if kind == "txt":
+        np.savetxt(path, values, "%d")
+    elif kind == "npy":
+        np.save(path, values)
+    elif kind == "parquet":
+        pl.DataFrame(values, schema=["a", "b"]).write_parquet(path)
+    else:
+        with h5py.File(path, "w", userblock_size=512) as file:
+            file["counts"] = values.T
+        with path.open("r+b") as file:
+            file.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
+    whole = read_whole(path, lambda names, width: range(width))
+    assert whole.dtype == np.int64
+    assert np.array_equal(whole, values)
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        (np.array([[2.0**53 + 2, 1]]), "in floating point, .* here to the nearest 2: save"),
+        (np.array([[0.5, 1]]), "holds 0.5: give whole numbers"),
+        (np.array([[np.inf, 1]]), "holds inf: give whole numbers"),
+        (np.array([[2**63, 1]], np.uint64), "9223372036854775808"),
+    ],
+)
+def test_whole_numbers_that_may_be_rounded_are_refused(tmp_path, values, said):
+    np.save(tmp_path / "t.npy", values)
+    with pytest.raises(InputError, match=said):
+        read_whole(tmp_path / "t.npy", lambda names, width: range(width))
+
+
+def test_whole_numbers_of_text_may_have_exponents_below_2_to_53(tmp_path):
+    path = tmp_path / "t.txt"
+    np.savetxt(path, [[1e12, 8.0]])
+    assert read_whole(path, lambda names, width: [0, 1]).tolist() == [[10**12, 8]]
+    path.write_text("1.5 8\n")
+    with pytest.raises(InputError, match=r"column column_1, holds 1\.5: give whole numbers"):
+        read_whole(path, lambda names, width: [0, 1])
+    np.savetxt(path, [[1e16, 8.0]])
+    with pytest.raises(InputError, match="save them as whole numbers of 64 bits"):
+        read_whole(path, lambda names, width: [0, 1])
+
+
+def test_times_of_day_in_parquet_are_no_numbers(tmp_path):
+    path = tmp_path / "t.parquet"
+    pl.DataFrame({"a": [1], "when": [datetime.datetime(2020, 1, 1)]}).write_parquet(path)
+    with pytest.raises(InputError, match="column when holds Datetime"):
+        read_table(path)
 
 
 @pytest.mark.parametrize(
     ("text", "said"),
     [
         ("a,b\n1,2\n3,x\n", r"row 3 of column b holds 'x'"),
-        ("1,2\n3\n", "row 2 of column .* holds nothing"),
-        ("1,2\n3,4,5\n", "as a table"),
+        ("1,2\n3\n", "row 2 has 1 cells and row 1 has 2: give each row as many"),
+        ("1,2\n3,4,5\n", "row 2 has 3 cells"),
         ("a,a\n1,2\n", "a name of its own"),
         ("1,nan\n", "holds 'nan'"),
         ("a,b\n", "holds no numbers"),
-        ("", "as a table"),
+        ("", "holds no numbers"),
+        ("nan\n1\n2\n", "row 1 of column column_1 holds 'nan'"),
+        ("one,1,2\ntwo,3,4\n", "row 1 of column column_1 holds 'one'"),
+        ("0,1,2,3\n5,6,7,8\n", "its first line numbers the columns"),
+        ("1;2\n1_0;2\n", "row 2 of column column_1 holds '1_0'"),
+        ("1.5;2,5\n1,5;1.234,5\n", "holds '1.234,5'"),
+        ("1,234;2,345\n3,456;4,567\n", "holds '3,456'"),  # 3.456 or 3456
     ],
 )
 def test_text_that_is_no_table_is_one_line(tmp_path, text, said):

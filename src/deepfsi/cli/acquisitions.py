@@ -147,13 +147,14 @@ def camera_import(
     left = len(stamps.times) - sum(photons.values()) - triggers
     if as_json:
         about = {"channels": chosen, "photons": photons, "markers": triggers, "left_out": left}
+        about["span_s"] = found.span_s
         common.print_json("camera.import", {"file": str(out), **about})
         return
     for each, (column, many) in zip(chosen, photons.items(), strict=True):
         print(f"channel {each}: {many} photons on input {column}")
     print(
         f"channel {marker}: {triggers} markers on 0\n{left} events of other channels left out\n"
-        f"photons: {out}"
+        f"time from the first event to the last: {found.span_s:.6g} s\nphotons: {out}"
     )
 
 

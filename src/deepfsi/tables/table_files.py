@@ -1,8 +1,6 @@
 """Tables of numbers in ``.csv``, ``.parquet``, ``.npy``, ``.mat`` and HDF5 files."""
 
-import os
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,11 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from deepfsi.errors import InputError
-from deepfsi.files import check_unpacked, open_regular, read_regular
 from deepfsi.tables.array_files import VARIABLES, read_array, split_variable
 
 if TYPE_CHECKING:
-    import polars as pl
+    from deepfsi.tables.columns import Columns
 
 TEXTS = (".csv", ".txt", ".tsv", ".dat")
 """Ends of the names of text files."""
@@ -26,16 +23,10 @@ USUAL_VARIABLE = "counts"
 """Name of the table of a file that holds several."""
 
 LARGEST = 2**27
-"""Numbers of a table at most."""
+"""Numbers of an array at most."""
 
-LARGEST_FILE = 2**31
-"""Bytes of a text or Parquet file at most."""
-
-MOST_COLUMNS = 2**18
-"""Columns of a text or Parquet file at most."""
-
-SEPARATORS = ",;\t "
-"""Characters that may stand between the numbers of a line of text."""
+LARGEST_WHOLE = 2.0**53
+"""Numbers above which floating point leaves out whole ones."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +46,88 @@ def is_table(source: str | Path) -> bool:
 
 def read_table(source: str | Path, words: Sequence[str] = ()) -> Table:
     """Read a table."""
+    path, columns = _read(source)
+    if isinstance(columns, np.ndarray):
+        return Table(_finite(columns.astype(np.float64), path))
+    said_words = {
+        name: tuple("" if each is None else str(each).strip() for each in columns.cells(place))
+        for place, name in enumerate(columns.names)
+        if name in words
+    }
+    kept = [
+        place
+        for place in range(columns.width)
+        if not columns.names or columns.names[place] not in said_words
+    ]
+    heads = tuple(columns.names[place] for place in kept) if columns.names else ()
+    if not kept:
+        return Table(np.empty((0, 0)), heads, said_words)
+    values = columns.numbers(kept)
+    wrong = np.argwhere(~np.isfinite(values))
+    if wrong.size:
+        row, column = wrong[0].tolist()
+        raise InputError(_no_number(path, columns, row, kept[column]))
+    return Table(values, heads, said_words)
+
+
+def read_whole(
+    source: str | Path, choose: Callable[[tuple[str, ...], int], Sequence[int]]
+) -> np.ndarray:
+    """Whole numbers of some columns, exact to 64 bits, (rows, columns) int64.
+
+    Parameters
+    ----------
+    source : str or path
+        A file as of `read_table`.
+    choose : callable
+        Chooses columns by their names, of which there may be none, and their number.
+
+    Raises
+    ------
+    InputError
+        If a number is no whole one, or one that its file may have rounded.
+    """
+    path, columns = _read(source)
+    if isinstance(columns, np.ndarray):
+        return as_whole(columns[:, list(choose((), columns.shape[1]))], str(path))
+    kept = list(choose(columns.names, columns.width))
+    whole = np.empty((columns.rows, len(kept)), np.int64)
+    for at, place in enumerate(kept):
+        values, exact = columns.numbers([place])[:, 0], columns.whole(place)
+        wrong = np.flatnonzero(~np.isfinite(values))
+        if wrong.size:
+            raise InputError(_no_number(path, columns, int(wrong[0]), place))
+        rest = exact.is_null().to_numpy()
+        name = columns.names[place] if columns.names else f"column_{place + 1}"
+        whole[:, at] = exact.fill_null(0).to_numpy()
+        whole[rest, at] = as_whole(values[rest], f"{path}, column {name},")
+    return whole
+
+
+def as_whole(values: np.ndarray, what: str) -> np.ndarray:
+    """Numbers as int64, or `InputError` for one that is no whole number or may be rounded."""
+    if values.dtype.kind == "b" or (values.dtype.kind in "iu" and values.dtype != np.uint64):
+        return values.astype(np.int64)
+    limit = 2**63 - 1 if values.dtype == np.uint64 else LARGEST_WHOLE
+    wrong = values[(values != np.rint(values)) | ~(np.abs(values) <= limit)]
+    if len(wrong):
+        first = wrong[0]
+        if values.dtype == np.uint64:
+            raise InputError(f"{what} holds {first}: give whole numbers up to {limit}")
+        if first != np.rint(first) or not np.isfinite(first):
+            raise InputError(
+                f"{what} holds {first!s}: give whole numbers, such as times counted in ps"
+            )
+        raise InputError(
+            f"{what} holds {first:.17g} in floating point, which rounds whole numbers above "
+            f"2^53, here to the nearest {np.spacing(first):.0f}: save them as whole numbers of 64 "
+            "bits (int64)"
+        )
+    return values.astype(np.int64)
+
+
+def _read(source: str | Path) -> "tuple[Path, np.ndarray | Columns]":
+    """Path of a table, and its array or columns."""
     path, variable = split_variable(str(source))
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
@@ -62,148 +135,28 @@ def read_table(source: str | Path, words: Sequence[str] = ()) -> Table:
     if not path.exists():
         raise InputError(f"there is no file {path}: give one ending in {', '.join(SUFFIXES)}")
     if suffix in (*TEXTS, ".parquet"):
-        return _of_columns(path, words)
+        from deepfsi.tables.columns import as_table, read_parquet_columns, read_text_columns
+
+        with as_table(path):
+            columns = read_text_columns(path) if suffix in TEXTS else read_parquet_columns(path)
+        if not (columns.width and columns.rows):
+            raise InputError(f"{path} holds no numbers: give a row or column for each exposure")
+        return path, columns
     dimensions = (2,) if suffix == ".mat" else (1, 2)
     values = read_array(path, dimensions, variable, largest=LARGEST, usual=USUAL_VARIABLE)
     if values.ndim == 1:
         values = values[None]
     if values.ndim != 2 or not values.size:
         raise InputError(f"{path} holds an array of shape {values.shape}: give rows and columns")
-    return Table(_finite(values.astype(np.float64), path))
+    return path, values
 
 
-def _of_columns(path: Path, words: Sequence[str]) -> Table:
-    """Table of a file of columns, which may have names and hold words."""
-    import polars as pl
-
-    try:
-        text = path.suffix.lower() in TEXTS
-        with _without_reports():
-            frame, names = _read_text(path) if text else _read_parquet(path)
-    except InputError:
-        raise
-    except (Exception, pl.exceptions.PanicException) as error:  # what polars cannot parse
-        said = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise InputError(f"cannot read {path} as a table ({said}): save it again") from error
-    if not (frame.width and frame.height):
-        raise InputError(f"{path} holds no numbers: give a row or column for each exposure")
-    columns = frame.get_columns()
-    said_words = {
-        name: tuple("" if each is None else str(each).strip() for each in column.to_list())
-        for name, column in zip(names, columns, strict=False)
-        if name in words
-    }
-    kept = [place for place in range(len(columns)) if not names or names[place] not in said_words]
-    heads = tuple(names[place] for place in kept) if names else ()
-    if not kept:
-        return Table(np.empty((0, 0)), heads, said_words)
-    numbers = [columns[place] for place in kept]
-    return Table(_numbers(numbers, heads, path), heads, said_words)
-
-
-@contextmanager
-def _without_reports() -> Iterator[None]:
-    """Drop what is written to file descriptor 2.
-
-    A thread of polars that panics prints so, and its exception says the same.
-    """
-    try:
-        kept = os.dup(2)
-    except OSError:  # a program without a terminal may have closed it
-        yield
-        return
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    try:
-        os.dup2(nowhere, 2)
-        yield
-    finally:
-        os.dup2(kept, 2)
-        os.close(kept)
-        os.close(nowhere)
-
-
-def _read_parquet(path: Path) -> tuple["pl.DataFrame", list[str]]:
-    """Columns of a Parquet file, and their names."""
-    import polars as pl
-
-    with open_regular(path, LARGEST_FILE, "give a .parquet file"):
-        lazy = pl.scan_parquet(path)
-        names = lazy.collect_schema().names()
-        rows = int(lazy.select(pl.len()).collect().item())
-        _check_size(rows, len(names))
-        size = path.stat().st_size
-        check_unpacked(rows * len(names), size, str(path), "save it as a .npy file")
-        return pl.read_parquet(path), names
-
-
-def _check_size(rows: int, columns: int) -> None:
-    """Raise `InputError` for a table that is larger than any is read."""
-    if columns > MOST_COLUMNS or rows * columns > LARGEST:
-        raise InputError(
-            f"it has {rows} rows of {columns} columns: give {MOST_COLUMNS} columns and {LARGEST} "
-            "numbers or fewer"
-        )
-
-
-def _read_text(path: Path) -> tuple["pl.DataFrame", list[str]]:
-    """Columns of words from a text file, and their names if its first line has some."""
-    import polars as pl
-
-    content = read_regular(path, LARGEST_FILE, "give a table of text").rstrip()
-    lines = (line.strip() for line in content.splitlines())
-    first = next((line for line in lines if line and not line.startswith(b"#")), b"").decode()
-    separator = next((each for each in SEPARATORS if each in first), ",")
-    if separator == " ":  # as wide as MATLAB's -ascii and others make them
-        content = b"\n".join(b" ".join(line.split()) for line in content.splitlines())
-    _check_size(1, first.count(separator))
-    frame = pl.read_csv(
-        content,
-        has_header=False,
-        infer_schema=False,
-        comment_prefix="#",
-        separator=separator,
-    )
-    if frame.width > 1 and frame.to_series(-1).is_null().all():
-        frame = frame[:, :-1]  # a separator at the end of every line
-    if not frame.height:
-        return frame, []
-    heads = [str(head or "").strip() for head in frame.row(0)]
-    if all(_is_number(head) for head in heads):
-        return frame, []
-    if len(set(heads)) < len(heads) or "" in heads:
-        raise InputError(
-            f"{path}: its first line must give each column a name of its own, or hold numbers"
-        )
-    return frame.slice(1), heads
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
-
-
-def _numbers(columns: "list[pl.Series]", names: Sequence[str], path: Path) -> np.ndarray:
-    """Finite numbers of columns, or `InputError` naming the first line that has none."""
-    import polars as pl
-
-    if all(column.dtype == pl.String for column in columns):  # many expressions would take long
-        texts = pl.concat(columns, rechunk=True).str.strip_chars()
-        every = texts.cast(pl.Float64, strict=False).to_numpy()
-        values: np.ndarray = every.reshape(len(columns), -1).T
-    else:
-        cast = [column.cast(pl.Float64, strict=False).to_numpy() for column in columns]
-        values = np.stack(cast, axis=1)
-    wrong = np.argwhere(~np.isfinite(values.T))
-    if wrong.size:
-        place, row = wrong[0].tolist()
-        held: Any = columns[place][row]
-        said = "nothing" if held is None else repr(held)
-        name, first = (names[place], 2) if names else (f"column_{place + 1}", 1)
-        raise InputError(f"{path}: row {row + first} of column {name} holds {said}: give numbers")
-    return values
+def _no_number(path: Path, columns: "Columns", row: int, place: int) -> str:
+    """Line that names a cell without a number."""
+    held: Any = columns.cells(place)[row]
+    said = "nothing" if held in (None, "") else repr(held)
+    name, first = (columns.names[place], 2) if columns.names else (f"column_{place + 1}", 1)
+    return f"{path}: row {row + first} of column {name} holds {said}: give numbers"
 
 
 def _finite(values: np.ndarray, path: Path) -> np.ndarray:

@@ -4,7 +4,7 @@ import csv
 import io
 import re
 import unicodedata
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -25,6 +25,10 @@ LABEL_HEADS = ("label", "labels", "class", "classes", "category", "target", "y",
 
 SEPARATOR_LINE = re.compile(r"sep=(.)\n")
 """First line of a table by which Excel is told the separator."""
+
+
+SEPARATOR_LINES = 1000
+"""Lines by which the separator is found, at most."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +95,20 @@ def separated(text: str, separators: Sequence[str]) -> tuple[str, str, int]:
     # Otherwise it is the first of `separators` that is in every line; then one in the first line
     if found := SEPARATOR_LINE.match(text.replace('"', "", 2) if text[:1] == '"' else text):
         return text.split("\n", 1)[1], found[1], 1
-    lines = [line for line in text.split("\n") if line.strip() and not line.startswith("#")]
+    lines = list(_first_lines(text))
     every = (each for each in separators if lines and all(each in line for line in lines))
     some = (each for each in separators if lines and each in lines[0])
     return text, next(every, next(some, separators[-1])), 0
+
+
+def _first_lines(text: str) -> Iterator[str]:
+    """The first lines that are neither empty nor comments."""
+    at, count = 0, 0
+    while at < len(text) and count < SEPARATOR_LINES:
+        end = text.find("\n", at)
+        end = len(text) if end < 0 else end
+        line = text[at:end]
+        if line.strip() and not line.startswith("#"):
+            yield line
+            count += 1
+        at = end + 1

@@ -47,8 +47,11 @@ WORD = struct.pack("<I", 5)
 BAD_HEADERS = {
     "empty": (b"", "not a PTU file"),
     "short": (b"PQTT", "not a PTU file"),
-    "histogram": (b"PQHISTO\0" + HEADER[8:] + END + WORD, "not a PTU file"),
-    "pt3": (b"PicoHarp 300\0\0\0\0" + bytes(700), "not a PTU file"),
+    "histogram": (b"PQHISTO\0" + HEADER[8:] + END + WORD, "a histogram, which has no times"),
+    "pt3": (b"PicoHarp 300\0\0\0\0" + bytes(700), "older format .* phconvert"),
+    "ht2": (b"HydraHarp\0\0\0\0\0\0\0" + bytes(700), "older format .* phconvert"),
+    "hdf5": (b"\x89HDF\r\n" + bytes(700), "HDF5 file: .* camera import"),
+    "ttbin": (b"SITT" + bytes(700), "Swabian .* FileReader"),
     "text": (b"time,channel\n" * 100, "not a PTU file"),
     "magic only": (HEADER[:16], "without an end"),
     "no end": (HEADER, "without an end"),
@@ -98,3 +101,23 @@ def test_what_is_no_file_is_refused(tmp_path):
     for path in (tmp_path, fifo, tmp_path / "absent.ptu"):
         with pytest.raises(InputError, match=r"cannot be read|is missing"):
             read_header(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("a.pt2", "PicoHarp"),
+        ("a.HT3", "HydraHarp"),
+        ("a.t3r", "TimeHarp"),
+        *((f"a.{end}", "histogram, which has no times") for end in ("phu", "phd", "hhd", "thd")),
+        ("a.spc", "phconvert"),
+        ("a.sdt", "record in FIFO mode"),
+        ("a.ttbin", "FileReader"),
+        ("tags.csv", "camera import"),
+        ("a.bin", "not a PTU file"),
+    ],
+)
+def test_the_name_tells_where_the_first_bytes_do_not(tmp_path, name, said):
+    (tmp_path / name).write_bytes(bytes(2000))
+    with pytest.raises(InputError, match=said):
+        read_header(tmp_path / name)

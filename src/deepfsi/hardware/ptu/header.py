@@ -24,6 +24,42 @@ MOST_RECORDS = 2**61
 TICKS_S = (1e-15, 1.0)
 """Shortest and longest tick that is believed, seconds."""
 
+CONVERT = (
+    "convert it with the package phconvert (T3 mode), or a demo of PicoQuant's to columns of times "
+    "and channels, for `deepfsi camera import`"
+)
+NO_TIMES = "a histogram, which has no times of photons: record in T2 or T3 mode, as .ptu"
+
+FOREIGN = {
+    b"PQHISTO": f"is a file of PicoQuant with {NO_TIMES}",
+    b"PQRESLT": "is a file of results of PicoQuant, not of photons: give the .ptu file",
+    b"PicoHarp 300": f"is a file of a PicoHarp 300 in an older format (.pt2, .pt3): {CONVERT}",
+    b"HydraHarp": f"is a file of a HydraHarp in an older format (.ht2, .ht3): {CONVERT}",
+    b"TimeHarp": f"is a file of a TimeHarp in an older format (.t3r): {CONVERT}",
+    b"\x89HDF": "is an HDF5 file: if it is Photon-HDF5, give it to `deepfsi camera import`",
+    b"SITT": "is a stream of a Swabian Time Tagger (.ttbin): read it with the class FileReader of "
+    "its package, save times and channels as two columns, and give these to `camera import`",
+}
+"""What else counters write, by the first bytes."""
+
+TABLES = (".txt", ".csv", ".tsv", ".dat", ".npy", ".mat", ".parquet")
+"""Ends of the names of tables, which may hold events."""
+
+_TO_TAGS = "save times and channels as two columns, and give these to `deepfsi camera import`"
+FOREIGN_ENDS = {
+    **dict.fromkeys((".pt2", ".pt3"), FOREIGN[b"PicoHarp 300"]),
+    **dict.fromkeys((".ht2", ".ht3"), FOREIGN[b"HydraHarp"]),
+    **dict.fromkeys((".t2r", ".t3r"), FOREIGN[b"TimeHarp"]),
+    **dict.fromkeys((".phu", ".phd", ".hhd", ".thd"), f"is by its name {NO_TIMES}"),
+    ".ttbin": FOREIGN[b"SITT"],
+    ".spc": "is by its name a file of Becker & Hickl: the package phconvert writes a Photon-HDF5 "
+    "file of those of some cards, which `deepfsi camera import` reads",
+    ".sdt": "is by its name a file of Becker & Hickl with histograms or pictures, which have no "
+    "times of photons: record in FIFO mode, as .spc",
+    **dict.fromkeys(TABLES, f"is no PTU file: {_TO_TAGS}"),
+}
+"""What else counters write, by the ends of names."""
+
 _NUMBERS = {
     0xFFFF0008: "Empty8",
     0x00000008: "Bool8",
@@ -183,12 +219,32 @@ def parse_header(path: str | os.PathLike[str]) -> HeaderParser:
     )
 
 
+def refuse_foreign(path: Path) -> None:
+    """Raise `InputError` for a file of another counter, which no table of events is."""
+    if path.suffix.lower() in TABLES or not path.is_file():
+        return
+    with open_regular(path) as file:
+        start = file.read(16)
+    if start.startswith(MAGIC):
+        raise InputError(f"{path} is a PTU file already: it needs no `camera import`")
+    if foreign := _foreign(path, start):
+        raise InputError(f"{path} {foreign}")
+
+
+def _foreign(path: str | os.PathLike[str], start: bytes) -> str:
+    """Kind of a file that is no PTU file, and the way on; empty if that is not known."""
+    by_start = (said for begin, said in FOREIGN.items() if start.startswith(begin))
+    return next(by_start, FOREIGN_ENDS.get(Path(path).suffix.lower(), ""))
+
+
 def _parse_tags(
     path: str | os.PathLike[str],
 ) -> Generator[int, bytes, tuple[dict[str, Any], int]]:
     """Tags of a header by name, and its bytes."""
     start = yield 16
     if start[:8].rstrip(b"\0") != MAGIC:
+        if foreign := _foreign(path, start):
+            raise InputError(f"{path} {foreign}")
         raise InputError(f"{path} is not a PTU file: it begins with {start[:8]!r}, not {MAGIC!r}")
     tags: dict[str, Any] = {}
     offset = len(start)
