@@ -278,7 +278,11 @@ def _values_of(answers: list[tuple[str, ...]], rows: Rows, path: Path) -> list[t
 
 def _walk(folder: Path, above: tuple[str, ...] = ()) -> Iterator[_Entry]:
     with os.scandir(folder) as entries:
-        parts = [(entry, entry.is_dir()) for entry in entries if not _is_of_system(entry.name)]
+        parts = [  # a folder among images that is called like one is refused as an image
+            (entry, entry.is_dir() and not (above and is_image(entry.name)))
+            for entry in entries
+            if not _is_of_system(entry.name)
+        ]
     for entry, is_dir in parts:
         names = (*above, entry.name)
         yield names, None if is_dir else picture_file(Path(entry.path))
