@@ -11,8 +11,8 @@ BEGINNINGS = {"svg": b"<?xml", "pdf": b"%PDF-", "png": b"\x89PNG"}
 def test_every_figure_of_the_page_is_beside_it_in_three_formats(tmp_path):
     make_results(tmp_path)
     page = build(tmp_path).read_text()
-    files = re.findall(r'href="(figures/[^"]*)"', page)
+    assert re.findall(r'href="(figures/[^"]*)"', page) == ["figures/"]
+    files = [*(tmp_path / "figures").iterdir()]
     assert len(files) == 3 * page.count('class="drawing"') > 9
-    assert {f"figures/{path.name}" for path in (tmp_path / "figures").iterdir()} == {*files}
     for file in files:
-        assert (tmp_path / file).read_bytes().startswith(BEGINNINGS[file.rpartition(".")[2]])
+        assert file.read_bytes().startswith(BEGINNINGS[file.suffix[1:]])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from deepfsi.errors import InputError
-from deepfsi.statistics.crossing import Crossing, crossing
+from deepfsi.statistics.crossings import Crossing, crossing
 from deepfsi.sweeps import planning
 from deepfsi.sweeps.planning import check_plan, next_budget, photons_needed
 from deepfsi.sweeps.recipe import Recipe
@@ -244,7 +244,7 @@ def test_a_plan_has_a_curve_for_each_number_of_detectors(done, tmp_path):
         tmp_path,
     ]
     printed = done(*words)
-    rows = [line.split() for line in printed.splitlines() if line.startswith((" FSI", " II"))]
+    rows = [line.split() for line in printed.splitlines() if line.startswith((" PCA", " impulse"))]
     assert sorted(row[-1] for row in rows) == ["1x1", "2x2", "pixel"]
     needs = {(n["design"], n["detectors"]): n for n in json.loads(done(*words, "--json"))["needs"]}
     one, four = needs["pca", "1x1"], needs["pca", "2x2"]

@@ -3,7 +3,7 @@
 import json
 import shlex
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -144,7 +144,7 @@ def print_table(title: str, heads: Sequence[str], rows: Sequence[Sequence[str]])
     from rich.table import Table
 
     table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
-    table.padding = (0, 1, 0, 0)
+    table.padding, table.min_width = (0, 1, 0, 0), len(title)
     for number, head in enumerate(heads):
         table.add_column(head, justify="right" if number else "left", overflow="fold")
     for row in rows:
@@ -218,15 +218,6 @@ def detectors_text(design: str, detectors: str) -> str:
     from deepfsi.optics.codes import EVERY_PIXEL
 
     return "each pixel" if design in EVERY_PIXEL else detectors
-
-
-def print_designs(names: Iterable[str]) -> None:
-    """Say which designs the labels of a table are."""
-    from deepfsi.optics.codes import DESIGNS
-
-    print(
-        ", ".join(f"{DESIGNS[name].label} {DESIGNS[name].title}" for name in dict.fromkeys(names))
-    )
 
 
 def progress(what: str, quiet: bool) -> AbstractContextManager[Report]:

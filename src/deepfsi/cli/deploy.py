@@ -157,7 +157,7 @@ def _print_needs(plan: Mapping[str, Any], axes: list[str]) -> None:
     needs = sorted(plan["needs"], key=lambda need: need["photons"] or float("inf"))
     rows = [
         (
-            DESIGNS[need["design"]].label,
+            DESIGNS[need["design"]].title,
             photons(need),
             interval(need),
             str(need["masks"]),
@@ -168,7 +168,6 @@ def _print_needs(plan: Mapping[str, Any], axes: list[str]) -> None:
     ]
     heads = ("design", "photons", "95 % interval", "masks", "tried", *axes)
     common.print_table(f"{plan['data']['name']}: accuracy {plan['target']:g} needs", heads, rows)
-    common.print_designs(need["design"] for need in needs)
     print(f"interval: {plan['covers']}; tried: budgets of its curve")
     print(
         "mask counts and added budgets were chosen on validation data; accuracies are of test data"

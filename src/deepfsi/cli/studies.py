@@ -43,8 +43,9 @@ def compare(
 ) -> None:
     """Train every design at every photon budget, and report the accuracy of each.
 
-    Data with values (an .npz whose y are floats) are reported by R², --normal by the area under
-    the ROC curve.
+    Adaptive masks are among the designs where the camera can show them and the data has at most
+    5000 scenes. Data with values (an .npz whose y are floats) are reported by R², --normal by the
+    area under the ROC curve.
 
     The mask count of each design is chosen on validation data, and the test set is read once. A
     stopped comparison goes on where it was when run again with the same output folder.
@@ -60,6 +61,7 @@ def compare(
     if recipe:
         base = read_recipe(recipe)
     from deepfsi.sweeps.recipe import only
+    from deepfsi.sweeps.recipe_check import with_adaptive
     from deepfsi.sweeps.run import check_kept
 
     own = common.read_matrix(matrix)
@@ -69,10 +71,13 @@ def compare(
         base = {"data": data}
         if data == "digits" and not (ratios or trials or "masks" in settings):
             base |= QUICK
+    unnamed = not (designs or matrix or "designs" in base)
     fields = options.recipe_fields(
         data if data != "digits" else None, size, skip_bad, normal, designs, ratios, trials
     )
     chosen = check_recipe(options.recipe_settings(settings, fields, base), own)
+    if unnamed:
+        chosen = with_adaptive(*chosen), chosen[1]
     options.check_sigma(settings, (*chosen[0].noises, *chosen[0].test_noise))
     if not force:
         check_kept(out, *chosen, own)
@@ -264,20 +269,22 @@ def _run(
 
 def _finish(command: str, results: "Results", out: Path, as_json: bool) -> None:
     from deepfsi.report.comparison_page import build, leader_differences
+    from deepfsi.report.verdict import verdict_of
     from deepfsi.sweeps.results import write_results
 
     write_results(out / "results.json", results)
     page = build(out)
+    said = verdict_of(results)
     if as_json:
         found = results.as_dict()
         for point in found["points"]:
             point.pop("terms", None)
         told = {"differences": list(leader_differences(results))}
-        common.print_json(command, {"report": str(page), **found, **told})
+        common.print_json(command, {"report": str(page), "verdict": said.text, **found, **told})
         return
     common.print_data(results.data)
-    _print_points(results)
-    print(f"report: {page}")
+    _print_matrix(results)
+    print(f"{said.text}\nreport: {page}")
 
 
 def _forecast(
@@ -310,94 +317,61 @@ QUICK: dict[str, Any] = {"ratios": (0.06, 0.16, 0.36), "trials": 3, "training": 
 """Recipe of a comparison on digits, where no ratios, masks or trials are given."""
 
 
-AXIS_HEADS = {"trained_under": "training", "trained_at": "trained at", "variant": "setting"}
-"""Heads of columns, where they are not the names of the fields."""
+UNEVEN = 0.02
+"""Difference of an accuracy from the balanced one, each class counting alike, that is said."""
 
 
-CROWDED, CROWDED_WIDTH = 3, 7
-"""So many axes leave that many characters of a class's name."""
-
-
-def _axis(name: str, point: "Point") -> str:
-    value = getattr(point, name)
-    if name == "detectors":
-        return common.detectors_text(point.design, value)
-    if name == "levels":
-        return str(value) if value else "any"
-    if name == "readout":
-        return value or "–"
-    return common.budget(value) if name == "trained_at" else str(value)
-
-
-def _print_points(results: "Results") -> None:
-    from deepfsi.report.accuracy import series_axes
+def _print_matrix(results: "Results") -> None:
+    """Print accuracies, a row for each design and a column for each budget."""
+    from deepfsi.report.accuracy import noises
+    from deepfsi.report.comparison_page import best_table
     from deepfsi.report.measures import WORDS
 
+    tables = {noise: best_table(results, noise) for noise in noises(results)}
+    budgets = sorted({photons for table in tables.values() for photons in table["budgets"]})
+    several, rows = len(tables) > 1, []
+    for noise, table in tables.items():
+        for name, _, cells in table["rows"]:
+            at = {
+                cell.photons: common.share(cell.accuracy, cell.low, cell.high).replace(" ", "")
+                + " *"[cell in table["leaders"][cell.photons]]
+                for cell in cells
+                if cell
+            }
+            under = (noise,) if several else ()
+            rows.append((name, *under, *(at.get(photons, "– ") for photons in budgets)))
+    measure, heads = WORDS[results.data.measure], ("design", *("noise",) * several)
+    heads += tuple(common.budget(photons) + " " for photons in budgets)
+    common.print_table(f"{measure.name} by photon budget", heads, rows)
     best = [point for point in results.points if point.best]
-    apart = [axis for axis in series_axes(results) if axis not in ("design", "masks")]
-    axes = ["noise", *apart]
-    axes = [axis for axis in axes if len({str(getattr(point, axis)) for point in best}) > 1]
-    apart_heads = [AXIS_HEADS.get(axis, axis) for axis in axes]
-    best.sort(key=lambda p: (p.photons, -p.accuracy))
-    light_heads, light, meaning = common.counted(best)
-    rows = [
-        (
-            p.label,
-            common.budget(p.photons),
-            str(p.masks),
-            common.share(p.accuracy, p.low, p.high),
-            *counts,
-            *(_axis(axis, p) for axis in axes),
-        )
-        for p, counts in zip(best, light, strict=True)
-    ]
-    measure = WORDS[results.data.measure]
-    heads = ("design", "photons", "masks", measure.name, *light_heads, *apart_heads)
-    common.print_table(results.title, heads, rows)
-    part = _value_by_value if results.data.values else _class_by_class
-    part(results, best, axes, apart_heads)
-    common.print_designs(p.design for p in best)
     for p in best:
         if p.one_class:
-            print(f"{p.label} at {common.budget(p.photons)} photons answers one class only")
-    print(f"chance: {results.data.chance:.3f}, {measure.guessing}")
-    print("± half of the 95 % interval: " + "; ".join(dict.fromkeys(p.covers for p in best)))
-    print(meaning)
-    if results.had_choice:
-        by = " by balanced accuracy" if results.chosen_by == "balanced" else ""
-        print(f"mask counts were chosen on validation data{by}; the table is of test data")
+            print(f"{p.title} at {common.budget(p.photons)} photons answers one class only")
+    aside = ", impulse imaging aside" if any(p.every_pixel for p in best) else ""
+    print(
+        f"* the highest{aside}, and all that cannot be told apart from it; chance is "
+        f"{results.data.chance:.3f}\n± half of the 95 % interval: "
+        + "; ".join(dict.fromkeys(p.covers for p in best))
+    )
+    uneven = max((abs(p.accuracy - (p.balanced or p.accuracy)) for p in best), default=0.0)
+    if results.data.measure == "accuracy" and uneven >= UNEVEN:
+        print("each class counting alike the accuracies are others: the report has them")
+    if results.data.values:
+        _value_by_value(results, best)
 
 
-def _class_by_class(
-    results: "Results", best: "list[Point]", axes: list[str], heads: list[str]
-) -> None:
-    """Print the accuracies of points in which each class counts alike."""
-    width = common.NAME_WIDTH if len(axes) < CROWDED else CROWDED_WIDTH
-    rows = [
-        (
-            *(p.label, common.budget(p.photons)),
-            common.share(p.balanced or 0.0, p.balanced_low or 0.0, p.balanced_high or 0.0),
-            common.worst_class(p.worst, results.data.classes[p.worst_class], width),
-            *(_axis(axis, p) for axis in axes),
-        )
-        for p in best
-    ]
-    columns = ("design", "photons", "balanced", "worst class", *heads)
-    common.print_table("each class counting alike", columns, rows)
-    print("balanced: mean of the classes' accuracies, each class counting alike")
-
-
-def _value_by_value(
-    results: "Results", best: "list[Point]", axes: list[str], heads: list[str]
-) -> None:
+def _value_by_value(results: "Results", best: "list[Point]") -> None:
     """Print the errors of each value, beside those of the best linear estimator."""
+    from deepfsi.report.accuracy import key_of, series_axes, series_names
+
+    axes = series_axes(results)
+    names = series_names(best, axes)
     rows = [
         (
-            *(p.label, common.budget(p.photons)),
+            *(names[key_of(p, axes)], common.budget(p.photons)),
             *(common.error(e, b) for e, b in zip_longest(p.rmse, p.bound)),
-            *(_axis(axis, p) for axis in axes),
         )
-        for p in best
+        for p in sorted(best, key=lambda p: (p.photons, -p.accuracy))
     ]
-    columns = ("design", "photons", *map(common.short, results.data.values), *heads)
+    columns = ("design", "photons", *map(common.short, results.data.values))
     common.print_table("root mean squared error (best linear estimator)", columns, rows)

@@ -147,13 +147,17 @@ DESIGNS: dict[str, Code] = {
         fixed_count=True,
         single_rail=True,
     ),
-    "adaptive": Code("AM", "adaptive masking", specific=True, adaptive=True, of_classes=True),
+    "adaptive": Code("AM", "adaptive masks", specific=True, adaptive=True, of_classes=True),
     "custom": Code("USER", "own matrix", own=True),
 }
 """The named designs."""
 
 EVERY_PIXEL = {name for name, code in DESIGNS.items() if code.every_pixel}
 """Those that have a detector for each pixel: no camera of one device, whatever is compared."""
+
+
+ADAPTIVE = {name for name, code in DESIGNS.items() if code.adaptive}
+"""Those whose masks are made while they look, and that hold none before."""
 
 
 def check_design(name: str) -> str:

@@ -75,7 +75,7 @@ def key_of(point: Measured, axes: Fields) -> tuple[str, ...]:
 
 
 def series_names(
-    points: Iterable[Measured], axes: Fields, field: str = "label"
+    points: Iterable[Measured], axes: Fields, field: str = "title"
 ) -> dict[tuple[str, ...], str]:
     """Name of each series: the design's, and the other axes where these tell two apart."""
     groups, names = series(points, axes), {}
@@ -93,8 +93,8 @@ def series_names(
 def figure_names(points: Iterable[Measured], axes: Fields) -> dict[tuple[str, ...], str]:
     """Name of each series in a figure: written out, or short where one would be too long."""
     rows = list(points)
-    names = series_names(rows, axes, "title")
-    return series_names(rows, axes) if max(map(len, names.values())) > LONGEST else names
+    names = series_names(rows, axes)
+    return series_names(rows, axes, "label") if max(map(len, names.values())) > LONGEST else names
 
 
 def axis_of(results: Results) -> str:

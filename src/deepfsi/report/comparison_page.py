@@ -14,6 +14,7 @@ from markupsafe import Markup
 from deepfsi.errors import InputError
 from deepfsi.files import write_atomically
 from deepfsi.inline import confusion_table
+from deepfsi.optics.codes import ADAPTIVE
 from deepfsi.optics.noise_names import noise_text
 from deepfsi.report import accuracy
 from deepfsi.report.figures import Figures
@@ -22,6 +23,7 @@ from deepfsi.report.measures import WORDS
 from deepfsi.report.rendering import flat, render, share_text
 from deepfsi.report.style import photons_text
 from deepfsi.report.terms import DESIGNS, ONE_DETECTOR
+from deepfsi.report.verdict import Verdict, better, ranking, verdict_of
 from deepfsi.statistics.differences import difference
 from deepfsi.sweeps.results import Data, Point, Results, read_results
 from deepfsi.tables.tensor_files import DamagedError, read_tensors
@@ -68,13 +70,16 @@ def page_text(results: Results, designs: Path, figures: Figures) -> str:
     data, points = results.data, results.points
     axes = accuracy.series_axes(results)
     learned = list(learned_masks(results, designs, figures))
+    said = verdict_of(results)
     return render(
         "page.html.jinja",
         results=results,
+        title=said.title,
         camera=camera_text(points),
         two_rails=any(p.rails == "dual" for p in points if not p.every_pixel),
         impulse=any(p.every_pixel for p in points),
         bullets=[
+            said.text,
             compared(results),
             *(summary(results, noise) for noise in accuracy.noises(results)),
             covered(results),
@@ -85,9 +90,9 @@ def page_text(results: Results, designs: Path, figures: Figures) -> str:
         tables=[best_table(results, noise) for noise in accuracy.noises(results)],
         designs=dict.fromkeys((p.title, p.label, DESIGNS.get(p.design)) for p in points),
         lights=sorted({p.light for p in points}),
-        confusions=list(confusions(results)),
+        confusions=list(confusions(results, said)),
         learned=learned,
-        following=following(results, designs),
+        following=list(following(results, designs, said)),
         learned_missing=not learned and any(p.learned for p in points),
         masks_shown=MASKS_SHOWN,
         scene=scene_text(data.image_shape),
@@ -166,16 +171,25 @@ def optics_text(point: Point) -> str:
     return ", ".join(parts)
 
 
-def following(results: Results, designs: Path) -> tuple[str, str]:
-    """Next step with the most accurate design of the most light, in words and as a command."""
+def following(results: Results, designs: Path, said: Verdict) -> Iterator[tuple[str, str]]:
+    """Next steps, in words and as commands: to see an exposure, and to show masks on a device."""
     points = [p for p in results.points if p.best and not p.every_pixel]
     shown = [p for p in points if p.light != "column"]
-    there = [p for p in shown if p.keys and (designs / f"{p.keys[0]}.safetensors").is_file()]
+
+    def file(point: Point) -> str | None:
+        name = f"{point.keys[0]}.safetensors"
+        return f"designs/{name}" if (designs / name).is_file() else None
+
+    played = file(said.best)
+    if played and not (results.data.values or said.best.every_pixel):
+        words = f"Watch exposures of {said.best.title}, in the folder of this page:"
+        yield words, f"deepfsi page {played} -o page.html"
+    there = [p for p in shown if file(p) and p.design not in ADAPTIVE]
     if there:
-        best = max(there, key=lambda p: (p.photons, p.accuracy))
-        file = f"designs/{best.keys[0]}.safetensors"
-        words = f"Write the patterns of {best.title} for your device, in the folder of this page:"
-        return words, f"deepfsi dmd export {file} --device dlp7000 --exposure 10ms -o patterns"
+        best = max(there, key=lambda p: (p.photons == said.photons, p.photons, p.accuracy))
+        words = f"Write the masks of {best.title} for your device, in the folder of this page:"
+        yield words, f"deepfsi dmd export {file(best)} --device dlp7000 --exposure 10ms -o patterns"
+        return
     name = shlex.quote(str(results.recipe.get("data", results.data.name)))
     if shown:
         words = "Learn one design, whose file the commands for a device take:"
@@ -184,7 +198,7 @@ def following(results: Results, designs: Path) -> tuple[str, str]:
             "No single device shows masks of the light law column. Compare designs that one shows:"
         )
     command = "design --masks 16 --photons 1e4 -o d.safetensors" if shown else "compare -o runs/dmd"
-    return words, f"deepfsi {command} --camera dmd --data {name}"
+    yield words, f"deepfsi {command} --camera dmd --data {name}"
 
 
 def scene_text(shape: tuple[int, ...]) -> str:
@@ -199,28 +213,17 @@ def chosen(results: Results, noise: str) -> list[Point]:
     return [p for p in results.points if p.noise == noise and p.best]
 
 
-def ranking(points: list[Point], photons: float) -> list[Point]:
-    """Designs at a budget, most accurate first; impulse imaging only if alone."""
-    # Of a design that was trained in several ways on the same light, the one that validation chose
-    optics: dict[tuple[str, ...], Point] = {}
-    here = [p for p in points if p.photons == photons]
-    for p in sorted(here, key=lambda p: -1.0 if p.validation is None else p.validation):
-        optics[accuracy.key_of(p, (*accuracy.CHOSEN, "levels", "masks"))] = p
-    single = [p for p in optics.values() if not p.every_pixel]
-    return sorted(single or optics.values(), key=lambda p: -p.accuracy)
-
-
 def leading(points: list[Point], photons: float) -> list[Point]:
     """The first of a ranking, and all that it is not told apart from on the same test images."""
     first, *others = ranking(points, photons)
-    return [first, *(p for p in others if difference(first, p).low <= 0)]
+    return [first, *(p for p in others if not better(first, p))]
 
 
 def leader_differences(results: Results) -> Iterator[dict[str, Any]]:
     """Paired differences of the first of each ranking to the others, by noise and budget."""
     for noise in accuracy.noises(results):
         points, axes = chosen(results, noise), accuracy.series_axes(results)
-        names = accuracy.series_names(points, axes, "title")
+        names = accuracy.series_names(points, axes)
         for photons in sorted({p.photons for p in points}):
             first, *others = ranking(points, photons)
             for other in others:
@@ -240,7 +243,7 @@ def summary(results: Results, noise: str) -> str:
     """Say which designs are the most accurate under a noise, and which cannot be told apart."""
     points = chosen(results, noise)
     axes = accuracy.series_axes(results)
-    names = accuracy.series_names(points, axes, "title")
+    names = accuracy.series_names(points, axes)
 
     def name(point: Point) -> str:
         return names[accuracy.key_of(point, axes)]
@@ -344,7 +347,7 @@ def errors(results: Results) -> Iterator[Part]:
     for noise in accuracy.noises(results):
         points = [p for p in chosen(results, noise) if p.rmse]
         if points:
-            names = accuracy.series_names(points, axes, "title")
+            names = accuracy.series_names(points, axes)
             rows = [
                 (names[accuracy.key_of(p, axes)], p)
                 for p in sorted(points, key=lambda p: (p.photons, -p.accuracy))
@@ -365,8 +368,11 @@ def title_of(results: Results) -> str:
     return name[0].upper() + name[1:]
 
 
-def confusions(results: Results) -> Iterator[Part]:
-    """Confusion matrices at the chosen mask counts under each noise, by series and budget."""
+def confusions(results: Results, said: Verdict) -> Iterator[Part]:
+    """Confusion matrices by noise and budget, at the chosen mask counts; that of the verdict open.
+
+    Each has its `budget` in words, and the `matrices` of the designs there, best first.
+    """
     axes, classes = accuracy.series_axes(results), results.data.classes
     for noise in accuracy.noises(results):
         points = [p for p in chosen(results, noise) if p.confusion]
@@ -374,12 +380,20 @@ def confusions(results: Results) -> Iterator[Part]:
             raise InputError(
                 "a confusion matrix is not of the data's classes: run the comparison again"
             )
-        names = accuracy.series_names(points, axes, "title")
-        for point in sorted(points, key=lambda p: (p.every_pixel, p.photons, -p.accuracy)):
-            where = f"{photons_text(point.photons)} photons, {noise_text(noise)}"
+        names = accuracy.series_names(points, axes)
+        opened = said.best if said.best in points else next(iter(points), None)
+        for photons in sorted({p.photons for p in points}):
+            here = [p for p in points if p.photons == photons]
             yield {
-                "heading": f"{names[accuracy.key_of(point, axes)]}, {where}",
-                "table": Markup(confusion_table(point.confusion, classes)),
+                "budget": f"{photons_text(photons)} photons, {noise_text(noise)}",
+                "matrices": [
+                    {
+                        "name": names[accuracy.key_of(point, axes)],
+                        "open": point == opened,
+                        "table": Markup(confusion_table(point.confusion, classes)),
+                    }
+                    for point in sorted(here, key=lambda p: (p.every_pixel, -p.accuracy))
+                ],
             }
 
 
@@ -388,7 +402,7 @@ def learned_masks(results: Results, designs: Path, figures: Figures) -> Iterator
     axes = accuracy.series_axes(results)
     for i, noise in enumerate(accuracy.noises(results), start=1):
         points = [p for p in chosen(results, noise) if p.learned]
-        names = accuracy.series_names(points, axes, "title")
+        names = accuracy.series_names(points, axes)
         for j, (key, members) in enumerate(accuracy.series(points, axes).items(), start=1):
             # the files hold masks before they are quantised for a test
             files = {designs / f"{p.keys[0]}.safetensors": p for p in members if not p.levels}

@@ -23,12 +23,11 @@ class Figures:
         self.drawn: dict[str, Figure] = {}
 
     def add(self, name: str, figure: Figure, words: str) -> Markup:
-        """Part of the page with a figure, what it shows in words, and links to its files."""
+        """Part of the page with a figure, and what it shows in words."""
         drawing = svg(figure, name, words)
         figure.set_layout_engine("none")  # laid out once, for the files too
         self.drawn[name] = figure
-        links = ", ".join(f'<a href="{FOLDER}/{name}.{kind}">{kind}</a>' for kind in KINDS)
-        return Markup(f'{drawing}<p class="quiet files">Figure as a file: {links}</p>')
+        return Markup(drawing)
 
     def write(self, home: Path) -> None:
         """Write the files of all figures into the folder `figures` of a page's folder."""

@@ -47,18 +47,17 @@ def counts_text(counts: float | None) -> str:
 
 
 def flat(tree: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, str]]:
-    """Yield settings as name and value, nested names joined with a dot."""
+    """Yield settings that are set as name and value, nested names joined with a dot."""
     for name, value in tree.items():
         if isinstance(value, Mapping):
             yield from flat(value, f"{above}{name}.")
         else:
             items = value if isinstance(value, list | tuple) else [value]
-            yield above + name, ", ".join(map(_setting, items)) or "not set"
+            if words := ", ".join(_setting(each) for each in items if each not in (None, "")):
+                yield above + name, words
 
 
 def _setting(value: Any) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
-    if value is None or value == "":
-        return "not set"
     return f"{value:.6g}" if isinstance(value, float) else str(value)

@@ -1,7 +1,7 @@
 """Photons that a target accuracy needs, from a few trainings and what lies between them.
 
 Every design is trained at a few budgets, then again where its curve meets the target, so that the
-interpolation spans little (`statistics.crossing`).
+interpolation spans little (`statistics.crossings`).
 """
 
 from collections import defaultdict
@@ -15,7 +15,7 @@ import numpy as np
 from deepfsi.datasets import Dataset
 from deepfsi.errors import InputError
 from deepfsi.progress import SILENT, Report
-from deepfsi.statistics.crossing import crossing
+from deepfsi.statistics.crossings import crossing
 from deepfsi.sweeps.context import SweepContext
 from deepfsi.sweeps.queue import run_trials
 from deepfsi.sweeps.recipe import Recipe

@@ -42,6 +42,9 @@ MLP_SETTINGS, OWN_SETTINGS = ("hidden", "dropout"), ("classifier_arguments",)
 """Settings of the training that only the usual classifier has, and those of one's own."""
 
 
+MOST_LOOKS = 32
+"""Looks of adaptive masks that ratios ask for, at most: more tell little and take their time."""
+
 OWN_AXES = ("light", "rails", "detectors", "readout", "noise")
 """Fields of the camera that each point of a summary has as its own."""
 
@@ -271,13 +274,18 @@ class Recipe(BaseModel):
 
     def mask_counts(self, design: str, data: Dataset, detection: Detection = ONE) -> list[int]:
         """Mask counts of one design: those asked for that it can have, else the most it can."""
-        # a ratio is that of readouts, m · D / N, so that it means as much under several detectors
+        # a ratio is that of readouts, m · D / N, so that it means as much under several detectors.
+        # Of adaptive masks, which share the light among their looks, ratios ask for one count: more
+        # looks tell more
         low, high = tiles.count_allowed(design, data, detection)
         asked = self.masks or [
             codes.mask_count(ratio, data.pixels / detection.count)
             for ratio in self.ratios or PAPER_RATIOS
         ]
-        return sorted({count for count in asked if low <= count <= high}) or [high]
+        counts = sorted({count for count in asked if low <= count <= high}) or [high]
+        if codes.DESIGNS[design].adaptive and not self.masks:
+            return [max((c for c in counts if c <= MOST_LOOKS), default=counts[0])]
+        return counts
 
     def held_out(self, data: Dataset) -> int:
         """Number of training scenes that are kept for validation."""

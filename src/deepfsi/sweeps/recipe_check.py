@@ -10,13 +10,16 @@ from pydantic import ValidationError
 from deepfsi.datasets import Dataset
 from deepfsi.errors import InputError, faults
 from deepfsi.sweeps.recipe import RATIOS_OR_MASKS, Recipe, Settings, axis
-from deepfsi.sweeps.trial import mask_faults, trial_faults
+from deepfsi.sweeps.trial import count_trials, mask_faults, trial_faults
 
 SOURCE = {"data", "size", "skip_bad", "images", "split"}
 """Fields that say which data to load."""
 
 TABLES = ("camera", "exposure", "training")
 """Fields that are tables of axes."""
+
+ADAPTIVE_SCENES = 5000
+"""Scenes with which adaptive masks are compared unasked, at most: each look takes a millisecond."""
 
 OPTICS = {"designs", "camera"}
 """Fields whose defaults would make mistakes of their own in place of those that are lost."""
@@ -39,6 +42,24 @@ def check_recipe(
     if found or data is None:
         raise InputError("; ".join(found))
     return recipe, data
+
+
+def with_adaptive(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None) -> Recipe:
+    """The recipe with adaptive masks too, where they can be had and do not take long.
+
+    Parameters
+    ----------
+    recipe : Recipe
+        As `check_recipe` gives it.
+    data : Dataset
+    matrix : array, shape (m, N), optional
+    """
+    more = recipe.model_copy(update={"designs": (*recipe.designs, "adaptive")})
+    scenes = len(data.x_train) + len(data.x_test)
+    if data.measure != "accuracy" or scenes > ADAPTIVE_SCENES or recipe.test_noise:
+        return recipe
+    had = count_trials(more, data, matrix) > count_trials(recipe, data, matrix)
+    return more if had and not trial_faults(more, data, matrix) else recipe
 
 
 def _loaded(recipe: Recipe, load: Callable[[Recipe], Dataset], found: list[str]) -> Dataset | None:

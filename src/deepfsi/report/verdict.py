@@ -1,0 +1,167 @@
+"""The verdict of a comparison in one sentence: which masks need less light, and how much less."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from deepfsi.optics.codes import DESIGNS
+from deepfsi.optics.noise_names import noise_text
+from deepfsi.report import accuracy
+from deepfsi.report.measures import WORDS
+from deepfsi.report.rendering import share_text
+from deepfsi.report.style import photons_text
+from deepfsi.statistics.crossings import Crossing, crossing
+from deepfsi.statistics.differences import difference
+from deepfsi.sweeps.results import Point, Results
+
+SUBJECTS = {"deepfsi": "learned masks (DeepFSI)", "adaptive": "adaptive masks"}
+"""Designs whose names in a sentence are masks."""
+
+LEAST_RATIO = 1.15
+"""Smallest ratio of light that is said as a number of times."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """The verdict of a comparison.
+
+    Attributes
+    ----------
+    title : str
+        For a heading: "Learned masks (DeepFSI) need 3 times less light than PCA".
+    text : str
+        The same with its numbers, a sentence.
+    photons : float
+        Budget at which the designs differ most, of those tested.
+    best : Point
+        Of the most accurate design there; impulse imaging only if alone.
+    """
+
+    title: str
+    text: str
+    photons: float
+    best: Point
+
+
+def verdict_of(results: Results) -> Verdict:
+    """The verdict of a comparison, under the first of its noises.
+
+    The most accurate design of a camera is compared with the most accurate one that is neither
+    learned nor adaptive, at the budget where they differ most. How many times less light it needs
+    is found where the curve of the other meets its accuracy, or where its own meets that of the
+    other. Where the difference is not above 0 at any budget, the verdict says so.
+    """
+    noise = accuracy.noises(results)[0]
+    points = [p for p in results.points if p.noise == noise and p.best]
+    axes = accuracy.series_axes(results)
+    names = accuracy.series_names(points, axes)
+    budgets = sorted({p.photons for p in points})
+    rankings = [ranking(points, photons) for photons in budgets]
+    several = len(accuracy.noises(results)) > 1
+    under = f" under {noise_text(noise)}" if several else ""
+    measure, images = WORDS[results.data.measure].name, results.data.test
+
+    def name(point: Point) -> str:
+        own = names[accuracy.key_of(point, axes)]
+        return own.replace(point.title, SUBJECTS.get(point.design, point.title), 1)
+
+    pairs = [(first, rival(others)) for first, *others in rankings if others]
+    if not pairs:
+        best = rankings[-1][0]
+        reached = f"{_verb(best, 'reach')} {measure} {share_text(best.accuracy)}{under}"
+        title = f"{_capital(name(best))} {reached}"
+        return Verdict(title, f"{title} at {_photons(best)}.", best.photons, best)
+    pairs.sort(key=lambda pair: pair[1].accuracy - pair[0].accuracy)
+    clear = [pair for pair in pairs if better(*pair)]
+    curves = accuracy.series(sorted(points, key=lambda p: p.photons), axes)
+    ratios = [
+        _times(first, other, [curves[accuracy.key_of(p, axes)] for p in (first, other)], images)
+        for first, other in clear
+    ]
+    place = next((place for place, ratio in enumerate(ratios) if ratio), 0)
+    first, other = (clear or pairs)[place]
+    one, two = _capital(name(first)), name(other)
+    at = (
+        f"at {_photons(first)} {measure} is {share_text(first.accuracy)}, and "
+        f"{share_text(other.accuracy)} with {two}"
+    )
+    if not clear:
+        pair = "The best designs" if len(budgets) > 1 else f"{one} and {two}"
+        where = "any budget" if len(budgets) > 1 else _photons(first)
+        title = f"{pair} cannot be told apart at {where}{under}"
+        return Verdict(title, f"{title}: with {name(first)}, {at}.", first.photons, first)
+    if not ratios[place]:
+        title = f"{one} {_verb(first, 'are', 'is')} better than {two} at {_photons(first)}{under}"
+        return Verdict(title, f"{title}: {at}.", first.photons, first)
+    title = f"{one} {_verb(first, 'need')} {ratios[place]} times less light than {two}{under}"
+    return Verdict(title, f"{title} for the same {measure}: {at}.", first.photons, first)
+
+
+def ranking(points: Sequence[Point], photons: float) -> list[Point]:
+    """Designs at a budget, most accurate first; impulse imaging only if alone."""
+    # Of a design that was trained in several ways on the same light, the one that validation chose
+    optics: dict[tuple[str, ...], Point] = {}
+    here = [p for p in points if p.photons == photons]
+    for p in sorted(here, key=lambda p: -1.0 if p.validation is None else p.validation):
+        optics[accuracy.key_of(p, (*accuracy.CHOSEN, "levels", "masks"))] = p
+    single = [p for p in optics.values() if not p.every_pixel]
+    return sorted(single or optics.values(), key=lambda p: -p.accuracy)
+
+
+def rival(points: Sequence[Point]) -> Point:
+    """The first of a ranking that is neither learned nor adaptive, or else the first."""
+    return next((p for p in points if not _made_for_the_task(p)), points[0])
+
+
+def _made_for_the_task(point: Point) -> bool:
+    code = DESIGNS.get(point.design)
+    return code is not None and (code.learns_masks or code.adaptive)
+
+
+def better(first: Point, second: Point) -> bool:
+    """True if the first is more accurate than the second on the same test images."""
+    return difference(first, second).low > 0
+
+
+def _times(
+    first: Point, other: Point, curves: Sequence[Sequence[Point]], images: int
+) -> str | None:
+    """Ratio of the light that two designs need, in words; None if it is not known."""
+    mine, theirs = curves
+    beyond = _meets(theirs, first.accuracy, images)
+    if beyond.photons is not None:
+        return _ratio_text(beyond.photons / first.photons)
+    before = _meets(mine, other.accuracy, images)
+    if before.photons is not None:
+        return _ratio_text(first.photons / before.photons)
+    last = theirs[-1]  # with how much light it is still below
+    least = _ratio_text(last.photons / first.photons) if better(first, last) else None
+    return least and f"over {least}"
+
+
+def _meets(curve: Sequence[Point], target: float, images: int) -> Crossing:
+    """Where a curve meets a target; of one budget that is not known."""
+    if len(curve) < 2:
+        return Crossing(None, None, None, "beyond")
+    trials = [[max(each, 0.0) for each in p.accuracies] for p in curve]  # R² may lie below 0
+    return crossing([p.photons for p in curve], trials, images, target)
+
+
+def _ratio_text(ratio: float) -> str | None:
+    if ratio < LEAST_RATIO:
+        return None
+    return f"{ratio:.1f}" if ratio < 1.95 else f"{float(f'{ratio:.1g}'):.0f}"
+
+
+def _photons(point: Point) -> str:
+    return f"{photons_text(point.photons)} photons"
+
+
+def _verb(point: Point, plural: str, singular: str = "") -> str:
+    """The verb that a design's name takes."""
+    if point.design in SUBJECTS:
+        return plural
+    return singular or (f"{plural}es" if plural.endswith("ch") else f"{plural}s")
+
+
+def _capital(words: str) -> str:
+    return words[:1].upper() + words[1:]

@@ -1,0 +1,98 @@
+"""The verdict of a comparison says what its numbers bear, and no more."""
+
+import numpy as np
+import pytest
+
+from deepfsi.report.verdict import verdict_of
+from shared.results import a_point, some_results
+
+BUDGETS = (1e2, 1e3, 1e4, 1e5)
+TITLES = {"deepfsi": "DeepFSI", "pca": "PCA", "raster": "raster scan", "adaptive": "adaptive masks"}
+
+
+def curve(design, shift, half=0.01, budgets=BUDGETS, **fields):
+    """Points of an S in log Φ, whose light is `shift` times that of another for any accuracy."""
+    rises = [float(0.1 + 0.87 / (1 + (3e3 * shift / photons))) for photons in budgets]
+    return [
+        a_point(
+            accuracy, half, design=design, title=TITLES.get(design, design), photons=photons,
+            keys=(f"{design}-{photons:g}",), **fields,
+        )
+        for photons, accuracy in zip(budgets, rises, strict=True)
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("shift", [1.5, 3, 8, 40])
+def test_the_ratio_of_light_is_that_of_the_curves(shift):
+    """Within the 20 % that a monotone cubic through points a decade apart is off."""
+    said = verdict_of(some_results([*curve("deepfsi", 1), *curve("pca", shift)]))
+    start, _, rest = said.title.partition(" need ")
+    times, _, other = rest.partition(" times less light than ")
+    assert (start, other) == ("Learned masks (DeepFSI)", "PCA")
+    assert abs(np.log(float(times) / shift)) < np.log(1.35)  # of one digit, 15 % more
+    assert said.text.startswith(f"{said.title} for the same accuracy: at ")
+    assert said.best.design == "deepfsi"
+    assert f"accuracy is {said.best.accuracy:.3f}" in said.text
+
+
+def test_the_rival_is_the_best_that_is_neither_learned_nor_adaptive():
+    rows = [*curve("adaptive", 1), *curve("deepfsi", 1.5), *curve("pca", 5), *curve("raster", 9)]
+    ideal = curve("impulse", 0.1)
+    said = verdict_of(some_results([*ideal, *rows]))
+    assert said.title.startswith("Adaptive masks need ")
+    assert said.title.endswith(" times less light than PCA")
+    assert verdict_of(some_results([*ideal, *rows[4:8]])).best.design == "deepfsi"
+
+
+def test_the_verb_is_that_of_the_name():
+    said = verdict_of(some_results([*curve("pca", 1), *curve("raster", 9)]))
+    assert said.title.startswith("PCA needs ")
+    assert said.title.endswith(" times less light than raster scan")
+
+
+def test_what_is_within_the_errors_is_not_said():
+    said = verdict_of(some_results([*curve("deepfsi", 1, 0.2), *curve("pca", 1.5, 0.2)]))
+    assert said.title == "The best designs cannot be told apart at any budget"
+    assert "with learned masks (DeepFSI), at " in said.text
+    assert "times" not in said.text
+    same = verdict_of(some_results([*curve("deepfsi", 1), *curve("pca", 1)]))
+    assert "cannot be told apart" in same.title
+
+
+def test_one_budget_gives_no_ratio():
+    rows = [*curve("deepfsi", 1, budgets=(1e3,)), *curve("pca", 5, budgets=(1e3,))]
+    said = verdict_of(some_results(rows))
+    assert said.title == "Learned masks (DeepFSI) are better than PCA at 1000 photons"
+    close = [*curve("deepfsi", 1, 0.2, (1e3,)), *curve("pca", 1.2, 0.2, (1e3,))]
+    assert verdict_of(some_results(close)).title.endswith("cannot be told apart at 1000 photons")
+
+
+def test_one_that_never_gets_there_needs_more_than_all_the_light_tried():
+    rows = [*curve("deepfsi", 1), *curve("pca", 1e6)]
+    said = verdict_of(some_results(rows))
+    assert said.title.endswith(" need over 10 times less light than PCA")
+
+
+def test_one_design_has_its_accuracy():
+    said = verdict_of(some_results(curve("pca", 1)))
+    assert said.title == "PCA reaches accuracy 0.945"
+    assert said.text == "PCA reaches accuracy 0.945 at 10⁵ photons."
+
+
+def test_of_several_noises_the_first_is_said():
+    rows = [*curve("deepfsi", 1), *curve("pca", 5)]
+    others = [p.model_copy(update={"noise": "gaussian"}) for p in rows]
+    assert verdict_of(some_results([*rows, *others])).title.endswith("than PCA under photon noise")
+
+
+def test_values_below_0_are_no_fault():
+    """R² of a bad guess is below 0."""
+    rows = [*curve("deepfsi", 1), *curve("pca", 5)]
+    low = [
+        p.model_copy(update={"accuracy": -2.0, "low": -2.1, "high": -1.9, "accuracies": (-2.0,)})
+        if p.photons == 1e2 and p.design == "pca"
+        else p
+        for p in rows
+    ]
+    data = {"measure": "R²", "classes": (), "values": ("row", "column")}
+    assert "for the same R²" in verdict_of(some_results(low, data=data)).text
