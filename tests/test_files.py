@@ -105,7 +105,7 @@ def test_a_growing_file_on_a_full_disk_keeps_whole_parts_and_says_so(tmp_path, m
         file.write(b"start")  # as the header of a recording is written again
         file.seek(80)
         monkeypatch.setattr(os, "write", lambda file, part: 0)
-        with pytest.raises(InputError, match="No space left on device; what was written before"):
+        with pytest.raises(InputError, match="No space left on device; its first 80 bytes"):
             file.write(b"more")
     assert (tmp_path / "file").read_bytes() == b"start678" + b"12345678" * 9
 

@@ -1,4 +1,4 @@
-"""Ctrl-C at random moments: one line, exit code 130, nothing left over.
+"""Ctrl-C and SIGTERM at random moments: one line, exit code 130 or 143, nothing left over.
 
 DEEPFSI_STOPS=100 pytest tests/test_interrupts.py tries more moments, and times them.
 """
@@ -6,15 +6,18 @@ DEEPFSI_STOPS=100 pytest tests/test_interrupts.py tries more moments, and times 
 import json
 import os
 import random
+import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
 import psutil
 import pytest
 
+from deepfsi import interrupts
 from shared.waiting import PATIENCE, until
 
 ASKED = os.environ.get("DEEPFSI_STOPS")
@@ -56,17 +59,24 @@ def start(folder: Path) -> subprocess.Popen:
     return process
 
 
-def stopped(process: subprocess.Popen) -> float:
-    """Seconds from Ctrl-C, which reaches the whole group, to the end, with one line said."""
+def stopped(process: subprocess.Popen, number: int = signal.SIGINT, alone: bool = False) -> float:
+    """Seconds from a signal, to the whole group or to the command alone, to its end.
+
+    With one line said, which names finished trials where there are some, and only there.
+    """
+    folder = Path(process.args[-3])
+    before = any(folder.glob("trials/*.json"))
     children = psutil.Process(process.pid).children(recursive=True)
     began = time.monotonic()
-    os.killpg(process.pid, signal.SIGINT)
+    (os.kill if alone else os.killpg)(process.pid, number)
     _, errors = process.communicate(timeout=PATIENCE)
     took = time.monotonic() - began
     assert not psutil.wait_procs(children, timeout=PATIENCE)[1]
-    assert process.returncode == 130, errors
+    assert process.returncode == 128 + number, errors
     lines = [line for line in errors.splitlines() if line and line[:7] != "sweep: "]  # progress
-    assert lines == ["deepfsi: stopped; finished trials are kept, run again to go on"], errors
+    said = "deepfsi: stopped", "deepfsi: stopped; finished trials are kept, run again to go on"
+    assert lines in [[said[1]]] if before else [[each] for each in said], errors
+    assert lines == [said[0]] or any(folder.glob("trials/*.json"))
     return took
 
 
@@ -76,23 +86,26 @@ def crowding() -> float:
 
 
 @pytest.mark.slow
-def test_ctrl_c_at_any_moment_says_one_line_and_leaves_at_once(tmp_path):
+def test_a_signal_at_any_moment_says_one_line_and_leaves_at_once(tmp_path):
     """While workers train, as the command begins, and at moments in between."""
     process, began = start(tmp_path), time.monotonic()
     until(lambda: list(tmp_path.glob("out/trials/*.json")) or process.poll() is not None)
     span, chance = time.monotonic() - began, random.Random(5)
     moments = [chance.uniform(0, 1.2 * span) for _ in range(STOPS)]
     seconds = [stopped(process)]
-    for moment in [0.0, *moments]:
+    for place, moment in enumerate([0.0, 0.0, *moments, *moments]):
+        shutil.rmtree(tmp_path / "out", ignore_errors=True)
         process = start(tmp_path)
         time.sleep(moment)
-        seconds.append(stopped(process))
+        number = (signal.SIGINT, signal.SIGTERM)[place % 2]
+        seconds.append(stopped(process, number, alone=number == signal.SIGTERM))
     if ASKED:
         print(json.dumps({"seconds": sorted(round(each, 2) for each in seconds)}))
         assert max(seconds) < SLOWEST * crowding()
 
 
-def test_a_command_ends_within_a_moment_where_no_exception_would_come(tmp_path):
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_command_ends_within_a_moment_where_no_exception_would_come(number):
     """A loop that swallows what Ctrl-C raises, and prints its own words."""
     code = (
         "import sys, time; from deepfsi import interrupts; interrupts.arm()\n"
@@ -105,6 +118,31 @@ def test_a_command_ends_within_a_moment_where_no_exception_would_come(tmp_path):
         [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
     assert process.stdout.readline() == "armed\n"
-    process.send_signal(signal.SIGINT)
+    process.send_signal(number)
     _, errors = process.communicate(timeout=PATIENCE)
-    assert (process.returncode, errors) == (130, "deepfsi: stopped\n")
+    assert (process.returncode, errors) == (128 + number, "deepfsi: stopped\n")
+
+
+def test_a_worker_sees_no_signal_while_it_is_started(monkeypatch):
+    """What comes meanwhile comes after: a worker whose parent ends then prints a traceback."""
+    came, usual = [], {each: signal.getsignal(each) for each in interrupts.SIGNALS}
+    try:
+        for number in interrupts.SIGNALS:
+            signal.signal(number, lambda number, frame: came.append(number))
+        with interrupts.held_back():
+            os.kill(os.getpid(), signal.SIGTERM)
+            assert not came
+        assert came == [signal.SIGTERM]
+    finally:
+        for number, handler in usual.items():
+            signal.signal(number, handler)
+
+
+def test_what_is_kept_is_said_once_there_is_something(capsys, monkeypatch):
+    monkeypatch.setattr(interrupts, "_kept", "")
+    monkeypatch.setattr(interrupts, "_said", threading.Event())
+    assert interrupts.kept() == ""
+    interrupts.keep("finished scenes are kept")
+    interrupts.say_stopped()
+    interrupts.say_stopped()
+    assert capsys.readouterr().err == "deepfsi: stopped; finished scenes are kept\n"

@@ -80,6 +80,9 @@ LARGEST_TOML = 2**18
 MOST_DOTS = 500
 """Dots of a key of a TOML file at most: to read a key takes time in the square of its parts."""
 
+LONGEST_NAME = 255
+"""Bytes of a file's name at most."""
+
 SPARE, RATIO = 2**24, 32
 """Values, or bytes, that any file may unpack to, and those for each of its bytes beyond."""
 
@@ -190,6 +193,18 @@ def check_ending(path: str | os.PathLike[str], ends: Sequence[str]) -> None:
         raise InputError(f"cannot write to {path}: end the name in {' or '.join(ends)}")
 
 
+def readable(name: str) -> str:
+    r"""A file's name as text: bytes of it that are no UTF-8 as `\xff`, which JSON cannot hold."""
+    return os.fsencode(name).decode("utf-8", "backslashreplace")
+
+
+def check_readable(path: str) -> str:
+    """The path, or `InputError` where bytes of it are no UTF-8: no file of ours could keep it."""
+    if readable(path) != path:
+        raise InputError(f"the name {readable(path)} is not UTF-8: rename the file or folder")
+    return path
+
+
 def hash_file(path: Path) -> str:
     """SHA-256 of a file's content."""
     with open_regular(path) as file:
@@ -235,8 +250,8 @@ class GrowingFile(FileIO):
         except OSError as error:
             self.truncate(size)
             raise InputError(
-                f"cannot write {self.name}: {error.strerror or error}; what was written before "
-                "is kept: free the disk, or give a folder on another one"
+                f"cannot write {self.name}: {error.strerror or error}; its first {size} bytes are "
+                "kept: free the disk, or give a folder on another one"
             ) from error
         return len(part)
 
@@ -308,7 +323,9 @@ def _draft(target: Path) -> Path:
     """Place for what is to become `target`; its folder is made, and cleared of old drafts."""
     target.parent.mkdir(parents=True, exist_ok=True)
     _clear_once(target.parent.resolve())
-    return target.parent / f".{target.name}.{this_process()}.draft"
+    owner = str(this_process())
+    name = os.fsdecode(os.fsencode(target.name)[: LONGEST_NAME - len(owner) - 8])
+    return target.parent / f".{name}.{owner}.draft"
 
 
 @cache

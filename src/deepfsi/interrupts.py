@@ -1,11 +1,13 @@
-"""Ctrl-C on a command line: one line and exit code 130 within two seconds, at any moment.
+"""Ctrl-C and SIGTERM on a command line: one line, and the end within two seconds, at any moment.
 
-Python turns Ctrl-C into `KeyboardInterrupt`, which does harm where it comes at a bad moment: within
-the import of a compiled module (a fatal error of Python), in a worker process that just starts (a
-traceback), in a callback (ignored), or late (a long product of matrices). So it is raised only
-where no import runs, workers are started with it blocked, and a thread ends the process that is
-still there `GRACE_SECONDS` after. Files are drafts until they are whole, and claims end with their
-process, so that ending at any moment leaves nothing half done.
+The exit code is 130 after Ctrl-C and 143 after SIGTERM, as shells have them. Python turns Ctrl-C
+into `KeyboardInterrupt`, which does harm where it comes at a bad moment: within the import of a
+compiled module (a fatal error of Python), in a worker process that just starts (a traceback), in a
+callback (ignored), or late (a long product of matrices). So it is raised only where no import runs,
+workers are started with it blocked, and a thread ends the process that is still there
+`GRACE_SECONDS` after. SIGTERM goes the same way: a worker whose parent ends while it starts prints
+a traceback. Files are drafts until they are whole, and claims end with their process, so that
+ending at any moment leaves nothing half done.
 """
 
 import contextlib
@@ -18,7 +20,10 @@ from types import FrameType
 from typing import Any, NoReturn
 
 STOPPED = 130
-"""Exit code after Ctrl-C."""
+"""Exit code of a command that was stopped, here; `leave` gives that of the signal."""
+
+SIGNALS = signal.SIGINT, signal.SIGTERM
+"""What stops a command."""
 
 GRACE_SECONDS = 1.2
 """Time from Ctrl-C until the process is ended."""
@@ -27,6 +32,8 @@ RAY_GRACE_SECONDS = 20.0
 """The same where work runs on a Ray cluster, which has to be told to stop."""
 
 _said = threading.Event()
+_came = signal.SIGINT
+_kept = ""
 
 
 def arm() -> None:
@@ -35,7 +42,8 @@ def arm() -> None:
         return
     reading, writing = os.pipe()
     os.set_blocking(writing, False)
-    signal.signal(signal.SIGINT, _stop)
+    for number in SIGNALS:
+        signal.signal(number, _stop)
     signal.set_wakeup_fd(writing, warn_on_full_buffer=False)  # also while a long call runs
     threading.Thread(target=_end_in_time, args=(reading,), daemon=True).start()
     sys.warnoptions.append("ignore:resource_tracker")  # it cleans up after us, and says so
@@ -48,17 +56,22 @@ def arm() -> None:
     sys.unraisablehook = without_stops
 
 
+def keep(words: str) -> None:
+    """Note what is kept from now on if the command is stopped, such as "finished scenes"."""
+    global _kept
+    _kept = words
+
+
+def kept() -> str:
+    """End of a line that says what is kept of a command's work: nothing where nothing is."""
+    return f"; {_kept}" if _kept else ""
+
+
 def say_stopped() -> None:
     """Say once on standard error that the command was stopped, and what is kept."""
     if not _said.is_set():
         _said.set()
-        resumes = sys.argv[1:2] in (["compare"], ["sweep"], ["reproduce"], ["plan"])
-        kept = "; finished trials are kept, run again to go on" if resumes else ""
-        if sys.argv[1:3] in (["camera", "live"], ["camera", "record"]):
-            kept = "; finished scenes are kept"
-        if sys.argv[1:3] == ["designs", "make"]:
-            kept = "; finished designs are kept, run again to go on"
-        print(f"deepfsi: stopped{kept}", file=sys.stderr)
+        print(f"deepfsi: stopped{kept()}", file=sys.stderr)
 
 
 def leave() -> NoReturn:
@@ -70,27 +83,30 @@ def leave() -> NoReturn:
         say_stopped()
         sys.stderr.flush()
         sys.stdout.flush()
-    os._exit(STOPPED)
+    os._exit(128 + _came)
 
 
 @contextlib.contextmanager
 def held_back() -> Iterator[None]:
-    """Hold Ctrl-C back until the block ends; processes started in it never see it."""
-    usual = signal.getsignal(signal.SIGINT)
+    """Hold back what stops until the block ends; processes started in it never see Ctrl-C."""
+    usual = {number: signal.getsignal(number) for number in SIGNALS}
     elsewhere = threading.current_thread() is not threading.main_thread()
-    if sys.platform == "win32" or elsewhere or usual is None:
+    if sys.platform == "win32" or elsewhere or usual[signal.SIGINT] is None:
         yield
         return
     came: list[int] = []
-    signal.signal(signal.SIGINT, lambda number, frame: came.append(number))
+    held = [number for number in SIGNALS if callable(usual[number])]
+    for number in held:
+        signal.signal(number, lambda number, frame: came.append(number))
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
     try:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-        signal.signal(signal.SIGINT, usual)
-        if came and callable(usual):
-            usual(came[0], sys._getframe())
+        for number in held:
+            signal.signal(number, usual[number])
+        if came and callable(handler := usual[signal.Signals(came[0])]):
+            handler(came[0], sys._getframe())
 
 
 def _end_workers() -> None:
@@ -106,6 +122,8 @@ def _end_workers() -> None:
 
 def _stop(number: int, frame: FrameType | None) -> None:
     """Raise `KeyboardInterrupt`, but end the process where an import runs."""
+    global _came
+    _came = signal.Signals(number)
     while frame is not None:
         if frame.f_code.co_filename.startswith("<frozen importlib"):
             leave()
@@ -114,9 +132,9 @@ def _stop(number: int, frame: FrameType | None) -> None:
 
 
 def _end_in_time(reading: int) -> None:
-    """End the process some time after the first Ctrl-C, or at the second."""
-    while os.read(reading, 1) != bytes([signal.SIGINT]):
-        pass
+    """End the process some time after the first signal that stops, or at the second."""
+    global _came
+    _came = _wait_for_stop(reading)
     again = threading.Thread(target=_end_at_once, args=(reading,), daemon=True)
     again.start()
     ray = any(word.split("=")[0] == "--ray" for word in sys.argv)
@@ -125,5 +143,10 @@ def _end_in_time(reading: int) -> None:
 
 
 def _end_at_once(reading: int) -> None:
-    while os.read(reading, 1) != bytes([signal.SIGINT]):
+    _wait_for_stop(reading)
+
+
+def _wait_for_stop(reading: int) -> signal.Signals:
+    while (number := os.read(reading, 1)[0]) not in SIGNALS:
         pass
+    return signal.Signals(number)

@@ -1,6 +1,7 @@
 """Input and output shared by the commands: files, tables, figures, progress."""
 
 import json
+import re
 import shlex
 import sys
 from collections.abc import Mapping, Sequence
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from deepfsi.cli import paths
+from deepfsi.files import readable
 from deepfsi.progress import Report, terminal_bar
 
 if TYPE_CHECKING:
@@ -113,7 +115,7 @@ def read_matrix(source: str | None) -> "np.ndarray | None":
 
 def command_line() -> str:
     """Command as it was typed, for records and pages."""
-    return shlex.join(["deepfsi", *sys.argv[1:]])
+    return shlex.join(["deepfsi", *map(readable, sys.argv[1:])])
 
 
 NAME_WIDTH = 13
@@ -126,7 +128,10 @@ JSON_SCHEMA = 1
 def print_json(command: str, value: Mapping[str, Any]) -> None:
     """Print what a command found for scripts, its schema first: "deepfsi.camera.count/1"."""
     schema = {"schema": f"deepfsi.{command}/{JSON_SCHEMA}"}
-    print(json.dumps({**schema, **value, **schema}, indent=1))
+    text = json.dumps({**schema, **value, **schema}, ensure_ascii=False)
+    # bytes of a path that are no UTF-8, which no reader of JSON takes
+    text = re.sub("[\udc80-\udcff]", lambda byte: f"\\\\x{ord(byte[0]) - 0xDC00:02x}", text)
+    print(json.dumps(json.loads(text), indent=1))
 
 
 def print_pictures(command: str, written: Sequence[Path], folder: Path, as_json: bool) -> None:

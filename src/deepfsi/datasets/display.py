@@ -23,7 +23,7 @@ from deepfsi.datasets.pictures import (
 )
 from deepfsi.datasets.values import Levels, reflectance
 from deepfsi.errors import InputError
-from deepfsi.files import new_folder
+from deepfsi.files import new_folder, readable
 
 
 class Display(NamedTuple):
@@ -61,7 +61,8 @@ def read_display(
         pictures = [picture for part in list_folder(source) for picture in part]
     folder = source.parent if source.is_file() else source
     pixels, tally, kept = read_all(pictures, shape, bilinear, skip_bad)
-    names = tuple(Path(pictures[place].where).relative_to(folder).as_posix() for place in kept)
+    files = [Path(pictures[place].where).relative_to(folder).as_posix() for place in kept]
+    names = tuple(map(readable, files))
     labels = [pictures[place].label for place in kept]
     classes = tuple(label for label in labels if label and isinstance(label, str)) or None
     levels, sized = tally.levels(white), sized_text(shape, bilinear)

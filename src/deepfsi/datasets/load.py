@@ -16,6 +16,7 @@ from deepfsi.datasets.dataset import Dataset, Origin
 from deepfsi.datasets.display import Display, read_display
 from deepfsi.datasets.pictures import load_pictures
 from deepfsi.errors import InputError, closest
+from deepfsi.files import check_readable
 
 DIM_BLACK = (0.3, 1.0)
 """Reflectance of black and white in named images: black reflects, so that every pixel counts."""
@@ -112,15 +113,16 @@ def _load(source: str | os.PathLike[str] | tuple[Any, ...], options: Options) ->
             "and labels of a torch data set make two such arrays"
         )
     name = os.fspath(source)
+    place = absolute(name)
     _refuse(options, name if name in NAMES else _existing(name).name, takes(name))
     data = _load_name(name, options) if name in NAMES else _load_path(_existing(name), options)
     known = options._replace(size=pictures.as_shape(options.size), white=data.white)
-    return replace(data, origin=Origin(data=absolute(name), **known._asdict()))
+    return replace(data, origin=Origin(data=place, **known._asdict()))
 
 
 def absolute(source: str) -> str:
     """Name of a data set as it is, absolute path of any other."""
-    return source if source in NAMES else str(Path(source).expanduser().absolute())
+    return source if source in NAMES else check_readable(str(Path(source).expanduser().absolute()))
 
 
 def takes(source: str) -> tuple[str, ...]:

@@ -33,7 +33,7 @@ from deepfsi.datasets.dataset import Dataset
 from deepfsi.datasets.decoding import Shape, Tally
 from deepfsi.datasets.values import reflectance
 from deepfsi.errors import InputError
-from deepfsi.files import check_unpacked, read_regular
+from deepfsi.files import check_unpacked, read_regular, readable
 from deepfsi.tables.text_files import (
     LABEL_HEADS,
     WITHOUT_VALUE,
@@ -284,7 +284,7 @@ def _walk(folder: Path, above: tuple[str, ...] = ()) -> Iterator[_Entry]:
             if not _is_of_system(entry.name)
         ]
     for entry, is_dir in parts:
-        names = (*above, entry.name)
+        names = (*above, readable(entry.name))
         yield names, None if is_dir else picture_file(Path(entry.path))
         if is_dir and len(names) < DEEPEST:
             yield from _walk(Path(entry.path), names)

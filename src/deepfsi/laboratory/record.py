@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deepfsi import progress
+from deepfsi import interrupts, progress
 from deepfsi.errors import InputError
 from deepfsi.hardware.drivers.protocols import PassProjector, StreamingCounter
 from deepfsi.hardware.patterns.folder import read_patterns
@@ -68,6 +68,7 @@ def record_run(
                 bench.display(place)
                 counted = show(scene)
                 done = place + 1
+                interrupts.keep("finished scenes are kept")
                 yield counted
             bench.counter.stop()
         finally:

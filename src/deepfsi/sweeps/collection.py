@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 from pydantic import Field, model_validator
 
+from deepfsi import interrupts
 from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.design.evaluation import Result, evaluate
 from deepfsi.design.file_content import check_classes
@@ -171,9 +172,10 @@ def make(
         recipe = collection.designs[name]
         if (known := _there(folder, name, recipe)) is not None:
             yield Made(name, known, True)
-            continue
-        with bar(name) as report:
-            yield Made(name, _make(collection, folder, name, command, report), False)
+        else:
+            with bar(name) as report:
+                yield Made(name, _make(collection, folder, name, command, report), False)
+        interrupts.keep("finished designs are kept, run again to go on")
 
 
 def _there(folder: Path, name: str, recipe: DesignRecipe) -> Published | None:

@@ -23,6 +23,7 @@ from typing import Any
 
 from pydantic import BaseModel, Field, FiniteFloat
 
+from deepfsi import interrupts
 from deepfsi.design.adaptive.design import AnyDesign, load_design
 from deepfsi.design.estimation import Estimates
 from deepfsi.design.evaluation import Result
@@ -49,6 +50,9 @@ CHOSEN_BY = ("accuracy", "balanced", "auc", "r2")
 
 Finished = tuple[Trial, Mapping[str, Any], bytes | None]
 """A trial, its record, and its design file where it was trained now."""
+
+KEPT = "finished trials are kept, run again to go on"
+"""What a command that is stopped says, once there is one."""
 
 LARGEST_FILE = 2**26
 """Bytes of a record at most."""
@@ -108,7 +112,10 @@ class Records:
             whole = _Record.model_validate(record)
         except (ValueError, RecursionError):  # InputError and ValidationError are ValueErrors
             return None
-        return record if (whole.revision, whole.key) == (SCHEMA, trial.key) else None
+        if (whole.revision, whole.key) != (SCHEMA, trial.key):
+            return None
+        interrupts.keep(KEPT)
+        return record
 
     def design(self, trial: Trial) -> AnyDesign | None:
         """Design of a trial that was trained already, perhaps for other tests."""
@@ -128,6 +135,7 @@ class Records:
                     write_atomically(draft / self._design_path(trial).name, design)
                 record_file = draft / self._record_path(trial).name
                 write_atomically(record_file, json.dumps(record, indent=1).encode())
+        interrupts.keep(KEPT)  # the next process moves what this one does not
         self._move(folder)
         self.release(trial for trial, _, _ in finished)
 

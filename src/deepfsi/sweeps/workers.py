@@ -3,18 +3,21 @@
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from multiprocessing import resource_tracker
+from types import ModuleType
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from deepfsi.errors import InputError
-from deepfsi.interrupts import held_back
+from deepfsi.interrupts import held_back, kept
 from deepfsi.progress import SILENT, Report
 
 Task = TypeVar("Task")
@@ -86,14 +89,25 @@ def processes(
         yield from _worked_off(pool, work, tasks, shares, running, watch)
     except BrokenProcessPool:
         raise InputError(
-            f"one of {workers} worker processes was killed, perhaps for want of memory: finished "
-            "work is kept; run again with fewer `workers`"
+            f"one of {workers} worker processes was killed, perhaps for want of memory: run again "
+            f"with fewer `workers`{kept()}"
         ) from None
     finally:
         if running:
             for child in set(multiprocessing.active_children()) - others:
                 child.terminate()
         pool.shutdown(cancel_futures=True)
+
+
+@contextmanager
+def _main_hidden() -> Iterator[None]:
+    """Start processes that do not run the caller's script again, which may have no main guard."""
+    script = sys.modules["__main__"]
+    sys.modules["__main__"] = ModuleType("__main__")
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = script
 
 
 def _worked_off(
@@ -110,7 +124,7 @@ def _worked_off(
         while free and (task := next(queue, None)):
             (place, given), slot = task, free.pop()
             shares[slot] = 0.0
-            with held_back():
+            with held_back(), _main_hidden():
                 running[pool.submit(_run, work, given, slot)] = place, slot
         if not running:
             return

@@ -14,6 +14,7 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
+from deepfsi import interrupts
 from deepfsi.errors import InputError, as_input_error
 from deepfsi.files import GrowingFile
 from deepfsi.hardware.drivers.protocols import (
@@ -219,6 +220,7 @@ def _look(
         clock_s=clock_s,
     )
     record.write(f"{finished.model_dump_json()}\n".encode())
+    interrupts.keep("finished scenes are kept")
     answer = LiveScene.of(scene, last, observer.looks.classes, clock_s)
     yield Decided(place, last, clock_s, answer)
 
