@@ -50,6 +50,78 @@ def test_what_was_done_to_pictures_is_said_in_one_line(done, pictures, tmp_path)
     assert line == f"data: {facts['name']}. {facts['preprocessing']}"
 
 
+OPTICS = ("--light", "free-dwell", "--rails", "single", "--levels", 2)
+SMALL_DEVICE = ("--device", "64x48", "--dwell", "4ms")
+SHOWN = ("--flux", "1e7", "--exposure", "5ms", "--virtual", "ideal")
+
+
+def test_pictures_that_were_trained_on_are_told_apart_in_a_recorded_run(done, pictures, tmp_path):
+    """Of a whole folder of one's own a fifth is new, and the test scenes of `data export` are."""
+    file, patterns = tmp_path / "leaves.safetensors", tmp_path / "patterns"
+    done("design", "--data", pictures, *TRAINED, *OPTICS, "-o", file)
+    done("dmd", "export", file, *SMALL_DEVICE, "-o", patterns)
+    done("data", "export", pictures, "--per-class", 6, "-o", tmp_path / "new")
+    for source, trained in ((pictures, 72), (tmp_path / "new", 0)):
+        run = tmp_path / f"run_{source.name}"
+        done("camera", "simulate", patterns, "--scene", source, *SHOWN, "--repeats", 1, "-o", run)
+        done("camera", "count", run)
+        said = json.loads(done("camera", "classify", file, run, "--json"))
+        score = {name: each["scenes"] for name, each in said["score"].items()}
+        assert score == {"new": 18, "trained_on": trained, "unknown": 0}
+        flags = [scene["trained_on"] for scene in said["scenes"]]
+        assert flags.count(True) == trained
+        right, printed = said["score"]["new"]["right"], done("camera", "classify", file, run)
+        if trained:
+            assert f"right: {right} of 18 new exposures (" in printed
+            assert (
+                f"72 of these 90 exposures were trained on ({said['score']['trained_on']['right']} "
+                in printed
+            )
+        else:
+            assert f"right: {right} of 18 exposures, none of them trained on (" in printed
+    done("camera", "prepare", patterns, "--scenes", pictures, "-o", tmp_path / "lab")
+    prepared = json.loads((tmp_path / "lab" / "acquisition.json").read_text())["scenes"]
+    simulated = json.loads((tmp_path / "run_leaves" / "acquisition.json").read_text())["scenes"]
+    assert prepared == simulated
+    assert all(len(scene["hash"]) == 8 for scene in prepared)
+
+
+def test_of_scenes_by_name_it_is_not_known(done, pictures, tmp_path):
+    """Their acquisition is as it was before scenes had hashes, and so are its counts."""
+    file, patterns = tmp_path / "leaves.safetensors", tmp_path / "patterns"
+    done("design", "--data", pictures, *TRAINED, *OPTICS, "-o", file)
+    done("dmd", "export", file, *SMALL_DEVICE, "-o", patterns)
+    run, lab = tmp_path / "run", tmp_path / "lab"
+    done("camera", "simulate", patterns, "--scene", pictures / "ash", *SHOWN, "-o", run)
+    names = tmp_path / "scenes.csv"
+    names.write_text("".join(f"{k:03}.png,ash\n" for k in range(30)))
+    done("camera", "prepare", patterns, "--scenes", names, "--exposure", "5ms", "-o", lab)
+    (run / "photons.ptu").rename(lab / "photons.ptu")
+    done("camera", "count", lab)
+    assert set(json.loads((lab / "acquisition.json").read_text())["scenes"][0]) == {"name", "label"}
+    printed = done("camera", "classify", file, lab)
+    assert "exposures (" in printed
+    assert "whether the design was trained on them is not known" in printed
+
+
+@pytest.mark.parametrize("looks", [("--design", "adaptive"), ("--looks", 2, *OPTICS)])
+def test_pictures_that_were_trained_on_are_told_apart_in_a_live_run(
+    done, pictures, tmp_path, looks
+):
+    file, patterns, run = tmp_path / "l.safetensors", tmp_path / "patterns", tmp_path / "run"
+    done("design", "--data", pictures, *TRAINED, "--light", "free-dwell", *looks, "-o", file)
+    done("dmd", "export", file, "--device", "dlp7000", "--dwell", "4ms", "-o", patterns)
+    told = json.loads(
+        done("camera", "live", patterns, "--scene", pictures / "oak", *SHOWN, "-o", run, "--json")
+    )
+    count = sum(scene["trained_on"] for scene in told["scenes"])
+    assert count == 24, "30 pictures of a class, of which six are test scenes"
+    done("camera", "count", run)
+    again = json.loads(done("camera", "classify", file, run, "--json"))
+    assert [s["trained_on"] for s in again["scenes"]] == [s["trained_on"] for s in told["scenes"]]
+    assert again["score"] == told["score"]
+
+
 @pytest.mark.parametrize("command", ["design", "compare", "plan"])
 def test_pictures_that_cannot_be_read_are_left_out_and_named(
     done, refuse, pictures, tmp_path, command

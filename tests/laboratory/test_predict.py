@@ -91,8 +91,8 @@ def test_pictures_that_data_export_wrote_are_not_mapped_twice(design, digits, ra
     found = deepfsi.predict(design, tmp_path / "shown", 1e6)
     assert "mapped" not in found.preprocessing
     assert {each.label for each in found.pictures} == set(digits.classes)
-    assert found.right[1] == 20
-    assert found.right[0] >= 17
+    assert found.score.new.answers == 20
+    assert found.score.new.right >= 17
     (raw / "0000.png").rename(tmp_path / "shown" / "0" / "x.png")
     with pytest.raises(InputError, match=r"20 of 21 pictures .* give them apart"):
         deepfsi.predict(design, tmp_path / "shown", 1e6)

@@ -47,7 +47,7 @@ def camera_prepare(
     manifest, known = read_patterns(patterns).manifest, camera_of(patterns, **settings)
     planned = plan_acquisition(
         manifest,
-        listed(scenes),
+        listed(scenes, patterns),
         exposure_s=known.exposure,
         settle_s=options.optional_seconds("settle", settle),
         repeats=repeats,

@@ -109,7 +109,7 @@ def camera_simulate(
     from deepfsi.hardware.patterns.folder import read_patterns
     from deepfsi.hardware.virtual.camera import RecordingSettings, expected_events, record
     from deepfsi.laboratory.camera import camera_of, clicks_of, exposure_of, flux_of
-    from deepfsi.laboratory.scenes import displayed
+    from deepfsi.laboratory.scenes import displayed, picture_hashes
 
     known, seen = camera_of(patterns, **settings), find_camera(virtual, patterns, settings)
     if virtual is None:
@@ -128,7 +128,9 @@ def camera_simulate(
     if not yes:
         ask_for_room(expected_events(shown, images.x, recording.camera, recording.flux))
     with common.progress("photons", quiet=as_json) as report:
-        made = record(patterns, images.x, images.names, images.labels, out, recording, report)
+        hashes = picture_hashes(scene, patterns)
+        told = images.x, images.names, images.labels
+        made = record(patterns, *told, out, recording, report, hashes)
     if as_json:
         common.print_json(
             "camera.simulate",

@@ -136,12 +136,10 @@ def _print_classes(found: "ClassifiedRun") -> None:
     common.print_table(f"{found.design}, {found.masks} masks", heads, rows)
     for fault in found.faults:
         print(fault.line([scene.name for scene in found.scenes]))
-    labelled = [(g, scene.label) for scene in found.scenes if scene.label for g in scene.guesses]
-    known = [(guess, label) for guess, label in labelled if label in found.classes]
-    if known:
-        right = sum(guess == label for guess, label in known)
-        print(f"right: {right} of {len(known)} exposures")
-    if foreign := len(labelled) - len(known):
+    for line in found.score.lines("exposure"):
+        print(line)
+    labelled = sum(len(scene.guesses) for scene in found.scenes if scene.label)
+    if foreign := labelled - found.score.answers:
         print(f"{foreign} exposures have labels that are none of the design's classes: left out")
     from deepfsi.cli import as_options
 
@@ -179,7 +177,7 @@ def print_right(scenes: "Sequence[LiveScene]") -> None:
     told = [scene for scene in scenes if scene.predicted is not None]
     if none := len(scenes) - len(told):
         print(f"no class: {none} of {len(scenes)} scenes")
-    known = [scene for scene in told if scene.label is not None]
-    if known:
-        right = sum(scene.predicted == scene.label for scene in known)
-        print(f"right: {right} of {len(known)} scenes")
+    from deepfsi.laboratory.results import score_of
+
+    for line in score_of(scenes).lines("scene"):
+        print(line)

@@ -108,7 +108,10 @@ def camera_live(
     with _patterns(source, as_json) as patterns:
         images = displayed(scene, patterns)
         acquisition = plan_live(
-            patterns, scenes_of(images), exposure_s, shortest_s, photons, until, **told
+            patterns,
+            scenes_of(images, scene, patterns),
+            *(exposure_s, shortest_s, photons, until),
+            **told,
         )
         bench: Bench[StreamingProjector]
         if simulated:
@@ -224,6 +227,8 @@ def _print_run(
     scenes: "list[LiveScene]", folder: Path, preprocessing: str, exposure_s: float, as_json: bool
 ) -> None:
     """Print the sum of all scenes, or all as JSON; `InputError` if none has light."""
+    from deepfsi.laboratory.results import score_of
+
     if not any(scene.looks for scene in scenes):
         raise InputError(
             f"no scene of {folder} has light: no all-ON frame is brighter than the all-OFF "
@@ -237,7 +242,9 @@ def _print_run(
         raise InputError(f"no scene of {folder} has a class: {as_options(str(first))}")
     if as_json:
         about = {"folder": str(folder), "preprocessing": preprocessing, "exposure_s": exposure_s}
-        common.print_json("camera.live", {**about, "scenes": [each.as_dict() for each in scenes]})
+        known = {"score": score_of(scenes).as_dict()}
+        answers = [each.as_dict() for each in scenes]
+        common.print_json("camera.live", {**about, **known, "scenes": answers})
         return
     print(f"scenes: {preprocessing}")
     print_right(scenes)

@@ -70,10 +70,10 @@ def predict(
         f"{made.name}, {common.size(made)}, {common.budget(budget)} photons, {found.noise} noise"
     )
     common.print_table(title, ("picture", "class", "confidence", "labelled"), rows)
-    right, known = found.right
-    if known:
-        print(f"right: {right} of {known} pictures")
-    if foreign := sum(each.label is not None for each in found.pictures) - known:
+    for line in found.score.lines("picture"):
+        print(line)
+    labelled = sum(each.label is not None for each in found.pictures)
+    if foreign := labelled - found.score.answers:
         print(f"{foreign} pictures have labels that are none of the design's classes: left out")
     for remark in found.remarks:
         print(f"note: {remark}")

@@ -74,7 +74,7 @@ def camera_record(
             camera.ask_for_room(expected_events(shown, images.x, seen, known.flux or 0.0))
     acquisition = plan_acquisition(
         shown.manifest,
-        scenes_of(images) if simulated else listed(scene),
+        scenes_of(images, scene, patterns) if simulated else listed(scene, patterns),
         exposure_s=known.exposure,
         settle_s=options.optional_seconds("settle", settle),
         repeats=repeats,

@@ -18,6 +18,7 @@ from deepfsi.design.exposure.trained import FixedExposure, Observation, TrainedE
 from deepfsi.design.file_content import check_classes
 from deepfsi.design.own import Given, OwnClassifier, rebuilt
 from deepfsi.design.temperatures import Temperatures
+from deepfsi.design.training_data import TrainingScenes
 from deepfsi.design.values import Values
 from deepfsi.errors import InputError, as_input_error
 from deepfsi.files import DESIGNS, check_ending, write_atomically
@@ -69,6 +70,8 @@ class Design:
         What divides the logits at each budget, so that probabilities are those of being right.
     values : Values, optional
         Names, mean and standard deviation of the values that it estimates in place of classes.
+    training_scenes : TrainingScenes, optional
+        Hashes of the scenes that it was made with; None of files of older versions.
 
     Examples
     --------
@@ -97,6 +100,7 @@ class Design:
     distribution: ReadoutDistribution | None = None
     temperatures: Temperatures | None = None
     values: Values | None = None
+    training_scenes: TrainingScenes | None = None
 
     def __repr__(self) -> str:
         budget = self.info.get("job", {}).get("photons")

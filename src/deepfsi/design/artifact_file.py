@@ -21,6 +21,7 @@ from deepfsi.design.exposure.trained import STRICT, FixedExposure, PatchExposure
 from deepfsi.design.file_content import SCHEMA, Info, damaged, read_known_masks
 from deepfsi.design.own import OwnClassifier
 from deepfsi.design.temperatures import Temperatures
+from deepfsi.design.training_data import TrainingScenes
 from deepfsi.design.values import Values
 from deepfsi.errors import InputError
 from deepfsi.imports import PATTERN
@@ -190,6 +191,8 @@ def pack(design: "Design") -> bytes:
     every["rails"] = design.rails.stacked
     if design.detection.labels is not None:
         every["detectors"] = design.detection.labels
+    if design.training_scenes is not None:
+        every |= {k: torch.from_numpy(v) for k, v in design.training_scenes.tensors.items()}
     for part, state in weights.items():
         every |= {f"{part}.{key}": value for key, value in state.items()}
     # cloned: a user's module may share one tensor between layers
@@ -203,7 +206,8 @@ def read_design(path: str | os.PathLike[str]) -> dict[str, Any]:
     text, arrays = read_known_masks(path)
     tensors = {key: torch.from_numpy(held) for key, held in arrays.items()}
     try:
-        return _fields(Header.model_validate_json(text), tensors)
+        fields = _fields(Header.model_validate_json(text), tensors)
+        return {**fields, "training_scenes": TrainingScenes.restored(arrays)}
     except (KeyError, TypeError, ValueError, RuntimeError, IndexError) as error:
         raise damaged(path) from error
 

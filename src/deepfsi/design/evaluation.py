@@ -1,7 +1,7 @@
 """Accuracy of a design over budgets, with intervals that say what they cover."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import singledispatch
 from html import escape
 from math import prod
@@ -15,6 +15,7 @@ from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.design.confidence import calibration_error, confidence_groups
 from deepfsi.design.estimation import test_values
+from deepfsi.design.training_data import TrainingScenes, new_scenes
 from deepfsi.design.values import Values
 from deepfsi.errors import InputError
 from deepfsi.inline import accuracy_curve, confusion_table
@@ -176,6 +177,10 @@ class Tested(Protocol):
     def camera(self) -> Camera:
         """The camera that it was made for."""
 
+    @property
+    def training_scenes(self) -> TrainingScenes | None:
+        """Hashes of the scenes that it was made with."""
+
 
 @library_defaults()
 def evaluate(
@@ -195,7 +200,9 @@ def evaluate(
     ----------
     design : Design
     data : Dataset, str, path or tuple of arrays
-        Its test part is used; its pixels and classes must be the design's.
+        Its test part is used; its pixels and classes must be the design's. Test scenes that the
+        design was trained on are left out, and `covers` says so; where it was trained on all of
+        them they stay, and `covers` says that no number is a measure of the design.
     photons : float or sequence of float
         Budgets Φ.
     camera : Camera, str, path or mapping, optional
@@ -224,18 +231,26 @@ def evaluate(
     True
     """
     budgets = [check_budget(b) for b in np.atleast_1d(np.asarray(photons, dtype=object))]
-    scenes = as_dataset(data)
-    check_data(design, scenes)
+    given = as_dataset(data)
+    check_data(design, given)
     check_draws(draws, seed)
+    scenes, left = new_scenes(design.training_scenes, given)
     known = camera_for(design, camera, **settings)
     title = f"{design.name}, {design.masks} masks"
     if isinstance(design, Design) and design.values:
         with shown(report, title) as bar:
             scanner = scanner_for(design, known)
-            return test_values(design, scanner, scenes, budgets, draws, seed, bar)
+            values = test_values(design, scanner, scenes, budgets, draws, seed, bar)
+        return [replace(each, covers=covered(each.covers, left)) for each in values]
     guess_of, shares = answering(design, known)
     with shown(report, title) as bar:
-        return test_scenes(scenes, guess_of, budgets, draws, seed, known.noise_name, shares, bar)
+        results = test_scenes(scenes, guess_of, budgets, draws, seed, known.noise_name, shares, bar)
+    return ResultList(replace(each, covers=covered(each.covers, left)) for each in results)
+
+
+def covered(covers: str, left: str | None) -> str:
+    """What an interval covers, with the scenes that were left out."""
+    return covers if left is None else f"{covers}; {left}"
 
 
 TINY = torch.finfo(torch.float32).tiny

@@ -26,7 +26,7 @@ from deepfsi.design.evaluation import check_data, evaluate, scanner_for
 from deepfsi.design.exposure import LARGEST_SCORE
 from deepfsi.design.file_content import check_classes
 from deepfsi.design.stopping import rule_of, stop
-from deepfsi.design.training_data import trained_on
+from deepfsi.design.training_data import new_scenes, trained_on
 from deepfsi.errors import InputError
 from deepfsi.optics import constraints
 from deepfsi.optics.surroundings import library_defaults
@@ -55,9 +55,10 @@ def playable(
     """Payload of a page: JSON types only."""
     check_playable(design)
     check_data(design, data)
-    trained, budgets, tested = _trained(design), BUDGETS, data
+    fresh, _ = new_scenes(design.training_scenes, data)
+    trained, budgets, tested = _trained(design), BUDGETS, fresh
     if isinstance(design, AdaptiveDesign):
-        known, budgets, tested = of_page(design, seed), BUDGETS[::2], few_tests(data, seed)
+        known, budgets, tested = of_page(design, seed), BUDGETS[::2], few_tests(fresh, seed)
         own, design = _posterior(known, design), known
     else:
         own = _networks(design)
@@ -75,7 +76,7 @@ def playable(
         "budget": trained and {"low": trained[0], "high": trained[1]},
         "temperatures": _temperatures(design),
         "rules": rules,
-        "scenes": _scenes(data, seed),
+        "scenes": _scenes(fresh, seed),
         "curve": [
             {name: getattr(each, name) for name in ("photons", "accuracy", "low", "high")}
             for each in results
@@ -84,7 +85,7 @@ def playable(
             "images": results[0].images,
             "draws": draws,
             "covers": results[0].covers,
-            "commonest": data.chance,
+            "commonest": fresh.chance,
         },
         "data": {"name": data.name, "preprocessing": data.preprocessing},
         "version": version("deepfsi"),

@@ -16,6 +16,7 @@ from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import Guess, Result, check_data, check_draws, test_scenes
 from deepfsi.design.file_content import check_classes
+from deepfsi.design.training_data import new_scenes
 from deepfsi.errors import InputError
 from deepfsi.memory import check_memory, free_memory
 from deepfsi.optics.budget import check_budget, summed_reflectance
@@ -148,6 +149,8 @@ def ideal_observer(
     scenes = as_dataset(data)
     check_classes(scenes.values, "the ideal observer")
     check_draws(draws, seed)
+    if isinstance(design, Design):
+        scenes, _ = new_scenes(design.training_scenes, scenes)
     scanner, rates_of = _front_end(design, scenes)
     with torch.no_grad(), shown(report, "ideal observer") as bar:
         rates = rates_of(torch.from_numpy(scenes.x_train))

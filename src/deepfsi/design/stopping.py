@@ -27,10 +27,10 @@ from deepfsi.design.confidence import (
     logits_at_stops,
     stops_of,
 )
-from deepfsi.design.evaluation import check_data, check_draws
+from deepfsi.design.evaluation import check_data, check_draws, covered
 from deepfsi.design.exposure.looks import LooksExposure
 from deepfsi.design.file_content import check_classes
-from deepfsi.design.training_data import trained_on
+from deepfsi.design.training_data import new_scenes, trained_on
 from deepfsi.errors import InputError, as_input_error
 from deepfsi.optics.budget import check_budget
 from deepfsi.optics.surroundings import library_defaults
@@ -250,8 +250,10 @@ def stop(
     if threshold is None:
         threshold = choice.least_threshold(used)
     rule = StoppingRule(after, float(threshold), budget)
-    tested = logits_at_stops(design, scanner, scenes.x_test, budget, draws, seed)
-    return _stopped(rule, _Answers(tested, scenes.y_test, temperatures), choice, used, budget)
+    new, left = new_scenes(design.training_scenes, scenes)
+    tested = logits_at_stops(design, scanner, new.x_test, budget, draws, seed)
+    found = _stopped(rule, _Answers(tested, new.y_test, temperatures), choice, used, budget)
+    return replace(found, covers=covered(found.covers, left))
 
 
 def _held_out(design: AnyDesign, data: Dataset, count: int | None) -> Dataset:

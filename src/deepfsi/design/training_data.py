@@ -1,16 +1,29 @@
 """The data that a design was trained on, as it remembers them.
 
 A design keeps the name or path of its data with the options that load it, the hash of what was
-trained on, and the number of training scenes that were left out.
+trained on, the number of training scenes that were left out, and a short hash of each scene that it
+was made with, so that a test can tell its training scenes from others.
 """
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from hashlib import blake2b
+from typing import Any, Self
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from deepfsi.datasets import Dataset, Origin
 from deepfsi.errors import as_input_error
+
+HASH_BYTES = 4
+"""Bytes of the hash of a scene. A scene that is new is taken for one of n with n / 2³²."""
+
+LEVELS, FINE_LEVELS = 255, 2**16 - 1
+"""Highest level to which scenes are rounded before: images as a picture file keeps them; others."""
+
+HASHES = "training_scenes"
+"""Name of the tensor of a design file that holds the hashes."""
 
 
 class TrainedOn(BaseModel):
@@ -48,3 +61,88 @@ def trained_on(info: Mapping[str, Any]) -> TrainedOn | None:
         return None
     with as_input_error("the design's training data", "train it again"):
         return TrainedOn.model_validate(info["data"])
+
+
+def scene_hashes(scenes: np.ndarray, image_shape: tuple[int, ...]) -> tuple[str, ...]:
+    """Short hash, in hex, of each scene (n, ...) as a design sees it, rounded to levels."""
+    # Rounded as `write_pictures` does, so that a scene keeps its hash when it is written as a
+    # picture and read again
+    most = LEVELS if len(image_shape) == 2 else FINE_LEVELS
+    kind = np.uint8 if most == LEVELS else np.uint16
+    return tuple(
+        blake2b(
+            np.rint(scene.ravel() * most).clip(0, most).astype(kind), digest_size=HASH_BYTES
+        ).hexdigest()
+        for scene in scenes
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class TrainingScenes:
+    """Short hashes of all scenes that a design was made with."""
+
+    hashes: np.ndarray  # (n,) int32, rising
+
+    @classmethod
+    def of(cls, data: Dataset) -> Self:
+        """Those of a data set: its training part, and the held-out part that thresholds are of."""
+        parts = [data.x_train, *([data.x_test] if data.held_out else [])]
+        return cls(_numbers(h for part in parts for h in scene_hashes(part, data.image_shape)))
+
+    @classmethod
+    def restored(cls, tensors: Mapping[str, np.ndarray]) -> Self | None:
+        """Those that a design file holds, if it does; `ValueError` if they are none."""
+        if HASHES not in tensors:
+            return None
+        held = tensors[HASHES]
+        if held.ndim != 1 or held.dtype != np.int32 or (np.diff(held.astype(np.int64)) <= 0).any():
+            raise ValueError(f"{HASHES} are no hashes in order")
+        return cls(held)
+
+    @property
+    def tensors(self) -> dict[str, np.ndarray]:
+        """Tensor of a design file, by its name."""
+        return {HASHES: self.hashes}
+
+    def contains(self, hashes: Iterable[str]) -> np.ndarray:
+        """Whether the design was made with scenes of these hashes, bool (n,)."""
+        return np.isin(_numbers(hashes, unique=False), self.hashes)
+
+
+def _numbers(hashes: Iterable[str], unique: bool = True) -> np.ndarray:
+    """Hashes (n,) as int32, in order and each once if they are a set."""
+    found = np.frombuffer(bytes.fromhex("".join(hashes)), ">i4").astype(np.int32)
+    return np.unique(found) if unique else found
+
+
+def was_trained_on(known: TrainingScenes | None, hashes: Iterable[str | None]) -> list[bool | None]:
+    """Whether each of some scenes was trained on; None where that is not known."""
+    return [
+        None if known is None or each is None else bool(known.contains([each])[0])
+        for each in hashes
+    ]
+
+
+def new_scenes(known: TrainingScenes | None, data: Dataset) -> tuple[Dataset, str | None]:
+    """The data with those test scenes that are new to a design, and what was left out, in words.
+
+    Where the design was trained on all of them they stay, and the words say so. The test part of a
+    `hold_out` stays as it is: it is known to be of the training.
+    """
+    if known is None or data.held_out:
+        return data, None
+    trained = known.contains(scene_hashes(data.x_test, data.image_shape))
+    count, every = int(trained.sum()), len(trained)
+    if count == 0:
+        return data, None
+    if count == every:
+        return data, f"all {every} test scenes were trained on: {NO_MEASURE}"
+    kept = replace(data, x_test=data.x_test[~trained], y_test=data.y_test[~trained])
+    verb = ("was", "is") if count == 1 else ("were", "are")
+    return kept, "{} of the {} test scenes {} trained on, and {} left out".format(
+        count, every, *verb
+    )
+
+
+NO_MEASURE = "no number here says how good the design is"
+"""Said of answers to scenes that were all trained on."""

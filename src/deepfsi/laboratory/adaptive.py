@@ -37,6 +37,7 @@ class AdaptiveLooks:
 
     def __init__(self, design: AdaptiveDesign, manifest: Manifest) -> None:
         self.design, self.frames = design, manifest.shown
+        self.training_scenes = design.training_scenes
         self.classes, self.shortest = design.classes, 0.0
         self.shares = tuple(design.settings.shares)
         self.photons: float | None = design.info["job"].get("photons")

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from deepfsi.design.file_content import check_classes
+from deepfsi.design.training_data import was_trained_on
 from deepfsi.errors import InputError
 from deepfsi.files import hash_file
 from deepfsi.hardware.patterns.folder import DESIGN, read_patterns
@@ -249,6 +250,7 @@ def _classified(
         chance[some], unsure[some] = found.exposures, found.unsure
     chances = design.classify(design.readouts(counts.signal()), budgets[:, None])
     classified = []
+    trained = was_trained_on(design.training_scenes, [scene.hash for scene in scenes])
     for place, scene in enumerate(scenes):
         own = chances[place][usable[place]]
         mean = own.mean(axis=0) if len(own) else None
@@ -264,6 +266,7 @@ def _classified(
                 faults=counts.faults_of(place),
                 consistency=None if np.isnan(chance[place]) else float(chance[place]),
                 unsure=None if found is None else bool(unsure[place]),
+                trained_on=trained[place],
             )
         )
     remarks = (UNTESTED,) if found is None else tuple(found.remarks)

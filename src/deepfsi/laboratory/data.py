@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from deepfsi.datasets import Dataset, Origin, absolute, load_dataset, takes
 from deepfsi.design.evaluation import Tested
-from deepfsi.design.training_data import TrainedOn, trained_on
+from deepfsi.design.training_data import TrainedOn, new_scenes, trained_on
 from deepfsi.errors import InputError
 from deepfsi.hardware.calibration.view import view_from
 
@@ -45,7 +45,11 @@ def data_of(
                 "the data to test it on, `data`"
             ) from error
         raise
-    return TestData(loaded, tuple(_notes(training, asked, loaded)))
+    notes = _notes(training, asked, loaded)
+    _, left = new_scenes(design.training_scenes, loaded)
+    if design.training_scenes is None and notes:
+        left = "test scenes may be among those it was trained on, which its file does not hold"
+    return TestData(loaded, tuple(notes if left is None else [*notes, left]))
 
 
 def _asked(
@@ -81,8 +85,5 @@ def _notes(training: TrainedOn | None, asked: Origin, data: Dataset) -> list[str
     if known is None:
         return [f"this is not the data that the design was trained on, {training.name}"]
     if known == asked:
-        return [
-            f"{known.words} has changed since the design was trained on it: test scenes may be "
-            "among those it was trained on"
-        ]
+        return [f"{known.words} has changed since the design was trained on it"]
     return [f"the design was trained on {known.words}; this is {asked.words}"]

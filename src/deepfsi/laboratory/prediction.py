@@ -10,16 +10,13 @@ from typing import Any
 import numpy as np
 import torch
 
-from deepfsi.datasets import prepared
-from deepfsi.datasets.display import Display
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import camera_for, check_draws, scanner_for
 from deepfsi.design.file_content import check_classes
-from deepfsi.design.training_data import trained_on
-from deepfsi.errors import InputError
-from deepfsi.hardware.calibration.view import camera_view
-from deepfsi.hardware.recording.calibration_file import load_calibration
+from deepfsi.design.training_data import scene_hashes, was_trained_on
 from deepfsi.laboratory.light import dim_scenes
+from deepfsi.laboratory.scenes import design_scenes
+from deepfsi.laboratory.score import Score
 from deepfsi.optics.budget import check_budget
 from deepfsi.optics.camera import CameraSource
 from deepfsi.optics.surroundings import library_defaults
@@ -36,6 +33,7 @@ class Predicted:
     label: str | None  # class that it is known to be of
     predicted: str
     confidence: float  # probability of that class
+    trained_on: bool | None  # true if the design was; none where its file does not say
 
     def as_dict(self) -> dict[str, Any]:
         """JSON types only."""
@@ -55,19 +53,20 @@ class Predictions:
     pictures: tuple[Predicted, ...]
 
     @property
-    def right(self) -> tuple[int, int]:
-        """Number of right labels, and of those that are classes of the design."""
+    def score(self) -> Score:
+        """How many labels are right, of those that are classes of the design."""
         known = [each for each in self.pictures if each.label in self.classes]
-        return sum(each.predicted == each.label for each in known), len(known)
+        return Score.of((each.trained_on, each.predicted == each.label, 1) for each in known)
 
     def as_dict(self) -> dict[str, Any]:
         """JSON types only."""
-        return vars(self) | {"pictures": [each.as_dict() for each in self.pictures]}
+        pictures = [each.as_dict() for each in self.pictures]
+        return vars(self) | {"score": self.score.as_dict(), "pictures": pictures}
 
     def as_csv(self) -> str:
         """Table with a line for each picture."""
         text = io.StringIO()
-        table = csv.DictWriter(text, ("picture", "class", "confidence", "label"))
+        table = csv.DictWriter(text, ("picture", "class", "confidence", "label", "trained_on"))
         table.writeheader()
         table.writerows(each.as_dict() for each in self.pictures)
         return text.getvalue()
@@ -132,7 +131,8 @@ def predict(
     check_draws(1, seed)
     tested = camera_for(design, camera, **settings)
     scanner = scanner_for(design, tested)
-    shown = _scenes(design, Path(pictures).expanduser(), skip_bad)
+    source = Path(pictures).expanduser()
+    shown = design_scenes(design.info, design.image_shape, source, skip_bad)
     generator = torch.Generator(design.mean.device).manual_seed(seed)
     scenes = torch.from_numpy(np.ascontiguousarray(shown.x.reshape(len(shown.x), -1)))
     chances = []
@@ -141,39 +141,18 @@ def predict(
             *_, seen = design.expose(scanner, design.rates(scanner, some), generator, budget)
             chances.append(design.chances(seen, budget).cpu())
     surest, places = torch.cat(chances).max(dim=-1)
+    hashes = scene_hashes(shown.x, design.image_shape)
     found = tuple(
-        Predicted(name, label, design.classes[place], confidence)
-        for name, label, place, confidence in zip(
+        Predicted(name, label, design.classes[place], confidence, trained)
+        for name, label, place, confidence, trained in zip(
             shown.names,
             shown.labels or [None] * len(shown.names),
             places.tolist(),
             surest.tolist(),
+            was_trained_on(design.training_scenes, hashes),
             strict=True,
         )
     )
     remarks = tuple(fault.detail for fault in dim_scenes(design, np.array([budget])))
     said = shown.preprocessing
     return Predictions(budget, tested.noise_name, said, remarks, design.classes, found)
-
-
-def _scenes(design: Design, pictures: Path, skip_bad: bool) -> Display:
-    """Pictures as scenes of the design's data, as it saw them."""
-    known = trained_on(design.info)
-    if known is None or known.origin is None:
-        raise InputError(
-            "this design was trained on data that no file or name holds, such as arrays in memory, "
-            "and does not know what to do to pictures: learn it from pictures, or `evaluate` it on "
-            "arrays with labels"
-        )
-    shown = prepared(pictures, known.origin, skip_bad)
-    if shown.x.shape[1:] != design.image_shape:
-        sides = ("x".join(map(str, shape)) for shape in (shown.x.shape[1:], design.image_shape))
-        raise InputError(
-            "the pictures are of {} pixels and the design's scenes of {}: bring them to its "
-            "size, or learn a design with `size`".format(*sides)
-        )
-    if known.origin.view is None:
-        return shown
-    calibration = load_calibration(Path(known.origin.view))
-    x = camera_view(shown.x.reshape(len(shown.x), -1), design.image_shape, calibration)
-    return shown._replace(x=x, preprocessing=f"{shown.preprocessing}, then as the camera sees it")

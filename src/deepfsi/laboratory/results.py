@@ -1,14 +1,18 @@
 """Classes of scenes as a run or a table gives them."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from deepfsi.design.training_data import was_trained_on
 from deepfsi.hardware.recording.faults import SPOILING, Fault
+from deepfsi.laboratory.score import Score
 
 if TYPE_CHECKING:
     from deepfsi.design.consistency import Consistency
     from deepfsi.hardware.recording.acquisition import Scene
     from deepfsi.laboratory.live.decisions import Decision
+    from deepfsi.laboratory.live.looks import LiveLooks
 
 
 def _in_json(scene: object) -> dict[str, Any]:
@@ -31,6 +35,7 @@ class ClassifiedScene:
     faults: tuple[Fault, ...]  # of the scene, and of the whole recording
     consistency: float | None  # p-value of its counts; none where they were not tested
     unsure: bool | None  # true if they do not look like those of the training
+    trained_on: bool | None = None  # true if the design was; none where it is not known
 
     def as_dict(self) -> dict[str, Any]:
         """JSON types only."""
@@ -49,9 +54,19 @@ class ClassifiedRun:
     consistency: "Consistency | None"  # with the training; none where it was not tested
     remarks: tuple[str, ...]  # on the consistency, for a reader
 
+    @property
+    def score(self) -> Score:
+        """How many exposures of scenes with a label of the design's classes are right."""
+        return Score.of(
+            (each.trained_on, each.guesses.count(each.label), len(each.guesses))
+            for each in self.scenes
+            if each.label in self.classes
+        )
+
     def as_dict(self) -> dict[str, Any]:
         """JSON types only."""
         return {
+            "score": self.score.as_dict(),
             "consistency": None if self.consistency is None else self.consistency.as_dict(),
             "remarks": list(self.remarks),
             "scenes": [scene.as_dict() for scene in self.scenes],
@@ -72,31 +87,34 @@ class LiveScene:
     clock_s: float  # from the first command to the class, seconds
     agrees: bool | None = None  # of a replay: true if it decides as the run did, bit for bit
     faults: tuple[Fault, ...] = ()  # of its light, its budget and its counts
+    trained_on: bool | None = None  # true if the design was; none where it is not known
 
     @classmethod
     def of(
         cls,
         scene: "Scene",
         decision: "Decision | None",
-        classes: tuple[str, ...],
+        looks: "LiveLooks",
         clock_s: float,
         agrees: bool | None = None,
     ) -> "LiveScene":
         """A scene after its last decision; none is of a scene without light."""
-        known, replay = (scene.name, scene.label), (clock_s, agrees)
+        known, replay, classes = (scene.name, scene.label), (clock_s, agrees), looks.classes
+        [trained] = was_trained_on(looks.training_scenes, [scene.hash])
         if decision is None:
-            return cls(*known, None, None, 0, None, 0.0, *replay)
-        best, looks = decision.chances.argmax(), decision.look + 1
+            return cls(*known, None, None, 0, None, 0.0, *replay, trained_on=trained)
+        best = decision.chances.argmax()
         spoilt = any(fault.kind in SPOILING for fault in decision.faults)
         return cls(
             *known,
             None if spoilt else classes[best],
             None if spoilt else float(decision.chances[best]),
-            looks,
+            decision.look + 1,
             decision.photons,
             decision.light_s,
             *replay,
             faults=decision.faults,
+            trained_on=trained,
         )
 
     def as_dict(self) -> dict[str, Any]:
@@ -116,4 +134,17 @@ class ReplayedRun:
 
     def as_dict(self) -> dict[str, Any]:
         """JSON types only."""
-        return {"live": True, "scenes": [scene.as_dict() for scene in self.scenes]}
+        return {
+            "live": True,
+            "score": score_of(self.scenes).as_dict(),
+            "scenes": [scene.as_dict() for scene in self.scenes],
+        }
+
+
+def score_of(scenes: Iterable[LiveScene]) -> Score:
+    """How many labelled scenes of a live run that have a class are right."""
+    return Score.of(
+        (each.trained_on, each.predicted == each.label, 1)
+        for each in scenes
+        if each.predicted is not None and each.label is not None
+    )

@@ -37,7 +37,7 @@ def adaptive_designs(
         seconds = (time.perf_counter() - began) / done
         info = provenance(job, data, torch.device("cpu"), seconds)
         known = data.image_shape, data.classes, shares, usual, info
-        designs.append(AdaptiveDesign(prior, settings, *known))
+        designs.append(AdaptiveDesign(prior, settings, *known, training_set.scenes))
         report(done / len(jobs))
     return designs
 

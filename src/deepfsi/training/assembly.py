@@ -84,7 +84,9 @@ def design_of(
         info=provenance(job, scenes, rails.device, 0.0),
     )
     del design.info["job"]["training"], design.info["seconds"]  # not known of a training elsewhere
-    characterise(TrainingSet(scenes, rails.device.type), [job], [design])
+    training_set = TrainingSet(scenes, rails.device.type)
+    design.training_scenes = training_set.scenes
+    characterise(training_set, [job], [design])
     return design
 
 

@@ -118,6 +118,7 @@ def train(
     designs = _designs(training_set, jobs, *_optimised(training_set, jobs, matrix, report))
     for job, design in zip(jobs, designs, strict=True):
         design.info = provenance(job, training_set.data, training_set.device, 0.0)
+        design.training_scenes = training_set.scenes
     characterise(training_set, jobs, designs)
     seconds = (time.perf_counter() - began) / len(jobs)
     for design in designs:

@@ -8,6 +8,7 @@ from torch import Tensor
 
 from deepfsi.datasets import Dataset
 from deepfsi.design.exposure import Exposure
+from deepfsi.design.training_data import TrainingScenes
 from deepfsi.design.values import Values
 from deepfsi.errors import InputError
 from deepfsi.laws import Light
@@ -44,6 +45,11 @@ class TrainingSet:
             scenes = exposure.seen(self.data)
             self._seen[exposure] = self if scenes is self.data else TrainingSet(scenes, self._name)
         return self._seen[exposure]
+
+    @cached_property
+    def scenes(self) -> TrainingScenes:
+        """Hashes of its scenes, which designs keep."""
+        return TrainingScenes.of(self.data)
 
     @cached_property
     def varying(self) -> Tensor:

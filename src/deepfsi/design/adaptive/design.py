@@ -24,6 +24,7 @@ from deepfsi.design.confidence import logits_at_stops, stops_of
 from deepfsi.design.evaluation import Answering, Guess, answering
 from deepfsi.design.file_content import SCHEMA, Info, damaged, is_adaptive, read_content
 from deepfsi.design.published import find_design
+from deepfsi.design.training_data import TrainingScenes
 from deepfsi.errors import as_input_error
 from deepfsi.files import DESIGNS, check_ending, write_atomically
 from deepfsi.optics.camera import Camera
@@ -65,6 +66,8 @@ class AdaptiveDesign:
         How far counts of training scenes are from those expected; None of few training scenes.
     info : dict
         Provenance: how it was made, on which data, with which versions. JSON types only.
+    training_scenes : TrainingScenes, optional
+        Hashes of the scenes that it was made with; None of files of older versions.
 
     Examples
     --------
@@ -82,6 +85,7 @@ class AdaptiveDesign:
     shares: Tensor
     usual_misfit: UsualMisfit | None = None
     info: dict[str, Any] = field(default_factory=dict)
+    training_scenes: TrainingScenes | None = None
 
     name: ClassVar = "adaptive"
     temperatures: ClassVar[None] = None  # its probabilities are a posterior's
@@ -191,6 +195,8 @@ class AdaptiveDesign:
         arrays = self.prior.arrays | {"shares": self.shares.numpy()}
         if self.usual_misfit is not None:
             arrays |= self.usual_misfit.arrays
+        if self.training_scenes is not None:
+            arrays |= self.training_scenes.tensors
         whole = {name: np.ascontiguousarray(each) for name, each in arrays.items()}
         return to_bytes(whole, metadata={"deepfsi": json.dumps(words)})
 
@@ -205,10 +211,11 @@ class AdaptiveDesign:
             prior = ScenePrior.restored(arrays)
             shares = torch.from_numpy(arrays["shares"])
             usual = UsualMisfit.restored(arrays, header.settings.looks)
+            trained = TrainingScenes.restored(arrays)
         except (KeyError, TypeError, ValueError, RuntimeError, IndexError) as error:
             raise damaged(path) from error
         known = header.settings, header.image_shape, header.classes
-        return cls(prior, *known, shares, usual, header.info)
+        return cls(prior, *known, shares, usual, header.info, trained)
 
 
 AnyDesign = Design | AdaptiveDesign

@@ -15,7 +15,7 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from deepfsi.errors import InputError, as_input_error
 from deepfsi.files import hash_file, new_folder, read_regular, read_text, write_atomically
@@ -54,6 +54,15 @@ class Scene(Frozen):
 
     name: str = Field(max_length=1000)  # By which results name it
     label: str | None = Field(None, max_length=1000)  # Its class, where that is known
+    # Of its picture as the design of the patterns sees it, where there is one: tells scenes that
+    # the design was trained on (`design.training_data.scene_hashes`)
+    hash: str | None = Field(None, pattern="^[0-9a-f]{8}$")
+
+    @model_serializer(mode="wrap")
+    def _without_none(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Fields without a hash that is none, as those of acquisitions before there were any."""
+        held: dict[str, Any] = dump(self)
+        return {name: each for name, each in held.items() if name != "hash" or each is not None}
 
 
 class Acquisition(Frozen):

@@ -277,9 +277,10 @@ def record(
     out: str | os.PathLike[str],
     settings: RecordingSettings,
     report: Report = SILENT,
+    hashes: Sequence[str] | None = None,
 ) -> Acquisition:
     """Write the folder of an acquisition in which the virtual camera looks at scenes in turn."""
-    # scenes (S, h, w), or (S, N)
+    # scenes (S, h, w), or (S, N); hashes of their pictures as the design sees them
     target, camera = Path(out), settings.camera
     manifest = read_patterns(patterns_folder).manifest
     scenes = check_scenes(scenes, manifest, settings.flux)
@@ -291,7 +292,8 @@ def record(
             f"{'no' if labels is None else len(labels)} labels: give one of each for every scene"
         )
     given: Sequence[str | None] = labels or [None] * len(names)
-    shown = (Scene(name=name, label=label) for name, label in zip(names, given, strict=True))
+    known: Sequence[str | None] = hashes or [None] * len(names)
+    shown = (Scene(name=n, label=x, hash=h) for n, x, h in zip(names, given, known, strict=True))
     wanted = plan_acquisition(
         manifest,
         tuple(shown),

@@ -4,6 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
+from deepfsi.design.file_content import damaged, read_content
+from deepfsi.design.training_data import HASHES, TrainingScenes
 from deepfsi.errors import InputError
 from deepfsi.files import hash_file
 from deepfsi.hardware.patterns.folder import DESIGN, LOOP
@@ -19,7 +21,14 @@ def read_looks(folder: Path, manifest: Manifest) -> LiveLooks:
     """Looks of a folder of patterns, or `InputError` if its files are damaged."""
     assert manifest.looks is not None
     if not manifest.looks.adaptive:
-        return KnownMasks(read_loop(folder / LOOP), manifest)
+        held = {}
+        if manifest.design_sha256 is not None:
+            _, held = read_content(folder / DESIGN, (HASHES,))
+        try:
+            trained = TrainingScenes.restored(held)
+        except ValueError as error:
+            raise damaged(folder / DESIGN) from error
+        return KnownMasks(read_loop(folder / LOOP), manifest, trained)
     with torch_needed():
         from deepfsi.design.adaptive.design import AdaptiveDesign
         from deepfsi.laboratory.adaptive import AdaptiveLooks
@@ -41,7 +50,10 @@ class KnownMasks:
     Its attributes are those of `LiveLooks`.
     """
 
-    def __init__(self, loop: Loop, manifest: Manifest) -> None:
+    def __init__(
+        self, loop: Loop, manifest: Manifest, training_scenes: TrainingScenes | None = None
+    ) -> None:
+        self.training_scenes = training_scenes
         header = loop.header
         self.loop, self.classes = loop, header.classes
         self.shares = (1 / header.looks,) * header.looks

@@ -6,6 +6,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from deepfsi.design.training_data import TrainingScenes
 from deepfsi.hardware.recording.live_light import ShownFrames
 from deepfsi.hardware.recording.live_settings import StopRule
 from deepfsi.hardware.recording.streaming import FrameCounts
@@ -77,6 +78,7 @@ class LiveLooks(Protocol):
     rule: StopRule | None  # of the design, where it has one
     shortest: float  # dwell that it was made for, a share of the exposure
     decision_s: float  # usual time of a decision on one core, seconds
+    training_scenes: TrainingScenes | None  # hashes of the scenes that the design was made with
 
     def expose(self, scene: int, conditions: Conditions) -> LiveExposure:
         """Begin an exposure of a scene."""

@@ -147,7 +147,7 @@ def replay_run(run: LiveCounts, looks: LiveLooks) -> tuple[Replayed, ...]:
         faults = () if last is None else last.faults
         agrees = not left and (found, faults) == (scene.chances, scene.faults)
         named = run.acquisition.scenes[scene.scene]
-        answer = LiveScene.of(named, last, looks.classes, scene.clock_s, agrees)
+        answer = LiveScene.of(named, last, looks, scene.clock_s, agrees)
         out.append(Replayed(scene, decisions, answer))
     return tuple(out)
 

@@ -221,7 +221,7 @@ def _look(
     )
     record.write(f"{finished.model_dump_json()}\n".encode())
     interrupts.keep("finished scenes are kept")
-    answer = LiveScene.of(scene, last, observer.looks.classes, clock_s)
+    answer = LiveScene.of(scene, last, observer.looks, clock_s)
     yield Decided(place, last, clock_s, answer)
 
 

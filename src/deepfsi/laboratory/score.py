@@ -1,0 +1,90 @@
+"""Right answers to labelled scenes, those that a design was trained on apart from new ones."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from deepfsi.design.training_data import NO_MEASURE
+from deepfsi.statistics.intervals import wilson
+
+
+@dataclass(frozen=True)
+class Tally:
+    """Right answers to some scenes."""
+
+    right: int = 0
+    answers: int = 0  # of all their exposures
+    scenes: int = 0
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """95 % interval of the share that is right, over scenes as the trials (Wilson)."""
+        return wilson(self.right / self.answers, self.scenes)
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON types only."""
+        low, high = self.interval if self.answers else (None, None)
+        share = self.right / self.answers if self.answers else None
+        return {**vars(self), "share": share, "low": low, "high": high}
+
+
+@dataclass(frozen=True)
+class Score:
+    """Right answers to labelled scenes. Those to new ones alone measure the design."""
+
+    new: Tally
+    trained_on: Tally
+    unknown: Tally  # of scenes of which it is not known whether the design was trained on them
+
+    @classmethod
+    def of(cls, scenes: Iterable[tuple[bool | None, int, int]]) -> "Score":
+        """Score of scenes: whether trained on, and numbers of right answers and of all."""
+        kinds: dict[bool | None, Tally] = {False: Tally(), True: Tally(), None: Tally()}
+        for trained, right, answers in scenes:
+            if answers:
+                held = kinds[trained]
+                sums = held.right + right, held.answers + answers, held.scenes + 1
+                kinds[trained] = Tally(*sums)
+        return cls(kinds[False], kinds[True], kinds[None])
+
+    @property
+    def answers(self) -> int:
+        """Number of answers to all scenes."""
+        return self.new.answers + self.trained_on.answers + self.unknown.answers
+
+    def lines(self, noun: str) -> list[str]:
+        """Score in words, new scenes first, with what an answer is to: a picture, an exposure."""
+        new, trained, unknown = self.new, self.trained_on, self.unknown
+        lines = []
+        if new.answers:
+            also = f"new {noun}s" if trained.answers else f"{noun}s, none of them trained on"
+            lines.append(f"right: {_share(new)} {also} {_interval(new)}")
+        if trained.answers and new.answers:
+            lines.append(
+                f"{trained.answers} of these {new.answers + trained.answers} {noun}s were trained "
+                f"on ({trained.right} right); of the other {new.answers}, {new.right} are right"
+            )
+        elif trained.answers:
+            lines.append(
+                f"all {trained.answers} {noun}s were trained on ({trained.right} right): "
+                f"{NO_MEASURE}"
+            )
+        if unknown.answers:
+            lines.append(
+                f"right: {_share(unknown)} {noun}s {_interval(unknown)}; whether the design was "
+                "trained on them is not known"
+            )
+        return lines
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON types only."""
+        return {name: each.as_dict() for name, each in vars(self).items()}
+
+
+def _share(tally: Tally) -> str:
+    return f"{tally.right} of {tally.answers}"
+
+
+def _interval(tally: Tally) -> str:
+    low, high = tally.interval
+    return f"({tally.right / tally.answers:.2f}, 95 % {low:.2f} to {high:.2f})"
