@@ -107,11 +107,11 @@ def test_a_live_run_is_decided_as_it_was(done, digits, tmp_path):
 
 def test_scenes_are_a_list_or_pictures(lab, tmp_path):
     (tmp_path / "scenes.csv").write_text("first,3\nsecond\n")
-    assert [(one.name, one.label) for one in listed(tmp_path / "scenes.csv")] == [
+    assert [(one.name, one.label) for one in listed(tmp_path / "scenes.csv", lab / "frames")] == [
         ("first", "3"),
         ("second", None),
     ]
-    assert listed(lab / "images") == scenes_of(read_display(lab / "images"))
+    assert listed(lab / "images", lab / "frames") == scenes_of(read_display(lab / "images"))
     with pytest.raises(deepfsi.InputError, match="there is nothing at"):
         listed(tmp_path / "none.csv")
 

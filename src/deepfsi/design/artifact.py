@@ -69,7 +69,7 @@ class Design:
     temperatures : Temperatures, optional
         What divides the logits at each budget, so that probabilities are those of being right.
     values : Values, optional
-        Names, mean and standard deviation of the values that it estimates in place of classes.
+        Names, mean and spread of the values that it estimates in place of classes.
     training_scenes : TrainingScenes, optional
         Hashes of the scenes that it was made with; None of files of older versions.
 

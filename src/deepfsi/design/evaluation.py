@@ -200,9 +200,7 @@ def evaluate(
     ----------
     design : Design
     data : Dataset, str, path or tuple of arrays
-        Its test part is used; its pixels and classes must be the design's. Test scenes that the
-        design was trained on are left out, and `covers` says so; where it was trained on all of
-        them they stay, and `covers` says that no number is a measure of the design.
+        Its test part is used, less what was trained on; its pixels and classes are the design's.
     photons : float or sequence of float
         Budgets Φ.
     camera : Camera, str, path or mapping, optional
@@ -231,16 +229,15 @@ def evaluate(
     True
     """
     budgets = [check_budget(b) for b in np.atleast_1d(np.asarray(photons, dtype=object))]
-    given = as_dataset(data)
-    check_data(design, given)
+    scenes, left = new_scenes(design.training_scenes, as_dataset(data))
+    check_data(design, scenes)
     check_draws(draws, seed)
-    scenes, left = new_scenes(design.training_scenes, given)
     known = camera_for(design, camera, **settings)
     title = f"{design.name}, {design.masks} masks"
     if isinstance(design, Design) and design.values:
         with shown(report, title) as bar:
-            scanner = scanner_for(design, known)
-            values = test_values(design, scanner, scenes, budgets, draws, seed, bar)
+            scanner, test = scanner_for(design, known), (scenes, budgets, draws, seed)
+            values = test_values(design, scanner, *test, bar)
         return [replace(each, covers=covered(each.covers, left)) for each in values]
     guess_of, shares = answering(design, known)
     with shown(report, title) as bar:
@@ -249,7 +246,7 @@ def evaluate(
 
 
 def covered(covers: str, left: str | None) -> str:
-    """What an interval covers, with the scenes that were left out."""
+    """Words on what an interval covers, with the scenes that were left out."""
     return covers if left is None else f"{covers}; {left}"
 
 

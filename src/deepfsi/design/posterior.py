@@ -146,11 +146,9 @@ def ideal_observer(
     True
     """
     budgets = [check_budget(b) for b in np.atleast_1d(np.asarray(photons, dtype=object))]
-    scenes = as_dataset(data)
+    scenes = _new_to(design, as_dataset(data))
     check_classes(scenes.values, "the ideal observer")
     check_draws(draws, seed)
-    if isinstance(design, Design):
-        scenes, _ = new_scenes(design.training_scenes, scenes)
     scanner, rates_of = _front_end(design, scenes)
     with torch.no_grad(), shown(report, "ideal observer") as bar:
         rates = rates_of(torch.from_numpy(scenes.x_train))
@@ -161,6 +159,11 @@ def ideal_observer(
         del rates
         guess_of = _guesses(observer, scanner, rates_of)
         return test_scenes(scenes, guess_of, budgets, draws, seed, "poisson", shares, bar)
+
+
+def _new_to(design: Design | Tensor, data: Dataset) -> Dataset:
+    """The data without test scenes that a design was trained on."""
+    return data if isinstance(design, Tensor) else new_scenes(design.training_scenes, data)[0]
 
 
 def _front_end(

@@ -105,7 +105,7 @@ class TrainingScenes:
         return {HASHES: self.hashes}
 
     def contains(self, hashes: Iterable[str]) -> np.ndarray:
-        """Whether the design was made with scenes of these hashes, bool (n,)."""
+        """True (n,) for each hash that is of a scene that the design was made with."""
         return np.isin(_numbers(hashes, unique=False), self.hashes)
 
 
@@ -116,7 +116,7 @@ def _numbers(hashes: Iterable[str], unique: bool = True) -> np.ndarray:
 
 
 def was_trained_on(known: TrainingScenes | None, hashes: Iterable[str | None]) -> list[bool | None]:
-    """Whether each of some scenes was trained on; None where that is not known."""
+    """True for each scene that was trained on; None where that is not known."""
     return [
         None if known is None or each is None else bool(known.contains([each])[0])
         for each in hashes

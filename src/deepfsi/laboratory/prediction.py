@@ -54,7 +54,7 @@ class Predictions:
 
     @property
     def score(self) -> Score:
-        """How many labels are right, of those that are classes of the design."""
+        """Right answers to pictures whose label is a class of the design."""
         known = [each for each in self.pictures if each.label in self.classes]
         return Score.of((each.trained_on, each.predicted == each.label, 1) for each in known)
 

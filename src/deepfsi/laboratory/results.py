@@ -56,7 +56,7 @@ class ClassifiedRun:
 
     @property
     def score(self) -> Score:
-        """How many exposures of scenes with a label of the design's classes are right."""
+        """Right answers to exposures of scenes whose label is a class of the design."""
         return Score.of(
             (each.trained_on, each.guesses.count(each.label), len(each.guesses))
             for each in self.scenes
@@ -142,7 +142,7 @@ class ReplayedRun:
 
 
 def score_of(scenes: Iterable[LiveScene]) -> Score:
-    """How many labelled scenes of a live run that have a class are right."""
+    """Right answers to the labelled scenes of a live run, of those that have a class."""
     return Score.of(
         (each.trained_on, each.predicted == each.label, 1)
         for each in scenes

@@ -1,5 +1,6 @@
 """Scenes of a run: pictures that a display shows, or a list of names; and as a design sees them."""
 
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ from deepfsi.hardware.recording.scene_list import read_scenes
 
 
 class _Sight(BaseModel):
-    """What a design file's header holds of how its scenes were prepared."""
+    """Part of a design file's header that says how its scenes were prepared."""
 
     image_shape: tuple[int, ...]
     info: Info
@@ -71,13 +72,15 @@ def design_scenes(
     return shown._replace(x=x, preprocessing=f"{shown.preprocessing}, then as the camera sees it")
 
 
-def picture_hashes(source: Path, patterns: Path) -> tuple[str, ...] | None:
+def picture_hashes(
+    source: str | os.PathLike[str], patterns: str | os.PathLike[str]
+) -> tuple[str, ...] | None:
     """Hashes of pictures as the patterns' design sees them; None where it cannot see them."""
-    design = _Sight.of(patterns)
+    design = _Sight.of(Path(patterns))
     if design is None:
         return None
     try:
-        shown = design_scenes(design.info, design.image_shape, source)
+        shown = design_scenes(design.info, design.image_shape, Path(source))
     except InputError:  # it was made of arrays, or of pictures of another size
         return None
     return scene_hashes(shown.x, design.image_shape)

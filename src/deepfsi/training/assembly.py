@@ -8,6 +8,7 @@ from torch import Tensor, nn
 from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.design.own import OwnClassifier, make
+from deepfsi.design.training_data import TrainingScenes
 from deepfsi.design.values import Values
 from deepfsi.errors import InputError
 from deepfsi.laws import Light
@@ -44,9 +45,8 @@ def design_of(
     scanner : Scanner
         Its masks, without replicas, and its detectors.
     classifier : nn.Module
-        From (batch, k) counts as the scanner gives them, m differences y⁺ − y⁻ unless its
-        `detection` says otherwise, to (batch, C) logits or (batch, q) standardised values. Copied;
-        one of `OwnClassifier` keeps its import path in the design's file.
+        From (batch, k) counts of the scanner, m differences y⁺ − y⁻ unless its `detection` says
+        otherwise, to (batch, C) logits or (batch, q) standardised values. Copied.
     data : Dataset, str, path or tuple of arrays
         That the training was on: its training scenes give the mean light, its classes their names.
     photons : float
@@ -82,11 +82,10 @@ def design_of(
         classes=scenes.classes,
         values=Values.of(scenes),
         info=provenance(job, scenes, rails.device, 0.0),
+        training_scenes=TrainingScenes.of(scenes),
     )
     del design.info["job"]["training"], design.info["seconds"]  # not known of a training elsewhere
-    training_set = TrainingSet(scenes, rails.device.type)
-    design.training_scenes = training_set.scenes
-    characterise(training_set, [job], [design])
+    characterise(TrainingSet(scenes, rails.device.type), [job], [design])
     return design
 
 

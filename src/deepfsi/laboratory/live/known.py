@@ -21,9 +21,8 @@ def read_looks(folder: Path, manifest: Manifest) -> LiveLooks:
     """Looks of a folder of patterns, or `InputError` if its files are damaged."""
     assert manifest.looks is not None
     if not manifest.looks.adaptive:
-        held = {}
-        if manifest.design_sha256 is not None:
-            _, held = read_content(folder / DESIGN, (HASHES,))
+        known = manifest.design_sha256 is not None
+        held = read_content(folder / DESIGN, (HASHES,))[1] if known else {}
         try:
             trained = TrainingScenes.restored(held)
         except ValueError as error:
