@@ -111,9 +111,11 @@ def test_scenes_are_a_list_or_pictures(lab, tmp_path):
         ("first", "3"),
         ("second", None),
     ]
-    assert listed(lab / "images", lab / "frames") == scenes_of(read_display(lab / "images"))
+    assert listed(lab / "images", lab / "frames") == scenes_of(
+        read_display(lab / "images"), lab / "images", lab / "frames"
+    )
     with pytest.raises(deepfsi.InputError, match="there is nothing at"):
-        listed(tmp_path / "none.csv")
+        listed(tmp_path / "none.csv", lab / "frames")
 
 
 def test_the_error_of_a_background_is_in_the_test_of_the_counts(lab, monkeypatch):

@@ -208,14 +208,7 @@ class Design:
     ) -> Iterator[Observation]:
         """Exposures after each look, with counts of a scanner of this design.
 
-        Parameters
-        ----------
-        scanner : Scanner
-        rates : tensor, shape (..., rails, m · D)
-            As from `rates`: expected counts for a budget of one photon.
-        generator : torch.Generator
-        photons : float
-            Budget Φ.
+        `rates` (..., rails, m · D) are those of `rates`, and `photons` is the budget Φ.
         """
 
         def read(expected: Tensor, share: Tensor | float) -> Tensor:
