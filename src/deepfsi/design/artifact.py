@@ -208,7 +208,12 @@ class Design:
     ) -> Iterator[Observation]:
         """Exposures after each look, with counts of a scanner of this design.
 
-        `rates` (..., rails, m · D) are those of `rates`, and `photons` is the budget Φ.
+        Parameters
+        ----------
+        scanner, generator
+        rates : tensor, shape (..., rails, m · D)
+            As from `rates`: expected counts for a budget of one photon.
+        photons : float, Φ
         """
 
         def read(expected: Tensor, share: Tensor | float) -> Tensor:
@@ -246,8 +251,7 @@ class Design:
         InputError
             If the design has fixed dwells, or counts or photons are not as `classify` takes them.
         """
-        budget = check_budget(photons)
-        counted = torch.zeros_like(self.mean)
+        budget, counted = check_budget(photons), torch.zeros_like(self.mean)
 
         def show(dwell: Tensor) -> tuple[Tensor, Tensor]:
             nonlocal counted
@@ -306,8 +310,7 @@ class Design:
         shapes = self.counts_shape, None if dwell is None else self._dwells.shape
         read, budget, shown = readings.check_readouts(counts, photons, dwell, *shapes)
         readings.check_clicks(read, self.gates)
-        device = self.rails.device
-        budget = budget.to(device)
+        budget = budget.to(device := self.rails.device)
         dwells = None if shown is None else self._dwells.by_mask(shown).to(device)
         return Observation(self.features_of(read.to(device)) / self.scale(budget), dwells), budget
 
