@@ -64,3 +64,38 @@ def test_hold_out_of_a_whole_class():
     data = replace(data, x_train=data.x_train[by_class], y_train=data.y_train[by_class])
     with refused("class '1' has none left"):
         data.hold_out(15)
+
+
+def test_folds_test_each_scene_once_by_data_that_lack_it():
+    """Of every class each fold has its share, and the scenes are those of the whole."""
+    rng = np.random.default_rng(0)
+    labels = np.repeat([0, 1, 2], [31, 14, 7])
+    data = from_arrays(rng.random((52, 6)), labels, name="few")
+    parts = data.folds(5)
+    whole = np.sort(np.concatenate([data.x_train, data.x_test]), axis=0)
+    assert (np.sort(np.concatenate([part.x_test for part in parts]), axis=0) == whole).all()
+    sizes = np.array([np.bincount(part.y_test, minlength=3) for part in parts])
+    assert (np.ptp(sizes, axis=0) <= 1).all()
+    assert np.ptp(sizes.sum(axis=1)) <= 1
+    for part in parts:
+        trained = {scene.tobytes() for scene in part.x_train}
+        assert len(trained) == 52 - len(part.x_test)
+        assert not trained & {scene.tobytes() for scene in part.x_test}
+        part.hold_out()  # classes are mixed in the order of the training scenes
+    assert len({part.hash for part in parts}) == 5
+    again = data.folds(5)
+    assert [part.hash for part in again] == [part.hash for part in parts]
+    valued = from_arrays(rng.random((30, 6)), rng.random(30), values=["light"]).folds(3)
+    assert [len(part.x_test) for part in valued] == [10, 10, 10]
+
+
+def test_only_a_test_part_that_was_drawn_has_folds():
+    x, y = scenes()
+    data = from_arrays(x, y)
+    tested = from_arrays(x, y, x[:20], y[:20])
+    for own in (tested, data.hold_out(), data.folds(2)[0]):
+        with refused("a test part of its own"):
+            own.folds(2)
+    for count in (1, 0, 10_000):
+        with refused("folds of"):
+            data.folds(count)

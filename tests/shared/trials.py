@@ -38,6 +38,7 @@ def small(**changes: Any) -> Recipe:
         "photons": (1e2, 1e3),
         "masks": (3, 6),
         "draws": 1,
+        "folds": 1,
         "training": {"epochs": 2},
         **optics,
         **changes,

@@ -77,11 +77,13 @@ def design(
     budgets = list(dict.fromkeys((lowest, job.exposure.highest(lowest))))
     with common.progress("test", as_json) as report:
         results = test(made, scenes, budgets, draws=job.draws, report=report)
+    notes = [_scenes_text(shown, scenes)]
     if as_json:
         tests = [{"classes": made.classes, **result.as_dict()} for result in results]
-        common.print_json("design", {"design": str(out), "info": made.info, "tests": tests})
+        said = {"design": str(out), "info": made.info, "notes": notes, "tests": tests}
+        common.print_json("design", said)
         return
-    common.print_data(scenes)
+    common.print_data(scenes, notes)
     print(job.exposure.words(job.optics))
     for result in results:
         print(
@@ -91,6 +93,19 @@ def design(
         )
     print_full_gates(made, results)
     print(f"saved: {out}")
+
+
+def _scenes_text(trained: "Dataset", tested: "Dataset") -> str:
+    """Scenes of a training and its test in words, and what `compare` does otherwise."""
+    from deepfsi.sweeps.recipe import Recipe
+
+    count = len(trained.x_train)
+    words = (
+        f"trained on all {count} scenes, tested on {len(tested.x_test)}; deepfsi compare holds "
+        f"{Recipe().held_out(trained)} of them out to choose numbers of masks"
+    )
+    folds = len(Recipe().parts(tested))
+    return words if folds == 1 else f"{words}, and tests every scene once, in {folds} folds"
 
 
 def evaluate(

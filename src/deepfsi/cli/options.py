@@ -89,6 +89,16 @@ Ratios = Annotated[
 ]
 Designs = Annotated[str | None, typer.Option(help="names, separated by commas")]
 Trials = Annotated[int | None, typer.Option(help="training seeds for each point")]
+Folds = Annotated[
+    int | None,
+    typer.Option(
+        min=1,
+        max=100,
+        help="parts of the scenes, each tested by designs that are trained on the others, so that "
+        "every scene is tested once; 1 for none. Unless given 5 where a test part was drawn from "
+        "the scenes and has fewer than 300",
+    ),
+]
 
 
 # acquisitions
@@ -341,6 +351,7 @@ def recipe_fields(
     designs: str | None,
     ratios: str | None,
     trials: int | None,
+    folds: int | None = None,
 ) -> dict[str, Any]:
     """Fields of a recipe that are no settings of a job, None where one is not given."""
     return {
@@ -351,6 +362,7 @@ def recipe_fields(
         "designs": words(designs),
         "ratios": numbers("ratios", ratios),
         "trials": trials,
+        "folds": folds,
     }
 
 

@@ -31,6 +31,7 @@ def compare(
     designs: options.Designs = None,
     ratios: options.Ratios = None,
     trials: options.Trials = None,
+    folds: options.Folds = None,
     matrix: options.Matrix = None,
     recipe: Annotated[
         str | None,
@@ -73,7 +74,8 @@ def compare(
             base |= QUICK
     unnamed = not (designs or matrix or "designs" in base)
     fields = options.recipe_fields(
-        data if data != "digits" else None, size, skip_bad, normal, designs, ratios, trials
+        data if data != "digits" else None,
+        *(size, skip_bad, normal, designs, ratios, trials, folds),
     )
     chosen = check_recipe(options.recipe_settings(settings, fields, base), own)
     if unnamed:
@@ -97,6 +99,7 @@ def sweep(
         bool, typer.Option("--quick", help="the recipe's coarse version, where it has one")
     ] = False,
     out: options.Folder = Path("runs/sweep"),
+    folds: options.Folds = None,
     workers: options.Workers = None,
     ray: options.Ray = None,
     device: options.Device = "auto",
@@ -127,7 +130,9 @@ def sweep(
     from deepfsi.sweeps.run import check_kept
 
     base = only(file, part, quick)
-    chosen = check_recipe(base if camera is None else {**base, "camera": camera})
+    told = {"camera": camera, "folds": folds}
+    told = {name: value for name, value in told.items() if value is not None}
+    chosen = check_recipe({**base, **told})
     if dry_run:
         _forecast(chosen, out, device, workers, as_json)
         return
@@ -268,7 +273,7 @@ def _run(
 
 
 def _finish(command: str, results: "Results", out: Path, as_json: bool) -> None:
-    from deepfsi.report.comparison_page import build, leader_differences
+    from deepfsi.report.comparison_page import build, leader_differences, scenes_text
     from deepfsi.report.verdict import verdict_of
     from deepfsi.sweeps.results import write_results
 
@@ -279,10 +284,13 @@ def _finish(command: str, results: "Results", out: Path, as_json: bool) -> None:
         found = results.as_dict()
         for point in found["points"]:
             point.pop("terms", None)
-        told = {"differences": list(leader_differences(results))}
+        told = {
+            "notes": [scenes_text(results.data)],
+            "differences": list(leader_differences(results)),
+        }
         common.print_json(command, {"report": str(page), "verdict": said.text, **found, **told})
         return
-    common.print_data(results.data)
+    common.print_data(results.data, [scenes_text(results.data)])
     _print_matrix(results)
     print(f"{said.text}\nreport: {page}")
 

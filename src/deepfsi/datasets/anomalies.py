@@ -68,6 +68,7 @@ def one_class(data: Dataset, normal: str, seed: int = 0) -> Dataset:
         y_test=(data.y_test != own).astype(np.int64),
         classes=(normal, ANOMALY),
         measure="AUC",
+        drawn=False,
     )
 
 

@@ -156,7 +156,7 @@ def split_arrays(
     trained = scenes[0][order], y[order]
     said = described or words
     data = assemble(name, trained, held, described=said, rescale=rescale, **called)
-    return replace(data, white=white)
+    return replace(data, white=white, drawn=tested is None)
 
 
 Answers: TypeAlias = tuple[Truth, Truth | None, dict[str, Any]]

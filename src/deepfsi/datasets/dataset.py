@@ -8,7 +8,7 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, SerializerFunctionWrapHandler, model_serializer
 
 from deepfsi.errors import InputError
 
@@ -38,6 +38,13 @@ class Origin(BaseModel):
     normal: str | None = None
     # Absolute path of the calibration folder of the camera that sees the scenes
     view: str | None = None
+    # Which of how many folds its test part is, from 0; None, and left out of files, for none
+    fold: tuple[int, int] | None = None
+
+    @model_serializer(mode="wrap")
+    def _without_none(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        fields: dict[str, Any] = dump(self)
+        return {name: fields[name] for name in fields if name != "fold" or fields[name]}
 
     @property
     def words(self) -> str:
@@ -45,7 +52,8 @@ class Origin(BaseModel):
         size = f" at {self.size[0]}x{self.size[1]}" if self.size else ""
         view = f" as the camera of {self.view} sees it" if self.view else ""
         normal = f", {self.normal} against anomalies" if self.normal is not None else ""
-        return f"{self.data}{size}{view}{normal}"
+        fold = f", fold {self.fold[0] + 1} of {self.fold[1]}" if self.fold else ""
+        return f"{self.data}{size}{view}{normal}{fold}"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -81,6 +89,8 @@ class Dataset:
         Measure of the answers: of scenes with classes the accuracy, of one class against anomalies
         (`datasets.anomalies`) the area under the ROC curve, of values the share of their variance
         that the answers explain.
+    drawn : bool
+        Whether the test part was drawn from the scenes at random, so that `folds` may draw others.
 
     Examples
     --------
@@ -106,6 +116,7 @@ class Dataset:
     held_out: int = 0
     values: tuple[str, ...] = ()
     measure: Measure = "accuracy"
+    drawn: bool = False
 
     def __repr__(self) -> str:
         shape = "x".join(map(str, self.image_shape))
@@ -176,4 +187,58 @@ class Dataset:
             x_test=self.x_train[rest:],
             y_test=self.y_train[rest:],
             held_out=count,
+            drawn=False,
         )
+
+    def folds(self, count: int, seed: int = 0) -> list["Dataset"]:
+        """Data sets of the same scenes, each of which is in the test part of one of them.
+
+        Parameters
+        ----------
+        count : int
+            Number k of folds, 2 or more. Each has its share of every class.
+        seed : int
+            Draws the folds.
+
+        Raises
+        ------
+        InputError
+            If the test part is not one that was drawn from the scenes, or they are too few.
+        """
+        if not self.drawn:
+            raise InputError(
+                f"{self.name} has a test part of its own, or anomalies: it has no folds, leave "
+                "`folds` out or give 1"
+            )
+        x = np.concatenate([self.x_train, self.x_test])
+        y = np.concatenate([self.y_train, self.y_test])
+        fewest = int(np.bincount(y).min()) if self.classes else len(y)
+        if not 2 <= count <= fewest:
+            least = "scenes of the smallest class" if self.classes else "scenes"
+            raise InputError(
+                f"{self.name}: {count} folds of {fewest} {least}: give 2 to {max(fewest, 2)}"
+            )
+        rng = np.random.default_rng(seed)
+        order = rng.permutation(len(y))
+        labels = y[order] if self.classes else np.zeros(len(y), dtype=np.int64)
+        # the scenes of each class in turn, one to each fold
+        places = np.argsort(labels, kind="stable")
+        fold = np.empty(len(y), dtype=np.int64)
+        fold[places] = np.arange(len(y)) % count
+        made = []
+        for place in range(count):
+            rest, tested = order[fold != place], order[fold == place]
+            origin = self.origin and self.origin.model_copy(update={"fold": (place, count)})
+            made.append(
+                replace(
+                    self,
+                    name=f"{self.name}, fold {place + 1} of {count}",
+                    x_train=x[rest],
+                    y_train=y[rest],
+                    x_test=x[tested],
+                    y_test=y[tested],
+                    origin=origin,
+                    drawn=False,
+                )
+            )
+        return made

@@ -73,8 +73,11 @@ def _asked(
 
 
 def _load(origin: Origin) -> Dataset:
-    options = origin.model_dump(exclude={"data", "view"})
+    options = origin.model_dump(exclude={"data", "view", "fold"})
     scenes = load_dataset(origin.data, **options)
+    if origin.fold is not None:
+        place, count = origin.fold
+        scenes = scenes.folds(count)[place]
     return scenes if origin.view is None else view_from(scenes, Path(origin.view))
 
 

@@ -117,7 +117,24 @@ def compared(results: Results) -> str:
     laws = listed(sorted({p.light for p in points}))
     scenes = f"{results.data.test} test scenes of {results.data.name}"
     task = WORDS[results.data.measure].task.format(scenes=scenes)
-    return f"{many}, at equal light (light law {laws}): {task}."
+    parts = scenes_text(results.data)
+    return f"{many}, at equal light (light law {laws}): {task}. {parts[0].upper()}{parts[1:]}."
+
+
+def scenes_text(data: Data) -> str:
+    """Scenes that designs of a comparison were trained and tested on, in words."""
+    words = f"trained on {data.train} scenes, tested on {data.test}"
+    if data.folds > 1:
+        words = (
+            f"{data.folds} folds: each of the {data.test} scenes is tested once, by designs that "
+            f"were trained on {data.train} others"
+        )
+    if not data.validation:
+        return words
+    return (
+        f"{words}; {data.validation} more are held out to choose numbers of masks, where "
+        "deepfsi design trains on all"
+    )
 
 
 def covered(results: Results) -> str:

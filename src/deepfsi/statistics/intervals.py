@@ -117,8 +117,9 @@ def over_seeds(
     return Interval(mean, max(low, bounds[0]), min(high, bounds[1]))
 
 
-def seeds_error(terms: np.ndarray) -> float:
+def seeds_error(terms: np.ndarray, off: float = 1.0) -> float:
     """Standard error that training seeds alone give the mean of terms (S, n); 0 of one seed."""
+    # off: part of the share of images and draws in the trainings' variance that is taken off it
     seeds, images = terms.shape
     if seeds < 2:
         return 0.0
@@ -128,7 +129,7 @@ def seeds_error(terms: np.ndarray) -> float:
         return math.sqrt(spread)
     rest = terms - terms.mean(axis=0) - trainings[:, None] + terms.mean()
     crossed = float(np.square(rest).sum()) / ((seeds - 1) * (images - 1)) / (seeds * images)
-    return math.sqrt(max(spread - crossed, 0.0))
+    return math.sqrt(max(spread - off * crossed, 0.0))
 
 
 def wilson(accuracy: float, images: int) -> tuple[float, float]:

@@ -59,7 +59,26 @@ def forecast_cost(
     workers: int | None = None,
     report: Report = SILENT,
 ) -> Forecast:
-    """Cost of a sweep, less what its folder holds."""
+    """Cost of a sweep, less what its folder holds; of folds that of all together."""
+    parts = recipe.parts(data)
+    each = [
+        _forecast(recipe, part, folder, device, workers, span)
+        for part, span in zip(parts, report.parts(len(parts)), strict=True)
+    ]
+    added = ("trials", "done", "batches", "operations", "seconds", "seconds_free")
+    sums = {name: sum(getattr(cost, name) for cost in each) for name in added}
+    return replace(each[0], **sums)
+
+
+def _forecast(
+    recipe: Recipe,
+    data: Dataset,
+    folder: Path,
+    device: str,
+    workers: int | None,
+    report: Report,
+) -> Forecast:
+    """Cost on one data set, or on one fold."""
     # What only needs other tests of a design that is there is not counted, nor are the products of
     # all scenes that fixed designs take once. Every kind of training is timed with its fewest and
     # its most masks, on a few scenes and the threads of one worker; what lies between is

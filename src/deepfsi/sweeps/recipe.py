@@ -49,6 +49,10 @@ OWN_AXES = ("light", "rails", "detectors", "readout", "noise")
 """Fields of the camera that each point of a summary has as its own."""
 
 
+FOLDS, FEW_IMAGES = 5, 300
+"""Folds of data whose test part was drawn and has fewer scenes than that."""
+
+
 def axis(value: Any) -> Any:
     """Values of an axis, each once; a single value is an axis of one."""
     if not isinstance(value, (list, tuple)):
@@ -202,6 +206,14 @@ class Recipe(BaseModel):
     validation: int | None = Field(
         None, ge=0, description="training scenes held out to choose on; a sixth unless given"
     )
+    folds: int | None = Field(
+        None,
+        ge=1,
+        le=100,
+        description="parts of the scenes, each tested by designs that are trained on the others; "
+        f"1 for none. Unless given {FOLDS} where a test part was drawn and has fewer than "
+        f"{FEW_IMAGES} scenes",
+    )
     draws: int = Field(3, ge=1, le=MOST_DRAWS, description="noise draws of each test scene")
     test_photons: Axis[Budget] = Field(
         (), description="budgets of the tests; that of the training unless given"
@@ -286,6 +298,13 @@ class Recipe(BaseModel):
         if codes.DESIGNS[design].adaptive and not self.masks:
             return [max((c for c in counts if c <= MOST_LOOKS), default=counts[0])]
         return counts
+
+    def parts(self, data: Dataset) -> list[Dataset]:
+        """The data, or its folds, on each of which all designs are trained and tested."""
+        count = self.folds
+        if count is None:
+            count = FOLDS if data.drawn and len(data.x_test) < FEW_IMAGES else 1
+        return [data] if count == 1 else data.folds(count)
 
     def held_out(self, data: Dataset) -> int:
         """Number of training scenes that are kept for validation."""

@@ -150,7 +150,9 @@ class Point(Frozen):
         "is its measure, such as the share of noise draws that are right; 32-bit floats, zlib, "
         "base64. None of trials of earlier versions",
     )
-    keys: tuple[Key, ...] = Field(min_length=1, description="design file of each trial")
+    keys: tuple[Key, ...] = Field(
+        min_length=1, description="design file of each trial, or of each of its folds"
+    )
     best: bool = Field(
         description="whether its mask count was chosen on validation data, or nothing was chosen"
     )
@@ -192,6 +194,11 @@ class Data(Frozen):
     train: Count = Field(description="scenes trained on")
     validation: Count = Field(description="scenes held out")
     test: Count = Field(description="scenes tested on")
+    folds: Count = Field(
+        1,
+        description="parts of the scenes, each tested by designs that were trained on the others; "
+        "1 where there is one test part",
+    )
     chance: FiniteFloat = Field(
         description="measure of guessing: the share of the test scenes that are of their commonest "
         "class, an area of 0.5, or R² 0"

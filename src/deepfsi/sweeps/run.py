@@ -13,6 +13,7 @@ from deepfsi.errors import InputError
 from deepfsi.optics.surroundings import library_defaults
 from deepfsi.progress import SILENT, Report
 from deepfsi.sweeps.context import SweepContext
+from deepfsi.sweeps.folds import pooled, together
 from deepfsi.sweeps.queue import run_trials
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.results import Results, read_results
@@ -38,7 +39,8 @@ def check_kept(
         return
     kept = {
         (trial.design_key, *test)
-        for trial in plan(recipe, data, matrix)
+        for part in recipe.parts(data)
+        for trial in plan(recipe, part, matrix)
         for test in product(trial.test_noise, trial.test_photons, trial.test_levels)
     }
     held = {(key, p.noise, p.photons, p.levels) for p in old.points for key in p.keys}
@@ -64,13 +66,25 @@ def compare(
     """Results of a recipe, and their records."""
     # A changed recipe reuses what it still shares with the folder. matrix (m, N)
     began = time.perf_counter()
-    context = SweepContext(data, recipe.held_out(data), device, matrix)
-    records = run_trials(
-        plan(recipe, data, matrix),
-        context,
-        folder,
-        replace(workers, resources=recipe.resources),
-        report,
-    )
+    parts = recipe.parts(data)
+    if len(parts) > 1 and workers.ray is None:
+        # trainings on few scenes take less than starting processes for each fold
+        workers = replace(workers, count=workers.count or 1)
+    records = [
+        run_trials(
+            plan(recipe, part, matrix),
+            SweepContext(part, recipe.held_out(part), device, matrix),
+            folder,
+            replace(workers, resources=recipe.resources),
+            span,
+        )
+        for part, span in zip(parts, report.parts(len(parts)), strict=True)
+    ]
     seconds = time.perf_counter() - began
-    return summarise(recipe, data, records, command=command, seconds=seconds), records
+    results = summarise(
+        recipe, pooled(data, parts), together(records), command=command, seconds=seconds
+    )
+    if len(parts) > 1:
+        facts = {"hash": data.hash, "folds": len(parts)}
+        results = results.model_copy(update={"data": results.data.model_copy(update=facts)})
+    return results, [record for part in records for record in part]

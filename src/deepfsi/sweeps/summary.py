@@ -54,6 +54,9 @@ MEASURES: dict[Measure, tuple[str, str, str]] = {
 }
 """Fields of a test that hold a measure and its 95 % interval."""
 
+ONE = "of one training"
+"""Words of a test for what its interval covers, before those of folds or of values."""
+
 BALANCED = ("balanced", "balanced_low", "balanced_high")
 """Those of the balanced accuracy."""
 
@@ -181,7 +184,9 @@ def point(
         seconds=float(np.mean([record["info"]["seconds"] for record, _ in members])),
         accuracies=tuple(float(test[score]) for test in tests),
         terms=tuple(pack(row) for row in trials.terms.get(measure, ())),
-        keys=tuple(record["design"] for record, _ in members),
+        keys=tuple(
+            key for record, _ in members for key in record.get("designs", [record["design"]])
+        ),
         best=True,
     )
 
@@ -215,7 +220,9 @@ class _Trials:
         if len(self.tests) == 1:
             return str(self.tests[0]["covers"])
         if self.terms:
-            return f"test images, noise draws and training seeds ({len(self.tests)} trainings)"
+            said = str(self.tests[0]["covers"]).partition(ONE)[2]  # of each fold
+            trainings = f"{len(self.tests)} trainings{said}"
+            return f"test images, noise draws and training seeds ({trainings})"
         return (
             f"training seeds alone (Student's t over {len(self.tests)} trials, whose records of an "
             "earlier version keep no images)"
@@ -227,7 +234,7 @@ class _Trials:
         values = [float(test[fields[0]]) for test in self.tests]
         mean = float(np.mean(values))
         terms = self.terms.get("accuracy" if measure == "balanced" else measure)
-        if len(self.tests) == 1:
+        if terms is None and len(self.tests) == 1:
             low, high = (float(self.tests[0][end]) for end in fields[1:])
         elif terms is None:
             low, high = student(values)

@@ -108,11 +108,12 @@ def mask_faults(recipe: Recipe, data: Dataset) -> list[str]:
         for count in recipe.masks
         if count > data.pixels
     ]
-    if recipe.held_out(data):
-        try:
-            data.hold_out(recipe.held_out(data))
-        except InputError as error:
-            faults.append(str(error))
+    try:
+        for part in recipe.parts(data):
+            if recipe.held_out(part):
+                part.hold_out(recipe.held_out(part))
+    except InputError as error:
+        faults.append(str(error))
     return faults
 
 

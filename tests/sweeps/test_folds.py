@@ -1,0 +1,89 @@
+"""Folds: every scene is tested once, and their records count as one test of all scenes."""
+
+import numpy as np
+import pytest
+
+from conftest import synthetic
+from deepfsi.datasets import from_arrays, load_dataset
+from deepfsi.design.adaptive.design import load_design
+from deepfsi.design.evaluation import evaluate
+from deepfsi.design.training_data import trained_on
+from deepfsi.errors import InputError
+from deepfsi.laboratory.data import data_of
+from deepfsi.statistics.intervals import accuracy
+from deepfsi.statistics.terms import unpack
+from deepfsi.sweeps.forecast import forecast_cost
+from deepfsi.sweeps.results import write_results
+from deepfsi.sweeps.run import check_kept, compare
+from deepfsi.sweeps.trial import mask_faults
+from shared.trials import small
+
+FEW = {"designs": "deepfsi", "photons": 1e3, "masks": 3, "training": {"epochs": 1}, "folds": None}
+
+
+@pytest.fixture(scope="module")
+def few():
+    return synthetic((4, 4), scenes=60)
+
+
+def test_few_scenes_are_tested_in_folds(few, tmp_path):
+    """The interval is that of sixty images, each once, where one test part has twelve."""
+    recipe = small(**FEW, trials=2)
+    results, records = compare(recipe, few, tmp_path, command="deepfsi")
+    (point,) = results.points
+    assert (results.data.folds, results.data.test, results.data.train) == (5, 60, 40)
+    assert (results.data.name, results.data.hash) == (few.name, few.hash)
+    assert (point.trials, len(point.keys), len(records)) == (2, 10, 10)
+    rows = np.stack([unpack(text) for text in point.terms])
+    assert rows.shape == (2, 60)
+    assert point.accuracies == pytest.approx(rows.mean(axis=1))
+    assert (point.low, point.high) == pytest.approx(accuracy(rows)[1:], abs=1e-6)
+    assert np.sum(point.confusion) == 2 * 60
+    assert "5 folds" in point.covers
+    assert "images" in point.covers
+    # each fold's part is what its own design gives to scenes that it was not trained on
+    for place, (key, part) in enumerate(zip(point.keys, few.folds(5), strict=False)):
+        design = load_design(tmp_path / "designs" / f"{key}.safetensors")
+        assert trained_on(design.info).is_of(part)
+        [alone] = evaluate(design, part, 1e3, draws=1)
+        assert rows[0, 12 * place : 12 * place + 12] == pytest.approx(alone.right, abs=1e-6)
+    write_results(tmp_path / "results.json", results)
+    check_kept(tmp_path, recipe, few)
+    with pytest.raises(InputError, match="other settings"):
+        check_kept(tmp_path, small(**{**FEW, "folds": 1}, trials=2), few)
+    forecast = forecast_cost(recipe, few, tmp_path)
+    assert (forecast.trials, forecast.done, forecast.seconds) == (10, 10, 0)
+
+
+def test_one_test_part_where_it_is_large_or_asked_for(few, digits):
+    assert small(folds=None).parts(digits) == [digits]
+    assert small(folds=1).parts(few) == [few]
+    assert len(small(folds=3).parts(digits)) == 3
+    own = few.hold_out()
+    assert small(folds=None).parts(own) == [own]
+    assert "leave `folds` out" in "".join(mask_faults(small(folds=3), own))
+
+
+def test_a_design_of_a_fold_is_tested_on_the_scenes_of_its_fold(few, tmp_path):
+    """It remembers its fold: the test part of the whole data holds scenes that it learned."""
+    path = tmp_path / "few.npz"
+    x = np.concatenate([few.x_train, few.x_test]).reshape(-1, 4, 4)
+    np.savez(path, x=x, y=np.concatenate([few.y_train, few.y_test]))
+    data = load_dataset(path)
+    results, _ = compare(small(**FEW), data, tmp_path / "run", command="deepfsi")
+    design = load_design(tmp_path / "run" / "designs" / f"{results.points[0].keys[1]}.safetensors")
+    again, notes = data_of(design)
+    assert again.hash == data.folds(5)[1].hash
+    assert notes == ()
+    assert "fold 2 of 5" in trained_on(design.info).words
+
+
+def test_values_are_tested_in_folds(tmp_path):
+    x = np.random.default_rng(0).random((60, 16))
+    data = from_arrays(x, x[:, :4].mean(axis=1), values=["corner"])
+    results, _ = compare(small(**FEW), data, tmp_path, command="deepfsi")
+    (point,) = results.points
+    [terms] = [unpack(text) for text in point.terms]
+    assert len(terms) == 60
+    assert point.accuracy == pytest.approx(terms.mean(), abs=1e-6)
+    assert len(point.rmse) == 1
