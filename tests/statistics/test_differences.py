@@ -1,6 +1,7 @@
 """Differences of accuracies, trial by trial, and what they say of a claim."""
 
 import math
+from itertools import product
 
 import numpy as np
 import pytest
@@ -67,11 +68,12 @@ def test_pairs_tell_apart_what_intervals_beside_each_other_do_not():
 
 
 def test_few_images_that_differ_may_be_of_one_sign_by_chance():
-    """By the sign test four of one sign have p = 0.13, six have 0.03."""
-    wrong = np.zeros((1, 24))
-    for more, told in ((4, False), (6, True)):
-        right = wrong + (np.arange(24) < more)
-        assert (paired(right, wrong).low > 0) is told
+    """By the sign test five of one sign have p = 0.06, six have 0.03; so for thirds of draws."""
+    for images, size in product((24, 200, 10_000), (1, 1 / 3)):
+        wrong = np.zeros((1, images))
+        for more, told in ((5, False), (6, True)):
+            right = wrong + size * (np.arange(images) < more)
+            assert (paired(right, wrong).low > 0) is told
 
 
 def test_as_many_trainings_are_paired_and_others_are_not():

@@ -118,14 +118,14 @@ def paired(first: np.ndarray, second: np.ndarray) -> Difference:
 
     Notes
     -----
-    Images and seeds are crossed random effects, as in `statistics.intervals`. Beside the images
-    stands one more whose difference is as large as the largest: where few images differ, those
-    that do may be of one sign by chance (of 24 images, four that one design alone reads are not
-    told apart, and six are).
+    Images and seeds are crossed random effects, as in `statistics.intervals`. Two more squares as
+    large as the largest are added to those of the images: where few images differ, those that do
+    may be of one sign by chance. Five images that one design alone reads do not tell it apart, and
+    six do, as in the sign test.
     """
     each = first.mean(axis=0) - second.mean(axis=0)
     mean, count = float(each.mean()), len(each)
-    squares = float(np.square(each - mean).sum() + np.square(each).max())
+    squares = float(np.square(each - mean).sum() + 2 * np.square(each).max())
     error = math.sqrt(squares / max(count - 1, 1) / count)
     freedom = max(count - 1, 1)
     if len(first) == len(second):
