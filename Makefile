@@ -8,10 +8,11 @@ unexport PYTHONDONTWRITEBYTECODE # compiled anew, the imports of torch alone tak
 
 run: $(VENV)/package
 	$(BIN)/deepfsi compare --camera paper -o runs/paper
-	$(BIN)/deepfsi compare --camera dmd --designs impulse,raster,truncated-hadamard,pca,deepfsi -o runs/dmd
-	$(BIN)/deepfsi design --camera dmd --photons 1e4 --masks 16 --looks 4 --hold-out 287 \
-	  -o runs/dmd/looks.safetensors
-	$(BIN)/deepfsi page runs/dmd/looks.safetensors -o runs/dmd/page.html
+	$(BIN)/deepfsi compare --camera dmd --designs impulse,raster,truncated-hadamard,pca,deepfsi,adaptive \
+	  -o runs/dmd
+	$(BIN)/deepfsi design --camera dmd --design adaptive --photons 1e4 --masks 16 --hold-out 287 \
+	  -o runs/dmd/adaptive.safetensors
+	$(BIN)/deepfsi page runs/dmd/adaptive.safetensors -o runs/dmd/page.html
 
 test quick: $(VENV)/installed
 	$(MAKE) --jobs 2 static pytest-$@

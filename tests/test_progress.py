@@ -17,17 +17,41 @@ from shared.waiting import until
 def test_a_log_says_how_far_a_task_is_and_what_is_left(capsys, monkeypatch):
     monkeypatch.setattr(progress, "FIRST_LINE_SECONDS", 0.01)
     said = ""
+
+    def until_said(words: str) -> None:
+        def heard() -> bool:
+            nonlocal said
+            said += capsys.readouterr().err
+            return words in said
+
+        until(heard)
+
     with terminal_bar("plan") as report:
-        report(0.25, "pca, 3 masks")
-        time.sleep(0.03)
+        until_said("plan: 0% after 0 s\n")
+        report(0.2, "pca, 3 masks")
+        until_said("plan: 20% after 0 s\n")  # of a pace nothing is known yet
+        report(0.7)
+        until_said(" left\n")
+    assert re.search(r"^plan: 70% after \d+ s, about \d+ s left\n", said, re.MULTILINE)
+
+
+def test_the_time_left_is_that_of_the_work_without_its_start(capsys, monkeypatch):
+    """A start of 10 s, then 1 % a second: 60 s are left at 40 %, not 75."""
+    clock = [0.0]
+    monkeypatch.setattr(progress.time, "monotonic", lambda: clock[0])
+    monkeypatch.setattr(progress, "FIRST_LINE_SECONDS", 0.01)
+    with terminal_bar("plan") as report:
+        for clock[0], share in ((10.0, 0.0), (11.0, 0.01), (50.0, 0.4)):
+            report(share)
+        said = ""
 
         def heard() -> bool:
             nonlocal said
             said += capsys.readouterr().err
-            return "pace\n" in said
+            return "left\n" in said
 
         until(heard)
-    assert re.search(r"^plan: 25% after \d+ s, about \d+ s left at this pace\n", said, re.MULTILINE)
+    assert "40% after 50 s, about 60 s left\n" in said
 
 
 def test_a_short_or_hidden_task_says_nothing(capsys, monkeypatch):
@@ -63,8 +87,8 @@ def test_times_are_written_as_people_do():
     assert [duration_text(seconds) for seconds in (4.4, 89, 720, 12600)] == [
         "4 s", "89 s", "12 min", "3.5 h",
     ]  # fmt: skip
-    assert progress_text(0.0, 7) == "7 s so far"
-    assert progress_text(0.5, 7) == "50% after 7 s, about 7 s left at this pace"
+    assert progress_text(0.0, 7) == "0% after 7 s"
+    assert progress_text(0.5, 7, 7) == "50% after 7 s, about 7 s left"
 
 
 def test_moments_are_those_at_which_a_share_is_first_reached(monkeypatch):

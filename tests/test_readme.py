@@ -58,6 +58,32 @@ def test_python(block, tmp_path, monkeypatch):
     assert names["probabilities"].shape == (len(names["data"].x_test), 10)
 
 
+MOST_WORDS = 450
+"""Words of README, those of its code among them."""
+
+
+def test_readme_names_the_two_commands_that_do_all_the_set_up_with_their_time():
+    """And is short: for whom, on which system, how to cite."""
+    for command, minutes in (("make run", 4), ("make test", 12)):
+        assert re.search(rf"^{command} +# {minutes} minutes on two cores", README, re.MULTILINE)
+        target = command.removeprefix("make ")
+        assert re.search(rf"^{target}\b.*:", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    for words in ("is for people who", "Linux or macOS", "Windows", "@article", "CITATION.cff"):
+        assert words in README
+    assert len(README.split()) <= MOST_WORDS
+    assert README.count("![") == 1
+
+
+def test_make_run_ends_with_adaptive_masks():
+    """In the comparison, and as the page that README opens."""
+    lines = re.sub(r"\\\n\s*", "", (ROOT / "Makefile").read_text())
+    run = re.search(r"^run:.*\n((?:\t.*\n)+)", lines, re.MULTILINE)[1].splitlines()
+    assert "compare" in run[-3]
+    assert "adaptive" in run[-3]
+    assert "--design adaptive" in run[-2]
+    assert run[-1].endswith("-o runs/dmd/page.html")
+
+
 def test_no_line_is_left_out():
     assert {page: len(lines(page)) for page in LINES} == LINES
     words = {line.split()[1] for page in LINES for line in lines(page)}

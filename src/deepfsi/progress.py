@@ -56,11 +56,14 @@ class Moments:
         return [stop - start for start, stop in pairwise(ends)]
 
 
-FIRST_LINE_SECONDS = 5.0
+FIRST_LINE_SECONDS = 2.0
 """Time after which a task says how far it is, where no terminal shows a bar."""
 
 MOST_LINE_SECONDS = 300.0
 """Longest time between two lines; each time is twice the one before."""
+
+LEAST_SHARE = 0.05
+"""Share of a task after which the time left is estimated, at the pace of what was done of it."""
 
 WHOLE_TASK = 1e7
 """Seconds that the time left is estimated over: all that have passed, as batches end rarely."""
@@ -92,17 +95,24 @@ def terminal_bar(what: str, hidden: bool = False) -> Iterator[Report]:
 
 @contextmanager
 def _lines(what: str) -> Iterator[Report]:
-    """Say at times how far a task is, from the fifth second on."""
-    began, share, ended = time.monotonic(), 0.0, threading.Event()
+    """Say at times how far a task is, from the second second on."""
+    # The pace is that since the first share above 0: what starts a task is not of it
+    began, ended = time.monotonic(), threading.Event()
+    share, first = 0.0, (0.0, began)
 
     def note(now: float, _: str) -> None:
-        nonlocal share
+        nonlocal share, first
+        if share <= 0 < now:
+            first = now, time.monotonic()
         share = now
 
     def say() -> None:
         pause = FIRST_LINE_SECONDS
         while not ended.wait(pause):
-            print(f"{what}: {progress_text(share, time.monotonic() - began)}", file=sys.stderr)
+            now, (before, since) = time.monotonic(), first
+            pace = (share - before) / max(now - since, 1e-9)
+            left = (1 - share) / pace if share - before >= LEAST_SHARE else None
+            print(f"{what}: {progress_text(share, now - began, left)}", file=sys.stderr)
             pause = min(time.monotonic() - began, MOST_LINE_SECONDS)
 
     threading.Thread(target=say, daemon=True).start()
@@ -112,12 +122,10 @@ def _lines(what: str) -> Iterator[Report]:
         ended.set()
 
 
-def progress_text(share: float, seconds: float) -> str:
-    """Say how far a task is after some seconds, and how long the rest takes at this pace."""
-    if share <= 0:
-        return f"{duration_text(seconds)} so far"
-    left = duration_text(seconds * (1 - share) / share)
-    return f"{share:.0%} after {duration_text(seconds)}, about {left} left at this pace"
+def progress_text(share: float, seconds: float, left: float | None = None) -> str:
+    """Say how far a task is after some seconds, and how many are left where that is known."""
+    rest = "" if left is None else f", about {duration_text(left)} left"
+    return f"{share:.0%} after {duration_text(seconds)}{rest}"
 
 
 def duration_text(seconds: float) -> str:

@@ -4,14 +4,29 @@ import functools
 import hashlib
 import http.server
 import json
+import shutil
 import threading
+from dataclasses import replace
+from pathlib import Path
 
 import pooch
 import pytest
 
+from conftest import real_mnist
+from deepfsi import load_dataset
 from deepfsi.design.adaptive.design import load_design
-from deepfsi.design.published import INDEX, VARIABLE, Index, Published, find_design, read_index
+from deepfsi.design.evaluation import evaluate
+from deepfsi.design.published import (
+    INDEX,
+    SHIPPED,
+    VARIABLE,
+    Index,
+    Published,
+    find_design,
+    read_indexes,
+)
 from deepfsi.errors import InputError
+from deepfsi.sweeps.collection import Collection
 
 
 @pytest.fixture
@@ -87,8 +102,8 @@ def test_a_file_of_another_hash_is_refused_and_not_kept(address, collection, tmp
 @pytest.mark.parametrize(
     ("where", "words"),
     [
-        (None, f"no design file at smal: make one with .*set {VARIABLE} to the folder or address"),
-        ("collection", "no published design 'smal' .*did you mean 'small'"),
+        (None, f"no design file and no published design 'smal': .*or set {VARIABLE} to the folder"),
+        ("collection", "no published design 'smal': did you mean 'small'"),
         ("nowhere", f"nowhere/{INDEX} is missing: give the folder of a collection"),
         ("ftp://a.example", "give a folder, or an address of http, https or file"),
         ("http://127.0.0.1:9", f"cannot download http://127.0.0.1:9/{INDEX} .ConnectionError"),
@@ -104,7 +119,7 @@ def test_what_cannot_be_found_is_said_in_one_line(collection, monkeypatch, where
 def test_a_spoilt_index_is_refused(collection, spoilt):
     (collection / INDEX).write_text(spoilt)
     with pytest.raises(InputError, match=f"{INDEX} cannot be used.*make the collection again"):
-        read_index()
+        read_indexes()
 
 
 def test_commands_take_a_name(collection, done, refuse, tmp_path):
@@ -112,3 +127,57 @@ def test_commands_take_a_name(collection, done, refuse, tmp_path):
     words = ("small", "--data", "digits", "--photons", "1e4", "--draws", "1", "--json")
     assert json.loads(done("evaluate", *words))["results"]
     assert "did you mean 'small'" in refuse("page", "smal", "-o", tmp_path / "page.html")
+
+
+NAMES = {"dmd-mnist"}
+
+
+def test_small_designs_come_with_the_package(monkeypatch, tmp_path):
+    """Made by the package's own list as it is; a collection of one's own comes before them."""
+    monkeypatch.delenv(VARIABLE, raising=False)
+    monkeypatch.chdir(tmp_path)
+    designs, recipes = read_indexes()[str(SHIPPED)], Collection.read().designs
+    assert designs.keys() == NAMES
+    assert {path.name for path in SHIPPED.iterdir()} == {
+        INDEX, *(f"{name}.{kind}" for name in NAMES for kind in ("md", "safetensors")),
+    }  # fmt: skip
+    for name, entry in designs.items():
+        assert entry.recipe == recipes[name].hash
+        design = load_design(name)
+        assert design.image_shape == (32, 32)
+        assert len(design.classes) == 10
+        assert design.info["job"]["photons"] == entry.photons
+        assert find_design(name).stat().st_size < 7e5
+    page = (Path(__file__).parents[2] / "docs/do/published-designs.md").read_text()
+    for name, entry in designs.items():
+        half = (entry.high - entry.low) / 2
+        [row] = [line for line in page.splitlines() if line.startswith(f"| `{name}`")]
+        assert f"{entry.accuracy:.3f} ± {half:.3f}" in row
+
+
+def test_shipped_designs_are_listed_and_a_spoilt_one_is_refused(
+    collection, done, monkeypatch, tmp_path
+):
+    printed = done("designs", "list")
+    assert "shipped with the package" in printed
+    assert all(name in printed for name in ("small", *NAMES))
+    told = json.loads(done("designs", "list", "--json"))
+    assert told["where"] == str(collection)
+    assert [len(each["designs"]) for each in told["collections"]] == [1, len(NAMES)]
+    copy = shutil.copytree(SHIPPED, tmp_path / "shipped")
+    (copy / "dmd-mnist.safetensors").write_bytes(b"spoilt")
+    monkeypatch.setattr("deepfsi.design.published.SHIPPED", copy)
+    with pytest.raises(InputError, match="wrong sha256"):
+        load_design("dmd-mnist")
+
+
+@real_mnist
+def test_shipped_designs_are_as_accurate_as_their_index_says(monkeypatch):
+    """On some test images, of one noise draw; within four standard errors."""
+    monkeypatch.delenv(VARIABLE, raising=False)
+    mnist = load_dataset("mnist")
+    few = replace(mnist, x_test=mnist.x_test[:400], y_test=mnist.y_test[:400])
+    for name, entry in read_indexes()[str(SHIPPED)].items():
+        [result] = evaluate(load_design(name), few, entry.photons, draws=1)
+        error = (entry.accuracy * (1 - entry.accuracy) / 400) ** 0.5
+        assert abs(result.accuracy - entry.accuracy) < 4 * error

@@ -58,22 +58,30 @@ def designs_make(
 
 @app.command("list")
 def designs_list(as_json: options.Json = False) -> None:
-    """List the collection in the folder, or at the address, that DEEPFSI_DESIGNS names.
+    """List the published designs at hand.
+
+    They are those that come with the package, and those in the folder, or at the address, that
+    DEEPFSI_DESIGNS names.
 
     Example: deepfsi designs list
     """
-    from deepfsi.design.published import read_index
+    from deepfsi.design.published import SHIPPED, read_indexes
 
-    where, designs = read_index()
+    collections = {
+        "shipped with the package" if where == str(SHIPPED) else where: designs
+        for where, designs in read_indexes().items()
+    }
     if as_json:
-        common.print_json("designs.list", {"where": where, "designs": _json(designs)})
+        told = [{"where": where, "designs": _json(each)} for where, each in collections.items()]
+        common.print_json("designs.list", {**told[0], "collections": told})
         return
     heads = ("name", "recognises", "photons", "accuracy")
-    rows = [
-        (name, each.recognises, common.budget(each.photons), _share(each))
-        for name, each in designs.items()
-    ]
-    common.print_table(where, heads, rows)
+    for where, designs in collections.items():
+        rows = [
+            (name, each.recognises, common.budget(each.photons), _share(each))
+            for name, each in designs.items()
+        ]
+        common.print_table(where, heads, rows)
 
 
 def _told(entry: "Published") -> str:

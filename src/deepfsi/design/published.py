@@ -1,11 +1,13 @@
 """Published designs: design files of a collection, opened by their names.
 
 A collection is a folder, or an address that serves one: files NAME.safetensors, a card NAME.md of
-each, and `designs.json`, which holds the hash of each file. No torch.
+each, and `designs.json`, which holds the hash of each file. A small one comes with the package. No
+torch.
 """
 
 import os
 import re
+from importlib.resources import files
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated, Literal
@@ -20,6 +22,9 @@ from deepfsi.frozen import Frozen
 
 VARIABLE = "DEEPFSI_DESIGNS"
 """Environment variable: folder or address of a collection."""
+
+SHIPPED = Path(str(files(__package__) / "shipped"))
+"""Folder of the collection that comes with the package."""
 
 INDEX = "designs.json"
 """Name of the index of a collection."""
@@ -93,7 +98,8 @@ def find_design(given: str | os.PathLike[str]) -> Path:
 
     A name has no ending and no separator, and nothing is at that path. It is looked for in the
     folder or at the address that the environment variable `DEEPFSI_DESIGNS` gives (`http`, `https`,
-    `file`). Files of an address are kept in the user's cache.
+    `file`), and then among the designs that come with the package. Files of an address are kept in
+    the user's cache.
 
     Parameters
     ----------
@@ -102,8 +108,8 @@ def find_design(given: str | os.PathLike[str]) -> Path:
     Raises
     ------
     InputError
-        If the variable is not set, no such name is in the collection, it cannot be reached, or the
-        file's hash is not that of the index.
+        If no such name is in the collections, one cannot be reached, or the file's hash is not
+        that of the index.
     """
     name, path = os.fspath(given), Path(given)
     if path.exists():
@@ -112,13 +118,15 @@ def find_design(given: str | os.PathLike[str]) -> Path:
         raise InputError(f"no design file at {name}: did you mean {longer}?")
     if not re.fullmatch(NAME, name):
         return path
-    where, designs = read_index(f"no design file at {name}: make one with `deepfsi design`, or")
-    if name not in designs:
+    collections = read_indexes()
+    where = next((each for each, designs in collections.items() if name in designs), None)
+    if where is None:
+        names = [each for designs in collections.values() for each in designs]
         raise InputError(
-            f"no file and no published design '{name}' in the collection at {where}: "
-            f"{closest(name, designs) if designs else 'it is empty'}"
+            f"no design file and no published design {name!r}: {closest(name, names)}; make a file "
+            f"with `deepfsi design`, or set {VARIABLE} to the folder or address of a collection"
         )
-    folder, sha256 = _folder(where), designs[name].sha256
+    folder, sha256 = _folder(where), collections[where][name].sha256
     if folder is None:
         return _from_address(name, sha256, where)
     path = folder / f"{name}.safetensors"
@@ -130,27 +138,26 @@ def find_design(given: str | os.PathLike[str]) -> Path:
     return path
 
 
-def read_index(unset: str = "no collection is known:") -> tuple[str, dict[str, Published]]:
-    """Folder or address of the collection, and its designs by name.
+def read_indexes() -> dict[str, dict[str, Published]]:
+    """Designs by name, of the collection of `DEEPFSI_DESIGNS` if it is set, and of the package's.
 
-    Parameters
-    ----------
-    unset : str
-        Beginning of the error where the variable is not set.
+    The collections go by their folder or address.
     """
-    where = os.environ.get(VARIABLE, "").rstrip("/")
-    if not where:
-        raise InputError(
-            f"{unset} set {VARIABLE} to the folder or address of a collection of published designs"
-        )
+    found = {}
+    if where := os.environ.get(VARIABLE, "").rstrip("/"):
+        found[where] = _read_index(where)
+    return {**found, str(SHIPPED): Index.read(SHIPPED).designs}
+
+
+def _read_index(where: str) -> dict[str, Published]:
     folder = _folder(where)
     if folder is not None:
-        return where, Index.read(folder).designs
+        return Index.read(folder).designs
     from deepfsi.datasets.store import fetch
 
     with TemporaryDirectory() as there:
         _check_fetched(f"{where}/{INDEX}", fetch(f"{where}/{INDEX}", None, Path(there, INDEX)))
-        return where, Index.read(Path(there)).designs
+        return Index.read(Path(there)).designs
 
 
 def _folder(where: str) -> Path | None:

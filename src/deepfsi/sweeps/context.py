@@ -28,8 +28,12 @@ MASKS_AT_ONCE = 2048
 MEMORY = 0.7
 """Share of the free memory that is planned for."""
 
-TRAINING_SHARE = 0.9
-"""Share of a batch's time that its training takes, for the bar; its tests take the rest."""
+TRAINING_SHARE, PRIOR_SHARE = 0.9, 0.1
+"""Share of a batch's time that its training takes, for the bar, and the prior of adaptive masks;
+its tests take the rest."""
+
+LOOK = 0.4
+"""Cost of a look of adaptive masks at one scene, in units of `SweepContext.effort`."""
 
 Batch = list[Trial]
 """Trials that are trained together."""
@@ -110,7 +114,10 @@ class SweepContext:
 
     def effort(self, batch: Sequence[Trial]) -> float:
         """Relative cost of training a batch: a constant a step, products and noise."""
-        job = batch[0].job
+        trial, job = batch[0], batch[0].job
+        if job.code.adaptive:  # their tests take the time
+            scenes = trial.draws * len(trial.test_photons) * (len(self.data.x_test) + self.held_out)
+            return LOOK * scenes * job.masks * len(batch)
         cost = 20.0 + len(batch) * (20 + job.masks) * (3 if job.code.learned else 1)
         twice = 2 if job.code.learned_under else 1
         return job.training.epochs * job.exposure.parts * cost * twice
@@ -131,7 +138,8 @@ class SweepContext:
             each = zip(parts, report.parts(len(parts)), strict=True)
             return [done for part, span in each for done in self.train(part, span)]
         own = self.matrix if batch[0].job.code.own else None
-        learning, testing = report.part(0.0, TRAINING_SHARE), report.part(TRAINING_SHARE, 1.0)
+        share = PRIOR_SHARE if batch[0].job.code.adaptive else TRAINING_SHARE
+        learning, testing = report.part(0.0, share), report.part(share, 1.0)
         try:
             designs = train(self.training_set, [trial.job for trial in batch], own, learning)
         except Diverged:
