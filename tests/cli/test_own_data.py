@@ -303,3 +303,59 @@ def test_a_new_user_goes_from_pictures_to_counted_classes(done, refuse, tmp_path
     right, exposures = map(int, re.search(r"right: (\d+) of (\d+) exposures", said).groups())
     assert exposures >= 9
     assert right >= 0.8 * exposures
+
+
+def test_pictures_of_the_size_asked_for_are_not_said_to_be_resized(done, pictures, tmp_path):
+    for side, said in ((8, "8x8 pixels;"), (4, "8x8 pixels, averaged to 4x4 pixels;")):
+        file = tmp_path / f"{side}.safetensors"
+        out = done("design", "--data", pictures, "--size", f"{side}x{side}", *TRAINED, "-o", file)
+        assert f"90 images of {said}" in out
+
+
+def test_the_size_of_a_folder_is_told_once(done, pictures, tmp_path):
+    """`design` keeps it; every later command takes it from there, and the light of the camera."""
+    lab, file = tmp_path / "lab.toml", tmp_path / "d.safetensors"
+    lab.write_text('device = "dlp7000"\nexposure = "10ms"\nflux = 1e6\ndark = 200\n')
+    trained = ["--camera", lab, "--masks", 4, "--epochs", 1]
+    done("design", "--data", pictures, "--size", "4x4", *trained, "-o", file)
+    assert "averaged to 4x4" in done("evaluate", file, "--photons", "1e4")
+    assert "averaged to 4x4" in done("evaluate", file, "--photons", "1e4", "--data", pictures)
+    out = done("predict", file, pictures)
+    assert "averaged to 4x4" in out
+    assert "1e4 photons" in out
+    assert "were trained on" in out.splitlines()[-1]  # the sum, below 90 rows
+    shown = tmp_path / "shown"
+    assert "6 pictures" in done("data", "export", file, "--per-class", 2, "-o", shown)
+    with Image.open(next(shown.rglob("*.png"))) as picture:
+        assert picture.size == (4, 4)
+    done("dmd", "export", file, "-o", tmp_path / "frames")
+    run = tmp_path / "run"
+    done("camera", "simulate", tmp_path / "frames", "--scene", pictures, "-o", run)
+    counted = done("camera", "count", run)
+    assert "90 scenes, 90 exposures of 10 ms, 90 of them whole" in counted
+    assert "e+" not in counted
+    assert "were trained on" in done("camera", "classify", file, run).splitlines()[-1]
+
+
+def test_a_picture_of_the_masks_stands_beside_the_design(done, call, pictures, tmp_path):
+    file = tmp_path / "d.safetensors"
+    done("design", "--data", pictures, *TRAINED, "-o", file)
+    assert f"drawn: {tmp_path / 'd.png'}" in done("show", file)
+    code, out, errors = call("show", file)
+    assert (code, out) == (2, "")
+    assert "d.png exists already: give another name, or --force" in errors
+    done("show", file, "--force")
+
+
+def test_masks_that_have_no_time_are_told(done, pictures, tmp_path):
+    """Of 40 masks in an exposure of 10 frames at most."""
+    file, words = tmp_path / "d.safetensors", ["--exposure", "400us", "--flux", "1e8"]
+    asked = ["--data", pictures, "--dmd", "dlp7000", "--masks", 40, "--epochs", 2, *words]
+    out = done("design", *asked, "-o", file)
+    rails = Design.load(file).rails.stacked
+    lit = int((rails.amax(dim=-1) > 0).any(dim=0).sum())
+    assert 0 < lit <= 12
+    assert f"masks: 40 asked, {lit} lit: {40 - lit} have no time under this budget" in out
+    told = json.loads(done("design", *asked, "-o", file, "--json"))
+    assert told["lit_masks"] == lit
+    done("show", file)

@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -168,3 +169,20 @@ def test_the_command(done, refuse, file, digits, tmp_path):
     assert done(*words, "-o", tmp_path / "c.csv", "--force")
     assert "end the name in .csv" in refuse(*words, "-o", tmp_path / "c.txt")
     assert "there is nothing at" in refuse("predict", file, tmp_path / "no", "--photons", 1)
+
+
+def test_light_is_that_of_the_camera_unless_it_is_told(digits, raw, design):
+    """Of a camera whose light was not trained for, the lowest that was."""
+    told = deepfsi.predict(design, raw, 1e4, seed=3)
+    assert deepfsi.predict(design, raw, seed=3) == told
+    lab = deepfsi.Camera(exposure="10ms", flux=3e6, dark=200)
+    made = learn(digits, camera=lab, masks=4, epochs=1)
+    assert deepfsi.predict(made, raw).photons == pytest.approx(3e4)
+    dim = learn(digits, camera=lab, photons=1e3, masks=4, epochs=1)
+    assert deepfsi.predict(dim, raw).photons == 1e3
+    dark_free = deepfsi.Camera(exposure="10ms", flux=3e6)
+    several = learn(digits, camera=dark_free, photons=1e3, span=100, masks=4, epochs=1)
+    assert deepfsi.predict(several, raw).photons == pytest.approx(3e4)
+    silent = replace(design, info={k: v for k, v in design.info.items() if k != "job"})
+    with pytest.raises(InputError, match="give `photons`"):
+        deepfsi.predict(silent, raw)

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from deepfsi.report.masks import masks_figure, signed, values_figure
+from deepfsi.report.masks import brightest, lit_masks, masks_figure, signed, values_figure
 from deepfsi.report.style import svg
+from deepfsi.report.terms import lit_text
 from shared.figures import assert_legible
 
 
@@ -104,3 +105,16 @@ def test_dark_masks_can_be_drawn():
     dark = np.zeros((1, 4))
     assert svg(masks_figure(dark, (2, 2)), "a", "masks")
     assert svg(values_figure(dark), "b", "values")
+
+
+def test_masks_without_light_are_none_of_the_brightest():
+    """In either rail; a mask of one rail that is dark is lit."""
+    rails = np.random.default_rng(1).uniform(0.1, 0.3, (2, 8, 24))
+    rails[:, 2], rails[0, 5], rails[:, 7] = 0, 0, 0
+    assert lit_masks(rails) == lit_masks(rails[1]) == 6
+    assert set(brightest(rails, 8)) == {0, 1, 3, 4, 5, 6}
+    assert len(brightest(rails, 3)) == 3
+    titles = {ax.get_title(loc="left") for ax in tiles_of(masks_figure(rails, (4, 6)))}
+    assert titles == {f"mask {number}" for number in (1, 2, 4, 5, 6, 7)}
+    assert lit_text(8, 6) == "8 asked, 6 lit: 2 have no time under this budget"
+    assert lit_text(8, 7).endswith("1 has no time under this budget")

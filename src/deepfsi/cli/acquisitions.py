@@ -8,6 +8,7 @@ import typer
 from deepfsi.cli import common, options, paths
 from deepfsi.cli.settings import laboratory_fields, with_settings
 from deepfsi.errors import InputError
+from deepfsi.quantities import time_text
 
 _SERIES = "--cumulative or --bins"
 
@@ -61,8 +62,8 @@ def camera_prepare(
         )
         return
     print(
-        f"{len(made.scenes)} scenes, {made.repeats} exposures of {made.exposure_s:.4g} s each, "
-        f"{manifest.pass_s:.4g} s a pass\n"
+        f"{len(made.scenes)} scenes, {common.several(made.repeats, 'exposure')} of "
+        f"{time_text(made.exposure_s)} for each, {time_text(manifest.pass_s)} a pass\n"
         f"photons on input {name_inputs(made.inputs)}, a trigger on marker input "
         f"{made.marker_bit.bit_length() - 1}\n"
         f"acquisition: {out}; show the patterns once for each scene, put the recording there as "

@@ -12,6 +12,7 @@ from deepfsi.cli.groups import Group
 from deepfsi.cli.settings import laboratory_fields, with_settings
 from deepfsi.errors import InputError, as_input_error, closest
 from deepfsi.files import read_toml, write_atomically
+from deepfsi.quantities import count_text, time_text
 
 if TYPE_CHECKING:
     import numpy as np
@@ -143,7 +144,8 @@ def camera_simulate(
         return
     print(
         f"scenes: {scene}. {images.preprocessing}\n"
-        f"{len(made.scenes)} scenes, {made.repeats} exposures of {made.exposure_s:g} s each\n"
+        f"{len(made.scenes)} scenes, {common.several(made.repeats, 'exposure')} of "
+        f"{time_text(made.exposure_s)} for each\n"
         f"recorded: {out}"
     )
 
@@ -274,11 +276,11 @@ def print_counts(
     stated = counts.gates is not None and run.flux in counts.flux
     source = "that acquisition.json states" if stated else "by the all-ON frames"
     print(
-        f"{summary['scenes']} scenes, {summary['exposures']} exposures of {counts.exposure_s:g} s, "
-        f"{summary['whole']} of them whole\n"
-        f"{summary['photons_counted']} {kind} counted; budget {source} "
-        f"{_span(counts.photons)} photons an exposure, dark "
-        f"{_span(counts.dark_rate[counts.valid.any(axis=1)])} counts/s\n"
+        f"{summary['scenes']} scenes, {summary['exposures']} exposures of "
+        f"{time_text(counts.exposure_s)}, {summary['whole']} of them whole\n"
+        f"{summary['photons_counted']} {kind} counted\n"
+        f"budget {source}: {_span(counts.photons)} photons an exposure\n"
+        f"dark counts: {_span(counts.dark_rate[counts.valid.any(axis=1)])} a second\n"
         f"clocks: frames last {_drifted(counts.drift)}\n"
         f"{_ambient(counts)}"
         f"counts: {folder / 'counts.npz'}"
@@ -377,7 +379,7 @@ def camera_inspect(
 def _print_contents(file: Path, contents: "Contents") -> None:
     rows = [
         ("record type", contents.kind),
-        ("time unit", f"{contents.tick_s:g} s"),
+        ("time unit", time_text(contents.tick_s)),
         ("records", str(contents.records)),
         *((f"photons on input {k + 1}", str(n)) for k, n in contents.photons.items()),
         *((f"markers on {k.bit_length() - 1}", str(n)) for k, n in contents.markers.items()),
@@ -429,5 +431,5 @@ def _span(values: "np.ndarray") -> str:
 
     if np.isnan(values).all():
         return "unknown"
-    ends = [f"{end:.4g}" for end in (np.nanmin(values), np.nanmax(values))]
+    ends = [count_text(end) for end in (np.nanmin(values), np.nanmax(values))]
     return " to ".join(dict.fromkeys(ends))

@@ -117,6 +117,8 @@ def camera_classify(
 
 
 def _print_classes(found: "ClassifiedRun") -> None:
+    from deepfsi.cli import as_options
+
     rows = [
         (
             scene.name,
@@ -136,15 +138,13 @@ def _print_classes(found: "ClassifiedRun") -> None:
     common.print_table(f"{found.design}, {found.masks} masks", heads, rows)
     for fault in found.faults:
         print(fault.line([scene.name for scene in found.scenes]))
-    for line in found.score.lines("exposure"):
-        print(line)
+    for remark in found.remarks:
+        print(as_options(remark))
     labelled = sum(len(scene.guesses) for scene in found.scenes if scene.label)
     if foreign := labelled - found.score.answers:
         print(f"{foreign} exposures have labels that are none of the design's classes: left out")
-    from deepfsi.cli import as_options
-
-    for remark in found.remarks:
-        print(as_options(remark))
+    for line in found.score.lines("exposure"):
+        print(line)
 
 
 def _print_replay(found: "ReplayedRun") -> None:

@@ -14,6 +14,7 @@ import typer
 from deepfsi.cli import paths
 from deepfsi.files import readable
 from deepfsi.progress import Report, terminal_bar
+from deepfsi.quantities import count_text
 
 if TYPE_CHECKING:
     import numpy as np
@@ -173,10 +174,10 @@ def counted(
     """Heads and cells of what detectors count, and what they mean; of clicks with the photons."""
     if not any(test.clicks for test in tests):
         meaning = "counts: photons that detectors count, in the mean over test scenes"
-        return ("counts",), [(budget(test.counts),) for test in tests], meaning
+        return ("counts",), [(count_text(test.counts),) for test in tests], meaning
     meaning = "counts: clicks of the detectors, arriving: photons that reach them"
     cells: list[tuple[str, ...]] = [
-        (budget(test.counts), "–" if test.arriving is None else budget(test.arriving))
+        (count_text(test.counts), "–" if test.arriving is None else count_text(test.arriving))
         for test in tests
     ]
     return ("counts", "arriving"), cells, f"{meaning}, in the mean over test scenes"
@@ -190,6 +191,11 @@ def share(mean: float, low: float, high: float) -> str:
 def error(rmse: float, bound: float | None) -> str:
     """A root mean squared error, and in brackets a bound where there is one: 0.052 (0.071)."""
     return f"{rmse:.3g}" if bound is None else f"{rmse:.3g} ({bound:.3g})"
+
+
+def several(number: int, what: str) -> str:
+    """A number of things: 1 exposure, 2 exposures."""
+    return f"{number} {what}{'' if number == 1 else 's'}"
 
 
 def short(name: str, width: int = NAME_WIDTH) -> str:

@@ -83,7 +83,13 @@ def data_check(
 
 @app.command("export")
 def data_export(
-    name: Annotated[str, typer.Argument(help="name, folder of images or .npz file")],
+    name: Annotated[
+        str,
+        typer.Argument(
+            help="name, folder of images or .npz file; or a design file, for the test scenes of "
+            "what it was trained on, at its size"
+        ),
+    ],
     out: Annotated[Path, typer.Option("--out", "-o", help="folder for the pictures, new")],
     per_class: Annotated[int, typer.Option(min=1, help="test scenes of each class")] = 1,
     seed: Annotated[int, typer.Option(min=0, help="seed of their choice")] = 0,
@@ -97,5 +103,12 @@ def data_export(
     paths.check_new_folder(out)
     from deepfsi.datasets import write_display
 
-    written = write_display(common.load(name, options.size_of(size)), out, per_class, seed)
+    shown = options.size_of(size)
+    if name.endswith(".safetensors"):
+        from deepfsi.laboratory.data import data_of_file
+
+        scenes = data_of_file(paths.check_design(Path(name)), shown)
+    else:
+        scenes = common.load(name, shown)
+    written = write_display(scenes, out, per_class, seed)
     common.print_pictures("data.export", written, out, as_json)

@@ -10,8 +10,10 @@ from deepfsi.cli import common, options, paths
 from deepfsi.cli.results import (
     counts_text,
     details,
+    fewest_lit,
     print_estimates,
     print_full_gates,
+    print_lit,
     print_results,
     score,
 )
@@ -24,6 +26,7 @@ if TYPE_CHECKING:
 
     from deepfsi.datasets import Dataset
     from deepfsi.design.adaptive.design import AdaptiveDesign
+    from deepfsi.design.artifact import Design
     from deepfsi.design.evaluation import Result
     from deepfsi.design.stopping import Stopped
     from deepfsi.training.job import Job
@@ -81,7 +84,7 @@ def design(
     if as_json:
         tests = [{"classes": made.classes, **result.as_dict()} for result in results]
         said = {"design": str(out), "info": made.info, "notes": notes, "tests": tests}
-        common.print_json("design", said)
+        common.print_json("design", {**said, "lit_masks": fewest_lit(results)})
         return
     common.print_data(scenes, notes)
     print(job.exposure.words(job.optics))
@@ -92,6 +95,7 @@ def design(
             f"{details(result, made.classes)}"
         )
     print_full_gates(made, results)
+    print_lit(results)
     print(f"saved: {out}")
 
 
@@ -297,7 +301,12 @@ def _print_stopped(found: "Stopped", size: str) -> None:
 
 def show(
     file: Annotated[Path, typer.Argument(help="design file")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="picture: .png, .svg or .pdf")],
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out", "-o", help="picture: .png, .svg or .pdf; .png beside the design unless given"
+        ),
+    ] = None,
     count: Annotated[int, typer.Option(help="at most this many masks")] = 24,
     force: options.Force = False,
     as_json: options.Json = False,
@@ -308,6 +317,8 @@ def show(
 
     Example: deepfsi show digits.safetensors -o masks.png
     """
+    if out is None:  # beside a file; of a published design's name here
+        out = file.with_suffix(".png") if file.exists() else Path(f"{file.name}.png")
     file = paths.check_design(file)
     paths.check_file(out, paths.PICTURES, force)
     from deepfsi.design.adaptive.design import load_design
@@ -324,22 +335,13 @@ def show(
         scenes, _ = data_of(made)
         common.draw("show", _exposure(made, scenes, budget), out, as_json)
         return
-    title = f"{made.name}, {common.size(made)}, {made.light}" + (
-        f", {common.budget(budget)} photons" if budget else ""
-    )
-    if count < made.masks:
-        title += f"; the {count} that count most photons"
     dwells = made.exposure.mask_dwells(made.rails, made.light, made.mean, made.std)
-    if dwells is not None:
-        title += f"\ndwell: {made.exposure.dwell_words}"
     labels = made.detection.labels
-    if labels is not None:
-        title += "\nlines: parts of the device that one detector sees"
     matrix, shape = made.exposure.drawing(made.rails.difference, made.mask_shape)
     figure = masks_figure(
         matrix.cpu().numpy(),
         shape,
-        title,
+        _title(made, count, timed=dwells is not None),
         count,
         dwells=None if dwells is None else dwells.detach().cpu().numpy(),
         parts=None if labels is None else labels.cpu().numpy(),
@@ -347,6 +349,27 @@ def show(
     common.draw("show", figure, out, as_json)
     if (known := trained_on(made.info)) and not as_json:
         print(f"trained on: {known.words}")
+
+
+def _title(made: "Design", count: int, timed: bool) -> str:
+    """Title of a picture of so many masks of a design, with or without their dwells."""
+    from deepfsi.report.masks import lit_masks
+    from deepfsi.report.terms import lit_text
+
+    budget = made.info.get("job", {}).get("photons")
+    title = f"{made.name}, {common.size(made)}, {made.light}" + (
+        f", {common.budget(budget)} photons" if budget else ""
+    )
+    lit = lit_masks(made.rails.stacked.cpu().numpy())
+    if lit < made.masks:
+        title += f"\n{lit_text(made.masks, lit)}"
+    if count < lit:
+        title += f"; the {count} that count most photons"
+    if timed:
+        title += f"\ndwell: {made.exposure.dwell_words}"
+    if made.detection.labels is not None:
+        title += "\nlines: parts of the device that one detector sees"
+    return title
 
 
 def _exposure(made: "AdaptiveDesign", data: "Dataset", photons: float) -> "Figure":

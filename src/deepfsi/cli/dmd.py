@@ -9,6 +9,7 @@ from deepfsi.cli import common, options, paths
 from deepfsi.cli.groups import Group
 from deepfsi.cli.settings import SettingsCommand, laboratory_fields, with_settings
 from deepfsi.errors import InputError
+from deepfsi.quantities import time_text
 
 if TYPE_CHECKING:
     from deepfsi.devices import Device
@@ -288,7 +289,8 @@ def _placed(manifest: "Manifest", grid: "Grid") -> str:
 def _counted(manifest: "Manifest", longest: float | None, cost: "Cost | None") -> str:
     """Frames of a pass, its longest exposure and what it costs, in words."""
     sentinels = len(manifest.frames) - len(manifest.shown)
-    frames = f"{len(manifest.shown)} frames of masks and {sentinels} all-ON and all-OFF ones"
+    shown = common.several(len(manifest.shown), "frame")
+    frames = f"{shown} of masks and {sentinels} all-ON and all-OFF ones"
     device, chosen = manifest.device, manifest.looks
     if chosen and chosen.adaptive:
         return (
@@ -296,7 +298,7 @@ def _counted(manifest: "Manifest", longest: float | None, cost: "Cost | None") -
             f"before each look, {device.load_us} µs a frame on {device.name}, in which no photon "
             "is counted; show them with `deepfsi camera live`"
         )
-    if chosen or cost is None:
+    if chosen or cost is None or longest is None:
         looks = chosen.count if chosen else 1
         return (
             f"{frames}, {looks} looks: the times written are of the first, those of the others "
@@ -306,8 +308,8 @@ def _counted(manifest: "Manifest", longest: float | None, cost: "Cost | None") -
     if manifest.device.video_us:
         reason = "all pictures last as long as the longest"
     return (
-        f"{frames}, {manifest.pass_s:.4g} s a pass, exposures up to {longest:.4g} s\n"
+        f"{frames}, {time_text(manifest.pass_s)} a pass, exposures up to {time_text(longest)}\n"
         f"cost in time: at that exposure {cost.total:.1%} of a pass is not counted: "
-        f"{cost.sentinels:.1%} for those frames, {cost.settling:.1%} for mirrors to settle, "
-        f"{cost.idle:.1%} since {reason}"
+        f"{cost.sentinels:.1%} for all-ON and all-OFF frames, {cost.settling:.1%} for mirrors "
+        f"to settle, {cost.idle:.1%} since {reason}"
     )

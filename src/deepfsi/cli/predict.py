@@ -19,7 +19,13 @@ def predict(
             "of file names and labels"
         ),
     ],
-    photons: Annotated[str, typer.Option(help="budget of an exposure, such as 1e4")],
+    photons: Annotated[
+        str | None,
+        typer.Option(
+            help="budget of an exposure, such as 1e4; the light of the design's camera, which it "
+            "was trained for, unless given"
+        ),
+    ] = None,
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="table with a line for each picture, .csv")
     ] = None,
@@ -37,7 +43,7 @@ def predict(
 
     They get the preprocessing of the data that the design was trained on, which it remembers.
 
-    Example: deepfsi predict digits.safetensors pictures/ --photons 1e4 -o classes.csv
+    Example: deepfsi predict digits.safetensors pictures/ -o classes.csv
     """
     file = paths.check_design(file)
     paths.check_there(pictures, "a picture, or a folder of pictures")
@@ -48,7 +54,7 @@ def predict(
     from deepfsi.laboratory.prediction import predict as run
     from deepfsi.training.training_set import find_device
 
-    budget = options.number("photons", photons)
+    budget = None if photons is None else options.number("photons", photons)
     told: dict[str, Any] = {"noise": noise, "sigma": sigma, "dark": dark}
     told = {name: value for name, value in told.items() if value is not None}
     made = common.open_design(file, trust).to(find_device(device))
@@ -66,16 +72,15 @@ def predict(
         (each.name, each.predicted, f"{each.confidence:.3f}", each.label or "")
         for each in found.pictures
     ]
-    title = (
-        f"{made.name}, {common.size(made)}, {common.budget(budget)} photons, {found.noise} noise"
-    )
+    light = f"{common.budget(found.photons)} photons"
+    title = f"{made.name}, {common.size(made)}, {light}, {found.noise} noise"
     common.print_table(title, ("picture", "class", "confidence", "labelled"), rows)
-    for line in found.score.lines("picture"):
-        print(line)
     labelled = sum(each.label is not None for each in found.pictures)
     if foreign := labelled - found.score.answers:
         print(f"{foreign} pictures have labels that are none of the design's classes: left out")
     for remark in found.remarks:
         print(f"note: {remark}")
+    for line in found.score.lines("picture"):
+        print(line)
     if out is not None:
         print(f"table: {out}")

@@ -6,6 +6,7 @@ from itertools import zip_longest
 from typing import TYPE_CHECKING
 
 from deepfsi.cli import common
+from deepfsi.quantities import count_text
 
 if TYPE_CHECKING:
     from deepfsi.design.adaptive.design import AnyDesign
@@ -15,6 +16,10 @@ if TYPE_CHECKING:
 MOST_CLICKS = 0.95
 """Share of gates that click above which one is told: with r photons in a gate the information on
 log r is r² e⁻ʳ / (1 − e⁻ʳ), highest at a share of 0.80, and 0.73 of that at 0.95."""
+
+
+FEW_CLASSES = 5
+"""Classes whose names head the columns of a confusion matrix in full."""
 
 
 def score(result: "Result | Estimates") -> str:
@@ -41,10 +46,10 @@ def details(result: "Result | Estimates", classes: Sequence[str]) -> str:
 
 def counts_text(result: "Result") -> str:
     """Counts of the detectors in words; of clicks the photons that reach them, too."""
-    counts = common.budget(result.counts)
+    counts = count_text(result.counts)
     if not result.clicks:
         return f"{counts} counts"
-    return f"{counts} clicks of {common.budget(result.arriving)} photons that arrive"
+    return f"{counts} clicks of {count_text(result.arriving)} photons that arrive"
 
 
 def print_full_gates(made: "AnyDesign", results: "Sequence[Result | Estimates]") -> None:
@@ -61,6 +66,20 @@ def print_full_gates(made: "AnyDesign", results: "Sequence[Result | Estimates]")
                 "the gates click, which tells little of a scene: give more --gates, or a lower "
                 "--photons"
             )
+
+
+def fewest_lit(results: "Sequence[Result | Estimates]") -> int:
+    """Number of masks that have light, at the budget with the fewest of them."""
+    return min(sum(light > 0 for light in result.photons_per_mask) for result in results)
+
+
+def print_lit(results: "Sequence[Result | Estimates]") -> None:
+    """Say how many masks have light, where some have none."""
+    from deepfsi.report.terms import lit_text
+
+    masks, lit = len(results[0].photons_per_mask), fewest_lit(results)
+    if lit < masks:
+        print(f"masks: {lit_text(masks, lit)}; give a longer --exposure, or --masks {lit}")
 
 
 def print_results(
@@ -144,7 +163,8 @@ def _print_confusion(result: "Result", classes: Sequence[str]) -> None:
         (common.short(name), *(f"{100 * x:.0f}" if x else "" for x in row))
         for name, row in zip(classes, found, strict=True)
     ]
-    heads = ("true \\ answered", *(common.short(name, 5) for name in classes))
+    width = common.NAME_WIDTH if len(classes) <= FEW_CLASSES else 5
+    heads = ("true \\ answered", *(common.short(name, width) for name in classes))
     common.print_table(f"answers {where}", heads, rows)
 
 

@@ -7,6 +7,7 @@ import typer
 
 from deepfsi.cli import common, options, paths
 from deepfsi.errors import InputError
+from deepfsi.quantities import time_text
 
 
 def camera_transits(
@@ -74,7 +75,8 @@ def camera_transits(
     ]
     common.print_table("Transits", ["start, s", "photons", "class", "confidence"], rows)
     print(
-        f"{len(rows)} transits in {found.seconds:.4g} s: {found.threshold.photons} photons or more "
+        f"{len(rows)} transits in {time_text(found.seconds)}: {found.threshold.photons} photons or "
+        "more "
         f"within a transit, at a background of {found.background:.4g} counts/s; "
         f"{found.threshold.false_alarms:.2g} false alarms are expected in the record"
     )

@@ -65,7 +65,7 @@ def read_display(
     names = tuple(map(readable, files))
     labels = [pictures[place].label for place in kept]
     classes = tuple(label for label in labels if label and isinstance(label, str)) or None
-    levels, sized = tally.levels(white), sized_text(shape, bilinear)
+    levels, sized = tally.levels(white), sized_text(shape, bilinear, tally.sizes)
     said = f"{tally.words}{sized}; {levels.words}"
     x = reflectance(pixels, levels)
     return Display(names, classes, x, levels, said, tally.written)

@@ -127,7 +127,7 @@ def from_listings(
     labels = np.array([wanted[place].label for place in kept_places])
     x, n = reflectance(pixels, levels), sum(place < len(train) for place in kept_places)
     drawn = "" if images is None else f"{images} training images drawn by class; "
-    sized = sized_text(shape, bilinear)
+    sized = sized_text(shape, bilinear, tally.sizes)
     data = split_arrays(
         (x[:n], labels[:n]),
         (x[n:], labels[n:]) if test else (None, None),
@@ -140,10 +140,10 @@ def from_listings(
     return replace(data, white=levels.white if levels.chosen else None)
 
 
-def sized_text(shape: Shape | None, bilinear: bool) -> str:
-    """Say to what size images were brought, as the end of a phrase."""
+def sized_text(shape: Shape | None, bilinear: bool, sizes: set[Shape]) -> str:
+    """Say to what size images of some sizes were brought, as the end of a phrase."""
     how = "resized bilinearly" if bilinear else "averaged"
-    return f", {how} to {shape[0]}x{shape[1]} pixels" if shape else ""
+    return f", {how} to {shape[0]}x{shape[1]} pixels" if shape and sizes != {shape} else ""
 
 
 def as_shape(size: int | tuple[int, ...] | None) -> Shape | None:

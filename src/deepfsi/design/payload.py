@@ -26,7 +26,7 @@ from deepfsi.design.evaluation import check_data, evaluate, scanner_for
 from deepfsi.design.exposure import LARGEST_SCORE
 from deepfsi.design.file_content import check_classes
 from deepfsi.design.stopping import rule_of, stop
-from deepfsi.design.training_data import new_scenes, trained_on
+from deepfsi.design.training_data import new_scenes, trained_budgets, trained_on
 from deepfsi.errors import InputError
 from deepfsi.optics import constraints
 from deepfsi.optics.surroundings import library_defaults
@@ -56,7 +56,7 @@ def playable(
     check_playable(design)
     check_data(design, data)
     fresh, _ = new_scenes(design.training_scenes, data)
-    trained, budgets, tested = _trained(design), BUDGETS, fresh
+    trained, budgets, tested = trained_budgets(design), BUDGETS, fresh
     if isinstance(design, AdaptiveDesign):
         known, budgets, tested = of_page(design, seed), BUDGETS[::2], few_tests(fresh, seed)
         own, design = _posterior(known, design), known
@@ -155,16 +155,6 @@ def pack(values: np.ndarray) -> dict[str, Any]:
     return {"shape": values.shape, "bytes": kept.itemsize, "planes": text}
 
 
-def _trained(design: AnyDesign) -> tuple[float, float] | None:
-    """Lowest and highest budget of the training; None for a design that does not say."""
-    exposure = asdict(design.exposure.header()) if isinstance(design, Design) else {}
-    known = {**design.info.get("job", {}), **exposure}
-    if "photons" not in known:
-        return None
-    low = float(known["photons"])
-    return low, low * known.get("span", 1.0)
-
-
 def _networks(design: Design) -> dict[str, Any]:
     """Masks that are known, and the networks that read their counts."""
     # Of two rails the difference M⁺ − M⁻ is kept, and their sum where it is not |M|
@@ -247,7 +237,7 @@ def _rules(design: AnyDesign, data: Dataset, seed: int, report: Report) -> list[
         return [asdict(held)]
     if isinstance(design, AdaptiveDesign):
         return []
-    known, trained = trained_on(design.info), _trained(design)
+    known, trained = trained_on(design.info), trained_budgets(design)
     if known is None or not known.held_out or not known.is_of(data) or trained is None:
         return []
     decades = np.log10(trained[1] / trained[0])

@@ -6,15 +6,18 @@ was made with, so that a test can tell its training scenes from others.
 """
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from hashlib import blake2b
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from deepfsi.datasets import Dataset, Origin
 from deepfsi.errors import as_input_error
+
+if TYPE_CHECKING:
+    from deepfsi.design.adaptive.design import AnyDesign
 
 HASH_BYTES = 4
 """Bytes of the hash of a scene. A scene that is new is taken for one of n with n / 2³²."""
@@ -146,3 +149,14 @@ def new_scenes(known: TrainingScenes | None, data: Dataset) -> tuple[Dataset, st
 
 NO_MEASURE = "no number here says how good the design is"
 """Said of answers to scenes that were all trained on."""
+
+
+def trained_budgets(design: "AnyDesign") -> tuple[float, float] | None:
+    """Lowest and highest budget of the training; None for a design that does not say."""
+    header = getattr(design, "exposure", None)
+    exposure = {} if header is None else asdict(header.header())
+    known = {**design.info.get("job", {}), **exposure}
+    if "photons" not in known:
+        return None
+    low = float(known["photons"])
+    return low, low * known.get("span", 1.0)

@@ -44,15 +44,16 @@ if TYPE_CHECKING:  # they import torch, which a live run does without
     from deepfsi.design.consistency import Consistency
 
 UNTESTED = (
-    "not tested for what the design was trained for: its file holds no readouts of training, which "
-    "needs 50 scenes of each class"
+    "these counts were not compared with those of the training, which takes 50 training scenes of "
+    "each class: a scene of something else gets a class, too"
 )
 """Remark on counts of a design without a distribution."""
 
 
 CLICKS = (
-    "not tested for what the design was trained for, as that test is of photon counts. Clicks are "
-    "read right at the budget of the training alone: this is {:.3g} photons, that was {:.3g}"
+    "these clicks were not compared with those of the training: the test is of photon counts. "
+    "Clicks are read right at the budget of the training alone: this is {:.3g} photons, that was "
+    "{:.3g}"
 )
 """Remark on clicks, with their budget and that of the training."""
 

@@ -4,14 +4,18 @@ A camera's calibration may view them. Where they are not what the design was tra
 noted.
 """
 
+import json
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from deepfsi.datasets import Dataset, Origin, absolute, load_dataset, takes
-from deepfsi.design.evaluation import Tested
 from deepfsi.design.training_data import TrainedOn, new_scenes, trained_on
 from deepfsi.errors import InputError
 from deepfsi.hardware.calibration.view import view_from
+from deepfsi.tables.tensor_files import DamagedError, read_tensors
+
+if TYPE_CHECKING:
+    from deepfsi.design.evaluation import Tested
 
 
 class TestData(NamedTuple):
@@ -22,7 +26,7 @@ class TestData(NamedTuple):
 
 
 def data_of(
-    design: Tested,
+    design: "Tested",
     data: str | None = None,
     size: tuple[int, int] | None = None,
     view: Path | None = None,
@@ -50,6 +54,21 @@ def data_of(
     if design.training_scenes is None and notes:
         left = "test scenes may be among those it was trained on, which its file does not hold"
     return TestData(loaded, tuple(notes if left is None else [*notes, left]))
+
+
+def data_of_file(file: Path, size: tuple[int, int] | None = None) -> Dataset:
+    """Data that a design file was trained on, without torch."""
+    try:
+        info = json.loads(read_tensors(file, "deepfsi", "give a design file", ())[0])["info"]
+        training = trained_on(info)
+    except (DamagedError, KeyError, TypeError, ValueError, AttributeError) as error:
+        raise InputError(f"{file} is no whole design file: train it again") from error
+    if training is None or training.origin is None:
+        raise InputError(
+            f"{file} was trained on data that no file or name holds, such as arrays in memory: "
+            "give a folder of pictures"
+        )
+    return _load(_asked(training.origin, None, size, None))
 
 
 def _asked(

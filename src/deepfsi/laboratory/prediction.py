@@ -13,12 +13,13 @@ import torch
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import camera_for, check_draws, scanner_for
 from deepfsi.design.file_content import check_classes
-from deepfsi.design.training_data import scene_hashes, was_trained_on
+from deepfsi.design.training_data import scene_hashes, trained_budgets, was_trained_on
+from deepfsi.errors import InputError
 from deepfsi.laboratory.light import dim_scenes
 from deepfsi.laboratory.scenes import design_scenes
 from deepfsi.laboratory.score import Score
 from deepfsi.optics.budget import check_budget
-from deepfsi.optics.camera import CameraSource
+from deepfsi.optics.camera import Camera, CameraSource
 from deepfsi.optics.surroundings import library_defaults
 
 AT_ONCE = 1024
@@ -76,7 +77,7 @@ class Predictions:
 def predict(
     design: Design,
     pictures: str | os.PathLike[str],
-    photons: float,
+    photons: float | None = None,
     *,
     camera: CameraSource = None,
     seed: int = 0,
@@ -94,8 +95,9 @@ def predict(
     pictures : str or path
         A picture, a folder of pictures, one with a sub-folder for each class, or a ``.csv`` file of
         file names and labels. Those that ``deepfsi data export`` wrote are mapped already.
-    photons : float
-        Budget Φ.
+    photons : float, optional
+        Budget Φ; that of the camera unless given, within the budgets of the training, else the
+        lowest of these.
     camera : Camera, str, path or mapping, optional
         Whose noise, dark counts and read noise are in force; the design's own unless given.
     seed : int
@@ -112,7 +114,8 @@ def predict(
     Raises
     ------
     InputError
-        If the design was trained on no pictures that it remembers, or these are of another size.
+        If the design was trained on no pictures that it remembers, these are of another size, or
+        no budget is known.
 
     Examples
     --------
@@ -127,9 +130,9 @@ def predict(
     ('3', 10)
     """
     check_classes(design.values, "predict")
-    budget = check_budget(photons)
     check_draws(1, seed)
     tested = camera_for(design, camera, **settings)
+    budget = check_budget(_budget(design, tested) if photons is None else photons)
     scanner = scanner_for(design, tested)
     source = Path(pictures).expanduser()
     shown = design_scenes(design.info, design.image_shape, source, skip_bad)
@@ -156,3 +159,12 @@ def predict(
     remarks = tuple(fault.detail for fault in dim_scenes(design, np.array([budget])))
     said = shown.preprocessing
     return Predictions(budget, tested.noise_name, said, remarks, design.classes, found)
+
+
+def _budget(design: Design, camera: Camera) -> float:
+    """Budget of the camera's exposure if the training had it, else the lowest of the training."""
+    trained = trained_budgets(design)
+    if trained is None:
+        raise InputError("this design does not say what light it was trained for: give `photons`")
+    low, high = trained
+    return camera.budget if camera.budget and low <= camera.budget <= high else low

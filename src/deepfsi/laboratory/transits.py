@@ -27,6 +27,7 @@ from deepfsi.hardware.virtual.transits import write_transits
 from deepfsi.optics.budget import check_budget
 from deepfsi.optics.surroundings import library_defaults
 from deepfsi.progress import SILENT, Report
+from deepfsi.quantities import time_text
 
 FALSE_ALARMS = 0.01
 """Expected false alarms of a record unless another number is asked for."""
@@ -123,8 +124,9 @@ def classify_transits(
     window = path.bins * bin_s
     if not len(times) or seconds <= window:
         raise InputError(
-            f"{file} holds {len(times)} photons on input {counter_input + 1} in {seconds:g} s, and "
-            f"a transit lasts {window:g} s: give another `input`, or shorter bins"
+            f"{file} holds {len(times)} photons on input {counter_input + 1} in "
+            f"{time_text(seconds)}, and "
+            f"a transit lasts {time_text(window)}: give another `input`, or shorter bins"
         )
     if background is None:
         background = find_background(times, window, seconds, false_alarms)

@@ -28,6 +28,7 @@ from deepfsi.frozen import Settings
 from deepfsi.grid import Layout, Region, find_grid
 from deepfsi.laws import Light, RailsKind, Readout
 from deepfsi.optics.noise_names import Noise, noise_name
+from deepfsi.quantities import count_text, time_text
 from deepfsi.units import Seconds
 
 if TYPE_CHECKING:
@@ -396,17 +397,17 @@ class Camera(Settings):
             cells = "cells that fill" if self.stretch else "square cells in the middle of"
             lines[-1] += f", {cells} {self.region or 'the device'}"
         if self.shortest_dwell:
-            lines.append(f"frames are counted for {self.shortest_dwell * 1e6:.4g} µs or longer")
+            lines.append(f"frames are counted for {time_text(self.shortest_dwell)} or longer")
         if self.shortest_dwell and self.exposure is not None:
             most = int(1 / self.shortest_share)
-            lines[-1] += f": up to {most} in an exposure of {self.exposure:g} s"
+            lines[-1] += f": up to {most} in an exposure of {time_text(self.exposure)}"
         if self.budget is not None:
             lines.append(
-                f"budget {self.budget:.4g} counts in {self.exposure_s:g} s, at {self.flux:.4g} "
-                "counts/s with all mirrors of the region ON"
+                f"budget {count_text(self.budget)} counts in {time_text(self.exposure_s)}, at "
+                f"{count_text(self.flux or 0)} counts/s with all mirrors of the region ON"
             )
         if self.dark:
-            lines.append(f"{self.dark_counts:.4g} dark counts of a detector in an exposure")
+            lines.append(f"{count_text(self.dark_counts)} dark counts of a detector in an exposure")
         if self.noise_name == "click":
             gates = f"{self.gates} gates" if self.gates > 1 else "one gate"
             lines.append(f"detectors that click at most once in a gate, {gates} a frame")

@@ -18,11 +18,11 @@ from deepfsi.optics.codes import ADAPTIVE
 from deepfsi.optics.noise_names import noise_text
 from deepfsi.report import accuracy
 from deepfsi.report.figures import Figures
-from deepfsi.report.masks import masks_figure, peak, signed, values_figure
+from deepfsi.report.masks import lit_masks, masks_figure, peak, signed, values_figure
 from deepfsi.report.measures import WORDS
 from deepfsi.report.rendering import flat, render, share_text
 from deepfsi.report.style import photons_text
-from deepfsi.report.terms import DESIGNS, ONE_DETECTOR
+from deepfsi.report.terms import DESIGNS, ONE_DETECTOR, lit_text
 from deepfsi.report.verdict import Verdict, better, ranking, verdict_of
 from deepfsi.statistics.differences import difference
 from deepfsi.sweeps.results import Data, Point, Results, read_results
@@ -437,9 +437,12 @@ def _mask_panel(
 ) -> Part:
     """Masks of one design at one budget, and the distribution of their values."""
     masks, where = rails.shape[1], f"{photons_text(point.trained_at)} photons"
+    lit = lit_masks(rails)
     shown = f"the brightest {MASKS_SHOWN} of {masks} masks"
-    if masks <= MASKS_SHOWN:
+    if lit <= MASKS_SHOWN:
         shown = f"all {masks} masks" if masks > 1 else "its one mask"
+    if lit < masks:
+        shown = f"{min(lit, MASKS_SHOWN)} masks; of {lit_text(masks, lit)}"
     drawn, words = masks_figure(rails, shape, count=MASKS_SHOWN), f"Masks learned at {where}"
     values, said = values_figure(rails), f"Histogram of the mask values learned at {where}."
     end, counted = peak(signed(rails)), share_text(point.throughput)

@@ -36,11 +36,20 @@ def peak(rails_or_matrix: np.ndarray) -> float:
 
 
 def brightest(rails_or_matrix: np.ndarray, count: int) -> np.ndarray:
-    """Index of the masks that count most photons from a uniform scene, brightest first."""
+    """Index of the masks that count most photons from a uniform scene, brightest first.
+
+    Masks without light are none of them, unless all are dark.
+    """
     array = np.asarray(rails_or_matrix)
     light = np.abs(array).sum(axis=-1)
     total = light.sum(axis=0) if array.ndim == 3 else light
-    return np.argsort(-total, kind="stable")[:count]
+    return np.argsort(-total, kind="stable")[: min(count, lit_masks(array) or len(total))]
+
+
+def lit_masks(rails_or_matrix: np.ndarray) -> int:
+    """Number of masks that have light in any rail, of rails (2 or 1, m, N) or a matrix (m, N)."""
+    lit = np.asarray(rails_or_matrix).any(axis=-1)
+    return int((lit.any(axis=0) if lit.ndim == 2 else lit).sum())
 
 
 def scale_of(rails_or_matrix: np.ndarray) -> ScalarMappable:

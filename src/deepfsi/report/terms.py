@@ -57,3 +57,10 @@ class Terms:
             return marked
         self._linked.add(name)
         return f'<a class="term" href="#term-{name}">{marked}</a>'
+
+
+def lit_text(masks: int, lit: float) -> str:
+    """Number of masks asked and lit: 24 asked, 16 lit: 8 have no time under this budget."""
+    dark = masks - lit
+    have = "has" if dark == 1 else "have"
+    return f"{masks} asked, {lit:.3g} lit: {dark:.3g} {have} no time under this budget"

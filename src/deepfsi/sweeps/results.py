@@ -92,6 +92,11 @@ class Point(Frozen):
     photons: Budget = Field(description="budget of the test")
     levels: Count = Field(description="grey levels of the masks in the test; 0 for continuous ones")
     masks: Count = Field(description="number of masks, m")
+    lit: FiniteFloat | None = Field(
+        None,
+        description="how many of the masks have light, in the mean over trials; the others have no "
+        "time under this budget",
+    )
     label: str = Field(description="short name of the design")
     title: str = Field(description="long name of the design")
     specific: bool = Field(description="whether the design depends on the task")

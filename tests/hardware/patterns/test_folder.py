@@ -361,7 +361,7 @@ def test_a_mutated_manifest_is_read_or_refused(tmp_path_factory, data):
         ({"image_shape": (16, 0)}, "1 or 2 axes"),
         (
             {"device": Device(name="slow", columns=8, rows=8, settle_us=1e3)},
-            "leaves no time after 1000 µs",
+            "leave no time after the 1000 µs in which mirrors",
         ),
     ],
 )

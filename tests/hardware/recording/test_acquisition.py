@@ -44,7 +44,7 @@ def test_bad_files_are_named(run, name, content):
         ({"exposure_s": -1}, "exposure_s"),
         ({"exposure_s": 1.0}, "acquisition.json: an exposure of 1 s does not fit"),
         ({"exposure_s": 1e-300}, "acquisition.json: an exposure of 1e-300 s leaves"),
-        ({"exposure_s": 1e-12}, "photons.ptu has times in steps of 1e-12 s, too coarse"),
+        ({"exposure_s": 1e-12}, "photons.ptu has times in steps of 1 ps, too coarse"),
         ({"settle_s": 0.9}, "acquisition.json: an exposure"),
         ({"repeats": 99}, "acquisition.json: 99 repeats do not fit"),
         ({"inputs": [0, 1]}, "acquisition.json has 2 inputs"),

@@ -30,6 +30,7 @@ from deepfsi.grid import USUAL, Grid, Layout, find_grid
 from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.patterns.looks import Looks
 from deepfsi.laws import Light, Readout, SummedReflectance
+from deepfsi.quantities import time_text
 
 MOST_FRAMES = 2**20
 """Frames of one pass at most, sentinels among them."""
@@ -120,17 +121,18 @@ class FrameSettings:
         rest = mean - device.settle_us
         if rest <= 0:
             raise InputError(
-                f"a dwell of {mean * 1e-6:g} s leaves no time after {device.settle_us:g} µs to "
-                "settle: give a longer one"
+                f"pictures of {mean:g} µs leave no time after the {device.settle_us:g} µs in which "
+                "mirrors "
+                "settle: give a longer --exposure"
             )
         if light == "equal-dwell":
             return [_whole(mean)] * len(shares)
         wanted = device.settle_us + rest * len(shares) * shares / shares.sum()
         if wanted.max() > device.longest_us:
             raise InputError(
-                f"with a dwell of {self.dwell_s:g} s the longest picture takes "
-                f"{wanted.max() / 1e6:.3g} s, and {device.name} allows "
-                f"{device.longest_us / 1e6:.4g}: give a shorter one"
+                f"with pictures of {time_text(self.dwell_s)} in the mean the longest picture takes "
+                f"{time_text(wanted.max() / 1e6)}, and {device.name} allows "
+                f"{time_text(device.longest_us / 1e6)}: give a shorter --exposure"
             )
         return [max(device.shortest_us, _whole(us)) for us in wanted.tolist()]
 

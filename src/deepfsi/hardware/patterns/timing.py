@@ -8,6 +8,7 @@ import numpy as np
 
 from deepfsi.errors import InputError
 from deepfsi.hardware.patterns.sequence import Manifest
+from deepfsi.quantities import time_text
 
 SHORTEST_GATE_S = 1e-15
 """Shortest gate, seconds."""
@@ -84,15 +85,17 @@ def find_gates(
     length = manifest.shares * exposure_s
     if not (len(length) and length.min() > SHORTEST_GATE_S):
         raise InputError(
-            f"an exposure of {exposure_s:g} s leaves a frame less than {SHORTEST_GATE_S:g} s: "
+            f"an exposure of {time_text(exposure_s)} leaves a frame less than {SHORTEST_GATE_S:g} "
+            "s: "
             "give a longer one"
         )
     longest = longest_exposure(manifest, settle)
     fit = int(np.floor(longest / exposure_s * (1 + 1e-9)))
     if fit < 1:
         raise InputError(
-            f"an exposure of {exposure_s:g} s does not fit frames with {settle:g} s to settle: "
-            f"give at most {max(longest, 0):.3g} s, or export with a longer --exposure"
+            f"an exposure of {time_text(exposure_s)} does not fit these frames, whose mirrors take "
+            f"{time_text(settle)} to settle: "
+            f"give at most {time_text(max(longest, 0))}, or export with a longer --exposure"
         )
     if repeats is not None and not 1 <= repeats <= fit:
         raise InputError(f"{repeats} repeats do not fit: give 1 to {fit}")

@@ -29,6 +29,7 @@ from deepfsi.hardware.patterns.timing import (
     usual_tolerance,
 )
 from deepfsi.hardware.recording.live_settings import Live
+from deepfsi.quantities import time_text
 
 MOST_READOUTS = 2**21
 """Gates, and readouts, that are counted at once, at most."""
@@ -261,7 +262,8 @@ def gates_of(
     shortest = min(manifest.picture_s[[0, 1, -2, -1]]) - usual_tolerance(manifest)
     if settle >= shortest:
         raise InputError(
-            f"a settle time of {settle:g} s leaves nothing of the all-ON and all-OFF frames: give "
+            f"a settle time of {time_text(settle)} leaves nothing of the all-ON and all-OFF "
+            "frames: give "
             f"less than {shortest:g}"
         )
     each = len(acquisition.scenes) * manifest.readouts

@@ -24,6 +24,7 @@ from deepfsi.hardware.patterns.timing import ClickGates, Gates
 from deepfsi.hardware.recording.acquisition import MOST_READOUTS, Acquisition, gates_of
 from deepfsi.hardware.recording.ambient import dark_frames
 from deepfsi.hardware.recording.readouts import by_rail
+from deepfsi.quantities import time_text
 
 ENDS = [0, 1, -2, -1]
 """Frames of a pass that are all ON, all OFF, all ON and all OFF."""
@@ -130,6 +131,7 @@ def check_gated(
     same = np.array_equal(gates.length_s, planned.length_s) and gates.settle_s == planned.settle_s
     if known != clicks or not same:
         raise InputError(
-            f"{folder} holds the first photons alone of {known} gates in {run.exposure_s:g} s: "
+            f"{folder} holds the first photons alone of {known} gates in "
+            f"{time_text(run.exposure_s)}: "
             "count these gates, of that exposure and settle time, or record again"
         )

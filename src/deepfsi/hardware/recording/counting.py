@@ -52,6 +52,7 @@ from deepfsi.hardware.recording.light import Light, find_light
 from deepfsi.hardware.recording.readouts import by_rail, by_readout, lengths_by_readout
 from deepfsi.hardware.recording.sentinels import PARTS
 from deepfsi.progress import SILENT, Report
+from deepfsi.quantities import time_text
 
 LEAST_GATE_TICKS = 10
 """Ticks of the counter that a gate must have at least."""
@@ -291,8 +292,9 @@ def _read_counter(path: Path, lengths_s: np.ndarray, manifest: Manifest) -> Head
     check_inputs(manifest, header.kind.inputs, f"{header.path} ({header.kind.name})")
     if lengths_s.min() < LEAST_GATE_TICKS * header.tick_s:
         raise InputError(
-            f"{header.path} has times in steps of {header.tick_s:g} s, too coarse for gates of "
-            f"{lengths_s.min():g} s: give a longer exposure"
+            f"{header.path} has times in steps of {time_text(header.tick_s)}, too coarse for gates "
+            "of "
+            f"{time_text(lengths_s.min())}: give a longer exposure"
         )
     return header
 

@@ -15,6 +15,7 @@ from deepfsi.errors import InputError
 from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.hardware.patterns.timing import usual_tolerance
 from deepfsi.hardware.recording.clocks import Clock
+from deepfsi.quantities import time_text
 
 MOST_DRIFT = 2e-4
 """Largest difference of two clocks' rates, of those planned or of those measured."""
@@ -46,7 +47,7 @@ class Schedule:
         if not 0 < given <= 0.2 * shortest:
             raise InputError(
                 f"a tolerance of {given!r} s is not allowed: give more than 0, up to a fifth of "
-                f"the shortest frame ({0.2 * shortest:g} s)"
+                f"the shortest frame ({time_text(0.2 * shortest)})"
             )
         settle = manifest.device.settle_us * 1e-6
         return cls(manifest.starts_s, manifest.picture_s, settle, given)

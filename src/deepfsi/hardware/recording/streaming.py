@@ -22,6 +22,7 @@ from deepfsi.hardware.ptu.records import EARLIEST_TICK, Part, marker_slack
 from deepfsi.hardware.ptu.stream import StreamReader
 from deepfsi.hardware.recording.clocks import MOST_EXTRA, MOST_RATE
 from deepfsi.hardware.recording.sentinels import PARTS
+from deepfsi.quantities import time_text
 
 
 @dataclass(frozen=True)
@@ -122,8 +123,9 @@ class FrameCounter:
         offsets = np.rint(gates.offsets_s / self._tick_s)
         if len(gates) and not offsets.min() > self._slack:
             raise InputError(
-                f"a gate begins {gates.offsets_s.min():g} s after its marker, and a marker may be "
-                f"{self._slack * self._tick_s:g} s off: give frames a longer time to settle"
+                f"a gate begins {time_text(gates.offsets_s.min())} after its marker, and a marker "
+                "may be "
+                f"{time_text(self._slack * self._tick_s)} off: give frames a longer time to settle"
             )
         lengths = np.rint(gates.lengths_s / self._tick_s)
         times = [each.astype(np.int64).tolist() for each in (offsets, lengths)]
@@ -208,8 +210,10 @@ class FrameCounter:
         late = step - shown.picture
         if abs(late) > shown.tolerance and (follows or late < 0):
             raise InputError(
-                f"{self._describe(time)}, {step * self._tick_s:.4g} s after the one before, and "
-                f"that picture lasts {shown.picture * self._tick_s:.4g} s: a marker is missing or "
+                f"{self._describe(time)}, {time_text(step * self._tick_s)} after the one before, "
+                "and "
+                f"that picture lasts {time_text(shown.picture * self._tick_s)}: a marker is "
+                "missing or "
                 "one too many; look at the trigger"
             )
 

@@ -30,6 +30,7 @@ from deepfsi.hardware.recording.dead_time import NO_DEAD_TIME, DeadTime, check_r
 from deepfsi.hardware.recording.faults import Fault
 from deepfsi.hardware.recording.light import find_light
 from deepfsi.hardware.recording.readouts import by_rail, by_readout, lengths_by_readout
+from deepfsi.quantities import time_text
 from deepfsi.tables.table_files import Table
 
 SCENE, LABEL = "scene", "label"
@@ -197,7 +198,7 @@ def _find_times(manifest: Manifest, settle_s: float) -> np.ndarray:
     times = np.asarray(manifest.picture_s - settle_s)
     if times.min() <= 0:
         raise InputError(
-            f"`settle` {settle_s:g} s leaves nothing of the shortest frame: give less than "
+            f"`settle` {time_text(settle_s)} leaves nothing of the shortest frame: give less than "
             f"{manifest.picture_s.min():g}"
         )
     return times
