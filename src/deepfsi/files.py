@@ -125,7 +125,11 @@ def read_regular(path: str | os.PathLike[str], largest: int, advice: str) -> byt
 def content_of(path: str | os.PathLike[str]) -> str:
     """Kind of what a file holds, whatever its name says, as a part of a message."""
     with open_regular(path) as file:
-        head = file.read(512)
+        return kind_of(file.read(512))
+
+
+def kind_of(head: bytes) -> str:
+    """Kind of content that begins with these bytes, as a part of a message."""
     if not head:
         return "nothing"
     kind = next((kind for start, kind in CONTENTS.items() if head.startswith(start)), "")

@@ -59,3 +59,35 @@ def test_digits():
     assert np.allclose(0.3 + 0.7 * plain.x_train, data.x_train)
     assert load_dataset("digits", seed=1).hash != data.hash == load_dataset("digits").hash
     assert data.hash == DIGITS_HASH, "records name the data by it"
+
+
+@pytest.mark.parametrize("name", ["x.h5", "x.parquet", "x.pt", "x.tif", "x.tar.gz", "nosuffix"])
+def test_a_file_of_another_kind_is_told_which_kinds_are_read(tmp_path, name):
+    (tmp_path / name).write_bytes(b"PK\x03\x04" + bytes(10))
+    with refused("is no data set that is read (it holds a zip file", ".npz file of arrays x and y"):
+        load_dataset(tmp_path / name)
+
+
+def test_the_data_of_a_cube_are_told_their_header(tmp_path):
+    for name in ("cube.img", "cube.hdr", "other.raw", "other.raw.hdr"):
+        (tmp_path / name).write_text("ENVI")
+    for name, header in (("cube.img", "cube.hdr"), ("other.raw", "other.raw.hdr")):
+        with refused("is the data file of an ENVI cube: give its header", header):
+            load_dataset(tmp_path / name)
+
+
+@pytest.mark.parametrize("name", ["a.npz", "a.npy", "a.mat", "a.zip", "a.csv"])
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"<!DOCTYPE html><html>", "a web page"),
+        (b"", "nothing"),
+        (b"\x89PNG\r\n\x1a\n\0\0", "a PNG picture"),
+        (b"version https://git-lfs.github.com/spec/v1\n", "Git LFS"),
+    ],
+)
+def test_other_content_behind_a_name_is_named(tmp_path, name, content, said):
+    (tmp_path / name).write_bytes(content)
+    (tmp_path / "a_gt.npy").write_bytes(content)
+    with refused(name if name != "a.npy" else "a", *([said] if name != "a.csv" else [])):
+        load_dataset(tmp_path / name)

@@ -2,18 +2,22 @@
 
 import datetime
 import os
+import struct
 import subprocess
 import sys
+import zlib
 from pathlib import Path
 
 import h5py
 import numpy as np
 import polars as pl
 import pytest
+from scipy import sparse
 from scipy.io import savemat
 
 from deepfsi.errors import InputError
 from deepfsi.tables import table_files
+from deepfsi.tables.array_files import read_npy, read_npz
 from deepfsi.tables.table_files import is_table, read_table, read_whole
 from deepfsi.tables.text_files import number_of
 
@@ -290,3 +294,96 @@ def test_a_vector_is_one_row(tmp_path):
     np.save(tmp_path / "one.npy", VALUES[0])
     assert read_table(tmp_path / "one.npy").values.shape == (1, 5)
     assert table_files.SUFFIXES[0] == ".csv"
+
+
+def mat_element(kind, data) -> bytes:
+    return struct.pack("<II", kind, len(data)) + data + bytes(-len(data) % 8)
+
+
+def mat_numbers(name, values) -> bytes:
+    """A variable of doubles as MATLAB writes it."""
+    values = np.asarray(values, float)
+    parts = (
+        mat_element(6, struct.pack("<II", 6, 0)),
+        mat_element(5, struct.pack("<ii", *values.shape)),
+    )
+    return mat_element(
+        14, b"".join([*parts, mat_element(1, name), mat_element(9, values.tobytes("F"))])
+    )
+
+
+def mat_string(name) -> bytes:
+    """A string, table or datetime: MATLAB hides its values behind a reference."""
+    reference = mat_element(6, struct.pack("<6I", 0xDD000000, 2, 1, 1, 1, 1))
+    parts = mat_element(6, struct.pack("<II", 13, 0)), mat_element(5, struct.pack("<ii", 6, 1))
+    inner = mat_element(14, b"".join([*parts, mat_element(1, b""), reference]))
+    words = mat_element(1, name), mat_element(1, b"MCOS"), mat_element(1, b"string")
+    return mat_element(14, b"".join([mat_element(6, struct.pack("<II", 17, 0)), *words, inner]))
+
+
+@pytest.mark.parametrize("packed", [False, True])
+@pytest.mark.parametrize("order", [(0, 1), (1, 0), (1, 0, 1)])
+def test_strings_of_matlab_stand_beside_numbers(tmp_path, packed, order):
+    made = mat_numbers(b"counts", VALUES), mat_string(b"operator")
+    workspace = mat_numbers(b"", [[1.0, 2.0]])  # where MATLAB keeps what strings refer to
+    parts = [*(made[place] for place in order), workspace]
+    if packed:
+        parts = [struct.pack("<II", 15, len(z := zlib.compress(part))) + z for part in parts]
+    path = tmp_path / "c.mat"
+    path.write_bytes(b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM" + b"".join(parts))
+    for source in (path, f"{path}:counts"):
+        assert np.array_equal(read_table(source).values, VALUES)
+
+
+@pytest.mark.parametrize(
+    ("version", "kind"),
+    [
+        *((version, kind) for version in "45" for kind in ("u1", "i2", "u2", "i4", "f4")),
+        ("5", bool),
+    ],
+)
+def test_every_type_of_matlab_is_read(tmp_path, version, kind):
+    values = (VALUES % 100 > 50) if kind is bool else (VALUES % 100).astype(kind)
+    savemat(tmp_path / "C.MAT", {"counts": values}, format=version)
+    assert np.array_equal(read_table(tmp_path / "C.MAT").values, values)
+
+
+def test_what_matlab_has_besides_full_numbers_is_named(tmp_path):
+    savemat(
+        tmp_path / "s.mat",
+        {"m": sparse.csc_matrix(VALUES), "c": np.array(["a", 1], object), "s": {"x": 1.0}},
+    )
+    with pytest.raises(InputError, match=r"none \(and m \(sparse\), c \(cell\), s .* full\(\)"):
+        read_table(tmp_path / "s.mat")
+    savemat(tmp_path / "z.mat", {"counts": VALUES * 1j})
+    with pytest.raises(InputError, match="complex numbers: give real ones"):
+        read_table(tmp_path / "z.mat")
+
+
+def test_an_empty_variable_of_matlab_7_3_is_no_table(tmp_path):
+    """Its data set holds the lengths of its axes."""
+    matlab_73(tmp_path / "new.mat", counts=VALUES)
+    with h5py.File(tmp_path / "new.mat", "a") as file:
+        file["empty"] = np.array([[0.0, 5.0]])
+        file["empty"].attrs["MATLAB_class"] = np.bytes_("double")
+        file["empty"].attrs["MATLAB_empty"] = 1
+    assert np.array_equal(read_table(tmp_path / "new.mat").values, VALUES)
+
+
+@pytest.mark.parametrize("values", [VALUES.astype(">f8"), np.asfortranarray(VALUES), VALUES > 500])
+def test_arrays_come_in_the_order_of_this_machine(tmp_path, values):
+    np.save(tmp_path / "a.npy", values)
+    np.savez(tmp_path / "a.npz", x=values)
+    for found in (read_npy(tmp_path / "a.npy"), read_npz(tmp_path / "a.npz")["x"]):
+        assert found.dtype.isnative
+        assert np.array_equal(found, values)
+
+
+@pytest.mark.parametrize(
+    "values", [np.array([[1, None]]), np.zeros(2, [("a", "f4")]), np.array(["a"]), np.ones(2) * 1j]
+)
+def test_arrays_of_other_than_real_numbers_are_one_line(tmp_path, values):
+    np.save(tmp_path / "a.npy", values, allow_pickle=True)
+    with pytest.raises(InputError, match="cannot read an array of real numbers") as error:
+        read_npy(tmp_path / "a.npy")
+    assert "\n" not in str(error.value)

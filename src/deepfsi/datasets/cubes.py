@@ -1,20 +1,32 @@
 """Hyperspectral images and their label maps from ``.mat``, ``.npy`` or ENVI files."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from glob import escape
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from deepfsi.datasets.spectra import SpectralImage
+from deepfsi.datasets.spectra import Mask, SpectralImage
 from deepfsi.errors import InputError
-from deepfsi.files import open_regular
+from deepfsi.files import WINDOWS, open_regular, read_text
 from deepfsi.tables.array_files import read_array
+from deepfsi.tables.text_files import number_of
 
 SUFFIXES = (".mat", ".npy", ".hdr")
 """Ends of the names of files that hold cubes."""
+
+HEADER_KEYS = (
+    *("data ignore value", "bbl", "data gain values", "data offset values", "file compression"),
+    *("reflectance scale factor", "wavelength", "wavelength units"),
+)
+"""Fields of an ENVI header that change what its data mean, besides those that spectral reads."""
+
+MAX_HEADER = 2**26
+"""Bytes of a header at most."""
 
 MAX_VALUES = 2**30
 """Values of a cube at most."""
@@ -24,6 +36,8 @@ class _Array(NamedTuple):
     values: npt.NDArray[Any]
     wavelengths: npt.NDArray[np.float64] | None = None
     classes: tuple[str, ...] | None = None
+    missing: Mask | None = None  # pixels without data
+    notes: tuple[str, ...] = ()  # what the header made of the values, in words
 
 
 def read_cube(
@@ -40,13 +54,16 @@ def read_cube(
     cube = _read(path, 3, variables[0])
     label_map = _read(labels, 2, variables[1])
     names = label_map.classes[1:] if label_map.classes else None  # ENVI's class 0 is "none"
+    known = _integers(label_map.values)
+    if cube.missing is not None and cube.missing.shape == known.shape:
+        known = np.where(cube.missing, 0, known)
     return SpectralImage(
         name=name or path.stem,
         cube=cube.values,
-        labels=_integers(label_map.values),
+        labels=known,
         classes=names if classes is None else classes,
         wavelengths=cube.wavelengths,
-        origin=origin,
+        origin=origin + (f" ({', '.join(cube.notes)})" if cube.notes else ""),
     )
 
 
@@ -64,9 +81,10 @@ def _integers(labels: npt.NDArray[Any]) -> npt.NDArray[Any]:
 
 def _find_labels(path: Path) -> Path:
     stems = [path.stem + "_gt", path.stem.removesuffix("_corrected") + "_gt"]
+    there = {each.name.lower(): each for each in path.parent.iterdir() if each.is_file()}
     for name in (stem + suffix for stem in stems for suffix in SUFFIXES):
-        if (path.parent / name).is_file():
-            return path.parent / name
+        if found := there.get(name.lower()):
+            return found
     raise InputError(
         f"{path} has no label map beside it: put one there as {stems[-1]} with the ending "
         f"{' or '.join(SUFFIXES)}, 0 where a pixel has no label"
@@ -74,12 +92,12 @@ def _find_labels(path: Path) -> Path:
 
 
 def _read(path: Path, dimensions: int, variable: str | None) -> _Array:
-    if path.suffix not in SUFFIXES:
+    if path.suffix.lower() not in SUFFIXES:
         raise InputError(f"{path} is no {', '.join(SUFFIXES)} file; save it as one of them")
     if not path.exists():
         raise InputError(f"there is no file {path}")
-    if path.suffix == ".hdr":
-        array = _read_envi(path)
+    if path.suffix.lower() == ".hdr":
+        array = _read_envi(path, dimensions)
     else:
         advice = f"save a {dimensions}-dimensional one alone"
         array = _Array(
@@ -90,7 +108,7 @@ def _read(path: Path, dimensions: int, variable: str | None) -> _Array:
     return array
 
 
-def _read_envi(path: Path) -> _Array:
+def _read_envi(path: Path, dimensions: int) -> _Array:
     try:
         from spectral.io import envi
     except ImportError as error:
@@ -102,15 +120,126 @@ def _read_envi(path: Path) -> _Array:
             with open_regular(beside):
                 pass
     try:
-        image = envi.open(str(path))
+        with _plain_header(path) as (header, data):
+            image = envi.open(str(header), data)
         if not image.using_memmap:
             raise ValueError("its data file holds less than the header says")
         values = np.array(image.open_memmap())
+        said = {key: image.metadata.get(key) for key in HEADER_KEYS}
+        made = by_header(values, said) if dimensions == 3 else _labels_by_header(values, said)
     except Exception as error:
         raise InputError(f"cannot read {path} as ENVI ({error}); write it again") from error
-    centres = image.bands.centers
-    wavelengths = None if centres is None else np.array(centres, float)
-    if wavelengths is not None and str(image.bands.band_unit).lower().startswith("micro"):
-        wavelengths *= 1000
     names = image.metadata.get("class names")
-    return _Array(values, wavelengths, tuple(names) if names else None)
+    return made._replace(classes=tuple(names) if names else None)
+
+
+@contextmanager
+def _plain_header(path: Path) -> Iterator[tuple[Path, str | None]]:
+    """Header as spectral reads it, and the data file where it would not be found."""
+    # It reads UTF-8 without a byte order mark alone, and looks for data beside the header
+    text = read_text(path, MAX_HEADER, "write it again", WINDOWS)
+    if text.isascii() and path.read_bytes()[:1] == b"E":
+        yield path, None
+        return
+    kinds = ("", ".img", ".dat", ".raw", ".bip", ".bil", ".bsq", ".sli", ".bin", ".hyspex")
+    beside = {each.name.lower(): each for each in path.parent.iterdir() if each.is_file()}
+    data = next(
+        (found for kind in kinds if (found := beside.get((path.stem + kind).lower()))), None
+    )
+    if data is None:
+        raise ValueError(f"there is no data file such as {path.stem}.raw")
+    with TemporaryDirectory() as folder:
+        header = Path(folder) / "header.hdr"
+        header.write_text(text, errors="replace")  # as spectral reads it: in the locale's encoding
+        yield header, str(data)
+
+
+def by_header(values: npt.NDArray[Any], header: Mapping[str, Any]) -> _Array:
+    """Cube (height, width, bands) as its ENVI header says that it is to be read.
+
+    Bands that the header calls bad are left out, numbers become radiance by gain and offset and
+    reflectance by the scale factor, and pixels with the data ignore value in any band are without
+    data.
+
+    Parameters
+    ----------
+    values : array, shape (H, W, B)
+        Values as they are stored.
+    header : mapping
+        Fields of the header: words, or lists of words.
+
+    Raises
+    ------
+    ValueError
+        If a field does not fit the cube, or leaves nothing of it.
+    """
+    notes = []
+    if header.get("file compression") not in (None, "0"):
+        raise ValueError("its data are compressed, which is not read: save it without compression")
+    bands = values.shape[2]
+    centres, good = _field(header, "wavelength", bands), _field(header, "bbl", bands)
+    if good is not None and not good.all():
+        if not good.any():
+            raise ValueError("its list of bad bands (bbl) leaves none")
+        values = values[..., good != 0]
+        centres = None if centres is None else centres[good != 0]
+        notes.append(f"{np.count_nonzero(good == 0)} bad bands left out")
+    missing = _missing(values, header)
+    if missing is not None and missing.any():
+        if missing.all():
+            raise ValueError("every pixel has its data ignore value in some band")
+        values[missing] = values[~missing][0]  # so that it sets no range
+        notes.append(f"{np.count_nonzero(missing)} pixels without data left out")
+    for key, what in {"data gain values": "gains", "data offset values": "offsets"}.items():
+        each = _field(header, key, bands)
+        if each is not None:
+            each = each if good is None else each[good != 0]
+            values = values * each if what == "gains" else values + each
+            notes.append(f"with the header's {what}")
+    if (factor := header.get("reflectance scale factor")) is not None:
+        if not 0 < float(factor) < np.inf:
+            raise ValueError(f"its reflectance scale factor is {factor}")
+        values = values / float(factor)
+        notes.append(f"divided by the reflectance scale factor {float(factor):g}")
+    if values.dtype == np.float64:
+        values = values.astype(np.float32)
+    unit = str(header.get("wavelength units") or "").lower()
+    return _Array(values, _nanometres(centres, unit), None, missing, tuple(notes))
+
+
+def _nanometres(centres: npt.NDArray[Any] | None, unit: str) -> npt.NDArray[Any] | None:
+    """Wavelengths in nm; None where the unit is none of length, or not given and not plausible."""
+    if centres is None or not np.isfinite(centres).all():
+        return None
+    if unit.startswith(("micro", "um", "\u00b5m", "\u03bcm")):
+        return centres * 1000
+    named = unit.startswith(("nano", "nm"))
+    return centres if named or (unit in ("", "none", "unknown") and centres.min() > 100) else None
+
+
+def _missing(values: npt.NDArray[Any], header: Mapping[str, Any]) -> Mask | None:
+    """Pixels that have the data ignore value in any band; None where the header has no such."""
+    if (given := header.get("data ignore value")) is None:
+        return None
+    ignored = float(given)
+    same = np.isnan(values) if np.isnan(ignored) else values == ignored
+    found: Mask = same.any(axis=2)
+    return found
+
+
+def _labels_by_header(values: npt.NDArray[Any], header: Mapping[str, Any]) -> _Array:
+    """Label map without the labels that its header says to ignore."""
+    missing = _missing(values, header)
+    if missing is not None:
+        values[missing] = 0
+    return _Array(values)
+
+
+def _field(header: Mapping[str, Any], key: str, bands: int) -> npt.NDArray[Any] | None:
+    """Numbers of a field, one for each band; None where the header has no such field."""
+    if (given := header.get(key)) is None:
+        return None
+    numbers = np.array([number_of(str(each)) for each in np.atleast_1d(given)], float)
+    if numbers.shape != (bands,) or not np.isfinite(numbers).all():
+        raise ValueError(f"its field {key!r} does not hold a number for each of {bands} bands")
+    return numbers

@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +12,7 @@ import numpy.typing as npt
 from deepfsi.datasets.deep_colours import deep_values, is_deep
 from deepfsi.datasets.values import Family, Levels, levels_of
 from deepfsi.errors import InputError
+from deepfsi.files import kind_of
 
 if TYPE_CHECKING:
     from PIL.Image import Image as PillowImage
@@ -23,6 +24,15 @@ GREY_MODES = ("1", "L", "LA", "I", "F")
 
 PHOTOMETRIC_TAG = 262
 """Tag of a TIFF file that is 0 where 0 is white."""
+
+KIND_TAG, BITS_TAG, SIGNED, FLOATS = 339, 258, 2, 3
+"""Tags of a TIFF file for the kind and the bits of its samples, and two of the kinds."""
+
+ORIENTATION_TAG = 274
+"""Tag of EXIF and of a TIFF file that says how a picture is to be turned."""
+
+USUAL_GAMMA = 1 / 2.2
+"""Gamma of a PNG file (`gAMA`) that is shown as any other."""
 
 WRITTEN = "deepfsi"
 """Word in the head of a PNG file that holds reflectance as a data set had it."""
@@ -40,6 +50,8 @@ class Tally:
     coloured: int = 0
     transparent: int = 0
     several: int = 0
+    turned: int = 0  # as EXIF says
+    gammas: int = 0  # with a gamma of their own
     packed: int = 0  # bytes of their files
     written: int = 0  # by `display.write_pictures`, as reflectance
     sizes: set[Shape] = field(default_factory=set)  # heights and widths
@@ -71,10 +83,15 @@ class Tally:
         self.transparent += image.mode in ("LA", "PA", "RGBA") or "transparency" in image.info
         self.several += getattr(image, "n_frames", 1) > 1
         self.written += WRITTEN in image.info
-        self.sizes.add((image.height, image.width))
+        self.gammas += abs(float(image.info.get("gamma", USUAL_GAMMA)) / USUAL_GAMMA - 1) > 0.01
         self.low = min(self.low, float(values.min()))
         self.high = max(self.high, float(values.max()))
-        return Image.fromarray(values if family == "byte" else values.astype(np.float32))
+        grey = Image.fromarray(values if family == "byte" else values.astype(np.float32))
+        turn = _turns().get(image.getexif().get(ORIENTATION_TAG, 1))  # done in TIFF files already
+        self.turned += turn is not None
+        grey = grey if turn is None else grey.transpose(turn)
+        self.sizes.add((grey.height, grey.width))
+        return grey
 
     def levels(self, white: float | None) -> Levels:
         """Range of all pictures and their white; parameters as of `levels_of`."""
@@ -93,6 +110,8 @@ class Tally:
         counted = {
             "in colour, turned to grey": self.coloured,
             "with transparency, left out": self.transparent,
+            "turned as their EXIF data say": self.turned,
+            "with a gamma of their own, which was left out": self.gammas,
             "the first of several in a file": self.several,
         }
         parts = [f"{self.count} images of {size}"]
@@ -103,12 +122,61 @@ class Tally:
         return ", ".join(parts)
 
 
+def _turns() -> dict[int, Any]:
+    """Turns that set a picture upright, by EXIF orientation; none for 1."""
+    from PIL.Image import Transpose
+
+    return {
+        2: Transpose.FLIP_LEFT_RIGHT,
+        3: Transpose.ROTATE_180,
+        4: Transpose.FLIP_TOP_BOTTOM,
+        5: Transpose.TRANSPOSE,
+        6: Transpose.ROTATE_270,
+        7: Transpose.TRANSVERSE,
+        8: Transpose.ROTATE_90,
+    }
+
+
 def _values(image: "PillowImage", where: str) -> npt.NDArray[Any]:
     """Grey levels of an image: uint8, int64 or float32."""
+    check_levels(image, where)
     if image.mode == "F":
         return np.asarray(image)
     if image.mode != "I" and not image.mode.startswith("I;16"):
         return np.asarray(image.convert("L"))
-    if getattr(image, "tag_v2", {}).get(PHOTOMETRIC_TAG) == 0:  # Pillow inverts bytes alone
-        raise InputError(f"{where} has 0 for white; save it with 0 for black")
     return np.asarray(image).astype(np.int64)
+
+
+def check_levels(image: "PillowImage", where: str) -> None:
+    """Raise `InputError` for levels that Pillow gives otherwise than the file means them."""
+    tags = getattr(image, "tag_v2", {})
+    wide = image.mode in ("I", "F") or image.mode.startswith("I;16")
+    if wide and tags.get(PHOTOMETRIC_TAG) == 0:  # Pillow inverts bytes alone
+        raise InputError(f"{where} has 0 for white; save it with 0 for black")
+    if not wide and SIGNED in tags.get(KIND_TAG, ()):
+        raise InputError(
+            f"{where} has signed integers of 8 bits; save it with unsigned ones, or floats"
+        )
+
+
+def unread_kind(content: IO[bytes]) -> str:
+    """Kind of a file that Pillow does not open as an image, as a part of a message."""
+    from PIL.TiffImagePlugin import ImageFileDirectory_v2
+
+    content.seek(0)
+    head = content.read(512)
+    kind = kind_of(head)
+    if head[:4] not in (b"II*\0", b"MM\0*"):
+        return f"no image, but {kind}"
+    try:
+        tags = ImageFileDirectory_v2(head[:8])
+        content.seek(tags.next)
+        tags.load(content)
+        bits, form = tags.get(BITS_TAG, (0,))[0], tags.get(KIND_TAG, (1,))[0]
+    except Exception:  # of a damaged file, almost anything
+        return "a damaged TIFF picture"
+    kinds = {1: "unsigned integers", SIGNED: "signed integers", FLOATS: "floats"}
+    return (
+        f"a TIFF picture of {bits}-bit {kinds.get(form, 'values of an unknown kind')}, which is "
+        "not read: save it with floats of 32 bits or unsigned integers of 8 or 16"
+    )

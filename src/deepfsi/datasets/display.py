@@ -13,10 +13,9 @@ import numpy as np
 
 from deepfsi.datasets.dataset import Dataset, Reflectance
 from deepfsi.datasets.decoding import WRITTEN, Shape
+from deepfsi.datasets.picture_lists import is_image, list_labels
 from deepfsi.datasets.pictures import (
-    is_image,
     list_folder,
-    list_labels,
     picture_file,
     read_all,
     sized_text,
@@ -49,7 +48,7 @@ def read_display(
     # of more than 8 bits have reflectance 1 at `white`, found as for `load_dataset` unless given
     source = Path(path)
     if source.is_file() and source.suffix.lower() == ".csv":
-        pictures, _ = list_labels(source)
+        pictures = [picture_file(each, label) for each, label in list_labels(source)[0]]
     elif source.is_file():
         pictures = [picture_file(source)]
     elif not source.is_dir():

@@ -16,13 +16,19 @@ from deepfsi.datasets.dataset import Dataset, Origin
 from deepfsi.datasets.display import Display, read_display
 from deepfsi.datasets.pictures import load_pictures
 from deepfsi.errors import InputError, closest
-from deepfsi.files import check_readable
+from deepfsi.files import check_readable, content_of
 
 DIM_BLACK = (0.3, 1.0)
 """Reflectance of black and white in named images: black reflects, so that every pixel counts."""
 
 DIM = ("digits", "mnist", "fashion-mnist")
 """Names of those."""
+
+KINDS = (
+    "a folder or .zip of images with a folder for each class, a .csv of their names and labels, "
+    f"a cube ({', '.join(SUFFIXES)}) or an .npz file of arrays x and y"
+)
+"""Sources of data sets besides names, for messages."""
 
 TAKERS = {
     "size": ("a size", "images of a folder, a zip file, a .csv file or CIFAR-10 take"),
@@ -135,7 +141,7 @@ def takes(source: str) -> tuple[str, ...]:
         return ("size", "images", "white", "skip_bad")
     if path.suffix.lower() == ".csv":
         return ("size", "white", "skip_bad")
-    return ("split",) if path.suffix in SUFFIXES else ("white",)
+    return ("split",) if path.suffix.lower() in SUFFIXES else ("white",)
 
 
 Source: TypeAlias = Dataset | str | os.PathLike[str] | tuple[Any, ...]
@@ -158,15 +164,8 @@ def _existing(name: str) -> Path:
     if name and path.exists():
         return path
     if path.suffix or len(path.parts) > 1:
-        raise InputError(
-            f"there is no folder and no file at '{name}': give a folder or .zip of images, a .csv "
-            f"of their names and labels, a cube ({', '.join(SUFFIXES)}) or an .npz file"
-        )
-    raise InputError(
-        f"unknown data set '{name}': {closest(name, NAMES)}; "
-        "or the path of a folder or .zip of images, a .csv of their names and labels, a cube or an "
-        ".npz file"
-    )
+        raise InputError(f"there is no folder and no file at '{name}': give {KINDS}")
+    raise InputError(f"unknown data set '{name}': {closest(name, NAMES)}; or the path of {KINDS}")
 
 
 def _load_arrays(arrays: tuple[Any, ...], options: Options) -> Dataset:
@@ -226,10 +225,18 @@ def prepared(pictures: Path, origin: Origin, skip_bad: bool = False) -> Display:
 def _load_path(path: Path, options: Options) -> Dataset:
     if path.is_dir() or path.suffix.lower() in (".zip", ".csv"):
         return load_pictures(path, options)
-    if path.suffix in SUFFIXES:
+    if path.suffix.lower() in SUFFIXES:
         split = options.split or "random"
         return read_cube(path).dataset(split, options.seed, rescale=options.rescale)
-    return load_npz(path, options)
+    if path.suffix.lower() == ".npz":
+        return load_npz(path, options)
+    header = next((end for end in (".hdr", ".HDR") if path.with_suffix(end).is_file()), "")
+    if header or Path(f"{path}.hdr").is_file():
+        beside = path.with_suffix(header) if header else f"{path}.hdr"
+        raise InputError(f"{path} is the data file of an ENVI cube: give its header, {beside}")
+    raise InputError(
+        f"{path} is no data set that is read (it holds {content_of(path)}): give {KINDS}"
+    )
 
 
 def _refuse(options: Options, name: str, taken: tuple[str, ...]) -> None:

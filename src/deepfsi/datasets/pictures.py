@@ -8,14 +8,12 @@ sizes it declares and the images' own sizes are all checked before memory is spe
 
 import io
 import os
-import re
 import warnings
 import zipfile
-from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
@@ -25,29 +23,19 @@ import numpy.typing as npt
 from deepfsi.datasets.arrays import (
     Names,
     Options,
-    check_no_classes,
     draw_stratified,
     split_arrays,
 )
 from deepfsi.datasets.dataset import Dataset
-from deepfsi.datasets.decoding import Shape, Tally
+from deepfsi.datasets.decoding import Shape, Tally, unread_kind
+from deepfsi.datasets.picture_lists import IMAGE_SUFFIXES, Label, is_image, list_labels, listed
 from deepfsi.datasets.values import reflectance
 from deepfsi.errors import InputError
 from deepfsi.files import check_unpacked, read_regular, readable
 from deepfsi.tables.text_files import (
-    LABEL_HEADS,
-    WITHOUT_VALUE,
-    Rows,
-    has_decimal_commas,
-    is_whole,
-    number_of,
-    read_rows,
     spelling,
 )
 from deepfsi.tables.zip_files import open_zip, read_entry
-
-IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".gif", ".pgm", ".tif", ".tiff", ".webp")
-"""Ends of the names of image files."""
 
 FORMATS = ("PNG", "JPEG", "BMP", "GIF", "PPM", "TIFF", "WEBP")
 """Formats that are decoded, by Pillow's names."""
@@ -57,13 +45,6 @@ MAX_FILE = 2**28
 
 MAX_PIXELS = 2**30
 """Pixels at most of all images together: 4.3 GB as float32."""
-
-
-MOST_NAMES = 20
-"""Images that one line names at most."""
-
-LIST_ADVICE = "give a line of text for each image, its file name and its label, or its values"
-"""What to do about a list of images that cannot be used."""
 
 
 SPLITS = ("train", "test", "training", "testing", "val", "valid", "validation", "eval")
@@ -82,7 +63,7 @@ DEEPEST = 4
 class Picture(NamedTuple):
     """An image that is not yet read."""
 
-    label: str | tuple[float, ...]  # its class, or its values
+    label: Label
     where: str  # for messages
     open: Callable[[], IO[bytes]]
 
@@ -95,7 +76,8 @@ def load_pictures(path: Path, options: Options) -> Dataset:
     """Load the images of a folder, a zip file or a ``.csv`` file."""
     name = path.resolve().stem if path.is_file() else path.resolve().name
     if path.suffix.lower() == ".csv":
-        pictures, values = list_labels(path)
+        listing, values = list_labels(path)
+        pictures = [picture_file(each, label) for each, label in listing]
         return from_listings([pictures], name, options, values=values)
     with open_listings(path) as listings:
         return from_listings(listings, name, options)
@@ -184,98 +166,6 @@ def list_folder(folder: Path) -> list[list[Picture]]:
     return _listings(_walk(folder), str(folder))
 
 
-def list_labels(path: Path) -> tuple[list[Picture], tuple[str, ...]]:
-    """Images that a ``.csv`` file names, with their labels or values, and the values' names."""
-    # Names are from the folder beside it that has its name, `pets/` of `pets.csv`, or else from its
-    # own folder. A first line that names no file is a heading. Numbers are values where a line has
-    # several, or any has a decimal point or an exponent; whole numbers are classes, as in arrays
-    rows = read_rows(path, MAX_FILE, LIST_ADVICE)
-    folder = path.with_suffix("") if path.with_suffix("").is_dir() else path.parent
-    numbered = list(zip(rows.lines, rows.cells, strict=True))
-    heading: tuple[str, ...] = ()
-    if numbered and not re.search(r"[./\\]", numbered[0][1][0]):
-        heading = numbered.pop(0)[1][1:]
-    names, answers = list[str](), list[tuple[str, ...]]()
-    for number, (name, *cells) in numbered:
-        as_many = len(cells) == len(answers[0]) if answers else len(cells) > 0
-        if not (is_image(re.split(r"[/\\]", name)[-1]) and as_many and all(cells)):
-            later = ": put the column of file names first" if any(map(is_image, cells)) else ""
-            raise InputError(
-                f"{path}, line {number}: {', '.join([name, *cells])!r} is not an image "
-                f"and its label{later}: {LIST_ADVICE}"
-            )
-        names.append(name)
-        answers.append(tuple(cells))
-    if not names:
-        raise InputError(f"{path} names no image: {LIST_ADVICE}")
-    values = _values_of(answers, rows, path)
-    named = bool(heading) and heading[0].lower() not in LABEL_HEADS
-    if values and len(heading or answers[0]) == len(values[0]) == 1 and not named:
-        check_no_classes(
-            np.array(values),
-            str(path),
-            "write them without a point, 1 and not 1.0",
-            "write their name over the column",
-        )
-    labels: Sequence[str | tuple[float, ...]] = values or [spelling(label) for [label] in answers]
-    find = _finder(folder)
-    pictures = [picture_file(find(name), label) for name, label in zip(names, labels, strict=True)]
-    missing = [picture.where for picture in pictures if not Path(picture.where).is_file()]
-    if missing:
-        raise InputError(
-            f"{path} names {len(missing)} images that are not there, {_listed(missing)}: names are "
-            f"from the folder {folder} on"
-        )
-    lines_of = Counter(picture.where for picture in pictures)
-    if twice := [where for where, count in lines_of.items() if count > 1]:
-        raise InputError(f"{path} names {_listed(twice)} twice: give each image one line")
-    return pictures, heading if values and len(heading) == len(values[0]) else ()
-
-
-def _finder(folder: Path) -> Callable[[str], Path]:
-    r"""Function from a name to its file: as it is, or in another spelling, case, or with `\`."""
-
-    @cache
-    def spellings(place: Path) -> dict[str, list[str]]:
-        found: dict[str, list[str]] = {}
-        for each in sorted(place.iterdir()) if place.is_dir() else ():
-            found.setdefault(spelling(each.name).casefold(), []).append(each.name)
-        return found
-
-    def find(name: str) -> Path:
-        path = folder / name
-        if path.is_file():
-            return path
-        here = folder
-        for part in name.replace("\\", "/").split("/"):
-            alike = spellings(here).get(spelling(part).casefold(), [])
-            here = here / (alike[0] if len(alike) == 1 and part not in alike else part)
-        return here if here.is_file() else path
-
-    return find
-
-
-def _values_of(answers: list[tuple[str, ...]], rows: Rows, path: Path) -> list[tuple[float, ...]]:
-    """Values of images, or none where their cells are labels."""
-    columns = len(answers[0])
-    if columns == 1 and all(is_whole(cell) for [cell] in answers):
-        return []
-    every = [cell for cells in answers for cell in cells]
-    comma = has_decimal_commas(every, rows.separator)
-    numbers = [number_of(cell, comma) for cell in every]
-    wrong = [cell for cell, number in zip(every, numbers, strict=True) if number is None]
-    no_value = [cell for cell in wrong if cell.lower() in WITHOUT_VALUE]
-    if columns == 1 and wrong and (len(no_value) < len(wrong) or len(wrong) == len(every)):
-        return []
-    if wrong:
-        raise InputError(
-            f"{path} has {columns} columns beside the file name, and a cell that is no finite "
-            f"number ({(no_value or wrong)[0]!r}): {LIST_ADVICE}"
-        )
-    found = [number for number in numbers if number is not None]
-    return [tuple(found[at : at + columns]) for at in range(0, len(found), columns)]
-
-
 def _walk(folder: Path, above: tuple[str, ...] = ()) -> Iterator[_Entry]:
     with os.scandir(folder) as entries:
         parts = [  # a folder among images that is called like one is refused as an image
@@ -290,7 +180,7 @@ def _walk(folder: Path, above: tuple[str, ...] = ()) -> Iterator[_Entry]:
             yield from _walk(Path(entry.path), names)
 
 
-def picture_file(path: Path, label: str | tuple[float, ...] = "") -> Picture:
+def picture_file(path: Path, label: Label = "") -> Picture:
     """Picture of a file."""
 
     def read() -> IO[bytes]:
@@ -338,7 +228,7 @@ def _listings(entries: Iterable[_Entry], where: str) -> list[list[Picture]]:
         if other:
             raise InputError(
                 f"{where} holds images outside of {' and '.join(parts.values())} "
-                f"({_listed(other)}): move them into one of the two, or away"
+                f"({listed(other)}): move them into one of the two, or away"
             )
         return [_group(inside[parts[part]], f"{where}/{parts[part]}") for part in SPLITS[:2]]
     if inside and all(name.lower() in SPLITS for name in inside):
@@ -389,7 +279,7 @@ def _group(entries: Iterable[_Entry], where: str) -> list[Picture]:
     if astray:
         raise InputError(
             f"{where} holds images that lie in no folder of a class, or in folders within one "
-            f"({_listed(astray)}): move them into the folder of their class, or away"
+            f"({listed(astray)}): move them into the folder of their class, or away"
         )
     for label, found in classes.items():
         if not found:
@@ -398,11 +288,6 @@ def _group(entries: Iterable[_Entry], where: str) -> list[Picture]:
                 f"({' '.join(IMAGE_SUFFIXES)}) or remove it"
             )
     return [picture for label in sorted(classes) for _, picture in sorted(classes[label])]
-
-
-def is_image(name: str) -> bool:
-    """True for names of image files."""
-    return name.lower().endswith(IMAGE_SUFFIXES) and not name.startswith(".")
 
 
 # ---------------------------------------------------------------- reading
@@ -456,15 +341,12 @@ def read_all(
     return grey[: len(kept)], tally, kept
 
 
-def _listed(names: list[str]) -> str:
-    """Names for a message, the first of many."""
-    more = f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else ""
-    return ", ".join(names[:MOST_NAMES]) + more
-
-
 def _bad_text(bad: list[tuple[str, str]], may_skip: bool) -> str:
     """Name damaged images, each with what is wrong, and say what to do."""
-    named = _listed([f"{where} ({reason})" for where, reason in bad])
+    wheres, reasons = zip(*bad, strict=True)
+    named = listed([f"{where} ({reason})" for where, reason in bad])
+    if len(set(reasons)) == 1:
+        named = f"{listed(wheres)} ({reasons[0]})"
     what, them = ("the image", "it") if len(bad) == 1 else (f"{len(bad)} images:", "them")
     advice = f", or leave {them} out with `skip_bad`" if may_skip else ""
     return f"cannot read {what} {named}; replace or remove {them}{advice}"
@@ -479,7 +361,10 @@ def _read(picture: Picture, tally: Tally, shape: Shape | None, bilinear: bool) -
 
             def again() -> Image.Image:
                 stream.seek(0)
-                return Image.open(stream, formats=FORMATS)
+                try:
+                    return Image.open(stream, formats=FORMATS)
+                except UnidentifiedImageError:
+                    raise _Unreadable(unread_kind(stream)) from None
 
             with again() as image:
                 pixels, advice = image.width * image.height, "replace or remove it"
@@ -489,8 +374,7 @@ def _read(picture: Picture, tally: Tally, shape: Shape | None, bilinear: bool) -
     except InputError:
         raise
     except Exception as error:  # Pillow's decoders raise almost anything on a damaged file
-        no_image = isinstance(error, UnidentifiedImageError)
-        raise _Unreadable("no image" if no_image else str(error)) from error
+        raise _Unreadable(str(error)) from error
     if shape is not None:
         how = Image.Resampling.BILINEAR if bilinear else Image.Resampling.BOX
         grey = grey.resize(shape[::-1], how)

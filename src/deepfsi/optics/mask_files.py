@@ -6,6 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
+from deepfsi.datasets.decoding import check_levels
+from deepfsi.datasets.deep_colours import is_deep
 from deepfsi.errors import InputError
 from deepfsi.files import check_unpacked, open_regular
 from deepfsi.tables.array_files import read_array, split_variable
@@ -89,6 +91,12 @@ def _pages(file: Path) -> Iterator[np.ndarray]:
                 size, pixels = file.stat().st_size, image.width * image.height * pages
                 check_unpacked(pixels, size, str(file), "replace it")
                 for page in ImageSequence.Iterator(image):
+                    check_levels(page, str(file))
+                    grey = page.mode in ("F", "I") or page.mode.startswith("I;16")
+                    if is_deep(page) and not grey:
+                        raise InputError(
+                            f"{file} has colours of more than 8 bits: save it in grey levels"
+                        )
                     if page.mode == "I":
                         raise InputError(
                             f"{file} has 32 bits a pixel, of unknown full scale: save it with 8 "

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from deepfsi.errors import InputError
-from deepfsi.files import check_unpacked, open_regular
+from deepfsi.files import check_unpacked, content_of, open_regular
 from deepfsi.memory import check_memory, free_memory
 from deepfsi.tables.zip_files import open_zip, read_entry
 
@@ -46,6 +46,9 @@ MAT_HEADER, MAT_PLAIN, MAT_DEFLATED = 128, 14, 15
 
 MAT_TAG, MAT_PARTS = 8, {*range(1, 8), 9, *range(12, 19)}
 """Bytes of a tag in a ``.mat`` file, which holds type and length, and the types that there are."""
+
+MAT_OPAQUE = 17
+"""Class of variables in a ``.mat`` file that are strings, tables and the like."""
 
 DOUBLE, INFLATED_AT_ONCE = 8, 2**20
 """Bytes of a number, and those that are inflated at once to be counted."""
@@ -82,7 +85,8 @@ def read_array(
         raise InputError(
             f"{path} has {f'no variable {variable!r}' if variable else 'not one variable alone'} "
             f"of real numbers in {' or '.join(map(str, dimensions))} dimensions, but "
-            f"{', '.join(found) or 'none'}: {advice or f'name one as {path}:VARIABLE'}"
+            f"{', '.join(found) or 'none'}{_others(path)}: "
+            f"{advice or f'name one as {path}:VARIABLE'}"
         )
     return read_variable(path, variable, found[variable], largest)
 
@@ -116,7 +120,7 @@ def _of_npy(content: bytes, where: str, advice: str) -> npt.NDArray[Any]:
         flat = np.frombuffer(content, dtype, offset=stream.tell())  # no more than there is
         if dtype.kind == "U":
             flat.tobytes().decode("utf-32-le" if dtype.newbyteorder("<") == dtype else "utf-32-be")
-        return flat.reshape(shape, order="F" if fortran else "C").copy()
+        return _native(flat.reshape(shape, order="F" if fortran else "C").copy())
     except Exception as error:  # numpy's parser raises almost anything on a damaged header
         raise InputError(f"cannot read {where} ({error}); {advice}") from None
 
@@ -130,12 +134,19 @@ def read_npy(path: Path, largest: int = 2**30) -> npt.NDArray[Any]:
             if values.dtype.kind not in "biuf":
                 raise ValueError(f"it holds {values.dtype}")
         except Exception as error:  # numpy's parser raises almost anything on a damaged header
+            kind = content_of(path)
+            other = "" if "(.npy)" in kind else f"; it holds {kind}"
             raise InputError(
-                f"cannot read an array of real numbers from {path} ({error}); write "
+                f"cannot read an array of real numbers from {path} ({error}){other}; write "
                 "it with numpy.save"
             ) from error
     _check_values(path, values.shape, largest)
-    return np.array(values)
+    return _native(np.array(values))
+
+
+def _native(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Array with the bytes of its values in this machine's order, which torch needs."""
+    return values.astype(values.dtype.newbyteorder("="), copy=False)
 
 
 def _check_values(what: object, shape: tuple[int, ...], largest: int) -> None:
@@ -158,8 +169,21 @@ def list_variables(path: Path, dimensions: Sequence[int]) -> dict[str, tuple[int
         return {
             name: shape
             for name, shape, kind in whosmat(file)
-            if kind in NUMBERS and len(shape) in dimensions
+            if kind in NUMBERS and len(shape) in dimensions and not name.startswith("__")
         }
+
+
+def _others(path: Path) -> str:
+    """Variables of a ``.mat`` file before 7.3 that hold other than full real numbers, in words."""
+    from scipy.io import whosmat
+
+    if _in_hdf5(path):
+        return ""
+    with _open_mat(path) as file:
+        listed = [(name, kind) for name, _, kind in whosmat(file) if name[:2] != "__"]
+    named = [f"{name} ({kind})" for name, kind in listed if kind not in NUMBERS]
+    full = ", of which full() makes numbers of a sparse one" if "(sparse)" in str(named) else ""
+    return f" (and {', '.join(named)}{full})" if named else ""
 
 
 def read_variable(path: Path, name: str, shape: tuple[int, ...], largest: int) -> npt.NDArray[Any]:
@@ -172,13 +196,13 @@ def read_variable(path: Path, name: str, shape: tuple[int, ...], largest: int) -
     values: npt.NDArray[Any]
     if _in_hdf5(path):
         with _open_hdf5(path) as found:
-            values = np.asarray(found[name])
+            values = _native(np.asarray(found[name]))
         return np.ascontiguousarray(values if path.suffix.lower() != ".mat" else values.T)
     with _open_mat(path) as file:
         values = loadmat(file, variable_names=[name])[name]
     if values.dtype.kind not in "biuf":
         raise InputError(f"{path}: {name} holds complex numbers: give real ones")
-    return np.ascontiguousarray(values)
+    return np.ascontiguousarray(_native(values))
 
 
 def _in_hdf5(path: Path) -> bool:
@@ -211,7 +235,8 @@ def _open_hdf5(path: Path) -> Iterator[dict[str, Any]]:
         real = isinstance(item, h5py.Dataset) and item.dtype.kind in "biuf"
         matlab = item.attrs.get("MATLAB_class", b"double").decode()
         elsewhere = real and (item.external or item.is_virtual)  # numbers of other files
-        if real and matlab in NUMBERS and not (elsewhere or name.startswith("#")):
+        empty = bool(item.attrs.get("MATLAB_empty", 0))  # it then holds the lengths of its axes
+        if real and matlab in NUMBERS and not (elsewhere or empty or name.startswith("#")):
             held[name] = item
 
     try:
@@ -229,27 +254,31 @@ def _open_mat(path: Path) -> Iterator[IO[bytes]]:
     """Open a ``.mat`` file for scipy."""
     with open_regular(path, LARGEST_FILE, "give a .mat file") as file:
         try:
-            _check_mat(file, path)
-            yield file
+            yield _check_mat(file, path)
         except InputError:
             raise
         except Exception as error:  # scipy raises almost anything on a damaged file
             raise InputError(
-                f"cannot read {path} as a .mat file ({error}); save it again"
+                f"cannot read {path} as a .mat file ({error}); it holds {content_of(path)}; save "
+                "it again"
             ) from error
 
 
-def _check_mat(file: IO[bytes], path: Path) -> None:
-    """Raise an error for a variable that scipy's reader does not survive."""
+def _check_mat(file: IO[bytes], path: Path) -> IO[bytes]:
+    """File without the variables that scipy's reader does not survive, or an error for them."""
     # scipy inflates all that there is, whatever shape the variable claims, and a part of an
-    # unknown type ends the process
+    # unknown type ends the process. Of a string, table or datetime of MATLAB it reads no shape:
+    # these are left out
     header = file.read(MAT_HEADER)
     order = {b"IM": "<", b"MI": ">"}.get(header[-2:], "")
     found, size = 0, path.stat().st_size
+    kept: list[tuple[int, int]] = []
     while order and len(tag := file.read(MAT_TAG)) == MAT_TAG:
         kind, length = struct.unpack(f"{order}II", tag)
+        start = file.tell()
         if kind == MAT_PLAIN:
-            _check_parts(file, order, min(file.tell() + length, size))
+            opaque = _is_opaque(file, order)
+            _check_parts(file, order, min(start + length, size))
         elif kind == MAT_DEFLATED:
             inflate, left = zlib.decompressobj(), file.read(min(length, size))
             inflated = io.BytesIO()
@@ -258,10 +287,30 @@ def _check_mat(file: IO[bytes], path: Path) -> None:
                 left = inflate.unconsumed_tail
                 check_unpacked(found / DOUBLE, size, str(path), UNCOMPRESSED)
             inflated.seek(MAT_TAG)
+            opaque = _is_opaque(inflated, order)
             _check_parts(inflated, order, inflated.getbuffer().nbytes)
         else:
             break
+        if not opaque:
+            kept.append((start - MAT_TAG, file.tell()))
     file.seek(0)
+    if sum(end - start for start, end in kept) in (0, size - MAT_HEADER):
+        return file
+    sound = io.BytesIO(header)
+    sound.seek(0, io.SEEK_END)
+    for start, end in kept:
+        file.seek(start)
+        sound.write(file.read(end - start))
+    sound.seek(0)
+    return sound
+
+
+def _is_opaque(file: IO[bytes], order: str) -> bool:
+    """True for a variable of a MATLAB class that hides its values; the file stays where it is."""
+    start = file.tell()
+    flags = file.read(MAT_TAG + 4)[MAT_TAG:]
+    file.seek(start)
+    return len(flags) == 4 and struct.unpack(f"{order}I", flags)[0] & 0xFF == MAT_OPAQUE
 
 
 def _check_parts(file: IO[bytes], order: str, end: int) -> None:

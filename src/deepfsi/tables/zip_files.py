@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from deepfsi.errors import InputError
-from deepfsi.files import check_unpacked, open_regular
+from deepfsi.files import check_unpacked, content_of, open_regular
 
 LARGEST = 2**36
 """Bytes of a zip file at most."""
@@ -22,7 +22,9 @@ def open_zip(path: Path, advice: str) -> Iterator[zipfile.ZipFile]:
         try:
             archive = zipfile.ZipFile(file)
         except Exception as error:  # zipfile raises almost anything on a damaged directory
-            raise InputError(f"cannot read {path} as a zip file ({error}); {advice}") from None
+            raise InputError(
+                f"cannot read {path} as a zip file ({error}); it holds {content_of(path)}; {advice}"
+            ) from None
         with archive:
             size = sum(info.file_size for info in archive.infolist())
             check_unpacked(size, path.stat().st_size, str(path), advice)

@@ -1,0 +1,134 @@
+"""What the header of an image says of its values is followed, or refused in one line."""
+
+import io
+import struct
+
+import numpy as np
+import pytest
+from dataset_samples import refused
+from PIL import Image, PngImagePlugin
+
+from deepfsi.datasets import load_dataset, read_display
+
+GREY = (np.arange(48).reshape(6, 8) * 5).astype(np.uint8)
+UPRIGHT = {1: GREY, 3: GREY[::-1, ::-1], 6: np.rot90(GREY, -1), 8: np.rot90(GREY), 4: GREY[::-1]}
+
+
+def tiff(values, kind, photometric=1) -> bytes:
+    """One strip, little-endian: 1 unsigned, 2 signed integers, 3 floats."""
+    fields = {
+        256: values.shape[1],
+        257: values.shape[0],
+        258: 8 * values.itemsize,
+        259: 1,
+        262: photometric,
+        273: 8 + 2 + 10 * 12 + 4,
+        277: 1,
+        278: values.shape[0],
+        279: values.nbytes,
+        339: kind,
+    }
+    entries = b"".join(struct.pack("<HHII", tag, 4, 1, value) for tag, value in fields.items())
+    return struct.pack("<2sHIH", b"II", 42, 8, 10) + entries + bytes(4) + values.tobytes()
+
+
+@pytest.mark.parametrize("orientation", UPRIGHT)
+@pytest.mark.parametrize("suffix", ["png", "tif", "webp"])
+def test_pictures_stand_as_every_viewer_shows_them(tmp_path, orientation, suffix):
+    """Cameras write the sensor's order, and in EXIF how to turn it."""
+    exif = Image.Exif()
+    exif[274] = orientation
+    path = tmp_path / f"a.{suffix}"
+    Image.fromarray(GREY).save(path, exif=exif, **{"lossless": True} if suffix == "webp" else {})
+    shown = read_display(path)
+    assert np.rint(shown.x[0] * 255).astype(int).tolist() == UPRIGHT[orientation].tolist()
+    if suffix != "tif":
+        assert ("1 turned as their EXIF data say" in shown.preprocessing) == (orientation > 1)
+
+
+def test_pictures_of_a_telephone_are_of_one_size(tmp_path):
+    exif = Image.Exif()
+    exif[274] = 6
+    Image.fromarray(GREY).save(tmp_path / "a.jpg", exif=exif)
+    Image.fromarray(np.rot90(GREY, -1)).save(tmp_path / "b.JPG")
+    assert read_display(tmp_path).x.shape == (2, 8, 6)
+
+
+@pytest.mark.parametrize(
+    ("values", "kind", "said"),
+    [
+        (np.ones((2, 3)), 3, "64-bit floats, which is not read: save it with floats of 32 bits"),
+        (np.ones((2, 3), np.float16), 3, "16-bit floats"),
+        (np.ones((2, 3), np.uint64), 1, "64-bit unsigned integers"),
+        (np.full((2, 3), -5, np.int8), 2, "signed integers of 8 bits"),
+        (np.full((2, 3), -5, np.int16), 2, "reaches from -5"),
+    ],
+)
+def test_types_that_are_not_read_are_named(tmp_path, values, kind, said):
+    (tmp_path / "a.tif").write_bytes(tiff(values, kind))
+    with refused("a.tif", said):
+        read_display(tmp_path / "a.tif")
+
+
+@pytest.mark.parametrize("kind", ["u1", "u2", "f4"])
+def test_0_for_white_is_turned_or_refused(tmp_path, kind):
+    values = np.linspace(0, 1, 6).reshape(2, 3)
+    top = 1 if kind == "f4" else np.iinfo(kind).max
+    content = tiff((values * top).astype(kind), 3 if kind == "f4" else 1, photometric=0)
+    (tmp_path / "a.tif").write_bytes(content)
+    if kind == "u1":
+        assert read_display(tmp_path / "a.tif").x[0] == pytest.approx(1 - values, abs=1 / 255)
+    else:
+        with refused("has 0 for white"):
+            read_display(tmp_path / "a.tif")
+
+
+@pytest.mark.parametrize("largest", [15, 200, 255, 1023])
+def test_the_largest_value_of_a_pgm_is_white(tmp_path, largest):
+    rows = f"0 {largest}\n{largest // 3} 1\n"
+    (tmp_path / "a.pgm").write_text(f"P2\n2 2\n{largest}\n{rows}")
+    shown = read_display(tmp_path / "a.pgm").x[0]
+    assert shown[:, 0] == pytest.approx([0, largest // 3 / largest], abs=1 / 255)
+    assert shown[0, 1] == pytest.approx(1)
+
+
+def test_a_gamma_of_its_own_is_said(tmp_path):
+    with io.BytesIO() as plain:
+        Image.fromarray(GREY).save(plain, "png")
+        content = plain.getvalue()
+    with io.BytesIO() as chunk:
+        PngImagePlugin.putchunk(chunk, b"gAMA", struct.pack(">I", 100_000))
+        (tmp_path / "a.png").write_bytes(content[:33] + chunk.getvalue() + content[33:])
+    assert (
+        "1 with a gamma of their own, which was left out"
+        in read_display(tmp_path / "a.png").preprocessing
+    )
+
+
+@pytest.mark.parametrize("mode", ["P", "1", "LA", "RGBA", "CMYK", "YCbCr"])
+def test_modes_have_the_grey_of_their_colours(tmp_path, mode):
+    picture = Image.fromarray(GREY).convert("RGB").convert(mode)
+    path = tmp_path / ("a.tif" if mode in ("CMYK", "YCbCr") else "a.png")
+    picture.save(path)
+    wanted = np.asarray(picture.convert("RGB").convert("L"), float) / 255
+    assert read_display(path).x[0] == pytest.approx(wanted, abs=2 / 255)
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"", "no image, but nothing"),
+        (b"<!DOCTYPE html>", "no image, but a web page"),
+        (b"\x93NUMPY", "no image, but a NumPy array"),
+    ],
+)
+def test_what_is_no_image_is_named(images, content, said):
+    (images / "cat" / "000.png").write_bytes(content)
+    with refused(f"000.png ({said}"):
+        load_dataset(images)
+
+
+def test_a_jpeg_that_is_called_png_is_read(tmp_path):
+    with (tmp_path / "a.png").open("wb") as file:
+        Image.fromarray(GREY).save(file, "jpeg")
+    assert read_display(tmp_path / "a.png").x.shape == (1, 6, 8)
