@@ -93,7 +93,8 @@ def accuracies(scenes: TrainingSet, kind: tuple, photons: float) -> dict[str, li
         with networks_in(name):
             designs = [train(scenes, [job])[0] for job in jobs_of(kind, (photons,), SEEDS, EPOCHS)]
         found[name] = [
-            evaluate(each, scenes.data, photons, draws=1)[0].accuracy for each in designs
+            evaluate(each, scenes.data, photons, draws=1, seed=seed)[0].accuracy
+            for seed, each in enumerate(designs)
         ]
     return found
 

@@ -189,10 +189,10 @@ def print_ours(
         )
 
 
-def right_in(made: Design, data: Dataset, photons: float, shots: int) -> np.ndarray:
+def right_in(made: Design, data: Dataset, photons: float, shots: int, seed: int = 0) -> np.ndarray:
     """Whether the mean of a design's logits over shots is right, for each test scene (n,)."""
     scanner = scanner_for(made, made.camera)
-    generator = torch.Generator().manual_seed(shots)
+    generator = torch.Generator().manual_seed(shots + 1000 * seed)
     right = []
     with torch.no_grad():
         for rows in torch.arange(len(data.x_test)).split(1024):
@@ -235,9 +235,9 @@ def print_few(
                 training=training,
                 seed=seed,
             )
-            [held] = evaluate(made, part, photons, draws=1)
-            [seen] = evaluate(made, data, photons, draws=SHOTS)
-            several = right_in(made, data, photons, SHOTS)
+            [held] = evaluate(made, part, photons, draws=1, seed=seed)
+            [seen] = evaluate(made, data, photons, draws=SHOTS, seed=seed)
+            several = right_in(made, data, photons, SHOTS, seed)
             found.append((held.accuracy, seen.accuracy, several.mean(), seen.counts, seen.arriving))
             shares = f"{held.accuracy:.4f} | {seen.accuracy:.4f} [{seen.low:.4f}, {seen.high:.4f}]"
             shares += f" | {share(several)} | {seen.counts:.1f} | {seen.arriving:.1f}"
