@@ -1,5 +1,7 @@
 """The one error that a user can cause and a user can mend."""
 
+import json
+import re
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from difflib import get_close_matches
@@ -9,13 +11,19 @@ if TYPE_CHECKING:
     from pydantic import ValidationError
     from pydantic_core import ErrorDetails
 
+OLDEST = "0.2.0"
+"""Version of the first package whose files are read."""
+
+MOST_SCHEMAS = 10**6
+"""Numbers of a schema are below this."""
+
 LONGEST_GIVEN = 120
 """Characters of what was given that a message repeats, at most."""
 
 LONGEST = 4000
 """Characters of a message at most; one that repeats more is cut in its middle."""
 
-__all__ = ["InputError", "as_input_error", "check_known", "closest", "faults"]
+__all__ = ["InputError", "as_input_error", "check_known", "closest", "faults", "other_version"]
 
 
 class InputError(ValueError):
@@ -59,14 +67,57 @@ def check_known(what: str, name: str, known: Iterable[str]) -> None:
         raise InputError(f"unknown {what} {name!r}: {closest(name, known)}")
 
 
+def other_version(content: str | bytes, schema: int, again: str = "make it again") -> str:
+    """Say that an older or a newer package wrote a file, as its JSON has it, and what to do."""
+    from importlib.metadata import version
+
+    try:
+        facts = json.loads(content)
+        written = facts.get("deepfsi") or facts.get("provenance", {}).get("deepfsi")
+        number = facts.get("schema", facts.get("schema_version", schema))
+    except (ValueError, AttributeError, RecursionError):
+        return ""
+    release = _release(written)
+    who = f"deepfsi {written}" if release else "a deepfsi"
+    if type(number) is not int or not 0 < number < MOST_SCHEMAS:
+        number = schema
+    if number != schema:
+        who += f" with schema {number}"
+    if (release and release < _release(OLDEST)) or number < schema:
+        return f"was written by {who}, older than the files that are read: {again}"
+    if release > _release(version("deepfsi")) or number > schema:
+        return f"was written by {who}, newer than this one: upgrade deepfsi"
+    return ""
+
+
+def _release(version: object) -> tuple[int, ...]:
+    """Numbers of a version, such as 0, 2, 0; none of what is no version."""
+    found = re.match(r"(\d{1,6})\.(\d{1,6})\.(\d{1,6})(?!\d)", str(version))
+    return tuple(map(int, found.groups())) if found else ()
+
+
 @contextmanager
-def as_input_error(file: str = "", advice: str = "") -> Iterator[None]:
-    """Turn pydantic's errors into one `InputError`."""
+def as_input_error(
+    file: str = "", advice: str = "", content: str | bytes = b"", schema: int = 1
+) -> Iterator[None]:
+    """Turn pydantic's errors into one `InputError`.
+
+    Parameters
+    ----------
+    file, advice : str
+        What cannot be used, and what to do.
+    content : str or bytes
+        Of the file, JSON, which may say that another version wrote it.
+    schema : int
+        Number of the file's schema in this version.
+    """
     from pydantic import ValidationError
 
     try:
         yield
     except ValidationError as error:
+        if words := other_version(content, schema, advice or "make it again"):
+            raise InputError(f"{file} {words}") from None
         if not file:
             raise InputError("; ".join(faults(error))) from None
         fault = error.errors()[0]

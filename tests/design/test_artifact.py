@@ -5,6 +5,7 @@ import json
 import os
 import pickle
 import random
+from importlib.metadata import version
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
@@ -195,6 +196,18 @@ def test_a_newer_schema_asks_for_an_upgrade(saved):
 def test_a_newer_schema_is_said_even_if_all_else_changed(saved):
     rewrite(saved, lambda header, tensors: (header.clear(), header.update(schema=99)))
     refused(saved, "upgrade deepfsi")
+
+
+def test_a_file_of_another_version_is_called_so_and_a_damaged_one_is_not(saved):
+    rewrite(saved, lambda header, _: (header.pop("exposure"), header.update(schema=3)))
+    rewrite(saved, lambda header, _: header.update(deepfsi="0.1.0"))
+    refused(
+        saved, "written by deepfsi 0.1.0 with schema 3, older than .* make it again with `deepf"
+    )
+    rewrite(saved, lambda header, _: header.update(deepfsi="99.0.0", schema=SCHEMA))
+    refused(saved, "written by deepfsi 99.0.0, newer than this one: upgrade deepfsi")
+    rewrite(saved, lambda header, _: header.update(deepfsi=version("deepfsi")))
+    refused(saved)
 
 
 @pytest.mark.parametrize("metadata", [None, {"other": "x"}, {"deepfsi": "{"}, {"deepfsi": "[]"}])

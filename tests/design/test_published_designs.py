@@ -115,10 +115,17 @@ def test_what_cannot_be_found_is_said_in_one_line(collection, monkeypatch, where
         load_design("smal")
 
 
-@pytest.mark.parametrize("spoilt", ["{", '{"schema_version": 2}', '{"designs": {"../a": {}}}'])
-def test_a_spoilt_index_is_refused(collection, spoilt):
+@pytest.mark.parametrize(
+    ("spoilt", "said"),
+    [
+        ("{", "cannot be used.*make the collection again"),
+        ('{"designs": {"../a": {}}}', "cannot be used.*make the collection again"),
+        ('{"schema_version": 2}', "newer than this one: upgrade deepfsi"),
+    ],
+)
+def test_a_spoilt_index_is_refused(collection, spoilt, said):
     (collection / INDEX).write_text(spoilt)
-    with pytest.raises(InputError, match=f"{INDEX} cannot be used.*make the collection again"):
+    with pytest.raises(InputError, match=f"{INDEX} .*{said}"):
         read_indexes()
 
 

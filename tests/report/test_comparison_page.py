@@ -349,7 +349,10 @@ def test_same_results_make_the_same_page_and_figures(tmp_path):
         ("{", r"cannot be used: .*; run the comparison again"),
         ("[]", r"cannot be used: .*; run the comparison again"),
         ({"schema": 6, "points": []}, "upgrade deepfsi"),
-        ({"schema": 1, "points": []}, "this version; run the comparison again"),
+        (
+            {"schema": 1, "points": []},
+            "with schema 1, older than the files that are read: run the comparison again",
+        ),
         ({"points": []}, "no finished point"),
         ({"points": [{}]}, r"at points\.0\.trained_under"),
     ],

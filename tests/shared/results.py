@@ -88,7 +88,7 @@ def some_results(
         "recipe": recipe or {},
         "data": Data(**{**facts, **(data or {})}),
         "provenance": Provenance(
-            deepfsi="0.1.0",
+            deepfsi="0.2.0",
             torch="2.13.0",
             numpy="2.0.0",
             python="3.11.2",

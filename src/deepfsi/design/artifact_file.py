@@ -209,7 +209,7 @@ def read_design(path: str | os.PathLike[str]) -> dict[str, Any]:
         fields = _fields(Header.model_validate_json(text), tensors)
         return {**fields, "training_scenes": TrainingScenes.restored(arrays)}
     except (KeyError, TypeError, ValueError, RuntimeError, IndexError) as error:
-        raise damaged(path) from error
+        raise damaged(path, text) from error
 
 
 def _fields(header: Header, tensors: Mapping[str, Tensor]) -> dict[str, Any]:

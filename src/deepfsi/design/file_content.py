@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 from pydantic import AfterValidator
 
-from deepfsi.errors import InputError
+from deepfsi.errors import InputError, other_version
 from deepfsi.optics.codes import DESIGNS
 from deepfsi.tables.tensor_files import DamagedError, read_tensors
 
@@ -40,15 +40,14 @@ def read_content(
     """Header, as JSON, and tensors, all or those wanted; `InputError` as for `Design.load`."""
     if not Path(path).exists():
         raise InputError(f"no design file at {path}: make one with `deepfsi design -o {path}`")
+    text = ""
     try:
         text, tensors = read_tensors(path, "deepfsi", "give a design file", wanted)
         schema = int(json.loads(text)["schema"])
     except (DamagedError, KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
-        raise error if isinstance(error, InputError) else damaged(path) from error
-    if schema > SCHEMA:
-        raise InputError(
-            f"{path} has schema {schema}, and this version reads {SCHEMA}: upgrade deepfsi"
-        )
+        raise error if isinstance(error, InputError) else damaged(path, text) from error
+    if schema != SCHEMA:
+        raise damaged(path, text)
     return text, tensors
 
 
@@ -80,8 +79,10 @@ def check_classes(values: "Values | tuple[str, ...] | None", what: str) -> None:
         )
 
 
-def damaged(path: str | os.PathLike[str]) -> InputError:
-    """Error for a file that is no design."""
+def damaged(path: str | os.PathLike[str], header: str) -> InputError:
+    """Error for a file that is no design of this version, by its header as far as it was read."""
+    if words := other_version(header, SCHEMA, "make it again with `deepfsi design`"):
+        return InputError(f"{path} {words}")
     return InputError(
         f"{path} is not a whole deepfsi design file: give a .safetensors file that "
         "`deepfsi design` or Design.save wrote"

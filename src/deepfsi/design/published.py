@@ -89,7 +89,7 @@ class Index(Frozen):
         """Index in a folder."""
         path = folder / INDEX
         content = read_text(path, LARGEST_INDEX, "give the folder of a collection of designs")
-        with as_input_error(str(path), "make the collection again"):
+        with as_input_error(str(path), "make the collection again", content):
             return cls.model_validate_json(content)
 
 

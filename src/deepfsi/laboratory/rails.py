@@ -81,7 +81,7 @@ class ShownDesign:
             if rails.ndim != 3 or rails.dtype != np.float32:
                 raise ValueError(rails.shape)
         except (ValidationError, KeyError, ValueError) as error:
-            raise damaged(path) from error
+            raise damaged(path, text) from error
         return cls(header, tensors)
 
     @property

@@ -23,8 +23,7 @@ LARGEST_FILE = 2**28
 
 def _readable(schema: int) -> int:
     if schema != SCHEMA:
-        newer = ": upgrade deepfsi" if schema > SCHEMA else ""
-        raise ValueError(f"schema {schema} is not the {SCHEMA} of this version{newer}")
+        raise ValueError(f"schema {schema} is not the {SCHEMA} of this version")
     return schema
 
 
@@ -273,5 +272,5 @@ def read_results(path: Path) -> Results:
     """Results that `write_results` wrote, or `InputError`."""
     again = "run the comparison again"
     content = read_text(path, LARGEST_FILE, again)
-    with as_input_error(str(path), again):
+    with as_input_error(str(path), again, content, SCHEMA):
         return Results.model_validate_json(content)

@@ -154,7 +154,7 @@ def test_saved_and_loaded(tmp_path):
         ({"flat": [[0, 0]]}, "dark everywhere"),
         ({"flat": [[2]]}, "flat.0.0"),
         ({"dark": -1}, "dark"),
-        ({"schema_version": 2}, "schema_version"),
+        ({"schema_version": 2}, "schema 2, newer than this one: upgrade deepfsi"),
         ({"new": 1}, "new"),
     ],
 )

@@ -239,7 +239,7 @@ def test_a_manifest_may_be_laid_out_anew(tmp_path):
         ("image_shape", [51, 4], "do not fit"),
         ("image_shape", [4, 5], r"shape \(10, 20\)"),
         ("masks", 3, "mask that does not exist"),
-        ("schema_version", 2, "schema_version"),
+        ("schema_version", 2, "newer than this one: upgrade deepfsi"),
         ("format", "gif", "format"),
     ],
 )

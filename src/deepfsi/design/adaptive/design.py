@@ -213,7 +213,7 @@ class AdaptiveDesign:
             usual = UsualMisfit.restored(arrays, header.settings.looks)
             trained = TrainingScenes.restored(arrays)
         except (KeyError, TypeError, ValueError, RuntimeError, IndexError) as error:
-            raise damaged(path) from error
+            raise damaged(path, text) from error
         known = header.settings, header.image_shape, header.classes
         return cls(prior, *known, shares, usual, header.info, trained)
 

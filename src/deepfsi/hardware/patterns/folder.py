@@ -194,7 +194,7 @@ def read_patterns(folder: str | os.PathLike[str]) -> sequence.Patterns:
     """Patterns of a folder, without reading its frames."""
     path = Path(folder) / "manifest.json"
     content = read_text(path, LARGEST_MANIFEST, "make patterns with `deepfsi dmd export`")
-    with as_input_error(str(path), "export the patterns again"):
+    with as_input_error(str(path), "export the patterns again", content):
         manifest = sequence.Manifest.model_validate_json(content)
     if manifest.sha256 not in (None, _digest(content)):
         raise InputError(

@@ -184,7 +184,7 @@ def read_acquisition(folder: str | os.PathLike[str]) -> tuple[Acquisition, Patte
     path = Path(folder) / "acquisition.json"
     hint = "make the folder with `deepfsi camera prepare` or `simulate`"
     content = read_text(path, LARGEST_JSON, hint)
-    with as_input_error(str(path)):
+    with as_input_error(str(path), content=content):
         acquisition = Acquisition.model_validate_json(content)
     patterns = read_patterns(path.parent / "patterns")
     manifest = path.parent / "patterns" / "manifest.json"

@@ -102,5 +102,5 @@ def load_calibration(folder: Path) -> Calibration:
     """Read `calibration.json` of a folder."""
     path = Path(folder) / "calibration.json"
     content = read_text(path, LARGEST_FILE, "calibrate the camera")
-    with as_input_error(f"'{path}'", "calibrate the camera again"):
+    with as_input_error(f"'{path}'", "calibrate the camera again", content):
         return Calibration.model_validate_json(content)

@@ -155,7 +155,7 @@ def read_loop(path: Path) -> Loop:
         text, tensors = read_tensors(path, "deepfsi-loop", again)
     except DamagedError:
         raise InputError(f"{path} is not a whole loop of a design: {again}") from None
-    with as_input_error(str(path), again):
+    with as_input_error(str(path), again, text, schema=2):
         header = LoopHeader.model_validate_json(text)
     try:
         return loop_from(header, tensors)
