@@ -79,7 +79,7 @@ def check_classes(values: "Values | tuple[str, ...] | None", what: str) -> None:
         )
 
 
-def damaged(path: str | os.PathLike[str], header: str) -> InputError:
+def damaged(path: str | os.PathLike[str], header: str = "") -> InputError:
     """Error for a file that is no design of this version, by its header as far as it was read."""
     if words := other_version(header, SCHEMA, "make it again with `deepfsi design`"):
         return InputError(f"{path} {words}")

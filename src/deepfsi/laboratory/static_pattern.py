@@ -34,7 +34,7 @@ def read_pattern(file: str | os.PathLike[str]) -> np.ndarray:
         )
     pattern = made.tensors.get("exposure.pattern", np.zeros(0))
     if pattern.ndim != 2 or not ((pattern >= 0) & (pattern <= 1)).all():
-        raise damaged(file, "")
+        raise damaged(file)
     return pattern
 
 

@@ -170,5 +170,5 @@ def test_a_missing_or_broken_file_is_named(tmp_path):
     with pytest.raises(InputError, match="is missing: calibrate"):
         load_calibration(tmp_path)
     (tmp_path / "calibration.json").write_bytes(b"{\xff")
-    with pytest.raises(InputError, match=r"calibration.json. cannot be used"):
+    with pytest.raises(InputError, match=r"calibration.json holds text of another encoding"):
         load_calibration(tmp_path)
