@@ -219,6 +219,19 @@ def test_summary_follows_the_numbers(tmp_path):
     assert "DeepFSI is the most accurate at 10⁴ photons" in text
 
 
+def test_the_verb_of_adaptive_masks_is_plural(tmp_path):
+    results = make_results(tmp_path, designs=("pca", "deepfsi"))
+    points = [
+        p.model_copy(update={"design": "adaptive", "title": "adaptive masks"})
+        if p.design == "deepfsi"
+        else p
+        for p in results.points
+    ]
+    assert "adaptive masks are the most accurate" in summary(results.with_points(points), "poisson")
+    alone = summary(results.with_points(p for p in points if p.design == "adaptive"), "poisson")
+    assert "adaptive masks reach 0.7" in alone
+
+
 ONE = "one detector"
 
 

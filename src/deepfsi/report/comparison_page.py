@@ -274,6 +274,7 @@ def summary(results: Results, noise: str) -> str:
     for best, rows in groups.items():
         first = [row[0] for row in rows]
         at = listed([photons_text(p.photons) for p in first])
+        several = first[0].design in ADAPTIVE  # the name is of masks
         if len(best) > 1:
             every = [p.accuracy for row in rows for p in row]
             said.append(
@@ -281,11 +282,12 @@ def summary(results: Results, noise: str) -> str:
                 f"scenes: they reach {share_text(min(every))} to {share_text(max(every))}."
             )
         elif len(names) == 1:
-            said.append(f"{best[0]} reaches {_ends(first)}.")
+            said.append(f"{best[0]} {'reach' if several else 'reaches'} {_ends(first)}.")
         else:
             most = "most accurate" if results.data.measure == "accuracy" else "best"
             reach = _ends(first) if len(first) > 1 else _reach(first[0])
-            said.append(f"{best[0]} is the {most}{where} at {at} photons: {reach}.")
+            verb = "are" if several else "is"
+            said.append(f"{best[0]} {verb} the {most}{where} at {at} photons: {reach}.")
     said += [
         f"{name(p)} at {photons_text(p.photons)} photons answers one class only."
         for p in sorted(points, key=lambda p: p.photons)
