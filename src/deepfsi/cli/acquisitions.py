@@ -62,7 +62,8 @@ def camera_prepare(
         )
         return
     print(
-        f"{len(made.scenes)} scenes, {common.several(made.repeats, 'exposure')} of "
+        f"{common.several(len(made.scenes), 'scene')}, {common.several(made.repeats, 'exposure')} "
+        "of "
         f"{time_text(made.exposure_s)} for each, {time_text(manifest.pass_s)} a pass\n"
         f"photons on input {name_inputs(made.inputs)}, a trigger on marker input "
         f"{made.marker_bit.bit_length() - 1}\n"

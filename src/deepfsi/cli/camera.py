@@ -144,7 +144,8 @@ def camera_simulate(
         return
     print(
         f"scenes: {scene}. {images.preprocessing}\n"
-        f"{len(made.scenes)} scenes, {common.several(made.repeats, 'exposure')} of "
+        f"{common.several(len(made.scenes), 'scene')}, {common.several(made.repeats, 'exposure')} "
+        "of "
         f"{time_text(made.exposure_s)} for each\n"
         f"recorded: {out}"
     )
@@ -385,7 +386,7 @@ def _print_contents(file: Path, contents: "Contents") -> None:
         *((f"markers on {k.bit_length() - 1}", str(n)) for k, n in contents.markers.items()),
         ("overflow records", str(contents.overflows)),
         ("sync records", str(contents.syncs)),
-        ("span", f"{contents.span_s:.6f} s"),
+        ("span", time_text(contents.span_s)),
         *(("problem", problem) for problem in contents.problems),
     ]
     common.print_table(str(file), ("what", "value"), rows)

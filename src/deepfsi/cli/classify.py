@@ -12,7 +12,7 @@ from deepfsi.errors import InputError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from deepfsi.laboratory.results import ClassifiedRun, LiveScene, ReplayedRun
+    from deepfsi.laboratory.results import ClassifiedRun, ClassifiedScene, LiveScene, ReplayedRun
 
 
 @with_settings(laboratory_fields, "dead_time", "dead_time_model")
@@ -119,14 +119,13 @@ def camera_classify(
 def _print_classes(found: "ClassifiedRun") -> None:
     from deepfsi.cli import as_options
 
+    several = any(scene.exposures > 1 for scene in found.scenes)
     rows = [
         (
             scene.name,
             scene.predicted or "none",
             "" if scene.probability is None else f"{scene.probability:.3f}",
-            f"{scene.guesses.count(scene.predicted)} of {scene.exposures}"
-            if scene.predicted
-            else "",
+            *([_agreeing(scene)] if several else []),
             scene.label or "",
             ", ".join(
                 sorted({fault.kind for fault in scene.faults}) + ["unsure"] * bool(scene.unsure)
@@ -134,7 +133,8 @@ def _print_classes(found: "ClassifiedRun") -> None:
         )
         for scene in found.scenes
     ]
-    heads = ("scene", "class", "mean probability", "of its exposures", "labelled", "remarks")
+    told = ["mean probability", "of its exposures"] if several else ["probability"]
+    heads = ("scene", "class", *told, "labelled", "remarks")
     common.print_table(f"{found.design}, {found.masks} masks", heads, rows)
     for fault in found.faults:
         print(fault.line([scene.name for scene in found.scenes]))
@@ -145,6 +145,13 @@ def _print_classes(found: "ClassifiedRun") -> None:
         print(f"{foreign} exposures have labels that are none of the design's classes: left out")
     for line in found.score.lines("exposure"):
         print(line)
+
+
+def _agreeing(scene: "ClassifiedScene") -> str:
+    """How many exposures of a scene have its class."""
+    if not scene.predicted:
+        return ""
+    return f"{scene.guesses.count(scene.predicted)} of {scene.exposures}"
 
 
 def _print_replay(found: "ReplayedRun") -> None:

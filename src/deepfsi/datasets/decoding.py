@@ -114,7 +114,7 @@ class Tally:
             "with a gamma of their own, which was left out": self.gammas,
             "the first of several in a file": self.several,
         }
-        parts = [f"{self.count} images of {size}"]
+        parts = [f"{self.count} image{'' if self.count == 1 else 's'} of {size}"]
         parts += [f"{count} {what}" for what, count in counted.items() if count]
         if self.bad:
             named = ", ".join(f"{Path(name).parent.name}/{Path(name).name}" for name in self.bad)
