@@ -1,20 +1,29 @@
-"""Calibration error of three kinds of designs at a tenth to ten times the light of their training.
+"""Calibration error of designs from a tenth to ten times the light of their training.
 
-    python benchmarks/calibration.py [--data mnist] [--epochs 10] [--hold-out 0]
+    python benchmarks/calibration.py                                   # MNIST, 10 epochs
+    python benchmarks/calibration.py --data digits --seeds 21 22 23    # whole trainings
 
-Each is tested on the test images with exact counts, with the temperatures that its training gives
-it and without. The time of the calibration is the processor's, and so is that of the training.
+Each design answers the test images once, with exact counts, with the temperatures that its training
+gives it and without. Several seeds divide digits, train and draw counts; their answers are taken
+together. Of the error that is subtracted which exactly calibrated answers of the same probabilities
+would show (200 draws); over-confidence is mean confidence less accuracy. The time of the
+calibration is the processor's, and so is that of the training. Adaptive masks get no temperatures
+of many scenes, and are tested on the first `--tests` images.
 """
 
 import argparse
 import time
-from dataclasses import replace
+from collections.abc import Sequence
 from typing import Any
+
+import numpy as np
+from scipy.special import softmax
 
 import deepfsi
 from deepfsi.datasets import Dataset
-from deepfsi.design.artifact import Design
-from deepfsi.design.evaluation import Result
+from deepfsi.design.adaptive.design import AdaptiveDesign
+from deepfsi.design.confidence import chance_error, confidence_error, logits_at_stops
+from deepfsi.design.evaluation import scanner_for
 from deepfsi.training.characterisation import find_temperatures
 from deepfsi.training.job import Job
 
@@ -27,46 +36,86 @@ KINDS: dict[str, dict[str, Any]] = {
         "exposure": {"span": 1e2},
     },
     "4 looks, 10⁴": {"masks": 32, "photons": 1e4, "camera": "dmd", "exposure": {"looks": 4}},
+    "clicks, 4 gates, 1500": {
+        "masks": 60,
+        "photons": 1500,
+        "camera": {"light": "free-dwell", "rails": "single", "noise": "click", "gates": 4},
+        "training": {"mask_lr": 0.05},
+    },
+    "adaptive, 10⁴": {"design": "adaptive", "masks": 16, "photons": 1e4, "camera": "dmd"},
 }
 """Settings of the designs."""
 
 BELOW, ABOVE = (0.01, 0.1, 0.3, 1.0), (1.0, 3.0, 10.0)
 """Test budgets over the lowest of the training, and over the highest."""
 
-
-def tests(design: Design, data: Dataset, low: float, high: float) -> list[Result]:
-    """Results at budgets below, in and above those of the training."""
-    budgets = dict.fromkeys([low * each for each in BELOW] + [high * each for each in ABOVE])
-    return deepfsi.evaluate(design, data, list(budgets), draws=1)
+Answers = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Confidence with temperatures (E,), without them (E,), and whether the answers are right (E,)."""
 
 
-def main() -> None:
+def answers(design: Any, data: Dataset, photons: float, seed: int, tests: int) -> Answers:
+    """Answers to the test images at a budget."""
+    if isinstance(design, AdaptiveDesign):
+        x, y = data.x_test[:tests], data.y_test[:tests]
+        logits = logits_at_stops(design, design.camera, x, photons, 1, seed, [design.masks - 1])[-1]
+        temperature = 1.0
+    else:
+        x, y = data.x_test, data.y_test
+        scanner = scanner_for(design, design.camera)
+        logits = logits_at_stops(design, scanner, x, photons, 1, seed)[-1]
+        temperature = float(design.temperatures.of_stops(photons)[-1])
+    both = (softmax(logits / each, axis=1).max(axis=1) for each in (temperature, 1.0))
+    return *both, logits.argmax(axis=1) == y
+
+
+def main(words: Sequence[str] | None = None) -> None:
     """Train, test and print a table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--data", default="mnist")
-    parser.add_argument("--epochs", type=int, default=10)
+    parser.add_argument("--epochs", type=int, help="those of a training unless given, 10 of MNIST")
     parser.add_argument("--hold-out", type=int, default=0)
-    given = parser.parse_args()
-    data = deepfsi.load_dataset(given.data)
-    kept = data.hold_out(given.hold_out) if given.hold_out else data
-    print("| design | photons | accuracy | calibration error | without temperatures |")
-    print("| --- | --- | --- | --- | --- |")
+    parser.add_argument("--seeds", type=int, nargs="+", default=[11])
+    parser.add_argument("--kinds", nargs="+", default=list(KINDS), help="beginnings of names")
+    parser.add_argument("--tests", type=int, default=500, help="images for adaptive masks")
+    given = parser.parse_args(words)
+    epochs = given.epochs or (10 if given.data == "mnist" else None)
+    print("| design | photons | accuracy | over-confidence | error beyond chance | error | without "
+          "temperatures |")  # fmt: skip
+    print("| --- | --- | --- | --- | --- | --- | --- |")
     times = []
     for name, settings in KINDS.items():
-        began = time.process_time()
-        design = deepfsi.learn(kept, training={"epochs": given.epochs}, **settings)
-        trained = time.process_time() - began
+        if not any(name.startswith(kind) for kind in given.kinds):
+            continue
         low = settings["photons"]
         high = low * settings.get("exposure", {}).get("span", 1)
-        began = time.process_time()
-        find_temperatures(design, Job.model_validate(design.info["job"]), kept)
-        times.append(f"{name}: {(time.process_time() - began) / trained:.1%}")
-        plain = replace(design, temperatures=None)
-        pairs = zip(*(tests(each, data, low, high) for each in (design, plain)), strict=True)
-        for found, raw in pairs:
-            errors = found.calibration_error, raw.calibration_error
-            words = (f"{found.accuracy:.3f}", *(f"{each:.3f}" for each in errors))
-            print(f"| {name} | {found.photons:g} | {' | '.join(words)} |", flush=True)
+        budgets = list(dict.fromkeys([low * r for r in BELOW] + [high * r for r in ABOVE]))
+        found: dict[float, list[Answers]] = {budget: [] for budget in budgets}
+        for seed in given.seeds:
+            data = deepfsi.load_dataset(given.data, seed=seed)
+            kept = data.hold_out(given.hold_out) if given.hold_out else data
+            own = {**settings.get("training", {}), **({"epochs": epochs} if epochs else {})}
+            adaptive = "design" in settings
+            began = time.process_time()
+            made = settings if adaptive else {**settings, "training": own}
+            design = deepfsi.learn(kept, seed=seed, **made)
+            trained = time.process_time() - began
+            if not adaptive:
+                began = time.process_time()
+                find_temperatures(design, Job.model_validate(design.info["job"]), kept)
+                times.append(f"{name}: {(time.process_time() - began) / trained:.1%}")
+            for budget in budgets:
+                found[budget].append(answers(design, data, budget, seed, given.tests))
+        for budget, several in found.items():
+            sure, plain, right = (np.concatenate(each) for each in zip(*several, strict=True))
+            error = confidence_error(sure, right)
+            words_of = (
+                f"{right.mean():.3f}",
+                f"{sure.mean() - right.mean():+.3f}",
+                f"{error - chance_error(sure):.3f}",
+                f"{error:.3f}",
+                f"{confidence_error(plain, right):.3f}",
+            )
+            print(f"| {name} | {budget:g} | {' | '.join(words_of)} |", flush=True)
     print("time of the calibration, a share of the training's:", "; ".join(times))
 
 

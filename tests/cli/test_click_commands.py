@@ -59,7 +59,7 @@ def test_clicks_are_classified_as_well_as_they_are_evaluated(done, lab):
     p = wanted["accuracy"]
     assert p > 0.4
     assert abs(right - p) < 5 * np.sqrt(p * (1 - p) * (1 / SCENES + 1 / wanted["images"]))
-    assert "Clicks are read right at the budget of the training" in scenes["remarks"][0]
+    assert "They are read for the stated budget" in scenes["remarks"][0]
 
 
 def test_the_photon_file_holds_one_photon_of_a_gate_and_count_takes_it_as_it_is(done, lab):

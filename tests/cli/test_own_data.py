@@ -27,6 +27,25 @@ def save_pictures(folder, counts, side=8, seed=0):
     return folder
 
 
+def test_a_design_says_where_its_probabilities_only_guess(done, tmp_path):
+    """Two classes of one distribution are guessed, two of different ones are not."""
+    rng, file = np.random.default_rng(3), tmp_path / "d.safetensors"
+    settings = ("--photons", "1e4", "--masks", 4, "--epochs", 3, "-o", file, "--force")
+    for shift in (0, 2500):
+        labels = np.arange(40) % 2
+        levels = rng.integers(0, 1200, (40, 8, 8)) + shift * labels[:, None, None] * np.eye(8)
+        np.savez(tmp_path / f"{shift}.npz", x=levels.astype(np.uint16), y=labels)
+    for design in ("deepfsi", "adaptive"):
+        few, told = [], []
+        for shift in (0, 2500):
+            words = ("design", "--data", tmp_path / f"{shift}.npz", "--design", design, *settings)
+            told.append("no better than guessing (log loss" in done(*words))
+            few.append(json.loads(done(*words, "--json"))["info"]["left_out"])
+        assert told == [True, False] == [each["guesses"] for each in few]
+        assert few[0]["scenes"] == 32
+        assert few[0]["guessing"] == pytest.approx(np.log(2))
+
+
 @pytest.fixture
 def pictures(tmp_path):
     return save_pictures(tmp_path / "leaves", {"ash": 30, "oak": 30, "yew": 30})

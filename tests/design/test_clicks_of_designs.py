@@ -7,6 +7,7 @@ import torch
 from conftest import PHOTONS, quick, same
 from deepfsi import Camera
 from deepfsi.design.artifact import Design
+from deepfsi.design.clicks import to_training_light
 from deepfsi.design.evaluation import evaluate
 from deepfsi.errors import InputError
 from deepfsi.sweeps.recipe import Recipe
@@ -32,18 +33,58 @@ def test_counts_of_a_result_are_clicks_and_it_says_what_arrives(clicking, digits
     assert photons.counts == photons.arriving == pytest.approx(result.arriving, rel=1e-6)
 
 
-def test_features_are_clicks_at_any_budget(clicking, digits):
-    """Clicks are not in proportion to the light: the same clicks are the same inputs."""
-    clicks = np.random.default_rng(0).integers(0, 3, (5, clicking.masks))
-    with torch.no_grad():
-        every = [
-            clicking.logits(torch.from_numpy(clicks).float(), torch.full((5, 1), photons))
-            for photons in (FEW, 10 * FEW)
-        ]
-    assert torch.allclose(*every)
-    results = evaluate(clicking, digits, [FEW / 10, FEW, 10 * FEW], draws=1)
-    assert results[0].accuracy < results[1].accuracy
-    assert results[2].counts < 10 * results[1].counts
+def test_clicks_are_read_as_they_are_at_the_light_of_the_training(clicking):
+    gain, offset = to_training_light(
+        torch.ones(1), clicking.mean * FEW, clicking.shares * FEW, clicking.gates
+    )
+    assert torch.equal(gain, torch.ones_like(gain))
+    assert torch.equal(offset, torch.zeros_like(offset))
+
+
+@pytest.mark.parametrize("gates", [1, 3])
+@pytest.mark.parametrize("ratio", [0.1, 0.5, 3.0])
+def test_clicks_of_any_light_have_mean_and_noise_of_the_training(gates, ratio):
+    """Of known photons on two rails: five standard errors of 2e5 exposures, of clicks drawn."""
+    generator, plus = torch.Generator().manual_seed(3), torch.tensor([0.3, 1.2, 2.0])
+    minus, n = torch.tensor([0.0, 0.9, 0.1]), 200_000
+
+    def clicks(q):
+        rails = [1 - torch.exp(-q * rate / gates) for rate in (plus, minus)]
+        one, other = (
+            torch.binomial(torch.full((n, 3), float(gates)), p.expand(n, 3), generator=generator)
+            for p in rails
+        )
+        return one - other
+
+    mean = gates * (torch.exp(-minus / gates) - torch.exp(-plus / gates))
+    gain, offset = to_training_light(ratio, mean, plus + minus, gates)
+    seen, wanted = clicks(ratio) * gain + offset, clicks(1.0)
+    error = (seen.var(dim=0) / n).sqrt() + (wanted.var(dim=0) / n).sqrt()
+    assert bool(((seen.mean(dim=0) - wanted.mean(dim=0)).abs() < 5 * error).all())
+    torch.testing.assert_close(seen.std(dim=0), wanted.std(dim=0), rtol=0.02, atol=0)
+
+
+def test_with_many_gates_clicks_are_photon_counts():
+    """Their mean becomes that of counts, and their noise √r of any light that of the training."""
+    photons, q = torch.tensor([0.2, 4.0, 30.0]), 2.5
+    gain, offset = to_training_light(q, photons * 0.6, photons, 10**6)
+    torch.testing.assert_close(gain, torch.full((3,), q**-0.5), rtol=1e-2, atol=0)
+    torch.testing.assert_close(
+        q * 0.6 * photons * gain + offset, 0.6 * photons, rtol=1e-2, atol=1e-2
+    )
+
+
+def test_clicks_off_their_budget_are_answered_as_their_light_allows(digits):
+    """Three times the light lost three answers of four; a confidence is the share that is right."""
+    bright = {"noise": "click", "gates": 4, "light": "free-dwell", "rails": "single"}
+    design = quick(digits, masks=60, photons=1500.0, mask_lr=0.05, epochs=10, **bright)
+    results = evaluate(design, digits, [450.0, 1500.0, 4500.0], draws=2)
+    dim, trained, more = (each.accuracy for each in results)
+    assert trained > 0.3
+    assert more > 0.8 * trained
+    assert 0.2 < dim < trained
+    for result in results:  # groups of 48 answers: their error at chance, and 0.05
+        assert result.calibration_error < 0.8 * (0.25 / 48) ** 0.5 + 0.05
 
 
 def test_clicks_train_features_of_mean_0_and_variance_1(clicking, digits):

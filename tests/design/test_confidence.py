@@ -11,13 +11,15 @@ from conftest import quick
 from deepfsi.design.artifact import Design
 from deepfsi.design.confidence import (
     BINS,
+    CalibrationScenes,
+    Exposed,
     calibration_error,
     confidence_groups,
     fit_temperatures,
     logits_at_stops,
 )
 from deepfsi.design.evaluation import evaluate
-from deepfsi.design.temperatures import Temperatures
+from deepfsi.design.temperatures import Temperatures, calibration_budgets
 from deepfsi.errors import InputError
 from deepfsi.training.characterisation import find_temperatures
 from deepfsi.training.job import Job
@@ -120,11 +122,10 @@ class _Times(torch.nn.Module):
         return self.factor * logits
 
 
-def fitted(design, data, trained_on, labels=None):
-    budgets = PHOTONS, PHOTONS
-    y = data.y_test if labels is None else labels
-    options = {"trained_on": trained_on, "seed": 0}
-    return fit_temperatures(design, design.scanner(), data.x_test, y, budgets, **options)
+def fitted(design, data, trained_on):
+    scenes = CalibrationScenes([Exposed(design, design.scanner(), data.x_test, data.y_test)], 1)
+    budgets = calibration_budgets(PHOTONS, PHOTONS)
+    return fit_temperatures(scenes, budgets, trained_on=trained_on, seed=0)
 
 
 def test_a_network_three_times_as_sure_says_what_it_said_before(fixed, digits):
@@ -149,13 +150,13 @@ def test_held_out_scenes_calibrate_where_there_are_any(fixed, digits):
     others = replace(kept, y_train=rng.permutation(kept.y_train))
     job = Job.model_validate(fixed.info["job"])
     known, wrong, same = (
-        find_temperatures(fixed, job, data).logs for data in (kept, shuffled, others)
+        find_temperatures(fixed, job, data)[0].logs for data in (kept, shuffled, others)
     )
     assert np.array_equal(known, fixed.temperatures.logs)
     assert np.array_equal(known, same)
     assert (wrong > known + 0.5).all()
     test = replace(digits, y_test=rng.permutation(digits.y_test))  # of none held out: no test scene
-    own, its = (find_temperatures(fixed, job, each).logs for each in (digits, test))
+    own, its = (find_temperatures(fixed, job, each)[0].logs for each in (digits, test))
     assert np.array_equal(own, its)
 
 

@@ -13,6 +13,7 @@ from deepfsi.cli.results import (
     fewest_lit,
     print_estimates,
     print_full_gates,
+    print_guesses,
     print_lit,
     print_results,
     score,
@@ -96,6 +97,7 @@ def design(
         )
     print_full_gates(made, results)
     print_lit(results)
+    print_guesses(made)
     print(f"saved: {out}")
 
 

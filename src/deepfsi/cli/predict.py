@@ -49,6 +49,7 @@ def predict(
     paths.check_there(pictures, "a picture, or a folder of pictures")
     if out is not None:
         paths.check_file(out, (".csv",), force)
+    from deepfsi.cli import as_options
     from deepfsi.design.evaluation import camera_for
     from deepfsi.files import write_atomically
     from deepfsi.laboratory.prediction import predict as run
@@ -79,7 +80,7 @@ def predict(
     if foreign := labelled - found.score.answers:
         print(f"{foreign} pictures have labels that are none of the design's classes: left out")
     for remark in found.remarks:
-        print(f"note: {remark}")
+        print(f"note: {as_options(remark)}")
     for line in found.score.lines("picture"):
         print(line)
     if out is not None:

@@ -13,10 +13,6 @@ if TYPE_CHECKING:
     from deepfsi.design.estimation import Estimates
     from deepfsi.design.evaluation import Result
 
-MOST_CLICKS = 0.95
-"""Share of gates that click above which one is told: with r photons in a gate the information on
-log r is r² e⁻ʳ / (1 − e⁻ʳ), highest at a share of 0.80, and 0.73 of that at 0.95."""
-
 
 FEW_CLASSES = 5
 """Classes whose names head the columns of a confusion matrix in full."""
@@ -54,18 +50,29 @@ def counts_text(result: "Result") -> str:
 
 def print_full_gates(made: "AnyDesign", results: "Sequence[Result | Estimates]") -> None:
     """Say at which budgets nearly all gates click, so that clicks tell little of a scene."""
+    from deepfsi.cli import as_options
     from deepfsi.design.artifact import Design
+    from deepfsi.design.clicks import full_gates
 
     if not isinstance(made, Design) or made.gates is None:
         return
     gates = math.prod(made.counts_shape) * made.gates
     for result in results:
-        if result.clicks and result.counts > MOST_CLICKS * gates:
-            print(
-                f"note: at {common.budget(result.photons)} photons {result.counts / gates:.0%} of "
-                "the gates click, which tells little of a scene: give more --gates, or a lower "
-                "--photons"
-            )
+        if result.clicks and (remark := full_gates(result.counts / gates, result.photons)):
+            print(f"note: {as_options(remark)}")
+
+
+def print_guesses(made: "AnyDesign") -> None:
+    """Say that probabilities are no better than guessing, if scenes that were left out say so."""
+    test = made.info.get("left_out")
+    if not test or not test["guesses"]:
+        return
+    other = "--clusters" if made.name == "adaptive" else "fewer --masks"
+    print(
+        f"note: on {test['scenes']} scenes that the training left out the probabilities are no "
+        f"better than guessing (log loss {test['log_loss']:.2f} nats, guessing "
+        f"{test['guessing']:.2f}): give more scenes, more --photons, {other}, or another --design"
+    )
 
 
 def fewest_lit(results: "Sequence[Result | Estimates]") -> int:

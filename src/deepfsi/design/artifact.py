@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from deepfsi.design import artifact_file, readings
+from deepfsi.design import artifact_file, clicks, readings
 from deepfsi.design.consistency import Consistency, ReadoutDistribution
 from deepfsi.design.exposure.looks import Dwells, LooksExposure
 from deepfsi.design.exposure.trained import FixedExposure, Observation, TrainedExposure
@@ -189,7 +189,7 @@ class Design:
     @library_defaults()
     def logits_of(self, seen: Observation, photons: Tensor | float) -> Tensor:
         """Logits (..., C) of an exposure so far, of a budget of `photons` in all."""
-        inputs = seen.inputs(self.mean, self.std)
+        inputs = clicks.at_training_light(self, seen, photons).inputs(self.mean, self.std)
         return self.classifier(self.exposure.condition(inputs, photons))
 
     def chances(self, seen: Observation, photons: Tensor | float) -> Tensor:

@@ -8,16 +8,16 @@ exposure is classified.
 """
 
 from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from functools import singledispatch
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from scipy.optimize import minimize_scalar
+from scipy.special import log_softmax
 
-from deepfsi.design.artifact import Design
-from deepfsi.design.temperatures import BOUNDS, REACH, Temperatures
-from deepfsi.optics.scanner import Scanner
+from deepfsi.design.temperatures import BOUNDS, Temperatures
 
 CALIBRATED_STOPS = 8
 """Numbers of masks or looks at which temperatures are fitted, at most."""
@@ -25,42 +25,143 @@ CALIBRATED_STOPS = 8
 CHUNK = 1024
 """Scenes that are exposed at once."""
 
+LEAST_SHARE = 1e-6
+"""Share of a class that guessing is taken to give at least."""
+
 BINS = 15
 """Groups of answers of like confidence, all of one size, in which calibration is measured."""
 
 
+class Exposed(NamedTuple):
+    """Scenes of known classes, and the design that answers them."""
+
+    design: Any
+    scanner: Any  # of the design: a `Scanner`, or the camera of adaptive masks
+    x: np.ndarray  # (n, N)
+    labels: np.ndarray  # (n,)
+
+
+@dataclass(frozen=True)
+class CalibrationScenes:
+    """Scenes by which a design is calibrated.
+
+    Attributes
+    ----------
+    parts : sequence of Exposed
+        Scenes that the design itself answers; or each fold of its training scenes, answered by a
+        design of the same settings that was trained without them.
+    stops : int
+        K, answers of an exposure.
+    draws : int
+        Exposures of each scene.
+    shares : array, shape (C,), or None
+        Shares of the classes that any temperature leaves as they are; None where logits of no light
+        are those of equal ones.
+    doubt : float
+        Scenes that are added to these, like them and each of any class alike. Few scenes may all be
+        answered rightly, and no finite τ would be the best (Platt 1999 has one such scene).
+    """
+
+    parts: Sequence[Exposed]
+    stops: int
+    draws: int = 1
+    shares: np.ndarray | None = None
+    doubt: float = 0.0
+
+    @property
+    def labels(self) -> np.ndarray:
+        """Class (E,) of each exposure; those of a scene follow one another."""
+        return np.concatenate([part.labels.repeat(self.draws) for part in self.parts])
+
+    def logits(self, photons: float, seed: int, places: Sequence[int]) -> np.ndarray:
+        """Logits (len(places), E, C) of the exposures after some stops, from 0, less `base`."""
+        found = [
+            logits_at_stops(*part[:3], photons, self.draws, seed, places) for part in self.parts
+        ]
+        return np.concatenate(found, axis=1) - self.base
+
+    @property
+    def base(self) -> np.ndarray | float:
+        """Logits (C,) that a temperature does not divide."""
+        return 0.0 if self.shares is None else np.log(self.shares)
+
+    def losses(self, logits: np.ndarray, temperature: float) -> np.ndarray:
+        """−ln of the probability (E,) of the true classes, of `logits` (E, C) of some stop."""
+        chances = log_softmax(logits.astype(float) / temperature + self.base, axis=1)
+        return -chances[np.arange(len(chances)), self.labels]
+
+
+@dataclass(frozen=True)
+class LeftOutTest:
+    """Answers to scenes that a training left out, at its budget, after a whole exposure.
+
+    Only the temperatures were fitted to these scenes. A design keeps this in its `info`.
+    """
+
+    scenes: int
+    accuracy: float
+    log_loss: float  # mean −ln of the probability of the true class, in nats, with temperatures
+    uncalibrated_log_loss: float  # the same without them
+    # The same of an answer that gives each class its share of the training scenes
+    guessing: float
+    error: float  # standard error of the difference of `log_loss` and `guessing`, over scenes
+
+    @property
+    def guesses(self) -> bool:
+        """True where the answers are not better than guessing by twice the standard error."""
+        return self.log_loss + 2 * self.error >= self.guessing
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON types only."""
+        return {**asdict(self), "guesses": self.guesses}
+
+
 def fit_temperatures(
-    design: Design,
-    scanner: Scanner,
-    x: np.ndarray,
-    labels: np.ndarray,
-    budgets: tuple[float, float],
-    *,
-    trained_on: bool,
-    seed: int,
+    scenes: CalibrationScenes, budgets: np.ndarray, *, trained_on: bool, seed: int
 ) -> Temperatures:
-    """Temperatures of a design by scenes (n, N) of classes (n,), for a training between budgets.
+    """Temperatures of a design at budgets (B,), by exposures of scenes of known classes.
 
     A network may be surer of scenes that it was trained on than it is right on others. So by these
     it becomes less sure only, never surer than it is.
     """
-    low, high = budgets[0] / REACH, budgets[1] * REACH
-    grid = np.geomspace(low, high, 1 + int(np.ceil(2 * np.log10(high / low) - 1e-9)))
-    stops = design.exposure.count_stops(design.masks)
+    stops = scenes.stops
     fitted = np.unique(np.rint(np.geomspace(1, stops, CALIBRATED_STOPS)).astype(int)) - 1
     logs = np.array(
         [
-            [
-                _fit(logits, labels)
-                for logits in logits_at_stops(design, scanner, x, budget, 1, seed, fitted.tolist())
-            ]
-            for budget in grid
+            [_fit(logits, scenes) for logits in scenes.logits(budget, seed, fitted.tolist())]
+            for budget in budgets
         ]
     )
     if trained_on:
         logs = logs.clip(min=0)
     every = [np.interp(np.arange(stops), fitted, column) for column in logs]
-    return Temperatures(np.stack(every, axis=1), grid)
+    return Temperatures(np.stack(every, axis=1), budgets)
+
+
+def measure_left_out(
+    scenes: CalibrationScenes,
+    temperatures: Temperatures,
+    photons: float,
+    guess: np.ndarray,
+    *,
+    seed: int,
+) -> LeftOutTest:
+    """Test of the answers to scenes that a training left out; guessing gives chances (C,)."""
+    last, labels = scenes.stops - 1, scenes.labels
+    [logits] = scenes.logits(photons, seed, [last])
+    temperature = float(temperatures.of_stops(photons)[last])
+    losses, plain = (scenes.losses(logits, each) for each in (temperature, 1.0))
+    guessed = -np.log(guess.clip(min=LEAST_SHARE))[labels]
+    # exposures of one scene are no scenes of their own
+    gains = (losses - guessed).reshape(-1, scenes.draws).mean(axis=1)
+    return LeftOutTest(
+        scenes=len(gains),
+        accuracy=float(((logits + scenes.base).argmax(axis=1) == labels).mean()),
+        log_loss=float(losses.mean()),
+        uncalibrated_log_loss=float(plain.mean()),
+        guessing=float(guessed.mean()),
+        error=float(gains.std() / len(gains) ** 0.5),
+    )
 
 
 @singledispatch
@@ -95,15 +196,20 @@ def logits_at_stops(
     return torch.cat(chunks, dim=-2).cpu().numpy()
 
 
-def _fit(logits: np.ndarray, labels: np.ndarray) -> float:
-    """Log τ that gives logits (E, C) of known classes the least log loss."""
-    wide, rows = logits.astype(float), np.arange(len(labels))
-    top = wide.max(axis=1, keepdims=True)
+def _fit(logits: np.ndarray, scenes: CalibrationScenes) -> float:
+    """Log τ that gives logits (E, C) of calibration scenes the least log loss."""
+    wide, rows, labels = logits.astype(float), np.arange(len(logits)), scenes.labels
+    top, base = wide.max(axis=1, keepdims=True), scenes.base
     lost = float((top - wide[rows, labels][:, None]).mean())
     wide -= top
+    if scenes.doubt:
+        share = scenes.doubt / (scenes.doubt + len(labels) / scenes.draws)
+        lost += share * (float(-wide.mean()) - lost)
 
     def log_loss(log: float) -> float:
-        return lost / np.exp(log) + float(np.log(np.exp(wide / np.exp(log)).sum(axis=1)).mean())
+        # less the part of the base, which no temperature changes
+        sums = np.exp(wide / np.exp(log) + base).sum(axis=1)
+        return lost / np.exp(log) + float(np.log(sums).mean())
 
     found = minimize_scalar(log_loss, bounds=BOUNDS, method="bounded", options={"xatol": 1e-2})
     return float(found.x)
@@ -123,3 +229,20 @@ def confidence_groups(
 def calibration_error(groups: Sequence[tuple[float, float, float]]) -> float:
     """Mean distance of confidence and accuracy over groups from `confidence_groups`."""
     return sum(weight * abs(confidence - right) for confidence, right, weight in groups)
+
+
+def confidence_error(confidence: np.ndarray, right: np.ndarray) -> float:
+    """Calibration error of answers (E,), as a `Result` has it."""
+    return calibration_error(confidence_groups(confidence, right))
+
+
+def chance_error(confidence: np.ndarray, draws: int = 200, seed: int = 0) -> float:
+    """Calibration error that exactly calibrated answers (E,) show, in the mean over draws.
+
+    Groups are finite: each answer is right with the probability that it says, and yet the accuracy
+    of a group differs from its confidence.
+    """
+    rng = np.random.default_rng(seed)
+    errors = [confidence_error(confidence, rng.random(len(confidence)) < confidence)
+              for _ in range(draws)]  # fmt: skip
+    return float(np.mean(errors))

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.artifact import Design
-from deepfsi.design.confidence import calibration_error, confidence_groups
+from deepfsi.design.confidence import confidence_error
 from deepfsi.design.estimation import test_values
 from deepfsi.design.training_data import TrainingScenes, new_scenes
 from deepfsi.design.values import Values
@@ -426,7 +426,7 @@ def _result(
         balanced_high=upper,
         rates=rates,
         confusion=confusion.tolist(),
-        calibration_error=calibration_error(confidence_groups(sure, right)),
+        calibration_error=confidence_error(sure, right),
         log_loss=float(-np.log(true.clip(min=LEAST_CHANCE)).mean(dtype=float)),
         counts=counts,
         arriving=arriving,

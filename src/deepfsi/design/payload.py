@@ -26,6 +26,7 @@ from deepfsi.design.evaluation import check_data, evaluate, scanner_for
 from deepfsi.design.exposure import LARGEST_SCORE
 from deepfsi.design.file_content import check_classes
 from deepfsi.design.stopping import rule_of, stop
+from deepfsi.design.temperatures import Temperatures
 from deepfsi.design.training_data import new_scenes, trained_budgets, trained_on
 from deepfsi.errors import InputError
 from deepfsi.optics import constraints
@@ -74,7 +75,7 @@ def playable(
         "detectors": design.detection.count,
         "labels": None if design.detection.labels is None else design.detection.labels.tolist(),
         "budget": trained and {"low": trained[0], "high": trained[1]},
-        "temperatures": _temperatures(design),
+        "temperatures": _temperatures(design.temperatures),
         "rules": rules,
         "scenes": _scenes(fresh, seed),
         "curve": [
@@ -202,7 +203,11 @@ def _posterior(known: AdaptiveDesign, design: AdaptiveDesign) -> dict[str, Any]:
         "shares": known.settings.shares,
         "counted": known.shares.tolist(),
         "prior": {name: pack(arrays[name]) for name in names}  # whole numbers as float32
-        | {"sizes": known.prior.sizes, "spread": known.prior.spread},
+        | {
+            "sizes": known.prior.sizes,
+            "spread": known.prior.spread,
+            "temperatures": _temperatures(known.prior.temperatures),
+        },
         "known": {
             "scenes": len(known.prior),
             "of": len(design.prior),
@@ -211,9 +216,8 @@ def _posterior(known: AdaptiveDesign, design: AdaptiveDesign) -> dict[str, Any]:
     }
 
 
-def _temperatures(design: AnyDesign) -> dict[str, Any] | None:
+def _temperatures(known: Temperatures | None) -> dict[str, Any] | None:
     """Calibration of the probabilities, and the lowest light that is not too little."""
-    known = design.temperatures
     if known is None:
         return None
     logs, budgets = known.logs.tolist(), known.budgets.tolist()

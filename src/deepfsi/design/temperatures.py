@@ -22,6 +22,12 @@ SLACK = 1e-6
 """What rounding may add to them."""
 
 
+def calibration_budgets(low: float, high: float) -> np.ndarray:
+    """Budgets (B,), two a decade, that calibrate a design of a training from low to high."""
+    low, high = low / REACH, high * REACH
+    return np.geomspace(low, high, 1 + int(np.ceil(2 * np.log10(high / low) - 1e-9)))
+
+
 @dataclass(frozen=True)
 class Temperatures:
     """Temperatures of a design over budgets and stops."""
@@ -35,10 +41,10 @@ class Temperatures:
         logs, budgets = (tensors[name].double().numpy() for name in ("logs", "budgets"))
         if logs.shape != (stops, len(budgets)) or len(budgets) < 2 or budgets.min() <= 0:
             raise ValueError("temperatures are not of this design")
-        if logs.min() < BOUNDS[0] - SLACK or logs.max() > BOUNDS[1] + SLACK:
+        if not (BOUNDS[0] - SLACK <= logs.min() and logs.max() <= BOUNDS[1] + SLACK):
             raise ValueError("temperatures are beyond all that are fitted")
         ratios = np.diff(np.log(budgets))
-        if ratios.min() <= 0 or not np.allclose(ratios, ratios[0], rtol=1e-3):
+        if not ratios.min() > 0 or not np.allclose(ratios, ratios[0], rtol=1e-3):
             raise ValueError("budgets of temperatures do not rise in equal ratios")
         return cls(logs, budgets)
 

@@ -52,8 +52,7 @@ UNTESTED = (
 
 CLICKS = (
     "these clicks were not compared with those of the training: the test is of photon counts. "
-    "Clicks are read right at the budget of the training alone: this is {:.3g} photons, that was "
-    "{:.3g}"
+    "They are read for the stated budget: this is {:.3g} photons, that of the training was {:.3g}"
 )
 """Remark on clicks, with their budget and that of the training."""
 
@@ -270,13 +269,25 @@ def _classified(
                 trained_on=trained[place],
             )
         )
-    remarks = (UNTESTED,) if found is None else tuple(found.remarks)
-    if counts.gates is not None:
-        mean = float(budgets[some].mean())
-        remarks = (CLICKS.format(mean, design.info["job"]["photons"]),)
+    if counts.gates is None:
+        remarks = (UNTESTED,) if found is None else tuple(found.remarks)
+    else:
+        remarks = _remarks_on_clicks(design, counts, usable, float(budgets[some].mean()))
     return ClassifiedRun(
         design.name, design.masks, design.classes, tuple(classified), counts.faults, found, remarks
     )
+
+
+def _remarks_on_clicks(
+    design: "Design", counts: Counts, usable: np.ndarray, photons: float
+) -> tuple[str, ...]:
+    """Remarks on the clicks of exposures (S, R) of a mean budget."""
+    from deepfsi.design.clicks import full_gates
+
+    assert counts.gates is not None
+    clicks = design.readouts(counts.signal())[usable]
+    full = full_gates(float(clicks.mean()) / counts.gates, photons)
+    return CLICKS.format(photons, design.info["job"]["photons"]), *filter(None, [full])
 
 
 def _check_clicks(design: "Design", counts: Counts, photons: float | None, source: str) -> None:

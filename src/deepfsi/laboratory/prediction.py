@@ -4,6 +4,7 @@ import csv
 import io
 import os
 from dataclasses import dataclass
+from math import prod
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import numpy as np
 import torch
 
 from deepfsi.design.artifact import Design
+from deepfsi.design.clicks import full_gates
 from deepfsi.design.evaluation import camera_for, check_draws, scanner_for
 from deepfsi.design.file_content import check_classes
 from deepfsi.design.training_data import scene_hashes, trained_budgets, was_trained_on
@@ -138,11 +140,14 @@ def predict(
     shown = design_scenes(design.info, design.image_shape, source, skip_bad)
     generator = torch.Generator(design.mean.device).manual_seed(seed)
     scenes = torch.from_numpy(np.ascontiguousarray(shown.x.reshape(len(shown.x), -1)))
-    chances = []
+    chances, clicks = [], 0.0
     with torch.no_grad():
         for some in scenes.split(AT_ONCE):
-            *_, seen = design.expose(scanner, design.rates(scanner, some), generator, budget)
+            rates = design.rates(scanner, some)
+            *_, seen = design.expose(scanner, rates, generator, budget)
             chances.append(design.chances(seen, budget).cpu())
+            if design.gates is not None:
+                clicks += float(scanner.expected(budget * rates).sum())
     surest, places = torch.cat(chances).max(dim=-1)
     hashes = scene_hashes(shown.x, design.image_shape)
     found = tuple(
@@ -156,9 +161,12 @@ def predict(
             strict=True,
         )
     )
-    remarks = tuple(fault.detail for fault in dim_scenes(design, np.array([budget])))
+    remarks = [fault.detail for fault in dim_scenes(design, np.array([budget]))]
+    if design.gates is not None:
+        share = clicks / (len(scenes) * prod(design.counts_shape) * design.gates)
+        remarks += filter(None, [full_gates(share, budget)])
     said = shown.preprocessing
-    return Predictions(budget, tested.noise_name, said, remarks, design.classes, found)
+    return Predictions(budget, tested.noise_name, said, tuple(remarks), design.classes, found)
 
 
 def _budget(design: Design, camera: Camera) -> float:

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import torch
@@ -19,7 +20,10 @@ from deepfsi.design.adaptive.misfit import (
 )
 from deepfsi.design.adaptive.posterior import LookOptics
 from deepfsi.design.adaptive.prior import ScenePrior
+from deepfsi.design.confidence import CalibrationScenes, Exposed
+from deepfsi.design.temperatures import REACH, Temperatures
 from deepfsi.progress import SILENT, Report
+from deepfsi.training.folds import DOUBT, calibrated, folds_of
 from deepfsi.training.info import provenance
 from deepfsi.training.job import Job
 from deepfsi.training.training_set import TrainingSet
@@ -32,14 +36,52 @@ def adaptive_designs(
     began, data = time.perf_counter(), training_set.data
     settings = AdaptiveMasks(looks=jobs[0].masks, clusters=jobs[0].training.clusters)
     prior, designs = prior_of(data, settings), []
+    folds = [(fold, prior_of(fold, _fitting(settings, fold))) for fold in folds_of(data)]
     for done, job in enumerate(jobs, start=1):
         shares, usual = _measured(prior, settings, data, job)
-        seconds = (time.perf_counter() - began) / done
-        info = provenance(job, data, torch.device("cpu"), seconds)
+        info = provenance(job, data, torch.device("cpu"), 0.0)
+        own = prior
+        report((done - 0.5) / len(jobs))
+        if folds:
+            own, info["left_out"] = _calibrated(prior, settings, folds, data, job)
+        info["seconds"] = (time.perf_counter() - began) / done
         known = data.image_shape, data.classes, shares, usual, info
-        designs.append(AdaptiveDesign(prior, settings, *known, training_set.scenes))
+        designs.append(AdaptiveDesign(own, settings, *known, training_set.scenes))
         report(done / len(jobs))
     return designs
+
+
+def _fitting(settings: AdaptiveMasks, data: Dataset) -> AdaptiveMasks:
+    """The settings with no more clusters of a class than a prior of these scenes can have."""
+    if settings.clusters is None:
+        return settings
+    most = max(1, int(np.bincount(data.y_train, minlength=len(data.classes)).min()) // 2)
+    return settings.model_copy(update={"clusters": min(settings.clusters, most)})
+
+
+def _calibrated(
+    prior: ScenePrior,
+    settings: AdaptiveMasks,
+    folds: Sequence[tuple[Dataset, ScenePrior]],
+    data: Dataset,
+    job: Job,
+) -> tuple[ScenePrior, dict[str, Any]]:
+    """The prior with temperatures, by scenes that those of the folds leave out; their test."""
+    parts, share = [], min(1.0, MOST_SCENES / sum(len(fold.x_test) for fold, _ in folds))
+    info = {"job": job.model_dump(mode="json")}
+    for fold, without in folds:
+        known = fold.image_shape, fold.classes, torch.zeros(settings.looks), None, info
+        n = len(fold.x_test)  # in the order of classes: some of each
+        rows = np.linspace(0, n - 1, max(1, round(share * n))).astype(int)
+        x, labels = fold.x_test[rows], fold.y_test[rows]
+        parts.append(Exposed(AdaptiveDesign(without, settings, *known), job.optics, x, labels))
+    classes = prior.class_shares.double().numpy()
+    scenes = CalibrationScenes(parts, settings.looks, shares=classes, doubt=DOUBT)
+    found, test = calibrated(scenes, np.array(BUDGETS) * job.photons, data, job.photons, job.seed)
+    # beyond the light that is measured as at its ends
+    logs = np.pad(found.logs, ((0, 0), (1, 1)), mode="edge")
+    budgets = np.array([1 / REACH, *BUDGETS, REACH]) * job.photons
+    return prior.with_temperatures(Temperatures(logs, budgets)), test.as_dict()
 
 
 def _measured(

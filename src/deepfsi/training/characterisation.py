@@ -9,20 +9,40 @@ from torch import Tensor
 
 from deepfsi.datasets import Dataset
 from deepfsi.design.artifact import Design
-from deepfsi.design.confidence import fit_temperatures
+from deepfsi.design.confidence import (
+    CalibrationScenes,
+    Exposed,
+    LeftOutTest,
+    fit_temperatures,
+)
 from deepfsi.design.consistency import ReadoutDistribution
 from deepfsi.design.evaluation import scanner_for
 from deepfsi.design.readout_fit import sample_scenes
-from deepfsi.design.temperatures import Temperatures
+from deepfsi.design.temperatures import Temperatures, calibration_budgets
 from deepfsi.optics.features import CHUNK
+from deepfsi.training.folds import DOUBT, LEFT_OUT, calibrated, draws_of
 from deepfsi.training.job import Job
 from deepfsi.training.training_set import TrainingSet
 
 
-def characterise(training_set: TrainingSet, jobs: Sequence[Job], designs: Sequence[Design]) -> None:
-    """Give designs that were trained together what simulated exposures tell of them."""
+def characterise(
+    training_set: TrainingSet,
+    jobs: Sequence[Job],
+    designs: Sequence[Design],
+    left_out: Sequence[tuple[Dataset, Sequence[Design]]] = (),
+) -> None:
+    """Give designs that were trained together what simulated exposures tell of them.
+
+    Parameters
+    ----------
+    training_set : TrainingSet
+    jobs : sequence of Job
+    designs : sequence of Design
+    left_out : sequence of (Dataset, designs)
+        Folds of the training scenes, and the designs of the same jobs that were trained on each.
+    """
     first, scenes = designs[0], training_set.full
-    for job, design in zip(jobs, designs, strict=True):
+    for place, (job, design) in enumerate(zip(jobs, designs, strict=True)):
         chooses = design.exposure.chooses
         if chooses:
             design.shares = _shares(design, scenes, job.photons, job.seed)
@@ -36,25 +56,39 @@ def characterise(training_set: TrainingSet, jobs: Sequence[Job], designs: Sequen
         else:
             design.distribution = first.distribution
         if design.classes:
-            design.temperatures = find_temperatures(design, job, training_set.data)
+            folds = [(fold, several[place]) for fold, several in left_out]
+            design.temperatures, test = find_temperatures(design, job, training_set.data, folds)
+            if test is not None:
+                design.info["left_out"] = test.as_dict()
 
 
-def find_temperatures(design: Design, job: Job, data: Dataset) -> Temperatures:
-    """Temperatures of a trained design, by scenes that were held out where there are any."""
+def find_temperatures(
+    design: Design, job: Job, data: Dataset, left_out: Sequence[tuple[Dataset, Design]] = ()
+) -> tuple[Temperatures, LeftOutTest | None]:
+    """Temperatures of a trained design, by scenes that were left out where there are any.
+
+    Those are the scenes that the data holds out; else those of folds that designs of the same job
+    were trained without; else scenes of the training, which give no test.
+    """
+    low, high = job.photons, job.exposure.highest(job.photons)
+    budgets, stops = calibration_budgets(low, high), design.exposure.count_stops(design.masks)
+    if left_out and not data.held_out:
+        parts = [
+            Exposed(each, scanner_for(each, job.camera), fold.x_test, fold.y_test)
+            for fold, each in left_out
+        ]
+        draws = draws_of([fold for fold, _ in left_out])
+        scenes = CalibrationScenes(parts, stops, draws, doubt=DOUBT)
+        return calibrated(scenes, budgets, data, low, job.seed)
     held = data.held_out > 0
     x, labels = (data.x_test, data.y_test) if held else (data.x_train, data.y_train)
     readouts = prod(design.counts_shape) * design.exposure.tokens(design.image_shape)
     rows = sample_scenes(len(x), readouts, job.seed)
-    budgets = job.photons, job.exposure.highest(job.photons)
-    return fit_temperatures(
-        design,
-        scanner_for(design, job.camera),
-        x[rows],
-        labels[rows],
-        budgets,
-        trained_on=not held,
-        seed=job.seed,
-    )
+    part = Exposed(design, scanner_for(design, job.camera), x[rows], labels[rows])
+    scenes = CalibrationScenes([part], stops, doubt=DOUBT if held and len(x) < LEFT_OUT else 0.0)
+    if held:
+        return calibrated(scenes, budgets, data, low, job.seed)
+    return fit_temperatures(scenes, budgets, trained_on=True, seed=job.seed), None
 
 
 def _shares(design: Design, scenes: Tensor, photons: float, seed: int) -> Tensor:

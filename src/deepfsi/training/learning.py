@@ -25,6 +25,7 @@ from deepfsi.training.adaptive import adaptive_designs
 from deepfsi.training.batches import check_fits
 from deepfsi.training.characterisation import characterise
 from deepfsi.training.counts import train_for_counts
+from deepfsi.training.folds import folds_of
 from deepfsi.training.info import provenance
 from deepfsi.training.job import Job, find_job
 from deepfsi.training.loop import Classifier, optimise
@@ -115,11 +116,17 @@ def train(
     _check(training_set, jobs, matrix)
     if jobs[0].code.adaptive:
         return adaptive_designs(training_set, jobs, report)
-    designs = _designs(training_set, jobs, *_optimised(training_set, jobs, matrix, report))
+    folds = [] if training_set.data.held_out else folds_of(training_set.data)
+    own, *others = report.parts(1 + len(folds))
+    designs = _designs(training_set, jobs, *_optimised(training_set, jobs, matrix, own))
     for job, design in zip(jobs, designs, strict=True):
         design.info = provenance(job, training_set.data, training_set.device, 0.0)
         design.training_scenes = training_set.scenes
-    characterise(training_set, jobs, designs)
+    left_out = []
+    for fold, part in zip(folds, others, strict=True):
+        kept = training_set.of(fold)
+        left_out.append((fold, _designs(kept, jobs, *_optimised(kept, jobs, matrix, part))))
+    characterise(training_set, jobs, designs, left_out)
     seconds = (time.perf_counter() - began) / len(jobs)
     for design in designs:
         design.info["seconds"] = seconds

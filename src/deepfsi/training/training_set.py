@@ -39,11 +39,15 @@ class TrainingSet:
         self._centred: dict[tuple[torch.dtype, bool, bytes], Tensor] = {}
         self._seen: dict[Exposure, TrainingSet] = {}
 
+    def of(self, data: Dataset) -> "TrainingSet":
+        """Other scenes on the same device."""
+        return TrainingSet(data, self._name)
+
     def seen(self, exposure: Exposure) -> "TrainingSet":
         """The scenes as the masks of an exposure see them."""
         if exposure not in self._seen:
             scenes = exposure.seen(self.data)
-            self._seen[exposure] = self if scenes is self.data else TrainingSet(scenes, self._name)
+            self._seen[exposure] = self if scenes is self.data else self.of(scenes)
         return self._seen[exposure]
 
     @cached_property

@@ -51,7 +51,7 @@ def next_masks(state: AdaptivePosterior, share: float, generator: torch.Generato
 
 def candidates(state: AdaptivePosterior) -> Tensor:
     """Masks (b, P, N) that separate the likeliest classes in two groups."""
-    chances, sums = state.chances, state.class_sums
+    chances, sums = state.class_weights, state.class_sums
     count = min(LIKELIEST, chances.shape[1])
     likely, top = chances.topk(count, dim=1)
     own = sums.gather(1, top[..., None].expand(-1, -1, sums.shape[-1]))

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from deepfsi.design.adaptive.exposures import AT_ONCE, AdaptiveMasks, expose, look_at
 from deepfsi.design.adaptive.misfit import UsualMisfit
-from deepfsi.design.adaptive.posterior import AdaptivePosterior, LookOptics
+from deepfsi.design.adaptive.posterior import LEAST_WEIGHT, AdaptivePosterior, LookOptics
 from deepfsi.design.adaptive.prior import ScenePrior
 from deepfsi.design.artifact import Design
 from deepfsi.design.confidence import logits_at_stops, stops_of
@@ -88,7 +88,7 @@ class AdaptiveDesign:
     training_scenes: TrainingScenes | None = None
 
     name: ClassVar = "adaptive"
-    temperatures: ClassVar[None] = None  # its probabilities are a posterior's
+    temperatures: ClassVar[None] = None  # its probabilities are a posterior's, its prior's if any
     values: ClassVar[None] = None  # it answers classes
 
     def __repr__(self) -> str:
@@ -253,6 +253,8 @@ def _check(header: _Header, arrays: Mapping[str, np.ndarray]) -> None:
         held = arrays[name]
         if held.shape != shape or held.dtype != kind or not np.isfinite(held).all():
             raise ValueError(f"{name} is not of this design")
+    if len(arrays.get("temperature_logs", arrays["shares"])) != header.settings.looks:
+        raise ValueError("temperatures are of other looks")
     if not isinstance(header.info.get("job", {}).get("camera"), dict):
         raise ValueError("no camera is known")
     mean, farthest = arrays["mean"], 127 * arrays["steps"] @ np.abs(arrays["components"])
@@ -343,7 +345,7 @@ def _(
         for some in design.at_once(torch.from_numpy(x).repeat_interleave(draws, dim=0)):
             looks = design.looks(some, photons, generator, camera)
             logs = [
-                look.state.chances.clamp(min=1e-30).log()
+                look.state.chances.clamp(min=LEAST_WEIGHT).log()
                 for place, look in enumerate(looks)
                 if place in kept
             ]

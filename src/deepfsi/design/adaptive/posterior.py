@@ -23,6 +23,9 @@ from deepfsi.optics.detection import Detection
 DIMMEST = 1e-6
 """Least light of a scene through a mask, over that of the whole mean scene."""
 
+LEAST_WEIGHT = 1e-30
+"""Least probability of a class that odds are taken of."""
+
 LARGEST_SIZE = 1e9
 """Size of the negative binomial law beyond which it is Poisson's within float32."""
 
@@ -107,6 +110,7 @@ class AdaptivePosterior:
         """Log-probabilities of the scenes, up to a constant."""
         self._known = torch.zeros(exposures, 0, d)  # directions in which e is known by now
         self._shift = torch.zeros(exposures, d)  # mean of e of the mean scene
+        self._looks = 0
         self._weights: Tensor | None = None
         self._class_sums: Tensor | None = None
 
@@ -118,6 +122,7 @@ class AdaptivePosterior:
         """Posterior of some of the exposures, (b,) true."""
         some = AdaptivePosterior(self.prior, 0, self.optics)
         some.logs, some._known, some._shift = self.logs[rows], self._known[rows], self._shift[rows]
+        some._looks = self._looks
         return some
 
     def expected(self, masks: Tensor, x: Tensor, share: float) -> Tensor:
@@ -135,6 +140,7 @@ class AdaptivePosterior:
         ):
             self._take(here, each, at_mean, through, self.gain * share, own)
         self._weights = self._class_sums = None
+        self._looks += 1
 
     def _take(
         self,
@@ -194,9 +200,25 @@ class AdaptivePosterior:
         return self._class_sums
 
     @property
-    def chances(self) -> Tensor:
-        """Probabilities (b, C) of the classes."""
+    def class_weights(self) -> Tensor:
+        """Sums (b, C) of the probabilities of scenes over the classes."""
         return class_chances(self.weights, self.prior.sizes)
+
+    @property
+    def chances(self) -> Tensor:
+        """Probabilities (b, C) of the classes: sums of scenes, calibrated where few are known.
+
+        A temperature τ makes of the odds of classes to those before all looks their power 1 / τ.
+        Without light the classes keep their shares.
+        """
+        known = self.prior.temperatures
+        if known is None or not self._looks:
+            return self.class_weights
+        shares = self.prior.class_shares.log()
+        budget = torch.tensor([self.optics.photons], dtype=torch.double)
+        temperature = known.at(self._looks - 1, budget).to(shares)
+        odds = self.class_weights.clamp(min=LEAST_WEIGHT).log() - shares
+        return (odds / temperature + shares).softmax(dim=1)
 
     @property
     def scene(self) -> Tensor:

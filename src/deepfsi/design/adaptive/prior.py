@@ -1,12 +1,14 @@
 """Prior of adaptive masks: training scenes, and how far other scenes lie from them."""
 
 from collections.abc import Mapping
+from copy import copy
 
 import numpy as np
 import torch
 from threadpoolctl import threadpool_limits
 from torch import Tensor
 
+from deepfsi.design.temperatures import Temperatures
 from deepfsi.optics.budget import summed_reflectance
 
 NEIGHBOURS = 3000
@@ -17,6 +19,9 @@ CENTRE_SPREAD = 1.4
 
 Chosen on 1024 validation images of MNIST at 1e4 photons: with 1 the posterior is too sure.
 """
+
+TEMPERATURE = "temperature_"
+"""Beginning of the names of their arrays in a file."""
 
 LEAST_VARIANCE = 1e-3
 """Least variance of a component between neighbours, over the mean of all components."""
@@ -77,6 +82,8 @@ class ScenePrior:
         self.coefficients = away @ kept  # (n, d)
         self.members = torch.ones(len(self))
         """Training scenes that each scene stands for."""
+        self.temperatures: Temperatures | None = None
+        """Of the classes' probabilities after each look; None where there are many scenes."""
         if clusters is not None:
             self.spread = CENTRE_SPREAD
             self._scale(self._cluster(clusters, seed) * self.spread)
@@ -91,6 +98,18 @@ class ScenePrior:
     def classes(self) -> int:
         """Number of classes, C."""
         return len(self.sizes)
+
+    @property
+    def class_shares(self) -> Tensor:
+        """Probabilities (C,) of the classes before any look."""
+        shares = [part.sum() for part in (self.members / self.members.sum()).split(self.sizes)]
+        return torch.stack(shares)
+
+    def with_temperatures(self, temperatures: Temperatures) -> "ScenePrior":
+        """These scenes with the temperatures of a budget."""
+        own = copy(self)
+        own.temperatures = temperatures
+        return own
 
     def light(self, masks: Tensor) -> tuple[Tensor, Tensor]:
         """Light of the mean scene through masks (..., N), and of each component (..., d)."""
@@ -108,11 +127,13 @@ class ScenePrior:
         levels = (self.coefficients / steps).round().to(torch.int8)
         found = {"mean": self.mean, "components": self.components, "steps": steps, "levels": levels}
         numbers = [self.summed_reflectance, self.spread]
+        known = self.temperatures and vars(self.temperatures)
         return {
             **{name: each.numpy() for name, each in found.items()},
             "sizes": np.array(self.sizes),
             "members": self.members.numpy().astype(np.int32),
             "numbers": np.array(numbers),
+            **{f"{TEMPERATURE}{name}": each for name, each in (known or {}).items()},
         }
 
     @classmethod
@@ -127,6 +148,15 @@ class ScenePrior:
         prior.components = torch.from_numpy(arrays["components"])
         levels = torch.from_numpy(arrays["levels"]).float()
         prior.coefficients = levels * torch.from_numpy(arrays["steps"])
+        held = {
+            name: arrays[f"{TEMPERATURE}{name}"]
+            for name in ("logs", "budgets")
+            if f"{TEMPERATURE}{name}" in arrays
+        }
+        prior.temperatures = None
+        if held:
+            tensors = {name: torch.from_numpy(each) for name, each in held.items()}
+            prior.temperatures = Temperatures.restored(tensors, len(held["logs"]))
         return prior
 
     def few(self, count: int, seed: int = 0) -> "ScenePrior":

@@ -21,7 +21,7 @@ export function nextMask(state, share, uniform) {
 
 /** Masks that separate the likeliest classes in two groups. */
 export function candidates(state) {
-  const { chances, prior, optics } = state;
+  const { classWeights: chances, prior, optics } = state;
   const order = [...chances.keys()].sort((a, b) => chances[b] - chances[a] || a - b);
   const top = order.slice(0, LIKELIEST);
   const scene = state.scene.map((value) => Math.max(value, DARKEST));

@@ -1,6 +1,6 @@
 // The design: what its masks count of a scene, and what its networks make of the counts.
 
-import { between, softmax, unpack } from "./numbers.js";
+import { softmax, temperatureAt, unpack } from "./numbers.js";
 
 const NEAR = 0.5 + 1e-9; // decades from the budget of a rule, where it holds
 
@@ -207,13 +207,9 @@ export class Model extends Design {
   /** What the logits are divided by: interpolated between budgets, and between masks or looks. */
   temperature(photons, shown, dwell) {
     if (!this.temperatures) return 1;
-    const { logs, budgets } = this.temperatures;
-    const step = Math.log(budgets[1] / budgets[0]);
-    const level = Math.log(photons / budgets[0]) / step;
     const first = this.exposure.nested || this.masks;
     const place = dwell ? dwell.reduce((a, b) => a + b, 0) * this.looks - 1 : shown - first;
-    const log = between(logs.map((row) => between(row, level)), place);
-    return Math.exp(log - Math.min(level, 0) * step);
+    return temperatureAt(this.temperatures, photons, place);
   }
 
   /** Dwells of the frames of a look, from 0, shares of the exposure. */

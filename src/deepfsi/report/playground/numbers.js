@@ -89,8 +89,16 @@ export async function unpack({ shape, bytes, planes }) {
   return { shape, values: new kind(whole.buffer) };
 }
 
+/** Temperature at a budget and a place among the stops: interpolated, and as 1 / Φ below all budgets. */
+export function temperatureAt({ logs, budgets }, photons, place) {
+  const step = Math.log(budgets[1] / budgets[0]);
+  const level = Math.log(photons / budgets[0]) / step;
+  const log = between(logs.map((row) => between(row, level)), place);
+  return Math.exp(log - Math.min(level, 0) * step);
+}
+
 /** Value between equidistant ones at a place from 0; the ends are held. */
-export function between(values, place) {
+function between(values, place) {
   const at = Math.min(Math.max(place, 0), values.length - 1);
   const low = Math.floor(at);
   const high = Math.min(low + 1, values.length - 1);

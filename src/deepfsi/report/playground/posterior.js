@@ -1,9 +1,10 @@
 // Posterior of the scene, look after look: deepfsi.design.adaptive.posterior in the browser.
 
-import { softmax } from "./numbers.js";
+import { softmax, temperatureAt } from "./numbers.js";
 
 const DIMMEST = 1e-6; // least light of a scene through a mask, over that of the whole mean scene
 const LARGEST_SIZE = 1e9; // of the negative binomial law; beyond, it is Poisson's
+const LEAST_WEIGHT = 1e-30; // of a class, of which odds are taken
 const UNLIKELY = 1e-12; // probability below which a scene is left out of sums
 
 /** Sum of the products of two vectors, the second from a place on. */
@@ -21,8 +22,8 @@ export function add(to, factor, vector, start = 0) {
 
 /** Training scenes as sums of a mean and components; those near them differ normally, by I. */
 export class Prior {
-  constructor({ mean, components, steps, levels, members, sizes, spread }) {
-    Object.assign(this, { mean, sizes, spread });
+  constructor({ mean, components, steps, levels, members, sizes, spread, temperatures }) {
+    Object.assign(this, { mean, sizes, spread, temperatures });
     const most = members.reduce((a, b) => Math.max(a, b), 1);
     this.logs = Float64Array.from(members, (each) => Math.log(each / most)); // before all counts
     this.parts = steps.length; // d
@@ -33,6 +34,10 @@ export class Prior {
     this.coefficients = Float32Array.from(levels, (level, i) => level * steps[i % this.parts]);
     this.labels = sizes.flatMap((size, place) => new Array(size).fill(place));
     this.whole = mean.reduce((a, b) => a + b, 0);
+    const sums = sizes.map(() => 0);
+    this.labels.forEach((label, scene) => (sums[label] += members[scene]));
+    const all = sums.reduce((a, b) => a + b, 0);
+    this.shares = sums.map((sum) => Math.log(sum / all)); // logarithms of those of the classes
   }
 
   /** Light of the mean scene through what a readout sees (N), and of each component. */
@@ -51,7 +56,7 @@ export class Prior {
 /** Optics of a look: what its readouts see, and what they count. */
 export class LookOptics {
   constructor({ rails, detectors, labels, dark, summed_reflectance }, photons) {
-    Object.assign(this, { arms: rails, detectors, labels, dark, gain: photons / summed_reflectance });
+    Object.assign(this, { arms: rails, detectors, labels, dark, photons, gain: photons / summed_reflectance });
   }
 
   detector(pixel) {
@@ -77,6 +82,7 @@ export class Posterior {
   constructor(prior, optics) {
     Object.assign(this, { prior, optics, known: [] });
     this.logs = Float64Array.from(prior.logs);
+    this.taken = 0; // looks
     this.shift = new Float64Array(prior.parts); // mean of what the scene differs from those known
     this.weigh();
   }
@@ -85,6 +91,7 @@ export class Posterior {
   update(mask, counts, share) {
     const here = this.middle;
     this.optics.readouts(mask).forEach((seen, place) => this.take(here, counts[place], seen, share));
+    this.taken += 1;
     this.weigh();
   }
 
@@ -115,14 +122,23 @@ export class Posterior {
   weigh() {
     const { prior } = this;
     this.weights = softmax(this.logs);
-    this.chances = new Array(prior.sizes.length).fill(0);
+    this.classWeights = new Array(prior.sizes.length).fill(0);
     this.sums = prior.sizes.map(() => new Float64Array(prior.parts));
     this.weights.forEach((weight, scene) => {
       const label = prior.labels[scene];
-      this.chances[label] += weight;
+      this.classWeights[label] += weight;
       if (weight > UNLIKELY) add(this.sums[label], weight, prior.coefficients, scene * prior.parts);
     });
     this.middle = this.sums.reduce((sum, own) => add(sum, 1, own), new Float64Array(prior.parts));
+  }
+
+  /** Probabilities of the classes: with a temperature τ, their odds to those before all looks to the power 1 / τ. */
+  get chances() {
+    const { prior, optics, taken } = this;
+    if (!prior.temperatures || !taken) return this.classWeights;
+    const temperature = temperatureAt(prior.temperatures, optics.photons, taken - 1);
+    const odds = (weight, place) => Math.log(Math.max(weight, LEAST_WEIGHT)) - prior.shares[place];
+    return softmax(this.classWeights.map((weight, place) => odds(weight, place) / temperature + prior.shares[place]));
   }
 
   /** Product of coefficients with the covariance that is left, given the counts. */

@@ -1,0 +1,87 @@
+"""Clicks at other light than the training's, as the features of a network that knows that light.
+
+Photon counts are divided by the budget: then features of any light have the mean of the training.
+Clicks are not in proportion to the light. A readout of G gates with r⁺ and r⁻ expected photons a
+gate on its two rails has, at q times the light of the training, the mean and the noise
+
+    μ(q) = G (e^(−q r⁻) − e^(−q r⁺)),    ν(q) = G Σ± e^(−q r±) (1 − e^(−q r±)) .
+
+So the clicks y are read as μ(1) + (y − μ(q)) √(ν(1) / ν(q)). At the light of the training that is y
+itself. The photons r± are those of the mean scene: of the mean M of y / G and the mean S of all
+photons a gate, both over training scenes, r⁺ − r⁻ = 2 arsinh(M e^(S/2) / 2).
+"""
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+
+if TYPE_CHECKING:
+    from deepfsi.design.artifact import Design
+    from deepfsi.design.exposure.trained import Observation
+
+LEAST_NOISE = 1e-30
+"""Least ν over G, that of a readout that is dark."""
+
+MOST_GAIN = 100.0
+"""Largest factor of clicks, where nearly every gate clicks, or none, and clicks tell nothing."""
+
+MOST_CLICKS = 0.95
+"""Share of gates that click above which one is told: with r photons in a gate the information on
+log r is r² e⁻ʳ / (1 − e⁻ʳ), highest at a share of 0.80, and 0.73 of that at 0.95."""
+
+
+def full_gates(share: float, photons: float) -> str | None:
+    """Remark on clicks of a budget in nearly all gates; None where the share is not so high."""
+    if share <= MOST_CLICKS:
+        return None
+    return (
+        f"at {photons:.3g} photons {share:.0%} of the gates click, which tells little of a scene: "
+        "give more `gates`, or a lower `photons`"
+    )
+
+
+def to_training_light(
+    ratio: Tensor | float, mean: Tensor, photons: Tensor, gates: int
+) -> tuple[Tensor, Tensor]:
+    """Gain and offset (..., k) that make of clicks those at the light of the training.
+
+    Parameters
+    ----------
+    ratio : tensor, shape (..., 1), or float
+        q, the light over that of the training.
+    mean : tensor, shape (k,)
+        Clicks of one rail, or their difference of two, in the mean over training scenes.
+    photons : tensor, shape (k,)
+        Photons of both rails in the same mean.
+    gates : int
+        G.
+    """
+    both = photons / gates
+    apart = 2 * torch.asinh(mean / gates * (both / 2).exp() / 2)
+    rates = [((both + sign * apart) / 2).clamp(min=0) for sign in (1, -1)]
+
+    def moments(q: Tensor | float) -> tuple[Tensor, Tensor]:
+        parts = [q * rate for rate in rates]
+        # 1 - e^(-x) to all digits, of what an ONNX graph knows
+        halves = [(part / 2).tanh() for part in parts]
+        plus, minus = (2 * half / (1 + half) for half in halves)
+        noise = plus * (-parts[0]).exp() + minus * (-parts[1]).exp()
+        return gates * (plus - minus), noise.clamp(min=LEAST_NOISE)
+
+    (trained, noise), (now, noise_now) = moments(1.0), moments(ratio)
+    gain = (noise / noise_now).sqrt().clamp(max=MOST_GAIN)
+    return gain, trained - now * gain
+
+
+def at_training_light(
+    design: "Design", seen: "Observation", photons: Tensor | float
+) -> "Observation":
+    """An exposure as its clicks would be at the light of the training; photon counts stay."""
+    if design.gates is None:
+        return seen
+    trained, tokens = design.info["job"]["photons"], design.exposure.tokens(design.image_shape)
+    known = design.mean * trained, design.shares * trained / tokens, design.gates
+    gain, offset = to_training_light(photons / trained, *known)
+    return replace(seen, features=seen.features * gain + offset / trained)

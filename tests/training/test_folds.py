@@ -1,0 +1,225 @@
+"""Laws of designs of few scenes: folds that no training saw make their confidence honest."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+from scipy.special import softmax
+
+from deepfsi import learn
+from deepfsi.design.adaptive.choice import next_masks
+from deepfsi.design.adaptive.design import AdaptiveDesign
+from deepfsi.design.adaptive.posterior import AdaptivePosterior, LookOptics
+from deepfsi.design.confidence import fit_temperatures, logits_at_stops
+from deepfsi.design.evaluation import evaluate, scanner_for
+from deepfsi.design.temperatures import Temperatures
+from deepfsi.errors import InputError
+from deepfsi.training.folds import FEW_SCENES, FOLDS, folds_of
+from shared.design_files import rewrite
+
+PHOTONS, LOOKS = 1e4, 6
+EACH = 16
+"""Scenes of each class."""
+
+CLASSES = (3, 8, 9)
+"""Digits that are often mistaken for each other."""
+
+SETTINGS = {
+    "adaptive": {"design": "adaptive", "masks": LOOKS},
+    "learned": {"masks": 8, "training": {"epochs": 20}},
+    "looks": {"masks": 8, "exposure": {"looks": 2}, "training": {"epochs": 10}},
+}
+
+
+def drawn(digits, each, seed):
+    """So many training scenes of each of three classes; all others are the test."""
+    x, y = (np.concatenate(pair) for pair in ((digits.x_train, digits.x_test),
+                                              (digits.y_train, digits.y_test)))  # fmt: skip
+    order = np.random.default_rng(seed).permutation(len(x))
+    rows = [order[y[order] == label] for label in CLASSES]
+    kept, others = (np.concatenate([own[part] for own in rows])
+                    for part in (slice(each), slice(each, None)))  # fmt: skip
+    place = {label: k for k, label in enumerate(CLASSES)}
+    labels = np.array([place.get(label, -1) for label in y])
+    return replace(digits, x_train=x[kept], y_train=labels[kept], x_test=x[others],
+                   y_test=labels[others], classes=("3", "8", "9"), origin=None)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def few(digits):
+    return drawn(digits, EACH, 5)
+
+
+@pytest.fixture(scope="module", params=SETTINGS)
+def design(request, few):
+    return learn(few, photons=PHOTONS, **SETTINGS[request.param])
+
+
+@pytest.fixture(scope="module")
+def adaptive(few):
+    return learn(few, photons=PHOTONS, **SETTINGS["adaptive"])
+
+
+def rows_of(x):
+    return {row.tobytes() for row in x}
+
+
+def test_each_fold_leaves_out_what_its_training_does_not_hold(digits):
+    few = replace(digits, x_train=digits.x_train[:90], y_train=digits.y_train[:90])
+    folds = folds_of(few)
+    assert len(folds) == FOLDS
+    for fold in folds:
+        assert not rows_of(fold.x_train) & rows_of(fold.x_test)
+        assert rows_of(fold.x_train) | rows_of(fold.x_test) == rows_of(few.x_train)
+        part = (
+            np.bincount(fold.y_test, minlength=10) - np.bincount(few.y_train, minlength=10) / FOLDS
+        )
+        assert np.abs(part).max() < 1
+    assert sum(len(fold.x_test) for fold in folds) == 90
+
+
+def test_more_scenes_need_fewer_folds_and_many_none(digits):
+    def of(count):
+        return folds_of(
+            replace(digits, x_train=digits.x_train[:count], y_train=digits.y_train[:count])
+        )
+
+    counts = [len(of(count)) for count in (50, 300, FEW_SCENES - 1, FEW_SCENES)]
+    assert counts == [FOLDS, 5, 2, 0]
+    values = replace(digits, y_train=np.zeros((len(digits.x_train), 1)), classes=(), values=("a",))
+    assert folds_of(replace(values, x_train=digits.x_train[:50], y_train=values.y_train[:50])) == []
+
+
+def test_a_scene_alone_in_its_class_is_never_left_out(few):
+    alone = replace(few, y_train=np.where(np.arange(48) == 7, 2, few.y_train.clip(max=1)))
+    for fold in folds_of(alone):
+        assert 2 in fold.y_train
+        assert 2 not in fold.y_test
+
+
+def chances(design, data, photons=PHOTONS, seed=3):
+    """Probabilities (E, C) of the test scenes, and the classes that are true."""
+    if isinstance(design, AdaptiveDesign):
+        options = design.camera, data.x_test, photons, 1, seed
+        return np.exp(logits_at_stops(design, *options, [LOOKS - 1])[0])
+    scanner = scanner_for(design, design.camera)
+    logits = logits_at_stops(design, scanner, data.x_test, photons, 1, seed)[-1]
+    return softmax(logits / design.temperatures.of_stops(photons)[-1], axis=1)
+
+
+def loss(given, truth):
+    return -np.log(given[np.arange(len(truth)), truth].clip(1e-30))
+
+
+@pytest.mark.parametrize("ratio", [0.1, 1, 10])
+def test_few_scenes_make_no_design_worse_than_guessing(design, few, ratio):
+    given = chances(design, few, ratio * PHOTONS)
+    losses = loss(given, few.y_test)
+    error = losses.std() / len(losses) ** 0.5
+    assert losses.mean() < np.log(3) + 3 * error
+    # 48 scenes tell an accuracy to 0.06 at best, and two in five of their digits are mistaken
+    right = (given.argmax(axis=1) == few.y_test).mean()
+    assert given.max(axis=1).mean() < right + 3 * (right * (1 - right) / 3 / EACH) ** 0.5 + 0.02
+
+
+def test_its_test_says_what_new_scenes_give(design, few):
+    """Left-out scenes of the folds, and others: four standard deviations of 48 scenes' accuracy."""
+    test, given = design.info["left_out"], chances(design, few)
+    right = (given.argmax(axis=1) == few.y_test).mean()
+    assert test["scenes"] == 3 * EACH
+    assert test["guessing"] == pytest.approx(np.log(3))
+    assert not test["guesses"]
+    assert abs(right - test["accuracy"]) < 4 * (right * (1 - right) / 3 / EACH) ** 0.5 + 0.05
+    assert test["log_loss"] <= test["uncalibrated_log_loss"] + 0.02
+
+
+def test_scenes_that_are_all_answered_rightly_leave_a_doubt():
+    """One scene of any class in n + 1: the least log loss has a share of 2 / 3 / (n + 1) wrong."""
+    logits, n = np.tile([10.0, 0.0, 0.0], (20, 1)), 20
+    scenes = SimpleNamespace(labels=np.zeros(n, int), base=0.0, draws=1, stops=1)
+    scenes.logits = lambda *_: [logits]
+    sure = []
+    for scenes.doubt in (1.0, 0.0):
+        found = fit_temperatures(scenes, np.array([1.0, 10.0]), trained_on=False, seed=0)
+        sure.append(softmax(logits[0] / found.of_stops(1.0)[0])[0])
+    assert sure[0] == pytest.approx(1 - 2 / 3 / (n + 1), abs=1e-3)
+    assert sure[1] > 1 - 1e-6
+
+
+def test_labels_that_scenes_do_not_tell_are_only_guessed(few):
+    rng = np.random.default_rng(2)
+    mixed = replace(few, y_train=rng.permutation(few.y_train), y_test=rng.permutation(few.y_test))
+    for name in ("adaptive", "learned"):
+        test = learn(mixed, photons=PHOTONS, **SETTINGS[name]).info["left_out"]
+        assert test["guesses"]
+        assert test["log_loss"] <= test["guessing"] + 2 * test["error"]
+        assert test["uncalibrated_log_loss"] > test["guessing"] + 3 * test["error"]
+
+
+def test_fewer_scenes_are_less_sure(digits):
+    logs = [
+        learn(drawn(digits, each, 7), photons=PHOTONS, **SETTINGS["adaptive"])
+        .prior.temperatures.of_stops(PHOTONS)[-1]
+        for each in (10, 100)
+    ]  # fmt: skip
+    assert logs[0] > logs[1]
+
+
+def test_temperatures_change_confidence_and_no_mask_or_answer(adaptive, few):
+    plain = replace(adaptive, prior=adaptive.prior.with_temperatures(None))
+    states = []
+    for each in (adaptive, plain):
+        optics = LookOptics.of(each.camera, each.image_shape, PHOTONS)
+        state, generator = AdaptivePosterior(each.prior, 40, optics), torch.Generator()
+        generator.manual_seed(1)
+        for share in each.settings.shares:
+            masks = next_masks(state, share, generator)
+            counts = torch.poisson(
+                state.expected(masks, torch.from_numpy(few.x_test[:40]), share), generator
+            )
+            state.update(masks, counts, share)
+        states.append((masks, counts, state.chances))
+    assert torch.equal(states[0][0], states[1][0])
+    assert torch.equal(states[0][1], states[1][1])
+    assert torch.equal(states[0][2].argmax(dim=1), states[1][2].argmax(dim=1))
+    assert float((states[0][2] - states[1][2]).abs().max()) > 0.05
+    found, wanted = (evaluate(each, few, PHOTONS, draws=1)[0] for each in (adaptive, plain))
+    assert found.confusion == wanted.confusion
+    assert found.log_loss < wanted.log_loss
+
+
+def test_without_light_classes_keep_their_shares(few):
+    kept = np.concatenate([np.arange(16), np.arange(16, 24), np.arange(32, 36)])
+    uneven = replace(few, x_train=few.x_train[kept], y_train=few.y_train[kept])
+    design = learn(uneven, photons=PHOTONS, **SETTINGS["adaptive"])
+    assert design.prior.temperatures is not None
+    given = chances(design, few, 1e-4)
+    np.testing.assert_allclose(
+        given, np.tile([16 / 28, 8 / 28, 4 / 28], (len(given), 1)), atol=1e-3
+    )
+
+
+def test_a_file_keeps_the_temperatures_of_a_prior(adaptive, tmp_path):
+    path = adaptive.save(tmp_path / "a.safetensors")
+    again = AdaptiveDesign.load(path)
+    assert np.array_equal(again.prior.temperatures.logs, adaptive.prior.temperatures.logs)
+    assert again.to_bytes() == path.read_bytes()
+    older = replace(adaptive, prior=adaptive.prior.with_temperatures(None))
+    assert AdaptiveDesign.load(older.save(path)).prior.temperatures is None
+    budgets = adaptive.prior.temperatures.budgets
+    for logs in (np.zeros((LOOKS - 1, 5)), np.full((LOOKS, 5), np.nan), np.full((LOOKS, 5), 99.0)):
+        wrong = adaptive.prior.with_temperatures(Temperatures(logs, budgets))
+        with pytest.raises(InputError, match="not a whole deepfsi design file"):
+            AdaptiveDesign.load(replace(adaptive, prior=wrong).save(path))
+    adaptive.save(path)
+    rewrite(path, lambda _, tensors: tensors.pop("temperature_budgets"))
+    with pytest.raises(InputError, match="not a whole deepfsi design file"):
+        AdaptiveDesign.load(path)
+
+
+def test_many_scenes_have_no_folds(digits):
+    design = learn(digits, photons=PHOTONS, design="adaptive", masks=2)
+    assert design.prior.temperatures is None
+    assert "left_out" not in design.info
