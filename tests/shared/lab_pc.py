@@ -36,6 +36,7 @@ class Hidden:
 def as_windows() -> None:
     """Hide what Windows has not, in this process, from what is imported from now on."""
     import multiprocessing.spawn  # noqa: F401  the standard library is another one there
+    import shutil
     import subprocess  # noqa: F401
 
     import matplotlib.pyplot  # noqa: F401  so are compiled packages
@@ -48,6 +49,8 @@ def as_windows() -> None:
     import sklearn.datasets  # noqa: F401
     import typer.main  # noqa: F401
 
+    usage = shutil.disk_usage(".")
+    shutil.disk_usage = lambda path: usage  # there without statvfs
     for name in MODULES:
         sys.modules.pop(name, None)
     sys.meta_path.insert(0, Hidden(MODULES))
