@@ -356,3 +356,14 @@ def test_a_design_is_calibrated_alike_with_others_and_alone(data):
 def test_bad_counts_are_named(design, counts, photons, said):
     with pytest.raises(InputError, match=said):
         design.consistency(counts, photons)
+
+
+def test_two_tests_of_an_acquisition_share_its_chance():
+    """Of one exposure of a single class both are the same test: its own chance counts twice."""
+    rng = np.random.default_rng(8)
+    rates, labels = scenes_of(2000, seed=2)
+    known = find_distribution(torch.from_numpy(rates), 0 * labels, 1)
+    rates, _ = scenes_of(40, seed=9)
+    for counts in rng.poisson(rates * 1e4):
+        found = known.test(counts[None], np.array([1e4]), 0.0)
+        assert found.whole == pytest.approx(min(1.0, 2 * found.exposures[0]), rel=1e-6)

@@ -11,6 +11,7 @@ from deepfsi.design import stopping
 from deepfsi.design.evaluation import evaluate
 from deepfsi.design.stopping import stop
 from deepfsi.errors import InputError
+from deepfsi.hardware.recording.live_settings import StopRule
 from deepfsi.optics.detection import ONE
 
 HELD_OUT = 400
@@ -223,3 +224,25 @@ def test_logits_at_stops_are_those_of_the_first_masks(digits):
                 alone = part.logits(features[:, :masks], 1e3 * part.exposure.used).numpy()
                 np.testing.assert_allclose(mine[masks - 2], alone, rtol=1e-4, atol=1e-4)
     assert logits.shape == (9, 8 * len(digits.x_test), 10)
+
+
+def test_a_threshold_of_one_is_for_never_even_where_the_confidence_is_one(nested, digits):
+    """Logits of a thousand: the probability of a class is 1 to the last bit."""
+    sure = replace(nested, classifier=Sure(nested.classifier), temperatures=None)
+    found = stop(sure, digits, PHOTONS, held_out=HELD_OUT, threshold=1.0, draws=1)
+    assert found.confidence == 1
+    assert found.stops[-1] == 1
+    rule = StopRule(threshold=1.0)
+    assert not rule.stops(1.0, PHOTONS)
+    assert not found.rule.decide(found.rule.after[0], np.ones(1), PHOTONS)
+
+
+class Sure(torch.nn.Module):
+    """A classifier that is a million times as sure."""
+
+    def __init__(self, classifier):
+        super().__init__()
+        self.classifier = classifier
+
+    def forward(self, inputs):
+        return 1e6 * self.classifier(inputs)

@@ -33,6 +33,9 @@ def test_clicks_have_mean_and_variance_of_the_closed_form(rate, gates):
     fourth = variance * (1 + (3 * gates - 6) * chance * (1 - chance))
     error = 5 * math.sqrt(max(fourth - variance**2, 0) / DRAWS) + 25 * variance / DRAWS
     assert abs(clicks.var() - variance) <= error + 1e-12
+    rates = torch.tensor([rate], dtype=torch.float64)
+    assert float(Click(gates).expected(rates)) == pytest.approx(mean, rel=1e-12)
+    assert float(Click(gates).variance(rates)) == pytest.approx(variance, rel=1e-6, abs=1e-12)
 
 
 def test_clicks_of_many_gates_are_poisson_counts():

@@ -2,12 +2,14 @@
 
 import numpy as np
 import pytest
+from recording_samples import schedule
 
 from deepfsi.devices import Device
 from deepfsi.errors import InputError
 from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns, read_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
+from deepfsi.hardware.recording.ambient import Ambient
 from deepfsi.hardware.recording.counting import count
 from deepfsi.hardware.recording.counts import read_counts
 from deepfsi.hardware.recording.tables import TableSettings, count_table
@@ -139,3 +141,23 @@ def test_a_background_that_does_not_fit_is_one_line(tmp_path, refuse):
     assert "other patterns" in refuse("camera", "count", run, "--background", other)
     assert "no light beyond" in refuse("camera", "count", run, "--background", run)
     assert not (run / "counts.npz").exists()
+
+
+@pytest.mark.parametrize("exposures", [1, 5])
+def test_law_the_variance_that_is_stated_is_that_of_draws(exposures):
+    """Of the mean of exposures in gates, less dark counts that all-OFF frames tell."""
+    manifest, draws = schedule([1000] * 4), 2000
+    lengths, seconds = np.array([1e-3, 2e-3, 3e-3, 1e-3]), np.full(8, 2e-3)
+    rates, dark = np.array([3e4, 6e4, 2e4, 5e4]), 4e4
+    means = np.concatenate([[9e4, dark], rates, [9e4, dark]])
+    rng, found = np.random.default_rng(5), []
+    for _ in range(draws):
+        gates = rng.poisson(rates * lengths, (exposures, 4))[..., None].astype(float)
+        frames = rng.poisson(means * seconds)[:, None].astype(float)
+        each = Ambient.of(manifest, (gates, gates), (frames, seconds), lengths)
+        found.append((each.counts.ravel(), each.variance.ravel()))
+    counts, variance = np.array(found).swapaxes(0, 1)
+    wanted = (rates - dark) * lengths
+    spread = counts.std(axis=0)
+    assert (abs(counts.mean(axis=0) - wanted) < 5 * spread / draws**0.5).all()
+    np.testing.assert_allclose(variance.mean(axis=0), spread**2, rtol=5 * (2 / draws) ** 0.5)

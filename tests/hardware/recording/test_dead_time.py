@@ -158,3 +158,15 @@ def test_a_counter_near_saturation_is_named(run):
     values = np.rint(rates * shown.manifest.picture_s)
     with pytest.raises(InputError, match="all ON"):
         count_table(Table(values), shown.manifest, TableSettings(dead_time=slow))
+
+
+@pytest.mark.parametrize("gain", [0.5, 3.0])
+def test_law_counts_divided_by_a_gain_have_their_variance(gain):
+    """Of μ photons gμ are counted: arrivals have the mean μ and the variance μ / g."""
+    mean, draws = 2000.0, 20_000
+    factors = DeadTime(seconds=0).correction(np.zeros(1)).divided(np.array([gain]))
+    seen = np.random.default_rng(4).poisson(gain * mean, draws)
+    found = seen * factors.arrivals
+    assert abs(found.mean() - mean) < 5 * found.std() / draws**0.5
+    spread = float((seen * factors.variance).mean())
+    assert spread == pytest.approx(found.var(), rel=5 * (2 / draws) ** 0.5)

@@ -106,3 +106,32 @@ def test_settling_leaves_something_of_frames_before_their_guard():
         InputError, match=r"leaves nothing of the all-ON .* give less than 0\.00099"
     ):
         gates_of(named(1), manifest, 4e-3, 9.95e-4)
+
+
+@pytest.mark.parametrize("longer", [1.0, 20.0])
+def test_law_lateness_is_certain_at_six_standard_deviations_of_sound_draws(longer):
+    """The guard is `longer` than usual; the counts of the dark frame err, too."""
+    manifest = schedule([1000] * 4)
+    found = Frames(np.zeros((1, 8)), np.ones(1, bool), manifest.picture_s, 1e-5, 0.0, np.inf, [])
+    windows = Windows.of(manifest, Gates(2e-5, np.full(4, 5e-4), 1), found)
+    scenes, guard = 400, windows.guards[0]
+    seconds = np.tile(windows.length, (scenes, 1))
+    seconds[:, guard] *= longer
+    dark = windows.frame == 1
+    rates = np.where(dark, 1e5, 1e6)
+    mean = np.rint(rates * seconds).astype(int)
+    share = seconds[0, guard] / seconds[0, dark & (np.arange(len(dark)) != guard)].sum()
+    draws = np.random.default_rng(3).poisson
+    guards = draws(mean[0, guard], (20_000,))
+    others = draws(mean[0, guard] / share, (20_000,))
+    spread = float((guards - share * others).std()) * (scenes - 1) ** 0.5
+
+    def named(excess: float) -> bool:
+        photons = mean.copy()
+        each, rest = divmod(round(excess), scenes)
+        photons[:, guard] += each
+        photons[:rest, guard] += 1
+        return bool(find_lateness(windows, photons, seconds))
+
+    assert not named(5.3 * spread)
+    assert named(6.7 * spread)

@@ -11,8 +11,11 @@ from light_faults import FAULTS, Lit, patterns_of, steady
 from scipy.stats import binom
 
 from deepfsi.errors import InputError
+from deepfsi.hardware.patterns.sequence import Brightness
 from deepfsi.hardware.recording.counting import count
 from deepfsi.hardware.recording.counts import Counts
+from deepfsi.hardware.recording.light import find_flux
+from deepfsi.hardware.recording.sentinels import Checked, LightCurve, find_background
 from deepfsi.hardware.recording.tails import FALSE_ALARMS
 
 RECORDINGS = int(os.environ.get("DEEPFSI_LIGHT", "45"))
@@ -154,3 +157,24 @@ def test_a_mask_that_is_brighter_than_all_mirrors_on_spoils_its_scene(shown, tmp
         ("brighter", 2, place)
     ]
     assert np.flatnonzero(counts.spoilt).tolist() == [2]
+
+
+@pytest.mark.parametrize("unit", [1.0, 0.05])
+def test_law_the_error_of_the_background_is_in_the_test_of_levels(unit):
+    """A background that changes is known from short dark frames, and is far above the light."""
+    rng, passes = np.random.default_rng(7), 6
+    seconds = np.tile(unit * np.array([1.0, 0.01, 1.0, 0.01]), (passes, 1))[..., None]
+    stray = np.repeat([1e5, 3e5], passes // 2)[:, None, None] / unit
+    light = 5e3 / unit * np.array([1, 0, 1, 0])[:, None]
+    brightness = Brightness(low=0.87, high=1.14, between=1.03, within=0.05)
+    alarms = 0
+    for _ in range(60):
+        photons = rng.poisson((stray + light) * seconds)
+        places = np.zeros((4, 1)), np.arange(passes), (0, 2), (1, 3), ()
+        curve = LightCurve(photons, seconds, *places, "")
+        background = find_background(curve, 1e-4)
+        assert len(background.parts) == 2
+        every = np.ones(passes, bool)
+        _, faults = find_flux(curve, Checked(background, every, every, ()), brightness, 1e-4)
+        alarms += bool(faults)
+    assert alarms == 0

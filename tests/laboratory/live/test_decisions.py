@@ -219,3 +219,54 @@ def test_the_light_of_a_decision_is_that_of_all_looks_so_far(digits, patterns):
     looks = np.array([each.gate_ns.sum() for each in asked if each.look != SENTINELS])
     for scene, own in zip(decided, looks.reshape(2, LOOKS), strict=True):
         assert [each.light_s for each in scene] == pytest.approx(np.cumsum(own) * 1e-9)
+
+
+@pytest.mark.parametrize("dead_s", [0.0, 25e-9])
+def test_law_all_on_frames_have_the_noise_of_what_is_subtracted_and_of_a_dead_time(
+    digits, patterns, dead_s
+):
+    """Of n arrivals a second a non-paralysable counter gives the variance n (1 + nτ)."""
+    rates, dead, seen = rates_of(patterns, digits)[0], DeadTime(seconds=dead_s), []
+    dark = FLUX * np.linspace(0.2, 0.4, rates.shape[1])
+    arrived = rates + dark
+    registered = arrived / (1 + arrived * dead_s)
+    manifest = read_patterns(patterns).manifest
+    acquisition = plan_live(patterns, (Scene(name="a"),), EXPOSURE_S, dead_time=dead)
+    observer = Observer(Watched(read_looks(patterns, manifest), seen), manifest, acquisition)
+    times = []
+
+    def counts(lists):
+        times.append(lists)
+        photons = registered[lists.frames] * lists.gate_ns[:, None] * 1e-9
+        starts_s = 5e-3 * len(times) + np.arange(len(photons)) * 1e-3
+        return FrameCounts(starts_s, np.repeat(photons[:, None] / PARTS, PARTS, axis=1))
+
+    list(observer.observe(0, counts))
+    [on], arm = seen, slice(0, manifest.detector_count)
+    seconds = sum(each.gate_ns[0] for each in (times[0], times[-1])) * 1e-9
+    assert on.seconds == pytest.approx(seconds)
+    assert on.counts == pytest.approx((arrived[0] - dark)[arm].sum() * seconds, rel=1e-6)
+    lost = (arrived[0] ** 2 * dead_s)[arm].sum() * seconds
+    assert on.noise == pytest.approx(dark[arm].sum() * seconds + lost, rel=1e-6)
+
+
+class Watched:
+    """Looks whose exposures keep the counts of the all-ON frames that they are compared with."""
+
+    def __init__(self, looks, seen):
+        self._looks, self._seen = looks, seen
+
+    def __getattr__(self, name):
+        return getattr(self._looks, name)
+
+    def expose(self, scene, conditions):
+        exposure, seen = self._looks.expose(scene, conditions), self._seen
+
+        class Exposure:
+            ask, take = exposure.ask, exposure.take
+
+            def compare(self, on):
+                seen.append(on)
+                return exposure.compare(on)
+
+        return Exposure()

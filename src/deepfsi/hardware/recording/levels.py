@@ -97,6 +97,7 @@ def _compare(
 def _as_photons(sums: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Photons, and the time they take, of Poisson counts with the same rate and relative error."""
     counts, variances, seconds = np.maximum(sums[0], 0.0), sums[1], sums[2]
-    weight = counts / np.where(variances > 0, variances, 1.0)
-    weight = np.where(counts > 0, weight, 1.0)
+    # Counts below their noise, or less than 0, tell as little as those that are as large as it
+    size = np.maximum(counts, np.sqrt(variances))
+    weight = np.where(variances > 0, size / np.where(variances > 0, variances, 1.0), 1.0)
     return counts * weight, seconds * weight
