@@ -262,8 +262,8 @@ def marker_to_decision(
         for each in run_live(folder / "run", folder / "patterns", acquisition, devices)
     ]
     stream = _Replayed(folder / "run" / "photons.ptu", arguments.block)
-    manifest = read_patterns(folder / "patterns").manifest
-    observer = Observer(KnownMasks(loop, manifest), manifest, acquisition)
+    patterns = read_patterns(folder / "patterns")
+    observer = Observer(KnownMasks(loop, patterns), patterns.manifest, acquisition)
     found = []
     for k in range(len(scenes)):
         found += [each.chances for each in observer.observe(k, stream)]

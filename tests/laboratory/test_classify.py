@@ -15,7 +15,13 @@ from deepfsi.hardware.recording.acquisition import read_acquisition
 from deepfsi.hardware.recording.counting import count
 from deepfsi.hardware.recording.counts import read_counts
 from deepfsi.hardware.recording.tables import TableSettings
-from deepfsi.hardware.virtual.camera import CAMERAS, RecordingSettings, arrival_rates, record
+from deepfsi.hardware.virtual.camera import (
+    CAMERAS,
+    RecordingSettings,
+    VirtualCamera,
+    arrival_rates,
+    record,
+)
 from deepfsi.laboratory.live.replay import count_live
 from deepfsi.laboratory.scenes import listed, scenes_of
 from shared.live_samples import live, make_patterns
@@ -162,3 +168,42 @@ def test_scenes_with_too_little_light_get_no_class_and_others_do(lab, tmp_path):
     assert [scene.predicted is None for scene in found.scenes] == [False, False, True, True]
     for scene in found.scenes[2:]:
         assert "budget" in {fault.kind for fault in scene.faults}
+
+
+@pytest.fixture(scope="module")
+def forty(lab, digits):
+    """Forty test scenes, and classes of them as a virtual camera of some optics counts them."""
+    chosen = np.random.default_rng(9).permutation(len(digits.x_test))[:40]
+    x, names = digits.x_test[chosen].reshape(-1, 8, 8), [str(k) for k in chosen]
+
+    def classified(folder, optics=None, scenes=40, **settings):
+        camera = VirtualCamera.model_validate(optics or {})
+        recording = RecordingSettings(camera, flux=1e7, exposure_s=10e-3)
+        record(lab / "frames", x[:scenes], names[:scenes], None, folder, recording)
+        count(folder)
+        return deepfsi.classify_run(lab / DESIGN, folder, **settings)
+
+    return classified
+
+
+@pytest.mark.parametrize(
+    ("view", "words"),
+    [
+        (((-1, 0, 1), (0, 1, 0), (0, 0, 1)), "mirrored left to right"),
+        (((-1, 0, 1), (0, -1, 1), (0, 0, 1)), "turned by 180 degrees"),
+    ],
+)
+def test_a_run_of_scenes_that_lie_otherwise_is_refused_unless_forced(forty, tmp_path, view, words):
+    with pytest.raises(deepfsi.InputError, match=words):
+        forty(tmp_path / "run", {"view": view})
+    shown = tmp_path / "run" / "patterns"
+    forced = deepfsi.classify_run(shown, tmp_path / "run", force=True)
+    assert any(words in remark for remark in forced.remarks)
+
+
+def test_a_sound_run_is_classified_and_a_short_one_says_what_it_does_not_exclude(forty, tmp_path):
+    whole, short = forty(tmp_path / "whole"), forty(tmp_path / "short", scenes=2)
+    assert not whole.view.named
+    assert not any("exclude" in remark for remark in whole.remarks)
+    assert any("2 scenes do not exclude" in remark for remark in short.remarks)
+    assert whole.as_dict()["view"]["scenes"] == 40

@@ -12,6 +12,7 @@ from deepfsi.errors import InputError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from deepfsi.design.view_test import ViewResult
     from deepfsi.laboratory.results import ClassifiedRun, ClassifiedScene, LiveScene, ReplayedRun
 
 
@@ -175,8 +176,17 @@ def _print_replay(found: "ReplayedRun") -> None:
     for fault in (fault for scene in found.scenes for fault in scene.faults):
         print(as_options(fault.words(names)))
     print_right(found.scenes)
+    print_view(found.view)
     agree = sum(bool(scene.agrees) for scene in found.scenes)
     print(f"as decided in the run, bit for bit: {agree} of {len(rows)} scenes")
+
+
+def print_view(view: "ViewResult | None") -> None:
+    """Say what the counts of a live run tell of how the camera saw its scenes."""
+    from deepfsi.cli import as_options
+
+    if view is not None and view.remark:
+        print(as_options(view.remark))
 
 
 def print_right(scenes: "Sequence[LiveScene]") -> None:

@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from deepfsi.cli import camera, common, options, paths
-from deepfsi.cli.classify import print_right
+from deepfsi.cli.classify import print_right, print_view
 from deepfsi.cli.settings import laboratory_fields, with_settings
 from deepfsi.errors import InputError, as_input_error, check_known
 
 if TYPE_CHECKING:
+    from deepfsi.design.view_test import ViewResult
     from deepfsi.hardware.drivers.protocols import StreamingCounter
     from deepfsi.hardware.recording.acquisition import Acquisition
     from deepfsi.hardware.virtual.bench import Latencies
@@ -122,15 +123,19 @@ def camera_live(
         else:
             devices = real_counter(counter, acquisition, counter_config, marker_channel)
             bench = Bench(VialuxLooks(alp_version), *devices)
-        answers = []
+        answers, view = [], None
         with contextlib.closing(run_live(out, patterns, acquisition, bench)) as decided:
-            for answer in (each.answer for each in decided if each.answer):
-                answers.append(answer)
+            for each in decided:
+                if each.answer is None:
+                    continue
+                answers.append(each.answer)
+                view = (each.decision and each.decision.view) or view
                 if not as_json:
-                    print(_line(answer, exposure_s), flush=True)
+                    print(_line(each.answer, exposure_s), flush=True)
         if counter == "followed":
             print("end the recording in the counter's software", file=sys.stderr)
-    _print_run(answers, out, images.preprocessing, exposure_s, as_json)
+    about = {"folder": str(out), "preprocessing": images.preprocessing, "exposure_s": exposure_s}
+    _print_run(answers, view, about, as_json)
 
 
 def check_devices(
@@ -224,11 +229,12 @@ def ask(what: str) -> None:
 
 
 def _print_run(
-    scenes: "list[LiveScene]", folder: Path, preprocessing: str, exposure_s: float, as_json: bool
+    scenes: "list[LiveScene]", view: "ViewResult | None", about: dict[str, Any], as_json: bool
 ) -> None:
     """Print the sum of all scenes, or all as JSON; `InputError` if none has light."""
     from deepfsi.laboratory.results import score_of
 
+    folder, exposure_s = about["folder"], about["exposure_s"]
     if not any(scene.looks for scene in scenes):
         raise InputError(
             f"no scene of {folder} has light: no all-ON frame is brighter than the all-OFF "
@@ -241,13 +247,16 @@ def _print_run(
         first = next(fault for scene in scenes for fault in scene.faults)
         raise InputError(f"no scene of {folder} has a class: {as_options(str(first))}")
     if as_json:
-        about = {"folder": str(folder), "preprocessing": preprocessing, "exposure_s": exposure_s}
-        known = {"score": score_of(scenes).as_dict()}
+        known = {
+            "score": score_of(scenes).as_dict(),
+            "view": None if view is None else view.as_dict(),
+        }
         answers = [each.as_dict() for each in scenes]
         common.print_json("camera.live", {**about, **known, "scenes": answers})
         return
-    print(f"scenes: {preprocessing}")
+    print(f"scenes: {about['preprocessing']}")
     print_right(scenes)
+    print_view(view)
     used = sum(scene.light_s for scene in scenes) / len(scenes)
     clock = sum(scene.clock_s for scene in scenes) / len(scenes)
     print(

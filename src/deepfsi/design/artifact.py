@@ -20,6 +20,7 @@ from deepfsi.design.own import Given, OwnClassifier, rebuilt
 from deepfsi.design.temperatures import Temperatures
 from deepfsi.design.training_data import TrainingScenes
 from deepfsi.design.values import Values
+from deepfsi.design.view_test import SceneModel
 from deepfsi.errors import InputError, as_input_error
 from deepfsi.files import DESIGNS, check_ending, write_atomically
 from deepfsi.inline import mask_picture
@@ -66,6 +67,8 @@ class Design:
         Provenance: how it was trained, on which data, with which versions. JSON types only.
     distribution : ReadoutDistribution, optional
         Of the readouts of training scenes: what `consistency` tests counts against.
+    scenes : SceneModel, optional
+        Scenes of the training, by class: what the view of a camera's runs is tested against.
     temperatures : Temperatures, optional
         What divides the logits at each budget, so that probabilities are those of being right.
     values : Values, optional
@@ -98,6 +101,7 @@ class Design:
     detection: Detection = ONE
     info: dict[str, Any] = field(default_factory=dict)
     distribution: ReadoutDistribution | None = None
+    scenes: SceneModel | None = None
     temperatures: Temperatures | None = None
     values: Values | None = None
     training_scenes: TrainingScenes | None = None

@@ -23,6 +23,7 @@ from deepfsi.design.own import OwnClassifier
 from deepfsi.design.temperatures import Temperatures
 from deepfsi.design.training_data import TrainingScenes
 from deepfsi.design.values import Values
+from deepfsi.design.view_test import SceneModel
 from deepfsi.errors import InputError
 from deepfsi.imports import PATTERN
 from deepfsi.laws import MOST_LAYERS, Light, Readout, SummedReflectance, Widths
@@ -177,6 +178,7 @@ def pack(design: "Design") -> bytes:
         "classifier": classifier.weights if own else classifier.state_dict(),  # type: ignore[dict-item]
         "exposure": design.exposure.weights,
         "distribution": design.distribution.tensors if design.distribution else {},
+        "scenes": design.scenes.tensors if design.scenes else {},
         "temperatures": design.temperatures.tensors if design.temperatures else {},
         "values": values.tensors if values else {},
     }
@@ -255,6 +257,9 @@ def _fields(header: Header, tensors: Mapping[str, Tensor]) -> dict[str, Any]:
     shape = exposure.compared(rails.count, masks * detection.count)
     arrays = {name: each.numpy() for name, each in known.items()}
     distribution = ReadoutDistribution.restored(arrays, *shape) if known else None
+    kept = {name: each.numpy() for name, each in _weights(tensors, "scenes.").items()}
+    pixels = math.prod(header.image_shape)
+    scenes = SceneModel.restored(kept, pixels, len(header.classes) or 1) if kept else None
     held, scale = (_weights(tensors, part) for part in ("temperatures.", "values."))
     parts = {
         "rails": rails,
@@ -262,6 +267,7 @@ def _fields(header: Header, tensors: Mapping[str, Tensor]) -> dict[str, Any]:
         "detection": detection,
         "classifier": classifier,
         "distribution": distribution,
+        "scenes": scenes,
         "temperatures": Temperatures.restored(held, exposure.count_stops(masks)) if held else None,
         "values": Values.restored(header.values, scale) if header.values else None,
     }

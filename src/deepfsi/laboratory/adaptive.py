@@ -42,12 +42,18 @@ class AdaptiveLooks:
         self.shares = tuple(design.settings.shares)
         self.photons: float | None = design.info["job"].get("photons")
         self.decision_s = DECISION_S + DECISION_A_SCENE_S * len(design.prior)
+        self.scenes = design.scene_model
         until = design.settings.until
         self.rule = None if until == 1 else StopRule(threshold=until)
 
     def expose(self, scene: int, conditions: Conditions) -> "AdaptiveExposure":
         """Begin an exposure of a scene."""
         return AdaptiveExposure(self, scene, conditions)
+
+    def lit(self, asked: FrameList) -> np.ndarray:
+        """Pixels of the mask of a look that are ON, (1, N)."""
+        assert asked.masks is not None
+        return asked.masks.astype(float)
 
 
 class AdaptiveExposure:

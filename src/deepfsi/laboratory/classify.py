@@ -15,6 +15,7 @@ import numpy as np
 
 from deepfsi.design.file_content import check_classes
 from deepfsi.design.training_data import was_trained_on
+from deepfsi.design.view_test import Rows, ViewResult, ViewTest
 from deepfsi.errors import InputError
 from deepfsi.files import hash_file
 from deepfsi.hardware.patterns.folder import DESIGN, read_patterns
@@ -48,6 +49,14 @@ UNTESTED = (
     "each class: a scene of something else gets a class, too"
 )
 """Remark on counts of a design without a distribution."""
+
+
+NO_VIEW = (
+    "not tested for how the camera sees the scenes (mirrored, blurred, with stray light), as the "
+    "design's file does not say how those of the training look: learn it again, or record the "
+    "reference target and use `deepfsi camera check`"
+)
+"""Remark on a run of a design without a model of its scenes."""
 
 
 CLICKS = (
@@ -117,7 +126,10 @@ def _replayed(design: str | os.PathLike[str], folder: Path, photons: float | Non
     run = read_live_counts(folder)
     _file_shown(design, run.manifest)
     replayed = replay_run(run, read_looks(folder / "patterns", run.manifest))
-    return ReplayedRun(run.acquisition.exposure_s, tuple(each.answer for each in replayed))
+    views = [each.decisions[-1].view for each in replayed if each.decisions]
+    view = next((each for each in reversed(views) if each), None)
+    answers = tuple(each.answer for each in replayed)
+    return ReplayedRun(run.acquisition.exposure_s, answers, view)
 
 
 def classify_table(
@@ -242,12 +254,14 @@ def _classified(
             f"{forced}"
         )
     found = _consistency(design, counts, usable, budgets)
-    if found is not None and found.refused and not force:
-        raise InputError(f"{found.refusal}; `force` classifies them all the same")
     some = usable.any(axis=1)
     chance, unsure = np.full(len(some), np.nan), np.zeros(len(some), bool)
     if found is not None:
         chance[some], unsure[some] = found.exposures, found.unsure
+    view = _view(design, counts, usable, budgets)
+    for test in (found, view):
+        if test is not None and test.refused and not force:
+            raise InputError(f"{test.refusal}; `force` classifies them all the same")
     chances = design.classify(design.readouts(counts.signal()), budgets[:, None])
     classified = []
     trained = was_trained_on(design.training_scenes, [scene.hash for scene in scenes])
@@ -269,13 +283,26 @@ def _classified(
                 trained_on=trained[place],
             )
         )
-    if counts.gates is None:
-        remarks = (UNTESTED,) if found is None else tuple(found.remarks)
-    else:
-        remarks = _remarks_on_clicks(design, counts, usable, float(budgets[some].mean()))
-    return ClassifiedRun(
-        design.name, design.masks, design.classes, tuple(classified), counts.faults, found, remarks
-    )
+    photons = float(budgets[some].mean())
+    whole = counts.faults, found, _remarks(design, found, view, counts, usable, photons), view
+    return ClassifiedRun(design.name, design.masks, design.classes, tuple(classified), *whole)
+
+
+def _remarks(
+    design: "Design",
+    found: "Consistency | None",
+    view: ViewResult | None,
+    counts: Counts,
+    usable: np.ndarray,
+    photons: float,
+) -> tuple[str, ...]:
+    """Lines for a reader on the tests of the counts, of exposures (S, R) of a mean budget."""
+    if counts.gates is not None:
+        return _remarks_on_clicks(design, counts, usable, photons)
+    said = (UNTESTED,) if found is None else tuple(found.remarks)
+    if view is None:
+        return said if found is None else (*said, NO_VIEW)
+    return (*said, view.remark) if view.remark else said
 
 
 def _remarks_on_clicks(
@@ -303,6 +330,32 @@ def _check_clicks(design: "Design", counts: Counts, photons: float | None, sourc
         )
     if counts.gates is not None and photons is None:
         check_budget_of_clicks(counts.flux, source)
+
+
+def _view(
+    design: "Design", counts: Counts, usable: np.ndarray, budgets: np.ndarray
+) -> ViewResult | None:
+    """Test of how the camera saw scenes with usable exposures (S, R); None where it cannot be."""
+    if design.scenes is None or counts.gates is not None:
+        return None
+    rails = design.rails.stacked.cpu().numpy().astype(float)[..., None, :]
+    labels = design.detection.labels
+    if labels is not None:
+        rails = rails * (labels.cpu().numpy() == np.arange(design.detection.count)[:, None])
+    shape = rails.shape[:-1]  # (rails, m, D)
+    arms = np.arange(shape[0]) if design.light == "two-arm" else np.zeros(shape[0], int)
+    inputs = np.broadcast_to(arms[:, None, None] * shape[2] + np.arange(shape[2]), shape)
+    exposures, often = counts.by_readout(usable), usable.sum(axis=1)
+    signal = counts.signal().sum(axis=1, where=exposures)
+    number = exposures.sum(axis=1)
+    noise = counts.background.clip(min=0) * number + counts.ambient_variance * number**2
+    noise = noise + counts.excess.sum(axis=1, where=exposures)
+    test = ViewTest(design.scenes, design.image_shape)
+    for place in np.flatnonzero(often).tolist():
+        gain = budgets[place] * often[place] / design.summed_reflectance
+        masks = gain * rails.reshape(-1, rails.shape[-1])
+        test.add(Rows(masks, signal[place].ravel(), noise[place].ravel(), inputs.ravel()))
+    return test.result
 
 
 def _consistency(

@@ -10,6 +10,7 @@ from deepfsi.laboratory.score import Score
 
 if TYPE_CHECKING:
     from deepfsi.design.consistency import Consistency
+    from deepfsi.design.view_test import ViewResult
     from deepfsi.hardware.recording.acquisition import Scene
     from deepfsi.laboratory.live.decisions import Decision
     from deepfsi.laboratory.live.looks import LiveLooks
@@ -53,6 +54,7 @@ class ClassifiedRun:
     faults: tuple[Fault, ...]  # of the markers and the light
     consistency: "Consistency | None"  # with the training; none where it was not tested
     remarks: tuple[str, ...]  # on the consistency, for a reader
+    view: "ViewResult | None" = None  # of the camera; none where it was not tested
 
     @property
     def score(self) -> Score:
@@ -68,6 +70,7 @@ class ClassifiedRun:
         return {
             "score": self.score.as_dict(),
             "consistency": None if self.consistency is None else self.consistency.as_dict(),
+            "view": None if self.view is None else self.view.as_dict(),
             "remarks": list(self.remarks),
             "scenes": [scene.as_dict() for scene in self.scenes],
         }
@@ -131,12 +134,14 @@ class ReplayedRun:
 
     exposure_s: float  # of all looks
     scenes: tuple[LiveScene, ...]
+    view: "ViewResult | None" = None  # of the camera; none where it was not tested
 
     def as_dict(self) -> dict[str, Any]:
         """JSON types only."""
         return {
             "live": True,
             "score": score_of(self.scenes).as_dict(),
+            "view": None if self.view is None else self.view.as_dict(),
             "scenes": [scene.as_dict() for scene in self.scenes],
         }
 

@@ -19,6 +19,7 @@ from deepfsi.design.consistency import ReadoutDistribution
 from deepfsi.design.evaluation import scanner_for
 from deepfsi.design.readout_fit import sample_scenes
 from deepfsi.design.temperatures import Temperatures, calibration_budgets
+from deepfsi.design.view_test import SceneModel
 from deepfsi.optics.features import CHUNK
 from deepfsi.training.folds import DOUBT, LEFT_OUT, calibrated, draws_of
 from deepfsi.training.job import Job
@@ -55,11 +56,20 @@ def characterise(
             design.distribution = _distribution(design, scenes, training_set.data.groups)
         else:
             design.distribution = first.distribution
+        if design.exposure.comparable and design.gates is None:
+            design.scenes = first.scenes or _scene_model(design, scenes, training_set.data.groups)
         if design.classes:
             folds = [(fold, several[place]) for fold, several in left_out]
             design.temperatures, test = find_temperatures(design, job, training_set.data, folds)
             if test is not None:
                 design.info["left_out"] = test.as_dict()
+
+
+def _scene_model(design: Design, scenes: Tensor, labels: np.ndarray) -> SceneModel | None:
+    """Model of the scenes (n, N) of classes (n,), if there are enough."""
+    rows = sample_scenes(len(scenes), scenes.shape[1])
+    x = scenes[rows].double().cpu().numpy()
+    return SceneModel.fit(x, labels[rows], len(design.classes) or 1)
 
 
 def find_temperatures(

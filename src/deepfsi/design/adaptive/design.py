@@ -5,6 +5,7 @@ import math
 import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple
@@ -25,6 +26,7 @@ from deepfsi.design.evaluation import Answering, Guess, answering
 from deepfsi.design.file_content import SCHEMA, Info, damaged, is_adaptive, read_content
 from deepfsi.design.published import find_design
 from deepfsi.design.training_data import TrainingScenes
+from deepfsi.design.view_test import SceneModel
 from deepfsi.errors import as_input_error
 from deepfsi.files import DESIGNS, check_ending, write_atomically
 from deepfsi.optics.camera import Camera
@@ -112,6 +114,11 @@ class AdaptiveDesign:
     def detection(self) -> Detection:
         """Detectors on parts of the device."""
         return self.camera.detection(self.image_shape)
+
+    @cached_property
+    def scene_model(self) -> SceneModel | None:
+        """Model of the prior's scenes, against which the view of a camera's runs is tested."""
+        return self.prior.model
 
     def scanner(self) -> Camera:
         """The camera itself: its optics, and its dark counts."""

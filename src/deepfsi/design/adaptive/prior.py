@@ -9,6 +9,7 @@ from threadpoolctl import threadpool_limits
 from torch import Tensor
 
 from deepfsi.design.temperatures import Temperatures
+from deepfsi.design.view_test import FEWEST_OF_A_CLASS, FEWEST_SCENES, SceneModel
 from deepfsi.optics.budget import summed_reflectance
 
 NEIGHBOURS = 3000
@@ -119,6 +120,26 @@ class ScenePrior:
         """Sums (b, C, d) of the coefficients of scenes by weights (b, n), over the classes."""
         parts = zip(weights.split(self.sizes, 1), self.coefficients.split(self.sizes), strict=True)
         return torch.stack([some @ own for some, own in parts], dim=1)
+
+    @property
+    def model(self) -> SceneModel | None:
+        """Normal scenes of each class with the same moments; None of too few scenes."""
+        members = self.members.numpy().astype(float)
+        labels = self.labels.numpy()
+        often = np.bincount(labels, members, minlength=self.classes)
+        if often.sum() < FEWEST_SCENES or often.min() < FEWEST_OF_A_CLASS:
+            return None
+        own = self.coefficients.numpy().astype(float)
+        centres = np.stack([
+            np.average(own[labels == k], axis=0, weights=members[labels == k])
+            for k in range(self.classes)
+        ])  # fmt: skip
+        away = (own - centres[labels]) * np.sqrt(members / (often.sum() - self.classes))[:, None]
+        if members.max() > 1:  # scenes lie about the centres that stand for them
+            away = np.concatenate([away, np.eye(own.shape[1])])
+        components, mean = (each.numpy().astype(float) for each in (self.components, self.mean))
+        square = np.linalg.cholesky(away.T @ away + 1e-9 * np.eye(own.shape[1])).T @ components
+        return SceneModel.of(mean + centres @ components, square, often / often.sum())
 
     @property
     def arrays(self) -> dict[str, np.ndarray]:

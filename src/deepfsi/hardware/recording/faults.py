@@ -25,7 +25,7 @@ MOST_FAULTS = 10_000
 MARKERS = ("missing", "extra", "late", "lost")
 """Faults of the markers; the others are of the light."""
 
-SPOILING = ("dark", "unsteady", "brighter", "flicker", "budget", "gain", "unsure", "unlike")
+SPOILING = ("dark", "unsteady", "brighter", "flicker", "budget", "gain", "unsure", "unlike", "view")
 """Faults that leave a scene's counts without a meaning."""
 
 
@@ -41,11 +41,12 @@ class Fault(Frozen):
     # they share the light as in no scenes of the training. `budget`: there is less light than the
     # design was trained for, or, in a live run, not the stated light. Live runs: `unsure`, the
     # counts of a scene do not look like those of the training; `unlike`, nor do those of several
-    # scenes before
+    # scenes before; `view`, the counts of all scenes so far are as if the picture on the
+    # device were mirrored, blurred or the like
     kind: Literal[
         "missing", "extra", "late", "lost",
         "dark", "unsteady", "brighter", "flicker", "level", "background", "blind", "budget",
-        "gain", "unsure", "unlike",
+        "gain", "unsure", "unlike", "view",
     ]  # fmt: skip
     scene: int | None = None  # Which, from 0; None where no pass is meant
     frame: int | None = None  # Which, from 0; None where no one frame is meant

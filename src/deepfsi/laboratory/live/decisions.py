@@ -23,12 +23,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from deepfsi.design.view_test import Rows, ViewResult, ViewTest
 from deepfsi.errors import InputError
 from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.hardware.patterns.timing import usual_tolerance
 from deepfsi.hardware.recording.acquisition import Acquisition
 from deepfsi.hardware.recording.ambient import dark_frames
-from deepfsi.hardware.recording.faults import Fault
+from deepfsi.hardware.recording.faults import SPOILING, Fault
 from deepfsi.hardware.recording.live_light import LiveLight, ShownFrames
 from deepfsi.hardware.recording.live_settings import MARGIN_NS
 from deepfsi.laboratory.live.looks import AllOn, Conditions, Count, FrameList, LiveLooks
@@ -36,6 +37,9 @@ from deepfsi.laboratory.live.trust import Trust
 
 ON, OFF = 0, 1
 """Places of the all-ON and the all-OFF frame among the frames of a manifest."""
+
+WITHOUT_VIEW = set(SPOILING) - {"unsure", "unlike"}
+"""Faults of a scene whose counts tell nothing of how the camera sees scenes."""
 
 SENTINELS = -1
 """Number of the lists of frames that begin and end each scene."""
@@ -52,6 +56,7 @@ class Decision:
     light_s: float  # exposure so far, seconds
     final: bool  # true if no look follows
     faults: tuple[Fault, ...] = ()  # of the scene, after its last look
+    view: ViewResult | None = None  # of all scenes so far, likewise; none where it is not tested
 
 
 class Observer:
@@ -64,6 +69,9 @@ class Observer:
         self._settings, self._exposure_ns = acquisition.live, round(acquisition.exposure_s * 1e9)
         self._light = LiveLight(manifest, acquisition.inputs, len(acquisition.scenes))
         self._trust = Trust(looks.photons, acquisition)
+        loaded = 0 if manifest.looks.adaptive else len(manifest.shown)
+        scenes, shape = looks.scenes, manifest.image_shape
+        self._view = None if scenes is None else ViewTest(scenes, shape, loaded)
         self._settle_s = acquisition.settle_s
         first = (manifest.frames[place].picture_us * 1000 for place in (ON, OFF))
         settle = acquisition.settle_s + usual_tolerance(manifest)
@@ -103,10 +111,12 @@ class Observer:
             photons, self._exposure_ns, self._settings.shortest_ns, self._light.dark, self._ambient
         ))  # fmt: skip
         looks: list[ShownFrames] = []
+        shown: list[FrameList] = []
         light_ns = 0
         last = len(self.looks.shares) - 1
         for look in range(last + 1):
             asked = exposure.ask(look)
+            shown.append(asked)
             looks.append(self._arrivals(count, asked))
             chances = exposure.take(asked, looks[-1])
             light_ns += int(asked.gate_ns.sum())
@@ -118,10 +128,52 @@ class Observer:
         ends.append(self._arrivals(count, self._sentinels))
         faults = self._light.end([ends[0], *looks, ends[1]])
         on = self._all_on(ends)
-        faults += self._trust.find_faults(
+        doubts = self._trust.find_faults(
             scene, exposure.compare(on), on, self._light, photons, measured
         )
-        yield Decision(*decision, final=True, faults=changes + faults)
+        view = None
+        if not any(each.kind in WITHOUT_VIEW for each in (*faults, *doubts)):
+            view = self._see(photons, shown, looks)
+        if view is not None and view.refused:
+            faults += (Fault(kind="view", scene=scene, detail=view.refusal),)
+        faults += doubts
+        yield Decision(*decision, final=True, faults=changes + faults, view=view)
+
+    def _see(
+        self, photons: float, shown: list[FrameList], looks: list[ShownFrames]
+    ) -> ViewResult | None:
+        """Test of the view of all scenes so far, with the counts of this one."""
+        if self._view is None:
+            return None
+        manifest, arms = self._manifest, self._manifest.inputs // self._manifest.detector_count
+        cells = manifest.detectors and manifest.detectors.cells
+        seen = np.equal.outer(np.arange(manifest.detector_count), np.array(cells or 0))
+        inputs = np.arange(manifest.inputs)
+        parts = []
+        for asked, found in zip(shown, looks, strict=True):
+            share = asked.gate_ns / self._exposure_ns
+            lit = self.looks.lit(asked)
+            both = np.stack([lit, 1 - lit][:arms], axis=1)[:, :, None] * seen  # (F, arms, D, N)
+            gain = photons * share / manifest.summed_reflectance
+            masks = gain[:, None] * both.reshape(-1, lit.shape[-1]).reshape(len(lit), -1)
+            rows = np.searchsorted(manifest.shown, asked.frames)
+            ambient, its_noise = self._ambient[:, rows]
+            counts, variance = found.photons.sum(axis=1), found.variance.sum(axis=1)
+            seconds = (asked.gate_ns * 1e-9)[:, None]
+            dark = (self._light.dark + ambient) * seconds
+            noise = dark.clip(min=0) + its_noise * seconds**2 + (variance - counts).clip(min=0)
+            parts.append(
+                Rows(
+                    masks.reshape(-1, lit.shape[-1]),
+                    (counts - dark).ravel(),
+                    noise.ravel(),
+                    np.tile(inputs, len(lit)),
+                    np.repeat(rows, len(inputs)),
+                    np.repeat(share, len(inputs)),
+                )
+            )
+        self._view.add(Rows.join(parts))
+        return self._view.result
 
     def _arrivals(self, count: Count, asked: FrameList) -> ShownFrames:
         """Photons that arrived in the gates of a list, of those that were counted."""

@@ -8,8 +8,8 @@ from deepfsi.design.file_content import damaged, read_content
 from deepfsi.design.training_data import HASHES, TrainingScenes
 from deepfsi.errors import InputError
 from deepfsi.files import hash_file
-from deepfsi.hardware.patterns.folder import DESIGN, LOOP
-from deepfsi.hardware.patterns.sequence import Manifest
+from deepfsi.hardware.patterns.folder import DESIGN, LOOP, read_patterns
+from deepfsi.hardware.patterns.sequence import Manifest, Patterns
 from deepfsi.hardware.recording.live_light import ShownFrames
 from deepfsi.hardware.recording.readouts import by_readout
 from deepfsi.imports import torch_needed
@@ -27,7 +27,7 @@ def read_looks(folder: Path, manifest: Manifest) -> LiveLooks:
             trained = TrainingScenes.restored(held)
         except ValueError as error:
             raise damaged(folder / DESIGN) from error
-        return KnownMasks(read_loop(folder / LOOP), manifest, trained)
+        return KnownMasks(read_loop(folder / LOOP), read_patterns(folder), trained)
     with torch_needed():
         from deepfsi.design.adaptive.design import AdaptiveDesign
         from deepfsi.laboratory.adaptive import AdaptiveLooks
@@ -50,10 +50,11 @@ class KnownMasks:
     """
 
     def __init__(
-        self, loop: Loop, manifest: Manifest, training_scenes: TrainingScenes | None = None
+        self, loop: Loop, patterns: Patterns, training_scenes: TrainingScenes | None = None
     ) -> None:
-        self.training_scenes = training_scenes
-        header = loop.header
+        header, manifest = loop.header, patterns.manifest
+        self.training_scenes, self.scenes = training_scenes, loop.scenes
+        self._fractions = patterns.fractions
         self.loop, self.classes = loop, header.classes
         self.shares = (1 / header.looks,) * header.looks
         self.photons, self.rule, self.shortest = header.photons, header.rule, header.shortest
@@ -66,6 +67,10 @@ class KnownMasks:
     def expose(self, scene: int, conditions: Conditions) -> "KnownExposure":
         """Begin an exposure of a scene."""
         return KnownExposure(self, conditions)
+
+    def lit(self, asked: FrameList) -> np.ndarray:
+        """Share of each pixel's mirrors that are ON in frames of a look, (F, N)."""
+        return self._fractions[np.searchsorted(self.manifest.shown, asked.frames)]
 
 
 class KnownExposure:

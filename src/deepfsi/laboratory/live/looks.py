@@ -7,6 +7,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from deepfsi.design.training_data import TrainingScenes
+from deepfsi.design.view_test import SceneModel
 from deepfsi.hardware.recording.live_light import ShownFrames
 from deepfsi.hardware.recording.live_settings import StopRule
 from deepfsi.hardware.recording.streaming import FrameCounts
@@ -79,6 +80,10 @@ class LiveLooks(Protocol):
     shortest: float  # dwell that it was made for, a share of the exposure
     decision_s: float  # usual time of a decision on one core, seconds
     training_scenes: TrainingScenes | None  # hashes of the scenes that the design was made with
+    scenes: SceneModel | None  # of the training; none where runs are not tested against it
 
     def expose(self, scene: int, conditions: Conditions) -> LiveExposure:
         """Begin an exposure of a scene."""
+
+    def lit(self, asked: FrameList) -> np.ndarray:
+        """Share of each pixel's mirrors that are ON in frames of a look, (F, N)."""

@@ -16,6 +16,7 @@ from pydantic import Field
 from safetensors.numpy import save
 
 from deepfsi.design.consistency import ReadoutDistribution
+from deepfsi.design.view_test import SceneModel
 from deepfsi.errors import InputError, as_input_error
 from deepfsi.frozen import Frozen
 from deepfsi.hardware.patterns.looks import Looks
@@ -75,6 +76,7 @@ class Loop:
     temperatures: tuple[np.ndarray, np.ndarray] | None = None
     # Of the readouts of training scenes, and of all mirrors ON; none where there were too few
     distribution: ReadoutDistribution | None = None
+    scenes: SceneModel | None = None  # of the training; none where there were too few
 
     def features(self, counts: np.ndarray) -> np.ndarray:
         """Features (k,) of counts (rails, m, D)."""
@@ -143,6 +145,8 @@ class Loop:
             held = self.distribution.arrays.items()
             tensors |= {f"distribution.{name}": each for name, each in held}
         whole = {name: np.asarray(held, np.float32, order="C") for name, held in tensors.items()}
+        if self.scenes is not None:
+            whole |= {f"scenes.{name}": each for name, each in self.scenes.arrays.items()}
         if self.temperatures is not None:
             whole |= dict(zip(TEMPERATURES, self.temperatures, strict=True))
         return save(whole, metadata={"deepfsi-loop": self.header.model_dump_json()})
@@ -166,11 +170,10 @@ def read_loop(path: Path) -> Loop:
 def loop_from(header: LoopHeader, tensors: Mapping[str, np.ndarray]) -> Loop:
     """Loop of tensors as its file names them, or an error where they do not fit its header."""
     inputs = header.features + header.frames
-    known = {
-        name.removeprefix("distribution."): held
-        for name, held in tensors.items()
-        if name.startswith("distribution.")
-    }
+    known, kept = (
+        {name.removeprefix(part): held for name, held in tensors.items() if name.startswith(part)}
+        for part in ("distribution.", "scenes.")
+    )
     readouts = 1, header.rails * header.masks * header.detectors + 1
     loop = Loop(
         header,
@@ -180,6 +183,7 @@ def loop_from(header: LoopHeader, tensors: Mapping[str, np.ndarray]) -> Loop:
         _layers(tensors, "chooser", inputs + 1, header.frames),
         _temperatures(tensors, header.looks) if TEMPERATURES[0] in tensors else None,
         ReadoutDistribution.restored(known, readouts, header.looks) if known else None,
+        SceneModel.restored(kept, kept["rest"].size, len(header.classes)) if kept else None,
     )
     with np.errstate(all="ignore"):  # of weights near the largest number
         _checked(loop.first.astype(np.float32), header.frames)

@@ -1,0 +1,195 @@
+"""Faults of the view in runs of 40 scenes: which are refused or named, and how often sound ones.
+
+    python benchmarks/view.py                      # the table of docs/understand/camera.md
+    python benchmarks/view.py --runs 3 --sound 20  # a short look
+
+Designs are learned on digits at 10^4 photons. The virtual camera shows test scenes with a fault of
+its optics: it counts a recorded run frame by frame, and a live run with all that is said to it. A
+row says of how many runs the fault is refused, after how many scenes in the median, and how many of
+the scenes are right, all of them classified. Sound runs follow.
+"""
+
+import argparse
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+import deepfsi
+from deepfsi.devices import find_device
+from deepfsi.hardware.patterns.folder import export_patterns, read_patterns
+from deepfsi.hardware.patterns.sequence import FrameSettings
+from deepfsi.hardware.recording.acquisition import Scene
+from deepfsi.hardware.recording.tables import TableSettings
+from deepfsi.hardware.virtual.bench import Latencies
+from deepfsi.hardware.virtual.camera import VirtualCamera, arrival_rates
+from deepfsi.laboratory.live.bench import virtual_bench
+from deepfsi.laboratory.live.run import plan_live, run_live
+from deepfsi.laboratory.rails import design_rails
+
+SCENES, PHOTONS, EXPOSURE_S = 40, 1e4, 10e-3
+
+DESIGNS = {
+    "recorded, one detector": {"camera": "dmd", "masks": 16},
+    "recorded, 2 x 2 detectors": {"camera": "dmd-2x2", "masks": 8},
+    "recorded, two arms": {"camera": "two-arm", "masks": 12},
+    "live, 4 looks": {"camera": "dmd", "masks": 12, "exposure": {"looks": 4}},
+    "live, adaptive masks": {"camera": "dmd", "masks": 16, "design": "adaptive"},
+}
+
+FAULTS = (
+    "mirrored left to right",
+    "turned by 180 degrees",
+    "blurred by one cell",
+    "stray light as strong as the scene",
+    "stray light of three times that",
+    "corners with 0.4 of the light",
+    "corners with 0.6 of the light",
+    "two frames exchanged",
+)
+SOUND = "none"
+
+
+@dataclass(frozen=True)
+class Run:
+    """Outcome of a run."""
+
+    refused: bool
+    named: bool
+    after: int  # scenes before it was refused, or all
+    likeliest: str
+    right: int  # of the scenes, all of which are classified
+
+
+def learned(words: dict, folder: Path, epochs: int) -> Path:
+    """Patterns of a design for digits."""
+    data = deepfsi.load_dataset("digits")
+    more = {} if "design" in words else {"training": deepfsi.Training(epochs=epochs)}
+    file = deepfsi.learn(data, photons=PHOTONS, **words, **more).save(folder / "one.safetensors")
+    settings = FrameSettings(find_device("dlp7000"), 1.5e-3)
+    export_patterns(design_rails(file), settings, folder / "patterns")
+    return folder / "patterns"
+
+
+def camera_with(fault: str, patterns: Path, flux: float) -> VirtualCamera:
+    """Virtual camera with a fault of its optics."""
+    manifest = read_patterns(patterns).manifest
+    side = min(manifest.grid.width, manifest.grid.height)
+    optics = {
+        "mirrored left to right": {"view": ((-1, 0, 1), (0, 1, 0), (0, 0, 1))},
+        "turned by 180 degrees": {"view": ((-1, 0, 1), (0, -1, 1), (0, 0, 1))},
+        "blurred by one cell": {"blur": side},
+        "stray light as strong as the scene": {"ambient": flux / manifest.used},
+        "stray light of three times that": {"ambient": 3 * flux / manifest.used},
+        "corners with 0.4 of the light": {"vignetting": 0.6},
+        "corners with 0.6 of the light": {"vignetting": 0.4},
+    }
+    return VirtualCamera.model_validate(optics.get(fault, {}))
+
+
+def recorded(patterns: Path, camera: VirtualCamera, flux: float, seed: int) -> Run:
+    """A recorded run, as a table of the counts of each frame."""
+    data, rng = deepfsi.load_dataset("digits"), np.random.default_rng([seed, 44])
+    chosen = rng.permutation(len(data.x_test))[:SCENES]
+    scenes = data.x_test[chosen].reshape(-1, *data.image_shape)
+    manifest = read_patterns(patterns).manifest
+    rates = arrival_rates(patterns, scenes, camera, flux)
+    gates = manifest.picture_s.copy()
+    gates[manifest.shown] = manifest.shares * EXPOSURE_S
+    counts = rng.poisson(rates * gates[:, None]).reshape(SCENES, -1)
+    with tempfile.TemporaryDirectory() as folder:
+        np.save(Path(folder) / "counts.npy", counts)
+        on = rates[:, 0, : manifest.detector_count].sum(axis=1).mean() * EXPOSURE_S
+        settings = TableSettings(photons=float(on))
+        masks = np.repeat(np.isin(np.arange(len(gates)), manifest.shown), manifest.inputs)
+        np.save(Path(folder) / "counts.npy", counts[:, masks])
+        run = deepfsi.classify_table(patterns, Path(folder) / "counts.npy", settings, force=True)
+    assert run.view is not None
+    right = sum(
+        each.predicted == data.classes[label]
+        for each, label in zip(run.scenes, data.y_test[chosen], strict=True)
+    )
+    view = run.view
+    return Run(view.refused, view.named, SCENES, view.likeliest, right)
+
+
+def live(patterns: Path, camera: VirtualCamera, flux: float, seed: int, swapped: bool) -> Run:
+    """A live run."""
+    data, rng = deepfsi.load_dataset("digits"), np.random.default_rng([seed, 45])
+    chosen = rng.permutation(len(data.x_test))[:SCENES]
+    scenes = tuple(Scene(name=str(k), label=data.classes[data.y_test[k]]) for k in chosen)
+    known = {"flux": flux, "seed": seed, "camera": camera.model_dump(mode="json")}
+    acquisition = plan_live(patterns, scenes, EXPOSURE_S, **known)
+    shown = data.x_test[chosen].reshape(-1, *data.image_shape)
+    devices = virtual_bench(patterns, shown, acquisition, Latencies())
+    if swapped:
+        _exchange(devices.projector, read_patterns(patterns).manifest.shown[[2, 7]])
+    views, right = [], 0
+    with tempfile.TemporaryDirectory() as folder:
+        for each in run_live(Path(folder) / "run", patterns, acquisition, devices):
+            if each.answer is not None and each.decision is not None:
+                views.append(each.decision.view)
+                best = data.classes[each.decision.chances.argmax()]
+                right += best == scenes[each.scene].label
+    after = next((k for k, view in enumerate(views, 1) if view.refused), SCENES)
+    return Run(views[-1].refused, views[-1].named, after, views[-1].likeliest, right)
+
+
+def _exchange(projector: object, pair: np.ndarray) -> None:
+    """Let a projector show two frames each in place of the other."""
+    show = projector.show  # type: ignore[attr-defined]
+
+    def wrong(frames: np.ndarray, dwells_s: np.ndarray) -> None:
+        order = np.arange(frames.max() + 1 + pair.max())
+        order[pair] = pair[::-1]
+        show(order[frames], dwells_s)
+
+    projector.show = wrong  # type: ignore[attr-defined]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--runs", type=int, default=10, help="of each fault")
+    parser.add_argument("--sound", type=int, default=200, help="runs without a fault, of a design")
+    parser.add_argument("--only", default="", help="designs whose titles hold this")
+    parser.add_argument("--epochs", type=int, default=60)
+    parser.add_argument("--seed", type=int, default=0)
+    arguments = parser.parse_args()
+    flux = PHOTONS / EXPOSURE_S
+    for title, words in DESIGNS.items():
+        if arguments.only not in title:
+            continue
+        of_looks, start = title.startswith("live"), time.monotonic()
+        with tempfile.TemporaryDirectory() as folder:
+            patterns = learned(words, Path(folder), arguments.epochs)
+            print(f"{title}\n| fault | refused or named | after | right | likeliest |", flush=True)
+            for row, fault in enumerate((*FAULTS, SOUND)):
+                swapped = fault == "two frames exchanged"
+                if swapped and (not of_looks or "design" in words):
+                    continue  # a recorded run's readouts test it; adaptive masks are one at a time
+                camera = camera_with(fault, patterns, flux)
+                count = arguments.sound if fault == SOUND else arguments.runs
+                seeds = [arguments.seed + 10_000 * row + k for k in range(count)]
+                runs = [
+                    live(patterns, camera, flux, seed, swapped)
+                    if of_looks
+                    else recorded(patterns, camera, flux, seed)
+                    for seed in seeds
+                ]
+                names = [run.likeliest for run in runs]
+                most = max(set(names), key=names.count)
+                share = np.mean([run.right for run in runs]) / SCENES
+                after = f"{np.median([run.after for run in runs]):.0f}" if of_looks else "40"
+                print(
+                    f"| {fault} | {sum(run.named for run in runs)} of {count} "
+                    f"({sum(run.refused for run in runs)} refused) | {after} | {share:.3f} | "
+                    f"{most} ({names.count(most)}) |",
+                    flush=True,
+                )
+        print(f"{time.monotonic() - start:.0f} s\n", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,465 @@
+"""Test of a run: whether the camera sees its scenes as the training did.
+
+A picture that is mirrored, blurred, shifted or mixed with stray light cannot be told from another
+scene by one exposure. Over a run it can: the counts behind all masks are then far likelier for the
+scenes of the training *seen so* than for those scenes as they are.
+
+Scenes of a class are taken to be normal about the class's mean scene, with one covariance for all
+classes (`SceneModel`); their counts behind any masks, with photon noise, are then normal, too. The
+evidence for a fault of the view is the ratio of the likelihoods of all counts with and without it,
+where the share of each class in the run is learned, scene after scene, from the counts themselves.
+The mean of the ratios over `views` exceeds 1 / `FALSE_ALARM` in a sound run, whenever one looks,
+with a chance of at most `FALSE_ALARM` (Ville 1939; Shafer and Vovk's test martingales), as far as
+the model holds. Each scene must be another one. Where one scene, shown again and again, explains
+the counts as well, the fault is named and the run is not refused.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
+from itertools import combinations
+from math import log
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import ndimage
+from scipy.linalg import eigh
+from scipy.special import logsumexp
+
+if TYPE_CHECKING:  # live runs do without torch
+    from torch import Tensor
+
+FALSE_ALARM = 0.005
+"""Chance, at most, that a sound run is refused, whatever its length."""
+
+MOST_AXES = 40
+"""Principal axes of the scenes about their classes' means that are kept."""
+
+SCENES_OF_AN_AXIS = 5
+"""Training scenes that each axis needs."""
+
+FEWEST_SCENES, FEWEST_OF_A_CLASS = 100, 20
+"""Training scenes in all, and of each class, from which on runs can be tested."""
+
+FREE_BRIGHTNESS = 0.3
+"""Standard deviation of the brightness of a scene that is allowed beyond that of the training."""
+
+FREE_GAIN = 0.03
+"""The same of the efficiency of each detector."""
+
+MOST_EXCHANGED = 24
+"""Frames, at most, of which each two are tried exchanged."""
+
+MOST_NAMED = 3
+"""Faults that a remark lists at most."""
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Sizes of faults."""
+
+    blurs: tuple[float, ...]  # cells, standard deviation
+    stray: tuple[float, ...]  # stray light over the scenes' light
+    corners: tuple[float, ...]  # light that the corners lose
+    shifts: tuple[float, ...]  # over the frame's side
+    tilts: tuple[float, ...]  # half of the difference of light between two sides, over the mean
+
+
+FAULTY = Sizes((1.0, 2.0), (0.5, 1.0, 3.0), (0.4, 0.7), (1 / 16,), (0.4,))
+"""Sizes that are looked for."""
+
+HARMLESS = Sizes((0.5,), (0.2,), (0.2,), (1 / 40,), (0.15,))
+"""Sizes that are let pass: a run is refused only if none of these explains its counts."""
+
+Images = np.ndarray
+"""Scenes as images (..., h, w)."""
+
+
+@dataclass(frozen=True)
+class View:
+    """Fault in how a camera sees scenes."""
+
+    words: str  # "... of the picture on the device"
+    see: Callable[[Images], Images]  # linear in the scenes
+    stray: float = 0.0  # even light beside that of the scenes, over their mean light
+
+
+def views(image_shape: tuple[int, ...], sizes: Sizes = FAULTY) -> tuple[View, ...]:
+    """Faults that are looked for in scenes of a shape; masks of one axis are images of one row."""
+    height, width = _rows(image_shape)
+    flat = height == 1
+    across, down = (
+        np.linspace(-1, 1, size) if size > 1 else np.zeros(1) for size in (width, height)
+    )
+    down = down[:, None]
+    radius = (across**2 + down**2) / (1 if flat else 2)
+    sides = {"right": (0, 1), "left": (0, -1), "bottom": (1, 0), "top": (-1, 0)}
+    return (
+        *[
+            View(f"blurred by about {cells:g} cells (standard deviation)", _blur(cells, flat))
+            for cells in sizes.blurs
+        ],
+        *[
+            View(f"mixed with stray light of about {share:g} of the scenes'", lambda x: x, share)
+            for share in sizes.stray
+        ],
+        *[
+            View(f"darker at its corners, to about {1 - lost:g}", _times(1 - lost * radius))
+            for lost in sizes.corners
+        ],
+        *[
+            View(
+                f"lit unevenly, brighter at the {side}",
+                _times(1 + tilt * (dy * down + dx * across)),
+            )
+            for tilt in sizes.tilts
+            for side, (dy, dx) in sides.items()
+            if dx or not flat
+        ],
+        *[
+            View(f"shifted to the {side}", _shift(dy * share * height, dx * share * width))
+            for share in sizes.shifts
+            for side, (dy, dx) in sides.items()
+            if dx or not flat
+        ],
+    )
+
+
+def motions(image_shape: tuple[int, ...]) -> tuple[View, ...]:
+    """Orientations, other than that of the training, in which scenes may lie."""
+    height, width = _rows(image_shape)
+    found = [View("mirrored left to right", lambda x: x[..., ::-1])]
+    if height > 1:
+        found += [
+            View("mirrored top to bottom", lambda x: x[..., ::-1, :]),
+            View("turned by 180 degrees", lambda x: x[..., ::-1, ::-1]),
+        ]
+    if height == width:
+        found += [
+            View("turned by 90 degrees", lambda x: x[..., ::-1, :].swapaxes(-1, -2)),
+            View("turned by 270 degrees", lambda x: x.swapaxes(-1, -2)[..., ::-1, :]),
+            View("mirrored at its falling diagonal", lambda x: x.swapaxes(-1, -2)),
+            View("mirrored at its rising diagonal", lambda x: x[..., ::-1, ::-1].swapaxes(-1, -2)),
+        ]
+    return tuple(found)
+
+
+def _rows(image_shape: tuple[int, ...]) -> tuple[int, int]:
+    height, width = (1, *image_shape)[-2:]
+    return height, width
+
+
+def _blur(cells: float, flat: bool) -> Callable[[Images], Images]:
+    def see(x: Images) -> Images:
+        sigma = (*[0.0] * (x.ndim - 2), 0.0 if flat else cells, cells)
+        return np.asarray(ndimage.gaussian_filter(x, sigma, mode="constant"))
+
+    return see
+
+
+def _times(light: np.ndarray) -> Callable[[Images], Images]:
+    return lambda x: x * light
+
+
+def _shift(down: float, across: float) -> Callable[[Images], Images]:
+    def see(x: Images) -> Images:
+        return np.asarray(ndimage.shift(x, (*[0.0] * (x.ndim - 2), down, across), order=1))
+
+    return see
+
+
+@dataclass(frozen=True)
+class SceneModel:
+    """Scenes of the training: the mean of each class, and how scenes lie about it."""
+
+    # (C, N): Mean scene of each class, reflectance
+    means: np.ndarray
+    # (d, N): Principal axes of one standard deviation each, of all classes together
+    axes: np.ndarray
+    rest: np.ndarray  # (N,): Variance of each pixel beyond these
+    shares: np.ndarray  # (C,): of each class in the training
+
+    @classmethod
+    def fit(cls, x: np.ndarray, labels: np.ndarray, classes: int) -> "SceneModel | None":
+        """Model of scenes (n, N) of classes (n,), or None where there are too few."""
+        sizes = np.bincount(labels, minlength=classes)
+        if len(x) < FEWEST_SCENES or sizes.min() < FEWEST_OF_A_CLASS:
+            return None
+        means = np.stack([x[labels == k].mean(axis=0, dtype=float) for k in range(classes)])
+        away = np.asarray(x, float) - means[labels]
+        axes = min(MOST_AXES, len(x) // SCENES_OF_AN_AXIS)
+        return cls.of(means, away / np.sqrt(len(x) - classes), sizes / len(x), axes)
+
+    @classmethod
+    def of(
+        cls, means: np.ndarray, away: np.ndarray, shares: np.ndarray, axes: int = MOST_AXES
+    ) -> "SceneModel":
+        """Model of class means (C, N), and of rows (n, N) whose squares sum to the covariance."""
+        count = min(axes, len(away), away.shape[1])
+        wide = away.shape[1] > len(away)
+        square = away @ away.T if wide else away.T @ away
+        last = len(square) - 1
+        values, vectors = eigh(square, subset_by_index=[last + 1 - count, last])
+        found = vectors.T @ away if wide else (vectors * np.sqrt(values.clip(min=0))).T
+        rest = ((away**2).sum(axis=0) - (found**2).sum(axis=0)).clip(min=0)
+        return cls(*(each.astype(np.float16) for each in (means, found[::-1], rest, shares)))
+
+    @property
+    def tensors(self) -> "dict[str, Tensor]":
+        """Fields by name, as a design file takes them."""
+        from torch import from_numpy
+
+        return {name: from_numpy(held.copy()) for name, held in self.arrays.items()}
+
+    @property
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Fields by name."""
+        return dict(vars(self))
+
+    @classmethod
+    def restored(cls, arrays: Mapping[str, np.ndarray], pixels: int, classes: int) -> "SceneModel":
+        """Model from a file, or `ValueError` if it holds none of such scenes."""
+        shapes = {"means": (classes, pixels), "rest": (pixels,), "shares": (classes,)}
+        shapes["axes"] = (len(arrays["axes"]), pixels)
+        if {name: held.shape for name, held in arrays.items()} != shapes:
+            raise ValueError("the model of the scenes is not of these masks")
+        if not all(np.isfinite(held).all() for held in arrays.values()):
+            raise ValueError("the model of the scenes is not finite")
+        if min(arrays["rest"].min(), arrays["shares"].min()) < 0 or not arrays["means"].any():
+            raise ValueError("the model of the scenes is none")
+        return cls(**arrays)
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Counts of one scene, readout by readout."""
+
+    # (k, N): Counts that each pixel of reflectance 1 gives to each readout
+    masks: np.ndarray
+    counts: np.ndarray  # (k,): less what is no scene's
+    noise: np.ndarray  # (k,): variance beyond that of the scene's own photons
+    inputs: np.ndarray  # (k,): detector that counted each
+    # (k,): Frame that was shown, where two may be exchanged, and for what share of the exposure
+    frames: np.ndarray | None = None
+    dwells: np.ndarray | None = None
+
+    @classmethod
+    def join(cls, parts: "list[Rows]") -> "Rows":
+        """Counts of several looks at one scene."""
+        names = [part.name for part in fields(cls)]
+        return cls(*(np.concatenate([getattr(each, name) for each in parts]) for name in names))
+
+
+@dataclass(frozen=True)
+class ViewResult:
+    """Evidence of a run for each fault of the view."""
+
+    scenes: int
+    faults: tuple[str, ...]  # in words: "the picture on the device is ..."
+    odds: np.ndarray  # (V,): logarithm of the likelihood with each fault, over that without
+    before: np.ndarray  # (V,): logarithm of the chance of each, of those that are looked for
+    alike: float = 0.0  # as `odds`, at least 0, if all scenes were one and the same, seen soundly
+    ever: bool = False  # true if the run was refused after fewer scenes already
+
+    @property
+    def evidence(self) -> float:
+        """Logarithm of the mean of the likelihood ratios."""
+        return float(logsumexp(self.odds + self.before))
+
+    @property
+    def named(self) -> bool:
+        """True if so much evidence is in fewer than `FALSE_ALARM` of sound runs of many scenes."""
+        return self.refused or self.evidence > -log(FALSE_ALARM)
+
+    @property
+    def refused(self) -> bool:
+        """True if no one scene, shown again and again, explains the counts either."""
+        return self.ever or self.evidence - self.alike > -log(FALSE_ALARM)
+
+    @property
+    def likeliest(self) -> str:
+        """The fault that explains the counts best, in words."""
+        return self.faults[int((self.odds + self.before).argmax())]
+
+    @property
+    def refusal(self) -> str:
+        """Words on the fault, and on what to do."""
+        alike = "" if self.refused else ", or all are one and the same"
+        return (
+            f"over {self.scenes} scenes the counts are as if the picture on the device were "
+            f"{self.likeliest}, or the scenes differ from those of the training{alike} (evidence "
+            f"10^{self.evidence / np.log(10):.1f}; a sound run reaches {1 / FALSE_ALARM:g} once in "
+            f"as many): record the reference target and use `deepfsi camera check`"
+        )
+
+    @property
+    def open(self) -> dict[str, float]:
+        """Faults that this run does not exclude, and from how many scenes on it would; or inf."""
+        needed = -log(FALSE_ALARM)
+        held = zip(self.faults, self.odds.tolist(), strict=True)
+        return {
+            words: self.scenes * needed / -odds if odds < 0 else np.inf
+            for words, odds in held
+            if odds > -needed
+        }
+
+    @property
+    def remark(self) -> str | None:
+        """Words on the fault, or on faults that stay possible; None where there are none."""
+        if self.named:
+            return self.refusal
+        left = self.open
+        if not left:
+            return None
+        known = [scenes for scenes in left.values() if np.isfinite(scenes)]
+        enough = f"about {max(known):.0f} scenes would" if known else "more light or scenes would"
+        shown = list(left)[:MOST_NAMED]
+        more = f" or {len(left) - len(shown)} others" if len(left) > len(shown) else ""
+        return (
+            f"{self.scenes} scenes do not exclude that the picture on the device is "
+            f"{' or '.join(shown)}{more}: {enough}, or a recording of the reference target "
+            "(`deepfsi camera check`)"
+        )
+
+    def as_dict(self) -> dict[str, object]:
+        """JSON types only."""
+        return {
+            "refused": bool(self.refused),
+            "named": bool(self.named),
+            "false_alarms": FALSE_ALARM,
+            "scenes": self.scenes,
+            "evidence": self.evidence,
+            "likeliest": self.likeliest,
+            "log_odds": dict(zip(self.faults, self.odds.tolist(), strict=True)),
+            "open": list(self.open),
+        }
+
+
+class ViewTest:
+    """Test of a run, scene after scene.
+
+    Parameters
+    ----------
+    model : SceneModel
+    image_shape : tuple of int
+    frames : int
+        Frames that are loaded once and shown to every scene, of which two may be exchanged; 0 of
+        masks that are made for each scene.
+    """
+
+    def __init__(self, model: SceneModel, image_shape: tuple[int, ...], frames: int = 0) -> None:
+        known = (*motions(image_shape), *views(image_shape))
+        sound, shape = views(image_shape, HARMLESS), _rows(image_shape)
+        means, axes = (np.asarray(each, float) for each in (model.means, model.axes))
+        shares = np.asarray(model.shares, float)
+        self._shares = shares / shares.sum()
+        self._rest = np.asarray(model.rest, float)
+        mean, count = self._shares @ means, len(means)
+        own = np.concatenate([means, axes])
+        seen = [own]
+        for view in (*sound, *known):
+            image = view.see(own.reshape(len(own), *shape)).reshape(own.shape)
+            image = image * (mean.sum() / (self._shares @ image[:count]).sum())
+            image[:count] += view.stray * mean.mean()
+            # The all-ON frames that measure the light see the stray light, too
+            seen.append(image / (1 + view.stray))
+        # The same freedom whatever the view: brightness alone speaks for none
+        free = [FREE_BRIGHTNESS * self._shares @ each[None, :count] for each in seen]
+        self._seen = np.stack([np.concatenate(pair) for pair in zip(seen, free, strict=True)])
+        self._mean, self._classes = mean, count
+        pairs = list(combinations(range(frames), 2)) if frames <= MOST_EXCHANGED else []
+        self._pairs = np.array(pairs, int).reshape(-1, 2)
+        self._faults = (
+            *(view.words for view in known),
+            *(f"of masks whose frames {i} and {j} were exchanged" for i, j in pairs),
+        )
+        # Every view is as likely before as another, and so are all exchanges together
+        each = 1 / (len(known) + bool(pairs))
+        self._before = np.log([each] * len(known) + [each / max(len(pairs), 1)] * len(pairs))
+        self._sound = 1 + len(sound)  # views that are let pass, the first that of the training
+        # Scenes of each class so far, as a Dirichlet law of the shares has them
+        every = self._sound + len(self._faults)
+        self._often, self._log = np.tile(self._shares * count, (every, 1)), np.zeros(every)
+        self._scenes, self._refused = 0, False
+        self._all_alike = _AllAlike(self._shares)
+
+    def add(self, rows: Rows) -> None:
+        """Take in the counts of another scene."""
+        expected = rows.masks @ self._mean
+        noise = expected.clip(min=0) + rows.noise + rows.masks**2 @ self._rest
+        kept = expected > 0
+        if not kept.any():
+            return
+        scale = 1 / np.sqrt(np.maximum(noise[kept], 1e-12))
+        seen = self._seen @ rows.masks[kept].T  # (V, C + axes, k)
+        seen = np.concatenate([seen, self._exchanged(seen[0], rows, kept)]) * scale
+        away = rows.counts[kept] * scale - seen[:, : self._classes]
+        gains = rows.inputs[kept, None] == np.unique(rows.inputs)
+        free = (FREE_GAIN * (expected[kept] * scale)[:, None] * gains).T
+        axes = np.concatenate(
+            [seen[:, self._classes :], np.broadcast_to(free, (len(seen), *free.shape))], axis=1
+        )
+        precision = np.eye(axes.shape[1]) + axes @ axes.swapaxes(1, 2)
+        along, squares = away @ axes.swapaxes(1, 2), (away**2).sum(axis=2)
+        logs = _log_densities(precision, along, squares)
+        often = self._often
+        chances = logs + np.log(often / often.sum(axis=1, keepdims=True))
+        whole = logsumexp(chances, axis=1)
+        self._log += whole
+        self._often = often + np.exp(chances - whole[:, None])
+        self._scenes += 1
+        self._all_alike.add(precision[0], along[0], squares[0])
+        self._refused |= self.result.refused
+
+    def _exchanged(self, seen: np.ndarray, rows: Rows, kept: np.ndarray) -> np.ndarray:
+        """Light (P, C + axes, k) behind masks of which two frames are exchanged."""
+        out = np.repeat(seen[None], len(self._pairs), axis=0)
+        if rows.frames is None or rows.dwells is None:
+            return out
+        frames, inputs, dwells = rows.frames[kept], rows.inputs[kept], rows.dwells[kept]
+        places = {pair: at for at, pair in enumerate(zip(frames, inputs, strict=True))}
+        for swapped, (one, other) in zip(out, self._pairs.tolist(), strict=True):
+            for first, second in ((one, other), (other, one)):
+                for at in np.flatnonzero(frames == first).tolist():
+                    source = places.get((second, inputs[at]))
+                    if source is not None:
+                        swapped[:, at] = seen[:, source] * (dwells[at] / dwells[source])
+        return out
+
+    @property
+    def result(self) -> ViewResult:
+        """Evidence of the scenes so far."""
+        sound = float(self._log[: self._sound].max())
+        alike = max(self._all_alike.log - sound, 0.0) if self._scenes else 0.0
+        odds = self._log[self._sound :] - sound
+        return ViewResult(self._scenes, self._faults, odds, self._before, alike, self._refused)
+
+
+def _log_densities(precision: np.ndarray, along: np.ndarray, squares: np.ndarray) -> np.ndarray:
+    """Logarithms (..., C) of normal densities, from what scenes change (..., d, d) and (..., C, d).
+
+    The covariance is that of the noise, 1 a readout, and of the axes: Woodbury's identity.
+    """
+    factor = np.linalg.cholesky(precision)
+    solved = np.linalg.solve(factor, along.swapaxes(-1, -2))
+    half = np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(axis=-1)
+    return np.asarray(-(squares - (solved**2).sum(axis=-2)) / 2 - half[..., None])
+
+
+class _AllAlike:
+    """Likelihood of all counts of a run if every scene were the same one, seen as in training."""
+
+    def __init__(self, shares: np.ndarray) -> None:
+        self._shares = shares
+        self._parts: list[np.ndarray] = []
+
+    def add(self, precision: np.ndarray, along: np.ndarray, squares: np.ndarray) -> None:
+        """Take in a scene: what scenes change of its counts, as `_log_densities` has it."""
+        own = [precision - np.eye(len(precision)), along, squares]
+        self._parts = [a + b for a, b in zip(self._parts, own, strict=True)] if self._parts else own
+
+    @property
+    def log(self) -> float:
+        """Its logarithm."""
+        precision, along, squares = self._parts
+        logs = _log_densities(precision + np.eye(len(precision)), along, squares)
+        return float(logsumexp(logs + np.log(self._shares)))
