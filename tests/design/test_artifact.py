@@ -53,7 +53,7 @@ def test_a_design_trained_with_others_saves_only_itself(digits, tmp_path):
     jobs = [job(masks=5, photons=photons, **RECIPE) for photons in (1e3, 1e5)]
     for design in train(TrainingSet(digits, "cpu"), jobs):
         path = design.save(tmp_path / "design.safetensors")
-        assert path.stat().st_size < 20_000
+        assert path.stat().st_size < 25_000
         assert torch.equal(Design.load(path).rails.stacked, design.rails.stacked)
 
 

@@ -155,10 +155,10 @@ def test_few_scenes_make_no_model(digits):
 def test_the_file_of_a_design_keeps_the_model_and_one_without_reads(digits, tmp_path):
     design = quick(digits, masks=4, epochs=1, photons=1e4)
     again = Design.load(design.save(tmp_path / "one.safetensors"))
-    for name, held in design.scenes.arrays.items():
-        np.testing.assert_array_equal(again.scenes.arrays[name], held)
-    design.scenes = None
-    assert Design.load(design.save(tmp_path / "old.safetensors")).scenes is None
+    for name, held in design.scene_model.arrays.items():
+        np.testing.assert_array_equal(again.scene_model.arrays[name], held)
+    design.scene_model = None
+    assert Design.load(design.save(tmp_path / "old.safetensors")).scene_model is None
 
 
 def test_a_spectrum_is_a_picture_of_one_row():

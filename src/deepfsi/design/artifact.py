@@ -48,8 +48,7 @@ class Design:
     classifier : nn.Module
         Inputs, as the exposure makes them of features (..., m), to logits (..., C).
     mean, std : tensor, shape (k,)
-        Mean and standard deviation of the features y / Φ, fixed at the end of training. There are
-        k = m of one detector that reads the difference of two rails; see `detection`.
+        Of the features y / Φ; k = m of one detector that reads the difference of two rails.
     shares : tensor, shape (k,)
         Share of the budget that is counted for each feature, in the training mean.
     summed_reflectance : float
@@ -65,10 +64,8 @@ class Design:
         Detectors on parts of the device, and what is read of two rails.
     info : dict
         Provenance: how it was trained, on which data, with which versions. JSON types only.
-    distribution : ReadoutDistribution, optional
-        Of the readouts of training scenes: what `consistency` tests counts against.
-    scenes : SceneModel, optional
-        Scenes of the training, by class: what the view of a camera's runs is tested against.
+    distribution, scene_model : ReadoutDistribution and SceneModel, optional
+        Of the training: what `consistency`, and the view of a camera's runs, are tested against.
     temperatures : Temperatures, optional
         What divides the logits at each budget, so that probabilities are those of being right.
     values : Values, optional
@@ -81,8 +78,6 @@ class Design:
     >>> import deepfsi
     >>> few = deepfsi.Training(epochs=1)
     >>> design = deepfsi.learn("digits", camera="paper", photons=1e4, masks=6, training=few)
-    >>> design.matrix.shape
-    (6, 64)
     >>> design.classify(np.full((2, 6), 50), photons=1e4).shape  # counts of both rails
     (10,)
     """
@@ -101,7 +96,7 @@ class Design:
     detection: Detection = ONE
     info: dict[str, Any] = field(default_factory=dict)
     distribution: ReadoutDistribution | None = None
-    scenes: SceneModel | None = None
+    scene_model: SceneModel | None = None
     temperatures: Temperatures | None = None
     values: Values | None = None
     training_scenes: TrainingScenes | None = None

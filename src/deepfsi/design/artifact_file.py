@@ -178,7 +178,7 @@ def pack(design: "Design") -> bytes:
         "classifier": classifier.weights if own else classifier.state_dict(),  # type: ignore[dict-item]
         "exposure": design.exposure.weights,
         "distribution": design.distribution.tensors if design.distribution else {},
-        "scenes": design.scenes.tensors if design.scenes else {},
+        "scenes": design.scene_model.tensors if design.scene_model else {},
         "temperatures": design.temperatures.tensors if design.temperatures else {},
         "values": values.tensors if values else {},
     }
@@ -259,7 +259,7 @@ def _fields(header: Header, tensors: Mapping[str, Tensor]) -> dict[str, Any]:
     distribution = ReadoutDistribution.restored(arrays, *shape) if known else None
     kept = {name: each.numpy() for name, each in _weights(tensors, "scenes.").items()}
     pixels = math.prod(header.image_shape)
-    scenes = SceneModel.restored(kept, pixels, len(header.classes) or 1) if kept else None
+    model = SceneModel.restored(kept, pixels, len(header.classes) or 1) if kept else None
     held, scale = (_weights(tensors, part) for part in ("temperatures.", "values."))
     parts = {
         "rails": rails,
@@ -267,7 +267,7 @@ def _fields(header: Header, tensors: Mapping[str, Tensor]) -> dict[str, Any]:
         "detection": detection,
         "classifier": classifier,
         "distribution": distribution,
-        "scenes": scenes,
+        "scene_model": model,
         "temperatures": Temperatures.restored(held, exposure.count_stops(masks)) if held else None,
         "values": Values.restored(header.values, scale) if header.values else None,
     }

@@ -42,7 +42,7 @@ class AdaptiveLooks:
         self.shares = tuple(design.settings.shares)
         self.photons: float | None = design.info["job"].get("photons")
         self.decision_s = DECISION_S + DECISION_A_SCENE_S * len(design.prior)
-        self.scenes = design.scene_model
+        self.scene_model = design.scene_model
         until = design.settings.until
         self.rule = None if until == 1 else StopRule(threshold=until)
 

@@ -336,7 +336,7 @@ def _view(
     design: "Design", counts: Counts, usable: np.ndarray, budgets: np.ndarray
 ) -> ViewResult | None:
     """Test of how the camera saw scenes with usable exposures (S, R); None where it cannot be."""
-    if design.scenes is None or counts.gates is not None:
+    if design.scene_model is None or counts.gates is not None:
         return None
     rails = design.rails.stacked.cpu().numpy().astype(float)[..., None, :]
     labels = design.detection.labels
@@ -350,7 +350,7 @@ def _view(
     number = exposures.sum(axis=1)
     noise = counts.background.clip(min=0) * number + counts.ambient_variance * number**2
     noise = noise + counts.excess.sum(axis=1, where=exposures)
-    test = ViewTest(design.scenes, design.image_shape)
+    test = ViewTest(design.scene_model, design.image_shape)
     for place in np.flatnonzero(often).tolist():
         gain = budgets[place] * often[place] / design.summed_reflectance
         masks = gain * rails.reshape(-1, rails.shape[-1])

@@ -57,7 +57,9 @@ def characterise(
         else:
             design.distribution = first.distribution
         if design.exposure.comparable and design.gates is None:
-            design.scenes = first.scenes or _scene_model(design, scenes, training_set.data.groups)
+            design.scene_model = first.scene_model or _scene_model(
+                design, scenes, training_set.data.groups
+            )
         if design.classes:
             folds = [(fold, several[place]) for fold, several in left_out]
             design.temperatures, test = find_temperatures(design, job, training_set.data, folds)

@@ -70,8 +70,8 @@ class Observer:
         self._light = LiveLight(manifest, acquisition.inputs, len(acquisition.scenes))
         self._trust = Trust(looks.photons, acquisition)
         loaded = 0 if manifest.looks.adaptive else len(manifest.shown)
-        scenes, shape = looks.scenes, manifest.image_shape
-        self._view = None if scenes is None else ViewTest(scenes, shape, loaded)
+        known, shape = looks.scene_model, manifest.image_shape
+        self._view = None if known is None else ViewTest(known, shape, loaded)
         self._settle_s = acquisition.settle_s
         first = (manifest.frames[place].picture_us * 1000 for place in (ON, OFF))
         settle = acquisition.settle_s + usual_tolerance(manifest)

@@ -53,7 +53,7 @@ class KnownMasks:
         self, loop: Loop, patterns: Patterns, training_scenes: TrainingScenes | None = None
     ) -> None:
         header, manifest = loop.header, patterns.manifest
-        self.training_scenes, self.scenes = training_scenes, loop.scenes
+        self.training_scenes, self.scene_model = training_scenes, loop.scene_model
         self._fractions = patterns.fractions
         self.loop, self.classes = loop, header.classes
         self.shares = (1 / header.looks,) * header.looks

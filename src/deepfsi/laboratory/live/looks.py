@@ -80,7 +80,7 @@ class LiveLooks(Protocol):
     shortest: float  # dwell that it was made for, a share of the exposure
     decision_s: float  # usual time of a decision on one core, seconds
     training_scenes: TrainingScenes | None  # hashes of the scenes that the design was made with
-    scenes: SceneModel | None  # of the training; none where runs are not tested against it
+    scene_model: SceneModel | None  # of the training; none where runs are not tested against it
 
     def expose(self, scene: int, conditions: Conditions) -> LiveExposure:
         """Begin an exposure of a scene."""

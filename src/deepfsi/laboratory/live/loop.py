@@ -76,7 +76,7 @@ class Loop:
     temperatures: tuple[np.ndarray, np.ndarray] | None = None
     # Of the readouts of training scenes, and of all mirrors ON; none where there were too few
     distribution: ReadoutDistribution | None = None
-    scenes: SceneModel | None = None  # of the training; none where there were too few
+    scene_model: SceneModel | None = None  # of the training; none where there were too few
 
     def features(self, counts: np.ndarray) -> np.ndarray:
         """Features (k,) of counts (rails, m, D)."""
@@ -145,8 +145,8 @@ class Loop:
             held = self.distribution.arrays.items()
             tensors |= {f"distribution.{name}": each for name, each in held}
         whole = {name: np.asarray(held, np.float32, order="C") for name, held in tensors.items()}
-        if self.scenes is not None:
-            whole |= {f"scenes.{name}": each for name, each in self.scenes.arrays.items()}
+        if self.scene_model is not None:
+            whole |= {f"scenes.{name}": each for name, each in self.scene_model.arrays.items()}
         if self.temperatures is not None:
             whole |= dict(zip(TEMPERATURES, self.temperatures, strict=True))
         return save(whole, metadata={"deepfsi-loop": self.header.model_dump_json()})
