@@ -149,7 +149,7 @@ def _print_classes(found: "ClassifiedRun") -> None:
 
 
 def _agreeing(scene: "ClassifiedScene") -> str:
-    """How many exposures of a scene have its class."""
+    """Number of exposures of a scene that have its class."""
     if not scene.predicted:
         return ""
     return f"{scene.guesses.count(scene.predicted)} of {scene.exposures}"
