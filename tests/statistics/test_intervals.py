@@ -10,6 +10,7 @@ from deepfsi.statistics.intervals import (
     balanced,
     balanced_terms,
     over_images,
+    seeds_error,
     student,
     wilson,
     worst_of,
@@ -79,6 +80,17 @@ def test_seeds_alone_or_images_alone_are_not_enough():
     wide = [crossed(rng, 1000, 3, 0.8) for _ in range(300)]
     images = np.mean([low <= 0.8 <= high for _, low, high in (accuracy(s.mean(0)) for s in wide)])
     assert images < 0.6
+
+
+def test_images_and_draws_count_once_where_trainings_are_alike():
+    """Then (S − 1) spread / crossed is χ² of S − 1: below it, 0.632 of three alike trainings."""
+    rng = np.random.default_rng(0)
+    none = [seeds_error(rng.binomial(3, 0.8, (3, 200)) / 3) == 0 for _ in range(1000)]
+    assert np.mean(none) == pytest.approx(
+        stats.chi2.cdf(2, 2), abs=5 * (0.632 * 0.368 / 1000) ** 0.5
+    )
+    apart = 0.8 + 0.1 * np.array([[-1], [0], [1]]) + np.zeros((3, 50))
+    assert seeds_error(apart) == pytest.approx(0.1 / 3**0.5)
 
 
 def test_every_class_counts_alike():

@@ -200,7 +200,7 @@ class _Answers:
         return min(costs)[1]
 
     def estimate(self, values: np.ndarray) -> Estimate:
-        """Mean of values (E,), normal over the images as the trials; Wilson's if true or false."""
+        """Mean of values (E,), normal over the images; of true or false `accuracy`'s."""
         each = np.bincount(self.images, values) / np.bincount(self.images)
         mean, count = float(each.mean()), len(each)
         if values.dtype == bool:
