@@ -6,7 +6,7 @@ from scipy import stats
 
 from deepfsi.statistics.intervals import accuracy, balanced, student
 from deepfsi.statistics.terms import pack, unpack
-from deepfsi.sweeps.summary import summarise
+from deepfsi.sweeps.summary import mean_lit_masks, summarise
 from shared.trials import small
 
 
@@ -206,3 +206,9 @@ def test_images_are_kept_of_the_chosen_masks_alone(digits):
     right = np.ones(len(digits.y_test))
     records = [with_images(record(1e3, m, 0, m / 10, 0.5), right) for m in (3, 6)]
     assert [(p.masks, bool(p.terms)) for p in summary(digits, records)] == [(3, False), (6, True)]
+
+
+def test_lit_masks_are_those_that_get_light_in_the_mean_over_trials():
+    tests = [{"photons_per_mask": [3.0, 0.0, 1e-9]}, {"photons_per_mask": [1.0, 2.0, 3.0]}]
+    assert mean_lit_masks(tests) == 2.5
+    assert mean_lit_masks([*tests, {}]) is None  # a record of an earlier version does not say

@@ -444,7 +444,8 @@ def _mask_panel(
     if lit <= MASKS_SHOWN:
         shown = f"all {masks} masks" if masks > 1 else "its one mask"
     if lit < masks:
-        shown = f"{min(lit, MASKS_SHOWN)} masks; of {lit_text(masks, lit)}"
+        most = "the brightest " if lit > MASKS_SHOWN else "these "
+        shown = f"{lit_text(masks, lit)}; {most}{min(lit, MASKS_SHOWN)}"
     drawn, words = masks_figure(rails, shape, count=MASKS_SHOWN), f"Masks learned at {where}"
     values, said = values_figure(rails), f"Histogram of the mask values learned at {where}."
     end, counted = peak(signed(rails)), share_text(point.throughput)

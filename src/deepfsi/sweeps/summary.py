@@ -172,7 +172,7 @@ def point(
         title=code.title,
         specific=code.specific,
         learned=code.learned,
-        lit=_lit(tests),
+        lit=mean_lit_masks(tests),
         ratio=axes["masks"] / pixels,
         trials=len(tests),
         validation=float(np.mean([v[chosen_by] for v in validated])) if validated else None,
@@ -192,7 +192,7 @@ def point(
     )
 
 
-def _lit(tests: Sequence[Mapping[str, Any]]) -> float | None:
+def mean_lit_masks(tests: Sequence[Mapping[str, Any]]) -> float | None:
     """Masks that have light, in the mean over trials; None where a record does not say."""
     light = [test.get("photons_per_mask", ()) for test in tests]
     return float(np.mean([np.count_nonzero(each) for each in light])) if all(light) else None
