@@ -1,5 +1,7 @@
 """Names, paths and tuples are told apart; digits."""
 
+import zipfile
+
 import numpy as np
 import pytest
 from dataset_samples import X, Y, refused
@@ -91,3 +93,22 @@ def test_other_content_behind_a_name_is_named(tmp_path, name, content, said):
     (tmp_path / "a_gt.npy").write_bytes(content)
     with refused(name if name != "a.npy" else "a", *([said] if name != "a.csv" else [])):
         load_dataset(tmp_path / name)
+
+
+@pytest.mark.parametrize("name", ["a.npz", "a.zip"])
+def test_a_cut_zip_file_is_named_so(tmp_path, name):
+    with zipfile.ZipFile(tmp_path / name, "w") as file:
+        file.writestr("x.npy", bytes(1000))
+    (tmp_path / name).write_bytes((tmp_path / name).read_bytes()[:500])
+    with refused(name, "it is cut or damaged"):
+        load_dataset(tmp_path / name)
+
+
+def test_an_npz_file_of_pictures_is_refused(tmp_path):
+    with zipfile.ZipFile(tmp_path / "a.npz", "w") as file:
+        file.writestr("cat/000.png", b"\x89PNG")
+    with refused("cannot read", "a.npz/cat/000.png", "numpy.savez"):
+        load_dataset(tmp_path / "a.npz")
+    (tmp_path / "b.npz").mkdir()
+    with refused("b.npz has no sub-folders"):
+        load_dataset(tmp_path / "b.npz")

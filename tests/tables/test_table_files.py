@@ -345,7 +345,8 @@ def test_strings_of_matlab_stand_beside_numbers(tmp_path, packed, order):
 def test_every_type_of_matlab_is_read(tmp_path, version, kind):
     values = (VALUES % 100 > 50) if kind is bool else (VALUES % 100).astype(kind)
     savemat(tmp_path / "C.MAT", {"counts": values}, format=version)
-    assert np.array_equal(read_table(tmp_path / "C.MAT").values, values)
+    for source in (tmp_path / "C.MAT", f"{tmp_path}/C.MAT:counts"):
+        assert np.array_equal(read_table(source).values, values)
 
 
 def test_what_matlab_has_besides_full_numbers_is_named(tmp_path):

@@ -73,7 +73,7 @@ def camera_describe(
         print(f"camera file: {template}; then: deepfsi camera describe {template}")
         return
     name = "dmd" if source is None else str(source)
-    if name in PRESETS or name.endswith(".toml") or not Path(name).exists():
+    if name in PRESETS or name.lower().endswith(".toml") or not Path(name).exists():
         found = Camera.load(name, **settings)
     else:
         found = camera_of(name, **settings)
@@ -198,7 +198,7 @@ def camera_count(
     from deepfsi.laboratory.camera import camera_of, clicks_of, dead_time_of
     from deepfsi.laboratory.live.replay import check_as_it_was, count_live, is_live
 
-    if folder.suffix == ".ptu":
+    if folder.suffix.lower() == ".ptu":
         raise InputError(
             f"{folder} is a photon file without patterns: give the folder of an acquisition, or "
             "use `deepfsi camera transits` for scenes that pass a pattern"
@@ -420,7 +420,7 @@ def find_camera(name: str | None, source: Path, settings: dict[str, Any]) -> "Vi
         return virtual_of(camera_of(source, **settings)) if described else CAMERAS["pmt"]
     if name in CAMERAS:
         return CAMERAS[name]
-    if not name.endswith(".toml"):
+    if not name.lower().endswith(".toml"):
         raise InputError(f"unknown camera {name!r}: {closest(name, CAMERAS)}; or give a TOML file")
     with as_input_error():
         return VirtualCamera.model_validate(read_toml(name))

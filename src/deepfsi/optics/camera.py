@@ -82,7 +82,7 @@ def _detectors(given: Any) -> str | tuple[int, ...]:
 def _device(given: Any) -> Any:
     if not isinstance(given, str):
         return given
-    if not given.endswith(".toml"):
+    if not given.lower().endswith(".toml"):
         return find_device(given)
     path = Path(given)
     with as_input_error(given):
@@ -299,7 +299,7 @@ class Camera(Settings):
                     f"{name or 'a camera'} has an unknown key {field!r}: "
                     f"{closest(field, cls.model_fields)}"
                 )
-        with as_input_error(name if name.endswith(".toml") else ""):
+        with as_input_error(name if name.lower().endswith(".toml") else ""):
             return cls.model_validate(fields)
 
     @classmethod
@@ -432,14 +432,14 @@ def _fields(source: CameraSource) -> dict[str, Any]:
             f"a camera cannot be {source!r}: give a preset's name, a TOML file or its fields"
         )
     name = "dmd" if source is None else os.fspath(source)
-    if not name.endswith(".toml"):
+    if not name.lower().endswith(".toml"):
         check_known("camera", name, PRESETS)
         return dict(PRESETS[name])
     path = Path(name)
     fields = read_toml(path)
     for field in ("detectors", "device"):  # files are named from where the camera's file is
         value = fields.get(field)
-        if isinstance(value, str) and value.endswith((".npy", ".toml")):
+        if isinstance(value, str) and value.lower().endswith((".npy", ".toml")):
             fields[field] = str(path.parent / value)
     return fields
 

@@ -14,7 +14,7 @@ Detectors = str | Sequence[int] | np.ndarray
 
 def read_detectors(name: str) -> str | tuple[int, ...]:
     """Detectors of an option or a recipe: a map (N,) of a .npy file, any other name as it is."""
-    if not name.endswith(".npy"):
+    if not name.lower().endswith(".npy"):
         return name.lower()
     labels = read_npy(Path(name))
     if labels.dtype.kind not in "iu":

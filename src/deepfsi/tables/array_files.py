@@ -59,9 +59,9 @@ UNCOMPRESSED = "save it uncompressed, or as a .npy file"
 def split_variable(source: str) -> tuple[Path, str]:
     """Path and variable of FILE or FILE:VARIABLE."""
     for suffix in VARIABLES:
-        name, found, variable = source.rpartition(f"{suffix}:")
-        if found and not Path(source).exists():
-            return Path(name + suffix), variable
+        end = source.lower().rfind(f"{suffix}:") + len(suffix)
+        if end >= len(suffix) and not Path(source).exists():
+            return Path(source[:end]), source[end + 1 :]
     return Path(source), ""
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from deepfsi.errors import InputError
 from deepfsi.tables.array_files import VARIABLES, read_array, split_variable
+from deepfsi.tables.text_files import spelling
 
 if TYPE_CHECKING:
     from deepfsi.tables.columns import Columns
@@ -50,7 +51,7 @@ def read_table(source: str | Path, words: Sequence[str] = ()) -> Table:
     if isinstance(columns, np.ndarray):
         return Table(_finite(columns.astype(np.float64), path))
     said_words = {
-        name: tuple("" if each is None else str(each).strip() for each in columns.cells(place))
+        name: tuple("" if one is None else spelling(str(one)) for one in columns.cells(place))
         for place, name in enumerate(columns.names)
         if name in words
     }

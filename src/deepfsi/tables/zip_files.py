@@ -22,8 +22,10 @@ def open_zip(path: Path, advice: str) -> Iterator[zipfile.ZipFile]:
         try:
             archive = zipfile.ZipFile(file)
         except Exception as error:  # zipfile raises almost anything on a damaged directory
+            kind = content_of(path)
+            held = "it is cut or damaged" if "a zip file" in kind else f"it holds {kind}"
             raise InputError(
-                f"cannot read {path} as a zip file ({error}); it holds {content_of(path)}; {advice}"
+                f"cannot read {path} as a zip file ({error}); {held}; {advice}"
             ) from None
         with archive:
             size = sum(info.file_size for info in archive.infolist())
