@@ -13,9 +13,9 @@ from deepfsi.laboratory.data import data_of
 from deepfsi.statistics.intervals import accuracy
 from deepfsi.statistics.terms import unpack
 from deepfsi.sweeps.forecast import forecast_cost
+from deepfsi.sweeps.recipe_check import check_recipe
 from deepfsi.sweeps.results import write_results
 from deepfsi.sweeps.run import check_kept, compare
-from deepfsi.sweeps.trial import mask_faults
 from shared.trials import small
 
 FEW = {"designs": "deepfsi", "photons": 1e3, "masks": 3, "training": {"epochs": 1}, "folds": None}
@@ -61,7 +61,18 @@ def test_one_test_part_where_it_is_large_or_asked_for(few, digits):
     assert len(small(folds=3).parts(digits)) == 3
     own = few.hold_out()
     assert small(folds=None).parts(own) == [own]
-    assert "leave `folds` out" in "".join(mask_faults(small(folds=3), own))
+    with pytest.raises(InputError, match="leave `folds` out"):
+        check_recipe({"folds": 3, "masks": 3}, lambda _: own)
+    with pytest.raises(InputError, match="60 folds of 20 scenes"):
+        check_recipe({"folds": 60, "masks": 3}, lambda _: few)
+
+
+def test_as_many_folds_as_are_asked_for(few, tmp_path):
+    recipe, data = check_recipe(small(**{**FEW, "folds": 3}).model_dump(), lambda _: few)
+    results, records = compare(recipe, data, tmp_path, command="deepfsi")
+    assert (results.data.folds, results.data.test, len(records)) == (3, 60, 3)
+    (point,) = results.points
+    assert len(unpack(point.terms[0])) == 60
 
 
 def test_a_design_of_a_fold_is_tested_on_the_scenes_of_its_fold(few, tmp_path):

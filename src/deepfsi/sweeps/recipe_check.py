@@ -37,7 +37,7 @@ def check_recipe(
         recipe = recipe.model_copy(update={"designs": (*recipe.designs, "custom")})
     data = None if lost & SOURCE else _loaded(recipe, load, found)
     if data is not None:
-        found += mask_faults(recipe, data)
+        found += _fold_faults(recipe, data)
         found += [] if lost & OPTICS else trial_faults(recipe, data, matrix)
     if found or data is None:
         raise InputError("; ".join(found))
@@ -60,6 +60,15 @@ def with_adaptive(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = Non
         return recipe
     had = count_trials(more, data, matrix) > count_trials(recipe, data, matrix)
     return more if had and not trial_faults(more, data, matrix) else recipe
+
+
+def _fold_faults(recipe: Recipe, data: Dataset) -> list[str]:
+    """Folds that the data cannot have, or what the first that has any lacks."""
+    try:
+        each = [mask_faults(recipe, part) for part in recipe.parts(data)]
+    except InputError as error:
+        return [str(error), *mask_faults(recipe, data)]
+    return next((faults for faults in each if faults), [])
 
 
 def _loaded(recipe: Recipe, load: Callable[[Recipe], Dataset], found: list[str]) -> Dataset | None:

@@ -108,12 +108,11 @@ def mask_faults(recipe: Recipe, data: Dataset) -> list[str]:
         for count in recipe.masks
         if count > data.pixels
     ]
-    try:
-        for part in recipe.parts(data):
-            if recipe.held_out(part):
-                part.hold_out(recipe.held_out(part))
-    except InputError as error:
-        faults.append(str(error))
+    if recipe.held_out(data):
+        try:
+            data.hold_out(recipe.held_out(data))
+        except InputError as error:
+            faults.append(str(error))
     return faults
 
 
