@@ -143,6 +143,7 @@ def test_a_list_is_the_same_from_every_program(images, tmp_path, encoding, separ
         (("nan", "inf"), ("inf", "nan")),
         (("cafe\u0301", "tea "), ("caf\u00e9", "tea")),
         (("a", "A"), ("A", "a")),  # letters to be read
+        ((' "a, b"', '"c\nd"'), ("a, b", "c d")),
     ],
 )
 def test_words_that_python_takes_for_numbers_are_classes(images, tmp_path, labels, classes):
@@ -153,12 +154,15 @@ def test_words_that_python_takes_for_numbers_are_classes(images, tmp_path, label
 @pytest.mark.parametrize(
     ("labels", "said"),
     [
-        (("1.0", "2.0"), "if they are classes, write them without a point, 1 and not 1.0"),
+        (("1.0", "2.0"), "if they are classes, write one column of words or of numbers"),
         (("1e0", "2e0"), "if they are values, write their name over the column"),
         (("cat", "Cat"), "'Cat' and 'cat' differ in case"),
         (("big cat", "big  cat"), "differ in case, blanks"),
         (("cat", "cat."), "or a dot alone"),
         (("01", "1"), "zeros"),
+        (("a", "a\u200b"), "differ in"),
+        (("fi", "\ufb01"), "differ in"),
+        (("0,1", "1,0"), "a single 1 in each row, as of classes in one-hot form"),
         (("0.5", "NA"), "no finite number ('NA')"),
         (("0.5", "#DIV/0!"), "no finite number ('#DIV/0!')"),
     ],

@@ -97,6 +97,7 @@ def test_columns_of_words_stand_apart(tmp_path):
         "a;b\n1,0;2,0\n3,0;4,0\n",  # Excel where a comma is the point
         "a\tb\t\r1,0\t2e0\t\r3.\t+4\t\r",  # of an old Mac
         '"a, b";c\n"1";" 2"\n3;4\n',
+        '"1,0";"2,0"\n"3,0";"4,0"\n',
         "a,b\n1,2,\n3,4,\n",
     ],
 )

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
+from unicodedata import category, normalize
 
 import numpy as np
 import numpy.typing as npt
@@ -234,7 +235,7 @@ def check_no_classes(
         said = f"whole numbers written as floats ({kinds}{', …' * (len(distinct) > 4)})"
     elif not single and set(distinct) == {0, 1} and (values.sum(axis=1) == 1).all():
         said = "a single 1 in each row, as of classes in one-hot form"
-        for_classes = "give the place of each 1 as an integer (`y.argmax(axis=1)`)"
+        for_classes = "give one label, such as the place of the 1 (`y.argmax(axis=1)`)"
     else:
         return
     raise InputError(
@@ -337,10 +338,11 @@ def _class_names(
 
 
 def _check_spellings(names: Sequence[str], name: str) -> None:
-    """Raise `InputError` for two names that are one but for blanks, case, zeros or a last dot."""
+    """Raise `InputError` for names that differ in blanks, case, zeros or a last dot alone."""
     by_key: dict[str, str] = {}
     for each in names:
-        key = " ".join(spelling(each).split()).rstrip(". ")
+        plain = "".join(one for one in normalize("NFKC", each) if category(one) != "Cf")
+        key = " ".join(plain.split()).rstrip(". ")
         key = key.casefold() if len(key) > 1 else key  # letters to be read may be large or small
         key = str(int(key)) if is_whole(key) else key
         if (other := by_key.setdefault(key, each)) != each:

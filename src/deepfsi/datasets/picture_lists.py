@@ -64,11 +64,11 @@ def list_labels(path: Path) -> tuple[list[tuple[Path, Label]], tuple[str, ...]]:
         raise InputError(f"{path} names no image: {LIST_ADVICE}")
     values = _values_of(answers, rows, path)
     named = bool(heading) and heading[0].lower() not in LABEL_HEADS
-    if values and len(heading or answers[0]) == len(values[0]) == 1 and not named:
+    if values and (len(values[0]) > 1 or not named):
         check_no_classes(
             np.array(values),
             str(path),
-            "write them without a point, 1 and not 1.0",
+            "write one column of words or of numbers without a point, 1 and not 1.0",
             "write their name over the column",
         )
     labels: Sequence[Label] = values or [spelling(label) for [label] in answers]

@@ -157,6 +157,7 @@ def read_text_columns(path: Path) -> TextColumns:
     """Cells of a text file, and the names of its columns if its first line has some."""
     text = read_text(path, LARGEST_FILE, "give a table of text", WINDOWS)
     text, separator, _ = separated(text, SEPARATORS)
+    written = separator
     if '"' in text:
         cells = csv.reader(io.StringIO(text), delimiter=separator, skipinitialspace=True)
         text = "\n".join("\x1f".join(row).replace("\n", " ") for row in cells)
@@ -185,7 +186,7 @@ def read_text_columns(path: Path) -> TextColumns:
         )
     flat = rows.explode().str.strip_chars()
     with_comma = flat.filter(flat.str.contains(",", literal=True))
-    comma = has_decimal_commas(with_comma.head(MOST_COLUMNS), separator)
+    comma = has_decimal_commas(with_comma.head(MOST_COLUMNS), written)
     if comma:
         flat = flat.str.replace(r"^([^,.]*),([^,.]*)$", "${1}.${2}")
     heads = flat[:width].to_list()

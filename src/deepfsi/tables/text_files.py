@@ -76,12 +76,13 @@ def read_rows(path: Path, largest: int, advice: str) -> Rows:
     text = read_text(path, largest, advice, WINDOWS)
     text, separator, skipped = separated(text, ";\t,")
     lines = ["" if re.match(r"#($|\s)", line) else line for line in text.split("\n")]
-    reader = csv.reader(io.StringIO("\n".join(lines), newline=""), delimiter=separator, strict=True)
+    source = io.StringIO("\n".join(lines), newline="")
+    reader = csv.reader(source, delimiter=separator, skipinitialspace=True, strict=True)
     cells, places = [], []
     try:
         for row in reader:
             if any(cell.strip() for cell in row):
-                cells.append([cell.strip() for cell in row])
+                cells.append([cell.strip().replace("\n", " ") for cell in row])
                 places.append(reader.line_num + skipped)
     except csv.Error as error:
         raise InputError(f"{path}, line {reader.line_num + skipped}: {error}; {advice}") from None
