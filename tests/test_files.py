@@ -1,5 +1,6 @@
 """Files are written whole or not at all, and text is read as any editor saves it."""
 
+import json
 import os
 import subprocess
 import sys
@@ -10,11 +11,13 @@ from deepfsi.errors import InputError
 from deepfsi.files import (
     WINDOWS,
     GrowingFile,
+    check_readable,
     check_room,
     content_of,
     new_folder,
     read_text,
     read_toml,
+    readable,
     remove_drafts,
     write_atomically,
 )
@@ -178,3 +181,23 @@ def test_what_is_no_text_is_one_line(tmp_path, content):
     with pytest.raises(InputError, match="not text in UTF-8: save it again") as error:
         read_text(tmp_path / "file", 100, "save it again", WINDOWS)
     assert "\n" not in str(error.value)
+
+
+NAMES = [b"s\xff", b"two\nlines", b" a ", b"-a", b"=1+1", "é".encode() * 127, b"x" * 255]
+"""Names that files may have."""
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_files_of_any_name_are_written(tmp_path, name):
+    """Also of the longest, whose draft has a longer name, and which may be cut within a letter."""
+    path = write_atomically(tmp_path / os.fsdecode(name), b"content")
+    assert os.listdir(os.fsencode(tmp_path)) == [name]
+    assert path.read_bytes() == b"content"
+    assert json.loads(json.dumps(readable(path.name)).encode()) == readable(path.name)
+
+
+def test_a_name_that_is_not_utf_8_is_told_as_it_can_be(tmp_path):
+    assert readable(os.fsdecode(b"s\xff.png")) == r"s\xff.png"
+    assert check_readable("é") == readable("é") == "é"
+    with pytest.raises(InputError, match=r"the name a/s\\xff is not UTF-8: rename"):
+        check_readable(os.fsdecode(b"a/s\xff"))

@@ -1,12 +1,13 @@
 """Scenes are written as pictures for a display, and pictures read back."""
 
+import os
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from deepfsi.datasets import read_display, write_display
+from deepfsi.datasets import load_dataset, read_display, write_display
 from deepfsi.errors import InputError
 
 
@@ -43,3 +44,17 @@ def test_one_picture_or_a_plain_folder_is_read(tmp_path):
     assert read_display(tmp_path / "1.png").x.shape == (1, 4, 6)
     with pytest.raises(InputError, match="no picture"):
         read_display(tmp_path / "2.png")
+
+
+def test_names_that_are_not_utf_8_are_told_as_text(tmp_path):
+    """Of pictures, of the folders of classes; a path that a design would keep is refused."""
+    odd = os.fsdecode(b"c\xff")
+    for place in (odd, "b"):
+        (tmp_path / place).mkdir()
+        for number in range(6):
+            picture = np.random.default_rng(number).integers(0, 255, (4, 4), dtype=np.uint8)
+            Image.fromarray(picture).save(tmp_path / place / f"{number}{odd}.png")
+    assert read_display(tmp_path).names[-1] == r"c\xff/5c\xff.png"
+    assert load_dataset(tmp_path).classes == ("b", r"c\xff")
+    with pytest.raises(InputError, match=r"c\\xff is not UTF-8: rename the file or folder"):
+        load_dataset(tmp_path / odd)

@@ -1,11 +1,13 @@
 """Worker processes say how far they are."""
 
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 from deepfsi.sweeps.workers import processes, report_of_task
-from shared.waiting import until
+from shared.waiting import PATIENCE, until
 
 
 def halfway(folder: Path, task: int) -> int:
@@ -33,3 +35,17 @@ def test_shares_of_running_tasks_are_seen_before_one_ends(tmp_path):
 
 def test_a_task_in_no_worker_reports_to_nobody():
     report_of_task()(0.5)
+
+
+SCRIPT = """
+from operator import add
+from deepfsi.sweeps.workers import processes
+print("once", sorted(processes(add, 10, [1, 2, 3], 2)), flush=True)
+"""
+
+
+def test_workers_do_not_run_a_script_again_that_has_no_main_guard():
+    """From standard input, where there is not even a file to run."""
+    words = {"input": SCRIPT, "capture_output": True, "text": True, "timeout": PATIENCE}
+    done = subprocess.run([sys.executable, "-"], check=False, **words)
+    assert (done.stdout, done.stderr) == ("once [11, 12, 13]\n", "")

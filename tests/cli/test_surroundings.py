@@ -1,0 +1,45 @@
+"""What a shell, a notebook and a disk put around a command changes nothing that it does."""
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+from deepfsi.cli import common, paths
+from deepfsi.errors import InputError
+from shared.disks import nearly_full
+
+
+def test_figures_are_drawn_whatever_matplotlib_is_told(made, tmp_path):
+    """A backend and a LaTeX that are not there, no home, a console of letters alone."""
+    made("pca", "free-dwell", "single").save(tmp_path / "d.safetensors")
+    (tmp_path / "matplotlibrc").write_text("text.usetex: True\nbackend: Qt4Agg\n")
+    around = {"MPLBACKEND": "module://no_such_backend", "MPLCONFIGDIR": str(tmp_path)}
+    around |= {"HOME": "/nonexistent", "PYTHONIOENCODING": "ascii", "COLUMNS": "nonsense"}
+    words = ["show", str(tmp_path / "d.safetensors"), "-o", str(tmp_path / "s.png")]
+    done = subprocess.run(
+        [sys.executable, "-m", "deepfsi", *words],
+        env=os.environ | around,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert (tmp_path / "s.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_full_disk_is_said_before_the_work(tmp_path):
+    with nearly_full(1000), pytest.raises(InputError, match=r"cannot write to .*: File"):
+        paths.check_new_folder(tmp_path / "run")
+    paths.check_new_folder(tmp_path / "run")
+    assert not [*tmp_path.iterdir()]
+
+
+def test_json_of_a_path_that_is_not_utf_8_can_be_read(capsys):
+    common.print_json("show", {"picture": os.fsdecode(b"s\xff.png"), "size": 0.1, "é": "𝄞"})
+    found = json.loads(capsys.readouterr().out.encode())
+    assert found == {
+        "schema": "deepfsi.show/1", "picture": r"s\xff.png", "size": 0.1, "é": "𝄞",
+    }  # fmt: skip
