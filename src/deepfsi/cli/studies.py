@@ -361,9 +361,14 @@ def _print_matrix(results: "Results") -> None:
         f"{results.data.chance:.3f}\n± half of the 95 % interval: "
         + "; ".join(dict.fromkeys(p.covers for p in best))
     )
-    uneven = max((abs(p.accuracy - (p.balanced or p.accuracy)) for p in best), default=0.0)
-    if results.data.measure == "accuracy" and uneven >= UNEVEN:
-        print("each class counting alike the accuracies are others: the report has them")
+    uneven = max(best, key=lambda p: abs(p.accuracy - (p.balanced or p.accuracy)))
+    if results.data.measure == "accuracy" and abs(uneven.accuracy - uneven.balanced) >= UNEVEN:
+        worst = common.worst_class(uneven.worst, results.data.classes[uneven.worst_class])
+        print(
+            f"each class counting alike, {uneven.title} at {common.budget(uneven.photons)} photons "
+            f"has a balanced accuracy of {uneven.balanced:.3f}, worst class {worst}; the report "
+            "has those of all"
+        )
     if results.data.values:
         _value_by_value(results, best)
 
