@@ -361,16 +361,21 @@ def _print_matrix(results: "Results") -> None:
         f"{results.data.chance:.3f}\n± half of the 95 % interval: "
         + "; ".join(dict.fromkeys(p.covers for p in best))
     )
-    uneven = max(best, key=lambda p: abs(p.accuracy - (p.balanced or p.accuracy)))
-    if results.data.measure == "accuracy" and abs(uneven.accuracy - uneven.balanced) >= UNEVEN:
+    uneven = max(best, key=_unevenness)
+    if _unevenness(uneven) >= UNEVEN:
         worst = common.worst_class(uneven.worst, results.data.classes[uneven.worst_class])
         print(
             f"each class counting alike, {uneven.title} at {common.budget(uneven.photons)} photons "
-            f"has a balanced accuracy of {uneven.balanced:.3f}, worst class {worst}; the report "
-            "has those of all"
+            f"has a balanced accuracy of {uneven.balanced or 0:.3f}, worst class {worst}; the "
+            "report has those of all"
         )
     if results.data.values:
         _value_by_value(results, best)
+
+
+def _unevenness(point: "Point") -> float:
+    """Difference of an accuracy from the balanced one; 0 where there is none, as of values."""
+    return 0.0 if point.balanced is None else abs(point.accuracy - point.balanced)
 
 
 def _value_by_value(results: "Results", best: "list[Point]") -> None:
