@@ -70,6 +70,11 @@ def test_types_that_are_not_read_are_named(tmp_path, values, kind, said):
         read_display(tmp_path / "a.tif")
 
 
+def test_unsigned_integers_of_32_bits_are_unsigned(tmp_path):
+    (tmp_path / "a.tif").write_bytes(tiff(np.array([[0, 2**31, 2**32 - 1]], np.uint32), 1))
+    assert read_display(tmp_path / "a.tif").x[0] == pytest.approx(np.array([[0, 0.5, 1]]))
+
+
 @pytest.mark.parametrize("kind", ["u1", "u2", "f4"])
 def test_0_for_white_is_turned_or_refused(tmp_path, kind):
     values = np.linspace(0, 1, 6).reshape(2, 3)

@@ -1,5 +1,6 @@
 """Masks of one's own, from everything that holds them."""
 
+import struct
 import subprocess
 import sys
 
@@ -160,3 +161,17 @@ def test_a_small_file_of_a_large_matrix_is_refused(tmp_path, monkeypatch):
     for name in ("m.mat", "m.tif"):
         with pytest.raises(InputError, match="20"):
             read_matrix(f"{tmp_path}/{name}")
+
+
+@pytest.mark.parametrize(
+    ("bits", "kind", "photometric", "said"),
+    [(64, 3, 1, "64-bit floats, which is not read"), (16, 1, 0, "has 0 for white")],
+)
+def test_what_a_tiff_says_of_its_levels_is_not_ignored(tmp_path, bits, kind, photometric, said):
+    fields = {256: 1, 257: 1, 258: bits, 259: 1, 262: photometric, 273: 134, 277: 1, 278: 1}
+    fields |= {279: bits // 8, 339: kind}
+    entries = b"".join(struct.pack("<HHII", tag, 4, 1, value) for tag, value in fields.items())
+    head = struct.pack("<2sHIH", b"II", 42, 8, len(fields))
+    (tmp_path / "a.tif").write_bytes(head + entries + bytes(4 + bits // 8))
+    with pytest.raises(InputError, match=said):
+        read_matrix(str(tmp_path / "a.tif"))

@@ -144,7 +144,11 @@ def _values(image: "PillowImage", where: str) -> npt.NDArray[Any]:
         return np.asarray(image)
     if image.mode != "I" and not image.mode.startswith("I;16"):
         return np.asarray(image.convert("L"))
-    return np.asarray(image).astype(np.int64)
+    levels = np.asarray(image).astype(np.int64)
+    tags = getattr(image, "tag_v2", {})
+    if tags.get(BITS_TAG) == (32,) and tags.get(KIND_TAG, (1,)) == (1,):
+        return levels & 0xFFFFFFFF  # unsigned, of which Pillow makes signed ones
+    return levels
 
 
 def check_levels(image: "PillowImage", where: str) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deepfsi.datasets.decoding import check_levels
+from deepfsi.datasets.decoding import check_levels, unread_kind
 from deepfsi.datasets.deep_colours import is_deep
 from deepfsi.errors import InputError
 from deepfsi.files import check_unpacked, open_regular
@@ -80,7 +80,7 @@ def _kind(page: np.ndarray) -> str:
 
 def _pages(file: Path) -> Iterator[np.ndarray]:
     """Every page of an image as (H, W), in the levels of its file."""
-    from PIL import Image, ImageSequence
+    from PIL import Image, ImageSequence, UnidentifiedImageError
 
     try:
         with warnings.catch_warnings():
@@ -108,5 +108,9 @@ def _pages(file: Path) -> Iterator[np.ndarray]:
                         yield np.asarray(page if page.mode in ("1", "F") else page.convert("L"))
     except InputError:
         raise
+    except UnidentifiedImageError:
+        with open_regular(file) as stream:
+            kind = unread_kind(stream)
+        raise InputError(f"cannot read the image {file} ({kind}): replace it") from None
     except Exception as error:  # Pillow's decoders raise almost anything on a damaged file
         raise InputError(f"cannot read the image {file} ({error}): replace it") from None
