@@ -98,8 +98,8 @@ class LeftOutTest:
     Only the temperatures were fitted to these scenes. A design keeps this in its `info`.
     """
 
-    scenes: int
-    accuracy: float
+    scenes: int  # that were left out, and answered
+    accuracy: float  # share of their exposures that are answered rightly
     log_loss: float  # mean −ln of the probability of the true class, in nats, with temperatures
     uncalibrated_log_loss: float  # the same without them
     # The same of an answer that gives each class its share of the training scenes
