@@ -13,11 +13,11 @@ from shared.disks import nearly_full
 
 
 def test_figures_are_drawn_whatever_matplotlib_is_told(made, tmp_path):
-    """A backend and a LaTeX that are not there, no home, a console of letters alone."""
+    """A backend and a LaTeX that are not there, a console of letters alone."""
     made("pca", "free-dwell", "single").save(tmp_path / "d.safetensors")
     (tmp_path / "matplotlibrc").write_text("text.usetex: True\nbackend: Qt4Agg\n")
-    around = {"MPLBACKEND": "module://no_such_backend", "MPLCONFIGDIR": str(tmp_path)}
-    around |= {"HOME": "/nonexistent", "PYTHONIOENCODING": "ascii", "COLUMNS": "nonsense"}
+    around = {"MPLBACKEND": "module://no_such_backend", "MATPLOTLIBRC": str(tmp_path)}
+    around |= {"PYTHONIOENCODING": "ascii", "COLUMNS": "nonsense"}
     words = ["show", str(tmp_path / "d.safetensors"), "-o", str(tmp_path / "s.png")]
     done = subprocess.run(
         [sys.executable, "-m", "deepfsi", *words],
@@ -43,3 +43,26 @@ def test_json_of_a_path_that_is_not_utf_8_can_be_read(capsys):
     assert found == {
         "schema": "deepfsi.show/1", "picture": r"s\xff.png", "size": 0.1, "é": "𝄞",
     }  # fmt: skip
+
+
+def run(words, folder, **streams):
+    command = [sys.executable, "-m", "deepfsi", *words]
+    return subprocess.run(command, cwd=folder, check=False, text=True, **streams)
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs /dev/full")
+def test_a_full_disk_takes_no_output_and_the_exit_code_says_so(tmp_path):
+    with open("/dev/full", "w") as full:
+        done = run(["--version"], tmp_path, stdout=full, stderr=subprocess.PIPE)
+        said = "deepfsi: cannot write the output: No space left on device\n"
+        assert (done.returncode, done.stderr) == (2, said)
+        assert run(["show", "none"], tmp_path, stdout=subprocess.PIPE, stderr=full).returncode == 2
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows removes no folder that is in use")
+def test_a_folder_that_was_removed_is_said(tmp_path):
+    (tmp_path / "gone").mkdir()
+    leave = lambda: os.rmdir(tmp_path / "gone")  # noqa: E731 - in the process, once it is there
+    done = run(["--version"], tmp_path / "gone", stderr=subprocess.PIPE, preexec_fn=leave)
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert "the current folder is no longer there" in done.stderr

@@ -1,5 +1,6 @@
 """The command line: parses, calls, prints. Heavy imports happen in the command that needs them."""
 
+import contextlib
 import io
 import os
 import re
@@ -105,6 +106,7 @@ def main() -> NoReturn:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # a console may lack a letter of a name
     try:
+        _check_here()
         with torch_needed():
             code = app(standalone_mode=False)
     except typer.Exit as stop:
@@ -128,6 +130,14 @@ def main() -> NoReturn:
     sys.exit(code if isinstance(code, int) else 0)
 
 
+def _check_here() -> None:
+    """Raise `InputError` in a folder that was removed, in which libraries end the process."""
+    try:
+        os.getcwd()
+    except FileNotFoundError:
+        raise InputError("the current folder is no longer there: go to another one") from None
+
+
 def as_options(message: str) -> str:
     """A message with the settings of Python in it, in backticks, as options: `size` → --size."""
     known = _names(typer.main.get_command(app))
@@ -147,5 +157,6 @@ def _names(command: Any) -> set[str]:
 
 
 def _fail(message: str) -> NoReturn:
-    print(f"deepfsi: {' '.join(message.split())}", file=sys.stderr)
+    with contextlib.suppress(OSError):  # a full disk takes no message
+        print(f"deepfsi: {' '.join(message.split())}", file=sys.stderr, flush=True)
     sys.exit(2)
