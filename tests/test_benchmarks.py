@@ -6,6 +6,7 @@ import numpy as np
 import psutil
 import pytest
 import torch
+from scipy.stats import binom
 from torch import Tensor
 from torch.nn import functional
 
@@ -383,3 +384,13 @@ def test_the_correction_for_dead_time_brings_back_what_was_lost(made, digits):
     after = bench.classify(shown, slow, bench.DeadTime(seconds=5e-8), labels)
     assert before.unsure > 0.5 > 0.1 > max(after.unsure, ideal.unsure)
     assert after.faults == 0
+
+
+@pytest.mark.slow
+def test_tests_of_light_and_counts_alarm_as_seldom_as_they_state_and_find_their_faults():
+    """So many alarms of sound draws as the stated rate gives in all but one of 10⁶ tries."""
+    script = benchmark("false_alarms")
+    for law in script.LAWS:
+        alarms, found, tries = script.measured(law, 40)
+        assert alarms <= binom.ppf(1 - 1e-6, 40, law.stated), law.name
+        assert found >= tries / 2, law.name

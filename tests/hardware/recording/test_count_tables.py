@@ -5,6 +5,7 @@ import re
 import numpy as np
 import pytest
 import torch
+from recording_samples import patterns_of
 
 from deepfsi.devices import Device
 from deepfsi.errors import InputError
@@ -307,3 +308,13 @@ def test_clicks_that_tell_no_budget_need_it(tmp_path):
 def test_clicks_are_corrected_for_nothing(settings, name):
     with pytest.raises(InputError, match=f"{name} is of photon counts, and this design reads cl"):
         TableSettings(clicks=8, **settings)
+
+
+@pytest.mark.parametrize("light", ["equal-dwell", "two-arm", "free-dwell"])
+def test_every_value_of_a_table_has_a_name_of_its_own(light, tmp_path):
+    """Frames of two rails by their sign; on two arms a frame is of both, and has none."""
+    manifest = patterns_of(tmp_path / "patterns", light).manifest
+    names = column_names(manifest)
+    assert len(set(names)) == len(names) == len(manifest.frames) * manifest.inputs
+    signed = {name.split("/")[0][-1] for name in names} & {"+", "-"}
+    assert signed == ({"+", "-"} if light == "equal-dwell" else set())
