@@ -99,7 +99,7 @@ for _heading, _named in _OF_CAMERA.items():
 
 
 def main() -> NoReturn:
-    """Entry point: 0 done, 1 a check failed, 2 bad input, 130 stopped by Ctrl-C."""
+    """Entry point: 0 done, 1 a check failed, 2 bad input, 130 or 143 stopped."""
     # Figures are files here: a notebook's backend, or settings of a user's own, would break them
     os.environ |= {"MPLBACKEND": "agg", "MATPLOTLIBRC": os.devnull}
     for stream in (sys.stdout, sys.stderr):
