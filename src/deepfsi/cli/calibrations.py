@@ -71,20 +71,34 @@ def camera_calibrate(
         print(f"deepfsi: warning: {doubt}", file=sys.stderr)
 
 
-def camera_check(folder: options.Run, as_json: options.Json = False) -> None:
+def camera_check(
+    folder: options.Run,
+    keep: Annotated[
+        Path | None,
+        typer.Option(
+            help="acquisition folder of scenes with the same patterns, with which what is found "
+            "is kept: `camera classify` then refuses the run if the reference did not fit"
+        ),
+    ] = None,
+    as_json: options.Json = False,
+) -> None:
     """Say how scenes lie on the device, from a run of the reference target: before data are taken.
 
     Put reference.png of the folder of patterns in the place of the scenes, alone and on black,
-    record a pass and count it. If orientation, scale, shift or rotation differ from those of the
-    masks, or the counts do not show them, the exit code is 1.
+    record a pass and count it; a design that looks several times shows it with `camera live`. If
+    orientation, scale, shift or rotation differ from those of the masks, the target is blurred, or
+    the counts do not show them, the exit code is 1.
 
     Example: deepfsi camera check run_reference
     """
     paths.check_there(folder, "an acquisition folder, with photons.ptu in it")
+    from deepfsi.hardware.recording.acquisition import Verdict
     from deepfsi.laboratory.calibration import check_view
 
     with common.progress("reference", quiet=as_json) as report:
         found = check_view(folder, report)
+    if keep is not None:
+        Verdict(reference=str(folder), fits=found.fits, reasons=found.reasons).keep(keep)
     if as_json:
         common.print_json(
             "camera.check",
@@ -98,6 +112,8 @@ def camera_check(folder: options.Run, as_json: options.Json = False) -> None:
                 "scale": found.scale,
                 "shift": list(found.shift),
                 "rotation": found.rotation,
+                "blur": found.blur,
+                "blur_error": found.blur_error,
                 "errors": list(found.errors),
             },
         )

@@ -5,13 +5,23 @@ from pathlib import Path
 import numpy as np
 
 from deepfsi.datasets import read_display, write_pictures
+from deepfsi.design.view_test import Rows
+from deepfsi.errors import InputError
 from deepfsi.hardware.calibration.detectors import find_detectors, find_gains, save_detectors
 from deepfsi.hardware.calibration.fit import BLACK, WHITE, calibrate_run, spot_scenes
-from deepfsi.hardware.calibration.reference import ReferenceFit, find_reference
+from deepfsi.hardware.calibration.reference import (
+    Readouts,
+    ReferenceFit,
+    check_readouts,
+    find_reference,
+    fit_reference,
+)
 from deepfsi.hardware.recording.acquisition import read_acquisition
 from deepfsi.hardware.recording.calibration_file import Calibration, save_calibration
 from deepfsi.hardware.recording.counts import Counts, check_photons, read_counts
 from deepfsi.hardware.recording.picture import reconstruct
+from deepfsi.laboratory.live.known import read_looks
+from deepfsi.laboratory.live.replay import is_live, read_live_counts, replay_run
 from deepfsi.progress import SILENT, Report
 
 
@@ -41,7 +51,19 @@ def calibrate(folder: Path, spots: Path, out: Path) -> tuple[Calibration, Path, 
 
 def check_view(folder: Path, report: Report = SILENT) -> ReferenceFit:
     """Place of scenes on the device, from a counted run of the reference target."""
-    return find_reference(_photons(folder), read_acquisition(folder)[1], report)
+    if not is_live(folder):
+        return find_reference(_photons(folder), read_acquisition(folder)[1], report)
+    run = read_live_counts(folder)
+    replayed = replay_run(run, read_looks(folder / "patterns", run.manifest))
+    seen = [each.rows for each in replayed if each.rows is not None]
+    if not seen:
+        raise InputError(f"no scene of {folder} had light: record the reference again")
+    rows = Rows.join(seen)
+    lit = rows.masks.any(axis=1)
+    check_readouts(run.manifest, len(np.unique(rows.masks[lit] > 0, axis=0)))
+    variance = rows.counts.clip(min=0) + rows.noise
+    readouts = Readouts.of(rows.masks[lit], rows.counts[lit], variance[lit])
+    return fit_reference(readouts, run.manifest, report)
 
 
 def gains_of(flat: Path) -> tuple[float, ...]:

@@ -21,7 +21,7 @@ from deepfsi.files import hash_file
 from deepfsi.hardware.patterns.folder import DESIGN, read_patterns
 from deepfsi.hardware.patterns.nominal import nominal_manifest
 from deepfsi.hardware.patterns.sequence import Manifest, Patterns
-from deepfsi.hardware.recording.acquisition import Scene, read_acquisition
+from deepfsi.hardware.recording.acquisition import Scene, Verdict, read_acquisition
 from deepfsi.hardware.recording.clicks import check_budget_of_clicks
 from deepfsi.hardware.recording.counts import Counts, load_counts
 from deepfsi.hardware.recording.dead_time import NO_DEAD_TIME
@@ -110,6 +110,9 @@ def classify_run(
     ['0', '1']
     """
     path = Path(folder)
+    verdict = None if force else Verdict.of(path)
+    if verdict is not None and not verdict.fits:
+        raise InputError(f"{verdict.words}; `force` classifies them all the same")
     if is_live(path):
         return _replayed(design, path, photons)
     if photons is not None:
@@ -117,7 +120,8 @@ def classify_run(
     acquisition, patterns = read_acquisition(path)
     counts = load_counts(path, acquisition, patterns.manifest)
     made = _opened(design, patterns, trust)
-    return _classified(made, counts, acquisition.scenes, photons, force, str(folder))
+    run = _classified(made, counts, acquisition.scenes, photons, force, str(folder))
+    return run if verdict is None else replace(run, remarks=(*run.remarks, verdict.words))
 
 
 def _replayed(design: str | os.PathLike[str], folder: Path, photons: float | None) -> ReplayedRun:

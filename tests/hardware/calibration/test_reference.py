@@ -151,3 +151,16 @@ def test_mirrors_of_the_other_polarity_are_named_and_corrected(tmp_path, inverte
     else:
         with pytest.raises(InputError, match=r"mirrors are inverted.* with --invert"):
             found(tmp_path, shown, camera)
+
+
+@pytest.mark.parametrize("cells", [0.0, 0.3, 1.0, 1.5])
+def test_law_the_blur_of_the_target_is_found_and_refused_beyond_half_a_cell(tmp_path, cells):
+    """Within five of its standard errors: a blur was fitted before, and not said."""
+    shown = export(tmp_path / "p")
+    camera = VirtualCamera(blur=cells * np.sqrt(shown.manifest.grid.mirrors))
+    fit = found(tmp_path, shown, camera, flux=1e9)
+    assert fit.doubt is None
+    assert abs(fit.blur - cells) < 5 * fit.blur_error + 0.1
+    assert fit.fits == (cells < 0.5)
+    if cells > 0.5:
+        assert [why.split()[0] for why in fit.reasons] == ["blur"]

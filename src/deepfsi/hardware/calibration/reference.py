@@ -60,14 +60,17 @@ CLEAR = 25.0
 STARTS = (0.5, 0.7, 1.0, 1.4), (-0.2, 0.0, 0.2)
 """Scales and shifts from which a fit begins."""
 
+CERTAIN_ERRORS = 2.0
+"""Standard errors by which the blur must exceed what is well: it is known less than the place."""
+
 TRIED = 2
 """Starts of each orientation that are followed."""
 
 MOST_STEPS = 50
 """Steps of a fit at most: a right one takes some twenty, and only wrong ones creep on."""
 
-MOST_SCALE, MOST_SHIFT, MOST_ROTATION = 0.05, 0.02, 3.0
-"""Departures that are well: a share of 1, a share of the region's side, degrees.
+MOST_SCALE, MOST_SHIFT, MOST_ROTATION, MOST_BLUR = 0.05, 0.02, 3.0, 0.5
+"""Departures that are well: a share of 1, a share of the region's side, degrees, cells.
 
 On validation digits (20 masks at 1e5 photons; MNIST, 16 masks at 1e4) each costs 1 to 4 points of
 accuracy, and twice as much 3 to 15.
@@ -119,6 +122,8 @@ class ReferenceFit:
     scale: float  # of the target's image, over that of the region
     shift: tuple[float, float]  # of its middle, down and across, shares of the region's sides
     rotation: float  # beyond the orientation's, degrees clockwise
+    blur: float  # of the target's image, standard deviation in cells
+    blur_error: float  # its standard error
     errors: tuple[float, float, float, float]  # standard errors of scale, shifts and rotation
     chance: float  # of a misfit as large
     clear: float  # difference of the squared misfits from the next best orientation
@@ -142,6 +147,13 @@ class ReferenceFit:
     def fits(self) -> bool:
         """True if the target certainly lies as the masks do."""
         return self.doubt is None and not any(departs for _, _, departs in self.findings)
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Words on what departs, or on why nothing is certain; none where it fits."""
+        if self.doubt is not None:
+            return (self.doubt,)
+        return tuple(f"{what} {words}" for what, words, departs in self.findings if departs)
 
     @property
     def findings(self) -> list[tuple[str, str, bool]]:
@@ -168,6 +180,11 @@ class ReferenceFit:
                 "rotation",
                 f"{self.rotation:+.1f} ± {turn:.1f} degrees clockwise",
                 abs(self.rotation) > MOST_ROTATION,
+            ),
+            (
+                "blur",
+                f"{self.blur:.2f} ± {self.blur_error:.2f} cells (standard deviation)",
+                self.blur - CERTAIN_ERRORS * self.blur_error > MOST_BLUR,
             ),
         ]
 
@@ -198,12 +215,18 @@ class _Model:
 
 
 @dataclass(frozen=True)
-class _Readouts:
+class Readouts:
     """Counts of the target behind masks."""
 
     masks: np.ndarray  # (k, N)
     counts: np.ndarray  # (k,)
     noise: np.ndarray  # (k,): standard deviation
+
+    @classmethod
+    def of(cls, masks: np.ndarray, counts: np.ndarray, variance: np.ndarray) -> "Readouts":
+        """Readouts with the error of the model beside their noise."""
+        least = np.maximum(variance, 1) + (MODEL_ERROR * counts.max()) ** 2
+        return cls(masks, counts, np.sqrt(least))
 
     def misfit(self, image: np.ndarray) -> np.ndarray:
         """Counts less those of an image and of light spread evenly, over their noise (k,)."""
@@ -217,9 +240,25 @@ class _Readouts:
 @np.errstate(under="ignore")
 def find_reference(counts: Counts, patterns: Patterns, report: Report = SILENT) -> ReferenceFit:
     """Place of the target in a recording of it alone, all passes and exposures together."""
+    return fit_reference(_readouts(counts, patterns), patterns.manifest, report)
+
+
+def check_readouts(manifest: Manifest, count: int) -> None:
+    """Raise `InputError` if so many readouts, or masks of one axis, do not tell where it lies."""
+    if not has_reference(manifest):
+        raise InputError("masks of one axis have no orientation: there is no reference for them")
+    if count < LEAST_READOUTS:
+        raise InputError(
+            f"{count} readouts do not tell where the reference lies, and {LEAST_READOUTS} "
+            "are needed: record it with the patterns of `deepfsi dmd export hadamard --size 8x8`"
+        )
+
+
+def fit_reference(readouts: Readouts, manifest: Manifest, report: Report = SILENT) -> ReferenceFit:
+    """Place of the target that explains its counts behind masks best."""
     from scipy.stats import chi2
 
-    readouts, model = _readouts(counts, patterns), _Model(patterns.manifest)
+    model = _Model(manifest)
     found = []
     every = model.exported.orientations()
     for done, layout in enumerate(every):
@@ -249,29 +288,25 @@ def find_reference(counts: Counts, patterns: Patterns, report: Report = SILENT) 
     cost, layout, best = found[0]
     spread = np.sqrt(np.diag(np.linalg.pinv(best.jac.T @ best.jac)))
     others = [each[0] for each in found if each[1] != layout]
-    scale, turn, down, across, _ = best.x.tolist()
+    scale, turn, down, across, blur = best.x.tolist()
     return ReferenceFit(
         exported=model.exported,
         layout=layout,
         scale=scale,
         shift=(down, across),
         rotation=float(np.degrees(turn)),
+        blur=blur,
+        blur_error=float(spread[4]),
         errors=(spread[0], spread[2], spread[3], float(np.degrees(spread[1]))),
         chance=float(chi2.sf(cost, max(len(readouts.counts) - 7, 1))),
         clear=min(others) - cost,
     )
 
 
-def _readouts(counts: Counts, patterns: Patterns) -> _Readouts:
+def _readouts(counts: Counts, patterns: Patterns) -> Readouts:
     """Readouts of sound exposures together, or `InputError` if they are too few."""
     manifest, read = patterns.manifest, counts.lengths_s > 0
-    if not has_reference(manifest):
-        raise InputError("masks of one axis have no orientation: there is no reference for them")
-    if read.sum() < LEAST_READOUTS:
-        raise InputError(
-            f"{read.sum()} readouts do not tell where the reference lies, and {LEAST_READOUTS} "
-            "are needed: record it with the patterns of `deepfsi dmd export hadamard --size 8x8`"
-        )
+    check_readouts(manifest, int(read.sum()))
     usable = counts.by_readout(counts.valid & ~counts.spoilt[:, None])
     if not usable.any():
         raise InputError("no exposure of the reference was counted: record it again")
@@ -279,6 +314,4 @@ def _readouts(counts: Counts, patterns: Patterns) -> _Readouts:
     noise = counts.variance.sum(axis=(0, 1), where=usable)
     if manifest.several:
         signal, noise = signal.sum(axis=-1), noise.sum(axis=-1)
-    values, power = signal[read], noise[read]
-    error = np.sqrt(np.maximum(power, 1) + (MODEL_ERROR * values.max()) ** 2)
-    return _Readouts(patterns.rails[read], values, error)
+    return Readouts.of(patterns.rails[read], signal[read], noise[read])

@@ -72,6 +72,7 @@ class Observer:
         loaded = 0 if manifest.looks.adaptive else len(manifest.shown)
         known, shape = looks.scene_model, manifest.image_shape
         self._view = None if known is None else ViewTest(known, shape, loaded)
+        self.rows: Rows | None = None  # counts of the last scene, behind its masks
         self._settle_s = acquisition.settle_s
         first = (manifest.frames[place].picture_us * 1000 for place in (ON, OFF))
         settle = acquisition.settle_s + usual_tolerance(manifest)
@@ -132,19 +133,17 @@ class Observer:
             scene, exposure.compare(on), on, self._light, photons, measured
         )
         view = None
-        if not any(each.kind in WITHOUT_VIEW for each in (*faults, *doubts)):
-            view = self._see(photons, shown, looks)
+        self.rows, test = self._rows(photons, shown, looks), self._view
+        if test and not any(each.kind in WITHOUT_VIEW for each in (*faults, *doubts)):
+            test.add(self.rows)
+            view = test.result
         if view is not None and view.refused:
             faults += (Fault(kind="view", scene=scene, detail=view.refusal),)
         faults += doubts
         yield Decision(*decision, final=True, faults=changes + faults, view=view)
 
-    def _see(
-        self, photons: float, shown: list[FrameList], looks: list[ShownFrames]
-    ) -> ViewResult | None:
-        """Test of the view of all scenes so far, with the counts of this one."""
-        if self._view is None:
-            return None
+    def _rows(self, photons: float, shown: list[FrameList], looks: list[ShownFrames]) -> Rows:
+        """Counts of a scene, and what each of its looks showed."""
         manifest, arms = self._manifest, self._manifest.inputs // self._manifest.detector_count
         cells = manifest.detectors and manifest.detectors.cells
         seen = np.equal.outer(np.arange(manifest.detector_count), np.array(cells or 0))
@@ -172,8 +171,7 @@ class Observer:
                     np.repeat(share, len(inputs)),
                 )
             )
-        self._view.add(Rows.join(parts))
-        return self._view.result
+        return Rows.join(parts)
 
     def _arrivals(self, count: Count, asked: FrameList) -> ShownFrames:
         """Photons that arrived in the gates of a list, of those that were counted."""

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from deepfsi.design.view_test import Rows
 from deepfsi.errors import InputError
 from deepfsi.files import hash_file, write_atomically
 from deepfsi.hardware.patterns.sequence import Manifest
@@ -130,6 +131,7 @@ class Replayed:
     shown: ShownScene  # as the run has it
     decisions: tuple[Decision, ...]  # after each look, from its counts; none without light
     answer: LiveScene
+    rows: Rows | None = None  # its counts behind its masks; none without light
 
 
 def replay_run(run: LiveCounts, looks: LiveLooks) -> tuple[Replayed, ...]:
@@ -148,7 +150,7 @@ def replay_run(run: LiveCounts, looks: LiveLooks) -> tuple[Replayed, ...]:
         agrees = not left and (found, faults) == (scene.chances, scene.faults)
         named = run.acquisition.scenes[scene.scene]
         answer = LiveScene.of(named, last, looks, scene.clock_s, agrees)
-        out.append(Replayed(scene, decisions, answer))
+        out.append(Replayed(scene, decisions, answer, observer.rows if decisions else None))
     return tuple(out)
 
 
