@@ -138,6 +138,13 @@ def test_a_worker_sees_no_signal_while_it_is_started(monkeypatch):
             signal.signal(number, handler)
 
 
+def test_signals_are_taken_again_from_a_library_that_takes_them():
+    usual = signal.getsignal(signal.SIGTERM)
+    with interrupts.handlers_kept():
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    assert signal.getsignal(signal.SIGTERM) == usual
+
+
 def test_what_is_kept_is_said_once_there_is_something(capsys, monkeypatch):
     monkeypatch.setattr(interrupts, "_kept", "")
     monkeypatch.setattr(interrupts, "_said", threading.Event())

@@ -109,6 +109,19 @@ def held_back() -> Iterator[None]:
             handler(came[0], sys._getframe())
 
 
+@contextlib.contextmanager
+def handlers_kept() -> Iterator[None]:
+    """Take signals again after a block in which a library takes them, as Ray does with SIGTERM."""
+    usual = {number: signal.getsignal(number) for number in SIGNALS}
+    try:
+        yield
+    finally:
+        if threading.current_thread() is threading.main_thread():
+            for number, handler in usual.items():
+                if handler is not None:
+                    signal.signal(number, handler)
+
+
 def _end_workers() -> None:
     """Kill worker processes, also one that is being started; imports nothing, as one may run."""
     psutil: Any = sys.modules.get("psutil")

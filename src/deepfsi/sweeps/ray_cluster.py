@@ -10,6 +10,7 @@ from itertools import islice
 from typing import Any, TypeVar
 
 from deepfsi.errors import InputError
+from deepfsi.interrupts import handlers_kept
 
 Shared = TypeVar("Shared")
 Task = TypeVar("Task")
@@ -62,7 +63,8 @@ def _connected(address: str) -> Iterator[None]:
 
     joined = not ray.is_initialized()
     if joined:
-        _join(address)
+        with handlers_kept():
+            _join(address)
     try:
         yield
     finally:
