@@ -209,3 +209,15 @@ def test_a_design_file_holds_them(design, tmp_path):
 def test_a_tenth_of_the_training_is_the_least_light(fixed):
     assert fixed.temperatures.dimmest == pytest.approx(PHOTONS / 10)
     assert fixed.temperatures.scaled(2.0).dimmest == pytest.approx(PHOTONS / 5)
+
+
+def test_one_scene_alone_is_a_scene(digits):
+    """Of a fold of few scenes, or the last of 1025."""
+    design, one = (
+        quick(digits, masks=3),
+        replace(digits, x_test=digits.x_test[:1], y_test=digits.y_test[:1]),
+    )
+    logits = logits_at_stops(design, design.scanner(), one.x_test, 1e3, 5, 0)
+    assert logits.shape == (1, 5, 10)
+    [result] = evaluate(design, one, 1e3, draws=5)
+    assert (result.images, sum(map(sum, result.confusion))) == (1, 5)

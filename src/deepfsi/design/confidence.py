@@ -186,7 +186,8 @@ def logits_at_stops(
     chunks = []
     with torch.no_grad():
         for rows in torch.arange(len(x)).split(CHUNK):
-            rates = design.rates(scanner, torch.from_numpy(x[rows]))
+            # NumPy takes a tensor of one number for the number itself
+            rates = design.rates(scanner, torch.from_numpy(x[rows.numpy()]))
             several = []
             for _ in range(draws):
                 seen = list(design.expose(scanner, rates, generator, photons))

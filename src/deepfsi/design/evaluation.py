@@ -330,7 +330,8 @@ def test_scenes(
     chunks = torch.arange(len(data.x_test)).split(1024)
     with torch.no_grad():
         for done, rows in enumerate(chunks, start=1):
-            guess, truth = guess_of(torch.from_numpy(data.x_test[rows])), data.y_test[rows]
+            some = rows.numpy()  # NumPy takes a tensor of one number for the number itself
+            guess, truth = guess_of(torch.from_numpy(data.x_test[some])), data.y_test[some]
             for place, (budget, generator) in enumerate(zip(budgets, generators, strict=True)):
                 for _ in range(draws):
                     classes, given, *sums = guess(generator, budget)
