@@ -71,7 +71,8 @@ def test_pictures_are_a_list_of_scenes_too(done, lab):
     done("data", "export", "digits", "--per-class", 1, "-o", lab / "images")
     (lab / "scenes.csv").unlink()
     shutil.move(lab / "images", lab / "scenes.csv")  # a folder of that name
-    _, content = prepared(done, lab)
+    patterns_of(lab / "masks", file=None)  # no design that could see the pictures
+    _, content = prepared(done, lab, patterns="masks")
     assert [scene["label"] for scene in content["scenes"]] == [str(k) for k in range(10)]
 
 

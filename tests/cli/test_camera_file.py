@@ -90,7 +90,7 @@ def test_the_template_is_a_camera_file_and_says_every_field(done, tmp_path):
 
 def test_a_camera_is_described_in_words(done, lab):
     said = done("camera", "describe", lab / "my-lab.toml")
-    for part in ("one DMD", "dlp7000", "1e+04 counts", "2 dark counts", "up to 312", "20 ns"):
+    for part in ("one DMD", "dlp7000", "10000 counts", "2 dark counts", "up to 312", "20 ns"):
         assert part in said
     told = json.loads(done("camera", "describe", "two-arm", "--exposure", "10ms", "--json"))
     assert told["camera"]["rails"] == "dual"

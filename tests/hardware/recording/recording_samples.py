@@ -154,7 +154,9 @@ DEVICE = find_device("24x16")
 SHAPE = (2, 3)
 
 
-def patterns_of(folder: Path, light: str = "equal-dwell", **settings) -> Patterns:
+def patterns_of(
+    folder: Path, light: str = "equal-dwell", file: bytes | None = b"not read", **settings
+) -> Patterns:
     """Six random masks on a small device."""
     rng = np.random.default_rng(4)
     if light == "two-arm":
@@ -167,7 +169,7 @@ def patterns_of(folder: Path, light: str = "equal-dwell", **settings) -> Pattern
         rails = rng.random((2, 6, 6))
         rails[0, 0], rails[1, 0] = 1.0, 0.0
         rails /= 11 * np.where(rails.any(axis=2), rails.max(axis=2), 1)[..., None]
-    design = DesignRails(rails, light, SHAPE, summed_reflectance=2.0, file=b"not read")
+    design = DesignRails(rails, light, SHAPE, summed_reflectance=2.0, file=file)
     return export_patterns(design, FrameSettings(DEVICE, DWELL, **settings), folder)
 
 
