@@ -190,7 +190,7 @@ def test_labels_that_the_design_does_not_know_are_left_out(done, lab, run):
 
 def test_a_design_without_a_distribution_is_not_tested(done, lab, run):
     """The file is the one that was shown, as far as the manifest knows."""
-    bare = replace(Design.load(lab / "design.safetensors"), distribution=None)
+    bare = replace(Design.load(lab / "design.safetensors"), distribution=None, scene_model=None)
     patterns = lab / "bare-patterns"
     bare.save(lab / "bare.safetensors")
     words = ["--device", "64x48", "-o", patterns]
@@ -199,7 +199,9 @@ def test_a_design_without_a_distribution_is_not_tested(done, lab, run):
     done("camera", "simulate", patterns, *words, "-o", run.parent / "bare")
     done("camera", "count", run.parent / "bare")
     words = ["camera", "classify", lab / "bare.safetensors", run.parent / "bare"]
-    assert "were not compared with those of the training" in done(*words)
+    said = done(*words)
+    assert "were not compared with those of the training" in said
+    assert "use `deepfsi camera check`" in said
     assert json.loads(done(*words, "--json"))["consistency"] is None
 
 
