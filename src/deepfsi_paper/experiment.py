@@ -78,7 +78,7 @@ class Experiment:
         `trials` takes the place of theirs.
         """
         file = files("deepfsi_paper") / "recipes" / f"{self.name}.toml"
-        given = {} if trials is None else {"trials": trials}
+        given = {"folds": 1} | ({} if trials is None else {"trials": trials})  # the paper's split
         with as_input_error():
             return {
                 part or self.name: self.adapt(Recipe.model_validate({**settings, **given}))

@@ -195,6 +195,8 @@ def test_compare_writes_report_and_json(done, tmp_path):
     assert told.pop("report") == str(tmp_path / "report.html")
     assert told.pop("verdict") in printed
     assert len(told.pop("differences")) == 1
+    (note,) = told.pop("notes")
+    assert note in printed
     written = json.loads((tmp_path / "results.json").read_text())
     for point in written["points"]:
         del point["terms"]  # of each image

@@ -147,7 +147,7 @@ def changed_table(rng: random.Random, content: bytes) -> bytes:
 def changed_tensors(rng: random.Random, content: bytes) -> bytes:
     """A safetensors file with another text in its header, or another tensor."""
     header = json.loads(content[8 : 8 + struct.unpack("<Q", content[:8])[0]])
-    kinds = {"F32": "<f4", "I64": "<i8", "F64": "<f8", "I32": "<i4", "I8": "i1"}
+    kinds = {"F16": "<f2", "F32": "<f4", "F64": "<f8", "I8": "i1", "I32": "<i4", "I64": "<i8"}
     tensors = {
         name: np.frombuffer(held["data"], kinds[held["dtype"]]).reshape(held["shape"]).copy()
         for name, held in deserialize(content)

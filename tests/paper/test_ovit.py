@@ -28,6 +28,7 @@ from shared.results import a_point, some_results
 
 TINY = Recipe(
     data="synthetic",
+    folds=1,
     validation=24,
     masks=16,
     designs=("impulse", "raster", "hadamard", "pca", "deepfsi"),

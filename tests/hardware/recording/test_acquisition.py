@@ -58,7 +58,7 @@ def test_bad_files_are_named(run, name, content):
         ({"manifest_sha256": "0" * 64}, "manifest.json is not the one"),
         ({"manifest_sha256": None}, "acquisition.json has no manifest_sha256.* prepare"),
         ({"unknown": 1}, "unknown"),
-        ({"schema_version": 2}, "schema_version"),
+        ({"schema_version": 2}, "schema 2, newer than this one"),
     ],
 )
 def test_acquisitions_that_do_not_fit_are_refused(run, changes, match):
