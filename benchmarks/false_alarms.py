@@ -50,6 +50,7 @@ class Law(NamedTuple):
     stated: float
     fault: str
     alarm: Callable[[np.random.Generator, bool], bool]  # of a draw, sound or with the fault
+    power: float = 0.9  # of faults, at least this share is found
 
 
 def manifest_of(detectors: int = 1) -> Manifest:
@@ -279,10 +280,10 @@ LAWS = (
     Law("gains of 2 × 2 detectors", CERTAIN, "one at 0.8", gain),
     Law("late markers", CERTAIN, "by 1 µs", late),
     Law("light of a live run", FALSE_ALARMS, "0.6 of the light in half a scene", live),
-    Law("stated budget, live", FALSE_ALARMS, "0.6 of the true one", stated),
+    Law("stated budget, live", FALSE_ALARMS, "0.6 of the true one", stated, 0.5),
     Law("counts of a scene", UNSURE, "masks in reverse order", partial(consistent, whole=False)),
     Law("counts of ten scenes", REFUSED, "masks in reverse order", partial(consistent, whole=True)),
-    Law("misfit of adaptive masks", UNSURE, "negative of the scene", misfit),
+    Law("misfit of adaptive masks", UNSURE, "negative of the scene", misfit, 0.4),
 )
 
 if __name__ == "__main__":

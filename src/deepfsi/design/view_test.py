@@ -261,6 +261,7 @@ class ViewResult:
     ever: bool = False  # true if the run was refused after fewer scenes already
 
     @property
+    @np.errstate(under="ignore")
     def evidence(self) -> float:
         """Logarithm of the mean of the likelihood ratios."""
         return float(logsumexp(self.odds + self.before))
@@ -382,6 +383,7 @@ class ViewTest:
         self._scenes, self._refused = 0, False
         self._all_alike = _AllAlike(self._shares)
 
+    @np.errstate(under="ignore")
     def add(self, rows: Rows) -> None:
         """Take in the counts of another scene."""
         expected = rows.masks @ self._mean
@@ -458,6 +460,7 @@ class _AllAlike:
         self._parts = [a + b for a, b in zip(self._parts, own, strict=True)] if self._parts else own
 
     @property
+    @np.errstate(under="ignore")
     def log(self) -> float:
         """Its logarithm."""
         precision, along, squares = self._parts
