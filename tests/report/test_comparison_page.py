@@ -144,6 +144,10 @@ def test_a_page_opens_with_what_is_compared(tmp_path):
     assert '<a href="figures/">' in page
     single = results.with_points(p for p in results.points if p.design != "impulse")
     assert "mpulse" not in compared(single) + covered(single)
+    assert "adaptive" not in said
+    adaptive = [p.model_copy(update={"design": "adaptive"}) for p in single.points]
+    beside = results.with_points([*results.points, *adaptive])
+    assert "adaptive masks can be above impulse imaging" in covered(beside)
 
 
 @words_alone
@@ -227,9 +231,9 @@ def test_the_verb_of_adaptive_masks_is_plural(tmp_path):
         else p
         for p in results.points
     ]
-    assert "adaptive masks are the most accurate" in summary(results.with_points(points), "poisson")
+    assert "Adaptive masks are the most accurate" in summary(results.with_points(points), "poisson")
     alone = summary(results.with_points(p for p in points if p.design == "adaptive"), "poisson")
-    assert "adaptive masks reach 0.7" in alone
+    assert "Adaptive masks reach 0.7" in alone
 
 
 ONE = "one detector"

@@ -147,6 +147,12 @@ def covered(results: Results) -> str:
             f"Impulse imaging, with a detector for each of the {pixels} pixels, reaches "
             f"{_ends(ideal)} photons. "
         )
+        if any(p.design in ADAPTIVE for p in results.points):
+            text += (
+                "A network reads it, and a posterior over the training scenes reads adaptive "
+                "masks. That may be the better reader, so that adaptive masks can be above impulse "
+                "imaging, whose counts tell more. "
+            )
     covers = "; ".join(dict.fromkeys(p.covers for p in results.points))
     guessing = WORDS[results.data.measure].guessing
     return (
@@ -293,7 +299,7 @@ def summary(results: Results, noise: str) -> str:
         for p in sorted(points, key=lambda p: p.photons)
         if p.one_class
     ]
-    return f"Under {noise_text(noise)}: {' '.join(said)}"
+    return f"Under {noise_text(noise)}: {' '.join(each[0].upper() + each[1:] for each in said)}"
 
 
 def _ends(rows: list[Point]) -> str:
