@@ -12,6 +12,8 @@ def main() -> NoReturn:
 
     try:
         cli.main()
+    except KeyboardInterrupt:  # before the command's own handler
+        interrupts.leave()
     except SystemExit as end:
         if end.code == interrupts.STOPPED:
             interrupts.leave()

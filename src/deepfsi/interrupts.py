@@ -134,9 +134,11 @@ def _end_workers() -> None:
 
 
 def _stop(number: int, frame: FrameType | None) -> None:
-    """Raise `KeyboardInterrupt`, but end the process where an import runs."""
+    """Raise `KeyboardInterrupt`, but end the process where an import runs or no command does."""
     global _came
     _came = signal.Signals(number)
+    if "deepfsi.cli" not in sys.modules:  # nobody would catch it
+        leave()
     while frame is not None:
         if frame.f_code.co_filename.startswith("<frozen importlib"):
             leave()
