@@ -63,8 +63,7 @@ def camera_prepare(
         return
     print(
         f"{common.several(len(made.scenes), 'scene')}, {common.several(made.repeats, 'exposure')} "
-        "of "
-        f"{time_text(made.exposure_s)} for each, {time_text(manifest.pass_s)} a pass\n"
+        f"of {time_text(made.exposure_s)} for each, {time_text(manifest.pass_s)} a pass\n"
         f"photons on input {name_inputs(made.inputs)}, a trigger on marker input "
         f"{made.marker_bit.bit_length() - 1}\n"
         f"acquisition: {out}; show the patterns once for each scene, put the recording there as "

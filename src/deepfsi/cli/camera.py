@@ -145,8 +145,7 @@ def camera_simulate(
     print(
         f"scenes: {scene}. {images.preprocessing}\n"
         f"{common.several(len(made.scenes), 'scene')}, {common.several(made.repeats, 'exposure')} "
-        "of "
-        f"{time_text(made.exposure_s)} for each\n"
+        f"of {time_text(made.exposure_s)} for each\n"
         f"recorded: {out}"
     )
 

@@ -20,7 +20,7 @@ from deepfsi.report import accuracy
 from deepfsi.report.figures import Figures
 from deepfsi.report.masks import lit_masks, masks_figure, peak, signed, values_figure
 from deepfsi.report.measures import WORDS
-from deepfsi.report.rendering import flat, render, share_text
+from deepfsi.report.rendering import capital, flat, render, share_text
 from deepfsi.report.style import photons_text
 from deepfsi.report.terms import DESIGNS, ONE_DETECTOR, lit_text
 from deepfsi.report.verdict import Verdict, better, ranking, verdict_of
@@ -118,7 +118,7 @@ def compared(results: Results) -> str:
     scenes = f"{results.data.test} test scenes of {results.data.name}"
     task = WORDS[results.data.measure].task.format(scenes=scenes)
     parts = scenes_text(results.data)
-    return f"{many}, at equal light (light law {laws}): {task}. {parts[0].upper()}{parts[1:]}."
+    return f"{many}, at equal light (light law {laws}): {task}. {capital(parts)}."
 
 
 def scenes_text(data: Data) -> str:
@@ -299,7 +299,7 @@ def summary(results: Results, noise: str) -> str:
         for p in sorted(points, key=lambda p: p.photons)
         if p.one_class
     ]
-    return f"Under {noise_text(noise)}: {' '.join(each[0].upper() + each[1:] for each in said)}"
+    return f"Under {noise_text(noise)}: {' '.join(map(capital, said))}"
 
 
 def _ends(rows: list[Point]) -> str:
@@ -389,8 +389,7 @@ def answers_text(data: Data) -> str:
 
 def title_of(results: Results) -> str:
     """Name of the measure at the beginning of a sentence."""
-    name = WORDS[results.data.measure].name
-    return name[0].upper() + name[1:]
+    return capital(WORDS[results.data.measure].name)
 
 
 def confusions(results: Results, said: Verdict) -> Iterator[Part]:

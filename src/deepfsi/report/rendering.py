@@ -36,6 +36,11 @@ def render(template: str, folder: Path = HERE, /, **values: Any) -> str:
     )
 
 
+def capital(words: str) -> str:
+    """Words with a capital first letter."""
+    return words[:1].upper() + words[1:]
+
+
 def share_text(value: float | None) -> str:
     """Write a share between 0 and 1 with three decimals; a dash where there is none."""
     return "–" if value is None else f"{value:.3f}"

@@ -7,7 +7,7 @@ from deepfsi.optics.codes import DESIGNS
 from deepfsi.optics.noise_names import noise_text
 from deepfsi.report import accuracy
 from deepfsi.report.measures import WORDS
-from deepfsi.report.rendering import share_text
+from deepfsi.report.rendering import capital, share_text
 from deepfsi.report.style import photons_text
 from deepfsi.statistics.crossings import Crossing, crossing
 from deepfsi.statistics.differences import difference
@@ -68,7 +68,7 @@ def verdict_of(results: Results) -> Verdict:
     if not pairs:
         best = rankings[-1][0]
         reached = f"{_verb(best, 'reach')} {measure} {share_text(best.accuracy)}{under}"
-        title = f"{_capital(name(best))} {reached}"
+        title = f"{capital(name(best))} {reached}"
         return Verdict(title, f"{title} at {_photons(best)}.", best.photons, best)
     pairs.sort(key=lambda pair: pair[1].accuracy - pair[0].accuracy)
     clear = [pair for pair in pairs if better(*pair)]
@@ -79,7 +79,7 @@ def verdict_of(results: Results) -> Verdict:
     ]
     place = next((place for place, ratio in enumerate(ratios) if ratio), 0)
     first, other = (clear or pairs)[place]
-    one, two = _capital(name(first)), name(other)
+    one, two = capital(name(first)), name(other)
     at = (
         f"at {_photons(first)} {measure} is {share_text(first.accuracy)}, and "
         f"{share_text(other.accuracy)} with {two}"
@@ -161,7 +161,3 @@ def _verb(point: Point, plural: str, singular: str = "") -> str:
     if point.design in SUBJECTS:
         return plural
     return singular or (f"{plural}es" if plural.endswith("ch") else f"{plural}s")
-
-
-def _capital(words: str) -> str:
-    return words[:1].upper() + words[1:]
