@@ -3,7 +3,7 @@
 import io
 import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -16,7 +16,10 @@ from deepfsi.datasets.cifar import where
 from deepfsi.errors import InputError, as_input_error
 from deepfsi.files import write_atomically
 from deepfsi.progress import SILENT, Report
-from deepfsi.sweeps.recipe import Recipe, parts
+from deepfsi.report.comparison_page import listed
+from deepfsi.report.style import photons_text
+from deepfsi.statistics.differences import Difference, above, difference
+from deepfsi.sweeps.recipe import Recipe, only, parts
 from deepfsi.sweeps.records import rows
 from deepfsi.sweeps.results import Point, Results, read_results, write_results
 from deepfsi.sweeps.run import compare
@@ -61,6 +64,10 @@ class Experiment:
         Recipe → recipe for this machine, such as other data where those that it names are missing.
     label : str
         Of learned designs, where it is another here.
+    changes : mapping
+        Settings in place of those of its recipes.
+    part : str, optional
+        The only part to run, where the recipe has several.
     """
 
     name: str
@@ -71,6 +78,8 @@ class Experiment:
     prepare: Callable[[Dataset], Dataset] = lambda data: data
     adapt: Callable[[Recipe], Recipe] = lambda recipe: recipe
     label: str = ""
+    changes: Mapping[str, Any] = field(default_factory=dict, hash=False)
+    part: str | None = None
 
     def recipes(self, quick: bool, trials: int | None = None) -> dict[str, Recipe]:
         """The recipes, or their coarse versions, by part; a single one has the experiment's name.
@@ -78,11 +87,18 @@ class Experiment:
         `trials` takes the place of theirs.
         """
         file = files("deepfsi_paper") / "recipes" / f"{self.name}.toml"
-        given = {"folds": 1} | ({} if trials is None else {"trials": trials})  # the paper's split
+        changes = {"folds": 1, **self.changes}  # the paper's split
+        if trials is not None:
+            changes["trials"] = trials
+        content = tomllib.loads(file.read_text("utf-8"))
+        if self.part is None:
+            every = parts(content, quick)
+        else:
+            every = {self.part: only(content, self.part, quick)}
         with as_input_error():
             return {
-                part or self.name: self.adapt(Recipe.model_validate({**settings, **given}))
-                for part, settings in parts(tomllib.loads(file.read_text("utf-8")), quick).items()
+                part or self.name: self.adapt(Recipe.model_validate({**settings, **changes}))
+                for part, settings in every.items()
             }
 
     def run(
@@ -254,3 +270,37 @@ def best(results: Results, **fields: Any) -> dict[tuple[str, float], Point]:
 def budgets(chosen: Iterable[Cell]) -> list[float]:
     """Budgets of points, rising."""
     return sorted({point.photons for point in chosen})
+
+
+Compared = dict[float, Difference]
+"""Differences of accuracy by budget."""
+
+NOTHING = 0.01
+"""Difference in accuracy that counts as no gain."""
+
+
+def gains(
+    chosen: Mapping[tuple[str, float], Point],
+    first: str,
+    second: str,
+    below: float = float("inf"),
+) -> Compared:
+    """Accuracy of one design less that of another, by rising budgets below a bound."""
+    return {
+        budget: difference(point, chosen[(second, budget)])
+        for (design, budget), point in sorted(chosen.items(), key=lambda item: item[0][1])
+        if design == first and budget < below and (second, budget) in chosen
+    }
+
+
+def no_gain(label: str, compared: Compared, why: str = "") -> Claim:
+    """Claim that a code gains nothing over raster scan at any budget."""
+    most = max(compared, key=lambda budget: compared[budget].mean)
+    clear = [photons_text(budget) for budget, each in compared.items() if each.low > 0]
+    where = f"; above at {listed(clear)} photons" if clear else ""
+    return Claim(
+        f"{label} gains nothing over RS (less than {NOTHING})",
+        above([-each for each in compared.values()], -NOTHING),
+        f"{label.split()[-1]} − RS at most {compared[most]} at {photons_text(most)} photons{where}",
+        why if clear else "",
+    )

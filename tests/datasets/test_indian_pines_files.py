@@ -1,5 +1,7 @@
-"""Indian Pines is made of the community's files; the simulated scene says so."""
+"""Indian Pines is found in the user's folder or in tensorly's, and checked by its values."""
 
+import os
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -7,63 +9,67 @@ import pytest
 from dataset_samples import NM, refused
 from scipy.io import savemat
 
-from deepfsi.datasets import check, download, list_datasets, load_dataset
-from deepfsi.datasets.indian_pines import CLASSES, WATER, load_scene
+from deepfsi.datasets import check, download, indian_pines, list_datasets, load_dataset
+from deepfsi.datasets.indian_pines import CLASSES, CUBE, HASHES, LABELS, WATER, load_scene
+
+REAL = Path(os.environ.get("DEEPFSI_DATA") or ".") / "indian_pines"
 
 
-@pytest.fixture
-def home(tmp_path, monkeypatch):
-    """$DEEPFSI_DATA/indian_pines with the community's files, but for the values of the pixels."""
-    monkeypatch.setenv("DEEPFSI_DATA", str(tmp_path))
-    folder = tmp_path / "indian_pines"
-    folder.mkdir()
-    rng = np.random.default_rng(6)
+def made_up():
+    """Cube and label map of the scene's size, other values."""
     labels = np.kron(np.arange(1, 26).reshape(5, 5), np.ones((29, 29))).astype(np.uint8)
     labels[labels > 16] = 0
-    cube = rng.integers(955, 9605, (145, 145, 220)).astype(np.uint16)
-    arrays = {
-        "indian_pines": cube,
-        "indian_pines_corrected": np.delete(cube, WATER, axis=2),
-        "indian_pines_gt": labels,
-    }
-    for name, array in arrays.items():
-        savemat(folder / f"{name.capitalize()}.mat", {name: array}, do_compression=True)
+    cube = np.random.default_rng(6).integers(955, 9605, (145, 145, 200)).astype(np.uint16)
+    return {CUBE: cube, LABELS: labels}
+
+
+def write(folder, arrays, ending):
+    for stem, values in arrays.items():
+        if ending == ".npy":
+            np.save(folder / f"{stem}.npy", values)
+        else:
+            savemat(folder / f"{stem}.mat", {stem.lower(): values}, do_compression=True)
+
+
+@pytest.fixture(params=[".npy", ".mat"])
+def home(request, tmp_path, monkeypatch):
+    """$DEEPFSI_DATA/indian_pines with files of either kind, and their hashes in place."""
+    folder = tmp_path / "indian_pines"
+    folder.mkdir()
+    monkeypatch.setenv("DEEPFSI_DATA", str(tmp_path))
+    for stem, values in made_up().items():
+        monkeypatch.setitem(HASHES, stem, indian_pines.values_hash(values))
+    write(folder, made_up(), request.param)
     rows = [f"{nm:.6f}\t9.780000\t0.920000\t0.5\t{i + 2}" for i, nm in enumerate(NM)]
     (folder / "92AV3C.spc").write_text("\n".join(["FILE x", "------", *rows]) + "\n")
     return folder
 
 
-@pytest.mark.parametrize(
-    ("name", "bands"), [("indian-pines", 220), ("indian-pines-corrected", 200)]
-)
-def test_the_community_s_files(home, name, bands):
-    data = load_dataset(name)
-    assert data.name == name
+def test_the_scene_of_a_folder(home):
+    data = load_dataset("indian-pines")
+    assert data.name == "indian-pines"
     assert data.image_shape == (256,)
     assert data.classes == CLASSES
     assert len(data.x_train) + len(data.x_test) == 16 * 29 * 29
-    assert f"{bands} bands, padded with darkness to 256" in data.preprocessing
+    assert "200 of 220 bands" in data.preprocessing
+    assert "padded with darkness to 256" in data.preprocessing
     assert "mapped from [955, 9604] to [0, 1]" in data.preprocessing
-    assert not data.x_test[:, bands:].any()
-    assert data.x_test[:, :bands].any(axis=0).all()
+    assert not data.x_test[:, 200:].any()
+    assert data.x_test[:, :200].any(axis=0).all()
     assert data.wavelengths is not None
-    assert np.isnan(data.wavelengths[bands:]).all()
-    kept = NM if bands == 220 else np.delete(NM, WATER)
-    assert data.wavelengths[:bands].tolist() == kept.tolist()
-    scene = load_scene(name)
-    assert scene.cube.shape == (145, 145, bands)
-    assert np.array_equal(
-        load_dataset(name, split="blocks").x_test, scene.dataset("blocks", bands=256).x_test
-    )
-    assert download(name) == home
-    assert all(result.ok for result in check(name))
+    assert np.isnan(data.wavelengths[200:]).all()
+    assert data.wavelengths[:200].tolist() == np.delete(NM, WATER).tolist()
+    scene = load_scene()
+    assert np.array_equal(scene.cube, made_up()[CUBE])
+    blocks = load_dataset("indian-pines", split="blocks")
+    assert np.array_equal(blocks.x_test, scene.dataset("blocks", bands=256).x_test)
+    assert download("indian-pines") == home
+    assert [each.ok for each in check("indian-pines")] == [True, True]
 
 
 def test_without_the_band_table_there_are_no_wavelengths(home):
     (home / "92AV3C.spc").unlink()
     assert load_dataset("indian-pines").wavelengths is None
-    with refused("indian-pines-surrogate is not here", "92AV3C.spc and Indian_pines_gt.mat"):
-        load_dataset("indian-pines-surrogate")
 
 
 def test_the_corrected_bands_are_the_published_ones():
@@ -71,44 +77,58 @@ def test_the_corrected_bands_are_the_published_ones():
     assert (WATER + 1).tolist() == given
 
 
-def test_what_is_missing_is_named(home):
-    (home / "Indian_pines.mat").unlink()
-    with refused("Indian_pines.mat and Indian_pines_gt.mat", "indian_pines", "DEEPFSI_DATA"):
-        load_dataset("indian-pines")
-    assert [result.ok for result in check("indian-pines")] == [False, True]
-    where = {info.name: info.where for info in list_datasets()}
-    assert where["indian-pines"] == "not here"
-    assert where["indian-pines-corrected"] == str(home)
-
-
-def test_files_of_something_else(home):
-    cases: list[tuple[str, Any, str]] = [
-        ("Indian_pines.mat", {"indian_pines": np.ones((145, 145, 5))}, "5 bands, not 220"),
-        ("Indian_pines.mat", {"salinas": np.ones((145, 145, 220))}, "variable 'indian_pines'"),
-        ("Indian_pines_gt.mat", {"indian_pines_gt": np.ones((145, 144))}, "(145, 144)"),
-        ("Indian_pines_gt.mat", {"indian_pines_gt": np.eye(145) + 1}, "labels 0 to 16"),
-    ]
-    for file, content, part in cases:
-        whole = (home / file).read_bytes()
-        savemat(home / file, content)
-        for name in ("indian-pines", "indian-pines-surrogate"):
-            if name == "indian-pines-surrogate" and file == "Indian_pines.mat":
-                continue
-            with refused(part if name == "indian-pines" else file):
-                load_dataset(name)
-            assert not all(result.ok for result in check(name))
-        (home / file).write_bytes(whole)
+def test_other_values_are_refused(home):
+    cube, labels = made_up().values()
+    one_off = cube.copy()
+    one_off[7, 8, 9] += 1
+    for stem, values in ((CUBE, one_off), (CUBE, cube / 9604), (LABELS, labels.T)):
+        ending = next(home.glob(f"{stem}.*")).suffix
+        write(home, {stem: values}, ending)
+        with refused(f"{stem}{ending} does not hold the values", "replace it with the original"):
+            load_dataset("indian-pines")
+        assert sum(each.ok for each in check("indian-pines")) == 1
+        write(home, {stem: made_up()[stem]}, ending)
     for content in ("FILE x\n---\n", "FILE x\n---\n400 9\n500 9\n", "FILE x\n---\nfour 9\n"):
         (home / "92AV3C.spc").write_text(content)
         with refused("92AV3C.spc", "replace it with the original"):
             load_dataset("indian-pines")
 
 
-def test_the_simulated_scene_says_so_everywhere(home):
-    data = load_dataset("indian-pines-surrogate")
-    assert data.name == "indian-pines-surrogate"
-    assert "Simulated" in data.preprocessing
-    assert "not the real scene" in data.preprocessing
-    assert data.image_shape == (256,)
-    assert load_scene("indian-pines-surrogate").name == "indian-pines-surrogate"
-    assert load_dataset("indian-pines").name != data.name
+def test_files_that_are_no_scene_are_named(home):
+    cases: list[tuple[str, Any]] = [(CUBE, np.ones((145, 145))), (LABELS, np.ones((145, 144)))]
+    for stem, values in cases:
+        ending = next(home.glob(f"{stem}.*")).suffix
+        write(home, {stem: values}, ending)
+        with refused("dimension" if (stem, ending) == (CUBE, ".mat") else "145"):
+            load_dataset("indian-pines")
+        assert not all(each.ok for each in check("indian-pines"))
+        write(home, {stem: made_up()[stem]}, ending)
+
+
+def test_what_is_missing_is_named(tmp_path, monkeypatch):
+    monkeypatch.setenv("DEEPFSI_DATA", str(tmp_path))
+    monkeypatch.setattr(indian_pines, "PACKAGE", ("no_such_package", "datasets/data"))
+    with refused("pip install", f"{CUBE}.mat and {LABELS}.mat", "indian_pines", "DEEPFSI_DATA"):
+        load_dataset("indian-pines")
+    assert [result.ok for result in check("indian-pines")] == [False, False]
+    assert {info.name: info.where for info in list_datasets()}["indian-pines"] == "not here"
+
+
+def test_the_scene_in_tensorly(tmp_path, monkeypatch):
+    """The package's copy is the real scene: its numbers of pixels, lowest and highest value."""
+    pytest.importorskip("tensorly")
+    monkeypatch.setenv("DEEPFSI_DATA", str(tmp_path))
+    scene = load_scene()
+    assert scene.cube.shape == (145, 145, 200)
+    assert (scene.cube.min(), scene.cube.max()) == (955, 9604)
+    counts = np.bincount(scene.labels.ravel())
+    assert (counts[1:].sum(), counts[1], counts[9], counts[11]) == (10_249, 46, 20, 2455)
+    assert all(result.ok for result in check("indian-pines"))
+    assert download("indian-pines").parts[-3:] == ("tensorly", "datasets", "data")
+
+
+@pytest.mark.skipif(not REAL.is_dir(), reason="needs $DEEPFSI_DATA/indian_pines")
+def test_a_folder_goes_before_the_package():
+    assert download("indian-pines") == REAL
+    assert all(result.ok for result in check("indian-pines"))
+    assert load_dataset("indian-pines").wavelengths is not None

@@ -4,6 +4,7 @@ import csv
 import itertools
 import json
 import shutil
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -14,6 +15,7 @@ from deepfsi.errors import InputError
 from deepfsi.sweeps.trial import plan
 from deepfsi_paper import experiment, mlgauss, studies
 from deepfsi_paper.camera import claims as camera
+from deepfsi_paper.indian_pines import claims as indian_pines
 from deepfsi_paper.mnist import accuracy as mnist
 from shared.experiments import ALL, EVERY, OVIT, run_all
 from shared.results import a_point, some_results
@@ -247,3 +249,16 @@ def test_claims_hold_where_the_numbers_are_the_papers():
 )
 def test_claims_answer_to_the_numbers(change, place, answer):
     assert answers(**change)[place] is answer
+
+
+def test_a_part_and_ratios_take_the_place_of_the_recipes(refuse, tmp_path):
+    few = replace(indian_pines.EXPERIMENT, part="random", changes={"ratios": (0.04, 1.0)})
+    [(part, recipe)] = few.recipes(quick=False).items()
+    assert (part, recipe.ratios, recipe.split) == ("random", (0.04, 1.0), "random")
+    out = tmp_path / "out"
+    asked = ("reproduce", "indian-pines", "-o", out)
+    assert "no part 'rendom'" in refuse(*asked, "--part", "rendom")
+    assert "--ratios" in refuse(*asked, "--ratios", "a")
+    assert "ratios" in refuse(*asked, "--ratios", "2")
+    assert "not both" in refuse("reproduce", "ovit", "--ratios", "0.5", "-o", out)
+    assert not out.exists()

@@ -161,6 +161,13 @@ def reproduce(
     trials: Annotated[
         int | None, typer.Option(min=1, help="training seeds for each point, if not the recipe's")
     ] = None,
+    ratios: Annotated[
+        str | None,
+        typer.Option(help="compression ratios, if not the recipe's: 0.01,0.16,1"),
+    ] = None,
+    part: Annotated[
+        str | None, typer.Option(help="the only part to run, of a recipe with several parts")
+    ] = None,
     workers: options.Workers = None,
     ray: options.Ray = None,
     device: options.Device = "auto",
@@ -173,13 +180,16 @@ def reproduce(
 
     Example: deepfsi reproduce mnist --quick -o runs/paper
     """
-    from dataclasses import asdict
+    from dataclasses import asdict, replace
 
     studies = paper.studies()
     if name == "list":
         _list_experiments(studies, as_json)
         return
-    chosen = studies.find(name)
+    changes = {} if ratios is None else {"ratios": options.numbers("ratios", ratios)}
+    chosen = [replace(each, changes=changes, part=part) for each in studies.find(name)]
+    for each in chosen:
+        each.recipes(quick, trials)
     paths.check_folder(out)
     for each in chosen:
         with common.progress(each.name, quiet=as_json) as report:

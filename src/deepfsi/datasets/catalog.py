@@ -7,10 +7,8 @@
   else downloaded once. At 64x64 the whole of it takes 1 GB, and twice that while it is loaded;
 - ``cifar10-jpeg``: its images decoded from lossy JPEG, in
   ``$DEEPFSI_DATA/cifar10/cifar10-jpeg.zip``;
-- ``indian-pines`` (220 bands), ``indian-pines-corrected`` (200 bands): the ``.mat`` files in
-  ``$DEEPFSI_DATA/indian_pines/``, each labelled pixel a scene, padded with darkness to 256 bands;
-- ``indian-pines-surrogate``: the same with simulated spectra, from ``Indian_pines_gt.mat`` and
-  ``92AV3C.spc`` there.
+- ``indian-pines``: 200 of 220 bands, each labelled pixel a scene, padded with darkness to 256
+  bands; the corrected cube in ``$DEEPFSI_DATA/indian_pines/`` or in the package ``tensorly``.
 """
 
 from pathlib import Path
@@ -26,7 +24,7 @@ CIFAR = ("cifar10", "cifar10-jpeg")
 FILES = (
     dict.fromkeys(idx.ORIGINALS, idx)
     | dict.fromkeys(CIFAR, cifar)
-    | dict.fromkeys(indian_pines.SOURCES, indian_pines)
+    | {indian_pines.NAME: indian_pines}
 )
 """Module that finds, downloads and checks the files of each name."""
 
@@ -48,7 +46,7 @@ def list_datasets() -> list[DatasetInfo]:
     sizes = (
         dict.fromkeys(idx.ORIGINALS, (70_000, 1024, 10))
         | dict.fromkeys(CIFAR, (60_000, 1024, 10))
-        | dict.fromkeys(indian_pines.SOURCES, (10_249, indian_pines.BANDS, 16))
+        | {indian_pines.NAME: (10_249, indian_pines.BANDS, 16)}
     )
     listed = (
         DatasetInfo(name, *sizes[name], str(files.where(name) or "not here"))

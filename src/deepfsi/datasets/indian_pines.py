@@ -1,39 +1,56 @@
-"""Indian Pines: the real scene where its files are at hand, and a simulated one that says so.
+"""Indian Pines: the scene of the AVIRIS spectrometer, without the bands that water vapour takes.
 
 M. F. Baumgardner, L. L. Biehl, D. A. Landgrebe, "220 Band AVIRIS Hyperspectral Image Data Set: June
 12, 1992 Indian Pine Test Site 3", Purdue University Research Repository, 2015,
-doi:10.4231/R7RX991C; as the ``.mat`` files of the Grupo de Inteligencia Computacional, UPV/EHU. The
-public file has 220 bands of AVIRIS's 224, the corrected one 200: it lacks those that water vapour
-takes. Both are padded with darkness to 256, as the paper pads the 224 that it counts.
+doi:10.4231/R7RX991C. The corrected cube of the Grupo de Inteligencia Computacional, UPV/EHU, has
+200 of its 220 bands; the paper counts AVIRIS's 224. The cube is padded with darkness to 256 bands,
+as the paper pads its own.
+
+The Python package ``tensorly`` (BSD 3-Clause) contains the cube and its label map.
 """
 
+import hashlib
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from deepfsi.datasets.cubes import read_cube, read_labels
+from deepfsi.datasets.cubes import read_cube
 from deepfsi.datasets.spectra import SpectralImage
-from deepfsi.datasets.store import FileCheck, candidates, find_folder
+from deepfsi.datasets.store import FileCheck, candidates
 from deepfsi.errors import InputError
 
+NAME = "indian-pines"
+
 FOLDER = "indian_pines"
-LABELS_FILE = "Indian_pines_gt.mat"
+"""Its folder in ``$DEEPFSI_DATA``."""
+
+PACKAGE = ("tensorly", "datasets/data")
+"""Installed package that contains the files, and their folder in it."""
+
+CUBE, LABELS = "Indian_pines_corrected", "Indian_pines_gt"
+"""Names of the files, each with the ending .npy or .mat."""
+
+HASHES = {
+    CUBE: "36468dd7336c8bd37a80cced54362ea426f226703f3797ba494556fd8134e77f",
+    LABELS: "ebf20cfe0bce98f01885f0ab4fd1857925db3ef0a1f1624bbee3ffcb92425103",
+}
+"""SHA-256 of the values, whatever the file: row by row, of 16 bits the lower byte first, labels 8.
+
+Writers of ``.mat`` files pack the same values into other bytes.
+"""
+
 BANDS_FILE = "92AV3C.spc"
-SURROGATE = "indian-pines-surrogate"
+"""Band table, which gives the wavelengths where it lies beside the cube."""
 
 BANDS = 256
 """Bands after padding."""
 
-SIDE = 145
-"""Height and width of the scene, pixels."""
-
-SCENE_SEED = 1992
-"""Seed of the surrogate: one scene, whatever the seed of its split."""
-
 WATER = np.r_[103:108, 149:163, 219]
-"""Bands, counted from 0, that the corrected file lacks."""
+"""Bands of the 220, counted from 0, that the corrected cube lacks."""
 
 CLASSES = (
     *("Alfalfa", "Corn-notill", "Corn-mintill", "Corn"),
@@ -44,59 +61,51 @@ CLASSES = (
 """Names of the classes 1 to 16."""
 
 
-SOURCES = {
-    "indian-pines": ("Indian_pines.mat", 220),
-    "indian-pines-corrected": ("Indian_pines_corrected.mat", 200),
-    SURROGATE: (BANDS_FILE, 220),
-}
-"""File that a name needs beside the labels, and the number of its bands."""
+class SceneFiles(NamedTuple):
+    """Files of the cube and of its label map, in one folder."""
+
+    cube: Path
+    labels: Path
 
 
-def load_scene(name: str) -> SpectralImage:
-    """Whole image, the real one or the simulated one, for maps and overviews."""
-    folder = download(name)
-    if name == SURROGATE:
-        return _simulated(folder)
-    file, bands = SOURCES[name]
-    scene = read_cube(
-        folder / file,
-        folder / LABELS_FILE,
-        variables=(Path(file).stem.lower(), "indian_pines_gt"),
-        name=name,
-        classes=CLASSES,
-        origin="Radiance as published,",
-    )
-    _check_labels(scene.labels, folder)
-    if scene.cube.shape[2] != bands:
-        raise InputError(
-            f"{folder / file} has {scene.cube.shape[2]} bands, not {bands}; "
-            "replace it with the original"
-        )
-    if not (folder / BANDS_FILE).is_file():
+def load_scene() -> SpectralImage:
+    """Whole image, for maps and overviews.
+
+    Raises
+    ------
+    InputError
+        If its files are missing, cannot be read, or hold other values.
+    """
+    scene_files = _files()
+    scene = _read(scene_files)
+    for path, array in zip(scene_files, (scene.cube, scene.labels), strict=True):
+        if values_hash(array) != HASHES[path.stem]:
+            raise InputError(
+                f"{path} does not hold the values of Indian Pines; replace it with the original, "
+                "or give the path of a cube of your own"
+            )
+    table = scene_files.cube.parent / BANDS_FILE
+    if not table.is_file():
         return scene
-    wavelengths = _wavelengths(folder / BANDS_FILE)
-    return replace(
-        scene, wavelengths=np.delete(wavelengths, WATER) if bands == 200 else wavelengths
+    return replace(scene, wavelengths=np.delete(_wavelengths(table), WATER))
+
+
+def values_hash(values: npt.NDArray[np.generic]) -> str:
+    """SHA-256 of whole numbers, as `HASHES` has it."""
+    kind = "<u2" if values.ndim == 3 else "u1"
+    if values.dtype.kind not in "ui" or (values != values.astype(kind)).any():
+        return "other values"
+    return hashlib.sha256(values.astype(kind).tobytes()).hexdigest()
+
+
+def _read(scene_files: SceneFiles) -> SpectralImage:
+    return read_cube(
+        *scene_files,
+        variables=(CUBE.lower(), LABELS.lower()),
+        name=NAME,
+        classes=CLASSES,
+        origin="Radiance as published, 200 of 220 bands,",
     )
-
-
-def _simulated(folder: Path) -> SpectralImage:
-    from deepfsi.datasets.surrogate import simulate
-
-    labels = read_labels(folder / LABELS_FILE, "indian_pines_gt")
-    _check_labels(labels, folder)
-    wavelengths = _wavelengths(folder / BANDS_FILE)
-    cube = simulate(labels, wavelengths, SCENE_SEED)
-    origin = "Simulated radiance on the label map of Indian Pines, not the real scene,"
-    return SpectralImage(SURROGATE, cube, labels, CLASSES, wavelengths, origin)
-
-
-def _check_labels(labels: npt.NDArray[np.integer], folder: Path) -> None:
-    if labels.shape != (SIDE, SIDE) or set(np.unique(labels).tolist()) != set(range(17)):
-        raise InputError(
-            f"{folder / LABELS_FILE} is no map of {SIDE}x{SIDE} pixels with the labels 0 to 16; "
-            "replace it with the original"
-        )
 
 
 def _wavelengths(path: Path) -> npt.NDArray[np.float64]:
@@ -113,31 +122,56 @@ def _wavelengths(path: Path) -> npt.NDArray[np.float64]:
     return table
 
 
-def where(name: str) -> Path | None:
-    """First folder that has all files of a name."""
-    return find_folder(FOLDER, (SOURCES[name][0], LABELS_FILE))
+def where(name: str = NAME) -> Path | None:
+    """First folder that has the cube and its label map: of data sets, or of `PACKAGE`."""
+    scene_files = _find()
+    return scene_files.cube.parent if scene_files else None
 
 
-def download(name: str) -> Path:
+def download(name: str = NAME) -> Path:
     """Folder of the files; they are not to be downloaded."""
-    folder = where(name)
-    if folder is None:
-        raise InputError(
-            f"{name} is not here, and not downloaded: put {SOURCES[name][0]} and {LABELS_FILE} "
-            f"into a folder {FOLDER}, and set DEEPFSI_DATA to the folder that holds it (the .mat "
-            "files are on UPV/EHU's page 'Hyperspectral Remote Sensing Scenes')"
+    return _files().cube.parent
+
+
+def _files() -> SceneFiles:
+    if scene_files := _find():
+        return scene_files
+    raise InputError(
+        f"{NAME} is not here: pip install {PACKAGE[0]}, which contains it; or put {CUBE}.mat and "
+        f"{LABELS}.mat into a folder {FOLDER}, and set DEEPFSI_DATA to the folder that holds it"
+    )
+
+
+def _find() -> SceneFiles | None:
+    """Both files, of the first folder that has them."""
+    spec = find_spec(PACKAGE[0])
+    installed = list(spec.submodule_search_locations or ()) if spec else []
+    for folder in [*candidates(FOLDER), *(Path(each) / PACKAGE[1] for each in installed)]:
+        cube, labels = (
+            next((p for end in (".npy", ".mat") if (p := folder / f"{stem}{end}").is_file()), None)
+            for stem in (CUBE, LABELS)
         )
-    return folder
+        if cube and labels:
+            return SceneFiles(cube, labels)
+    return None
 
 
-def check(name: str) -> list[FileCheck]:
-    """Say of each file whether it is there, and of the scene whether it can be loaded."""
-    files = (SOURCES[name][0], LABELS_FILE)
-    if where(name) is None:
+def check(name: str = NAME) -> list[FileCheck]:
+    """Say of each file whether it is there, and whether it holds the values of the original."""
+    scene_files = _find()
+    if scene_files is None:
         home = candidates(FOLDER)[0]
-        return [FileCheck(file, (home / file).is_file(), f"looked for in {home}") for file in files]
+        return [FileCheck(f"{stem}.mat", False, f"looked for in {home}") for stem in HASHES]
     try:
-        load_scene(name)
+        scene = _read(scene_files)
     except InputError as error:
-        return [FileCheck(name, False, str(error))]
-    return [FileCheck(file, True, "as expected; no hash is known") for file in files]
+        return [FileCheck(NAME, False, str(error))]
+    pairs = zip(scene_files, (scene.cube, scene.labels), strict=True)
+    return [_file_check(path, values_hash(array)) for path, array in pairs]
+
+
+def _file_check(path: Path, found_hash: str) -> FileCheck:
+    expected = HASHES[path.stem]
+    if found_hash == expected:
+        return FileCheck(path.name, True, "sha256 of its values agrees")
+    return FileCheck(path.name, False, f"sha256 of its values is {found_hash}, not {expected}")

@@ -135,7 +135,7 @@ def takes(source: str) -> tuple[str, ...]:
     """Options of `load_dataset` that this source takes, and not every one does."""
     if source in NAMES:
         taken = dict.fromkeys(CIFAR, ("size", "images"))
-        return taken.get(source, ("split",) if source in indian_pines.SOURCES else ())
+        return taken.get(source, ("split",) if source == indian_pines.NAME else ())
     path = _existing(source)
     if path.is_dir() or path.suffix.lower() == ".zip":
         return ("size", "images", "white", "skip_bad")
@@ -183,8 +183,8 @@ def _load_name(name: str, options: Options) -> Dataset:
     seed, rescale = options.seed, options.rescale
     if name in CIFAR:
         return cifar.load_cifar(name, options)
-    if name in indian_pines.SOURCES:
-        scene = indian_pines.load_scene(name)
+    if name == indian_pines.NAME:
+        scene = indian_pines.load_scene()
         return scene.dataset(options.split or "random", seed, indian_pines.BANDS, rescale)
     if name == "digits":
         from sklearn.datasets import load_digits

@@ -159,7 +159,6 @@ def spectral_masks_figure(rows: Sequence[SpectralMasks], scene: Overview, *, tit
             for mask, look in zip(curves, LOOKS, strict=False):
                 ax.plot(x, mask[order], linewidth=1.1, **look)
             ax.axhline(0, color=style.MUTED, linewidth=0.6)
-            _shade(ax, scene.water)
             count = min(len(curves), len(LOOKS))
             ax.set_title(
                 f"{style.photons_text(row.photons)} photons, {noise_text(noise)}: "
@@ -196,7 +195,6 @@ def _draw_spectra(ax: Axes, scene: Overview) -> None:
         low, middle, high = np.array(percentiles)[:, order]
         ax.fill_between(x, low, high, color=look["color"], alpha=0.2, linewidth=0)
         ax.plot(x, middle, label=name, linewidth=1.2, **look)
-    _shade(ax, scene.water)
     ax.set_ylim(bottom=0)
     ax.set_xlim(x[0], x[-1])
     ax.legend(frameon=False, fontsize=style.SMALL)
@@ -214,11 +212,6 @@ def _bands(wavelengths: Sequence[float] | None, count: int) -> tuple[np.ndarray,
 
 def _band_label(scene: Overview) -> str:
     return "band" if scene.wavelengths is None else "wavelength (nm)"
-
-
-def _shade(ax: Axes, spans: Sequence[Sequence[float]]) -> None:
-    for low, high in spans:
-        ax.axvspan(low, high, color=style.GRID, zorder=0, linewidth=0)
 
 
 def _bare(ax: Axes) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 from deepfsi.datasets import Dataset, SpectralImage
-from deepfsi.datasets.indian_pines import WATER, load_scene
+from deepfsi.datasets.indian_pines import load_scene
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate
 from deepfsi.progress import SILENT, Report
@@ -76,8 +76,6 @@ class Overview:
     bands : int
     wavelengths : sequence of float or None
         Of all bands, nm.
-    water : sequence of pairs
-        Shortest and longest wavelength of bands that water vapour darkens, nm.
     spectra : dict of str to array, shape (3, bands)
         Percentiles 5, 50 and 95 of some classes.
     """
@@ -88,7 +86,6 @@ class Overview:
     band_nm: float | None
     bands: int
     wavelengths: Sequence[float] | None
-    water: Curves
     spectra: dict[str, Curves]
 
 
@@ -152,7 +149,7 @@ def measure(
 
     Parameters as of `Experiment.measure`.
     """
-    scene = load_scene(results.recipe["data"])
+    scene = load_scene()
     splits = list(dict.fromkeys(point.split for point in results.points))
     parts: dict[str, Parts] = {}
     maps: list[ClassMap] = []
@@ -197,7 +194,6 @@ def _overview(scene: SpectralImage) -> Overview:
         band_nm=None if nm is None else float(nm[min(BAND, len(nm)) - 1]),
         bands=bands,
         wavelengths=None if nm is None else nm.tolist(),
-        water=_water(nm),
         spectra={
             name: np.percentile(spectra[labels == names.index(name) + 1], (5, 50, 95), axis=0)
             .round(4)
@@ -205,15 +201,6 @@ def _overview(scene: SpectralImage) -> Overview:
             for name in [name for name in PAIR if name in names] or list(names[:2])
         },
     )
-
-
-def _water(wavelengths: np.ndarray | None) -> list[list[float]]:
-    """Ends (nm) of the runs of bands that water vapour darkens, where all 220 are known."""
-    if wavelengths is None or len(wavelengths) != 220:
-        return []
-    runs = np.split(WATER, np.flatnonzero(np.diff(WATER) > 1) + 1)
-    ranges = [wavelengths[run] for run in runs if len(run) > 1]
-    return [[float(each.min()), float(each.max())] for each in ranges]
 
 
 def _uses(scene: SpectralImage, split: str) -> np.ndarray:

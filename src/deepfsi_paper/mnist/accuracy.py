@@ -6,16 +6,13 @@ from typing import Any
 from deepfsi.report.accuracy import accuracy_figure
 from deepfsi.report.comparison_page import listed
 from deepfsi.report.style import photons_text
-from deepfsi.statistics.differences import Difference, above, difference
+from deepfsi.statistics.differences import Difference, above
 from deepfsi.sweeps.results import Point, Results
-from deepfsi_paper.experiment import Experiment, Finding, best
+from deepfsi_paper.experiment import Compared, Experiment, Finding, best, gains, no_gain
 from deepfsi_paper.mnist.figures import error_figure
 from deepfsi_paper.report.section import Claim, Picture, Table
 
 PAPER_SECONDS_PER_RUN, PAPER_SECONDS = 71.0, 2.87e4
-NOTHING = 0.01
-"""Difference in accuracy that counts as no gain."""
-
 STARVED = 1e6
 """Photons below which the paper's figure tells the designs apart under photon noise."""
 
@@ -26,8 +23,6 @@ PAPER = (
     "DeepFSI above FSI, and the control group, masks of AGN with a classifier for PN, falls short "
     "of DeepFSI."
 )
-
-Compared = dict[float, Difference]
 
 
 def show(results: Results) -> Finding:
@@ -64,16 +59,6 @@ def show(results: Results) -> Finding:
     return Finding(found, tuple(pictures), claims, (_accuracies(results), _cost(results)))
 
 
-def _compared(
-    chosen: dict[tuple[str, float], Point], first: str, second: str, below: float = float("inf")
-) -> Compared:
-    return {
-        budget: difference(point, chosen[(second, budget)])
-        for (design, budget), point in sorted(chosen.items(), key=lambda item: item[0][1])
-        if design == first and budget < below and (second, budget) in chosen
-    }
-
-
 def _claim(text: str, compared: Compared, why: str = "") -> Claim:
     """Claim that all differences are above 0."""
     least = min(compared, key=lambda budget: compared[budget].low)
@@ -84,19 +69,6 @@ def _claim(text: str, compared: Compared, why: str = "") -> Claim:
     return Claim(text, above(compared.values()), said, why)
 
 
-def _no_gain(label: str, compared: Compared, why: str) -> Claim:
-    """Claim that a code gains nothing over raster scan at any budget."""
-    most = max(compared, key=lambda budget: compared[budget].mean)
-    gains = [photons_text(budget) for budget, each in compared.items() if each.low > 0]
-    where = f"; above at {listed(gains)} photons" if gains else ""
-    return Claim(
-        f"PN: {label} gains nothing over RS (less than {NOTHING})",
-        above([-each for each in compared.values()], -NOTHING),
-        f"{label} − RS at most {compared[most]} at {photons_text(most)} photons{where}",
-        why if gains else "",
-    )
-
-
 def photon_claims(photon: dict[tuple[str, float], Point]) -> list[Claim]:
     """Claims under photon noise, from points by design and budget."""
     starved = sorted({budget for _, budget in photon})
@@ -104,30 +76,30 @@ def photon_claims(photon: dict[tuple[str, float], Point]) -> list[Claim]:
     return [
         _claim(
             f"PN: DeepFSI is above FSI at every budget below {photons_text(STARVED)}",
-            _compared(photon, "deepfsi", "pca", STARVED),
+            gains(photon, "deepfsi", "pca", STARVED),
         ),
         _claim(
             f"PN: FSI is above TH at every budget below {photons_text(STARVED)}",
-            _compared(photon, "pca", "truncated-hadamard", STARVED),
+            gains(photon, "pca", "truncated-hadamard", STARVED),
         ),
-        _no_gain(
-            "HB",
-            _compared(photon, "hadamard", "raster"),
+        no_gain(
+            "PN: HB",
+            gains(photon, "hadamard", "raster"),
             "Their reconstruction errors are equal in the mean over pixels, but the variance of "
             "raster scan follows each pixel's brightness, and in these images the strokes are the "
             "bright pixels; the variance of Hadamard is the same in all pixels, the dim "
             "background included.",
         ),
-        _no_gain(
-            "TH",
-            _compared(photon, "truncated-hadamard", "raster"),
+        no_gain(
+            "PN: TH",
+            gains(photon, "truncated-hadamard", "raster"),
             "TH spends all light on a few low frequencies, in which these images differ most. "
             "Truncation is prior knowledge about the scene.",
         ),
         _claim(
             "PN: the control group is below DeepFSI in the dimmer half "
             f"(up to {photons_text(half)} photons)",
-            _compared(photon, "deepfsi", "control", half * 1.001),
+            gains(photon, "deepfsi", "control", half * 1.001),
         ),
     ]
 
@@ -137,7 +109,7 @@ def read_claims(read: dict[tuple[str, float], Point]) -> list[Claim]:
     multiplexed = ("hadamard", "truncated-hadamard", "pca", "deepfsi")
     clear: list[tuple[str, float, Difference]] = []
     for design in multiplexed:
-        for budget, each in _compared(read, design, "raster").items():
+        for budget, each in gains(read, design, "raster").items():
             code, raster = read[(design, budget)], read[("raster", budget)]
             if code.low > raster.high or code.high < raster.low:
                 clear.append((code.label, budget, each))
@@ -147,7 +119,7 @@ def read_claims(read: dict[tuple[str, float], Point]) -> list[Claim]:
     rivals = {
         (design, budget): each
         for design in sorted(singles)
-        for budget, each in _compared(read, "deepfsi", design).items()
+        for budget, each in gains(read, "deepfsi", design).items()
     }
     worst = min(rivals, key=lambda place: rivals[place].low)
     return [
