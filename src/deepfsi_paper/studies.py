@@ -9,7 +9,7 @@ from deepfsi_paper.camera import claims as camera_study
 from deepfsi_paper.experiment import Experiment
 from deepfsi_paper.flexible import claims as flexible
 from deepfsi_paper.indian_pines import claims as indian_pines
-from deepfsi_paper.mnist import accuracy, masks, starts
+from deepfsi_paper.mnist import accuracy, control, images, masks, starts, training
 from deepfsi_paper.ovit import claims as ovit
 from deepfsi_paper.report.study_page import write_study
 
@@ -18,6 +18,9 @@ STUDIES: dict[str, tuple[Experiment, ...]] = {
     "compression": (compression.EXPERIMENT,),
     "mlgauss": (mlgauss.EXPERIMENT,),
     "quantization": (quantization.EXPERIMENT,),
+    "control": (control.EXPERIMENT,),
+    "training": (training.EXPERIMENT,),
+    "images": (images.EXPERIMENT,),
     "indian-pines": (indian_pines.EXPERIMENT,),
     "ovit": (ovit.EXPERIMENT,),
     "ovit-images": (ovit.IMAGES,),

@@ -457,5 +457,6 @@ def test_experiments_are_listed(done):
     assert {row["name"] for row in listed} == {
         *("mnist", "compression", "mlgauss", "quantization", "indian-pines", "hardware"),
         *("adaptive", "flexible", "detectors", "ovit", "ovit-images", "ovit-full"),
+        *("control", "training", "images"),
     }
     assert "compression" in done("reproduce", "list")

@@ -59,7 +59,7 @@ def test_a_bad_table_of_file_names_and_labels(images, tmp_path):
     path.write_bytes(b"\xff\xfe\x00")
     with refused(str(path), "not text in UTF-8"):
         load_dataset(path)
-    with refused("only a folder, a zip file or CIFAR-10"):
+    with refused("only a folder, a zip file, CIFAR-10 or MNIST"):
         load_dataset(listed(images, path, folder="pets/"), images=5)
 
 

@@ -196,3 +196,18 @@ def test_a_download_says_how_far_it_is(monkeypatch):
     monkeypatch.setattr(pooch, "retrieve", retrieve)
     store.retrieve("mnist", "images.gz", "sha256:0", ("http://here/",))
     assert shares == [("images.gz", share) for share in (0, 0.5, 1)]
+
+
+def test_fewer_training_images_keep_the_classes_shares_and_the_test_part(mirrors):
+    fill(mirrors.first)
+    whole, few = load_dataset("mnist"), load_dataset("mnist", images=10)
+    assert np.bincount(few.y_train).tolist() == [1] * 10
+    assert np.array_equal(few.x_test, whole.x_test)
+    place = [int(np.flatnonzero((whole.x_train == scene).all(axis=1))[0]) for scene in few.x_train]
+    assert place == sorted(place), "in the order of the file"
+    assert "10 training images drawn by class" in few.preprocessing
+    other = load_dataset("mnist", images=10, seed=1)
+    assert not np.array_equal(other.x_train, few.x_train)
+    assert few.origin.images == 10
+    with refused("21 of 20 training images were asked for", "give 10"):
+        load_dataset("mnist", images=21)

@@ -135,7 +135,7 @@ def test_every_recipe_is_whole_and_takes_a_number_of_trials(each, quick):
     assert all(recipe.trials == 2 for recipe in each.recipes(quick, trials=2).values())
 
 
-SCENES = {"adaptive": 2500}
+SCENES = {"adaptive": 2500, "images": 2500}
 """Scenes that have as many clusters as a recipe asks for."""
 
 SHAPES = {"indian-pines": (200,), **{each.name: (64, 64) for each in OVIT}}

@@ -7,15 +7,17 @@ import pytest
 
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi_paper import experiment, studies
-from deepfsi_paper.camera import laboratory
+from deepfsi_paper.camera import laboratory, rate_simulations
 from deepfsi_paper.experiment import Experiment
 from deepfsi_paper.flexible import claims as flexible
 from deepfsi_paper.indian_pines import claims as indian_pines
+from deepfsi_paper.mnist import images
 from deepfsi_paper.ovit import claims as ovit
 
 ALL = [each for members in studies.STUDIES.values() for each in members]
 OVIT = (ovit.EXPERIMENT, ovit.IMAGES, ovit.FULL)
-APART = (indian_pines.EXPERIMENT, flexible.EXPERIMENT, *OVIT)  # they need data of their own
+# They need data of their own
+APART = (indian_pines.EXPERIMENT, flexible.EXPERIMENT, *OVIT, images.EXPERIMENT)
 EVERY = [each for each in ALL if each not in APART]
 TINY = {"data": "digits", "ratios": (0.05, 0.1), "photons": (1e2, 1e4), "training": {"epochs": 1}}
 
@@ -40,6 +42,8 @@ def shrunk(experiment, trials: int, part: str, quick: Recipe):
         changes["ratios"] = 0.05
     if experiment.name == "adaptive":
         training |= {"clusters": 5} if "clusters" in training else {}
+    if (experiment.name, part) == ("training", "epochs"):
+        training["epochs"] = (1, 2)
     if experiment.name == "flexible":
         changes |= {"photons": 1e4, "ratios": 0.05 if part == "counts" else 0.1}
         changes["tuned"] = {}
@@ -62,6 +66,9 @@ def run_all(folder: Path, trials: int, chosen: list[Experiment] = EVERY) -> Path
         patch.setattr(experiment.Experiment, "recipes", lambda self, *_: recipes[self.name])
         patch.setattr(laboratory, "DRAWS", 2)
         patch.setattr(laboratory, "processes", here)
+        patch.setattr(rate_simulations, "processes", here)
+        patch.setattr(rate_simulations, "SETTINGS_A_BUDGET", 4)
+        patch.setattr(rate_simulations, "TABLES", 2)
         for each in chosen:
             each.run(folder, command=f"deepfsi reproduce {each.name}")
     return folder

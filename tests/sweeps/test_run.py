@@ -2,10 +2,13 @@
 
 import json
 import tomllib
+from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from deepfsi.cli.recipes import shipped
+from deepfsi.statistics.terms import unpack
 from deepfsi.sweeps.recipe import Recipe, parts
 from deepfsi.sweeps.records import rows
 from deepfsi.sweeps.run import compare
@@ -106,3 +109,18 @@ def test_every_recipe_runs_small(settings, digits, tmp_path):
     recipe = Recipe(**{**settings, **tiny})
     results, _ = compare(recipe, digits, tmp_path, command="deepfsi")
     assert {point.design for point in results.points} == set(recipe.designs)
+
+
+def test_a_test_scene_that_was_trained_on_is_in_no_interval(digits, tmp_path):
+    data = replace(
+        digits,
+        x_test=np.concatenate([digits.x_train[:1], digits.x_test]),
+        y_test=np.concatenate([digits.y_train[:1], digits.y_test]),
+    )
+    recipe = small(designs="pca", masks=3, photons=1e3, training={"epochs": 1})
+    results, _ = compare(recipe, data, tmp_path, command="deepfsi")
+    (point,) = results.points
+    assert len(unpack(point.terms[0])) == len(digits.x_test)
+    np.testing.assert_array_equal(
+        np.sum(point.confusion, axis=1), np.bincount(digits.y_test, minlength=10)
+    )

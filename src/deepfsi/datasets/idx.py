@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from deepfsi.datasets.arrays import Range, assemble
+from deepfsi.datasets.arrays import Range, assemble, draw_stratified
 from deepfsi.datasets.dataset import Dataset, Reflectance
 from deepfsi.datasets.store import FileCheck, check_files, find_folder, whole_files
 
@@ -43,16 +43,23 @@ ORIGINALS = {
 """Data sets by name."""
 
 
-def load_idx(name: str, rescale: Range) -> Dataset:
-    """Load the original in its own split and order, framed to 32x32."""
+def load_idx(name: str, rescale: Range, count: int | None = None, seed: int = 0) -> Dataset:
+    """Load the original in its own split and order, framed to 32x32.
+
+    Of the training images `count` are kept, of each class its share; all unless given.
+    """
     folder = download(name)
     images, labels, images_test, labels_test = (_read_idx(folder / file) for file in IDX_FILES)
+    if count is not None:
+        kept = draw_stratified(labels, count, seed, name)
+        images, labels = images[kept], labels[kept]
+    drawn = "" if count is None else f"{count} training images drawn by class; "
     return assemble(
         name,
         (_framed(images), labels.astype(np.int64)),
         (_framed(images_test), labels_test.astype(np.int64)),
         classes=ORIGINALS[name].classes,
-        described="Padded from 28x28 to 32x32 with black, divided by 255",
+        described=f"{drawn}Padded from 28x28 to 32x32 with black, divided by 255",
         rescale=rescale,
     )
 

@@ -32,7 +32,7 @@ KINDS = (
 
 TAKERS = {
     "size": ("a size", "images of a folder, a zip file, a .csv file or CIFAR-10 take"),
-    "images": ("a number of images", "a folder, a zip file or CIFAR-10 takes"),
+    "images": ("a number of images", "a folder, a zip file, CIFAR-10 or MNIST takes"),
     "split": ("a split", "a hyperspectral image takes"),
     "white": ("a white", "a folder, zip file or .csv file of images or arrays take"),
     "skip_bad": ("`skip_bad`", "a folder, zip file or .csv file of images takes"),
@@ -84,8 +84,8 @@ def load_dataset(
         Low and high, to which [0, 1] is mapped; (0, 1) is no change. By default (0.3, 1) for
         digits, MNIST and Fashion-MNIST, no change for others.
     images : int, optional
-        Training images to keep of CIFAR-10, or of a folder or zip file with its own test part,
-        drawn with the seed, of each class its share; all by default.
+        Training images to keep of CIFAR-10, MNIST, Fashion-MNIST, or a folder or zip file with its
+        own test part, drawn with the seed, of each class its share; all by default.
     split : {"random", "blocks"}, optional
         Of hyperspectral images, as in `SpectralImage.parts`.
     white : float, optional
@@ -134,7 +134,7 @@ def absolute(source: str) -> str:
 def takes(source: str) -> tuple[str, ...]:
     """Options of `load_dataset` that this source takes, and not every one does."""
     if source in NAMES:
-        taken = dict.fromkeys(CIFAR, ("size", "images"))
+        taken = dict.fromkeys(CIFAR, ("size", "images")) | dict.fromkeys(idx.ORIGINALS, ("images",))
         return taken.get(source, ("split",) if source == indian_pines.NAME else ())
     path = _existing(source)
     if path.is_dir() or path.suffix.lower() == ".zip":
@@ -197,7 +197,7 @@ def _load_name(name: str, options: Options) -> Dataset:
             rescale=rescale or DIM_BLACK,
             described="Divided by 16",
         )
-    return idx.load_idx(name, rescale or DIM_BLACK)
+    return idx.load_idx(name, rescale or DIM_BLACK, options.images, seed)
 
 
 def prepared(pictures: Path, origin: Origin, skip_bad: bool = False) -> Display:

@@ -15,6 +15,7 @@ from deepfsi.datasets.dataset import Measure
 from deepfsi.design.estimation import Estimates
 from deepfsi.design.evaluation import Result
 from deepfsi.design.exposure import find_exposure
+from deepfsi.design.training_data import TrainingScenes, new_scenes
 from deepfsi.optics import codes
 from deepfsi.optics.detection import Detection
 from deepfsi.optics.noise_names import noise_text
@@ -71,6 +72,7 @@ def summarise(
 ) -> Results:
     """Points of a comparison: trials averaged, mask counts chosen on validation data."""
     held_out = recipe.held_out(data)
+    tested = _tested(data, held_out, records)
     groups = defaultdict(list)
     for record in records:
         for index, test in enumerate(record["test"]):
@@ -90,7 +92,7 @@ def summarise(
             members,
             _pixels_seen(members[0][0], data),
             measure,
-            data,
+            tested,
         )
         for key, members in groups.items()
     ]
@@ -113,6 +115,19 @@ def summarise(
         chosen_by=measure,
         points=tuple(points),
     )
+
+
+def _tested(data: Dataset, held_out: int, records: Sequence[Mapping[str, Any]]) -> Dataset:
+    """The data with the test scenes that were tested: those of the training were left out."""
+    sizes = {
+        len(unpack(text))
+        for each in records[:1]
+        for text in each["test"][0].get("terms", {}).values()
+    }
+    if not sizes or sizes == {len(data.x_test)}:
+        return data
+    training = data.hold_out(held_out) if held_out else data
+    return new_scenes(TrainingScenes.of(training), data)[0]
 
 
 def _pixels_seen(record: Mapping[str, Any], data: Dataset) -> float:

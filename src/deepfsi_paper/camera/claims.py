@@ -18,6 +18,7 @@ from deepfsi_paper.bootstrap import (
     studentised_bootstrap,
     wilcoxon_signed_rank,
 )
+from deepfsi_paper.camera import fit_claims
 from deepfsi_paper.camera.figures import (
     Accuracy,
     digits_figure,
@@ -38,7 +39,6 @@ from deepfsi_paper.camera.laboratory import (
     DigitTest,
     Measures,
     RunTime,
-    measure,
     prepare,
 )
 from deepfsi_paper.camera.published import (
@@ -48,6 +48,7 @@ from deepfsi_paper.camera.published import (
     STUDENTISED,
     WILCOXON,
 )
+from deepfsi_paper.camera.rate_simulations import measure
 from deepfsi_paper.camera.view_figures import mirrors_figure, views_figure
 from deepfsi_paper.experiment import Experiment, Finding
 from deepfsi_paper.report.section import Claim, Picture, Table
@@ -100,16 +101,28 @@ def show(results: Results) -> Finding:
         {(test.design, test.exposure_s): test for test in tests},
         {test.design: test.label for test in tests},
     )
+    fit = measures.fit
     return Finding(
         _found(compared),
         (
             _exposure_picture(compared),
             _digits_picture(compared, measures.views.names),
             _effects_picture(measures),
+            *([fit_claims.picture(fit)] if fit else []),
             *_optics_pictures(measures),
         ),
-        (_first(compared), _every_digit(compared), _even(compared)),
-        (_intervals(compared), _tests(compared), _times(measures.times)),
+        (
+            _first(compared),
+            _every_digit(compared),
+            _even(compared),
+            *([fit_claims.claim(fit)] if fit else []),
+        ),
+        (
+            _intervals(compared),
+            _tests(compared),
+            *(fit_claims.tables(fit) if fit else ()),
+            _times(measures.times),
+        ),
     )
 
 

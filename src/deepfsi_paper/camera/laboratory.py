@@ -45,6 +45,7 @@ from deepfsi.statistics.differences import Difference, of_trials
 from deepfsi.sweeps.results import Point, Results
 from deepfsi.sweeps.workers import cores, processes
 from deepfsi_paper.camera.gate_counts import black_rates, draw, draw_counts, subtract_background
+from deepfsi_paper.camera.rate_fit import RateFit
 
 FLUX = 1e7
 """Photons/s on the device from a mean scene."""
@@ -199,6 +200,7 @@ class Measures:
     frame: str
     tests: Sequence[DigitTest]
     times: Sequence[RunTime]
+    fit: RateFit | None = None  # of the published rates; none in results of an earlier version
 
 
 @lru_cache(maxsize=1)
@@ -310,7 +312,11 @@ def export(design: Design, repeats: int, folder: Path) -> Patterns:
 
 
 def classify(
-    mounted: MountedDesign, camera: VirtualCamera, exposure_s: float, rng: np.random.Generator
+    mounted: MountedDesign,
+    camera: VirtualCamera,
+    exposure_s: float,
+    rng: np.random.Generator,
+    repeats: int = REPEATS,
 ) -> np.ndarray:
     """Classes (S, R) that a design gives to exposures of a camera.
 
@@ -323,9 +329,11 @@ def classify(
     camera : VirtualCamera
     exposure_s : float
     rng : Generator
+    repeats : int
+        Exposures R of each scene.
     """
     manifest = mounted.patterns.manifest
-    gates = find_gates(manifest, exposure_s, repeats=REPEATS)
+    gates = find_gates(manifest, exposure_s, repeats=repeats)
     arrivals = mounted.arrivals(camera)
     counts = draw_counts(arrivals, manifest, gates, camera, rng)
     window = manifest.picture_s[:2] - gates.settle_s
@@ -367,6 +375,16 @@ class DesignResult:
     frame: str
 
 
+def design_groups(results: Results) -> list[Group]:
+    """Designs with their points at the chosen number of masks."""
+    groups: dict[str, list[Point]] = {}
+    for point in results.points:
+        if point.best:
+            name = point.design if point.light == "equal-dwell" else FREE
+            groups.setdefault(name, []).append(point)
+    return [*groups.items()]
+
+
 def measure(
     results: Results, data: Dataset, designs: Path, workers: int | None, report: Report
 ) -> dict[str, Any]:
@@ -379,11 +397,7 @@ def measure(
     laboratory = Laboratory(
         designs, raw.x_test[places.ravel()].reshape(-1, *raw.image_shape), raw.y_test[places]
     )
-    groups: dict[str, list[Point]] = {}
-    for point in results.points:
-        if point.best:
-            name = point.design if point.light == "equal-dwell" else FREE
-            groups.setdefault(name, []).append(point)
+    groups = dict(design_groups(results))
     costly_first = sorted(groups.items(), key=lambda group: -group[1][0].masks)
     report(0.0, "laboratory")
     done = {}
@@ -415,7 +429,7 @@ def in_laboratory(laboratory: Laboratory, group: Group) -> DesignResult:
     mounted_by_masks: dict[bytes, MountedDesign] = {}  # fixed masks are the same in every training
     for point in points:
         mounted = [
-            _mounted(
+            mounted_design(
                 Design.load(laboratory.designs / f"{key}.safetensors"), laboratory, mounted_by_masks
             )
             for key in point.keys
@@ -446,11 +460,13 @@ def in_laboratory(laboratory: Laboratory, group: Group) -> DesignResult:
             made = Design.load(laboratory.designs / f"{point.keys[0]}.safetensors")
             label = LABELS.get(name, point.label)
             time = RunTime(name, label, *run_time(made, laboratory.images[:1]))
-            frame = base64.b64encode(_first_frame(mounted[0].patterns).tobytes()).decode()
+            shown = mounted[0].patterns
+            first = next(iter(make_frames(shown.on[:1], DEVICE, shown.manifest.grid)))
+            frame = base64.b64encode(first.tobytes()).decode()
     return DesignResult(tests, time, frame)
 
 
-def _mounted(
+def mounted_design(
     design: Design, laboratory: Laboratory, known: dict[bytes, MountedDesign]
 ) -> MountedDesign:
     """A design on the device; what one with the same masks was mounted for before serves again."""
@@ -482,8 +498,3 @@ def run_time(design: Design, scene: np.ndarray) -> tuple[float, int, int]:
         shown.classify(shown.readouts(counts.signal()), counts.photons[:, None])
         seconds = time.perf_counter() - began
         return seconds, int(counts.counts.sum()), (run / "photons.ptu").stat().st_size
-
-
-def _first_frame(patterns: Patterns) -> np.ndarray:
-    manifest = patterns.manifest
-    return next(iter(make_frames(patterns.on[:1], manifest.device, manifest.grid)))

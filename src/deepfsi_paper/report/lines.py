@@ -1,6 +1,6 @@
 """Lines of accuracy along an axis, side by side."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -65,9 +65,13 @@ class Line:
 
 
 @styled
-def lines_figure(panels: Mapping[str, Sequence[Line]], value: str = ACCURACY_AXIS) -> Figure:
+def lines_figure(
+    panels: Mapping[str, Sequence[Line]],
+    value: str = ACCURACY_AXIS,
+    across: Callable[[float], str] = lambda value: photons_text(round(value)),
+) -> Figure:
     """Accuracy along logarithmic axes: a panel for each label of an axis, with a key of its own."""
-    # or other values, where their axis is named
+    # or other values, where their axis is named; `across` writes the ticks
     figure = Figure(figsize=(4.6 * len(panels), PANEL_HEIGHT), layout="constrained")
     axes = figure.subplots(1, len(panels), squeeze=False)[0]
     for ax, (label, lines) in zip(axes, panels.items(), strict=True):
@@ -76,7 +80,7 @@ def lines_figure(panels: Mapping[str, Sequence[Line]], value: str = ACCURACY_AXI
         ticks = sorted({value for line in lines for value in line.across})
         ax.xaxis.set_major_locator(FixedLocator(ticks))
         ax.xaxis.set_minor_locator(NullLocator())
-        ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: photons_text(round(value))))
+        ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: across(value)))
         ax.set_xlabel(label)
     axes[0].set_ylabel(value)
     return figure
