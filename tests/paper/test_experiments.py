@@ -68,6 +68,7 @@ def test_every_experiment_ends_in_a_section(done):
         assert section.claims
         assert all(claim.holds in (True, False, None) for claim in section.claims)
         assert all(claim.measured for claim in section.claims)
+        assert all(claim.reason for claim in section.claims if claim.holds is None)
         assert "nan" not in section.found
 
 

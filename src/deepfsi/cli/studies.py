@@ -206,7 +206,10 @@ def reproduce(
     page = studies.page(out)
     sections = [section for each in chosen if (section := each.section(out))]
     if as_json:
-        claims = {section.name: [asdict(claim) for claim in section.claims] for section in sections}
+        claims = {
+            section.name: [{**asdict(claim), "why": claim.reason} for claim in section.claims]
+            for section in sections
+        }
         common.print_json("reproduce", {"report": str(page), "claims": claims})
         return
     for section in sections:
@@ -252,7 +255,7 @@ def _print_claims(section: Any) -> None:
         table.add_column(head)
     answers = {True: "yes", False: "no", None: "open"}
     for claim in section.claims:
-        table.add_row(claim.text, answers[claim.holds], claim.measured, claim.why)
+        table.add_row(claim.text, answers[claim.holds], claim.measured, claim.reason)
     Console(markup=False, emoji=False).print(table)
 
 

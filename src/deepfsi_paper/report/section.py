@@ -8,6 +8,12 @@ from matplotlib.figure import Figure
 
 Cell = str | float | int | None
 
+UNDECIDED = (
+    "An interval contains the limit, and none lies wholly beyond it: these trainings and test "
+    "scenes do not decide."
+)
+"""Why a claim is open that says nothing else."""
+
 
 @dataclass(frozen=True)
 class Picture:
@@ -26,6 +32,11 @@ class Claim:
     holds: bool | None  # none where these data do not decide it
     measured: str  # what was measured, with its interval
     why: str = ""  # how the answer follows from it
+
+    @property
+    def reason(self) -> str:
+        """Why the answer is what it is; of an open claim in any case."""
+        return self.why or (UNDECIDED if self.holds is None else "")
 
 
 @dataclass(frozen=True)
