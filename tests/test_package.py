@@ -22,7 +22,7 @@ SOURCE = Path(deepfsi.__file__).parent
 
 def test_learn_takes_the_fields_of_a_job_and_its_words_name_each():
     keywords = inspect.signature(deepfsi.learn).parameters
-    own = {"data", "counts", "matrix", "device", "report", "settings"}
+    own = {"data", "counts", "matrix", "device", "report", "checkpoint", "settings"}
     assert set(keywords) == own
     assert all(f"``{name}``" in deepfsi.learn.__doc__ for name in Job.model_fields)
     assert {name for own in TUNED.values() for name in own} <= set(Training.model_fields)

@@ -86,27 +86,53 @@ def leave() -> NoReturn:
     os._exit(128 + _came)
 
 
+class Postponed:
+    """Signals that stop and have come in a block of `postponed`."""
+
+    def __init__(self) -> None:
+        self.came: list[int] = []
+        self.usual: dict[int, Any] = {}
+
+    def deliver(self) -> None:
+        """Let the first of them stop, if there is one."""
+        if self.came:
+            first = self.came[0]
+            self.came.clear()
+            self.usual[first](first, sys._getframe())
+
+
 @contextlib.contextmanager
-def held_back() -> Iterator[None]:
-    """Hold back what stops until the block ends; processes started in it never see Ctrl-C."""
+def postponed() -> Iterator[Postponed]:
+    """Postpone what stops until the block asks for it, or ends."""
+    signals = Postponed()
     usual = {number: signal.getsignal(number) for number in SIGNALS}
     elsewhere = threading.current_thread() is not threading.main_thread()
     if sys.platform == "win32" or elsewhere or usual[signal.SIGINT] is None:
-        yield
+        yield signals
         return
-    came: list[int] = []
-    held = [number for number in SIGNALS if callable(usual[number])]
-    for number in held:
-        signal.signal(number, lambda number, frame: came.append(number))
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    signals.usual = {number: usual[number] for number in SIGNALS if callable(usual[number])}
+    for number in signals.usual:
+        signal.signal(number, lambda number, frame: signals.came.append(number))
     try:
-        yield
+        yield signals
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-        for number in held:
-            signal.signal(number, usual[number])
-        if came and callable(handler := usual[signal.Signals(came[0])]):
-            handler(came[0], sys._getframe())
+        for number, handler in signals.usual.items():
+            signal.signal(number, handler)
+        signals.deliver()
+
+
+@contextlib.contextmanager
+def held_back() -> Iterator[None]:
+    """Hold back what stops until the block ends; processes started in it never see Ctrl-C."""
+    with postponed() as signals:
+        if not signals.usual:
+            yield
+            return
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+        try:
+            yield
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
 
 
 @contextlib.contextmanager

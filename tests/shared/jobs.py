@@ -9,7 +9,7 @@ from typing import Any
 from deepfsi.training.job import Job, sorted_settings
 from deepfsi.training.learning import learn as learned
 
-OF_LEARN = ("counts", "matrix", "device", "report")
+OF_LEARN = ("counts", "matrix", "device", "report", "checkpoint")
 
 
 def nested(**settings: Any) -> dict[str, Any]:

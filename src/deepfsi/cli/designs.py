@@ -50,6 +50,14 @@ def design(
     matrix: options.Matrix = None,
     view: options.View = None,
     device: options.Device = "auto",
+    resume: Annotated[
+        bool,
+        typer.Option(
+            "--resume",
+            help="go on with a training of these settings that was stopped, if there is one: its "
+            "state is in a file beside --out, whose name ends in .checkpoint",
+        ),
+    ] = False,
     force: options.Force = False,
     as_json: options.Json = False,
 ) -> None:
@@ -74,8 +82,10 @@ def design(
     shown = scenes.hold_out(hold_out) if hold_out else scenes
     if out.exists() and not force:
         _check_same(out, job, shown, own)
+    state = _checkpoint(out, resume, force)
     with common.progress(f"{job.design}, {job.masks} masks", as_json) as report:
-        made = learn(shown, counts=counted, matrix=own, device=device, report=report, **asked)
+        asked |= {"counts": counted, "matrix": own, "device": device, "checkpoint": state}
+        made = learn(shown, report=report, **asked)
     lowest = made.info["job"]["photons"]
     made.save(out)
     budgets = list(dict.fromkeys((lowest, job.exposure.highest(lowest))))
@@ -99,6 +109,19 @@ def design(
     print_lit(results)
     print_guesses(made)
     print(f"saved: {out}")
+
+
+def _checkpoint(out: Path, resume: bool, force: bool) -> Path:
+    """File of a training's state, beside its design; one that is there is for `--resume`."""
+    path = out.with_name(f"{out.name}.checkpoint")
+    if path.exists() and not resume:
+        if not force:
+            raise InputError(
+                f"{path} is of a training that was stopped: --resume goes on with it, --force "
+                "begins anew"
+            )
+        path.unlink()
+    return path
 
 
 def _scenes_text(trained: "Dataset", tested: "Dataset") -> str:

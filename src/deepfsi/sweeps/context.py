@@ -3,6 +3,7 @@
 from collections import defaultdict
 from collections.abc import Sequence
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from deepfsi.sweeps.results import SCHEMA
 from deepfsi.sweeps.summary import terms_of
 from deepfsi.sweeps.trial import Trial
 from deepfsi.training.batches import check_fits, footprint, memory_for
+from deepfsi.training.checkpoint import NO_CHECKPOINT, Checkpoint
 from deepfsi.training.learning import Diverged, companions, train
 from deepfsi.training.training_set import Matrices, TrainingSet
 
@@ -34,6 +36,9 @@ its tests take the rest."""
 
 LOOK = 0.4
 """Cost of a look of adaptive masks at one scene, in units of `SweepContext.effort`."""
+
+KEPT = "what was trained is kept, run again to go on"
+"""What a sweep that is stopped says, once there is a checkpoint."""
 
 Batch = list[Trial]
 """Trials that are trained together."""
@@ -127,8 +132,10 @@ class SweepContext:
         job = batch[0].job
         return f"{job.design}, {job.masks} masks" + f" × {len(batch)}" * (len(batch) > 1)
 
-    def train(self, batch: Batch, report: Report = SILENT) -> list[Done]:
-        """Train and test one batch."""
+    def train(
+        self, batch: Batch, report: Report = SILENT, checkpoints: Path | None = None
+    ) -> list[Done]:
+        """Train and test one batch, which goes on from its file in a folder of checkpoints."""
         # In parts where this machine would batch otherwise than the one that planned or has less
         # memory free than was planned for, in halves where a GPU's memory does not hold it whole,
         # and one by one where a trial diverges; that one's record is None
@@ -136,12 +143,14 @@ class SweepContext:
         parts = self.batches_within(batch, memory_for(self.processor) + held)
         if len(parts) > 1:
             each = zip(parts, report.parts(len(parts)), strict=True)
-            return [done for part, span in each for done in self.train(part, span)]
+            return [done for part, span in each for done in self.train(part, span, checkpoints)]
         own = self.matrix if batch[0].job.code.own else None
         share = PRIOR_SHARE if batch[0].job.code.adaptive else TRAINING_SHARE
         learning, testing = report.part(0.0, share), report.part(share, 1.0)
         try:
-            designs = train(self.training_set, [trial.job for trial in batch], own, learning)
+            checkpoint = self._checkpoint(batch, own, checkpoints)
+            jobs = [trial.job for trial in batch]
+            designs = train(self.training_set, jobs, own, learning, checkpoint)
         except Diverged:
             if len(batch) == 1:
                 return [(batch[0], None, None)]
@@ -159,7 +168,21 @@ class SweepContext:
                 testing(len(found) / len(batch))
             return found
         # after the error is gone, and with it what the failed batch held
-        return [done for part in again for done in self.train(part)]
+        return [done for part in again for done in self.train(part, SILENT, checkpoints)]
+
+    def _checkpoint(self, batch: Batch, own: np.ndarray | None, folder: Path | None) -> Checkpoint:
+        """Checkpoint of a batch, named by the first design; one that is of no use is replaced."""
+        if folder is None or batch[0].job.code.adaptive:
+            return NO_CHECKPOINT
+        path = folder / f"{batch[0].design_key}.safetensors"
+        jobs = [trial.job for trial in batch]
+        try:
+            checkpoint = Checkpoint.of(path, self.training_set, jobs, own)
+        except InputError:  # damaged, or of a batch of other trials
+            path.unlink(missing_ok=True)
+            checkpoint = Checkpoint.of(path, self.training_set, jobs, own)
+        checkpoint.words = KEPT
+        return checkpoint
 
     def record(self, trial: Trial, design: AnyDesign) -> dict[str, Any]:
         """Record of a trial whose design is tested now."""

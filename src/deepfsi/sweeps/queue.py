@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -114,7 +115,9 @@ def _train_all(
         report(done / total, f"{len(todo)} batches")
         given.clear()
         locked = _locked(todo, records, postponed, given)
-        with closing(_trained(locked, context, workers, part, watch)) as arriving:
+        with closing(
+            _trained(locked, context, records.checkpoints, workers, part, watch)
+        ) as arriving:
             for finished in arriving:
                 lost += _recorded(finished, records)
                 batch = [trial for trial, _, _ in finished]
@@ -151,6 +154,7 @@ def _locked(
 def _trained(
     locked: Iterator[Batch],
     context: SweepContext,
+    checkpoints: Path,
     workers: Workers,
     part: Callable[[Batch], Report],
     watch: Callable[[dict[int, float]], None],
@@ -159,6 +163,7 @@ def _trained(
     if workers.ray is not None:
         from deepfsi.sweeps.ray_cluster import run_on_ray
 
+        # a node may see another disk: no checkpoints there
         cpus, gpus = workers.resources.cpus, workers.resources.gpus
         with closing(
             run_on_ray(_train, context, locked, address=workers.ray, cpus=cpus, gpus=gpus)
@@ -167,15 +172,17 @@ def _trained(
                 yield result
     elif (workers.count or 1) > 1:
         count = workers.count or 1
-        with closing(processes(_train, context, locked, count, watch)) as results:
+        with closing(
+            processes(partial(_train, checkpoints=checkpoints), context, locked, count, watch)
+        ) as results:
             yield from results
     else:
         for batch in locked:
-            yield context.train(batch, part(batch))
+            yield context.train(batch, part(batch), checkpoints)
 
 
-def _train(context: SweepContext, batch: Batch) -> list[Done]:
-    return context.train(batch, report_of_task())
+def _train(context: SweepContext, batch: Batch, checkpoints: Path | None = None) -> list[Done]:
+    return context.train(batch, report_of_task(), checkpoints)
 
 
 def _recorded(finished: Sequence[Done], records: Records) -> list[Trial]:

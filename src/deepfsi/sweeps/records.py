@@ -5,6 +5,8 @@ A folder holds
     trials/KEY.json           one record: settings, validation and test results
     designs/KEY.safetensors   the design itself; KEY is of what its training depends on
     locks/KEY/OWNER          while a process trains the design
+    checkpoints/KEY.safetensors  state of a training under way, of the first of its designs: of
+                             whoever has the lock, removed with the last of them
     finished-KEY/            files of trials that were trained together, before they are moved
 
 KEY is a hash of everything that the result depends on, the data included, so a record is valid for
@@ -99,8 +101,15 @@ class Records:
         self.folder = folder
         self._locks = Locks(folder)
         remove_drafts(folder)
+        remove_drafts(self.checkpoints)
         for left in folder.glob("finished-*"):
             self._move(left)
+        self._clear_checkpoints()
+
+    @property
+    def checkpoints(self) -> Path:
+        """Folder of the states of trainings under way."""
+        return self.folder / "checkpoints"
 
     def read(self, trial: Trial) -> dict[str, Any] | None:
         """Record of a trial, or None if it or its design is missing, damaged or of other schema."""
@@ -137,6 +146,7 @@ class Records:
                 write_atomically(record_file, json.dumps(record, indent=1).encode())
         interrupts.keep(KEPT)  # the next process moves what this one does not
         self._move(folder)
+        self._clear_checkpoints()
         self.release(trial for trial, _, _ in finished)
 
     def _move(self, finished: Path) -> None:
@@ -148,6 +158,14 @@ class Records:
                     os.replace(path, self.folder / place / path.name)
         with suppress(OSError):
             finished.rmdir()
+
+    def _clear_checkpoints(self) -> None:
+        """Remove the checkpoints of designs that are there, and their folder with the last."""
+        for path in inside(self.checkpoints):
+            if (self.folder / "designs" / path.name).is_file():
+                path.unlink(missing_ok=True)
+        with suppress(OSError):
+            self.checkpoints.rmdir()
 
     def lock(self, trials: Iterable[Trial]) -> bool:
         """Claim trials for this process, all or none; False where another one has any of them."""

@@ -14,14 +14,14 @@ from pydantic import BaseModel, ConfigDict, Field
 from deepfsi.datasets import Dataset
 from deepfsi.design.exposure import Exposure
 from deepfsi.errors import InputError
-from deepfsi.imports import UNNAMED, source_hash
+from deepfsi.imports import source_hash
 from deepfsi.laws import LOOK_LIGHT
 from deepfsi.optics import codes
 from deepfsi.optics.camera import Camera
 from deepfsi.optics.detection import ONE
 from deepfsi.sweeps.recipe import NamedCamera, Recipe, TestNoise
 from deepfsi.training.job import REVISION, Job
-from deepfsi.training.own_names import classifier_name, loss_name
+from deepfsi.training.own_names import own_parts
 
 MOST_TRIALS = 100_000
 """Trials of one recipe: months of training, and records that still fit the memory."""
@@ -90,7 +90,7 @@ def plan(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None) -> lis
             data=data.name,
             data_hash=data.hash,
             matrix_hash=_matrix_hash(matrix if job.code.own else None),
-            source_hash=_source_hash(_own_names(job, test_noise), hashed),
+            source_hash=_source_hash(own_parts(job, *test_noise), hashed),
             validation=recipe.held_out(data),
             draws=recipe.draws,
             test_photons=recipe.test_photons or (job.photons,),
@@ -138,7 +138,7 @@ def trial_faults(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None
         found |= dict.fromkeys(job.faults(data, own))
         test_noise = recipe.test_noise or (job.camera.noise_name,)
         found |= dict.fromkeys(job.exposure.test_faults(test_noise))
-        names |= dict.fromkeys(_own_names(job, test_noise))
+        names |= dict.fromkeys(own_parts(job, *test_noise))
     for name in names:
         try:
             source_hash(name)
@@ -227,13 +227,6 @@ def _optics_text(recipe: Recipe) -> str:
         for field in ("light", "rails")
     )
     return f"{lights} light and {rails} rails"
-
-
-def _own_names(job: Job, test_noise: Sequence[str]) -> list[str]:
-    """Import paths of a user's own parts that a trial needs."""
-    own = classifier_name(job.training.classifier), loss_name(job.training.loss) or ""
-    every = {job.noise, *test_noise, *own}
-    return sorted(name for name in every if ":" in name or name == UNNAMED)
 
 
 def _source_hash(names: Sequence[str], hashed: Callable[[str], str]) -> str:

@@ -34,8 +34,12 @@ class SeedStream:
         """Draw the order of an epoch's scenes."""
         count = len(self._labels)
         order = torch.randperm(count, generator=self.generator, device=self._labels.device)
-        self.rows = order[: count // self.batch * self.batch].view(-1, self.batch)
-        self.with_mean = functional.pad(self.rows, (0, 1), value=count)
+        self.follow(order[: count // self.batch * self.batch].view(-1, self.batch))
+
+    def follow(self, rows: Tensor) -> None:
+        """Take an epoch's scenes from places (steps, B)."""
+        self.rows = rows.to(self._labels.device)
+        self.with_mean = functional.pad(self.rows, (0, 1), value=len(self._labels))
         self._ordered = self._labels[self.rows]
 
     def labels(self, step: int) -> Tensor:

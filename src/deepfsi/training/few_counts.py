@@ -45,6 +45,10 @@ class CountsCost:
         self._counts, self._steps, self._step = counts, steps, 0
         self.weight = torch.tensor(FIRST_WEIGHT)
 
+    def restore(self, step: int, weight: Tensor) -> None:
+        """Go to a step, at which μ was this."""
+        self._step, self.weight = step, weight
+
     def __call__(self, expected: Tensor) -> Tensor:
         """Cost (R,) of expected counts (R,) of a step, and one step of the weight."""
         ratio, done = expected / self._counts, self._step / (RAMP * self._steps)

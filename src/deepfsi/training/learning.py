@@ -1,5 +1,6 @@
 """Learn masks and classifier together, one design or several that share a shape."""
 
+import os
 import time
 from collections.abc import Sequence
 from typing import Any
@@ -24,6 +25,7 @@ from deepfsi.progress import SILENT, Report, shown
 from deepfsi.training.adaptive import adaptive_designs
 from deepfsi.training.batches import check_fits
 from deepfsi.training.characterisation import characterise
+from deepfsi.training.checkpoint import NO_CHECKPOINT, Checkpoint
 from deepfsi.training.counts import train_for_counts
 from deepfsi.training.folds import folds_of
 from deepfsi.training.info import provenance
@@ -53,6 +55,7 @@ def learn(
     matrix: np.ndarray | None = None,
     device: str = "auto",
     report: Report | None = None,
+    checkpoint: str | os.PathLike[str] | None = None,
     **settings: Any,
 ) -> AnyDesign:
     """Train one design on all training scenes of a data set.
@@ -70,6 +73,10 @@ def learn(
     device : {"auto", "cpu", "cuda"}
     report : Report, optional
         Where to say how far the training is; a bar where a terminal is attached unless given.
+    checkpoint : path, optional
+        File of the training's state, written every two minutes and at Ctrl-C, removed at the end.
+        If it is there, the training is resumed from it, to the same bits. Parts of your own are
+        given by their import paths then; modules keep their state in parameters and buffers.
     settings
         Fields of `Job`: ``design``, ``masks``, ``photons`` (the camera's budget unless given),
         ``camera`` (a `Camera`, a preset's name, a TOML file or fields), ``exposure`` (`Looks`,
@@ -79,7 +86,7 @@ def learn(
     Raises
     ------
     InputError
-        For any setting that is not allowed.
+        For any setting that is not allowed; for a checkpoint of another training.
 
     Examples
     --------
@@ -90,16 +97,20 @@ def learn(
     """
     job = find_job(settings, counts)
     training_set = TrainingSet(as_dataset(data), device)
+    state = Checkpoint.of(checkpoint, training_set, [job], matrix, counts)
 
     def train_at(photons: float, bar: Report) -> AnyDesign:
         at_budget = job.model_copy(update={"photons": check_budget(photons)})
-        return train(training_set, [at_budget], matrix, bar)[0]
+        return train(training_set, [at_budget], matrix, bar, state)[0]
 
     with shown(report, f"{job.design}, {job.masks} masks") as bar:
         if counts is None or job.training.counts is not None:
-            return train_at(job.photons, bar)
-        share = _first_share(training_set, job, matrix)
-        return train_for_counts(counts, share, train_at, bar)
+            design = train_at(job.photons, bar)
+        else:
+            share = _first_share(training_set, job, matrix)
+            design = train_for_counts(counts, share, train_at, bar)
+    state.remove()
+    return design
 
 
 @library_defaults(grad=True)
@@ -108,26 +119,28 @@ def train(
     jobs: Sequence[Job],
     matrix: np.ndarray | None = None,
     report: Report = SILENT,
+    checkpoint: Checkpoint = NO_CHECKPOINT,
 ) -> Sequence[AnyDesign]:
     """Train designs side by side that differ in budget, sigma and seed only, in their order."""
     # The jobs agree in `companions`, those of one seed one after another; the matrix (m, N) is of
-    # "custom" designs
+    # "custom" designs. Whoever keeps the designs removes the checkpoint
     began = time.perf_counter()
     _check(training_set, jobs, matrix)
     if jobs[0].code.adaptive:
         return adaptive_designs(training_set, jobs, report)
     folds = [] if training_set.data.held_out else folds_of(training_set.data)
     own, *others = report.parts(1 + len(folds))
-    designs = _designs(training_set, jobs, *_optimised(training_set, jobs, matrix, own))
+    designs = _designs(training_set, jobs, *_optimised(training_set, jobs, matrix, own, checkpoint))
     for job, design in zip(jobs, designs, strict=True):
         design.info = provenance(job, training_set.data, training_set.device, 0.0)
         design.training_scenes = training_set.scenes
     left_out = []
     for fold, part in zip(folds, others, strict=True):
         kept = training_set.of(fold)
-        left_out.append((fold, _designs(kept, jobs, *_optimised(kept, jobs, matrix, part))))
+        trained = _optimised(kept, jobs, matrix, part, checkpoint)
+        left_out.append((fold, _designs(kept, jobs, *trained)))
     characterise(training_set, jobs, designs, left_out)
-    seconds = (time.perf_counter() - began) / len(jobs)
+    seconds = (checkpoint.seconds + time.perf_counter() - began) / len(jobs)
     for design in designs:
         design.info["seconds"] = seconds
         labels = design.detection.labels
@@ -161,7 +174,11 @@ Optimised = tuple[FixedMasks, FeatureNoise, list[Classifier], list[TrainedExposu
 
 
 def _optimised(
-    training_set: TrainingSet, jobs: Sequence[Job], matrix: np.ndarray | None, report: Report
+    training_set: TrainingSet,
+    jobs: Sequence[Job],
+    matrix: np.ndarray | None,
+    report: Report,
+    checkpoint: Checkpoint,
 ) -> Optimised:
     """Masks and networks after training."""
     # Masks of the control group are learned before, under gaussian noise and with a network of
@@ -176,15 +193,16 @@ def _optimised(
     if job.code.learned_under:
         before, report = report.part(0.0, 0.5), report.part(0.5, 1.0)
         sources = [each.masks_from() for each in jobs]
-        masks = _optimised(training_set, sources, None, before)[0]
+        masks = _optimised(training_set, sources, None, before, checkpoint)[0]
     else:
         masks = initial_masks(seen, jobs, exposures[0], matrix).to(device)
-    classifiers = optimise(training_set, jobs, masks, noise, exposures, report)
+    classifiers = optimise(training_set, jobs, masks, noise, exposures, report, checkpoint)
     if isinstance(masks, LearnedMasks):
         masks = final_masks(masks, seen, job, exposures[0])
     networks = [*classifiers, *(each.network for each in exposures if each.network is not None)]
     numbers = [masks().stacked, *(part for network in networks for part in network.parameters())]
     if not all(bool(torch.isfinite(part).all()) for part in numbers):
+        checkpoint.remove()
         raise Diverged(f"training of {job.design} diverged: {REMEDY}")
     return masks, noise, classifiers, exposures
 

@@ -27,10 +27,11 @@ from deepfsi.optics.features import FeatureNoise
 from deepfsi.optics.masks import FixedMasks, LearnedMasks
 from deepfsi.progress import SILENT, Report
 from deepfsi.training.batches import batch_of
+from deepfsi.training.checkpoint import NO_CHECKPOINT, Checkpoint, LoopState
 from deepfsi.training.draws import seed_streams, side_by_side
 from deepfsi.training.features import CountedFeatures, features_of
 from deepfsi.training.few_counts import CountsCost, dim_start
-from deepfsi.training.job import Job
+from deepfsi.training.job import Job, Training
 from deepfsi.training.losses import find_loss, total
 from deepfsi.training.precision import network_dtype
 from deepfsi.training.training_set import TrainingSet
@@ -55,6 +56,7 @@ def optimise(
     noise: FeatureNoise,
     exposures: Sequence[TrainedExposure],
     report: Report = SILENT,
+    checkpoint: Checkpoint = NO_CHECKPOINT,
 ) -> list[Classifier]:
     """Train classifiers of jobs, the networks of their exposures, and masks where they learn."""
     # Masks are of R replicas or of one for all, noise and exposures of the jobs. All but the
@@ -74,29 +76,32 @@ def optimise(
     each = find_loss(settings.loss, training_set.values is not None, weights, rows)
     steps = len(labels) // batch
     counted = features if isinstance(features, CountedFeatures) and features.penalised else None
+    cost = None
     if counted is not None and settings.counts is not None:
         dim_start(counted.masks, counted.x, noise, settings.counts, counted.detection)
         cost = CountsCost(settings.counts, settings.epochs * steps)
 
-    def shuffle() -> None:
-        for stream in streams:
-            stream.shuffle()
-
     def loss(step: int) -> Tensor:
         truth = side_by_side([stream.labels(step) for stream in streams])
         value = total(each, classify(features.at(step)), truth) / batch
-        return value if counted is None else value + cost(counted.expected).sum()
+        if counted is not None and cost is not None:
+            value = value + cost(counted.expected).sum()
+        return value
 
     groups = [parameter_group(classify, settings.lr, settings.decay)]
     if choosers:
         groups.append(parameter_group(choose, CHOOSER_LR * settings.lr, settings.decay))
-    if isinstance(masks, LearnedMasks):
-        groups.append(parameter_group(masks, settings.mask_lr))
+    learned = [masks] if isinstance(masks, LearnedMasks) else []
+    groups += [parameter_group(each, settings.mask_lr) for each in learned]
+    generators = noise.generators + _generators(settings, [*classifiers, *choosers], labels.device)
+    state = LoopState(
+        [classify, choose, *learned], groups, settings.epochs * steps, streams, generators, cost
+    )
     draws = seeded(job.seed) if settings.own else nullcontext()
     tokens = exposures[0].tokens(training_set.data.image_shape)
     elements = batch * len(jobs) * tokens * max(job.masks, *settings.hidden, 1)
     with _threads(elements), draws:
-        descend(groups, settings.epochs, steps, shuffle, loss, report)
+        descend(state, steps, loss, report, checkpoint)
     for trained in (classify, choose):
         trained.hand_back()
     for network in [*classifiers, *choosers]:
@@ -113,31 +118,41 @@ def parameter_group(module: nn.Module, lr: float, decay: float = 0.0) -> dict[st
 
 
 def descend(
-    groups: list[dict[str, Any]],
-    epochs: int,
+    state: LoopState,
     steps: int,
-    shuffle: Callable[[], None],
     loss: Callable[[int], Tensor],
     report: Report,
+    checkpoint: Checkpoint,
 ) -> None:
-    """Minimise a loss with AdamW on a one-cycle schedule."""
-    optimiser = torch.optim.AdamW(groups, fused=True)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(
-        optimiser, [group["lr"] for group in groups], total_steps=epochs * steps
-    )
-    report(0.0)
-    due = time.monotonic() + REPORT_SECONDS
-    for epoch in range(epochs):
-        shuffle()
-        for step in range(steps):
-            if time.monotonic() > due:
-                report((epoch + step / steps) / epochs)
-                due = time.monotonic() + REPORT_SECONDS
+    """Minimise a loss with AdamW on a one-cycle schedule, in epochs of so many steps."""
+    with checkpoint.of_loop(state):
+        report(state.step / state.total)
+        due = time.monotonic() + REPORT_SECONDS
+        while state.step < state.total:
+            step = state.step % steps
+            if step == 0:
+                state.shuffle()
             loss(step).backward()
-            optimiser.step()
-            optimiser.zero_grad(set_to_none=True)
-            schedule.step()
-        report((epoch + 1) / epochs)
+            state.optimiser.step()
+            state.optimiser.zero_grad(set_to_none=True)
+            state.schedule.step()
+            state.step += 1
+            checkpoint.keep(state)
+            if state.step % steps == 0 or time.monotonic() > due:
+                report(state.step / state.total)
+                due = time.monotonic() + REPORT_SECONDS
+
+
+def _generators(
+    settings: Training, networks: Sequence[nn.Module], device: torch.device
+) -> list[torch.Generator]:
+    """Generators that networks draw from in a training: their own, or torch's global ones."""
+    generators = [each.generator for each in networks if isinstance(each, Mlp) and each.generator]
+    if settings.own:
+        generators.append(torch.default_generator)
+        if device.type == "cuda":
+            generators.append(torch.cuda.default_generators[torch.cuda.current_device()])
+    return generators
 
 
 def _classifiers(

@@ -1,12 +1,15 @@
 """A classifier and a loss as settings: a name, the import path of one's own, or an object."""
 
 import re
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import AfterValidator, PlainSerializer, WithJsonSchema
 
 from deepfsi.imports import PATTERN, UNNAMED, path_of
 from deepfsi.laws import MLP, VIT
+
+if TYPE_CHECKING:
+    from deepfsi.training.job import Job
 
 
 def classifier_name(given: Any) -> str:
@@ -21,6 +24,13 @@ def classifier_name(given: Any) -> str:
 def loss_name(given: Any) -> str | None:
     """Import path of a loss, `UNNAMED` of one that has none; None where none is given."""
     return given if given is None or isinstance(given, str) else path_of(given) or UNNAMED
+
+
+def own_parts(job: "Job", *noises: str) -> list[str]:
+    """Import paths of a user's own parts in a job and in further noises, `UNNAMED` among them."""
+    own = classifier_name(job.training.classifier), loss_name(job.training.loss) or ""
+    every = {job.noise, *noises, *own}
+    return sorted(name for name in every if ":" in name or name == UNNAMED)
 
 
 def _classifier(given: Any) -> Any:

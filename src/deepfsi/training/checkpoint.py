@@ -1,0 +1,306 @@
+"""Checkpoints: the state of a training in a file, from which it is resumed to the same bits.
+
+A file holds the trainings of one design, or of several side by side, in the order of their loops:
+one loop for most, two for a control group, one more for each fold. Of those that are done it keeps
+networks, masks and generators, of the one under way all that its steps change.
+"""
+
+import hashlib
+import json
+import os
+import time
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
+from safetensors.numpy import save as to_bytes
+from torch import Tensor, nn
+
+from deepfsi import interrupts
+from deepfsi.errors import InputError
+from deepfsi.files import write_atomically
+from deepfsi.imports import UNNAMED, source_hash
+from deepfsi.tables.tensor_files import DamagedError, read_tensors
+from deepfsi.training.draws import SeedStream
+from deepfsi.training.few_counts import CountsCost
+from deepfsi.training.job import REVISION, Job
+from deepfsi.training.own_names import own_parts
+from deepfsi.training.training_set import TrainingSet
+
+CHECKPOINT_SECONDS = 120.0
+"""Time between two states of a training that are written, s."""
+
+STOP_SECONDS = 10.0
+"""Time of a training from which its state is written when it is stopped, s."""
+
+SCHEMA: Literal[1] = 1
+"""Number of the file's schema."""
+
+HEADER = "deepfsi-checkpoint"
+"""Key of the header among the metadata of the file."""
+
+Arrays = dict[str, np.ndarray]
+"""State by name."""
+
+
+class LoopState:
+    """All that the steps of a loop change."""
+
+    def __init__(
+        self,
+        modules: Sequence[nn.Module],
+        groups: list[dict[str, Any]],
+        total: int,
+        streams: Sequence[SeedStream],
+        generators: Sequence[torch.Generator],
+        cost: CountsCost | None,
+    ) -> None:
+        # Generators are those besides the streams' own; the groups are as of `parameter_group`
+        self.step, self.total, self.streams, self.cost = 0, total, streams, cost
+        self.optimiser = torch.optim.AdamW(groups, fused=True)
+        self.schedule = torch.optim.lr_scheduler.OneCycleLR(
+            self.optimiser, [group["lr"] for group in groups], total_steps=total
+        )
+        self._generators = [*(each.generator for each in streams), *generators]
+        self._modules = modules
+
+    def shuffle(self) -> None:
+        """Draw the order of an epoch's scenes, for each seed."""
+        for stream in self.streams:
+            stream.shuffle()
+
+    def _learned(self) -> dict[str, Tensor]:
+        """Parameters and buffers of the modules, as they are now."""
+        return {
+            f"module.{place}.{name}": tensor.detach()
+            for place, module in enumerate(self._modules)
+            for name, tensor in (*module.named_parameters(), *module.named_buffers())
+        }
+
+    def arrays(self) -> Arrays:
+        """State of a loop, of which a step at least was done."""
+        tensors = self._learned()
+        for index, generator in enumerate(self._generators):
+            tensors[f"generator.{index}"] = generator.get_state()
+        if self.cost is not None:
+            tensors["cost"] = self.cost.weight
+        if self.step < self.total:
+            for place, stream in enumerate(self.streams):
+                tensors[f"rows.{place}"] = stream.rows
+            for number, moments in self.optimiser.state_dict()["state"].items():
+                tensors |= {
+                    f"optimiser.{number}.{name}": tensor for name, tensor in moments.items()
+                }
+        return {name: _array(tensor) for name, tensor in tensors.items()}
+
+    def restore(self, step: int, arrays: Mapping[str, np.ndarray]) -> None:
+        """Go to a step of the loop, whose state this is."""
+        for name, tensor in self._learned().items():
+            tensor.copy_(_tensor(arrays[name], tensor))
+        for index, generator in enumerate(self._generators):
+            generator.set_state(torch.from_numpy(arrays[f"generator.{index}"]))
+        if self.cost is not None:
+            self.cost.restore(step, torch.from_numpy(arrays["cost"]))
+        if step < self.total:
+            for index, stream in enumerate(self.streams):
+                stream.follow(torch.from_numpy(arrays[f"rows.{index}"]))
+        learning = [each for group in self.optimiser.param_groups for each in group["params"]]
+        moments: dict[int, dict[str, Tensor]] = {}
+        for name, array in arrays.items():
+            if name.startswith("optimiser."):
+                _, place, part = name.split(".")
+                count = torch.from_numpy(array)
+                tensor = count if part == "step" else _tensor(array, learning[int(place)])
+                moments.setdefault(int(place), {})[part] = tensor
+        groups = self.optimiser.state_dict()["param_groups"]
+        self.optimiser.load_state_dict({"state": moments, "param_groups": groups})
+        # a rate of the cycle follows from the number of the step alone
+        before = {"last_epoch": step - 1, "_step_count": step + 1}
+        self.schedule.load_state_dict({**self.schedule.state_dict(), **before})
+        self.schedule.step()
+        self.step = step
+
+
+class _Header(BaseModel):
+    """Header of a checkpoint."""
+
+    model_config = ConfigDict(strict=True, extra="forbid")
+
+    schema_number: Literal[1] = SCHEMA
+    key: str  # hash of all that the bits depend on
+    title: str
+    steps: list[int] = Field(min_length=1)  # of each loop
+    seconds: FiniteFloat = Field(ge=0)  # that the training took so far
+    content: str  # hash of the arrays
+
+
+class Checkpoint:
+    """Where a training keeps its state while it runs, a file or nowhere."""
+
+    def __init__(self, path: Path | None = None, key: str = "", title: str = "") -> None:
+        self.path, self.key, self.title = path, key, title
+        self.seconds = 0.0
+        self.words = f"{path} holds the training so far, from which it can be resumed"
+        self._loops: list[tuple[int, Arrays]] = []  # of this run, those that are done
+        self._before: list[tuple[int, Arrays]] = []  # that were read
+        self._began = self._written = time.monotonic()
+        self._stop = interrupts.Postponed()
+
+    @classmethod
+    def of(
+        cls,
+        path: str | os.PathLike[str] | None,
+        training_set: TrainingSet,
+        jobs: Sequence[Job],
+        matrix: np.ndarray | None = None,
+        counts: float | None = None,
+    ) -> "Checkpoint":
+        """Checkpoint of jobs that train together, read if its file is there."""
+        # matrix (m, N), counts: as for `learning.learn`
+        if path is None:
+            return cls()
+        job, data = jobs[0], training_set.data
+        title = f"{job.design}, {job.masks} masks, {job.photons:g} photons on {data.name}"
+        checkpoint = cls(Path(path), _key(training_set, jobs, matrix, counts), title)
+        if os.path.lexists(path):
+            checkpoint._read()
+        return checkpoint
+
+    def _read(self) -> None:
+        """Read the file, or raise `InputError` where it is damaged or of another training."""
+        assert self.path is not None
+        advice = "give the path of a checkpoint, or of a file to be"
+        try:
+            text, arrays = read_tensors(self.path, HEADER, advice)
+            header = _Header.model_validate_json(text)
+        except (DamagedError, ValueError) as error:
+            if isinstance(error, InputError):
+                raise
+            raise self._damaged() from error
+        if header.content != _content(arrays):
+            raise self._damaged()
+        if header.key != self.key:
+            raise InputError(
+                f"{self.path} is of another training ({header.title}; other settings, data, torch "
+                "or device): resume that one, or remove the file to begin anew"
+            )
+        self.seconds = header.seconds
+        self._before = [
+            (step, {name.partition("/")[2]: each for name, each in arrays.items()
+                    if name.startswith(f"{place}/")})
+            for place, step in enumerate(header.steps)
+        ]  # fmt: skip
+
+    def _damaged(self) -> InputError:
+        return InputError(f"{self.path} is damaged: remove it, and the training begins anew")
+
+    @contextmanager
+    def of_loop(self, loop: LoopState) -> Iterator[None]:
+        """Set a loop to the state that was written of it, and keep its state in `keep`."""
+        if self.path is None:
+            yield
+            return
+        place = len(self._loops)
+        if place < len(self._before):
+            try:
+                loop.restore(*self._before[place])
+            except (KeyError, IndexError, TypeError, ValueError, RuntimeError) as error:
+                raise self._damaged() from error
+        with interrupts.postponed() as self._stop:
+            yield
+        self._loops.append((loop.step, loop.arrays()))
+
+    def keep(self, loop: LoopState) -> None:
+        """Write the state of a loop after a step, where it is time to or a signal has come."""
+        if self.path is None:
+            return
+        since = time.monotonic() - self._written
+        if since >= (STOP_SECONDS if self._stop.came else CHECKPOINT_SECONDS):
+            self._write(loop)
+        self._stop.deliver()
+
+    def _write(self, loop: LoopState) -> None:
+        assert self.path is not None
+        loops = [*self._loops, (loop.step, loop.arrays())]
+        arrays = {
+            f"{place}/{name}": array
+            for place, (_, state) in enumerate(loops)
+            for name, array in state.items()
+        }
+        header = _Header(
+            key=self.key,
+            title=self.title,
+            steps=[step for step, _ in loops],
+            seconds=self.seconds + time.monotonic() - self._began,
+            content=_content(arrays),
+        )
+        try:
+            write_atomically(self.path, to_bytes(arrays, {HEADER: header.model_dump_json()}))
+        except InputError as error:  # the next one may have room again
+            warnings.warn(f"{error}; the training goes on", stacklevel=2)
+        else:
+            interrupts.keep(self.words)
+        self._written = time.monotonic()
+
+    def remove(self) -> None:
+        """Remove the file of a training that has ended."""
+        if self.path is not None:
+            with suppress(FileNotFoundError):
+                self.path.unlink()
+
+
+NO_CHECKPOINT = Checkpoint()
+"""Keeps nothing."""
+
+
+def _key(
+    training_set: TrainingSet, jobs: Sequence[Job], matrix: np.ndarray | None, counts: float | None
+) -> str:
+    """Hash of all that the bits of a training depend on."""
+    names = own_parts(jobs[0])
+    if UNNAMED in names:
+        raise InputError(
+            "a part of your own that has no import path cannot be told from another when a "
+            "training is resumed: give it as module:name, or leave out `checkpoint`"
+        )
+    settings = {
+        "revision": REVISION,
+        "jobs": [each.model_dump(mode="json") for each in jobs],
+        "sources": [source_hash(name) for name in names],
+        "data": (training_set.data.hash, training_set.data.held_out),
+        "matrix": None if matrix is None else _content({"matrix": np.asarray(matrix, np.float32)}),
+        "counts": counts,
+        "torch": torch.__version__,
+        "device": training_set.device.type,
+    }
+    return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()
+
+
+def _content(arrays: Mapping[str, np.ndarray]) -> str:
+    """SHA-256 in hex over arrays, their names, types and shapes."""
+    digest = hashlib.sha256()
+    for name in sorted(arrays):
+        array = arrays[name]
+        digest.update(f"{name} {array.dtype} {array.shape};".encode())
+        digest.update(np.ascontiguousarray(array).data)
+    return digest.hexdigest()
+
+
+def _array(tensor: Tensor) -> np.ndarray:
+    """A copy of a tensor in NumPy, bfloat16 as the integers of its bits."""
+    whole = tensor.detach().to("cpu", copy=True).contiguous()
+    return (whole.view(torch.int16) if whole.dtype == torch.bfloat16 else whole).numpy()
+
+
+def _tensor(array: np.ndarray, like: Tensor) -> Tensor:
+    """The tensor of an array, as a certain other one is laid out in memory."""
+    tensor = torch.from_numpy(array)
+    tensor = tensor.view(torch.bfloat16) if like.dtype == torch.bfloat16 else tensor
+    if (tensor.shape, tensor.dtype) != (like.shape, like.dtype):
+        raise ValueError(f"{tuple(tensor.shape)} {tensor.dtype}, not {tuple(like.shape)}")
+    return torch.empty_like(like).copy_(tensor)
