@@ -22,6 +22,7 @@ from deepfsi.cli import (
     dmd,
     live,
     record,
+    table_pictures,
     transits,
 )
 from deepfsi.cli.deploy import export, plan
@@ -85,6 +86,7 @@ _OF_CAMERA: dict[str, dict[str, Callable[..., None]]] = {
         "count": camera.camera_count,
         "classify": classify.camera_classify,
         "image": camera.camera_image,
+        "picture": table_pictures.camera_picture,
         "transits": transits.camera_transits,
     },
     "Calibrate the camera": {

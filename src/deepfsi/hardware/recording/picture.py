@@ -1,12 +1,14 @@
-"""Least-squares pictures of scenes from their counts."""
+"""Least-squares pictures of scenes from their counts, or from the wavelet coefficients they are."""
 
 import os
+import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.linalg import lstsq
 
-from deepfsi.errors import InputError
+from deepfsi.errors import InputError, closest
 from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.recording.acquisition import read_acquisition
 from deepfsi.hardware.recording.counts import check_photons, load_counts
@@ -46,3 +48,114 @@ def _solve(masks: np.ndarray, counts: np.ndarray, detectors: Detectors | None) -
         return out
     every = counts if detectors is None else counts.sum(axis=-1)
     return np.asarray(lstsq(masks, every.T, cond=LEAST_SINGULAR_VALUE)[0].T)
+
+
+ROWS_AT_ONCE = 512
+"""Masks that are turned into floating point at once."""
+
+ORTHOGONAL = 1e-9
+"""Relative error up to which M Mᵀ is a multiple of the identity."""
+
+
+def solve_masks(masks: np.ndarray, readouts: np.ndarray) -> np.ndarray:
+    """Least-squares pictures (S, N) of readouts (S, m) behind masks (m, N)."""
+    # Of masks that are orthogonal and of one norm, M⁺ = Mᵀ / c. A random vector, which other
+    # matrices do not carry to c times itself, tells whether they are
+    rows = [slice(a, a + ROWS_AT_ONCE) for a in range(0, len(masks), ROWS_AT_ONCE)]
+    probe = np.random.default_rng(0).standard_normal(len(masks))
+    both = np.vstack([probe, readouts])
+    back = np.zeros((len(both), masks.shape[1]))
+    for part in rows:
+        back += both[:, part] @ masks[part].astype(np.float64)
+    again = np.concatenate([masks[part].astype(np.float64) @ back[0] for part in rows])
+    scale = float(again @ probe / (probe @ probe))
+    if np.abs(again - scale * probe).max() <= ORTHOGONAL * abs(scale):
+        return np.asarray(back[1:] / scale)
+    return _solve(masks.astype(np.float64), readouts, None)
+
+
+WAVELETS = {"haar": "haar", "legall": "bior2.2"}
+"""Wavelets that PyWavelets has under another name, or that are named most."""
+
+
+def wavelet_of(name: str) -> tuple[str, int] | None:
+    """Wavelet and levels of a name such as "wavelet-haar-4"; None for another name."""
+    parts = re.fullmatch(r"wavelet-([a-z0-9.]+)-([1-9]\d?)", name.lower())
+    if parts is None:
+        return None
+    try:
+        import pywt
+    except ImportError:
+        raise InputError(
+            f"{name} needs PyWavelets: install it with pip install 'deepfsi[wavelets]'"
+        ) from None
+    wavelet = WAVELETS.get(parts[1], parts[1])
+    known = [*WAVELETS, *pywt.wavelist(kind="discrete")]
+    if wavelet not in known:
+        raise InputError(f"unknown wavelet {parts[1]!r}: {closest(parts[1], known)}")
+    return wavelet, int(parts[2])
+
+
+def solve_wavelets(coefficients: np.ndarray, wavelet: str, levels: int) -> tuple[np.ndarray, bool]:
+    """Picture of wavelet coefficients, and whether their details are the second less the first.
+
+    Parameters
+    ----------
+    coefficients : array (H, W)
+        Coarsest means in the upper left corner, around them the details of each level: across to
+        the right, down below. What was not measured is 0.
+    wavelet : str
+        Name of PyWavelets, orthonormal scale, periodic at the edges.
+    levels : int
+        Levels of details, the finest included.
+
+    Returns
+    -------
+    picture : array (H, W)
+    reverse : bool
+        Packages differ in the sign of the details of one axis; the sign is taken that gives the
+        smoother picture.
+    """
+    if any(side % 2**levels for side in coefficients.shape):
+        raise InputError(
+            f"coefficients of shape {coefficients.shape} have no {levels} levels: each side must "
+            f"be a multiple of {2**levels}"
+        )
+    parts = split_levels(coefficients, levels)
+    found = [_synthesise(parts, wavelet, sign) for sign in (1.0, -1.0)]
+    place = int(np.argmin([_roughness(one) for one in found]))
+    return found[place], bool(place)
+
+
+def coarse_light(parts: list[Any], wavelet: str) -> np.ndarray:
+    """Means of the next finer level, of either sign of the details the smoother ones."""
+    found = [_synthesise(parts, wavelet, sign) for sign in (1.0, -1.0)]
+    return min(found, key=_roughness)
+
+
+def _synthesise(parts: list[Any], wavelet: str, sign: float) -> np.ndarray:
+    import pywt
+
+    tree = [parts[0], *((sign * down, sign * across, both) for down, across, both in parts[1:])]
+    return np.asarray(pywt.waverec2(tree, wavelet, mode="periodization"))
+
+
+def _roughness(picture: np.ndarray) -> float:
+    """Total variation."""
+    return float(sum(np.abs(np.diff(picture, axis=axis)).sum() for axis in (0, 1)))
+
+
+def split_levels(coefficients: np.ndarray, levels: int) -> list[Any]:
+    """Coarsest means, then (down, across, both) of each level from the coarsest to the finest."""
+    down, across = coefficients.shape
+    parts: list[Any] = [coefficients[: down >> levels, : across >> levels]]
+    for level in range(levels, 0, -1):
+        a, b = down >> level, across >> level
+        parts.append(
+            (
+                coefficients[a : 2 * a, :b],
+                coefficients[:a, b : 2 * b],
+                coefficients[a : 2 * a, b : 2 * b],
+            )
+        )
+    return parts

@@ -1,0 +1,134 @@
+"""`camera picture`: what a user reads, and real counts in the folder of DEEPFSI_DATA."""
+
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy.linalg import hadamard
+
+REAL = Path(os.environ.get("DEEPFSI_DATA") or ".")
+COUNTER, WAVELET = REAL / "spc_photon_counter", REAL / "spc_wavelet"
+needs_counter = pytest.mark.skipif(
+    not (COUNTER / "240321_13_1024_20000_150_0.npy").exists(),
+    reason="needs $DEEPFSI_DATA/spc_photon_counter",
+)
+needs_wavelet = pytest.mark.skipif(
+    not (WAVELET / "Jaszczak_Haar_4_128x128.mat").exists(),
+    reason="needs $DEEPFSI_DATA/spc_wavelet",
+)
+
+
+@pytest.fixture
+def steady(tmp_path) -> Path:
+    """Poisson counts of a constant light, 256 masks and their inverses in turn."""
+    rng = np.random.default_rng(0)
+    scene = np.zeros((16, 16))
+    scene[4:12, 6:10] = 40.0
+    masks = hadamard(256)
+    mean = np.stack([(masks > 0) @ scene.ravel(), (masks < 0) @ scene.ravel()], axis=1)
+    np.savetxt(tmp_path / "counts.csv", rng.poisson(mean).reshape(-1), fmt="%d")
+    return tmp_path / "counts.csv"
+
+
+def test_a_table_gives_pictures_and_a_verdict(done, steady, tmp_path):
+    words = ["camera", "picture", steady, "--masks", "hadamard-natural", "--rails", "turns"]
+    folder = tmp_path / "p"
+    assert "these counts are Poisson, as far as they tell" in done(*words, "-o", folder)
+    assert {file.name for file in folder.iterdir()} == {
+        *("picture.png", "light.png", "pictures.npy", "verdict.json")
+    }
+    assert np.load(folder / "pictures.npy").shape == (1, 16, 16)
+    with Image.open(folder / "light.png") as light:
+        assert light.width > 500
+    told = json.loads((folder / "verdict.json").read_text())
+    assert told["light"]["poisson"] is True
+    printed = json.loads(done(*words, "-o", tmp_path / "q", "--json"))
+    assert printed.pop("schema") == "deepfsi.camera.picture/1"
+    assert printed.pop("folder") == str(tmp_path / "q")
+    assert printed == told
+
+
+def test_an_excess_of_one_run_and_of_two_is_said(done, tmp_path):
+    rng, masks = np.random.default_rng(1), hadamard(256)
+    for name in "ab":
+        light = rng.lognormal(0, 0.1, 256)[:, None]
+        mean = np.stack([(masks > 0).sum(axis=1), (masks < 0).sum(axis=1)], axis=1) * 5 * light
+        np.save(tmp_path / f"{name}.npy", rng.poisson(mean))
+    words = ["--masks", "hadamard-natural", "--exposures", "1ms,1ms", "--block", "16"]
+    files = [tmp_path / "a.npy", tmp_path / "b.npy"]
+    said = done("camera", "picture", *files, *words, "-o", tmp_path / "p")
+    assert "THESE COUNTS ARE NOT POISSON" in said
+    assert "of each table by itself: 10." in said or "of each table by itself: 9." in said
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        (["--masks", "hadamard-natural", "--size", "16x16"], "--rails"),
+        (["--masks", "hadamrd"], "hadamard-natural"),
+        (["--masks", "hadamard-natural", "--rails", "turns", "--exposures", "1ms,2ms"], "1 table"),
+        (["--masks", "hadamard-natural", "--rails", "turns", "--compare", "no.npy"], "no.npy"),
+    ],
+)
+def test_a_wrong_table_leaves_nothing(refuse, steady, tmp_path, words, named):
+    assert named in refuse("camera", "picture", steady, *words, "-o", tmp_path / "p")
+
+
+@needs_counter
+def test_three_exposures_of_a_photon_counter(done, tmp_path):
+    files = [COUNTER / f"240321_13_1024_{us}_150_0.npy" for us in (20000, 40000, 80000)]
+    words = ["--masks", "hadamard-natural", "--exposures", "20ms,40ms,80ms", "--block", "64"]
+    told = json.loads(done("camera", "picture", *files, *words, "-o", tmp_path / "o", "--json"))
+    assert told["correlations"] == pytest.approx([0.701, 0.759, 0.824], abs=5e-4)
+    light = told["light"]
+    assert not light["poisson"]
+    assert light["pairs"] == 1023
+    assert light["runs"][0]["spread"] == pytest.approx(0.187, abs=5e-4)
+    assert light["runs"][0]["allowed"] == pytest.approx(0.0389, abs=5e-5)
+    assert light["runs"][0]["autocorrelation"][3] == pytest.approx(0.6, abs=5e-3)
+    assert light["correlations"] == pytest.approx([0.930, 0.941, 0.963], abs=5e-4)
+    assert light["chi2_counts"] == pytest.approx(1.81, abs=5e-3)
+    # what looks like a lamp is optics: masks as fine as one another have the same light
+    shares = {name: cause["share"] for name, cause in light["causes"].items()}
+    assert shares["fineness"] == pytest.approx(0.961, abs=5e-4)
+    rests = [light["causes"][name]["rest"] for name in ("block", "place in block", "sequence")]
+    assert max(rests) < 0.05
+    # and what each run has of its own is twice Poisson's variance at every exposure
+    own = [1 + o["variance"] * r["mean"] for o, r in zip(light["own"], light["runs"], strict=True)]
+    assert own == pytest.approx([2.11, 2.20, 2.19], abs=5e-3)
+    assert [off[0] for off in told["off"]] == [4, 9, 9]
+    assert told["on"] == [1283, 2571, 5306]
+    assert np.ptp(told["rates"]) / np.mean(told["rates"]) < 0.01
+
+
+@needs_counter
+def test_one_column_of_masks_and_inverses_in_turn(done, tmp_path):
+    file = COUNTER / "240324_14_256_1000_0.npy"
+    words = ["--masks", "hadamard-natural", "--rails", "turns", "--block", "64"]
+    told = json.loads(done("camera", "picture", file, *words, "-o", tmp_path / "o", "--json"))
+    assert np.load(tmp_path / "o" / "pictures.npy").shape == (1, 16, 16)
+    assert (told["on"], told["off"][0][0]) == ([821], 10)
+    assert not told["light"]["poisson"]
+    assert told["light"]["causes"]["fineness"]["share"] == pytest.approx(0.834, abs=5e-4)
+
+
+@needs_wavelet
+@pytest.mark.parametrize(("name", "agreement"), [("Haar", 0.932), ("LeGall", 0.924)])
+def test_wavelet_coefficients_give_the_picture_of_the_ccd(done, tmp_path, name, agreement):
+    file = WAVELET / f"Jaszczak_{name}_4_128x128.mat"
+    words = ["--masks", f"wavelet-{name.lower()}-4", "--compare", f"{file}:F"]
+    told = json.loads(
+        done("camera", "picture", f"{file}:W", *words, "-o", tmp_path / "o", "--json")
+    )
+    assert told["agreement"][0]["correlation"] == pytest.approx(agreement, abs=5e-4)
+    (noise,) = told["wavelets"]
+    assert (noise["measured"], noise["level"], noise["reversed"]) == (
+        pytest.approx(0.25, abs=1e-3),
+        2,
+        True,
+    )
+    assert min(noise["variance_over_poisson"]) > 40
+    assert told["light"] is None
