@@ -165,3 +165,36 @@ def test_published_rates_are_shares_of_their_exposures():
         for rate, *_ in rates.values():
             answers = rate * 10 * exposures_of(rate)
             assert answers == pytest.approx(round(answers), abs=0.06)
+
+
+def test_a_parameter_with_levels_has_no_other_values(emulated):
+    rng = np.random.default_rng(5)
+    table = table_at(rng, np.array([[0.35, 0.75]]))
+    emulator = Emulator(*emulated, table, np.full(CONDITIONS, 10))
+    stepped = Parameter("level", "level", 0.0, 1.0, log=False, levels=(0.0, 0.25, 0.75, 1.0))
+    conditions = [("a", float(k)) for k in range(CONDITIONS)]
+    fit = fit_rates(
+        emulator, [PARAMETERS[0], stepped], conditions, {"gain": 10.0, "level": 0.5}, tables=2
+    )
+    level = fit.profiles[1]
+    assert level.values == [0.0, 0.25, 0.75, 1.0]
+    assert level.best == 0.75
+    assert {level.low, level.high} <= set(level.values)
+    assert min(level.deviance) == pytest.approx(0, abs=0.02)
+
+
+def test_a_rate_is_expected_given_the_others(emulated):
+    """By the normal law of one coordinate given all others."""
+    table = np.linspace(0.2, 0.8, CONDITIONS)
+    emulator = Emulator(*emulated, table, np.full(CONDITIONS, 10))
+    conditions = [("a", float(k)) for k in range(CONDITIONS)]
+    fit = fit_rates(emulator, PARAMETERS, conditions, {"gain": 10.0, "level": 0.5}, tables=2)
+    at = np.array([[float(p.share(q.best)) for p, q in zip(PARAMETERS, fit.profiles, strict=True)]])
+    mean, covariance = emulator.means(at)[0], emulator.covariance(at)[0]
+    for place, each in enumerate(fit.conditions):
+        rest = np.arange(CONDITIONS) != place
+        gain = np.linalg.solve(covariance[np.ix_(rest, rest)], covariance[rest, place])
+        assert each.expected == pytest.approx(mean[place] + gain @ (table - mean)[rest], abs=1e-3)
+        variance = covariance[place, place] - gain @ covariance[rest, place]
+        assert each.error == pytest.approx(np.sqrt(variance), rel=1e-3)
+        assert each.pull == pytest.approx((each.published - each.expected) / each.error)

@@ -27,19 +27,29 @@ LIMIT = float(stats.chi2.ppf(0.95, 1))
 STARTS, GRID = 6, 25
 """Searches that each maximum is the best of, and values of a profile."""
 
+FARTHEST = 12.0
+"""Deviance beyond which a level is not searched for the profiles of other parameters."""
+
+MOST = float(np.log(10))
+"""Log of the widest variance over that of alike pictures: where exposures of one picture agree."""
+
 SCATTERED = 2048
 """Settings among which searches start."""
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """A setting to be fitted: name, label of its axis, and range; `log` is of its scale."""
+    """A setting to be fitted: name, label of its axis, and range; `log` is of its scale.
+
+    One with `levels` has these values and no other.
+    """
 
     name: str
     label: str
     low: float
     high: float
     log: bool = True
+    levels: tuple[float, ...] = ()
 
     def value(self, share: np.ndarray | float) -> np.ndarray:
         """Values at shares of the range, 0 to 1."""
@@ -69,18 +79,20 @@ class Profile:
     low: float
     high: float
     bounded: tuple[bool, bool]  # whether each end is found within the range
+    levels: bool = False  # whether there is nothing between the values
 
 
 @dataclass(frozen=True)
 class Condition:
-    """A published rate beside the fitted one, which has the standard deviation `error`."""
+    """A published rate beside those of the fit: its mean, and what it expects given all others."""
 
     design: str
     exposure_s: float
     published: float
     fitted: float
-    error: float
-    pull: float  # (published - fitted) / error
+    expected: float  # given the others, which are of the same ten pictures
+    error: float  # its standard deviation
+    pull: float  # (published - expected) / error
     before: float  # rate of the laboratory as it is
 
 
@@ -197,10 +209,12 @@ class Emulator:
         )[0]
         sd = np.sqrt(total[near])
         scaled = simulated.pictures[near] / (sd[:, :, None] * sd[:, None, :])
-        self._correlation = scaled.mean(axis=0) * (1 + 1 / simulated.drawn)
-        np.fill_diagonal(
-            self._correlation, 1 + (1 / simulated.drawn) * scaled.mean(axis=0).diagonal()
-        )
+        shared = scaled.mean(axis=0)
+        own = np.maximum(shared.diagonal(), 0.0)  # an estimate without bias may be below 0
+        shared -= np.diag(shared.diagonal())
+        # The mean itself is of so many pictures of each class
+        few = 1 / simulated.drawn
+        self._correlation = _positive((1 + few) * shared + np.diag(1 + few * own))
         errors = (known - predicted)[near]
         noise = simulated.exposure[near].mean(axis=0) / (simulated.drawn * simulated.exposures)
         self.scatter = _positive(errors.T @ errors / len(near) - np.diag(noise))
@@ -215,7 +229,7 @@ class Emulator:
 
     def covariance(self, shares: np.ndarray) -> np.ndarray:
         """Covariance (M, C, C) of rates at settings (M, P), with that of training and emulator."""
-        scale = np.exp(np.clip(_quadratic(shares) @ self._scale, -4, 3))
+        scale = np.exp(np.clip(_quadratic(shares) @ self._scale, -4, MOST))
         sd = np.sqrt(scale * _binomial(self.means(shares)))
         return np.asarray(sd[:, :, None] * self._correlation * sd[:, None, :] + self.scatter)
 
@@ -295,25 +309,22 @@ def fit_rates(
             f"{len(parameters)} parameters for settings of {emulator.shares.shape[1]}: give as many"
         )
     rng = np.random.default_rng(seed)
-    scattered = stats.qmc.Sobol(len(parameters), rng=rng).random(SCATTERED)
-    best = minimise(lambda at: emulator.distances(at, emulator.rates)[0], scattered)
-    least, distance = (float(each[0]) for each in emulator.distances(best[None], emulator.rates))
-    profiles = [
-        _profile(emulator, number, each, best, least, scattered)
-        for number, each in enumerate(parameters)
-    ]
+    search = Search(emulator, parameters, stats.qmc.Sobol(len(parameters), rng=rng))
+    best, profiles = search.profiles(emulator.rates)
+    distance = float(emulator.distances(best[None], emulator.rates)[1][0])
     now = np.clip([float(each.share(before[each.name])) for each in parameters], 0, 1)[None]
     mean, covariance = emulator.means(best[None])[0], emulator.covariance(best[None])[0]
     drawn = rng.multivariate_normal(mean, covariance, tables).clip(0, 1)
-    near = np.vstack([best, scattered[:256]])
-    apart = [_least_distance(emulator, table, near) for table in drawn]
-    error = np.sqrt(covariance.diagonal())
+    apart = [search.distance(table, best) for table in drawn]
+    precision = np.linalg.inv(covariance)
+    error = 1 / np.sqrt(precision.diagonal())
+    pull = error * (precision @ (emulator.rates - mean))
     return RateFit(
         profiles=profiles,
         conditions=[
             Condition(design, exposure, *map(float, numbers))
             for (design, exposure), *numbers in zip(
-                conditions, emulator.rates, mean, error, (emulator.rates - mean) / error,
+                conditions, emulator.rates, mean, emulator.rates - error * pull, error, pull,
                 emulator.means(now)[0], strict=True,
             )
         ],
@@ -326,10 +337,109 @@ def fit_rates(
     )  # fmt: skip
 
 
-def _least_distance(emulator: Emulator, table: np.ndarray, candidates: np.ndarray) -> float:
-    """Squared distance of a table of rates from its own fit."""
-    own = minimise(lambda at: emulator.distances(at, table)[0], candidates, starts=2)
-    return float(emulator.distances(own[None], table)[1][0])
+class Search:
+    """Settings that make rates most likely.
+
+    Parameters
+    ----------
+    emulator : Emulator
+    parameters : sequence of Parameter
+        One at most has levels.
+    sobol : scipy.stats.qmc.Sobol
+        Gives settings at which searches start.
+    """
+
+    def __init__(
+        self, emulator: Emulator, parameters: Sequence[Parameter], sobol: stats.qmc.Sobol
+    ) -> None:
+        self.emulator, self.parameters = emulator, parameters
+        self.scattered = sobol.random(SCATTERED)
+        self.axis = next((k for k, each in enumerate(parameters) if each.levels), None)
+        stepped = parameters[self.axis or 0]
+        self.places = stepped.share(np.array(stepped.levels))
+
+    def least(
+        self,
+        rates: np.ndarray,
+        near: np.ndarray,
+        fixed: tuple[int, float] | None = None,
+        few: bool = False,
+    ) -> np.ndarray:
+        """The most likely setting (P,) for rates, `near` (M, P) which there is another search.
+
+        `fixed` is a parameter, by its number, and its share. `few` makes the search shorter.
+        """
+        candidates = np.vstack([near, self.scattered[: 256 if few else SCATTERED]])
+        free = np.ones(len(self.parameters), dtype=bool)
+        if fixed is not None:
+            candidates[:, fixed[0]] = fixed[1]
+            free[fixed[0]] = False
+        starts = 2 if few else STARTS
+
+        def loss(at: np.ndarray) -> np.ndarray:
+            return self.emulator.distances(at, rates)[0]
+
+        if self.axis is None or not free[self.axis]:
+            return minimise(loss, candidates, free, starts)
+        free[self.axis] = False
+        found = []
+        for place in self.places:
+            candidates[:, self.axis] = place
+            found.append(minimise(loss, candidates.copy(), free, starts))
+        return found[int(np.argmin([loss(each[None])[0] for each in found]))]
+
+    def distance(self, rates: np.ndarray, near: np.ndarray) -> float:
+        """Squared distance of rates from the setting that makes them most likely."""
+        own = self.least(rates, near[None], few=True)
+        return float(self.emulator.distances(own[None], rates)[1][0])
+
+    def profiles(self, rates: np.ndarray) -> tuple[np.ndarray, list[Profile]]:
+        """The most likely setting, and the profile of each parameter."""
+        best = self.least(rates, self.scattered[:1])
+        if self.axis is not None:
+            at = [self.least(rates, best[None], (self.axis, float(each))) for each in self.places]
+            lost = np.array([self._lost(each, best, rates) for each in at])
+            self.places = self.places[lost < FARTHEST]  # for all other searches
+        while True:
+            made = [self._profile(number, best, rates) for number in range(len(self.parameters))]
+            lowest = min(
+                (point for _, points in made for point in points), key=lambda each: each[1]
+            )
+            if lowest[1] > -0.01:
+                return best, [profile for profile, _ in made]
+            best = self.least(rates, lowest[0][None])
+
+    def _lost(self, at: np.ndarray, best: np.ndarray, rates: np.ndarray) -> float:
+        both = self.emulator.distances(np.stack([at, best]), rates)[0]
+        return float(both[0] - both[1])
+
+    def _profile(
+        self, number: int, best: np.ndarray, rates: np.ndarray
+    ) -> tuple[Profile, list[tuple[np.ndarray, float]]]:
+        """Profile of a parameter, with the setting and the deviance of each of its values."""
+        parameter = self.parameters[number]
+        places = np.unique(np.append(np.linspace(0, 1, GRID), best[number]))
+        if parameter.levels:
+            places = parameter.share(np.array(parameter.levels))
+        points, at = list[tuple[np.ndarray, float]](), best
+        for place in places:
+            at = self.least(rates, np.stack([best, at]), (number, float(place)), few=True)
+            points.append((at, self._lost(at, best, rates)))
+        lost = np.array([deviance for _, deviance in points])
+        low, high = _ends(places, lost, best[number], between=not parameter.levels)
+        profile = Profile(
+            parameter.name,
+            parameter.label,
+            parameter.log,
+            parameter.value(places).tolist(),
+            lost.tolist(),
+            best=float(parameter.value(best[number])),
+            low=float(parameter.value(low)),
+            high=float(parameter.value(high)),
+            bounded=(low > places[0], high < places[-1]),
+            levels=bool(parameter.levels),
+        )
+        return profile, points
 
 
 def minimise(
@@ -349,7 +459,7 @@ def minimise(
         [loss(candidates[first : first + 128]) for first in range(0, len(candidates), 128)]
     )
     found, least = candidates[losses.argmin()], losses.min()
-    for place in np.argsort(losses)[:starts]:
+    for place in np.argsort(losses)[: starts if len(moved) else 0]:
         start = candidates[place]
 
         def both(x: np.ndarray, start: np.ndarray = start) -> tuple[float, np.ndarray]:
@@ -370,50 +480,20 @@ def minimise(
     return np.asarray(found)
 
 
-def _profile(
-    emulator: Emulator,
-    number: int,
-    parameter: Parameter,
-    best: np.ndarray,
-    least: float,
-    scattered: np.ndarray,
-) -> Profile:
-    free = np.arange(len(best)) != number
-    places = np.unique(np.append(np.linspace(0, 1, GRID), best[number]))
-    deviance, start = [], best
-    for place in places:
-        candidates = np.vstack([best, start, scattered[:256]])
-        candidates[:, number] = place
-        start = minimise(
-            lambda at: emulator.distances(at, emulator.rates)[0], candidates, free, starts=3
-        )
-        deviance.append(float(emulator.distances(start[None], emulator.rates)[0][0]) - least)
-    lost = np.array(deviance)
-    low, high = _ends(places, lost, best[number])
-    return Profile(
-        parameter.name,
-        parameter.label,
-        parameter.log,
-        parameter.value(places).tolist(),
-        lost.tolist(),
-        best=float(parameter.value(best[number])),
-        low=float(parameter.value(low)),
-        high=float(parameter.value(high)),
-        bounded=(low > 0, high < 1),
-    )
-
-
-def _ends(places: np.ndarray, deviance: np.ndarray, best: float) -> tuple[float, float]:
-    """Outermost places at which the deviance crosses `LIMIT`; 0 or 1 where it does not."""
+def _ends(
+    places: np.ndarray, deviance: np.ndarray, best: float, between: bool = True
+) -> tuple[float, float]:
+    """Outermost places at which the deviance crosses `LIMIT`, `between` the places or at one."""
     ends = []
-    for side, outermost in ((places <= best, 0.0), (places >= best, 1.0)):
+    for below in (True, False):
+        side = places <= best if below else places >= best
         x, y = places[side], deviance[side]
-        if outermost == 0.0:
+        if below:
             x, y = x[::-1], y[::-1]
         inside = np.flatnonzero(y <= LIMIT)
         last = inside[-1] if len(inside) else 0
-        if last == len(x) - 1:
-            ends.append(outermost)
+        if last == len(x) - 1 or not between:
+            ends.append(float(x[last]))
         else:
             share = (LIMIT - y[last]) / (y[last + 1] - y[last])
             ends.append(float(x[last] + share * (x[last + 1] - x[last])))

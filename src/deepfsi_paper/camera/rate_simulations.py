@@ -122,7 +122,14 @@ def fit_published(
         return None
     parameters = [
         *PARAMETERS,
-        Parameter("assumed", "budget assumed in training (photons)", budgets[0], budgets[-1]),
+        # Nothing is trained between the budgets, and nothing interpolated
+        Parameter(
+            "assumed",
+            "budget assumed in training (photons)",
+            budgets[0],
+            budgets[-1],
+            levels=tuple(budgets),
+        ),
     ]
     shares, plan = _plan(load_dataset(results.recipe["data"]), designs, parameters, budgets)
     report(0.0, "settings of the laboratory")
