@@ -261,6 +261,27 @@ def test_the_claim_follows_from_the_differences(gap, holds):
     assert ("not clearly above" in claim.why) is not holds
 
 
+def test_claims_of_all_images_are_of_five_budgets_and_each_rival():
+    [recipe] = IMAGES.recipes(quick=False).values()
+    points = [
+        a_point(0.3, photons=photons, design=design, accuracies=(0.29, 0.3, 0.31))
+        for photons in recipe.photons
+        for design in recipe.designs
+    ]
+    masks = [
+        {"photons": photons, "side": 2, "throughput": [1.0, 1.0], "directions": [3.0, 3.1],
+         "matrix": np.eye(4).tolist()}
+        for photons in recipe.photons
+    ]  # fmt: skip
+    told = {"recipe": recipe.model_dump(mode="json"), "data": {"image_shape": (64, 64)}}
+    claims = IMAGES.show(some_results(points, **told, extra={"masks": masks})).claims
+    assert [claim.text.split()[3] for claim in claims[:3]] == ["raster", "hadamard", "pca"]
+    assert all(claim.measured.count(" at ") == 5 for claim in claims[:3])
+    assert all(claim.holds is None for claim in claims[:3])
+    assert "at 100 and" in claims[3].measured
+    assert "at 10" in claims[4].measured
+
+
 @pytest.mark.parametrize(
     ("dim", "bright", "holds"),
     [
@@ -292,5 +313,6 @@ def test_names_keep_their_distance_on_a_short_axis():
 def test_more_images_are_trained_as_fewer_are():
     [few], [many] = (each.recipes(quick=False).values() for each in (EXPERIMENT, IMAGES))
     assert (many.images, few.images) == (None, 12_000)
-    for name in ("training", "exposure", "camera", "masks", "size", "draws"):
+    same = ("designs", "photons", "trials", "training", "exposure", "camera", "masks", "size")
+    for name in (*same, "draws"):
         assert getattr(many, name) == getattr(few, name)
