@@ -74,6 +74,22 @@ def test_single_masks_and_raster_give_the_scene(table):
     assert "without inverses" in raster.note
 
 
+def test_a_sequence_that_ends_early_gives_the_picture_of_its_masks(table):
+    masks = formula_masks("hadamard-sequency", (8, 4))
+    counts = table(rails_of(masks)[:, :12].T)
+    found = read_pictures([counts], TableMasks("hadamard-sequency", size=(8, 4)))
+    assert np.allclose(found.pictures[0].ravel(), masks[:12].T @ (masks[:12] @ SCENE.ravel()) / 32)
+
+
+@pytest.mark.parametrize("wrong", [-1.0, 2.5])
+def test_values_that_are_no_counts_give_a_picture_and_no_verdict(table, wrong):
+    values = rails_of(formula_masks("hadamard-natural", (8, 4)))
+    values[0, 3] = wrong
+    found = read_pictures([table(values.T)], TableMasks("hadamard-natural", size=(8, 4)))
+    assert found.light is None
+    assert f"{wrong:g} are no counts" in found.note
+
+
 def test_orthogonal_masks_are_solved_as_by_least_squares():
     rng = np.random.default_rng(2)
     read = rng.standard_normal((3, 32))
@@ -110,6 +126,7 @@ def test_counts_over_exposure_and_dark_counts(table):
     [
         ({"masks": "hadamrd"}, "no masks 'hadamrd'"),
         ({"masks": "hadamard-natural", "size": (4, 4)}, "32 masks, and 16 are needed"),
+        ({"masks": "hadamard-natural", "size": (8, 4), "rails": "turns"}, "give a column of masks"),
         ({"masks": "hadamard-natural"}, "no square"),
         ({"masks": "hadamard-natural", "size": (8, 4), "exposures_s": (1.0, 2.0)}, "2 `exposures`"),
         ({"masks": "wavelet-hare-2"}, "unknown wavelet"),

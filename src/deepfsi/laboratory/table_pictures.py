@@ -21,7 +21,6 @@ from deepfsi.hardware.recording.picture import (
 from deepfsi.hardware.recording.rail_sums import (
     RailSums,
     check_rail_sums,
-    check_whole,
     fineness,
 )
 from deepfsi.hardware.recording.rail_tables import split_rails
@@ -101,8 +100,6 @@ def read_pictures(sources: Sequence[str], settings: TableMasks) -> Pictures:
             for table, source in zip(values, sources, strict=True)
         ]
     )
-    for run, source in zip(runs, sources, strict=True):
-        check_whole(run, source)
     signed, dual = _as_shown(masks, runs.shape[1]), runs.shape[1] == 2
     read = runs[:, 0] - runs[:, 1] if dual else runs[:, 0]
     pictures = solve_masks(signed, read).reshape(-1, *shape)
@@ -114,7 +111,7 @@ def read_pictures(sources: Sequence[str], settings: TableMasks) -> Pictures:
         rates=None
         if times is None
         else tuple((totals / (runs[0].size * np.array(times))).tolist()),
-        rate_errors=None if times is None else tuple((totals**-0.5).tolist()),
+        rate_errors=None if times is None else tuple((np.maximum(totals, 1) ** -0.5).tolist()),
         **_find_light(runs, signed, shape, settings.block),
     )
 
@@ -135,7 +132,11 @@ def _find_masks(
     if shape is None:
         rails = split_rails(table, settings.rails or _guess(table), None, name)
         shape = _square(rails.shape[1], name)
-    return formula_masks(settings.masks, shape), shape
+    masks = formula_masks(settings.masks, shape)
+    if settings.rails is not None or min(table.shape) == 2:
+        # A sequence may end before the formula does
+        masks = masks[: split_rails(table, settings.rails, None, name).shape[1]]
+    return masks, shape
 
 
 def _guess(table: np.ndarray) -> str | None:
@@ -170,6 +171,9 @@ def _find_light(
     runs: np.ndarray, masks: np.ndarray, shape: tuple[int, ...], block: int | None
 ) -> dict[str, Any]:
     """Rail sums and their verdict as of `Pictures`."""
+    wrong = runs[(runs < 0) | (runs % 1 != 0)]
+    if wrong.size:
+        return {"note": f"values such as {wrong[0]:g} are no counts: nothing is said of the light"}
     if runs.shape[1] == 1:
         return {"note": "masks without inverses: their counts have no mean in common"}
     if not _two_valued(masks):

@@ -8,7 +8,6 @@ from deepfsi.errors import InputError
 from deepfsi.hardware.recording.rail_sums import (
     LEAST_PAIRS,
     check_rail_sums,
-    check_whole,
     find_causes,
     fineness,
 )
@@ -172,12 +171,6 @@ def test_a_table_of_rails_is_read_in_every_layout(layout):
 def test_a_table_that_is_none_of_these_masks_is_refused(shape, layout, masks, said):
     with pytest.raises(InputError, match=said):
         split_rails(np.ones(shape), layout, masks, "t.npy")
-
-
-@pytest.mark.parametrize("wrong", [-1.0, 2.5])
-def test_what_is_no_count_is_refused(wrong):
-    with pytest.raises(InputError, match=f"{wrong:g}, which is no count"):
-        check_whole(np.array([1.0, wrong]), "t.npy")
 
 
 def test_fineness_of_hadamard_masks_is_their_sequency():

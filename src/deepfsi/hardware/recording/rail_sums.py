@@ -21,7 +21,6 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.special import chdtrc, stdtrit
 
-from deepfsi.errors import InputError
 from deepfsi.hardware.recording.tails import FALSE_ALARMS
 
 PARTS = 20
@@ -287,12 +286,3 @@ def _intervals(statistics: Callable[[np.ndarray], np.ndarray], number: int) -> l
     half = stdtrit(PARTS - 1, 0.975) * error
     ends = zip(statistics(place).tolist(), half.tolist(), strict=True)
     return [Excess(value, value - width, value + width) for value, width in ends]
-
-
-def check_whole(counts: np.ndarray, name: str) -> None:
-    """Raise `InputError` unless values are counts: whole numbers, 0 or more."""
-    wrong = counts[(counts < 0) | (counts % 1 != 0)]
-    if wrong.size:
-        raise InputError(
-            f"{name} holds {wrong.flat[0]:g}, which is no count: give whole numbers, 0 or more"
-        )

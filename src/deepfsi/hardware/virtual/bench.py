@@ -70,6 +70,7 @@ class VirtualSetup:
         rng = np.random.default_rng(seed)
         self._streams = [Stream(camera, rng) for _ in range(rates.shape[2])]
         self._reach = self._streams[0].reach
+        self._camera, self._light = camera, camera.light(rng)
         self._end = 0  # ticks up to which the detectors' light is known
         self._times, self._codes = np.zeros(0, np.int64), np.zeros(0, np.int64)
         self.written: Writer | None = None  # of the counter that records
@@ -121,7 +122,10 @@ class VirtualSetup:
     def _see(self, frames: np.ndarray, ends: np.ndarray) -> None:
         """Draw the events while frames are shown, the last until `ends[-1]`, and write them."""
         durations = np.diff(ends, prepend=self._end)
-        for pieces, flow in divide(durations, self._rates[self._scene, frames]):
+        rates = self._camera.fluctuate(
+            self._rates[self._scene, frames], (ends - durations) * TICK_S, self._light
+        )
+        for pieces, flow in divide(durations, rates):
             stop = self._end + int(pieces.sum())
             for each, stream in enumerate(self._streams):
                 self._add(stream.events(self._end, pieces, flow[:, each]), self.wiring[0][each])

@@ -41,7 +41,7 @@ from deepfsi.hardware.recording.acquisition import (
     prepare,
 )
 from deepfsi.hardware.recording.calibration_file import Row
-from deepfsi.hardware.virtual.detector import TICK_S, Detector, Shutter, Stream, divide
+from deepfsi.hardware.virtual.detector import TICK_S, Detector, Fluctuation, Shutter, Stream, divide
 from deepfsi.hardware.virtual.parts import (
     Parts,
     check_parts,
@@ -75,6 +75,10 @@ class VirtualCamera(Detector):
     vignetting: float = Field(0.0, ge=0, le=1)
     # Stray light spread evenly over the whole device, photons/s
     ambient: float = Field(0.0, ge=0, le=1e12)
+    # Relative standard deviation of the light from picture to picture
+    fluctuation: float = Field(0.0, ge=0, le=10)
+    # Time over which the light keeps its level, seconds; 0 if each picture has a level of its own
+    fluctuation_s: float = Field(0.0, ge=0, le=1e6)
     # Efficiency of each detector, of those that see mirrors ON first, over `efficiency`
     gains: tuple[Annotated[float, Field(gt=0, le=1)], ...] | None = None
     # True of a device that turns mirrors ON where the files have a 0
@@ -91,6 +95,20 @@ class VirtualCamera(Detector):
         return view
 
     _parts = field_validator("detectors")(check_parts)
+
+    def fluctuate(
+        self, rates: np.ndarray, starts_s: np.ndarray, light: Fluctuation | None
+    ) -> np.ndarray:
+        """Arrivals/s (p, inputs) of pictures that start at these times, dark counts as they are."""
+        if light is None:
+            return rates
+        return np.asarray((rates - self.dark) * light.factors(starts_s)[:, None] + self.dark)
+
+    def light(self, rng: np.random.Generator) -> Fluctuation | None:
+        """Light that fluctuates; None if it is steady, so that nothing is drawn for it."""
+        if not self.fluctuation:
+            return None
+        return Fluctuation(self.fluctuation, self.fluctuation_s, rng)
 
 
 CAMERAS = {
@@ -356,8 +374,9 @@ def write_photons(
     ]
     times, codes = np.empty(0, np.int64), np.empty(0, np.int16)
     start = 0
+    every = camera.fluctuate(rates.reshape(len(durations), -1), marks * TICK_S, camera.light(rng))
     with Writer(path, tick_s=TICK_S) as writer:
-        for pieces, flow in divide(durations, rates.reshape(len(durations), -1)):
+        for pieces, flow in divide(durations, every):
             end = start + int(pieces.sum())
             marked = marks[slice(*np.searchsorted(marks, [start, end]))]
             events = [

@@ -16,6 +16,7 @@ A *gated* detector registers the first arrival in each of its gates, and none be
 arrivals that are expected in G gates of one length it gives Binomial(G, 1 - exp(-r / G)) clicks.
 """
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Self
@@ -81,6 +82,29 @@ def divide(durations: np.ndarray, rates: np.ndarray) -> Iterator[tuple[np.ndarra
     edges = np.flatnonzero(np.diff(load)) + 1
     for first, last in zip(np.r_[0, edges], np.r_[edges, len(source)], strict=True):
         yield pieces[first:last], rates[source[first:last]]
+
+
+class Fluctuation:
+    """Light that fluctuates from picture to picture, as factors of its mean.
+
+    Factors are log-normal with the mean 1. With a correlation time τ their logarithms are an
+    Ornstein-Uhlenbeck process: correlated by exp(-t / τ) over a time t.
+    """
+
+    def __init__(self, relative: float, seconds: float, rng: np.random.Generator) -> None:
+        self._sigma, self._seconds, self._rng = math.sqrt(math.log1p(relative**2)), seconds, rng
+        self._last: tuple[float, float] | None = None  # time and value of the last picture
+
+    def factors(self, starts_s: np.ndarray) -> np.ndarray:
+        """Light of pictures that start at these times, which follow all before, over its mean."""
+        normal = self._rng.standard_normal(len(starts_s))
+        if self._seconds:
+            for k, start in enumerate(starts_s.tolist()):
+                if self._last is not None:
+                    kept = math.exp(-max(start - self._last[0], 0.0) / self._seconds)
+                    normal[k] = kept * self._last[1] + math.sqrt(1 - kept**2) * normal[k]
+                self._last = start, float(normal[k])
+        return np.asarray(np.exp(self._sigma * normal - self._sigma**2 / 2))
 
 
 @dataclass
