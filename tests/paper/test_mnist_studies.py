@@ -61,8 +61,8 @@ def training_finding(gain):
     ]
     for design in ("pca", "deepfsi"):
         points += [
-            point(0.7, design=design, variant="dropout 0.0", **place),
-            point(0.7 + gain, design=design, variant="dropout 0.5", **place),
+            point(0.7, label=design, variant="dropout 0.0", **place),
+            point(0.7 + gain, label=design, variant="dropout 0.5", **place),
         ]
     return training.show(some_results(points))
 

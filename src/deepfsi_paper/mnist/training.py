@@ -20,9 +20,9 @@ def show(results: Results) -> Finding:
     epochs = sorted(points(results, recipe="epochs", best=True), key=_setting)
     epochs = [point for point in epochs if point.photons == epochs[0].photons]
     dropout = points(results, recipe="dropout", best=True)
-    without = {(p.design, p.photons): p for p in dropout if _setting(p) == 0}
+    without = {(p.label, p.photons): p for p in dropout if _setting(p) == 0}
     gains = {
-        (p.design, p.photons, _setting(p)): difference(p, without[(p.design, p.photons)])
+        (p.label, p.photons, _setting(p)): difference(p, without[(p.label, p.photons)])
         for p in dropout
         if _setting(p) > 0
     }
@@ -89,7 +89,7 @@ def _epochs(epochs: Sequence[Point]) -> Table:
 def _dropout(dropout: Sequence[Point], gains: dict[tuple[str, float, float], Difference]) -> Table:
     rows = []
     for point in dropout:
-        gain = gains.get((point.design, point.photons, _setting(point)))
+        gain = gains.get((point.label, point.photons, _setting(point)))
         rows.append(
             (point.label, point.masks, point.photons, _setting(point), point.accuracy,
              "" if gain is None else str(gain))
