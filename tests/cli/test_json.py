@@ -48,7 +48,8 @@ STEPS = {
 
 ELSEWHERE = {
     *("camera spots", "camera calibrate", "camera check", "camera import"),
-    *("camera transits", "camera picture", "mask", "designs make", "designs list"),
+    *("camera transits", "camera picture", "camera scan", "mask", "designs make"),
+    *("designs list", "readouts"),
 }
 """Commands whose JSON is tested with calibrations, the reference target, other counters, scenes
 that pass and published designs."""

@@ -22,6 +22,7 @@ from deepfsi.cli import (
     dmd,
     live,
     record,
+    scan,
     table_pictures,
     transits,
 )
@@ -30,6 +31,7 @@ from deepfsi.cli.designs import design, evaluate, page, show, stop
 from deepfsi.cli.groups import Group
 from deepfsi.cli.mask import mask
 from deepfsi.cli.predict import predict
+from deepfsi.cli.readouts import readouts
 from deepfsi.cli.settings import SettingsCommand
 from deepfsi.cli.studies import compare, report, reproduce, sweep
 from deepfsi.errors import InputError
@@ -61,7 +63,7 @@ def _start(
 
 
 _HEADINGS: dict[str, tuple[Callable[..., None], ...]] = {
-    "Design": (design, show, page, evaluate, predict, stop, export, mask),
+    "Design": (design, readouts, show, page, evaluate, predict, stop, export, mask),
     "Study": (compare, plan, sweep, reproduce, report),
 }
 for _heading, _commands in _HEADINGS.items():
@@ -87,6 +89,7 @@ _OF_CAMERA: dict[str, dict[str, Callable[..., None]]] = {
         "classify": classify.camera_classify,
         "image": camera.camera_image,
         "picture": table_pictures.camera_picture,
+        "scan": scan.camera_scan,
         "transits": transits.camera_transits,
     },
     "Calibrate the camera": {

@@ -87,7 +87,10 @@ def camera_import(
     ],
     marker: Annotated[
         int | None,
-        typer.Option("--marker-channel", help="time stamps: channel of the device's trigger"),
+        typer.Option(
+            "--marker-channel",
+            help="time stamps: channel of the device's trigger; none unless given",
+        ),
     ] = None,
     channels: Annotated[
         list[int] | None,
@@ -120,7 +123,8 @@ def camera_import(
 ) -> None:
     """Bring the data of another make of counter into a form that is read here.
 
-    Time stamps become a photon file, their trigger marker 0. Cumulative counts, and counts in even
+    Time stamps become a photon file, their trigger marker 0. Without a trigger it has no markers,
+    as for `camera transits`. Cumulative counts, and counts in even
     time bins, become a table with a row for each pass, for `camera classify`.
 
     Example: deepfsi camera import tags.txt --unit 81ps --marker-channel 8 -o run_lab/photons.ptu
@@ -134,8 +138,6 @@ def camera_import(
         return
     if patterns is not None or passes is not None:
         raise InputError(f"--patterns and --passes are for {_SERIES}: leave them out")
-    if marker is None:
-        raise InputError(f"time stamps need --marker-channel, and counts {_SERIES}: give one")
     paths.check_file(out, (".ptu",), force)
     from deepfsi.hardware.ptu.reader import inspect
     from deepfsi.hardware.ptu.stamps import read_stamps, write_stamps
@@ -153,8 +155,12 @@ def camera_import(
         return
     for each, (column, many) in zip(chosen, photons.items(), strict=True):
         print(f"channel {each}: {many} photons on input {column}")
+    if marker is None:
+        print(f"no trigger, so no markers: give --marker-channel if a channel has it, or {_SERIES}")
+    else:
+        print(f"channel {marker}: {triggers} markers on 0")
     print(
-        f"channel {marker}: {triggers} markers on 0\n{left} events of other channels left out\n"
+        f"{left} events of other channels left out\n"
         f"time from the first event to the last: {found.span_s:.6g} s\nphotons: {out}"
     )
 

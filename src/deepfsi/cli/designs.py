@@ -348,6 +348,7 @@ def show(
     paths.check_file(out, paths.PICTURES, force)
     from deepfsi.design.adaptive.design import load_design
     from deepfsi.design.artifact import Design
+    from deepfsi.design.readouts import check_masks
     from deepfsi.design.training_data import trained_on
     from deepfsi.laboratory.data import data_of
     from deepfsi.report.masks import masks_figure
@@ -355,6 +356,7 @@ def show(
     if count < 1:
         raise InputError(f"{count} masks cannot be drawn: give at least 1")
     made = load_design(file)
+    check_masks(made.info, "a picture of masks")
     budget = made.info.get("job", {}).get("photons")
     if not isinstance(made, Design):
         scenes, _ = data_of(made)

@@ -22,6 +22,7 @@ from deepfsi.design.exposure.looks import LooksExposure
 from deepfsi.design.exposure.trained import Observation
 from deepfsi.design.file_content import check_classes
 from deepfsi.design.own import OwnClassifier
+from deepfsi.design.readouts import check_masks
 from deepfsi.errors import InputError
 from deepfsi.optics.dwells import share_out
 from deepfsi.optics.surroundings import library_defaults
@@ -94,6 +95,7 @@ def to_onnx(design: Design) -> bytes:
             "an ONNX graph is written with the package onnx: pip install onnx onnxruntime"
         ) from None
     check_classes(design.values, "an ONNX graph")
+    check_masks(design.info, "an ONNX graph")
     own = isinstance(design.classifier, OwnClassifier)
     if not own and not isinstance(design.classifier, Mlp):
         raise InputError(

@@ -25,6 +25,7 @@ from deepfsi.design.confidence import stops_of
 from deepfsi.design.evaluation import check_data, evaluate, scanner_for
 from deepfsi.design.exposure import LARGEST_SCORE
 from deepfsi.design.file_content import check_classes
+from deepfsi.design.readouts import check_masks
 from deepfsi.design.stopping import rule_of, stop
 from deepfsi.design.temperatures import Temperatures
 from deepfsi.design.training_data import new_scenes, trained_budgets, trained_on
@@ -109,6 +110,7 @@ def few_tests(data: Dataset, seed: int) -> Dataset:
 def check_playable(design: AnyDesign) -> None:
     """Raise `InputError` for a design that no page can play."""
     check_classes(design.values, "a page")
+    check_masks(design.info, "a page")
     if isinstance(design, AdaptiveDesign):
         LookOptics.of(design.camera, design.image_shape, 1.0)
     else:

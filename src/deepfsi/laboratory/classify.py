@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from deepfsi.design.file_content import check_classes
-from deepfsi.design.training_data import was_trained_on
+from deepfsi.design.readouts import READOUTS, classify_readouts
+from deepfsi.design.training_data import scene_hashes, was_trained_on
 from deepfsi.design.view_test import Rows, ViewResult, ViewTest
 from deepfsi.errors import InputError
 from deepfsi.files import hash_file
@@ -25,7 +26,7 @@ from deepfsi.hardware.recording.acquisition import Scene, Verdict, read_acquisit
 from deepfsi.hardware.recording.clicks import check_budget_of_clicks
 from deepfsi.hardware.recording.counts import Counts, load_counts
 from deepfsi.hardware.recording.dead_time import NO_DEAD_TIME
-from deepfsi.hardware.recording.tables import WORDS, TableSettings, count_table
+from deepfsi.hardware.recording.tables import LABEL, SCENE, WORDS, TableSettings, count_table
 from deepfsi.imports import torch_needed
 from deepfsi.laboratory.camera import camera_of, dead_time_of
 from deepfsi.laboratory.light import dim_scenes
@@ -157,8 +158,7 @@ def classify_table(
     settings : TableSettings, optional
         Budget and background in counts, times in seconds, and the like.
     camera : mapping, optional
-        Fields of the camera that counted, over those of the design's, and another as ``camera``:
-        its dead time is corrected for. None, that of the settings.
+        Fields of the camera that counted, and another as ``camera``, whose dead time is corrected.
     force, trust
         As for `classify_run`.
 
@@ -169,8 +169,7 @@ def classify_table(
     Raises
     ------
     InputError
-        If the file is no table of these patterns, values are no counts, or they do not look like
-        those of the training.
+        If the file is no table of these patterns, or its counts are not like the training's.
 
     Examples
     --------
@@ -189,6 +188,8 @@ def classify_table(
     """
     patterns = read_patterns(design) if Path(design).is_dir() else None
     made = _opened(design, patterns, trust)
+    if READOUTS in made.info:
+        return _classified_readouts(made, str(table), settings, camera)
     settings = replace(settings or TableSettings(), clicks=made.gates)
     if camera:
         dead = dead_time_of(camera_of(made.camera, **camera), camera)
@@ -196,6 +197,56 @@ def classify_table(
     manifest = _nominal(design, settings) if patterns is None else patterns.manifest
     counts, scenes = count_table(read_table(Path(table), WORDS), manifest, settings, str(table))
     return _classified(made, counts, scenes, settings.photons, force, str(table))
+
+
+def _classified_readouts(
+    design: "Design",
+    source: str,
+    settings: TableSettings | None,
+    camera: Mapping[str, Any] | None,
+) -> ClassifiedRun:
+    """Class of each recording in a table of measured readouts, a row or a column for each."""
+    along = settings.exposures if settings else None
+    if camera or settings not in (None, TableSettings(exposures=along)):
+        raise InputError(
+            "measured readouts are classified as they are: leave out all options of a table but "
+            "`exposures`"
+        )
+    table = read_table(source, WORDS)
+    rows, columns = table.values.shape
+    turned = along == "columns" or (along is None and columns != design.masks == rows)
+    answers = classify_readouts(design, table.values.T if turned else table.values)
+    count = len(answers.chances)
+    names = table.words.get(SCENE, tuple(str(row + 1) for row in range(count)))
+    labels = table.words.get(LABEL, ("",) * count)
+    hashes = scene_hashes(answers.scenes, design.image_shape)
+    scenes = tuple(
+        ClassifiedScene(
+            name=name,
+            label=label or None,
+            predicted=(best := design.classes[own.argmax()]),
+            probability=float(own.max()),
+            exposures=1,
+            guesses=(best,),
+            photons=None,
+            faults=(),
+            consistency=None,
+            unsure=None,
+            trained_on=trained,
+        )
+        for name, label, own, trained in zip(
+            names,
+            labels,
+            answers.chances,
+            was_trained_on(design.training_scenes, hashes),
+            strict=True,
+        )
+    )
+    remark = (
+        f"{answers.outside:.1%} of the readouts of {source} lie outside of the span of those of "
+        "the training's table; nothing else was tested"
+    )
+    return ClassifiedRun(design.name, design.masks, design.classes, scenes, (), None, (remark,))
 
 
 def _nominal(file: str | os.PathLike[str], settings: TableSettings) -> Manifest:

@@ -19,6 +19,7 @@ from deepfsi.design.file_content import (
     read_content,
     read_known_masks,
 )
+from deepfsi.design.readouts import check_masks
 from deepfsi.devices import find_device
 from deepfsi.errors import InputError, as_input_error
 from deepfsi.files import read_regular
@@ -150,6 +151,7 @@ def design_rails(file: str | os.PathLike[str]) -> DesignRails:
         return adaptive_rails(path)
     made = ShownDesign.read(path)
     header = made.header
+    check_masks(header.info, "a device")
     if header.name in EVERY_PIXEL:
         raise InputError("impulse imaging has a detector for each pixel: no one device can show it")
     if header.exposure.kind == "patches":

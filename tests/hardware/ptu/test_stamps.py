@@ -6,6 +6,7 @@ import ptufile
 import pytest
 
 from deepfsi.errors import InputError
+from deepfsi.hardware.ptu.reader import inspect
 from deepfsi.hardware.ptu.stamps import Stamps, read_stamps, write_stamps
 
 RNG = np.random.default_rng(5)
@@ -93,6 +94,14 @@ def test_what_tells_no_events_is_one_line(tmp_path):
         with pytest.raises(InputError, match=said):
             write_stamps(stamps, tmp_path / "p.ptu", marker, inputs)
     assert not (tmp_path / "p.ptu").exists()
+
+
+def test_without_a_trigger_every_channel_is_an_input(tmp_path):
+    stamps = clocked(np.arange(0, 4000, 10), np.arange(400) % 3)
+    assert write_stamps(stamps, tmp_path / "p.ptu", None) == (0, 1, 2)
+    found = inspect(tmp_path / "p.ptu")
+    assert found.photons == {0: 134, 1: 133, 2: 133}
+    assert not found.markers
 
 
 @pytest.mark.parametrize(

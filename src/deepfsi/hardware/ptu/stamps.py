@@ -135,25 +135,32 @@ def _check_unit(unit_s: float | None, path: Path) -> float:
 
 
 def write_stamps(
-    stamps: Stamps, path: str | os.PathLike[str], marker: int, inputs: tuple[int, ...] | None = None
+    stamps: Stamps,
+    path: str | os.PathLike[str],
+    marker: int | None,
+    inputs: tuple[int, ...] | None = None,
 ) -> tuple[int, ...]:
-    """Write events as a PTU file, and return the channels of its inputs."""
+    """Write events as a PTU file, of no markers without a trigger; gives its inputs' channels."""
     there = np.unique(stamps.channels).tolist()
     more = f" and {len(there) - MOST_NAMED} more" if len(there) > MOST_NAMED else ""
     known = f"there are some on {', '.join(map(str, there[:MOST_NAMED])) or 'none'}{more}"
     chosen = tuple(each for each in there if each != marker) if inputs is None else inputs
-    for each in (marker, *chosen):
+    triggers = () if marker is None else (marker,)
+    every = (*triggers, *chosen)
+    for each in every:
         if each not in there:
             raise InputError(f"channel {each} has no events; {known}")
-    if not chosen or len(chosen) > GENERIC_T2.inputs or len({marker, *chosen}) <= len(chosen):
+    if not chosen or len(chosen) > GENERIC_T2.inputs or len(set(every)) < len(every):
+        trigger = "none" if marker is None else marker
         raise InputError(
-            f"channels {', '.join(map(str, chosen)) or 'none'} for the detectors beside {marker} "
+            f"channels {', '.join(map(str, chosen)) or 'none'} for the detectors beside {trigger} "
             f"for the trigger are not allowed: give 1 to {GENERIC_T2.inputs} other ones, each once"
         )
-    for each in (marker, *chosen):
+    for each in every:
         _check_clock(stamps, each, each == marker)
     codes = np.full(len(stamps.times), GENERIC_T2.inputs)
-    codes[stamps.channels == marker] = -1
+    if marker is not None:
+        codes[stamps.channels == marker] = -1
     for code, each in enumerate(chosen):
         codes[stamps.channels == each] = code
     kept = np.flatnonzero(codes < GENERIC_T2.inputs)

@@ -1,0 +1,117 @@
+"""Classifiers of measured readouts: any unit, and the traps of a recording named."""
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from readout_samples import CLASSES, EACH, drifting
+
+from deepfsi.datasets.readouts import Variables, read_readouts
+from deepfsi.design.readouts import classify_readouts
+from deepfsi.training.readouts import learn_readouts, measure_order, measure_readouts
+
+FEW = {"epochs": 15, "hidden": (32,), "dropout": 0.0}
+DATA = Path(os.environ.get("DEEPFSI_DATA") or ".") / "spc_modes"
+real = pytest.mark.skipif(not DATA.is_dir(), reason="needs $DEEPFSI_DATA/spc_modes")
+MODES = Variables("conv_cp", "digit", "ImageName", None, ("note_pump", "note_signal"))
+
+
+def result_of(table):
+    designs = {split: learn_readouts(table, split, training=FEW) for split in table.splits}
+    return measure_readouts(table, designs)
+
+
+def test_the_unit_changes_nothing():
+    table = drifting("turns", drift=0.5)
+    volts = replace(table, values=-3e-6 + 2e-6 * table.values)
+    ours, theirs = (
+        classify_readouts(learn_readouts(each, training=FEW), each.values)
+        for each in (table, volts)
+    )
+    assert np.allclose(ours.chances, theirs.chances, atol=1e-3)
+    assert ours.outside == theirs.outside == 0
+    # and what is outside of the span is not cut off: readouts are no reflectance
+    far = classify_readouts(learn_readouts(table, training=FEW), table.values - 100)
+    assert far.outside == 1
+    assert far.scenes.max() < 0
+
+
+def test_classes_far_apart_are_told():
+    table = drifting("turns", drift=0.0)
+    apart = replace(table, values=table.values + 20 * table.y[:, None])
+    found = result_of(apart)
+    assert all(each.network.mean == 1 for each in found.splits)
+    assert found.chance == pytest.approx(1 / CLASSES)
+
+
+@pytest.mark.parametrize(("order", "word"), [("blocks", "as a block"), ("turns", "took turns")])
+def test_monitors_tell_the_order_of_files(order, word):
+    for seed in range(5):
+        found = measure_order(drifting(order, seed=seed))
+        assert word in found.words
+        assert (found.ratio.low > 1) == (order == "blocks")
+
+
+def test_monitors_that_do_not_drift_tell_no_order():
+    told = 0
+    for seed in range(40):
+        table = drifting("turns", seed=seed)
+        noise = np.random.default_rng(seed).normal(size=(CLASSES * EACH, 2))
+        found = measure_order(replace(table, monitors={"laser": noise}))
+        told += not found.ratio.low < 1 < found.ratio.high
+    assert told <= 6  # 2 of 40 at 95 %, up to 6 with probability 0.997
+
+
+def test_a_known_order_tells_blocks_by_itself():
+    blocks, turns = (measure_order(drifting(order, ordered=True)) for order in ("blocks", "turns"))
+    changes = CLASSES - 1
+    assert blocks.neighbour.mean == pytest.approx(1 - changes / (CLASSES * EACH - 1))
+    assert turns.neighbour.mean == 0
+    assert blocks.by_chance == turns.by_chance == pytest.approx(1 / CLASSES)
+    assert "class and time cannot be told apart" in blocks.words
+    assert "class and time differ" in turns.words
+
+
+def test_monitors_tell_the_class_of_blocks_and_not_of_turns():
+    blocks, turns = (result_of(drifting(order, seed=4)) for order in ("blocks", "turns"))
+    assert blocks.monitors[0].ridge.low > 1.5 / CLASSES
+    assert turns.monitors[0].ridge.low < 1 / CLASSES
+    assert "laser alone tells the class" in str(blocks.verdict)
+    assert "laser alone does not tell the class" in str(turns.verdict)
+
+
+def test_a_drift_is_named_where_the_last_part_is_worse():
+    table = drifting("turns", drift=0.0)
+    late = table.place > 0.8 * EACH - 1
+    moved = replace(table, values=table.values - 6.0 * late[:, None])
+    words = [
+        next(line for line in result_of(t).verdict if line[:5] == "drift") for t in (table, moved)
+    ]
+    assert "no difference" in words[0]
+    assert "flatters" in words[1]
+
+
+@real
+@pytest.mark.parametrize(
+    ("folder", "ridge", "count"),
+    [
+        ("crystal27mm_sep7", 0.93, 6000),
+        ("crystal40mm_sep21", 0.99, 2000),
+        ("1f_july31", 0.76, 2000),
+    ],
+)
+def test_real_readouts_as_well_as_ridge_and_recorded_in_turn(folder, ridge, count):
+    table = read_readouts(DATA / folder, MODES)
+    assert len(table.values) == count
+    assert table.splits == ("random", "later")
+    assert "took turns" in measure_order(table).words
+    if count > 2000:  # the others take seconds
+        return
+    found = measure_readouts(table, {split: learn_readouts(table, split) for split in table.splits})
+    random, later = found.splits
+    assert random.network.high >= ridge
+    assert random.network.mean > ridge - 0.01
+    assert later.network.high < random.network.low
+    assert all(each.ridge.low < 0.1 for each in found.monitors[:1])
