@@ -67,6 +67,11 @@ def test_single_masks_and_raster_give_the_scene(table):
     single = TableMasks("hadamard-natural", size=(8, 4), rails="single")
     ones = table((formula_masks("hadamard-natural", (8, 4)) > 0) @ SCENE.ravel()[:, None])
     assert np.allclose(read_pictures([ones], single).pictures[0], SCENE)
+    some = (formula_masks("hadamard-natural", (8, 4)) > 0)[1:]  # without all ON
+    short = table(some @ SCENE.ravel()[:, None], "short.npy")
+    file = table(some, "some.npy")
+    found = read_pictures([short], TableMasks(file, size=(8, 4))).pictures[0]
+    assert np.allclose(some @ found.ravel(), some @ SCENE.ravel())
     scan = table(SCENE.reshape(-1, 1), "scan.npy")
     raster = read_pictures([scan], TableMasks("raster", size=(8, 4)))
     assert np.allclose(raster.pictures[0], SCENE)

@@ -100,9 +100,8 @@ def read_pictures(sources: Sequence[str], settings: TableMasks) -> Pictures:
             for table, source in zip(values, sources, strict=True)
         ]
     )
-    signed, dual = _as_shown(masks, runs.shape[1]), runs.shape[1] == 2
-    read = runs[:, 0] - runs[:, 1] if dual else runs[:, 0]
-    pictures = solve_masks(signed, read).reshape(-1, *shape)
+    weights, readouts = _as_read(masks, runs)
+    pictures = solve_masks(weights, readouts).reshape(-1, *shape)
     totals = runs.sum(axis=(1, 2))
     return Pictures(
         names,
@@ -112,7 +111,7 @@ def read_pictures(sources: Sequence[str], settings: TableMasks) -> Pictures:
         if times is None
         else tuple((totals / (runs[0].size * np.array(times))).tolist()),
         rate_errors=None if times is None else tuple((np.maximum(totals, 1) ** -0.5).tolist()),
-        **_find_light(runs, signed, shape, settings.block),
+        **_find_light(runs, weights, shape, settings.block),
     )
 
 
@@ -127,6 +126,7 @@ def _find_masks(
                 "like, or a file of masks (m, N) or (m, H, W)"
             )
         masks = read_matrix(settings.masks)
+        masks = masks / np.abs(masks).max()  # the brightest cell is ON
         return masks, settings.size or _square(masks.shape[1], settings.masks)
     shape = settings.size
     if shape is None:
@@ -154,11 +154,20 @@ def _square(pixels: int, name: str) -> tuple[int, int]:
     return side, side
 
 
-def _as_shown(masks: np.ndarray, rails: int) -> np.ndarray:
-    """Masks (m, N) as readouts weigh them: of two rails, 0 and 1 are -1 and 1; of one, -1 is 0."""
-    if rails == 1:
-        return (masks > 0).astype(np.int8) if masks.min() < 0 and _two_valued(masks) else masks
-    return masks if masks.min() < 0 else 2.0 * masks / masks.max() - 1.0
+def _as_read(masks: np.ndarray, runs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Weights (m, N) of pixels in the readouts (runs, m) of runs (runs, rails, m)."""
+    if runs.shape[1] == 2:
+        # Of masks of 0 and 1 the inverse is 1 less the mask
+        signed = masks if masks.min() < 0 else 2.0 * masks / masks.max() - 1.0
+        return signed, runs[:, 0] - runs[:, 1]
+    if not (masks.min() < 0 and _two_valued(masks)):
+        return masks, runs[:, 0]
+    # Where ±1 is shown as 1 and 0, twice a count is the signed readout and the light of all ON,
+    # which a complete set has itself: its masks stay orthogonal
+    on = np.flatnonzero((masks > 0).all(axis=1))
+    if len(on) and len(masks) == masks.shape[1]:
+        return masks, 2.0 * runs[:, 0] - runs[:, 0, on[:1]]
+    return (masks > 0).astype(np.int8), runs[:, 0]
 
 
 def _two_valued(masks: np.ndarray) -> bool:

@@ -74,8 +74,8 @@ def solve_masks(masks: np.ndarray, readouts: np.ndarray) -> np.ndarray:
     return _solve(masks.astype(np.float64), readouts, None)
 
 
-WAVELETS = {"haar": "haar", "legall": "bior2.2"}
-"""Wavelets that PyWavelets has under another name, or that are named most."""
+WAVELETS = {"legall": "bior2.2", "cdf5.3": "bior2.2", "cdf9.7": "bior4.4"}
+"""Wavelets that PyWavelets has under another name."""
 
 
 def wavelet_of(name: str) -> tuple[str, int] | None:
