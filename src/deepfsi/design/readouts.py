@@ -20,6 +20,11 @@ READOUTS = "readouts"
 PHOTONS = 1e4
 """Budget that the design needs and that, without noise, nothing depends on."""
 
+TRAINING: dict[str, Any] = {
+    "hidden": (256, 256), "epochs": 200, "lr": 5e-3, "dropout": 0.3, "scale": "each"
+}  # fmt: skip
+"""Settings of a training of readouts unless given, chosen on parts left out of the training."""
+
 
 class ReadoutClasses(NamedTuple):
     """Answers to readouts of a detector."""

@@ -15,15 +15,10 @@ import numpy as np
 
 from deepfsi.datasets.readouts import Readouts
 from deepfsi.design.artifact import Design
-from deepfsi.design.readouts import PHOTONS, READOUTS, classify_readouts
+from deepfsi.design.readouts import PHOTONS, READOUTS, TRAINING, classify_readouts
 from deepfsi.progress import SILENT, Report
 from deepfsi.statistics.intervals import Interval, accuracy, student, wilson
 from deepfsi.training.learning import learn
-
-TRAINING: dict[str, Any] = {
-    "hidden": (256, 256), "epochs": 200, "lr": 5e-3, "dropout": 0.3, "scale": "each"
-}  # fmt: skip
-"""Settings of a training of readouts unless given, chosen on parts left out of the training."""
 
 MOST_RIDGE = 5000
 """Recordings that kernel ridge is fitted to, at most: its memory is their square."""

@@ -83,6 +83,16 @@ def test_the_header_says_which_markers(tmp_path):
         count_scan(file, ScanMarkers(3, 2))
 
 
+def test_lines_that_run_back_are_turned(tmp_path):
+    events = scan_events()
+    straight = count_scan(write(tmp_path / "a.ptu", events), MARKERS, pixels=7)
+    tags = {"ImgHdr_BiDirect": 1, "ImgHdr_SinCorrection": 80}
+    turned = count_scan(write(tmp_path / "b.ptu", events, **tags), MARKERS, pixels=7)
+    assert np.array_equal(turned.frames[:, ::2], straight.frames[:, ::2])
+    assert np.array_equal(turned.frames[:, 1::2], straight.frames[:, 1::2, ::-1])
+    assert "equal in time, and not in width" in turned.faults[0]
+
+
 @pytest.mark.parametrize(("bit", "lost"), [(1, "start"), (2, "end"), (4, "frame")])
 def test_each_lost_marker_is_named_and_its_line_left_out(tmp_path, bit, lost):
     whole = scan_events()

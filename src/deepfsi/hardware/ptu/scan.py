@@ -1,7 +1,8 @@
 """Image scans: photons counted between the markers of a line's start and end, in lines and pixels.
 
 A microscope's scanner marks where each line starts and ends, and each frame once, at its start or
-end. Software of PicoQuant writes into the header on which inputs. Lines without either marker are
+end. Software of PicoQuant writes into the header on which inputs, and whether every second line
+runs back. Lines without either marker are
 left out and named, as are frames of an unusual number of lines.
 """
 
@@ -98,9 +99,18 @@ def count_scan(
     faults += _frame_faults(numbers, header)
     starts, ends = cut_gates(lines[:, 0], lines[:, 1], pixels)
     counts = count_gates(path, starts, ends, inputs, second)
+    counts = counts.reshape(len(lines), pixels, len(inputs))
+    if header.tags.get("ImgHdr_BiDirect"):  # every second line of a frame runs back
+        back = (np.arange(len(lines)) - np.searchsorted(numbers, numbers)) % 2 == 1
+        counts[back] = counts[back, ::-1]
+    if header.tags.get("ImgHdr_SinCorrection") and pixels > 1:
+        faults.append(
+            "the header says that the scanner's speed is no constant: pixels are equal in time, "
+            "and not in width"
+        )
     seconds = lines * header.tick_s
     return Scan(
-        counts.reshape(len(lines), pixels, len(inputs)),
+        counts,
         numbers,
         seconds[:, 0],
         seconds[:, 1],
