@@ -21,6 +21,9 @@ from deepfsi_paper.report import scales
 DRAWN = 0.01
 """Smallest largest difference of two accuracies that is drawn in a panel of its own."""
 
+WIDE = 6.0
+"""Inches of a figure below whose panels two keys stand side by side."""
+
 _DIM = (
     Line2D([], [], color=style.MUTED, linestyle=(0, (4, 2)), linewidth=1.4),
     "0.1 photons per pixel and measurement; fewer above and left of it",
@@ -194,8 +197,9 @@ def _name_keys(figure: Figure, keys: Sequence[tuple[Line2D, str]]) -> None:
     """Say below the panels what their markers and lines are."""
     if keys:
         lines, words = zip(*keys, strict=True)
+        columns = 2 if figure.get_figwidth() > WIDE else 1
         figure.legend(
-            lines, words, loc="outside lower center", ncols=2, frameon=False, fontsize=8,
+            lines, words, loc="outside lower center", ncols=columns, frameon=False, fontsize=8,
             handlelength=2, columnspacing=1.4,
         )  # fmt: skip
 
