@@ -170,6 +170,7 @@ MISSING = [
     "camera count none",
     "camera classify none.safetensors run",
     "camera image none",
+    "camera picture none.npy --masks hadamard-natural -o picture",
     "camera inspect none.ptu",
     "camera prepare none --scenes none -o run",
 ]
