@@ -203,6 +203,8 @@ def _verdict_lines(names: tuple[str, ...], light: "RailSums") -> list[str]:
         f"  alike in all tables (r {_range(light.correlations, '.2f')}): {_excess(light.common)}, "
         "of the masks or the sequence",
         f"  of each table by itself: {own}: variance {_range(fano, '.2f')} times Poisson's",
+        f"  of single pictures: {', '.join(_excess(one) for one in light.pictures)}; the virtual "
+        f"camera draws it with fluctuation = {max(one.spread for one in light.pictures):.2g}",
         f"  between tables: chi2/dof of single counts {light.chi2_counts:.2f} "
         f"(p {_chance(light.chance_counts or 0)}), of sums {light.chi2_sums:.2f}",
         f"  autocorrelation of what differs, at a lag of 1 pair {light.own_autocorrelation[0]:.2f}"

@@ -76,6 +76,26 @@ def test_what_runs_share_is_told_from_what_each_has_of_its_own():
         assert abs(measured.mean() - truth) < 4 * error
 
 
+@pytest.mark.parametrize("own", [(0.1, 0.05, 0.0), (0.08, 0.04)])
+def test_law_the_excess_of_single_pictures_is_that_of_the_virtual_camera(own):
+    rng, spread = np.random.default_rng(10), np.array(own)
+    share, times = rng.uniform(0.4, 0.6, PAIRS), np.array([300, 600, 1200])[: len(own)]
+    measured, sums = [], []
+    for _ in range(40):
+        light = np.stack([lognormal(one, (2, PAIRS), rng) for one in own])
+        mean = times[:, None, None] * np.stack([share, 1 - share]) * light
+        found = check_rail_sums(rng.poisson(mean).astype(float), FINE)
+        measured.append([one.variance for one in found.pictures])
+        sums.append([one.variance for one in found.own])
+    truth = spread**2 if len(own) > 2 else np.full(2, (spread**2).mean())
+    for each, one in zip(np.array(measured).T, truth, strict=True):
+        assert abs(each.mean() - one) < 4 * each.std(ddof=1) / np.sqrt(len(each))
+    # light of two pictures: sums of a pair have half of it, and a little more as shares are uneven
+    halves = truth * (share**2 + (1 - share) ** 2).mean()
+    for each, one in zip(np.array(sums).T, halves, strict=True):
+        assert abs(each.mean() - one) < 4 * each.std(ddof=1) / np.sqrt(len(each))
+
+
 def test_two_runs_that_differ_are_not_poisson_though_each_alone_may_be():
     rng = np.random.default_rng(4)
     light = np.ones((2, PAIRS))

@@ -93,6 +93,7 @@ class RailSums:
     common: Excess | None = None  # alike in all runs
     own: tuple[Excess, ...] = field(default=())  # of each run
     own_autocorrelation: tuple[float, ...] = ()
+    pictures: tuple[Excess, ...] = ()  # that of each run, of single pictures
 
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers for JSON."""
@@ -199,14 +200,10 @@ def _compare(runs: np.ndarray, sums: np.ndarray, relative: np.ndarray) -> dict[s
         apart = [found[i, j] for i, j in pairwise]
         # What two runs differ by is their own; of three or more, each run's follows from its pairs
         different = found.diagonal()[:, None] + found.diagonal() - 2 * found
-        different = different - noise[:, None] - noise
-        np.fill_diagonal(different, 0.0)
-        each = different.sum(axis=1)
-        total = each.sum() / (2 * (number - 1))
-        own = (each - total) / (number - 2) if number > 2 else each / 2
-        return np.array([np.mean(apart), *own])
+        return np.array([np.mean(apart), *_own(different - noise[:, None] - noise)])
 
     excess = _intervals(split, pairs)
+    pictures = _intervals(lambda kept: _of_pictures(runs[:, :, kept]), pairs)
     lagged = [_autocorrelation(relative[i] - relative[j], noise[i] + noise[j]) for i, j in pairwise]
     correlation = np.corrcoef(relative)
     chi2, chance = homogeneity(runs.reshape(number, -1))
@@ -217,8 +214,31 @@ def _compare(runs: np.ndarray, sums: np.ndarray, relative: np.ndarray) -> dict[s
         "correlations": tuple(float(correlation[i, j]) for i, j in pairwise),
         "common": excess[0],
         "own": tuple(excess[1:]),
+        "pictures": tuple(pictures),
         "own_autocorrelation": tuple(np.mean(lagged, axis=0).tolist()),
     }
+
+
+def _of_pictures(runs: np.ndarray) -> np.ndarray:
+    """Excess relative variance of single pictures that each run (runs, 2, m) has by itself."""
+    # y_k = t (1 + ε_k) a_k and Poisson noise: two runs' y / t differ by (f² + f'²) a² and by noise
+    counts = runs.reshape(len(runs), -1)
+    times = counts.mean(axis=1)
+    light = counts.sum(axis=0) / times.sum()
+    rates = counts / times[:, None]
+    different = ((rates[:, None] - rates) ** 2).sum(axis=2)
+    noise = light.sum() * (1 / times[:, None] + 1 / times)
+    # a² is known with the noise of its own
+    return _own((different - noise) / (light**2 - light / times.sum()).sum())
+
+
+def _own(different: np.ndarray) -> np.ndarray:
+    """Excess of each run, of what two each differ by; of two runs the mean of both."""
+    number = len(different)
+    np.fill_diagonal(different, 0.0)
+    each = different.sum(axis=1)
+    total = each.sum() / (2 * (number - 1))
+    return np.asarray((each - total) / (number - 2) if number > 2 else each / 2)
 
 
 def find_causes(
