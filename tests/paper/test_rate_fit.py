@@ -1,5 +1,8 @@
 """The fit of published rates: the law of their covariance, and settings that it finds again."""
 
+import json
+from dataclasses import asdict
+
 import numpy as np
 import pytest
 from scipy import special
@@ -181,6 +184,7 @@ def test_a_parameter_with_levels_has_no_other_values(emulated):
     assert level.best == 0.75
     assert {level.low, level.high} <= set(level.values)
     assert min(level.deviance) == pytest.approx(0, abs=0.02)
+    assert json.loads(json.dumps(asdict(fit)))["p"] == fit.p  # as results keep it
 
 
 def test_a_rate_is_expected_given_the_others(emulated):

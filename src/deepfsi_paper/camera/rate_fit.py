@@ -436,7 +436,7 @@ class Search:
             best=float(parameter.value(best[number])),
             low=float(parameter.value(low)),
             high=float(parameter.value(high)),
-            bounded=(low > places[0], high < places[-1]),
+            bounded=(bool(low > places[0]), bool(high < places[-1])),
             levels=bool(parameter.levels),
         )
         return profile, points
