@@ -127,6 +127,52 @@ def test_the_scene_in_tensorly(tmp_path, monkeypatch):
     assert download("indian-pines").parts[-3:] == ("tensorly", "datasets", "data")
 
 
+def smooth_cube():
+    """Spectra that are combinations of four, with noise, whose high bytes include 10 to 13."""
+    rng = np.random.default_rng(3)
+    shares = rng.dirichlet(np.ones(4), 60 * 60)
+    ends = np.cumsum(rng.normal(0, 120, (4, 40)), axis=1) + 3300
+    spectra = shares @ ends + rng.normal(0, 25, (60 * 60, 40))
+    return np.clip(spectra, 1000, 9000).astype(np.uint16).reshape(60, 60, 40)
+
+
+def as_text(cube):
+    """The cube after its bytes were written as those of a text."""
+    content = cube.astype("<u2").tobytes().replace(b"\r", b"\n")
+    return np.frombuffer(content, "<u2").reshape(cube.shape)
+
+
+def test_bytes_that_became_line_feeds_are_restored():
+    """Values 768 apart are told by the other bands, whose noise of 25 is a fifteenth of half that.
+
+    Low bytes 13 stay 10, so that a value may be wrong by 3.
+    """
+    cube = smooth_cube()
+    lost = as_text(cube)
+    changed = (cube >> 8) == 13
+    assert changed.mean() > 0.05
+    assert (((lost >> 8) == 10) & ~changed).mean() > 0.001, "both kinds are there"
+    assert indian_pines.values_hash(lost) == indian_pines.values_hash(cube)
+    wrong = np.abs(indian_pines.restored(lost).astype(int) - cube) > 3
+    assert wrong.mean() < 1e-3
+
+
+def test_the_real_copy_lost_its_carriage_returns(tmp_path, monkeypatch):
+    """Few values stick out once restored; another pair of bytes shows how many are wrong."""
+    tensorly = pytest.importorskip("tensorly")
+    monkeypatch.setenv("DEEPFSI_DATA", str(tmp_path))
+    path = Path(tensorly.__file__).parent / "datasets" / "data" / f"{CUBE}.npy"
+    assert b"\r" not in path.read_bytes()[128:]
+    lost, cube = np.load(path).astype(int), load_scene().cube.astype(int)
+    dips = [(2 * each[..., 12] - each[..., 11] - each[..., 13] < -1000) for each in (lost, cube)]
+    assert dips[0].sum() > 1000
+    assert dips[1].sum() < 20
+    assert set(np.unique(cube - lost)) == {0, 768}
+    undone = np.where((cube >> 8) == 18, cube - 768, cube).astype(np.uint16)
+    wrong = indian_pines.restored(undone, 15) != cube
+    assert wrong.sum() < 1e-3 * ((undone >> 8) == 15).sum()
+
+
 @pytest.mark.skipif(not REAL.is_dir(), reason="needs $DEEPFSI_DATA/indian_pines")
 def test_a_folder_goes_before_the_package():
     assert download("indian-pines") == REAL

@@ -6,7 +6,9 @@ doi:10.4231/R7RX991C. The corrected cube of the Grupo de Inteligencia Computacio
 200 of its 220 bands; the paper counts AVIRIS's 224. The cube is padded with darkness to 256 bands,
 as the paper pads its own.
 
-The Python package ``tensorly`` (BSD 3-Clause) contains the cube and its label map.
+The Python package ``tensorly`` (BSD 3-Clause) contains the cube and its label map. Its copy was
+once written as a text: every byte 13, a carriage return, became 10, a line feed. None of its 8.4
+million bytes is 13. A high byte that changed took 768 from a value; `restored` gives it back.
 """
 
 import hashlib
@@ -34,14 +36,20 @@ PACKAGE = ("tensorly", "datasets/data")
 CUBE, LABELS = "Indian_pines_corrected", "Indian_pines_gt"
 """Names of the files, each with the ending .npy or .mat."""
 
+CARRIAGE_RETURN, LINE_FEED = 13, 10
+
 HASHES = {
     CUBE: "36468dd7336c8bd37a80cced54362ea426f226703f3797ba494556fd8134e77f",
     LABELS: "ebf20cfe0bce98f01885f0ab4fd1857925db3ef0a1f1624bbee3ffcb92425103",
 }
 """SHA-256 of the values, whatever the file: row by row, of 16 bits the lower byte first, labels 8.
 
-Writers of ``.mat`` files pack the same values into other bytes.
+Writers of ``.mat`` files pack the same values into other bytes. Bytes 13 of the cube count as 10,
+so that the original and the copy that lost them have one hash.
 """
+
+RANK, FITTED, SOFT, PASSES = 20, 4, 4, 12
+"""Of `restored`: components, one pixel in so many, passes before values are chosen, and all."""
 
 BANDS_FILE = "92AV3C.spc"
 """Band table, which gives the wavelengths where it lies beside the cube."""
@@ -84,10 +92,18 @@ def load_scene() -> SpectralImage:
                 f"{path} does not hold the values of Indian Pines; replace it with the original, "
                 "or give the path of a cube of your own"
             )
+    if not (high_bytes(scene.cube) == CARRIAGE_RETURN).any():
+        words = f"{scene.origin} with the high bytes {CARRIAGE_RETURN} that had become {LINE_FEED},"
+        scene = replace(scene, cube=restored(scene.cube.astype(np.uint16)), origin=words)
     table = scene_files.cube.parent / BANDS_FILE
     if not table.is_file():
         return scene
     return replace(scene, wavelengths=np.delete(_wavelengths(table), WATER))
+
+
+def high_bytes(cube: npt.NDArray[np.generic]) -> npt.NDArray[np.generic]:
+    """High bytes of values of 16 bits."""
+    return cube.astype(np.uint16) >> 8
 
 
 def values_hash(values: npt.NDArray[np.generic]) -> str:
@@ -95,7 +111,47 @@ def values_hash(values: npt.NDArray[np.generic]) -> str:
     kind = "<u2" if values.ndim == 3 else "u1"
     if values.dtype.kind not in "ui" or (values != values.astype(kind)).any():
         return "other values"
-    return hashlib.sha256(values.astype(kind).tobytes()).hexdigest()
+    content = values.astype(kind).tobytes()
+    if values.ndim == 3:
+        content = content.replace(bytes([CARRIAGE_RETURN]), bytes([LINE_FEED]))
+    return hashlib.sha256(content).hexdigest()
+
+
+def restored(cube: npt.NDArray[np.uint16], low: int = LINE_FEED) -> npt.NDArray[np.uint16]:
+    """The cube (H, W, B) with the high bytes 13 that became 10.
+
+    Parameters
+    ----------
+    cube : array of uint16, shape (H, W, B)
+    low : int
+        High byte that stands for itself and for the one above it by 3.
+
+    Notes
+    -----
+    Spectra of a scene are nearly combinations of a few. Each band is predicted from the components
+    of all other bands, fitted to pixels whose value is sure; of the two values that a byte may
+    stand for, 768 apart, the nearer one is taken. On other pairs of bytes, which are not damaged
+    and were made so, one value in 1300 to 22 000 is chosen wrongly, nearly all of them in the first
+    band. A low byte that changed is wrong by 3, a tenth of the noise, and stays.
+    """
+    lower = cube.reshape(-1, cube.shape[2]).astype(float)
+    unsure = (cube.reshape(lower.shape) >> 8) == low
+    gap = 256.0 * (CARRIAGE_RETURN - LINE_FEED)
+    fitted = np.arange(len(lower)) % FITTED == 0
+    values = np.where(unsure, 0.0, lower)
+    values = np.where(unsure, values.sum(axis=0) / np.maximum((~unsure).sum(axis=0), 1), lower)
+    for number in range(PASSES):
+        scaled = (values - values.mean(axis=0)) / np.maximum(values.std(axis=0), 1.0)
+        axes = np.linalg.eigh(scaled.T @ scaled)[1][:, -RANK:]
+        scores = scaled @ axes
+        for band in np.flatnonzero(unsure.any(axis=0)):
+            others = np.c_[scores - scaled[:, band, None] * axes[band], np.ones(len(lower))]
+            sure, asked = fitted & ~unsure[:, band], unsure[:, band]
+            weights = np.linalg.lstsq(others[sure], lower[sure, band], rcond=None)[0]
+            expected, either = others[asked] @ weights, lower[asked, band]
+            nearer = abs(either + gap - expected) < abs(either - expected)
+            values[asked, band] = expected if number < SOFT else either + gap * nearer
+    return values.reshape(cube.shape).astype(np.uint16)
 
 
 def _read(scene_files: SceneFiles) -> SpectralImage:
@@ -173,5 +229,5 @@ def check(name: str = NAME) -> list[FileCheck]:
 def _file_check(path: Path, found_hash: str) -> FileCheck:
     expected = HASHES[path.stem]
     if found_hash == expected:
-        return FileCheck(path.name, True, "sha256 of its values agrees")
+        return FileCheck(path.name, True, "sha256 of its values agrees, bytes 13 read as 10")
     return FileCheck(path.name, False, f"sha256 of its values is {found_hash}, not {expected}")
