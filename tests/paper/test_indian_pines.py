@@ -352,3 +352,11 @@ def test_class_colours_are_apart(eyes):
     lab = rgb2lab(back[None])[0]
     apart = deltaE_ciede2000(lab[:, None], lab[None])
     assert apart[~np.eye(17, dtype=bool)].min() > least
+
+
+def test_curves_end_where_bands_are_left_out():
+    left = np.delete(np.sort(NM), np.r_[103:108, 149:163])
+    scene = overview(label_map(), names(16), left)
+    figure = figures.spectral_masks_figure(mask_rows(bands=201), scene, title="farm")
+    drawn = figure.axes[0].lines[0].get_ydata()
+    assert np.flatnonzero(np.isnan(drawn)).tolist() == [102, 143]

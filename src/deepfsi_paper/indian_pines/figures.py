@@ -41,6 +41,9 @@ USE_MAP = ListedColormap([colour for colour, _ in USES])
 MAPS_WIDTH = 9.6
 """Width of the class maps, inches."""
 
+WIDE = 4.0
+"""Steps of wavelength, over the median, that are a gap of left out bands."""
+
 LOOKS: tuple[dict[str, Any], ...] = (
     {"color": style.COLOURS["pca"], "linestyle": "-"},
     {"color": style.COLOURS["deepfsi"], "linestyle": (0, (5, 1.6))},
@@ -157,7 +160,7 @@ def spectral_masks_figure(rows: Sequence[SpectralMasks], scene: Overview, *, tit
             curves, masks = np.array(kinds[noise][0]), kinds[noise][1]
             x, order = _bands(scene.wavelengths, curves.shape[1])
             for mask, look in zip(curves, LOOKS, strict=False):
-                ax.plot(x, mask[order], linewidth=1.1, **look)
+                ax.plot(x, _broken(x, mask[order]), linewidth=1.1, **look)
             ax.axhline(0, color=style.MUTED, linewidth=0.6)
             count = min(len(curves), len(LOOKS))
             ax.set_title(
@@ -193,8 +196,8 @@ def _draw_spectra(ax: Axes, scene: Overview) -> None:
     x, order = _bands(scene.wavelengths, scene.bands)
     for (name, percentiles), look in zip(scene.spectra.items(), LOOKS, strict=False):
         low, middle, high = np.array(percentiles)[:, order]
-        ax.fill_between(x, low, high, color=look["color"], alpha=0.2, linewidth=0)
-        ax.plot(x, middle, label=name, linewidth=1.2, **look)
+        ax.fill_between(x, _broken(x, low), high, color=look["color"], alpha=0.2, linewidth=0)
+        ax.plot(x, _broken(x, middle), label=name, linewidth=1.2, **look)
     ax.set_ylim(bottom=0)
     ax.set_xlim(x[0], x[-1])
     ax.legend(frameon=False, fontsize=style.SMALL)
@@ -208,6 +211,13 @@ def _bands(wavelengths: Sequence[float] | None, count: int) -> tuple[np.ndarray,
         return np.arange(1, count + 1), np.arange(count)
     order = np.argsort(wavelengths, kind="stable")
     return np.array(wavelengths)[order], order
+
+
+def _broken(x: np.ndarray, curve: np.ndarray) -> np.ndarray:
+    """A curve that ends before bands that are left out: NaN where the next one is far."""
+    steps = np.diff(x)
+    ends = np.append(steps > WIDE * np.median(steps), False)
+    return np.where(ends, np.nan, curve)
 
 
 def _band_label(scene: Overview) -> str:
