@@ -108,6 +108,11 @@ def _claims(chosen: Places, budgets: Sequence[float]) -> tuple[Claim, ...]:
     return tuple(claims)
 
 
+def _thousands(scenes: float) -> str:
+    """Short words for a number of scenes: 300, 3k, 60k."""
+    return f"{scenes:.0f}" if scenes < 1000 else f"{scenes / 1000:g}k"
+
+
 def _picture(chosen: Places, budgets: Sequence[float]) -> Picture:
     panels = {}
     for photons in budgets:
@@ -136,7 +141,7 @@ def _picture(chosen: Places, budgets: Sequence[float]) -> Picture:
             )
         panels[f"training scenes ({photons_text(photons)} photons)"] = lines
     return Picture(
-        lines_figure(panels),
+        lines_figure(panels, across=_thousands),
         "Accuracy against the number of training scenes, a sixth of which choose the number of "
         "masks and of steps. Bars: 95 % intervals.",
         "Accuracy against the number of training scenes, a line for each design; see the table.",
