@@ -93,7 +93,7 @@ def load_scene() -> SpectralImage:
                 "or give the path of a cube of your own"
             )
     if not (high_bytes(scene.cube) == CARRIAGE_RETURN).any():
-        words = f"{scene.origin} with the high bytes {CARRIAGE_RETURN} that had become {LINE_FEED},"
+        words = f"{scene.origin} with its lost bytes restored,"
         scene = replace(scene, cube=restored(scene.cube.astype(np.uint16)), origin=words)
     table = scene_files.cube.parent / BANDS_FILE
     if not table.is_file():
