@@ -98,3 +98,18 @@ def test_values_are_tested_in_folds(tmp_path):
     assert len(terms) == 60
     assert point.accuracy == pytest.approx(terms.mean(), abs=1e-6)
     assert len(point.rmse) == 1
+
+
+def test_scenes_that_are_there_twice_are_not_tested_in_folds_that_were_trained_on_them(tmp_path):
+    """Each of two equal scenes in different folds is of the training where the other is tested."""
+    x = np.random.default_rng(0).random((60, 5, 5))
+    y = np.arange(60) % 2
+    x[y == 1] *= 0.5
+    x[[30, 31, 40]] = x[[2, 3, 2]]
+    data = from_arrays(x, y, name="twice")
+    recipe = small(designs="raster", masks=25, folds=5)
+    results, _ = compare(recipe, data, tmp_path, command="")
+    point = results.points[0]
+    tested = len(unpack(point.terms[0]))
+    assert results.data.folds == 5
+    assert 55 <= tested < 60

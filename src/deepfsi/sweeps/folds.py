@@ -18,7 +18,7 @@ PARTS = ("validation", "test")
 def pooled(data: Dataset, parts: Sequence[Dataset]) -> Dataset:
     """A data set whose test part are those of its folds, one after the other."""
     if len(parts) == 1:
-        return data
+        return parts[0]
     return replace(
         parts[0],
         name=data.name,

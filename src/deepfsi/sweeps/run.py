@@ -17,7 +17,7 @@ from deepfsi.sweeps.folds import pooled, together
 from deepfsi.sweeps.queue import run_trials
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.results import Results, read_results
-from deepfsi.sweeps.summary import summarise
+from deepfsi.sweeps.summary import summarise, tested_scenes
 from deepfsi.sweeps.trial import plan
 from deepfsi.sweeps.workers import HERE, Workers
 
@@ -81,8 +81,17 @@ def compare(
         for part, span in zip(parts, report.parts(len(parts)), strict=True)
     ]
     seconds = time.perf_counter() - began
+    tested = [
+        tested_scenes(part, recipe.held_out(part), found)
+        for part, found in zip(parts, records, strict=True)
+    ]
     results = summarise(
-        recipe, pooled(data, parts), together(records), command=command, seconds=seconds
+        recipe,
+        pooled(data, parts),
+        together(records),
+        command=command,
+        seconds=seconds,
+        tested=pooled(data, tested),
     )
     if len(parts) > 1:
         facts = {"hash": data.hash, "folds": len(parts)}

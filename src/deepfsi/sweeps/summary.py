@@ -69,10 +69,12 @@ def summarise(
     *,
     command: str,
     seconds: float,
+    tested: Dataset | None = None,
 ) -> Results:
     """Points of a comparison: trials averaged, mask counts chosen on validation data."""
+    # What was tested of the data is found from the records, unless these are of several folds
     held_out = recipe.held_out(data)
-    tested = _tested(data, held_out, records)
+    tested = tested_scenes(data, held_out, records) if tested is None else tested
     groups = defaultdict(list)
     for record in records:
         for index, test in enumerate(record["test"]):
@@ -117,7 +119,7 @@ def summarise(
     )
 
 
-def _tested(data: Dataset, held_out: int, records: Sequence[Mapping[str, Any]]) -> Dataset:
+def tested_scenes(data: Dataset, held_out: int, records: Sequence[Mapping[str, Any]]) -> Dataset:
     """The data with the test scenes that were tested: those of the training were left out."""
     sizes = {
         len(unpack(text))
