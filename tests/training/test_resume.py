@@ -17,6 +17,7 @@ from deepfsi import learn as learned
 from deepfsi.errors import InputError
 from deepfsi.progress import Report
 from deepfsi.training import checkpoint as module
+from deepfsi.training import learning, loop
 from deepfsi.training.checkpoint import Checkpoint
 from deepfsi.training.learning import Diverged, train
 from deepfsi.training.training_set import TrainingSet
@@ -64,7 +65,7 @@ def few(digits):
 
 @pytest.fixture
 def unfolded(monkeypatch):
-    monkeypatch.setattr("deepfsi.training.learning.folds_of", lambda data: [])
+    monkeypatch.setattr(learning, "folds_of", lambda data: [])
 
 
 @pytest.fixture
@@ -283,7 +284,7 @@ def test_a_signal_ends_a_training_after_its_step_and_writes_it(few, monkeypatch,
         if len(steps) == 3:
             os.kill(os.getpid(), number)
 
-    monkeypatch.setattr("deepfsi.training.loop.REPORT_SECONDS", 0.0)
+    monkeypatch.setattr(loop, "REPORT_SECONDS", 0.0)
     signal.signal(number, stop)
     try:
         with pytest.raises(KeyboardInterrupt):

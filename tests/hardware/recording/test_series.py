@@ -140,7 +140,7 @@ def test_latches_that_are_not_of_whole_passes_are_refused(shown, refuse, tmp_pat
     words = ("camera", "import", tmp_path / "n.txt", "-o", tmp_path / "t.csv")
     assert "--patterns" in refuse(*words, "--cumulative")
     assert "for time stamps" in refuse(*words, "--cumulative", "--marker-channel", 1)
-    assert "--marker-channel" in refuse(*words[:-1], tmp_path / "t.ptu")
+    assert "not events, give --cumulative or --bins" in refuse(*words[:-1], tmp_path / "t.ptu")
     told = refuse(*words[:-1], tmp_path / "t.ptu", "--marker-channel", 1, "--passes", 3)
     assert "are for --cumulative or --bins" in told
     assert not (tmp_path / "t.csv").exists()
