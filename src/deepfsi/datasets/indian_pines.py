@@ -6,9 +6,10 @@ doi:10.4231/R7RX991C. The corrected cube of the Grupo de Inteligencia Computacio
 200 of its 220 bands; the paper counts AVIRIS's 224. The cube is padded with darkness to 256 bands,
 as the paper pads its own.
 
-The Python package ``tensorly`` (BSD 3-Clause) contains the cube and its label map. Its copy was
-once written as a text: every byte 13, a carriage return, became 10, a line feed. None of its 8.4
-million bytes is 13. A high byte that changed took 768 from a value; `restored` gives it back.
+The Python package ``tensorly`` (BSD 3-Clause) contains the cube and its label map. Its bytes were
+once transferred as a text: every byte 13, a carriage return, became 10, a line feed. None of the
+8.4 million bytes is 13. Other copies of the scene may have the same origin. A high byte that
+changed took 768 from a value; `restored` gives it back.
 """
 
 import hashlib
@@ -45,7 +46,7 @@ HASHES = {
 """SHA-256 of the values, whatever the file: row by row, of 16 bits the lower byte first, labels 8.
 
 Writers of ``.mat`` files pack the same values into other bytes. Bytes 13 of the cube count as 10,
-so that the original and the copy that lost them have one hash.
+so that a copy that lost them and one that did not have one hash.
 """
 
 RANK, FITTED, SOFT, PASSES = 20, 4, 4, 12
