@@ -67,7 +67,7 @@ def run_all(folder: Path, trials: int, chosen: list[Experiment] = EVERY) -> Path
         patch.setattr(laboratory, "DRAWS", 2)
         patch.setattr(laboratory, "processes", here)
         patch.setattr(rate_simulations, "processes", here)
-        patch.setattr(rate_simulations, "SETTINGS_A_BUDGET", 4)
+        patch.setattr(rate_simulations, "SETTINGS_A_BUDGET", 3)
         patch.setattr(rate_simulations, "TABLES", 2)
         for each in chosen:
             each.run(folder, command=f"deepfsi reproduce {each.name}")

@@ -107,7 +107,7 @@ def test_real_readouts_as_well_as_ridge_and_recorded_in_turn(folder, ridge, coun
     assert len(table.values) == count
     assert table.splits == ("random", "later")
     assert "took turns" in measure_order(table).words
-    if count > 2000:  # the others take seconds
+    if folder != "1f_july31":  # the hardest of the small ones; each takes many seconds
         return
     found = measure_readouts(table, {split: learn_readouts(table, split) for split in table.splits})
     random, later = found.splits
