@@ -15,13 +15,10 @@ from deepfsi.sweeps.context import SweepContext
 from deepfsi.sweeps.records import Records
 from deepfsi.sweeps.trial import Trial, plan
 from deepfsi.training import checkpoint
+from shared.checkpoints import Stopped, write_each_step
 from shared.trials import small, train_trials
 
 RECIPE = {"masks": (4,), "designs": ("pca", "deepfsi"), "training": {"epochs": 1, "batch": 100}}
-
-
-class Stopped(Exception):
-    """What a kill is in these tests."""
 
 
 @pytest.fixture
@@ -32,18 +29,7 @@ def trials(digits) -> list[Trial]:
 @pytest.fixture
 def stop(monkeypatch):
     """Write a checkpoint after each step, and end after the one of the number that is set."""
-    monkeypatch.setattr(checkpoint, "CHECKPOINT_SECONDS", 0.0)
-    state, write = {"count": 0, "last": 0}, checkpoint.write_atomically
-
-    def written(path: Path, content: bytes) -> Path:
-        write(path, content)
-        state["count"] += 1
-        if state["count"] == state["last"]:
-            raise Stopped
-        return path
-
-    monkeypatch.setattr(checkpoint, "write_atomically", written)
-    return state
+    return write_each_step(monkeypatch)
 
 
 def tensors(folder: Path) -> dict[str, dict[str, bytes]]:

@@ -21,6 +21,7 @@ from deepfsi.training import learning, loop
 from deepfsi.training.checkpoint import Checkpoint
 from deepfsi.training.learning import Diverged, train
 from deepfsi.training.training_set import TrainingSet
+from shared.checkpoints import Stopped, write_each_step
 from shared.jobs import job as job_of
 from shared.jobs import learn
 
@@ -53,10 +54,6 @@ def settings(changes):
     return {name: each for name, each in {**SHORT, **changes}.items() if each is not None}
 
 
-class Stopped(Exception):
-    """What a kill is in these tests."""
-
-
 @pytest.fixture
 def few(digits):
     """Scenes that are not left out in folds, whose trainings have their own test."""
@@ -71,18 +68,7 @@ def unfolded(monkeypatch):
 @pytest.fixture
 def writes(monkeypatch):
     """Write a checkpoint after each step; end the training after one of them, numbered from 1."""
-    monkeypatch.setattr(module, "CHECKPOINT_SECONDS", 0.0)
-    state, write = {"count": 0, "last": 0}, module.write_atomically
-
-    def written(path: Path, content: bytes) -> Path:
-        write(path, content)
-        state["count"] += 1
-        if state["count"] == state["last"]:
-            raise Stopped
-        return path
-
-    monkeypatch.setattr(module, "write_atomically", written)
-    return state
+    return write_each_step(monkeypatch)
 
 
 def bits(design) -> bytes:

@@ -90,8 +90,8 @@ def open_design(path: Path, trust: bool = False) -> "Design":
     return made.as_shown(*check_patterns(path).realised)
 
 
-def draw(command: str, figure: "Figure", path: Path, as_json: bool) -> None:
-    """Write a command's figure, whole or not at all, and say where."""
+def save_figure(figure: "Figure", path: Path) -> None:
+    """Write a figure as the kind that its name ends in, whole or not at all."""
     import io
 
     from deepfsi.files import write_atomically
@@ -101,6 +101,11 @@ def draw(command: str, figure: "Figure", path: Path, as_json: bool) -> None:
     with drawing():
         figure.savefig(picture, dpi=160, format=path.suffix.lower()[1:])
     write_atomically(path, picture.getvalue())
+
+
+def draw(command: str, figure: "Figure", path: Path, as_json: bool) -> None:
+    """Write a command's figure, and say where."""
+    save_figure(figure, path)
     if as_json:
         print_json(command, {"picture": str(path)})
     else:

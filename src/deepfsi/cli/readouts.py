@@ -10,6 +10,8 @@ from deepfsi.cli import common, options, paths
 from deepfsi.cli.settings import job_fields, with_settings
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from deepfsi.training.readouts import ReadoutsResult
 
 SETTINGS = ("epochs", "batch", "lr", "hidden", "dropout", "decay")
@@ -109,7 +111,7 @@ def readouts(
                 designs[name].save(out)
     found = measure_readouts(table, designs, seed)
     if figure is not None:
-        _draw(found, source.name, figure)
+        common.save_figure(_figure(found, source.name), figure)
     if as_json:
         drawn = None if figure is None else str(figure)
         common.print_json("readouts", {"design": str(out), "figure": drawn, **found.as_dict()})
@@ -126,13 +128,12 @@ def _print(found: "ReadoutsResult", name: str) -> None:
             NAMES[each.split],
             str(each.train),
             str(each.test),
-            *map(_interval, (each.network, each.ridge)),
+            each.network.text,
+            each.ridge.text,
         )
         for each in found.splits
     ]
-    rows += [
-        (f"{m.name} alone, a random fifth", "", "", "", _interval(m.ridge)) for m in found.monitors
-    ]
+    rows += [(f"{m.name} alone, a random fifth", "", "", "", m.ridge.text) for m in found.monitors]
     title = f"{name}: {found.recordings} recordings of {found.readouts} readouts, "
     title += f"{len(found.classes)} classes, guessing {found.chance:.3f}"
     heads = ("tested on", "trained", "tested", "network (95 %)", "RBF ridge (95 %)")
@@ -141,22 +142,9 @@ def _print(found: "ReadoutsResult", name: str) -> None:
         print(line)
 
 
-def _interval(found: tuple[float, float, float]) -> str:
-    mean, low, high = found
-    return f"{mean:.3f} ({low:.3f} to {high:.3f})"
-
-
-def _draw(found: "ReadoutsResult", name: str, path: Path) -> None:
-    import io
-
-    from deepfsi.files import write_atomically
+def _figure(found: "ReadoutsResult", name: str) -> "Figure":
     from deepfsi.report.readouts import readouts_figure
-    from deepfsi.report.style import drawing
 
     rows: list[Any] = [(NAMES[each.split], each.network, each.ridge) for each in found.splits]
     rows += [(f"{each.name} alone", None, each.ridge) for each in found.monitors]
-    picture = io.BytesIO()
-    with drawing():
-        made = readouts_figure(name, rows, found.chance)
-        made.savefig(picture, dpi=160, format=path.suffix.lower()[1:])
-    write_atomically(path, picture.getvalue())
+    return readouts_figure(name, rows, found.chance)

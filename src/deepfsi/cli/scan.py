@@ -2,15 +2,12 @@
 
 import io
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from deepfsi.cli import common, options, paths
 from deepfsi.errors import InputError
-
-if TYPE_CHECKING:
-    import numpy as np
 
 MARKER = "marker input, 0 to 3; that of the header unless given"
 
@@ -63,7 +60,10 @@ def camera_scan(
     )
     write_atomically(out, content.getvalue())
     if figure is not None:
-        _draw(found.frames, figure)
+        from deepfsi.report.pictures import pictures_figure
+
+        names = [f"frame {number + 1}" for number in range(len(found.frames))]
+        common.save_figure(pictures_figure(found.frames, names), figure)
     sizes = np.bincount(found.frame).tolist()
     summary = {
         "counts": str(out),
@@ -86,15 +86,3 @@ def camera_scan(
     )
     if figure is not None:
         print(f"drawn: {figure}")
-
-
-def _draw(frames: "np.ndarray", path: Path) -> None:
-    from deepfsi.files import write_atomically
-    from deepfsi.report.pictures import pictures_figure
-    from deepfsi.report.style import drawing
-
-    picture = io.BytesIO()
-    with drawing():
-        made = pictures_figure(frames, [f"frame {number + 1}" for number in range(len(frames))])
-        made.savefig(picture, dpi=160, format=path.suffix.lower()[1:])
-    write_atomically(path, picture.getvalue())

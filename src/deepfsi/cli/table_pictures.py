@@ -1,6 +1,5 @@
 """Pictures from tables of counts behind known masks, with a verdict on the light."""
 
-import io
 import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -10,8 +9,6 @@ import typer
 from deepfsi.cli import common, options, paths
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from deepfsi.hardware.recording.rail_sums import Excess, RailSums
     from deepfsi.laboratory.table_pictures import Pictures
 
@@ -91,9 +88,9 @@ def camera_picture(
     told = found.as_dict() | {"agreement": agreement}
     with new_folder(out) as draft:
         np.save(draft / "pictures.npy", found.pictures)
-        _draw(pictures_figure(pictures, names), draft / "picture.png")
+        common.save_figure(pictures_figure(pictures, names), draft / "picture.png")
         if found.sums is not None and found.fine is not None:
-            _draw(
+            common.save_figure(
                 rail_light_figure(found.sums, found.fine, names[: len(tables)]), draft / "light.png"
             )
         (draft / "verdict.json").write_text(json.dumps(_plain(told), indent=1))
@@ -116,15 +113,6 @@ def _scales(found: "Pictures") -> Any:
 
     scale = np.abs(found.pictures).mean(axis=(1, 2), keepdims=True)
     return np.where(scale > 0, scale, 1.0) if len(scale) > 1 else 1.0
-
-
-def _draw(figure: "Figure", path: Path) -> None:
-    from deepfsi.report.style import drawing
-
-    held = io.BytesIO()
-    with drawing():
-        figure.savefig(held, dpi=160, format="png")
-    path.write_bytes(held.getvalue())
 
 
 def _names(found: "Pictures", times: list[str] | None) -> tuple[str, ...]:

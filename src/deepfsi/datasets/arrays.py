@@ -34,6 +34,9 @@ class Options(NamedTuple):
     normal: str | None = None
 
 
+TEST_SHARE = 5
+"""One scene in so many is for testing, wherever this package draws a test part."""
+
 SPLIT_MINIMUM = 5
 """Scenes of a class at least where a test part is drawn: a fifth of fewer may be none."""
 
@@ -146,7 +149,7 @@ def split_arrays(
 
         order, drawn = train_test_split(
             np.arange(len(y)),
-            test_size=0.2,
+            test_size=1 / TEST_SHARE,
             stratify=y if "classes" in called else None,
             random_state=seed,
         )

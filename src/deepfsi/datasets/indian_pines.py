@@ -136,7 +136,7 @@ def restored(cube: npt.NDArray[np.uint16], low: int = LINE_FEED) -> npt.NDArray[
     band. A low byte that changed is wrong by 3, a tenth of the noise, and stays.
     """
     lower = cube.reshape(-1, cube.shape[2]).astype(float)
-    unsure = (cube.reshape(lower.shape) >> 8) == low
+    unsure = high_bytes(cube).reshape(lower.shape) == low
     gap = 256.0 * (CARRIAGE_RETURN - LINE_FEED)
     fitted = np.arange(len(lower)) % FITTED == 0
     values = np.where(unsure, 0.0, lower)

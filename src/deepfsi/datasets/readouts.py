@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from deepfsi.datasets.arrays import SPLIT_MINIMUM, assemble, check_seed
+from deepfsi.datasets.arrays import SPLIT_MINIMUM, TEST_SHARE, assemble, check_seed
 from deepfsi.datasets.dataset import Dataset, Labels
 from deepfsi.errors import InputError, check_known
 from deepfsi.tables.array_files import VARIABLES, list_variables, read_npz, read_variable
@@ -24,9 +24,6 @@ from deepfsi.tables.text_files import spelling
 
 SPLITS = ("random", "later", "pictures")
 """Ways to divide the recordings for testing."""
-
-TEST_SHARE = 5
-"""One recording in so many is for testing, as wherever this package draws a test part."""
 
 LARGEST = 2**27
 """Numbers of a variable at most."""

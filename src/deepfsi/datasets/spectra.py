@@ -13,7 +13,7 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from deepfsi.datasets.arrays import Range, assemble, check_seed
+from deepfsi.datasets.arrays import TEST_SHARE, Range, assemble, check_seed
 from deepfsi.datasets.dataset import Dataset, Reflectance
 from deepfsi.errors import InputError, check_known
 
@@ -21,9 +21,6 @@ Mask: TypeAlias = npt.NDArray[np.bool_]
 
 SPLITS = ("random", "blocks")
 """Ways to divide the pixels for testing."""
-
-TEST_SHARE = 5
-"""One scene in so many is for testing, as wherever this package draws a test part."""
 
 BLOCK = 9
 """Side of the square blocks, pixels."""

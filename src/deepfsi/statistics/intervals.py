@@ -30,6 +30,11 @@ class Interval(NamedTuple):
     low: float
     high: float
 
+    @property
+    def text(self) -> str:
+        """Mean and ends, with three decimals."""
+        return f"{self.mean:.3f} ({self.low:.3f} to {self.high:.3f})"
+
 
 def accuracy(right: np.ndarray) -> Interval:
     """Accuracy with its interval, which lies in [0, 1].

@@ -88,7 +88,7 @@ class OrderTest:
             )
         steps = (
             f"the monitors change by {self.in_turn:.3g} from file to file at one place, and by "
-            f"{self.in_blocks:.3g} from place to place in one file (ratio {_number(self.ratio)})"
+            f"{self.in_blocks:.3g} from place to place in one file (ratio {self.ratio.text})"
         )
         if self.ratio.high < 1:
             return f"the files took turns, place by place, so that class and time differ: {steps}"
@@ -122,24 +122,24 @@ class ReadoutsResult:
             tells = each.ridge.low > self.chance
             lines.append(
                 f"monitors: {each.name} alone {'tells' if tells else 'does not tell'} the class: "
-                f"{_number(each.ridge)}, chance {self.chance:.3f}"
+                f"{each.ridge.text}, chance {self.chance:.3f}"
             )
         # the interval of the difference of two rates, by Newcombe's method
         apart = math.hypot(random.mean - random.low, later.high - later.mean)
         if random.mean - later.mean > apart:
             lines.append(
-                f"drift: {_number(later)} on the last fifth of each class, {_number(random)} on a "
+                f"drift: {later.text} on the last fifth of each class, {random.text} on a "
                 "random fifth: the random split flatters, as it tests between recordings that it "
                 "was trained on; expect the lower one of tomorrow's recordings"
             )
         else:
             lines.append(
-                f"drift: {_number(later)} on the last fifth of each class, {_number(random)} on a "
+                f"drift: {later.text} on the last fifth of each class, {random.text} on a "
                 "random fifth: no difference that these numbers of recordings show"
             )
         pictures = [each.network for each in self.splits if each.split == "pictures"]
         lines.append(
-            f"pictures: {_number(pictures[0])} on pictures that were not trained on"
+            f"pictures: {pictures[0].text} on pictures that were not trained on"
             if pictures
             else "pictures: none is known to be recorded twice: every split tests new ones"
         )
@@ -159,10 +159,6 @@ class ReadoutsResult:
             "order": order,
             "verdict": list(self.verdict),
         }
-
-
-def _number(found: Interval) -> str:
-    return f"{found.mean:.3f} ({found.low:.3f} to {found.high:.3f})"
 
 
 def _percent(found: Interval) -> str:

@@ -1,6 +1,5 @@
 """Accuracy over the number of training scenes."""
 
-import math
 from collections import defaultdict
 from collections.abc import Sequence
 
@@ -118,9 +117,9 @@ def _picture(chosen: Places, budgets: Sequence[float]) -> Picture:
     for photons in budgets:
         lines = []
         for design in dict.fromkeys(design for design, *_ in chosen):
-            own = sorted(
+            own = [
                 (images, p) for (n, b, images), p in chosen.items() if (n, b) == (design, photons)
-            )
+            ]
             look = {
                 "color": COLOURS[design],
                 "linestyle": LINES[design],
@@ -128,17 +127,7 @@ def _picture(chosen: Places, budgets: Sequence[float]) -> Picture:
                 "markersize": 4,
                 "linewidth": 1.4,
             }
-            whole = all(math.isfinite(p.low) for _, p in own)
-            lines.append(
-                Line(
-                    own[0][1].label,
-                    look,
-                    [images for images, _ in own],
-                    [p.accuracy for _, p in own],
-                    [p.low for _, p in own] if whole else (),
-                    [p.high for _, p in own] if whole else (),
-                )
-            )
+            lines.append(Line.through(own[0][1].label, look, own))
         panels[f"training scenes ({photons_text(photons)} photons)"] = lines
     return Picture(
         lines_figure(panels, across=_thousands),

@@ -2,6 +2,8 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
+from math import isfinite
 from typing import Any, Protocol
 
 from matplotlib.axes import Axes
@@ -52,16 +54,11 @@ class Line:
     def through(
         cls, name: str, look: Mapping[str, Any], at: Iterable[tuple[float, Reached]]
     ) -> "Line":
-        """Line with intervals through accuracies, each with its place on the axis."""
+        """Line through accuracies, each with its place on the axis; with intervals if all have."""
         across, every = zip(*sorted(at, key=lambda each: each[0]), strict=True)
-        return cls(
-            name,
-            look,
-            across,
-            [each.accuracy for each in every],
-            [each.low for each in every],
-            [each.high for each in every],
-        )
+        ends = [(each.low, each.high) for each in every]
+        low, high = zip(*ends, strict=True) if all(map(isfinite, chain(*ends))) else ((), ())
+        return cls(name, look, across, [each.accuracy for each in every], low, high)
 
 
 @styled

@@ -121,16 +121,19 @@ def solve_wavelets(coefficients: np.ndarray, wavelet: str, levels: int) -> tuple
             f"coefficients of shape {coefficients.shape} have no {levels} levels: each side must "
             f"be a multiple of {2**levels}"
         )
-    parts = split_levels(coefficients, levels)
-    found = [_synthesise(parts, wavelet, sign) for sign in (1.0, -1.0)]
-    place = int(np.argmin([_roughness(one) for one in found]))
-    return found[place], bool(place)
+    return _smoother(split_levels(coefficients, levels), wavelet)
 
 
 def coarse_light(parts: list[Any], wavelet: str) -> np.ndarray:
     """Means of the next finer level, of either sign of the details the smoother ones."""
+    return _smoother(parts, wavelet)[0]
+
+
+def _smoother(parts: list[Any], wavelet: str) -> tuple[np.ndarray, bool]:
+    """The smoother picture of both signs of the details, and whether it is the reverse one."""
     found = [_synthesise(parts, wavelet, sign) for sign in (1.0, -1.0)]
-    return min(found, key=_roughness)
+    place = int(np.argmin([_roughness(one) for one in found]))
+    return found[place], bool(place)
 
 
 def _synthesise(parts: list[Any], wavelet: str, sign: float) -> np.ndarray:
