@@ -142,12 +142,7 @@ def camera_import(
     from deepfsi.hardware.ptu.reader import inspect
     from deepfsi.hardware.ptu.stamps import read_stamps, write_stamps
 
-    try:
-        stamps = read_stamps(events, options.optional_seconds("unit", unit))
-    except InputError as error:
-        if marker is not None:
-            raise
-        raise InputError(f"{error}; of counts, not events, give {_SERIES}") from None
+    stamps = read_stamps(events, options.optional_seconds("unit", unit))
     chosen = write_stamps(stamps, out, marker, tuple(channels) if channels else None)
     found = inspect(out)
     photons = {column + 1: found.photons.get(column, 0) for column in range(len(chosen))}

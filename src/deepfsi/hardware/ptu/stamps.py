@@ -39,6 +39,9 @@ CHANNEL_NAMES |= {"inputs", "detector", "detectors", "det", "event", "eventid", 
 MOST_CHANNELS = 64
 """Different channels of a table whose columns have no names, at most."""
 
+NO_EVENTS = "of counts, not events, give `cumulative` or `bins`"
+"""What to do with a table of counts."""
+
 MOST_NAMED = 20
 """Columns or channels that one line names, at most."""
 
@@ -98,7 +101,7 @@ def _read_table(path: Path, unit_s: float | None) -> Stamps:
             named = f" ({', '.join(names[:MOST_NAMED])})" if names else ""
             raise InputError(
                 f"{path} has {width} columns{named}: give two, the time and the channel of each "
-                "event, or name those two `time` and `channel`"
+                f"event, or name those two 'time' and 'channel'; {NO_EVENTS}"
             )
         return 0, 1
 
@@ -108,7 +111,7 @@ def _read_table(path: Path, unit_s: float | None) -> Stamps:
         raise InputError(
             f"{path} has {len(np.unique(channels))} different numbers in its column of channels"
             f"{', and few in that of times' if other else ''}: give the time first and the channel "
-            "second, or name the columns `time` and `channel`"
+            f"second, or name the columns 'time' and 'channel'; {NO_EVENTS}"
         )
     if units[0] and unit_s and not math.isclose(units[0], unit_s):
         raise InputError(
