@@ -16,8 +16,8 @@ from torch import nn
 from torch.nn import functional
 
 from deepfsi import load_dataset
+from deepfsi.base.intervals import wilson
 from deepfsi.optics.budget import photons_per_pixel, summed_reflectance
-from deepfsi.statistics.intervals import wilson
 
 
 def network(side: int, classes: int) -> nn.Sequential:

@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 from scipy.linalg import lstsq
 
+from deepfsi.base.errors import InputError
 from deepfsi.devices import Device
-from deepfsi.errors import InputError
 from deepfsi.hardware.calibration.fit import calibrate, spot_scenes
 from deepfsi.hardware.calibration.scans import SCANS, scan_rails
 from deepfsi.hardware.patterns.folder import export_patterns

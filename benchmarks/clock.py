@@ -29,11 +29,11 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
 from deepfsi import Dataset, Design, learn, load_dataset
+from deepfsi.base.files import write_atomically
+from deepfsi.base.intervals import wilson
 from deepfsi.design.exposure.trained import Observation
-from deepfsi.files import write_atomically
 from deepfsi.optics.constraints import frames
 from deepfsi.report.style import COLOURS, photons_text, styled
-from deepfsi.statistics.intervals import wilson
 
 PICTURE_S, SETTLE_S = 44e-6, 10e-6
 """Shortest picture time and settling time of a DLP7000, seconds."""

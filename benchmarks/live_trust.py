@@ -20,9 +20,9 @@ from pathlib import Path
 import numpy as np
 
 from deepfsi import Looks, Training, learn, load_dataset
+from deepfsi.base.errors import InputError
 from deepfsi.datasets import Dataset
 from deepfsi.devices import find_device
-from deepfsi.errors import InputError
 from deepfsi.hardware.patterns.folder import export_patterns, read_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.recording.acquisition import Scene

@@ -15,11 +15,11 @@ from contextlib import contextmanager
 
 import torch
 
+from deepfsi.base.progress import Moments
 from deepfsi.datasets import load_dataset
 from deepfsi.design.evaluation import evaluate
 from deepfsi.design.exposure import Fixed, Looks
 from deepfsi.optics.camera import Camera
-from deepfsi.progress import Moments
 from deepfsi.training import precision as rules
 from deepfsi.training.job import Job, Training
 from deepfsi.training.learning import train

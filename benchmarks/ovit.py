@@ -20,11 +20,11 @@ import torch
 from torch import Tensor, nn
 from torch.utils.data import DataLoader, TensorDataset
 
+from deepfsi.base.progress import Moments, Report
 from deepfsi.datasets import Dataset, from_arrays
 from deepfsi.design.classifiers import Vit
 from deepfsi.design.exposure import Patches
 from deepfsi.optics.tiles import sensing_matrix
-from deepfsi.progress import Moments, Report
 from deepfsi.training.job import Job
 from deepfsi.training.learning import train
 from deepfsi.training.precision import network_dtype

@@ -25,10 +25,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from deepfsi import Camera, Passing, Training, evaluate, learn, load_dataset
+from deepfsi.base.intervals import wilson
+from deepfsi.base.progress import SILENT
 from deepfsi.datasets import Dataset
 from deepfsi.laboratory.transits import classify_transits, simulate_transits
-from deepfsi.progress import SILENT
-from deepfsi.statistics.intervals import wilson
 
 KINDS: dict[str, dict[str, Any]] = {
     "learned, grey": {"design": "deepfsi", "camera": Camera()},

@@ -36,13 +36,13 @@ from typing import Any
 import numpy as np
 import torch
 
+from deepfsi.base.intervals import wilson
 from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate, scanner_for
 from deepfsi.laws import Light
 from deepfsi.optics import constraints
 from deepfsi.optics.budget import summed_reflectance
-from deepfsi.statistics.intervals import wilson
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.results import Point
 from deepfsi.sweeps.run import compare

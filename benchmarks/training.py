@@ -19,9 +19,9 @@ import torch
 from torch import nn
 from torch.utils.data import DataLoader, TensorDataset
 
+from deepfsi.base.progress import Moments
 from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.design.evaluation import evaluate
-from deepfsi.progress import Moments
 from deepfsi.training.job import Job, Training
 from deepfsi.training.learning import train
 from deepfsi.training.training_set import TrainingSet

@@ -15,9 +15,9 @@ import numpy as np
 import torch
 
 import deepfsi
+from deepfsi.base.files import write_atomically
 from deepfsi.design.adaptive.exposures import look_at
 from deepfsi.design.adaptive.posterior import AdaptivePosterior, LookOptics
-from deepfsi.files import write_atomically
 
 PHOTONS, LOOKS = 1e4, 16
 """Budget of a whole exposure, and its looks."""

@@ -11,8 +11,8 @@ import torch
 
 import deepfsi
 from conftest import RECIPE, quick, same
+from deepfsi.base.progress import Report, shown
 from deepfsi.cli import as_options
-from deepfsi.progress import Report, shown
 from deepfsi.training.job import TUNED, Job, Training
 from shared.jobs import learn
 

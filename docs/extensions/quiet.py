@@ -3,6 +3,6 @@
 
 def silence(gallery_conf, script):
     """Put off the first line of progress, before and after each script."""
-    from deepfsi import progress
+    from deepfsi.base import progress
 
     progress.FIRST_LINE_SECONDS = 1e6

@@ -12,6 +12,7 @@ import os
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from deepfsi.base.errors import InputError as InputError
     from deepfsi.datasets import Dataset as Dataset
     from deepfsi.datasets import from_arrays as from_arrays
     from deepfsi.datasets import load_dataset as load_dataset
@@ -30,7 +31,6 @@ if TYPE_CHECKING:
     from deepfsi.design.own import OwnClassifier as OwnClassifier
     from deepfsi.design.posterior import IdealObserver as IdealObserver
     from deepfsi.design.posterior import ideal_observer as ideal_observer
-    from deepfsi.errors import InputError as InputError
     from deepfsi.laboratory.classify import classify_run as classify_run
     from deepfsi.laboratory.classify import classify_table as classify_table
     from deepfsi.laboratory.prediction import predict as predict
@@ -52,7 +52,7 @@ _HOMES = {
     "Design": "design.artifact",
     "Fixed": "design.exposure",
     "IdealObserver": "design.posterior",
-    "InputError": "errors",
+    "InputError": "base.errors",
     "Job": "training.job",
     "Looks": "design.exposure",
     "Mlp": "design.classifiers",
@@ -115,7 +115,7 @@ def __getattr__(name: str) -> Any:
         return importlib.import_module("importlib.metadata").version("deepfsi")
     if name not in _HOMES:
         raise AttributeError(f"module 'deepfsi' has no attribute {name!r}")
-    from deepfsi.imports import torch_needed
+    from deepfsi.base.plugins import torch_needed
 
     with torch_needed():
         return getattr(importlib.import_module(f"deepfsi.{_HOMES[name]}"), name)

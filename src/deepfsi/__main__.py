@@ -2,7 +2,7 @@
 
 from typing import NoReturn
 
-from deepfsi import interrupts
+from deepfsi.base import interrupts
 
 
 def main() -> NoReturn:

@@ -10,7 +10,7 @@ from typing import Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from deepfsi.errors import InputError, closest
+from deepfsi.base.errors import InputError, closest
 
 MOST_MIRRORS = 2**14
 """Mirrors of a device in each direction at most."""

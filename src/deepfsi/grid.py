@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import AfterValidator
 
+from deepfsi.base.errors import InputError
+from deepfsi.base.models import StrictModel
 from deepfsi.devices import Device
-from deepfsi.errors import InputError
-from deepfsi.frozen import Frozen
 
 if TYPE_CHECKING:
     import numpy as np
@@ -35,7 +35,7 @@ Region = Annotated[str, AfterValidator(_region)]
 """Part of a device: COLUMNSxROWS of mirrors, in its middle, or COLUMNSxROWS+LEFT+TOP."""
 
 
-class Layout(Frozen):
+class Layout(StrictModel):
     """Place of the cells of masks on a device."""
 
     region: Region | None = None  # that holds the cells; the whole device unless given

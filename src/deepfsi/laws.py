@@ -5,8 +5,8 @@ from typing import Annotated, Literal, get_args
 
 from pydantic import Field
 
-from deepfsi import imports
-from deepfsi.errors import check_known
+from deepfsi.base import plugins as imports
+from deepfsi.base.errors import check_known
 
 Light = Literal["column", "equal-dwell", "free-dwell", "two-arm"]
 """Name of a light law, see `optics.constraints`."""

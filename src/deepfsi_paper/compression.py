@@ -4,8 +4,8 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from deepfsi.base.intervals import Difference, above, difference, of_trials
 from deepfsi.report.style import photons_text
-from deepfsi.statistics.differences import Difference, above, difference, of_trials
 from deepfsi.sweeps.results import Point, Results
 from deepfsi_paper.experiment import Experiment, Finding, budgets, points
 from deepfsi_paper.report.maps import accuracy_grid, heat_figure

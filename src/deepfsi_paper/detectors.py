@@ -10,8 +10,8 @@ from functools import partial
 from itertools import pairwise
 from math import prod
 
+from deepfsi.base.intervals import Difference, above, difference
 from deepfsi.report.style import BUDGET_AXIS, COLOURS, PAPER, photons_text
-from deepfsi.statistics.differences import Difference, above, difference
 from deepfsi.sweeps.results import Point, Results
 from deepfsi_paper.experiment import Experiment, Finding, budgets, cifar10_here
 from deepfsi_paper.report.lines import Line, lines_figure

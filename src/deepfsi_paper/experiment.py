@@ -11,14 +11,14 @@ from typing import Any
 
 import polars
 
+from deepfsi.base.errors import InputError, as_input_error
+from deepfsi.base.files import write_atomically
+from deepfsi.base.intervals import Difference, above, difference
+from deepfsi.base.progress import SILENT, Report
 from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.datasets.cifar import where
-from deepfsi.errors import InputError, as_input_error
-from deepfsi.files import write_atomically
-from deepfsi.progress import SILENT, Report
 from deepfsi.report.comparison_page import listed
 from deepfsi.report.style import photons_text
-from deepfsi.statistics.differences import Difference, above, difference
 from deepfsi.sweeps.recipe import Recipe, only, parts
 from deepfsi.sweeps.records import rows
 from deepfsi.sweeps.results import Point, Results, read_results, write_results

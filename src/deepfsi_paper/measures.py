@@ -10,7 +10,7 @@ import numpy as np
 import scipy.linalg
 import scipy.special
 
-from deepfsi.errors import InputError
+from deepfsi.base.errors import InputError
 from deepfsi.optics.budget import check_budget
 
 

@@ -3,8 +3,8 @@
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
+from deepfsi.base.intervals import Difference, above
 from deepfsi.report.style import COLOURS, photons_text
-from deepfsi.statistics.differences import Difference, above
 from deepfsi.sweeps.results import Point, Results
 from deepfsi_paper.experiment import Experiment, Finding, points
 from deepfsi_paper.paired_maps import Pair, pair

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.figure import Figure
 
+from deepfsi.base.intervals import Difference, difference
 from deepfsi.report.style import photons_text
-from deepfsi.statistics.differences import Difference, difference
 from deepfsi.sweeps.results import Point
 from deepfsi_paper.experiment import budgets
 from deepfsi_paper.report.maps import accuracy_grid, contour_figure

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from deepfsi.statistics.differences import Difference, above, of_trials, signed
+from deepfsi.base.intervals import Difference, above, of_trials, signed
 from deepfsi.sweeps.results import Results
 from deepfsi_paper.experiment import Experiment, Finding, points
 from deepfsi_paper.paired_maps import pair

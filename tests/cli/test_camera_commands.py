@@ -13,11 +13,11 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from conftest import quick
+from deepfsi.base.errors import InputError
 from deepfsi.cli import app
 from deepfsi.datasets import read_display, write_pictures
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate
-from deepfsi.errors import InputError
 from deepfsi.hardware.calibration.fit import calibrate_run
 from deepfsi.hardware.patterns.folder import read_patterns
 from deepfsi.hardware.recording import acquisition

@@ -9,7 +9,7 @@ import pytest
 
 import deepfsi
 from conftest import quick
-from deepfsi.imports import NO_TORCH
+from deepfsi.base.plugins import NO_TORCH
 from shared import lab_pc
 
 LIGHT = "--flux 1e7 --exposure 3ms --virtual ideal"

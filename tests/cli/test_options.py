@@ -2,8 +2,8 @@
 
 import pytest
 
+from deepfsi.base.errors import InputError
 from deepfsi.cli.options import seconds
-from deepfsi.errors import InputError
 
 
 @pytest.mark.parametrize(

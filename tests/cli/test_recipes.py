@@ -5,8 +5,8 @@ import sys
 
 import pytest
 
+from deepfsi.base.errors import InputError
 from deepfsi.cli.recipes import read_recipe, shipped
-from deepfsi.errors import InputError
 
 
 def test_a_recipe_of_the_package_goes_by_its_name():

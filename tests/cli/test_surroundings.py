@@ -7,8 +7,8 @@ import sys
 
 import pytest
 
+from deepfsi.base.errors import InputError
 from deepfsi.cli import common, paths
-from deepfsi.errors import InputError
 from shared.disks import nearly_full
 
 

@@ -6,8 +6,8 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
+from deepfsi.base.errors import InputError
 from deepfsi.datasets import SpectralImage, cifar, idx
-from deepfsi.errors import InputError
 
 
 @contextmanager

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from deepfsi.base.errors import InputError
 from deepfsi.datasets import load_dataset
 from deepfsi.datasets.anomalies import changed, one_class
-from deepfsi.errors import InputError
 
 
 @pytest.fixture(scope="module")

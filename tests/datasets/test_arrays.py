@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from dataset_samples import X, Y, numbers, refused, scenes
 
+from deepfsi.base import arrays as array_files
+from deepfsi.base.errors import InputError
 from deepfsi.datasets import arrays, from_arrays, load_dataset
 from deepfsi.datasets.arrays import draw_stratified
-from deepfsi.errors import InputError
-from deepfsi.tables import array_files
 
 
 def test_arrays_are_divided_into_stratified_parts_that_share_no_scene():

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from conftest import quick, synthetic
+from deepfsi.base.errors import InputError
 from deepfsi.datasets import ambient, jitter
-from deepfsi.errors import InputError
 from deepfsi.optics.budget import photons_per_pixel, summed_reflectance
 
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from deepfsi.base.errors import InputError
 from deepfsi.datasets import load_dataset, read_display, write_display
-from deepfsi.errors import InputError
 
 
 def test_scenes_are_written_and_read_back(digits, tmp_path):

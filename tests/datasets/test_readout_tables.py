@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
+from deepfsi.base.errors import InputError
 from deepfsi.datasets.readouts import Variables, read_readouts
-from deepfsi.errors import InputError
 
 NAMES = Variables("volts", "digit", "shown", "clock", ("laser",))
 

@@ -10,9 +10,9 @@ import pooch
 import pytest
 from dataset_samples import TINY, TINY_IMAGES, TINY_LABELS, idx_file, refused
 
+from deepfsi.base.errors import InputError
+from deepfsi.base.progress import Report
 from deepfsi.datasets import check, download, idx, indian_pines, list_datasets, load_dataset, store
-from deepfsi.errors import InputError
-from deepfsi.progress import Report
 
 
 class Mirrors:

@@ -8,13 +8,13 @@ import pytest
 import torch
 
 from conftest import RECIPE
+from deepfsi.base.errors import InputError
 from deepfsi.datasets import Dataset, from_arrays
 from deepfsi.design.artifact import Design
 from deepfsi.design.classifiers import Mlp, Replicas
 from deepfsi.design.evaluation import evaluate
 from deepfsi.design.exposure.looks import Dwells, LooksExposure
 from deepfsi.design.stopping import StoppingRule
-from deepfsi.errors import InputError
 from deepfsi.optics import constraints
 from deepfsi.optics.detection import ONE
 from deepfsi.optics.features import FeatureNoise

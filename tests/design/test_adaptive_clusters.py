@@ -7,9 +7,9 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
 from deepfsi import AdaptiveDesign, evaluate, learn
+from deepfsi.base.errors import InputError
 from deepfsi.design.adaptive.posterior import AdaptivePosterior, LookOptics
 from deepfsi.design.adaptive.prior import ScenePrior
-from deepfsi.errors import InputError
 from deepfsi.training.job import Job
 
 PIXELS, SIZES = 8, (30, 60, 90)

@@ -7,11 +7,11 @@ import pytest
 import torch
 
 from deepfsi import Camera, Job, learn
+from deepfsi.base.errors import InputError
 from deepfsi.design.adaptive.design import AdaptiveDesign, load_design
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate
 from deepfsi.design.stopping import stop
-from deepfsi.errors import InputError
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.trial import plan
 from shared.design_files import header_of, rewrite

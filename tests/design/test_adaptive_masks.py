@@ -7,6 +7,7 @@ from scipy.special import logsumexp, xlogy
 from scipy.stats import multivariate_normal, poisson, spearmanr
 
 from conftest import generator
+from deepfsi.base.errors import InputError
 from deepfsi.datasets import Dataset, from_arrays
 from deepfsi.design.adaptive.choice import brightest, information, next_masks
 from deepfsi.design.adaptive.design import AdaptiveDesign
@@ -15,7 +16,6 @@ from deepfsi.design.adaptive.posterior import AdaptivePosterior, LookOptics
 from deepfsi.design.adaptive.prior import ScenePrior
 from deepfsi.design.evaluation import Result, evaluate
 from deepfsi.design.posterior import IdealObserver
-from deepfsi.errors import InputError
 
 PIXELS, SCENES, CLASSES = 8, 40, 3
 QUARTERS = torch.arange(PIXELS) // 2

@@ -19,10 +19,10 @@ from torch import nn
 import deepfsi
 from conftest import PHOTONS, RECIPE, every_design, every_optics, generator, light_on, quick
 from deepfsi import Camera
+from deepfsi.base.errors import InputError
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import camera_for, evaluate
 from deepfsi.design.file_content import SCHEMA
-from deepfsi.errors import InputError
 from deepfsi.training.learning import train
 from deepfsi.training.training_set import TrainingSet
 from shared.design_files import header_of, refused, rewrite

@@ -7,8 +7,8 @@ import torch
 from torch import Tensor, nn
 
 from conftest import generator
+from deepfsi.base.errors import InputError
 from deepfsi.design.classifiers import Mlp, Replicas, Vit
-from deepfsi.errors import InputError
 
 
 def probe(units: int, dropout: float, seed: int = 0) -> Mlp:

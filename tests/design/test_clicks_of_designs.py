@@ -6,10 +6,10 @@ import torch
 
 from conftest import PHOTONS, quick, same
 from deepfsi import Camera
+from deepfsi.base.errors import InputError
 from deepfsi.design.artifact import Design
 from deepfsi.design.clicks import to_training_light
 from deepfsi.design.evaluation import evaluate
-from deepfsi.errors import InputError
 from deepfsi.sweeps.recipe import Recipe
 
 FEW = 60.0

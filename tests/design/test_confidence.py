@@ -8,6 +8,7 @@ import torch
 from scipy.special import softmax
 
 from conftest import quick
+from deepfsi.base.errors import InputError
 from deepfsi.design.artifact import Design
 from deepfsi.design.confidence import (
     BINS,
@@ -20,7 +21,6 @@ from deepfsi.design.confidence import (
 )
 from deepfsi.design.evaluation import evaluate
 from deepfsi.design.temperatures import Temperatures, calibration_budgets
-from deepfsi.errors import InputError
 from deepfsi.training.characterisation import find_temperatures
 from deepfsi.training.job import Job
 

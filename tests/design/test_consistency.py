@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from conftest import quick
+from deepfsi.base.errors import InputError
 from deepfsi.datasets import Dataset, from_arrays
 from deepfsi.design.artifact import Design
 from deepfsi.design.consistency import REFUSED, UNSURE
@@ -16,7 +17,6 @@ from deepfsi.design.readout_fit import (
     find_distribution,
     sample_scenes,
 )
-from deepfsi.errors import InputError
 from shared.design_files import refused, rewrite
 
 READOUTS = (2, 9)

@@ -7,11 +7,11 @@ import pytest
 import torch
 
 from conftest import RECIPE, generator, once
+from deepfsi.base.errors import InputError
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate
 from deepfsi.design.onnx_graph import to_onnx
 from deepfsi.design.stopping import stop
-from deepfsi.errors import InputError
 from deepfsi.optics import constraints
 from deepfsi.optics.detection import Detection
 from shared.design_files import refused, rewrite

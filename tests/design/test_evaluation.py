@@ -9,12 +9,12 @@ import pytest
 import torch
 
 from conftest import PHOTONS, every_design, generator, light_on, quick, synthetic
+from deepfsi.base.errors import InputError
+from deepfsi.base.intervals import balanced
+from deepfsi.base.progress import SILENT
 from deepfsi.datasets import from_arrays
 from deepfsi.design.evaluation import evaluate
 from deepfsi.design.evaluation import test_scenes as run_test
-from deepfsi.errors import InputError
-from deepfsi.progress import SILENT
-from deepfsi.statistics.intervals import balanced
 
 
 @pytest.fixture(scope="module")

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 
+from deepfsi.base.errors import InputError
 from deepfsi.design.exposure.trained import Observation, cut
-from deepfsi.errors import InputError
 from deepfsi.optics import constraints
 
 

@@ -5,12 +5,12 @@ from pydantic import BaseModel, ValidationError
 
 from conftest import generator, synthetic
 from deepfsi import Fixed, Looks, Nested, Passing, Patches, Range
+from deepfsi.base.errors import InputError
 from deepfsi.design.exposure import AnyExposure, find_exposure
 from deepfsi.design.exposure.conditioned import ConditionedExposure
 from deepfsi.design.exposure.looks import LooksExposure
 from deepfsi.design.exposure.passing import PassingExposure
 from deepfsi.design.exposure.trained import FixedExposure, PatchExposure
-from deepfsi.errors import InputError
 from shared.jobs import job
 
 pytestmark = pytest.mark.core

@@ -12,10 +12,10 @@ import torch
 from torch import nn
 
 from conftest import PHOTONS, every_design, every_optics, quick
+from deepfsi.base.errors import InputError
 from deepfsi.design.artifact import Design
 from deepfsi.design.exposure.conditioned import ConditionedExposure
 from deepfsi.design.onnx_graph import SCHEMA, to_onnx
-from deepfsi.errors import InputError
 from deepfsi.hardware.patterns.folder import check_patterns
 from deepfsi.optics.budget import photons_per_pixel
 

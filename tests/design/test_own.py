@@ -10,11 +10,11 @@ from torch import nn
 
 import deepfsi
 from conftest import PHOTONS, RECIPE, generator, light_on, same
+from deepfsi.base.errors import InputError
 from deepfsi.design import own
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate
 from deepfsi.design.onnx_graph import to_onnx
-from deepfsi.errors import InputError
 from deepfsi.optics.detection import Detection
 from deepfsi.optics.masks import LearnedMasks
 from shared.design_files import header_of, refused, rewrite

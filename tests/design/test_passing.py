@@ -8,12 +8,12 @@ import torch
 
 import deepfsi
 from conftest import RECIPE, assert_moments, generator, same, synthetic
+from deepfsi.base.errors import InputError
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import scanner_for
 from deepfsi.design.onnx_graph import to_onnx
 from deepfsi.design.payload import check_playable
 from deepfsi.design.stopping import stop
-from deepfsi.errors import InputError
 from deepfsi.laboratory.rails import design_rails
 from deepfsi.optics.features import FeatureNoise
 from deepfsi.optics.transit import FixedPattern

@@ -10,10 +10,10 @@ import torch
 
 from conftest import synthetic
 from deepfsi import learn
+from deepfsi.base.errors import InputError
 from deepfsi.design.adaptive.prior import ScenePrior
 from deepfsi.design.exposure.trained import PatchExposure
 from deepfsi.design.payload import COEFFICIENTS, check_playable, of_page, playable
-from deepfsi.errors import InputError
 from deepfsi.report.playground.page import write_page
 from shared.playground import large_design
 

@@ -12,9 +12,9 @@ from torch import Tensor
 
 from conftest import every_optics, generator, quick, real_mnist
 from deepfsi import IdealObserver, ideal_observer
+from deepfsi.base.errors import InputError
 from deepfsi.datasets import Dataset, from_arrays, load_dataset
 from deepfsi.design.evaluation import evaluate
-from deepfsi.errors import InputError
 
 
 def exact(rates: np.ndarray, labels: np.ndarray, counts: np.ndarray, photons: float) -> np.ndarray:

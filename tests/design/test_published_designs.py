@@ -14,6 +14,7 @@ import pytest
 
 from conftest import real_mnist
 from deepfsi import load_dataset
+from deepfsi.base.errors import InputError
 from deepfsi.design.adaptive.design import load_design
 from deepfsi.design.evaluation import evaluate
 from deepfsi.design.published import (
@@ -25,7 +26,6 @@ from deepfsi.design.published import (
     find_design,
     read_indexes,
 )
-from deepfsi.errors import InputError
 from deepfsi.sweeps.collection import Collection
 
 

@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from conftest import RECIPE, quick, same
+from deepfsi.base.errors import InputError
 from deepfsi.design.artifact import Design
-from deepfsi.errors import InputError
 from deepfsi.optics import constraints
 from deepfsi.optics.masks import LearnedMasks
 from shared.jobs import job, learn

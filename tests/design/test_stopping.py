@@ -7,10 +7,10 @@ import pytest
 import torch
 
 from conftest import generator, quick
+from deepfsi.base.errors import InputError
 from deepfsi.design import stopping
 from deepfsi.design.evaluation import evaluate
 from deepfsi.design.stopping import stop
-from deepfsi.errors import InputError
 from deepfsi.hardware.recording.live_settings import StopRule
 from deepfsi.optics.detection import ONE
 

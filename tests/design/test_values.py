@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from deepfsi.base.errors import InputError
 from deepfsi.design.artifact import Design
 from deepfsi.design.bounds import cramer_rao, linear_bound
 from deepfsi.design.evaluation import evaluate, scanner_for
@@ -13,7 +14,6 @@ from deepfsi.design.onnx_graph import to_onnx
 from deepfsi.design.payload import check_playable
 from deepfsi.design.posterior import ideal_observer
 from deepfsi.design.stopping import stop
-from deepfsi.errors import InputError
 from deepfsi.laboratory.prediction import predict
 from deepfsi.optics.noise import Click
 from deepfsi.optics.scanner import Scanner

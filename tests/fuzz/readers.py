@@ -136,8 +136,8 @@ def read_camera(path: Path) -> None:
 
 
 def read_virtual(path: Path) -> None:
-    from deepfsi.errors import as_input_error
-    from deepfsi.files import read_toml
+    from deepfsi.base.errors import as_input_error
+    from deepfsi.base.files import read_toml
     from deepfsi.hardware.virtual.camera import VirtualCamera
 
     with as_input_error():
@@ -192,7 +192,7 @@ def read_masks(path: Path) -> None:
 
 
 def read_table(path: Path) -> None:
-    from deepfsi.tables.table_files import read_table
+    from deepfsi.base.tables import read_table
 
     read_table(path, ("scene", "label"))
 

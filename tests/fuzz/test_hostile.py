@@ -13,8 +13,8 @@ import pytest
 from PIL import Image
 from safetensors.numpy import load_file, save_file
 
-from deepfsi.errors import InputError
-from deepfsi.files import SPARE, check_unpacked, open_regular, read_regular, read_toml
+from deepfsi.base.errors import InputError
+from deepfsi.base.files import SPARE, check_unpacked, open_regular, read_regular, read_toml
 from fuzz.readers import READERS, copied
 from fuzz.worker import fault_of, watching
 from shared.design_files import header_of

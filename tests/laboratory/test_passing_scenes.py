@@ -7,7 +7,7 @@ import pytest
 
 import deepfsi
 from conftest import once, synthetic
-from deepfsi.errors import InputError
+from deepfsi.base.errors import InputError
 from deepfsi.hardware.ptu.reader import read_photons
 from deepfsi.hardware.ptu.writer import Writer
 from deepfsi.hardware.recording.transits import count_bins

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from deepfsi.base.errors import InputError
 from deepfsi.datasets import write_pictures
 from deepfsi.devices import DEVICES, find_device
-from deepfsi.errors import InputError
 from deepfsi.hardware.calibration.scans import scan_rails
 from deepfsi.hardware.drivers.dlpc900 import Dlpc900Projector
 from deepfsi.hardware.drivers.swabian import TaggerCounter

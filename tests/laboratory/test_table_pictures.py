@@ -6,7 +6,7 @@ import pywt
 from scipy.linalg import lstsq
 from scipy.ndimage import gaussian_filter
 
-from deepfsi.errors import InputError
+from deepfsi.base.errors import InputError
 from deepfsi.hardware.recording.picture import solve_masks, solve_wavelets
 from deepfsi.laboratory.table_pictures import TableMasks, compare_picture, read_pictures
 from deepfsi.optics.codes import formula_masks

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from deepfsi.errors import InputError
+from deepfsi.base.errors import InputError
 from deepfsi.optics.budget import (
     brightness,
     check_budget,

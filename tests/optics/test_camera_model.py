@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 import torch
 
+from deepfsi.base.errors import InputError
+from deepfsi.base.quantities import seconds
 from deepfsi.devices import DEVICES
-from deepfsi.errors import InputError
 from deepfsi.optics.camera import EXAMPLES, GUARD_S, PRESETS, Camera, template
 from deepfsi.optics.detection import Detection
-from deepfsi.units import seconds
 from shared.noises import saturating
 
 pytestmark = pytest.mark.core

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from conftest import generator
-from deepfsi.errors import InputError
+from deepfsi.base.errors import InputError
 from deepfsi.optics.camera import Camera
 from deepfsi.optics.features import FeatureNoise
 from deepfsi.optics.noise import Click, check_noise, resolve, try_own

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from conftest import FIXED, FLOAT32, synthetic
-from deepfsi.errors import InputError
+from deepfsi.base.errors import InputError
 from deepfsi.optics import codes, constraints, tiles
 from deepfsi.optics.codes import hadamard_masks, mask_count
 from deepfsi.optics.tiles import sensing_matrix

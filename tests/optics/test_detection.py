@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from conftest import FLOAT32, every_optics, generator
-from deepfsi.errors import InputError
+from deepfsi.base.errors import InputError
 from deepfsi.optics import constraints, tiles
 from deepfsi.optics.constraints import expand, fit
 from deepfsi.optics.detection import ONE, Detection

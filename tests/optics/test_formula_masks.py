@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.linalg import hadamard
 
-from deepfsi.errors import InputError
+from deepfsi.base.errors import InputError
 from deepfsi.optics.codes import FORMULAS, formula_masks, hadamard_masks
 
 

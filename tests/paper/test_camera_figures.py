@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from matplotlib.collections import QuadMesh
 
+from deepfsi.base.errors import InputError
 from deepfsi.devices import Device, find_device
-from deepfsi.errors import InputError
 from deepfsi.grid import Layout, find_grid
 from deepfsi.optics import codes
 from deepfsi.report import style

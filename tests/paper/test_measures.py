@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from deepfsi.errors import InputError
+from deepfsi.base.errors import InputError
 from deepfsi.optics.budget import photons_per_pixel, summed_reflectance
 from deepfsi.optics.noise import readout
 from deepfsi.optics.tiles import sensing_matrix

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from matplotlib.text import Annotation
 
-from deepfsi.errors import InputError
+from deepfsi.base.errors import InputError
 from deepfsi.optics import codes
 from deepfsi.report.style import COLOURS, svg
 from deepfsi_paper.measures import impulse_imaging_error

@@ -11,8 +11,8 @@ import torch
 from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
+from deepfsi.base.errors import InputError
 from deepfsi.design.artifact import Design
-from deepfsi.errors import InputError
 from deepfsi.laboratory.live.loop import Loop
 from deepfsi.laboratory.rails import ShownDesign
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 from safetensors.numpy import load_file
 
-from deepfsi import interrupts
-from deepfsi.owners import owner_of, this_process
+from deepfsi.base import interrupts
+from deepfsi.base.locks import owner_of, this_process
 from deepfsi.sweeps.context import SweepContext
 from deepfsi.sweeps.records import Records
 from deepfsi.sweeps.trial import Trial, plan

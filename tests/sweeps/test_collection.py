@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from deepfsi import interrupts
+from deepfsi.base import interrupts
 from deepfsi.datasets import from_arrays, idx
 from deepfsi.design.adaptive.design import AdaptiveDesign, load_design
 from deepfsi.design.published import VARIABLE

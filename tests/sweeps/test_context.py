@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
+from deepfsi.base.errors import InputError
 from deepfsi.design.artifact import Design
-from deepfsi.errors import InputError
 from deepfsi.sweeps import context
 from deepfsi.sweeps.context import SweepContext
 from deepfsi.sweeps.trial import plan

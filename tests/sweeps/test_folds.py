@@ -4,14 +4,13 @@ import numpy as np
 import pytest
 
 from conftest import synthetic
+from deepfsi.base.errors import InputError
+from deepfsi.base.intervals import accuracy, unpack
 from deepfsi.datasets import from_arrays, load_dataset
 from deepfsi.design.adaptive.design import load_design
 from deepfsi.design.evaluation import evaluate
 from deepfsi.design.training_data import trained_on
-from deepfsi.errors import InputError
 from deepfsi.laboratory.data import data_of
-from deepfsi.statistics.intervals import accuracy
-from deepfsi.statistics.terms import unpack
 from deepfsi.sweeps.forecast import forecast_cost
 from deepfsi.sweeps.recipe_check import check_recipe
 from deepfsi.sweeps.results import write_results

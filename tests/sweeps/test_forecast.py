@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from deepfsi.progress import Report
+from deepfsi.base.progress import Report
 from deepfsi.sweeps import forecast
 from deepfsi.sweeps.context import SweepContext
 from deepfsi.sweeps.forecast import forecast_cost, slowdown

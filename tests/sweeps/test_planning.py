@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from deepfsi.errors import InputError
-from deepfsi.statistics.crossings import Crossing, crossing
+from deepfsi.base.errors import InputError
+from deepfsi.base.intervals import Crossing, crossing
 from deepfsi.sweeps import planning
 from deepfsi.sweeps.planning import check_plan, next_budget, photons_needed
 from deepfsi.sweeps.recipe import Recipe

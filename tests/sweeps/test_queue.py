@@ -7,9 +7,9 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
+from deepfsi.base.errors import InputError
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate
-from deepfsi.errors import InputError
 from deepfsi.sweeps import context
 from deepfsi.sweeps.trial import plan
 from shared.trials import small, train_trials

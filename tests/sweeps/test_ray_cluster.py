@@ -22,8 +22,8 @@ import ray
 from ray.cluster_utils import Cluster
 
 from conftest import synthetic
+from deepfsi.base.errors import InputError
 from deepfsi.datasets import load_dataset
-from deepfsi.errors import InputError
 from deepfsi.sweeps import ray_cluster
 from deepfsi.sweeps.context import SweepContext
 from deepfsi.sweeps.queue import run_trials

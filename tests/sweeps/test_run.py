@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from deepfsi.base.intervals import unpack
 from deepfsi.cli.recipes import shipped
-from deepfsi.statistics.terms import unpack
 from deepfsi.sweeps.recipe import Recipe, parts
 from deepfsi.sweeps.records import rows
 from deepfsi.sweeps.run import compare

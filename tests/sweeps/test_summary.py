@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from deepfsi.statistics.intervals import accuracy, balanced, student
-from deepfsi.statistics.terms import pack, unpack
+from deepfsi.base.intervals import accuracy, balanced, pack, student, unpack
 from deepfsi.sweeps.summary import mean_lit_masks, summarise
 from shared.trials import small
 

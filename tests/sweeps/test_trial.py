@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from deepfsi.base.errors import InputError
 from deepfsi.datasets import load_dataset
-from deepfsi.errors import InputError
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.recipe_check import check_recipe
 from deepfsi.sweeps.trial import plan

@@ -9,11 +9,11 @@ import torch
 import deepfsi
 from conftest import PHOTONS, RECIPE, quick, same
 from deepfsi import Camera, Looks, Range
+from deepfsi.base.errors import InputError
+from deepfsi.base.progress import Report
 from deepfsi.design.evaluation import evaluate
-from deepfsi.errors import InputError
 from deepfsi.optics import codes, constraints, tiles
 from deepfsi.optics.rails import Rails
-from deepfsi.progress import Report
 from deepfsi.training.job import (
     TUNED,
     Job,

@@ -21,9 +21,9 @@ from conftest import (
     synthetic,
     two_valued,
 )
+from deepfsi.base.errors import InputError
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate
-from deepfsi.errors import InputError
 from deepfsi.optics import codes, constraints, tiles
 from deepfsi.training.learning import train
 from deepfsi.training.training_set import TrainingSet

@@ -9,13 +9,13 @@ import torch
 from scipy.special import softmax
 
 from deepfsi import learn
+from deepfsi.base.errors import InputError
 from deepfsi.design.adaptive.choice import next_masks
 from deepfsi.design.adaptive.design import AdaptiveDesign
 from deepfsi.design.adaptive.posterior import AdaptivePosterior, LookOptics
 from deepfsi.design.confidence import fit_temperatures, logits_at_stops
 from deepfsi.design.evaluation import evaluate, scanner_for
 from deepfsi.design.temperatures import Temperatures
-from deepfsi.errors import InputError
 from deepfsi.training.folds import FEW_SCENES, FOLDS, folds_of
 from shared.design_files import rewrite
 

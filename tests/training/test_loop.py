@@ -10,10 +10,10 @@ import pytest
 import torch
 
 from conftest import RECIPE, every_optics, quick, same, synthetic
+from deepfsi.base.progress import Report
 from deepfsi.design.artifact import Design
 from deepfsi.design.classifiers import Mlp, Replicas
 from deepfsi.design.evaluation import evaluate
-from deepfsi.progress import Report
 from deepfsi.training import loop, masks
 from deepfsi.training.learning import train
 from deepfsi.training.precision import BFLOAT16_WIDTH

@@ -4,8 +4,8 @@ import pytest
 import torch
 from torch.nn import functional
 
+from deepfsi.base.errors import InputError
 from deepfsi.design.evaluation import evaluate
-from deepfsi.errors import InputError
 from deepfsi.training import losses
 from deepfsi.training.job import Training
 from deepfsi.training.learning import learn

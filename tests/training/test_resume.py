@@ -12,10 +12,11 @@ import torch
 from safetensors.numpy import load_file, save_file
 
 from conftest import RECIPE
-from deepfsi import Training, interrupts
+from deepfsi import Training
 from deepfsi import learn as learned
-from deepfsi.errors import InputError
-from deepfsi.progress import Report
+from deepfsi.base import interrupts
+from deepfsi.base.errors import InputError
+from deepfsi.base.progress import Report
 from deepfsi.training import checkpoint as module
 from deepfsi.training import learning, loop
 from deepfsi.training.checkpoint import Checkpoint

@@ -10,8 +10,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import deepfsi
+from deepfsi.base.intervals import paired
 from deepfsi.report.style import COLOURS
-from deepfsi.statistics.differences import paired
 
 # %%
 # Four cameras have 16 readouts each: one detector and 16 frames, two and 8, four and 4, or 16 and

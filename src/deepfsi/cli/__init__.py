@@ -11,6 +11,9 @@ from typing import Annotated, Any, NoReturn
 import typer
 
 import deepfsi
+from deepfsi.base.errors import InputError
+from deepfsi.base.interrupts import STOPPED, say_stopped
+from deepfsi.base.plugins import torch_needed
 from deepfsi.cli import (
     acquisitions,
     calibrations,
@@ -34,9 +37,6 @@ from deepfsi.cli.predict import predict
 from deepfsi.cli.readouts import readouts
 from deepfsi.cli.settings import SettingsCommand
 from deepfsi.cli.studies import compare, report, reproduce, sweep
-from deepfsi.errors import InputError
-from deepfsi.imports import torch_needed
-from deepfsi.interrupts import STOPPED, say_stopped
 
 app = typer.Typer(
     name="deepfsi",

@@ -5,10 +5,10 @@ from typing import Annotated, Any
 
 import typer
 
+from deepfsi.base.errors import InputError
+from deepfsi.base.quantities import time_text
 from deepfsi.cli import common, options, paths
 from deepfsi.cli.settings import laboratory_fields, with_settings
-from deepfsi.errors import InputError
-from deepfsi.quantities import time_text
 
 _SERIES = "--cumulative or --bins"
 
@@ -176,10 +176,10 @@ def _import_series(
     """Write cumulative counts, or counts in bins, as a table."""
     if patterns is None:
         raise InputError(f"{_SERIES} need the patterns that were shown: give --patterns")
-    from deepfsi.files import write_atomically
+    from deepfsi.base.files import write_atomically
+    from deepfsi.base.tables import read_table
     from deepfsi.hardware.patterns.folder import read_patterns
     from deepfsi.hardware.recording.series import of_bins, of_cumulative
-    from deepfsi.tables.table_files import read_table
 
     manifest, values = read_patterns(patterns).manifest, read_table(source).values
     width = options.optional_seconds("bins", bins)

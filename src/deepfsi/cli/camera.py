@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from deepfsi.base.errors import InputError, as_input_error, closest
+from deepfsi.base.files import read_toml, write_atomically
+from deepfsi.base.quantities import count_text, time_text
 from deepfsi.cli import common, options, paths
 from deepfsi.cli.groups import Group
 from deepfsi.cli.settings import laboratory_fields, with_settings
-from deepfsi.errors import InputError, as_input_error, closest
-from deepfsi.files import read_toml, write_atomically
-from deepfsi.quantities import count_text, time_text
 
 if TYPE_CHECKING:
     import numpy as np

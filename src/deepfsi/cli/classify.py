@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from deepfsi.base.errors import InputError
 from deepfsi.cli import common, options, paths
 from deepfsi.cli.settings import laboratory_fields, with_settings
-from deepfsi.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -80,10 +80,10 @@ def camera_classify(
         "read-noise": read_noise, "repeats": None if repeats == 1 else repeats,
         **{name.replace("_", "-"): value for name, value in settings.items()},
     }  # fmt: skip
+    from deepfsi.base.tables import SUFFIXES, is_table, read_table
     from deepfsi.laboratory.classify import classify_run, classify_table
     from deepfsi.laboratory.live.replay import COUNTS, count_live, is_live
     from deepfsi.laboratory.results import ClassifiedRun
-    from deepfsi.tables.table_files import SUFFIXES, is_table, read_table
 
     found: ClassifiedRun | ReplayedRun
     if counted.is_dir():

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from deepfsi.base.files import readable
+from deepfsi.base.progress import Report, terminal_bar
+from deepfsi.base.quantities import count_text
 from deepfsi.cli import paths
-from deepfsi.files import readable
-from deepfsi.progress import Report, terminal_bar
-from deepfsi.quantities import count_text
 
 if TYPE_CHECKING:
     import numpy as np
@@ -94,7 +94,7 @@ def save_figure(figure: "Figure", path: Path) -> None:
     """Write a figure as the kind that its name ends in, whole or not at all."""
     import io
 
-    from deepfsi.files import write_atomically
+    from deepfsi.base.files import write_atomically
     from deepfsi.report.style import drawing
 
     picture = io.BytesIO()

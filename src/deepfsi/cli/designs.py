@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from deepfsi.base.errors import InputError
 from deepfsi.cli import common, options, paths
 from deepfsi.cli.results import (
     counts_text,
@@ -19,7 +20,6 @@ from deepfsi.cli.results import (
     score,
 )
 from deepfsi.cli.settings import job_fields, with_settings
-from deepfsi.errors import InputError
 
 if TYPE_CHECKING:
     import numpy as np

@@ -5,11 +5,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from deepfsi.base.errors import InputError
+from deepfsi.base.quantities import time_text
 from deepfsi.cli import common, options, paths
 from deepfsi.cli.groups import Group
 from deepfsi.cli.settings import SettingsCommand, laboratory_fields, with_settings
-from deepfsi.errors import InputError
-from deepfsi.quantities import time_text
 
 if TYPE_CHECKING:
     from deepfsi.devices import Device
@@ -134,7 +134,7 @@ def dmd_export(
 
 def _layout(known: "Layout", **options: Any) -> "Layout":
     """Layout of a camera, with the orientation of options."""
-    from deepfsi.errors import as_input_error
+    from deepfsi.base.errors import as_input_error
     from deepfsi.grid import Layout
 
     with as_input_error():

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from deepfsi.base.errors import InputError, as_input_error, check_known
 from deepfsi.cli import camera, common, options, paths
 from deepfsi.cli.classify import print_right, print_view
 from deepfsi.cli.settings import laboratory_fields, with_settings
-from deepfsi.errors import InputError, as_input_error, check_known
 
 if TYPE_CHECKING:
     from deepfsi.design.view_test import ViewResult
@@ -209,7 +209,7 @@ def _tagger(
     inputs: tuple[int, ...], marker_bit: int, config: Path | None, channel: int | None
 ) -> "StreamingCounter":
     """Time Tagger, with the channel of the trigger and the settings of a TOML file."""
-    from deepfsi.files import read_toml
+    from deepfsi.base.files import read_toml
     from deepfsi.hardware.drivers.swabian import TaggerCounter, TaggerSettings
 
     if channel is None:

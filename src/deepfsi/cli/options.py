@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from deepfsi.base.errors import InputError
 from deepfsi.cli.settings import values
-from deepfsi.errors import InputError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -175,7 +175,7 @@ def whole_number(option: str, text: str) -> int:
 
 def seconds(option: str, text: str) -> float:
     """Seconds of a time such as 0.01, 10ms or 44us, or `InputError`."""
-    from deepfsi import units
+    from deepfsi.base import quantities as units
 
     try:
         return units.seconds(text)

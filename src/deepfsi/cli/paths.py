@@ -3,9 +3,9 @@
 import tempfile
 from pathlib import Path
 
-from deepfsi.errors import InputError
-from deepfsi.files import DESIGNS as DESIGNS
-from deepfsi.files import check_ending
+from deepfsi.base.errors import InputError
+from deepfsi.base.files import DESIGNS as DESIGNS
+from deepfsi.base.files import check_ending
 
 PICTURES = (".png", ".svg", ".pdf")
 TABLES = (".csv", ".parquet")

@@ -94,8 +94,8 @@ def readouts(
     paths.check_file(out, paths.DESIGNS, force)
     if figure is not None:
         paths.check_file(figure, paths.PICTURES, force)
+    from deepfsi.base.errors import check_known
     from deepfsi.datasets.readouts import Variables, read_readouts
-    from deepfsi.errors import check_known
     from deepfsi.training.readouts import learn_readouts, measure_readouts
 
     variables = Variables(values, label, picture, order, tuple(monitor or ()))

@@ -6,9 +6,9 @@ from importlib.resources import as_file, files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from deepfsi.base.errors import InputError, closest
+from deepfsi.base.files import read_toml
 from deepfsi.cli import common, paper
-from deepfsi.errors import InputError, closest
-from deepfsi.files import read_toml
 
 if TYPE_CHECKING:
     from importlib.resources.abc import Traversable

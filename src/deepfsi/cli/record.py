@@ -50,6 +50,7 @@ def camera_record(
     if counter_config is not None:
         paths.check_there(counter_config, "counter configuration")
     times = live.latencies_of(latency or [])
+    from deepfsi.base.progress import SILENT
     from deepfsi.hardware.drivers.dlpc900 import Dlpc900Projector
     from deepfsi.hardware.drivers.protocols import PassProjector
     from deepfsi.hardware.drivers.vialux import VialuxProjector
@@ -62,7 +63,6 @@ def camera_record(
     from deepfsi.laboratory.live.run import Bench
     from deepfsi.laboratory.record import record_run
     from deepfsi.laboratory.scenes import displayed, listed, scenes_of
-    from deepfsi.progress import SILENT
 
     shown, known = read_patterns(patterns), camera_of(patterns, **settings)
     told = {"flux": known.flux, **options.wiring(inputs, marker)}

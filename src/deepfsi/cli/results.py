@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from itertools import zip_longest
 from typing import TYPE_CHECKING
 
+from deepfsi.base.quantities import count_text
 from deepfsi.cli import common
-from deepfsi.quantities import count_text
 
 if TYPE_CHECKING:
     from deepfsi.design.adaptive.design import AnyDesign
@@ -156,7 +156,7 @@ def _print_covered(result: "Result | Estimates", meaning: str) -> None:
 
 def _print_confusion(result: "Result", classes: Sequence[str]) -> None:
     """Print which classes are taken for which; of many, the most frequent mistakes."""
-    from deepfsi.statistics.confusion import MOST_CLASSES, frequent, shares
+    from deepfsi.base.intervals import MOST_CLASSES, frequent, shares
 
     where = f"at {common.budget(result.photons)} photons, % of the true class"
     if len(classes) > MOST_CLASSES:

@@ -6,8 +6,8 @@ from typing import Annotated
 
 import typer
 
+from deepfsi.base.errors import InputError
 from deepfsi.cli import common, options, paths
-from deepfsi.errors import InputError
 
 MARKER = "marker input, 0 to 3; that of the header unless given"
 
@@ -41,7 +41,7 @@ def camera_scan(
         paths.check_file(figure, paths.PICTURES, force)
     import numpy as np
 
-    from deepfsi.files import write_atomically
+    from deepfsi.base.files import write_atomically
     from deepfsi.hardware.ptu.scan import ScanMarkers, count_scan
 
     if figure is not None and pixels == 1:

@@ -5,9 +5,9 @@ from typing import Annotated
 
 import typer
 
+from deepfsi.base.errors import InputError
+from deepfsi.base.quantities import time_text
 from deepfsi.cli import common, options, paths
-from deepfsi.errors import InputError
-from deepfsi.quantities import time_text
 
 
 def camera_transits(
@@ -46,8 +46,8 @@ def camera_transits(
     paths.check_there(file, "a .ptu file")
     if out is not None:
         paths.check_file(out, (".csv",), force)
+    from deepfsi.base.files import write_atomically
     from deepfsi.design.artifact import Design
-    from deepfsi.files import write_atomically
     from deepfsi.laboratory.transits import classify_transits
 
     made = common.open_any(design, trust)

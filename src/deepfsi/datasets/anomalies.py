@@ -10,8 +10,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from deepfsi.base.errors import InputError, closest
 from deepfsi.datasets.dataset import Dataset, Reflectance
-from deepfsi.errors import InputError, closest
 
 ANOMALY = "anomaly"
 """Name of the class of all that is not normal."""

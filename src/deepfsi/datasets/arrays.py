@@ -9,12 +9,11 @@ from unicodedata import category, normalize
 import numpy as np
 import numpy.typing as npt
 
+from deepfsi.base.arrays import check_memory, free_memory, read_npz
+from deepfsi.base.errors import InputError
+from deepfsi.base.text_files import is_whole, spelling
 from deepfsi.datasets.dataset import Dataset, Labels, Reflectance, Truth
 from deepfsi.datasets.values import Values, grey, measure, reflectance
-from deepfsi.errors import InputError
-from deepfsi.memory import check_memory, free_memory
-from deepfsi.tables.array_files import read_npz
-from deepfsi.tables.text_files import is_whole, spelling
 
 Range: TypeAlias = tuple[float, float]
 Scenes: TypeAlias = tuple[npt.ArrayLike, npt.ArrayLike]

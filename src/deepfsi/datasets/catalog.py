@@ -14,9 +14,9 @@
 from pathlib import Path
 from typing import NamedTuple
 
+from deepfsi.base.errors import InputError, check_known
 from deepfsi.datasets import cifar, idx, indian_pines
 from deepfsi.datasets.store import FileCheck
-from deepfsi.errors import InputError, check_known
 
 CIFAR = ("cifar10", "cifar10-jpeg")
 """Names whose files are CIFAR-10's."""

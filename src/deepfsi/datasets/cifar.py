@@ -13,12 +13,12 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from deepfsi.base.errors import InputError
 from deepfsi.datasets import pictures
 from deepfsi.datasets.arrays import Options
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.datasets.pictures import Picture
 from deepfsi.datasets.store import FileCheck, candidates, check_files, find_folder, whole_files
-from deepfsi.errors import InputError
 
 CLASSES = ("airplane", "automobile", "bird", "cat", "deer", "dog", "frog", "horse", "ship", "truck")
 """Names of the classes, in the order of the labels."""

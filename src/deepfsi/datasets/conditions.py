@@ -8,8 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from deepfsi.base.errors import InputError
 from deepfsi.datasets.dataset import Dataset, Reflectance
-from deepfsi.errors import InputError
 
 
 def ambient(data: Dataset, share: float) -> Dataset:

@@ -10,11 +10,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from deepfsi.base.arrays import read_array
+from deepfsi.base.errors import InputError
+from deepfsi.base.files import WINDOWS, open_regular, read_text
+from deepfsi.base.text_files import number_of
 from deepfsi.datasets.spectra import Mask, SpectralImage
-from deepfsi.errors import InputError
-from deepfsi.files import WINDOWS, open_regular, read_text
-from deepfsi.tables.array_files import read_array
-from deepfsi.tables.text_files import number_of
 
 SUFFIXES = (".mat", ".npy", ".hdr")
 """Ends of the names of files that hold cubes."""

@@ -9,10 +9,10 @@ from typing import IO, TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from deepfsi.base.errors import InputError
+from deepfsi.base.files import kind_of
 from deepfsi.datasets.deep_colours import deep_values, is_deep
 from deepfsi.datasets.values import Family, Levels, levels_of
-from deepfsi.errors import InputError
-from deepfsi.files import kind_of
 
 if TYPE_CHECKING:
     from PIL.Image import Image as PillowImage

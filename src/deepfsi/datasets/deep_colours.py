@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from deepfsi.base.errors import InputError
 from deepfsi.datasets.values import grey
-from deepfsi.errors import InputError
 
 BITS_TAG = 258
 """Tag of a TIFF file for the bits of each sample."""

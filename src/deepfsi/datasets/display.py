@@ -11,6 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from deepfsi.base.errors import InputError
+from deepfsi.base.files import new_folder, readable
 from deepfsi.datasets.dataset import Dataset, Reflectance
 from deepfsi.datasets.decoding import WRITTEN, Shape
 from deepfsi.datasets.picture_lists import is_image, list_labels
@@ -21,8 +23,6 @@ from deepfsi.datasets.pictures import (
     sized_text,
 )
 from deepfsi.datasets.values import Levels, reflectance
-from deepfsi.errors import InputError
-from deepfsi.files import new_folder, readable
 
 
 class Display(NamedTuple):

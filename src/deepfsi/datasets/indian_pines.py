@@ -21,10 +21,10 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from deepfsi.base.errors import InputError
 from deepfsi.datasets.cubes import read_cube
 from deepfsi.datasets.spectra import SpectralImage
 from deepfsi.datasets.store import FileCheck, candidates
-from deepfsi.errors import InputError
 
 NAME = "indian-pines"
 

@@ -7,6 +7,8 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from deepfsi.base.errors import InputError, closest
+from deepfsi.base.files import check_readable, content_of
 from deepfsi.datasets import cifar, idx, indian_pines, pictures
 from deepfsi.datasets.anomalies import one_class
 from deepfsi.datasets.arrays import Options, Range, load_npz, split_arrays
@@ -15,8 +17,6 @@ from deepfsi.datasets.cubes import SUFFIXES, read_cube
 from deepfsi.datasets.dataset import Dataset, Origin
 from deepfsi.datasets.display import Display, read_display
 from deepfsi.datasets.pictures import load_pictures
-from deepfsi.errors import InputError, closest
-from deepfsi.files import check_readable, content_of
 
 DIM_BLACK = (0.3, 1.0)
 """Reflectance of black and white in named images: black reflects, so that every pixel counts."""

@@ -9,9 +9,8 @@ from typing import TypeAlias
 
 import numpy as np
 
-from deepfsi.datasets.arrays import check_no_classes
-from deepfsi.errors import InputError
-from deepfsi.tables.text_files import (
+from deepfsi.base.errors import InputError
+from deepfsi.base.text_files import (
     LABEL_HEADS,
     WITHOUT_VALUE,
     Rows,
@@ -21,6 +20,7 @@ from deepfsi.tables.text_files import (
     read_rows,
     spelling,
 )
+from deepfsi.datasets.arrays import check_no_classes
 
 Label: TypeAlias = str | tuple[float, ...]
 """Class of an image, or its values."""

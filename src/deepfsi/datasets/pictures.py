@@ -20,6 +20,10 @@ from typing import IO, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from deepfsi.base.arrays import open_zip, read_entry
+from deepfsi.base.errors import InputError
+from deepfsi.base.files import check_unpacked, read_regular, readable
+from deepfsi.base.text_files import spelling
 from deepfsi.datasets.arrays import (
     Names,
     Options,
@@ -30,12 +34,6 @@ from deepfsi.datasets.dataset import Dataset
 from deepfsi.datasets.decoding import Shape, Tally, unread_kind
 from deepfsi.datasets.picture_lists import IMAGE_SUFFIXES, Label, is_image, list_labels, listed
 from deepfsi.datasets.values import reflectance
-from deepfsi.errors import InputError
-from deepfsi.files import check_unpacked, read_regular, readable
-from deepfsi.tables.text_files import (
-    spelling,
-)
-from deepfsi.tables.zip_files import open_zip, read_entry
 
 FORMATS = ("PNG", "JPEG", "BMP", "GIF", "PPM", "TIFF", "WEBP")
 """Formats that are decoded, by Pillow's names."""

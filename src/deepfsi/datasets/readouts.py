@@ -15,12 +15,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from deepfsi.base.arrays import VARIABLES, list_variables, read_npz, read_variable
+from deepfsi.base.errors import InputError, check_known
+from deepfsi.base.tables import TEXTS, read_table
+from deepfsi.base.text_files import spelling
 from deepfsi.datasets.arrays import SPLIT_MINIMUM, TEST_SHARE, assemble, check_seed
 from deepfsi.datasets.dataset import Dataset, Labels
-from deepfsi.errors import InputError, check_known
-from deepfsi.tables.array_files import VARIABLES, list_variables, read_npz, read_variable
-from deepfsi.tables.table_files import TEXTS, read_table
-from deepfsi.tables.text_files import spelling
 
 SPLITS = ("random", "later", "pictures")
 """Ways to divide the recordings for testing."""
@@ -231,7 +231,7 @@ def _read(path: Path, variables: Variables, alone: bool) -> _Block:
 
 
 def _of_table(path: Path, variables: Variables) -> _Block:
-    from deepfsi.tables.columns import as_table, read_parquet_columns, read_text_columns
+    from deepfsi.base.columns import as_table, read_parquet_columns, read_text_columns
 
     words = [each for each in (variables.label, variables.picture) if each]
     with as_table(path):

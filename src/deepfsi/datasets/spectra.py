@@ -13,9 +13,9 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from deepfsi.base.errors import InputError, check_known
 from deepfsi.datasets.arrays import TEST_SHARE, Range, assemble, check_seed
 from deepfsi.datasets.dataset import Dataset, Reflectance
-from deepfsi.errors import InputError, check_known
 
 Mask: TypeAlias = npt.NDArray[np.bool_]
 

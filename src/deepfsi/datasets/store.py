@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import urlsplit
 
-from deepfsi.errors import InputError
-from deepfsi.progress import Report, terminal_bar
+from deepfsi.base.errors import InputError
+from deepfsi.base.progress import Report, terminal_bar
 
 
 class FileCheck(NamedTuple):

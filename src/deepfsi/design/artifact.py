@@ -11,6 +11,9 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from deepfsi.base.errors import InputError, as_input_error
+from deepfsi.base.files import DESIGNS, check_ending, write_atomically
+from deepfsi.base.html import mask_picture
 from deepfsi.design import artifact_file, clicks, readings
 from deepfsi.design.consistency import Consistency, ReadoutDistribution
 from deepfsi.design.exposure.looks import Dwells, LooksExposure
@@ -21,9 +24,6 @@ from deepfsi.design.temperatures import Temperatures
 from deepfsi.design.training_data import TrainingScenes
 from deepfsi.design.values import Values
 from deepfsi.design.view_test import SceneModel
-from deepfsi.errors import InputError, as_input_error
-from deepfsi.files import DESIGNS, check_ending, write_atomically
-from deepfsi.inline import mask_picture
 from deepfsi.laws import Light
 from deepfsi.optics import constraints
 from deepfsi.optics.budget import check_budget

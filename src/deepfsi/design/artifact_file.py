@@ -12,6 +12,8 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validat
 from safetensors.torch import save as to_bytes
 from torch import Tensor, nn
 
+from deepfsi.base.errors import InputError
+from deepfsi.base.plugins import PATTERN
 from deepfsi.design.classifiers import Mlp, Vit, restored
 from deepfsi.design.consistency import ReadoutDistribution
 from deepfsi.design.exposure.conditioned import ConditionedExposure
@@ -24,8 +26,6 @@ from deepfsi.design.temperatures import Temperatures
 from deepfsi.design.training_data import TrainingScenes
 from deepfsi.design.values import Values
 from deepfsi.design.view_test import SceneModel
-from deepfsi.errors import InputError
-from deepfsi.imports import PATTERN
 from deepfsi.laws import MOST_LAYERS, Light, Readout, SummedReflectance, Widths
 from deepfsi.optics import constraints
 from deepfsi.optics.codes import check_design

@@ -21,9 +21,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from deepfsi.base.errors import InputError
 from deepfsi.datasets import Dataset
 from deepfsi.design.artifact import Design
-from deepfsi.errors import InputError
 from deepfsi.optics.budget import check_budget
 from deepfsi.optics.scanner import Scanner
 from deepfsi.optics.surroundings import library_defaults

@@ -8,12 +8,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from deepfsi.base.intervals import Z, over_images
+from deepfsi.base.progress import Report
 from deepfsi.datasets import Dataset
 from deepfsi.design.artifact import Design
 from deepfsi.design.bounds import linear_bound
 from deepfsi.optics.scanner import Scanner
-from deepfsi.progress import Report
-from deepfsi.statistics.intervals import Z, over_images
 
 CHUNK = 1024
 """Scenes that are exposed at once."""

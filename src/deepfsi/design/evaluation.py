@@ -11,23 +11,22 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from deepfsi.base.errors import InputError
+from deepfsi.base.html import accuracy_curve, confusion_table
+from deepfsi.base.intervals import accuracy as accuracy_of
+from deepfsi.base.intervals import auc, auc_terms, balanced, worst_of
+from deepfsi.base.progress import Report, shown
 from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.design.confidence import confidence_error
 from deepfsi.design.estimation import test_values
 from deepfsi.design.training_data import TrainingScenes, new_scenes
 from deepfsi.design.values import Values
-from deepfsi.errors import InputError
-from deepfsi.inline import accuracy_curve, confusion_table
 from deepfsi.laws import Noise
 from deepfsi.optics.budget import check_budget
 from deepfsi.optics.camera import Camera, CameraSource
 from deepfsi.optics.scanner import Scanner
 from deepfsi.optics.surroundings import library_defaults
-from deepfsi.progress import Report, shown
-from deepfsi.statistics.intervals import accuracy as accuracy_of
-from deepfsi.statistics.intervals import balanced, worst_of
-from deepfsi.statistics.roc import auc, auc_terms
 
 MOST_DRAWS = 10_000
 """Noise draws of each scene in one test: enough for any interval, and an end in sight."""

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 from pydantic import AfterValidator
 
-from deepfsi.errors import InputError, other_version
+from deepfsi.base.arrays import DamagedError, read_tensors
+from deepfsi.base.errors import InputError, other_version
 from deepfsi.optics.codes import DESIGNS
-from deepfsi.tables.tensor_files import DamagedError, read_tensors
 
 if TYPE_CHECKING:
     from deepfsi.design.values import Values

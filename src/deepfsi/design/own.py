@@ -16,8 +16,8 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from deepfsi import imports
-from deepfsi.errors import InputError
+from deepfsi.base import plugins as imports
+from deepfsi.base.errors import InputError
 
 Factory = Callable[..., nn.Module]
 """Makes a module of the number of features and, if it takes two numbers, that of classes."""

@@ -16,6 +16,8 @@ from typing import Any
 
 import numpy as np
 
+from deepfsi.base.errors import InputError
+from deepfsi.base.progress import SILENT, Report
 from deepfsi.datasets import Dataset
 from deepfsi.design.adaptive.design import AdaptiveDesign, AnyDesign
 from deepfsi.design.adaptive.posterior import LookOptics
@@ -29,10 +31,8 @@ from deepfsi.design.readouts import check_masks
 from deepfsi.design.stopping import rule_of, stop
 from deepfsi.design.temperatures import Temperatures
 from deepfsi.design.training_data import new_scenes, trained_budgets, trained_on
-from deepfsi.errors import InputError
 from deepfsi.optics import constraints
 from deepfsi.optics.surroundings import library_defaults
-from deepfsi.progress import SILENT, Report
 
 BUDGETS = tuple(float(f"{10**power:.3g}") for power in np.arange(1, 7.1, 0.5))
 """Budgets at which the accuracy is measured, the whole range of the page's slider."""

@@ -16,9 +16,9 @@ from urllib.request import url2pathname
 
 from pydantic import Field
 
-from deepfsi.errors import InputError, as_input_error, closest
-from deepfsi.files import hash_file, read_text
-from deepfsi.frozen import Frozen
+from deepfsi.base.errors import InputError, as_input_error, closest
+from deepfsi.base.files import hash_file, read_text
+from deepfsi.base.models import StrictModel
 
 VARIABLE = "DEEPFSI_DESIGNS"
 """Environment variable: folder or address of a collection."""
@@ -41,7 +41,7 @@ Words = Annotated[str, Field(max_length=200, pattern="^[^\x00-\x1f\x7f-\x9f]*$")
 Share = Annotated[float, Field(ge=0, le=1)]
 
 
-class Published(Frozen):
+class Published(StrictModel):
     """A published design, as an index tells it.
 
     Attributes
@@ -70,7 +70,7 @@ class Published(Frozen):
     recipe: Hash
 
 
-class Index(Frozen):
+class Index(StrictModel):
     """Index of a collection, the file `designs.json`.
 
     Attributes

@@ -18,6 +18,8 @@ from numpy.typing import ArrayLike
 from pydantic import TypeAdapter
 from scipy.special import log_softmax
 
+from deepfsi.base.errors import InputError, as_input_error
+from deepfsi.base.intervals import accuracy
 from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.adaptive.design import AdaptiveDesign, AnyDesign
 from deepfsi.design.artifact import Design
@@ -31,10 +33,8 @@ from deepfsi.design.evaluation import check_data, check_draws, covered
 from deepfsi.design.exposure.looks import LooksExposure
 from deepfsi.design.file_content import check_classes
 from deepfsi.design.training_data import new_scenes, trained_on
-from deepfsi.errors import InputError, as_input_error
 from deepfsi.optics.budget import check_budget
 from deepfsi.optics.surroundings import library_defaults
-from deepfsi.statistics.intervals import accuracy
 
 THRESHOLDS = 1 - np.geomspace(0.5, 1e-7, 135)
 """Confidences that are tried, and 1, which none is above."""

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
+from deepfsi.base.errors import as_input_error
 from deepfsi.datasets import Dataset, Origin
-from deepfsi.errors import as_input_error
 
 if TYPE_CHECKING:
     from deepfsi.design.adaptive.design import AnyDesign

@@ -7,13 +7,14 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from deepfsi.base.arrays import LARGEST_TENSORS
+from deepfsi.base.errors import as_input_error
+from deepfsi.base.files import read_regular
 from deepfsi.design.adaptive.choice import next_masks
 from deepfsi.design.adaptive.design import AdaptiveDesign
 from deepfsi.design.adaptive.misfit import squared_distance
 from deepfsi.design.adaptive.posterior import AdaptivePosterior, LookOptics
 from deepfsi.design.consistency import UNSURE
-from deepfsi.errors import as_input_error
-from deepfsi.files import read_regular
 from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.patterns.folder import DesignRails
 from deepfsi.hardware.patterns.looks import Looks
@@ -23,7 +24,6 @@ from deepfsi.hardware.recording.live_settings import StopRule
 from deepfsi.laboratory.live.looks import AllOn, Conditions, FrameList, Likeness
 from deepfsi.optics.detectors import detector_map
 from deepfsi.optics.surroundings import library_defaults
-from deepfsi.tables.tensor_files import LARGEST
 
 DECISION_S, DECISION_A_SCENE_S = 4e-3, 1.35e-7
 """Usual time of a decision, seconds, and what each scene of the prior adds.
@@ -103,7 +103,8 @@ class AdaptiveExposure:
 @library_defaults()
 def adaptive_rails(path: str | os.PathLike[str]) -> DesignRails:
     """Mask of the first look of a design file, at the budget of its training, as rails."""
-    design, file = AdaptiveDesign.load(path), read_regular(Path(path), LARGEST, "give a design")
+    design = AdaptiveDesign.load(path)
+    file = read_regular(Path(path), LARGEST_TENSORS, "give a design")
     camera, share = design.camera, design.settings.shares[0]
     optics = LookOptics.of(camera, design.image_shape, float(design.info["job"]["photons"]))
     state = AdaptivePosterior(design.prior, 1, optics)

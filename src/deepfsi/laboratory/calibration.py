@@ -4,9 +4,10 @@ from pathlib import Path
 
 import numpy as np
 
+from deepfsi.base.errors import InputError
+from deepfsi.base.progress import SILENT, Report
 from deepfsi.datasets import read_display, write_pictures
 from deepfsi.design.view_test import Rows
-from deepfsi.errors import InputError
 from deepfsi.hardware.calibration.detectors import find_detectors, find_gains, save_detectors
 from deepfsi.hardware.calibration.fit import BLACK, WHITE, calibrate_run, spot_scenes
 from deepfsi.hardware.calibration.reference import (
@@ -22,7 +23,6 @@ from deepfsi.hardware.recording.counts import Counts, check_photons, read_counts
 from deepfsi.hardware.recording.picture import reconstruct
 from deepfsi.laboratory.live.known import read_looks
 from deepfsi.laboratory.live.replay import is_live, read_live_counts, replay_run
-from deepfsi.progress import SILENT, Report
 
 
 def write_spots(folder: Path, shape: tuple[int, int] = (32, 32), side: int = 2) -> list[Path]:

@@ -9,13 +9,13 @@ from collections.abc import Container
 from pathlib import Path
 from typing import Any
 
+from deepfsi.base.arrays import DamagedError, read_tensors
+from deepfsi.base.errors import InputError, as_input_error
 from deepfsi.devices import Device
-from deepfsi.errors import InputError, as_input_error
 from deepfsi.hardware.patterns.folder import DESIGN, DesignRails
 from deepfsi.hardware.recording.dead_time import DeadTime
 from deepfsi.hardware.virtual.camera import VirtualCamera
 from deepfsi.optics.camera import Camera
-from deepfsi.tables.tensor_files import DamagedError, read_tensors
 
 SLACK = 1.01
 """Time of pictures over what the gates of an exposure take: pictures are of whole microseconds."""

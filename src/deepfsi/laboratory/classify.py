@@ -13,12 +13,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from deepfsi.base.errors import InputError
+from deepfsi.base.files import hash_file
+from deepfsi.base.plugins import torch_needed
+from deepfsi.base.tables import read_table
 from deepfsi.design.file_content import check_classes
 from deepfsi.design.readouts import READOUTS, classify_readouts
 from deepfsi.design.training_data import scene_hashes, was_trained_on
 from deepfsi.design.view_test import Rows, ViewResult, ViewTest
-from deepfsi.errors import InputError
-from deepfsi.files import hash_file
 from deepfsi.hardware.patterns.folder import DESIGN, read_patterns
 from deepfsi.hardware.patterns.nominal import nominal_manifest
 from deepfsi.hardware.patterns.sequence import Manifest, Patterns
@@ -27,7 +29,6 @@ from deepfsi.hardware.recording.clicks import check_budget_of_clicks
 from deepfsi.hardware.recording.counts import Counts, load_counts
 from deepfsi.hardware.recording.dead_time import NO_DEAD_TIME
 from deepfsi.hardware.recording.tables import LABEL, SCENE, WORDS, TableSettings, count_table
-from deepfsi.imports import torch_needed
 from deepfsi.laboratory.camera import camera_of, dead_time_of
 from deepfsi.laboratory.light import dim_scenes
 from deepfsi.laboratory.live.known import read_looks
@@ -39,7 +40,6 @@ from deepfsi.laboratory.live.replay import (
 )
 from deepfsi.laboratory.results import ClassifiedRun, ClassifiedScene, ReplayedRun
 from deepfsi.optics.budget import check_budget
-from deepfsi.tables.table_files import read_table
 
 if TYPE_CHECKING:  # they import torch, which a live run does without
     from deepfsi.design.artifact import Design

@@ -8,11 +8,11 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from deepfsi.base.arrays import DamagedError, read_tensors
+from deepfsi.base.errors import InputError
 from deepfsi.datasets import Dataset, Origin, absolute, load_dataset, takes
 from deepfsi.design.training_data import TrainedOn, new_scenes, trained_on
-from deepfsi.errors import InputError
 from deepfsi.hardware.calibration.view import view_from
-from deepfsi.tables.tensor_files import DamagedError, read_tensors
 
 if TYPE_CHECKING:
     from deepfsi.design.evaluation import Tested

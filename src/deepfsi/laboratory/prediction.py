@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 import torch
 
+from deepfsi.base.errors import InputError
 from deepfsi.design.artifact import Design
 from deepfsi.design.clicks import full_gates
 from deepfsi.design.evaluation import camera_for, check_draws, scanner_for
 from deepfsi.design.file_content import check_classes
 from deepfsi.design.training_data import scene_hashes, trained_budgets, was_trained_on
-from deepfsi.errors import InputError
 from deepfsi.laboratory.light import dim_scenes
 from deepfsi.laboratory.scenes import design_scenes
 from deepfsi.laboratory.score import Score

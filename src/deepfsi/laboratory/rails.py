@@ -10,6 +10,11 @@ from pathlib import Path
 import numpy as np
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
+from deepfsi.base.arrays import LARGEST_TENSORS
+from deepfsi.base.errors import InputError, as_input_error
+from deepfsi.base.files import read_regular
+from deepfsi.base.plugins import torch_needed
+from deepfsi.base.progress import SILENT, Report
 from deepfsi.design.exposure import LARGEST_SCORE
 from deepfsi.design.exposure.transits import STATIC
 from deepfsi.design.file_content import (
@@ -21,19 +26,14 @@ from deepfsi.design.file_content import (
 )
 from deepfsi.design.readouts import check_masks
 from deepfsi.devices import find_device
-from deepfsi.errors import InputError, as_input_error
-from deepfsi.files import read_regular
 from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.sequence import Brightness, FrameSettings
 from deepfsi.hardware.recording.live_settings import StopRule
-from deepfsi.imports import torch_needed
 from deepfsi.laboratory.live.loop import Loop, LoopHeader, loop_from
 from deepfsi.laws import Light, Readout
 from deepfsi.optics.codes import EVERY_PIXEL
 from deepfsi.optics.detectors import detector_map
-from deepfsi.progress import SILENT, Report
-from deepfsi.tables.tensor_files import LARGEST
 
 
 class _Kind(BaseModel):
@@ -169,7 +169,7 @@ def design_rails(file: str | os.PathLike[str]) -> DesignRails:
         header.light,
         header.image_shape,
         header.summed_reflectance,
-        read_regular(path, LARGEST, "give a design file"),
+        read_regular(path, LARGEST_TENSORS, "give a design file"),
         brightness,
         detectors,
         header.readout,

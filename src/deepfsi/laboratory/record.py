@@ -12,8 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from deepfsi import interrupts, progress
-from deepfsi.errors import InputError
+from deepfsi.base import interrupts, progress
+from deepfsi.base.errors import InputError
+from deepfsi.base.progress import Report
 from deepfsi.hardware.drivers.protocols import PassProjector, StreamingCounter
 from deepfsi.hardware.patterns.folder import read_patterns
 from deepfsi.hardware.patterns.sequence import Manifest
@@ -29,7 +30,6 @@ from deepfsi.hardware.recording.live_settings import margin_ns
 from deepfsi.hardware.recording.streaming import FrameGates
 from deepfsi.hardware.recording.tails import excess_chance
 from deepfsi.laboratory.live.run import PATIENCE_S, Bench
-from deepfsi.progress import Report
 
 
 @dataclass(frozen=True)

@@ -7,11 +7,11 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
+from deepfsi.base.errors import InputError
 from deepfsi.datasets import prepared, read_display
 from deepfsi.datasets.display import Display
 from deepfsi.design.file_content import Info, damaged, read_content
 from deepfsi.design.training_data import scene_hashes, trained_on
-from deepfsi.errors import InputError
 from deepfsi.hardware.calibration.view import camera_view
 from deepfsi.hardware.patterns.folder import DESIGN, read_patterns
 from deepfsi.hardware.recording.acquisition import Scene

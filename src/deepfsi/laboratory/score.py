@@ -4,8 +4,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
+from deepfsi.base.intervals import wilson
 from deepfsi.design.training_data import NO_MEASURE
-from deepfsi.statistics.intervals import wilson
 
 
 @dataclass(frozen=True)

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
+from deepfsi.base.errors import InputError
+from deepfsi.base.files import check_ending, write_atomically
 from deepfsi.design.file_content import damaged
-from deepfsi.errors import InputError
-from deepfsi.files import check_ending, write_atomically
 from deepfsi.hardware.patterns.photomask import as_png, as_svg
 from deepfsi.laboratory.rails import ShownDesign
 

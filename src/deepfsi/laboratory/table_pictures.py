@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 from scipy.special import gammaincinv
 
-from deepfsi.errors import InputError
+from deepfsi.base.arrays import split_variable
+from deepfsi.base.errors import InputError
+from deepfsi.base.tables import read_table
 from deepfsi.hardware.recording.picture import (
     coarse_light,
     solve_masks,
@@ -26,8 +28,6 @@ from deepfsi.hardware.recording.rail_sums import (
 from deepfsi.hardware.recording.rail_tables import split_rails
 from deepfsi.optics.codes import FORMULAS, formula_masks
 from deepfsi.optics.mask_files import read_matrix
-from deepfsi.tables.array_files import split_variable
-from deepfsi.tables.table_files import read_table
 
 MEDIAN_OF_NORMAL = 0.6745
 """Median of the size of a standard normal number."""

@@ -9,10 +9,12 @@ from typing import Any
 import numpy as np
 import torch
 
+from deepfsi.base.errors import InputError
+from deepfsi.base.progress import SILENT, Report
+from deepfsi.base.quantities import time_text
 from deepfsi.design.artifact import Design
 from deepfsi.design.exposure.passing import PassingExposure
 from deepfsi.design.file_content import check_classes
-from deepfsi.errors import InputError
 from deepfsi.hardware.ptu.reader import read_photons
 from deepfsi.hardware.recording.transits import (
     FINE,
@@ -26,8 +28,6 @@ from deepfsi.hardware.recording.transits import (
 from deepfsi.hardware.virtual.transits import write_transits
 from deepfsi.optics.budget import check_budget
 from deepfsi.optics.surroundings import library_defaults
-from deepfsi.progress import SILENT, Report
-from deepfsi.quantities import time_text
 
 FALSE_ALARMS = 0.01
 """Expected false alarms of a record unless another number is asked for."""

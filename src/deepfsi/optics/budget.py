@@ -11,7 +11,7 @@ with x the reflectance in [0, 1] and λ the expected photons of each pixel.
 import math
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from deepfsi.errors import InputError
+from deepfsi.base.errors import InputError
 
 if TYPE_CHECKING:
     import numpy as np

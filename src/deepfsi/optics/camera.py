@@ -21,15 +21,14 @@ from pydantic import (
     field_validator,
 )
 
+from deepfsi.base.errors import InputError, as_input_error, check_known, closest
+from deepfsi.base.files import read_toml
+from deepfsi.base.models import UserModel
+from deepfsi.base.quantities import Seconds, count_text, time_text
 from deepfsi.devices import Device, find_device
-from deepfsi.errors import InputError, as_input_error, check_known, closest
-from deepfsi.files import read_toml
-from deepfsi.frozen import Settings
 from deepfsi.grid import Layout, Region, find_grid
 from deepfsi.laws import Light, RailsKind, Readout
 from deepfsi.optics.noise_names import Noise, noise_name
-from deepfsi.quantities import count_text, time_text
-from deepfsi.units import Seconds
 
 if TYPE_CHECKING:
     from deepfsi.optics.detection import Detection
@@ -89,7 +88,7 @@ def _device(given: Any) -> Any:
         return Device.model_validate({"name": path.stem, **read_toml(path)})
 
 
-class Camera(Settings):
+class Camera(UserModel):
     """A single-pixel camera, in the units of a laboratory.
 
     Fields that are left out follow from the others: rails and readout from the light law, the

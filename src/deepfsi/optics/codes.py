@@ -12,8 +12,8 @@ from functools import lru_cache
 import numpy as np
 import scipy.linalg
 
+from deepfsi.base.errors import InputError, check_known
 from deepfsi.datasets import Dataset
-from deepfsi.errors import InputError, check_known
 
 FULL_BASIS_PIXELS = 2048
 """Pixels up to which all principal components are computed at once, which takes their cube; of

@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepfsi.errors import InputError, check_known
+from deepfsi.base.errors import InputError, check_known
 from deepfsi.laws import Light, RailsKind
 from deepfsi.optics.rails import Rails
 

@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from deepfsi.errors import check_known
+from deepfsi.base.errors import check_known
 from deepfsi.laws import Readout
 from deepfsi.optics.detectors import Detectors, detector_map
 from deepfsi.optics.rails import Rails

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from deepfsi.errors import InputError
-from deepfsi.tables.array_files import read_npy
+from deepfsi.base.arrays import read_npy
+from deepfsi.base.errors import InputError
 
 Detectors = str | Sequence[int] | np.ndarray
 """ROWSxCOLUMNS, bands of a spectrum as one number, or the detector of each pixel."""

@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from deepfsi.errors import InputError
+from deepfsi.base.errors import InputError
 from deepfsi.laws import Light
 from deepfsi.optics.constraints import peak
 

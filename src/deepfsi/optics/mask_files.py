@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
+from deepfsi.base.arrays import read_array, split_variable
+from deepfsi.base.errors import InputError
+from deepfsi.base.files import check_unpacked, open_regular
 from deepfsi.datasets.decoding import check_levels, unread_kind
 from deepfsi.datasets.deep_colours import is_deep
-from deepfsi.errors import InputError
-from deepfsi.files import check_unpacked, open_regular
-from deepfsi.tables.array_files import read_array, split_variable
 
 IMAGES = (".png", ".tif", ".tiff", ".bmp", ".pgm", ".gif")
 """Ends of the names of image files that lose nothing."""

@@ -5,7 +5,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from deepfsi.errors import InputError
+from deepfsi.base.errors import InputError
 from deepfsi.laws import Light, RailsKind
 from deepfsi.optics.constraints import check_light, peak
 from deepfsi.optics.dwells import share_out

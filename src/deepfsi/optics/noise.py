@@ -30,8 +30,8 @@ from typing import Any, get_args
 import torch
 from torch import Tensor
 
-from deepfsi import imports
-from deepfsi.errors import InputError, check_known
+from deepfsi.base import plugins as imports
+from deepfsi.base.errors import InputError, check_known
 from deepfsi.laws import Noise, check_noise
 
 OwnNoise = Callable[[Tensor, torch.Generator | None], Tensor]

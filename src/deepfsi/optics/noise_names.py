@@ -4,7 +4,7 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, PlainSerializer, WithJsonSchema
 
-from deepfsi.imports import UNNAMED
+from deepfsi.base.plugins import UNNAMED
 from deepfsi.laws import check_noise
 
 NOISES = {"poisson": "photon noise", "gaussian": "Gaussian read noise", "camera": "camera noise"}

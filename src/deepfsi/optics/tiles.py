@@ -9,8 +9,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from deepfsi.base.errors import InputError
 from deepfsi.datasets import Dataset
-from deepfsi.errors import InputError
 from deepfsi.optics import codes
 from deepfsi.optics.detection import ONE, Detection
 

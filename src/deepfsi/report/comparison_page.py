@@ -11,9 +11,11 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from deepfsi.errors import InputError
-from deepfsi.files import write_atomically
-from deepfsi.inline import confusion_table
+from deepfsi.base.arrays import DamagedError, read_tensors
+from deepfsi.base.errors import InputError
+from deepfsi.base.files import write_atomically
+from deepfsi.base.html import confusion_table
+from deepfsi.base.intervals import difference
 from deepfsi.optics.codes import ADAPTIVE
 from deepfsi.optics.noise_names import noise_text
 from deepfsi.report import accuracy
@@ -24,9 +26,7 @@ from deepfsi.report.rendering import capital, flat, render, share_text
 from deepfsi.report.style import photons_text
 from deepfsi.report.terms import DESIGNS, ONE_DETECTOR, lit_text
 from deepfsi.report.verdict import Verdict, better, ranking, verdict_of
-from deepfsi.statistics.differences import difference
 from deepfsi.sweeps.results import Data, Point, Results, read_results
-from deepfsi.tables.tensor_files import DamagedError, read_tensors
 
 MASKS_SHOWN = 12
 """Masks of a design that the page shows at most."""

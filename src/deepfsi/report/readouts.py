@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 from matplotlib.figure import Figure
 
+from deepfsi.base.intervals import Interval
 from deepfsi.report.style import COLOURS, GRID, MUTED, PAGE_WIDTH, styled
-from deepfsi.statistics.intervals import Interval
 
 Row = tuple[str, Interval | None, Interval | None]
 """What was tested on, and the accuracies of the network and of kernel ridge there."""

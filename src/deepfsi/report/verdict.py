@@ -3,14 +3,13 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from deepfsi.base.intervals import Crossing, crossing, difference
 from deepfsi.optics.codes import DESIGNS
 from deepfsi.optics.noise_names import noise_text
 from deepfsi.report import accuracy
 from deepfsi.report.measures import WORDS
 from deepfsi.report.rendering import capital, share_text
 from deepfsi.report.style import photons_text
-from deepfsi.statistics.crossings import Crossing, crossing
-from deepfsi.statistics.differences import difference
 from deepfsi.sweeps.results import Point, Results
 
 SUBJECTS = {"deepfsi": "learned masks (DeepFSI)", "adaptive": "adaptive masks"}

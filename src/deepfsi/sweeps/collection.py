@@ -14,15 +14,15 @@ from typing import Any, NamedTuple
 
 from pydantic import Field, model_validator
 
-from deepfsi import interrupts
+from deepfsi.base import interrupts
+from deepfsi.base.errors import InputError, as_input_error, check_known
+from deepfsi.base.files import hash_file, read_toml, write_atomically
+from deepfsi.base.models import StrictModel
+from deepfsi.base.progress import Report
 from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.design.evaluation import Result, evaluate
 from deepfsi.design.file_content import check_classes
 from deepfsi.design.published import INDEX, Index, Name, Published, Words
-from deepfsi.errors import InputError, as_input_error, check_known
-from deepfsi.files import hash_file, read_toml, write_atomically
-from deepfsi.frozen import Frozen
-from deepfsi.progress import Report
 from deepfsi.sweeps.cards import card
 from deepfsi.training.job import REVISION, Job, find_job, sorted_settings
 from deepfsi.training.learning import learn
@@ -31,7 +31,7 @@ TRAINING_SHARE = 0.7
 """Share of the progress that the training of a design takes; the rest is its test."""
 
 
-class DataTerms(Frozen):
+class DataTerms(StrictModel):
     """Whose data a design was trained on.
 
     Attributes
@@ -46,7 +46,7 @@ class DataTerms(Frozen):
     licence: str
 
 
-class DesignRecipe(Frozen):
+class DesignRecipe(StrictModel):
     """A published design before it is made.
 
     Attributes
@@ -91,7 +91,7 @@ class DesignRecipe(Frozen):
         return data
 
 
-class Collection(Frozen):
+class Collection(StrictModel):
     """Designs to be made, and whose data they are trained on: a list in a TOML file.
 
     Attributes

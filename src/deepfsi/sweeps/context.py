@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 import torch
 
+from deepfsi.base.errors import InputError
+from deepfsi.base.progress import SILENT, Report
 from deepfsi.datasets import Dataset
 from deepfsi.design.adaptive.design import AnyDesign
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import camera_for, evaluate
 from deepfsi.design.own import OwnClassifier
-from deepfsi.errors import InputError
-from deepfsi.progress import SILENT, Report
 from deepfsi.sweeps.results import SCHEMA
 from deepfsi.sweeps.summary import terms_of
 from deepfsi.sweeps.trial import Trial

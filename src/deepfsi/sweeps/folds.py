@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from deepfsi.base.intervals import pack, unpack
 from deepfsi.datasets import Dataset
-from deepfsi.statistics.terms import pack, unpack
 
 Record = Mapping[str, Any]
 

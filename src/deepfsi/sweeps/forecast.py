@@ -11,9 +11,9 @@ import numpy as np
 import psutil
 import torch
 
+from deepfsi.base.progress import SILENT, Moments, Report
 from deepfsi.datasets import Dataset
 from deepfsi.design.evaluation import evaluate
-from deepfsi.progress import SILENT, Moments, Report
 from deepfsi.sweeps.context import Batch, SweepContext
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.records import Records

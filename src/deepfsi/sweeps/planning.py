@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
+from deepfsi.base.errors import InputError
+from deepfsi.base.intervals import crossing
+from deepfsi.base.progress import SILENT, Report
 from deepfsi.datasets import Dataset
-from deepfsi.errors import InputError
-from deepfsi.progress import SILENT, Report
-from deepfsi.statistics.crossings import crossing
 from deepfsi.sweeps.context import SweepContext
 from deepfsi.sweeps.queue import run_trials
 from deepfsi.sweeps.recipe import Recipe

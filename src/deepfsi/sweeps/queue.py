@@ -11,8 +11,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from deepfsi.errors import InputError
-from deepfsi.progress import SILENT, Report
+from deepfsi.base.errors import InputError
+from deepfsi.base.progress import SILENT, Report
 from deepfsi.sweeps.context import Batch, Done, SweepContext
 from deepfsi.sweeps.records import Records
 from deepfsi.sweeps.trial import Trial

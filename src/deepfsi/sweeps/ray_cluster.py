@@ -9,8 +9,8 @@ from contextlib import contextmanager
 from itertools import islice
 from typing import Any, TypeVar
 
-from deepfsi.errors import InputError
-from deepfsi.interrupts import handlers_kept
+from deepfsi.base.errors import InputError
+from deepfsi.base.interrupts import handlers_kept
 
 Shared = TypeVar("Shared")
 Task = TypeVar("Task")

@@ -14,10 +14,10 @@ from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
+from deepfsi.base.errors import InputError, as_input_error, closest
 from deepfsi.datasets import Dataset
 from deepfsi.design.evaluation import MOST_DRAWS
 from deepfsi.design.exposure import Exposure, find_exposure
-from deepfsi.errors import InputError, as_input_error, closest
 from deepfsi.laws import MLP, check_noise
 from deepfsi.optics import codes, tiles
 from deepfsi.optics.budget import BUDGETS

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
+from deepfsi.base.errors import InputError, faults
 from deepfsi.datasets import Dataset
-from deepfsi.errors import InputError, faults
 from deepfsi.sweeps.recipe import RATIOS_OR_MASKS, Recipe, Settings, axis
 from deepfsi.sweeps.trial import count_trials, mask_faults, trial_faults
 

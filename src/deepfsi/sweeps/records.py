@@ -25,19 +25,19 @@ from typing import Any
 
 from pydantic import BaseModel, Field, FiniteFloat
 
-from deepfsi import interrupts
-from deepfsi.design.adaptive.design import AnyDesign, load_design
-from deepfsi.design.estimation import Estimates
-from deepfsi.design.evaluation import Result
-from deepfsi.errors import InputError
-from deepfsi.files import (
+from deepfsi.base import interrupts
+from deepfsi.base.errors import InputError
+from deepfsi.base.files import (
     check_ending,
     new_folder,
     read_regular,
     remove_drafts,
     write_atomically,
 )
-from deepfsi.sweeps.locks import Locks, inside
+from deepfsi.base.locks import Locks, inside
+from deepfsi.design.adaptive.design import AnyDesign, load_design
+from deepfsi.design.estimation import Estimates
+from deepfsi.design.evaluation import Result
 from deepfsi.sweeps.results import SCHEMA, Packed
 from deepfsi.sweeps.trial import Trial
 

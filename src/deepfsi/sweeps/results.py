@@ -7,11 +7,11 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat, model_validator
 
+from deepfsi.base.errors import as_input_error
+from deepfsi.base.files import read_text, write_atomically
+from deepfsi.base.intervals import unpack
 from deepfsi.datasets.dataset import Measure
-from deepfsi.errors import as_input_error
-from deepfsi.files import read_text, write_atomically
 from deepfsi.optics.codes import EVERY_PIXEL
-from deepfsi.statistics.terms import unpack
 
 SCHEMA = 5
 """Schema of results and of records, the only one; tests of records of another are run anew."""

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from deepfsi.base.errors import InputError
+from deepfsi.base.progress import SILENT, Report
 from deepfsi.datasets import Dataset
-from deepfsi.errors import InputError
 from deepfsi.optics.surroundings import library_defaults
-from deepfsi.progress import SILENT, Report
 from deepfsi.sweeps.context import SweepContext
 from deepfsi.sweeps.folds import pooled, together
 from deepfsi.sweeps.queue import run_trials

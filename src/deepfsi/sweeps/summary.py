@@ -10,6 +10,17 @@ from typing import Any
 
 import numpy as np
 
+from deepfsi.base.intervals import (
+    Interval,
+    accuracy,
+    auc,
+    balanced,
+    over_images,
+    pack,
+    student,
+    unpack,
+    worst_of,
+)
 from deepfsi.datasets import Dataset
 from deepfsi.datasets.dataset import Measure
 from deepfsi.design.estimation import Estimates
@@ -19,16 +30,6 @@ from deepfsi.design.training_data import TrainingScenes, new_scenes
 from deepfsi.optics import codes
 from deepfsi.optics.detection import Detection
 from deepfsi.optics.noise_names import noise_text
-from deepfsi.statistics.intervals import (
-    Interval,
-    accuracy,
-    balanced,
-    over_images,
-    student,
-    worst_of,
-)
-from deepfsi.statistics.roc import auc
-from deepfsi.statistics.terms import pack, unpack
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.results import SCHEMA, Data, Point, Provenance, Results
 

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
+from deepfsi.base.errors import InputError
+from deepfsi.base.plugins import source_hash
 from deepfsi.datasets import Dataset
 from deepfsi.design.exposure import Exposure
-from deepfsi.errors import InputError
-from deepfsi.imports import source_hash
 from deepfsi.laws import LOOK_LIGHT
 from deepfsi.optics import codes
 from deepfsi.optics.camera import Camera

@@ -16,9 +16,9 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from deepfsi.errors import InputError
-from deepfsi.interrupts import held_back, kept
-from deepfsi.progress import SILENT, Report
+from deepfsi.base.errors import InputError
+from deepfsi.base.interrupts import held_back, kept
+from deepfsi.base.progress import SILENT, Report
 
 Task = TypeVar("Task")
 Shared = TypeVar("Shared")

@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from deepfsi.base.progress import SILENT, Report
 from deepfsi.datasets import Dataset
 from deepfsi.design.adaptive.design import AdaptiveDesign
 from deepfsi.design.adaptive.exposures import AdaptiveMasks, prior_of
@@ -22,7 +23,6 @@ from deepfsi.design.adaptive.posterior import LookOptics
 from deepfsi.design.adaptive.prior import ScenePrior
 from deepfsi.design.confidence import CalibrationScenes, Exposed
 from deepfsi.design.temperatures import REACH, Temperatures
-from deepfsi.progress import SILENT, Report
 from deepfsi.training.folds import DOUBT, calibrated, folds_of
 from deepfsi.training.info import provenance
 from deepfsi.training.job import Job

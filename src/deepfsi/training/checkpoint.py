@@ -21,11 +21,11 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 from safetensors.numpy import save as to_bytes
 from torch import Tensor, nn
 
-from deepfsi import interrupts
-from deepfsi.errors import InputError
-from deepfsi.files import write_atomically
-from deepfsi.imports import UNNAMED, source_hash
-from deepfsi.tables.tensor_files import DamagedError, read_tensors
+from deepfsi.base import interrupts
+from deepfsi.base.arrays import DamagedError, read_tensors
+from deepfsi.base.errors import InputError
+from deepfsi.base.files import write_atomically
+from deepfsi.base.plugins import UNNAMED, source_hash
 from deepfsi.training.draws import SeedStream
 from deepfsi.training.few_counts import CountsCost
 from deepfsi.training.job import REVISION, Job

@@ -8,8 +8,8 @@ then at the one that its own shares ask for, until these are the same.
 
 from collections.abc import Callable
 
+from deepfsi.base.progress import Report
 from deepfsi.design.adaptive.design import AnyDesign
-from deepfsi.progress import Report
 
 NEAR = 0.02
 """Relative difference between the counts asked for and those in the mean that is taken for none."""

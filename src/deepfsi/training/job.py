@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
+from deepfsi.base.errors import InputError, closest
+from deepfsi.base.models import UserModel
 from deepfsi.design.exposure import (
     KINDS,
     AnyExposure,
@@ -19,8 +21,6 @@ from deepfsi.design.exposure import (
     Patches,
     find_exposure,
 )
-from deepfsi.errors import InputError, closest
-from deepfsi.frozen import Settings
 from deepfsi.laws import MLP, VIT, Scale, Widths
 from deepfsi.optics.budget import BUDGETS, check_budget, check_one_budget
 from deepfsi.optics.camera import Camera
@@ -74,7 +74,7 @@ def _widths(given: Any) -> Any:
     return [part for part in given.split(",") if part] if isinstance(given, str) else given
 
 
-class Training(Settings):
+class Training(UserModel):
     """Settings of a training: its steps, its network, its precision and its start.
 
     Examples
@@ -186,7 +186,7 @@ FEW_COUNTS: dict[str, Any] = {"start": "random"}
 """Settings of a training for few counts, where none are given."""
 
 
-class Job(Settings):
+class Job(UserModel):
     """One design to be trained.
 
     Settings of the training that are not given are those tuned for the design and its exposure.

@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 import torch
 
+from deepfsi.base.errors import InputError
+from deepfsi.base.progress import SILENT, Report, shown
 from deepfsi.datasets import Source, as_dataset
 from deepfsi.design.adaptive.design import AnyDesign
 from deepfsi.design.artifact import Design
 from deepfsi.design.exposure.trained import TrainedExposure
-from deepfsi.errors import InputError
 from deepfsi.optics import constraints
 from deepfsi.optics.budget import check_budget, detector_shares
 from deepfsi.optics.features import FeatureNoise, feature_statistics
@@ -21,7 +22,6 @@ from deepfsi.optics.noise import try_own
 from deepfsi.optics.rails import Rails
 from deepfsi.optics.surroundings import library_defaults
 from deepfsi.optics.transit import FixedPattern
-from deepfsi.progress import SILENT, Report, shown
 from deepfsi.training.adaptive import adaptive_designs
 from deepfsi.training.batches import check_fits
 from deepfsi.training.characterisation import characterise

@@ -11,8 +11,8 @@ from typing import Any
 from torch import Tensor
 from torch.nn import functional
 
-from deepfsi import imports
-from deepfsi.errors import InputError
+from deepfsi.base import plugins as imports
+from deepfsi.base.errors import InputError
 
 Loss = Callable[[Tensor, Tensor], Tensor]
 """Loss (n,) of outputs (n, C) and truth (n,) or (n, q)."""

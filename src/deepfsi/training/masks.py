@@ -6,9 +6,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from deepfsi.base.errors import InputError
 from deepfsi.design.exposure.passing import PassingExposure
 from deepfsi.design.exposure.trained import TrainedExposure
-from deepfsi.errors import InputError
 from deepfsi.optics import codes, constraints, tiles
 from deepfsi.optics.camera import Camera
 from deepfsi.optics.detection import Detection

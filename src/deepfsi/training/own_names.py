@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import AfterValidator, PlainSerializer, WithJsonSchema
 
-from deepfsi.imports import PATTERN, UNNAMED, path_of
+from deepfsi.base.plugins import PATTERN, UNNAMED, path_of
 from deepfsi.laws import MLP, VIT
 
 if TYPE_CHECKING:

@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
+from deepfsi.base.intervals import Interval, accuracy, student, wilson
+from deepfsi.base.progress import SILENT, Report
 from deepfsi.datasets.readouts import Readouts
 from deepfsi.design.artifact import Design
 from deepfsi.design.readouts import PHOTONS, READOUTS, TRAINING, classify_readouts
-from deepfsi.progress import SILENT, Report
-from deepfsi.statistics.intervals import Interval, accuracy, student, wilson
 from deepfsi.training.learning import learn
 
 MOST_RIDGE = 5000

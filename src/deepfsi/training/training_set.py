@@ -6,11 +6,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from deepfsi.base.errors import InputError
 from deepfsi.datasets import Dataset
 from deepfsi.design.exposure import Exposure
 from deepfsi.design.training_data import TrainingScenes
 from deepfsi.design.values import Values
-from deepfsi.errors import InputError
 from deepfsi.laws import Light
 from deepfsi.optics import codes, tiles
 from deepfsi.optics.budget import summed_reflectance

@@ -9,8 +9,8 @@ from collections.abc import Callable, Iterable, Mapping
 import numpy as np
 from pydantic import TypeAdapter
 
+from deepfsi.base.intervals import Difference, above, difference, signed
 from deepfsi.report.style import BUDGET_AXIS, COLOURS, PAPER, photons_text
-from deepfsi.statistics.differences import Difference, above, difference, signed
 from deepfsi.sweeps.results import Point, Results
 from deepfsi_paper.adaptive.clock import LEAST_LEFT, Measures, Rival, best_at, measure, rivals
 from deepfsi_paper.adaptive.figures import clock_figure

@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from pydantic import TypeAdapter
 
+from deepfsi.base.intervals import Difference, above, of_trials
 from deepfsi.grid import Grid, find_grid
 from deepfsi.hardware.patterns.mirrors import recount, unpack
 from deepfsi.optics.codes import DESIGNS
 from deepfsi.report.style import photons_text
-from deepfsi.statistics.differences import Difference, above, of_trials
 from deepfsi.sweeps.results import Results
 from deepfsi_paper.bootstrap import (
     cluster_bootstrap,

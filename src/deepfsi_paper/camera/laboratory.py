@@ -18,6 +18,8 @@ from typing import Any
 
 import numpy as np
 
+from deepfsi.base.intervals import Difference, of_trials
+from deepfsi.base.progress import Report
 from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.devices import find_device
@@ -40,8 +42,6 @@ from deepfsi.hardware.virtual.camera import (
     arrival_rates,
     record,
 )
-from deepfsi.progress import Report
-from deepfsi.statistics.differences import Difference, of_trials
 from deepfsi.sweeps.results import Point, Results
 from deepfsi.sweeps.workers import cores, processes
 from deepfsi_paper.camera.gate_counts import black_rates, draw, draw_counts, subtract_background

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from scipy.stats import qmc
 
+from deepfsi.base.progress import SILENT, Report
 from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.datasets.load import DIM_BLACK
 from deepfsi.design.artifact import Design
-from deepfsi.progress import SILENT, Report
 from deepfsi.sweeps.results import Results
 from deepfsi.sweeps.workers import cores, processes
 from deepfsi_paper.camera import laboratory

@@ -13,16 +13,9 @@ import numpy as np
 from pydantic import TypeAdapter
 from scipy import stats
 
+from deepfsi.base.intervals import CONFIDENCE, Difference, above, difference, of_trials, signed
 from deepfsi.design.stopping import Estimate, Stopped
 from deepfsi.report.style import BUDGET_AXIS, photons_text
-from deepfsi.statistics.differences import (
-    CONFIDENCE,
-    Difference,
-    above,
-    difference,
-    of_trials,
-    signed,
-)
 from deepfsi.sweeps.results import Point, Results
 from deepfsi_paper.experiment import Experiment, Finding, budgets, points
 from deepfsi_paper.flexible.figures import LOOKS, Stops, stopping_figure

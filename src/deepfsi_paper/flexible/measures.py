@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
+from deepfsi.base.intervals import accuracy
+from deepfsi.base.progress import SILENT, Report
 from deepfsi.datasets import Dataset
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate
 from deepfsi.design.stopping import Stopped, stop
-from deepfsi.progress import SILENT, Report
-from deepfsi.statistics.intervals import accuracy
 from deepfsi.sweeps.results import Point, Results
 from deepfsi_paper.experiment import budgets, points
 

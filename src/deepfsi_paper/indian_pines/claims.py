@@ -11,10 +11,10 @@ from functools import cached_property
 import numpy as np
 from pydantic import TypeAdapter
 
+from deepfsi.base.intervals import Difference, above, difference, of_trials
 from deepfsi.report.accuracy import accuracy_figure
 from deepfsi.report.comparison_page import listed
 from deepfsi.report.style import INK, photons_text
-from deepfsi.statistics.differences import Difference, above, difference, of_trials
 from deepfsi.sweeps.results import Point, Results
 from deepfsi_paper.experiment import Compared, Experiment, Finding, best, gains, no_gain
 from deepfsi_paper.indian_pines.figures import (

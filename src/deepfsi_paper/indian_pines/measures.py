@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 import torch
 
+from deepfsi.base.progress import SILENT, Report
 from deepfsi.datasets import Dataset, SpectralImage
 from deepfsi.datasets.indian_pines import load_scene
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate
-from deepfsi.progress import SILENT, Report
 from deepfsi.report.comparison_page import read_masks
 from deepfsi.report.masks import brightest
 from deepfsi.sweeps.results import Point, Results

@@ -3,10 +3,10 @@
 from collections.abc import Sequence
 from typing import Any
 
+from deepfsi.base.intervals import Difference, above
 from deepfsi.report.accuracy import accuracy_figure
 from deepfsi.report.comparison_page import listed
 from deepfsi.report.style import photons_text
-from deepfsi.statistics.differences import Difference, above
 from deepfsi.sweeps.results import Point, Results
 from deepfsi_paper.experiment import Compared, Experiment, Finding, best, gains, no_gain
 from deepfsi_paper.mnist.figures import error_figure

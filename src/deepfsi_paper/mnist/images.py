@@ -3,8 +3,8 @@
 from collections import defaultdict
 from collections.abc import Sequence
 
+from deepfsi.base.intervals import above, difference
 from deepfsi.report.style import COLOURS, LINES, photons_text
-from deepfsi.statistics.differences import above, difference
 from deepfsi.sweeps.results import Point, Results
 from deepfsi_paper.experiment import Experiment, Finding
 from deepfsi_paper.report.lines import Line, lines_figure

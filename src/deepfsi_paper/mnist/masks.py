@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from pydantic import TypeAdapter
 
+from deepfsi.base.intervals import Difference, above, of_trials
+from deepfsi.base.progress import Report
 from deepfsi.datasets import Dataset
 from deepfsi.optics.tiles import sensing_matrix
-from deepfsi.progress import Report
 from deepfsi.report.comparison_page import read_masks
 from deepfsi.report.style import photons_text
-from deepfsi.statistics.differences import Difference, above, of_trials
 from deepfsi.sweeps.results import Results
 from deepfsi_paper.experiment import Experiment, Finding
 from deepfsi_paper.measures import (

@@ -1,7 +1,7 @@
 """The effect of the matrix that learned masks start from."""
 
+from deepfsi.base.intervals import CONFIDENCE, Difference, difference
 from deepfsi.report.style import photons_text
-from deepfsi.statistics.differences import CONFIDENCE, Difference, difference
 from deepfsi.sweeps.results import Results
 from deepfsi_paper.experiment import Experiment, Finding
 from deepfsi_paper.mnist.figures import Start, starts_figure

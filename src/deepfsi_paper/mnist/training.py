@@ -2,8 +2,8 @@
 
 from collections.abc import Iterable, Sequence
 
+from deepfsi.base.intervals import Difference, above, difference
 from deepfsi.report.style import COLOURS, photons_text
-from deepfsi.statistics.differences import Difference, above, difference
 from deepfsi.sweeps.results import Point, Results
 from deepfsi_paper.experiment import Experiment, Finding, points
 from deepfsi_paper.report.lines import Line, lines_figure

@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 from pydantic import TypeAdapter
 
+from deepfsi.base.intervals import Difference, above, difference, of_trials
+from deepfsi.base.progress import Report
 from deepfsi.datasets import Dataset
 from deepfsi.design.artifact import Design
-from deepfsi.progress import Report
 from deepfsi.report.accuracy import accuracy_figure
 from deepfsi.report.comparison_page import listed
 from deepfsi.report.style import photons_text
-from deepfsi.statistics.differences import Difference, above, difference, of_trials
 from deepfsi.sweeps.results import Point, Results
 from deepfsi_paper.experiment import Experiment, Finding, cifar10_here
 from deepfsi_paper.measures import effective_directions

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from calibration_samples import GRID, IDENTITY, VIEW, apply, calibration_of, pictures_of, vignette
 
+from deepfsi.base.errors import InputError
 from deepfsi.devices import Device
-from deepfsi.errors import InputError
 from deepfsi.grid import Layout, find_grid
 from deepfsi.hardware.calibration import fit
 from deepfsi.hardware.calibration.view import camera_view, view_matrix

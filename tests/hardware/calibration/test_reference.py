@@ -7,9 +7,9 @@ import pytest
 from PIL import Image
 from scipy import ndimage
 
+from deepfsi.base.errors import InputError
 from deepfsi.datasets import read_display
 from deepfsi.devices import Device
-from deepfsi.errors import InputError
 from deepfsi.grid import Layout
 from deepfsi.hardware.calibration.reference import (
     EXPECTED,

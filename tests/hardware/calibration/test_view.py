@@ -8,9 +8,9 @@ import pytest
 from calibration_samples import IDENTITY, VIEW, apply, calibration_of, vignette
 from scipy import ndimage
 
+from deepfsi.base.errors import InputError
 from deepfsi.datasets import load_dataset
 from deepfsi.devices import Device, find_device
-from deepfsi.errors import InputError
 from deepfsi.grid import Layout, find_grid
 from deepfsi.hardware.calibration.view import camera_view, view_dataset, view_matrix
 from deepfsi.hardware.recording.calibration_file import load_calibration, save_calibration

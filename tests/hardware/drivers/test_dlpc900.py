@@ -8,15 +8,15 @@ import pytest
 from dlpc900_fake import decode, install
 from driver_samples import make_patterns
 
+from deepfsi.base.errors import InputError
+from deepfsi.base.progress import Report
 from deepfsi.devices import DEVICES, Device
-from deepfsi.errors import InputError
 from deepfsi.hardware.drivers import dlpc900
 from deepfsi.hardware.drivers.dlpc900_images import encode_picture
 from deepfsi.hardware.patterns.folder import (
     read_frames,
     read_patterns,
 )
-from deepfsi.progress import Report
 
 SMALL = Device(name="small", columns=64, rows=24, shortest_us=105)
 

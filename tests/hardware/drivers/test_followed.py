@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deepfsi.errors import InputError
+from deepfsi.base.errors import InputError
 from deepfsi.hardware.drivers import followed
 from deepfsi.hardware.drivers.followed import FollowedCounter
 from deepfsi.hardware.drivers.protocols import StreamingCounter

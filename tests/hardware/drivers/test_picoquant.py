@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from driver_samples import check_refused_before_a_recording
 
-from deepfsi.errors import InputError
+from deepfsi.base.errors import InputError
 from deepfsi.hardware.drivers import picoquant
 from deepfsi.hardware.drivers.picoquant import SnapiCounter
 from deepfsi.hardware.drivers.protocols import StreamingCounter

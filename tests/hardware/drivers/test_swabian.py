@@ -8,7 +8,7 @@ import ptufile
 import pytest
 from driver_samples import check_refused_before_a_recording
 
-from deepfsi.errors import InputError
+from deepfsi.base.errors import InputError
 from deepfsi.hardware.drivers import swabian
 from deepfsi.hardware.drivers.protocols import StreamingCounter
 from deepfsi.hardware.drivers.swabian import TaggerCounter, TaggerSettings

@@ -7,14 +7,14 @@ import pytest
 from driver_samples import make_patterns
 from vialux_fake import DEVICE, install
 
+from deepfsi.base.errors import InputError
+from deepfsi.base.progress import Report
 from deepfsi.devices import Device
-from deepfsi.errors import InputError
 from deepfsi.hardware.drivers import vialux
 from deepfsi.hardware.patterns.folder import (
     read_frames,
     read_patterns,
 )
-from deepfsi.progress import Report
 
 
 @pytest.fixture

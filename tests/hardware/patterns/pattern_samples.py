@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from deepfsi.base.progress import SILENT
 from deepfsi.devices import find_device
 from deepfsi.grid import Layout
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
-from deepfsi.progress import SILENT
 
 FORMATS = ("npy", "png", "bmp", "raw")
 

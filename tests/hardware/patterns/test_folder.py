@@ -18,8 +18,9 @@ from PIL import Image
 from scipy.linalg import hadamard
 
 from conftest import CASES, FLOAT32
+from deepfsi.base.errors import InputError
+from deepfsi.base.progress import Report
 from deepfsi.devices import DEVICES, Device, find_device
-from deepfsi.errors import InputError
 from deepfsi.hardware.patterns.folder import (
     check_patterns,
     hash_mirrors,
@@ -29,7 +30,6 @@ from deepfsi.hardware.patterns.folder import (
 from deepfsi.hardware.patterns.mirrors import make_frames, unpack
 from deepfsi.optics import constraints
 from deepfsi.optics.grey_levels import quantise
-from deepfsi.progress import Report
 
 every_shown = pytest.mark.parametrize(
     ("design", "light", "rails"), [case for case in CASES if case.values[0] != "impulse"]

@@ -9,8 +9,8 @@ from pattern_samples import FORMATS, SMALL, every_format, export, grey
 from PIL import Image
 from vendor_readers import read_one_bit
 
+from deepfsi.base.errors import InputError
 from deepfsi.devices import DEVICES, find_device
-from deepfsi.errors import InputError
 from deepfsi.hardware.patterns import folder
 from deepfsi.hardware.patterns.folder import check_patterns, read_frames
 from deepfsi.hardware.patterns.sequence import Format

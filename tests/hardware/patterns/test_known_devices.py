@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from deepfsi.base.errors import InputError
 from deepfsi.devices import DEVICES, SOURCES, Device, find_device
-from deepfsi.errors import InputError
 
 DIAGONAL_INCHES = {
     "dlp7000": 0.7, "dlp9500": 0.95, "dlp650lnir": 0.65, "dlp6500": 0.65, "dlp9000": 0.9,

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from conftest import quick
+from deepfsi.base.errors import InputError
 from deepfsi.design.artifact import Design
-from deepfsi.errors import InputError
 from deepfsi.hardware.patterns.folder import check_patterns, read_patterns
 from deepfsi.laboratory.live.loop import read_loop
 from shared.design_files import loop_of

@@ -16,8 +16,8 @@ from vendor_readers import (
     read_packed,
 )
 
+from deepfsi.base.errors import InputError
 from deepfsi.devices import DEVICES, Device
-from deepfsi.errors import InputError
 from deepfsi.hardware.patterns.folder import check_patterns, read_frames
 from deepfsi.hardware.patterns.sequence import Format
 

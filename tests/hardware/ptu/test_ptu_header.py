@@ -8,7 +8,7 @@ import pytest
 from ptu_samples import END, T2, every_reader, tags_of
 from ptufile.ptufile import encode_tag
 
-from deepfsi.errors import InputError
+from deepfsi.base.errors import InputError
 from deepfsi.hardware.ptu.header import read_header
 
 

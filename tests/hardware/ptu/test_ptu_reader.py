@@ -8,12 +8,12 @@ import ptufile
 import pytest
 from ptu_samples import END, T2, decode, every_reader, recorded, save, special, tags_of
 
-from deepfsi.errors import InputError
+from deepfsi.base.errors import InputError
+from deepfsi.base.progress import Report
 from deepfsi.hardware.ptu import reader, records
 from deepfsi.hardware.ptu.header import KINDS
 from deepfsi.hardware.ptu.reader import inspect, read_markers
 from deepfsi.hardware.ptu.writer import Writer
-from deepfsi.progress import Report
 
 REAL = Path(os.environ.get("DEEPFSI_DATA", "no data")) / "ptu"
 real_ptu = pytest.mark.skipif(not REAL.is_dir(), reason="needs ptu/ in $DEEPFSI_DATA")

@@ -28,7 +28,7 @@ from ptu_samples import (
 )
 from ptufile.ptufile import encode_tag
 
-from deepfsi.errors import InputError
+from deepfsi.base.errors import InputError
 from deepfsi.hardware.ptu import records
 from deepfsi.hardware.ptu.header import KINDS, PICOHARP_T2, PICOHARP_T3
 from deepfsi.hardware.ptu.reader import count_gates, inspect

@@ -8,7 +8,7 @@ import ptufile
 import pytest
 from ptu_samples import T2, encode, save
 
-from deepfsi.errors import InputError
+from deepfsi.base.errors import InputError
 from deepfsi.hardware.ptu.header import PICOHARP_T3
 from deepfsi.hardware.ptu.scan import ScanMarkers, count_scan
 

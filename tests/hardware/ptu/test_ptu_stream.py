@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from ptu_samples import END, T2, Streamed, photon, recorded, save, special, tags_of
 
-from deepfsi.errors import InputError
+from deepfsi.base.errors import InputError
 from deepfsi.hardware.ptu.gate_counter import GateCounter
 from deepfsi.hardware.ptu.header import KINDS
 from deepfsi.hardware.ptu.reader import count_gates, inspect, read_markers

@@ -4,7 +4,7 @@ import numpy as np
 import ptufile
 import pytest
 
-from deepfsi.errors import InputError
+from deepfsi.base.errors import InputError
 from deepfsi.hardware.ptu.reader import inspect, read_markers
 from deepfsi.hardware.ptu.writer import Writer
 from shared.disks import nearly_full

@@ -5,7 +5,7 @@ import numpy as np
 import ptufile
 import pytest
 
-from deepfsi.errors import InputError
+from deepfsi.base.errors import InputError
 from deepfsi.hardware.ptu.reader import inspect
 from deepfsi.hardware.ptu.stamps import Stamps, read_stamps, write_stamps
 

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from recording_samples import made, many, named, patterns_of
 
-from deepfsi.errors import InputError
+from deepfsi.base.errors import InputError
 from deepfsi.hardware.patterns.timing import usual_tolerance
 from deepfsi.hardware.recording import acquisition
 from deepfsi.hardware.recording.acquisition import Scene, plan_acquisition, prepare

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from recording_samples import schedule
 
+from deepfsi.base.errors import InputError
+from deepfsi.base.tables import Table
 from deepfsi.devices import Device
-from deepfsi.errors import InputError
 from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns, read_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
@@ -19,7 +20,6 @@ from deepfsi.hardware.virtual.camera import (
     arrival_rates,
     record,
 )
-from deepfsi.tables.table_files import Table
 
 DEVICE = Device(name="small", columns=36, rows=26, shortest_us=10, settle_us=2)
 SHAPE, FLUX, EXPOSURE, SCENES, MASKS = (3, 4), 2e7, 10e-3, 8, 10

@@ -7,8 +7,9 @@ import pytest
 import torch
 from recording_samples import patterns_of
 
+from deepfsi.base.errors import InputError
+from deepfsi.base.tables import Table
 from deepfsi.devices import Device
-from deepfsi.errors import InputError
 from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.nominal import nominal_manifest
@@ -17,7 +18,6 @@ from deepfsi.hardware.recording.dead_time import DeadTime
 from deepfsi.hardware.recording.tables import TableSettings, column_names, count_table
 from deepfsi.hardware.virtual.camera import VirtualCamera, arrival_rates
 from deepfsi.optics import constraints
-from deepfsi.tables.table_files import Table
 
 SHAPE, PIXELS, S_BAR = (3, 4), 12, 7.0
 DEVICE = Device(name="small", columns=36, rows=26, shortest_us=10, settle_us=2)

@@ -9,14 +9,14 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from recording_samples import DWELL, TICK, made, many, named, patterns_of, train, troubles, unseen
 
-from deepfsi.errors import InputError
+from deepfsi.base.errors import InputError
+from deepfsi.base.progress import Report
 from deepfsi.hardware.ptu.writer import Writer
 from deepfsi.hardware.recording import acquisition
 from deepfsi.hardware.recording.acquisition import prepare, read_acquisition
 from deepfsi.hardware.recording.counting import count
 from deepfsi.hardware.recording.counts import read_counts
 from deepfsi.hardware.recording.picture import reconstruct
-from deepfsi.progress import Report
 
 run, whole = recording_samples.run, recording_samples.whole
 

@@ -5,7 +5,7 @@ import pytest
 import recording_samples
 from recording_samples import Run, lamp, schedule, train
 
-from deepfsi.errors import InputError
+from deepfsi.base.errors import InputError
 from deepfsi.hardware.ptu.header import read_header
 from deepfsi.hardware.ptu.reader import read_markers
 from deepfsi.hardware.recording.alignment import align

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from deepfsi.base.errors import InputError
 from deepfsi.devices import Device
-from deepfsi.errors import InputError
 from deepfsi.hardware.calibration.detectors import find_gains
 from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from recording_samples import DWELL, TICK, named, patterns_of, schedule, train
 
-from deepfsi.errors import InputError
+from deepfsi.base.errors import InputError
 from deepfsi.hardware.patterns.timing import Gates, usual_tolerance
 from deepfsi.hardware.ptu.writer import Writer
 from deepfsi.hardware.recording.acquisition import gates_of, prepare

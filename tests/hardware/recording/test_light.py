@@ -10,7 +10,7 @@ import pytest
 from light_faults import FAULTS, Lit, patterns_of, steady
 from scipy.stats import binom
 
-from deepfsi.errors import InputError
+from deepfsi.base.errors import InputError
 from deepfsi.hardware.patterns.sequence import Brightness
 from deepfsi.hardware.recording.counting import count
 from deepfsi.hardware.recording.counts import Counts

@@ -2,7 +2,7 @@
 
 import pytest
 
-from deepfsi.errors import InputError
+from deepfsi.base.errors import InputError
 from deepfsi.hardware.recording.scene_list import read_scenes
 
 

@@ -5,15 +5,15 @@ import json
 import numpy as np
 import pytest
 
+from deepfsi.base.errors import InputError
+from deepfsi.base.tables import read_table
 from deepfsi.devices import Device
-from deepfsi.errors import InputError
 from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns, read_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.recording.series import ROLL_OVER, of_bins, of_cumulative
 from deepfsi.hardware.recording.tables import TableSettings, column_names, count_table
 from deepfsi.hardware.virtual.camera import VirtualCamera, arrival_rates
-from deepfsi.tables.table_files import read_table
 
 DEVICE = Device(name="small", columns=36, rows=26, shortest_us=10, settle_us=2)
 SHAPE, MASKS, FLUX, BIN_US = (3, 4), 8, 2e7, 100

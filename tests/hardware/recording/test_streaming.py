@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deepfsi.errors import InputError
+from deepfsi.base.errors import InputError
 from deepfsi.hardware.ptu.header import KINDS, read_header
 from deepfsi.hardware.ptu.reader import count_gates, inspect, read_markers
 from deepfsi.hardware.ptu.records import marker_slack

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deepfsi.errors import InputError
+from deepfsi.base.errors import InputError
 from deepfsi.hardware.ptu.reader import inspect, read_photons
 from deepfsi.hardware.ptu.writer import Writer
 from deepfsi.hardware.recording.transits import (

@@ -9,8 +9,9 @@ import torch
 from pydantic import ValidationError
 from virtual_samples import DEVICE, SHAPE, SUMMED_REFLECTANCE, into, patterns, scenes
 
+from deepfsi.base.errors import InputError
+from deepfsi.base.progress import SILENT, Report
 from deepfsi.devices import Device
-from deepfsi.errors import InputError
 from deepfsi.grid import Layout, find_grid
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings, Patterns
@@ -30,7 +31,6 @@ from deepfsi.hardware.virtual.camera import (
     record,
 )
 from deepfsi.optics.scanner import Scanner
-from deepfsi.progress import SILENT, Report
 from deepfsi_paper.camera.gate_counts import draw_counts
 
 GRID = find_grid(DEVICE, SHAPE, Layout(stretch=True))

@@ -5,7 +5,7 @@ import pytest
 import torch
 from virtual_samples import SUMMED_REFLECTANCE, patterns, scenes
 
-from deepfsi.errors import InputError
+from deepfsi.base.errors import InputError
 from deepfsi.hardware.patterns.sequence import Patterns
 from deepfsi.hardware.recording.clicks import light_of_clicks
 from deepfsi.hardware.recording.counting import count

@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from deepfsi.base.progress import Report
 from deepfsi.devices import Device
 from deepfsi.grid import Layout
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.optics import constraints
-from deepfsi.progress import Report
 
 DEVICE = Device(name="small", columns=36, rows=26, shortest_us=10, settle_us=2)
 SHAPE = (3, 4)

@@ -9,8 +9,8 @@ import pytest
 import torch
 
 from deepfsi import learn
+from deepfsi.base.errors import InputError
 from deepfsi.devices import find_device
-from deepfsi.errors import InputError
 from deepfsi.hardware.patterns.folder import check_patterns, export_patterns, read_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.virtual.bench import Latencies

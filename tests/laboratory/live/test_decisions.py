@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from deepfsi.base.errors import InputError
 from deepfsi.design.artifact import Design
-from deepfsi.errors import InputError
 from deepfsi.hardware.patterns.folder import read_patterns
 from deepfsi.hardware.recording.acquisition import Scene
 from deepfsi.hardware.recording.dead_time import DeadTime

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from conftest import quick
+from deepfsi.base.errors import InputError
 from deepfsi.design.artifact import Design
 from deepfsi.design.stopping import StoppingRule
-from deepfsi.errors import InputError
 from deepfsi.hardware.recording.live_settings import StopRule
 from deepfsi.laboratory.live.loop import read_loop
 from shared.design_files import loop_of

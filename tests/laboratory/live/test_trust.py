@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from conftest import quick
+from deepfsi.base.errors import InputError
 from deepfsi.devices import find_device
-from deepfsi.errors import InputError
 from deepfsi.hardware.patterns.folder import export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.recording.dead_time import DeadTime

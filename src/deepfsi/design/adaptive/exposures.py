@@ -7,12 +7,12 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
+from deepfsi.base.arrays import check_memory, free_memory
+from deepfsi.base.models import UserModel
 from deepfsi.datasets import Dataset
 from deepfsi.design.adaptive.choice import next_masks
 from deepfsi.design.adaptive.posterior import AdaptivePosterior
 from deepfsi.design.adaptive.prior import ScenePrior
-from deepfsi.frozen import Settings
-from deepfsi.memory import check_memory, free_memory
 from deepfsi.optics.noise import poisson
 
 AT_ONCE = 2**22
@@ -22,7 +22,7 @@ COPIES = 6
 """Arrays as large as the log-likelihoods, or as the scenes of the prior, held at a time."""
 
 
-class AdaptiveMasks(Settings):
+class AdaptiveMasks(UserModel):
     """Settings of exposures with adaptive masks.
 
     Examples

@@ -13,9 +13,9 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from deepfsi.base.errors import InputError
 from deepfsi.design.adaptive.prior import ScenePrior
 from deepfsi.design.posterior import class_chances
-from deepfsi.errors import InputError
 from deepfsi.laws import LOOK_LIGHT
 from deepfsi.optics.camera import Camera
 from deepfsi.optics.detection import Detection

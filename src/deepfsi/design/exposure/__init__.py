@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from pydantic import BeforeValidator, Field, SerializeAsAny
 
+from deepfsi.base.errors import InputError, as_input_error
 from deepfsi.design.exposure.base import Exposure as Exposure
 from deepfsi.design.exposure.base import Job as Job
 from deepfsi.design.exposure.transits import Passing as Passing
-from deepfsi.errors import InputError, as_input_error
 
 if TYPE_CHECKING:
     from torch import Generator

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
-from deepfsi.frozen import Settings
+from deepfsi.base.models import UserModel
 
 if TYPE_CHECKING:
     from torch import Generator
@@ -54,7 +54,7 @@ TRAINING_NOISE = {"poisson": "ml_gauss"}
 """Noise that is trained under in place of a camera's own."""
 
 
-class Exposure(Settings):
+class Exposure(UserModel):
     """An exposure of which every mask is shown once, and all are needed."""
 
     training: ClassVar[dict[str, Any]] = {"start": "pca"}

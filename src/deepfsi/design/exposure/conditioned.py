@@ -20,8 +20,8 @@ from pydantic.dataclasses import dataclass as validated
 from torch import Tensor
 from torch.nn import functional
 
+from deepfsi.base.errors import InputError
 from deepfsi.design.exposure.trained import STRICT, TrainedExposure
-from deepfsi.errors import InputError
 from deepfsi.laws import Light
 from deepfsi.optics import constraints
 from deepfsi.optics.features import mean_over_exposures

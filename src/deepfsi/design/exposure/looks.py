@@ -20,12 +20,12 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass as validated
 from torch import Tensor
 
+from deepfsi.base.errors import InputError
 from deepfsi.design.classifiers import Mlp, restored
 from deepfsi.design.consistency import ReadoutDistribution
 from deepfsi.design.exposure import LARGEST_SCORE, LOOKING, Looks
 from deepfsi.design.exposure.trained import STRICT, Observation, Read, Show, TrainedExposure
 from deepfsi.design.readout_fit import find_distribution
-from deepfsi.errors import InputError
 from deepfsi.laws import Light, Widths
 from deepfsi.optics import constraints
 from deepfsi.optics.camera import Camera

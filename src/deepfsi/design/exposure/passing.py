@@ -9,9 +9,9 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass as validated
 from torch import Tensor, nn
 
+from deepfsi.base.errors import InputError
 from deepfsi.design.exposure.trained import STRICT, Observation, TrainedExposure
 from deepfsi.design.exposure.transits import STATIC
-from deepfsi.errors import InputError
 from deepfsi.laws import Light
 from deepfsi.optics.grey_levels import check_levels
 from deepfsi.optics.rails import Rails

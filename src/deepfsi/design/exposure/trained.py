@@ -15,10 +15,10 @@ from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as validated
 from torch import Tensor, nn
 
+from deepfsi.base.errors import InputError
 from deepfsi.design.classifiers import Mlp
 from deepfsi.design.consistency import ReadoutDistribution
 from deepfsi.design.readout_fit import find_distribution
-from deepfsi.errors import InputError
 from deepfsi.laws import Light
 from deepfsi.optics import constraints
 from deepfsi.optics.camera import Camera

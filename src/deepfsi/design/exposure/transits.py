@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from pydantic import Field
 
+from deepfsi.base.errors import InputError
 from deepfsi.design.exposure.base import Exposure, Job
-from deepfsi.errors import InputError
 
 if TYPE_CHECKING:
     from torch import Generator

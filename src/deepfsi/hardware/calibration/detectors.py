@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 from scipy.linalg import solve
 
-from deepfsi.errors import InputError
-from deepfsi.files import write_atomically
+from deepfsi.base.errors import InputError
+from deepfsi.base.files import write_atomically
 from deepfsi.hardware.patterns.sequence import Patterns
 from deepfsi.hardware.recording.counts import Counts
 from deepfsi.hardware.recording.faults import SPOILING

@@ -12,7 +12,7 @@ import numpy as np
 from scipy import ndimage
 from skimage import measure, transform
 
-from deepfsi.errors import InputError
+from deepfsi.base.errors import InputError
 from deepfsi.grid import Grid
 from deepfsi.hardware.calibration.background import expected_background
 from deepfsi.hardware.calibration.refine import fit_view

@@ -14,13 +14,13 @@ import numpy as np
 from PIL import Image
 from scipy import optimize
 
-from deepfsi.errors import InputError
-from deepfsi.files import write_atomically
+from deepfsi.base.errors import InputError
+from deepfsi.base.files import write_atomically
+from deepfsi.base.progress import SILENT, Report
 from deepfsi.grid import Layout
 from deepfsi.hardware.calibration.refine import DisplayedScenes
 from deepfsi.hardware.patterns.sequence import Manifest, Patterns
 from deepfsi.hardware.recording.counts import Counts
-from deepfsi.progress import SILENT, Report
 
 REFERENCE, EXPECTED = "reference.png", "reference.csv"
 """Files of the target, and of what it is expected to count, in a folder of patterns."""

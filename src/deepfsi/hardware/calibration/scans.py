@@ -6,7 +6,7 @@ from typing import Literal, get_args
 import numpy as np
 from scipy.linalg import hadamard
 
-from deepfsi.errors import InputError, check_known
+from deepfsi.base.errors import InputError, check_known
 from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.patterns.folder import DesignRails
 

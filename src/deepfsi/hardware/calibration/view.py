@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from scipy import ndimage, sparse
 
+from deepfsi.base.errors import InputError
 from deepfsi.datasets import Dataset
-from deepfsi.errors import InputError
 from deepfsi.hardware.recording.calibration_file import Calibration, load_calibration
 
 POINTS_PER_CELL = 24, 32

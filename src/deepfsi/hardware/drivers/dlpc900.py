@@ -25,8 +25,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Self
 
+from deepfsi.base.errors import InputError
+from deepfsi.base.progress import SILENT, Report
 from deepfsi.devices import DEVICES, PLANES, Device
-from deepfsi.errors import InputError
 from deepfsi.hardware.drivers.dlpc900_images import encode_picture
 from deepfsi.hardware.drivers.holding import let_go, refusals
 from deepfsi.hardware.patterns.controller_tables import (
@@ -38,7 +39,6 @@ from deepfsi.hardware.patterns.folder import read_frames, read_patterns
 from deepfsi.hardware.patterns.limits import check_limits
 from deepfsi.hardware.patterns.planes import pack_planes
 from deepfsi.hardware.patterns.sequence import Manifest
-from deepfsi.progress import SILENT, Report
 
 VENDOR, PRODUCT = 0x0451, 0xC900
 

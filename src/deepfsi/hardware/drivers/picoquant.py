@@ -19,7 +19,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from deepfsi.errors import InputError
+from deepfsi.base.errors import InputError
 from deepfsi.hardware.ptu import records
 from deepfsi.hardware.ptu.header import GENERIC_T2
 from deepfsi.hardware.ptu.records import Decoder

@@ -9,8 +9,8 @@ from typing import Protocol
 
 import numpy as np
 
+from deepfsi.base.progress import SILENT, Report
 from deepfsi.hardware.recording.streaming import FrameCounts, FrameGates
-from deepfsi.progress import SILENT, Report
 
 
 class StreamingProjector(AbstractContextManager["StreamingProjector"], Protocol):

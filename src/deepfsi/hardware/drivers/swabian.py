@@ -23,8 +23,8 @@ from typing import Any, Self
 import numpy as np
 from pydantic import FiniteFloat
 
-from deepfsi.errors import InputError
-from deepfsi.frozen import Settings
+from deepfsi.base.errors import InputError
+from deepfsi.base.models import UserModel
 from deepfsi.hardware.drivers.followed import FollowedCounter
 from deepfsi.hardware.drivers.holding import refusals
 from deepfsi.hardware.ptu.writer import Writer
@@ -55,7 +55,7 @@ ERROR = 1
 """Type of a tag of an error; those above tell of tags that were lost, and 0 is a signal's."""
 
 
-class TaggerSettings(Settings):
+class TaggerSettings(UserModel):
     """Settings of a Time Tagger, as a TOML file has them."""
 
     trigger_levels: dict[int, FiniteFloat]  # of channels, V; the others have the device's own

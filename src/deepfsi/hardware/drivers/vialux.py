@@ -30,11 +30,11 @@ from typing import Any, Self
 
 import numpy as np
 
-from deepfsi.errors import InputError
+from deepfsi.base.errors import InputError
+from deepfsi.base.progress import SILENT, Report
 from deepfsi.hardware.drivers.holding import let_go, refusals
 from deepfsi.hardware.patterns.folder import read_frames, read_patterns
 from deepfsi.hardware.patterns.sequence import Manifest
-from deepfsi.progress import SILENT, Report
 
 USUAL_VERSION = "4.3"
 """Version of the ALP interface."""

@@ -4,13 +4,13 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from deepfsi.frozen import Frozen
+from deepfsi.base.models import StrictModel
 
 MOST_DETECTORS = 2**16
 """Detectors of an arm at most."""
 
 
-class Detectors(Frozen):
+class Detectors(StrictModel):
     """Detectors of a device, or of each of its two arms."""
 
     count: int = Field(ge=2, le=MOST_DETECTORS)  # D

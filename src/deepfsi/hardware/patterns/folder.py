@@ -18,15 +18,15 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from deepfsi.errors import InputError, as_input_error, check_known
-from deepfsi.files import check_room, check_unpacked, hash_file, new_folder, read_text
+from deepfsi.base.errors import InputError, as_input_error, check_known
+from deepfsi.base.files import check_room, check_unpacked, hash_file, new_folder, read_text
+from deepfsi.base.progress import SILENT, Report
 from deepfsi.grid import find_grid
 from deepfsi.hardware.patterns import controller_tables, frame_files, mirrors, sequence
 from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.patterns.limits import check_limits, check_stored
 from deepfsi.hardware.patterns.looks import Looks
 from deepfsi.laws import Light, Readout
-from deepfsi.progress import SILENT, Report
 
 SENTINELS = 4
 """Frames of a pass that show no mask."""

@@ -21,8 +21,9 @@ from PIL import Image, ImageFile
 from PIL.BmpImagePlugin import BmpImageFile
 from PIL.PngImagePlugin import PngImageFile
 
-from deepfsi.errors import InputError
-from deepfsi.files import open_regular
+from deepfsi.base.errors import InputError
+from deepfsi.base.files import open_regular
+from deepfsi.base.progress import SILENT, Report
 from deepfsi.hardware.patterns.planes import (
     load_planes,
     read_picture,
@@ -31,7 +32,6 @@ from deepfsi.hardware.patterns.planes import (
     write_planes,
 )
 from deepfsi.hardware.patterns.sequence import FrameSettings, Manifest
-from deepfsi.progress import SILENT, Report
 
 STREAMS = {"npy": "frames.npy", "raw": "frames.bin"}
 """Files of the formats that hold all frames in one."""

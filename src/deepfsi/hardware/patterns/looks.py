@@ -6,13 +6,13 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field, model_validator
 
-from deepfsi.frozen import Frozen
+from deepfsi.base.models import StrictModel
 
 SUM_SLACK = 1e-3
 """Share of a look by which the dwells of the first one may differ from it together."""
 
 
-class Looks(Frozen):
+class Looks(StrictModel):
     """Looks at the same masks, whose frames are loaded once, or at a new mask each."""
 
     count: int = Field(ge=1, le=1024)  # K

@@ -11,7 +11,7 @@ import numpy as np
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
-from deepfsi.errors import InputError
+from deepfsi.base.errors import InputError
 
 
 class Rectangle(NamedTuple):

@@ -15,9 +15,9 @@ import numpy as np
 from PIL import Image, ImageFile
 from PIL.BmpImagePlugin import BmpImageFile
 
+from deepfsi.base.errors import InputError
+from deepfsi.base.files import open_regular
 from deepfsi.devices import Device
-from deepfsi.errors import InputError
-from deepfsi.files import open_regular
 from deepfsi.hardware.patterns.sequence import Manifest
 
 LARGEST_PICTURE = 2**31

@@ -23,14 +23,14 @@ from typing import Annotated, Any, Literal, get_args
 import numpy as np
 from pydantic import Field, model_validator
 
+from deepfsi.base.errors import InputError, check_known
+from deepfsi.base.models import StrictModel
+from deepfsi.base.quantities import time_text
 from deepfsi.devices import LONGEST_PICTURE_S, Device
-from deepfsi.errors import InputError, check_known
-from deepfsi.frozen import Frozen
 from deepfsi.grid import USUAL, Grid, Layout, find_grid
 from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.patterns.looks import Looks
 from deepfsi.laws import Light, Readout, SummedReflectance
-from deepfsi.quantities import time_text
 
 MOST_FRAMES = 2**20
 """Frames of one pass at most, sentinels among them."""
@@ -142,7 +142,7 @@ def _whole(us: float) -> int:
     return math.ceil(round(us, 6))
 
 
-class Frame(Frozen):
+class Frame(StrictModel):
     """One pattern."""
 
     role: Role  # A mask, or a sentinel with all mirrors ON or OFF
@@ -168,7 +168,7 @@ class Frame(Frozen):
         return f"mask {self.mask}" + ("" if self.rail == "both" else f", {self.rail}")
 
 
-class Brightness(Frozen):
+class Brightness(StrictModel):
     """Summed reflectance of the training scenes, as a share of its mean."""
 
     low: float = Field(ge=0, le=1, allow_inf_nan=False)  # Of the dimmest scene
@@ -184,7 +184,7 @@ class Brightness(Frozen):
         return None if known is None else cls.model_validate(known)
 
 
-class Manifest(Frozen):
+class Manifest(StrictModel):
     """A folder of patterns: device, frames in the order in which they are shown, provenance."""
 
     schema_version: Literal[1] = 1

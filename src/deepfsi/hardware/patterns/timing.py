@@ -6,9 +6,9 @@ from typing import Self
 
 import numpy as np
 
-from deepfsi.errors import InputError
+from deepfsi.base.errors import InputError
+from deepfsi.base.quantities import time_text
 from deepfsi.hardware.patterns.sequence import Manifest
-from deepfsi.quantities import time_text
 
 SHORTEST_GATE_S = 1e-15
 """Shortest gate, seconds."""

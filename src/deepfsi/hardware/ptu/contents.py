@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from deepfsi.frozen import Frozen
+from deepfsi.base.models import StrictModel
 from deepfsi.hardware.ptu.header import Header, Kind
 from deepfsi.hardware.ptu.records import LATEST_TICK, Part
 
 
-class Contents(Frozen):
+class Contents(StrictModel):
     """Contents of a PTU file."""
 
     kind: str

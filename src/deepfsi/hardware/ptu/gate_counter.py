@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from deepfsi.errors import InputError
+from deepfsi.base.errors import InputError
 from deepfsi.hardware.ptu.header import Header, Kind
 from deepfsi.hardware.ptu.records import EARLIEST_TICK, Part
 

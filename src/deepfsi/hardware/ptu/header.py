@@ -9,8 +9,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from deepfsi.errors import InputError
-from deepfsi.files import open_regular
+from deepfsi.base.errors import InputError
+from deepfsi.base.files import open_regular
 
 MAGIC = b"PQTTTR"
 """First bytes of a file."""

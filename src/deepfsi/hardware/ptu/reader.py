@@ -24,12 +24,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from deepfsi.errors import InputError
+from deepfsi.base.errors import InputError
+from deepfsi.base.progress import SILENT, Report
 from deepfsi.hardware.ptu.contents import Contents, Tally
 from deepfsi.hardware.ptu.gate_counter import GateCounter, check_input
 from deepfsi.hardware.ptu.header import read_header
 from deepfsi.hardware.ptu.records import read_parts
-from deepfsi.progress import SILENT, Report
 
 MOST_PHOTONS = 2**27
 """Photons whose times are held at once, at most."""

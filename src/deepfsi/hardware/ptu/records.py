@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deepfsi.errors import InputError
-from deepfsi.files import open_regular
+from deepfsi.base.errors import InputError
+from deepfsi.base.files import open_regular
+from deepfsi.base.progress import SILENT, Report
 from deepfsi.hardware.ptu.header import PICOHARP_T2, PICOHARP_T3, Header, Kind
-from deepfsi.progress import SILENT, Report
 
 RECORDS_IN_MEMORY = 2**19
 """Records in memory at once."""

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deepfsi.errors import InputError
+from deepfsi.base.errors import InputError
+from deepfsi.base.progress import SILENT, Report
 from deepfsi.hardware.ptu.gate_counter import cut_gates
 from deepfsi.hardware.ptu.header import Header, read_header
 from deepfsi.hardware.ptu.reader import count_gates, read_markers
-from deepfsi.progress import SILENT, Report
 
 TAGS = {"line_start": "ImgHdr_LineStart", "line_end": "ImgHdr_LineStop", "frame": "ImgHdr_Frame"}
 """Tags of a header that number the marker inputs, from 1."""

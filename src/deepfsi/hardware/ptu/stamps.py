@@ -13,11 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
-from deepfsi.errors import InputError
+from deepfsi.base.arrays import HDF5, list_variables, read_variable
+from deepfsi.base.errors import InputError
+from deepfsi.base.tables import as_whole, read_whole
 from deepfsi.hardware.ptu.header import GENERIC_T2, TICKS_S, refuse_foreign
 from deepfsi.hardware.ptu.writer import Writer
-from deepfsi.tables.array_files import HDF5, list_variables, read_variable
-from deepfsi.tables.table_files import as_whole, read_whole
 
 TIMES, CHANNELS = "photon_data/timestamps", "photon_data/detectors"
 UNIT = "photon_data/timestamps_specs/timestamps_unit"

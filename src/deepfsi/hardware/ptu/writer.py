@@ -9,8 +9,8 @@ from typing import Any, BinaryIO, Self
 
 import numpy as np
 
-from deepfsi.errors import InputError
-from deepfsi.files import GrowingFile, open_atomically
+from deepfsi.base.errors import InputError
+from deepfsi.base.files import GrowingFile, open_atomically
 from deepfsi.hardware.ptu.header import GENERIC_T2, MAGIC, TICKS_S
 
 LATEST_WRITTEN_TICK = 2**55

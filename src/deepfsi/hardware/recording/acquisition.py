@@ -18,9 +18,10 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
-from deepfsi.errors import InputError, as_input_error
-from deepfsi.files import hash_file, new_folder, read_regular, read_text, write_atomically
-from deepfsi.frozen import Frozen
+from deepfsi.base.errors import InputError, as_input_error
+from deepfsi.base.files import hash_file, new_folder, read_regular, read_text, write_atomically
+from deepfsi.base.models import StrictModel
+from deepfsi.base.quantities import time_text
 from deepfsi.hardware.patterns.folder import companions, read_patterns
 from deepfsi.hardware.patterns.sequence import Manifest, Patterns
 from deepfsi.hardware.patterns.timing import (
@@ -30,7 +31,6 @@ from deepfsi.hardware.patterns.timing import (
     usual_tolerance,
 )
 from deepfsi.hardware.recording.live_settings import Live
-from deepfsi.quantities import time_text
 
 MOST_READOUTS = 2**21
 """Gates, and readouts, that are counted at once, at most."""
@@ -54,7 +54,7 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 """Finite number above 0."""
 
 
-class Scene(Frozen):
+class Scene(StrictModel):
     """One scene of a recording."""
 
     name: str = Field(max_length=1000)  # By which results name it
@@ -70,7 +70,7 @@ class Scene(Frozen):
         return {name: each for name, each in held.items() if name != "hash" or each is not None}
 
 
-class Acquisition(Frozen):
+class Acquisition(StrictModel):
     """Settings of a recording: one pass over the patterns for each scene, one after another."""
 
     schema_version: Literal[1] = 1
@@ -120,7 +120,7 @@ class Acquisition(Frozen):
         return sha256(self.model_dump_json().encode()).hexdigest()
 
 
-class Verdict(Frozen):
+class Verdict(StrictModel):
     """Findings of `camera check` on a run of the reference target, kept with a run of scenes."""
 
     reference: str  # folder of that run

@@ -11,7 +11,7 @@ from typing import Self
 
 import numpy as np
 
-from deepfsi.errors import InputError
+from deepfsi.base.errors import InputError
 from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.hardware.recording.readouts import by_rail, by_readout, lengths_by_readout
 

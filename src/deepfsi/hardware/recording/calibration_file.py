@@ -12,9 +12,9 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, FiniteFloat, model_validator
 
-from deepfsi.errors import as_input_error
-from deepfsi.files import read_text, write_atomically
-from deepfsi.frozen import Frozen
+from deepfsi.base.errors import as_input_error
+from deepfsi.base.files import read_text, write_atomically
+from deepfsi.base.models import StrictModel
 from deepfsi.hardware.recording.dead_time import DeadTime
 
 LEAST_SPOTS = 16
@@ -39,7 +39,7 @@ Row = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 """Row of a homography."""
 
 
-class Calibration(Frozen):
+class Calibration(StrictModel):
     """View of one display through one camera, and the counts that come from neither."""
 
     schema_version: Literal[1] = 1

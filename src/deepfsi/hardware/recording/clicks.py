@@ -18,13 +18,13 @@ from typing import Any, Self
 
 import numpy as np
 
-from deepfsi.errors import InputError
+from deepfsi.base.errors import InputError
+from deepfsi.base.quantities import time_text
 from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.hardware.patterns.timing import ClickGates, Gates
 from deepfsi.hardware.recording.acquisition import MOST_READOUTS, Acquisition, gates_of
 from deepfsi.hardware.recording.ambient import dark_frames
 from deepfsi.hardware.recording.readouts import by_rail
-from deepfsi.quantities import time_text
 
 ENDS = [0, 1, -2, -1]
 """Frames of a pass that are all ON, all OFF, all ON and all OFF."""

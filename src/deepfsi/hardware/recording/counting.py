@@ -7,7 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from deepfsi.errors import InputError
+from deepfsi.base.errors import InputError
+from deepfsi.base.progress import SILENT, Report
+from deepfsi.base.quantities import time_text
 from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.hardware.patterns.timing import ClickGates, Gates
 from deepfsi.hardware.ptu.header import Header, read_header
@@ -51,8 +53,6 @@ from deepfsi.hardware.recording.gates import (
 from deepfsi.hardware.recording.light import Light, find_light
 from deepfsi.hardware.recording.readouts import by_rail, by_readout, lengths_by_readout
 from deepfsi.hardware.recording.sentinels import PARTS
-from deepfsi.progress import SILENT, Report
-from deepfsi.quantities import time_text
 
 LEAST_GATE_TICKS = 10
 """Ticks of the counter that a gate must have at least."""

@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
-from deepfsi.errors import InputError
-from deepfsi.files import hash_file, read_regular, write_atomically
-from deepfsi.frozen import Frozen
+from deepfsi.base.errors import InputError
+from deepfsi.base.files import hash_file, read_regular, write_atomically
+from deepfsi.base.models import StrictModel
 from deepfsi.hardware.patterns.frame_files import npy_header
 from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.hardware.recording.acquisition import (
@@ -221,7 +221,7 @@ def _hash_arrays(arrays: dict[str, np.ndarray]) -> np.ndarray:
     return np.frombuffer(found.digest(), np.uint8)
 
 
-class _Provenance(Frozen):
+class _Provenance(StrictModel):
     """Settings with which a file was counted, and hashes of the acquisition and its photons.ptu."""
 
     acquisition: str

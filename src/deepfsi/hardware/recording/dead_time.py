@@ -21,8 +21,8 @@ import numpy as np
 from pydantic import Field
 from scipy.special import lambertw
 
-from deepfsi.errors import InputError
-from deepfsi.frozen import Frozen
+from deepfsi.base.errors import InputError
+from deepfsi.base.models import StrictModel
 from deepfsi.hardware.patterns.sequence import Frame
 
 LONGEST_S = 1e-5
@@ -35,7 +35,7 @@ With more, a dead time that is wrong by a tenth makes the light wrong by more th
 """
 
 
-class DeadTime(Frozen):
+class DeadTime(StrictModel):
     """Dead time of a counter with its detector."""
 
     seconds: float = Field(ge=0, le=LONGEST_S)  # For which it is blind after a photon

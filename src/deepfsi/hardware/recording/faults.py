@@ -5,8 +5,8 @@ from typing import Literal
 
 import numpy as np
 
-from deepfsi.errors import InputError
-from deepfsi.frozen import Frozen
+from deepfsi.base.errors import InputError
+from deepfsi.base.models import StrictModel
 from deepfsi.hardware.recording.passes import (
     Markers,
     Pass,
@@ -29,7 +29,7 @@ SPOILING = ("dark", "unsteady", "brighter", "flicker", "budget", "gain", "unsure
 """Faults that leave a scene's counts without a meaning."""
 
 
-class Fault(Frozen):
+class Fault(StrictModel):
     """Fault of a recording's markers or of its light."""
 
     # Markers: `missing`, restored from its neighbours and the schedule; `extra`, dropped; `late` or

@@ -12,7 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from deepfsi.errors import InputError
+from deepfsi.base.errors import InputError
+from deepfsi.base.progress import SILENT, Report
 from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.hardware.patterns.timing import Gates
 from deepfsi.hardware.ptu.header import Header
@@ -22,7 +23,6 @@ from deepfsi.hardware.recording.acquisition import Acquisition
 from deepfsi.hardware.recording.alignment import CERTAIN_SIGMAS, Counter, align
 from deepfsi.hardware.recording.faults import Fault
 from deepfsi.hardware.recording.passes import MOST_DRIFT
-from deepfsi.progress import SILENT, Report
 
 GUARD_SHARE = 0.5
 """Share of a frame after settling that a guard takes at most, where it is cut in parts."""

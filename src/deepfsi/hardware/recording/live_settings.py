@@ -5,7 +5,7 @@ import math
 import numpy as np
 from pydantic import Field
 
-from deepfsi.frozen import Frozen
+from deepfsi.base.models import StrictModel
 from deepfsi.hardware.recording.dead_time import NO_DEAD_TIME, DeadTime
 
 MARGIN_NS = 2000
@@ -20,7 +20,7 @@ def margin_ns(gate_ns: np.ndarray) -> np.ndarray:
     return np.maximum(MARGIN_NS, CLOCKS_DIFFER * gate_ns)
 
 
-class StopRule(Frozen):
+class StopRule(StrictModel):
     """When an exposure stops, as `design.stopping.StoppingRule` has it."""
 
     # Confidence above which the exposure stops; 1 for never before the last look
@@ -34,7 +34,7 @@ class StopRule(Frozen):
         return near and confidence > self.threshold
 
 
-class Live(Frozen):
+class Live(StrictModel):
     """Settings of a live run."""
 
     shortest_ns: int = Field(ge=1)  # Shortest gate; frames whose dwells are shorter are not shown

@@ -11,11 +11,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from deepfsi.errors import InputError
+from deepfsi.base.errors import InputError
+from deepfsi.base.quantities import time_text
 from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.hardware.patterns.timing import usual_tolerance
 from deepfsi.hardware.recording.clocks import Clock
-from deepfsi.quantities import time_text
 
 MOST_DRIFT = 2e-4
 """Largest difference of two clocks' rates, of those planned or of those measured."""

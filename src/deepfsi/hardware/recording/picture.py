@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import lstsq
 
-from deepfsi.errors import InputError, closest
+from deepfsi.base.errors import InputError, closest
 from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.recording.acquisition import read_acquisition
 from deepfsi.hardware.recording.counts import check_photons, load_counts

@@ -4,7 +4,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from deepfsi.errors import InputError, check_known
+from deepfsi.base.errors import InputError, check_known
 
 Layout = Literal["columns", "turns", "halves", "single"]
 """Masks and inverses side by side, in turn, all masks before all inverses, or masks alone."""

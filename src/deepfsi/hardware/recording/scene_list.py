@@ -3,9 +3,9 @@
 import os
 from pathlib import Path
 
-from deepfsi.errors import InputError, as_input_error
+from deepfsi.base.errors import InputError, as_input_error
+from deepfsi.base.text_files import LABEL_HEADS, read_rows, spelling
 from deepfsi.hardware.recording.acquisition import Scene
-from deepfsi.tables.text_files import LABEL_HEADS, read_rows, spelling
 
 LARGEST_LIST = 2**24
 """Bytes of a list at most."""

@@ -18,7 +18,7 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.special import xlogy
 
-from deepfsi.errors import InputError
+from deepfsi.base.errors import InputError
 from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.hardware.recording.alignment import CERTAIN_SIGMAS
 from deepfsi.hardware.recording.tables import column_names

@@ -15,14 +15,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deepfsi.errors import InputError
+from deepfsi.base.errors import InputError
+from deepfsi.base.quantities import time_text
 from deepfsi.hardware.ptu.gate_counter import GateCounter, cut_gates
 from deepfsi.hardware.ptu.header import Kind
 from deepfsi.hardware.ptu.records import EARLIEST_TICK, Part, marker_slack
 from deepfsi.hardware.ptu.stream import StreamReader
 from deepfsi.hardware.recording.clocks import MOST_EXTRA, MOST_RATE
 from deepfsi.hardware.recording.sentinels import PARTS
-from deepfsi.quantities import time_text
 
 
 @dataclass(frozen=True)

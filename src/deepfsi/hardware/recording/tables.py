@@ -14,7 +14,9 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from deepfsi.errors import InputError, check_known, closest
+from deepfsi.base.errors import InputError, check_known, closest
+from deepfsi.base.quantities import time_text
+from deepfsi.base.tables import Table
 from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.hardware.recording.acquisition import MOST_READOUTS, Scene
 from deepfsi.hardware.recording.ambient import Ambient
@@ -30,8 +32,6 @@ from deepfsi.hardware.recording.dead_time import NO_DEAD_TIME, DeadTime, check_r
 from deepfsi.hardware.recording.faults import Fault
 from deepfsi.hardware.recording.light import find_light
 from deepfsi.hardware.recording.readouts import by_rail, by_readout, lengths_by_readout
-from deepfsi.quantities import time_text
-from deepfsi.tables.table_files import Table
 
 SCENE, LABEL = "scene", "label"
 WORDS = (SCENE, LABEL)

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import poisson
 
-from deepfsi.errors import InputError
+from deepfsi.base.errors import InputError
 
 FINE = 8
 """Steps of a bin in which the place of a transit is sought."""

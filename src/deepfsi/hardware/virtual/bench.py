@@ -14,20 +14,20 @@ from pathlib import Path
 import numpy as np
 from pydantic import Field
 
-from deepfsi.errors import InputError
-from deepfsi.frozen import Frozen
+from deepfsi.base.errors import InputError
+from deepfsi.base.models import StrictModel
+from deepfsi.base.progress import SILENT, Report
 from deepfsi.hardware.patterns.folder import check_patterns
 from deepfsi.hardware.ptu.writer import Writer
 from deepfsi.hardware.recording.streaming import FrameCounts, FrameGates, StreamCounter
 from deepfsi.hardware.virtual.camera import MARKER, VirtualCamera, check_file_inputs
 from deepfsi.hardware.virtual.detector import TICK_S, Stream, divide
-from deepfsi.progress import SILENT, Report
 
 START_S = 1e-3
 """Time on the counter's clock before the first list, seconds."""
 
 
-class Latencies(Frozen):
+class Latencies(StrictModel):
     """Times of the steps of a loop, seconds; docs/understand/live-timing.md says their sources."""
 
     # Of each pattern into the device: known masks once before the first scene, adaptive ones each

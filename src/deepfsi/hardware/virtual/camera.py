@@ -23,9 +23,10 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field, field_validator
 
+from deepfsi.base.errors import InputError
+from deepfsi.base.files import check_room, new_folder
+from deepfsi.base.progress import SILENT, Report
 from deepfsi.devices import Device
-from deepfsi.errors import InputError
-from deepfsi.files import check_room, new_folder
 from deepfsi.grid import Grid
 from deepfsi.hardware.patterns.folder import read_frames, read_patterns
 from deepfsi.hardware.patterns.mirrors import unpack
@@ -48,7 +49,6 @@ from deepfsi.hardware.virtual.parts import (
     mirrors_of_cells,
     mirrors_of_detectors,
 )
-from deepfsi.progress import SILENT, Report
 
 MARKER = 1
 """Bits of the marker at the start of each frame."""

@@ -24,7 +24,7 @@ from typing import Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from deepfsi.frozen import Frozen
+from deepfsi.base.models import StrictModel
 from deepfsi.hardware.patterns.timing import ClickGates
 
 TICK_S = 1e-12
@@ -37,7 +37,7 @@ LARGEST_JITTER = 8.0
 """Most standard deviations of jitter, so that events can be sorted; more are brought to it."""
 
 
-class Detector(Frozen):
+class Detector(StrictModel):
     """A photon counter; the default is ideal."""
 
     efficiency: float = Field(1.0, gt=0, le=1)  # Share of photons that give an arrival

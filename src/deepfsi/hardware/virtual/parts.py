@@ -5,7 +5,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from deepfsi.errors import InputError
+from deepfsi.base.errors import InputError
 from deepfsi.hardware.patterns.sequence import Manifest
 
 Parts = tuple[tuple[Annotated[int, Field(ge=0)], ...], ...]

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from deepfsi.base.progress import SILENT, Report
 from deepfsi.hardware.patterns.folder import read_patterns
 from deepfsi.hardware.recording.acquisition import Acquisition
 from deepfsi.hardware.virtual.bench import BenchCounter, BenchProjector, Latencies, VirtualSetup
@@ -17,7 +18,6 @@ from deepfsi.hardware.virtual.camera import (
 )
 from deepfsi.laboratory.live.known import read_looks
 from deepfsi.laboratory.live.run import Bench
-from deepfsi.progress import SILENT, Report
 
 
 def virtual_bench(

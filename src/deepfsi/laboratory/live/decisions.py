@@ -23,8 +23,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from deepfsi.base.errors import InputError
 from deepfsi.design.view_test import Rows, ViewResult, ViewTest
-from deepfsi.errors import InputError
 from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.hardware.patterns.timing import usual_tolerance
 from deepfsi.hardware.recording.acquisition import Acquisition

@@ -4,15 +4,15 @@ from pathlib import Path
 
 import numpy as np
 
+from deepfsi.base.errors import InputError
+from deepfsi.base.files import hash_file
+from deepfsi.base.plugins import torch_needed
 from deepfsi.design.file_content import damaged, read_content
 from deepfsi.design.training_data import HASHES, TrainingScenes
-from deepfsi.errors import InputError
-from deepfsi.files import hash_file
 from deepfsi.hardware.patterns.folder import DESIGN, LOOP, read_patterns
 from deepfsi.hardware.patterns.sequence import Manifest, Patterns
 from deepfsi.hardware.recording.live_light import ShownFrames
 from deepfsi.hardware.recording.readouts import by_readout
-from deepfsi.imports import torch_needed
 from deepfsi.laboratory.live.looks import AllOn, Conditions, FrameList, Likeness, LiveLooks
 from deepfsi.laboratory.live.loop import Loop, read_loop
 

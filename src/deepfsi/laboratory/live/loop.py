@@ -15,15 +15,15 @@ import numpy as np
 from pydantic import Field
 from safetensors.numpy import save
 
+from deepfsi.base.arrays import DamagedError, read_tensors
+from deepfsi.base.errors import InputError, as_input_error
+from deepfsi.base.models import StrictModel
 from deepfsi.design.consistency import ReadoutDistribution
 from deepfsi.design.view_test import SceneModel
-from deepfsi.errors import InputError, as_input_error
-from deepfsi.frozen import Frozen
 from deepfsi.hardware.patterns.looks import Looks
 from deepfsi.hardware.recording.live_settings import StopRule
 from deepfsi.laws import Readout
 from deepfsi.optics.dwells import share_out
-from deepfsi.tables.tensor_files import DamagedError, read_tensors
 
 TEMPERATURES = ("temperatures.logs", "temperatures.budgets")
 """Tensors of the calibration, float64."""
@@ -32,7 +32,7 @@ Layer = tuple[np.ndarray, np.ndarray]
 """Weights (inputs, outputs) and biases (outputs,) of a linear layer, float32."""
 
 
-class LoopHeader(Frozen):
+class LoopHeader(StrictModel):
     """Header of a loop's file: all but the numbers of its networks."""
 
     schema_version: Literal[2] = 2

@@ -14,9 +14,11 @@ from pathlib import Path
 
 import numpy as np
 
+from deepfsi.base.arrays import read_npz
+from deepfsi.base.errors import InputError
+from deepfsi.base.files import hash_file, write_atomically
+from deepfsi.base.progress import SILENT, Report
 from deepfsi.design.view_test import Rows
-from deepfsi.errors import InputError
-from deepfsi.files import hash_file, write_atomically
 from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.hardware.ptu.gate_counter import cut_gates
 from deepfsi.hardware.ptu.header import Header, read_header
@@ -29,8 +31,6 @@ from deepfsi.laboratory.live.decisions import Decision, Observer
 from deepfsi.laboratory.live.looks import FrameList, LiveLooks
 from deepfsi.laboratory.live.shown import DARK, ShownList, ShownScene, read_shown
 from deepfsi.laboratory.results import LiveScene
-from deepfsi.progress import SILENT, Report
-from deepfsi.tables.array_files import read_npz
 
 PHOTONS, COUNTS = "photons.ptu", "counts.npz"
 """Files of the recording and its counts."""

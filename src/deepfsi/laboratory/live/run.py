@@ -14,9 +14,9 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from deepfsi import interrupts
-from deepfsi.errors import InputError, as_input_error
-from deepfsi.files import GrowingFile
+from deepfsi.base import interrupts
+from deepfsi.base.errors import InputError, as_input_error
+from deepfsi.base.files import GrowingFile
 from deepfsi.hardware.drivers.protocols import (
     PassProjector,
     StreamingCounter,

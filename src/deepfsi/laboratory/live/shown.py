@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 from pydantic import Field, ValidationError, model_validator
 
-from deepfsi.errors import InputError
-from deepfsi.files import read_regular
-from deepfsi.frozen import Frozen
+from deepfsi.base.errors import InputError
+from deepfsi.base.files import read_regular
+from deepfsi.base.models import StrictModel
 from deepfsi.hardware.recording.faults import Fault
 from deepfsi.laboratory.live.looks import FrameList
 
@@ -26,7 +26,7 @@ LARGEST_FILE = 2**31
 """Bytes of a record at most."""
 
 
-class ShownList(Frozen):
+class ShownList(StrictModel):
     """A list of frames as it was shown."""
 
     look: int = Field(ge=-1, le=1023)  # From 0; -1 for those that begin and end a scene
@@ -62,7 +62,7 @@ def packed(masks: np.ndarray | None) -> tuple[str, ...]:
     return tuple(b64encode(bits.tobytes()).decode() for bits in np.packbits(masks, axis=1))
 
 
-class ShownScene(Frozen):
+class ShownScene(StrictModel):
     """A scene as it was shown, and what was decided."""
 
     scene: int = Field(ge=DARK)  # From 0; -1 for the pass before, with the scenes dark

@@ -5,20 +5,22 @@ is turned back here. Either needs h5py, an extra of the package.
 """
 
 import io
+import os
 import struct
+import zipfile
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Container, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
 import numpy.typing as npt
+import psutil
+from safetensors import safe_open
 
-from deepfsi.errors import InputError
-from deepfsi.files import check_unpacked, content_of, open_regular
-from deepfsi.memory import check_memory, free_memory
-from deepfsi.tables.zip_files import open_zip, read_entry
+from deepfsi.base.errors import InputError
+from deepfsi.base.files import check_unpacked, content_of, open_regular
 
 HDF5 = (".h5", ".hdf5")
 """Ends of the names of HDF5 files."""
@@ -322,3 +324,82 @@ def _check_parts(file: IO[bytes], order: str, end: int) -> None:
         if kind < 1 << 16:  # else the values are in the tag
             file.seek(-(-length // MAT_TAG) * MAT_TAG, io.SEEK_CUR)
     file.seek(end)
+
+
+METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+"""Ways of compression that are unpacked."""
+
+
+@contextmanager
+def open_zip(path: Path, advice: str) -> Iterator[zipfile.ZipFile]:
+    """Open a zip file, or raise `InputError` if it is none or a bomb."""
+    with open_regular(path, LARGEST_FILE, advice) as file:
+        try:
+            archive = zipfile.ZipFile(file)
+        except Exception as error:  # zipfile raises almost anything on a damaged directory
+            kind = content_of(path)
+            held = "it is cut or damaged" if "a zip file" in kind else f"it holds {kind}"
+            raise InputError(
+                f"cannot read {path} as a zip file ({error}); {held}; {advice}"
+            ) from None
+        with archive:
+            size = sum(info.file_size for info in archive.infolist())
+            check_unpacked(size, path.stat().st_size, str(path), advice)
+            yield archive
+
+
+def read_entry(
+    archive: zipfile.ZipFile, info: zipfile.ZipInfo, where: str, largest: int, advice: str
+) -> bytes:
+    """Content of an entry of so many bytes at most."""
+    if info.flag_bits & 1:
+        raise InputError(f"{where} is encrypted; pack it again without a password")
+    if info.compress_type not in METHODS:
+        raise InputError(f"{where} is compressed in an unusual way; pack it with deflate or none")
+    if info.file_size > largest:
+        raise InputError(
+            f"{where} unpacks to {info.file_size / 1e6:.0f} MB, and {largest / 1e6:.0f} MB are "
+            f"allowed; {advice}"
+        )
+    try:
+        with archive.open(info) as entry:
+            # asked for no more than is declared, zipfile unpacks no more
+            return entry.read(info.file_size + 1)
+    except Exception as error:  # zipfile and zlib raise almost anything on damaged data
+        raise InputError(f"cannot read {where} ({error}); {advice}") from None
+
+
+LARGEST_TENSORS = 2**33
+"""Bytes of a file of tensors at most."""
+
+
+class DamagedError(Exception):
+    """A file holds no tensors with the text that is asked for; its reader says what to do."""
+
+
+def read_tensors(
+    path: str | os.PathLike[str], key: str, advice: str, wanted: Container[str] | None = None
+) -> tuple[str, dict[str, np.ndarray]]:
+    """Text of a key in a file's header and its tensors, all or those wanted."""
+    with open_regular(path, LARGEST_TENSORS, advice):
+        try:
+            with safe_open(Path(path), framework="numpy") as file:
+                text = (file.metadata() or {})[key]
+                names = [name for name in file.keys() if wanted is None or name in wanted]  # noqa: SIM118
+                return text, {name: file.get_tensor(name) for name in names}
+        except Exception as error:  # it raises almost anything on a damaged file
+            raise DamagedError(path) from error
+
+
+def free_memory() -> float:
+    """Bytes that programs may still take on this machine without swapping."""
+    return float(psutil.virtual_memory().available)
+
+
+def check_memory(needed: float, free: float, what: str, advice: str) -> None:
+    """Raise `InputError` where something would not fit."""
+    if needed > free:
+        raise InputError(
+            f"{what} need {needed / 1e9:.3g} GB of memory, and {free / 1e9:.3g} GB are free: "
+            f"{advice}"
+        )

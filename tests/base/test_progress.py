@@ -9,8 +9,8 @@ import time
 
 import pytest
 
-from deepfsi import progress
-from deepfsi.progress import Moments, duration_text, progress_text, terminal_bar
+from deepfsi.base import progress
+from deepfsi.base.progress import Moments, duration_text, progress_text, terminal_bar
 from shared.waiting import until
 
 
@@ -69,7 +69,7 @@ def test_a_bar_on_a_terminal_shows_the_time_left_however_rarely_work_ends(tmp_pa
     code = (
         "import time; real, gone = time.monotonic, [0]\n"
         "time.monotonic = lambda: real() + gone[0]\n"
-        "from deepfsi.progress import terminal_bar\n"
+        "from deepfsi.base.progress import terminal_bar\n"
         "with terminal_bar('plan') as report:\n"
         "    report(0.1); gone[0] = 3600; report(0.2, '[a class]'); time.sleep(0.5)\n"
     )

@@ -17,7 +17,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from deepfsi import interrupts
+from deepfsi.base import interrupts
 from shared.waiting import PATIENCE, until
 
 ASKED = os.environ.get("DEEPFSI_STOPS")

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
-from deepfsi.errors import InputError
-from deepfsi.files import WINDOWS, check_unpacked, open_regular, read_text
-from deepfsi.tables.text_files import WITHOUT_VALUE, has_decimal_commas, number_of, separated
+from deepfsi.base.errors import InputError
+from deepfsi.base.files import WINDOWS, check_unpacked, open_regular, read_text
+from deepfsi.base.text_files import WITHOUT_VALUE, has_decimal_commas, number_of, separated
 
 LARGEST = 2**27
 """Numbers of a table at most."""

@@ -15,11 +15,11 @@ import pytest
 from scipy import sparse
 from scipy.io import savemat
 
-from deepfsi.errors import InputError
-from deepfsi.tables import table_files
-from deepfsi.tables.array_files import read_npy, read_npz
-from deepfsi.tables.table_files import is_table, read_table, read_whole
-from deepfsi.tables.text_files import number_of
+from deepfsi.base import tables as table_files
+from deepfsi.base.arrays import read_npy, read_npz
+from deepfsi.base.errors import InputError
+from deepfsi.base.tables import is_table, read_table, read_whole
+from deepfsi.base.text_files import number_of
 
 VALUES = np.random.default_rng(2).integers(0, 1000, (3, 5))
 NAMES = tuple("abcde")
@@ -136,8 +136,8 @@ def test_a_wide_table_costs_little_more_than_its_numbers(tmp_path):
     path.write_text("\n".join([",".join(["123"] * columns)] * 6))
     read_table(path)  # what is imported once
     code = (
-        "import resource, sys; from deepfsi.tables.table_files import read_table\n"
-        "import deepfsi.tables.columns\n"
+        "import resource, sys; from deepfsi.base.tables import read_table\n"
+        "import deepfsi.base.columns\n"
         "def peak(): return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss\n"
         "before = peak(); print(read_table(sys.argv[1]).values.shape, peak() - before)"
     )

@@ -8,7 +8,7 @@ from html import escape
 
 import numpy as np
 
-from deepfsi.statistics.confusion import MOST_CLASSES, frequent, shares
+from deepfsi.base.intervals import MOST_CLASSES, frequent, shares
 
 TINT = "0, 114, 178"
 """Red, green and blue of the cells of a confusion matrix."""

@@ -7,10 +7,17 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from deepfsi.statistics import differences
-from deepfsi.statistics.differences import Difference, above, difference, of_trials, paired
-from deepfsi.statistics.intervals import accuracy
-from deepfsi.statistics.terms import pack, unpack
+from deepfsi.base import intervals as differences
+from deepfsi.base.intervals import (
+    Difference,
+    above,
+    accuracy,
+    difference,
+    of_trials,
+    pack,
+    paired,
+    unpack,
+)
 from shared.results import a_point
 
 

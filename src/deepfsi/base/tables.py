@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from deepfsi.errors import InputError
-from deepfsi.tables.array_files import VARIABLES, read_array, split_variable
-from deepfsi.tables.text_files import spelling
+from deepfsi.base.arrays import VARIABLES, read_array, split_variable
+from deepfsi.base.errors import InputError
+from deepfsi.base.text_files import spelling
 
 if TYPE_CHECKING:
-    from deepfsi.tables.columns import Columns
+    from deepfsi.base.columns import Columns
 
 TEXTS = (".csv", ".txt", ".tsv", ".dat")
 """Ends of the names of text files."""
@@ -136,7 +136,7 @@ def _read(source: str | Path) -> "tuple[Path, np.ndarray | Columns]":
     if not path.exists():
         raise InputError(f"there is no file {path}: give one ending in {', '.join(SUFFIXES)}")
     if suffix in (*TEXTS, ".parquet"):
-        from deepfsi.tables.columns import as_table, read_parquet_columns, read_text_columns
+        from deepfsi.base.columns import as_table, read_parquet_columns, read_text_columns
 
         with as_table(path):
             columns = read_text_columns(path) if suffix in TEXTS else read_parquet_columns(path)

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import BaseModel, ConfigDict
 
-from deepfsi.errors import as_input_error
+from deepfsi.base.errors import as_input_error
 
 if TYPE_CHECKING:
     from pydantic._internal._model_construction import ModelMetaclass
@@ -12,7 +12,7 @@ else:
     ModelMetaclass = type(BaseModel)
 
 
-class Frozen(BaseModel):
+class StrictModel(BaseModel):
     """Model that is never changed once it is made, and knows no other fields than its own."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -26,5 +26,5 @@ class _InOneLine(ModelMetaclass):
             return super().__call__(*args, **fields)
 
 
-class Settings(Frozen, metaclass=_InOneLine):
+class UserModel(StrictModel, metaclass=_InOneLine):
     """Model of what a user writes in Python."""

@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 from scipy.stats import binom, binomtest
 
-from deepfsi.statistics.intervals import (
+from deepfsi.base.intervals import (
     accuracy,
     balanced,
     balanced_terms,

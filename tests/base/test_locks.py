@@ -12,9 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from deepfsi.owners import this_process
-from deepfsi.sweeps import locks
-from deepfsi.sweeps.locks import Locks
+from deepfsi.base import locks
+from deepfsi.base.locks import Locks, this_process
 from shared.waiting import until
 
 ELSEWHERE = "0123456789ab-1-1-00000000"
@@ -71,7 +70,7 @@ def test_many_at_once_never_share_a_lock(tmp_path):
 def other(tmp_path):
     """Yield a process that has the lock `a`."""
     code = (
-        "import sys, time, pathlib; from deepfsi.sweeps.locks import Locks\n"
+        "import sys, time, pathlib; from deepfsi.base.locks import Locks\n"
         "print(Locks(pathlib.Path(sys.argv[1])).take('a'), flush=True); time.sleep(600)"
     )
     process = subprocess.Popen(

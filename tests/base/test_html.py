@@ -12,8 +12,8 @@ from PIL import Image
 
 import deepfsi
 from deepfsi import InputError, evaluate
-from deepfsi.inline import confusion_table, mask_picture
-from deepfsi.statistics.confusion import frequent, shares
+from deepfsi.base.html import confusion_table, mask_picture
+from deepfsi.base.intervals import frequent, shares
 
 CONFUSION = [[8, 2, 0], [0, 10, 0], [5, 0, 15]]
 

@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from deepfsi.errors import InputError
+from deepfsi.base.errors import InputError
 
 PATTERN = r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*"
 """Form of an import path."""

@@ -24,3 +24,21 @@ def seconds(time: Any) -> float:
 
 Seconds = Annotated[float, BeforeValidator(seconds)]
 """Seconds, 0 or more."""
+
+
+def time_text(time_s: float) -> str:
+    """A time in the unit that suits it: 12000 s, 1.5 s, 12.07 ms, 44 µs."""
+    units = {"s": 1.0, "ms": 1e-3, "µs": 1e-6, "ns": 1e-9, "ps": 1e-12}
+    unit = next((each for each, size in units.items() if time_s >= 0.99995 * size), "s")
+    number = f"{time_s / units[unit]:.4g}"
+    return f"{float(number):.0f} {unit}" if "e+" in number else f"{number} {unit}"
+
+
+def count_text(counts: float) -> str:
+    """A number of counts or photons: 0.25, 99.9, 1634, 163400, 1.63e7."""
+    if counts < 999.5:
+        return f"{counts:.3g}" if counts >= 1e-3 else f"{counts:.1g}"
+    if counts < 1e6:
+        return f"{float(f'{counts:.4g}'):.0f}"
+    mantissa, exponent = f"{counts:.2e}".split("e")
+    return f"{mantissa.rstrip('0').rstrip('.')}e{int(exponent)}"

@@ -7,8 +7,8 @@ import sys
 
 import pytest
 
-from deepfsi.errors import InputError
-from deepfsi.files import (
+from deepfsi.base.errors import InputError
+from deepfsi.base.files import (
     WINDOWS,
     GrowingFile,
     check_readable,
@@ -40,13 +40,13 @@ def test_a_write_makes_parent_folders_and_a_readable_file(tmp_path):
 
 
 def test_writing_files_needs_no_torch():
-    code = "import sys; import deepfsi.files; assert 'torch' not in sys.modules"
+    code = "import sys; import deepfsi.base.files; assert 'torch' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
 WRITES = """
 import pathlib, sys, time
-from deepfsi.files import new_folder, open_atomically
+from deepfsi.base.files import new_folder, open_atomically
 home = pathlib.Path(sys.argv[1])
 with open_atomically(home / "file.json") as file, new_folder(home / "folder") as folder:
     file.write(b"a part")

@@ -8,8 +8,8 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from deepfsi.errors import InputError
-from deepfsi.files import WINDOWS, read_text
+from deepfsi.base.errors import InputError
+from deepfsi.base.files import WINDOWS, read_text
 
 NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 """A number as programs write it: no underscores, no digits of other scripts, no words."""

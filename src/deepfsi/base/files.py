@@ -26,8 +26,8 @@ from io import BufferedReader, FileIO
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from deepfsi.errors import InputError
-from deepfsi.owners import PATTERN, owner_of, this_process
+from deepfsi.base.errors import InputError
+from deepfsi.base.locks import PATTERN, owner_of, this_process
 
 BYTE_ORDER_MARKS = {
     codecs.BOM_UTF8: "utf-8",

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from deepfsi.quantities import count_text, time_text
-from deepfsi.units import seconds
+from deepfsi.base.quantities import count_text, seconds, time_text
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,1 @@
+"""What any program needs: errors, settings, files, tables, progress, intervals."""

@@ -1,0 +1,524 @@
+"""95 % intervals of what a test measures, over test images and training seeds.
+
+A test of S trainings with different seeds on the same n images gives a value of each image by each
+training, such as the share of its noise draws that are right: values (S, n). Images and seeds are
+crossed random effects. The mean over seeds of each image tells the variance over images, in which
+the noise draws and what is of one training on one image are held already; the means of the
+trainings vary by the seeds and by a share of the same, which is taken off. Half widths of both
+parts, each by its own quantile, add as squares. Of one training the interval is over images alone.
+`benchmarks/coverage.py` measures how often the intervals hold the truth.
+"""
+
+import base64
+import math
+import zlib
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from statistics import NormalDist
+from typing import Literal, NamedTuple, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+Z = NormalDist().inv_cdf(0.975)
+
+PRIOR_SQUARES = 1.0
+"""Sum of squares, beside the images' own, with which their values are taken to spread as right and
+wrong do: among few images with an error the true spread may not show."""
+
+
+class Interval(NamedTuple):
+    """A mean and its 95 % interval."""
+
+    mean: float
+    low: float
+    high: float
+
+    @property
+    def text(self) -> str:
+        """Mean and ends, with three decimals."""
+        return f"{self.mean:.3f} ({self.low:.3f} to {self.high:.3f})"
+
+
+def accuracy(right: np.ndarray) -> Interval:
+    """Accuracy with its interval, which lies in [0, 1].
+
+    Parameters
+    ----------
+    right : array, shape (S, n) or (n,)
+        Share of the noise draws of each of n images that a training answers right.
+
+    Notes
+    -----
+    Over images it is Wilson's score interval at an effective number of images: with the mean of
+    several draws as one value, images vary less than right and wrong do. Of one draw and one
+    training it is Wilson's.
+    """
+    values = np.atleast_2d(right)
+    mean, low, high = _score(values.mean(axis=0))
+    return over_seeds(Interval(mean, low, high), values, (0.0, 1.0))
+
+
+def balanced(right: np.ndarray, labels: np.ndarray) -> Interval:
+    """Mean of the classes' accuracies with its interval.
+
+    Every class counts alike, whatever its number of images; classes without any are left out.
+
+    Parameters
+    ----------
+    right : array, shape (S, n) or (n,)
+        As of `accuracy`.
+    labels : array, shape (n,)
+        Class of each image.
+
+    Notes
+    -----
+    The interval combines those of the classes (the method of variance estimates recovery): the
+    squared distances of their lower ends from their rates add up to that of the mean's lower end
+    times the number of classes, and those of the upper ends likewise. So a class of one image,
+    right or wrong, still has its say in the width. It covers the truth in 95 of 100 tests of 40
+    images a class, and in 90 to 97 where classes have one to three.
+    """
+    values = np.atleast_2d(right)
+    each = values.mean(axis=0)
+    ends = [_score(each[labels == label]) for label in np.unique(labels)]
+    mean = sum(rate for rate, _, _ in ends) / len(ends)
+    below = math.hypot(*(rate - low for rate, low, _ in ends)) / len(ends)
+    above = math.hypot(*(high - rate for rate, _, high in ends)) / len(ends)
+    terms = np.stack([balanced_terms(row, labels) for row in values])
+    return over_seeds(Interval(mean, mean - below, mean + above), terms, (0.0, 1.0))
+
+
+def balanced_terms(right: np.ndarray, labels: np.ndarray) -> np.ndarray:
+    """Terms (n,) of images whose mean is the balanced accuracy, and varies as it does."""
+    # right (n,) and labels (n,) of one training
+    _, groups, sizes = np.unique(labels, return_inverse=True, return_counts=True)
+    rates = np.bincount(groups, right) / sizes
+    weights = len(labels) / (len(sizes) * sizes)
+    return np.asarray(rates.mean() + weights[groups] * (right - rates[groups]))
+
+
+def over_images(values: np.ndarray) -> Interval:
+    """Mean of values (S, n) or (n,) without bounds, such as the shares that make R²."""
+    from scipy import stats
+
+    rows = np.atleast_2d(values)
+    each = rows.mean(axis=0)
+    mean, count = float(each.mean()), len(each)
+    if count < 2:
+        return Interval(mean, mean, mean)
+    half = float(stats.t.ppf(0.975, count - 1)) * float(stats.sem(each))
+    return over_seeds(Interval(mean, mean - half, mean + half), rows)
+
+
+def over_seeds(
+    found: Interval, terms: np.ndarray, bounds: tuple[float, float] = (-math.inf, math.inf)
+) -> Interval:
+    """An interval over images, which covers training seeds, too, where there are several."""
+    # terms (S, n), whose mean is what is measured
+    from scipy import stats
+
+    mean, low, high = found
+    reach = 0.0
+    if len(terms) > 1:
+        reach = float(stats.t.ppf(0.975, len(terms) - 1)) * seeds_error(terms)
+    low, high = mean - math.hypot(mean - low, reach), mean + math.hypot(high - mean, reach)
+    return Interval(mean, max(low, bounds[0]), min(high, bounds[1]))
+
+
+def seeds_error(terms: np.ndarray, off: float = 1.0) -> float:
+    """Standard error that training seeds alone give the mean of terms (S, n); 0 of one seed."""
+    # off: part of the share of images and draws in the trainings' variance that is taken off it
+    seeds, images = terms.shape
+    if seeds < 2:
+        return 0.0
+    trainings = terms.mean(axis=1)
+    spread = float(trainings.var(ddof=1)) / seeds
+    if images < 2:
+        return math.sqrt(spread)
+    rest = terms - terms.mean(axis=0) - trainings[:, None] + terms.mean()
+    crossed = float(np.square(rest).sum()) / ((seeds - 1) * (images - 1)) / (seeds * images)
+    return math.sqrt(max(spread - off * crossed, 0.0))
+
+
+def wilson(accuracy: float, images: int) -> tuple[float, float]:
+    """95 % interval of a mean over images, each of which counts as one trial."""
+    # in closed form: scipy's binomtest, which gives it too, tests a hypothesis first
+    return _wilson(round(accuracy * images) / images, images)
+
+
+def _wilson(rate: float, images: float) -> tuple[float, float]:
+    part = Z**2 / images
+    half = math.sqrt(part * (rate * (1 - rate) + part / 4))
+    low, high = ((rate + part / 2 + off) / (1 + part) for off in (-half, half))
+    return low if rate > 0 else 0.0, high if rate < 1 else 1.0
+
+
+def _score(values: np.ndarray) -> Interval:
+    """Mean of values (n,) in [0, 1], with Wilson's interval at their effective number."""
+    mean, count = float(values.mean()), len(values)
+    squares = float(np.square(values - mean).sum())
+    share = (squares + PRIOR_SQUARES) / (count * mean * (1 - mean) + PRIOR_SQUARES)
+    return Interval(mean, *_wilson(mean, count / share))
+
+
+def student(values: Sequence[float]) -> tuple[float, float]:
+    """95 % interval of a mean over trials."""
+    from scipy import stats
+
+    mean = float(np.mean(values))
+    half = float(stats.t.ppf(0.975, len(values) - 1)) * float(stats.sem(values))
+    return mean - half, mean + half
+
+
+def worst_of(rates: Sequence[float | None]) -> int:
+    """Place of the class with the lowest accuracy, of those that have one."""
+    return min((rate, place) for place, rate in enumerate(rates) if rate is not None)[1]
+
+
+CONFIDENCE = 0.95
+"""Of the intervals."""
+
+
+OFF = 0.5
+"""Part of the share of images and draws in the trainings' variance that is taken off it: the whole
+is right in the mean, but the variance of three trainings is often far below that, and alike designs
+would then be told apart in up to 9 of 100 studies instead of 7 (`benchmarks/coverage.py`)."""
+
+
+class Trials(Protocol):
+    """Accuracies of trials, the 95 % interval of their mean, and terms of the test images."""
+
+    @property
+    def accuracies(self) -> Sequence[float]:
+        """Of each trial, by seed."""
+
+    @property
+    def low(self) -> float:
+        """Lower end of the interval."""
+
+    @property
+    def high(self) -> float:
+        """Upper end of the interval."""
+
+    @property
+    def terms(self) -> Sequence[str]:
+        """Of each trial, values of the test images whose mean is its accuracy; none of old ones."""
+
+
+@dataclass(frozen=True)
+class Difference:
+    """A difference with its standard error.
+
+    Attributes
+    ----------
+    mean : float
+    error : float
+        Standard error; infinite where one trial cannot give one.
+    freedom : float
+        Degrees of freedom of the error, infinite for a normal one.
+    seeds_error, seeds_freedom : float
+        What training seeds add where `error` is over test images.
+    """
+
+    mean: float
+    error: float
+    freedom: float = math.inf
+    seeds_error: float = 0.0
+    seeds_freedom: float = math.inf
+
+    def interval(self, confidence: float = CONFIDENCE) -> tuple[float, float]:
+        """Both ends of an interval of that confidence."""
+        from scipy import stats
+
+        images, seeds = stats.t.ppf((1 + confidence) / 2, [self.freedom, self.seeds_freedom])
+        half = math.hypot(images * self.error, seeds * self.seeds_error)
+        return self.mean - half, self.mean + half
+
+    @property
+    def low(self) -> float:
+        """Lower end of the 95 % interval."""
+        return self.interval()[0]
+
+    @property
+    def high(self) -> float:
+        """Upper end of the 95 % interval."""
+        return self.interval()[1]
+
+    def __neg__(self) -> "Difference":
+        return replace(self, mean=-self.mean)
+
+    def __str__(self) -> str:
+        if not math.isfinite(self.error):
+            return f"{signed(self.mean)} (one trial, no interval)"
+        return f"{signed(self.mean)} [{signed(self.low)}, {signed(self.high)}]"
+
+
+def signed(value: float, digits: int = 3) -> str:
+    """Number with its sign, the minus as wide as the plus."""
+    return f"{value:+.{digits}f}".replace("-", "−")
+
+
+def of_trials(values: Sequence[float]) -> Difference:
+    """Mean of one value for each trial, with its error over trials, if there are several."""
+    from scipy import stats
+
+    mean, count = float(np.mean(values)), len(values)
+    if count < 2:
+        return Difference(mean, math.inf)
+    return Difference(mean, float(stats.sem(values)), count - 1)
+
+
+def paired(first: np.ndarray, second: np.ndarray) -> Difference:
+    """Mean of values of images less that of others of the same images.
+
+    Parameters
+    ----------
+    first, second : array, shape (S, n) and (T, n)
+        Values of each of n images by each of S and of T trainings. As many trainings are those of
+        the same seeds.
+
+    Notes
+    -----
+    Images and seeds are crossed random effects, as in `statistics.intervals`. Two more squares as
+    large as the largest are added to those of the images: where few images differ, those that do
+    may be of one sign by chance. Five images that one design alone reads do not tell it apart, and
+    six do, as in the sign test.
+    """
+    each = first.mean(axis=0) - second.mean(axis=0)
+    mean, count = float(each.mean()), len(each)
+    squares = float(np.square(each - mean).sum() + 2 * np.square(each).max())
+    error = math.sqrt(squares / max(count - 1, 1) / count)
+    freedom = max(count - 1, 1)
+    if len(first) == len(second):
+        return Difference(
+            mean, error, freedom, seeds_error(first - second, OFF), max(len(first) - 1, 1)
+        )
+    errors = seeds_error(first, OFF), seeds_error(second, OFF)
+    fewest = min(len(part) for part in (first, second) if len(part) > 1)
+    return Difference(mean, error, freedom, math.hypot(*errors), fewest - 1)
+
+
+def difference(first: Trials, second: Trials) -> Difference:
+    """Accuracy of some trials less that of others, paired on the images that both were tested with.
+
+    Of trials that keep no values of images those of one seed are paired, and the error is that over
+    seeds; of a single such trial it combines the two intervals over images as if these were
+    independent.
+    """
+    if first.terms and second.terms:
+        rows = [np.stack([unpack(each) for each in point.terms]) for point in (first, second)]
+        if rows[0].shape[1] == rows[1].shape[1]:
+            return paired(*rows)
+    one, other = (np.asarray(each.accuracies) for each in (first, second))
+    if len(one) == len(other) > 1:
+        return of_trials((one - other).tolist())
+    half = math.hypot(*((each.high - each.low) / 2 for each in (first, second)))
+    return Difference(float(one.mean() - other.mean()), half / Z)
+
+
+def above(differences: Iterable[Difference], limit: float = 0.0) -> bool | None:
+    """Test that all differences are above a limit."""
+    # Yes if every 95 % interval is. No if one lies below it, by an interval widened for as many
+    # comparisons as there are differences (Bonferroni). Else open
+    every = list(differences)
+    wide = 1 - (1 - CONFIDENCE) / max(len(every), 1)
+    if any(each.interval(wide)[1] < limit for each in every):
+        return False
+    return True if all(each.low > limit for each in every) else None
+
+
+CURVE_BUDGETS = 1000
+"""Budgets at which a curve is computed, between the lowest and the highest tried."""
+
+
+@dataclass(frozen=True)
+class Crossing:
+    """Where a curve of accuracy over photons meets a target."""
+
+    # Best estimate; None if the curve does not meet the target within the tried budgets
+    photons: float | None
+    # Its 95 % interval. An end beyond the tried budgets is None; where all of the interval is, the
+    # other end is the budget that it lies beyond
+    low: float | None
+    high: float | None
+    # Whether the estimate is within the tried budgets, the target is reached at the lowest already,
+    # or not even at the highest
+    found: Literal["within", "below", "beyond"]
+
+
+def crossing(
+    photons: Sequence[float], accuracies: Sequence[Sequence[float]], images: int, target: float
+) -> Crossing:
+    """Photons at which the accuracy reaches a target."""
+    # Accuracy does not fall with more photons, so that the tried ones are brought to order
+    # (isotonic regression) and joined by a monotone cubic over the logarithm of the budget. The
+    # interval holds all budgets at which the curve's own one holds the target: that of the test
+    # images (Wilson) and of training seeds (Student, with one variance for all budgets; none where
+    # each has one trial), added in squares, about any shape that the curve may plausibly have
+    # between tried budgets
+    from scipy.interpolate import PchipInterpolator
+    from sklearn.isotonic import IsotonicRegression
+
+    tried = np.log10(photons)
+    means = [float(np.mean(trials)) for trials in accuracies]
+    fitted = IsotonicRegression().fit_transform(tried, means)
+    below, above = _half_widths(fitted, accuracies, images)
+    budgets = np.union1d(np.linspace(tried[0], tried[-1], CURVE_BUDGETS), tried)
+    curve = PchipInterpolator(tried, fitted)(budgets)
+    least, most = _shapes(tried, fitted, budgets)
+    lower = least - np.interp(budgets, tried, below)
+    upper = np.maximum.accumulate(most + np.interp(budgets, tried, above))
+
+    def reached(accuracy: np.ndarray) -> int:
+        """From which budget on the target is reached; the number of budgets if at none."""
+        short = np.flatnonzero(accuracy < target)
+        return int(short[-1]) + 1 if len(short) else 0
+
+    place, low, high = reached(curve), reached(upper), reached(lower)
+    budgets, last = 10**budgets, len(budgets) - 1
+    return Crossing(
+        photons=float(budgets[place]) if 0 < place <= last else None,
+        low=float(budgets[min(low, last)]) if low else None,
+        high=float(budgets[high]) if high <= last else None,
+        found="below" if place == 0 else "beyond" if place > last else "within",
+    )
+
+
+def _shapes(x: np.ndarray, y: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Least and most that a rising curve through points may plausibly be between them."""
+    # The hull of three straight lines: the one that joins two points, and those of the gaps beside
+    # it, continued into this one (flat where there is none); never below the lower point nor above
+    # the upper one, and at a point its own value
+    slopes = np.diff(y) / np.diff(x)
+    gap = np.clip(np.searchsorted(x, at, side="right") - 1, 0, len(slopes) - 1)
+    before, after = np.append(0.0, slopes)[gap], np.append(slopes, 0.0)[gap + 1]
+    lines = np.stack(
+        [
+            y[gap] + slopes[gap] * (at - x[gap]),
+            y[gap] + before * (at - x[gap]),
+            y[gap + 1] - after * (x[gap + 1] - at),
+        ]
+    )
+    lines = np.where(np.isin(at, x), lines[0], np.clip(lines, y[gap], y[gap + 1]))
+    return lines.min(axis=0), lines.max(axis=0)
+
+
+def _half_widths(
+    fitted: np.ndarray, accuracies: Sequence[Sequence[float]], images: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Distance of accuracies to the lower and the upper end of their 95 % interval."""
+    from scipy import stats
+
+    z = stats.norm.ppf(0.975)
+    shrunk = 1 / (1 + z**2 / images)  # Wilson's interval, for rates that are no counts
+    middle = shrunk * (fitted + z**2 / (2 * images))
+    half = shrunk * z * np.sqrt(fitted * (1 - fitted) / images + z**2 / (4 * images**2))
+    freedom = sum(len(trials) - 1 for trials in accuracies)
+    seeds = np.zeros(len(fitted))
+    if freedom:
+        squares = sum(float(np.var(trials)) * len(trials) for trials in accuracies)
+        counts = np.array([len(trials) for trials in accuracies])
+        seeds = stats.t.ppf(0.975, freedom) * np.sqrt(squares / freedom / counts)
+    return np.hypot(fitted - middle + half, seeds), np.hypot(middle + half - fitted, seeds)
+
+
+def auc_terms(scores: np.ndarray, positive: np.ndarray) -> np.ndarray:
+    """Terms (n,) of images whose mean is the area under the ROC curve, and varies as it does.
+
+    The area is the probability that a positive image scores higher than another one, ties half.
+
+    Parameters
+    ----------
+    scores : array, shape (n, d)
+        Of d exposures of each image.
+    positive : array, shape (n,), bool
+        Which images are positive; some are, and some are not.
+
+    Notes
+    -----
+    The variance over n of the terms is that of E. R. DeLong, D. M. DeLong and D. L. Clarke-Pearson
+    (Biometrics 44, 837, 1988), with the mean of an image's exposures as one observation.
+    """
+    from scipy.stats import rankdata
+
+    ranks = rankdata(scores).reshape(scores.shape)
+    above = np.empty(len(scores))
+    for kind, rows in ((True, positive), (False, ~positive)):
+        own = rankdata(scores[rows]).reshape(-1, scores.shape[1])
+        share = (ranks[rows] - own) / (scores.size - own.size)  # of the other kind that are lower
+        above[rows] = (share if kind else 1 - share).mean(axis=1)
+    area = float(above[positive].mean())
+    terms = np.empty(len(scores))
+    for rows in (positive, ~positive):
+        count = int(rows.sum())
+        weight = len(scores) / math.sqrt(count * max(count - 1, 1))
+        terms[rows] = area + weight * (above[rows] - above[rows].mean())
+    return terms
+
+
+def auc(terms: np.ndarray, positive: np.ndarray) -> Interval:
+    """Area under the ROC curve with its 95 % interval, of terms (S, n) or (n,) of `auc_terms`.
+
+    Over images the interval is symmetric in log(A / (1 − A)). Of an area of 1 or 0 it ends where
+    three images in a hundred of the rarer kind would be, at 3 / n (the rule of three).
+    """
+    rows = np.atleast_2d(terms)
+    each = rows.mean(axis=0)
+    area = float(np.clip(each.mean(), 0.0, 1.0))
+    error = float(each.std()) / math.sqrt(len(each))
+    if min(area, 1 - area) < 1e-12:
+        area = float(round(area))
+        reach = min(3 / min(int(positive.sum()), int((~positive).sum())), 1.0)
+        low, high = area - reach, area + reach
+    else:
+        middle, half = math.log(area / (1 - area)), Z * error / (area * (1 - area))
+        low, high = (1 / (1 + math.exp(-(middle + off))) for off in (-half, half))
+    return over_seeds(Interval(area, low, high), rows, (0.0, 1.0))
+
+
+LARGEST_TERMS = 2**27
+"""Bytes of the values of one test at most."""
+
+
+def pack(values: np.ndarray) -> str:
+    """Values (n,) of images as text."""
+    content = np.asarray(values, dtype="<f4").tobytes()
+    return base64.b64encode(zlib.compress(content, 9)).decode()
+
+
+def unpack(text: str) -> np.ndarray:
+    """Values (n,) that `pack` wrote; `ValueError` of other text."""
+    try:
+        reader = zlib.decompressobj()
+        content = reader.decompress(base64.b64decode(text, validate=True), LARGEST_TERMS)
+    except zlib.error as error:
+        raise ValueError("values of images are damaged") from error
+    if not reader.eof or len(content) % 4 or not content:
+        raise ValueError("values of images are damaged")
+    values = np.frombuffer(content, dtype="<f4").astype(float)
+    if not np.isfinite(values).all():
+        raise ValueError("values of images are damaged")
+    return values
+
+
+MOST_CLASSES = 20
+"""Classes whose whole matrix can be read; of more, the most frequent confusions are told."""
+
+MOST_PAIRS = 10
+"""Confusions that are told of many classes."""
+
+
+def shares(confusion: Sequence[Sequence[int]]) -> npt.NDArray[np.float64]:
+    """Share of each answer among the scenes of each true class; 0 of a class without scenes."""
+    counts = np.asarray(confusion, dtype=float)
+    return counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
+
+
+def frequent(confusion: Sequence[Sequence[int]]) -> list[tuple[int, int, float]]:
+    """True class, wrong answer and the answer's share, of the most frequent ones."""
+    wrong = shares(confusion)
+    np.fill_diagonal(wrong, 0)
+    rows, columns = np.unravel_index(np.argsort(-wrong, axis=None, kind="stable"), wrong.shape)
+    pairs = zip(rows.tolist(), columns.tolist(), strict=True)
+    return [(i, j, float(wrong[i, j])) for i, j in pairs if wrong[i, j] > 0][:MOST_PAIRS]

@@ -1,1 +1,0 @@
-"""Confidence intervals; knows nothing of designs."""

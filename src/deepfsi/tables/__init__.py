@@ -1,1 +1,0 @@
-"""Arrays and tables from files, each format in one place."""
