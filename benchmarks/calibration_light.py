@@ -18,7 +18,7 @@ import numpy as np
 from scipy.linalg import lstsq
 
 from deepfsi.base.errors import InputError
-from deepfsi.devices import Device
+from deepfsi.camera.device import Device
 from deepfsi.hardware.calibration.fit import calibrate, spot_scenes
 from deepfsi.hardware.calibration.scans import SCANS, scan_rails
 from deepfsi.hardware.patterns.folder import export_patterns

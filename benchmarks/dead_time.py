@@ -18,12 +18,12 @@ import numpy as np
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.tables import Table
+from deepfsi.camera.dead_time import DeadTime
+from deepfsi.camera.device import find_device
 from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.design.artifact import Design
-from deepfsi.devices import find_device
 from deepfsi.hardware.patterns.folder import export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings, Patterns
-from deepfsi.hardware.recording.dead_time import DeadTime
 from deepfsi.hardware.recording.tables import TableSettings, count_table
 from deepfsi.hardware.virtual.detector import Detector
 from deepfsi.laboratory.rails import design_rails

@@ -33,8 +33,8 @@ import numpy as np
 from skimage.transform import resize
 from sklearn.datasets import load_sample_image
 
-from deepfsi.devices import DEVICES
-from deepfsi.grid import Layout, find_grid
+from deepfsi.camera.device import DEVICES
+from deepfsi.camera.layout import Layout, find_grid
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.mirrors import count_mirrors, make_frames, order_mirrors
 from deepfsi.hardware.patterns.sequence import Format, FrameSettings

@@ -17,12 +17,12 @@ import typer
 from scipy.stats import binomtest
 
 import deepfsi
+from deepfsi.camera.device import DEVICES
 from deepfsi.design.adaptive.exposures import look_at
 from deepfsi.design.adaptive.misfit import squared_distance
 from deepfsi.design.adaptive.posterior import AdaptivePosterior, LookOptics
 from deepfsi.design.consistency import REFUSED, UNSURE, ReadoutDistribution
 from deepfsi.design.readout_fit import find_distribution
-from deepfsi.devices import DEVICES
 from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.patterns.sequence import Brightness, Frame, Manifest
 from deepfsi.hardware.patterns.timing import Gates

@@ -38,7 +38,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deepfsi.devices import find_device
+from deepfsi.camera.device import find_device
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns, read_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.ptu.header import read_header

@@ -21,8 +21,8 @@ import numpy as np
 
 from deepfsi import Looks, Training, learn, load_dataset
 from deepfsi.base.errors import InputError
+from deepfsi.camera.device import find_device
 from deepfsi.datasets import Dataset
-from deepfsi.devices import find_device
 from deepfsi.hardware.patterns.folder import export_patterns, read_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.recording.acquisition import Scene

@@ -16,10 +16,10 @@ from contextlib import contextmanager
 import torch
 
 from deepfsi.base.progress import Moments
+from deepfsi.camera.camera import Camera
 from deepfsi.datasets import load_dataset
 from deepfsi.design.evaluation import evaluate
 from deepfsi.design.exposure import Fixed, Looks
-from deepfsi.optics.camera import Camera
 from deepfsi.training import precision as rules
 from deepfsi.training.job import Job, Training
 from deepfsi.training.learning import train

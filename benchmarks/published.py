@@ -37,12 +37,12 @@ import numpy as np
 import torch
 
 from deepfsi.base.intervals import wilson
+from deepfsi.camera.light import summed_reflectance
+from deepfsi.camera.names import LightLawName
 from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate, scanner_for
-from deepfsi.laws import Light
 from deepfsi.optics import constraints
-from deepfsi.optics.budget import summed_reflectance
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.results import Point
 from deepfsi.sweeps.run import compare
@@ -51,7 +51,7 @@ from deepfsi.training.learning import learn
 NEURONS = (10, 50, 100, 400)
 """Sizes of the published networks."""
 
-LAWS: tuple[Light, ...] = ("column", "free-dwell")
+LAWS: tuple[LightLawName, ...] = ("column", "free-dwell")
 """Constraints that the masks are brought to."""
 
 MASKS = {"column": (64,), "free-dwell": (32,)}
@@ -110,7 +110,7 @@ class Network:
         """Classes (n,) of the clicks (n, K) in so many shots, by the mean output."""
         return (clicks @ self.readout.T / shots + self.bias).argmax(axis=1)
 
-    def least_photons(self, light: Light, s: float) -> float:
+    def least_photons(self, light: LightLawName, s: float) -> float:
         """Smallest budget at which the masks obey a constraint, for a summed reflectance s."""
         rails = torch.from_numpy(self.masks)[None]
         return s * (1 + constraints.excess(rails, light))
@@ -128,7 +128,9 @@ def read_networks(
     return {size: Network.read(path, pixels) for size, path in files.items()}
 
 
-def recipe(light: Light, photons: Sequence[float], epochs: int, data: str = "mnist") -> Recipe:
+def recipe(
+    light: LightLawName, photons: Sequence[float], epochs: int, data: str = "mnist"
+) -> Recipe:
     """Recipe of ours under a constraint."""
     return Recipe(
         data=data,
@@ -171,7 +173,7 @@ def print_networks(networks: dict[int, Network], data: Dataset) -> None:
 
 
 def print_ours(
-    networks: dict[int, Network], data: Dataset, light: Light, epochs: int, folder: Path
+    networks: dict[int, Network], data: Dataset, light: LightLawName, epochs: int, folder: Path
 ) -> None:
     """Table of ours at the budgets of the networks."""
     s = summed_reflectance(data.x_train)
@@ -208,7 +210,7 @@ def right_in(made: Design, data: Dataset, photons: float, shots: int, seed: int 
 def print_few(
     networks: dict[int, Network],
     data: Dataset,
-    light: Light,
+    light: LightLawName,
     seeds: Sequence[int],
     epochs: int | None,
 ) -> None:

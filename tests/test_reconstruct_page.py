@@ -19,7 +19,7 @@ import torch
 from torch import Tensor, nn
 
 from conftest import generator
-from deepfsi.devices import Device
+from deepfsi.camera.device import Device
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.recording.acquisition import read_acquisition

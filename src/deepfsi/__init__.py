@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from deepfsi.base.errors import InputError as InputError
+    from deepfsi.camera.camera import Camera as Camera
+    from deepfsi.camera.light import photons_per_pixel as photons_per_pixel
     from deepfsi.datasets import Dataset as Dataset
     from deepfsi.datasets import from_arrays as from_arrays
     from deepfsi.datasets import load_dataset as load_dataset
@@ -34,8 +36,6 @@ if TYPE_CHECKING:
     from deepfsi.laboratory.classify import classify_run as classify_run
     from deepfsi.laboratory.classify import classify_table as classify_table
     from deepfsi.laboratory.prediction import predict as predict
-    from deepfsi.optics.budget import photons_per_pixel as photons_per_pixel
-    from deepfsi.optics.camera import Camera as Camera
     from deepfsi.optics.scanner import Scanner as Scanner
     from deepfsi.training.assembly import design_of as design_of
     from deepfsi.training.job import Job as Job
@@ -47,7 +47,7 @@ if "GOMP_SPINCOUNT" not in os.environ:
 
 _HOMES = {
     "AdaptiveDesign": "design.adaptive.design",
-    "Camera": "optics.camera",
+    "Camera": "camera.camera",
     "Dataset": "datasets",
     "Design": "design.artifact",
     "Fixed": "design.exposure",
@@ -73,7 +73,7 @@ _HOMES = {
     "learn": "training.learning",
     "load_dataset": "datasets",
     "load_design": "design.adaptive.design",
-    "photons_per_pixel": "optics.budget",
+    "photons_per_pixel": "camera.light",
     "predict": "laboratory.prediction",
 }
 

@@ -11,7 +11,7 @@ import scipy.linalg
 import scipy.special
 
 from deepfsi.base.errors import InputError
-from deepfsi.optics.budget import check_budget
+from deepfsi.camera.light import check_budget
 
 
 def throughput(matrix: np.ndarray, mean_scene: np.ndarray) -> float:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from safetensors.numpy import load_file
 
+from deepfsi.camera.camera import Camera, template
 from deepfsi.datasets import write_pictures
-from deepfsi.optics.camera import Camera, template
 
 FILE = """
 light = "free-dwell"        # one DMD, one detector

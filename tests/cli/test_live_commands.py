@@ -13,11 +13,11 @@ import pytest
 from typer.testing import CliRunner
 
 from conftest import quick
+from deepfsi.camera.stop_rule import StopRule
 from deepfsi.cli import app
 from deepfsi.datasets import write_pictures
 from deepfsi.design.artifact import Design
 from deepfsi.hardware.recording.acquisition import read_acquisition
-from deepfsi.hardware.recording.live_settings import StopRule
 
 LIGHT = ["--flux", "1e7", "--exposure", "10ms", "--virtual", "ideal"]
 

@@ -7,10 +7,10 @@ import pytest
 import typer
 from pydantic import BaseModel, Field
 
+from deepfsi.camera.camera import Camera
 from deepfsi.cli import app
 from deepfsi.cli.settings import NO_OPTIONS, SettingsCommand, with_settings
 from deepfsi.design.exposure import KINDS
-from deepfsi.optics.camera import Camera
 from deepfsi.training.job import ALIASES, Job, Training
 
 OWN = {"design", "masks", "photons", "camera", "seed"}

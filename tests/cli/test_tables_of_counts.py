@@ -14,8 +14,8 @@ import pytest
 from scipy.io import savemat
 
 from conftest import quick
+from deepfsi.camera.device import find_device
 from deepfsi.datasets import write_pictures
-from deepfsi.devices import find_device
 from deepfsi.hardware.patterns.folder import export_patterns, read_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.recording.tables import column_names

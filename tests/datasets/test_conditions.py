@@ -7,8 +7,8 @@ import pytest
 
 from conftest import quick, synthetic
 from deepfsi.base.errors import InputError
+from deepfsi.camera.light import photons_per_pixel, summed_reflectance
 from deepfsi.datasets import ambient, jitter
-from deepfsi.optics.budget import photons_per_pixel, summed_reflectance
 
 
 def test_stray_light_adds_the_same_photons_to_every_pixel(digits):

@@ -9,11 +9,11 @@ import torch
 
 from conftest import every_optics, generator, once, quick
 from deepfsi.base.errors import InputError
+from deepfsi.camera.light import photons_per_pixel
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate
 from deepfsi.design.exposure.conditioned import ConditionedExposure
 from deepfsi.optics import constraints
-from deepfsi.optics.budget import photons_per_pixel
 from deepfsi.optics.features import mean_over_exposures
 from deepfsi.optics.scanner import measure
 from deepfsi.training.job import Job

@@ -13,11 +13,11 @@ from torch import nn
 
 from conftest import PHOTONS, every_design, every_optics, quick
 from deepfsi.base.errors import InputError
+from deepfsi.camera.light import photons_per_pixel
 from deepfsi.design.artifact import Design
 from deepfsi.design.exposure.conditioned import ConditionedExposure
 from deepfsi.design.onnx_graph import SCHEMA, to_onnx
 from deepfsi.hardware.patterns.folder import check_patterns
-from deepfsi.optics.budget import photons_per_pixel
 
 onnxruntime = pytest.importorskip("onnxruntime")
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from conftest import quick
+from deepfsi.camera.light import share_out
 from deepfsi.design.artifact import Design
 from deepfsi.design.onnx_graph import to_onnx
-from deepfsi.optics.dwells import share_out
 from shared.design_files import loop_of
 
 onnxruntime = pytest.importorskip("onnxruntime")

@@ -8,10 +8,10 @@ import torch
 
 from conftest import generator, quick
 from deepfsi.base.errors import InputError
+from deepfsi.camera.stop_rule import StopRule
 from deepfsi.design import stopping
 from deepfsi.design.evaluation import evaluate
 from deepfsi.design.stopping import stop
-from deepfsi.hardware.recording.live_settings import StopRule
 from deepfsi.optics.detection import ONE
 
 HELD_OUT = 400

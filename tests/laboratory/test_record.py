@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from deepfsi.base.errors import InputError
+from deepfsi.camera.device import DEVICES, find_device
 from deepfsi.datasets import write_pictures
-from deepfsi.devices import DEVICES, find_device
 from deepfsi.hardware.calibration.scans import scan_rails
 from deepfsi.hardware.drivers.dlpc900 import Dlpc900Projector
 from deepfsi.hardware.drivers.swabian import TaggerCounter

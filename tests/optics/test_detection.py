@@ -6,10 +6,10 @@ import torch
 
 from conftest import FLOAT32, every_optics, generator
 from deepfsi.base.errors import InputError
+from deepfsi.camera.detectors import detector_map
 from deepfsi.optics import constraints, tiles
 from deepfsi.optics.constraints import expand, fit
 from deepfsi.optics.detection import ONE, Detection
-from deepfsi.optics.detectors import detector_map
 from deepfsi.optics.masks import FixedMasks, LearnedMasks
 from deepfsi.optics.noise import root
 from deepfsi.optics.scanner import Scanner, measure, project, project_rails

@@ -7,8 +7,8 @@ import pytest
 from matplotlib.collections import QuadMesh
 
 from deepfsi.base.errors import InputError
-from deepfsi.devices import Device, find_device
-from deepfsi.grid import Layout, find_grid
+from deepfsi.camera.device import Device, find_device
+from deepfsi.camera.layout import Layout, find_grid
 from deepfsi.optics import codes
 from deepfsi.report import style
 from deepfsi_paper.camera import figures

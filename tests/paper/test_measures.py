@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from deepfsi.base.errors import InputError
-from deepfsi.optics.budget import photons_per_pixel, summed_reflectance
+from deepfsi.camera.light import photons_per_pixel, summed_reflectance
 from deepfsi.optics.noise import readout
 from deepfsi.optics.tiles import sensing_matrix
 from deepfsi_paper.measures import (

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from conftest import quick
-from deepfsi.devices import find_device
+from deepfsi.camera.device import find_device
 from deepfsi.hardware.patterns.folder import export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.recording.acquisition import Scene

@@ -7,13 +7,13 @@ import torch
 from conftest import FLOAT32, assert_moments, generator, same, synthetic
 from deepfsi import Patches
 from deepfsi.base.errors import InputError
+from deepfsi.camera.light import photons_per_pixel
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate
 from deepfsi.design.exposure.trained import cut
 from deepfsi.design.onnx_graph import to_onnx
 from deepfsi.design.stopping import stop
 from deepfsi.optics import codes
-from deepfsi.optics.budget import photons_per_pixel
 from deepfsi.optics.features import FeatureNoise
 from deepfsi.optics.masks import FixedMasks, LearnedMasks
 from deepfsi.optics.scanner import Scanner

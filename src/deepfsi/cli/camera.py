@@ -63,9 +63,9 @@ def camera_describe(
 
     Example: deepfsi camera describe --template my-lab.toml
     """
+    from deepfsi.camera.camera import PRESETS, Camera
+    from deepfsi.camera.camera import template as commented
     from deepfsi.laboratory.camera import camera_of
-    from deepfsi.optics.camera import PRESETS, Camera
-    from deepfsi.optics.camera import template as commented
 
     if template is not None:
         paths.check_file(template, (".toml",), force)

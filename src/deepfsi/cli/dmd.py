@@ -12,8 +12,8 @@ from deepfsi.cli.groups import Group
 from deepfsi.cli.settings import SettingsCommand, laboratory_fields, with_settings
 
 if TYPE_CHECKING:
-    from deepfsi.devices import Device
-    from deepfsi.grid import Grid, Layout
+    from deepfsi.camera.device import Device
+    from deepfsi.camera.layout import Grid, Layout
     from deepfsi.hardware.patterns.folder import DesignRails
     from deepfsi.hardware.patterns.sequence import Manifest, Patterns
     from deepfsi.hardware.patterns.timing import Cost
@@ -99,7 +99,7 @@ def dmd_export(
     Example: deepfsi dmd export one-dmd.safetensors --device dlp7000 --exposure 10ms -o patterns
     """
     paths.check_new_folder(out)
-    from deepfsi.devices import find_device
+    from deepfsi.camera.device import find_device
     from deepfsi.hardware.calibration.reference import write_reference
     from deepfsi.hardware.calibration.scans import SCANS
     from deepfsi.hardware.patterns.folder import export_patterns
@@ -135,7 +135,7 @@ def dmd_export(
 def _layout(known: "Layout", **options: Any) -> "Layout":
     """Layout of a camera, with the orientation of options."""
     from deepfsi.base.errors import as_input_error
-    from deepfsi.grid import Layout
+    from deepfsi.camera.layout import Layout
 
     with as_input_error():
         return Layout.model_validate(known.model_dump() | options)
@@ -180,7 +180,7 @@ def dmd_devices(as_json: options.Json = False) -> None:
 
     Example: deepfsi dmd devices
     """
-    from deepfsi.devices import DEVICES, SOURCES
+    from deepfsi.camera.device import DEVICES, SOURCES
 
     every = list(DEVICES.values())
     if as_json:
@@ -262,7 +262,7 @@ def _print_patterns(command: str, patterns: "Patterns", folder: Path, as_json: b
 
 def _allowed(device: "Device") -> str:
     """Times of pictures that a device allows, µs."""
-    from deepfsi.devices import LONGEST_PICTURE_US
+    from deepfsi.camera.device import LONGEST_PICTURE_US
 
     if device.longest_us == LONGEST_PICTURE_US:
         return f"{device.shortest_us} or more"

@@ -303,7 +303,7 @@ def job_settings(
     """Fields of a job of the options of `design`, for `learn`."""
     # The data decides how many masks a design of a fixed number has; the matrix, (m, N), is the
     # user's own
-    from deepfsi.optics.camera import Camera
+    from deepfsi.camera.camera import Camera
     from deepfsi.training.job import sorted_settings
 
     settings = dict(given)
@@ -372,7 +372,7 @@ def recipe_settings(
     """Settings of the recipe that the options of `compare` or `plan` ask for."""
     # Options of a job are axes, as text; `own` are fields of the recipe, None where one is not
     # given; settings of `base` hold where no option overrides them
-    from deepfsi.optics.camera import Camera
+    from deepfsi.camera.camera import Camera
     from deepfsi.training.job import owner
 
     fields = {name: value for name, value in own.items() if value is not None}

@@ -42,8 +42,8 @@ FIRST = "Options"
 
 def job_fields() -> Fields:
     """Help panel and field of each option of a job."""
+    from deepfsi.camera.camera import Camera
     from deepfsi.design.exposure import EXPOSURE_FIELDS, KINDS
-    from deepfsi.optics.camera import Camera
     from deepfsi.training.job import Job, Training
 
     found: Fields = {name: (FIRST, Job.model_fields[name]) for name in JOB_FIELDS}
@@ -65,7 +65,7 @@ def _named(table: str, panel: str, fields: "Mapping[str, FieldInfo]") -> Fields:
 
 def laboratory_fields(*names: str) -> Fields:
     """Help panel and field of the options of a run: its camera, and fields of that; all if none."""
-    from deepfsi.optics.camera import Camera
+    from deepfsi.camera.camera import Camera
     from deepfsi.training.job import Job
 
     fields = {"camera": Job.model_fields["camera"]}

@@ -14,6 +14,9 @@ from torch import Tensor, nn
 from deepfsi.base.errors import InputError, as_input_error
 from deepfsi.base.files import DESIGNS, check_ending, write_atomically
 from deepfsi.base.html import mask_picture
+from deepfsi.camera.camera import Camera
+from deepfsi.camera.light import check_budget
+from deepfsi.camera.names import LightLawName
 from deepfsi.design import artifact_file, clicks, readings
 from deepfsi.design.consistency import Consistency, ReadoutDistribution
 from deepfsi.design.exposure.looks import Dwells, LooksExposure
@@ -24,10 +27,7 @@ from deepfsi.design.temperatures import Temperatures
 from deepfsi.design.training_data import TrainingScenes
 from deepfsi.design.values import Values
 from deepfsi.design.view_test import SceneModel
-from deepfsi.laws import Light
 from deepfsi.optics import constraints
-from deepfsi.optics.budget import check_budget
-from deepfsi.optics.camera import Camera
 from deepfsi.optics.detection import ONE, Detection
 from deepfsi.optics.noise import OwnNoise
 from deepfsi.optics.rails import Rails
@@ -89,7 +89,7 @@ class Design:
     std: Tensor
     shares: Tensor
     summed_reflectance: float
-    light: Light
+    light: LightLawName
     image_shape: tuple[int, ...]
     classes: tuple[str, ...]
     exposure: TrainedExposure = field(default_factory=FixedExposure)

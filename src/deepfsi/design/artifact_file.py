@@ -14,6 +14,7 @@ from torch import Tensor, nn
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.plugins import PATTERN
+from deepfsi.camera.names import MOST_LAYERS, LightLawName, Readout, SummedReflectance, Widths
 from deepfsi.design.classifiers import Mlp, Vit, restored
 from deepfsi.design.consistency import ReadoutDistribution
 from deepfsi.design.exposure.conditioned import ConditionedExposure
@@ -26,7 +27,6 @@ from deepfsi.design.temperatures import Temperatures
 from deepfsi.design.training_data import TrainingScenes
 from deepfsi.design.values import Values
 from deepfsi.design.view_test import SceneModel
-from deepfsi.laws import MOST_LAYERS, Light, Readout, SummedReflectance, Widths
 from deepfsi.optics import constraints
 from deepfsi.optics.codes import check_design
 from deepfsi.optics.detection import Detection
@@ -143,7 +143,7 @@ class Header(BaseModel):
     schema_number: Literal[1] = Field(SCHEMA, alias="schema")
     deepfsi: str = version("deepfsi")
     name: Annotated[str, AfterValidator(check_design)]
-    light: Light
+    light: LightLawName
     readout: Readout
     summed_reflectance: SummedReflectance
     image_shape: tuple[Count, ...]

@@ -22,9 +22,9 @@ import torch
 from torch import Tensor
 
 from deepfsi.base.errors import InputError
+from deepfsi.camera.light import check_budget
 from deepfsi.datasets import Dataset
 from deepfsi.design.artifact import Design
-from deepfsi.optics.budget import check_budget
 from deepfsi.optics.scanner import Scanner
 from deepfsi.optics.surroundings import library_defaults
 

@@ -16,15 +16,15 @@ from deepfsi.base.html import accuracy_curve, confusion_table
 from deepfsi.base.intervals import accuracy as accuracy_of
 from deepfsi.base.intervals import auc, auc_terms, balanced, worst_of
 from deepfsi.base.progress import Report, shown
+from deepfsi.camera.camera import Camera, CameraSource
+from deepfsi.camera.light import check_budget
+from deepfsi.camera.names import NoiseName
 from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.design.confidence import confidence_error
 from deepfsi.design.estimation import test_values
 from deepfsi.design.training_data import TrainingScenes, new_scenes
 from deepfsi.design.values import Values
-from deepfsi.laws import Noise
-from deepfsi.optics.budget import check_budget
-from deepfsi.optics.camera import Camera, CameraSource
 from deepfsi.optics.scanner import Scanner
 from deepfsi.optics.surroundings import library_defaults
 
@@ -292,7 +292,7 @@ def camera_for(design: Tested, camera: CameraSource = None, **settings: Any) -> 
     """Camera of a test, the design's own unless given, with other settings such as the noise."""
     # A noise of its maker's own is code, which a file must not run: it is to be given
     found = design.camera if camera is None else Camera.load(camera)
-    if "noise" not in settings and camera is None and found.noise_name not in get_args(Noise):
+    if "noise" not in settings and camera is None and found.noise_name not in get_args(NoiseName):
         raise InputError(
             f"this design is for {found.noise_name} noise, code of its maker's that a file does "
             "not run: give `noise`, it or another"

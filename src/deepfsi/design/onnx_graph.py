@@ -17,6 +17,7 @@ from torch.onnx import symbolic_opset11
 from torch.onnx.utils import register_custom_op_symbolic, unregister_custom_op_symbolic
 
 from deepfsi.base.errors import InputError
+from deepfsi.camera.light import share_out
 from deepfsi.design.artifact import Design
 from deepfsi.design.classifiers import Mlp
 from deepfsi.design.exposure.looks import LooksExposure
@@ -24,7 +25,6 @@ from deepfsi.design.exposure.trained import Observation
 from deepfsi.design.file_content import check_classes
 from deepfsi.design.own import OwnClassifier
 from deepfsi.design.readouts import check_masks
-from deepfsi.optics.dwells import share_out
 from deepfsi.optics.surroundings import library_defaults
 
 SCHEMA = 1

@@ -20,6 +20,7 @@ from scipy.special import log_softmax
 
 from deepfsi.base.errors import InputError, as_input_error
 from deepfsi.base.intervals import accuracy
+from deepfsi.camera.light import check_budget
 from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.adaptive.design import AdaptiveDesign, AnyDesign
 from deepfsi.design.artifact import Design
@@ -33,7 +34,6 @@ from deepfsi.design.evaluation import check_data, check_draws, covered
 from deepfsi.design.exposure.looks import LooksExposure
 from deepfsi.design.file_content import check_classes
 from deepfsi.design.training_data import new_scenes, trained_on
-from deepfsi.optics.budget import check_budget
 from deepfsi.optics.surroundings import library_defaults
 
 THRESHOLDS = 1 - np.geomspace(0.5, 1e-7, 135)

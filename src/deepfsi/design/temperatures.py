@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepfsi.optics.budget import TOO_DIM
+from deepfsi.camera.light import TOO_DIM
 
 REACH = 100.0
 """Highest budget of a calibration over the highest of the training; lowest over lowest inverse."""

@@ -10,6 +10,8 @@ import torch
 from deepfsi.base.arrays import LARGEST_TENSORS
 from deepfsi.base.errors import as_input_error
 from deepfsi.base.files import read_regular
+from deepfsi.camera.detectors import detector_map
+from deepfsi.camera.stop_rule import StopRule
 from deepfsi.design.adaptive.choice import next_masks
 from deepfsi.design.adaptive.design import AdaptiveDesign
 from deepfsi.design.adaptive.misfit import squared_distance
@@ -20,9 +22,7 @@ from deepfsi.hardware.patterns.folder import DesignRails
 from deepfsi.hardware.patterns.looks import Looks
 from deepfsi.hardware.patterns.sequence import Brightness, Manifest
 from deepfsi.hardware.recording.live_light import ShownFrames
-from deepfsi.hardware.recording.live_settings import StopRule
 from deepfsi.laboratory.live.looks import AllOn, Conditions, FrameList, Likeness
-from deepfsi.optics.detectors import detector_map
 from deepfsi.optics.surroundings import library_defaults
 
 DECISION_S, DECISION_A_SCENE_S = 4e-3, 1.35e-7

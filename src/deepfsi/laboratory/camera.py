@@ -11,11 +11,11 @@ from typing import Any
 
 from deepfsi.base.arrays import DamagedError, read_tensors
 from deepfsi.base.errors import InputError, as_input_error
-from deepfsi.devices import Device
+from deepfsi.camera.camera import Camera
+from deepfsi.camera.dead_time import DeadTime
+from deepfsi.camera.device import Device
 from deepfsi.hardware.patterns.folder import DESIGN, DesignRails
-from deepfsi.hardware.recording.dead_time import DeadTime
 from deepfsi.hardware.virtual.camera import VirtualCamera
-from deepfsi.optics.camera import Camera
 
 SLACK = 1.01
 """Time of pictures over what the gates of an exposure take: pictures are of whole microseconds."""

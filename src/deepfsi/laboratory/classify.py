@@ -17,6 +17,8 @@ from deepfsi.base.errors import InputError
 from deepfsi.base.files import hash_file
 from deepfsi.base.plugins import torch_needed
 from deepfsi.base.tables import read_table
+from deepfsi.camera.dead_time import NO_DEAD_TIME
+from deepfsi.camera.light import check_budget
 from deepfsi.design.file_content import check_classes
 from deepfsi.design.readouts import READOUTS, classify_readouts
 from deepfsi.design.training_data import scene_hashes, was_trained_on
@@ -27,7 +29,6 @@ from deepfsi.hardware.patterns.sequence import Manifest, Patterns
 from deepfsi.hardware.recording.acquisition import Scene, Verdict, read_acquisition
 from deepfsi.hardware.recording.clicks import check_budget_of_clicks
 from deepfsi.hardware.recording.counts import Counts, load_counts
-from deepfsi.hardware.recording.dead_time import NO_DEAD_TIME
 from deepfsi.hardware.recording.tables import LABEL, SCENE, WORDS, TableSettings, count_table
 from deepfsi.laboratory.camera import camera_of, dead_time_of
 from deepfsi.laboratory.light import dim_scenes
@@ -39,7 +40,6 @@ from deepfsi.laboratory.live.replay import (
     replay_run,
 )
 from deepfsi.laboratory.results import ClassifiedRun, ClassifiedScene, ReplayedRun
-from deepfsi.optics.budget import check_budget
 
 if TYPE_CHECKING:  # they import torch, which a live run does without
     from deepfsi.design.artifact import Design

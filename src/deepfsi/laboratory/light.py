@@ -4,8 +4,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from deepfsi.camera.light import TOO_DIM
 from deepfsi.hardware.recording.faults import Fault
-from deepfsi.optics.budget import TOO_DIM
 
 if TYPE_CHECKING:
     from deepfsi.design.artifact import Design

@@ -12,6 +12,8 @@ import numpy as np
 import torch
 
 from deepfsi.base.errors import InputError
+from deepfsi.camera.camera import Camera, CameraSource
+from deepfsi.camera.light import check_budget
 from deepfsi.design.artifact import Design
 from deepfsi.design.clicks import full_gates
 from deepfsi.design.evaluation import camera_for, check_draws, scanner_for
@@ -20,8 +22,6 @@ from deepfsi.design.training_data import scene_hashes, trained_budgets, was_trai
 from deepfsi.laboratory.light import dim_scenes
 from deepfsi.laboratory.scenes import design_scenes
 from deepfsi.laboratory.score import Score
-from deepfsi.optics.budget import check_budget
-from deepfsi.optics.camera import Camera, CameraSource
 from deepfsi.optics.surroundings import library_defaults
 
 AT_ONCE = 1024

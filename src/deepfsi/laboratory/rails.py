@@ -15,6 +15,10 @@ from deepfsi.base.errors import InputError, as_input_error
 from deepfsi.base.files import read_regular
 from deepfsi.base.plugins import torch_needed
 from deepfsi.base.progress import SILENT, Report
+from deepfsi.camera.detectors import detector_map
+from deepfsi.camera.device import find_device
+from deepfsi.camera.names import LightLawName, Readout
+from deepfsi.camera.stop_rule import StopRule
 from deepfsi.design.exposure import LARGEST_SCORE
 from deepfsi.design.exposure.transits import STATIC
 from deepfsi.design.file_content import (
@@ -25,15 +29,11 @@ from deepfsi.design.file_content import (
     read_known_masks,
 )
 from deepfsi.design.readouts import check_masks
-from deepfsi.devices import find_device
 from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.sequence import Brightness, FrameSettings
-from deepfsi.hardware.recording.live_settings import StopRule
 from deepfsi.laboratory.live.loop import Loop, LoopHeader, loop_from
-from deepfsi.laws import Light, Readout
 from deepfsi.optics.codes import EVERY_PIXEL
-from deepfsi.optics.detectors import detector_map
 
 
 class _Kind(BaseModel):
@@ -55,7 +55,7 @@ class ShownHeader(BaseModel):
     model_config = ConfigDict(frozen=True)
 
     name: str
-    light: Light
+    light: LightLawName
     readout: Readout
     summed_reflectance: float
     image_shape: tuple[int, ...]

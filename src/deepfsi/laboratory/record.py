@@ -15,6 +15,7 @@ import numpy as np
 from deepfsi.base import interrupts, progress
 from deepfsi.base.errors import InputError
 from deepfsi.base.progress import Report
+from deepfsi.camera.stop_rule import margin_ns
 from deepfsi.hardware.drivers.protocols import PassProjector, StreamingCounter
 from deepfsi.hardware.patterns.folder import read_patterns
 from deepfsi.hardware.patterns.sequence import Manifest
@@ -26,7 +27,6 @@ from deepfsi.hardware.recording.acquisition import (
     prepare,
 )
 from deepfsi.hardware.recording.live_light import NO_LIGHT
-from deepfsi.hardware.recording.live_settings import margin_ns
 from deepfsi.hardware.recording.streaming import FrameGates
 from deepfsi.hardware.recording.tails import excess_chance
 from deepfsi.laboratory.live.run import PATIENCE_S, Bench

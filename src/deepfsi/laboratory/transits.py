@@ -12,6 +12,7 @@ import torch
 from deepfsi.base.errors import InputError
 from deepfsi.base.progress import SILENT, Report
 from deepfsi.base.quantities import time_text
+from deepfsi.camera.light import check_budget
 from deepfsi.design.artifact import Design
 from deepfsi.design.exposure.passing import PassingExposure
 from deepfsi.design.file_content import check_classes
@@ -26,7 +27,6 @@ from deepfsi.hardware.recording.transits import (
     find_transits,
 )
 from deepfsi.hardware.virtual.transits import write_transits
-from deepfsi.optics.budget import check_budget
 from deepfsi.optics.surroundings import library_defaults
 
 FALSE_ALARMS = 0.01

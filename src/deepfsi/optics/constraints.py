@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from deepfsi.base.errors import InputError, check_known
-from deepfsi.laws import Light, RailsKind
+from deepfsi.camera.names import LightLawName, RailsKind
 from deepfsi.optics.rails import Rails
 
 SLACK = 1e-5
@@ -29,7 +29,7 @@ BRIGHTEST = 1e30
 
 def check_light(light: str, rails: str) -> None:
     """Raise `InputError` unless the constraint exists and can be had with these rails."""
-    check_known("light law", light, get_args(Light))
+    check_known("light law", light, get_args(LightLawName))
     check_known("rails", rails, get_args(RailsKind))
     if light == "two-arm" and rails == "single":
         raise InputError(
@@ -38,7 +38,7 @@ def check_light(light: str, rails: str) -> None:
         )
 
 
-def expand(matrix: Tensor, light: Light, rails: RailsKind = "dual") -> Tensor:
+def expand(matrix: Tensor, light: LightLawName, rails: RailsKind = "dual") -> Tensor:
     """Rails (..., 2 or 1, m, N) whose difference is a matrix (..., m, N)."""
     # A single rail is the matrix itself. Two are its positive and its negative part; on two arms
     # each mask is shown for the time t of its peak, and what one arm does not get, the other does:
@@ -56,7 +56,7 @@ def frames(rails: Tensor) -> Tensor:
     return every[every.amax(dim=-1) > 0]
 
 
-def fit(matrix: Tensor, light: Light, rails: RailsKind = "dual") -> Tensor:
+def fit(matrix: Tensor, light: LightLawName, rails: RailsKind = "dual") -> Tensor:
     """Rails (2 or 1, m, N) of a matrix at a light law, using as much light as it allows."""
     # `column` and `free-dwell` take one common factor, `equal-dwell` each frame's own peak, and
     # `two-arm` each mask's own peak. matrix (m, N)
@@ -76,7 +76,7 @@ def equalise(rails: Tensor) -> Tensor:
     return rails / (peak(rails) * rails.shape[-2] * rails.shape[-3])
 
 
-def excess(rails: Tensor, light: Light) -> float:
+def excess(rails: Tensor, light: LightLawName) -> float:
     """Relative excess of rails (2 or 1, m, N) over a constraint: 0 or less if they obey it."""
     if light == "column":
         return float(rails.sum(dim=(0, 1)).max()) - 1
@@ -91,7 +91,7 @@ def excess(rails: Tensor, light: Light) -> float:
     )
 
 
-def used(rails: Tensor, light: Light) -> Tensor:
+def used(rails: Tensor, light: LightLawName) -> Tensor:
     """Share (..., m) of a constraint that the first k masks of rails use; 0 while they are dark."""
     # Shown alone for the whole exposure these k may be brighter by the inverse; shown at the
     # beginning of all, on one device, they have taken this share of its time
@@ -106,7 +106,7 @@ def used(rails: Tensor, light: Light) -> Tensor:
     return shown / shown[..., -1:].clamp(min=1)
 
 
-def check(rails: Tensor, light: Light) -> Tensor:
+def check(rails: Tensor, light: LightLawName) -> Tensor:
     """Return rails, or raise `InputError` if not finite, negative or beyond their constraint."""
     if not bool(torch.isfinite(rails).all()):
         raise InputError("the matrix holds NaN or infinity: give finite numbers")
@@ -127,7 +127,7 @@ def check(rails: Tensor, light: Light) -> Tensor:
     return rails
 
 
-def own_rails(matrix: np.ndarray, light: Light, rails: RailsKind) -> Tensor:
+def own_rails(matrix: np.ndarray, light: LightLawName, rails: RailsKind) -> Tensor:
     """Rails (2 or 1, m, N) of a user's matrix (m, N); `InputError` if it breaks the light law."""
     signed = torch.from_numpy(np.asarray(matrix, dtype=np.float32))
     return check(expand(signed, light, rails), light)

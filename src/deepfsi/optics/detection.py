@@ -19,8 +19,8 @@ from torch import Tensor
 from torch.nn import functional
 
 from deepfsi.base.errors import check_known
-from deepfsi.laws import Readout
-from deepfsi.optics.detectors import Detectors, detector_map
+from deepfsi.camera.detectors import Detectors, detector_map
+from deepfsi.camera.names import Readout
 from deepfsi.optics.rails import Rails
 
 

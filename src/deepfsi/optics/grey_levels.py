@@ -4,7 +4,7 @@ import torch
 from torch import Tensor
 
 from deepfsi.base.errors import InputError
-from deepfsi.laws import Light
+from deepfsi.camera.names import LightLawName
 from deepfsi.optics.constraints import peak
 
 
@@ -14,7 +14,7 @@ def check_levels(levels: int) -> None:
         raise InputError(f"{levels} grey levels are not allowed: give at least 2, dark included")
 
 
-def quantise(rails: Tensor, light: Light, levels: int) -> Tensor:
+def quantise(rails: Tensor, light: LightLawName, levels: int) -> Tensor:
     """Rails as a device shows them: each frame in `levels` grey levels from dark to its own peak.
 
     Where rounding breaks `column`, all frames are dimmed by the common factor that mends it. On two

@@ -6,9 +6,9 @@ import torch
 from torch import Tensor, nn
 
 from deepfsi.base.errors import InputError
-from deepfsi.laws import Light, RailsKind
+from deepfsi.camera.light import share_out
+from deepfsi.camera.names import LightLawName, RailsKind
 from deepfsi.optics.constraints import check_light, peak
-from deepfsi.optics.dwells import share_out
 from deepfsi.optics.grey_levels import quantise
 from deepfsi.optics.rails import Rails
 
@@ -50,7 +50,7 @@ class LearnedMasks(nn.Module):
     def __init__(
         self,
         start: Tensor,
-        light: Light,
+        light: LightLawName,
         rails: RailsKind = "dual",
         levels: int = 0,
         shortest: float = 0.0,

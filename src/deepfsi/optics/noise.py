@@ -32,7 +32,7 @@ from torch import Tensor
 
 from deepfsi.base import plugins as imports
 from deepfsi.base.errors import InputError, check_known
-from deepfsi.laws import Noise, check_noise
+from deepfsi.camera.names import NoiseName, check_noise
 
 OwnNoise = Callable[[Tensor, torch.Generator | None], Tensor]
 """A user's own noise: counts of expected counts (..., m), drawn with a generator."""
@@ -185,7 +185,7 @@ def readout(
 ) -> Tensor:
     """Noisy counts of one rail."""
     # rate (..., m); dark (..., m)
-    check_known("noise", noise, get_args(Noise))
+    check_known("noise", noise, get_args(NoiseName))
     if noise == "none":
         return rate
     if noise == "camera":

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from deepfsi.base.errors import InputError
-from deepfsi.laws import RailsKind
+from deepfsi.camera.names import RailsKind
 
 
 @dataclass(frozen=True, eq=False)

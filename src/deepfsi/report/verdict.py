@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from deepfsi.base.intervals import Crossing, crossing, difference
+from deepfsi.camera.names import noise_text
 from deepfsi.optics.codes import DESIGNS
-from deepfsi.optics.noise_names import noise_text
 from deepfsi.report import accuracy
 from deepfsi.report.measures import WORDS
 from deepfsi.report.rendering import capital, share_text

@@ -15,13 +15,13 @@ from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from deepfsi.base.errors import InputError, as_input_error, closest
+from deepfsi.camera.camera import Camera, Levels
+from deepfsi.camera.light import BUDGETS
+from deepfsi.camera.names import MLP, check_noise
 from deepfsi.datasets import Dataset
 from deepfsi.design.evaluation import MOST_DRAWS
 from deepfsi.design.exposure import Exposure, find_exposure
-from deepfsi.laws import MLP, check_noise
 from deepfsi.optics import codes, tiles
-from deepfsi.optics.budget import BUDGETS
-from deepfsi.optics.camera import Camera, Levels
 from deepfsi.optics.detection import ONE, Detection
 from deepfsi.sweeps.workers import Resources
 from deepfsi.training.job import Training

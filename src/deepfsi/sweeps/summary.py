@@ -21,6 +21,7 @@ from deepfsi.base.intervals import (
     unpack,
     worst_of,
 )
+from deepfsi.camera.names import noise_text
 from deepfsi.datasets import Dataset
 from deepfsi.datasets.dataset import Measure
 from deepfsi.design.estimation import Estimates
@@ -29,7 +30,6 @@ from deepfsi.design.exposure import find_exposure
 from deepfsi.design.training_data import TrainingScenes, new_scenes
 from deepfsi.optics import codes
 from deepfsi.optics.detection import Detection
-from deepfsi.optics.noise_names import noise_text
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.results import SCHEMA, Data, Point, Provenance, Results
 

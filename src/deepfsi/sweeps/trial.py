@@ -13,11 +13,11 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.plugins import source_hash
+from deepfsi.camera.camera import Camera
+from deepfsi.camera.names import LOOK_LIGHT
 from deepfsi.datasets import Dataset
 from deepfsi.design.exposure import Exposure
-from deepfsi.laws import LOOK_LIGHT
 from deepfsi.optics import codes
-from deepfsi.optics.camera import Camera
 from deepfsi.optics.detection import ONE
 from deepfsi.sweeps.recipe import NamedCamera, Recipe, TestNoise
 from deepfsi.training.job import REVISION, Job

@@ -6,15 +6,15 @@ import torch
 from torch import Tensor, nn
 
 from deepfsi.base.errors import InputError
+from deepfsi.camera.camera import Camera
+from deepfsi.camera.light import check_budget, summed_reflectance
+from deepfsi.camera.names import LightLawName
 from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.design.own import OwnClassifier, make
 from deepfsi.design.training_data import TrainingScenes
 from deepfsi.design.values import Values
-from deepfsi.laws import Light
 from deepfsi.optics import constraints
-from deepfsi.optics.budget import check_budget, summed_reflectance
-from deepfsi.optics.camera import Camera
 from deepfsi.optics.detection import Detection
 from deepfsi.optics.masks import LearnedMasks
 from deepfsi.optics.rails import Rails
@@ -33,7 +33,7 @@ def design_of(
     data: Source,
     photons: float,
     *,
-    light: Light = "column",
+    light: LightLawName = "column",
 ) -> Design:
     """Make a design of a scanner and a network that you have trained together.
 
@@ -95,7 +95,7 @@ def _counted(rails: Rails, detection: Detection, photons: Tensor) -> Tensor:
     return detection.totals(scanner.rates(photons.to(rails.difference)))
 
 
-def _job(scanner: Scanner, rails: Rails, photons: float, light: Light) -> Job:
+def _job(scanner: Scanner, rails: Rails, photons: float, light: LightLawName) -> Job:
     """Job of a training elsewhere, as far as it is known."""
     detection = scanner.detection
     noise = "poisson" if scanner.noise == "ml_gauss" else scanner.noise  # which it stands for
@@ -108,7 +108,7 @@ def _job(scanner: Scanner, rails: Rails, photons: float, light: Light) -> Job:
     return Job(design="custom", masks=rails.masks, photons=photons, camera=camera)
 
 
-def _rails(scanner: Scanner, data: Dataset, light: Light) -> Rails:
+def _rails(scanner: Scanner, data: Dataset, light: LightLawName) -> Rails:
     """Rails of the masks (m, N) of a scanner, or `InputError` if scenes or law forbid them."""
     with torch.no_grad():
         rails = Rails.of(scanner.masks().stacked.clone())

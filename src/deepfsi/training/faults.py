@@ -2,14 +2,14 @@
 
 from typing import TYPE_CHECKING, Protocol
 
+from deepfsi.camera.names import MLP
 from deepfsi.design.exposure import Exposure, Fixed
 from deepfsi.design.exposure.base import Job
-from deepfsi.laws import MLP
 from deepfsi.optics.codes import DESIGNS
 
 if TYPE_CHECKING:
+    from deepfsi.camera.camera import Camera
     from deepfsi.datasets import Dataset
-    from deepfsi.optics.camera import Camera
     from deepfsi.optics.detection import Detection
 
 

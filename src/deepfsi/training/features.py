@@ -10,12 +10,12 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from deepfsi.camera.names import LightLawName, Scale
 from deepfsi.design.classifiers import Replicas
 from deepfsi.design.exposure.conditioned import ConditionedExposure, first
 from deepfsi.design.exposure.looks import LooksExposure
 from deepfsi.design.exposure.passing import PassingExposure
 from deepfsi.design.exposure.trained import FixedExposure, PatchExposure, TrainedExposure
-from deepfsi.laws import Light, Scale
 from deepfsi.optics import constraints
 from deepfsi.optics.detection import Detection
 from deepfsi.optics.features import (
@@ -222,7 +222,7 @@ class ConditionedFeatures(Features):
     masks: FixedMasks | LearnedMasks
     x: Tensor
     conditioning: ConditionedExposure  # of the lowest budget
-    light: Light
+    light: LightLawName
     scale: Scale
     detection: Detection
 
@@ -352,7 +352,7 @@ def features_of(
     if isinstance(masks, FixedMasks) and isinstance(exposure, FixedExposure):
         return FixedFeatures(streams, masks, training_set.full, noise, scale, detection)
     # fixed masks see every pixel
-    light: Light = job.optics.light if isinstance(masks, LearnedMasks) else "two-arm"
+    light: LightLawName = job.optics.light if isinstance(masks, LearnedMasks) else "two-arm"
     x = training_set.centred(light, product_dtype(job, training_set.device), detection)
     if isinstance(masks, FixedMasks):
         masks = FixedMasks(detection.arrange(masks().stacked))

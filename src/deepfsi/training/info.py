@@ -6,9 +6,9 @@ from typing import Any
 import torch
 from pydantic import BaseModel
 
+from deepfsi.camera.light import brightness
 from deepfsi.datasets import Dataset
 from deepfsi.design.training_data import TrainedOn
-from deepfsi.optics.budget import brightness
 
 
 def provenance(

@@ -13,6 +13,9 @@ from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from deepfsi.base.errors import InputError, closest
 from deepfsi.base.models import UserModel
+from deepfsi.camera.camera import Camera
+from deepfsi.camera.light import BUDGETS, check_budget, check_one_budget
+from deepfsi.camera.names import MLP, VIT, NoiseSetting, Scale, Widths, noise_name
 from deepfsi.design.exposure import (
     KINDS,
     AnyExposure,
@@ -21,10 +24,6 @@ from deepfsi.design.exposure import (
     Patches,
     find_exposure,
 )
-from deepfsi.laws import MLP, VIT, Scale, Widths
-from deepfsi.optics.budget import BUDGETS, check_budget, check_one_budget
-from deepfsi.optics.camera import Camera
-from deepfsi.optics.noise_names import Noise, noise_name
 from deepfsi.training.faults import of_adaptive_masks, of_few_counts, of_values
 from deepfsi.training.own_names import Classifier, Loss, classifier_name
 
@@ -141,7 +140,7 @@ class Training(UserModel):
         description="module:function of a loss of your own, of outputs (n, C) and truth (n,) of "
         "classes or (n, q) of values; cross entropy, or the squared error of values, unless given",
     )
-    noise: Noise | None = Field(
+    noise: NoiseSetting | None = Field(
         None,
         description="noise of the training, if other than the camera's: ml_gauss, poisson, "
         "gaussian, camera or none; unless given ml_gauss stands for photon noise, and several "

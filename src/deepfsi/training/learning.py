@@ -10,12 +10,12 @@ import torch
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.progress import SILENT, Report, shown
+from deepfsi.camera.light import check_budget, detector_shares
 from deepfsi.datasets import Source, as_dataset
 from deepfsi.design.adaptive.design import AnyDesign
 from deepfsi.design.artifact import Design
 from deepfsi.design.exposure.trained import TrainedExposure
 from deepfsi.optics import constraints
-from deepfsi.optics.budget import check_budget, detector_shares
 from deepfsi.optics.features import FeatureNoise, feature_statistics
 from deepfsi.optics.masks import FixedMasks, LearnedMasks
 from deepfsi.optics.noise import try_own

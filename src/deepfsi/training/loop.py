@@ -19,11 +19,11 @@ from torch import Tensor, nn
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.progress import SILENT, Report
+from deepfsi.camera.names import VIT
 from deepfsi.datasets import Dataset
 from deepfsi.design.classifiers import Mlp, Replicas, Vit
 from deepfsi.design.exposure.trained import TrainedExposure
 from deepfsi.design.own import OwnClassifier, make, seeded
-from deepfsi.laws import VIT
 from deepfsi.optics.features import FeatureNoise
 from deepfsi.optics.masks import FixedMasks, LearnedMasks
 from deepfsi.training.batches import batch_of

@@ -7,10 +7,10 @@ import torch
 from torch import Tensor
 
 from deepfsi.base.errors import InputError
+from deepfsi.camera.camera import Camera
 from deepfsi.design.exposure.passing import PassingExposure
 from deepfsi.design.exposure.trained import TrainedExposure
 from deepfsi.optics import codes, constraints, tiles
-from deepfsi.optics.camera import Camera
 from deepfsi.optics.detection import Detection
 from deepfsi.optics.grey_levels import quantise
 from deepfsi.optics.masks import FixedMasks, LearnedMasks

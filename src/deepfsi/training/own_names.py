@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from pydantic import AfterValidator, PlainSerializer, WithJsonSchema
 
 from deepfsi.base.plugins import PATTERN, UNNAMED, path_of
-from deepfsi.laws import MLP, VIT
+from deepfsi.camera.names import MLP, VIT
 
 if TYPE_CHECKING:
     from deepfsi.training.job import Job

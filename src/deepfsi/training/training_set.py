@@ -7,13 +7,13 @@ import torch
 from torch import Tensor
 
 from deepfsi.base.errors import InputError
+from deepfsi.camera.light import summed_reflectance
+from deepfsi.camera.names import LightLawName
 from deepfsi.datasets import Dataset
 from deepfsi.design.exposure import Exposure
 from deepfsi.design.training_data import TrainingScenes
 from deepfsi.design.values import Values
-from deepfsi.laws import Light
 from deepfsi.optics import codes, tiles
-from deepfsi.optics.budget import summed_reflectance
 from deepfsi.optics.detection import ONE, Detection
 
 Matrices = dict[tuple[str, int, int, bytes], np.ndarray]
@@ -62,13 +62,13 @@ class TrainingSet:
         varying[0] |= not varying.any()
         return varying
 
-    def pixels(self, light: Light) -> Tensor:
+    def pixels(self, light: LightLawName) -> Tensor:
         """Which pixels (N,) learned masks may light."""
         # The light of one that never varies is noise and no information, so it stays dark, except
         # on two arms, where what one does not get the other does
         return torch.ones_like(self.varying) if light == "two-arm" else self.varying
 
-    def centred(self, light: Light, kind: torch.dtype, detection: Detection) -> Tensor:
+    def centred(self, light: LightLawName, kind: torch.dtype, detection: Detection) -> Tensor:
         """Those pixels of the training scenes, less their mean, and the mean as the last row."""
         # The products of the last row with the masks, added to those of a scene, give the scene's
         # own; centred, little is lost in bfloat16. Exactly 0 where a pixel never varies, so that it

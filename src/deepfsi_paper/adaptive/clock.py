@@ -10,11 +10,11 @@ import numpy as np
 import torch
 
 from deepfsi.base.progress import Report
+from deepfsi.camera.device import DEVICES
 from deepfsi.datasets import Dataset
 from deepfsi.design.adaptive.design import AdaptiveDesign
 from deepfsi.design.adaptive.exposures import look_at
 from deepfsi.design.adaptive.posterior import AdaptivePosterior, LookOptics
-from deepfsi.devices import DEVICES
 from deepfsi.sweeps.results import Point, Results
 
 EXPOSURES = 4

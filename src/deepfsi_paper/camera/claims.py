@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from deepfsi.base.intervals import Difference, above, of_trials
-from deepfsi.grid import Grid, find_grid
+from deepfsi.camera.layout import Grid, find_grid
 from deepfsi.hardware.patterns.mirrors import recount, unpack
 from deepfsi.optics.codes import DESIGNS
 from deepfsi.report.style import photons_text

@@ -20,10 +20,10 @@ import numpy as np
 
 from deepfsi.base.intervals import Difference, of_trials
 from deepfsi.base.progress import Report
+from deepfsi.camera.device import find_device
+from deepfsi.camera.layout import Layout, find_grid
 from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.design.artifact import Design
-from deepfsi.devices import find_device
-from deepfsi.grid import Layout, find_grid
 from deepfsi.hardware.calibration import fit
 from deepfsi.hardware.calibration.background import expected_background
 from deepfsi.hardware.calibration.scans import scan_rails

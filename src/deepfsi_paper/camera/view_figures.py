@@ -12,7 +12,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.patches import ConnectionPatch, Rectangle
 
 from deepfsi.base.errors import InputError
-from deepfsi.grid import Grid
+from deepfsi.camera.layout import Grid
 from deepfsi.report.style import COLOURS, GREYS, GRID, PAGE_WIDTH, plain_bar, styled
 
 MARGIN = 1.5

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from deepfsi.devices import find_device
-from deepfsi.grid import Layout, find_grid
+from deepfsi.camera.device import find_device
+from deepfsi.camera.layout import Layout, find_grid
 from deepfsi.hardware.calibration.view import camera_view
 from deepfsi.hardware.recording.calibration_file import Calibration
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from deepfsi.base.errors import InputError
-from deepfsi.devices import Device
+from deepfsi.camera.device import Device
 from deepfsi.hardware.calibration.detectors import find_detectors, save_detectors
 from deepfsi.hardware.calibration.fit import spot_scenes
 from deepfsi.hardware.calibration.scans import SCANS, scan_rails

@@ -5,8 +5,8 @@ import pytest
 from calibration_samples import GRID, IDENTITY, VIEW, apply, calibration_of, pictures_of, vignette
 
 from deepfsi.base.errors import InputError
-from deepfsi.devices import Device
-from deepfsi.grid import Layout, find_grid
+from deepfsi.camera.device import Device
+from deepfsi.camera.layout import Layout, find_grid
 from deepfsi.hardware.calibration import fit
 from deepfsi.hardware.calibration.view import camera_view, view_matrix
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns

@@ -8,9 +8,9 @@ from PIL import Image
 from scipy import ndimage
 
 from deepfsi.base.errors import InputError
+from deepfsi.camera.device import Device
+from deepfsi.camera.layout import Layout
 from deepfsi.datasets import read_display
-from deepfsi.devices import Device
-from deepfsi.grid import Layout
 from deepfsi.hardware.calibration.reference import (
     EXPECTED,
     REFERENCE,

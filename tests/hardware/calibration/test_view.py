@@ -9,9 +9,9 @@ from calibration_samples import IDENTITY, VIEW, apply, calibration_of, vignette
 from scipy import ndimage
 
 from deepfsi.base.errors import InputError
+from deepfsi.camera.device import Device, find_device
+from deepfsi.camera.layout import Layout, find_grid
 from deepfsi.datasets import load_dataset
-from deepfsi.devices import Device, find_device
-from deepfsi.grid import Layout, find_grid
 from deepfsi.hardware.calibration.view import camera_view, view_dataset, view_matrix
 from deepfsi.hardware.recording.calibration_file import load_calibration, save_calibration
 from deepfsi.hardware.virtual import camera

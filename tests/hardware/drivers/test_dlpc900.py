@@ -10,7 +10,7 @@ from driver_samples import make_patterns
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.progress import Report
-from deepfsi.devices import DEVICES, Device
+from deepfsi.camera.device import DEVICES, Device
 from deepfsi.hardware.drivers import dlpc900
 from deepfsi.hardware.drivers.dlpc900_images import encode_picture
 from deepfsi.hardware.patterns.folder import (

@@ -9,7 +9,7 @@ from vialux_fake import DEVICE, install
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.progress import Report
-from deepfsi.devices import Device
+from deepfsi.camera.device import Device
 from deepfsi.hardware.drivers import vialux
 from deepfsi.hardware.patterns.folder import (
     read_frames,

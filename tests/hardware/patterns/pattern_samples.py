@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from deepfsi.base.progress import SILENT
-from deepfsi.devices import find_device
-from deepfsi.grid import Layout
+from deepfsi.camera.device import find_device
+from deepfsi.camera.layout import Layout
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 

@@ -20,7 +20,7 @@ from scipy.linalg import hadamard
 from conftest import CASES, FLOAT32
 from deepfsi.base.errors import InputError
 from deepfsi.base.progress import Report
-from deepfsi.devices import DEVICES, Device, find_device
+from deepfsi.camera.device import DEVICES, Device, find_device
 from deepfsi.hardware.patterns.folder import (
     check_patterns,
     hash_mirrors,

@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pattern_samples import SMALL
 
-from deepfsi.devices import Device
-from deepfsi.grid import Layout, find_grid
+from deepfsi.camera.device import Device
+from deepfsi.camera.layout import Layout, find_grid
 from deepfsi.hardware.patterns.mirrors import make_frames, order_mirrors, recount, unpack
 
 

@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 
 from deepfsi.base.errors import InputError
-from deepfsi.devices import DEVICES, find_device
+from deepfsi.camera.device import DEVICES, find_device
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.sequence import Frame, FrameSettings, Manifest, Patterns
 from deepfsi.hardware.ptu.writer import Writer

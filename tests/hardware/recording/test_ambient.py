@@ -6,7 +6,7 @@ from recording_samples import schedule
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.tables import Table
-from deepfsi.devices import Device
+from deepfsi.camera.device import Device
 from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns, read_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
@@ -98,7 +98,7 @@ def test_dead_time_is_corrected_in_the_background_too(tmp_path):
     patterns(tmp_path / "patterns", "single")
     x = np.concatenate([np.repeat(STEADY[None], SCENES, axis=0), np.zeros((1, *SHAPE))])
     x = x.astype(np.float32)
-    from deepfsi.hardware.recording.dead_time import DeadTime
+    from deepfsi.camera.dead_time import DeadTime
 
     lost = recorded(tmp_path / "lost", tmp_path / "patterns", x, FLUX, dead=20e-9)
     sound = recorded(tmp_path / "sound", tmp_path / "patterns", x, FLUX)

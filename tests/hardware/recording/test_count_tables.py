@@ -9,12 +9,12 @@ from recording_samples import patterns_of
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.tables import Table
-from deepfsi.devices import Device
+from deepfsi.camera.dead_time import DeadTime
+from deepfsi.camera.device import Device
 from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.nominal import nominal_manifest
 from deepfsi.hardware.patterns.sequence import FrameSettings
-from deepfsi.hardware.recording.dead_time import DeadTime
 from deepfsi.hardware.recording.tables import TableSettings, column_names, count_table
 from deepfsi.hardware.virtual.camera import VirtualCamera, arrival_rates
 from deepfsi.optics import constraints

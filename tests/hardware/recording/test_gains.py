@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from deepfsi.base.errors import InputError
-from deepfsi.devices import Device
+from deepfsi.camera.device import Device
+from deepfsi.camera.light import detector_shares
 from deepfsi.hardware.calibration.detectors import find_gains
 from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
@@ -14,7 +15,6 @@ from deepfsi.hardware.recording.counts import read_counts
 from deepfsi.hardware.recording.gains import find_gains as recorded_gains
 from deepfsi.hardware.recording.sentinels import Background, LightCurve
 from deepfsi.hardware.virtual.camera import RecordingSettings, VirtualCamera, record
-from deepfsi.optics.budget import detector_shares
 
 DEVICE = Device(name="d", columns=64, rows=64, shortest_us=10, settle_us=2)
 CELLS = np.kron([[0, 1], [2, 3]], np.ones((2, 2), int))

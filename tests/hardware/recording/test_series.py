@@ -7,7 +7,7 @@ import pytest
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.tables import read_table
-from deepfsi.devices import Device
+from deepfsi.camera.device import Device
 from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns, read_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings

@@ -11,8 +11,8 @@ from virtual_samples import DEVICE, SHAPE, SUMMED_REFLECTANCE, into, patterns, s
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.progress import SILENT, Report
-from deepfsi.devices import Device
-from deepfsi.grid import Layout, find_grid
+from deepfsi.camera.device import Device
+from deepfsi.camera.layout import Layout, find_grid
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings, Patterns
 from deepfsi.hardware.patterns.timing import Gates, find_gates

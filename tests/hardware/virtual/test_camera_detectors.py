@@ -9,7 +9,7 @@ import torch
 from virtual_samples import DEVICE, SHAPE, SUMMED_REFLECTANCE, scenes
 
 from deepfsi.base.errors import InputError
-from deepfsi.devices import Device
+from deepfsi.camera.device import Device
 from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns, read_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from deepfsi.devices import DEVICES
-from deepfsi.grid import Layout, find_grid
+from deepfsi.camera.device import DEVICES
+from deepfsi.camera.layout import Layout, find_grid
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.virtual.camera import CAMERAS, VirtualCamera, arrival_rates, irradiance

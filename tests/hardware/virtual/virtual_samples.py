@@ -6,8 +6,8 @@ import numpy as np
 import torch
 
 from deepfsi.base.progress import Report
-from deepfsi.devices import Device
-from deepfsi.grid import Layout
+from deepfsi.camera.device import Device
+from deepfsi.camera.layout import Layout
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.optics import constraints

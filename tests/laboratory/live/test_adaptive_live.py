@@ -10,7 +10,7 @@ import torch
 
 from deepfsi import learn
 from deepfsi.base.errors import InputError
-from deepfsi.devices import find_device
+from deepfsi.camera.device import find_device
 from deepfsi.hardware.patterns.folder import check_patterns, export_patterns, read_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.virtual.bench import Latencies

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from deepfsi.base.errors import InputError
+from deepfsi.camera.dead_time import DeadTime
 from deepfsi.design.artifact import Design
 from deepfsi.hardware.patterns.folder import read_patterns
 from deepfsi.hardware.recording.acquisition import Scene
-from deepfsi.hardware.recording.dead_time import DeadTime
 from deepfsi.hardware.recording.sentinels import PARTS
 from deepfsi.hardware.recording.streaming import FrameCounts
 from deepfsi.hardware.virtual.camera import CAMERAS, arrival_rates

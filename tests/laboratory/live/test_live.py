@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from deepfsi.base.errors import InputError
-from deepfsi.devices import find_device
+from deepfsi.camera.device import find_device
 from deepfsi.hardware.patterns.folder import read_patterns
 from deepfsi.hardware.recording.acquisition import read_acquisition
 from deepfsi.hardware.virtual.bench import Latencies

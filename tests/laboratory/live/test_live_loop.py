@@ -7,9 +7,9 @@ import pytest
 
 from conftest import quick
 from deepfsi.base.errors import InputError
+from deepfsi.camera.stop_rule import StopRule
 from deepfsi.design.artifact import Design
 from deepfsi.design.stopping import StoppingRule
-from deepfsi.hardware.recording.live_settings import StopRule
 from deepfsi.laboratory.live.loop import read_loop
 from shared.design_files import loop_of
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import deepfsi
-from deepfsi.devices import find_device
+from deepfsi.camera.device import find_device
 from deepfsi.hardware.calibration.reference import TARGET
 from deepfsi.hardware.patterns.folder import export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings

@@ -8,10 +8,10 @@ import pytest
 
 from conftest import quick
 from deepfsi.base.errors import InputError
-from deepfsi.devices import find_device
+from deepfsi.camera.dead_time import DeadTime
+from deepfsi.camera.device import find_device
 from deepfsi.hardware.patterns.folder import export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
-from deepfsi.hardware.recording.dead_time import DeadTime
 from deepfsi.hardware.virtual.bench import BenchCounter, BenchProjector, Latencies, VirtualSetup
 from deepfsi.hardware.virtual.camera import CAMERAS, VirtualCamera, arrival_rates
 from deepfsi.hardware.virtual.detector import TICK_S

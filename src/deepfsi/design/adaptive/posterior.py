@@ -14,10 +14,10 @@ from torch import Tensor
 from torch.nn import functional
 
 from deepfsi.base.errors import InputError
+from deepfsi.camera.camera import Camera
+from deepfsi.camera.names import LOOK_LIGHT
 from deepfsi.design.adaptive.prior import ScenePrior
 from deepfsi.design.posterior import class_chances
-from deepfsi.laws import LOOK_LIGHT
-from deepfsi.optics.camera import Camera
 from deepfsi.optics.detection import Detection
 
 DIMMEST = 1e-6

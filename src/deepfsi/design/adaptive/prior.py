@@ -8,9 +8,9 @@ import torch
 from threadpoolctl import threadpool_limits
 from torch import Tensor
 
+from deepfsi.camera.light import summed_reflectance
 from deepfsi.design.temperatures import Temperatures
 from deepfsi.design.view_test import FEWEST_OF_A_CLASS, FEWEST_SCENES, SceneModel
-from deepfsi.optics.budget import summed_reflectance
 
 NEIGHBOURS = 3000
 """Scenes whose nearest neighbours tell how far scenes lie from those of the prior, at most."""

@@ -9,9 +9,9 @@ from deepfsi.base.models import UserModel
 if TYPE_CHECKING:
     from torch import Generator
 
+    from deepfsi.camera.camera import Camera
     from deepfsi.datasets import Dataset
     from deepfsi.design.exposure.trained import TrainedExposure as Trained
-    from deepfsi.optics.camera import Camera
     from deepfsi.optics.codes import Code
 
 

@@ -21,8 +21,8 @@ from torch import Tensor
 from torch.nn import functional
 
 from deepfsi.base.errors import InputError
+from deepfsi.camera.names import LightLawName
 from deepfsi.design.exposure.trained import STRICT, TrainedExposure
-from deepfsi.laws import Light
 from deepfsi.optics import constraints
 from deepfsi.optics.features import mean_over_exposures
 from deepfsi.optics.rails import Rails
@@ -59,12 +59,12 @@ class ConditionedExposure(TrainedExposure):
     used: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 1.0
     kind: Literal["conditioned"] = field(default="conditioned", kw_only=True)
 
-    def check(self, rails: Rails, light: Light, image_shape: tuple[int, ...]) -> None:
+    def check(self, rails: Rails, light: LightLawName, image_shape: tuple[int, ...]) -> None:
         """Raise `ValueError` unless rails can be exposed so; parameters as for `Design`."""
         if rails.masks > self.masks:
             raise ValueError("more masks than in the whole sequence")
 
-    def final(self, rails: Tensor, light: Light) -> Tensor:
+    def final(self, rails: Tensor, light: LightLawName) -> Tensor:
         """Nested masks take the whole of their light law, by one common factor.
 
         So they are trained, however many of them are shown.
@@ -73,7 +73,7 @@ class ConditionedExposure(TrainedExposure):
             return rails
         return rails / constraints.used(rails, light)[..., -1:][..., None, None]
 
-    def drawn(self, rails: Tensor, light: Light) -> tuple[Tensor, Tensor]:
+    def drawn(self, rails: Tensor, light: LightLawName) -> tuple[Tensor, Tensor]:
         """Noise of each feature in the mean over budgets and masks shown, and how often."""
         used = constraints.used(rails, light)
         each = mean_over_exposures(used, self.span, self.chances.to(used))
@@ -111,7 +111,7 @@ class ConditionedExposure(TrainedExposure):
         """The kind for masks that take another share of the light law, see `used`."""
         return replace(self, used=used)
 
-    def stops(self, rails: Rails, light: Light) -> tuple[tuple[int, ...], np.ndarray]:
+    def stops(self, rails: Rails, light: LightLawName) -> tuple[tuple[int, ...], np.ndarray]:
         """Numbers of masks after which an exposure may stop, and the share taken then."""
         masks = rails.masks
         fewest = self.fewest_masks(masks)

@@ -21,16 +21,16 @@ from pydantic.dataclasses import dataclass as validated
 from torch import Tensor
 
 from deepfsi.base.errors import InputError
+from deepfsi.camera.camera import Camera
+from deepfsi.camera.light import Shares, share_out
+from deepfsi.camera.names import LightLawName, Widths
 from deepfsi.design.classifiers import Mlp, restored
 from deepfsi.design.consistency import ReadoutDistribution
 from deepfsi.design.exposure import LARGEST_SCORE, LOOKING, Looks
 from deepfsi.design.exposure.trained import STRICT, Observation, Read, Show, TrainedExposure
 from deepfsi.design.readout_fit import find_distribution
-from deepfsi.laws import Light, Widths
 from deepfsi.optics import constraints
-from deepfsi.optics.camera import Camera
 from deepfsi.optics.detection import Detection
-from deepfsi.optics.dwells import Shares, share_out
 from deepfsi.optics.masks import LearnedMasks, through
 from deepfsi.optics.rails import Rails
 
@@ -106,9 +106,9 @@ class LooksExposure(TrainedExposure):
         """The kind on a device."""
         return replace(self, network=self.network.to(device))
 
-    def check(self, rails: Rails, light: Light, image_shape: tuple[int, ...]) -> None:
+    def check(self, rails: Rails, light: LightLawName, image_shape: tuple[int, ...]) -> None:
         """Raise `ValueError` unless rails can be exposed so; parameters as for `Design`."""
-        same: Light = "two-arm" if light == "two-arm" else "equal-dwell"
+        same: LightLawName = "two-arm" if light == "two-arm" else "equal-dwell"
         equal = constraints.excess(rails.stacked, same) < constraints.SLACK
         if light == "two-arm":
             equal &= float(rails.total.max()) * rails.masks < 1 + constraints.SLACK
@@ -123,12 +123,12 @@ class LooksExposure(TrainedExposure):
         masks.dwell.requires_grad_(False)  # equal from the start
         return masks
 
-    def final(self, rails: Tensor, light: Light) -> Tensor:
+    def final(self, rails: Tensor, light: LightLawName) -> Tensor:
         """Rails of equal dwells, at the end only."""
         # The gradient of that would take from lit mirrors what they share
         return self.fixed(rails, light)
 
-    def fixed(self, rails: Tensor, light: Light) -> Tensor:
+    def fixed(self, rails: Tensor, light: LightLawName) -> Tensor:
         """Rails of which every frame has the same dwell and peak."""
         return rails if light == "two-arm" else constraints.equalise(rails)
 
@@ -221,7 +221,9 @@ class LooksExposure(TrainedExposure):
         share = f"{1 / self.looks:.0%}"
         return f"share of the exposure in the first of {self.looks} looks, {share} of it each"
 
-    def mask_dwells(self, rails: Rails, light: Light, mean: Tensor, std: Tensor) -> Tensor | None:
+    def mask_dwells(
+        self, rails: Rails, light: LightLawName, mean: Tensor, std: Tensor
+    ) -> Tensor | None:
         """Share (m,) of the exposure that each mask is shown in the first look."""
 
         def show(dwell: Tensor) -> tuple[Tensor, Tensor]:
@@ -231,7 +233,7 @@ class LooksExposure(TrainedExposure):
         assert first is not None, "dwells are chosen"
         return first.unflatten(-1, (rails.masks, -1)).sum(dim=-1)
 
-    def stops(self, rails: Rails, light: Light) -> tuple[tuple[int, ...], np.ndarray]:
+    def stops(self, rails: Rails, light: LightLawName) -> tuple[tuple[int, ...], np.ndarray]:
         """Numbers of looks after which an exposure may stop, and the share taken then."""
         after = range(1, self.looks + 1)
         return tuple(after), np.array(after) / self.looks
@@ -287,7 +289,7 @@ class LooksShape:
     kind: Literal["adaptive"] = field(default="adaptive", kw_only=True)
 
     def restored(
-        self, weights: dict[str, Tensor], features: int, rails: Rails, light: Light
+        self, weights: dict[str, Tensor], features: int, rails: Rails, light: LightLawName
     ) -> LooksExposure:
         """The exposure; parameters as for `TrainedExposure.restored`."""
         dwells = Dwells.of(rails.masks, light, rails.kind)

@@ -10,9 +10,9 @@ from pydantic.dataclasses import dataclass as validated
 from torch import Tensor, nn
 
 from deepfsi.base.errors import InputError
+from deepfsi.camera.names import LightLawName
 from deepfsi.design.exposure.trained import STRICT, Observation, TrainedExposure
 from deepfsi.design.exposure.transits import STATIC
-from deepfsi.laws import Light
 from deepfsi.optics.grey_levels import check_levels
 from deepfsi.optics.rails import Rails
 from deepfsi.optics.scanner import Scanner, project
@@ -59,14 +59,14 @@ class PassingExposure(TrainedExposure):
         """The kind on a device."""
         return replace(self, pattern=self.passed.to(device))
 
-    def check(self, rails: Rails, light: Light, image_shape: tuple[int, ...]) -> None:
+    def check(self, rails: Rails, light: LightLawName, image_shape: tuple[int, ...]) -> None:
         """Raise `ValueError` unless rails are those of the pattern; parameters as for `Design`."""
         wanted = self.transit.matrix(self.passed).unsqueeze(0)
         if image_shape != self.transit.shape or not torch.allclose(rails.stacked, wanted, 1e-4):
             raise ValueError("masks are not of the pattern")
 
     def quantised(
-        self, rails: Tensor, light: Light, levels: int
+        self, rails: Tensor, light: LightLawName, levels: int
     ) -> tuple[Tensor, "PassingExposure"]:
         """Rails and exposure of the pattern in grey levels."""
         check_levels(levels)
@@ -101,7 +101,7 @@ class PassingExposure(TrainedExposure):
         edges = self.transit.edges((count,), generator.manual_seed(0), device)
         return self.transit.means(every, edges).mean(dim=1)
 
-    def mask_dwells(self, rails: Rails, light: Light, mean: Tensor, std: Tensor) -> None:
+    def mask_dwells(self, rails: Rails, light: LightLawName, mean: Tensor, std: Tensor) -> None:
         """None: bins have one length."""
         return
 
@@ -149,7 +149,7 @@ class PassingShape:
     kind: Literal["passing"] = field(default="passing", kw_only=True)
 
     def restored(
-        self, weights: dict[str, Tensor], features: int, rails: Rails, light: Light
+        self, weights: dict[str, Tensor], features: int, rails: Rails, light: LightLawName
     ) -> PassingExposure:
         """The exposure with the pattern (H, P) of a design file."""
         pattern = weights["pattern"]

@@ -16,12 +16,12 @@ from pydantic.dataclasses import dataclass as validated
 from torch import Tensor, nn
 
 from deepfsi.base.errors import InputError
+from deepfsi.camera.camera import Camera
+from deepfsi.camera.names import LightLawName
 from deepfsi.design.classifiers import Mlp
 from deepfsi.design.consistency import ReadoutDistribution
 from deepfsi.design.readout_fit import find_distribution
-from deepfsi.laws import Light
 from deepfsi.optics import constraints
-from deepfsi.optics.camera import Camera
 from deepfsi.optics.detection import Detection
 from deepfsi.optics.grey_levels import quantise
 from deepfsi.optics.masks import LearnedMasks
@@ -80,7 +80,7 @@ class TrainedExposure:
         return self
 
     def restored(
-        self, weights: dict[str, Tensor], features: int, rails: Rails, light: Light
+        self, weights: dict[str, Tensor], features: int, rails: Rails, light: LightLawName
     ) -> "TrainedExposure":
         """The kind with its network's weights from a design file."""
         return self
@@ -89,7 +89,7 @@ class TrainedExposure:
         """The kind on a device."""
         return self
 
-    def check(self, rails: Rails, light: Light, image_shape: tuple[int, ...]) -> None:
+    def check(self, rails: Rails, light: LightLawName, image_shape: tuple[int, ...]) -> None:
         """Raise `ValueError` unless rails can be exposed so; parameters as for `Design`."""
 
     @property
@@ -102,7 +102,7 @@ class TrainedExposure:
         return self
 
     def quantised(
-        self, rails: Tensor, light: Light, levels: int
+        self, rails: Tensor, light: LightLawName, levels: int
     ) -> tuple[Tensor, "TrainedExposure"]:
         """Rails (2 or 1, m, N) in grey levels, and the kind that shows them."""
         return quantise(rails, light, levels), self
@@ -129,15 +129,15 @@ class TrainedExposure:
         """Masks that learn from a matrix (R, m, N), under the camera's light law."""
         return LearnedMasks(start, camera.light, camera.rails, levels, camera.shortest_share)
 
-    def final(self, rails: Tensor, light: Light) -> Tensor:
+    def final(self, rails: Tensor, light: LightLawName) -> Tensor:
         """Rails (R, 2 or 1, m, N) at the end of the training, of learned ones."""
         return rails
 
-    def fixed(self, rails: Tensor, light: Light) -> Tensor:
+    def fixed(self, rails: Tensor, light: LightLawName) -> Tensor:
         """Rails (R, 2 or 1, m, N) of a named design, as this exposure shows them."""
         return rails
 
-    def drawn(self, rails: Tensor, light: Light) -> tuple[Tensor, Tensor] | None:
+    def drawn(self, rails: Tensor, light: LightLawName) -> tuple[Tensor, Tensor] | None:
         """Noise of each feature in the mean over exposures, and how often it is read."""
         # As `features.feature_statistics` takes it; None where all exposures are alike
         return None
@@ -225,7 +225,7 @@ class TrainedExposure:
         """The kind for masks that take another share of the light law, see `used`."""
         return self
 
-    def stops(self, rails: Rails, light: Light) -> tuple[tuple[int, ...], np.ndarray]:
+    def stops(self, rails: Rails, light: LightLawName) -> tuple[tuple[int, ...], np.ndarray]:
         """Numbers of masks or looks after which an exposure may stop, and the share taken then."""
         # Raises `InputError` if it may stop nowhere before its end, or that saves nothing
         raise InputError(
@@ -238,7 +238,9 @@ class TrainedExposure:
         """Words on `mask_dwells`."""
         return "share of the exposure"
 
-    def mask_dwells(self, rails: Rails, light: Light, mean: Tensor, std: Tensor) -> Tensor | None:
+    def mask_dwells(
+        self, rails: Rails, light: LightLawName, mean: Tensor, std: Tensor
+    ) -> Tensor | None:
         """Share (m,) of the exposure that each mask is shown; None where the law has no dwells."""
         # Of several looks those of the first, which are the same for every scene
         if light == "column":
@@ -290,7 +292,7 @@ class PatchExposure(TrainedExposure):
     kind: Literal["patches"] = field(default="patches", kw_only=True)
     comparable: ClassVar[bool] = False
 
-    def check(self, rails: Rails, light: Light, image_shape: tuple[int, ...]) -> None:
+    def check(self, rails: Rails, light: LightLawName, image_shape: tuple[int, ...]) -> None:
         """Raise `ValueError` unless rails are of patches; parameters as for `Design`."""
         height, width = image_shape
         if rails.difference.shape[-1] != self.side**2 or height % self.side or width % self.side:

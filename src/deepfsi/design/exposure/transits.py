@@ -11,9 +11,9 @@ from deepfsi.design.exposure.base import Exposure, Job
 if TYPE_CHECKING:
     from torch import Generator
 
+    from deepfsi.camera.camera import Camera
     from deepfsi.datasets import Dataset
     from deepfsi.design.exposure.trained import TrainedExposure as Trained
-    from deepfsi.optics.camera import Camera
     from deepfsi.optics.transit import Transit
 
 

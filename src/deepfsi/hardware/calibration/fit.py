@@ -13,7 +13,7 @@ from scipy import ndimage
 from skimage import measure, transform
 
 from deepfsi.base.errors import InputError
-from deepfsi.grid import Grid
+from deepfsi.camera.layout import Grid
 from deepfsi.hardware.calibration.background import expected_background
 from deepfsi.hardware.calibration.refine import fit_view
 from deepfsi.hardware.calibration.view import geometry_matrix

@@ -17,7 +17,7 @@ from scipy import optimize
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import write_atomically
 from deepfsi.base.progress import SILENT, Report
-from deepfsi.grid import Layout
+from deepfsi.camera.layout import Layout
 from deepfsi.hardware.calibration.refine import DisplayedScenes
 from deepfsi.hardware.patterns.sequence import Manifest, Patterns
 from deepfsi.hardware.recording.counts import Counts

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import optimize, special
 
-from deepfsi.grid import Grid
+from deepfsi.camera.layout import Grid
 
 POINTS = 4
 """Points of a displayed pixel in each direction that stand for its light."""

@@ -27,7 +27,7 @@ from typing import Any, Self
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.progress import SILENT, Report
-from deepfsi.devices import DEVICES, PLANES, Device
+from deepfsi.camera.device import DEVICES, PLANES, Device
 from deepfsi.hardware.drivers.dlpc900_images import encode_picture
 from deepfsi.hardware.drivers.holding import let_go, refusals
 from deepfsi.hardware.patterns.controller_tables import (

@@ -21,12 +21,12 @@ import numpy as np
 from deepfsi.base.errors import InputError, as_input_error, check_known
 from deepfsi.base.files import check_room, check_unpacked, hash_file, new_folder, read_text
 from deepfsi.base.progress import SILENT, Report
-from deepfsi.grid import find_grid
+from deepfsi.camera.layout import find_grid
+from deepfsi.camera.names import LightLawName, Readout
 from deepfsi.hardware.patterns import controller_tables, frame_files, mirrors, sequence
 from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.patterns.limits import check_limits, check_stored
 from deepfsi.hardware.patterns.looks import Looks
-from deepfsi.laws import Light, Readout
 
 SENTINELS = 4
 """Frames of a pass that show no mask."""
@@ -46,7 +46,7 @@ class DesignRails:
     """Rails of a design that are to be shown."""
 
     rails: np.ndarray  # (2 or 1, m, N)
-    light: Light
+    light: LightLawName
     image_shape: tuple[int, ...]
     summed_reflectance: float
     file: bytes | None = None
@@ -59,7 +59,7 @@ class DesignRails:
     def __post_init__(self) -> None:
         rails = self.rails
         pixels = math.prod(self.image_shape) or rails.shape[-1]  # `find_grid` refuses none
-        check_known("light law", self.light, get_args(Light))
+        check_known("light law", self.light, get_args(LightLawName))
         if rails.shape != (self.rail_count, *rails.shape[1:2], pixels) or not rails.size:
             raise InputError(
                 f"rails of shape {rails.shape} are not allowed: give (2 or 1, masks, {pixels})"

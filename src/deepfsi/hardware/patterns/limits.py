@@ -1,7 +1,7 @@
 """Limits of a device that a sequence of frames has to keep: how many frames, and for how long."""
 
 from deepfsi.base.errors import InputError
-from deepfsi.devices import DEVICES, SOURCES, Device
+from deepfsi.camera.device import DEVICES, SOURCES, Device
 from deepfsi.hardware.patterns.sequence import Manifest
 
 

@@ -15,10 +15,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deepfsi.devices import Device
-from deepfsi.grid import Grid
+from deepfsi.camera.device import Device
+from deepfsi.camera.layout import Grid
+from deepfsi.camera.names import LightLawName
 from deepfsi.hardware.patterns.sequence import Rail, Selection
-from deepfsi.laws import Light
 
 SMALLEST_STEP = float(np.finfo(np.float64).tiny)
 """Step between grey levels, as a share of a pixel's photons, below which a rail is dark."""
@@ -57,7 +57,7 @@ class MaskFrames(NamedTuple):
         return np.minimum(self.peaks * self.dimmed, 1.0)
 
 
-def count_mirrors(rails: np.ndarray, light: Light, mirrors: int) -> MaskFrames:
+def count_mirrors(rails: np.ndarray, light: LightLawName, mirrors: int) -> MaskFrames:
     """Mirrors that show rails, frame by frame."""
     # rails (2 or 1, m, N)
     shown: list[tuple[int, Rail]] = []

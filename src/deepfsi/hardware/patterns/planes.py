@@ -17,7 +17,7 @@ from PIL.BmpImagePlugin import BmpImageFile
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import open_regular
-from deepfsi.devices import Device
+from deepfsi.camera.device import Device
 from deepfsi.hardware.patterns.sequence import Manifest
 
 LARGEST_PICTURE = 2**31

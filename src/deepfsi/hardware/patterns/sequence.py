@@ -26,11 +26,11 @@ from pydantic import Field, model_validator
 from deepfsi.base.errors import InputError, check_known
 from deepfsi.base.models import StrictModel
 from deepfsi.base.quantities import time_text
-from deepfsi.devices import LONGEST_PICTURE_S, Device
-from deepfsi.grid import USUAL, Grid, Layout, find_grid
+from deepfsi.camera.device import LONGEST_PICTURE_S, Device
+from deepfsi.camera.layout import USUAL_LAYOUT, Grid, Layout, find_grid
+from deepfsi.camera.names import LightLawName, Readout, SummedReflectance
 from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.patterns.looks import Looks
-from deepfsi.laws import Light, Readout, SummedReflectance
 
 MOST_FRAMES = 2**20
 """Frames of one pass at most, sentinels among them."""
@@ -67,7 +67,7 @@ class FrameSettings:
     selection: Selection = "ordered"
     seed: int = 0
     format: Format = "npy"
-    layout: Layout = USUAL
+    layout: Layout = USUAL_LAYOUT
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.dwell_s) and 0 < self.dwell_s <= LONGEST_PICTURE_S):
@@ -95,7 +95,9 @@ class FrameSettings:
         """Picture time of a sentinel, µs."""
         return max(self.device.shortest_us, _whole(self.dwell_s * 1e6))
 
-    def times_us(self, shares: np.ndarray, light: Light, sentinels: int) -> tuple[list[int], int]:
+    def times_us(
+        self, shares: np.ndarray, light: LightLawName, sentinels: int
+    ) -> tuple[list[int], int]:
         """Picture times of the masks' frames and of a sentinel, µs: one for all in a video."""
         pictures, sentinel = self.picture_us(shares, light), self.sentinel_us
         if self.device.video_us:
@@ -112,7 +114,7 @@ class FrameSettings:
             return [one] * len(pictures), one
         return pictures, sentinel
 
-    def picture_us(self, shares: np.ndarray, light: Light) -> list[int]:
+    def picture_us(self, shares: np.ndarray, light: LightLawName) -> list[int]:
         """Picture times of the masks' frames, µs, from their shares of the exposure (f,)."""
         # Under `equal-dwell` all are the mean one. Otherwise what a picture lasts beyond the time
         # to settle is in proportion to its share of the exposure. Times are rounded up to whole
@@ -229,7 +231,7 @@ class Manifest(StrictModel):
             raise ValueError("a frame shows a rail that does not exist")
         if sum(frame.share for frame in self.frames) > 1 + SHARES_SLACK:
             raise ValueError("the frames' shares of the exposure sum to more than 1")
-        check_known("light law", self.light, get_args(Light))
+        check_known("light law", self.light, get_args(LightLawName))
         if self.two_arm != (self.light == "two-arm") or not rails:
             raise ValueError(f"the rails are not those of {self.light}")
         if self.looks and self.looks.dwells(self.masks) != len(self.looks.first):

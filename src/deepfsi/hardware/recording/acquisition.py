@@ -22,6 +22,7 @@ from deepfsi.base.errors import InputError, as_input_error
 from deepfsi.base.files import hash_file, new_folder, read_regular, read_text, write_atomically
 from deepfsi.base.models import StrictModel
 from deepfsi.base.quantities import time_text
+from deepfsi.camera.stop_rule import Live
 from deepfsi.hardware.patterns.folder import companions, read_patterns
 from deepfsi.hardware.patterns.sequence import Manifest, Patterns
 from deepfsi.hardware.patterns.timing import (
@@ -30,7 +31,6 @@ from deepfsi.hardware.patterns.timing import (
     longest_exposure,
     usual_tolerance,
 )
-from deepfsi.hardware.recording.live_settings import Live
 
 MOST_READOUTS = 2**21
 """Gates, and readouts, that are counted at once, at most."""

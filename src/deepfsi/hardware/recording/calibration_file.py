@@ -15,7 +15,7 @@ from pydantic import Field, FiniteFloat, model_validator
 from deepfsi.base.errors import as_input_error
 from deepfsi.base.files import read_text, write_atomically
 from deepfsi.base.models import StrictModel
-from deepfsi.hardware.recording.dead_time import DeadTime
+from deepfsi.camera.dead_time import DeadTime
 
 LEAST_SPOTS = 16
 """Spots that a calibration should rest on, or all that were shown."""

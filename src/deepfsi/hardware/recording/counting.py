@@ -10,6 +10,7 @@ import numpy as np
 from deepfsi.base.errors import InputError
 from deepfsi.base.progress import SILENT, Report
 from deepfsi.base.quantities import time_text
+from deepfsi.camera.dead_time import NO_DEAD_TIME, Correction, DeadTime, check_rates
 from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.hardware.patterns.timing import ClickGates, Gates
 from deepfsi.hardware.ptu.header import Header, read_header
@@ -33,12 +34,6 @@ from deepfsi.hardware.recording.clicks import (
     variance_of,
 )
 from deepfsi.hardware.recording.counts import Counts
-from deepfsi.hardware.recording.dead_time import (
-    NO_DEAD_TIME,
-    Correction,
-    DeadTime,
-    check_rates,
-)
 from deepfsi.hardware.recording.faults import Fault
 from deepfsi.hardware.recording.gates import (
     FrameParts,

@@ -21,6 +21,7 @@ from pydantic import Field
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import hash_file, read_regular, write_atomically
 from deepfsi.base.models import StrictModel
+from deepfsi.camera.dead_time import NO_DEAD_TIME, DeadTime
 from deepfsi.hardware.patterns.frame_files import npy_header
 from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.hardware.recording.acquisition import (
@@ -30,7 +31,6 @@ from deepfsi.hardware.recording.acquisition import (
     check_fixed,
     read_acquisition,
 )
-from deepfsi.hardware.recording.dead_time import NO_DEAD_TIME, DeadTime
 from deepfsi.hardware.recording.faults import SPOILING, Fault
 
 LARGEST_COUNTS = 2**27

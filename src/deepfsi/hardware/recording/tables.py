@@ -17,6 +17,7 @@ import numpy as np
 from deepfsi.base.errors import InputError, check_known, closest
 from deepfsi.base.quantities import time_text
 from deepfsi.base.tables import Table
+from deepfsi.camera.dead_time import NO_DEAD_TIME, DeadTime, check_rates
 from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.hardware.recording.acquisition import MOST_READOUTS, Scene
 from deepfsi.hardware.recording.ambient import Ambient
@@ -28,7 +29,6 @@ from deepfsi.hardware.recording.clicks import (
     variance_of,
 )
 from deepfsi.hardware.recording.counts import Counts
-from deepfsi.hardware.recording.dead_time import NO_DEAD_TIME, DeadTime, check_rates
 from deepfsi.hardware.recording.faults import Fault
 from deepfsi.hardware.recording.light import find_light
 from deepfsi.hardware.recording.readouts import by_rail, by_readout, lengths_by_readout

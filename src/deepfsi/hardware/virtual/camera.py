@@ -26,8 +26,8 @@ from pydantic import Field, field_validator
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import check_room, new_folder
 from deepfsi.base.progress import SILENT, Report
-from deepfsi.devices import Device
-from deepfsi.grid import Grid
+from deepfsi.camera.device import Device
+from deepfsi.camera.layout import Grid
 from deepfsi.hardware.patterns.folder import read_frames, read_patterns
 from deepfsi.hardware.patterns.mirrors import unpack
 from deepfsi.hardware.patterns.sequence import Manifest, Patterns

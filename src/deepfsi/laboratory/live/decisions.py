@@ -24,6 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from deepfsi.base.errors import InputError
+from deepfsi.camera.stop_rule import MARGIN_NS
 from deepfsi.design.view_test import Rows, ViewResult, ViewTest
 from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.hardware.patterns.timing import usual_tolerance
@@ -31,7 +32,6 @@ from deepfsi.hardware.recording.acquisition import Acquisition
 from deepfsi.hardware.recording.ambient import dark_frames
 from deepfsi.hardware.recording.faults import SPOILING, Fault
 from deepfsi.hardware.recording.live_light import LiveLight, ShownFrames
-from deepfsi.hardware.recording.live_settings import MARGIN_NS
 from deepfsi.laboratory.live.looks import AllOn, Conditions, Count, FrameList, LiveLooks
 from deepfsi.laboratory.live.trust import Trust
 

@@ -6,10 +6,10 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from deepfsi.camera.stop_rule import StopRule
 from deepfsi.design.training_data import TrainingScenes
 from deepfsi.design.view_test import SceneModel
 from deepfsi.hardware.recording.live_light import ShownFrames
-from deepfsi.hardware.recording.live_settings import StopRule
 from deepfsi.hardware.recording.streaming import FrameCounts
 
 

@@ -18,12 +18,12 @@ from safetensors.numpy import save
 from deepfsi.base.arrays import DamagedError, read_tensors
 from deepfsi.base.errors import InputError, as_input_error
 from deepfsi.base.models import StrictModel
+from deepfsi.camera.light import share_out
+from deepfsi.camera.names import Readout
+from deepfsi.camera.stop_rule import StopRule
 from deepfsi.design.consistency import ReadoutDistribution
 from deepfsi.design.view_test import SceneModel
 from deepfsi.hardware.patterns.looks import Looks
-from deepfsi.hardware.recording.live_settings import StopRule
-from deepfsi.laws import Readout
-from deepfsi.optics.dwells import share_out
 
 TEMPERATURES = ("temperatures.logs", "temperatures.budgets")
 """Tensors of the calibration, float64."""

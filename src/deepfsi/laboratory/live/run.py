@@ -17,6 +17,8 @@ import numpy as np
 from deepfsi.base import interrupts
 from deepfsi.base.errors import InputError, as_input_error
 from deepfsi.base.files import GrowingFile
+from deepfsi.camera.dead_time import NO_DEAD_TIME, DeadTime
+from deepfsi.camera.stop_rule import MARGIN_NS, Live, StopRule, margin_ns
 from deepfsi.hardware.drivers.protocols import (
     PassProjector,
     StreamingCounter,
@@ -26,8 +28,6 @@ from deepfsi.hardware.patterns.folder import read_patterns
 from deepfsi.hardware.patterns.mirrors import make_frame
 from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.hardware.recording.acquisition import Acquisition, Scene, prepare
-from deepfsi.hardware.recording.dead_time import NO_DEAD_TIME, DeadTime
-from deepfsi.hardware.recording.live_settings import MARGIN_NS, Live, StopRule, margin_ns
 from deepfsi.hardware.recording.streaming import FrameCounts, FrameGates
 from deepfsi.laboratory.live import shown
 from deepfsi.laboratory.live.decisions import OFF, Decision, Observer

@@ -4,12 +4,12 @@ from collections import deque
 
 from scipy.special import bdtrc
 
+from deepfsi.camera.light import TOO_DIM
 from deepfsi.design.consistency import REFUSED, UNSURE
 from deepfsi.hardware.recording.acquisition import Acquisition
 from deepfsi.hardware.recording.faults import Fault
 from deepfsi.hardware.recording.live_light import LiveLight
 from deepfsi.laboratory.live.looks import AllOn, Likeness
-from deepfsi.optics.budget import TOO_DIM
 
 LOOKED_BACK = 20
 """Scenes up to the present one among which the unsure ones are counted."""

@@ -25,10 +25,9 @@ from deepfsi.base.errors import InputError, as_input_error, check_known, closest
 from deepfsi.base.files import read_toml
 from deepfsi.base.models import UserModel
 from deepfsi.base.quantities import Seconds, count_text, time_text
-from deepfsi.devices import Device, find_device
-from deepfsi.grid import Layout, Region, find_grid
-from deepfsi.laws import Light, RailsKind, Readout
-from deepfsi.optics.noise_names import Noise, noise_name
+from deepfsi.camera.device import Device, find_device
+from deepfsi.camera.layout import Layout, Region, find_grid
+from deepfsi.camera.names import LightLawName, NoiseSetting, RailsKind, Readout, noise_name
 
 if TYPE_CHECKING:
     from deepfsi.optics.detection import Detection
@@ -67,7 +66,7 @@ Levels = Annotated[int, Field(ge=0, le=2**24), AfterValidator(_levels)]
 
 
 def _detectors(given: Any) -> str | tuple[int, ...]:
-    from deepfsi.optics.detectors import read_detectors
+    from deepfsi.camera.detectors import read_detectors
 
     if isinstance(given, str):
         return read_detectors(given)
@@ -109,7 +108,7 @@ class Camera(UserModel):
     0.0032
     """
 
-    light: Light = Field(
+    light: LightLawName = Field(
         "free-dwell",
         description="light law of the optics: free-dwell, equal-dwell (one DMD, one detector), "
         "two-arm (a detector on each arm) or column (optics that split each pixel's light)",
@@ -184,7 +183,7 @@ class Camera(UserModel):
         description="gates of a frame, in each of which a detector clicks at most once; for click "
         "noise",
     )
-    noise: Noise = Field(
+    noise: NoiseSetting = Field(
         default_factory=lambda known: (
             "click" if known.get("gates", 1) > 1 else "camera" if known.get("dark") else "poisson"
         ),

@@ -9,8 +9,8 @@ import torch
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.quantities import seconds
-from deepfsi.devices import DEVICES
-from deepfsi.optics.camera import EXAMPLES, GUARD_S, PRESETS, Camera, template
+from deepfsi.camera.camera import EXAMPLES, GUARD_S, PRESETS, Camera, template
+from deepfsi.camera.device import DEVICES
 from deepfsi.optics.detection import Detection
 from shared.noises import saturating
 

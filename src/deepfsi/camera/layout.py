@@ -16,7 +16,7 @@ from pydantic import AfterValidator
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.models import StrictModel
-from deepfsi.devices import Device
+from deepfsi.camera.device import Device
 
 if TYPE_CHECKING:
     import numpy as np
@@ -63,7 +63,7 @@ class Layout(StrictModel):
         )
 
 
-USUAL = Layout()
+USUAL_LAYOUT = Layout()
 """Square cells in the middle, as they are."""
 
 
@@ -78,7 +78,7 @@ class Grid:
     top: int  # rows and columns of mirrors before the first cell
     left: int
     diamond: bool = False  # true where odd rows lie half a column to the right
-    layout: Layout = USUAL
+    layout: Layout = USUAL_LAYOUT
 
     @property
     def mirrors(self) -> int:
@@ -129,7 +129,7 @@ class Grid:
         return np.rot90(places, -self.layout.rotate // 90)
 
 
-def find_grid(device: Device, image_shape: tuple[int, ...], layout: Layout = USUAL) -> Grid:
+def find_grid(device: Device, image_shape: tuple[int, ...], layout: Layout = USUAL_LAYOUT) -> Grid:
     """Grid of a mask's cells; a mask of one axis (a spectrum) lies across the device."""
     # Cells are square unless the layout stretches them, or the mask has one axis: a spectrum's are
     # as tall as the region

@@ -5,8 +5,8 @@ import pytest
 from pattern_samples import SMALL, export
 
 from deepfsi.base.errors import InputError
-from deepfsi.devices import DEVICES, Device, find_device
-from deepfsi.grid import Layout, find_grid
+from deepfsi.camera.device import DEVICES, Device, find_device
+from deepfsi.camera.layout import Layout, find_grid
 from deepfsi.hardware.patterns.folder import check_patterns, read_frames, read_patterns
 from deepfsi.hardware.patterns.mirrors import unpack
 

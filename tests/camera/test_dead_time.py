@@ -7,10 +7,10 @@ from recording_samples import SHAPE, patterns_of
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.tables import Table
+from deepfsi.camera.dead_time import MOST_BLIND, DeadTime
 from deepfsi.hardware.recording.calibration_file import Calibration, save_calibration
 from deepfsi.hardware.recording.counting import count
 from deepfsi.hardware.recording.counts import read_counts
-from deepfsi.hardware.recording.dead_time import MOST_BLIND, DeadTime
 from deepfsi.hardware.recording.tables import TableSettings, count_table
 from deepfsi.hardware.virtual.camera import RecordingSettings, VirtualCamera, arrival_rates, record
 from deepfsi.hardware.virtual.detector import Detector

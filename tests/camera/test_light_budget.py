@@ -7,12 +7,7 @@ import pytest
 import torch
 
 from deepfsi.base.errors import InputError
-from deepfsi.optics.budget import (
-    brightness,
-    check_budget,
-    photons_per_pixel,
-    summed_reflectance,
-)
+from deepfsi.camera.light import brightness, check_budget, photons_per_pixel, summed_reflectance
 
 
 @pytest.mark.parametrize(

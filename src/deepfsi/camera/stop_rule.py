@@ -6,7 +6,7 @@ import numpy as np
 from pydantic import Field
 
 from deepfsi.base.models import StrictModel
-from deepfsi.hardware.recording.dead_time import NO_DEAD_TIME, DeadTime
+from deepfsi.camera.dead_time import NO_DEAD_TIME, DeadTime
 
 MARGIN_NS = 2000
 """Time by which a picture outlasts its gate at least, so that markers may be off, ns."""

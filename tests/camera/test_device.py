@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from deepfsi.base.errors import InputError
-from deepfsi.devices import DEVICES, SOURCES, Device, find_device
+from deepfsi.camera.device import DEVICES, SOURCES, Device, find_device
 
 DIAGONAL_INCHES = {
     "dlp7000": 0.7, "dlp9500": 0.95, "dlp650lnir": 0.65, "dlp6500": 0.65, "dlp9000": 0.9,
