@@ -24,8 +24,8 @@ from deepfsi.datasets import Dataset
 from deepfsi.design.adaptive.design import AdaptiveDesign
 from deepfsi.design.confidence import chance_error, confidence_error, logits_at_stops
 from deepfsi.design.evaluation import scanner_for
+from deepfsi.jobs.job import Job
 from deepfsi.training.characterisation import find_temperatures
-from deepfsi.training.job import Job
 
 KINDS: dict[str, dict[str, Any]] = {
     "fixed, 10⁴": {"masks": 16, "photons": 1e4, "camera": "paper"},

@@ -21,10 +21,10 @@ from deepfsi.base.errors import InputError
 from deepfsi.camera.device import Device
 from deepfsi.hardware.calibration.fit import calibrate, spot_scenes
 from deepfsi.hardware.calibration.scans import SCANS, scan_rails
+from deepfsi.hardware.counting.calibration_file import Calibration
 from deepfsi.hardware.patterns.folder import export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings, Patterns
 from deepfsi.hardware.patterns.timing import find_gates
-from deepfsi.hardware.recording.calibration_file import Calibration
 from deepfsi.hardware.virtual.camera import arrival_rates
 from deepfsi_paper.camera.gate_counts import draw_counts
 from deepfsi_paper.camera.laboratory import LAB

@@ -22,11 +22,11 @@ from deepfsi.camera.dead_time import DeadTime
 from deepfsi.camera.device import find_device
 from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.design.artifact import Design
+from deepfsi.hardware.counting.tables import TableSettings, count_table
 from deepfsi.hardware.patterns.folder import export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings, Patterns
-from deepfsi.hardware.recording.tables import TableSettings, count_table
 from deepfsi.hardware.virtual.detector import Detector
-from deepfsi.laboratory.rails import design_rails
+from deepfsi.lab.rails import design_rails
 from deepfsi.training.learning import learn
 from deepfsi_paper.camera.gate_counts import draw
 

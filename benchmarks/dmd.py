@@ -38,7 +38,7 @@ from deepfsi.camera.layout import Layout, find_grid
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.mirrors import count_mirrors, make_frames, order_mirrors
 from deepfsi.hardware.patterns.sequence import Format, FrameSettings
-from deepfsi.optics import codes
+from deepfsi.jobs import designs as codes
 
 DEVICE = DEVICES["dlp7000"]
 SHAPE = (32, 32)

@@ -23,14 +23,14 @@ from deepfsi.design.adaptive.misfit import squared_distance
 from deepfsi.design.adaptive.posterior import AdaptivePosterior, LookOptics
 from deepfsi.design.consistency import REFUSED, UNSURE, ReadoutDistribution
 from deepfsi.design.readout_fit import find_distribution
+from deepfsi.hardware.counting.gates import Frames, Windows, find_lateness
+from deepfsi.hardware.light.flux import find_light
+from deepfsi.hardware.light.monitor import LiveLight, ShownFrames
+from deepfsi.hardware.light.sentinels import PARTS
+from deepfsi.hardware.light.tails import FALSE_ALARMS
 from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.patterns.sequence import Brightness, Frame, Manifest
 from deepfsi.hardware.patterns.timing import Gates
-from deepfsi.hardware.recording.gates import Frames, Windows, find_lateness
-from deepfsi.hardware.recording.light import find_light
-from deepfsi.hardware.recording.live_light import LiveLight, ShownFrames
-from deepfsi.hardware.recording.sentinels import PARTS
-from deepfsi.hardware.recording.tails import FALSE_ALARMS
 
 PASSES, MASKS, FRAME_S = 20, 10, 1e-3
 FLUX, DARK = 1e6, 1e3

@@ -30,12 +30,12 @@ from deepfsi.datasets import load_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.design.classifiers import Mlp
 from deepfsi.design.evaluation import evaluate
+from deepfsi.jobs.job import Job, Training
 from deepfsi.optics import constraints
 from deepfsi.optics.masks import LearnedMasks
 from deepfsi.optics.noise import poisson
 from deepfsi.optics.rails import Rails
 from deepfsi.optics.scanner import measure, project
-from deepfsi.training.job import Job, Training
 from deepfsi.training.training_set import TrainingSet
 
 GRID = ((1e-2, 0.03), (1e-2, 0.1), (1e-2, 0.3), (5e-3, 0.1))

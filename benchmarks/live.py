@@ -39,19 +39,19 @@ from pathlib import Path
 import numpy as np
 
 from deepfsi.camera.device import find_device
+from deepfsi.hardware.counting.acquisition import Scene
+from deepfsi.hardware.counting.streaming import FrameCounts, FrameGates, StreamCounter
+from deepfsi.hardware.live.decisions import FrameList, Observer
+from deepfsi.hardware.live.known import KnownMasks
+from deepfsi.hardware.live.loop import Loop, LoopHeader
+from deepfsi.hardware.live.run import Bench, plan_live, run_live
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns, read_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
-from deepfsi.hardware.ptu.header import read_header
-from deepfsi.hardware.ptu.reader import count_gates, read_markers
-from deepfsi.hardware.ptu.writer import Writer
-from deepfsi.hardware.recording.acquisition import Scene
-from deepfsi.hardware.recording.streaming import FrameCounts, FrameGates, StreamCounter
+from deepfsi.hardware.photons.header import read_header
+from deepfsi.hardware.photons.reader import count_gates, read_markers
+from deepfsi.hardware.photons.writer import Writer
 from deepfsi.hardware.virtual.bench import BenchCounter, BenchProjector, Latencies, VirtualSetup
 from deepfsi.hardware.virtual.camera import VirtualCamera, arrival_rates
-from deepfsi.laboratory.live.decisions import FrameList, Observer
-from deepfsi.laboratory.live.known import KnownMasks
-from deepfsi.laboratory.live.loop import Loop, LoopHeader
-from deepfsi.laboratory.live.run import Bench, plan_live, run_live
 
 FLUX, TICK_S, SETTLE_S = 1e7, 1e-12, 1e-5
 GATE = 0.8

@@ -23,17 +23,17 @@ from deepfsi import Looks, Training, learn, load_dataset
 from deepfsi.base.errors import InputError
 from deepfsi.camera.device import find_device
 from deepfsi.datasets import Dataset
+from deepfsi.hardware.counting.acquisition import Scene
+from deepfsi.hardware.live.known import read_looks
+from deepfsi.hardware.live.replay import count_live, replay_run
+from deepfsi.hardware.live.run import Bench, plan_live, run_live
 from deepfsi.hardware.patterns.folder import export_patterns, read_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
-from deepfsi.hardware.recording.acquisition import Scene
 from deepfsi.hardware.virtual.bench import BenchCounter, BenchProjector, Latencies, VirtualSetup
 from deepfsi.hardware.virtual.camera import MirrorLight, VirtualCamera, arrival_rates
 from deepfsi.hardware.virtual.detector import TICK_S
-from deepfsi.laboratory.live.known import read_looks
-from deepfsi.laboratory.live.replay import count_live, replay_run
-from deepfsi.laboratory.live.run import Bench, plan_live, run_live
-from deepfsi.laboratory.rails import design_rails
-from deepfsi.laboratory.results import LiveScene
+from deepfsi.lab.rails import design_rails
+from deepfsi.lab.results import LiveScene
 
 FLUX, EXPOSURE_S, PHOTONS = 1e7, 10e-3, 1e5
 SURE = 0.9

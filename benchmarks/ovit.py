@@ -24,8 +24,8 @@ from deepfsi.base.progress import Moments, Report
 from deepfsi.datasets import Dataset, from_arrays
 from deepfsi.design.classifiers import Vit
 from deepfsi.design.exposure import Patches
-from deepfsi.optics.tiles import sensing_matrix
-from deepfsi.training.job import Job
+from deepfsi.jobs.job import Job
+from deepfsi.jobs.tiles import sensing_matrix
 from deepfsi.training.learning import train
 from deepfsi.training.precision import network_dtype
 from deepfsi.training.training_set import TrainingSet

@@ -28,7 +28,7 @@ from deepfsi import Camera, Passing, Training, evaluate, learn, load_dataset
 from deepfsi.base.intervals import wilson
 from deepfsi.base.progress import SILENT
 from deepfsi.datasets import Dataset
-from deepfsi.laboratory.transits import classify_transits, simulate_transits
+from deepfsi.lab.transits import classify_transits, simulate_transits
 
 KINDS: dict[str, dict[str, Any]] = {
     "learned, grey": {"design": "deepfsi", "camera": Camera()},

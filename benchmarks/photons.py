@@ -31,9 +31,9 @@ from pathlib import Path
 import numpy as np
 import ptufile
 
-from deepfsi.hardware.ptu.header import read_header
-from deepfsi.hardware.ptu.reader import count_gates, inspect, read_markers
-from deepfsi.hardware.ptu.writer import Writer
+from deepfsi.hardware.photons.header import read_header
+from deepfsi.hardware.photons.reader import count_gates, inspect, read_markers
+from deepfsi.hardware.photons.writer import Writer
 
 FLUX, FRAMES, TICK_S = 1e7, 2048, 1e-12
 PART = 200_000

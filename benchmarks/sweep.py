@@ -28,12 +28,12 @@ from deepfsi.base.progress import Moments
 from deepfsi.datasets import Dataset, from_arrays, load_dataset
 from deepfsi.design.classifiers import Mlp, Replicas
 from deepfsi.design.evaluation import evaluate
+from deepfsi.jobs.job import Job, Training
 from deepfsi.sweeps.context import SweepContext
 from deepfsi.sweeps.queue import run_trials
 from deepfsi.sweeps.recipe import PAPER_RATIOS, Recipe
 from deepfsi.sweeps.trial import plan
 from deepfsi.sweeps.workers import Workers, default_count
-from deepfsi.training.job import Job, Training
 from deepfsi.training.learning import train
 from deepfsi.training.training_set import TrainingSet
 

@@ -19,15 +19,15 @@ import numpy as np
 
 import deepfsi
 from deepfsi.camera.device import find_device
+from deepfsi.hardware.counting.acquisition import Scene
+from deepfsi.hardware.counting.tables import TableSettings
+from deepfsi.hardware.live.bench import virtual_bench
+from deepfsi.hardware.live.run import plan_live, run_live
 from deepfsi.hardware.patterns.folder import export_patterns, read_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
-from deepfsi.hardware.recording.acquisition import Scene
-from deepfsi.hardware.recording.tables import TableSettings
 from deepfsi.hardware.virtual.bench import Latencies
 from deepfsi.hardware.virtual.camera import VirtualCamera, arrival_rates
-from deepfsi.laboratory.live.bench import virtual_bench
-from deepfsi.laboratory.live.run import plan_live, run_live
-from deepfsi.laboratory.rails import design_rails
+from deepfsi.lab.rails import design_rails
 
 SCENES, PHOTONS, EXPOSURE_S = 40, 1e4, 10e-3
 

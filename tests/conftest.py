@@ -19,7 +19,9 @@ from torch import Tensor
 
 from deepfsi.datasets import Dataset, from_arrays, load_dataset
 from deepfsi.design.artifact import Design
-from deepfsi.optics import codes, constraints, tiles
+from deepfsi.jobs import designs as codes
+from deepfsi.jobs import tiles
+from deepfsi.optics import constraints
 from deepfsi.optics.rails import Rails
 from shared.jobs import learn
 from shared.pictures import save_images

@@ -13,8 +13,8 @@ from torch.nn import functional
 from conftest import generator, quick
 from deepfsi.design.classifiers import Mlp
 from deepfsi.hardware.patterns.mirrors import recount, unpack
+from deepfsi.jobs.job import Job, Training
 from deepfsi.optics.noise import attach_gradient
-from deepfsi.training.job import Job, Training
 from deepfsi.training.learning import train
 from deepfsi.training.training_set import TrainingSet
 from shared.benchmarks import benchmark

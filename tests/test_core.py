@@ -8,9 +8,10 @@ import pytest
 import torch
 
 import deepfsi
-from deepfsi.hardware.ptu.reader import inspect, read_markers
-from deepfsi.hardware.ptu.writer import Writer
-from deepfsi.optics import codes, constraints
+from deepfsi.hardware.photons.reader import inspect, read_markers
+from deepfsi.hardware.photons.writer import Writer
+from deepfsi.jobs import designs as codes
+from deepfsi.optics import constraints
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.run import compare
 

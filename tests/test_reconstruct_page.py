@@ -20,11 +20,11 @@ from torch import Tensor, nn
 
 from conftest import generator
 from deepfsi.camera.device import Device
+from deepfsi.hardware.counting.acquisition import read_acquisition
+from deepfsi.hardware.counting.counting import count
+from deepfsi.hardware.counting.counts import read_counts
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
-from deepfsi.hardware.recording.acquisition import read_acquisition
-from deepfsi.hardware.recording.counting import count
-from deepfsi.hardware.recording.counts import read_counts
 from deepfsi.hardware.virtual.camera import RecordingSettings, VirtualCamera, record
 from deepfsi.optics import constraints
 

@@ -33,13 +33,13 @@ if TYPE_CHECKING:
     from deepfsi.design.own import OwnClassifier as OwnClassifier
     from deepfsi.design.posterior import IdealObserver as IdealObserver
     from deepfsi.design.posterior import ideal_observer as ideal_observer
-    from deepfsi.laboratory.classify import classify_run as classify_run
-    from deepfsi.laboratory.classify import classify_table as classify_table
-    from deepfsi.laboratory.prediction import predict as predict
+    from deepfsi.jobs.job import Job as Job
+    from deepfsi.jobs.job import Training as Training
+    from deepfsi.lab.classify import classify_run as classify_run
+    from deepfsi.lab.classify import classify_table as classify_table
+    from deepfsi.lab.prediction import predict as predict
     from deepfsi.optics.scanner import Scanner as Scanner
     from deepfsi.training.assembly import design_of as design_of
-    from deepfsi.training.job import Job as Job
-    from deepfsi.training.job import Training as Training
     from deepfsi.training.learning import learn as learn
 
 if "GOMP_SPINCOUNT" not in os.environ:
@@ -53,7 +53,7 @@ _HOMES = {
     "Fixed": "design.exposure",
     "IdealObserver": "design.posterior",
     "InputError": "base.errors",
-    "Job": "training.job",
+    "Job": "jobs.job",
     "Looks": "design.exposure",
     "Mlp": "design.classifiers",
     "Nested": "design.exposure",
@@ -63,9 +63,9 @@ _HOMES = {
     "Range": "design.exposure",
     "Result": "design.evaluation",
     "Scanner": "optics.scanner",
-    "Training": "training.job",
-    "classify_run": "laboratory.classify",
-    "classify_table": "laboratory.classify",
+    "Training": "jobs.job",
+    "classify_run": "lab.classify",
+    "classify_table": "lab.classify",
     "design_of": "training.assembly",
     "evaluate": "design.evaluation",
     "from_arrays": "datasets",
@@ -74,7 +74,7 @@ _HOMES = {
     "load_dataset": "datasets",
     "load_design": "design.adaptive.design",
     "photons_per_pixel": "camera.light",
-    "predict": "laboratory.prediction",
+    "predict": "lab.prediction",
 }
 
 __all__ = [

@@ -35,7 +35,8 @@ training = { epochs = 2, batch = 32 }
 """
 ARMED = """
 import sys
-from deepfsi import __main__, interrupts
+from deepfsi import __main__
+from deepfsi.base import interrupts
 interrupts.arm()
 interrupts.arm = lambda: None
 print("armed", flush=True)
@@ -108,7 +109,7 @@ def test_a_signal_at_any_moment_says_one_line_and_leaves_at_once(tmp_path):
 def test_a_command_ends_within_a_moment_where_no_exception_would_come(number):
     """A loop that swallows what Ctrl-C raises, and prints its own words."""
     code = (
-        "import sys, time; from deepfsi import interrupts; interrupts.arm()\n"
+        "import sys, time; from deepfsi.base import interrupts; interrupts.arm()\n"
         "sys.argv = ['deepfsi', 'show']\n"
         "while True:\n"
         "    try: print('armed', flush=True); time.sleep(600)\n"

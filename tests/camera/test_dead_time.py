@@ -3,18 +3,18 @@
 import numpy as np
 import pytest
 from pydantic import ValidationError
-from recording_samples import SHAPE, patterns_of
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.tables import Table
 from deepfsi.camera.dead_time import MOST_BLIND, DeadTime
-from deepfsi.hardware.recording.calibration_file import Calibration, save_calibration
-from deepfsi.hardware.recording.counting import count
-from deepfsi.hardware.recording.counts import read_counts
-from deepfsi.hardware.recording.tables import TableSettings, count_table
+from deepfsi.hardware.counting.calibration_file import Calibration, save_calibration
+from deepfsi.hardware.counting.counting import count
+from deepfsi.hardware.counting.counts import read_counts
+from deepfsi.hardware.counting.tables import TableSettings, count_table
 from deepfsi.hardware.virtual.camera import RecordingSettings, VirtualCamera, arrival_rates, record
 from deepfsi.hardware.virtual.detector import Detector
 from deepfsi_paper.camera.gate_counts import draw
+from hardware.counting.recording_samples import SHAPE, patterns_of
 
 TAU = 20e-9
 both = pytest.mark.parametrize("paralysable", [False, True], ids=["spad", "pmt"])

@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-from pattern_samples import SMALL, export
 
 from deepfsi.base.errors import InputError
 from deepfsi.camera.device import DEVICES, Device, find_device
 from deepfsi.camera.layout import Layout, find_grid
 from deepfsi.hardware.patterns.folder import check_patterns, read_frames, read_patterns
 from deepfsi.hardware.patterns.mirrors import unpack
+from hardware.patterns.pattern_samples import SMALL, export
 
 SHAPES = ((32, 32), (8, 8), (3, 5))
 

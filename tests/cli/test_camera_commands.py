@@ -19,10 +19,10 @@ from deepfsi.datasets import read_display, write_pictures
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate
 from deepfsi.hardware.calibration.fit import calibrate_run
+from deepfsi.hardware.counting import acquisition
+from deepfsi.hardware.counting.counts import read_counts
+from deepfsi.hardware.counting.picture import reconstruct
 from deepfsi.hardware.patterns.folder import read_patterns
-from deepfsi.hardware.recording import acquisition
-from deepfsi.hardware.recording.counts import read_counts
-from deepfsi.hardware.recording.picture import reconstruct
 
 
 @pytest.fixture(scope="module")

@@ -7,8 +7,8 @@ import pytest
 from typer.testing import CliRunner
 
 from deepfsi.cli import app
+from deepfsi.hardware.counting.counting import count
 from deepfsi.hardware.patterns.folder import read_patterns
-from deepfsi.hardware.recording.counting import count
 
 SCENES = 200
 PHOTONS = 1500.0

@@ -17,7 +17,7 @@ from deepfsi.camera.stop_rule import StopRule
 from deepfsi.cli import app
 from deepfsi.datasets import write_pictures
 from deepfsi.design.artifact import Design
-from deepfsi.hardware.recording.acquisition import read_acquisition
+from deepfsi.hardware.counting.acquisition import read_acquisition
 
 LIGHT = ["--flux", "1e7", "--exposure", "10ms", "--virtual", "ideal"]
 

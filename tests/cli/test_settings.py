@@ -11,7 +11,7 @@ from deepfsi.camera.camera import Camera
 from deepfsi.cli import app
 from deepfsi.cli.settings import NO_OPTIONS, SettingsCommand, with_settings
 from deepfsi.design.exposure import KINDS
-from deepfsi.training.job import ALIASES, Job, Training
+from deepfsi.jobs.job import ALIASES, Job, Training
 
 OWN = {"design", "masks", "photons", "camera", "seed"}
 RANGED = {"span"}  # a range of budgets is given as --photons LOW:HIGH

@@ -16,11 +16,11 @@ from scipy.io import savemat
 from conftest import quick
 from deepfsi.camera.device import find_device
 from deepfsi.datasets import write_pictures
+from deepfsi.hardware.counting.tables import column_names
 from deepfsi.hardware.patterns.folder import export_patterns, read_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
-from deepfsi.hardware.recording.tables import column_names
 from deepfsi.hardware.virtual.camera import VirtualCamera, arrival_rates
-from deepfsi.laboratory.rails import design_rails
+from deepfsi.lab.rails import design_rails
 
 FLUX, SCENES, DWELL = 1e6, 60, 1e-3
 

@@ -13,10 +13,10 @@ from deepfsi.camera.light import photons_per_pixel
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate
 from deepfsi.design.exposure.conditioned import ConditionedExposure
+from deepfsi.jobs.job import Job
 from deepfsi.optics import constraints
 from deepfsi.optics.features import mean_over_exposures
 from deepfsi.optics.scanner import measure
-from deepfsi.training.job import Job
 from deepfsi.training.learning import train
 from deepfsi.training.precision import BFLOAT16_COUNTS, product_dtype
 from deepfsi.training.training_set import TrainingSet

@@ -21,8 +21,8 @@ from deepfsi.design.confidence import (
 )
 from deepfsi.design.evaluation import evaluate
 from deepfsi.design.temperatures import Temperatures, calibration_budgets
+from deepfsi.jobs.job import Job
 from deepfsi.training.characterisation import find_temperatures
-from deepfsi.training.job import Job
 
 PHOTONS = 1e4
 HELD_OUT = 437

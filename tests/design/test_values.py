@@ -14,7 +14,7 @@ from deepfsi.design.onnx_graph import to_onnx
 from deepfsi.design.payload import check_playable
 from deepfsi.design.posterior import ideal_observer
 from deepfsi.design.stopping import stop
-from deepfsi.laboratory.prediction import predict
+from deepfsi.lab.prediction import predict
 from deepfsi.optics.noise import Click
 from deepfsi.optics.scanner import Scanner
 from deepfsi.training.learning import learn

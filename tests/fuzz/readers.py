@@ -39,7 +39,7 @@ def read_design(path: Path) -> None:
     from deepfsi.design.artifact import Design
     from deepfsi.design.stopping import rule_of
     from deepfsi.design.training_data import trained_on
-    from deepfsi.laboratory.camera import camera_of
+    from deepfsi.lab.camera import camera_of
 
     design = Design.load(path)
     camera_of(path)
@@ -67,20 +67,20 @@ def read_adaptive(path: Path) -> None:
 
 
 def read_shown_design(path: Path) -> None:
-    from deepfsi.laboratory.rails import design_rails
+    from deepfsi.lab.rails import design_rails
 
     design_rails(path)
 
 
 def read_loop(path: Path) -> None:
-    from deepfsi.laboratory.live.loop import read_loop
+    from deepfsi.hardware.live.loop import read_loop
 
     assert np.isfinite(read_loop(path).first).all()
 
 
 def read_patterns(path: Path) -> None:
+    from deepfsi.hardware.counting.tables import column_names
     from deepfsi.hardware.patterns.folder import read_patterns
-    from deepfsi.hardware.recording.tables import column_names
 
     patterns = read_patterns(path.parent)
     assert np.isfinite(patterns.rails).all()
@@ -95,15 +95,15 @@ def check_patterns(path: Path) -> None:
 
 
 def read_run(path: Path) -> None:
-    from deepfsi.hardware.recording.acquisition import read_acquisition
-    from deepfsi.hardware.recording.counts import read_counts
+    from deepfsi.hardware.counting.acquisition import read_acquisition
+    from deepfsi.hardware.counting.counts import read_counts
 
     read_acquisition(path.parent)
     read_counts(path.parent).signal()
 
 
 def read_ptu(path: Path) -> None:
-    from deepfsi.hardware.ptu.reader import count_gates, inspect, read_markers
+    from deepfsi.hardware.photons.reader import count_gates, inspect, read_markers
 
     inspect(path)
     times, _ = read_markers(path)
@@ -112,19 +112,19 @@ def read_ptu(path: Path) -> None:
 
 
 def read_live(path: Path) -> None:
-    from deepfsi.laboratory.live.replay import read_live_counts
+    from deepfsi.hardware.live.replay import read_live_counts
 
     read_live_counts(path.parent)
 
 
 def read_calibration(path: Path) -> None:
-    from deepfsi.hardware.recording.calibration_file import load_calibration
+    from deepfsi.hardware.counting.calibration_file import load_calibration
 
     _ = load_calibration(path.parent).doubts
 
 
 def read_scenes(path: Path) -> None:
-    from deepfsi.hardware.recording.scene_list import read_scenes
+    from deepfsi.hardware.counting.scene_list import read_scenes
 
     read_scenes(path)
 
@@ -304,7 +304,7 @@ def _designs(folder: Path) -> None:
     from deepfsi.camera.device import find_device
     from deepfsi.hardware.patterns.folder import export_patterns
     from deepfsi.hardware.patterns.sequence import FrameSettings
-    from deepfsi.laboratory.rails import design_rails
+    from deepfsi.lab.rails import design_rails
 
     rng = np.random.default_rng(1)
     labels = np.arange(200) % 2
@@ -327,12 +327,12 @@ def _designs(folder: Path) -> None:
 
 
 def _recordings(folder: Path) -> None:
-    from deepfsi.hardware.recording.acquisition import Scene
-    from deepfsi.hardware.recording.counting import count
+    from deepfsi.hardware.counting.acquisition import Scene
+    from deepfsi.hardware.counting.counting import count
+    from deepfsi.hardware.live.replay import count_live
+    from deepfsi.hardware.live.run import Bench, plan_live, run_live
     from deepfsi.hardware.virtual.bench import BenchCounter, BenchProjector, Latencies, VirtualSetup
     from deepfsi.hardware.virtual.camera import CAMERAS, RecordingSettings, arrival_rates, record
-    from deepfsi.laboratory.live.replay import count_live
-    from deepfsi.laboratory.live.run import Bench, plan_live, run_live
 
     scenes = np.random.default_rng(2).random((3, 4, 4))
     settings = RecordingSettings(CAMERAS["ideal"], 1e5, 5e-3)

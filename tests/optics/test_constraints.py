@@ -12,7 +12,8 @@ from torch import Tensor
 
 from conftest import FIXED, FLOAT32, OPTICS, every_optics, generator, quick, two_valued
 from deepfsi.base.errors import InputError
-from deepfsi.optics import constraints, tiles
+from deepfsi.jobs import tiles
+from deepfsi.optics import constraints
 from deepfsi.optics.constraints import SLACK, check, excess, fit, frames
 from deepfsi.optics.grey_levels import quantise
 from deepfsi.optics.masks import LearnedMasks

@@ -7,7 +7,8 @@ import torch
 from conftest import FLOAT32, every_optics, generator
 from deepfsi.base.errors import InputError
 from deepfsi.camera.detectors import detector_map
-from deepfsi.optics import constraints, tiles
+from deepfsi.jobs import tiles
+from deepfsi.optics import constraints
 from deepfsi.optics.constraints import expand, fit
 from deepfsi.optics.detection import ONE, Detection
 from deepfsi.optics.masks import FixedMasks, LearnedMasks

@@ -21,7 +21,8 @@ from conftest import (
 )
 from deepfsi.datasets import load_dataset
 from deepfsi.design.evaluation import evaluate
-from deepfsi.optics import constraints, tiles
+from deepfsi.jobs import tiles
+from deepfsi.optics import constraints
 from deepfsi.optics.detection import ONE
 from deepfsi.optics.noise import variance
 from deepfsi.optics.rails import Rails

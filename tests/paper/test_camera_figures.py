@@ -9,7 +9,7 @@ from matplotlib.collections import QuadMesh
 from deepfsi.base.errors import InputError
 from deepfsi.camera.device import Device, find_device
 from deepfsi.camera.layout import Layout, find_grid
-from deepfsi.optics import codes
+from deepfsi.jobs import designs as codes
 from deepfsi.report import style
 from deepfsi_paper.camera import figures
 from deepfsi_paper.camera.figures import Accuracy

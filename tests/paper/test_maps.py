@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from matplotlib.collections import PathCollection, QuadMesh
 
-from deepfsi.optics import codes
+from deepfsi.jobs import designs as codes
 from deepfsi.report.style import svg
 from deepfsi_paper.report import maps
 from deepfsi_paper.report.scales import ON_DARK, ON_LIGHT, SEQUENTIAL

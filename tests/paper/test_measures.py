@@ -8,8 +8,8 @@ import torch
 
 from deepfsi.base.errors import InputError
 from deepfsi.camera.light import photons_per_pixel, summed_reflectance
+from deepfsi.jobs.tiles import sensing_matrix
 from deepfsi.optics.noise import readout
-from deepfsi.optics.tiles import sensing_matrix
 from deepfsi_paper.measures import (
     effective_directions,
     impulse_imaging_error,

@@ -10,7 +10,7 @@ import pytest
 from matplotlib.text import Annotation
 
 from deepfsi.base.errors import InputError
-from deepfsi.optics import codes
+from deepfsi.jobs import designs as codes
 from deepfsi.report.style import COLOURS, svg
 from deepfsi_paper.measures import impulse_imaging_error
 from deepfsi_paper.mnist import figures

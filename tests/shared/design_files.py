@@ -13,8 +13,8 @@ from safetensors.torch import load_file, save_file
 
 from deepfsi.base.errors import InputError
 from deepfsi.design.artifact import Design
-from deepfsi.laboratory.live.loop import Loop
-from deepfsi.laboratory.rails import ShownDesign
+from deepfsi.hardware.live.loop import Loop
+from deepfsi.lab.rails import ShownDesign
 
 
 def header_of(path: Path) -> dict[str, Any]:

@@ -6,15 +6,15 @@ import numpy as np
 
 from conftest import quick
 from deepfsi.camera.device import find_device
+from deepfsi.hardware.counting.acquisition import Scene
+from deepfsi.hardware.live.known import read_looks
+from deepfsi.hardware.live.replay import Replayed, read_live_counts, replay_run
+from deepfsi.hardware.live.run import Bench, Decided, plan_live, run_live
 from deepfsi.hardware.patterns.folder import export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
-from deepfsi.hardware.recording.acquisition import Scene
 from deepfsi.hardware.virtual.bench import BenchCounter, BenchProjector, Latencies, VirtualSetup
 from deepfsi.hardware.virtual.camera import CAMERAS, VirtualCamera, arrival_rates
-from deepfsi.laboratory.live.known import read_looks
-from deepfsi.laboratory.live.replay import Replayed, read_live_counts, replay_run
-from deepfsi.laboratory.live.run import Bench, Decided, plan_live, run_live
-from deepfsi.laboratory.rails import design_rails
+from deepfsi.lab.rails import design_rails
 
 LOOKS = 3
 OPTICS = {

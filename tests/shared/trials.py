@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 
 from deepfsi.datasets import Dataset
+from deepfsi.jobs.job import owner
 from deepfsi.sweeps.context import SweepContext
 from deepfsi.sweeps.queue import run_trials
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.trial import Trial
 from deepfsi.sweeps.workers import Workers
-from deepfsi.training.job import owner
 
 
 def train_trials(

@@ -118,7 +118,7 @@ def test_a_kill_while_files_are_written_leaves_nothing_and_changes_no_bit(
     """Trials that were trained together are kept together: alone one of them rounds otherwise."""
     recipe = sweep(tmp_path, trials=1, workers=1, masks=(1, 2), batch=500)
     kill = (
-        "import os, sys; from deepfsi import files; from deepfsi.cli import main\n"
+        "import os, sys; from deepfsi.base import files; from deepfsi.cli import main\n"
         f"real, calls = os.replace, []; sys.argv = ['deepfsi', *{recipe!r}]\n"
         "def replace(*paths):\n"
         f"    calls.append(paths); os.kill(os.getpid(), 9) if len(calls) == {moves} else None\n"

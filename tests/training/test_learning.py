@@ -24,7 +24,9 @@ from conftest import (
 from deepfsi.base.errors import InputError
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate
-from deepfsi.optics import codes, constraints, tiles
+from deepfsi.jobs import designs as codes
+from deepfsi.jobs import tiles
+from deepfsi.optics import constraints
 from deepfsi.training.learning import train
 from deepfsi.training.training_set import TrainingSet
 from shared.jobs import job as job_of

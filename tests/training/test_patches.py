@@ -13,7 +13,7 @@ from deepfsi.design.evaluation import evaluate
 from deepfsi.design.exposure.trained import cut
 from deepfsi.design.onnx_graph import to_onnx
 from deepfsi.design.stopping import stop
-from deepfsi.optics import codes
+from deepfsi.jobs import designs as codes
 from deepfsi.optics.features import FeatureNoise
 from deepfsi.optics.masks import FixedMasks, LearnedMasks
 from deepfsi.optics.scanner import Scanner

@@ -14,12 +14,12 @@ import numpy as np
 
 import deepfsi
 from deepfsi.camera.device import find_device
+from deepfsi.hardware.counting.counting import count
+from deepfsi.hardware.counting.picture import reconstruct
 from deepfsi.hardware.patterns.folder import export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
-from deepfsi.hardware.recording.counting import count
-from deepfsi.hardware.recording.picture import reconstruct
 from deepfsi.hardware.virtual.camera import CAMERAS, RecordingSettings, record
-from deepfsi.laboratory.rails import design_rails
+from deepfsi.lab.rails import design_rails
 
 # %%
 # Twenty non-negative masks are learned for one device and one detector, which is the camera unless

@@ -12,8 +12,8 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
-from deepfsi.hardware.ptu.reader import count_gates, inspect, read_markers
-from deepfsi.hardware.ptu.writer import Writer
+from deepfsi.hardware.photons.reader import count_gates, inspect, read_markers
+from deepfsi.hardware.photons.writer import Writer
 
 # %%
 # This makes a small file to read: 24 frames of 1 ms, each with its own light, and photons at random

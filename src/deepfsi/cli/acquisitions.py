@@ -40,10 +40,10 @@ def camera_prepare(
     """
     paths.check_there(patterns, "a folder of patterns")
     paths.check_new_folder(out)
+    from deepfsi.hardware.counting.acquisition import name_inputs, plan_acquisition, prepare
     from deepfsi.hardware.patterns.folder import read_patterns
-    from deepfsi.hardware.recording.acquisition import name_inputs, plan_acquisition, prepare
-    from deepfsi.laboratory.camera import camera_of
-    from deepfsi.laboratory.scenes import listed
+    from deepfsi.lab.camera import camera_of
+    from deepfsi.lab.scenes import listed
 
     manifest, known = read_patterns(patterns).manifest, camera_of(patterns, **settings)
     planned = plan_acquisition(
@@ -139,8 +139,8 @@ def camera_import(
     if patterns is not None or passes is not None:
         raise InputError(f"--patterns and --passes are for {_SERIES}: leave them out")
     paths.check_file(out, (".ptu",), force)
-    from deepfsi.hardware.ptu.reader import inspect
-    from deepfsi.hardware.ptu.stamps import read_stamps, write_stamps
+    from deepfsi.hardware.photons.reader import inspect
+    from deepfsi.hardware.photons.stamps import read_stamps, write_stamps
 
     stamps = read_stamps(events, options.optional_seconds("unit", unit))
     chosen = write_stamps(stamps, out, marker, tuple(channels) if channels else None)
@@ -178,8 +178,8 @@ def _import_series(
         raise InputError(f"{_SERIES} need the patterns that were shown: give --patterns")
     from deepfsi.base.files import write_atomically
     from deepfsi.base.tables import read_table
+    from deepfsi.hardware.counting.series import of_bins, of_cumulative
     from deepfsi.hardware.patterns.folder import read_patterns
-    from deepfsi.hardware.recording.series import of_bins, of_cumulative
 
     manifest, values = read_patterns(patterns).manifest, read_table(source).values
     width = options.optional_seconds("bins", bins)

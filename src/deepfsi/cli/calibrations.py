@@ -23,7 +23,7 @@ def camera_spots(
     Example: deepfsi camera spots --size 32x32 -o spots
     """
     paths.check_new_folder(out)
-    from deepfsi.laboratory.calibration import write_spots
+    from deepfsi.lab.calibration import write_spots
 
     pictures = write_spots(out, options.size_of(size) or (32, 32), side)
     common.print_pictures("camera.spots", pictures, out, as_json)
@@ -45,7 +45,7 @@ def camera_calibrate(
     """
     paths.check_folder(out)
     paths.check_free(out / "calibration.json", force)
-    from deepfsi.laboratory.calibration import calibrate
+    from deepfsi.lab.calibration import calibrate
 
     found, path, where = calibrate(folder, spots, out)
     if as_json:
@@ -92,8 +92,8 @@ def camera_check(
     Example: deepfsi camera check run_reference
     """
     paths.check_there(folder, "an acquisition folder, with photons.ptu in it")
-    from deepfsi.hardware.recording.acquisition import Verdict
-    from deepfsi.laboratory.calibration import check_view
+    from deepfsi.hardware.counting.acquisition import Verdict
+    from deepfsi.lab.calibration import check_view
 
     with common.progress("reference", quiet=as_json) as report:
         found = check_view(folder, report)

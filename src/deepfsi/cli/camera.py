@@ -17,10 +17,10 @@ from deepfsi.cli.settings import laboratory_fields, with_settings
 if TYPE_CHECKING:
     import numpy as np
 
-    from deepfsi.hardware.ptu.contents import Contents
-    from deepfsi.hardware.recording.counts import Counts
+    from deepfsi.hardware.counting.counts import Counts
+    from deepfsi.hardware.live.replay import LiveCounts
+    from deepfsi.hardware.photons.contents import Contents
     from deepfsi.hardware.virtual.camera import VirtualCamera
-    from deepfsi.laboratory.live.replay import LiveCounts
 
 NO_DRIFT = 1e-7
 """Drift of clocks that is printed as none, as a share."""
@@ -65,7 +65,7 @@ def camera_describe(
     """
     from deepfsi.camera.camera import PRESETS, Camera
     from deepfsi.camera.camera import template as commented
-    from deepfsi.laboratory.camera import camera_of
+    from deepfsi.lab.camera import camera_of
 
     if template is not None:
         paths.check_file(template, (".toml",), force)
@@ -109,8 +109,8 @@ def camera_simulate(
     paths.check_new_folder(out)
     from deepfsi.hardware.patterns.folder import read_patterns
     from deepfsi.hardware.virtual.camera import RecordingSettings, expected_events, record
-    from deepfsi.laboratory.camera import camera_of, clicks_of, exposure_of, flux_of
-    from deepfsi.laboratory.scenes import displayed, picture_hashes
+    from deepfsi.lab.camera import camera_of, clicks_of, exposure_of, flux_of
+    from deepfsi.lab.scenes import displayed, picture_hashes
 
     known, seen = camera_of(patterns, **settings), find_camera(virtual, patterns, settings)
     if virtual is None:
@@ -192,10 +192,10 @@ def camera_count(
 
     Example: deepfsi camera count run_0001 --exposure 1ms
     """
-    from deepfsi.hardware.recording.counting import count
-    from deepfsi.laboratory.calibration import gains_of
-    from deepfsi.laboratory.camera import camera_of, clicks_of, dead_time_of
-    from deepfsi.laboratory.live.replay import check_as_it_was, count_live, is_live
+    from deepfsi.hardware.counting.counting import count
+    from deepfsi.hardware.live.replay import check_as_it_was, count_live, is_live
+    from deepfsi.lab.calibration import gains_of
+    from deepfsi.lab.camera import camera_of, clicks_of, dead_time_of
 
     if folder.suffix.lower() == ".ptu":
         raise InputError(
@@ -229,8 +229,8 @@ def print_counts(
     counts: "Counts", folder: Path, as_json: bool, command: str = "camera.count"
 ) -> None:
     """Print what was counted, and every fault."""
-    from deepfsi.hardware.ptu.header import read_header
-    from deepfsi.hardware.recording.acquisition import read_acquisition
+    from deepfsi.hardware.counting.acquisition import read_acquisition
+    from deepfsi.hardware.photons.header import read_header
 
     run = read_acquisition(folder)[0]
     names = [scene.name for scene in run.scenes]
@@ -341,8 +341,8 @@ def camera_image(
     if out is not None:
         paths.check_file(out, paths.PICTURES, force)
     paths.check_there(folder, "an acquisition folder, with photons.ptu in it")
-    from deepfsi.hardware.recording.acquisition import read_acquisition
-    from deepfsi.hardware.recording.picture import reconstruct
+    from deepfsi.hardware.counting.acquisition import read_acquisition
+    from deepfsi.hardware.counting.picture import reconstruct
     from deepfsi.report.pictures import pictures_figure
 
     acquisition, _ = read_acquisition(folder)
@@ -359,7 +359,7 @@ def camera_inspect(
 
     Example: deepfsi camera inspect photons.ptu
     """
-    from deepfsi.hardware.ptu.reader import inspect
+    from deepfsi.hardware.photons.reader import inspect
 
     with common.progress("records", quiet=as_json) as report:
         contents = inspect(file, report)
@@ -411,7 +411,7 @@ def find_camera(name: str | None, source: Path, settings: dict[str, Any]) -> "Vi
     is taken.
     """
     from deepfsi.hardware.virtual.camera import CAMERAS, VirtualCamera
-    from deepfsi.laboratory.camera import camera_of, virtual_of
+    from deepfsi.lab.camera import camera_of, virtual_of
 
     if name is None:
         known = camera_of(source, camera=settings.get("camera"))

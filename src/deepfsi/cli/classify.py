@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from deepfsi.design.view_test import ViewResult
-    from deepfsi.laboratory.results import ClassifiedRun, ClassifiedScene, LiveScene, ReplayedRun
+    from deepfsi.lab.results import ClassifiedRun, ClassifiedScene, LiveScene, ReplayedRun
 
 
 @with_settings(laboratory_fields, "dead_time", "dead_time_model")
@@ -81,9 +81,9 @@ def camera_classify(
         **{name.replace("_", "-"): value for name, value in settings.items()},
     }  # fmt: skip
     from deepfsi.base.tables import SUFFIXES, is_table, read_table
-    from deepfsi.laboratory.classify import classify_run, classify_table
-    from deepfsi.laboratory.live.replay import COUNTS, count_live, is_live
-    from deepfsi.laboratory.results import ClassifiedRun
+    from deepfsi.hardware.live.replay import COUNTS, count_live, is_live
+    from deepfsi.lab.classify import classify_run, classify_table
+    from deepfsi.lab.results import ClassifiedRun
 
     found: ClassifiedRun | ReplayedRun
     if counted.is_dir():
@@ -95,7 +95,7 @@ def camera_classify(
                 count_live(counted, report)
         found = classify_run(file, counted, photons=photons, force=force, trust=trust)
     elif is_table(counted):
-        from deepfsi.hardware.recording.tables import WORDS, TableSettings
+        from deepfsi.hardware.counting.tables import WORDS, TableSettings
 
         settle_s = options.optional_seconds("settle", settle) or 0.0
         dark = read_table(background, WORDS) if background and is_table(background) else None
@@ -194,7 +194,7 @@ def print_right(scenes: "Sequence[LiveScene]") -> None:
     told = [scene for scene in scenes if scene.predicted is not None]
     if none := len(scenes) - len(told):
         print(f"no class: {none} of {len(scenes)} scenes")
-    from deepfsi.laboratory.results import score_of
+    from deepfsi.lab.results import score_of
 
     for line in score_of(scenes).lines("scene"):
         print(line)

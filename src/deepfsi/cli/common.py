@@ -231,7 +231,7 @@ def size(made: "AnyDesign") -> str:
 
 def detectors_text(design: str, detectors: str) -> str:
     """Detectors in a table, also of a design that has one for each pixel."""
-    from deepfsi.optics.codes import EVERY_PIXEL
+    from deepfsi.jobs.designs import EVERY_PIXEL
 
     return "each pixel" if design in EVERY_PIXEL else detectors
 

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from deepfsi.design.artifact import Design
     from deepfsi.design.evaluation import Result
     from deepfsi.design.stopping import Stopped
-    from deepfsi.training.job import Job
+    from deepfsi.jobs.job import Job
 
 
 @with_settings(job_fields)
@@ -68,7 +68,7 @@ def design(
     paths.check_file(out, paths.DESIGNS, force=True)  # one of the same settings may be replaced
     common.check_data(data, view)
     from deepfsi.design.evaluation import evaluate as test
-    from deepfsi.training.job import find_job
+    from deepfsi.jobs.job import find_job
     from deepfsi.training.learning import learn
 
     own = common.read_matrix(matrix)
@@ -173,7 +173,7 @@ def evaluate(
     from deepfsi.design.evaluation import camera_for
     from deepfsi.design.evaluation import evaluate as test
     from deepfsi.design.posterior import ideal_observer
-    from deepfsi.laboratory.data import data_of
+    from deepfsi.lab.data import data_of
     from deepfsi.training.training_set import find_device
 
     budgets = options.numbers("photons", photons) or []
@@ -261,7 +261,7 @@ def stop(
     from deepfsi.design.artifact import Design
     from deepfsi.design.stopping import looks_of, with_rule
     from deepfsi.design.stopping import stop as run
-    from deepfsi.laboratory.data import data_of
+    from deepfsi.lab.data import data_of
     from deepfsi.training.training_set import find_device
 
     budget = options.number("photons", photons)
@@ -350,7 +350,7 @@ def show(
     from deepfsi.design.artifact import Design
     from deepfsi.design.readouts import check_masks
     from deepfsi.design.training_data import trained_on
-    from deepfsi.laboratory.data import data_of
+    from deepfsi.lab.data import data_of
     from deepfsi.report.masks import masks_figure
 
     if count < 1:
@@ -436,7 +436,7 @@ def page(
     paths.check_file(out, (".html",), force)
     common.check_data(data)
     from deepfsi.design.payload import check_playable, playable
-    from deepfsi.laboratory.data import data_of
+    from deepfsi.lab.data import data_of
     from deepfsi.report.playground.page import write_page
 
     made = common.open_any(file)

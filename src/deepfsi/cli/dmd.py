@@ -104,7 +104,7 @@ def dmd_export(
     from deepfsi.hardware.calibration.scans import SCANS
     from deepfsi.hardware.patterns.folder import export_patterns
     from deepfsi.hardware.patterns.sequence import FrameSettings
-    from deepfsi.laboratory.camera import camera_of, picture_time
+    from deepfsi.lab.camera import camera_of, picture_time
 
     file = file if str(file) in SCANS else paths.check_design(file)
     rails = _rails(file, size, detectors)
@@ -153,7 +153,7 @@ def _rails(file: Path, size: str | None, detectors: int | None) -> "DesignRails"
                 f"--{option} is for {' and '.join(SCANS)}: {file} has the {own} of its design; "
                 "leave it out"
             )
-    from deepfsi.laboratory.rails import design_rails
+    from deepfsi.lab.rails import design_rails
 
     return design_rails(file)
 

@@ -15,10 +15,10 @@ from deepfsi.cli.settings import laboratory_fields, with_settings
 
 if TYPE_CHECKING:
     from deepfsi.design.view_test import ViewResult
+    from deepfsi.hardware.counting.acquisition import Acquisition
     from deepfsi.hardware.drivers.protocols import StreamingCounter
-    from deepfsi.hardware.recording.acquisition import Acquisition
     from deepfsi.hardware.virtual.bench import Latencies
-    from deepfsi.laboratory.results import LiveScene
+    from deepfsi.lab.results import LiveScene
 
 PROJECTORS = ("virtual", "vialux", "dlpc900")
 COUNTERS = ("virtual", "picoquant", "swabian", "followed")
@@ -91,10 +91,10 @@ def camera_live(
     times, source = latencies_of(latency or []), paths.check_design(source)
     from deepfsi.hardware.drivers.protocols import StreamingProjector
     from deepfsi.hardware.drivers.vialux import VialuxLooks
-    from deepfsi.laboratory.camera import camera_of, dead_time_of, exposure_of, flux_of
-    from deepfsi.laboratory.live.bench import most_events, virtual_bench
-    from deepfsi.laboratory.live.run import Bench, plan_live, run_live
-    from deepfsi.laboratory.scenes import displayed, scenes_of
+    from deepfsi.hardware.live.bench import most_events, virtual_bench
+    from deepfsi.hardware.live.run import Bench, plan_live, run_live
+    from deepfsi.lab.camera import camera_of, dead_time_of, exposure_of, flux_of
+    from deepfsi.lab.scenes import displayed, scenes_of
 
     known = camera_of(source, **settings)
     exposure_s, shortest_s = exposure_of(known), known.shortest_dwell or None
@@ -162,7 +162,7 @@ def _patterns(source: Path, as_json: bool) -> Iterator[Path]:
     if source.is_dir():
         yield source
         return
-    from deepfsi.laboratory.rails import patterns_for_now
+    from deepfsi.lab.rails import patterns_for_now
 
     with common.progress("patterns", as_json) as report, patterns_for_now(source, report) as made:
         yield made
@@ -232,7 +232,7 @@ def _print_run(
     scenes: "list[LiveScene]", view: "ViewResult | None", about: dict[str, Any], as_json: bool
 ) -> None:
     """Print the sum of all scenes, or all as JSON; `InputError` if none has light."""
-    from deepfsi.laboratory.results import score_of
+    from deepfsi.lab.results import score_of
 
     folder, exposure_s = about["folder"], about["exposure_s"]
     if not any(scene.looks for scene in scenes):

@@ -27,7 +27,7 @@ def mask(
 
     Example: deepfsi mask passing.safetensors --pixel 5 -o pattern.svg
     """
-    from deepfsi.laboratory.static_pattern import ENDS, write_photomask
+    from deepfsi.lab.static_pattern import ENDS, write_photomask
 
     file = paths.check_design(file)
     paths.check_file(out, ENDS, force)

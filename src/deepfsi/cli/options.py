@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from deepfsi.datasets import Dataset
-    from deepfsi.training.job import Job
+    from deepfsi.jobs.job import Job
 
 MOST_PIXELS = 10_000
 """Pixels of a side of an image."""
@@ -242,7 +242,7 @@ Budget = Annotated[
 
 def wiring(inputs: list[int] | None, marker: int | None) -> dict[str, Any]:
     """Settings of an acquisition that say which inputs of the counter are used, as far as given."""
-    from deepfsi.hardware.recording.acquisition import MOST_INPUTS
+    from deepfsi.hardware.counting.acquisition import MOST_INPUTS
 
     for each in inputs or ():
         if not 1 <= each <= MOST_INPUTS:
@@ -304,7 +304,7 @@ def job_settings(
     # The data decides how many masks a design of a fixed number has; the matrix, (m, N), is the
     # user's own
     from deepfsi.camera.camera import Camera
-    from deepfsi.training.job import sorted_settings
+    from deepfsi.jobs.job import sorted_settings
 
     settings = dict(given)
     if "photons" in settings:
@@ -328,7 +328,8 @@ def job_settings(
 def _fixed_count(job: Mapping[str, Any], data: "Dataset") -> int:
     """Number of masks of a design that has no choice, or `InputError`."""
     from deepfsi.design.exposure import find_exposure
-    from deepfsi.optics import codes, tiles
+    from deepfsi.jobs import designs as codes
+    from deepfsi.jobs import tiles
     from deepfsi.optics.detection import ONE
 
     exposure = find_exposure(job.get("exposure", {}))
@@ -373,7 +374,7 @@ def recipe_settings(
     # Options of a job are axes, as text; `own` are fields of the recipe, None where one is not
     # given; settings of `base` hold where no option overrides them
     from deepfsi.camera.camera import Camera
-    from deepfsi.training.job import owner
+    from deepfsi.jobs.job import owner
 
     fields = {name: value for name, value in own.items() if value is not None}
     if "masks" in given and "ratios" in fields:

@@ -52,7 +52,7 @@ def predict(
     from deepfsi.base.files import write_atomically
     from deepfsi.cli import as_options
     from deepfsi.design.evaluation import camera_for
-    from deepfsi.laboratory.prediction import predict as run
+    from deepfsi.lab.prediction import predict as run
     from deepfsi.training.training_set import find_device
 
     budget = None if photons is None else options.number("photons", photons)

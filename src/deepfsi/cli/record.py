@@ -51,18 +51,18 @@ def camera_record(
         paths.check_there(counter_config, "counter configuration")
     times = live.latencies_of(latency or [])
     from deepfsi.base.progress import SILENT
+    from deepfsi.hardware.counting.acquisition import plan_acquisition
+    from deepfsi.hardware.counting.counting import count
     from deepfsi.hardware.drivers.dlpc900 import Dlpc900Projector
     from deepfsi.hardware.drivers.protocols import PassProjector
     from deepfsi.hardware.drivers.vialux import VialuxProjector
+    from deepfsi.hardware.live.bench import virtual_bench
+    from deepfsi.hardware.live.run import Bench
     from deepfsi.hardware.patterns.folder import read_patterns
-    from deepfsi.hardware.recording.acquisition import plan_acquisition
-    from deepfsi.hardware.recording.counting import count
     from deepfsi.hardware.virtual.camera import expected_events
-    from deepfsi.laboratory.camera import camera_of, clicks_of, dead_time_of, flux_of
-    from deepfsi.laboratory.live.bench import virtual_bench
-    from deepfsi.laboratory.live.run import Bench
-    from deepfsi.laboratory.record import record_run
-    from deepfsi.laboratory.scenes import displayed, listed, scenes_of
+    from deepfsi.lab.camera import camera_of, clicks_of, dead_time_of, flux_of
+    from deepfsi.lab.record import record_run
+    from deepfsi.lab.scenes import displayed, listed, scenes_of
 
     shown, known = read_patterns(patterns), camera_of(patterns, **settings)
     told = {"flux": known.flux, **options.wiring(inputs, marker)}

@@ -44,7 +44,7 @@ def job_fields() -> Fields:
     """Help panel and field of each option of a job."""
     from deepfsi.camera.camera import Camera
     from deepfsi.design.exposure import EXPOSURE_FIELDS, KINDS
-    from deepfsi.training.job import Job, Training
+    from deepfsi.jobs.job import Job, Training
 
     found: Fields = {name: (FIRST, Job.model_fields[name]) for name in JOB_FIELDS}
     found |= _named("camera", "Camera", Camera.model_fields)
@@ -53,7 +53,7 @@ def job_fields() -> Fields:
 
 
 def _named(table: str, panel: str, fields: "Mapping[str, FieldInfo]") -> Fields:
-    from deepfsi.training.job import ALIASES
+    from deepfsi.jobs.job import ALIASES
 
     names = {place: name for name, place in ALIASES.items()}
     return {
@@ -66,7 +66,7 @@ def _named(table: str, panel: str, fields: "Mapping[str, FieldInfo]") -> Fields:
 def laboratory_fields(*names: str) -> Fields:
     """Help panel and field of the options of a run: its camera, and fields of that; all if none."""
     from deepfsi.camera.camera import Camera
-    from deepfsi.training.job import Job
+    from deepfsi.jobs.job import Job
 
     fields = {"camera": Job.model_fields["camera"]}
     fields |= {name: Camera.model_fields[name] for name in names or Camera.model_fields}

@@ -9,8 +9,8 @@ import typer
 from deepfsi.cli import common, options, paths
 
 if TYPE_CHECKING:
-    from deepfsi.hardware.recording.rail_sums import Excess, RailSums
-    from deepfsi.laboratory.table_pictures import Pictures
+    from deepfsi.hardware.counting.rail_sums import Excess, RailSums
+    from deepfsi.lab.table_pictures import Pictures
 
 
 def camera_picture(
@@ -66,7 +66,7 @@ def camera_picture(
     import numpy as np
 
     from deepfsi.base.files import new_folder
-    from deepfsi.laboratory.table_pictures import TableMasks, compare_picture, read_pictures
+    from deepfsi.lab.table_pictures import TableMasks, compare_picture, read_pictures
     from deepfsi.report.pictures import pictures_figure
     from deepfsi.report.rail_light import rail_light_figure
 

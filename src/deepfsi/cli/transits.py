@@ -48,7 +48,7 @@ def camera_transits(
         paths.check_file(out, (".csv",), force)
     from deepfsi.base.files import write_atomically
     from deepfsi.design.artifact import Design
-    from deepfsi.laboratory.transits import classify_transits
+    from deepfsi.lab.transits import classify_transits
 
     made = common.open_any(design, trust)
     if not isinstance(made, Design):

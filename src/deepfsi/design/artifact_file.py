@@ -27,8 +27,8 @@ from deepfsi.design.temperatures import Temperatures
 from deepfsi.design.training_data import TrainingScenes
 from deepfsi.design.values import Values
 from deepfsi.design.view_test import SceneModel
+from deepfsi.jobs.designs import check_design
 from deepfsi.optics import constraints
-from deepfsi.optics.codes import check_design
 from deepfsi.optics.detection import Detection
 from deepfsi.optics.rails import Rails
 

@@ -12,7 +12,7 @@ from pydantic import AfterValidator
 
 from deepfsi.base.arrays import DamagedError, read_tensors
 from deepfsi.base.errors import InputError, other_version
-from deepfsi.optics.codes import DESIGNS
+from deepfsi.jobs.designs import DESIGNS
 
 if TYPE_CHECKING:
     from deepfsi.design.values import Values

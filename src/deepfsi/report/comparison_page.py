@@ -17,7 +17,7 @@ from deepfsi.base.files import write_atomically
 from deepfsi.base.html import confusion_table
 from deepfsi.base.intervals import difference
 from deepfsi.camera.names import noise_text
-from deepfsi.optics.codes import ADAPTIVE
+from deepfsi.jobs.designs import ADAPTIVE
 from deepfsi.report import accuracy
 from deepfsi.report.figures import Figures
 from deepfsi.report.masks import lit_masks, masks_figure, peak, signed, values_figure

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from deepfsi.base.intervals import Crossing, crossing, difference
 from deepfsi.camera.names import noise_text
-from deepfsi.optics.codes import DESIGNS
+from deepfsi.jobs.designs import DESIGNS
 from deepfsi.report import accuracy
 from deepfsi.report.measures import WORDS
 from deepfsi.report.rendering import capital, share_text

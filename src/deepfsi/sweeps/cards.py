@@ -10,7 +10,7 @@ from deepfsi.datasets import Dataset
 from deepfsi.design.adaptive.design import AnyDesign
 from deepfsi.design.evaluation import Result
 from deepfsi.design.training_data import trained_on
-from deepfsi.training.job import Job
+from deepfsi.jobs.job import Job
 
 if TYPE_CHECKING:
     from deepfsi.sweeps.collection import DataTerms, DesignRecipe

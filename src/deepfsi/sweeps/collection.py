@@ -23,8 +23,8 @@ from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.design.evaluation import Result, evaluate
 from deepfsi.design.file_content import check_classes
 from deepfsi.design.published import INDEX, Index, Name, Published, Words
+from deepfsi.jobs.job import REVISION, Job, find_job, sorted_settings
 from deepfsi.sweeps.cards import card
-from deepfsi.training.job import REVISION, Job, find_job, sorted_settings
 from deepfsi.training.learning import learn
 
 TRAINING_SHARE = 0.7

@@ -14,13 +14,13 @@ import torch
 from deepfsi.base.progress import SILENT, Moments, Report
 from deepfsi.datasets import Dataset
 from deepfsi.design.evaluation import evaluate
+from deepfsi.jobs.job import Job
 from deepfsi.sweeps.context import Batch, SweepContext
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.records import Records
 from deepfsi.sweeps.trial import plan
 from deepfsi.sweeps.workers import cores, default_count
 from deepfsi.training.batches import batch_of
-from deepfsi.training.job import Job
 from deepfsi.training.learning import train
 from deepfsi.training.precision import dtypes
 from deepfsi.training.training_set import TrainingSet

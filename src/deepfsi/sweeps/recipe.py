@@ -21,10 +21,11 @@ from deepfsi.camera.names import MLP, check_noise
 from deepfsi.datasets import Dataset
 from deepfsi.design.evaluation import MOST_DRAWS
 from deepfsi.design.exposure import Exposure, find_exposure
-from deepfsi.optics import codes, tiles
+from deepfsi.jobs import designs as codes
+from deepfsi.jobs import tiles
+from deepfsi.jobs.job import Training
 from deepfsi.optics.detection import ONE, Detection
 from deepfsi.sweeps.workers import Resources
-from deepfsi.training.job import Training
 
 PAPER_RATIOS = tuple((k / 10) ** 2 for k in range(1, 11))
 """1, 4, 9, … 100 %."""

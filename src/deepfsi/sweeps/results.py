@@ -11,7 +11,7 @@ from deepfsi.base.errors import as_input_error
 from deepfsi.base.files import read_text, write_atomically
 from deepfsi.base.intervals import unpack
 from deepfsi.datasets.dataset import Measure
-from deepfsi.optics.codes import EVERY_PIXEL
+from deepfsi.jobs.designs import EVERY_PIXEL
 
 SCHEMA = 5
 """Schema of results and of records, the only one; tests of records of another are run anew."""

@@ -17,11 +17,11 @@ from deepfsi.camera.camera import Camera
 from deepfsi.camera.names import LOOK_LIGHT
 from deepfsi.datasets import Dataset
 from deepfsi.design.exposure import Exposure
-from deepfsi.optics import codes
+from deepfsi.jobs import designs as codes
+from deepfsi.jobs.job import REVISION, Job
+from deepfsi.jobs.own_names import own_parts
 from deepfsi.optics.detection import ONE
 from deepfsi.sweeps.recipe import NamedCamera, Recipe, TestNoise
-from deepfsi.training.job import REVISION, Job
-from deepfsi.training.own_names import own_parts
 
 MOST_TRIALS = 100_000
 """Trials of one recipe: months of training, and records that still fit the memory."""

@@ -23,9 +23,9 @@ from deepfsi.design.adaptive.posterior import LookOptics
 from deepfsi.design.adaptive.prior import ScenePrior
 from deepfsi.design.confidence import CalibrationScenes, Exposed
 from deepfsi.design.temperatures import REACH, Temperatures
+from deepfsi.jobs.job import Job
 from deepfsi.training.folds import DOUBT, calibrated, folds_of
 from deepfsi.training.info import provenance
-from deepfsi.training.job import Job
 from deepfsi.training.training_set import TrainingSet
 
 

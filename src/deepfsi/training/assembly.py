@@ -14,6 +14,7 @@ from deepfsi.design.artifact import Design
 from deepfsi.design.own import OwnClassifier, make
 from deepfsi.design.training_data import TrainingScenes
 from deepfsi.design.values import Values
+from deepfsi.jobs.job import Job
 from deepfsi.optics import constraints
 from deepfsi.optics.detection import Detection
 from deepfsi.optics.masks import LearnedMasks
@@ -22,7 +23,6 @@ from deepfsi.optics.scanner import Scanner
 from deepfsi.optics.surroundings import library_defaults
 from deepfsi.training.characterisation import characterise
 from deepfsi.training.info import provenance
-from deepfsi.training.job import Job
 from deepfsi.training.training_set import TrainingSet
 
 

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import torch
 
 from deepfsi.base.arrays import check_memory, free_memory
-from deepfsi.training.job import Job, Training
+from deepfsi.jobs.job import Job, Training
 from deepfsi.training.masks import matrix_seeds
 from deepfsi.training.training_set import TrainingSet
 

@@ -20,9 +20,9 @@ from deepfsi.design.evaluation import scanner_for
 from deepfsi.design.readout_fit import sample_scenes
 from deepfsi.design.temperatures import Temperatures, calibration_budgets
 from deepfsi.design.view_test import SceneModel
+from deepfsi.jobs.job import Job
 from deepfsi.optics.features import CHUNK
 from deepfsi.training.folds import DOUBT, LEFT_OUT, calibrated, draws_of
-from deepfsi.training.job import Job
 from deepfsi.training.training_set import TrainingSet
 
 

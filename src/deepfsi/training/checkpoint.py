@@ -26,10 +26,10 @@ from deepfsi.base.arrays import DamagedError, read_tensors
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import write_atomically
 from deepfsi.base.plugins import UNNAMED, source_hash
+from deepfsi.jobs.job import REVISION, Job
+from deepfsi.jobs.own_names import own_parts
 from deepfsi.training.draws import SeedStream
 from deepfsi.training.few_counts import CountsCost
-from deepfsi.training.job import REVISION, Job
-from deepfsi.training.own_names import own_parts
 from deepfsi.training.training_set import TrainingSet
 
 CHECKPOINT_SECONDS = 120.0

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Protocol
 from deepfsi.camera.names import MLP
 from deepfsi.design.exposure import Exposure, Fixed
 from deepfsi.design.exposure.base import Job
-from deepfsi.optics.codes import DESIGNS
+from deepfsi.jobs.designs import DESIGNS
 
 if TYPE_CHECKING:
     from deepfsi.camera.camera import Camera

@@ -16,6 +16,7 @@ from deepfsi.design.exposure.conditioned import ConditionedExposure, first
 from deepfsi.design.exposure.looks import LooksExposure
 from deepfsi.design.exposure.passing import PassingExposure
 from deepfsi.design.exposure.trained import FixedExposure, PatchExposure, TrainedExposure
+from deepfsi.jobs.job import Job
 from deepfsi.optics import constraints
 from deepfsi.optics.detection import Detection
 from deepfsi.optics.features import (
@@ -31,7 +32,6 @@ from deepfsi.optics.rails import Rails
 from deepfsi.optics.scanner import Scanner, measure, project, project_rails
 from deepfsi.optics.transit import FixedPattern, LearnedPattern
 from deepfsi.training.draws import SeedStream, side_by_side
-from deepfsi.training.job import Job
 from deepfsi.training.passing import PassingFeatures
 from deepfsi.training.precision import product_dtype
 from deepfsi.training.training_set import TrainingSet

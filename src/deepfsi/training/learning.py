@@ -15,6 +15,7 @@ from deepfsi.datasets import Source, as_dataset
 from deepfsi.design.adaptive.design import AnyDesign
 from deepfsi.design.artifact import Design
 from deepfsi.design.exposure.trained import TrainedExposure
+from deepfsi.jobs.job import Job, find_job
 from deepfsi.optics import constraints
 from deepfsi.optics.features import FeatureNoise, feature_statistics
 from deepfsi.optics.masks import FixedMasks, LearnedMasks
@@ -29,7 +30,6 @@ from deepfsi.training.checkpoint import NO_CHECKPOINT, Checkpoint
 from deepfsi.training.counts import train_for_counts
 from deepfsi.training.folds import folds_of
 from deepfsi.training.info import provenance
-from deepfsi.training.job import Job, find_job
 from deepfsi.training.loop import Classifier, optimise
 from deepfsi.training.masks import final_masks, initial_masks
 from deepfsi.training.passing import passing_statistics

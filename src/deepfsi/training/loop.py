@@ -24,6 +24,7 @@ from deepfsi.datasets import Dataset
 from deepfsi.design.classifiers import Mlp, Replicas, Vit
 from deepfsi.design.exposure.trained import TrainedExposure
 from deepfsi.design.own import OwnClassifier, make, seeded
+from deepfsi.jobs.job import Job, Training
 from deepfsi.optics.features import FeatureNoise
 from deepfsi.optics.masks import FixedMasks, LearnedMasks
 from deepfsi.training.batches import batch_of
@@ -31,7 +32,6 @@ from deepfsi.training.checkpoint import NO_CHECKPOINT, Checkpoint, LoopState
 from deepfsi.training.draws import seed_streams, side_by_side
 from deepfsi.training.features import CountedFeatures, features_of
 from deepfsi.training.few_counts import CountsCost, dim_start
-from deepfsi.training.job import Job, Training
 from deepfsi.training.losses import find_loss, total
 from deepfsi.training.precision import network_dtype
 from deepfsi.training.training_set import TrainingSet

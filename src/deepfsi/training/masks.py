@@ -10,12 +10,14 @@ from deepfsi.base.errors import InputError
 from deepfsi.camera.camera import Camera
 from deepfsi.design.exposure.passing import PassingExposure
 from deepfsi.design.exposure.trained import TrainedExposure
-from deepfsi.optics import codes, constraints, tiles
+from deepfsi.jobs import designs as codes
+from deepfsi.jobs import tiles
+from deepfsi.jobs.job import Job
+from deepfsi.optics import constraints
 from deepfsi.optics.detection import Detection
 from deepfsi.optics.grey_levels import quantise
 from deepfsi.optics.masks import FixedMasks, LearnedMasks
 from deepfsi.optics.transit import FixedPattern, LearnedPattern
-from deepfsi.training.job import Job
 from deepfsi.training.passing import initial_pattern
 from deepfsi.training.training_set import TrainingSet
 

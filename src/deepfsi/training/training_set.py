@@ -13,7 +13,8 @@ from deepfsi.datasets import Dataset
 from deepfsi.design.exposure import Exposure
 from deepfsi.design.training_data import TrainingScenes
 from deepfsi.design.values import Values
-from deepfsi.optics import codes, tiles
+from deepfsi.jobs import designs as codes
+from deepfsi.jobs import tiles
 from deepfsi.optics.detection import ONE, Detection
 
 Matrices = dict[tuple[str, int, int, bytes], np.ndarray]

@@ -10,7 +10,7 @@ from pydantic import TypeAdapter
 from deepfsi.base.intervals import Difference, above, of_trials
 from deepfsi.camera.layout import Grid, find_grid
 from deepfsi.hardware.patterns.mirrors import recount, unpack
-from deepfsi.optics.codes import DESIGNS
+from deepfsi.jobs.designs import DESIGNS
 from deepfsi.report.style import photons_text
 from deepfsi.sweeps.results import Results
 from deepfsi_paper.bootstrap import (

@@ -28,13 +28,13 @@ from deepfsi.hardware.calibration import fit
 from deepfsi.hardware.calibration.background import expected_background
 from deepfsi.hardware.calibration.scans import scan_rails
 from deepfsi.hardware.calibration.view import view_dataset
+from deepfsi.hardware.counting.acquisition import read_acquisition
+from deepfsi.hardware.counting.calibration_file import Calibration
+from deepfsi.hardware.counting.counting import count
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.mirrors import make_frames
 from deepfsi.hardware.patterns.sequence import FrameSettings, Patterns
 from deepfsi.hardware.patterns.timing import find_gates
-from deepfsi.hardware.recording.acquisition import read_acquisition
-from deepfsi.hardware.recording.calibration_file import Calibration
-from deepfsi.hardware.recording.counting import count
 from deepfsi.hardware.virtual.camera import (
     CAMERAS,
     RecordingSettings,

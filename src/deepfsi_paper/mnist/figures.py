@@ -19,7 +19,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocat
 
 from deepfsi.base.errors import InputError
 from deepfsi.camera.names import noise_text
-from deepfsi.optics.codes import DESIGNS
+from deepfsi.jobs.designs import DESIGNS
 from deepfsi.report import style
 from deepfsi.report.accuracy import accuracy_axes, marker_key, noises, series_axes
 from deepfsi.report.masks import brightest, mask_axes, peak, signed

@@ -11,7 +11,7 @@ from pydantic import TypeAdapter
 from deepfsi.base.intervals import Difference, above, of_trials
 from deepfsi.base.progress import Report
 from deepfsi.datasets import Dataset
-from deepfsi.optics.tiles import sensing_matrix
+from deepfsi.jobs.tiles import sensing_matrix
 from deepfsi.report.comparison_page import read_masks
 from deepfsi.report.style import photons_text
 from deepfsi.sweeps.results import Results

@@ -8,10 +8,10 @@ from deepfsi.camera.device import Device
 from deepfsi.hardware.calibration.detectors import find_detectors, save_detectors
 from deepfsi.hardware.calibration.fit import spot_scenes
 from deepfsi.hardware.calibration.scans import SCANS, scan_rails
+from deepfsi.hardware.counting.counting import count
+from deepfsi.hardware.counting.counts import Counts
 from deepfsi.hardware.patterns.folder import export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings, Patterns
-from deepfsi.hardware.recording.counting import count
-from deepfsi.hardware.recording.counts import Counts
 from deepfsi.hardware.virtual.camera import RecordingSettings, VirtualCamera, record
 
 DEVICE = Device(name="d", columns=48, rows=48)

@@ -9,10 +9,10 @@ from deepfsi.camera.device import Device
 from deepfsi.camera.layout import Layout, find_grid
 from deepfsi.hardware.calibration import fit
 from deepfsi.hardware.calibration.view import camera_view, view_matrix
+from deepfsi.hardware.counting.calibration_file import load_calibration, save_calibration
+from deepfsi.hardware.counting.counting import count
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
-from deepfsi.hardware.recording.calibration_file import load_calibration, save_calibration
-from deepfsi.hardware.recording.counting import count
 from deepfsi.hardware.virtual import camera
 from deepfsi_paper.camera.gate_counts import black_rates
 

@@ -18,9 +18,9 @@ from deepfsi.hardware.calibration.reference import (
     reference_picture,
     write_reference,
 )
+from deepfsi.hardware.counting.counting import count
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
-from deepfsi.hardware.recording.counting import count
 from deepfsi.hardware.virtual.camera import (
     CAMERAS,
     RecordingSettings,

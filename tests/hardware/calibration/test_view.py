@@ -13,7 +13,7 @@ from deepfsi.camera.device import Device, find_device
 from deepfsi.camera.layout import Layout, find_grid
 from deepfsi.datasets import load_dataset
 from deepfsi.hardware.calibration.view import camera_view, view_dataset, view_matrix
-from deepfsi.hardware.recording.calibration_file import load_calibration, save_calibration
+from deepfsi.hardware.counting.calibration_file import load_calibration, save_calibration
 from deepfsi.hardware.virtual import camera
 
 

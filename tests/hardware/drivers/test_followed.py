@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from deepfsi.base.errors import InputError
+from deepfsi.hardware.counting.streaming import FrameGates, StreamCounter
 from deepfsi.hardware.drivers import followed
 from deepfsi.hardware.drivers.followed import FollowedCounter
 from deepfsi.hardware.drivers.protocols import StreamingCounter
-from deepfsi.hardware.ptu.writer import Writer
-from deepfsi.hardware.recording.streaming import FrameGates, StreamCounter
+from deepfsi.hardware.photons.writer import Writer
 
 GATES = FrameGates.of(10e-6, [60e-6] * 20)
 

@@ -11,13 +11,13 @@ import pytest
 from driver_samples import check_refused_before_a_recording
 
 from deepfsi.base.errors import InputError
+from deepfsi.hardware.counting.streaming import FrameGates
 from deepfsi.hardware.drivers import picoquant
 from deepfsi.hardware.drivers.picoquant import SnapiCounter
 from deepfsi.hardware.drivers.protocols import StreamingCounter
-from deepfsi.hardware.ptu.header import read_header
-from deepfsi.hardware.ptu.reader import count_gates, read_markers
-from deepfsi.hardware.ptu.writer import Writer
-from deepfsi.hardware.recording.streaming import FrameGates
+from deepfsi.hardware.photons.header import read_header
+from deepfsi.hardware.photons.reader import count_gates, read_markers
+from deepfsi.hardware.photons.writer import Writer
 
 TICK_S, FRAME = 5e-12, 10**7
 GATES = FrameGates.of(10e-6, np.linspace(5e-6, 30e-6, 12))

@@ -9,11 +9,11 @@ import pytest
 from driver_samples import check_refused_before_a_recording
 
 from deepfsi.base.errors import InputError
+from deepfsi.hardware.counting.streaming import FrameGates
 from deepfsi.hardware.drivers import swabian
 from deepfsi.hardware.drivers.protocols import StreamingCounter
 from deepfsi.hardware.drivers.swabian import TaggerCounter, TaggerSettings
-from deepfsi.hardware.ptu.reader import count_gates, read_markers
-from deepfsi.hardware.recording.streaming import FrameGates
+from deepfsi.hardware.photons.reader import count_gates, read_markers
 from hardware.drivers.swabian_fake import (
     ERROR,
     MISSED,

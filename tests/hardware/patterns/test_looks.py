@@ -8,8 +8,8 @@ import pytest
 from conftest import quick
 from deepfsi.base.errors import InputError
 from deepfsi.design.artifact import Design
+from deepfsi.hardware.live.loop import read_loop
 from deepfsi.hardware.patterns.folder import check_patterns, read_patterns
-from deepfsi.laboratory.live.loop import read_loop
 from shared.design_files import loop_of
 
 LOOKS = 3

@@ -5,7 +5,7 @@ import pytest
 from virtual_samples import SHAPE, patterns
 
 from deepfsi.base.errors import InputError
-from deepfsi.hardware.ptu.reader import count_gates, inspect, read_markers
+from deepfsi.hardware.photons.reader import count_gates, inspect, read_markers
 from deepfsi.hardware.virtual.bench import BenchCounter, BenchProjector, Latencies, VirtualSetup
 from deepfsi.hardware.virtual.camera import MARKER, VirtualCamera, arrival_rates
 from deepfsi.hardware.virtual.detector import TICK_S

@@ -13,12 +13,12 @@ from deepfsi.base.errors import InputError
 from deepfsi.base.progress import SILENT, Report
 from deepfsi.camera.device import Device
 from deepfsi.camera.layout import Layout, find_grid
+from deepfsi.hardware.counting.acquisition import read_acquisition
+from deepfsi.hardware.counting.counting import count
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings, Patterns
 from deepfsi.hardware.patterns.timing import Gates, find_gates
-from deepfsi.hardware.ptu import reader as ptu
-from deepfsi.hardware.recording.acquisition import read_acquisition
-from deepfsi.hardware.recording.counting import count
+from deepfsi.hardware.photons import reader as ptu
 from deepfsi.hardware.virtual import camera as module
 from deepfsi.hardware.virtual import detector
 from deepfsi.hardware.virtual.camera import (

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from virtual_samples import patterns, scenes
 
-from deepfsi.hardware.ptu.writer import Writer
-from deepfsi.hardware.recording.counting import count
+from deepfsi.hardware.counting.counting import count
+from deepfsi.hardware.photons.writer import Writer
 from deepfsi.hardware.virtual.bench import Latencies, VirtualSetup
 from deepfsi.hardware.virtual.camera import RecordingSettings, VirtualCamera, record
 from deepfsi.hardware.virtual.detector import TICK_S, Fluctuation

@@ -7,13 +7,13 @@ from virtual_samples import SUMMED_REFLECTANCE, patterns, scenes
 
 from deepfsi.base.errors import InputError
 from deepfsi.camera.dead_time import DeadTime
+from deepfsi.hardware.counting.clicks import light_of_clicks
+from deepfsi.hardware.counting.counting import count
+from deepfsi.hardware.counting.counts import read_counts
+from deepfsi.hardware.counting.picture import reconstruct
 from deepfsi.hardware.patterns.sequence import Patterns
-from deepfsi.hardware.recording.clicks import light_of_clicks
-from deepfsi.hardware.recording.counting import count
-from deepfsi.hardware.recording.counts import read_counts
-from deepfsi.hardware.recording.picture import reconstruct
 from deepfsi.hardware.virtual.camera import RecordingSettings, VirtualCamera, record
-from deepfsi.laboratory.calibration import check_view, gains_of
+from deepfsi.lab.calibration import check_view, gains_of
 from deepfsi.optics.scanner import Scanner
 
 GATES = 4

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from deepfsi.camera.camera import Camera
     from deepfsi.datasets import Dataset
     from deepfsi.design.exposure.trained import TrainedExposure as Trained
-    from deepfsi.optics.codes import Code
+    from deepfsi.jobs.designs import Code
 
 
 class Job(Protocol):

@@ -8,9 +8,9 @@ from scipy.linalg import solve
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import write_atomically
+from deepfsi.hardware.counting.counts import Counts
+from deepfsi.hardware.light.faults import SPOILING
 from deepfsi.hardware.patterns.sequence import Patterns
-from deepfsi.hardware.recording.counts import Counts
-from deepfsi.hardware.recording.faults import SPOILING
 
 CLEAR_SIGMAS = 5.0
 """Standard errors by which a detector must count more of a cell's light than any other does."""

@@ -17,9 +17,9 @@ from deepfsi.camera.layout import Grid
 from deepfsi.hardware.calibration.background import expected_background
 from deepfsi.hardware.calibration.refine import fit_view
 from deepfsi.hardware.calibration.view import geometry_matrix
+from deepfsi.hardware.counting.calibration_file import Calibration
+from deepfsi.hardware.counting.counts import Counts
 from deepfsi.hardware.patterns.sequence import Patterns
-from deepfsi.hardware.recording.calibration_file import Calibration
-from deepfsi.hardware.recording.counts import Counts
 
 WHITE, BLACK = "white.png", "black.png"
 """Names of the pictures of uniform white and black."""

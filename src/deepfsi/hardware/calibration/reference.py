@@ -19,8 +19,8 @@ from deepfsi.base.files import write_atomically
 from deepfsi.base.progress import SILENT, Report
 from deepfsi.camera.layout import Layout
 from deepfsi.hardware.calibration.refine import DisplayedScenes
+from deepfsi.hardware.counting.counts import Counts
 from deepfsi.hardware.patterns.sequence import Manifest, Patterns
-from deepfsi.hardware.recording.counts import Counts
 
 REFERENCE, EXPECTED = "reference.png", "reference.csv"
 """Files of the target, and of what it is expected to count, in a folder of patterns."""

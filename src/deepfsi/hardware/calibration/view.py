@@ -18,7 +18,7 @@ from scipy import ndimage, sparse
 
 from deepfsi.base.errors import InputError
 from deepfsi.datasets import Dataset
-from deepfsi.hardware.recording.calibration_file import Calibration, load_calibration
+from deepfsi.hardware.counting.calibration_file import Calibration, load_calibration
 
 POINTS_PER_CELL = 24, 32
 """Points of a cell's average, down and across: a DLP7000's mirrors of 32 x 32 cells."""

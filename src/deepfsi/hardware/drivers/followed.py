@@ -12,7 +12,7 @@ from io import FileIO
 from pathlib import Path
 
 from deepfsi.base.errors import InputError
-from deepfsi.hardware.recording.streaming import FrameCounts, FrameGates, StreamCounter
+from deepfsi.hardware.counting.streaming import FrameCounts, FrameGates, StreamCounter
 
 BYTES_AT_ONCE = 2**21
 """Bytes read at once."""

@@ -20,10 +20,10 @@ from typing import Any, Self
 import numpy as np
 
 from deepfsi.base.errors import InputError
-from deepfsi.hardware.ptu import records
-from deepfsi.hardware.ptu.header import GENERIC_T2
-from deepfsi.hardware.ptu.records import Decoder
-from deepfsi.hardware.recording.streaming import FrameCounter, FrameCounts, FrameGates
+from deepfsi.hardware.counting.streaming import FrameCounter, FrameCounts, FrameGates
+from deepfsi.hardware.photons import records
+from deepfsi.hardware.photons.header import GENERIC_T2
+from deepfsi.hardware.photons.records import Decoder
 
 LONGEST_MS = 360_000_000
 """Longest recording that the devices take, 100 hours, milliseconds."""

@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from deepfsi.base.progress import SILENT, Report
-from deepfsi.hardware.recording.streaming import FrameCounts, FrameGates
+from deepfsi.hardware.counting.streaming import FrameCounts, FrameGates
 
 
 class StreamingProjector(AbstractContextManager["StreamingProjector"], Protocol):

@@ -25,10 +25,10 @@ from pydantic import FiniteFloat
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.models import UserModel
+from deepfsi.hardware.counting.streaming import FrameCounts, FrameGates
 from deepfsi.hardware.drivers.followed import FollowedCounter
 from deepfsi.hardware.drivers.holding import refusals
-from deepfsi.hardware.ptu.writer import Writer
-from deepfsi.hardware.recording.streaming import FrameCounts, FrameGates
+from deepfsi.hardware.photons.writer import Writer
 
 MODULES = "Swabian.TimeTagger", "TimeTagger"
 """The library as installed by pip, and by the vendor's installer."""

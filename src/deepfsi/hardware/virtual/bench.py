@@ -17,9 +17,9 @@ from pydantic import Field
 from deepfsi.base.errors import InputError
 from deepfsi.base.models import StrictModel
 from deepfsi.base.progress import SILENT, Report
+from deepfsi.hardware.counting.streaming import FrameCounts, FrameGates, StreamCounter
 from deepfsi.hardware.patterns.folder import check_patterns
-from deepfsi.hardware.ptu.writer import Writer
-from deepfsi.hardware.recording.streaming import FrameCounts, FrameGates, StreamCounter
+from deepfsi.hardware.photons.writer import Writer
 from deepfsi.hardware.virtual.camera import MARKER, VirtualCamera, check_file_inputs
 from deepfsi.hardware.virtual.detector import TICK_S, Stream, divide
 

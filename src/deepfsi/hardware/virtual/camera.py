@@ -28,20 +28,20 @@ from deepfsi.base.files import check_room, new_folder
 from deepfsi.base.progress import SILENT, Report
 from deepfsi.camera.device import Device
 from deepfsi.camera.layout import Grid
-from deepfsi.hardware.patterns.folder import read_frames, read_patterns
-from deepfsi.hardware.patterns.mirrors import unpack
-from deepfsi.hardware.patterns.sequence import Manifest, Patterns
-from deepfsi.hardware.patterns.timing import ClickGates
-from deepfsi.hardware.ptu.header import GENERIC_T2
-from deepfsi.hardware.ptu.writer import Writer
-from deepfsi.hardware.recording.acquisition import (
+from deepfsi.hardware.counting.acquisition import (
     Acquisition,
     Scene,
     gates_of,
     plan_acquisition,
     prepare,
 )
-from deepfsi.hardware.recording.calibration_file import Row
+from deepfsi.hardware.counting.calibration_file import Row
+from deepfsi.hardware.patterns.folder import read_frames, read_patterns
+from deepfsi.hardware.patterns.mirrors import unpack
+from deepfsi.hardware.patterns.sequence import Manifest, Patterns
+from deepfsi.hardware.patterns.timing import ClickGates
+from deepfsi.hardware.photons.header import GENERIC_T2
+from deepfsi.hardware.photons.writer import Writer
 from deepfsi.hardware.virtual.detector import TICK_S, Detector, Fluctuation, Shutter, Stream, divide
 from deepfsi.hardware.virtual.parts import (
     Parts,

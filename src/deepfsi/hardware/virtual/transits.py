@@ -4,7 +4,7 @@ import os
 
 import numpy as np
 
-from deepfsi.hardware.ptu.writer import Writer
+from deepfsi.hardware.photons.writer import Writer
 
 TICK_S = 1e-9
 """Tick of the file, seconds."""

@@ -1,0 +1,254 @@
+"""Photon counts of each readout, and their file counts.npz.
+
+The file carries hashes of what was counted (settings, patterns, photons.ptu) and of its own
+content: counts of something else, and counts that were edited, are refused.
+"""
+
+import dataclasses
+import io
+import math
+import os
+import struct
+import zipfile
+from dataclasses import dataclass
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import Field
+
+from deepfsi.base.errors import InputError
+from deepfsi.base.files import hash_file, read_regular, write_atomically
+from deepfsi.base.models import StrictModel
+from deepfsi.camera.dead_time import NO_DEAD_TIME, DeadTime
+from deepfsi.hardware.counting.acquisition import (
+    MOST_READOUTS,
+    Acquisition,
+    Positive,
+    check_fixed,
+    read_acquisition,
+)
+from deepfsi.hardware.light.faults import SPOILING, Fault
+from deepfsi.hardware.patterns.frame_files import npy_header
+from deepfsi.hardware.patterns.sequence import Manifest
+
+LARGEST_COUNTS = 2**27
+"""Bytes of counts.npz at most."""
+
+NPY_HEADER = 128
+"""Bytes of the header of a vector in numpy's format."""
+
+_UNREADABLE = (
+    zipfile.BadZipFile,
+    KeyError,
+    ValueError,
+    OSError,
+    EOFError,
+    RuntimeError,
+    struct.error,
+)
+"""What zipfile raises of damaged archives, and pydantic of what is in them."""
+
+
+@dataclass(frozen=True)
+class Counts:
+    """Photon counts of each readout; the axis D is there only of several detectors."""
+
+    # (S, R, rails, m[, D]): Registered counts, int64, or the values of a table. 0 for a rail that
+    # is dark and for an exposure that is not valid
+    counts: np.ndarray
+    # (S, R, rails, m[, D]): Counts of the light and the dark in each gate by themselves, estimated
+    # from what was registered, and the variance of their noise. Both are the counts where nothing
+    # was lost
+    arrivals: np.ndarray
+    variance: np.ndarray
+    valid: np.ndarray  # (S, R): bool; whether all readouts of an exposure were recorded
+    gate_s: np.ndarray  # (f,): For how long each mask's frame is counted, seconds
+    # (S,): Counts/s in all-ON and all-OFF frames of the detectors that see mirrors ON, together;
+    # NaN where a scene is not valid
+    on_rate: np.ndarray
+    off_rate: np.ndarray
+    # (S,): Counts/s of the scenes' light with all mirrors ON: mean over the scenes between two
+    # changes of the lamp; NaN where a scene is not valid
+    flux: np.ndarray
+    # (S, rails[, D]): Counts/s of the input that reads each rail, when no mirror sends it light: of
+    # all-OFF frames, or of all-ON ones for the second arm, of a scene and the neighbours that agree
+    dark_rate: np.ndarray
+    # (rails, m[, D]): Counts of each readout, of light that does not come from the scene, as a pass
+    # with the scene dark measured them, and their variance; 0 where none was
+    ambient: np.ndarray
+    ambient_variance: np.ndarray
+    exposure_s: float  # total, seconds
+    settle_s: float  # time before the first gate of each frame, seconds
+    # (rails, m): For how long each readout is counted, seconds; 0 for a rail that is dark
+    lengths_s: np.ndarray
+    drift: float  # by how much passes lasted longer than planned on the counter's clock, a share
+    inputs: tuple[int, ...]  # of the counter, 0 for input 1: those whose photons were counted
+    faults: tuple[Fault, ...]  # of the recording
+    dead_time: DeadTime = NO_DEAD_TIME  # for which the arrivals and all rates are corrected
+    # Relative efficiency of each detector, corrected too; empty where none was measured
+    gains: tuple[float, ...] = ()
+    # G of clicks, the first photons of the gates of a frame's exposure; None of photon counts
+    gates: int | None = None
+
+    @property
+    def background(self) -> np.ndarray:
+        """Counts that each readout holds without the scene, float64 (S, rails, m[, D])."""
+        if self.gates is not None:
+            return np.zeros_like(self.counts[:, 0], float)  # clicks are read as they are
+        lengths = np.expand_dims(self.lengths_s, tuple(range(2, self.dark_rate.ndim)))
+        return self.dark_rate[:, :, None] * lengths + self.ambient
+
+    def signal(self) -> np.ndarray:
+        """Arrivals less the background, float64 (S, R, rails, m[, D])."""
+        return self.arrivals - self.background[:, None] * self.by_readout(self.valid)
+
+    @property
+    def excess(self) -> np.ndarray:
+        """Variance of the arrivals beyond Poisson's, 0 or more, float64 (S, R, rails, m[, D])."""
+        return np.maximum(self.variance - np.maximum(self.arrivals, 0.0), 0.0)
+
+    def by_readout(self, exposures: np.ndarray) -> np.ndarray:
+        """Array (S, R) of exposures, with further axes so that it goes with `counts`."""
+        return np.expand_dims(exposures, tuple(range(2, self.counts.ndim)))
+
+    @property
+    def photons(self) -> np.ndarray:
+        """Budget Φ of an exposure of each scene (S,): flux times exposure."""
+        # In counts: the detector's efficiency is part of it
+        return self.flux * self.exposure_s
+
+    def faults_of(self, scene: int) -> tuple[Fault, ...]:
+        """Faults of a scene, and those of the whole recording."""
+        return tuple(fault for fault in self.faults if fault.scene in (scene, None))
+
+    @property
+    def spoilt(self) -> np.ndarray:
+        """Scenes (S,), bool, whose counts have no meaning: the light was not what it should be."""
+        out = np.zeros(len(self.valid), bool)
+        for fault in self.faults:
+            if fault.kind in SPOILING:
+                out[slice(None) if fault.scene is None else fault.scene] = True
+        return out
+
+    def save(self, folder: Path, acquisition: Acquisition) -> None:
+        """Write counts.npz to the folder of the acquisition that was counted."""
+        held = vars(self)
+        arrays: dict[str, Any] = {
+            name: each for name, each in held.items() if isinstance(each, np.ndarray)
+        }
+        provenance = _Provenance(
+            acquisition=acquisition.digest,
+            photons_sha256=hash_file(folder / "photons.ptu"),
+            repeats=self.counts.shape[1],
+            **{name: each for name, each in held.items() if name not in arrays},
+        )
+        arrays["about"] = np.frombuffer(provenance.model_dump_json().encode(), np.uint8)
+        file = io.BytesIO()
+        np.savez(file, sha256=_hash_arrays(arrays), **arrays)
+        write_atomically(folder / "counts.npz", file.getvalue())
+
+
+def read_counts(folder: str | os.PathLike[str]) -> Counts:
+    """Counts of a folder as `count` wrote them."""
+    acquisition, patterns = read_acquisition(folder)
+    return load_counts(Path(folder), acquisition, patterns.manifest)
+
+
+def check_photons(counts: Counts, folder: str | os.PathLike[str]) -> Counts:
+    """Counts of photons as they are; `InputError` if they are clicks."""
+    if counts.gates is not None:
+        raise InputError(
+            f"{folder} was counted in clicks, which are not in proportion to the light: record it "
+            "with the patterns of a design or a scan for photon counts"
+        )
+    return counts
+
+
+def load_counts(folder: Path, acquisition: Acquisition, manifest: Manifest) -> Counts:
+    """Counts in the folder of an acquisition of a manifest's patterns."""
+    check_fixed(acquisition, folder)
+    path, photons = folder / "counts.npz", folder / "photons.ptu"
+    content = read_regular(path, LARGEST_COUNTS, "make it with `deepfsi camera count`")
+    again = "count again with `deepfsi camera count`"
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            text = _member(archive, "about", "|u1", None)
+            provenance = _Provenance.model_validate_json(text.tobytes())
+            if provenance.acquisition != acquisition.digest:
+                raise InputError(f"{path} is of another acquisition than acquisition.json: {again}")
+            scenes, rails, masks = len(acquisition.scenes), manifest.rails, manifest.masks
+            each = scenes, provenance.repeats, rails, masks, *manifest.several
+            kinds: dict[str, tuple[str, tuple[int, ...]]] = {
+                "counts": ("<i8", each),
+                "arrivals": ("<f8", each),
+                "variance": ("<f8", each),
+                "valid": ("|b1", (scenes, provenance.repeats)),
+                "gate_s": ("<f8", (len(manifest.shown),)),
+                "on_rate": ("<f8", (scenes,)),
+                "off_rate": ("<f8", (scenes,)),
+                "flux": ("<f8", (scenes,)),
+                "dark_rate": ("<f8", (scenes, rails, *manifest.several)),
+                "ambient": ("<f8", (rails, masks, *manifest.several)),
+                "ambient_variance": ("<f8", (rails, masks, *manifest.several)),
+                "lengths_s": ("<f8", (rails, masks)),
+            }
+            arrays: dict[str, Any] = {
+                name: _member(archive, name, *kind) for name, kind in kinds.items()
+            }
+            digest = _member(archive, "sha256", "|u1", (sha256().digest_size,))
+    except InputError:
+        raise
+    except _UNREADABLE:
+        raise InputError(
+            f"{path} is not a whole file of counts: make it with `deepfsi camera count`"
+        ) from None
+    if not np.array_equal(digest, _hash_arrays({**arrays, "about": text})):
+        raise InputError(f"{path} was changed after it was written: {again}")
+    if photons.is_file() and hash_file(photons) != provenance.photons_sha256:
+        raise InputError(f"{path} is of another {photons.name} than the one beside it: {again}")
+    fields = {field.name for field in dataclasses.fields(Counts)}
+    return Counts(**arrays, **{name: held for name, held in provenance if name in fields})
+
+
+def _hash_arrays(arrays: dict[str, np.ndarray]) -> np.ndarray:
+    """Hash of named arrays, their types and shapes, uint8 (32,)."""
+    found = sha256()
+    for name, held in sorted(arrays.items()):
+        found.update(f"{name} {held.dtype.str} {held.shape}\n".encode())
+        found.update(np.ascontiguousarray(held).tobytes())
+    return np.frombuffer(found.digest(), np.uint8)
+
+
+class _Provenance(StrictModel):
+    """Settings with which a file was counted, and hashes of the acquisition and its photons.ptu."""
+
+    acquisition: str
+    photons_sha256: str
+    repeats: int = Field(ge=1, le=MOST_READOUTS)
+    exposure_s: Positive
+    settle_s: float = Field(ge=0, allow_inf_nan=False)
+    drift: float
+    inputs: tuple[int, ...]
+    faults: tuple[Fault, ...]
+    dead_time: DeadTime
+    gains: tuple[Positive, ...] = ()
+    gates: int | None = Field(None, ge=1)
+
+
+def _member(
+    archive: zipfile.ZipFile, name: str, dtype: str, shape: tuple[int, ...] | None
+) -> np.ndarray:
+    """Array of that type and shape, or a vector of any length; `ValueError` if it is none."""
+    info = archive.getinfo(f"{name}.npy")
+    if info.compress_type != zipfile.ZIP_STORED or info.file_size > LARGEST_COUNTS:
+        raise ValueError(name)
+    content = archive.read(info)
+    kind = np.dtype(dtype)
+    if shape is None:
+        shape = ((len(content) - NPY_HEADER) // kind.itemsize,)
+    held = npy_header(dtype, shape)
+    if len(content) != len(held) + kind.itemsize * math.prod(shape) or not content.startswith(held):
+        raise ValueError(name)
+    return np.frombuffer(content, kind, offset=len(held)).reshape(shape).copy()

@@ -1,0 +1,260 @@
+"""Photons counted frame by frame while a recording runs, as soon as the gate of each has ended.
+
+A device gives a marker at the start of each frame, and the frames that it shows are told before
+they are: their gates, as times after their marker. Each marker starts the next of them, and must
+follow the one before as the times of the pictures say, so that one that is missing shifts no
+frames: it is noticed at the latest when the next list of frames begins. A gate has ended when a
+later record says that no earlier photon can follow: a photon, a marker or an overflow.
+"""
+
+import os
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from deepfsi.base.errors import InputError
+from deepfsi.base.quantities import time_text
+from deepfsi.hardware.counting.clocks import MOST_EXTRA, MOST_RATE
+from deepfsi.hardware.light.sentinels import PARTS
+from deepfsi.hardware.photons.gate_counter import GateCounter, cut_gates
+from deepfsi.hardware.photons.header import Kind
+from deepfsi.hardware.photons.records import EARLIEST_TICK, Part, marker_slack
+from deepfsi.hardware.photons.stream import StreamReader
+
+
+@dataclass(frozen=True)
+class FrameGates:
+    """Gates of frames in the order in which they are shown, one each."""
+
+    # (F,): When a gate begins after the marker of its frame, and for how long it is open, seconds
+    offsets_s: np.ndarray
+    lengths_s: np.ndarray  # (F,)
+    # (F,): Markers that a frame gives: more than one where it is shown as several pictures in a
+    # row. Its gate begins after the first
+    markers: np.ndarray
+    # (F,): Time from each of its markers to the next one, seconds. The next list of frames may
+    # begin at any time after the last. None where it is not known, and then not checked
+    pictures_s: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        given = (self.offsets_s, self.lengths_s, self.markers, self.pictures_s)
+        shapes = {each.shape for each in given if each is not None}
+        if len(shapes) > 1 or self.offsets_s.ndim != 1:
+            raise InputError(f"gates of shapes {sorted(shapes)}: give one for each frame")
+        if not (np.isfinite(self.lengths_s).all() and (self.lengths_s >= 0).all()):
+            raise InputError("gates have lengths that are no times: give seconds, 0 or more")
+        if (self.markers < 1).any():
+            raise InputError("frames have no marker: give 1 or more for each")
+
+    @classmethod
+    def of(cls, offset_s: float, lengths_s: Sequence[float] | np.ndarray) -> "FrameGates":
+        """Gates that all begin at one time after their marker, of frames with one marker each."""
+        lengths = np.asarray(lengths_s, np.float64)
+        return cls(np.full(lengths.shape, offset_s), lengths, np.ones(lengths.shape, np.int64))
+
+    def __len__(self) -> int:
+        return len(self.offsets_s)
+
+
+@dataclass(frozen=True)
+class FrameCounts:
+    """Counts of some frames that follow each other."""
+
+    starts_s: np.ndarray  # (F,): Times of their markers on the counter's clock, seconds
+    # (F, K, inputs): Photons in equal parts of their gates, `PARTS`; 1 of a counter that knows no
+    # more than whole gates
+    parts: np.ndarray
+
+    @property
+    def counts(self) -> np.ndarray:
+        """Photons (F, inputs) in their gates."""
+        return np.asarray(self.parts.sum(axis=1))
+
+    def __getitem__(self, frames: slice) -> "FrameCounts":
+        return FrameCounts(self.starts_s[frames], self.parts[frames])
+
+    @classmethod
+    def join(cls, parts: "Sequence[FrameCounts]", inputs: int) -> "FrameCounts":
+        """Frames of parts that follow each other, of which there may be none."""
+        starts = [np.zeros(0), *(each.starts_s for each in parts)]
+        found = [each.parts for each in parts] or [np.zeros((0, PARTS, inputs), np.int64)]
+        return cls(np.concatenate(starts), np.concatenate(found))
+
+
+class _DueFrame(NamedTuple):
+    """A frame whose marker is due, its times in ticks."""
+
+    offset: int
+    length: int
+    markers: int
+    picture: int | None  # time from each of its markers to the next
+    tolerance: int  # by how much that may be off
+    follows: bool  # whether it comes as soon as the frame before ends
+
+
+class FrameCounter:
+    """Counter of photons frame by frame."""
+
+    def __init__(
+        self,
+        kind: Kind,
+        tick_s: float,
+        inputs: Sequence[int],
+        marker_bit: int = 1,
+        name: object = "the stream",
+    ) -> None:
+        self._tick_s, self._bit, self._name = tick_s, marker_bit, name
+        self._slack = marker_slack(tick_s)
+        self._gates = GateCounter(kind, inputs, name)
+        self._due: deque[_DueFrame] = deque()
+        self._shown: _DueFrame | None = None  # the frame whose marker came last
+        self._last = EARLIEST_TICK  # that marker
+        self._skipped = 0  # markers to come of the frame that is shown
+        self._begun: deque[int] = deque()  # markers of frames whose counts were not given
+        # (n, inputs): Of the parts of their gates that have ended
+        self._counts = np.zeros((0, len(inputs)), np.int64)
+        self._stop = EARLIEST_TICK  # end of the last gate
+
+    def expect(self, gates: FrameGates) -> None:
+        """Count frames that are shown after those before. To be told before they are shown."""
+        offsets = np.rint(gates.offsets_s / self._tick_s)
+        if len(gates) and not offsets.min() > self._slack:
+            raise InputError(
+                f"a gate begins {time_text(gates.offsets_s.min())} after its marker, and a marker "
+                "may be "
+                f"{time_text(self._slack * self._tick_s)} off: give frames a longer time to settle"
+            )
+        lengths = np.rint(gates.lengths_s / self._tick_s)
+        times = [each.astype(np.int64).tolist() for each in (offsets, lengths)]
+        pictures: list[int | None] = [None] * len(gates)
+        tolerances = [0] * len(gates)
+        if gates.pictures_s is not None and len(gates):
+            ticks = gates.pictures_s / self._tick_s
+            pictures = np.rint(ticks).astype(np.int64).tolist()
+            off = MOST_RATE * ticks + MOST_EXTRA * ticks.min() + self._slack
+            tolerances = off.astype(np.int64).tolist()
+        follows = [place > 0 for place in range(len(gates))]
+        each = (*times, gates.markers.tolist(), pictures, tolerances, follows)
+        self._due.extend(map(_DueFrame._make, zip(*each, strict=True)))
+
+    def add(self, part: Part) -> FrameCounts:
+        """Count the next records; give the frames that have ended, in order."""
+        # Those are the ones whose gates have ended, and after which the next of their list has
+        # begun
+        part.check(self._name)
+        times, bits = part.markers
+        begun = map(self._begin, times[bits & self._bit != 0].tolist())
+        gates = np.array([gate for gate in begun if gate], np.int64).reshape(-1, 2)
+        self._gates.expect(*cut_gates(gates[:, 0], gates[:, 1], PARTS))
+        self._gates.add(part)
+        counts = np.concatenate([self._counts, self._gates.take()])
+        ended = len(counts) // PARTS
+        held = 0 < ended == len(self._begun) and self._followed
+        whole = ended - held
+        self._counts = counts[whole * PARTS :]
+        starts = [self._begun.popleft() for _ in range(whole)]
+        found = counts[: whole * PARTS].reshape(whole, PARTS, counts.shape[1])
+        return FrameCounts(np.array(starts, np.float64) * self._tick_s, found)
+
+    @property
+    def _followed(self) -> bool:
+        """True if the frame that is shown is not the last of its list."""
+        return bool(self._due) and self._due[0].follows
+
+    def _begin(self, time: int) -> tuple[int, int] | None:
+        """Gate of the frame that a marker starts, ticks; None if the marker starts none."""
+        if not (self._skipped or self._due):
+            raise InputError(
+                f"{self._describe(time)} that starts no frame: tell frames before they are shown, "
+                "and wire the trigger so that it comes once"
+            )
+        self._check_step(time, bool(self._skipped) or self._followed)
+        self._last = time
+        if self._skipped:
+            self._skipped -= 1
+            return None
+        self._shown = frame = self._due.popleft()
+        if frame.follows and frame.picture is not None and not self._followed:
+            self._check_last(time)
+        start, self._skipped = time + frame.offset, frame.markers - 1
+        if start < self._stop:
+            raise InputError(
+                f"{self._describe(time)}, before the gate of the frame before has ended: show "
+                "frames for longer, or count them for less"
+            )
+        self._stop = start + frame.length
+        self._begun.append(time)
+        return start, self._stop
+
+    def _check_last(self, time: int) -> None:
+        """Raise `InputError` if the marker that ends a list's last gate comes before its end."""
+        # Its counts may never come: the counter need not record anything after that marker
+        early = self._stop - time
+        if early > 0:
+            raise InputError(
+                f"{self._describe(time)}, {early * self._tick_s * 1e6:.3g} µs before the gate of "
+                "the frame before has ended, and its picture was to outlast it: the trigger "
+                "jitters, or pictures are shorter than told; use a trigger that jitters by less "
+                "than 2 µs"
+            )
+
+    def _check_step(self, time: int, follows: bool) -> None:
+        """Raise `InputError` if a marker does not come when the picture before it ends."""
+        # The first one of a list may come later
+        shown, step = self._shown, time - self._last
+        if shown is None or shown.picture is None:
+            return
+        late = step - shown.picture
+        if abs(late) > shown.tolerance and (follows or late < 0):
+            raise InputError(
+                f"{self._describe(time)}, {time_text(step * self._tick_s)} after the one before, "
+                "and "
+                f"that picture lasts {time_text(shown.picture * self._tick_s)}: a marker is "
+                "missing or "
+                "one too many; look at the trigger"
+            )
+
+    def _describe(self, time: int) -> str:
+        return f"{self._name} has a marker at {time * self._tick_s:.9g} s"
+
+
+class StreamCounter:
+    """Counter of photons frame by frame in a PTU file whose bytes arrive in any cuts."""
+
+    def __init__(
+        self,
+        inputs: Sequence[int],
+        marker_bit: int = 1,
+        name: str | os.PathLike[str] = "the stream",
+    ) -> None:
+        self._wiring = tuple(inputs), marker_bit, name
+        self._reader = StreamReader(name)
+        self._frames: FrameCounter | None = None
+        self._early: list[FrameGates] = []  # told before the header has arrived
+
+    def expect(self, gates: FrameGates) -> None:
+        """Count frames that are shown after those before. As of `FrameCounter`."""
+        if self._frames is None:
+            self._early.append(gates)
+        else:
+            self._frames.expect(gates)
+
+    def feed(self, data: bytes | bytearray | memoryview) -> FrameCounts:
+        """Read the next bytes; give the frames whose gates ended, in order."""
+        found = []
+        for part in self._reader.feed(data):
+            found.append(self._counter().add(part))
+        return FrameCounts.join(found, len(self._wiring[0]))
+
+    def _counter(self) -> FrameCounter:
+        """Counter of frames, which is made when the header has arrived."""
+        header = self._reader.header
+        if self._frames is None:
+            assert header is not None
+            self._frames = FrameCounter(header.kind, header.tick_s, *self._wiring)
+            for gates in self._early:
+                self._frames.expect(gates)
+        return self._frames

@@ -1,0 +1,1 @@
+"""The light of a run: is it what it should be."""

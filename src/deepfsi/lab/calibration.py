@@ -1,0 +1,76 @@
+"""Calibration of a camera from files alone: pictures of spots to show, and the fit to their run."""
+
+from pathlib import Path
+
+import numpy as np
+
+from deepfsi.base.errors import InputError
+from deepfsi.base.progress import SILENT, Report
+from deepfsi.datasets import read_display, write_pictures
+from deepfsi.design.view_test import Rows
+from deepfsi.hardware.calibration.detectors import find_detectors, find_gains, save_detectors
+from deepfsi.hardware.calibration.fit import BLACK, WHITE, calibrate_run, spot_scenes
+from deepfsi.hardware.calibration.reference import (
+    Readouts,
+    ReferenceFit,
+    check_readouts,
+    find_reference,
+    fit_reference,
+)
+from deepfsi.hardware.counting.acquisition import read_acquisition
+from deepfsi.hardware.counting.calibration_file import Calibration, save_calibration
+from deepfsi.hardware.counting.counts import Counts, check_photons, read_counts
+from deepfsi.hardware.counting.picture import reconstruct
+from deepfsi.hardware.live.known import read_looks
+from deepfsi.hardware.live.replay import is_live, read_live_counts, replay_run
+
+
+def write_spots(folder: Path, shape: tuple[int, int] = (32, 32), side: int = 2) -> list[Path]:
+    """Write the pictures (h, w) that calibrate a camera: spots of `side` pixels, white, black."""
+    pictures = {f"spot-{k:02d}.png": spot for k, spot in enumerate(spot_scenes(shape, side=side))}
+    return write_pictures({**pictures, WHITE: np.ones(shape), BLACK: np.zeros(shape)}, folder)
+
+
+def calibrate(folder: Path, spots: Path, out: Path) -> tuple[Calibration, Path, Path | None]:
+    """Fit the camera's view to a counted run of the spots, and write it to a folder."""
+    # Gives it with its file, and the file of the cells that each detector sees, of several
+    acquisition, patterns = read_acquisition(folder)
+    shown, counts = read_display(spots), _photons(folder)
+    found = calibrate_run(
+        dict(zip(shown.names, shown.x, strict=True)),
+        [scene.name for scene in acquisition.scenes],
+        reconstruct(folder),
+        counts,
+        patterns,
+    )
+    several = patterns.manifest.detectors
+    labels = find_detectors(counts, patterns) if several and several.cells is None else None
+    file = save_calibration(found, out)
+    return found, file, None if labels is None else save_detectors(labels, out)
+
+
+def check_view(folder: Path, report: Report = SILENT) -> ReferenceFit:
+    """Place of scenes on the device, from a counted run of the reference target."""
+    if not is_live(folder):
+        return find_reference(_photons(folder), read_acquisition(folder)[1], report)
+    run = read_live_counts(folder)
+    replayed = replay_run(run, read_looks(folder / "patterns", run.manifest))
+    seen = [each.rows for each in replayed if each.rows is not None]
+    if not seen:
+        raise InputError(f"no scene of {folder} had light: record the reference again")
+    rows = Rows.join(seen)
+    lit = rows.masks.any(axis=1)
+    check_readouts(run.manifest, len(np.unique(rows.masks[lit] > 0, axis=0)))
+    variance = rows.counts.clip(min=0) + rows.noise
+    readouts = Readouts.of(rows.masks[lit], rows.counts[lit], variance[lit])
+    return fit_reference(readouts, run.manifest, report)
+
+
+def gains_of(flat: Path) -> tuple[float, ...]:
+    """Relative efficiency of each detector, from a counted run of a uniform white scene."""
+    return find_gains(_photons(flat), read_acquisition(flat)[1])
+
+
+def _photons(folder: Path) -> Counts:
+    """Counts of a run, or `InputError` if they are clicks."""
+    return check_photons(read_counts(folder), folder)

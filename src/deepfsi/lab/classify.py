@@ -1,0 +1,425 @@
+"""From counts to classes: the counts of a run, or of a table of any counter.
+
+Counts of an exposure, less the dark counts, and its budget go to the classifier of the design as it
+was shown. Before, all counts together are tested for what the design was trained for. A live run
+is decided again, from its own counts, as it was.
+"""
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from deepfsi.base.errors import InputError
+from deepfsi.base.files import hash_file
+from deepfsi.base.plugins import torch_needed
+from deepfsi.base.tables import read_table
+from deepfsi.camera.dead_time import NO_DEAD_TIME
+from deepfsi.camera.light import check_budget
+from deepfsi.design.file_content import check_classes
+from deepfsi.design.readouts import READOUTS, classify_readouts
+from deepfsi.design.training_data import scene_hashes, was_trained_on
+from deepfsi.design.view_test import Rows, ViewResult, ViewTest
+from deepfsi.hardware.counting.acquisition import Scene, Verdict, read_acquisition
+from deepfsi.hardware.counting.clicks import check_budget_of_clicks
+from deepfsi.hardware.counting.counts import Counts, load_counts
+from deepfsi.hardware.counting.tables import LABEL, SCENE, WORDS, TableSettings, count_table
+from deepfsi.hardware.live.known import read_looks
+from deepfsi.hardware.live.replay import check_as_it_was, is_live, read_live_counts, replay_run
+from deepfsi.hardware.patterns.folder import DESIGN, read_patterns
+from deepfsi.hardware.patterns.nominal import nominal_manifest
+from deepfsi.hardware.patterns.sequence import Manifest, Patterns
+from deepfsi.lab.camera import camera_of, dead_time_of
+from deepfsi.lab.light import dim_scenes
+from deepfsi.lab.results import ClassifiedRun, ClassifiedScene, ReplayedRun
+
+if TYPE_CHECKING:  # they import torch, which a live run does without
+    from deepfsi.design.artifact import Design
+    from deepfsi.design.consistency import Consistency
+
+UNTESTED = (
+    "these counts were not compared with those of the training, which takes 50 training scenes of "
+    "each class: a scene of something else gets a class, too"
+)
+"""Remark on counts of a design without a distribution."""
+
+
+NO_VIEW = (
+    "not tested for how the camera sees the scenes (mirrored, blurred, with stray light), which "
+    "takes a design of this version with 100 training scenes, 20 of each class: record the "
+    "reference target and use `deepfsi camera check`"
+)
+"""Remark on a run of a design without a model of its scenes."""
+
+
+CLICKS = (
+    "these clicks were not compared with those of the training: the test is of photon counts. "
+    "They are read for the stated budget: this is {:.3g} photons, that of the training was {:.3g}"
+)
+"""Remark on clicks, with their budget and that of the training."""
+
+
+def classify_run(
+    design: str | os.PathLike[str],
+    folder: str | os.PathLike[str],
+    *,
+    photons: float | None = None,
+    force: bool = False,
+    trust: bool = False,
+) -> ClassifiedRun | ReplayedRun:
+    """Classify each exposure of an acquisition that was counted.
+
+    A live run, of a design of several looks, is decided again from its own counts.
+
+    Parameters
+    ----------
+    design : str or path
+        Design file whose patterns were shown, or the folder of its patterns.
+    folder : str or path
+        Of the acquisition, with its counts.
+    photons : float, optional
+        Budget Φ of an exposure, counts; that of each scene's all-ON frames unless given.
+    force : bool
+        Classify even if the counts do not look like those of the training.
+    trust : bool
+        As of `Design.load`: run the factory of a classifier of one's own, if there is one.
+
+    Returns
+    -------
+    ClassifiedRun or ReplayedRun
+        The second of a live run. Both have `scenes`, each with its `predicted` class.
+
+    Raises
+    ------
+    InputError
+        If files are missing, damaged or do not fit, no exposure is sound, or the counts do not look
+        like those of the training.
+
+    Examples
+    --------
+    >>> import deepfsi
+    >>> found = deepfsi.classify_run("small-dmd.safetensors", "run_0001")  # doctest: +SKIP
+    >>> [scene.predicted for scene in found.scenes]  # doctest: +SKIP
+    ['0', '1']
+    """
+    path = Path(folder)
+    verdict = None if force else Verdict.of(path)
+    if verdict is not None and not verdict.fits:
+        raise InputError(f"{verdict.words}; `force` classifies them all the same")
+    if is_live(path):
+        return _replayed(design, path, photons)
+    if photons is not None:
+        check_budget(photons)
+    acquisition, patterns = read_acquisition(path)
+    counts = load_counts(path, acquisition, patterns.manifest)
+    made = _opened(design, patterns, trust)
+    run = _classified(made, counts, acquisition.scenes, photons, force, str(folder))
+    return run if verdict is None else replace(run, remarks=(*run.remarks, verdict.words))
+
+
+def _replayed(design: str | os.PathLike[str], folder: Path, photons: float | None) -> ReplayedRun:
+    """Classes of a live run, decided again from its counts."""
+    check_as_it_was((photons,))
+    run = read_live_counts(folder)
+    _file_shown(design, run.manifest)
+    replayed = replay_run(run, read_looks(folder / "patterns", run.manifest))
+    views = [each.decisions[-1].view for each in replayed if each.decisions]
+    view = next((each for each in reversed(views) if each), None)
+    answers = tuple(each.answer for each in replayed)
+    return ReplayedRun(run.acquisition.exposure_s, answers, view)
+
+
+def classify_table(
+    design: str | os.PathLike[str],
+    table: str | os.PathLike[str],
+    settings: TableSettings | None = None,
+    *,
+    camera: Mapping[str, Any] | None = None,
+    force: bool = False,
+    trust: bool = False,
+) -> ClassifiedRun:
+    """Classify each exposure in a table of counts, of any counter.
+
+    Parameters
+    ----------
+    design : str or path
+        Folder of the patterns that were shown, or the design file, which knows no times of frames.
+    table : str or path
+        A value for each frame, in the order of the patterns: .csv, .parquet, .npy, .mat or .h5
+        (``FILE:VARIABLE``), an exposure a row or a column.
+    settings : TableSettings, optional
+        Budget and background in counts, times in seconds, and the like.
+    camera : mapping, optional
+        Fields of the camera that counted, and another as ``camera``, whose dead time is corrected.
+    force, trust
+        As for `classify_run`.
+
+    Returns
+    -------
+    ClassifiedRun
+
+    Raises
+    ------
+    InputError
+        If the file is no table of these patterns, or its counts are not like the training's.
+
+    Examples
+    --------
+    >>> import deepfsi, numpy, tempfile, torch
+    >>> from deepfsi.hardware.counting.tables import TableSettings
+    >>> digits = deepfsi.load_dataset("digits")
+    >>> few = deepfsi.Training(epochs=1)
+    >>> design = deepfsi.learn(digits, camera="dmd", photons=1e4, masks=6, training=few)
+    >>> rates = design.rates(design.scanner(), torch.from_numpy(digits.x_test[:5]))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file, table = design.save(f"{folder}/one.safetensors"), f"{folder}/counts.npy"
+    ...     numpy.save(table, numpy.random.default_rng(0).poisson(1e4 * rates[:, 0].detach()))
+    ...     found = deepfsi.classify_table(file, table, TableSettings(photons=1e4))
+    >>> len(found.scenes), found.scenes[0].photons
+    (5, 10000.0)
+    """
+    patterns = read_patterns(design) if Path(design).is_dir() else None
+    made = _opened(design, patterns, trust)
+    if READOUTS in made.info:
+        return _classified_readouts(made, str(table), settings, camera)
+    settings = replace(settings or TableSettings(), clicks=made.gates)
+    if camera:
+        dead = dead_time_of(camera_of(made.camera, **camera), camera)
+        settings = replace(settings, dead_time=dead or NO_DEAD_TIME)
+    manifest = _nominal(design, settings) if patterns is None else patterns.manifest
+    counts, scenes = count_table(read_table(Path(table), WORDS), manifest, settings, str(table))
+    return _classified(made, counts, scenes, settings.photons, force, str(table))
+
+
+def _classified_readouts(
+    design: "Design",
+    source: str,
+    settings: TableSettings | None,
+    camera: Mapping[str, Any] | None,
+) -> ClassifiedRun:
+    """Class of each recording in a table of measured readouts, a row or a column for each."""
+    along = settings.exposures if settings else None
+    if camera or settings not in (None, TableSettings(exposures=along)):
+        raise InputError(
+            "measured readouts are classified as they are: leave out all options of a table but "
+            "`exposures`"
+        )
+    table = read_table(source, WORDS)
+    rows, columns = table.values.shape
+    turned = along == "columns" or (along is None and columns != design.masks == rows)
+    answers = classify_readouts(design, table.values.T if turned else table.values)
+    count = len(answers.chances)
+    names = table.words.get(SCENE, tuple(str(row + 1) for row in range(count)))
+    labels = table.words.get(LABEL, ("",) * count)
+    hashes = scene_hashes(answers.scenes, design.image_shape)
+    scenes = tuple(
+        ClassifiedScene(
+            name=name,
+            label=label or None,
+            predicted=(best := design.classes[own.argmax()]),
+            probability=float(own.max()),
+            exposures=1,
+            guesses=(best,),
+            photons=None,
+            faults=(),
+            consistency=None,
+            unsure=None,
+            trained_on=trained,
+        )
+        for name, label, own, trained in zip(
+            names,
+            labels,
+            answers.chances,
+            was_trained_on(design.training_scenes, hashes),
+            strict=True,
+        )
+    )
+    remark = (
+        f"{answers.outside:.1%} of the readouts of {source} lie outside of the span of those of "
+        "the training's table; nothing else was tested"
+    )
+    return ClassifiedRun(design.name, design.masks, design.classes, scenes, (), None, (remark,))
+
+
+def _nominal(file: str | os.PathLike[str], settings: TableSettings) -> Manifest:
+    """Frames of a design file without patterns, or `InputError` if settings need their times."""
+    if settings.settle_s or settings.dead_time.seconds:
+        raise InputError(
+            f"`settle` and `dead_time` need the times of the frames, and {file} has none: give the "
+            "folder of its patterns"
+        )
+    from deepfsi.lab.rails import design_rails
+
+    return nominal_manifest(design_rails(Path(file)))
+
+
+def _opened(design: str | os.PathLike[str], patterns: Patterns | None, trust: bool) -> "Design":
+    """Design of a file or a folder of patterns, of fixed dwells, as its patterns realise it."""
+    with torch_needed():
+        from deepfsi.design.artifact import Design
+
+    file = Path(design) if patterns is None else _file_shown(design, patterns.manifest)
+    made = Design.load(file, trust=trust)
+    check_classes(made.values, "a classified run")
+    if made.exposure.chooses:
+        raise InputError(f"{design} chooses dwells while the exposure runs: give a live run of it")
+    return made if patterns is None else made.as_shown(*patterns.realised)
+
+
+def _file_shown(design: str | os.PathLike[str], manifest: Manifest) -> Path:
+    """Design file, or that in a folder of patterns; `InputError` if other patterns were shown."""
+    path = Path(design)
+    file, known = path / DESIGN if path.is_dir() else path, manifest.design_sha256
+    if (known or manifest.looks) and hash_file(file) != known:
+        raise InputError(
+            f"{file} is not the design whose patterns were shown: give the file that "
+            "`deepfsi dmd export` was given"
+        )
+    return file
+
+
+def _classified(
+    design: "Design",
+    counts: Counts,
+    scenes: Sequence[Scene],
+    photons: float | None,
+    force: bool,
+    source: str,
+) -> ClassifiedRun:
+    """Classes of counted scenes (S, R) of a design as it was shown."""
+    _check_clicks(design, counts, photons, source)
+    measured = np.isfinite(counts.photons)
+    known = measured if photons is None else counts.valid.any(axis=1)
+    budgets = np.where(known, counts.photons if photons is None else photons, 1.0)
+    dim = () if force else dim_scenes(design, np.where(known, budgets, np.nan))
+    counts = replace(counts, faults=(*dim, *counts.faults))
+    usable = counts.valid & ~counts.spoilt[:, None]
+    if not usable.any():
+        forced = "; `force` classifies them all the same" if dim else ""
+        raise InputError(
+            f"{source} has no exposure that can be classified ({counts.faults[0]}): record again"
+            f"{forced}"
+        )
+    found = _consistency(design, counts, usable, budgets)
+    some = usable.any(axis=1)
+    chance, unsure = np.full(len(some), np.nan), np.zeros(len(some), bool)
+    if found is not None:
+        chance[some], unsure[some] = found.exposures, found.unsure
+    view = _view(design, counts, usable, budgets)
+    for test in (found, view):
+        if test is not None and test.refused and not force:
+            raise InputError(f"{test.refusal}; `force` classifies them all the same")
+    chances = design.classify(design.readouts(counts.signal()), budgets[:, None])
+    classified = []
+    trained = was_trained_on(design.training_scenes, [scene.hash for scene in scenes])
+    for place, scene in enumerate(scenes):
+        own = chances[place][usable[place]]
+        mean = own.mean(axis=0) if len(own) else None
+        classified.append(
+            ClassifiedScene(
+                name=scene.name,
+                label=scene.label,
+                predicted=None if mean is None else design.classes[mean.argmax()],
+                probability=None if mean is None else float(mean.max()),
+                exposures=len(own),
+                guesses=tuple(design.classes[k] for k in own.argmax(axis=-1)),
+                photons=None if mean is None else float(budgets[place]),
+                faults=counts.faults_of(place),
+                consistency=None if np.isnan(chance[place]) else float(chance[place]),
+                unsure=None if found is None else bool(unsure[place]),
+                trained_on=trained[place],
+            )
+        )
+    photons = float(budgets[some].mean())
+    whole = counts.faults, found, _remarks(design, found, view, counts, usable, photons), view
+    return ClassifiedRun(design.name, design.masks, design.classes, tuple(classified), *whole)
+
+
+def _remarks(
+    design: "Design",
+    found: "Consistency | None",
+    view: ViewResult | None,
+    counts: Counts,
+    usable: np.ndarray,
+    photons: float,
+) -> tuple[str, ...]:
+    """Lines for a reader on the tests of the counts, of exposures (S, R) of a mean budget."""
+    if counts.gates is not None:
+        return _remarks_on_clicks(design, counts, usable, photons)
+    said = (UNTESTED,) if found is None else tuple(found.remarks)
+    if view is None:
+        return *said, NO_VIEW
+    return (*said, view.remark) if view.remark else said
+
+
+def _remarks_on_clicks(
+    design: "Design", counts: Counts, usable: np.ndarray, photons: float
+) -> tuple[str, ...]:
+    """Remarks on the clicks of exposures (S, R) of a mean budget."""
+    from deepfsi.design.clicks import full_gates
+
+    assert counts.gates is not None
+    clicks = design.readouts(counts.signal())[usable]
+    full = full_gates(float(clicks.mean()) / counts.gates, photons)
+    return CLICKS.format(photons, design.info["job"]["photons"]), *filter(None, [full])
+
+
+def _check_clicks(design: "Design", counts: Counts, photons: float | None, source: str) -> None:
+    """Raise `InputError` unless counts are of the kind that a design reads, and of some budget."""
+    if counts.gates != design.gates:
+        counted, wanted = (
+            "photons" if gates is None else f"clicks of {gates} gates a frame"
+            for gates in (counts.gates, design.gates)
+        )
+        raise InputError(
+            f"{source} was counted in {counted}, and this design reads {wanted}: count again with "
+            "`deepfsi camera count`"
+        )
+    if counts.gates is not None and photons is None:
+        check_budget_of_clicks(counts.flux, source)
+
+
+def _view(
+    design: "Design", counts: Counts, usable: np.ndarray, budgets: np.ndarray
+) -> ViewResult | None:
+    """Test of how the camera saw scenes with usable exposures (S, R); None where it cannot be."""
+    if design.scene_model is None or counts.gates is not None:
+        return None
+    rails = design.rails.stacked.cpu().numpy().astype(float)[..., None, :]
+    labels = design.detection.labels
+    if labels is not None:
+        rails = rails * (labels.cpu().numpy() == np.arange(design.detection.count)[:, None])
+    shape = rails.shape[:-1]  # (rails, m, D)
+    arms = np.arange(shape[0]) if design.light == "two-arm" else np.zeros(shape[0], int)
+    inputs = np.broadcast_to(arms[:, None, None] * shape[2] + np.arange(shape[2]), shape)
+    exposures, often = counts.by_readout(usable), usable.sum(axis=1)
+    signal = counts.signal().sum(axis=1, where=exposures)
+    number = exposures.sum(axis=1)
+    noise = counts.background.clip(min=0) * number + counts.ambient_variance * number**2
+    noise = noise + counts.excess.sum(axis=1, where=exposures)
+    test = ViewTest(design.scene_model, design.image_shape)
+    for place in np.flatnonzero(often).tolist():
+        gain = budgets[place] * often[place] / design.summed_reflectance
+        masks = gain * rails.reshape(-1, rails.shape[-1])
+        test.add(Rows(masks, signal[place].ravel(), noise[place].ravel(), inputs.ravel()))
+    return test.result
+
+
+def _consistency(
+    design: "Design", counts: Counts, usable: np.ndarray, budgets: np.ndarray
+) -> "Consistency | None":
+    """Consistency of scenes with usable exposures (S, R), as one of their budgets (S,) together."""
+    if design.distribution is None:
+        return None
+    often = usable.sum(axis=1)
+    some = often > 0
+    exposures = counts.by_readout(usable)
+    signal = counts.signal().sum(axis=1, where=exposures)[some]
+    number = exposures.sum(axis=1)
+    dark = counts.background.clip(min=0) * number + counts.ambient_variance * number**2
+    background = (dark + counts.excess.sum(axis=1, where=exposures))[some]
+    budget = (budgets * often)[some]
+    return design.consistency(design.readouts(signal), budget, design.readouts(background))

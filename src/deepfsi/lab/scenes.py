@@ -1,0 +1,107 @@
+"""Scenes of a run: pictures that a display shows, or a list of names; and as a design sees them."""
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ValidationError
+
+from deepfsi.base.errors import InputError
+from deepfsi.datasets import prepared, read_display
+from deepfsi.datasets.display import Display
+from deepfsi.design.file_content import Info, damaged, read_content
+from deepfsi.design.training_data import scene_hashes, trained_on
+from deepfsi.hardware.calibration.view import camera_view
+from deepfsi.hardware.counting.acquisition import Scene
+from deepfsi.hardware.counting.calibration_file import load_calibration
+from deepfsi.hardware.counting.scene_list import read_scenes
+from deepfsi.hardware.patterns.folder import DESIGN, read_patterns
+
+
+class _Sight(BaseModel):
+    """Part of a design file's header that says how its scenes were prepared."""
+
+    image_shape: tuple[int, ...]
+    info: Info
+
+    @classmethod
+    def of(cls, patterns: Path) -> "_Sight | None":
+        """That of the design in a folder of patterns; None where it has none."""
+        if read_patterns(patterns).manifest.design_sha256 is None:
+            return None
+        text, _ = read_content(patterns / DESIGN, ())
+        try:
+            return cls.model_validate_json(text)
+        except ValidationError as error:
+            raise damaged(patterns / DESIGN) from error
+
+
+def displayed(source: Path, patterns: Path) -> Display:
+    """Pictures of scenes, with the white of the patterns' design where their type has none."""
+    images = read_display(source)
+    if not images.levels.chosen or (design := _Sight.of(patterns)) is None:
+        return images
+    known = trained_on(design.info)
+    white = known.origin.white if known and known.origin else None
+    return images if white is None else read_display(source, white)
+
+
+def design_scenes(
+    info: Mapping[str, Any], image_shape: tuple[int, ...], pictures: Path, skip_bad: bool = False
+) -> Display:
+    """Pictures as a design with that provenance sees them, prepared as the data that it knows."""
+    known = trained_on(info)
+    if known is None or known.origin is None:
+        raise InputError(
+            "this design was trained on data that no file or name holds, such as arrays in memory, "
+            "and does not know what to do to pictures: learn it from pictures, or `evaluate` it on "
+            "arrays with labels"
+        )
+    shown = prepared(pictures, known.origin, skip_bad)
+    if shown.x.shape[1:] != image_shape:
+        sides = ("x".join(map(str, shape)) for shape in (shown.x.shape[1:], image_shape))
+        raise InputError(
+            "the pictures are of {} pixels and the design's scenes of {}: bring them to its "
+            "size, or learn a design with `size`".format(*sides)
+        )
+    if known.origin.view is None:
+        return shown
+    calibration = load_calibration(Path(known.origin.view))
+    x = camera_view(shown.x.reshape(len(shown.x), -1), image_shape, calibration)
+    return shown._replace(x=x, preprocessing=f"{shown.preprocessing}, then as the camera sees it")
+
+
+def picture_hashes(
+    source: str | os.PathLike[str], patterns: str | os.PathLike[str]
+) -> tuple[str, ...] | None:
+    """Hashes of pictures as the patterns' design sees them; None where it cannot see them."""
+    design = _Sight.of(Path(patterns))
+    if design is None:
+        return None
+    try:
+        shown = design_scenes(design.info, design.image_shape, Path(source))
+    except InputError:  # it was made of arrays, or of pictures of another size
+        return None
+    return scene_hashes(shown.x, design.image_shape)
+
+
+def scenes_of(images: Display, source: Path, patterns: Path) -> tuple[Scene, ...]:
+    """Scenes by the names of their pictures, with the classes of the folders."""
+    count = len(images.names)
+    labels = images.labels or [None] * count
+    hashes = picture_hashes(source, patterns) or [None] * count
+    return tuple(
+        Scene(name=name, label=label, hash=each)
+        for name, label, each in zip(images.names, labels, hashes, strict=True)
+    )
+
+
+def listed(source: Path, patterns: Path) -> tuple[Scene, ...]:
+    """Scenes of a list, of one picture or of a folder of pictures, to be shown patterns."""
+    suffix = source.suffix.lower()
+    if suffix in (".txt", ".csv") and not source.exists():
+        raise InputError(f"there is nothing at {source}: give a list of scenes, or their pictures")
+    if source.is_file() and suffix in ("", ".txt", ".csv"):
+        return read_scenes(source)
+    return scenes_of(read_display(source), source, patterns)

@@ -1,0 +1,163 @@
+"""The masks' own background: measured in one pass with the scene dark, and subtracted."""
+
+import numpy as np
+import pytest
+from recording_samples import schedule
+
+from deepfsi.base.errors import InputError
+from deepfsi.base.tables import Table
+from deepfsi.camera.device import Device
+from deepfsi.hardware.counting.ambient import Ambient
+from deepfsi.hardware.counting.counting import count
+from deepfsi.hardware.counting.counts import read_counts
+from deepfsi.hardware.counting.tables import TableSettings, count_table
+from deepfsi.hardware.patterns.detectors import Detectors
+from deepfsi.hardware.patterns.folder import DesignRails, export_patterns, read_patterns
+from deepfsi.hardware.patterns.sequence import FrameSettings
+from deepfsi.hardware.virtual.camera import (
+    RecordingSettings,
+    VirtualCamera,
+    arrival_rates,
+    record,
+)
+
+DEVICE = Device(name="small", columns=36, rows=26, shortest_us=10, settle_us=2)
+SHAPE, FLUX, EXPOSURE, SCENES, MASKS = (3, 4), 2e7, 10e-3, 8, 10
+STEADY = np.random.default_rng(4).uniform(0.8, 1, SHAPE).astype(np.float32)
+LAWS = ["single", "two-arm", "detectors"]
+
+
+def patterns(folder, law: str):
+    wild = np.random.default_rng(3).uniform(0, 1, (MASKS, 12)).astype(np.float32)
+    cells = None
+    if law == "two-arm":
+        rails = np.stack([wild, 1 - wild]) / MASKS
+    else:
+        rails = wild[None] / wild.max(axis=1).sum()
+    if law == "detectors":
+        cells = Detectors(count=2, cells=(0, 0, 1, 1) * 3)
+    light = "two-arm" if law == "two-arm" else "free-dwell"
+    made = DesignRails(rails, light, SHAPE, float(STEADY.sum()), None, None, cells)
+    export_patterns(made, FrameSettings(DEVICE, 1.2e-3), folder)
+    return read_patterns(folder)
+
+
+def recorded(folder, shown, x, ambient: float, seed: int = 0, dead: float = 0.0):
+    names = [f"s{k}" for k in range(len(x) - 1)] + ["black"] if x[-1].max() == 0 else None
+    names = names or [f"s{k}" for k in range(len(x))]
+    camera = VirtualCamera(dark=300.0, ambient=ambient, dead_time_s=dead)
+    settings = RecordingSettings(camera, FLUX, EXPOSURE, repeats=1, seed=seed)
+    record(shown, x, names, None, folder, settings)
+    return folder
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("where", ["scene", "run"])
+def test_scenes_are_rid_of_ambient_light_as_strong_as_they(tmp_path, law, where):
+    """Means within 5 standard errors, by the variance that is stated; far off without."""
+    shown = patterns(tmp_path / "patterns", law)
+    black = np.zeros((1, *SHAPE), np.float32)
+    lit = np.repeat(STEADY[None], SCENES, axis=0)
+    x = np.concatenate([lit, black]) if where == "scene" else lit
+    run = recorded(tmp_path / "run", tmp_path / "patterns", x, FLUX)
+    background = "black"
+    if where == "run":
+        dark = recorded(tmp_path / "dark", tmp_path / "patterns", black, FLUX, seed=1)
+        background = str(dark)
+    counts = count(run, background=background)
+    wanted = arrival_rates(tmp_path / "patterns", lit[:1], VirtualCamera(), FLUX)[0]
+    raw = count(run)
+    read = counts.lengths_s > 0
+    manifest = shown.manifest
+    rail, mask, column, arm = manifest.read
+    d = manifest.detector_count
+    frames = wanted[manifest.shown].reshape(len(manifest.shown), -1, d)
+    clean = np.zeros((manifest.rails, manifest.masks, d))
+    clean[rail, mask] = frames[column, arm] * counts.gate_s[column][:, None]
+    clean = clean.reshape(counts.ambient.shape)[read]
+    seen = slice(0, SCENES)
+    found = counts.signal()[seen, 0].mean(axis=0)[read]
+    noise = (counts.variance[seen, 0].mean(axis=0) / SCENES + counts.ambient_variance)[read]
+    z = (found - clean) / np.sqrt(noise)
+    assert abs(z).max() < 5
+    assert (z**2).mean() == pytest.approx(1, abs=5 * np.sqrt(2 / z.size))
+    off = (raw.signal()[seen, 0].mean(axis=0)[read] - clean) / np.sqrt(noise)
+    assert abs(off).mean() > 10
+    flux = wanted[0][:d].sum()
+    assert counts.flux[0] == pytest.approx(flux, rel=0.02)
+    assert raw.flux[0] > 1.6 * flux  # cells leave some of the device dark
+    if where == "scene":
+        assert not counts.valid[SCENES].any()
+        assert [fault.scene for fault in counts.faults if "subtracted" in fault.detail] == [SCENES]
+    again = read_counts(run) if count(run, background=background) else None
+    np.testing.assert_array_equal(again.ambient, counts.ambient)
+    np.testing.assert_array_equal(again.ambient_variance, counts.ambient_variance)
+
+
+def test_dead_time_is_corrected_in_the_background_too(tmp_path):
+    patterns(tmp_path / "patterns", "single")
+    x = np.concatenate([np.repeat(STEADY[None], SCENES, axis=0), np.zeros((1, *SHAPE))])
+    x = x.astype(np.float32)
+    from deepfsi.camera.dead_time import DeadTime
+
+    lost = recorded(tmp_path / "lost", tmp_path / "patterns", x, FLUX, dead=20e-9)
+    sound = recorded(tmp_path / "sound", tmp_path / "patterns", x, FLUX)
+    with_dead = count(lost, background="black", dead_time=DeadTime(seconds=20e-9)).ambient
+    without = count(sound, background="black")
+    assert with_dead.sum() == pytest.approx(
+        without.ambient.sum(), abs=5 * np.sqrt(3 * without.ambient_variance.sum())
+    )
+
+
+def test_a_table_of_the_dark_scene_is_subtracted_alike(tmp_path):
+    shown = patterns(tmp_path / "patterns", "single")
+    manifest, rng = shown.manifest, np.random.default_rng(0)
+    x = np.stack([STEADY, np.zeros(SHAPE, np.float32)])
+    camera = VirtualCamera(dark=300.0, ambient=FLUX)
+    lit, dark = arrival_rates(tmp_path / "patterns", x, camera, FLUX)[..., 0] * manifest.picture_s
+    clean = arrival_rates(tmp_path / "patterns", x[:1], VirtualCamera(), FLUX)[0, :, 0]
+    settings = TableSettings(dark=Table(rng.poisson(dark, (50, len(dark))).astype(float)))
+    table = Table(rng.poisson(lit, (50, len(lit))).astype(float))
+    counts, _ = count_table(table, manifest, settings)
+    wanted = clean[manifest.shown] * manifest.shares * counts.exposure_s
+    found = counts.signal()[:, 0, 0].mean(axis=0)
+    noise = counts.variance[:, 0, 0].mean(axis=0) / 50 + counts.ambient_variance[0]
+    assert abs((found - wanted) / np.sqrt(noise)).max() < 5
+    assert counts.flux.mean() == pytest.approx(clean[0], rel=0.02)
+    half = TableSettings(dark=Table(table.values[:, 2:-2]))
+    with pytest.raises(InputError, match="or none"):
+        count_table(table, manifest, half)
+    with pytest.raises(InputError, match="no light beyond its background"):
+        count_table(Table(settings.dark.values), manifest, TableSettings(dark=table))
+
+
+def test_a_background_that_does_not_fit_is_one_line(tmp_path, refuse):
+    patterns(tmp_path / "patterns", "single")
+    patterns(tmp_path / "other", "two-arm")
+    x = np.repeat(STEADY[None], 2, axis=0)
+    run = recorded(tmp_path / "run", tmp_path / "patterns", x, 0.0)
+    other = recorded(tmp_path / "2", tmp_path / "other", x, 0.0)
+    assert "no scene and no folder" in refuse("camera", "count", run, "--background", "black")
+    assert "other patterns" in refuse("camera", "count", run, "--background", other)
+    assert "no light beyond" in refuse("camera", "count", run, "--background", run)
+    assert not (run / "counts.npz").exists()
+
+
+@pytest.mark.parametrize("exposures", [1, 5])
+def test_law_the_variance_that_is_stated_is_that_of_draws(exposures):
+    """Of the mean of exposures in gates, less dark counts that all-OFF frames tell."""
+    manifest, draws = schedule([1000] * 4), 2000
+    lengths, seconds = np.array([1e-3, 2e-3, 3e-3, 1e-3]), np.full(8, 2e-3)
+    rates, dark = np.array([3e4, 6e4, 2e4, 5e4]), 4e4
+    means = np.concatenate([[9e4, dark], rates, [9e4, dark]])
+    rng, found = np.random.default_rng(5), []
+    for _ in range(draws):
+        gates = rng.poisson(rates * lengths, (exposures, 4))[..., None].astype(float)
+        frames = rng.poisson(means * seconds)[:, None].astype(float)
+        each = Ambient.of(manifest, (gates, gates), (frames, seconds), lengths)
+        found.append((each.counts.ravel(), each.variance.ravel()))
+    counts, variance = np.array(found).swapaxes(0, 1)
+    wanted = (rates - dark) * lengths
+    spread = counts.std(axis=0)
+    assert (abs(counts.mean(axis=0) - wanted) < 5 * spread / draws**0.5).all()
+    np.testing.assert_allclose(variance.mean(axis=0), spread**2, rtol=5 * (2 / draws) ** 0.5)

@@ -1,0 +1,320 @@
+"""Tables of any counter: readouts by the scanner's law, and one line for what does not fit."""
+
+import re
+
+import numpy as np
+import pytest
+import torch
+from recording_samples import patterns_of
+
+from deepfsi.base.errors import InputError
+from deepfsi.base.tables import Table
+from deepfsi.camera.dead_time import DeadTime
+from deepfsi.camera.device import Device
+from deepfsi.hardware.counting.tables import TableSettings, column_names, count_table
+from deepfsi.hardware.patterns.detectors import Detectors
+from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
+from deepfsi.hardware.patterns.nominal import nominal_manifest
+from deepfsi.hardware.patterns.sequence import FrameSettings
+from deepfsi.hardware.virtual.camera import VirtualCamera, arrival_rates
+from deepfsi.optics import constraints
+
+SHAPE, PIXELS, S_BAR = (3, 4), 12, 7.0
+DEVICE = Device(name="small", columns=36, rows=26, shortest_us=10, settle_us=2)
+CELLS = (0, 0, 1, 2, 0, 0, 1, 2, 0, 0, 0, 2)
+OPTICS = [("equal-dwell", "dual"), ("free-dwell", "single"), ("two-arm", "dual")]
+every_optics = pytest.mark.parametrize(("light", "rails"), OPTICS)
+every_count = pytest.mark.parametrize("cells", [None, CELLS], ids=["one", "three"])
+SCENES = np.random.default_rng(4).uniform(0.1, 1, (3, *SHAPE)).astype(np.float32)
+FLUX, DARK = 1e12, 1e9
+
+
+def design_of(light: str, rails: str, cells=None) -> DesignRails:
+    wild = np.random.default_rng(3).random((5, PIXELS)) - (0.5 if rails == "dual" else 0)
+    wild[1] = abs(wild[1])  # of two rails, one that is dark
+    fitted = constraints.fit(torch.from_numpy(wild), light, rails).numpy()
+    detectors = None if cells is None else Detectors(count=max(cells) + 1, cells=cells)
+    return DesignRails(fitted, light, SHAPE, S_BAR, None, None, detectors)
+
+
+def exported(folder, light="free-dwell", rails="single", cells=None):
+    """Patterns with pictures of whole microseconds, the shortest of 10: longer than their share."""
+    return export_patterns(design_of(light, rails, cells), FrameSettings(DEVICE, 2e-5), folder)
+
+
+def expected(rails: np.ndarray, cells) -> np.ndarray:
+    """Readouts (S, rails, m[, D]) of the scenes for a budget of one photon."""
+    flat = SCENES.reshape(len(SCENES), -1).astype(float) / SCENES.sum() * len(SCENES)
+    if cells is None:
+        return np.einsum("rmn,sn->srm", rails, flat)
+    parts = np.eye(max(cells) + 1)[list(cells)]
+    return np.einsum("rmn,sn,nd->srmd", rails, flat, parts)
+
+
+def by_scene(values: np.ndarray, axes: int) -> np.ndarray:
+    return values.reshape(-1, *[1] * (axes - 1))
+
+
+def close(counts, wanted: np.ndarray, rtol: float = 1e-5) -> None:
+    found = counts.signal()[:, 0] / counts.photons.reshape(-1, *[1] * (wanted.ndim - 1))
+    np.testing.assert_allclose(found, wanted, rtol=rtol, atol=1e-6)
+
+
+@every_optics
+@every_count
+def test_counts_between_markers_give_the_scanners_readouts(tmp_path, light, rails, cells):
+    """So much light that noise is left out, whatever a picture lasts beyond its share."""
+    patterns = exported(tmp_path / "p", light, rails, cells)
+    manifest = patterns.manifest
+    rates = arrival_rates(tmp_path / "p", SCENES, VirtualCamera(dark=DARK), FLUX)
+    values = np.rint(rates * manifest.picture_s[:, None]).reshape(len(SCENES), -1)
+    assert values.shape[1] == len(column_names(manifest))
+    counts, scenes = count_table(Table(values), manifest, TableSettings())
+    assert [scene.name for scene in scenes] == ["1", "2", "3"]
+    assert counts.faults == ()
+    assert counts.dark_rate == pytest.approx(DARK, rel=1e-3)
+    close(counts, expected(patterns.rails, cells))
+    late = np.rint(rates * (manifest.picture_s - 3e-6)[:, None]).reshape(len(SCENES), -1)
+    settled, _ = count_table(Table(late), manifest, TableSettings(settle_s=3e-6))
+    assert settled.settle_s == 3e-6
+    close(settled, expected(patterns.rails, cells))
+    analogue, _ = count_table(Table(values / 8), manifest, TableSettings(gain=8.0))
+    assert analogue.dark_rate == pytest.approx(DARK, rel=1e-3)
+    scale = counts.photons / analogue.photons  # of each scene its own light, or of all the mean
+    close(analogue, expected(patterns.rails, cells) * by_scene(scale, counts.counts.ndim - 1))
+    background = DARK * counts.exposure_s
+    bare = values[:, 2 * manifest.inputs : -2 * manifest.inputs]
+    photons = float(counts.photons[0])
+    given = TableSettings(photons=photons, background=background)
+    again, _ = count_table(Table(bare), manifest, given)
+    close(again, expected(patterns.rails, cells))
+
+
+@every_optics
+@every_count
+def test_a_design_file_has_the_order_of_its_patterns(tmp_path, light, rails, cells):
+    design = design_of(light, rails, cells)
+    nominal, shown = nominal_manifest(design), exported(tmp_path / "p", light, rails, cells)
+    assert column_names(nominal) == column_names(shown.manifest)
+    names = [(frame.role, frame.mask, frame.rail) for frame in nominal.frames]
+    assert names == [(frame.role, frame.mask, frame.rail) for frame in shown.manifest.frames]
+    assert nominal.shares == pytest.approx(shown.manifest.shares)
+    flat = SCENES.reshape(len(SCENES), -1).astype(float)
+    wanted = expected(design.rails, cells)
+    by_frame = []
+    for frame in nominal.frames:
+        if frame.role == "mask":
+            arms = {"plus": [0], "minus": [1], "both": [0, 1]}[frame.rail]
+            by_frame.append(wanted[:, arms, frame.mask].reshape(len(flat), -1))
+    values = np.rint(1e9 * np.concatenate(by_frame, axis=1))
+    close(count_table(Table(values), nominal, TableSettings(photons=1e9))[0], wanted)
+
+
+def test_a_column_design_is_shown_by_no_one_device():
+    wild = np.ones((5, PIXELS)) / 5
+    design = DesignRails(wild[None] * np.eye(5, PIXELS)[None].clip(min=0.1), "column", SHAPE, S_BAR)
+    nominal_manifest(design)  # dim enough
+    with pytest.raises(InputError, match="give the folder of its patterns"):
+        nominal_manifest(DesignRails(np.eye(5, PIXELS)[None], "column", SHAPE, S_BAR))
+
+
+@pytest.fixture(scope="module")
+def counted(tmp_path_factory):
+    """Manifest of one detector, and values (3, F) of its frames."""
+    folder = tmp_path_factory.mktemp("p") / "p"
+    manifest = exported(folder).manifest
+    rates = arrival_rates(folder, SCENES, VirtualCamera(), 1e9)[..., 0]
+    return manifest, np.rint(rates * manifest.picture_s)
+
+
+def signal(counted, table, **settings) -> np.ndarray:
+    return count_table(table, counted[0], TableSettings(**settings), "t.csv")[0].signal()
+
+
+def test_rows_columns_and_names_are_one_table(counted):
+    manifest, values = counted
+    names = column_names(manifest)
+    wanted = signal(counted, Table(values))
+    assert np.array_equal(signal(counted, Table(values.T)), wanted)
+    mixed = np.random.default_rng(1).permutation(len(names))
+    named = Table(values[:, mixed], tuple(names[k].upper() for k in mixed))
+    assert np.array_equal(signal(counted, named), wanted)
+    masks = Table(values[:, 2:-2], tuple(names[2:-2]))
+    assert np.array_equal(signal(counted, masks, photons=1e4, background=0), wanted)
+    other = tuple(f"channel {k}" for k in range(len(names)))
+    assert np.array_equal(signal(counted, Table(values, other)), wanted)
+
+
+def test_exposures_of_one_scene_are_told_by_number_or_by_name(counted):
+    manifest, values = counted
+    rows = np.repeat(values, [2, 1, 2], axis=0)
+    words = {"scene": ("a", "a", "b", "c", "c"), "label": ("x", "x", "", "y", "y")}
+    counts, scenes = count_table(Table(rows, (), words), manifest, TableSettings())
+    assert [(scene.name, scene.label) for scene in scenes] == [("a", "x"), ("b", None), ("c", "y")]
+    assert counts.valid.tolist() == [[True, True], [True, False], [True, True]]
+    single, _ = count_table(Table(values), manifest, TableSettings())
+    assert np.array_equal(counts.counts[:, 0], single.counts[:, 0])
+    assert not counts.counts[1, 1].any()
+    pairs, scenes = count_table(Table(rows[[0, 1, 3, 4]]), manifest, TableSettings(repeats=2))
+    assert pairs.counts.shape[:2] == (2, 2)
+    assert [scene.name for scene in scenes] == ["1", "2"]
+
+
+def test_light_that_is_wrong_is_named_as_in_a_photon_file(counted):
+    manifest, values = counted
+    assert count_table(Table(values), manifest, TableSettings())[0].faults == ()
+    for change, kind in (
+        ((1, -2, 0.7), "unsteady"),
+        ((1, 4, 100.0), "brighter"),
+        ((1, [0, -2], 0.0), "dark"),
+    ):
+        wrong = values.copy()
+        wrong[change[0], change[1]] = np.rint(wrong[change[0], change[1]] * change[2])
+        if kind == "dark":
+            wrong[1] = 0
+        counts, _ = count_table(Table(wrong), manifest, TableSettings())
+        assert {(fault.kind, fault.scene) for fault in counts.faults} >= {(kind, 1)}
+        assert counts.spoilt.tolist() == [False, True, False]
+
+
+@pytest.mark.parametrize(
+    ("shape", "settings", "said"),
+    [
+        ((3, 8), {}, "3 rows and 8 columns: an exposure has 5 values (5 frames of masks), or 9"),
+        ((9, 5), {}, "either may be exposures: say `exposures` rows or columns"),
+        ((3, 9), {"exposures": "columns"}, "exposures are its columns"),
+        ((3, 5), {}, "give `photons`"),
+        ((3, 9), {"repeats": 2}, "no multiple of 2"),
+        ((3, 9), {"settle_s": 1.0}, "nothing of the shortest frame"),
+    ],
+)
+def test_what_does_not_fit_is_one_line(counted, shape, settings, said):
+    with pytest.raises(InputError, match=re.escape(said)) as error:
+        count_table(Table(np.ones(shape)), counted[0], TableSettings(**settings), "t.csv")
+    assert "\n" not in str(error.value)
+
+
+def test_names_and_values_that_do_not_fit_are_one_line(counted):
+    manifest, values = counted
+    names = column_names(manifest)
+    for table, said in (
+        (Table(values, ("time", *names[1:])), "'time' that is no frame"),
+        (Table(values[:, 1:], tuple(names[1:])), "no column 'on'"),
+        (Table(np.delete(values, 3, 1), tuple(np.delete(names, 3))), "no column 'mask1'"),
+        (Table(values + 0.5), "which is no count of photons"),
+        (Table(values - 1e9), "which is no count of photons"),
+        (Table(values, (), {"scene": ("a", "b", "a")}), "scene twice"),
+        (Table(0 * values), "no light"),
+    ):
+        with pytest.raises(InputError, match=said) as error:
+            count_table(table, manifest, TableSettings())
+        assert "\n" not in str(error.value)
+    for bad in ({"photons": 0.0}, {"gain": -1.0}, {"read_noise": -1.0}, {"exposures": "up"}):
+        with pytest.raises(InputError, match="`"):
+            TableSettings(**bad)
+
+
+def test_law_units_of_an_analogue_detector_are_counts_with_read_noise(tmp_path):
+    """Mean and variance of what `--gain` and `--read-noise` say, in gates of other lengths."""
+    patterns = exported(tmp_path / "p")
+    manifest, draws, gain, noise = patterns.manifest, 4000, 2.5e4, 30.0
+    rates = arrival_rates(tmp_path / "p", SCENES[:1], VirtualCamera(dark=1e7), 1e8)[0, :, 0]
+    rng = np.random.default_rng(6)
+    photons = rng.poisson(rates * manifest.picture_s, (draws, len(rates)))
+    values = (photons + noise * rng.standard_normal(photons.shape)) / gain
+    settings = TableSettings(gain=gain, read_noise=noise)
+    counts, _ = count_table(Table(values), manifest, settings)
+    assert counts.faults == ()
+    found, variance = counts.arrivals[:, 0, 0], counts.variance[:, 0, 0]
+    wanted = rates[manifest.shown] * counts.lengths_s[0]
+    error = np.sqrt(variance.mean(axis=0) / draws)
+    assert (abs(found.mean(axis=0) - wanted) < 5 * error).all()
+    assert found.var(axis=0) == pytest.approx(variance.mean(axis=0), rel=5 * np.sqrt(2 / draws))
+    ends_s = 2 * manifest.picture_s[0] * draws
+    error = np.sqrt((rates[0] + rates[1] + 2 * noise**2 / manifest.picture_s[0]) / ends_s)
+    assert counts.flux[0] == pytest.approx(rates[0] - rates[1], abs=5 * error)
+    assert counts.dark_rate.mean() == pytest.approx(rates[1], abs=5 * error)
+    assert (counts.excess[:, 0, 0] > 0.5 * noise**2).any()
+
+
+def test_an_analogue_detector_has_no_dead_time():
+    with pytest.raises(InputError, match="counts no photons: leave `dead_time` out"):
+        TableSettings(gain=2.0, dead_time=DeadTime(seconds=1e-8))
+
+
+# Clicks
+
+
+def clicks_table(manifest, rate: float, scenes: int = 60, gates: int = 8) -> Table:
+    """Clicks of exposures at a rate of photons/s with all ON, half of it behind masks."""
+    light = {"on": rate, "off": 0.0, "mask": rate / 2}
+    photons = manifest.picture_s * [light[frame.role] for frame in manifest.frames]
+    chance = -np.expm1(-photons / gates)
+    drawn = np.random.default_rng(2).binomial(gates, chance, (scenes, len(photons)))
+    return Table(drawn.astype(float), tuple(column_names(manifest)))
+
+
+def test_clicks_of_a_table_are_read_as_they_are_and_tell_the_budget(tmp_path):
+    """The budget by what all-ON gates miss, to five standard errors of 2 x 8 x 60 gates."""
+    manifest = exported(tmp_path / "p").manifest
+    mean = 0.8  # photons in a gate with all ON
+    rate = mean * 8 / manifest.picture_s[0]
+    table = clicks_table(manifest, rate)
+    counts, scenes = count_table(table, manifest, TableSettings(clicks=8))
+    assert len(scenes) == 60
+    assert counts.gates == 8
+    rail, mask, column, _ = manifest.read
+    drawn = table.values[:, manifest.shown]
+    assert np.array_equal(counts.signal()[:, 0, rail, mask], drawn[:, column])
+    error = np.sqrt(np.expm1(mean) / (2 * 8 * 60)) / mean
+    assert counts.flux == pytest.approx(np.full(60, rate), rel=5 * error)
+    assert (counts.background == 0).all()
+    given = count_table(table, manifest, TableSettings(photons=50.0, clicks=8))[0]
+    assert np.array_equal(given.counts, counts.counts)
+
+
+def test_more_counts_than_gates_are_refused_with_their_place(tmp_path):
+    manifest = exported(tmp_path / "p").manifest
+    table = clicks_table(manifest, 1e5)
+    table.values[4, 3] = 9
+    match = "9 counts in mask1 of exposure 5, and .* clicks at most 8 times in a frame: give clicks"
+    with pytest.raises(InputError, match=match):
+        count_table(table, manifest, TableSettings(clicks=8))
+    table.values[4, 3] = 2.5
+    with pytest.raises(InputError, match=r"holds 2\.5, which is no count"):
+        count_table(table, manifest, TableSettings(clicks=8))
+
+
+def test_clicks_that_tell_no_budget_need_it(tmp_path):
+    manifest = exported(tmp_path / "p").manifest
+    for rate in (0.0, 1e9):
+        table = clicks_table(manifest, rate)
+        with pytest.raises(InputError, match="does not tell its budget: all-ON frames leave less"):
+            count_table(table, manifest, TableSettings(clicks=8))
+        assert count_table(table, manifest, TableSettings(clicks=8, photons=9.0))[0].valid.all()
+    bare = Table(table.values[:, 2:-2], table.names[2:-2])
+    with pytest.raises(InputError, match="no all-ON and all-OFF frames, which tell the budget"):
+        count_table(bare, manifest, TableSettings(clicks=8))
+
+
+@pytest.mark.parametrize(
+    ("settings", "name"),
+    [
+        ({"background": 3.0}, "`background`"),
+        ({"dead_time": DeadTime(seconds=1e-8)}, "`dead_time`"),
+        ({"gain": 2.0}, "`gain` or `read_noise`"),
+    ],
+)
+def test_clicks_are_corrected_for_nothing(settings, name):
+    with pytest.raises(InputError, match=f"{name} is of photon counts, and this design reads cl"):
+        TableSettings(clicks=8, **settings)
+
+
+@pytest.mark.parametrize("light", ["equal-dwell", "two-arm", "free-dwell"])
+def test_every_value_of_a_table_has_a_name_of_its_own(light, tmp_path):
+    """Frames of two rails by their sign; on two arms a frame is of both, and has none."""
+    manifest = patterns_of(tmp_path / "patterns", light).manifest
+    names = column_names(manifest)
+    assert len(set(names)) == len(names) == len(manifest.frames) * manifest.inputs
+    signed = {name.split("/")[0][-1] for name in names} & {"+", "-"}
+    assert signed == ({"+", "-"} if light == "equal-dwell" else set())

@@ -1,0 +1,223 @@
+"""Photons of a recording: each counted for its readout, or its exposure given up."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import recording_samples
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from recording_samples import DWELL, TICK, made, many, named, patterns_of, train, troubles, unseen
+
+from deepfsi.base.errors import InputError
+from deepfsi.base.progress import Report
+from deepfsi.hardware.counting import acquisition
+from deepfsi.hardware.counting.acquisition import prepare, read_acquisition
+from deepfsi.hardware.counting.counting import count
+from deepfsi.hardware.counting.counts import read_counts
+from deepfsi.hardware.counting.picture import reconstruct
+from deepfsi.hardware.photons.writer import Writer
+
+run, whole = recording_samples.run, recording_samples.whole
+
+
+def test_every_photon_of_a_frame_is_counted_for_its_readout(run):
+    counts = count(run.folder)
+    manifest = run.patterns.manifest
+    assert counts.counts.shape == (3, 1, 2, 6)
+    assert counts.counts.dtype == np.int64
+    assert counts.valid.all()
+    assert counts.faults == ()
+    for place in manifest.shown:
+        frame = manifest.frames[place]
+        rail = 0 if frame.rail == "plus" else 1
+        assert (counts.counts[:, 0, rail, frame.mask] == run.photons[:, place, 0]).all()
+    assert (counts.counts[:, 0, 1, 0] == 0).all()  # a dark rail
+    assert len(manifest.shown) == 11
+    seconds = DWELL - 3e-5  # less settling and guard
+    assert np.allclose(counts.on_rate, run.photons[:, 0, 0] / seconds, rtol=2e-3)
+    assert np.allclose(counts.off_rate, 3 / seconds, rtol=2e-3)
+    flux = (run.photons[:, 0, 0] - 3).mean() / seconds
+    assert counts.photons == pytest.approx(flux * counts.exposure_s, rel=2e-3)
+    dark = counts.background
+    assert (dark[:, 1, 0] == 0).all()
+    assert dark[:, 0, 0] == pytest.approx(3, rel=0.05)
+    assert (counts.signal() == counts.counts - dark[:, None]).all()
+
+
+def test_gates_of_one_frame_are_exposures_of_their_own(run):
+    """Photons come evenly, so each of equal gates counts its part, and edges one more or less."""
+    counts = count(run.folder, exposure_s=11e-4, settle_s=1e-4, repeats=8)
+    manifest = run.patterns.manifest
+    assert counts.counts.shape == (3, 8, 2, 6)
+    assert counts.counts[:, :, 1, 0].sum() == 0
+    for place, gate in zip(manifest.shown, counts.gate_s, strict=True):
+        frame = manifest.frames[place]
+        here = counts.counts[:, :, 0 if frame.rail == "plus" else 1, frame.mask]
+        wanted = run.photons[:, place, 0] * gate / (DWELL - 4e-5)
+        assert (np.abs(here - wanted[:, None]) < 1.5).all()
+        full = run.photons[:, place, 0] * 8 * gate / (DWELL - 4e-5)
+        assert (np.abs(here.sum(axis=1) - full) < 1.5).all()
+    assert count(run.folder, exposure_s=11e-4, settle_s=1e-4).counts.shape[1] == 8 + 1
+    assert count(run.folder, exposure_s=11e-4, settle_s=6e-4).counts.shape[1] == 4
+    assert count(run.folder).counts.shape[1] == 1
+
+
+def test_gates_open_and_close_when_they_should(tmp_path):
+    """One photon a microsecond: which of them are counted tells the gate's edges."""
+    patterns = patterns_of(tmp_path / "patterns")
+    prepare(tmp_path / "run", tmp_path / "patterns", named(1))
+    starts = train(patterns.manifest, 1)
+    ticks = np.arange(0, round((starts[0, -1] + 2e-3) * 1e6)) * 10**6
+    times = np.concatenate([np.rint(starts[0] / TICK).astype(np.int64), ticks])
+    codes = np.concatenate([np.full(starts.shape[1], -1), np.zeros(len(ticks), np.int64)])
+    dark = np.isin(np.searchsorted(starts[0] / TICK, times, side="right") - 1, [1, 14])
+    times, codes = times[~dark | (codes < 0)], codes[~dark | (codes < 0)]
+    order = np.argsort(times, kind="stable")
+    with Writer(tmp_path / "run" / "photons.ptu", TICK) as writer:
+        writer.write(times[order], codes[order])
+    # All frames but OFF are equally bright, so none is shown to be wrong.
+    counts = count(tmp_path / "run", exposure_s=11 * 37e-6, settle_s=5e-5, repeats=3)
+    for place in patterns.manifest.shown:
+        frame = patterns.manifest.frames[place]
+        for gate in range(3):
+            first = np.rint(starts[0, place] / TICK) + 50e6 + gate * 37e6
+            wanted = np.count_nonzero((ticks >= first - 1) & (ticks < first + 37e6 - 1))
+            rail = 0 if frame.rail == "plus" else 1
+            assert abs(counts.counts[0, gate, rail, frame.mask] - wanted) == 0
+
+
+@pytest.mark.parametrize("drift", [-2e-4, 2e-4])
+def test_gates_that_fill_their_frames_do_not_overlap(run, drift):
+    starts = train(run.patterns.manifest, 3, drift)
+    wanted = read_counts(run.folder).counts
+    run.record(starts, starts.ravel(), run.photons)
+    counts = count(run.folder, exposure_s=11 * DWELL, settle_s=0.0)
+    assert (counts.counts == wanted).all()
+    assert count(run.folder, exposure_s=11 * DWELL / 8, settle_s=0.0).counts.shape[1] == 8
+
+
+@pytest.mark.parametrize(("missing", "counted"), [(1, True), (2, False)])
+def test_a_pass_is_whole_if_a_marker_came_after_its_last_mask(run, missing, counted):
+    """Else nothing tells that its light was shown, and recorded, up to its end."""
+    run.record(run.starts, run.starts.ravel()[:-missing], run.photons)
+    counts = count(run.folder)
+    assert counts.valid[:2].all()
+    assert counts.valid[2].all() == counts.valid[2].any() == counted
+
+
+@pytest.mark.parametrize("light", ["free-dwell", "two-arm"])
+def test_every_light_constraint_is_counted(tmp_path, light):
+    run = made(tmp_path, light, exposure_s=1e-3, repeats=2)
+    counts = count(run.folder)
+    manifest = run.patterns.manifest
+    arms = 2 if light == "two-arm" else 1
+    assert counts.counts.shape == (3, 2, arms, 6)
+    for place, gate in zip(manifest.shown, counts.gate_s, strict=True):
+        for arm in range(arms):
+            part = gate / (manifest.picture_s[place] - 4e-5)
+            wanted = run.photons[:, place, arm] * part
+            here = counts.counts[:, 1, arm, manifest.frames[place].mask]
+            assert (np.abs(here - wanted) < 1.5).all()
+    assert counts.gate_s == pytest.approx(manifest.shares * 1e-3)
+    rate = 3 / (DWELL - 3e-5)  # less settling and guard
+    assert np.allclose(counts.dark_rate, [rate] * arms, rtol=2e-3)
+
+
+def test_a_scene_with_faults_is_counted_or_given_up(whole, tmp_path):
+    """Frames are told by their photons, so a shifted one would be seen."""
+    markers = np.delete(whole.starts.ravel(), [7, whole.starts.shape[1]])
+    markers[20] += 2e-4
+    prepare(tmp_path / "run", whole.folder / "patterns", read_acquisition(whole.folder)[0])
+    replace(whole, folder=tmp_path / "run").record(whole.starts, markers, whole.photons)
+    counts, wanted = count(tmp_path / "run"), read_counts(whole.folder)
+    assert counts.valid.all()
+    assert np.abs(counts.counts - wanted.counts).max() <= 1
+    assert [(f.kind, f.scene, f.frame) for f in counts.faults] == [
+        ("missing", 0, 7),
+        ("missing", 1, 0),
+        ("late", 1, 7),
+    ]
+    assert read_counts(tmp_path / "run").faults == counts.faults
+
+
+@many
+@given(
+    trouble=troubles("missing", "late", "extra", "cut", "start", "next", "before"),
+    pauses=st.lists(st.sampled_from([0.0, 1e-3, 0.02]), min_size=3, max_size=3),
+    drift=st.floats(-2e-4, 2e-4) | st.floats(-1e-2, 1e-2),
+    held=st.just(1.0) | st.floats(0.3, 1.0),
+)
+def test_a_valid_exposure_holds_the_photons_of_its_frames(
+    whole, tmp_path, trouble, pauses, drift, held
+):
+    """Markers a frame too early or late, frames of other lengths and cuts are among the faults."""
+    folder, patterns = tmp_path / "run", whole.patterns
+    starts = train(patterns.manifest, 3, drift, pauses=pauses)
+    markers = starts.ravel()
+    for each in trouble:
+        if each.kind == "next":
+            markers = np.append(markers, starts[-1, -1] + DWELL * (1 + each.frame % 3))
+        elif each.kind == "before":
+            markers = np.append(starts[0, 0] - DWELL * (1 + each.frame % 3), markers)
+        else:
+            markers = each.strike(markers, starts)
+    markers = np.unique(markers)
+    assume(len(markers) and not unseen(markers, starts))
+    if not folder.exists():
+        prepare(folder, whole.folder / "patterns", read_acquisition(whole.folder)[0])
+    replace(whole, folder=folder).record(starts, markers, whole.photons)
+    content = (folder / "photons.ptu").read_bytes()
+    (folder / "photons.ptu").write_bytes(content[: max(round(held * len(content)), 1000)])
+    try:
+        counts = count(folder)
+    except InputError as error:
+        assert str(error).startswith(str(folder / "photons.ptu"))  # noqa: PT017
+        return
+    wanted = read_counts(whole.folder).counts
+    valid = counts.valid[:, 0]
+    # A marker may be 10 µs off unseen, and cut that much of a gate.
+    assert (np.abs(counts.counts - wanted)[valid] <= 2 + 0.03 * wanted[valid]).all()
+    assert (counts.counts[~valid] == 0).all()
+    assert valid.all() or counts.faults
+
+
+def test_a_recording_of_other_patterns_is_refused(run):
+    photons = np.roll(run.photons, 3, axis=1)  # not where ON and OFF should be
+    run.record(run.starts, run.starts.ravel(), photons)
+    with pytest.raises(InputError, match="bright and a dark frame"):
+        count(run.folder)
+
+
+def test_a_file_cut_while_recording_keeps_whole_exposures(run):
+    path = run.folder / "photons.ptu"
+    content = path.read_bytes()
+    wanted = read_counts(run.folder).counts
+    path.write_bytes(content[: len(content) * 5 // 6 // 4 * 4])
+    counts = count(run.folder)
+    assert counts.valid[:, 0].tolist() == [True, True, False]
+    assert (counts.counts[:2] == wanted[:2]).all()
+    assert (counts.counts[2] == 0).all()
+    assert np.isnan(counts.on_rate).tolist() == [False, False, True]
+    assert np.isnan(reconstruct(run.folder)).all(axis=(1, 2)).tolist() == [False, False, True]
+    assert counts.faults[-1].scene == 2
+
+
+def test_progress_rises_to_one(run):
+    shares: list[float] = []
+    count(run.folder, report=Report(lambda share, what: shares.append(share)))
+    assert shares == sorted(shares)
+    assert shares[-1] == pytest.approx(1)
+
+
+def test_gates_that_do_not_fit_are_refused(run):
+    run.refused("does not fit", exposure_s=0.1)
+    run.refused("settle time", settle_s=float("nan"))
+    run.refused("repeats do not fit", exposure_s=1e-4, repeats=10**6)
+    run.refused("leaves nothing|does not fit", exposure_s=1e-4, settle_s=DWELL)
+
+
+def test_repeats_are_as_many_as_can_be_counted(run, monkeypatch):
+    monkeypatch.setattr(acquisition, "MOST_READOUTS", 3 * 12 * 5)
+    assert count(run.folder, exposure_s=1e-3).counts.shape[1] == 5
+    run.refused("give at most 5", exposure_s=1e-3, repeats=6)

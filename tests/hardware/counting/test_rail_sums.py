@@ -1,0 +1,198 @@
+"""Rail sums: Poisson counts pass, and an excess that was put in is measured and placed."""
+
+import numpy as np
+import pytest
+from scipy.stats import binom
+
+from deepfsi.base.errors import InputError
+from deepfsi.hardware.counting.rail_sums import (
+    LEAST_PAIRS,
+    check_rail_sums,
+    find_causes,
+    fineness,
+)
+from deepfsi.hardware.counting.rail_tables import LAYOUTS, split_rails
+from deepfsi.hardware.light.tails import FALSE_ALARMS
+from deepfsi.jobs.designs import formula_masks, hadamard_masks
+
+SHAPE = (16, 16)
+FINE = fineness(formula_masks("hadamard-natural", SHAPE), SHAPE)[1:]
+PAIRS = len(FINE)
+TRIALS = 300
+
+
+def counts(light: np.ndarray, mean: float, rng: np.random.Generator) -> np.ndarray:
+    """Poisson counts (runs, 2, m) of pairs that share the light (runs, m) unevenly."""
+    share = rng.uniform(0.4, 0.6, light.shape[-1])
+    return rng.poisson(mean * light[:, None] * np.stack([share, 1 - share])).astype(float)
+
+
+def lognormal(spread: float, size: tuple[int, ...], rng: np.random.Generator) -> np.ndarray:
+    sigma = np.sqrt(np.log1p(spread**2))
+    return np.exp(sigma * rng.standard_normal(size) - sigma**2 / 2)
+
+
+@pytest.mark.parametrize(("runs", "mean"), [(1, 600.0), (3, 40.0)])
+def test_poisson_counts_are_called_poisson(runs, mean):
+    rng = np.random.default_rng(1)
+    wide = np.ones((runs, PAIRS)) * np.arange(1, runs + 1)[:, None]
+    found = [check_rail_sums(counts(wide, mean, rng), FINE) for _ in range(TRIALS)]
+    alarms = sum(not one.poisson for one in found)
+    assert alarms <= binom.ppf(0.999, TRIALS, FALSE_ALARMS)
+    # intervals of the excess hold 0 in 95 %, the runs' in common too
+    intervals = [one.runs[0].excess if runs == 1 else one.common for one in found]
+    covered = sum(each.low <= 0 <= each.high for each in intervals)
+    assert covered >= binom.ppf(1e-4, TRIALS, 0.95)
+    assert not any(one.causes for one in found if one.poisson)
+
+
+def test_an_excess_that_was_put_in_is_measured():
+    rng, spread = np.random.default_rng(2), 0.06
+    found = [
+        check_rail_sums(counts(lognormal(spread, (1, PAIRS), rng), 600, rng), FINE)
+        for _ in range(60)
+    ]
+    assert not any(one.poisson for one in found)
+    excess = np.array([one.runs[0].excess.variance for one in found])
+    error = excess.std(ddof=1) / np.sqrt(len(excess))
+    assert abs(excess.mean() - spread**2) < 4 * error
+    held = [one.runs[0].excess.low <= spread**2 <= one.runs[0].excess.high for one in found]
+    assert sum(held) >= binom.ppf(1e-3, len(held), 0.93)  # a skew statistic: 93 % are enough
+
+
+def test_what_runs_share_is_told_from_what_each_has_of_its_own():
+    rng, own = np.random.default_rng(3), np.array([0.05, 0.02, 0.0])
+    common, each = [], []
+    for _ in range(40):
+        shared = lognormal(0.1, (PAIRS,), rng)
+        light = shared * np.stack([lognormal(one, (PAIRS,), rng) for one in own])
+        found = check_rail_sums(counts(light, 2000, rng), FINE)
+        common.append(found.common.variance)
+        each.append([one.variance for one in found.own])
+    for measured, truth in zip(
+        [np.array(common), *np.array(each).T], [0.1**2, *own**2], strict=True
+    ):
+        error = measured.std(ddof=1) / np.sqrt(len(measured))
+        assert abs(measured.mean() - truth) < 4 * error
+
+
+@pytest.mark.parametrize("own", [(0.1, 0.05, 0.0), (0.08, 0.04)])
+def test_law_the_excess_of_single_pictures_is_that_of_the_virtual_camera(own):
+    rng, spread = np.random.default_rng(10), np.array(own)
+    share, times = rng.uniform(0.4, 0.6, PAIRS), np.array([300, 600, 1200])[: len(own)]
+    measured, sums = [], []
+    for _ in range(40):
+        light = np.stack([lognormal(one, (2, PAIRS), rng) for one in own])
+        mean = times[:, None, None] * np.stack([share, 1 - share]) * light
+        found = check_rail_sums(rng.poisson(mean).astype(float), FINE)
+        measured.append([one.variance for one in found.pictures])
+        sums.append([one.variance for one in found.own])
+    truth = spread**2 if len(own) > 2 else np.full(2, (spread**2).mean())
+    for each, one in zip(np.array(measured).T, truth, strict=True):
+        assert abs(each.mean() - one) < 4 * each.std(ddof=1) / np.sqrt(len(each))
+    # light of two pictures: sums of a pair have half of it, and a little more as shares are uneven
+    halves = truth * (share**2 + (1 - share) ** 2).mean()
+    for each, one in zip(np.array(sums).T, halves, strict=True):
+        assert abs(each.mean() - one) < 4 * each.std(ddof=1) / np.sqrt(len(each))
+
+
+def test_two_runs_that_differ_are_not_poisson_though_each_alone_may_be():
+    rng = np.random.default_rng(4)
+    light = np.ones((2, PAIRS))
+    steady = counts(light, 600, rng)
+    assert check_rail_sums(steady, FINE).poisson
+    # rails move against each other: sums stay as they are
+    moved = steady.copy()
+    shift = rng.integers(-120, 121, PAIRS)
+    moved[1] += np.stack([shift, -shift])
+    found = check_rail_sums(moved, FINE)
+    assert min(run.chance for run in found.runs) > FALSE_ALARMS
+    assert not found.poisson
+    assert found.chi2_counts > 2
+
+
+@pytest.mark.parametrize("cause", ["fineness", "block", "place in block", "sequence"])
+def test_the_place_of_an_excess_in_the_sequence_is_named(cause):
+    rng, block = np.random.default_rng(5), 64
+    order = rng.permutation(PAIRS)  # of the masks, so that fineness and time differ
+    fine, place = FINE[order], np.arange(PAIRS)
+    effect = {
+        "fineness": np.exp(-fine.sum(axis=1) / 4),
+        "block": rng.standard_normal(8)[place // (block // 2)],
+        "place in block": rng.standard_normal(block // 2)[place % (block // 2)],
+        "sequence": np.sin(place / 3),
+    }[cause]
+    effect = 1 + 0.1 * (effect - effect.mean()) / effect.std()
+    rails = counts(effect[None], 4000, rng)
+    found = check_rail_sums(rails, fine, block=block)
+    shares = {name: one.share for name, one in found.causes.items()}
+    assert max(shares, key=shares.get) == cause
+    assert shares[cause] > 0.5
+    assert found.causes[cause].chance == 0.001
+    others = [one.chance for name, one in found.causes.items() if name == "fineness" != cause]
+    assert all(chance > 0.001 for chance in others)
+
+
+def test_nothing_predicts_what_is_drawn_anew_for_each_pair():
+    rng = np.random.default_rng(6)
+    low = 0
+    for _ in range(5):
+        light = lognormal(0.1, (PAIRS,), rng)
+        causes = find_causes(light, FINE, np.arange(PAIRS), 64, seed=0)
+        low += sum(each.chance <= 0.01 for each in causes.values())
+    assert low <= binom.ppf(0.9999, 20, 0.01)
+
+
+def test_places_count_from_the_first_pair_that_was_shown():
+    # pairs that are left out keep their place in a block
+    rng = np.random.default_rng(7)
+    place = np.flatnonzero(rng.random(400) < PAIRS / 400)[:PAIRS]
+    steps = rng.standard_normal(400)[place // 8]
+    fine = FINE[: len(place)]
+    causes = find_causes(1 + 0.1 * steps, fine, place, 16, seed=0)
+    assert causes["block"].share > 0.99
+
+
+def test_too_little_gives_no_verdict():
+    rng = np.random.default_rng(8)
+    light = np.ones((1, PAIRS))
+    assert check_rail_sums(counts(light, 3, rng), FINE) is None
+    few = counts(light, 300, rng)[..., : LEAST_PAIRS - 1]
+    assert check_rail_sums(few, FINE[: LEAST_PAIRS - 1]) is None
+
+
+@pytest.mark.parametrize("layout", [None, *LAYOUTS])
+def test_a_table_of_rails_is_read_in_every_layout(layout):
+    rails = np.random.default_rng(9).poisson(100, (1 if layout == "single" else 2, 64))
+    tables = {
+        None: rails.T,
+        "columns": rails,
+        "turns": rails.T.reshape(-1, 1),
+        "halves": rails.reshape(1, -1),
+        "single": rails,
+    }
+    found = split_rails(tables[layout], layout, 64, "t.npy")
+    assert np.array_equal(found, rails)
+    assert np.array_equal(split_rails(tables[layout].T, layout, None, "t.npy"), rails)
+
+
+@pytest.mark.parametrize(
+    ("shape", "layout", "masks", "said"),
+    [
+        ((5, 3), None, 5, "5 rows and 3 columns"),
+        ((128, 1), None, 64, "say `rails` turns or halves"),
+        ((128, 1), None, None, "say `rails`"),
+        ((127, 1), "turns", None, "an even number"),
+        ((64, 2), "turns", 64, "give a column of masks"),
+        ((64, 2), "columns", 32, "64 masks, and 32 are needed"),
+        ((64, 2), "rows", 64, "rows"),
+    ],
+)
+def test_a_table_that_is_none_of_these_masks_is_refused(shape, layout, masks, said):
+    with pytest.raises(InputError, match=said):
+        split_rails(np.ones(shape), layout, masks, "t.npy")
+
+
+def test_fineness_of_hadamard_masks_is_their_sequency():
+    fine = fineness(hadamard_masks((8, 4), 32), (8, 4))
+    assert sorted(map(tuple, fine.tolist())) == [(i, j) for i in range(8) for j in range(4)]

@@ -1,0 +1,51 @@
+"""Lists of scenes: names and labels as they stand, or one line that says which is wrong."""
+
+import pytest
+
+from deepfsi.base.errors import InputError
+from deepfsi.hardware.counting.scene_list import read_scenes
+
+
+@pytest.mark.parametrize(
+    ("text", "wanted"),
+    [
+        ("a\nb\n", [("a", None), ("b", None)]),
+        ("a,1\nb,2", [("a", "1"), ("b", "2")]),
+        ("name,label\r\na , 1\r\n\r\nb,\r\n", [("a", "1"), ("b", None)]),
+        ('Scene\n"one, two",x\n', [("one, two", "x")]),
+        ("\ufeffä/ß.png,größe\n", [("ä/ß.png", "größe")]),
+        ("a,1\na,1\n", [("a", "1"), ("a", "1")]),  # shown twice
+        ("file;class\ra;1\rb;2\r", [("a", "1"), ("b", "2")]),  # Excel of old Macs in Europe
+        ("sep=;\na;1\n", [("a", "1")]),
+        ("# of the first day\na,1,\nb,2,\n", [("a", "1"), ("b", "2")]),
+        ("a,cafe\u0301\n", [("a", "caf\u00e9")]),
+        ("image,cat\nb,dog\n", [("image", "cat"), ("b", "dog")]),  # a name, no heading
+    ],
+)
+def test_scenes_are_read_in_their_order(tmp_path, text, wanted):
+    path = tmp_path / "scenes.csv"
+    for encoding in ("utf-8", "utf-8-sig", "utf-16"):
+        path.write_bytes(text.removeprefix("\ufeff").encode(encoding))
+        assert [(scene.name, scene.label) for scene in read_scenes(path)] == wanted
+
+
+@pytest.mark.parametrize(
+    ("content", "match"),
+    [
+        (b"", "has no scenes"),
+        (b"name,label\n", "has no scenes"),
+        (b"a,1\nb,2,3\n", "'b,2,3' on line 2: give NAME or NAME,LABEL"),
+        (b"a\n,2\n", "',2' on line 2"),
+        (b"\xff\xfe\x00", "not text in UTF-8"),
+        (b'"a\n', "line 1: unexpected end of data; give a text file"),
+        (b"a" * 2000, "line 1, cannot be used at name"),
+        (None, "is missing"),
+    ],
+)
+def test_other_lists_are_refused_in_one_line(tmp_path, content, match):
+    path = tmp_path / "scenes.txt"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(InputError, match=match) as error:
+        read_scenes(path)
+    assert "\n" not in str(error)

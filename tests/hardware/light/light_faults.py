@@ -1,0 +1,221 @@
+"""Acquisitions whose light has a course in time: sound ones, and with faults."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from deepfsi.hardware.counting.acquisition import prepare
+from deepfsi.hardware.counting.counts import Counts
+from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
+from deepfsi.hardware.patterns.sequence import Brightness, FrameSettings, Patterns
+from deepfsi.hardware.photons.writer import Writer
+from hardware.counting.recording_samples import DEVICE, DWELL, SHAPE, TICK, named, split
+
+SETTLE = 2e-5
+WITHIN = 0.04
+"""Spread of the brightness of scenes."""
+
+BRIGHTNESS = Brightness(low=0.87, high=1.14, between=1.03, within=0.05)
+ARM_INPUTS = (2, 1)
+MARKER = 4
+
+Course = Callable[[np.ndarray], np.ndarray]
+"""Factor, or rate, at times from the first marker on, seconds."""
+
+
+def steady(value: float) -> Course:
+    return lambda time: np.full(time.shape, value)
+
+
+def patterns_of(folder: Path, light: str, masks: int = 10) -> Patterns:
+    """Random masks on a small device, of a design that knows how bright its scenes are."""
+    rng = np.random.default_rng(2)
+    rails = rng.random((2, masks, 6))
+    if light == "two-arm":
+        rails = np.stack([rails[0], 1 - rails[0]]) / masks
+    else:
+        rails /= 2 * masks * rails.max(axis=2, keepdims=True)
+    design = DesignRails(rails, light, SHAPE, summed_reflectance=3.0, brightness=BRIGHTNESS)
+    return export_patterns(design, FrameSettings(DEVICE, DWELL), folder)
+
+
+@dataclass
+class Lit:
+    """A recording of random scenes, and the course of its light.
+
+    Attributes
+    ----------
+    rates : array, shape (S, F, arms)
+        Counts/s of each input in each frame, at the lamp's full light, without background.
+    lamp : course
+        Factor of the light of the scenes.
+    stray : course
+        Background of all inputs, counts/s.
+    """
+
+    patterns: Patterns
+    flux: float
+    rates: np.ndarray
+    rng: np.random.Generator
+    lamp: Course = field(default_factory=lambda: steady(1.0))
+    stray: Course = field(default_factory=lambda: steady(200.0))
+    deaf: bool = False
+    """The inputs that are asked for have dark counts only, and the light is on another."""
+
+    @classmethod
+    def sound(cls, patterns: Patterns, rng: np.random.Generator) -> "Lit":
+        arms = 2 if patterns.manifest.two_arm else 1
+        scenes, flux = int(rng.integers(6, 20)), float(10 ** rng.uniform(5.7, 6.5))
+        x = rng.uniform(0.2, 1, (scenes, 6))
+        x *= rng.normal(1, WITHIN, scenes).clip(0.88, 1.12)[:, None] / x.sum(axis=1, keepdims=True)
+        lit = cls(patterns, flux, split(patterns, x * flux, arms), rng)
+        lit.stray = steady(float(10 ** rng.uniform(1, 4)))
+        return lit
+
+    @property
+    def scenes(self) -> int:
+        return len(self.rates)
+
+    @property
+    def pass_s(self) -> float:
+        return self.patterns.manifest.pass_s
+
+    def starts(self) -> np.ndarray:
+        """Starts of frames (S, F) after the first marker, seconds."""
+        begins = np.arange(self.scenes) * self.pass_s
+        return begins[:, None] + self.patterns.manifest.starts_s
+
+    def record(self, folder: Path, patterns_folder: Path) -> None:
+        """Write the folder of the acquisition."""
+        rates, rng, starts = self.rates, self.rng, self.starts()
+        arms = rates.shape[2]
+        inputs = ARM_INPUTS[:arms]
+        given = {"exposure_s": 0.9 * DWELL * len(self.patterns.manifest.shown), "settle_s": SETTLE}
+        prepare(
+            folder,
+            patterns_folder,
+            named(self.scenes, inputs=inputs, marker_bit=MARKER, **given),
+        )
+        grid = np.linspace(0, self.scenes * self.pass_s, 20_001)
+        most_lamp, most_stray = 1.05 * self.lamp(grid).max(), 1.05 * self.stray(grid).max()
+        times, codes = [starts.ravel()], [np.full(starts.size, -MARKER)]
+        for arm, each in enumerate(inputs):
+            for kind in range(2):
+                top = (
+                    rates[..., arm] * most_lamp if kind == 0 else np.full(starts.shape, most_stray)
+                )
+                number = rng.poisson(top * DWELL)
+                came = np.repeat(starts.ravel(), number.ravel())
+                came = came + rng.random(len(came)) * DWELL
+                course, most = ((self.lamp, most_lamp), (self.stray, most_stray))[kind]
+                came = came[rng.random(len(came)) * most < course(came)]
+                times.append(came)
+                heard = 7 if self.deaf and kind == 0 else each
+                codes.append(np.full(len(came), heard))
+        every, kinds = np.concatenate(times), np.concatenate(codes)
+        order = np.argsort(every, kind="stable")
+        with Writer(folder / "photons.ptu", TICK) as writer:
+            writer.write(np.rint((every[order] + 0.01) / TICK).astype(np.int64), kinds[order])
+
+    def errors(self, counts: Counts) -> np.ndarray:
+        """Relative error (S,) of each scene's features, apart from the photons' noise.
+
+        Of what the counts are in the mean, less the background and divided by the budget that were
+        found, from what a steady lamp gives.
+        """
+        manifest, wrong, size = self.patterns.manifest, 0.0, 0.0
+        gate = float(counts.gate_s[0])
+        inside = SETTLE + (np.arange(40) + 0.5) / 40 * gate
+        when = self.starts()[:, manifest.shown, None] + inside
+        lamp, stray = self.lamp(when).mean(axis=2), self.stray(when).mean(axis=2)
+        for arm in range(self.rates.shape[2]):
+            true = self.rates[:, manifest.shown, arm]
+            seen = true * lamp * (not self.deaf) + stray - counts.dark_rate[:, [arm]]
+            wrong = wrong + ((seen / counts.flux[:, None] - true / self.flux) ** 2).sum(axis=1)
+            size = size + ((true / self.flux) ** 2).sum(axis=1)
+        return np.sqrt(wrong / size)
+
+
+def _some_pass(lit: Lit) -> tuple[int, float]:
+    place = int(lit.rng.integers(lit.scenes))
+    return place, place * lit.pass_s
+
+
+def lamp_off(lit: Lit) -> None:
+    first = int(lit.rng.integers(lit.scenes))
+    last = int(lit.rng.integers(first, lit.scenes)) + 1 if first else 1
+    lit.lamp = lambda t: np.where((t >= first * lit.pass_s) & (t < last * lit.pass_s), 0.0, 1.0)
+
+
+def never_lit(lit: Lit) -> None:
+    lit.lamp = steady(0.0)
+
+
+def lamp_steps(lit: Lit) -> None:
+    """At a scene or within one, down or up."""
+    at = lit.pass_s * lit.rng.uniform(0.5, lit.scenes - 0.5)
+    at = at if lit.rng.random() < 0.3 else round(at / lit.pass_s) * lit.pass_s
+    factor = lit.rng.uniform(0.25, 0.6) ** lit.rng.choice([-1, 1])
+    lit.lamp = lambda t: np.where(t >= at, factor, 1.0)
+
+
+def lamp_decays(lit: Lit) -> None:
+    rate = np.log(lit.rng.uniform(1.5, 4)) / (lit.scenes * lit.pass_s)
+    lit.lamp = lambda t: np.exp(-rate * t)
+
+
+def lamp_flickers(lit: Lit) -> None:
+    depth, hertz = lit.rng.uniform(0.2, 0.9), 10 ** lit.rng.uniform(1.5, 2.6)
+    phase = lit.rng.uniform(0, 2 * np.pi)
+    lit.lamp = lambda t: 1 + depth * np.sin(2 * np.pi * hertz * t + phase)
+
+
+def lamp_sags(lit: Lit) -> None:
+    """Within one pass, and back."""
+    _, begin = _some_pass(lit)
+    depth = lit.rng.uniform(0.3, 0.8)
+    lit.lamp = lambda t: np.where(
+        (t >= begin) & (t < begin + lit.pass_s), 1 - depth * (t - begin) / lit.pass_s, 1.0
+    )
+
+
+def stray_burst(lit: Lit) -> None:
+    """In a part of one pass.
+
+    A weaker one that begins and ends with a frame looks like another scene: these counts alone
+    cannot tell, and what the design was trained for must.
+    """
+    _, begin = _some_pass(lit)
+    length = lit.pass_s * lit.rng.uniform(0.05, 0.6)
+    begin += lit.rng.uniform(0, lit.pass_s - length)
+    usual, size = lit.stray(np.zeros(1))[0], lit.flux * lit.rng.uniform(0.8, 3)
+    lit.stray = lambda t: usual + np.where((t >= begin) & (t < begin + length), size, 0.0)
+
+
+def stray_stays(lit: Lit) -> None:
+    """From some scene on."""
+    at = lit.pass_s * int(lit.rng.integers(1, lit.scenes))
+    usual, size = lit.stray(np.zeros(1))[0], lit.flux * lit.rng.uniform(0.1, 1)
+    lit.stray = lambda t: usual + np.where(t >= at, size, 0.0)
+
+
+def wrong_input(lit: Lit) -> None:
+    lit.deaf = True
+
+
+FAULTS = {
+    fault.__name__: fault
+    for fault in (
+        lamp_off,
+        never_lit,
+        lamp_steps,
+        lamp_decays,
+        lamp_flickers,
+        lamp_sags,
+        stray_burst,
+        stray_stays,
+        wrong_input,
+    )
+}

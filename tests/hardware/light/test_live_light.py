@@ -1,0 +1,45 @@
+"""Light of a live run: the stated chances of its tests are what they are tested at."""
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+from scipy.stats import poisson
+
+from deepfsi.hardware.light.monitor import LiveLight, ShownFrames
+from deepfsi.hardware.light.sentinels import HARMLESS, LAWS, PARTS
+from deepfsi.hardware.light.tails import EXCESS, FALSE_ALARMS
+from deepfsi.hardware.patterns.sequence import Brightness
+from hardware.counting.recording_samples import schedule
+
+SCENES, SECONDS = 20, 1e-3
+
+
+def all_on(photons: int) -> LiveLight:
+    """Light after the first all-ON frame of a run of scenes of one brightness; none is dark."""
+    same = Brightness(low=1, high=1, between=1, within=0)
+    manifest = schedule([1000] * 4).model_copy(update={"brightness": same})
+    light, parts = LiveLight(manifest, (0,), SCENES), np.full((2, PARTS), SECONDS / PARTS)
+    counts = np.zeros((2, PARTS, 1))
+    counts[0] = photons / PARTS
+    middles = (np.arange(2)[:, None] + (np.arange(PARTS) + 0.5) / PARTS) * SECONDS
+    lit, faults = light.begin(ShownFrames(manifest.frames[:2], counts, counts, parts, middles))
+    assert lit
+    assert not faults
+    return light
+
+
+@pytest.mark.parametrize("photons", [110, 11_000])
+def test_law_a_stated_flux_is_contradicted_at_the_stated_chance(photons):
+    """Half of it on each side, of counts with `EXCESS` times the variance of Poisson's."""
+    light, each = all_on(photons), photons / SECONDS
+
+    def edge(low: float, high: float) -> float:
+        return brentq(lambda s: light.contradicts(s * each) - 0.5, low, high, xtol=1e-9)
+
+    chance = FALSE_ALARMS / LAWS / SCENES / 2
+    far, near = edge(1.0, 5.0), edge(0.1, 1.0)
+    read = round(photons / EXCESS)
+    fewer = poisson.cdf(read, far / (1 + HARMLESS) * read)
+    more = poisson.sf(read - 1, near * (1 + HARMLESS) * read)
+    assert fewer == pytest.approx(chance, rel=1e-3)
+    assert more == pytest.approx(chance, rel=1e-3)

@@ -1,0 +1,231 @@
+"""Laws of a live run with adaptive masks: each is made, loaded, shown and counted in its turn."""
+
+import shutil
+from base64 import b64decode
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from deepfsi import learn
+from deepfsi.base.errors import InputError
+from deepfsi.camera.device import find_device
+from deepfsi.hardware.live.bench import most_events, virtual_bench
+from deepfsi.hardware.live.known import read_looks
+from deepfsi.hardware.live.replay import count_live, read_live_counts
+from deepfsi.hardware.live.run import plan_live, run_live
+from deepfsi.hardware.live.shown import read_shown
+from deepfsi.hardware.patterns.folder import check_patterns, export_patterns, read_patterns
+from deepfsi.hardware.patterns.sequence import FrameSettings
+from deepfsi.hardware.virtual.bench import Latencies
+from deepfsi.hardware.virtual.camera import CAMERAS, VirtualCamera
+from deepfsi.lab.rails import design_rails
+from shared.live_samples import replay, scenes_of
+
+LOOKS, FLUX, EXPOSURE_S, LOAD_S = 5, 1e7, 10e-3, 2e-3
+DEVICE = find_device("64x48").model_copy(update={"load_us": round(LOAD_S * 1e6)})
+OPTICS = {
+    "one detector": {"camera": "dmd"},
+    "two arms": {"camera": "two-arm"},
+    "detectors": {"camera": "dmd-2x2"},
+}
+
+
+def exported(folder, data, optics="one detector", **settings):
+    """Folder of patterns of a design of adaptive masks."""
+    words = {"design": "adaptive", "masks": LOOKS, "photons": FLUX * EXPOSURE_S, **settings}
+    design = learn(data, **{**OPTICS[optics], **words})
+    design.save(folder / "a.safetensors")
+    return shown_from(folder / "a.safetensors")
+
+
+def shown_from(file):
+    frames = FrameSettings(DEVICE, 1e-3)
+    export_patterns(design_rails(file), frames, file.parent / "patterns")
+    return file.parent / "patterns"
+
+
+@pytest.fixture(scope="module")
+def patterns(digits, tmp_path_factory):
+    return exported(tmp_path_factory.mktemp("adaptive"), digits)
+
+
+def run(folder, patterns, data, count=6, camera=CAMERAS["ideal"], x=None, flux=FLUX, **settings):
+    """Run scenes on the virtual bench; their decisions."""
+    own, scenes = scenes_of(data, count)
+    told = {"flux": flux, "camera": camera.model_dump(mode="json"), "seed": 0}
+    acquisition = plan_live(patterns, scenes, EXPOSURE_S, **settings, **told)
+    devices = virtual_bench(patterns, own if x is None else x, acquisition, Latencies())
+    return list(run_live(folder, patterns, acquisition, devices))
+
+
+def masks_of(shown) -> np.ndarray:
+    """Masks (looks, N) of a scene, from the record."""
+    bits = [np.frombuffer(b64decode(mask), np.uint8) for each in shown.lists for mask in each.masks]
+    return np.unpackbits(np.stack(bits), axis=1)[:, :64]
+
+
+@pytest.mark.parametrize("optics", OPTICS)
+@pytest.mark.parametrize("camera", ["ideal", "pmt"])
+def test_a_run_is_replayed_bit_for_bit(digits, tmp_path, optics, camera):
+    patterns, folder = exported(tmp_path, digits, optics), tmp_path / "run"
+    decided = run(folder, patterns, digits, camera=CAMERAS[camera])
+    count_live(folder)
+    replayed = replay(folder)
+    assert [each.answer.agrees for each in replayed] == [True] * 6
+    again = [one.chances for each in replayed for one in each.decisions]
+    assert len(decided) == 6 * LOOKS
+    assert np.array_equal([each.decision.chances for each in decided], again)
+
+
+@pytest.mark.parametrize("optics", OPTICS)
+def test_counts_are_those_of_the_masks_that_were_made(digits, tmp_path, optics):
+    """Poisson, with the mean that the light through each mask has in its gate."""
+    patterns, (x, _) = exported(tmp_path, digits, optics), scenes_of(digits, 12)
+    run(tmp_path / "run", patterns, digits, count=12)
+    count_live(tmp_path / "run")
+    manifest, z = read_patterns(patterns).manifest, []
+    cells = np.array(manifest.detectors.cells if manifest.detectors else [0] * 64)
+    for shown, lists in read_live_counts(tmp_path / "run").by_scene:
+        counted = np.array([found.counts[0] for found in lists[1:-1]])
+        gates_s = np.array([each.gate_ns[0] for each in shown.lists[1:-1]]) * 1e-9
+        light = masks_of(shown) * x[shown.scene].ravel()
+        arms = [light, x[shown.scene].ravel() - light][: 2 if manifest.two_arm else 1]
+        each = [arm[:, cells == d].sum(axis=1) for arm in arms for d in range(cells.max() + 1)]
+        rates = np.stack(each, axis=1) * FLUX / manifest.summed_reflectance
+        expected = rates * gates_s[:, None]
+        assert (counted[expected == 0] == 0).all()
+        lit = expected > 20
+        z.append(((counted - expected) / np.sqrt(expected.clip(min=1e-9)))[lit])
+    z = np.concatenate(z)
+    assert abs(z.mean()) < 5 / np.sqrt(len(z))
+    assert abs(np.mean(z**2) - 1) < 5 * np.sqrt(2.1 / len(z))
+
+
+def test_decisions_are_those_of_the_design(digits, patterns, tmp_path):
+    """Accuracy of the virtual camera, and of the design's own exposures of the same scenes."""
+    from deepfsi import evaluate, load_design
+
+    decided = run(tmp_path / "run", patterns, digits, count=200)
+    last = [each.answer for each in decided if each.answer]
+    right = np.mean([each.predicted == each.label for each in last if each.predicted])
+    few = replace(digits, x_test=digits.x_test[:200], y_test=digits.y_test[:200])
+    design = load_design(patterns.parent / "a.safetensors")
+    [wanted] = evaluate(design, few, FLUX * EXPOSURE_S, draws=2)
+    # of the same scenes, with counts of their own: at most each wrong answer is another one
+    spread = np.sqrt(2 * wanted.accuracy * (1 - wanted.accuracy) / 200)
+    assert abs(right - wanted.accuracy) < 5 * spread
+    faults = [fault.kind for each in last for fault in each.faults]
+    assert set(faults) <= {"unsure"}
+    assert len(faults) <= 18  # 0.04 of 200 at most, at a chance of 1 in 1000
+
+
+def test_a_look_takes_the_time_to_load_its_mask(digits, patterns, tmp_path):
+    run(tmp_path / "run", patterns, digits, count=2)
+    for shown in read_shown(tmp_path / "run"):
+        assert len(shown.lists) == LOOKS + 2
+        decision_s = read_looks(patterns, read_patterns(patterns).manifest).decision_s
+        assert shown.clock_s > EXPOSURE_S + LOOKS * (LOAD_S + decision_s)
+        assert shown.light_s == pytest.approx(EXPOSURE_S, rel=1e-6)
+
+
+def test_scenes_that_are_not_as_in_the_training_get_no_class(digits, patterns, tmp_path):
+    """Noise in place of digits at ten times the counts, and scenes of twice the stated light."""
+    strange = np.random.default_rng(0).random((40, 8, 8)) * 2 * digits.x_train.mean()
+    found = run(tmp_path / "strange", patterns, digits, 40, x=strange, flux=10 * FLUX)
+    last = [each.answer for each in found if each.answer]
+    print(sum(each.predicted is None for each in last))
+    assert sum(each.predicted is None for each in last) >= 8
+    budget = FLUX * EXPOSURE_S / 2
+    found = run(tmp_path / "bright", patterns, digits, 6, photons=budget)
+    last = [each.answer for each in found if each.answer]
+    assert all(each.predicted is None for each in last)
+
+
+def test_dark_counts_are_known_and_change_little(digits, patterns, tmp_path):
+    """As many of them as photons through half the mirrors: the masks are made with them."""
+    camera = VirtualCamera(dark=FLUX / 2)
+    noisy = run(tmp_path / "noisy", patterns, digits, 40, camera=camera)
+    right = [each.answer.predicted == each.answer.label for each in noisy if each.answer]
+    assert np.mean(right) > 0.75
+
+
+def test_an_exposure_stops_when_it_is_sure(digits, patterns, tmp_path):
+    sure = run(tmp_path / "run", patterns, digits, 8, until=0.9)
+    for each in sure:
+        last = each.decision.look == LOOKS - 1
+        assert each.decision.final == (last or each.decision.chances.max() > 0.9)
+    assert min(each.decision.look for each in sure if each.decision.final) < LOOKS - 1
+    count_live(tmp_path / "run")
+    assert all(each.answer.agrees for each in replay(tmp_path / "run"))
+
+
+def test_the_patterns_hold_the_design_and_the_first_mask(patterns):
+    manifest = check_patterns(patterns).manifest
+    assert manifest.looks.adaptive
+    assert [frame.role for frame in manifest.frames] == ["on", "off", "mask", "on", "off"]
+    looks = read_looks(patterns, manifest)
+    assert len(looks.shares) == LOOKS
+
+
+def test_a_device_that_loads_no_frame_while_it_runs_is_refused(patterns, tmp_path):
+    rails = design_rails(patterns.parent / "a.safetensors")
+    frames = FrameSettings(find_device("dlp6500"), 1e-3, format="planes")
+    with pytest.raises(InputError, match="dlp6500 takes no frame then: use dlp7000"):
+        export_patterns(rails, frames, tmp_path / "other")
+    assert not list(tmp_path.iterdir())
+
+
+def test_another_design_beside_the_first_mask_is_refused(patterns, tmp_path):
+    folder = shutil.copytree(patterns, tmp_path / "patterns")
+    with (folder / "design.safetensors").open("ab") as file:
+        file.write(b" ")
+    with pytest.raises(InputError, match="is not the design whose first mask"):
+        read_looks(folder, read_patterns(folder).manifest)
+
+
+@pytest.mark.parametrize("growth", [8.0, 1 / 8])
+def test_the_shortest_look_must_not_be_shorter_than_the_device_allows(digits, tmp_path, growth):
+    """Of looks of different lengths, wherever it comes."""
+    design = learn(digits.hold_out(1200), design="adaptive", masks=LOOKS, photons=1e4)
+    uneven = design.settings.model_copy(update={"growth": growth})
+    replace(design, settings=uneven).save(tmp_path / "a.safetensors")
+    patterns, scenes = shown_from(tmp_path / "a.safetensors"), scenes_of(digits, 1)[1]
+    shortest_s = EXPOSURE_S * min(uneven.shares)
+    plan_live(patterns, scenes, EXPOSURE_S, shortest_s * 0.99)
+    with pytest.raises(InputError, match="shorter than the shortest dwell"):
+        plan_live(patterns, scenes, EXPOSURE_S, shortest_s * 1.01)
+
+
+def test_a_background_is_refused(digits, patterns):
+    with pytest.raises(InputError, match="not known before"):
+        plan_live(patterns, scenes_of(digits, 1)[1], EXPOSURE_S, background=True)
+
+
+def test_a_changed_mask_is_found_in_the_replay(digits, patterns, tmp_path):
+    folder = tmp_path / "run"
+    run(folder, patterns, digits, count=1)
+    (line,) = (folder / "shown.jsonl").read_text().splitlines()
+    mask = read_shown(folder)[0].lists[2].masks[0]
+    other = "AAAAAAAAAAA=" if mask[0] != "A" else "/////////w8="
+    (folder / "shown.jsonl").write_text(line.replace(mask, other) + "\n")
+    count_live(folder)
+    with pytest.raises(InputError, match="not the one that follows from its counts"):
+        replay(folder)
+
+
+def test_the_expected_size_of_the_recording_counts_its_masks(digits, patterns):
+    x, scenes = scenes_of(digits, 3)
+    ideal = CAMERAS["ideal"].model_dump(mode="json")
+    acquisition = plan_live(patterns, scenes, EXPOSURE_S, flux=FLUX, camera=ideal)
+    assert most_events(patterns, x, acquisition) > 3 * FLUX * EXPOSURE_S * 0.2
+
+
+@pytest.fixture(autouse=True)
+def one_thread():
+    """Bits are those of one thread, whatever else is run."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)

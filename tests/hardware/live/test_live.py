@@ -1,0 +1,420 @@
+"""Laws of a live run on virtual devices, and of its replay."""
+
+import json
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from deepfsi.base.errors import InputError
+from deepfsi.camera.device import find_device
+from deepfsi.hardware.counting.acquisition import read_acquisition
+from deepfsi.hardware.live import run as runs
+from deepfsi.hardware.live.replay import count_live, read_live_counts
+from deepfsi.hardware.live.shown import DARK, NAME, read_shown
+from deepfsi.hardware.patterns.folder import read_patterns
+from deepfsi.hardware.virtual.bench import Latencies
+from deepfsi.hardware.virtual.camera import CAMERAS, VirtualCamera, arrival_rates
+from shared.live_samples import LOOKS, OPTICS, bench, live, make_patterns, replay, scenes_of
+
+EXPOSURE_S = 10e-3
+
+
+@pytest.fixture(scope="module")
+def patterns(digits, tmp_path_factory):
+    return make_patterns(tmp_path_factory.mktemp("live"), digits)
+
+
+@pytest.mark.parametrize("optics", OPTICS)
+@pytest.mark.parametrize("camera", ["ideal", "pmt"])
+def test_a_run_is_replayed_from_its_files_bit_for_bit(digits, tmp_path, optics, camera):
+    patterns = make_patterns(tmp_path, digits, optics, epochs=1)
+    folder = tmp_path / "run"
+    decided = live(folder, patterns, digits, camera=CAMERAS[camera], flux=1e7)
+    count_live(folder)
+    replayed = replay(folder)
+    assert [each.answer.agrees for each in replayed] == [True] * 5
+    again = [one for each in replayed for one in each.decisions]
+    assert len(decided) == len(again) == 5 * LOOKS
+    for one, other in zip(decided, again, strict=True):
+        assert np.array_equal(one.decision.chances, other.chances)
+        assert one.decision.photons == other.photons
+        assert one.decision.light_s == other.light_s
+
+
+@pytest.fixture(scope="module")
+def run(digits, patterns, tmp_path_factory):
+    """A run of twelve scenes, counted; do not change it."""
+    folder = tmp_path_factory.mktemp("run") / "run"
+    live(folder, patterns, digits, count=12)
+    count_live(folder)
+    return folder
+
+
+@pytest.fixture
+def copied(run, tmp_path):
+    return shutil.copytree(run, tmp_path / "run")
+
+
+def test_each_look_has_its_time_and_no_frame_is_too_short(run, patterns):
+    manifest = read_patterns(patterns).manifest
+    least = manifest.device.shortest_us - manifest.device.settle_us - 2
+    for scene in read_shown(run):
+        first, *looks, last = scene.lists
+        assert first.frames == last.frames == (0, 1)
+        assert len(looks) == LOOKS
+        for each in looks:
+            assert min(each.gate_ns) >= least * 1000
+            assert abs(sum(each.gate_ns) - EXPOSURE_S * 1e9 / LOOKS) <= len(each.gate_ns)
+        assert scene.light_s == pytest.approx(EXPOSURE_S, rel=1e-6)
+
+
+def test_frames_are_held_as_long_as_the_device_needs(run, patterns):
+    from deepfsi.hardware.photons.reader import read_markers
+
+    times = read_markers(run / "photons.ptu")[0] * 1e-12
+    device = read_patterns(patterns).manifest.device
+    for scene in read_shown(run):
+        for each, first in zip(scene.lists, scene.first_markers, strict=True):
+            held = np.diff(times[np.append(first, first[-1] + 1)])
+            assert (held >= device.shortest_us * 1e-6 - 1e-9).all()
+            gates = np.array(each.gate_ns) * 1e-9 + device.settle_us * 1e-6
+            assert (held >= gates).all()
+
+
+def counts_and_means(run, patterns, x):
+    """Counts of the gates of a run at 1e6 photons/s, and what is expected of them."""
+    rates = arrival_rates(patterns, x, CAMERAS["ideal"], 1e6)[:, :, 0]
+    counts, expected = [], []
+    for scene, lists in read_live_counts(run).by_scene:
+        for each, found in zip(scene.lists, lists, strict=True):
+            counts.append(found.counts[:, 0])
+            expected.append(rates[scene.scene, list(each.frames)] * np.array(each.gate_ns) * 1e-9)
+    return np.concatenate(counts), np.concatenate(expected)
+
+
+def test_counts_are_those_of_the_light(digits, patterns, run):
+    """Poisson, with the mean that the virtual camera's rates have in the gates."""
+    counts, expected = counts_and_means(run, patterns, scenes_of(digits, 12)[0])
+    assert abs(counts.sum() - expected.sum()) < 5 * np.sqrt(expected.sum())
+    lit = expected > 20
+    z = (counts[lit] - expected[lit]) / np.sqrt(expected[lit])
+    assert abs(np.mean(z**2) - 1) < 5 * np.sqrt(2.1 / lit.sum())
+    assert (counts[expected == 0] == 0).all()
+
+
+def test_decisions_are_those_of_the_design(digits, patterns, run):
+    """`Design.classify_live`, in torch, asks for the same dwells and says the same."""
+    from deepfsi.design.artifact import Design
+
+    design = Design.load(patterns.parent / "looks.safetensors")
+    manifest = read_patterns(patterns).manifest
+    masks = {int(at): manifest.frames[at].mask for at in manifest.shown}
+    for again, (scene, counts) in zip(replay(run), read_live_counts(run).by_scene, strict=True):
+        shown = iter(zip(scene.lists[1:-1], counts[1:-1], strict=True))
+
+        def read(dwell, shown=shown):
+            each, found = next(shown)
+            places = [masks[frame] for frame in each.frames]
+            gates, signal = np.zeros(design.masks), np.zeros(design.masks)
+            gates[places] = np.array(each.gate_ns) * 1e-9 / EXPOSURE_S
+            signal[places] = found.counts[:, 0]
+            assert dwell[gates > 0] == pytest.approx(gates[gates > 0], rel=0.02)
+            return signal, gates
+
+        chances = design.classify_live(read, again.decisions[-1].photons)
+        np.testing.assert_allclose(chances, again.decisions[-1].chances, atol=1e-4)
+
+
+def test_the_clock_adds_up(digits, patterns, tmp_path):
+    """A scene takes its pictures and, for each list, command, block, transfer and decision."""
+    slow = Latencies(display=0.5, command=0.01, block=0.1, transfer=0.003, decision=0.002)
+    decided = live(tmp_path / "run", patterns, digits, count=3, latencies=slow)
+    times = {}
+    for each in decided:
+        times.setdefault(each.scene, []).append(each.clock_s)
+    for scene in read_shown(tmp_path / "run"):
+        assert scene.clock_s == times[scene.scene][-1]
+        assert np.diff(times[scene.scene]).min() >= slow.command
+        lists = 2 + LOOKS
+        # Each list ends with a block of the counter: 0.1 s, as lists take less.
+        assert 0.1 * (lists - 1) < scene.clock_s <= 0.1 * lists + 0.0051
+    quick = Latencies(display=1e-3, command=0, block=1e-6, transfer=0, decision=0)
+    decided = live(tmp_path / "quick", patterns, digits, count=3, latencies=quick)
+    manifest = read_patterns(patterns).manifest
+    for scene in read_shown(tmp_path / "quick"):
+        gates = np.concatenate([each.gate_ns for each in scene.lists[1:-1]]) * 1e-9
+        masks = np.ceil((gates * 1e6 + 12).round(6)) * 1e-6
+        ends = 4 * manifest.frames[0].picture_us * 1e-6
+        rests = (LOOKS + 1) * 44e-6
+        assert scene.clock_s == pytest.approx(masks.sum() + ends + rests, abs=5e-6)
+        assert scene.clock_s > EXPOSURE_S
+
+
+def test_an_exposure_stops_when_it_is_sure(digits, patterns, tmp_path):
+    sure = live(tmp_path / "run", patterns, digits, count=12, until=0.13)
+    ends = [each for each in sure if each.decision.final]
+    assert len(ends) == 12
+    for each in sure:
+        last = each.decision.look == LOOKS - 1
+        assert each.decision.final == (last or each.decision.chances.max() > 0.13)
+    assert {each.decision.look for each in ends} != {LOOKS - 1}
+    count_live(tmp_path / "run")
+    assert all(each.answer.agrees for each in replay(tmp_path / "run"))
+
+
+def test_a_longer_shortest_dwell_shows_fewer_frames(digits, patterns, tmp_path):
+    live(tmp_path / "run", patterns, digits, shortest_s=0.5e-3)
+    shown = read_shown(tmp_path / "run")
+    gates = [each.gate_ns for scene in shown for each in scene.lists[1:-1]]
+    assert min(map(min, gates)) >= 500_000
+    assert max(map(len, gates)) < 6
+    count_live(tmp_path / "run")
+    assert all(each.answer.agrees for each in replay(tmp_path / "run"))
+
+
+def test_a_background_is_measured_first_and_the_run_is_replayed_with_it(digits, patterns, tmp_path):
+    """Ambient light as strong as the scenes': the counts of the last look have no more of it."""
+    stray = 1e7 / read_patterns(patterns).manifest.used
+    camera = VirtualCamera(ambient=stray, dark=300.0)
+    folder, words = tmp_path / "run", {"flux": 1e7, "camera": camera, "count": 8}
+    decided = live(folder, patterns, digits, background=True, **words)
+    sound = live(tmp_path / "sound", patterns, digits, flux=1e7, count=8)
+    (dark, *_) = read_shown(folder)
+    assert (dark.scene, len(dark.lists), dark.chances) == (DARK, 1, ())
+    budgets = [[one.decision.photons for one in each if one.answer] for each in (decided, sound)]
+    on, measured = 1e7 * 1e-3, 1e7 * 10e-3 / LOOKS  # counts of an all-ON frame of either pass
+    np.testing.assert_allclose(*budgets, rtol=5 * np.sqrt(3 / on + 2 / measured))
+    count_live(folder)
+    replayed = replay(folder)
+    assert len(replayed) == 8
+    assert all(each.answer.agrees for each in replayed)
+    again = [one.chances for each in replayed for one in each.decisions]
+    assert np.array_equal([each.decision.chances for each in decided], again)
+
+
+def test_without_light_nothing_is_decided(digits, patterns, tmp_path):
+    decided = live(tmp_path / "run", patterns, digits, count=2, flux=0.0)
+    assert [each.decision for each in decided] == [None, None]
+    count_live(tmp_path / "run")
+    assert [each.decisions for each in replay(tmp_path / "run")] == [(), ()]
+    known = live(tmp_path / "known", patterns, digits, count=2, flux=0.0, photons=1e4)
+    assert [each.decision for each in known] == [None, None]
+
+
+def test_the_budget_is_that_of_the_light_so_far(digits, patterns, run):
+    x, _ = scenes_of(digits, 12)
+    rates = arrival_rates(patterns, x, CAMERAS["ideal"], 1e6)[:, :2, 0]
+    for k, each in enumerate(replay(run), start=1):
+        frames = np.full(k, 2.0)
+        frames[-1] = 1  # the second all-ON frame of this scene follows its looks
+        wanted = (rates[:k, 0] - rates[:k, 1]) @ frames / frames.sum() * EXPOSURE_S
+        noise = 5 * np.sqrt(wanted / EXPOSURE_S / (k * 0.9e-3)) * EXPOSURE_S
+        assert abs(each.decisions[-1].photons - wanted) < noise
+
+
+def test_a_device_that_repeats_frames_is_followed(digits, patterns, tmp_path):
+    """As a frame list of Vialux does: a dwell is a number of shortest pictures, each a marker."""
+    x, scenes = scenes_of(digits, 3)
+    devices = bench(patterns, x, 1e6)
+    whole = devices.projector.show
+
+    def repeats(dwells_s):
+        return np.ceil((dwells_s / 44e-6).round(6)).astype(int)
+
+    def show(frames, dwells_s):
+        places = np.repeat(frames, repeats(dwells_s))
+        whole(places, np.full(len(places), 44e-6))
+
+    def pictures(dwells_s):
+        return repeats(dwells_s), np.full(len(dwells_s), 44e-6)
+
+    devices.projector.show, devices.projector.pictures = show, pictures
+    acquisition = runs.plan_live(patterns, scenes, EXPOSURE_S)
+    decided = list(runs.run_live(tmp_path / "run", patterns, acquisition, devices))
+    assert len(decided) == 3 * LOOKS
+    count_live(tmp_path / "run")
+    assert all(each.answer.agrees for each in replay(tmp_path / "run"))
+    counts, expected = counts_and_means(tmp_path / "run", patterns, x)
+    assert abs(counts.sum() - expected.sum()) < 5 * np.sqrt(expected.sum())
+
+
+def test_long_gates_end_within_their_pictures_where_clocks_differ(digits, patterns, tmp_path):
+    """A device whose clock is fast by 10⁻⁴ shortens a picture of 1 s by more than it settles."""
+    x, scenes = scenes_of(digits, 2)
+    devices = bench(patterns, x, 1e4)
+    whole = devices.projector.show
+    devices.projector.show = lambda frames, dwells_s: whole(frames, dwells_s * (1 - 1e-4))
+    acquisition = runs.plan_live(patterns, scenes, 3.0 * LOOKS)
+    decided = list(runs.run_live(tmp_path / "run", patterns, acquisition, devices))
+    assert len(decided) == 2 * LOOKS
+    gates = [max(one.gate_ns) for each in read_shown(tmp_path / "run") for one in each.lists[1:-1]]
+    assert max(gates) > 0.2e9
+
+
+@pytest.mark.parametrize("stop", [KeyboardInterrupt, InputError("the device refuses")])
+def test_finished_scenes_are_kept_when_a_run_is_stopped(digits, patterns, tmp_path, stop):
+    x, scenes = scenes_of(digits, 6)
+    devices, folder, done = bench(patterns, x, 1e6), tmp_path / "run", []
+    whole = devices.projector.show
+
+    def show(frames, dwells_s):
+        if len(done) == 2 * LOOKS + 1:  # within the third scene
+            raise stop
+        whole(frames, dwells_s)
+
+    devices.projector.show = show
+    acquisition = runs.plan_live(patterns, scenes, EXPOSURE_S)
+    with pytest.raises(type(stop) if isinstance(stop, Exception) else stop):  # noqa: PT012
+        for each in runs.run_live(folder, patterns, acquisition, devices):
+            done.append(each)
+    assert len(read_shown(folder)) == 2
+    count_live(folder)
+    replayed = replay(folder)
+    assert [each.answer.agrees for each in replayed] == [True, True]
+    assert np.array_equal(replayed[1].decisions[-1].chances, done[2 * LOOKS - 1].decision.chances)
+
+
+def test_a_line_that_a_killed_run_left_is_no_scene(copied):
+    path = copied / NAME
+    path.write_bytes(path.read_bytes()[:-20])
+    assert len(read_shown(copied)) == 11
+    count_live(copied)
+    assert all(each.answer.agrees for each in replay(copied))
+
+
+@pytest.mark.parametrize(
+    ("file", "change", "words"),
+    [
+        (NAME, lambda old: old.replace(b'"look":0', b'"look":1'), "not the one that follows"),
+        (NAME, lambda old: old.replace(b'"markers":[1,', b'"markers":[0,'), "is damaged"),
+        (NAME, lambda old: old[old.index(b"\n") + 1 :], "do not follow each other"),
+        (NAME, lambda old: b"", "no finished scene"),
+        ("photons.ptu", lambda old: old[: len(old) // 2], "markers|lack records"),
+        ("acquisition.json", lambda old: old.replace(b'"live"', b'"dead"'), "cannot be used"),
+    ],
+)
+def test_files_that_were_changed_are_refused(copied, file, change, words):
+    path = copied / file
+    path.write_bytes(change(path.read_bytes()))
+    with pytest.raises(InputError, match=words):  # noqa: PT012
+        count_live(copied)
+        replay(copied)
+
+
+def test_counts_of_other_files_are_refused(copied):
+    told = json.loads((copied / "acquisition.json").read_text())
+    told["live"]["photons"] = 12345.0
+    (copied / "acquisition.json").write_text(json.dumps(told))
+    with pytest.raises(InputError, match="other files"):
+        read_live_counts(copied)
+    (copied / "counts.npz").write_bytes(b"x")
+    with pytest.raises(InputError, match="File is not a zip file"):
+        read_live_counts(copied)
+    (copied / "counts.npz").unlink()
+    with pytest.raises(InputError, match="is missing"):
+        read_live_counts(copied)
+
+
+def test_other_counts_are_found_to_disagree(copied):
+    """Photons more in one gate of the first look give another second look."""
+    import io
+
+    path = copied / "counts.npz"
+    with np.load(path) as held:
+        arrays = dict(held)
+    arrays["counts"][3] += 10
+    file = io.BytesIO()
+    np.savez(file, **arrays)
+    path.write_bytes(file.getvalue())
+    with pytest.raises(InputError, match="not the one that follows"):
+        replay(copied)
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"exposure_s": 0.0}, "give seconds above 0"),
+        ({"exposure_s": 50e-6}, "shorter than the shortest dwell"),
+        ({"shortest_s": 5e-3}, "shorter than the shortest dwell"),
+        ({"shortest_s": -1.0}, "give 0 or more"),
+        ({"until": 1.0}, "between 0 and 1"),
+        ({"photons": 0.0}, "above 0"),
+    ],
+)
+def test_settings_that_cannot_be_are_refused(digits, patterns, tmp_path, settings, words):
+    with pytest.raises(InputError, match=words):
+        live(tmp_path / "run", patterns, digits, **settings)
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("limits", "words"),
+    [({"video_us": 8333}, "for one time"), ({"longest_us": 3000}, "for 3000 at most")],
+)
+def test_devices_that_cannot_show_a_look_are_refused(digits, tmp_path, limits, words):
+    device = find_device("64x48").model_copy(update=limits)
+    patterns = make_patterns(tmp_path, digits, epochs=1, device=device)
+    with pytest.raises(InputError, match=words):
+        live(tmp_path / "run", patterns, digits)
+
+
+def test_a_live_run_is_none_of_fixed_frames(run):
+    from deepfsi.hardware.counting.counting import count
+    from deepfsi.hardware.counting.counts import read_counts
+
+    for read in (count, read_counts):
+        with pytest.raises(InputError, match="a live run"):
+            read(run)
+    assert read_acquisition(run)[0].live is not None
+
+
+def test_counts_that_do_not_come_are_missed(digits, patterns, tmp_path, monkeypatch):
+    monkeypatch.setattr(runs, "PATIENCE_S", 0.0)
+    x, scenes = scenes_of(digits, 1)
+    devices = bench(patterns, x, 1e6)
+    devices.projector.show = lambda frames, dwells_s: None
+    acquisition = runs.plan_live(patterns, scenes, EXPOSURE_S)
+    with pytest.raises(InputError, match="did not come within"):
+        list(runs.run_live(tmp_path / "run", patterns, acquisition, devices))
+
+
+def test_the_lines_of_the_page_run(digits, patterns, tmp_path, monkeypatch, capsys):
+    """Both programs of docs/do/live.md, word for word, on a laboratory of two scenes."""
+    page = (Path(__file__).parents[3] / "docs/do/live.md").read_text()
+    loop, groups = re.findall(r"^```python\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
+    monkeypatch.chdir(tmp_path)
+    Path("looks").symlink_to(patterns)
+    x, _ = scenes_of(digits, 2)
+    devices = bench(patterns, x, 1e6)
+    names = {
+        "my_projector": devices.projector,
+        "my_counter": devices.counter,
+        "my_display": devices.display,
+    }
+    exec(loop, names)
+    decided = capsys.readouterr().out.splitlines()
+    assert len(decided) == 2
+
+    devices = bench(patterns, x, 1e6)
+    devices.projector.load(patterns)
+    shown = []
+
+    def my_recording(frames, gate_ns):
+        path = Path(f"{len(shown)}.ptu")
+        shown.append(path)
+        with devices.counter as counter:
+            counter.start(path)
+            settle = names["acquisition"].settle_s
+            pictures = np.maximum(np.ceil(gate_ns * 1e-3 + settle * 1e6 + 2), 44) * 1e-6
+            devices.projector.show(np.append(frames, 1), np.append(pictures, 44e-6))
+        return path
+
+    exec(groups, names | {"my_recording": my_recording, "my_display": devices.display, "np": np})
+    said = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert [(int(line[0]), int(line[1])) for line in said] == [
+        (scene, look) for scene in range(2) for look in range(LOOKS)
+    ]
+    assert len(shown) == 2 * (2 + LOOKS)

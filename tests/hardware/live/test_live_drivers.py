@@ -1,0 +1,105 @@
+"""The loop on the drivers of real devices: fakes of two devices, and a file that grows."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from deepfsi.hardware.drivers.followed import FollowedCounter
+from deepfsi.hardware.drivers.swabian import TaggerCounter
+from deepfsi.hardware.drivers.vialux import VialuxLooks
+from deepfsi.hardware.live.replay import count_live
+from deepfsi.hardware.live.run import Bench, plan_live, run_live
+from deepfsi.hardware.live.shown import read_shown
+from deepfsi.hardware.photons.writer import Writer
+from deepfsi.hardware.virtual.camera import CAMERAS, arrival_rates
+from hardware.drivers import swabian_fake
+from hardware.drivers.vialux_fake import install
+from shared.live_samples import LOOKS, bench, live, make_patterns, replay, scenes_of
+
+SCENES, FLUX = 3, 1e7
+
+
+class Laboratory:
+    """What is recorded while a device shows lists of pictures: a marker and photons for each."""
+
+    def __init__(self, rates):
+        self.rates, self.scene, self.now = rates, 0, 10**9
+        self.rng = np.random.default_rng(0)
+        self.written = None
+
+    def show(self, frames, us):
+        for frame in frames:
+            length = us * 10**6
+            photons = self.rng.poisson(self.rates[self.scene, frame, 0] * us * 1e-6)
+            times = self.now + np.sort(self.rng.integers(0, length, photons))
+            self.written.write(np.append(self.now, times), np.append(-1, np.zeros(photons, int)))
+            self.now += length
+        self.now += 10**9
+
+    def display(self, scene):
+        self.scene = scene
+
+
+@pytest.mark.parametrize("entries", [4096, 100])
+def test_the_loop_runs_on_a_vialux_device_and_a_file_that_grows(
+    digits, tmp_path, monkeypatch, entries
+):
+    """Also where lists are so long that pictures must last longer than the shortest."""
+    patterns = make_patterns(tmp_path, digits, epochs=1)
+    x, scenes = scenes_of(digits, SCENES)
+    laboratory = Laboratory(arrival_rates(patterns, x, CAMERAS["ideal"], FLUX))
+    library = install(monkeypatch)
+    library.size, library.on_list, library.entries = (64, 48), laboratory.show, entries
+
+    class Counter(FollowedCounter):
+        def start(self, path):
+            laboratory.written = Writer(path, growing=True).__enter__()
+            super().start(path)
+
+    bench = Bench(VialuxLooks(), Counter(), laboratory.display)
+    folder = tmp_path / "run"
+    acquisition = plan_live(patterns, scenes, 20e-3)
+    decided = list(run_live(folder, patterns, acquisition, bench))
+    laboratory.written.__exit__(None, None, None)
+    assert len(decided) == SCENES * LOOKS
+    assert library.calls.count("SeqAlloc") == 1
+    assert not library.allocated
+
+    lists = [each for scene in read_shown(folder) for each in scene.lists]
+    assert len(library.lists) == len(lists) == SCENES * (LOOKS + 2)
+    for (pictures, us), each in zip(library.lists, lists, strict=True):
+        assert len(pictures) <= entries
+        assert pictures == np.repeat([*each.frames, 1], each.markers).tolist()
+        held = np.array(each.markers[:-1]) * us
+        assert (held * 1000 >= np.array(each.gate_ns) + acquisition.settle_s * 1e9).all()
+    assert (max(us for _, us in library.lists) > 44) == (entries == 100)
+    assert max(max(each.markers) for each in lists) > 3
+
+    count_live(folder)
+    replayed = replay(folder)
+    assert [each.answer.agrees for each in replayed] == [True] * SCENES
+    again = [one.chances for each in replayed for one in each.decisions]
+    assert np.array_equal([each.decision.chances for each in decided], again)
+
+
+def test_the_loop_runs_on_a_time_tagger_as_on_the_virtual_counter(digits, tmp_path, monkeypatch):
+    """The same light, through tags of channels in blocks that end anywhere: the same decisions."""
+    patterns = make_patterns(tmp_path, digits, epochs=1)
+    x, scenes = scenes_of(digits, SCENES)
+    device = swabian_fake.install(monkeypatch, trigger=-4)
+    devices = bench(patterns, x, FLUX)
+    devices.projector._setup.written = device
+    folder, acquisition = tmp_path / "run", plan_live(patterns, scenes, 20e-3)
+    counter = TaggerCounter(acquisition.inputs, acquisition.marker_bit, trigger=-4)
+    decided = list(run_live(folder, patterns, acquisition, replace(devices, counter=counter)))
+    assert len(decided) == SCENES * LOOKS
+    assert device.steps[-2:] == ["stop", "freeTimeTagger"]
+
+    count_live(folder)
+    replayed = replay(folder)
+    assert [each.answer.agrees for each in replayed] == [True] * SCENES
+    chances = [each.decision.chances for each in decided]
+    assert np.array_equal(chances, [one.chances for each in replayed for one in each.decisions])
+    usual = live(tmp_path / "usual", patterns, digits, SCENES, FLUX, 20e-3)
+    assert np.array_equal(chances, [each.decision.chances for each in usual])

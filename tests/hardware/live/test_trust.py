@@ -1,0 +1,209 @@
+"""Live runs in which something is wrong: what is noticed, and that such scenes get no class."""
+
+import json
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from conftest import quick
+from deepfsi.base.errors import InputError
+from deepfsi.camera.dead_time import DeadTime
+from deepfsi.camera.device import find_device
+from deepfsi.hardware.live.replay import count_live
+from deepfsi.hardware.live.run import Bench, plan_live, run_live
+from deepfsi.hardware.patterns.folder import export_patterns
+from deepfsi.hardware.patterns.sequence import FrameSettings
+from deepfsi.hardware.virtual.bench import BenchCounter, BenchProjector, Latencies, VirtualSetup
+from deepfsi.hardware.virtual.camera import CAMERAS, VirtualCamera, arrival_rates
+from deepfsi.hardware.virtual.detector import TICK_S
+from deepfsi.lab.rails import design_rails
+from shared.live_samples import replay, scenes_of
+
+FLUX, EXPOSURE_S, SCENES = 1e7, 10e-3, 16
+PHOTONS = FLUX * EXPOSURE_S
+
+
+@pytest.fixture(scope="module")
+def patterns(digits, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("trust")
+    words = {"masks": 8, "looks": 3, "photons": PHOTONS, "epochs": 3, "levels": 2}
+    quick(digits, light="free-dwell", rails="single", **words).save(folder / "looks.safetensors")
+    frames = FrameSettings(find_device("64x48"), 1e-3)
+    export_patterns(design_rails(folder / "looks.safetensors"), frames, folder / "patterns")
+    return folder / "patterns"
+
+
+@dataclass(frozen=True)
+class Lab:
+    """A virtual laboratory in which something may be wrong."""
+
+    camera: VirtualCamera = CAMERAS["ideal"]
+    lamp: tuple[float, ...] = (1.0,) * SCENES  # light in each scene over the usual one
+    outs_s: tuple[tuple[float, float], ...] = ()  # times without light
+    flicker: tuple[float, float] = (0.0, 0.0)  # amplitude, and Hz
+
+
+class Wavering(VirtualSetup):
+    """Setup whose light goes out at times, or rises and falls."""
+
+    lab = Lab()
+
+    def _see(self, frames, ends):
+        outs = np.rint(np.array(self.lab.outs_s).ravel() / TICK_S).astype(np.int64)
+        size, hertz = self.lab.flicker
+        every = outs
+        if size:
+            each = round(0.1 / hertz / TICK_S)
+            every = np.arange(self._end // each + 1, ends[-1] // each + 1) * each
+        here = every[(every > self._end) & (every < ends[-1])]
+        lit = self._rates
+        for end in np.unique(np.concatenate([ends, here])).tolist():
+            wave = 1 + size * np.sin(2 * np.pi * hertz * (self._end + end) / 2 * TICK_S)
+            out = np.searchsorted(outs, end - 1, side="right") % 2
+            self._rates = lit * wave * (1 - out)
+            super()._see(frames[[int(np.searchsorted(ends, end))]], np.array([end]))
+        self._rates = lit
+
+
+def answers(folder, patterns, digits, lab=Lab(), scenes=SCENES, change=None, **settings):
+    """Answers of a run; its replay must come to the same."""
+    x, named = scenes_of(digits, scenes)
+    rates = arrival_rates(patterns, x, lab.camera, FLUX)
+    rates *= np.array(lab.lamp)[:scenes, None, None]
+    setup = Wavering(rates, lab.camera, Latencies(), 3)
+    setup.lab = lab
+    if change:
+        change(setup)
+    counter = BenchCounter(setup, (0,))
+    devices = Bench(BenchProjector(setup), counter, setup.display, lambda: setup.now_s)
+    acquisition = plan_live(patterns, named, EXPOSURE_S, **settings)
+    found = [
+        each.answer for each in run_live(folder, patterns, acquisition, devices) if each.answer
+    ]
+    count_live(folder)
+    for one, again in zip(found, replay(folder), strict=True):
+        assert again.answer.agrees
+        assert replace(again.answer, agrees=None) == one
+    return found
+
+
+def kinds(answer):
+    return {fault.kind for fault in answer.faults}
+
+
+def test_a_sound_run_has_no_fault_but_the_stated_rate_of_unsure_scenes(digits, patterns, tmp_path):
+    found = answers(tmp_path / "run", patterns, digits, scenes=40, lab=Lab(lamp=(1.0,) * 40))
+    unsure = [each for each in found if each.faults]
+    assert all(kinds(each) == {"unsure"} for each in unsure)
+    assert len(unsure) <= 5  # at 1 in 50, a chance of 1 in 1000
+    for each in found:
+        assert (each.predicted is None) == (each in unsure) == (each.probability is None)
+
+
+@pytest.mark.parametrize("share", [0.1, 0.5, 2.0, 10.0])
+def test_a_stated_budget_that_the_all_on_frames_contradict_gives_no_class(
+    digits, patterns, tmp_path, share
+):
+    found = answers(tmp_path / "run", patterns, digits, photons=share * PHOTONS)
+    wrong = [each for each in found if "budget" in kinds(each)]
+    assert len(wrong) >= SCENES - 4
+    assert all(each.predicted is None for each in wrong)
+    assert "`photons` says" in str(wrong[0].faults[0])
+
+
+def test_a_stated_budget_that_is_right_is_taken(digits, patterns, tmp_path):
+    found = answers(tmp_path / "run", patterns, digits, photons=PHOTONS)
+    assert not any("budget" in kinds(each) for each in found)
+    assert {each.photons for each in found} == {PHOTONS}
+
+
+@pytest.mark.parametrize("seconds", [50e-9, 100e-9])
+def test_a_dead_time_that_is_not_told_is_named(digits, patterns, tmp_path, seconds):
+    lab = Lab(VirtualCamera(dead_time_s=seconds))
+    found = answers(tmp_path / "run", patterns, digits, lab)
+    assert sum(each.predicted is not None for each in found) <= 2
+    assert "dead time of 30 ns" in str(found[-1].faults[-1])
+
+
+def test_a_dead_time_that_is_told_is_corrected(digits, patterns, tmp_path):
+    lab, dead = Lab(VirtualCamera(dead_time_s=50e-9)), DeadTime(seconds=50e-9)
+    found = answers(tmp_path / "run", patterns, digits, lab, scenes=8, dead_time=dead)
+    assert sum(each.predicted is not None for each in found) >= 7
+
+
+@pytest.mark.parametrize("light", [0.2, 0.5, 2.0, 5.0])
+def test_a_lamp_that_steps_starts_a_new_budget_and_is_said(digits, patterns, tmp_path, light):
+    half = SCENES // 2
+    lab = Lab(lamp=(1.0,) * half + (light,) * half)
+    found = answers(tmp_path / "run", patterns, digits, lab)
+    levels = [(k, fault) for k, each in enumerate(found) for fault in each.faults
+              if fault.kind == "level"]  # fmt: skip
+    assert levels
+    assert half <= levels[0][1].scene <= levels[0][0] < half + 4
+    assert found[-1].photons == pytest.approx(light * found[half - 1].photons, rel=0.3)
+    assert found[-1].predicted is not None
+
+
+def test_a_scene_whose_light_is_too_weak_for_the_design_gets_no_class(digits, patterns, tmp_path):
+    half = SCENES // 2
+    lab = Lab(lamp=(1.0,) * half + (0.02,) * half)
+    found = answers(tmp_path / "run", patterns, digits, lab)
+    assert all(each.predicted is None for each in found[half:])
+    assert "too little light" in str(found[-1].faults[-1])
+
+
+@pytest.mark.parametrize("length", [4e-3, 8e-3])
+def test_a_scene_in_which_the_light_goes_out_gets_no_class(digits, patterns, tmp_path, length):
+    """At five moments of the run, each within the looks of a scene."""
+    starts = []
+    whole = VirtualSetup.display
+
+    def watch(setup):
+        setup.display = lambda scene: (whole(setup, scene), starts.append(setup.now_s))
+
+    answers(tmp_path / "sound", patterns, digits, change=watch)
+    struck = range(2, 12, 2)
+    outs = tuple((starts[k] + 4e-3, starts[k] + 4e-3 + length) for k in struck)
+    found = answers(tmp_path / "run", patterns, digits, Lab(outs_s=outs))
+    for place in struck:
+        assert found[place].predicted is None, found[place]
+        assert kinds(found[place]) & {"unsteady", "brighter", "flicker", "unsure"}
+
+
+def test_a_lamp_that_flickers_is_named(digits, patterns, tmp_path):
+    found = answers(tmp_path / "run", patterns, digits, Lab(flicker=(0.4, 100.0)))
+    assert "flicker" in kinds(found[-1])
+    assert all(each.predicted is None for each in found[8:])
+
+
+def test_a_trigger_that_jitters_is_named(digits, patterns, tmp_path):
+    rng = np.random.default_rng(0)
+
+    def jitter(setup):
+        add = setup._add
+
+        def late(times, code):
+            off = rng.normal(0, 4e-6 / TICK_S, len(times)).astype(np.int64) if code < 0 else 0
+            add(np.sort(times + off), code)
+
+        setup._add = late
+
+    with pytest.raises(InputError, match="the trigger jitters"):
+        answers(tmp_path / "run", patterns, digits, change=jitter)
+
+
+def test_faults_are_kept_with_the_run_and_printed_by_its_replay(digits, patterns, tmp_path, done):
+    answers(tmp_path / "run", patterns, digits, scenes=6, photons=2 * PHOTONS)
+    design = patterns.parent / "looks.safetensors"
+    words = ["camera", "classify", design, tmp_path / "run"]
+    out = done(*words)
+    assert "--photons says" in out
+    assert "no class: 6 of 6 scenes" in out
+    told = json.loads(done(*words, "--json"))["scenes"]
+    lines = (tmp_path / "run" / "shown.jsonl").read_text().splitlines()
+    for each, line in zip(told, map(json.loads, lines), strict=True):
+        assert each["class"] is None
+        assert [fault.split()[0] for fault in each["faults"]] == [
+            fault["kind"] for fault in line["faults"]
+        ]

@@ -1,0 +1,207 @@
+"""PTU files to test with, written and decoded record by record as the format's words say."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ptufile.ptufile import encode_tag
+
+from deepfsi.hardware.photons import reader
+from deepfsi.hardware.photons.contents import Contents, Tally
+from deepfsi.hardware.photons.gate_counter import GateCounter
+from deepfsi.hardware.photons.header import GENERIC_T2, KINDS, Header, Kind
+from deepfsi.hardware.photons.records import Part
+from deepfsi.hardware.photons.stream import StreamReader
+
+T2 = GENERIC_T2
+
+
+def decode(code: int, words: list[int]) -> list[tuple[str, int, int]]:
+    """Records by name, each with its time and its input or marker bits."""
+    wraps, out = 0, []
+    for word in words:
+        top = word >> 28
+        if code == 0x00010203:
+            time, marker = word & 0xFFFFFFF, word & 15
+            if top == 15 and marker == 0:
+                wraps += 210698240
+                out.append(("overflow", wraps, 1))
+            elif top == 15:
+                out.append(("marker", wraps + time, marker))
+            else:
+                out.append(("photon" if top <= 4 else "unknown", wraps + time, top))
+        elif code == 0x00010303:
+            time, marker = word & 0xFFFF, word >> 16 & 0xFFF
+            if top == 15 and marker == 0:
+                wraps += 65536
+                out.append(("overflow", wraps, 1))
+            elif top == 15:
+                out.append(("marker" if marker <= 15 else "unknown", wraps + time, marker))
+            else:
+                out.append(("photon" if 1 <= top <= 4 else "unknown", wraps + time, top - 1))
+        else:
+            t3, old = code >> 8 & 3 == 3, code >> 24 == 0 and code & 0xFF == 4
+            time = word & (0x3FF if t3 else 0x1FFFFFF)
+            channel = word >> 25 & 63
+            if not word >> 31:
+                out.append(("photon", wraps + time, channel))
+            elif channel == 63:
+                wrap = 1024 if t3 else 33552000 if old else 33554432
+                wraps += wrap * (1 if old else max(time, 1))
+                out.append(("overflow", wraps, 1))
+            elif channel == 0 and not t3:
+                out.append(("sync", wraps + time, 0))
+            else:
+                out.append(("marker" if 1 <= channel <= 15 else "unknown", wraps + time, channel))
+    return out
+
+
+def encode(kind: Kind, events: list[tuple[str, int, int]], rng: np.random.Generator) -> list:
+    """Records of events; a long pause is one overflow record or many."""
+    words, wraps = [], 0
+    hydra = kind.inputs == 64
+    for what, time, value in events:
+        while time // kind.wrap > wraps:
+            steps = 1
+            if kind.counted and rng.random() < 0.5:
+                steps = int(min(time // kind.wrap - wraps, kind.time_mask))
+            one = 0 if steps == 1 and rng.random() < 0.5 else steps
+            words.append(1 << 31 | 63 << 25 | (one if kind.counted else 7) if hydra else 15 << 28)
+            wraps += steps
+        field = time - wraps * kind.wrap
+        delay = int(rng.integers(0, 4096)) if kind.mode == "T3" else 0
+        if what == "photon":
+            word = (value + kind.first) << kind.shift
+            word |= delay << (10 if hydra else 16) | field
+        elif what == "sync":
+            word = 1 << 31 | field
+        elif hydra:
+            word = 1 << 31 | value << 25 | field
+        elif kind.mode == "T2":
+            word = 15 << 28 | field & ~15 | value
+        else:
+            word = 15 << 28 | value << 16 | field
+        words.append(word)
+    return words
+
+
+@cache
+def recorded(code: int, events: int = 3000, seed: int = 0) -> list[int]:
+    """Records of every sort, with pauses from none to many overflows."""
+    kind, rng = KINDS[code], np.random.default_rng(seed)
+    steps = rng.integers(0, kind.wrap // 40, events)
+    steps[rng.random(events) < 0.1] = 0
+    steps[rng.random(events) < 0.05] *= 300
+    sorts = ["photon", "marker"] + ["sync"] * (kind.mode == "T2" and kind.inputs == 64)
+    what = rng.choice(sorts, events, p=[0.9, 0.1] if len(sorts) == 2 else [0.8, 0.1, 0.1])
+    inputs = rng.integers(0, 3, events)
+    inputs[rng.random(events) < 0.05] = kind.inputs - 1
+    values = np.where(what == "marker", rng.integers(1, 16, events), inputs)
+    return encode(
+        kind, list(zip(what, np.cumsum(steps).tolist(), values.tolist(), strict=True)), rng
+    )
+
+
+def tags_of(kind: Kind, records: int, **changes: object) -> bytes:
+    tags = {
+        "Measurement_Mode": int(kind.mode[1]),
+        "Measurement_SubMode": 1,
+        "MeasDesc_GlobalResolution": 1e-12 if kind.mode == "T2" else 5e-8,
+        "MeasDesc_Resolution": 4e-12,
+        "TTResultFormat_TTTRRecType": kind.code,
+        "TTResultFormat_BitsPerRecord": 32,
+        "TTResult_NumberOfRecords": records,
+        **changes,
+    }
+    known = [encode_tag(name, value) for name, value in tags.items() if value != "absent"]
+    return b"PQTTTR\0\0" + b"1.0.00\0\0" + b"".join(known)
+
+
+END = encode_tag("Header_End", None)
+
+
+def save(path: Path, kind: Kind, words: list[int], **changes: object) -> Path:
+    body = np.array(words, "<u4").tobytes()
+    path.write_bytes(tags_of(kind, len(words), **changes) + END + body)
+    return path
+
+
+def photon(time: int, n: int = 0) -> int:
+    return n << 25 | time
+
+
+def special(code: int, time: int = 0) -> int:
+    return 1 << 31 | code << 25 | time
+
+
+@dataclass
+class Streamed:
+    """Reads files as `reader` does, but as streams whose bytes arrive in cuts of some size."""
+
+    size: int | None = None
+    """Bytes of a cut; random unless given, and often none or a part of a record."""
+
+    def read_header(self, path: Path) -> Header:
+        stream = StreamReader(path)
+        for _ in self.parts(path, stream):
+            pass
+        return self.header(path, stream)
+
+    def inspect(self, path: Path) -> Contents:
+        stream, tally = StreamReader(path), None
+        for part in self.parts(path, stream):
+            tally = tally or Tally(stream.header.kind)
+            tally.add(part)
+        header = self.header(path, stream)
+        return (tally or Tally(header.kind)).contents(header)
+
+    def read_markers(self, path: Path) -> tuple[np.ndarray, np.ndarray]:
+        stream = StreamReader(path)
+        found = [(np.zeros(0, np.int64), np.zeros(0, np.uint8))]
+        for part in self.parts(path, stream):
+            part.check(path)
+            found.append(part.markers)
+        self.header(path, stream)
+        times, bits = zip(*found, strict=True)
+        return np.concatenate(times), np.concatenate(bits)
+
+    def count_gates(
+        self, path: Path, starts: np.ndarray, stops: np.ndarray, inputs: Sequence[int] = (0,)
+    ) -> np.ndarray:
+        stream, counter, counts = StreamReader(path), None, []
+        for part in self.parts(path, stream):
+            part.check(path)
+            if counter is None:
+                counter = GateCounter(stream.header.kind, inputs, path)
+                counter.expect(starts, stops)
+            counter.add(part)
+            counts.append(counter.take())
+        header = self.header(path, stream)
+        if counter is None:
+            counter = GateCounter(header.kind, inputs, path)
+            counter.expect(starts, stops)
+        return np.concatenate([*counts, counter.finish(header)])
+
+    def header(self, path: Path, stream: StreamReader) -> Header:
+        """Header of a stream that ended; one that ended within its header is refused as a file."""
+        if stream.header is None:
+            return reader.read_header(path)
+        return replace(stream.header, size=path.stat().st_size)
+
+    def parts(self, path: Path, stream: StreamReader) -> Iterator[Part]:
+        content, first = path.read_bytes(), 0
+        rng = np.random.default_rng(len(content))
+        while first < len(content):
+            some = int(rng.integers(0, 2 ** int(rng.integers(1, 20))))
+            size = some if self.size is None else self.size
+            yield from stream.feed(content[first : first + size])
+            first += size
+
+
+READERS = {"whole": reader, "stream": Streamed()}
+"""Ways to read a file: at once, and while its bytes arrive."""
+
+every_reader = pytest.mark.parametrize("read", READERS.values(), ids=READERS)

@@ -1,0 +1,208 @@
+"""PTU files: every type of record against ptufile, photons between gates, files that are cut."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import ptufile
+import pytest
+from ptu_samples import END, T2, decode, every_reader, recorded, save, special, tags_of
+
+from deepfsi.base.errors import InputError
+from deepfsi.base.progress import Report
+from deepfsi.hardware.photons import reader, records
+from deepfsi.hardware.photons.header import KINDS
+from deepfsi.hardware.photons.reader import inspect, read_markers
+from deepfsi.hardware.photons.writer import Writer
+
+REAL = Path(os.environ.get("DEEPFSI_DATA", "no data")) / "ptu"
+real_ptu = pytest.mark.skipif(not REAL.is_dir(), reason="needs ptu/ in $DEEPFSI_DATA")
+every_kind = pytest.mark.parametrize("kind", KINDS.values(), ids=lambda kind: kind.name)
+
+
+def gates_over(times: list[int], gates: int, seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
+    """Gates from before the first to after the last, whose edges are often an event's time."""
+    rng = np.random.default_rng(seed)
+    edges = np.sort(
+        np.concatenate(
+            [
+                rng.choice(times, gates),
+                rng.integers(-5, max(times) + 10, gates - 4),
+                [-3, 0, max(times), max(times) + 1],
+            ]
+        )
+    )
+    return edges[::2], edges[1::2]
+
+
+@every_reader
+@every_kind
+@pytest.mark.parametrize("chunk", [1, 7, 250, 2**17])
+def test_every_type_of_record_is_read_as_ptufile_reads_it(tmp_path, monkeypatch, kind, chunk, read):
+    monkeypatch.setattr(records, "RECORDS_IN_MEMORY", chunk)
+    monkeypatch.setattr(records, "RECORDS_IN_CACHE", chunk // 3 + 1)
+    words = recorded(kind.code, 400 if chunk == 1 else 3000)
+    path = save(tmp_path / "a.ptu", kind, words)
+    found = decode(kind.code, words)
+    assert {what for what, _, _ in found} == {"photon", "marker", "overflow"} | (
+        {"sync"} if kind.mode == "T2" and kind.inputs == 64 else set()
+    )
+    with ptufile.PtuFile(path) as theirs:
+        events = theirs.decode_records()
+        timed = np.array([what != "overflow" for what, _, _ in found])
+        assert events["time"][timed].tolist() == [time for w, time, _ in found if w != "overflow"]
+        syncs = np.array([what == "sync" for what, _, _ in found])
+        photons = (events["channel"] >= 0) & ~syncs  # ptufile calls a sync event channel 0
+        inputs, times = events["channel"][photons].astype(int), events["time"][photons].astype(int)
+        marker = events["marker"] > 0
+        wanted = events["time"][marker], events["marker"][marker]
+
+    for ours, their in zip(read.read_markers(path), wanted, strict=True):
+        assert np.array_equal(ours, their)
+    contents = read.inspect(path)
+    assert contents.photons == dict(zip(*np.unique(inputs, return_counts=True), strict=True))
+    for bit in (1, 2, 4, 8):
+        assert contents.markers[bit] == np.count_nonzero(wanted[1] & bit)
+    assert contents.syncs == syncs.sum()
+    assert contents.overflows == sum(what == "overflow" for what, _, _ in found)
+    assert contents.records == len(words)
+    real = [time for what, time, _ in found if what != "overflow"]
+    assert (contents.first, contents.last) == (min(real), max(real))
+    assert contents.span_s == contents.last * contents.tick_s
+    assert contents.problems == ()
+
+    starts, stops = gates_over(real, 60)
+    columns = (0, 2, kind.inputs - 1, 1)
+    gated = read.count_gates(path, starts, stops, columns)
+    assert gated.dtype == np.int64
+    for column, n in enumerate(columns):
+        one = times[inputs == n]
+        wanted = np.searchsorted(one, stops) - np.searchsorted(one, starts)
+        assert np.array_equal(gated[:, column], wanted)
+        assert wanted.sum() > 0
+
+
+@every_reader
+@real_ptu
+@pytest.mark.parametrize(
+    ("name", "wanted"),
+    {
+        "hydraharp_v20_t2": ("HydraHarp V2 T2", 435319, 129754, {0: 305565}, 1e-12, 4999964931763),
+        "picoharp_v30_t2": (
+            *("PicoHarp 300 T2", 929254, 9077),
+            *({0: 531477, 1: 388700}, 4e-12, 1912597668189),
+        ),
+        "hydraharp_v20_t3": (
+            *("HydraHarp V2 T3", 106349, 28466),
+            *({0: 45012, 1: 32871}, 200e-9, 49999358),
+        ),
+    }.items(),
+)
+def test_real_files_hold_what_their_description_says(name, wanted, read):
+    path = REAL / f"{name}.ptu"
+    kind, records, overflows, photons, tick, last = wanted
+    contents = read.inspect(path)
+    assert contents.kind == kind
+    assert contents.tick_s == pytest.approx(tick, rel=1e-5)
+    found = (contents.records, contents.overflows, contents.photons, contents.last)
+    assert found == (records, overflows, photons, last)
+    assert (contents.markers, contents.syncs, contents.problems) == ({}, 0, ())
+    assert contents.span_s == pytest.approx(last * tick, rel=1e-5)
+    header = read.read_header(path)
+
+    with ptufile.PtuFile(path) as theirs:
+        events = theirs.decode_records()
+        assert theirs.number_photons == sum(photons.values())
+        for tag, value in theirs.tags.items():
+            listed = isinstance(value, list)
+            ours = [v for k, v in header.tags.items() if k.split("(")[0] == tag]
+            if not hasattr(value, "year"):  # a date, which stays a number here
+                assert ours == (value if listed else [value])
+    edges = np.linspace(0, last + 1, 2001).astype(np.int64)
+    gated = read.count_gates(path, edges[:-1], edges[1:], (0, 1))
+    for n in (0, 1):
+        times = events["time"][events["channel"] == n].astype(np.int64)
+        assert np.array_equal(gated[:, n], np.histogram(times, np.append(edges[:-1], last + 1))[0])
+        assert gated[:, n].sum() == photons.get(n, 0)
+
+
+def test_progress_ends_at_one(tmp_path, monkeypatch):
+    monkeypatch.setattr(records, "RECORDS_IN_MEMORY", 1000)
+    path, shares = save(tmp_path / "a.ptu", T2, recorded(T2.code)), []
+    inspect(path, Report(lambda share, what: shares.append(share)))
+    assert len(shares) > 3
+    assert shares == sorted(shares)
+    assert shares[-1] == 1
+
+
+@every_reader
+@pytest.mark.parametrize(
+    ("starts", "stops", "inputs", "message"),
+    [
+        ([0, 5], [6, 9], (0,), "overlap"),
+        ([5, 0], [6, 3], (0,), "overlap"),
+        ([5], [4], (0,), "overlap"),
+        ([5], [6, 7], (0,), "one for each"),
+        ([5.0], [6.0], (0,), "integer"),
+        ([5], [6], (64,), "input 64"),
+        ([5], [6], (-1,), "input -1"),
+    ],
+)
+def test_gates_that_cannot_be_are_refused(tmp_path, starts, stops, inputs, message, read):
+    path = save(tmp_path / "a.ptu", T2, [5, 6])
+    with pytest.raises(InputError, match=message):
+        read.count_gates(path, np.array(starts), np.array(stops), inputs)
+
+
+@every_reader
+def test_no_gates_and_no_records_give_no_counts(tmp_path, read):
+    path = save(tmp_path / "a.ptu", T2, [5, 6])
+    assert read.count_gates(path, np.array([]), np.array([])).shape == (0, 1)
+    empty = tmp_path / "empty.ptu"
+    with Writer(empty):
+        pass
+    contents = read.inspect(empty)
+    assert (contents.records, contents.last, contents.span_s) == (0, None, 0)
+    assert contents.problems == ()
+    assert read.count_gates(empty, np.array([0]), np.array([9])) == [[0]]
+
+
+@every_reader
+@pytest.mark.parametrize("claimed", [3000, 2**60, 0, -5, "absent", 1200])
+def test_of_a_recording_that_may_not_be_whole_only_what_is_sure_is_counted(tmp_path, claimed, read):
+    words = recorded(T2.code)[:3000]
+    whole = save(tmp_path / "whole.ptu", T2, words)
+    path = tmp_path / "cut.ptu"
+    held = 1200 if claimed == 1200 else 2000
+    path.write_bytes(
+        tags_of(T2, claimed) + END + np.array(words[:2000], "<u4").tobytes() + b"\1\2\3"
+    )
+    contents, header = read.inspect(path), read.read_header(path)
+    assert contents.records == header.records == held
+    assert contents.problems == header.problems
+    assert len(header.problems) == 1
+    found = decode(T2.code, words[:held])
+    times, marks = read.read_markers(path)
+    assert len(marks) == sum(what == "marker" for what, _, _ in found)
+    assert np.array_equal(times, read.read_markers(whole)[0][: len(times)])
+    sure = max(time for what, time, _ in found if what != "marker")
+    edges = np.linspace(0, sure, 50).astype(int)
+    gated = read.count_gates(path, edges[:-1], edges[1:])
+    assert np.array_equal(gated, read.count_gates(whole, edges[:-1], edges[1:]))
+    assert gated.sum() > 100
+    with pytest.raises(InputError, match="gates end at"):
+        read.count_gates(path, np.array([0]), np.array([sure + 1]))
+
+
+def test_a_file_that_shrinks_while_it_is_read_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(records, "RECORDS_IN_MEMORY", 10)
+    path = save(tmp_path / "a.ptu", T2, recorded(T2.code))
+    with pytest.raises(InputError, match="shorter"):
+        inspect(path, Report(lambda share, what: os.truncate(path, 3000)))
+
+
+def test_more_markers_than_frames_can_be_are_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(reader, "MOST_MARKERS", 10)
+    path = save(tmp_path / "a.ptu", T2, [special(1, k) for k in range(11)])
+    with pytest.raises(InputError, match="more than 10 markers"):
+        read_markers(path)

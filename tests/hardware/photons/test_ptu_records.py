@@ -1,0 +1,263 @@
+"""Records of PTU files: damaged ones are named, memory is bounded, mutated files are refused."""
+
+import os
+import resource
+import struct
+import time
+import tracemalloc
+from functools import cache
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from ptu_samples import (
+    END,
+    READERS,
+    T2,
+    decode,
+    every_reader,
+    photon,
+    recorded,
+    save,
+    special,
+    tags_of,
+)
+from ptufile.ptufile import encode_tag
+
+from deepfsi.base.errors import InputError
+from deepfsi.hardware.photons import records
+from deepfsi.hardware.photons.header import KINDS, PICOHARP_T2, PICOHARP_T3
+from deepfsi.hardware.photons.reader import count_gates, inspect
+from deepfsi.hardware.photons.writer import Writer
+
+FUZZ = int(os.environ.get("DEEPFSI_FUZZ", "300"))
+"""Mutated files that the fuzz test reads."""
+
+TICK = 10**6
+"""Ticks of 1 ps by which markers may be off."""
+
+
+def counted(found: list[tuple[str, int, int]], starts, stops, inputs) -> np.ndarray:
+    photons = np.array([(time, n) for what, time, n in found if what == "photon"]).reshape(-1, 2)
+    inside = (photons[:, 0] >= starts[:, None]) & (photons[:, 0] < stops[:, None])
+    return np.stack([(inside & (photons[:, 1] == n)).sum(axis=1) for n in inputs], axis=1)
+
+
+def test_memory_does_not_grow_with_the_file(tmp_path):
+    path, rng, million = tmp_path / "long.ptu", np.random.default_rng(0), 10**6
+    with Writer(path) as writer:
+        for k in range(8):
+            times = np.sort(rng.integers(k * 10**11, (k + 1) * 10**11, million))
+            writer.write(times, rng.integers(0, 3, million))
+    edges = np.arange(0, 8 * 10**11, 10**9)
+    tracemalloc.start()
+    gated = count_gates(path, edges[:-1], edges[1:], (0, 1, 2))
+    inspect(path)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert path.stat().st_size > 32e6
+    assert gated.sum() > 7.9 * million
+    assert peak < 12e6
+
+
+@pytest.mark.parametrize("word", [1 << 31, 1 << 31 | 63 << 25, 1 << 31 | 1 << 25])
+def test_memory_is_bounded_where_every_record_is_special(tmp_path, word):
+    path = save(tmp_path / "a.ptu", T2, np.full(2**21, word))
+    tracemalloc.start()
+    count_gates(path, np.array([0]), np.array([1]))
+    inspect(path)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 150e6
+
+
+@every_reader
+@pytest.mark.parametrize("chunk", [1, 2, 3, 2**17])
+@pytest.mark.parametrize(
+    ("words", "bad"),
+    [
+        ([photon(5), photon(9), photon(8), photon(10)], 3),
+        ([photon(5), photon(9, 1), photon(8), photon(10)], 3),
+        ([photon(9), special(63, 1), photon(2), photon(1)], 4),
+        ([photon(9), special(0, 8), photon(9)], 2),
+        ([photon(9), special(0, 12), photon(11)], 3),
+        ([photon(9), special(0, 12), special(0, 11)], 3),
+        ([photon(9), special(1, 8), photon(7)], 3),
+        ([special(1, TICK + 1), photon(0)], 2),
+        ([special(63, 2), special(0, 12), special(2, 12), photon(11)], 4),
+        ([photon(2 * TICK), special(1, TICK - 1)], 2),
+        ([special(1, 3 * TICK), special(1, TICK - 1)], 2),
+        ([photon(9), special(16, 9), photon(10)], 2),
+        ([photon(9), special(62, 9), photon(10)], 2),
+        ([photon(9)] + [special(63, 2**25 - 1)] * 2100 + [photon(10)], 2050),
+    ],
+)
+def test_damaged_records_are_named_and_nothing_is_counted(
+    tmp_path, monkeypatch, words, bad, chunk, read
+):
+    monkeypatch.setattr(records, "RECORDS_IN_MEMORY", chunk)
+    monkeypatch.setattr(records, "RECORDS_IN_CACHE", chunk // 3 + 1)
+    path = save(tmp_path / "bad.ptu", T2, words)
+    with pytest.raises(InputError, match=f"record {bad} has"):
+        read.count_gates(path, np.array([0]), np.array([99]))
+    contents = read.inspect(path)
+    assert contents.records == bad - 1
+    found = decode(T2.code, words[: bad - 1])
+    assert sum(contents.photons.values()) == sum(what == "photon" for what, _, _ in found)
+    (problem,) = contents.problems
+    assert f"record {bad} has" in problem
+
+
+@every_reader
+@pytest.mark.parametrize(
+    ("kind", "word"),
+    [
+        (PICOHARP_T2, 5 << 28),
+        (PICOHARP_T2, 14 << 28),
+        (PICOHARP_T3, 0),
+        (PICOHARP_T3, 5 << 28),
+        (PICOHARP_T3, 15 << 28 | 16 << 16),
+        (KINDS[0x01010304], special(0)),
+    ],
+)
+def test_records_without_a_meaning_are_refused(tmp_path, kind, word, read):
+    path = save(tmp_path / "bad.ptu", kind, [1 << 28, word])
+    for each in (
+        read.read_markers,
+        lambda path: read.count_gates(path, np.array([0]), np.array([9])),
+    ):
+        with pytest.raises(InputError, match="record 2 has no known meaning"):
+            each(path)
+
+
+@every_reader
+def test_one_record_can_stand_for_very_many_overflows(tmp_path, read):
+    """Ptufile is no oracle here: it multiplies in 32 bits."""
+    for kind, wraps in ((T2, 200), (T2, 2**25 - 1), (KINDS[0x00010307], 1023)):
+        path = save(tmp_path / "a.ptu", kind, [special(63, wraps), special(1, 4), photon(5)])
+        late = wraps * kind.wrap
+        assert read.read_markers(path)[0] == [late + 4]
+        assert read.inspect(path).last == late + 5
+        edges = np.array([late, late + 5, late + 6])
+        assert read.count_gates(path, edges[:-1], edges[1:]).ravel().tolist() == [0, 1]
+
+
+@every_reader
+@pytest.mark.parametrize("chunk", [1, 2, 2**17])
+def test_markers_may_stand_a_little_beside_their_time(tmp_path, monkeypatch, chunk, read):
+    monkeypatch.setattr(records, "RECORDS_IN_MEMORY", chunk)
+    monkeypatch.setattr(records, "RECORDS_IN_CACHE", chunk // 3 + 1)
+    start = 3 * TICK
+    words = [
+        photon(start),
+        special(1, start - TICK),
+        photon(start + 5),
+        special(2, start + 7),
+        photon(start + 6),
+        special(4, start + 6 + TICK),
+        photon(start + 6),
+    ]
+    path = save(tmp_path / "a.ptu", T2, words)
+    times, bits = read.read_markers(path)
+    assert times.tolist() == [start - TICK, start + 7, start + 6 + TICK]
+    assert bits.tolist() == [1, 2, 4]
+    assert bits.dtype == np.uint8
+    assert read.count_gates(path, np.array([start + 5]), np.array([start + 7])) == 3
+
+
+# Fuzzing -----------------------------------------------------------------------------------------
+
+
+@cache
+def seed(code: int) -> bytes:
+    """A small whole file of each type, with every type of tag and sort of record."""
+    words = recorded(code, 60, seed=code % 97)
+    more = encode_tag("Text", "µs") + encode_tag("Wide", "λ") + encode_tag("Blob", b"\1\2")
+    array = struct.pack("<32siIq2d", b"Array", 0, 0x2001FFFF, 16, 1, 2)
+    body = np.array(words, "<u4").tobytes()
+    return tags_of(KINDS[code], len(words)) + more + array + END + body
+
+
+VALUES = st.sampled_from([0, 1, 2**15, 2**25, 2**31, 2**32 - 1, 2**63 - 1, 2**63, 2**64 - 1])
+CHANGES = st.lists(
+    st.tuples(
+        st.sampled_from(["byte", "word", "long", "cut", "drop", "double", "end"]),
+        st.floats(0, 1, exclude_max=True),
+        st.integers(0, 2**64 - 1) | VALUES,
+    ),
+    min_size=1,
+    max_size=6,
+)
+
+
+def mutate(content: bytes, changes: list[tuple[str, float, int]]) -> bytes:
+    for how, share, value in changes:
+        at = int(share * len(content))
+        aligned, size = at // 4 * 4, value % 97
+        if how == "byte":
+            content = content[:at] + bytes([value % 256]) + content[at + 1 :]
+        elif how == "word":
+            content = content[:aligned] + struct.pack("<I", value % 2**32) + content[aligned + 4 :]
+        elif how == "long":
+            content = content[:aligned] + struct.pack("<Q", value) + content[aligned + 8 :]
+        elif how == "cut":
+            content = content[:at]
+        elif how == "drop":
+            content = content[:at] + content[at + size :]
+        elif how == "double":
+            content = content[:at] + content[at : at + size] + content[at:]
+        else:
+            content += struct.pack("<Q", value)[: size % 9]
+    return content
+
+
+def check_mutated(path: Path, edges: np.ndarray, read: Any) -> None:
+    """Either `InputError`, or the counts that the format's words give record by record."""
+    header = read.read_header(path)
+    with path.open("rb") as file:
+        file.seek(header.offset)
+        words = np.frombuffer(file.read(4 * header.records), "<u4").tolist()
+    found = decode(header.kind.code, words)
+    contents = read.inspect(path)
+    good = found[: contents.records]
+    assert sum(contents.photons.values()) == sum(what == "photon" for what, _, _ in good)
+    assert len(good) == len(found) or len(contents.problems) > len(header.problems)
+    gated = read.count_gates(path, edges[:-1], edges[1:], (0, 1))
+    assert np.array_equal(gated, counted(found, edges[:-1], edges[1:], (0, 1)))
+    marks = [(time, bits) for what, time, bits in found if what == "marker"]
+    times, bits = read.read_markers(path)
+    assert list(zip(times.tolist(), bits.tolist(), strict=True)) == marks
+    assert "unknown" not in {what for what, _, _ in found}
+
+
+@pytest.fixture(scope="module")
+def scratch(tmp_path_factory):
+    return tmp_path_factory.mktemp("fuzz") / "mutated.ptu"
+
+
+@settings(max_examples=FUZZ, deadline=None, derandomize="DEEPFSI_FUZZ" not in os.environ)
+@given(st.sampled_from(sorted(KINDS)), CHANGES, st.sampled_from([16, 2**17]))
+def test_mutated_files_are_read_right_or_refused(scratch, code, changes, chunk):
+    scratch.write_bytes(mutate(seed(code), changes))
+    times = [time for _, time, _ in decode(code, recorded(code, 60, seed=code % 97))]
+    edges = np.linspace(0, times[-1] // 2, 20).astype(np.int64)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    at_once = {"RECORDS_IN_MEMORY": chunk, "RECORDS_IN_CACHE": chunk // 3 + 1}
+    began = time.process_time()
+    with mock.patch.multiple(records, **at_once):
+        said = []
+        for read in READERS.values():
+            try:
+                check_mutated(scratch, edges, read)
+                said.append("")
+            except InputError as error:
+                said.append(str(error))
+    assert time.process_time() - began < 20
+    assert len(set(said)) == 1
+    assert "\n" not in said[0]
+    assert len(said[0]) < 400
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100e3  # KiB

@@ -1,0 +1,413 @@
+"""Jobs that are refused, and the precision that they get."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+import deepfsi
+from conftest import PHOTONS, RECIPE, quick, same
+from deepfsi import Camera, Looks, Range
+from deepfsi.base.errors import InputError
+from deepfsi.base.progress import Report
+from deepfsi.design.evaluation import evaluate
+from deepfsi.jobs import designs as codes
+from deepfsi.jobs import tiles
+from deepfsi.jobs.job import TUNED, Job, Training, find_job, owner, sorted_settings
+from deepfsi.optics import constraints
+from deepfsi.optics.rails import Rails
+from deepfsi.training.learning import companions, train
+from deepfsi.training.precision import (
+    BFLOAT16_COUNTS,
+    BFLOAT16_WIDTH,
+    network_dtype,
+    product_dtype,
+)
+from deepfsi.training.training_set import TrainingSet
+from shared.jobs import job as job_of
+from shared.jobs import learn
+from shared.networks import Cnn
+from shared.noises import photons, saturating
+
+SETTINGS = {**RECIPE, "epochs": 3, "dropout": 0.1}
+CPU = torch.device("cpu")
+
+
+@pytest.mark.parametrize(
+    "change", [{"masks": 7}, {"light": "free-dwell"}, {"epochs": 4}, {"looks": 2}, {"dark": 1.0}]
+)
+def test_jobs_that_differ_in_more_cannot_share_a_training(digits, change):
+    jobs = [job_of(**{"masks": 6, "photons": 1e3, **SETTINGS, **more}) for more in ({}, change)]
+    with pytest.raises(ValueError, match="may differ in photons, sigma and seed only"):
+        train(TrainingSet(digits, "cpu"), jobs)
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        *({"photons": bad} for bad in (0, -1, math.nan, math.inf, "abc", None)),
+        *({"masks": bad} for bad in (0, -1, 65, 10.5, math.nan, "ten")),
+        {"design": "deepfsy"},
+        {"light": "colum"},
+        {"rails": "triple"},
+        {"light": "two-arm", "rails": "single"},
+        {"design": "hadamard", "masks": 64, "rails": "single"},
+        {"design": "raster", "masks": 64, "light": "two-arm"},
+        {"design": "lda", "masks": 10},
+        {"noise": "poison"},
+        *({"sigma": bad} for bad in (-0.1, math.nan, math.inf)),
+        {"noise": "gaussian", "sigma": 0},
+        {"design": "control", "dark": 5.0},  # its masks learn under gaussian noise
+        {"epochs": 0},
+        {"batch": 1},
+        *({"lr": bad} for bad in (0, -1, math.nan, math.inf)),
+        *({"mask_lr": bad} for bad in (0, -1, math.nan, math.inf)),
+        *({"decay": bad} for bad in (-0.1, math.nan, math.inf)),
+        *({"dropout": bad} for bad in (-0.1, 1.0, math.nan)),
+        *({"hidden": bad} for bad in ((0,), (-3,), (8, 0), (1.5,))),
+        {"scale": "none"},
+        *({"start": bad} for bad in ("pcaa", "deepfsi", "control", "custom", "hadamard")),
+        {"precision": "float16"},
+        *({"levels": bad} for bad in (1, -1, 2.5, 2**25)),
+        {"seed": 1.5},
+        {"seed": 2**70},
+        {"design": "random", "seed": -1},
+        {"device": "tpu"},
+    ],
+    ids=str,
+)
+def test_a_setting_that_is_not_allowed_is_one_clear_line(digits, settings):
+    with pytest.raises(InputError) as error:
+        learn(digits, **{"photons": 1e4, "masks": 7, "epochs": 1, "device": "cpu", **settings})
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("matrix", "match"),
+    [
+        (np.ones((7, 63)), "shape"),
+        (np.ones((6, 64)), "shape"),
+        (np.ones(64), "shape"),
+        (np.full((7, 64), np.nan), "finite"),
+        (np.full((7, 64), "a"), "finite"),
+        (np.zeros((7, 64)), "zero everywhere"),
+        (np.full((7, 64), 0.2), "breaks the column constraint"),
+        (None, "a matrix goes with"),
+    ],
+)
+def test_a_bad_matrix_is_refused_before_training(digits, matrix, match):
+    seen = []
+    settings = {"photons": 1e4, "masks": 7, "device": "cpu"}
+    report = Report(lambda share, what: seen.append(share))
+    with pytest.raises(InputError, match=match):
+        learn(digits, design="custom", matrix=matrix, report=report, **settings)
+    assert not seen
+
+
+def test_a_matrix_goes_only_with_the_custom_design(digits):
+    with pytest.raises(InputError, match="a matrix goes with"):
+        learn(digits, design="pca", matrix=np.full((7, 64), 0.1), photons=1e4, masks=7)
+
+
+@pytest.fixture
+def fast_processor(monkeypatch):
+    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: {"avx512_bf16": True})
+
+
+@pytest.mark.parametrize(
+    ("limit", "settings"),
+    [
+        (20 * BFLOAT16_COUNTS, {}),
+        (20 * BFLOAT16_COUNTS, {"noise": "poisson"}),
+        (10 * BFLOAT16_COUNTS, {"rails": "single"}),
+        (20 * 128, {"noise": "gaussian"}),
+        (20 * 128 * 5, {"noise": "gaussian", "sigma": 5.0}),
+    ],
+)
+def test_bfloat16_only_where_rounding_stays_under_the_noise(fast_processor, limit, settings):
+    assert product_dtype(job_of(masks=10, photons=limit, **settings), CPU) == torch.bfloat16
+    assert product_dtype(job_of(masks=10, photons=limit * 1.01, **settings), CPU) == torch.float32
+
+
+def test_rounding_is_that_of_the_readout_with_most_light(fast_processor):
+    """Nested masks may give all light to the first, looks to one, and raster has one rail."""
+
+    def limit(design="deepfsi", **settings) -> float:
+        alike = {"design": design, "masks": 8, "hidden": (BFLOAT16_WIDTH,), **settings}
+        jobs = {
+            masks: job_of(photons=masks * BFLOAT16_COUNTS, **alike) for masks in (1, 2, 4, 8, 16)
+        }
+        return max(masks for masks in jobs if network_dtype(jobs[masks], CPU) == torch.bfloat16)
+
+    assert limit() == 16
+    assert limit(nested=2) == 4
+    assert limit(looks=4) == 2
+    assert limit("raster") == 8
+
+
+def test_no_noise_or_no_fast_processor_means_float32(fast_processor, monkeypatch):
+    assert product_dtype(job_of(masks=10, photons=1e2, noise="none"), CPU) == torch.float32
+    monkeypatch.setattr(torch.cpu, "get_capabilities", dict)
+    assert product_dtype(job_of(masks=10, photons=1e2), CPU) == torch.float32
+
+
+@pytest.mark.parametrize("precision", ["float32", "bfloat16"])
+def test_a_precision_asked_for_is_used(precision):
+    one = job_of(masks=2, photons=1e8, precision=precision)
+    assert product_dtype(one, CPU) == getattr(torch, precision)
+
+
+def test_networks_are_in_bfloat16_where_they_are_wide_and_not_a_users_own(fast_processor):
+    def kind(photons=1e4, device=CPU, **settings) -> torch.dtype:
+        settings = {"hidden": (BFLOAT16_WIDTH, 40), **settings}
+        return network_dtype(job_of(masks=10, photons=photons, **settings), device)
+
+    assert kind() == torch.bfloat16
+    assert kind(hidden=(BFLOAT16_WIDTH - 1, 40)) == kind(hidden=()) == torch.float32
+    assert kind(photons=20.01 * BFLOAT16_COUNTS) == torch.float32
+    assert kind(photons=1e8, precision="bfloat16") == torch.bfloat16
+    assert kind(precision="float32") == kind(device=torch.device("cuda")) == torch.float32
+    assert kind(classifier="module:factory") == torch.float32
+
+
+def rounding(digits, masks: int, photons: float) -> float:
+    """RMS error of bfloat16 products over photon noise, for the worst mask."""
+    matrix = torch.from_numpy(tiles.sensing_matrix("pca", masks, digits)).float()
+    rails = Rails.of(constraints.fit(matrix, "column"))
+    difference, total = rails.difference, rails.total
+    x = torch.from_numpy(digits.x_train)
+    light = photons * x.double() / x.double().sum(dim=1).mean()
+    exact, noise = light @ difference.double().T, (light @ total.double().T).sqrt()
+    half = (x.bfloat16() @ difference.bfloat16().T).double() * photons / x.double().sum(1).mean()
+    return float(((half - exact) / noise).square().mean(dim=0).sqrt().max())
+
+
+def test_bfloat16_error_is_under_the_photon_noise_where_allowed(digits):
+    assert rounding(digits, 10, 20 * BFLOAT16_COUNTS) < 0.5
+    assert rounding(digits, 2, 1e8) > 1  # and would not be here
+
+
+def test_training_in_bfloat16_reads_as_well(digits):
+    designs = (
+        quick(digits, masks=10, epochs=8, precision=each) for each in ("float32", "bfloat16")
+    )
+    accuracy = [evaluate(design, digits, PHOTONS)[0].accuracy for design in designs]
+    assert accuracy[0] == pytest.approx(accuracy[1], abs=0.05)
+
+
+@pytest.mark.parametrize("design", codes.DESIGNS)
+def test_settings_that_are_not_given_are_those_tuned_for_the_design(design):
+    made = Job(design=design, masks=6, photons=1e3).training
+    usual = Training(**TUNED.get(design, {}))
+    assert made == usual
+    given = {"lr": 0.3, "scale": "each", "start": "random"}
+    told = Job(design=design, masks=6, photons=1e3, training=given).training
+    assert told == Job(design=design, masks=6, photons=1e3, training=Training(**given)).training
+    assert (told.lr, told.scale, told.start) == (0.3, "each", "random")
+    assert told.mask_lr == usual.mask_lr
+
+
+def test_settings_that_are_not_given_are_those_of_the_exposure():
+    def training(exposure, **given):
+        return Job(masks=6, photons=1e3, exposure=exposure, training=given).training
+
+    assert training({}).start == training({"span": 3.0}).start == "pca"
+    assert training({"looks": 2}).start == training(Looks(looks=2)).start == "class-pairs"
+    assert training({"looks": 2}, start="pca").start == "pca"
+    assert training({"patch": 4}).classifier == "vit"
+    assert training({"patch": 4}, epochs=3).epochs == 3
+    both = Job(design="raster", masks=4, photons=1e3, exposure={"patch": 2}).training
+    assert (both.lr, both.epochs) == (TUNED["raster"]["lr"], 15)  # the design's before those
+
+
+def test_a_job_comes_back_from_json():
+    """So do the settings that were tuned, though they may be tuned otherwise by then."""
+    job = job_of(
+        design="raster", masks=6, photons=1e3, light="two-arm", looks=3, dark=5.0, device=None,
+        hidden=(8, 9), seed=4, noise="camera",
+    )  # fmt: skip
+    assert Job.model_validate_json(job.model_dump_json()) == job
+    mine = Job(
+        masks=6, photons=1e3, camera=Camera(noise=saturating), training=Training(classifier=Cnn)
+    )
+    written = Job.model_validate_json(mine.model_dump_json())
+    assert written.camera.noise == "shared.noises:saturating"
+    assert written.training.classifier == "shared.networks:Cnn"
+    assert mine == mine.model_copy() != written
+
+
+@pytest.mark.parametrize(
+    ("setting", "table", "name"),
+    [
+        ("design", "", "design"),
+        ("photons", "", "photons"),
+        ("light", "camera", "light"),
+        ("noise", "camera", "noise"),
+        ("exposure", "camera", "exposure"),
+        ("dmd", "camera", "device"),
+        ("looks", "exposure", "looks"),
+        ("nested", "exposure", "nested"),
+        ("span", "exposure", "span"),
+        ("patch", "exposure", "patch"),
+        ("epochs", "training", "epochs"),
+        ("train_noise", "training", "noise"),
+        ("something", "", "something"),
+    ],
+)
+def test_every_single_setting_has_an_owner(setting, table, name):
+    assert owner(setting) == (table, name)
+
+
+def test_single_settings_are_sorted_into_the_tables_that_declare_them():
+    found = sorted_settings(
+        {
+            "masks": 4, "camera": "two-arm", "dmd": "dlp7000", "exposure": "10ms", "looks": 3,
+            "epochs": 2, "noise": "camera", "train_noise": "poisson",
+        }
+    )  # fmt: skip
+    camera = Camera(light="two-arm", device="dlp7000", exposure="10ms", noise="camera")
+    assert found == {
+        "masks": 4,
+        "camera": camera,
+        "exposure": {"looks": 3},
+        "training": {"epochs": 2, "noise": "poisson"},
+    }
+    assert sorted_settings({"masks": 4}) == {"masks": 4}
+    assert sorted_settings({"camera": "paper"}) == {"camera": "paper"}
+
+
+@pytest.mark.parametrize(
+    ("settings", "match"),
+    [
+        ({"epochs": 3}, r"no setting 'epochs': give `training=\{'epochs': ...\}`"),
+        ({"light": "column"}, r"no setting 'light': give `camera=\{'light': ...\}`"),
+        ({"looks": 3}, r"no setting 'looks': give `exposure=\{'looks': ...\}`"),
+        ({"train_noise": "none"}, r"give `training=\{'noise': ...\}`"),
+        ({"photon": 1e3}, "no setting 'photon': did you mean 'photons'"),
+        ({"camera": "dmt"}, "unknown camera 'dmt': did you mean 'dmd'"),
+        ({"camera": {"light": "colum"}}, "light = 'colum'"),
+        ({"exposure": {"look": 3}}, "an exposure has no setting look"),
+        ({"exposure": "looks"}, "exposure = 'looks'"),
+        ({"training": {"epoch": 3}}, "a training has no setting 'epoch': did you mean 'epochs'"),
+        ({"training": {"epochs": 0}}, "training.epochs = 0: .*greater than or equal to 1"),
+        ({"training": {"classifier": 3}}, "training.classifier = 3: give mlp, or a module"),
+        ({"training": {"classifier": "cnn"}}, "give mlp, or module:factory of your own"),
+        ({"training": 3}, "training = 3"),
+        ({"design": "pca", "training": {"start": "lda"}}, "pca has its own: leave it out"),
+        ({"photons": None}, "told once: .*or a camera with its flux"),
+        ({"photons": None, "counts": -1.0}, "-1.0 counts are not allowed"),
+        (
+            {"photons": None, "counts": 30.0, "exposure": {"span": 10.0}},
+            "counts are of one budget: leave the range of budgets, `span`, out",
+        ),
+        ({"masks": 0}, "masks = 0"),
+        ({"masks": None}, "masks = None"),
+        ({"seed": -1}, "seed = -1"),
+    ],
+    ids=str,
+)
+def test_what_is_no_job_is_one_line(settings, match):
+    given = {"masks": 6, "photons": 1e3, **settings}
+    counts = given.pop("counts", None)
+    with pytest.raises(InputError, match=match) as error:
+        find_job(given, counts)
+    assert "\n" not in str(error.value)
+
+
+def test_the_budget_of_a_job_is_its_cameras_unless_given():
+    camera = {"flux": 1e6, "exposure": "10ms"}
+    assert find_job({"masks": 6, "camera": camera}).photons == 1e4
+    assert Job(masks=6, camera=camera) == Job(masks=6, camera=camera, photons=1e4)
+    with pytest.raises(InputError, match=r"no setting 'epochs': give `training="):
+        Job(masks=6, photons=1e4, epochs=3)
+    assert find_job({"masks": 6, "camera": camera, "photons": 3.0}).photons == 3
+    assert find_job({"masks": 6, "camera": camera}, counts=30.0).photons == 30
+    made = find_job({"masks": 6, "photons": 1e3, "exposure": Range(span=3.0), "camera": "paper"})
+    assert (made.camera, made.exposure) == (Camera.load("paper"), Range(span=3.0))
+
+
+@pytest.mark.parametrize(
+    ("settings", "light", "rails", "readout", "detectors"),
+    [
+        ({"camera": "dmd-2x2"}, "free-dwell", "single", "difference", "2x2"),
+        ({"camera": "two-arm"}, "two-arm", "dual", "both", "1x1"),
+        ({"camera": "dmd-2x2", "design": "impulse"}, "column", "single", "difference", "1x1"),
+        (
+            {"camera": "two-arm", "dmd": "dlp7000", "design": "impulse"},
+            "column", "single", "difference", "1x1",
+        ),
+        ({"camera": "paper", "design": "raster"}, "column", "single", "difference", "1x1"),
+        ({"camera": "dmd", "readout": "both"}, "free-dwell", "single", "difference", "1x1"),
+    ],
+    ids=str,
+)  # fmt: skip
+def test_a_design_has_the_optics_that_it_needs(settings, light, rails, readout, detectors):
+    """The job keeps the camera that was given; in force is what the design has of it."""
+    job = job_of(masks=6, photons=1e3, **settings)
+    found = job.optics
+    assert (found.light, found.rails, found.readout, found.detectors) == (
+        light, rails, readout, detectors,
+    )  # fmt: skip
+    assert job.in_force.camera == found
+    assert job.in_force.in_force == job.in_force
+    assert job.camera == job_of(masks=6, photons=1e3, **{**settings, "design": "deepfsi"}).camera
+
+
+@pytest.mark.parametrize(
+    ("settings", "noise"),
+    [
+        ({}, "ml_gauss"),
+        ({"dark": 5.0}, "camera"),
+        ({"noise": "gaussian"}, "gaussian"),
+        ({"exposure": {"looks": 2}}, "poisson"),
+        ({"exposure": {"looks": 2}, "dark": 5.0}, "camera"),
+        ({"training": {"noise": "none"}, "dark": 5.0}, "none"),
+        ({"noise": photons}, "shared.noises:photons"),
+    ],
+)
+def test_a_job_trains_under_its_cameras_noise_unless_told(settings, noise):
+    own = {name: settings[name] for name in settings.keys() & {"exposure", "training"}}
+    camera = {name: settings[name] for name in settings.keys() - own.keys()}
+    job = Job(masks=6, photons=1e3, camera=camera, **own)
+    assert job.noise == noise
+    control = job.model_copy(update={"design": "control"})
+    assert control.masks_from().noise == "gaussian"
+    assert control.masks_from().design == "deepfsi"
+    assert job.masks_from() is job
+
+
+def test_companions_differ_in_budget_sigma_and_seed():
+    def key(**settings):
+        return companions(job_of(**{"masks": 6, "photons": 1e3, **settings}), CPU)
+
+    alike = [{}, {"photons": 2e3}, {"sigma": 3.0}, {"seed": 5}]
+    assert len({key(**settings) for settings in alike}) == 1
+    other = [{"masks": 7}, {"dark": 1.0}, {"light": "free-dwell"}, {"looks": 2}, {"epochs": 3}]
+    assert len({key(**settings) for settings in [{}, *other]}) == 6
+    alone = {"classifier": "shared.networks:Cnn"}
+    assert key(**alone) != key(**alone, seed=5)
+    assert key(patch=4) != key(patch=4, seed=5)
+
+
+def test_a_device_that_cannot_show_the_scenes_is_a_fault_of_the_job(digits):
+    job = Job(masks=6, photons=1e3, camera={"device": "4x4"})
+    [fault] = job.faults(digits)
+    assert "use a larger device or region, or fewer pixels" in fault
+    assert not Job(masks=6, photons=1e3, camera={"device": "dlp7000"}).faults(digits)
+
+
+def test_settings_may_be_models_or_their_fields(digits):
+    given = {"photons": 1e3, "masks": 4, "device": "cpu"}
+    one = deepfsi.learn(
+        digits, camera=Camera(light="two-arm"), exposure=Looks(looks=2),
+        training=Training(epochs=1, batch=100), **given,
+    )  # fmt: skip
+    other = deepfsi.learn(
+        digits, camera="two-arm", exposure={"looks": 2}, training={"epochs": 1, "batch": 100},
+        **given,
+    )  # fmt: skip
+    assert same(one, other)
+    for name in ("camera", "exposure", "training"):
+        assert one.info["job"][name] == other.info["job"][name]
+    assert one.camera == Camera(light="two-arm")

@@ -1,0 +1,224 @@
+"""Classes of runs and tables in Python: those of the command line, and what is refused."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import deepfsi
+from conftest import quick
+from deepfsi.datasets import read_display, write_pictures
+from deepfsi.hardware.counting.acquisition import VERDICT, Verdict, read_acquisition
+from deepfsi.hardware.counting.counting import count
+from deepfsi.hardware.counting.counts import read_counts
+from deepfsi.hardware.counting.tables import TableSettings
+from deepfsi.hardware.live.replay import count_live
+from deepfsi.hardware.patterns.folder import read_patterns
+from deepfsi.hardware.virtual.camera import (
+    CAMERAS,
+    RecordingSettings,
+    VirtualCamera,
+    arrival_rates,
+    record,
+)
+from deepfsi.lab.scenes import listed, scenes_of
+from shared.live_samples import live, make_patterns
+
+PAGE = Path(__file__).parents[2] / "docs/do/camera.md"
+DESIGN, RUN = "small-dmd.safetensors", "run_0001"
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory, digits):
+    """A folder in which the lines of the page on the camera were run, and what they printed."""
+    folder = tmp_path_factory.mktemp("lab")
+    light = {"light": "free-dwell", "rails": "single", "photons": 1e5}
+    quick(digits, masks=20, epochs=15, hidden=(40, 128), **light).save(folder / DESIGN)
+    pictures = {
+        f"{digits.classes[digits.y_test[k]]}/{k}.png": digits.x_test[k].reshape(8, 8)
+        for k in range(4)
+    }
+    write_pictures(pictures, folder / "images")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        (block,) = re.findall(r"```python\n(.*?)```", PAGE.read_text(), flags=re.DOTALL)
+        exec(block, {})
+    return folder
+
+
+def in_json(done, *words):
+    said = json.loads(done("camera", "classify", *words, "--json"))
+    assert said.pop("schema") == "deepfsi.camera.classify/1"
+    return said
+
+
+def test_a_run_has_the_classes_of_the_command_line(done, lab):
+    found = deepfsi.classify_run(lab / DESIGN, lab / RUN)
+    assert json.loads(json.dumps(found.as_dict())) == in_json(done, lab / DESIGN, lab / RUN)
+    counts = read_counts(lab / RUN)
+    assert [scene.photons for scene in found.scenes] == counts.photons.tolist()
+    assert [scene.name for scene in found.scenes] == list(read_display(lab / "images").names)
+    assert found.consistency.whole > 0.001
+    assert not found.faults
+    by_patterns = deepfsi.classify_run(str(lab / "frames"), str(lab / RUN))
+    assert by_patterns.as_dict() == found.as_dict()
+
+
+def test_classes_are_those_of_the_design_as_it_was_shown(lab):
+    _, patterns = read_acquisition(lab / RUN)
+    shown = deepfsi.Design.load(lab / DESIGN).as_shown(*patterns.realised)
+    counts = read_counts(lab / RUN)
+    wanted = shown.classify(shown.readouts(counts.signal()), counts.photons[:, None])
+    found = deepfsi.classify_run(lab / DESIGN, lab / RUN).scenes
+    assert [scene.probability for scene in found] == wanted.mean(axis=1).max(axis=-1).tolist()
+
+
+def test_a_table_has_the_classes_of_the_command_line(done, lab):
+    counts = read_counts(lab / RUN).counts[:, 0, 0]
+    np.save(lab / "counts.npy", counts)
+    found = deepfsi.classify_table(lab / DESIGN, lab / "counts.npy", TableSettings(photons=1e5))
+    words = [lab / DESIGN, lab / "counts.npy", "--photons", "1e5"]
+    assert json.loads(json.dumps(found.as_dict())) == in_json(done, *words)
+    with pytest.raises(deepfsi.InputError, match="`settle` and `dead_time` need the times"):
+        deepfsi.classify_table(lab / DESIGN, lab / "counts.npy", TableSettings(1e5, settle_s=1e-6))
+
+
+def test_counts_that_are_not_of_the_training_are_refused_unless_forced(lab):
+    with pytest.raises(deepfsi.InputError, match=r"and `photons`; `force` classifies them all"):
+        deepfsi.classify_run(lab / DESIGN, lab / RUN, photons=1e6)
+    found = deepfsi.classify_run(lab / DESIGN, lab / RUN, photons=1e6, force=True)
+    assert found.consistency.refused
+    assert "do not look like" in found.remarks[0]
+    with pytest.raises(deepfsi.InputError, match=r"photon budget 0 is not allowed"):
+        deepfsi.classify_run(lab / DESIGN, lab / RUN, photons=0)
+
+
+def test_a_live_run_is_decided_as_it_was(done, digits, tmp_path):
+    patterns = make_patterns(tmp_path, digits)
+    decided = live(tmp_path / "run", patterns, digits, count=3)
+    with pytest.raises(deepfsi.InputError, match=r"counts\.npz is missing"):
+        deepfsi.classify_run(tmp_path / "looks.safetensors", tmp_path / "run")
+    count_live(tmp_path / "run")
+    found = deepfsi.classify_run(tmp_path / "looks.safetensors", tmp_path / "run")
+    answers = [each.answer for each in decided if each.answer]
+    assert all(scene.agrees for scene in found.scenes)
+    for scene, answer in zip(found.scenes, answers, strict=True):
+        assert {**scene.as_dict(), "agrees": None} == {**answer.as_dict(), "agrees": None}
+    assert found.as_dict() == in_json(done, tmp_path / "looks.safetensors", tmp_path / "run")
+    with pytest.raises(deepfsi.InputError, match="as it was"):
+        deepfsi.classify_run(tmp_path / "looks.safetensors", tmp_path / "run", photons=1e4)
+
+
+def test_scenes_are_a_list_or_pictures(lab, tmp_path):
+    (tmp_path / "scenes.csv").write_text("first,3\nsecond\n")
+    assert [(one.name, one.label) for one in listed(tmp_path / "scenes.csv", lab / "frames")] == [
+        ("first", "3"),
+        ("second", None),
+    ]
+    assert listed(lab / "images", lab / "frames") == scenes_of(
+        read_display(lab / "images"), lab / "images", lab / "frames"
+    )
+    with pytest.raises(deepfsi.InputError, match="there is nothing at"):
+        listed(tmp_path / "none.csv", lab / "frames")
+
+
+def test_the_error_of_a_background_is_in_the_test_of_the_counts(lab, monkeypatch):
+    """It is the same in all exposures of a scene, so that of n together has n² its variance."""
+    from dataclasses import replace
+
+    from deepfsi.design.artifact import Design
+    from deepfsi.lab import classify
+
+    counts, told = read_counts(lab / RUN), []
+    monkeypatch.setattr(Design, "consistency", lambda *given: told.append(given[3]))
+    n = counts.valid.sum(axis=1)[0]
+    for ambient_variance in (0 * counts.ambient, counts.ambient + 7.0):
+        changed = replace(counts, ambient_variance=ambient_variance)
+        monkeypatch.setattr(classify, "load_counts", lambda *given, held=changed: held)
+        deepfsi.classify_run(lab / DESIGN, lab / RUN, force=True)
+    np.testing.assert_allclose(told[1] - told[0], 7.0 * n**2)
+
+
+@pytest.mark.parametrize("share", [0.02, 1e-2, 1e-3])
+def test_a_run_with_far_less_light_than_the_training_is_refused_unless_forced(lab, tmp_path, share):
+    """Nothing compared the two: at 2 % of the light 15 of 40 digits were right, in silence."""
+    shown = read_display(lab / "images")
+    settings = RecordingSettings(CAMERAS["ideal"], flux=share * 1e7, exposure_s=10e-3)
+    record(lab / "frames", shown.x, shown.names, shown.labels, tmp_path / "run", settings)
+    count(tmp_path / "run")
+    with pytest.raises(deepfsi.InputError, match=r"too little light for this design.*`force`"):
+        deepfsi.classify_run(lab / DESIGN, tmp_path / "run")
+    found = deepfsi.classify_run(lab / DESIGN, tmp_path / "run", force=True)
+    assert all(scene.predicted for scene in found.scenes)
+
+
+def test_scenes_with_too_little_light_get_no_class_and_others_do(lab, tmp_path):
+    """A table of two exposures at the training's light, and two at 2 % of it."""
+    manifest = read_patterns(lab / "frames").manifest
+    x = read_display(lab / "images").x[:2]
+    rates = arrival_rates(lab / "frames", x, CAMERAS["ideal"], 1e7)[..., 0]
+    gate_s = np.full(len(manifest.frames), 10e-3 / len(manifest.shown))
+    gate_s[manifest.shown] = manifest.shares * 10e-3
+    bright = np.random.default_rng(0).poisson(rates * gate_s)
+    dim = np.random.default_rng(1).poisson(0.02 * rates * gate_s)
+    np.save(tmp_path / "table.npy", np.concatenate([bright, dim]))
+    found = deepfsi.classify_table(lab / "frames", tmp_path / "table.npy", force=False)
+    assert [scene.predicted is None for scene in found.scenes] == [False, False, True, True]
+    for scene in found.scenes[2:]:
+        assert "budget" in {fault.kind for fault in scene.faults}
+
+
+@pytest.fixture(scope="module")
+def forty(lab, digits):
+    """Forty test scenes, and classes of them as a virtual camera of some optics counts them."""
+    chosen = np.random.default_rng(9).permutation(len(digits.x_test))[:40]
+    x, names = digits.x_test[chosen].reshape(-1, 8, 8), [str(k) for k in chosen]
+
+    def classified(folder, optics=None, scenes=40, **settings):
+        camera = VirtualCamera.model_validate(optics or {})
+        recording = RecordingSettings(camera, flux=1e7, exposure_s=10e-3)
+        record(lab / "frames", x[:scenes], names[:scenes], None, folder, recording)
+        count(folder)
+        return deepfsi.classify_run(lab / DESIGN, folder, **settings)
+
+    return classified
+
+
+@pytest.mark.parametrize(
+    ("view", "words"),
+    [
+        (((-1, 0, 1), (0, 1, 0), (0, 0, 1)), "mirrored left to right"),
+        (((-1, 0, 1), (0, -1, 1), (0, 0, 1)), "turned by 180 degrees"),
+    ],
+)
+def test_a_run_of_scenes_that_lie_otherwise_is_refused_unless_forced(forty, tmp_path, view, words):
+    with pytest.raises(deepfsi.InputError, match=words):
+        forty(tmp_path / "run", {"view": view})
+    shown = tmp_path / "run" / "patterns"
+    forced = deepfsi.classify_run(shown, tmp_path / "run", force=True)
+    assert any(words in remark for remark in forced.remarks)
+
+
+def test_a_sound_run_is_classified_and_a_short_one_says_what_it_does_not_exclude(forty, tmp_path):
+    whole, short = forty(tmp_path / "whole"), forty(tmp_path / "short", scenes=2)
+    assert not whole.view.named
+    assert not any("exclude" in remark for remark in whole.remarks)
+    assert any("2 scenes do not exclude" in remark for remark in short.remarks)
+    assert whole.as_dict()["view"]["scenes"] == 40
+
+
+def test_the_verdict_of_the_reference_is_kept_with_a_run_and_refuses_it(forty, lab, tmp_path):
+    forty(tmp_path / "run", scenes=3)
+    kept = Verdict(reference=str(tmp_path / "run"), fits=False, reasons=("blur 1.0",))
+    kept.keep(tmp_path / "run")
+    shown = tmp_path / "run" / "patterns"
+    with pytest.raises(deepfsi.InputError, match=r"does not fit \(blur 1.0\)"):
+        deepfsi.classify_run(shown, tmp_path / "run")
+    assert deepfsi.classify_run(shown, tmp_path / "run", force=True).scenes
+    kept.model_copy(update={"fits": True, "reasons": ()}).keep(tmp_path / "run")
+    assert "lies as the masks do" in deepfsi.classify_run(shown, tmp_path / "run").remarks[-1]
+    (tmp_path / "run" / VERDICT).write_text("{")
+    with pytest.raises(deepfsi.InputError, match="check again"):
+        deepfsi.classify_run(shown, tmp_path / "run")

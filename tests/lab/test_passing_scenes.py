@@ -1,0 +1,120 @@
+"""From a simulated photon file of passing scenes to their classes."""
+
+import json
+
+import numpy as np
+import pytest
+
+import deepfsi
+from conftest import once, synthetic
+from deepfsi.base.errors import InputError
+from deepfsi.hardware.counting.transits import count_bins
+from deepfsi.hardware.photons.reader import read_photons
+from deepfsi.hardware.photons.writer import Writer
+from deepfsi.lab.transits import classify_transits, simulate_transits
+
+BIN_S, PHOTONS, BACKGROUND = 1e-3, 1e4, 200.0
+
+
+@pytest.fixture(scope="module")
+def data():
+    return synthetic((6, 8), scenes=240)
+
+
+@pytest.fixture(scope="module")
+def design(data):
+    """A pattern that scenes enter and leave within the bins."""
+    return deepfsi.learn(
+        data,
+        photons=PHOTONS,
+        exposure=deepfsi.Passing(bins=12, speed=2.0, jitter=0.7, pattern_width=16),
+        training={"epochs": 60, "hidden": (48,), "mask_lr": 0.2},
+    )
+
+
+@pytest.fixture(scope="module")
+def recorded(data, design, tmp_path_factory):
+    path = tmp_path_factory.mktemp("photons") / "photons.ptu"
+    starts = simulate_transits(
+        design, data.x_test, path, BIN_S, photons=PHOTONS, background=BACKGROUND, seed=1
+    )
+    return path, starts
+
+
+def test_every_scene_is_found_and_classified_as_in_an_evaluation(data, design, recorded):
+    path, starts = recorded
+    found = classify_transits(design, path, BIN_S)
+    assert len(found.transits) == len(data.x_test)
+    assert found.threshold.false_alarms <= 0.01
+    assert found.background == pytest.approx(BACKGROUND, rel=0.3)
+    off = np.array([each.start_s for each in found.transits]) - starts
+    assert abs(off).max() < 1.5 * BIN_S
+    truth = [data.classes[label] for label in data.y_test]
+    right = np.mean(
+        [each.predicted == one for each, one in zip(found.transits, truth, strict=True)]
+    )
+    [result] = deepfsi.evaluate(design, data, PHOTONS)
+    assert right >= result.low - 0.05
+    counts = np.array([each.counts for each in found.transits]).sum(axis=1)
+    wanted = PHOTONS * data.x_test.sum(axis=1) / design.summed_reflectance
+    assert (counts <= wanted + 12 * BIN_S * BACKGROUND + 5 * wanted**0.5).all()
+
+
+def test_a_scene_of_the_simulation_counts_in_its_bins_what_the_design_expects(
+    data, design, recorded
+):
+    path, starts = recorded
+
+    times, _ = read_photons(path)
+    counts = count_bins(times, starts, BIN_S, 12) - BACKGROUND * BIN_S
+    wanted = PHOTONS * data.x_test @ design.matrix.T / design.summed_reflectance
+    error = 5 * (wanted + BACKGROUND * BIN_S) ** 0.5
+    assert (abs(counts - wanted) < error + 1).all()
+
+
+def test_the_command_prints_and_writes_what_was_found(design, recorded, tmp_path, call):
+    path, _ = recorded
+    file = design.save(tmp_path / "one.safetensors")
+    table = tmp_path / "found.csv"
+    code, out, _ = call("camera", "transits", file, path, "--bin", "1ms", "-o", table)
+    assert not code
+    assert "false alarms are expected" in out
+    lines = table.read_text().splitlines()
+    assert lines[0].startswith("start_s,class,confidence,bin1,bin2")
+    code, out, _ = call("camera", "transits", file, path, "--bin", "1ms", "--json")
+    said = json.loads(out)
+    assert len(said["transits"]) == len(lines) - 1
+    assert said["threshold"]["false_alarms"] <= 0.01
+
+
+@pytest.mark.parametrize(
+    ("settings", "match"),
+    [
+        ({"bin_s": 0.0}, "bin_s 0.0 is not allowed"),
+        ({"false_alarms": 0.0}, "false_alarms 0.0 is not allowed"),
+        ({"background": -1.0}, "a background of -1.0"),
+        ({"counter_input": 1}, "holds 0 photons on input 2"),
+        ({"bin_s": 1e3}, "a transit lasts 12000 s"),
+        ({"counter_input": 99}, "input 99, counted from 0"),
+    ],
+    ids=str,
+)
+def test_bad_input_is_one_line(design, recorded, settings, match):
+    with pytest.raises(InputError, match=match) as error:
+        classify_transits(design, recorded[0], **{"bin_s": BIN_S, **settings})
+    assert "\n" not in str(error.value)
+
+
+def test_background_alone_has_no_transits(design, tmp_path):
+    rng = np.random.default_rng(0)
+    times = np.sort(rng.integers(0, 20 * 10**9, 20_000))
+    with Writer(tmp_path / "dark.ptu", 1e-9) as writer:
+        writer.write(times, np.zeros(20_000, np.int64))
+    found = classify_transits(design, tmp_path / "dark.ptu", BIN_S, false_alarms=1e-4)
+    assert found.transits == ()
+    assert found.as_csv().splitlines() == ["start_s,class,confidence"]
+
+
+def test_masks_at_rest_have_no_transits(recorded):
+    with pytest.raises(InputError, match="learn one of scenes that pass a pattern"):
+        classify_transits(once(synthetic((6, 8)), masks=4), recorded[0], BIN_S)

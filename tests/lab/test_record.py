@@ -1,0 +1,240 @@
+"""`camera record`: a projector and a counter record a fixed design, which is then counted."""
+
+import io
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from deepfsi.base.errors import InputError
+from deepfsi.camera.device import DEVICES, find_device
+from deepfsi.datasets import write_pictures
+from deepfsi.hardware.calibration.scans import scan_rails
+from deepfsi.hardware.counting.acquisition import Scene, plan_acquisition, read_acquisition
+from deepfsi.hardware.counting.counting import count
+from deepfsi.hardware.counting.counts import read_counts
+from deepfsi.hardware.drivers.dlpc900 import Dlpc900Projector
+from deepfsi.hardware.drivers.swabian import TaggerCounter
+from deepfsi.hardware.live.bench import virtual_bench
+from deepfsi.hardware.patterns.folder import export_patterns, read_frames, read_patterns
+from deepfsi.hardware.patterns.sequence import FrameSettings
+from deepfsi.hardware.virtual.bench import Latencies
+from deepfsi.hardware.virtual.camera import CAMERAS, arrival_rates
+from deepfsi.lab import record
+from hardware.drivers import dlpc900_fake, swabian_fake
+
+FLUX, EXPOSURE, SCENES = 1e7, 10e-3, 5
+LIGHT = ("--flux", f"{FLUX:g}", "--exposure", "10ms", "--virtual", "ideal")
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory, digits) -> Path:
+    folder = tmp_path_factory.mktemp("record")
+    frames = FrameSettings(find_device("64x48"), 1e-3)
+    export_patterns(scan_rails("raster", (8, 8)), frames, folder / "patterns")
+    pictures = {f"{digits.y_test[k]}/{k}.png": digits.x_test[k].reshape(8, 8) for k in range(5)}
+    write_pictures(pictures, folder / "images")
+    return folder
+
+
+def planned(lab: Path, scenes: np.ndarray, **settings):
+    """Acquisition of some scenes, and its virtual bench."""
+    shown = tuple(Scene(name=str(k)) for k in range(len(scenes)))
+    told = {"flux": FLUX, "camera": CAMERAS["ideal"].model_dump(mode="json"), "seed": 1}
+    manifest = read_patterns(lab / "patterns").manifest
+    acquisition = plan_acquisition(manifest, shown, exposure_s=EXPOSURE, repeats=1, **told)
+    acquisition = acquisition.model_copy(update=settings)
+    return acquisition, virtual_bench(lab / "patterns", scenes, acquisition, Latencies())
+
+
+def test_one_command_records_counts_and_names(done, lab, tmp_path):
+    words = ("--scene", lab / "images", *LIGHT, "-o", tmp_path / "run")
+    out = done("camera", "record", lab / "patterns", *words)
+    lines = [line for line in out.splitlines() if "counts/s in the masks' frames" in line]
+    assert len(lines) == SCENES
+    assert not any("NO LIGHT" in line for line in lines)
+    assert "of them whole" in out
+    acquisition, _ = read_acquisition(tmp_path / "run")
+    assert [scene.label for scene in acquisition.scenes] == sorted(
+        scene.label for scene in acquisition.scenes
+    )
+    assert read_counts(tmp_path / "run").valid.all()
+    told = json.loads(
+        done("camera", "record", lab / "patterns", *words[:-1], tmp_path / "2", "--json")
+    )
+    assert told["schema"] == "deepfsi.camera.record/1"
+    assert told["faults"] == []
+    assert told["counts"] == read_counts(tmp_path / "run").counts.tolist()  # of one seed
+
+
+def test_counts_are_those_that_the_light_says(lab, digits, tmp_path):
+    """Each readout's sum over the scenes is Poisson about rate times gate; all of them: chi²."""
+    scenes = digits.x_test[:40].reshape(40, 8, 8)
+    acquisition, bench = planned(lab, scenes)
+    recorded = list(record.record_run(tmp_path / "run", lab / "patterns", acquisition, bench))
+    assert all(each.lit for each in recorded)
+    counts = count(tmp_path / "run")
+    manifest = read_patterns(lab / "patterns").manifest
+    rates = arrival_rates(lab / "patterns", scenes, CAMERAS["ideal"], FLUX)
+    wanted = (rates[:, manifest.shown, 0] * counts.gate_s).sum(axis=0)
+    found = counts.counts[:, 0, 0].sum(axis=0)
+    chi2 = ((found - wanted) ** 2 / wanted).sum()
+    assert abs(chi2 - len(wanted)) < 5 * np.sqrt(2 * len(wanted))
+    on = np.array([each.on_rate for each in recorded])
+    assert on.mean() == pytest.approx(rates[:, 0].mean(), rel=5 / np.sqrt(FLUX * 2e-3 * 40) + 1e-3)
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_a_run_that_is_stopped_keeps_its_finished_scenes(lab, digits, tmp_path, late):
+    """Before a pass, and while one is shown."""
+    acquisition, bench = planned(lab, digits.x_test[:4].reshape(4, 8, 8))
+    run = bench.projector.run
+
+    def stopped() -> None:
+        frames = np.arange(20)
+        bench.projector.show(frames, read_patterns(lab / "patterns").manifest.picture_s[frames])
+        raise KeyboardInterrupt
+
+    def display(scene: int) -> None:
+        if scene == 2:
+            if not late:
+                raise KeyboardInterrupt
+            bench.projector.run = stopped
+        bench.projector._setup.display(scene)
+
+    told = record.record_run(
+        tmp_path / "run", lab / "patterns", acquisition, replace(bench, display=display)
+    )
+    with pytest.raises(KeyboardInterrupt):
+        list(told)
+    bench.projector.run = run
+    assert [scene.name for scene in read_acquisition(tmp_path / "run")[0].scenes] == ["0", "1"]
+    assert count(tmp_path / "run").valid.tolist() == [[True], [True]]
+
+
+def tagged(lab: Path, scenes: np.ndarray, monkeypatch):
+    """The same bench, whose photons and triggers are tags of a fake of a Time Tagger."""
+    acquisition, bench = planned(lab, scenes)
+    device = swabian_fake.install(monkeypatch)
+    bench.projector._setup.written = device
+    counter = TaggerCounter(acquisition.inputs, acquisition.marker_bit, trigger=8)
+    return device, acquisition, replace(bench, counter=counter)
+
+
+def test_a_time_tagger_records_what_the_virtual_counter_does(lab, digits, tmp_path, monkeypatch):
+    """Tags on channels in blocks that end anywhere become the same run: count by count."""
+    scenes = digits.x_test[:3].reshape(3, 8, 8)
+    acquisition, bench = planned(lab, scenes)
+    usual = list(record.record_run(tmp_path / "usual", lab / "patterns", acquisition, bench))
+    device, *settings = tagged(lab, scenes, monkeypatch)
+    told = list(record.record_run(tmp_path / "run", lab / "patterns", *settings))
+    assert told == usual
+    counts = count(tmp_path / "run")
+    assert counts.valid.all()
+    assert np.array_equal(counts.counts, count(tmp_path / "usual").counts)
+    assert device.steps[-2:] == ["stop", "freeTimeTagger"]
+
+
+@pytest.mark.parametrize("loss", [False, True])
+def test_ctrl_c_or_a_loss_lets_go_of_the_time_tagger_and_keeps_scenes(
+    lab, digits, tmp_path, monkeypatch, loss
+):
+    device, acquisition, bench = tagged(lab, digits.x_test[:4].reshape(4, 8, 8), monkeypatch)
+
+    def display(scene: int) -> None:
+        if scene == 2 and not loss:
+            raise KeyboardInterrupt
+        if scene == 2:
+            last = [bench.projector._setup._end]
+            device.add(times=last, channels=[0], types=[swabian_fake.OVERFLOW_BEGIN], missed=[0])
+        bench.projector._setup.display(scene)
+
+    told = record.record_run(
+        tmp_path / "run", lab / "patterns", acquisition, replace(bench, display=display)
+    )
+    with pytest.raises(InputError if loss else KeyboardInterrupt) as end:
+        list(told)
+    assert ("overflowed" in str(end.value)) == loss
+    assert device.steps[-2:] == ["stop", "freeTimeTagger"]
+    assert [scene.name for scene in read_acquisition(tmp_path / "run")[0].scenes] == ["0", "1"]
+    assert count(tmp_path / "run").valid.tolist() == [[True], [True]]
+
+
+def test_a_scene_without_light_and_a_missing_trigger_are_said_at_once(
+    lab, digits, tmp_path, monkeypatch
+):
+    scenes = np.stack([digits.x_test[0].reshape(8, 8), np.zeros((8, 8))])
+    acquisition, bench = planned(lab, scenes)
+    told = list(record.record_run(tmp_path / "run", lab / "patterns", acquisition, bench))
+    assert [each.lit for each in told] == [True, False]
+    monkeypatch.setattr(record, "PATIENCE_S", 0.2)
+    acquisition, bench = planned(lab, scenes)
+    bench.counter._bit = 2  # the trigger is on another input
+    bench.counter.start = lambda path: (
+        type(bench.counter).start(bench.counter, path),
+        setattr(bench.projector._setup, "wiring", ((0,), 1)),
+    )
+    with pytest.raises(InputError, match="trigger is wired"):
+        list(record.record_run(tmp_path / "2", lab / "patterns", acquisition, bench))
+
+
+def test_a_dlpc900_shows_the_frames_of_a_recorded_run(lab, digits, tmp_path, monkeypatch):
+    """What its bytes make it show is what the counter sees; counts are then those of the light."""
+    scenes = digits.x_test[:3].reshape(3, 8, 8)
+    board = dlpc900_fake.install(monkeypatch)
+    device = DEVICES["dlp6500"].model_copy(update={"columns": 64, "rows": 48})
+    monkeypatch.setitem(DEVICES, "dlp6500", device)
+    board.size = 64, 48
+    acquisition, bench = planned(lab, scenes)
+    frames = {frame.tobytes(): k for k, frame in enumerate(read_frames(lab / "patterns"))}
+    bench.projector.load(lab / "patterns")
+
+    def seen(patterns) -> None:
+        shown = np.array([frames[frame.tobytes()] for frame, _, _ in patterns])
+        bench.projector.show(shown, np.array([us * 1e-6 for _, us, _ in patterns]))
+
+    board.on_start = seen
+    run = replace(bench, projector=Dlpc900Projector())
+    told = list(record.record_run(tmp_path / "run", lab / "patterns", acquisition, run))
+    assert [each.lit for each in told] == [True] * 3
+    assert len(board.shown) == 3
+    assert not board.opened
+    counts = count(tmp_path / "run")
+    assert counts.valid.all()
+    manifest = read_patterns(lab / "patterns").manifest
+    rates = arrival_rates(lab / "patterns", scenes, CAMERAS["ideal"], FLUX)
+    wanted = rates[:, manifest.shown, 0] * counts.gate_s
+    chi2 = ((counts.counts[:, 0, 0] - wanted) ** 2 / wanted).sum()
+    assert abs(chi2 - wanted.size) < 5 * np.sqrt(2 * wanted.size + (1 / wanted).sum())
+
+
+def test_real_devices_are_asked_by_the_same_options(refuse, lab, tmp_path, monkeypatch):
+    scenes = tmp_path / "scenes.csv"
+    scenes.write_text("first,3\nsecond,4\n")
+    words = ("camera", "record", lab / "patterns", "--scene", scenes, "-o", tmp_path / "run")
+    assert "ALP4lib" in refuse(*words, "--projector", "vialux", "--counter", "picoquant")
+    monkeypatch.setitem(sys.modules, "hid", None)
+    own = ("--projector", "dlpc900", "--counter", "picoquant")
+    assert "pip install hidapi" in refuse(*words, *own)
+    assert "for --projector vialux" in refuse(*words, *own, "--alp-version", "4.1")
+    assert "do not go together" in refuse(*words, "--projector", "vialux")
+    monkeypatch.setattr("sys.stdin", io.StringIO(""))
+    assert "for virtual devices" in refuse(
+        *words, "--projector", "vialux", "--counter", "picoquant", "--flux", "1e6"
+    )
+    swabian = ("--projector", "vialux", "--counter", "swabian")
+    assert "needs --marker-channel" in refuse(*words, *swabian)
+    assert "no detector's" in refuse(*words, *swabian, "--marker-channel", "1")
+    assert "ALP4lib" in refuse(*words, *swabian, "--marker-channel", "-8")
+    levels = tmp_path / "levels.toml"
+    levels.write_text("[trigger_levels]\n1 = 'high'\n")
+    config = (*swabian, "--marker-channel", "8", "--counter-config", levels)
+    assert f"{levels} cannot be used at trigger_levels.1" in refuse(*words, *config)
+    levels.write_text("[trigger_levels]\n1 = 0.1\n8 = 1.2\n")
+    assert "ALP4lib" in refuse(*words, *config)
+    assert "is for --counter swabian" in refuse(
+        *words, "--projector", "vialux", "--counter", "picoquant", "--marker-channel", "8"
+    )

@@ -1,0 +1,199 @@
+"""Pictures from tables of counts: exact without noise, in every form of masks and tables."""
+
+import numpy as np
+import pytest
+import pywt
+from scipy.linalg import lstsq
+from scipy.ndimage import gaussian_filter
+
+from deepfsi.base.errors import InputError
+from deepfsi.hardware.counting.picture import solve_masks, solve_wavelets
+from deepfsi.jobs.designs import formula_masks
+from deepfsi.lab.table_pictures import TableMasks, compare_picture, read_pictures
+
+SCENE = np.random.default_rng(0).integers(0, 50, (8, 4)).astype(float)
+
+
+@pytest.fixture
+def table(tmp_path):
+    def save(values: np.ndarray, name: str = "counts.npy") -> str:
+        path = tmp_path / name
+        if name.endswith(".csv"):
+            np.savetxt(path, values, delimiter=",", fmt="%d")
+        else:
+            np.save(path, values)
+        return str(path)
+
+    return save
+
+
+def rails_of(masks: np.ndarray, scene: np.ndarray = SCENE) -> np.ndarray:
+    """Counts (2, m) without noise of masks ±1."""
+    return np.stack([(masks > 0) @ scene.ravel(), (masks < 0) @ scene.ravel()])
+
+
+@pytest.mark.parametrize("name", ["counts.npy", "counts.csv"])
+@pytest.mark.parametrize("formula", ["hadamard-natural", "hadamard-sequency", "hadamard"])
+def test_a_picture_without_noise_is_the_scene(table, formula, name):
+    counts = rails_of(formula_masks(formula, (8, 4)))
+    settings = TableMasks(formula, size=(8, 4))
+    found = read_pictures([table(counts.T.astype(int), name)], settings)
+    assert np.allclose(found.pictures[0], SCENE)
+
+
+@pytest.mark.parametrize("kind", ["signed", "binary", "grey"])
+def test_masks_from_a_file_give_the_scene(table, kind):
+    rng = np.random.default_rng(1)
+    on = rng.random((48, 32)) < 0.5
+    masks = {"signed": 2.0 * on - 1, "binary": on, "grey": rng.random((48, 32))}[kind]
+    file = table(masks, "masks.npy")
+    shown = on if kind != "grey" else masks
+    plus, minus = shown @ SCENE.ravel(), (1 - shown) @ SCENE.ravel()
+    if kind == "grey":  # grey light is no whole number: a large scene, rounded
+        plus, minus = np.rint(1e9 * plus), np.rint(1e9 * minus)
+    counts = table(np.stack([plus, minus], axis=1))
+    found = read_pictures([counts], TableMasks(file, size=(8, 4)))
+    scale = 1e9 if kind == "grey" else 1.0
+    if kind == "grey":  # its full scale is its brightest cell
+        plus = masks / masks.max()
+        weights = 2 * plus - 1
+        read = np.load(counts) @ [1, -1]
+        assert np.allclose(found.pictures[0].ravel(), lstsq(weights, read)[0], rtol=1e-6)
+        return
+    assert np.allclose(found.pictures[0] / scale, SCENE)
+
+
+def test_single_masks_and_raster_give_the_scene(table):
+    single = TableMasks("hadamard-natural", size=(8, 4), rails="single")
+    ones = table((formula_masks("hadamard-natural", (8, 4)) > 0) @ SCENE.ravel()[:, None])
+    assert np.allclose(read_pictures([ones], single).pictures[0], SCENE)
+    some = (formula_masks("hadamard-natural", (8, 4)) > 0)[1:]  # without all ON
+    short = table(some @ SCENE.ravel()[:, None], "short.npy")
+    file = table(some, "some.npy")
+    found = read_pictures([short], TableMasks(file, size=(8, 4))).pictures[0]
+    assert np.allclose(some @ found.ravel(), some @ SCENE.ravel())
+    scan = table(SCENE.reshape(-1, 1), "scan.npy")
+    raster = read_pictures([scan], TableMasks("raster", size=(8, 4)))
+    assert np.allclose(raster.pictures[0], SCENE)
+    assert raster.light is None
+    assert "without inverses" in raster.note
+
+
+def test_a_sequence_that_ends_early_gives_the_picture_of_its_masks(table):
+    masks = formula_masks("hadamard-sequency", (8, 4))
+    counts = table(rails_of(masks)[:, :12].T)
+    found = read_pictures([counts], TableMasks("hadamard-sequency", size=(8, 4)))
+    assert np.allclose(found.pictures[0].ravel(), masks[:12].T @ (masks[:12] @ SCENE.ravel()) / 32)
+
+
+@pytest.mark.parametrize("wrong", [-1.0, 2.5])
+def test_values_that_are_no_counts_give_a_picture_and_no_verdict(table, wrong):
+    values = rails_of(formula_masks("hadamard-natural", (8, 4)))
+    values[0, 3] = wrong
+    found = read_pictures([table(values.T)], TableMasks("hadamard-natural", size=(8, 4)))
+    assert found.light is None
+    assert f"{wrong:g} are no counts" in found.note
+
+
+def test_orthogonal_masks_are_solved_as_by_least_squares():
+    rng = np.random.default_rng(2)
+    read = rng.standard_normal((3, 32))
+    masks = formula_masks("hadamard-natural", (8, 4))
+    for some in (masks, masks[:20], rng.standard_normal((20, 32)), 2.0 * masks[::-1]):
+        there = read[:, : len(some)]
+        assert np.allclose(solve_masks(some, there), lstsq(some.astype(float), there.T)[0].T)
+
+
+def test_counts_over_exposure_and_dark_counts(table):
+    rng = np.random.default_rng(3)
+    masks = formula_masks("hadamard-natural", (16, 16))
+    scene = rng.random((16, 16)) * 20
+    files = [
+        table(rng.poisson(rails_of(masks, scene) * time + 3 * time).T, f"{time}.npy")
+        for time in (1, 2)
+    ]
+    settings = TableMasks("hadamard-natural", exposures_s=(0.01, 0.02))
+    found = read_pictures(files, settings)
+    assert found.light.poisson
+    rates = np.array(found.rates)
+    error = np.hypot(*found.rate_errors)
+    assert abs(rates[0] / rates[1] - 1) < 4 * error
+    assert abs(rates[0] / (100 * (scene.sum() / 2 + 3)) - 1) < 4 * found.rate_errors[0]
+    assert all(
+        low <= 3 * time <= high for (_, low, high), time in zip(found.off, (1, 2), strict=False)
+    )
+    ratio = [1 / (time * scene.sum()) * 2 for time in (1, 2)]
+    assert np.all(np.abs(np.array(found.uniform) - 1) < 4 * np.sqrt(ratio))
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"masks": "hadamrd"}, "no masks 'hadamrd'"),
+        ({"masks": "hadamard-natural", "size": (4, 4)}, "32 masks, and 16 are needed"),
+        ({"masks": "hadamard-natural", "size": (8, 4), "rails": "turns"}, "give a column of masks"),
+        ({"masks": "hadamard-natural"}, "no square"),
+        ({"masks": "hadamard-natural", "size": (8, 4), "exposures_s": (1.0, 2.0)}, "2 `exposures`"),
+        ({"masks": "wavelet-hare-2"}, "unknown wavelet"),
+        ({"masks": "wavelet-haar-3"}, "multiple of 8"),
+    ],
+)
+def test_what_does_not_fit_is_refused(table, settings, said):
+    counts = table(rails_of(formula_masks("hadamard-natural", (8, 4))).T)
+    with pytest.raises(InputError, match=said):
+        read_pictures([counts], TableMasks(**settings))
+
+
+def pyramid(tree: list) -> np.ndarray:
+    """Coefficients (H, W) with the coarsest means in the upper left corner."""
+    out = tree[0]
+    for down, across, both in tree[1:]:
+        out = np.block([[out, across], [down, both]])
+    return out
+
+
+SMOOTH = gaussian_filter(np.random.default_rng(4).random((64, 64)), 3) * 1000
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize(("name", "wavelet"), [("haar", "haar"), ("legall", "bior2.2")])
+def test_wavelet_coefficients_of_either_sign_give_the_picture(table, name, wavelet, sign):
+    tree = pywt.wavedec2(SMOOTH, wavelet, mode="periodization", level=3)
+    tree = [tree[0], *((sign * a, sign * b, c) for a, b, c in tree[1:])]
+    found = read_pictures([table(pyramid(tree))], TableMasks(f"wavelet-{name}-3"))
+    assert np.allclose(found.pictures[0], SMOOTH)
+    assert found.wavelets[0]["reversed"] is (sign < 0)
+    assert found.light is None
+    assert "cannot be said" in found.note
+
+
+def test_the_scatter_of_details_is_poisson_s_for_poisson_counts(table):
+    # a uniform scene behind patterns of the height 2^-level: each detail is a difference of counts
+    rng, light, levels = np.random.default_rng(5), 400.0, 3
+    tree = pywt.wavedec2(np.full((64, 64), light), "haar", mode="periodization", level=levels)
+    noisy = [tree[0]]
+    for level, parts in zip((3, 2, 1), tree[1:], strict=True):
+        size, rate = parts[0].shape, light * 2**level / 2
+        noisy.append(tuple(rng.poisson(rate, size) - rng.poisson(rate, size) for _ in range(3)))
+    found = read_pictures([table(pyramid(noisy))], TableMasks("wavelet-haar-3")).wavelets[0]
+    assert found["level"] == 1
+    ratio = np.array(found["variance_over_poisson"])
+    # a median of absolute values has 37 % efficiency
+    assert abs(ratio.mean() - 1) < 4 * np.sqrt(2 / 1024 / 0.37)
+    assert solve_wavelets(pyramid(tree), "haar", levels)[0] == pytest.approx(light)
+
+
+def test_agreement_with_a_picture_of_another_camera(table):
+    settings = TableMasks("raster", size=(8, 4))
+    found = read_pictures([table(SCENE.reshape(-1, 1))], settings)
+    same, agreement = compare_picture(found, table(3 * SCENE + 7, "other.npy"))
+    assert np.allclose(same, SCENE)
+    assert agreement[0]["correlation"] == pytest.approx(1)
+    assert agreement[0]["residual"] == pytest.approx(0, abs=1e-9)
+    noise = np.random.default_rng(6).standard_normal(SCENE.shape) * SCENE.std()
+    rest = compare_picture(found, table(SCENE + noise, "n.npy"))[1][0]
+    r = np.corrcoef(SCENE.ravel(), (SCENE + noise).ravel())[0, 1]
+    assert rest["correlation"] == pytest.approx(r)
+    assert rest["residual"] == pytest.approx(np.sqrt(1 / r**2 - 1))
+    with pytest.raises(InputError, match="same shape"):
+        compare_picture(found, table(np.ones((4, 4)), "s.npy"))
