@@ -5,16 +5,21 @@
     python tests/mutants/run.py --first 40
 
 A copy of the tree is changed, never the tree itself. A mutant is killed where its tests pass on the
-sound copy and fail on the changed one.
+sound copy and fail on the changed one. The list names the function and the code in it, so a mutant
+stays as it is when its function is moved or formatted; only the name of its module follows.
 """
 
+import ast
 import os
+import re
 import shutil
 import subprocess
 import sys
 import tempfile
 import tomllib
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -28,19 +33,115 @@ LONGEST_S = 600.0
 
 @dataclass(frozen=True)
 class Mutant:
-    """One deliberate fault."""
+    """One deliberate fault, found by function and code, not by file and text.
+
+    Parameters
+    ----------
+    wrong
+        What is wrong, in one sentence.
+    at
+        Module and qualified name of the function, class or constant in it that is changed,
+        ``deepfsi.optics.noise:poisson``.
+    old
+        An expression or statements that stand there once, formatted in any way.
+    new
+        What stands there instead.
+    tests
+        Paths below ``tests``, one of which must fail.
+    """
 
     wrong: str
-    file: str
+    at: str
     old: str
     new: str
     tests: list[str]
 
+    def file(self, tree: Path) -> Path:
+        """File of the changed module in a copy of the repository."""
+        module = tree.joinpath("src", *self.at.partition(":")[0].split("."))
+        return module / "__init__.py" if module.is_dir() else module.with_suffix(".py")
+
     def apply(self, source: str) -> str:
-        """Source with the fault, which must fit at one place."""
-        if source.count(self.old) != 1:
-            raise ValueError(f"{self.file} holds {source.count(self.old)} times: {self.old}")
-        return source.replace(self.old, self.new)
+        """Source of the module with the fault.
+
+        Raises
+        ------
+        ValueError
+            If the name is not there, or `old` does not stand in it exactly once.
+        """
+        tree = ast.parse(source)
+        scopes = named(tree, self.at.partition(":")[2])
+        if not scopes:
+            raise ValueError(f"{self.at} is not there")
+        old, new = ast.parse(self.old).body, ast.parse(self.new).body
+        search = expressions if is_expression(old) and is_expression(new) else statements
+        replacements = [each for scope in scopes for each in search(scope, old, new)]
+        if len(replacements) != 1:
+            raise ValueError(f"{self.at} holds {len(replacements)} times: {self.old}")
+        replacements[0]()
+        return ast.unparse(tree)
+
+
+def named(tree: ast.Module, name: str) -> list[ast.stmt]:
+    """Definitions of a qualified name: a property and its setter are two."""
+    bodies, last = [tree.body], []
+    for part in name.split("."):
+        last = [node for body in bodies for node in body if part in _names(node)]
+        bodies = [getattr(node, "body", []) for node in last]
+    return last
+
+
+def _names(node: ast.stmt) -> set[str]:
+    """Names that a statement defines."""
+    if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
+        return {node.name}
+    targets = node.targets if isinstance(node, ast.Assign) else [getattr(node, "target", None)]
+    stored = [name for target in targets if target for name in ast.walk(target)]
+    return {name.id for name in stored if isinstance(name, ast.Name)}
+
+
+def is_expression(body: list[ast.stmt]) -> bool:
+    """True if the code is one expression."""
+    return len(body) == 1 and isinstance(body[0], ast.Expr)
+
+
+def same(node: ast.AST) -> str:
+    """What two pieces of code share if they differ only in their formatting."""
+    return re.sub(r",? ?ctx=\w+\(\)", "", ast.dump(node))
+
+
+def expressions(
+    scope: ast.stmt, old: list[ast.stmt], new: list[ast.stmt]
+) -> Iterator[Callable[[], None]]:
+    """Replacements of an expression by another, one for each place where it stands."""
+    wanted, instead = same(old[0].value), new[0].value  # type: ignore[attr-defined]
+    for parent in ast.walk(scope):
+        for field, value in ast.iter_fields(parent):
+            if isinstance(value, ast.expr) and same(value) == wanted:
+                yield partial(setattr, parent, field, instead)
+            elif isinstance(value, list):
+                for index, item in enumerate(value):
+                    if isinstance(item, ast.expr) and same(item) == wanted:
+                        yield partial(value.__setitem__, index, instead)
+
+
+def statements(
+    scope: ast.stmt, old: list[ast.stmt], new: list[ast.stmt]
+) -> Iterator[Callable[[], None]]:
+    """Replacements of statements by others, one for each place where they stand."""
+    wanted = [same(node) for node in old]
+    for parent in ast.walk(scope):
+        for field, body in ast.iter_fields(parent):
+            if not isinstance(body, list) or not all(isinstance(n, ast.stmt) for n in body):
+                continue
+            dumps = [same(node) for node in body]
+            for first in range(len(body) - len(old) + 1):
+                if dumps[first : first + len(old)] == wanted:
+                    changed = [*body[:first], *new, *body[first + len(old) :]]
+                    # what is left of a block without statements is `pass`, but for an `else`
+                    yield partial(
+                        setattr, parent, field, changed or ([ast.Pass()] * (field == "body"))
+                    )
 
 
 def read_mutants() -> list[Mutant]:
@@ -86,7 +187,7 @@ def run(
                 sound[tests] = first_failure(tree, mutant.tests)
             if sound[tests]:
                 raise SystemExit(f"fails without any fault: {sound[tests]}")
-            path = tree / "src" / "deepfsi" / mutant.file
+            path = mutant.file(tree)
             source = path.read_text()
             path.write_text(mutant.apply(source))
             killer = first_failure(tree, mutant.tests)

@@ -56,18 +56,18 @@ class Fault(NamedTuple):
     occurrence: int
 
 
-def faults(wing: Path) -> Iterator[Fault]:
-    """All faults of the modules of a wing."""
+def faults(package: Path, wing: str) -> Iterator[Fault]:
+    """All faults of the modules of a wing, a folder of the package or of one of its folders."""
     from cosmic_ray.ast import ast_nodes, get_ast
     from cosmic_ray.plugins import get_operator, operator_names
 
     operators = {name: get_operator(name)() for name in operator_names() if OPERATORS.match(name)}
-    for path in sorted(wing.rglob("*.py")):
+    for path in sorted((package / wing).rglob("*.py")):
         nodes = list(ast_nodes(get_ast(path.read_text())))
         for name, operator in sorted(operators.items()):
             count = sum(len(list(operator.mutation_positions(node))) for node in nodes)
             for occurrence in range(count):
-                yield Fault(path.relative_to(wing.parent), name, occurrence)
+                yield Fault(path.relative_to(package), name, occurrence)
 
 
 def changed(source: str, fault: Fault) -> str:
@@ -171,7 +171,7 @@ def main(
         for wing in wings:
             if not trust and run_tests(tree, [f"tests/{wing}"], log):
                 raise SystemExit(f"fails without any fault: {log.read_text()[-300:]}")
-            every = list(faults(tree / "src" / "deepfsi" / wing))
+            every = list(faults(tree / "src" / "deepfsi", wing))
             drawn = random.Random(seed).sample(every, min(number, len(every)))[first - 1 :]
             alive = 0
             for place, fault in enumerate(drawn, start=first):
