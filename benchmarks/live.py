@@ -41,17 +41,23 @@ import numpy as np
 from deepfsi.camera.device import find_device
 from deepfsi.hardware.counting.acquisition import Scene
 from deepfsi.hardware.counting.streaming import FrameCounts, FrameGates, StreamCounter
+from deepfsi.hardware.drivers.protocols import Setup
 from deepfsi.hardware.live.decisions import FrameList, Observer
 from deepfsi.hardware.live.known import KnownMasks
 from deepfsi.hardware.live.loop import Loop, LoopHeader
-from deepfsi.hardware.live.run import Bench, plan_live, run_live
+from deepfsi.hardware.live.run import plan_live, run_live
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns, read_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.photons.header import read_header
 from deepfsi.hardware.photons.reader import count_gates, read_markers
 from deepfsi.hardware.photons.writer import Writer
-from deepfsi.hardware.virtual.bench import BenchCounter, BenchProjector, Latencies, VirtualSetup
 from deepfsi.hardware.virtual.camera import VirtualCamera, arrival_rates
+from deepfsi.hardware.virtual.setup import (
+    Latencies,
+    VirtualCounter,
+    VirtualOptics,
+    VirtualProjector,
+)
 
 FLUX, TICK_S, SETTLE_S = 1e7, 1e-12, 1e-5
 GATE = 0.8
@@ -253,8 +259,8 @@ def marker_to_decision(
     export_patterns(design, FrameSettings(find_device("64x48"), 1e-3), folder / "patterns")
     x = np.random.default_rng(3).random((arguments.scenes, 8, 8))
     rates = arrival_rates(folder / "patterns", x, VirtualCamera(), flux)
-    setup = VirtualSetup(rates, VirtualCamera(), Latencies())
-    devices = Bench(BenchProjector(setup), BenchCounter(setup, (0,)), setup.display)
+    setup = VirtualOptics(rates, VirtualCamera(), Latencies())
+    devices = Setup(VirtualProjector(setup), VirtualCounter(setup, (0,)), setup.display)
     scenes = tuple(Scene(name=str(k)) for k in range(len(x)))
     acquisition = plan_live(folder / "patterns", scenes, EXPOSURE_S)
     wanted = [

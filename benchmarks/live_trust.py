@@ -24,14 +24,20 @@ from deepfsi.base.errors import InputError
 from deepfsi.camera.device import find_device
 from deepfsi.datasets import Dataset
 from deepfsi.hardware.counting.acquisition import Scene
+from deepfsi.hardware.drivers.protocols import Setup
 from deepfsi.hardware.live.known import read_looks
 from deepfsi.hardware.live.replay import count_live, replay_run
-from deepfsi.hardware.live.run import Bench, plan_live, run_live
+from deepfsi.hardware.live.run import plan_live, run_live
 from deepfsi.hardware.patterns.folder import export_patterns, read_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
-from deepfsi.hardware.virtual.bench import BenchCounter, BenchProjector, Latencies, VirtualSetup
 from deepfsi.hardware.virtual.camera import MirrorLight, VirtualCamera, arrival_rates
 from deepfsi.hardware.virtual.detector import TICK_S
+from deepfsi.hardware.virtual.setup import (
+    Latencies,
+    VirtualCounter,
+    VirtualOptics,
+    VirtualProjector,
+)
 from deepfsi.lab.rails import design_rails
 from deepfsi.lab.results import LiveScene
 
@@ -76,7 +82,7 @@ CASES = {
 }
 
 
-class Dimmed(VirtualSetup):
+class Dimmed(VirtualOptics):
     """Virtual setup whose light goes out at some times."""
 
     def __init__(self, *given: object, outs_s: np.ndarray) -> None:
@@ -130,8 +136,8 @@ def run(
     took = len(x) * 50e-3  # a little more than such a run takes
     outs = rng.uniform(0, took, case.blackouts)
     setup = Dimmed(rates, camera, Latencies(), seed, made, outs_s=outs)
-    counter = BenchCounter(setup, (0,))
-    bench = Bench(BenchProjector(setup), counter, setup.display, lambda: setup.now_s)
+    counter = VirtualCounter(setup, (0,))
+    bench = Setup(VirtualProjector(setup), counter, setup.display, lambda: setup.now_s)
     stated = None if case.stated is None else case.stated * FLUX * EXPOSURE_S
     acquisition = plan_live(patterns, named, EXPOSURE_S, photons=stated, background=case.background)
     with tempfile.TemporaryDirectory() as folder:

@@ -21,12 +21,11 @@ import deepfsi
 from deepfsi.camera.device import find_device
 from deepfsi.hardware.counting.acquisition import Scene
 from deepfsi.hardware.counting.tables import TableSettings
-from deepfsi.hardware.live.bench import virtual_bench
 from deepfsi.hardware.live.run import plan_live, run_live
 from deepfsi.hardware.patterns.folder import export_patterns, read_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
-from deepfsi.hardware.virtual.bench import Latencies
 from deepfsi.hardware.virtual.camera import VirtualCamera, arrival_rates
+from deepfsi.hardware.virtual.setup import Latencies, virtual_setup
 from deepfsi.lab.rails import design_rails
 
 SCENES, PHOTONS, EXPOSURE_S = 40, 1e4, 10e-3
@@ -123,7 +122,7 @@ def live(patterns: Path, camera: VirtualCamera, flux: float, seed: int, swapped:
     known = {"flux": flux, "seed": seed, "camera": camera.model_dump(mode="json")}
     acquisition = plan_live(patterns, scenes, EXPOSURE_S, **known)
     shown = data.x_test[chosen].reshape(-1, *data.image_shape)
-    devices = virtual_bench(patterns, shown, acquisition, Latencies())
+    devices = virtual_setup(patterns, shown, acquisition, Latencies())
     if swapped:
         _exchange(devices.projector, read_patterns(patterns).manifest.shown[[2, 7]])
     views, right = [], 0

@@ -329,18 +329,24 @@ def _designs(folder: Path) -> None:
 def _recordings(folder: Path) -> None:
     from deepfsi.hardware.counting.acquisition import Scene
     from deepfsi.hardware.counting.counting import count
+    from deepfsi.hardware.drivers.protocols import Setup
     from deepfsi.hardware.live.replay import count_live
-    from deepfsi.hardware.live.run import Bench, plan_live, run_live
-    from deepfsi.hardware.virtual.bench import BenchCounter, BenchProjector, Latencies, VirtualSetup
+    from deepfsi.hardware.live.run import plan_live, run_live
     from deepfsi.hardware.virtual.camera import CAMERAS, RecordingSettings, arrival_rates, record
+    from deepfsi.hardware.virtual.setup import (
+        Latencies,
+        VirtualCounter,
+        VirtualOptics,
+        VirtualProjector,
+    )
 
     scenes = np.random.default_rng(2).random((3, 4, 4))
     settings = RecordingSettings(CAMERAS["ideal"], 1e5, 5e-3)
     record(folder / "npy", scenes, ["a", "b", "c"], None, folder / "run", settings)
     count(folder / "run")
     rates = arrival_rates(folder / "looks", scenes, CAMERAS["ideal"], 1e6)
-    setup = VirtualSetup(rates, CAMERAS["ideal"], Latencies(), 0)
-    bench = Bench(BenchProjector(setup), BenchCounter(setup, (0,)), setup.display,
+    setup = VirtualOptics(rates, CAMERAS["ideal"], Latencies(), 0)
+    bench = Setup(VirtualProjector(setup), VirtualCounter(setup, (0,)), setup.display,
                   lambda: setup.now_s, Latencies().model_dump())  # fmt: skip
     named = tuple(Scene(name=str(k)) for k in range(3))
     planned = plan_live(folder / "looks", named, 10e-3)

@@ -18,11 +18,10 @@ from deepfsi.hardware.counting.counting import count
 from deepfsi.hardware.counting.counts import read_counts
 from deepfsi.hardware.drivers.dlpc900 import Dlpc900Projector
 from deepfsi.hardware.drivers.swabian import TaggerCounter
-from deepfsi.hardware.live.bench import virtual_bench
 from deepfsi.hardware.patterns.folder import export_patterns, read_frames, read_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
-from deepfsi.hardware.virtual.bench import Latencies
 from deepfsi.hardware.virtual.camera import CAMERAS, arrival_rates
+from deepfsi.hardware.virtual.setup import Latencies, virtual_setup
 from deepfsi.lab import record
 from hardware.drivers import dlpc900_fake, swabian_fake
 
@@ -47,7 +46,7 @@ def planned(lab: Path, scenes: np.ndarray, **settings):
     manifest = read_patterns(lab / "patterns").manifest
     acquisition = plan_acquisition(manifest, shown, exposure_s=EXPOSURE, repeats=1, **told)
     acquisition = acquisition.model_copy(update=settings)
-    return acquisition, virtual_bench(lab / "patterns", scenes, acquisition, Latencies())
+    return acquisition, virtual_setup(lab / "patterns", scenes, acquisition, Latencies())
 
 
 def test_one_command_records_counts_and_names(done, lab, tmp_path):

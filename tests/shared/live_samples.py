@@ -7,13 +7,19 @@ import numpy as np
 from conftest import quick
 from deepfsi.camera.device import find_device
 from deepfsi.hardware.counting.acquisition import Scene
+from deepfsi.hardware.drivers.protocols import Setup
 from deepfsi.hardware.live.known import read_looks
 from deepfsi.hardware.live.replay import Replayed, read_live_counts, replay_run
-from deepfsi.hardware.live.run import Bench, Decided, plan_live, run_live
+from deepfsi.hardware.live.run import Decided, plan_live, run_live
 from deepfsi.hardware.patterns.folder import export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
-from deepfsi.hardware.virtual.bench import BenchCounter, BenchProjector, Latencies, VirtualSetup
 from deepfsi.hardware.virtual.camera import CAMERAS, VirtualCamera, arrival_rates
+from deepfsi.hardware.virtual.setup import (
+    Latencies,
+    VirtualCounter,
+    VirtualOptics,
+    VirtualProjector,
+)
 from deepfsi.lab.rails import design_rails
 
 LOOKS = 3
@@ -38,14 +44,14 @@ def make_patterns(folder: Path, digits, optics: str = "single", device=None, **s
 def bench(
     patterns: Path, scenes: np.ndarray, flux: float, camera: VirtualCamera = CAMERAS["ideal"],
     latencies: Latencies | None = None, seed: int = 0,
-) -> Bench:  # fmt: skip
+) -> Setup:  # fmt: skip
     every = np.concatenate([scenes, np.zeros_like(scenes[:1])])  # the last one is the darkness
     rates = arrival_rates(patterns, every, camera, flux)
     latencies = latencies or Latencies()
-    setup = VirtualSetup(rates, camera, latencies, seed)
-    return Bench(
-        BenchProjector(setup),
-        BenchCounter(setup, tuple(range(rates.shape[2]))),
+    setup = VirtualOptics(rates, camera, latencies, seed)
+    return Setup(
+        VirtualProjector(setup),
+        VirtualCounter(setup, tuple(range(rates.shape[2]))),
         setup.display,
         lambda: setup.now_s,
         latencies.model_dump(),

@@ -3,6 +3,7 @@
 import contextlib
 import sys
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,20 +17,11 @@ from deepfsi.cli.settings import laboratory_fields, with_settings
 if TYPE_CHECKING:
     from deepfsi.design.view_test import ViewResult
     from deepfsi.hardware.counting.acquisition import Acquisition
-    from deepfsi.hardware.drivers.protocols import StreamingCounter
-    from deepfsi.hardware.virtual.bench import Latencies
+    from deepfsi.hardware.virtual.setup import Latencies
     from deepfsi.lab.results import LiveScene
 
-PROJECTORS = ("virtual", "vialux", "dlpc900")
-COUNTERS = ("virtual", "picoquant", "swabian", "followed")
-"""Devices by name; `followed` is a PicoQuant counter whose software writes the photon file."""
-_OWN = {
-    "counter_config": ("--counter picoquant", "--counter swabian"),
-    "marker_channel": ("--counter swabian",),
-    "alp_version": ("--projector vialux",),
-    **dict.fromkeys(("flux", "dark", "virtual", "latency", "seed", "yes"), ("virtual devices",)),
-}
-"""Parameters that only some devices take."""
+VIRTUAL_SETTINGS = ("flux", "dark", "virtual", "latency", "seed", "yes")
+"""Parameters that only virtual devices take."""
 
 
 @with_settings(
@@ -81,21 +73,29 @@ def camera_live(
     """
     paths.check_new_folder(out)
     simulated = check_devices(context, projector, counter, settings)
-    if projector == "dlpc900":
-        raise InputError(
-            "live runs choose frames while they run, and a DLPC900 shows a table that is loaded "
-            "before: use --projector vialux, or `deepfsi camera record` of a fixed design"
-        )
     if counter_config is not None:
         paths.check_there(counter_config, "counter configuration")
     times, source = latencies_of(latency or []), paths.check_design(source)
-    from deepfsi.hardware.drivers.protocols import StreamingProjector
-    from deepfsi.hardware.drivers.vialux import VialuxLooks
-    from deepfsi.hardware.live.bench import most_events, virtual_bench
-    from deepfsi.hardware.live.run import Bench, plan_live, run_live
+    from deepfsi.hardware.drivers.catalogue import (
+        DeviceSettings,
+        open_counter,
+        open_list_projector,
+    )
+    from deepfsi.hardware.drivers.protocols import Setup, StreamingProjector
+    from deepfsi.hardware.live.known import read_looks
+    from deepfsi.hardware.live.run import plan_live, run_live
+    from deepfsi.hardware.patterns.folder import read_patterns
+    from deepfsi.hardware.virtual.setup import most_events, virtual_setup
     from deepfsi.lab.camera import camera_of, dead_time_of, exposure_of, flux_of
     from deepfsi.lab.scenes import displayed, scenes_of
 
+    devices = DeviceSettings(
+        counter_config=counter_config,
+        marker_channel=marker_channel,
+        alp_version=alp_version,
+        ask_to_record=ask_to_record,
+    )
+    real = None if simulated else open_list_projector(projector, devices)
     known = camera_of(source, **settings)
     exposure_s, shortest_s = exposure_of(known), known.shortest_dwell or None
     told: dict[str, Any] = {"flux": known.flux, "background": background}
@@ -114,17 +114,20 @@ def camera_live(
             *(exposure_s, shortest_s, photons, until),
             **told,
         )
-        bench: Bench[StreamingProjector]
-        if simulated:
+        setup: Setup[StreamingProjector]
+        if real is None:
             if not yes:
                 camera.ask_for_room(most_events(patterns, images.x, acquisition))
+            decision_s = read_looks(patterns, read_patterns(patterns).manifest).decision_s
             with common.progress("light of the scenes", quiet=as_json) as report:
-                bench = virtual_bench(patterns, images.x, acquisition, times, report)
+                setup = virtual_setup(
+                    patterns, images.x, acquisition, times, report, decision_s=decision_s
+                )
         else:
-            devices = real_counter(counter, acquisition, counter_config, marker_channel)
-            bench = Bench(VialuxLooks(alp_version), *devices)
+            wired = replace(devices, inputs=acquisition.inputs, marker_bit=acquisition.marker_bit)
+            setup = Setup(real, open_counter(counter, wired), ask_for_scenes(acquisition))
         answers, view = [], None
-        with contextlib.closing(run_live(out, patterns, acquisition, bench)) as decided:
+        with contextlib.closing(run_live(out, patterns, acquisition, setup)) as decided:
             for each in decided:
                 if each.answer is None:
                     continue
@@ -142,17 +145,24 @@ def check_devices(
     context: typer.Context, projector: str, counter: str, settings: dict[str, Any]
 ) -> bool:
     """True of virtual devices; `InputError` for devices or options that do not go together."""
-    check_known("projector", projector, PROJECTORS)
-    check_known("counter", counter, COUNTERS)
+    from deepfsi.hardware.drivers.catalogue import COUNTERS, PROJECTORS
+
+    check_known("projector", projector, ("virtual", *PROJECTORS))
+    check_known("counter", counter, ("virtual", *COUNTERS))
     virtual = projector == "virtual"
     if virtual != (counter == "virtual"):
         raise InputError("virtual and real devices do not go together: give both, or neither")
-    chosen = f"--counter {counter}", "virtual devices" if virtual else f"--projector {projector}"
+    takers: dict[str, list[str]] = {name: ["virtual devices"] for name in VIRTUAL_SETTINGS}
+    for option, drivers in (("--counter", COUNTERS), ("--projector", PROJECTORS)):
+        for name, driver in drivers.items():
+            for parameter in driver.settings:
+                takers.setdefault(parameter, []).append(f"{option} {name}")
+    chosen = {f"--counter {counter}", "virtual devices" if virtual else f"--projector {projector}"}
     words = {each.name: each.opts[0] for each in context.command.params}
-    for parameter, owners in _OWN.items():
+    for parameter, devices in takers.items():
         given = parameter in settings or common.is_given(context, parameter)
-        if given and not set(owners) & set(chosen):
-            raise InputError(f"{words[parameter]} is for {' or '.join(owners)}: leave it out")
+        if given and not chosen & set(devices):
+            raise InputError(f"{words[parameter]} is for {' or '.join(devices)}: leave it out")
     return virtual
 
 
@@ -170,7 +180,7 @@ def _patterns(source: Path, as_json: bool) -> Iterator[Path]:
 
 def latencies_of(given: list[str]) -> "Latencies":
     """Latencies of virtual devices, of NAME=TIME."""
-    from deepfsi.hardware.virtual.bench import Latencies
+    from deepfsi.hardware.virtual.setup import Latencies
 
     times = {}
     for each in given:
@@ -181,44 +191,18 @@ def latencies_of(given: list[str]) -> "Latencies":
         return Latencies(**times)
 
 
-def real_counter(
-    counter: str, acquisition: "Acquisition", config: Path | None, marker_channel: int | None
-) -> "tuple[StreamingCounter, Callable[[int], None]]":
-    """A counter, and a display: someone shows the scenes, whose names are asked for."""
-    from deepfsi.hardware.drivers.followed import FollowedCounter
-    from deepfsi.hardware.drivers.picoquant import SnapiCounter
+def ask_for_scenes(acquisition: "Acquisition") -> Callable[[int], None]:
+    """Display of a run with real devices: someone shows the scenes, whose names are asked for."""
 
     def display(scene: int) -> None:
         ask(f"show {acquisition.scenes[scene].name}" if scene >= 0 else "make the scenes dark")
 
-    def wait_for(path: Path, seconds: float) -> None:
-        print(
-            f"record {path} with the counter's software: begin within {seconds:g} s",
-            file=sys.stderr,
-        )
-
-    wiring = acquisition.inputs, acquisition.marker_bit
-    if counter == "followed":
-        return FollowedCounter(*wiring, waits=wait_for), display
-    if counter == "swabian":
-        return _tagger(*wiring, config, marker_channel), display
-    return SnapiCounter(*wiring, config=config), display
+    return display
 
 
-def _tagger(
-    inputs: tuple[int, ...], marker_bit: int, config: Path | None, channel: int | None
-) -> "StreamingCounter":
-    """Time Tagger, with the channel of the trigger and the settings of a TOML file."""
-    from deepfsi.base.files import read_toml
-    from deepfsi.hardware.drivers.swabian import TaggerCounter, TaggerSettings
-
-    if channel is None:
-        raise InputError("--counter swabian needs --marker-channel, the trigger's: such as 8")
-    settings = None
-    if config is not None:
-        with as_input_error(str(config)):
-            settings = TaggerSettings.model_validate(read_toml(config))
-    return TaggerCounter(inputs, marker_bit, trigger=channel, settings=settings)
+def ask_to_record(path: Path, seconds: float) -> None:
+    """Ask someone to record a file with the counter's software."""
+    print(f"record {path} with the counter's software: begin within {seconds:g} s", file=sys.stderr)
 
 
 def ask(what: str) -> None:

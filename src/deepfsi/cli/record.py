@@ -53,13 +53,11 @@ def camera_record(
     from deepfsi.base.progress import SILENT
     from deepfsi.hardware.counting.acquisition import plan_acquisition
     from deepfsi.hardware.counting.counting import count
-    from deepfsi.hardware.drivers.dlpc900 import Dlpc900Projector
-    from deepfsi.hardware.drivers.protocols import PassProjector
-    from deepfsi.hardware.drivers.vialux import VialuxProjector
-    from deepfsi.hardware.live.bench import virtual_bench
-    from deepfsi.hardware.live.run import Bench
+    from deepfsi.hardware.drivers.catalogue import DeviceSettings, open_counter, open_projector
+    from deepfsi.hardware.drivers.protocols import PassProjector, Setup
     from deepfsi.hardware.patterns.folder import read_patterns
     from deepfsi.hardware.virtual.camera import expected_events
+    from deepfsi.hardware.virtual.setup import virtual_setup
     from deepfsi.lab.camera import camera_of, clicks_of, dead_time_of, flux_of
     from deepfsi.lab.record import record_run
     from deepfsi.lab.scenes import displayed, listed, scenes_of
@@ -80,16 +78,26 @@ def camera_record(
         repeats=repeats,
         **told,
     )
-    bench: Bench[PassProjector]
+    setup: Setup[PassProjector]
     if simulated:
         with common.progress("light of the scenes", quiet=as_json) as report:
-            bench = virtual_bench(patterns, images.x, acquisition, times, report)
+            setup = virtual_setup(patterns, images.x, acquisition, times, report)
     else:
-        devices = live.real_counter(counter, acquisition, counter_config, marker_channel)
-        own = Dlpc900Projector() if projector == "dlpc900" else VialuxProjector(alp_version)
-        bench = Bench(own, *devices)
+        devices = DeviceSettings(
+            acquisition.inputs,
+            acquisition.marker_bit,
+            counter_config=counter_config,
+            marker_channel=marker_channel,
+            alp_version=alp_version,
+            ask_to_record=live.ask_to_record,
+        )
+        setup = Setup(
+            open_projector(projector, devices),
+            open_counter(counter, devices),
+            live.ask_for_scenes(acquisition),
+        )
     told_load = SILENT if as_json else None
-    with contextlib.closing(record_run(out, patterns, acquisition, bench, told_load)) as recorded:
+    with contextlib.closing(record_run(out, patterns, acquisition, setup, told_load)) as recorded:
         for each in recorded:
             if not as_json:
                 print(

@@ -24,10 +24,9 @@ from deepfsi.hardware.counting.acquisition import (
     prepare,
 )
 from deepfsi.hardware.counting.streaming import FrameGates
-from deepfsi.hardware.drivers.protocols import PassProjector, StreamingCounter
+from deepfsi.hardware.drivers.protocols import PATIENCE_S, PassProjector, Setup, StreamingCounter
 from deepfsi.hardware.light.monitor import NO_LIGHT
 from deepfsi.hardware.light.tails import excess_chance
-from deepfsi.hardware.live.run import PATIENCE_S, Bench
 from deepfsi.hardware.patterns.folder import read_patterns
 from deepfsi.hardware.patterns.sequence import Manifest
 
@@ -47,7 +46,7 @@ def record_run(
     folder: Path,
     patterns_folder: Path,
     acquisition: Acquisition,
-    bench: Bench[PassProjector],
+    setup: Setup[PassProjector],
     report: Report | None = None,
 ) -> Generator[RecordedScene]:
     """Show and record scene after scene; gives each when its pass has ended."""
@@ -56,21 +55,21 @@ def record_run(
     check_fixed(acquisition, folder)
     manifest, done = read_patterns(patterns_folder).manifest, 0
     with ExitStack() as stack:
-        stack.enter_context(bench.projector)
-        stack.enter_context(bench.counter)
+        stack.enter_context(setup.projector)
+        stack.enter_context(setup.counter)
         with progress.shown(report, "loading the frames") as loading:
-            bench.projector.load(patterns_folder, loading)
+            setup.projector.load(patterns_folder, loading)
         prepared = prepare(folder, patterns_folder, acquisition)
-        bench.counter.start(folder / "photons.ptu")
-        show = _Passes(bench.projector, bench.counter, manifest, acquisition.settle_s)
+        setup.counter.start(folder / "photons.ptu")
+        show = _Passes(setup.projector, setup.counter, manifest, acquisition.settle_s)
         try:
             for place, scene in enumerate(acquisition.scenes):
-                bench.display(place)
+                setup.display(place)
                 counted = show(scene)
                 done = place + 1
                 interrupts.keep("finished scenes are kept")
                 yield counted
-            bench.counter.stop()
+            setup.counter.stop()
         finally:
             if 0 < done < len(acquisition.scenes):
                 keep_first(folder, prepared, done)

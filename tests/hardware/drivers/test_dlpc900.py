@@ -12,7 +12,7 @@ from deepfsi.base.errors import InputError
 from deepfsi.base.progress import Report
 from deepfsi.camera.device import DEVICES, Device
 from deepfsi.hardware.drivers import dlpc900
-from deepfsi.hardware.drivers.dlpc900_images import encode_picture
+from deepfsi.hardware.drivers.dlpc900 import encode_picture
 from deepfsi.hardware.patterns.folder import (
     read_frames,
     read_patterns,

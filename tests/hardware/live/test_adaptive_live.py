@@ -11,15 +11,14 @@ import torch
 from deepfsi import learn
 from deepfsi.base.errors import InputError
 from deepfsi.camera.device import find_device
-from deepfsi.hardware.live.bench import most_events, virtual_bench
 from deepfsi.hardware.live.known import read_looks
 from deepfsi.hardware.live.replay import count_live, read_live_counts
 from deepfsi.hardware.live.run import plan_live, run_live
 from deepfsi.hardware.live.shown import read_shown
 from deepfsi.hardware.patterns.folder import check_patterns, export_patterns, read_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
-from deepfsi.hardware.virtual.bench import Latencies
 from deepfsi.hardware.virtual.camera import CAMERAS, VirtualCamera
+from deepfsi.hardware.virtual.setup import Latencies, most_events, virtual_setup
 from deepfsi.lab.rails import design_rails
 from shared.live_samples import replay, scenes_of
 
@@ -56,7 +55,10 @@ def run(folder, patterns, data, count=6, camera=CAMERAS["ideal"], x=None, flux=F
     own, scenes = scenes_of(data, count)
     told = {"flux": flux, "camera": camera.model_dump(mode="json"), "seed": 0}
     acquisition = plan_live(patterns, scenes, EXPOSURE_S, **settings, **told)
-    devices = virtual_bench(patterns, own if x is None else x, acquisition, Latencies())
+    decision_s = read_looks(patterns, read_patterns(patterns).manifest).decision_s
+    devices = virtual_setup(
+        patterns, own if x is None else x, acquisition, Latencies(), decision_s=decision_s
+    )
     return list(run_live(folder, patterns, acquisition, devices))
 
 

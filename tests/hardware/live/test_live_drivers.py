@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deepfsi.hardware.drivers.followed import FollowedCounter
+from deepfsi.hardware.drivers.file_tail import FollowedCounter
+from deepfsi.hardware.drivers.protocols import Setup
 from deepfsi.hardware.drivers.swabian import TaggerCounter
 from deepfsi.hardware.drivers.vialux import VialuxLooks
 from deepfsi.hardware.live.replay import count_live
-from deepfsi.hardware.live.run import Bench, plan_live, run_live
+from deepfsi.hardware.live.run import plan_live, run_live
 from deepfsi.hardware.live.shown import read_shown
 from deepfsi.hardware.photons.writer import Writer
 from deepfsi.hardware.virtual.camera import CAMERAS, arrival_rates
@@ -57,7 +58,7 @@ def test_the_loop_runs_on_a_vialux_device_and_a_file_that_grows(
             laboratory.written = Writer(path, growing=True).__enter__()
             super().start(path)
 
-    bench = Bench(VialuxLooks(), Counter(), laboratory.display)
+    bench = Setup(VialuxLooks(), Counter(), laboratory.display)
     folder = tmp_path / "run"
     acquisition = plan_live(patterns, scenes, 20e-3)
     decided = list(run_live(folder, patterns, acquisition, bench))

@@ -7,13 +7,12 @@ import deepfsi
 from deepfsi.camera.device import find_device
 from deepfsi.hardware.calibration.reference import TARGET
 from deepfsi.hardware.counting.acquisition import Scene
-from deepfsi.hardware.live.bench import virtual_bench
 from deepfsi.hardware.live.replay import count_live
 from deepfsi.hardware.live.run import plan_live, run_live
 from deepfsi.hardware.patterns.folder import export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
-from deepfsi.hardware.virtual.bench import Latencies
 from deepfsi.hardware.virtual.camera import VirtualCamera
+from deepfsi.hardware.virtual.setup import Latencies, virtual_setup
 from deepfsi.lab.calibration import check_view
 from deepfsi.lab.rails import design_rails
 from shared.live_samples import make_patterns
@@ -37,7 +36,7 @@ def test_the_reference_of_a_live_run_tells_how_scenes_lie(digits, tmp_path, adap
         scenes = tuple(Scene(name=str(k)) for k in range(2))
         seen = {"flux": 5e6, "camera": camera.model_dump(mode="json")}
         acquisition = plan_live(tmp_path / "patterns", scenes, 0.1, **seen)
-        devices = virtual_bench(tmp_path / "patterns", target, acquisition, Latencies())
+        devices = virtual_setup(tmp_path / "patterns", target, acquisition, Latencies())
         list(run_live(tmp_path / name, tmp_path / "patterns", acquisition, devices))
         count_live(tmp_path / name)
         places[name] = check_view(tmp_path / name)

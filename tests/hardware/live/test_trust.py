@@ -10,13 +10,19 @@ from conftest import quick
 from deepfsi.base.errors import InputError
 from deepfsi.camera.dead_time import DeadTime
 from deepfsi.camera.device import find_device
+from deepfsi.hardware.drivers.protocols import Setup
 from deepfsi.hardware.live.replay import count_live
-from deepfsi.hardware.live.run import Bench, plan_live, run_live
+from deepfsi.hardware.live.run import plan_live, run_live
 from deepfsi.hardware.patterns.folder import export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
-from deepfsi.hardware.virtual.bench import BenchCounter, BenchProjector, Latencies, VirtualSetup
 from deepfsi.hardware.virtual.camera import CAMERAS, VirtualCamera, arrival_rates
 from deepfsi.hardware.virtual.detector import TICK_S
+from deepfsi.hardware.virtual.setup import (
+    Latencies,
+    VirtualCounter,
+    VirtualOptics,
+    VirtualProjector,
+)
 from deepfsi.lab.rails import design_rails
 from shared.live_samples import replay, scenes_of
 
@@ -44,7 +50,7 @@ class Lab:
     flicker: tuple[float, float] = (0.0, 0.0)  # amplitude, and Hz
 
 
-class Wavering(VirtualSetup):
+class Wavering(VirtualOptics):
     """Setup whose light goes out at times, or rises and falls."""
 
     lab = Lab()
@@ -75,8 +81,8 @@ def answers(folder, patterns, digits, lab=Lab(), scenes=SCENES, change=None, **s
     setup.lab = lab
     if change:
         change(setup)
-    counter = BenchCounter(setup, (0,))
-    devices = Bench(BenchProjector(setup), counter, setup.display, lambda: setup.now_s)
+    counter = VirtualCounter(setup, (0,))
+    devices = Setup(VirtualProjector(setup), counter, setup.display, lambda: setup.now_s)
     acquisition = plan_live(patterns, named, EXPOSURE_S, **settings)
     found = [
         each.answer for each in run_live(folder, patterns, acquisition, devices) if each.answer
@@ -157,7 +163,7 @@ def test_a_scene_whose_light_is_too_weak_for_the_design_gets_no_class(digits, pa
 def test_a_scene_in_which_the_light_goes_out_gets_no_class(digits, patterns, tmp_path, length):
     """At five moments of the run, each within the looks of a scene."""
     starts = []
-    whole = VirtualSetup.display
+    whole = VirtualOptics.display
 
     def watch(setup):
         setup.display = lambda scene: (whole(setup, scene), starts.append(setup.now_s))

@@ -6,9 +6,9 @@ from virtual_samples import patterns, scenes
 
 from deepfsi.hardware.counting.counting import count
 from deepfsi.hardware.photons.writer import Writer
-from deepfsi.hardware.virtual.bench import Latencies, VirtualSetup
 from deepfsi.hardware.virtual.camera import RecordingSettings, VirtualCamera, record
 from deepfsi.hardware.virtual.detector import TICK_S, Fluctuation
+from deepfsi.hardware.virtual.setup import Latencies, VirtualOptics
 
 PICTURES = 20_000
 
@@ -90,7 +90,7 @@ def test_steady_light_draws_nothing_and_changes_nothing():
 def test_the_light_of_a_live_setup_fluctuates_too(tmp_path):
     frames, dwell = 300, 1e-3
     rates = np.full((1, 2, 1), 2e6)
-    setup = VirtualSetup(rates, VirtualCamera(fluctuation=0.1), Latencies(), seed=5)
+    setup = VirtualOptics(rates, VirtualCamera(fluctuation=0.1), Latencies(), seed=5)
     path = tmp_path / "photons.ptu"
     with Writer(path, tick_s=TICK_S) as writer:
         setup.written = writer

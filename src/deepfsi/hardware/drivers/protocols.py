@@ -1,16 +1,22 @@
-"""Protocols of the projector and the counter of a run, so that a laboratory can bring its own.
+"""Devices of a run: protocols of projector and counter, so that a laboratory can bring its own.
 
 Both are context managers that let go of their device on every way out, Ctrl-C included.
 """
 
+import time
+from collections.abc import Callable
 from contextlib import AbstractContextManager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
 from deepfsi.base.progress import SILENT, Report
 from deepfsi.hardware.counting.streaming import FrameCounts, FrameGates
+
+PATIENCE_S = 5.0
+"""Time by which counts may come later than their frames end, seconds."""
 
 
 class StreamingProjector(AbstractContextManager["StreamingProjector"], Protocol):
@@ -89,3 +95,31 @@ class StreamingCounter(AbstractContextManager["StreamingCounter"], Protocol):
 
     def stop(self) -> None:
         """End the recording; its file is then whole."""
+
+
+Projector_co = TypeVar("Projector_co", bound=StreamingProjector | PassProjector, covariant=True)
+
+
+@dataclass(frozen=True)
+class Setup(Generic[Projector_co]):
+    """Devices of a run, and who shows its scenes.
+
+    Parameters
+    ----------
+    projector : StreamingProjector or PassProjector
+        Shows lists of frames that a live run chooses, or a pass of all frames for each scene.
+    counter : StreamingCounter
+        Counts, and records what it counts.
+    display : callable
+        Shows a scene by its number, or darkness for -1, and returns when it has settled.
+    clock : callable
+        Seconds; the clock of virtual devices runs by itself.
+    latencies : dict, optional
+        Seconds of each step, of virtual devices.
+    """
+
+    projector: Projector_co
+    counter: StreamingCounter
+    display: Callable[[int], None]
+    clock: Callable[[], float] = time.monotonic
+    latencies: dict[str, float] | None = None

@@ -23,11 +23,12 @@ from typing import Any, Self
 import numpy as np
 from pydantic import FiniteFloat
 
-from deepfsi.base.errors import InputError
+from deepfsi.base.errors import InputError, as_input_error
+from deepfsi.base.files import read_toml
 from deepfsi.base.models import UserModel
 from deepfsi.hardware.counting.streaming import FrameCounts, FrameGates
-from deepfsi.hardware.drivers.followed import FollowedCounter
-from deepfsi.hardware.drivers.holding import refusals
+from deepfsi.hardware.drivers.device_errors import refusals
+from deepfsi.hardware.drivers.file_tail import FollowedCounter
 from deepfsi.hardware.photons.writer import Writer
 
 MODULES = "Swabian.TimeTagger", "TimeTagger"
@@ -59,6 +60,19 @@ class TaggerSettings(UserModel):
     """Settings of a Time Tagger, as a TOML file has them."""
 
     trigger_levels: dict[int, FiniteFloat]  # of channels, V; the others have the device's own
+
+
+def open_tagger(
+    inputs: tuple[int, ...], marker_bit: int, *, trigger: int | None, config: Path | None
+) -> "TaggerCounter":
+    """Time Tagger with the channel of the trigger, and the settings of a TOML file."""
+    if trigger is None:
+        raise InputError("counter swabian needs a `marker_channel`, the trigger's: such as 8")
+    settings = None
+    if config is not None:
+        with as_input_error(str(config)):
+            settings = TaggerSettings.model_validate(read_toml(config))
+    return TaggerCounter(inputs, marker_bit, trigger=trigger, settings=settings)
 
 
 class TaggerCounter(AbstractContextManager["TaggerCounter"]):

@@ -32,7 +32,7 @@ import numpy as np
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.progress import SILENT, Report
-from deepfsi.hardware.drivers.holding import let_go, refusals
+from deepfsi.hardware.drivers.device_errors import let_go, refusals
 from deepfsi.hardware.patterns.folder import read_frames, read_patterns
 from deepfsi.hardware.patterns.sequence import Manifest
 

@@ -10,7 +10,6 @@ from collections.abc import Callable, Generator, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -21,11 +20,7 @@ from deepfsi.camera.dead_time import NO_DEAD_TIME, DeadTime
 from deepfsi.camera.stop_rule import MARGIN_NS, Live, StopRule, margin_ns
 from deepfsi.hardware.counting.acquisition import Acquisition, Scene, prepare
 from deepfsi.hardware.counting.streaming import FrameCounts, FrameGates
-from deepfsi.hardware.drivers.protocols import (
-    PassProjector,
-    StreamingCounter,
-    StreamingProjector,
-)
+from deepfsi.hardware.drivers.protocols import PATIENCE_S, Setup, StreamingProjector
 from deepfsi.hardware.live import shown
 from deepfsi.hardware.live.decisions import OFF, Decision, Observer
 from deepfsi.hardware.live.known import read_looks
@@ -34,24 +29,6 @@ from deepfsi.hardware.patterns.folder import read_patterns
 from deepfsi.hardware.patterns.mirrors import make_frame
 from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.lab.results import LiveScene
-
-PATIENCE_S = 5.0
-"""Time by which counts may come later than their frames end, seconds."""
-
-
-Projector_co = TypeVar("Projector_co", bound=StreamingProjector | PassProjector, covariant=True)
-
-
-@dataclass(frozen=True)
-class Bench(Generic[Projector_co]):
-    """Devices of a run."""
-
-    projector: Projector_co
-    counter: StreamingCounter
-    # shows a scene by its number, or darkness for -1, and returns when it has settled
-    display: Callable[[int], None]
-    clock: Callable[[], float] = time.monotonic  # seconds; that of virtual devices runs by itself
-    latencies: dict[str, float] | None = None  # of virtual devices, seconds
 
 
 @dataclass(frozen=True)
@@ -150,33 +127,33 @@ def _shortest_gate(manifest: Manifest, looks_s: np.ndarray, shortest_s: float | 
 
 
 def run_live(
-    folder: Path, patterns_folder: Path, acquisition: Acquisition, bench: Bench[StreamingProjector]
+    folder: Path, patterns_folder: Path, acquisition: Acquisition, setup: Setup[StreamingProjector]
 ) -> Generator[Decided]:
     """Show, count and decide; gives each decision as it falls."""
     # The folder, new or empty, is as that of any acquisition, with `shown.jsonl` in it. Scenes that
     # are finished are kept whenever the run is stopped. The settings are those of `plan_live`; the
     # devices are taken hold of, and let go at the end
     assert acquisition.live is not None
-    live = acquisition.live.model_copy(update={"latencies": bench.latencies})
+    live = acquisition.live.model_copy(update={"latencies": setup.latencies})
     acquisition = acquisition.model_copy(update={"live": live})
     patterns = read_patterns(patterns_folder)
     looks = read_looks(patterns_folder, patterns.manifest)
     observer = Observer(looks, patterns.manifest, acquisition)
     with ExitStack() as stack:
-        stack.enter_context(bench.projector)
-        stack.enter_context(bench.counter)
-        bench.projector.load(patterns_folder)
+        stack.enter_context(setup.projector)
+        stack.enter_context(setup.counter)
+        setup.projector.load(patterns_folder)
         prepare(folder, patterns_folder, acquisition)
-        bench.counter.start(folder / "photons.ptu")
-        show = _Sequencer(bench, patterns.manifest, acquisition)
+        setup.counter.start(folder / "photons.ptu")
+        show = _Sequencer(setup, patterns.manifest, acquisition)
         record = stack.enter_context(GrowingFile(folder / shown.NAME))
         if live.background:
-            bench.display(shown.DARK)
-            _measure(bench.clock, observer, show, record)
+            setup.display(shown.DARK)
+            _measure(setup.clock, observer, show, record)
         for place, scene in enumerate(acquisition.scenes):
-            bench.display(place)
-            yield from _look(place, scene, bench.clock, observer, show, record)
-        bench.counter.stop()
+            setup.display(place)
+            yield from _look(place, scene, setup.clock, observer, show, record)
+        setup.counter.stop()
 
 
 def _measure(
@@ -229,16 +206,16 @@ class _Sequencer:
     """Shows list after list of frames, and gives the counts of each."""
 
     def __init__(
-        self, bench: Bench[StreamingProjector], manifest: Manifest, acquisition: Acquisition
+        self, setup: Setup[StreamingProjector], manifest: Manifest, acquisition: Acquisition
     ) -> None:
-        self._bench, self._manifest = bench, manifest
+        self._setup, self._manifest = setup, manifest
         self._settle_s = acquisition.settle_s
         self._rests = 0  # all-OFF frames whose counts are still to come, before the next list's
         self.lists: list[shown.ShownList] = []
         self.markers = 0
 
     def __call__(self, asked: FrameList) -> FrameCounts:
-        projector, counter = self._bench.projector, self._bench.counter
+        projector, counter = self._setup.projector, self._setup.counter
         if asked.masks is not None:
             manifest = self._manifest
             for place, mask in zip(asked.frames, asked.masks, strict=True):
@@ -274,7 +251,7 @@ class _Sequencer:
 
     def _wait(self, wanted: int, duration_s: float) -> FrameCounts:
         """Counts of so many frames."""
-        clock, counter = time.monotonic, self._bench.counter
+        clock, counter = time.monotonic, self._setup.counter
         until, parts, found = clock() + duration_s + PATIENCE_S, [], -self._rests
         while found < wanted:
             left = until - clock()

@@ -6,23 +6,28 @@ from virtual_samples import SHAPE, patterns
 
 from deepfsi.base.errors import InputError
 from deepfsi.hardware.photons.reader import count_gates, inspect, read_markers
-from deepfsi.hardware.virtual.bench import BenchCounter, BenchProjector, Latencies, VirtualSetup
 from deepfsi.hardware.virtual.camera import MARKER, VirtualCamera, arrival_rates
 from deepfsi.hardware.virtual.detector import TICK_S
+from deepfsi.hardware.virtual.setup import (
+    Latencies,
+    VirtualCounter,
+    VirtualOptics,
+    VirtualProjector,
+)
 
 
 def test_virtual_devices_say_what_comes_first(tmp_path):
     folder = tmp_path / "patterns"
     patterns(folder)
     rates = arrival_rates(folder, np.ones((1, *SHAPE)), VirtualCamera(), 1e6)
-    setup = VirtualSetup(rates, VirtualCamera(), Latencies())
+    setup = VirtualOptics(rates, VirtualCamera(), Latencies())
     with pytest.raises(InputError, match="load a pattern folder first"):
-        BenchProjector(setup).show(np.array([0]), np.array([1e-3]))
+        VirtualProjector(setup).show(np.array([0]), np.array([1e-3]))
     with pytest.raises(InputError, match="nothing is recorded"):
-        BenchCounter(setup, (0,)).counts_since_marker(0.0)
+        VirtualCounter(setup, (0,)).counts_since_marker(0.0)
     (folder / "frames.npy").write_bytes(b"")
     with pytest.raises(InputError, match="is not a numpy file"):
-        BenchProjector(setup).load(folder)
+        VirtualProjector(setup).load(folder)
 
 
 def test_lists_follow_each_other_on_one_clock_and_every_photon_is_kept(tmp_path):
@@ -32,8 +37,8 @@ def test_lists_follow_each_other_on_one_clock_and_every_photon_is_kept(tmp_path)
     """
     rates = np.array([[[0.0], [1e6], [3e6]]])
     camera, dwells = VirtualCamera(jitter_s=1e-7), np.array([2e-3, 1e-3, 4e-3])
-    setup = VirtualSetup(rates, camera, Latencies(trigger=1e-6, command=5e-3, display=50e-3))
-    counter, path = BenchCounter(setup, (0,)), tmp_path / "run.ptu"
+    setup = VirtualOptics(rates, camera, Latencies(trigger=1e-6, command=5e-3, display=50e-3))
+    counter, path = VirtualCounter(setup, (0,)), tmp_path / "run.ptu"
     counter.start(path)
     starts = []
     for _ in range(2):

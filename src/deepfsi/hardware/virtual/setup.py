@@ -1,4 +1,4 @@
-"""Virtual projector and counter of a run, on a clock of their own.
+"""Virtual devices of a run, on a clock of their own.
 
 Nothing waits: the clock is set on by the time that each step takes. What the display shows is seen
 frame by frame as by the virtual camera; photons and markers are written to a PTU file as they
@@ -8,6 +8,7 @@ come, and the counts are read from that file while it grows.
 import math
 from collections.abc import Callable
 from contextlib import AbstractContextManager
+from functools import lru_cache
 from io import FileIO
 from pathlib import Path
 
@@ -17,10 +18,20 @@ from pydantic import Field
 from deepfsi.base.errors import InputError
 from deepfsi.base.models import StrictModel
 from deepfsi.base.progress import SILENT, Report
+from deepfsi.hardware.counting.acquisition import Acquisition
 from deepfsi.hardware.counting.streaming import FrameCounts, FrameGates, StreamCounter
-from deepfsi.hardware.patterns.folder import check_patterns
+from deepfsi.hardware.drivers.protocols import Setup
+from deepfsi.hardware.patterns.folder import check_patterns, read_patterns
 from deepfsi.hardware.photons.writer import Writer
-from deepfsi.hardware.virtual.camera import MARKER, VirtualCamera, check_file_inputs
+from deepfsi.hardware.virtual.camera import (
+    MARKER,
+    MirrorLight,
+    VirtualCamera,
+    arrival_rates,
+    check_file_inputs,
+    check_scenes,
+    expected_events,
+)
 from deepfsi.hardware.virtual.detector import TICK_S, Stream, divide
 
 START_S = 1e-3
@@ -47,8 +58,8 @@ class Latencies(StrictModel):
     decision: float = Field(0.4e-3, ge=0, le=1e3)
 
 
-class VirtualSetup:
-    """Optical setup that virtual devices share: clock, scene on the display, and detectors."""
+class VirtualOptics:
+    """What virtual devices share: clock, scene on the display, light and detectors."""
 
     def __init__(
         self,
@@ -146,11 +157,11 @@ class VirtualSetup:
         self._times, self._codes = times[ready:], codes[ready:]
 
 
-class BenchProjector(AbstractContextManager["BenchProjector"]):
+class VirtualProjector(AbstractContextManager["VirtualProjector"]):
     """Projector that shows lists of frames to the detectors of a virtual setup."""
 
-    def __init__(self, setup: VirtualSetup) -> None:
-        self._setup = setup
+    def __init__(self, optics: VirtualOptics) -> None:
+        self._optics = optics
         self._times_s = np.zeros(0)  # of the frames that are loaded
 
     def __exit__(self, *error: object) -> None:
@@ -159,11 +170,11 @@ class BenchProjector(AbstractContextManager["BenchProjector"]):
     def load(self, folder: Path, report: Report = SILENT) -> None:
         """Check every frame of a pattern folder, as a real device must read them."""
         self._times_s = check_patterns(folder, report).manifest.picture_s
-        self._setup.now_s += len(self._times_s) * self._setup.latencies.load
+        self._optics.now_s += len(self._times_s) * self._optics.latencies.load
 
     def replace(self, frame: int, packed: np.ndarray) -> None:
         """Load another frame in place of a loaded one."""
-        self._setup.replace(frame, packed)
+        self._optics.replace(frame, packed)
 
     def pictures(self, dwells_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """One picture for each frame, of its time."""
@@ -173,7 +184,7 @@ class BenchProjector(AbstractContextManager["BenchProjector"]):
         """Show frames; the clock is then where their counts have come and are decided upon."""
         if not len(self._times_s):
             raise InputError("no patterns are loaded: load a pattern folder first")
-        self._setup.show(frames, dwells_s)
+        self._optics.show(frames, dwells_s)
 
     def run(self) -> None:
         """Show a pass of all frames, each for its picture time."""
@@ -181,19 +192,19 @@ class BenchProjector(AbstractContextManager["BenchProjector"]):
 
     def wait(self) -> None:
         """Set the clock on to the end of the pass."""
-        self._setup.rest()
+        self._optics.rest()
 
     def halt(self) -> None:
         """Do nothing: a virtual list has ended."""
 
 
-class BenchCounter(AbstractContextManager["BenchCounter"]):
+class VirtualCounter(AbstractContextManager["VirtualCounter"]):
     """Counter of the photons of a virtual setup, which it records into a PTU file."""
 
     def __init__(
-        self, setup: VirtualSetup, inputs: tuple[int, ...], marker_bit: int = MARKER
+        self, optics: VirtualOptics, inputs: tuple[int, ...], marker_bit: int = MARKER
     ) -> None:
-        self._setup, self._inputs, self._bit = setup, inputs, marker_bit
+        self._optics, self._inputs, self._bit = optics, inputs, marker_bit
         self._file: FileIO | None = None
 
     def __exit__(self, *error: object) -> None:
@@ -203,8 +214,8 @@ class BenchCounter(AbstractContextManager["BenchCounter"]):
     def start(self, path: Path) -> None:
         """Begin to record into a new file."""
         check_file_inputs(self._inputs)
-        self._setup.wiring = self._inputs, self._bit
-        self._setup.written = Writer(path, TICK_S, growing=True).__enter__()
+        self._optics.wiring = self._inputs, self._bit
+        self._optics.written = Writer(path, TICK_S, growing=True).__enter__()
         self._file = FileIO(path)
         self._counter = StreamCounter(self._inputs, self._bit, path)
 
@@ -224,6 +235,77 @@ class BenchCounter(AbstractContextManager["BenchCounter"]):
             return
         self._file.close()
         self._file = None
-        writer, self._setup.written = self._setup.written, None
+        writer, self._optics.written = self._optics.written, None
         assert writer is not None
         writer.__exit__(None, None, None)
+
+
+def virtual_setup(
+    patterns: Path,
+    scenes: np.ndarray,
+    acquisition: Acquisition,
+    latencies: Latencies,
+    report: Report = SILENT,
+    *,
+    decision_s: float | None = None,
+) -> Setup[VirtualProjector]:
+    """Virtual devices of a run, with the camera, flux, seed and wiring of its acquisition.
+
+    Parameters
+    ----------
+    patterns : path
+        Folder of patterns.
+    scenes : ndarray
+        What the display shows, (S, h, w).
+    acquisition : Acquisition
+        Settings of the run.
+    latencies : Latencies
+        Those that are not set follow from the device, and from `decision_s`.
+    report : callable
+        Told of the share that is done.
+    decision_s : float, optional
+        Usual time of a decision, seconds, of a live run.
+
+    Raises
+    ------
+    InputError
+        If the scenes, or a gated camera, cannot be used.
+    """
+    camera = VirtualCamera.model_validate(acquisition.camera)
+    if acquisition.live is not None and acquisition.live.background:
+        scenes = np.concatenate([scenes, np.zeros_like(scenes[:1])])  # the last: no scene
+    manifest, flux = read_patterns(patterns).manifest, acquisition.flux or 0.0
+    images = check_scenes(scenes, manifest, flux)
+    rates = arrival_rates(patterns, scenes, camera, flux, report)
+    usual = {}
+    if manifest.device.load_us:
+        usual["load"] = manifest.device.load_us * 1e-6
+    if decision_s is not None:
+        usual["decision"] = decision_s
+    latencies = Latencies(**usual | latencies.model_dump(include=latencies.model_fields_set))
+
+    @lru_cache(maxsize=1)
+    def light(scene: int) -> MirrorLight:
+        return MirrorLight(manifest, images[scene][None], camera, flux)
+
+    optics = VirtualOptics(
+        rates,
+        camera,
+        latencies,
+        acquisition.seed or 0,
+        lambda scene, packed: light(scene).rates([packed])[0, 0],
+    )
+    return Setup(
+        VirtualProjector(optics),
+        VirtualCounter(optics, acquisition.inputs, acquisition.marker_bit),
+        optics.display,
+        lambda: optics.now_s,
+        latencies.model_dump(),
+    )
+
+
+def most_events(patterns: Path, scenes: np.ndarray, acquisition: Acquisition) -> float:
+    """Photons and dark counts that a virtual live run is expected to record, at most."""
+    camera, known = VirtualCamera.model_validate(acquisition.camera), read_patterns(patterns)
+    passes = acquisition.exposure_s / known.manifest.pass_s + 1
+    return expected_events(known, scenes, camera, acquisition.flux or 0.0) * passes

@@ -9,8 +9,8 @@ import pytest
 
 from deepfsi.base.errors import InputError
 from deepfsi.hardware.counting.streaming import FrameGates, StreamCounter
-from deepfsi.hardware.drivers import followed
-from deepfsi.hardware.drivers.followed import FollowedCounter
+from deepfsi.hardware.drivers import file_tail as followed
+from deepfsi.hardware.drivers.file_tail import FollowedCounter
 from deepfsi.hardware.drivers.protocols import StreamingCounter
 from deepfsi.hardware.photons.writer import Writer
 
