@@ -11,11 +11,12 @@ from deepfsi.base.errors import InputError
 from deepfsi.datasets import Dataset, from_arrays
 from deepfsi.design.adaptive.choice import brightest, information, next_masks
 from deepfsi.design.adaptive.design import AdaptiveDesign
-from deepfsi.design.adaptive.exposures import AdaptiveMasks, prior_of
+from deepfsi.design.adaptive.exposures import prior_of
 from deepfsi.design.adaptive.posterior import AdaptivePosterior, LookOptics
 from deepfsi.design.adaptive.prior import ScenePrior
 from deepfsi.design.evaluation import Result, evaluate
 from deepfsi.design.posterior import IdealObserver
+from deepfsi.jobs.entries import AdaptiveMasks
 
 PIXELS, SCENES, CLASSES = 8, 40, 3
 QUARTERS = torch.arange(PIXELS) // 2

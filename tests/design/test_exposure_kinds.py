@@ -166,7 +166,7 @@ def test_each_kind_begins_the_exposure_of_a_design(settings, kind):
     one = job(masks=6, photons=1e3, camera=camera, **settings)
     found = one.exposure.begin(one, (16, 16), generator())
     assert isinstance(found, kind)
-    assert found.header() is not None
+    assert found.entry() is not None
     assert found.tokens((16, 16)) == (4 if "patch" in settings else 1)
     if isinstance(found, ConditionedExposure):
         assert (found.span, found.nested) == (settings.get("span", 1), settings.get("nested", 0))

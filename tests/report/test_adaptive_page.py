@@ -13,11 +13,12 @@ from conftest import generator, synthetic
 from deepfsi import Camera, learn
 from deepfsi.design import payload
 from deepfsi.design.adaptive import choice
-from deepfsi.design.adaptive.exposures import AdaptiveMasks, prior_of
+from deepfsi.design.adaptive.exposures import prior_of
 from deepfsi.design.adaptive.posterior import AdaptivePosterior, LookOptics
 from deepfsi.design.evaluation import evaluate
 from deepfsi.design.payload import few_tests, of_page, playable
 from deepfsi.design.stopping import StoppingRule, with_rule
+from deepfsi.jobs.entries import AdaptiveMasks
 from deepfsi.report.playground.page import write_page
 from shared.playground import ask, open_playground
 

@@ -18,9 +18,9 @@ from deepfsi.camera.names import MOST_LAYERS, LightLawName, Readout, SummedRefle
 from deepfsi.design.classifiers import Mlp, Vit, restored
 from deepfsi.design.consistency import ReadoutDistribution
 from deepfsi.design.exposure.conditioned import ConditionedExposure
-from deepfsi.design.exposure.looks import LooksShape
-from deepfsi.design.exposure.passing import PassingShape
-from deepfsi.design.exposure.trained import STRICT, FixedExposure, PatchExposure
+from deepfsi.design.exposure.looks import LooksExposure
+from deepfsi.design.exposure.passing import PassingExposure
+from deepfsi.design.exposure.trained import FixedExposure, PatchExposure, TrainedExposure
 from deepfsi.design.file_content import SCHEMA, Info, damaged, read_known_masks
 from deepfsi.design.own import OwnClassifier
 from deepfsi.design.temperatures import Temperatures
@@ -28,6 +28,7 @@ from deepfsi.design.training_data import TrainingScenes
 from deepfsi.design.values import Values
 from deepfsi.design.view_test import SceneModel
 from deepfsi.jobs.designs import check_design
+from deepfsi.jobs.entries import ExposureEntry
 from deepfsi.optics import constraints
 from deepfsi.optics.detection import Detection
 from deepfsi.optics.rails import Rails
@@ -40,6 +41,18 @@ WORDS = ("name", "light", "summed_reflectance", "image_shape", "classes", "info"
 
 STATISTICS = ("mean", "std", "shares")
 """Tensors of one number a feature."""
+
+KINDS: dict[str, type[TrainedExposure]] = {
+    "fixed": FixedExposure,
+    "conditioned": ConditionedExposure,
+    "adaptive": LooksExposure,
+    "patches": PatchExposure,
+    "passing": PassingExposure,
+}
+"""What a design does with the masks of its file, by the kind of their entry."""
+
+STRICT = ConfigDict(extra="forbid", strict=True)
+"""Configuration of what a design file's header holds: no further fields, no conversions."""
 
 Count = Annotated[int, Field(ge=1)]
 
@@ -149,10 +162,7 @@ class Header(BaseModel):
     image_shape: tuple[Count, ...]
     classes: tuple[str, ...]
     values: tuple[str, ...] = ()
-    exposure: Annotated[
-        FixedExposure | ConditionedExposure | LooksShape | PatchExposure | PassingShape,
-        Field(discriminator="kind"),
-    ]
+    exposure: ExposureEntry
     classifier: Annotated[MlpSize | VitSize | OwnShape, Field(discriminator="kind")]
     info: Info
 
@@ -183,7 +193,7 @@ def pack(design: "Design") -> bytes:
         "values": values.tensors if values else {},
     }
     header = Header(
-        exposure=design.exposure.header(),
+        exposure=design.exposure.entry(),
         classifier=classifier.header,  # type: ignore[arg-type]
         readout=design.detection.readout,
         values=values.names if values else (),
@@ -234,8 +244,8 @@ def _fields(header: Header, tensors: Mapping[str, Tensor]) -> dict[str, Any]:
         raise ValueError("statistics are not those of the masks")
     constraints.check_light(header.light, rails.kind)
     constraints.check(rails.stacked, header.light)
-    exposure = header.exposure.restored(
-        _weights(tensors, "exposure."), features, rails, header.light
+    exposure = KINDS[header.exposure.kind].restored(
+        header.exposure, _weights(tensors, "exposure."), features, rails, header.light
     )
     exposure.check(rails, header.light, header.image_shape)
     if math.prod(header.image_shape) != pixels * header.classifier.patches:

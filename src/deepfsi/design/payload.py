@@ -25,12 +25,12 @@ from deepfsi.design.artifact import Design
 from deepfsi.design.classifiers import Mlp
 from deepfsi.design.confidence import stops_of
 from deepfsi.design.evaluation import check_data, evaluate, scanner_for
-from deepfsi.design.exposure import LARGEST_SCORE
 from deepfsi.design.file_content import check_classes
 from deepfsi.design.readouts import check_masks
 from deepfsi.design.stopping import rule_of, stop
 from deepfsi.design.temperatures import Temperatures
 from deepfsi.design.training_data import new_scenes, trained_budgets, trained_on
+from deepfsi.jobs.entries import LARGEST_SCORE
 from deepfsi.optics import constraints
 from deepfsi.optics.surroundings import library_defaults
 
@@ -179,7 +179,7 @@ def _networks(design: Design) -> dict[str, Any]:
         "std": pack(design.std.cpu().numpy()),
         "network": _layers(_classifier(design)),
         "exposure": {
-            **asdict(design.exposure.header()),
+            **design.exposure.entry().model_dump(),
             "largest_score": LARGEST_SCORE,
             "chooser": None if chooser is None else _layers(chooser),
         },

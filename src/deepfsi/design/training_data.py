@@ -6,7 +6,7 @@ was made with, so that a test can tell its training scenes from others.
 """
 
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from hashlib import blake2b
 from typing import TYPE_CHECKING, Any, Self
 
@@ -156,7 +156,7 @@ NO_MEASURE = "no number here says how good the design is"
 def trained_budgets(design: "AnyDesign") -> tuple[float, float] | None:
     """Lowest and highest budget of the training; None for a design that does not say."""
     header = getattr(design, "exposure", None)
-    exposure = {} if header is None else asdict(header.header())
+    exposure = {} if header is None else header.entry().model_dump()
     known = {**design.info.get("job", {}), **exposure}
     if "photons" not in known:
         return None

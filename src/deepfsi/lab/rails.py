@@ -19,7 +19,6 @@ from deepfsi.camera.detectors import detector_map
 from deepfsi.camera.device import find_device
 from deepfsi.camera.names import LightLawName, Readout
 from deepfsi.camera.stop_rule import StopRule
-from deepfsi.design.exposure import LARGEST_SCORE
 from deepfsi.design.exposure.transits import STATIC
 from deepfsi.design.file_content import (
     Info,
@@ -34,6 +33,7 @@ from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.sequence import Brightness, FrameSettings
 from deepfsi.jobs.designs import EVERY_PIXEL
+from deepfsi.jobs.entries import LARGEST_SCORE
 
 
 class _Kind(BaseModel):

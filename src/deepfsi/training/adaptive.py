@@ -11,7 +11,7 @@ from torch import Tensor
 from deepfsi.base.progress import SILENT, Report
 from deepfsi.datasets import Dataset
 from deepfsi.design.adaptive.design import AdaptiveDesign
-from deepfsi.design.adaptive.exposures import AdaptiveMasks, prior_of
+from deepfsi.design.adaptive.exposures import prior_of
 from deepfsi.design.adaptive.misfit import (
     BUDGETS,
     LEAST_SCENES,
@@ -23,6 +23,7 @@ from deepfsi.design.adaptive.posterior import LookOptics
 from deepfsi.design.adaptive.prior import ScenePrior
 from deepfsi.design.confidence import CalibrationScenes, Exposed
 from deepfsi.design.temperatures import REACH, Temperatures
+from deepfsi.jobs.entries import AdaptiveMasks
 from deepfsi.jobs.job import Job
 from deepfsi.training.folds import DOUBT, calibrated, folds_of
 from deepfsi.training.info import provenance

@@ -19,7 +19,7 @@ from torch import Tensor
 from deepfsi.base.errors import as_input_error
 from deepfsi.base.files import DESIGNS, check_ending, write_atomically
 from deepfsi.camera.camera import Camera
-from deepfsi.design.adaptive.exposures import AT_ONCE, AdaptiveMasks, expose, look_at
+from deepfsi.design.adaptive.exposures import AT_ONCE, expose, look_at
 from deepfsi.design.adaptive.misfit import UsualMisfit
 from deepfsi.design.adaptive.posterior import LEAST_WEIGHT, AdaptivePosterior, LookOptics
 from deepfsi.design.adaptive.prior import ScenePrior
@@ -30,6 +30,7 @@ from deepfsi.design.file_content import SCHEMA, Info, damaged, is_adaptive, read
 from deepfsi.design.published import find_design
 from deepfsi.design.training_data import TrainingScenes
 from deepfsi.design.view_test import SceneModel
+from deepfsi.jobs.entries import AdaptiveMasks
 from deepfsi.optics.detection import Detection
 from deepfsi.optics.surroundings import library_defaults
 

@@ -2,17 +2,15 @@
 
 from typing import NamedTuple
 
-import numpy as np
 import torch
-from pydantic import Field
 from torch import Tensor
 
 from deepfsi.base.arrays import check_memory, free_memory
-from deepfsi.base.models import UserModel
 from deepfsi.datasets import Dataset
 from deepfsi.design.adaptive.choice import next_masks
 from deepfsi.design.adaptive.posterior import AdaptivePosterior
 from deepfsi.design.adaptive.prior import ScenePrior
+from deepfsi.jobs.entries import AdaptiveMasks
 from deepfsi.optics.noise import poisson
 
 AT_ONCE = 2**22
@@ -20,57 +18,6 @@ AT_ONCE = 2**22
 
 COPIES = 6
 """Arrays as large as the log-likelihoods, or as the scenes of the prior, held at a time."""
-
-
-class AdaptiveMasks(UserModel):
-    """Settings of exposures with adaptive masks.
-
-    Examples
-    --------
-    >>> from deepfsi.design.adaptive.exposures import AdaptiveMasks
-    >>> AdaptiveMasks(looks=3, growth=4).shares
-    [0.14285714285714285, 0.2857142857142857, 0.5714285714285714]
-    """
-
-    looks: int = Field(
-        16, ge=1, le=1024, strict=True, description="masks that are shown one after another"
-    )
-    growth: float = Field(
-        1.0,
-        ge=1e-3,
-        le=1e3,
-        description="share of the exposure that the last look takes, over that of the first",
-    )
-    until: float = Field(
-        1.0,
-        gt=0,
-        le=1,
-        description="probability of a class above which the exposure stops; 1 for never",
-    )
-    components: int = Field(
-        120, ge=1, strict=True, description="principal components of the scenes that are kept"
-    )
-    spread: float = Field(
-        0.7,
-        ge=0,
-        allow_inf_nan=False,
-        description="how far scenes lie from those of the prior, over the distance of neighbours "
-        "in it; 0 if they are among them",
-    )
-
-    clusters: int | None = Field(
-        None,
-        ge=1,
-        strict=True,
-        description="clusters of each class whose centres stand for its scenes; all scenes unless "
-        "given",
-    )
-
-    @property
-    def shares(self) -> list[float]:
-        """Share of the exposure that each look takes; their sum is 1."""
-        each = self.growth ** np.linspace(0, 1, self.looks)
-        return (each / each.sum()).tolist()
 
 
 class Look(NamedTuple):

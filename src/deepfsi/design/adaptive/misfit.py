@@ -15,9 +15,10 @@ import torch
 from scipy.special import ndtr
 from torch import Tensor
 
-from deepfsi.design.adaptive.exposures import AdaptiveMasks, look_at
+from deepfsi.design.adaptive.exposures import look_at
 from deepfsi.design.adaptive.posterior import AdaptivePosterior, LookOptics
 from deepfsi.design.adaptive.prior import ScenePrior
+from deepfsi.jobs.entries import AdaptiveMasks
 
 BUDGETS = (0.1, 1.0, 10.0)
 """Budgets of the measurement, over that of the training."""

@@ -34,12 +34,6 @@ LOOKING = ("free-dwell", "two-arm")
 PHOTONIC = ("ml_gauss", "poisson", "camera", "none")
 """Noises under which dwells can be chosen."""
 
-LARGEST_SCORE = 4.0
-"""Bound of the scores whose softmax dwells are: the longest is e⁸ times the shortest at most.
-
-A mask that is never shown is never learned, and the scores would not come back from there.
-"""
-
 
 class Fixed(Exposure):
     """Every mask is shown once, for a dwell of its own, and all are needed for an answer.

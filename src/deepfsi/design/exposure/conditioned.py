@@ -10,19 +10,17 @@ they do within the sequence at a budget that is larger by the inverse of their s
 """
 
 import math
-from dataclasses import field, replace
-from typing import Annotated, Literal
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from pydantic import Field
-from pydantic.dataclasses import dataclass as validated
 from torch import Tensor
 from torch.nn import functional
 
 from deepfsi.base.errors import InputError
 from deepfsi.camera.names import LightLawName
-from deepfsi.design.exposure.trained import STRICT, TrainedExposure
+from deepfsi.design.exposure.trained import TrainedExposure
+from deepfsi.jobs.entries import ConditionedEntry
 from deepfsi.optics import constraints
 from deepfsi.optics.features import mean_over_exposures
 from deepfsi.optics.rails import Rails
@@ -31,33 +29,24 @@ ALL_MASKS_SHARE = 0.25
 """Share of the exposures of nested masks in training that show all of them."""
 
 
-@validated(frozen=True, config=STRICT)
+@dataclass(frozen=True)
 class ConditionedExposure(TrainedExposure):
     """Exposure of fixed dwells whose classifier has the budget and the number of masks as inputs.
 
-    Attributes
-    ----------
-    photons : float
-        Lowest budget of the training.
-    span : float
-        Highest over lowest.
-    masks : int
-        m, of the whole sequence.
-    nested : int
-        Smallest number of first masks that can be classified alone; 0 if only all can.
-    width : int
-        Features of each mask.
-    used : float
-        Share of the light law that the masks take within the whole sequence.
+    Its fields are those of `ConditionedEntry`.
     """
 
-    photons: Annotated[float, Field(gt=0, allow_inf_nan=False)]
-    span: Annotated[float, Field(ge=1, allow_inf_nan=False)]
-    masks: Annotated[int, Field(ge=1)]
-    nested: Annotated[int, Field(ge=0)] = 0
-    width: Annotated[int, Field(ge=1)] = 1
-    used: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 1.0
-    kind: Literal["conditioned"] = field(default="conditioned", kw_only=True)
+    photons: float
+    span: float
+    masks: int
+    nested: int = 0
+    width: int = 1
+    used: float = 1.0
+    kind = "conditioned"
+
+    def entry(self) -> ConditionedEntry:
+        """Entry of the design file's header."""
+        return ConditionedEntry(**vars(self))
 
     def check(self, rails: Rails, light: LightLawName, image_shape: tuple[int, ...]) -> None:
         """Raise `ValueError` unless rails can be exposed so; parameters as for `Design`."""

@@ -11,24 +11,23 @@ The classifier is trained to answer after every look, so that an exposure may en
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
-from typing import Annotated, ClassVar, Literal
+from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 import torch
-from pydantic import Field
-from pydantic.dataclasses import dataclass as validated
 from torch import Tensor
 
 from deepfsi.base.errors import InputError
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.light import Shares, share_out
-from deepfsi.camera.names import LightLawName, Widths
+from deepfsi.camera.names import LightLawName
 from deepfsi.design.classifiers import Mlp, restored
 from deepfsi.design.consistency import ReadoutDistribution
-from deepfsi.design.exposure import LARGEST_SCORE, LOOKING, Looks
-from deepfsi.design.exposure.trained import STRICT, Observation, Read, Show, TrainedExposure
+from deepfsi.design.exposure import LOOKING, Looks
+from deepfsi.design.exposure.trained import Observation, Read, Show, TrainedExposure
 from deepfsi.design.readout_fit import find_distribution
+from deepfsi.jobs.entries import LARGEST_SCORE, ExposureEntry, LooksEntry
 from deepfsi.optics import constraints
 from deepfsi.optics.detection import Detection
 from deepfsi.optics.masks import LearnedMasks, through
@@ -98,9 +97,25 @@ class LooksExposure(TrainedExposure):
     kind = "adaptive"
     chooses: ClassVar[bool] = True
 
-    def header(self) -> "LooksShape":
-        """Entry of the design file's header, of which `restored` makes the kind again."""
-        return LooksShape(self.looks, self.network.hidden, self.shortest)
+    def entry(self) -> LooksEntry:
+        """Entry of the design file's header."""
+        return LooksEntry(looks=self.looks, hidden=self.network.hidden, shortest=self.shortest)
+
+    @classmethod
+    def restored(
+        cls,
+        entry: ExposureEntry,
+        weights: dict[str, Tensor],
+        features: int,
+        rails: Rails,
+        light: LightLawName,
+    ) -> "LooksExposure":
+        """The exposure with its network; parameters as for `TrainedExposure.restored`."""
+        assert isinstance(entry, LooksEntry)
+        dwells = Dwells.of(rails.masks, light, rails.kind)
+        inputs = features + dwells.count + 1
+        sizes = {"inputs": inputs, "classes": dwells.count, "hidden": entry.hidden}
+        return cls(dwells, restored(Mlp, weights, **sizes), entry.looks, entry.shortest)
 
     def to(self, device: str | torch.device) -> "LooksExposure":
         """The kind on a device."""
@@ -267,33 +282,3 @@ class LooksExposure(TrainedExposure):
                 "dwells go with a design that chooses them, and only with it: give dwell, or use "
                 "`classify_live`"
             )
-
-
-@validated(frozen=True, config=STRICT)
-class LooksShape:
-    """Entry of a design file's header for `LooksExposure`.
-
-    Attributes
-    ----------
-    looks : int
-        K, each 1 / K of the exposure.
-    hidden : tuple of int
-        Widths of the hidden layers of the network that chooses dwells.
-    shortest : float
-        Shortest dwell of a frame, a share of the exposure.
-    """
-
-    looks: Annotated[int, Field(ge=2, le=64)]
-    hidden: Widths
-    shortest: Annotated[float, Field(ge=0, lt=1)]
-    kind: Literal["adaptive"] = field(default="adaptive", kw_only=True)
-
-    def restored(
-        self, weights: dict[str, Tensor], features: int, rails: Rails, light: LightLawName
-    ) -> LooksExposure:
-        """The exposure; parameters as for `TrainedExposure.restored`."""
-        dwells = Dwells.of(rails.masks, light, rails.kind)
-        inputs = features + dwells.count + 1
-        sizes = {"inputs": inputs, "classes": dwells.count, "hidden": self.hidden}
-        network = restored(Mlp, weights, **sizes)
-        return LooksExposure(dwells, network, self.looks, self.shortest)

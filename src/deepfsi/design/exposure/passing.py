@@ -1,18 +1,17 @@
 """Exposures of scenes that pass a static pattern: the bins of a transit are the readouts."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Annotated, ClassVar, Literal
+from typing import ClassVar
 
 import torch
-from pydantic import Field
-from pydantic.dataclasses import dataclass as validated
 from torch import Tensor, nn
 
 from deepfsi.base.errors import InputError
 from deepfsi.camera.names import LightLawName
-from deepfsi.design.exposure.trained import STRICT, Observation, TrainedExposure
+from deepfsi.design.exposure.trained import Observation, TrainedExposure
 from deepfsi.design.exposure.transits import STATIC
+from deepfsi.jobs.entries import ExposureEntry, PassingEntry
 from deepfsi.optics.grey_levels import check_levels
 from deepfsi.optics.rails import Rails
 from deepfsi.optics.scanner import Scanner, project
@@ -34,10 +33,43 @@ class PassingExposure(TrainedExposure):
     kind = "passing"
     comparable: ClassVar[bool] = False
 
-    def header(self) -> "PassingShape":
-        """Entry of the design file's header, of which `restored` makes the kind again."""
+    def entry(self) -> PassingEntry:
+        """Entry of the design file's header."""
         path = self.transit
-        return PassingShape(path.shape, path.bins, path.speed, path.jitter, path.speed_jitter)
+        return PassingEntry(
+            shape=path.shape,
+            bins=path.bins,
+            speed=path.speed,
+            jitter=path.jitter,
+            speed_jitter=path.speed_jitter,
+        )
+
+    @classmethod
+    def restored(
+        cls,
+        entry: ExposureEntry,
+        weights: dict[str, Tensor],
+        features: int,
+        rails: Rails,
+        light: LightLawName,
+    ) -> "PassingExposure":
+        """The exposure with its pattern; parameters as for `TrainedExposure.restored`."""
+        assert isinstance(entry, PassingEntry)
+        pattern = weights["pattern"]
+        height, width = pattern.shape
+        if height != entry.shape[0] or rails.masks != entry.bins or rails.count != 1:
+            raise ValueError("the pattern is not of these scenes")
+        if float(pattern.min()) < 0 or float(pattern.max()) > 1:
+            raise ValueError("the pattern is not between dark and open")
+        path = Transit(
+            shape=entry.shape,
+            width=width,
+            bins=entry.bins,
+            speed=entry.speed,
+            jitter=entry.jitter,
+            speed_jitter=entry.speed_jitter,
+        )
+        return cls(path, pattern)
 
     @property
     def weights(self) -> dict[str, Tensor]:
@@ -121,42 +153,3 @@ class PassingExposure(TrainedExposure):
             "counts of passing scenes are not compared with the training, as each passes at a "
             "place of its own: use Design.classify"
         )
-
-
-@validated(frozen=True, config=STRICT)
-class PassingShape:
-    """Entry of the header for scenes that pass a pattern, which is a tensor of the file.
-
-    Attributes
-    ----------
-    shape : tuple of int
-        Rows and columns of a scene.
-    bins : int
-        Time bins of a transit.
-    speed : float
-        Pixels a bin.
-    jitter : float
-        Standard deviation of the place of an exposure, pixels.
-    speed_jitter : float
-        Standard deviation of its speed over the mean one.
-    """
-
-    shape: tuple[Annotated[int, Field(ge=1)], Annotated[int, Field(ge=1)]]
-    bins: Annotated[int, Field(ge=1)]
-    speed: Annotated[float, Field(gt=0, allow_inf_nan=False)]
-    jitter: Annotated[float, Field(ge=0, allow_inf_nan=False)]
-    speed_jitter: Annotated[float, Field(ge=0, allow_inf_nan=False)]
-    kind: Literal["passing"] = field(default="passing", kw_only=True)
-
-    def restored(
-        self, weights: dict[str, Tensor], features: int, rails: Rails, light: LightLawName
-    ) -> PassingExposure:
-        """The exposure with the pattern (H, P) of a design file."""
-        pattern = weights["pattern"]
-        height, width = pattern.shape
-        if height != self.shape[0] or rails.masks != self.bins or rails.count != 1:
-            raise ValueError("the pattern is not of these scenes")
-        if float(pattern.min()) < 0 or float(pattern.max()) > 1:
-            raise ValueError("the pattern is not between dark and open")
-        path = Transit(self.shape, width, self.bins, self.speed, self.jitter, self.speed_jitter)
-        return PassingExposure(path, pattern)

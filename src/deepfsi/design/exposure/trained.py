@@ -5,14 +5,12 @@ One class for each kind of `design.exposure`, and nobody but these asks which on
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from math import prod
-from typing import Annotated, Any, ClassVar, Literal
+from typing import ClassVar
 
 import numpy as np
 import torch
-from pydantic import ConfigDict, Field
-from pydantic.dataclasses import dataclass as validated
 from torch import Tensor, nn
 
 from deepfsi.base.errors import InputError
@@ -21,15 +19,13 @@ from deepfsi.camera.names import LightLawName
 from deepfsi.design.classifiers import Mlp
 from deepfsi.design.consistency import ReadoutDistribution
 from deepfsi.design.readout_fit import find_distribution
+from deepfsi.jobs.entries import ExposureEntry, FixedEntry, PatchesEntry
 from deepfsi.optics import constraints
 from deepfsi.optics.detection import Detection
 from deepfsi.optics.grey_levels import quantise
 from deepfsi.optics.masks import LearnedMasks
 from deepfsi.optics.rails import Rails
 from deepfsi.optics.scanner import Scanner
-
-STRICT = ConfigDict(extra="forbid", strict=True)
-"""Configuration of what a design file's header holds: no further fields, no conversions."""
 
 Read = Callable[[Tensor, Tensor | float], Tensor]
 """From expected counts (..., rails, m · D), and dwells over the usual ones of the same shape, to
@@ -75,15 +71,21 @@ class TrainedExposure:
     used: float = 1.0  # share of the light law that the masks take within the whole sequence
     network: Mlp | None = None  # A network besides the classifier
 
-    def header(self) -> Any:
+    def entry(self) -> ExposureEntry:
         """Entry of the design file's header, of which `restored` makes the kind again."""
-        return self
+        raise NotImplementedError
 
+    @classmethod
     def restored(
-        self, weights: dict[str, Tensor], features: int, rails: Rails, light: LightLawName
+        cls,
+        entry: ExposureEntry,
+        weights: dict[str, Tensor],
+        features: int,
+        rails: Rails,
+        light: LightLawName,
     ) -> "TrainedExposure":
-        """The kind with its network's weights from a design file."""
-        return self
+        """The kind of an entry, with its tensors of a design file; an error where they differ."""
+        return cls(**entry.model_dump(exclude={"kind"}))
 
     def to(self, device: str | torch.device) -> "TrainedExposure":
         """The kind on a device."""
@@ -269,28 +271,31 @@ class TrainedExposure:
             )
 
 
-@validated(frozen=True, config=STRICT)
+@dataclass(frozen=True)
 class FixedExposure(TrainedExposure):
     """Exposure of which all masks are needed, each with its own dwell."""
 
-    kind: Literal["fixed"] = field(default="fixed", kw_only=True)
+    kind = "fixed"
+
+    def entry(self) -> FixedEntry:
+        """Entry of the design file's header."""
+        return FixedEntry()
 
 
-@validated(frozen=True, config=STRICT)
+@dataclass(frozen=True)
 class PatchExposure(TrainedExposure):
     """Exposure of fixed dwells, with a detector for each patch of an image.
 
     Features have the shape (..., P, m), and a budget is of the whole image.
-
-    Attributes
-    ----------
-    side : int
-        Of a patch, pixels.
     """
 
-    side: Annotated[int, Field(ge=1)]
-    kind: Literal["patches"] = field(default="patches", kw_only=True)
+    side: int  # of a patch, pixels
+    kind = "patches"
     comparable: ClassVar[bool] = False
+
+    def entry(self) -> PatchesEntry:
+        """Entry of the design file's header."""
+        return PatchesEntry(side=self.side)
 
     def check(self, rails: Rails, light: LightLawName, image_shape: tuple[int, ...]) -> None:
         """Raise `ValueError` unless rails are of patches; parameters as for `Design`."""
