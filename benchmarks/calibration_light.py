@@ -19,13 +19,12 @@ from scipy.linalg import lstsq
 
 from deepfsi.base.errors import InputError
 from deepfsi.camera.device import Device
-from deepfsi.hardware.calibration.fit import calibrate, spot_scenes
-from deepfsi.hardware.calibration.scans import SCANS, scan_rails
+from deepfsi.hardware.calibration import SCAN_NAMES, fit_calibration, scan_rails, spot_scenes
 from deepfsi.hardware.counting.calibration_file import Calibration
 from deepfsi.hardware.patterns.folder import export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings, Patterns
 from deepfsi.hardware.patterns.timing import find_gates
-from deepfsi.hardware.virtual.camera import arrival_rates
+from deepfsi.hardware.virtual import arrival_rates
 from deepfsi_paper.camera.gate_counts import draw_counts
 from deepfsi_paper.camera.laboratory import LAB
 
@@ -66,7 +65,7 @@ def main(words: list[str] | None = None) -> None:
     scenes = np.concatenate([spots, np.ones((1, 32, 32)), np.zeros((1, 32, 32))])
     print("| patterns | photons a spot | spots of 25, least | error (cells) | error it states |")
     print("| --- | --- | --- | --- | --- |")
-    for name in SCANS:
+    for name in SCAN_NAMES:
         scan = scan_rails(name, cells)
         with tempfile.TemporaryDirectory() as folder:
             settings = FrameSettings(DEVICE, 1.1 * EXPOSURE_S * float(scan.rails.max()))
@@ -79,7 +78,7 @@ def main(words: list[str] | None = None) -> None:
                 shot = pictures(patterns, rates, flux, np.random.default_rng(seed))
                 try:
                     found.append(
-                        calibrate(
+                        fit_calibration(
                             spots, shot[:-2], patterns.manifest.grid, white=shot[-2], black=shot[-1]
                         )
                     )

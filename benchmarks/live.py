@@ -41,7 +41,7 @@ import numpy as np
 from deepfsi.camera.device import find_device
 from deepfsi.hardware.counting.acquisition import Scene
 from deepfsi.hardware.counting.streaming import FrameCounts, FrameGates, StreamCounter
-from deepfsi.hardware.drivers.protocols import Setup
+from deepfsi.hardware.drivers import Setup
 from deepfsi.hardware.live.decisions import FrameList, Observer
 from deepfsi.hardware.live.known import KnownMasks
 from deepfsi.hardware.live.loop import Loop, LoopHeader
@@ -51,12 +51,13 @@ from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.photons.header import read_header
 from deepfsi.hardware.photons.reader import count_gates, read_markers
 from deepfsi.hardware.photons.writer import Writer
-from deepfsi.hardware.virtual.camera import VirtualCamera, arrival_rates
-from deepfsi.hardware.virtual.setup import (
+from deepfsi.hardware.virtual import (
     Latencies,
+    VirtualCamera,
     VirtualCounter,
     VirtualOptics,
     VirtualProjector,
+    arrival_rates,
 )
 
 FLUX, TICK_S, SETTLE_S = 1e7, 1e-12, 1e-5

@@ -24,20 +24,22 @@ from deepfsi.base.errors import InputError
 from deepfsi.camera.device import find_device
 from deepfsi.datasets import Dataset
 from deepfsi.hardware.counting.acquisition import Scene
-from deepfsi.hardware.drivers.protocols import Setup
+from deepfsi.hardware.drivers import Setup
 from deepfsi.hardware.live.known import read_looks
 from deepfsi.hardware.live.replay import count_live, replay_run
 from deepfsi.hardware.live.run import plan_live, run_live
 from deepfsi.hardware.patterns.folder import export_patterns, read_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
-from deepfsi.hardware.virtual.camera import MirrorLight, VirtualCamera, arrival_rates
-from deepfsi.hardware.virtual.detector import TICK_S
-from deepfsi.hardware.virtual.setup import (
+from deepfsi.hardware.virtual import (
+    DETECTOR_TICK_S,
     Latencies,
+    VirtualCamera,
     VirtualCounter,
     VirtualOptics,
     VirtualProjector,
+    arrival_rates,
 )
+from deepfsi.hardware.virtual.camera import MirrorLight
 from deepfsi.lab.rails import design_rails
 from deepfsi.lab.results import LiveScene
 
@@ -88,7 +90,9 @@ class Dimmed(VirtualOptics):
     def __init__(self, *given: object, outs_s: np.ndarray) -> None:
         super().__init__(*given)  # type: ignore[arg-type]
         edges = np.sort(outs_s)[:, None] + [0, BLACKOUT_S]
-        self._edges = np.rint(np.maximum.accumulate(edges.ravel()) / TICK_S).astype(np.int64)
+        self._edges = np.rint(np.maximum.accumulate(edges.ravel()) / DETECTOR_TICK_S).astype(
+            np.int64
+        )
 
     def _see(self, frames: np.ndarray, ends: np.ndarray) -> None:
         here = self._edges[(self._edges > self._end) & (self._edges < ends[-1])]

@@ -24,8 +24,7 @@ from deepfsi.hardware.counting.tables import TableSettings
 from deepfsi.hardware.live.run import plan_live, run_live
 from deepfsi.hardware.patterns.folder import export_patterns, read_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
-from deepfsi.hardware.virtual.camera import VirtualCamera, arrival_rates
-from deepfsi.hardware.virtual.setup import Latencies, virtual_setup
+from deepfsi.hardware.virtual import Latencies, VirtualCamera, arrival_rates, virtual_setup
 from deepfsi.lab.rails import design_rails
 
 SCENES, PHOTONS, EXPOSURE_S = 40, 1e4, 10e-3

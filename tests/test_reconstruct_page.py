@@ -25,7 +25,7 @@ from deepfsi.hardware.counting.counting import count
 from deepfsi.hardware.counting.counts import read_counts
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
-from deepfsi.hardware.virtual.camera import RecordingSettings, VirtualCamera, record
+from deepfsi.hardware.virtual import RecordingSettings, VirtualCamera, record_scenes
 from deepfsi.optics import constraints
 
 PAGE = (Path(__file__).parents[1] / "docs/do/reconstruct.md").read_text()
@@ -148,7 +148,7 @@ def runs(tmp_path_factory):
         )
         settings = RecordingSettings(VirtualCamera(dark=DARK), FLUX, EXPOSURE, repeats=2)
         names = ("a", "b", "c")
-        record(folder / "patterns", SCENES, names, None, folder / "run", settings)
+        record_scenes(folder / "patterns", SCENES, names, None, folder / "run", settings)
         count(folder / "run")
         made[light] = folder / "run"
     return made

@@ -11,8 +11,13 @@ from deepfsi.hardware.counting.calibration_file import Calibration, save_calibra
 from deepfsi.hardware.counting.counting import count
 from deepfsi.hardware.counting.counts import read_counts
 from deepfsi.hardware.counting.tables import TableSettings, count_table
-from deepfsi.hardware.virtual.camera import RecordingSettings, VirtualCamera, arrival_rates, record
-from deepfsi.hardware.virtual.detector import Detector
+from deepfsi.hardware.virtual import (
+    Detector,
+    RecordingSettings,
+    VirtualCamera,
+    arrival_rates,
+    record_scenes,
+)
 from deepfsi_paper.camera.gate_counts import draw
 from hardware.counting.recording_samples import SHAPE, patterns_of
 
@@ -74,7 +79,7 @@ def run(request, tmp_path_factory):
     camera = VirtualCamera(dead_time_s=TAU, paralysable=request.param, dark=1e4, jitter_s=1e-10)
     images = scenes(7)
     settings = RecordingSettings(camera, FLUX, EXPOSURE, repeats=REPEATS)
-    record(folder / "p", images, list("abcdefg"), None, folder / "run", settings)
+    record_scenes(folder / "p", images, list("abcdefg"), None, folder / "run", settings)
     rates = arrival_rates(folder / "p", images, camera, FLUX)[..., 0]
     return folder / "run", shown, rates, DeadTime(seconds=TAU, paralysable=request.param)
 

@@ -18,7 +18,7 @@ from deepfsi.cli import app
 from deepfsi.datasets import read_display, write_pictures
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate
-from deepfsi.hardware.calibration.fit import calibrate_run
+from deepfsi.hardware.calibration import calibrate_run
 from deepfsi.hardware.counting import acquisition
 from deepfsi.hardware.counting.counts import read_counts
 from deepfsi.hardware.counting.picture import reconstruct

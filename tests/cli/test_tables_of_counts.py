@@ -19,7 +19,7 @@ from deepfsi.datasets import write_pictures
 from deepfsi.hardware.counting.tables import column_names
 from deepfsi.hardware.patterns.folder import export_patterns, read_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
-from deepfsi.hardware.virtual.camera import VirtualCamera, arrival_rates
+from deepfsi.hardware.virtual import VirtualCamera, arrival_rates
 from deepfsi.lab.rails import design_rails
 
 FLUX, SCENES, DWELL = 1e6, 60, 1e-3

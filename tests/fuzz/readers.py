@@ -138,7 +138,7 @@ def read_camera(path: Path) -> None:
 def read_virtual(path: Path) -> None:
     from deepfsi.base.errors import as_input_error
     from deepfsi.base.files import read_toml
-    from deepfsi.hardware.virtual.camera import VirtualCamera
+    from deepfsi.hardware.virtual import VirtualCamera
 
     with as_input_error():
         VirtualCamera.model_validate(read_toml(path))
@@ -329,20 +329,23 @@ def _designs(folder: Path) -> None:
 def _recordings(folder: Path) -> None:
     from deepfsi.hardware.counting.acquisition import Scene
     from deepfsi.hardware.counting.counting import count
-    from deepfsi.hardware.drivers.protocols import Setup
+    from deepfsi.hardware.drivers import Setup
     from deepfsi.hardware.live.replay import count_live
     from deepfsi.hardware.live.run import plan_live, run_live
-    from deepfsi.hardware.virtual.camera import CAMERAS, RecordingSettings, arrival_rates, record
-    from deepfsi.hardware.virtual.setup import (
+    from deepfsi.hardware.virtual import (
+        CAMERAS,
         Latencies,
+        RecordingSettings,
         VirtualCounter,
         VirtualOptics,
         VirtualProjector,
+        arrival_rates,
+        record_scenes,
     )
 
     scenes = np.random.default_rng(2).random((3, 4, 4))
     settings = RecordingSettings(CAMERAS["ideal"], 1e5, 5e-3)
-    record(folder / "npy", scenes, ["a", "b", "c"], None, folder / "run", settings)
+    record_scenes(folder / "npy", scenes, ["a", "b", "c"], None, folder / "run", settings)
     count(folder / "run")
     rates = arrival_rates(folder / "looks", scenes, CAMERAS["ideal"], 1e6)
     setup = VirtualOptics(rates, CAMERAS["ideal"], Latencies(), 0)

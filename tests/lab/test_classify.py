@@ -16,12 +16,12 @@ from deepfsi.hardware.counting.counts import read_counts
 from deepfsi.hardware.counting.tables import TableSettings
 from deepfsi.hardware.live.replay import count_live
 from deepfsi.hardware.patterns.folder import read_patterns
-from deepfsi.hardware.virtual.camera import (
+from deepfsi.hardware.virtual import (
     CAMERAS,
     RecordingSettings,
     VirtualCamera,
     arrival_rates,
-    record,
+    record_scenes,
 )
 from deepfsi.lab.scenes import listed, scenes_of
 from shared.live_samples import live, make_patterns
@@ -146,7 +146,7 @@ def test_a_run_with_far_less_light_than_the_training_is_refused_unless_forced(la
     """Nothing compared the two: at 2 % of the light 15 of 40 digits were right, in silence."""
     shown = read_display(lab / "images")
     settings = RecordingSettings(CAMERAS["ideal"], flux=share * 1e7, exposure_s=10e-3)
-    record(lab / "frames", shown.x, shown.names, shown.labels, tmp_path / "run", settings)
+    record_scenes(lab / "frames", shown.x, shown.names, shown.labels, tmp_path / "run", settings)
     count(tmp_path / "run")
     with pytest.raises(deepfsi.InputError, match=r"too little light for this design.*`force`"):
         deepfsi.classify_run(lab / DESIGN, tmp_path / "run")
@@ -179,7 +179,7 @@ def forty(lab, digits):
     def classified(folder, optics=None, scenes=40, **settings):
         camera = VirtualCamera.model_validate(optics or {})
         recording = RecordingSettings(camera, flux=1e7, exposure_s=10e-3)
-        record(lab / "frames", x[:scenes], names[:scenes], None, folder, recording)
+        record_scenes(lab / "frames", x[:scenes], names[:scenes], None, folder, recording)
         count(folder)
         return deepfsi.classify_run(lab / DESIGN, folder, **settings)
 

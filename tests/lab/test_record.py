@@ -12,16 +12,15 @@ import pytest
 from deepfsi.base.errors import InputError
 from deepfsi.camera.device import DEVICES, find_device
 from deepfsi.datasets import write_pictures
-from deepfsi.hardware.calibration.scans import scan_rails
+from deepfsi.hardware.calibration import scan_rails
 from deepfsi.hardware.counting.acquisition import Scene, plan_acquisition, read_acquisition
 from deepfsi.hardware.counting.counting import count
 from deepfsi.hardware.counting.counts import read_counts
-from deepfsi.hardware.drivers.dlpc900 import Dlpc900Projector
+from deepfsi.hardware.drivers import Dlpc900Projector
 from deepfsi.hardware.drivers.swabian import TaggerCounter
 from deepfsi.hardware.patterns.folder import export_patterns, read_frames, read_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
-from deepfsi.hardware.virtual.camera import CAMERAS, arrival_rates
-from deepfsi.hardware.virtual.setup import Latencies, virtual_setup
+from deepfsi.hardware.virtual import CAMERAS, Latencies, arrival_rates, virtual_setup
 from deepfsi.lab import record
 from hardware.drivers import dlpc900_fake, swabian_fake
 

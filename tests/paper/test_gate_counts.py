@@ -9,12 +9,12 @@ from scipy.special import gammainc
 from scipy.stats import chi2
 
 from deepfsi.base.errors import InputError
-from deepfsi.hardware.virtual.detector import TICK_S, Detector, Stream, divide
+from deepfsi.hardware.virtual import DETECTOR_TICK_S, Detector, Stream, divide
 from deepfsi_paper.camera import gate_counts as module
 from deepfsi_paper.camera.gate_counts import black_rates, draw, subtract_background
 
 TAU = 5e-8
-DEAD = round(TAU / TICK_S)
+DEAD = round(TAU / DETECTOR_TICK_S)
 PARALYSABLE = Detector(dead_time_s=TAU, paralysable=True)
 NON_PARALYSABLE = Detector(dead_time_s=TAU)
 DETECTORS = {
@@ -45,8 +45,8 @@ def record(detector: Detector, durations: np.ndarray, rates: np.ndarray, seed=0)
 
 def steady(detector: Detector, rate: float, gates: int, length_s: float, seed=0) -> np.ndarray:
     """Counts of equal gates, with pauses as long between them, in which the light stays on."""
-    gate = round(length_s / TICK_S)
-    pause = gate + round(20 * detector.afterpulse_s / TICK_S) + 2 * DEAD
+    gate = round(length_s / DETECTOR_TICK_S)
+    pause = gate + round(20 * detector.afterpulse_s / DETECTOR_TICK_S) + 2 * DEAD
     durations = np.full(gates + 1, gate + pause)
     events = record(detector, durations, np.full(gates + 1, rate), seed)
     place, within = np.divmod(events, gate + pause)

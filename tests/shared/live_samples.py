@@ -7,18 +7,20 @@ import numpy as np
 from conftest import quick
 from deepfsi.camera.device import find_device
 from deepfsi.hardware.counting.acquisition import Scene
-from deepfsi.hardware.drivers.protocols import Setup
+from deepfsi.hardware.drivers import Setup
 from deepfsi.hardware.live.known import read_looks
 from deepfsi.hardware.live.replay import Replayed, read_live_counts, replay_run
 from deepfsi.hardware.live.run import Decided, plan_live, run_live
 from deepfsi.hardware.patterns.folder import export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
-from deepfsi.hardware.virtual.camera import CAMERAS, VirtualCamera, arrival_rates
-from deepfsi.hardware.virtual.setup import (
+from deepfsi.hardware.virtual import (
+    CAMERAS,
     Latencies,
+    VirtualCamera,
     VirtualCounter,
     VirtualOptics,
     VirtualProjector,
+    arrival_rates,
 )
 from deepfsi.lab.rails import design_rails
 

@@ -18,7 +18,7 @@ from deepfsi.hardware.counting.counting import count
 from deepfsi.hardware.counting.picture import reconstruct
 from deepfsi.hardware.patterns.folder import export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
-from deepfsi.hardware.virtual.camera import CAMERAS, RecordingSettings, record
+from deepfsi.hardware.virtual import CAMERAS, RecordingSettings, record_scenes
 from deepfsi.lab.rails import design_rails
 
 # %%
@@ -41,7 +41,9 @@ with tempfile.TemporaryDirectory() as folder:
         design_rails(file), FrameSettings(find_device("64x48"), 1e-3), frames
     )
     camera = RecordingSettings(CAMERAS["ideal"], flux=1e7, exposure_s=10e-3, repeats=1)
-    record(frames, scenes.reshape(-1, 8, 8), [f"digit {k}" for k in labels], None, run, camera)
+    record_scenes(
+        frames, scenes.reshape(-1, 8, 8), [f"digit {k}" for k in labels], None, run, camera
+    )
     counts = count(run)
     pictures = reconstruct(run)
 

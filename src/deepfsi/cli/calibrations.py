@@ -23,7 +23,7 @@ def camera_spots(
     Example: deepfsi camera spots --size 32x32 -o spots
     """
     paths.check_new_folder(out)
-    from deepfsi.lab.calibration import write_spots
+    from deepfsi.hardware.calibration import write_spots
 
     pictures = write_spots(out, options.size_of(size) or (32, 32), side)
     common.print_pictures("camera.spots", pictures, out, as_json)

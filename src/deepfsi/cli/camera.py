@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from deepfsi.hardware.counting.counts import Counts
     from deepfsi.hardware.live.replay import LiveCounts
     from deepfsi.hardware.photons.contents import Contents
-    from deepfsi.hardware.virtual.camera import VirtualCamera
+    from deepfsi.hardware.virtual import VirtualCamera
 
 NO_DRIFT = 1e-7
 """Drift of clocks that is printed as none, as a share."""
@@ -108,7 +108,7 @@ def camera_simulate(
     """
     paths.check_new_folder(out)
     from deepfsi.hardware.patterns.folder import read_patterns
-    from deepfsi.hardware.virtual.camera import RecordingSettings, expected_events, record
+    from deepfsi.hardware.virtual import RecordingSettings, expected_events, record_scenes
     from deepfsi.lab.camera import camera_of, clicks_of, exposure_of, flux_of
     from deepfsi.lab.scenes import displayed, picture_hashes
 
@@ -131,7 +131,7 @@ def camera_simulate(
     with common.progress("photons", quiet=as_json) as report:
         hashes = picture_hashes(scene, patterns)
         told = images.x, images.names, images.labels
-        made = record(patterns, *told, out, recording, report, hashes)
+        made = record_scenes(patterns, *told, out, recording, report, hashes)
     if as_json:
         common.print_json(
             "camera.simulate",
@@ -410,7 +410,7 @@ def find_camera(name: str | None, source: Path, settings: dict[str, Any]) -> "Vi
     Where that has neither an exposure time nor gates it is no laboratory's, and a photomultiplier
     is taken.
     """
-    from deepfsi.hardware.virtual.camera import CAMERAS, VirtualCamera
+    from deepfsi.hardware.virtual import CAMERAS, VirtualCamera
     from deepfsi.lab.camera import camera_of, virtual_of
 
     if name is None:

@@ -49,9 +49,9 @@ def load(
     scenes = load_dataset(data, size=size, **options)
     if view is None:
         return scenes
-    from deepfsi.hardware.calibration.view import view_from
+    from deepfsi.hardware.calibration import view_dataset
 
-    return view_from(scenes, view)
+    return view_dataset(scenes, view)
 
 
 def check_data(source: str | None, view: Path | None = None) -> None:

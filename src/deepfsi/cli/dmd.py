@@ -100,13 +100,12 @@ def dmd_export(
     """
     paths.check_new_folder(out)
     from deepfsi.camera.device import find_device
-    from deepfsi.hardware.calibration.reference import write_reference
-    from deepfsi.hardware.calibration.scans import SCANS
+    from deepfsi.hardware.calibration import SCAN_NAMES, write_reference
     from deepfsi.hardware.patterns.folder import export_patterns
     from deepfsi.hardware.patterns.sequence import FrameSettings
     from deepfsi.lab.camera import camera_of, picture_time
 
-    file = file if str(file) in SCANS else paths.check_design(file)
+    file = file if str(file) in SCAN_NAMES else paths.check_design(file)
     rails = _rails(file, size, detectors)
     known = camera_of(file, **settings)
     shown_by = (known.device or find_device("dlp7000")).timed(
@@ -143,15 +142,15 @@ def _layout(known: "Layout", **options: Any) -> "Layout":
 
 def _rails(file: Path, size: str | None, detectors: int | None) -> "DesignRails":
     """Rails of a design file, or of a scan by its name."""
-    from deepfsi.hardware.calibration.scans import SCANS, scan_rails
+    from deepfsi.hardware.calibration import SCAN_NAMES, scan_rails
 
-    if str(file) in SCANS:
+    if str(file) in SCAN_NAMES:
         return scan_rails(str(file), options.size_of(size) or (32, 32), detectors or 1)
     for option, given, own in (("size", size, "cells"), ("detectors", detectors, "detectors")):
         if given is not None:
             raise InputError(
-                f"--{option} is for {' and '.join(SCANS)}: {file} has the {own} of its design; "
-                "leave it out"
+                f"--{option} is for {' and '.join(SCAN_NAMES)}: {file} has the {own} of its "
+                "design; leave it out"
             )
     from deepfsi.lab.rails import design_rails
 

@@ -17,7 +17,7 @@ from deepfsi.cli.settings import laboratory_fields, with_settings
 if TYPE_CHECKING:
     from deepfsi.design.view_test import ViewResult
     from deepfsi.hardware.counting.acquisition import Acquisition
-    from deepfsi.hardware.virtual.setup import Latencies
+    from deepfsi.hardware.virtual import Latencies
     from deepfsi.lab.results import LiveScene
 
 VIRTUAL_SETTINGS = ("flux", "dark", "virtual", "latency", "seed", "yes")
@@ -76,16 +76,17 @@ def camera_live(
     if counter_config is not None:
         paths.check_there(counter_config, "counter configuration")
     times, source = latencies_of(latency or []), paths.check_design(source)
-    from deepfsi.hardware.drivers.catalogue import (
+    from deepfsi.hardware.drivers import (
         DeviceSettings,
+        Setup,
+        StreamingProjector,
         open_counter,
         open_list_projector,
     )
-    from deepfsi.hardware.drivers.protocols import Setup, StreamingProjector
     from deepfsi.hardware.live.known import read_looks
     from deepfsi.hardware.live.run import plan_live, run_live
     from deepfsi.hardware.patterns.folder import read_patterns
-    from deepfsi.hardware.virtual.setup import most_events, virtual_setup
+    from deepfsi.hardware.virtual import most_events, virtual_setup
     from deepfsi.lab.camera import camera_of, dead_time_of, exposure_of, flux_of
     from deepfsi.lab.scenes import displayed, scenes_of
 
@@ -145,7 +146,7 @@ def check_devices(
     context: typer.Context, projector: str, counter: str, settings: dict[str, Any]
 ) -> bool:
     """True of virtual devices; `InputError` for devices or options that do not go together."""
-    from deepfsi.hardware.drivers.catalogue import COUNTERS, PROJECTORS
+    from deepfsi.hardware.drivers import COUNTERS, PROJECTORS
 
     check_known("projector", projector, ("virtual", *PROJECTORS))
     check_known("counter", counter, ("virtual", *COUNTERS))
@@ -180,7 +181,7 @@ def _patterns(source: Path, as_json: bool) -> Iterator[Path]:
 
 def latencies_of(given: list[str]) -> "Latencies":
     """Latencies of virtual devices, of NAME=TIME."""
-    from deepfsi.hardware.virtual.setup import Latencies
+    from deepfsi.hardware.virtual import Latencies
 
     times = {}
     for each in given:

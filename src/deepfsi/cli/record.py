@@ -53,11 +53,15 @@ def camera_record(
     from deepfsi.base.progress import SILENT
     from deepfsi.hardware.counting.acquisition import plan_acquisition
     from deepfsi.hardware.counting.counting import count
-    from deepfsi.hardware.drivers.catalogue import DeviceSettings, open_counter, open_projector
-    from deepfsi.hardware.drivers.protocols import PassProjector, Setup
+    from deepfsi.hardware.drivers import (
+        DeviceSettings,
+        PassProjector,
+        Setup,
+        open_counter,
+        open_projector,
+    )
     from deepfsi.hardware.patterns.folder import read_patterns
-    from deepfsi.hardware.virtual.camera import expected_events
-    from deepfsi.hardware.virtual.setup import virtual_setup
+    from deepfsi.hardware.virtual import expected_events, virtual_setup
     from deepfsi.lab.camera import camera_of, clicks_of, dead_time_of, flux_of
     from deepfsi.lab.record import record_run
     from deepfsi.lab.scenes import displayed, listed, scenes_of

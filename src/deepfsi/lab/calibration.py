@@ -2,20 +2,18 @@
 
 from pathlib import Path
 
-import numpy as np
-
 from deepfsi.base.errors import InputError
 from deepfsi.base.progress import SILENT, Report
-from deepfsi.datasets import read_display, write_pictures
+from deepfsi.datasets import read_display
 from deepfsi.design.view_test import Rows
-from deepfsi.hardware.calibration.detectors import find_detectors, find_gains, save_detectors
-from deepfsi.hardware.calibration.fit import BLACK, WHITE, calibrate_run, spot_scenes
-from deepfsi.hardware.calibration.reference import (
-    Readouts,
+from deepfsi.hardware.calibration import (
     ReferenceFit,
-    check_readouts,
+    calibrate_run,
+    find_detectors,
+    find_gains,
     find_reference,
-    fit_reference,
+    find_reference_of_masks,
+    save_detectors,
 )
 from deepfsi.hardware.counting.acquisition import read_acquisition
 from deepfsi.hardware.counting.calibration_file import Calibration, save_calibration
@@ -23,12 +21,6 @@ from deepfsi.hardware.counting.counts import Counts, check_photons, read_counts
 from deepfsi.hardware.counting.picture import reconstruct
 from deepfsi.hardware.live.known import read_looks
 from deepfsi.hardware.live.replay import is_live, read_live_counts, replay_run
-
-
-def write_spots(folder: Path, shape: tuple[int, int] = (32, 32), side: int = 2) -> list[Path]:
-    """Write the pictures (h, w) that calibrate a camera: spots of `side` pixels, white, black."""
-    pictures = {f"spot-{k:02d}.png": spot for k, spot in enumerate(spot_scenes(shape, side=side))}
-    return write_pictures({**pictures, WHITE: np.ones(shape), BLACK: np.zeros(shape)}, folder)
 
 
 def calibrate(folder: Path, spots: Path, out: Path) -> tuple[Calibration, Path, Path | None]:
@@ -59,11 +51,8 @@ def check_view(folder: Path, report: Report = SILENT) -> ReferenceFit:
     if not seen:
         raise InputError(f"no scene of {folder} had light: record the reference again")
     rows = Rows.join(seen)
-    lit = rows.masks.any(axis=1)
-    check_readouts(run.manifest, len(np.unique(rows.masks[lit] > 0, axis=0)))
     variance = rows.counts.clip(min=0) + rows.noise
-    readouts = Readouts.of(rows.masks[lit], rows.counts[lit], variance[lit])
-    return fit_reference(readouts, run.manifest, report)
+    return find_reference_of_masks(rows.masks, rows.counts, variance, run.manifest, report)
 
 
 def gains_of(flat: Path) -> tuple[float, ...]:

@@ -15,7 +15,7 @@ from deepfsi.camera.camera import Camera
 from deepfsi.camera.dead_time import DeadTime
 from deepfsi.camera.device import Device
 from deepfsi.hardware.patterns.folder import DESIGN, DesignRails
-from deepfsi.hardware.virtual.camera import VirtualCamera
+from deepfsi.hardware.virtual import VirtualCamera
 
 SLACK = 1.01
 """Time of pictures over what the gates of an exposure take: pictures are of whole microseconds."""

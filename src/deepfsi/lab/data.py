@@ -12,7 +12,7 @@ from deepfsi.base.arrays import DamagedError, read_tensors
 from deepfsi.base.errors import InputError
 from deepfsi.datasets import Dataset, Origin, absolute, load_dataset, takes
 from deepfsi.design.training_data import TrainedOn, new_scenes, trained_on
-from deepfsi.hardware.calibration.view import view_from
+from deepfsi.hardware.calibration import view_dataset
 
 if TYPE_CHECKING:
     from deepfsi.design.evaluation import Tested
@@ -97,7 +97,7 @@ def _load(origin: Origin) -> Dataset:
     if origin.fold is not None:
         place, count = origin.fold
         scenes = scenes.folds(count)[place]
-    return scenes if origin.view is None else view_from(scenes, Path(origin.view))
+    return scenes if origin.view is None else view_dataset(scenes, Path(origin.view))
 
 
 def _notes(training: TrainedOn | None, asked: Origin, data: Dataset) -> list[str]:

@@ -24,7 +24,7 @@ from deepfsi.hardware.counting.acquisition import (
     prepare,
 )
 from deepfsi.hardware.counting.streaming import FrameGates
-from deepfsi.hardware.drivers.protocols import PATIENCE_S, PassProjector, Setup, StreamingCounter
+from deepfsi.hardware.drivers import PATIENCE_S, PassProjector, Setup, StreamingCounter
 from deepfsi.hardware.light.monitor import NO_LIGHT
 from deepfsi.hardware.light.tails import excess_chance
 from deepfsi.hardware.patterns.folder import read_patterns

@@ -12,7 +12,7 @@ from deepfsi.datasets import prepared, read_display
 from deepfsi.datasets.display import Display
 from deepfsi.design.file_content import Info, damaged, read_content
 from deepfsi.design.training_data import scene_hashes, trained_on
-from deepfsi.hardware.calibration.view import camera_view
+from deepfsi.hardware.calibration import camera_view
 from deepfsi.hardware.counting.acquisition import Scene
 from deepfsi.hardware.counting.calibration_file import load_calibration
 from deepfsi.hardware.counting.scene_list import read_scenes

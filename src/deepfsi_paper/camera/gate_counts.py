@@ -5,8 +5,7 @@ import numpy as np
 from deepfsi.base.errors import InputError
 from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.hardware.patterns.timing import Gates
-from deepfsi.hardware.virtual.camera import VirtualCamera
-from deepfsi.hardware.virtual.detector import TICK_S, Detector, Stream, divide
+from deepfsi.hardware.virtual import DETECTOR_TICK_S, Detector, Stream, VirtualCamera, divide
 
 GATES_AT_ONCE = 2**18
 """Gates whose counts are drawn at once."""
@@ -110,8 +109,8 @@ def _simulate(
     """Count what a paralysable detector registers in gates, each after a lead of one dead time."""
     tau = detector.dead_time_s
     stream = Stream(Detector(dead_time_s=tau, paralysable=True), rng)
-    inside = np.rint(length / TICK_S).astype(np.int64)
-    durations = inside + round(tau / TICK_S)
+    inside = np.rint(length / DETECTOR_TICK_S).astype(np.int64)
+    durations = inside + round(tau / DETECTOR_TICK_S)
     ends = np.cumsum(durations)
     counts = np.zeros(len(rate), dtype=np.int64)
     start = 0

@@ -24,10 +24,7 @@ from deepfsi.camera.device import find_device
 from deepfsi.camera.layout import Layout, find_grid
 from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.design.artifact import Design
-from deepfsi.hardware.calibration import fit
-from deepfsi.hardware.calibration.background import expected_background
-from deepfsi.hardware.calibration.scans import scan_rails
-from deepfsi.hardware.calibration.view import view_dataset
+from deepfsi.hardware.calibration import expected_background, fit, scan_rails, view_dataset
 from deepfsi.hardware.counting.acquisition import read_acquisition
 from deepfsi.hardware.counting.calibration_file import Calibration
 from deepfsi.hardware.counting.counting import count
@@ -35,12 +32,12 @@ from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.mirrors import make_frames
 from deepfsi.hardware.patterns.sequence import FrameSettings, Patterns
 from deepfsi.hardware.patterns.timing import find_gates
-from deepfsi.hardware.virtual.camera import (
+from deepfsi.hardware.virtual import (
     CAMERAS,
     RecordingSettings,
     VirtualCamera,
     arrival_rates,
-    record,
+    record_scenes,
 )
 from deepfsi.sweeps.results import Point, Results
 from deepfsi.sweeps.workers import cores, processes
@@ -224,7 +221,7 @@ def calibrate() -> Calibration:
     pictures = counts[:, 0, 0].reshape(len(scenes), 32, 32)
     black = arrivals[-1, :2, 0]
     dark, ambient = black_rates(black[:1], black[1:])
-    return fit.calibrate(
+    return fit.fit_calibration(
         spots, pictures[:-2], grid, white=pictures[-2], black=pictures[-1],
         dark=dark, ambient=ambient,
     )  # fmt: skip
@@ -491,7 +488,7 @@ def run_time(design: Design, scene: np.ndarray) -> tuple[float, int, int]:
         patterns, run = Path(folder) / "patterns", Path(folder) / "run"
         export(design, 1, patterns)
         settings = RecordingSettings(LAB, FLUX, max(EXPOSURES), repeats=1)
-        record(patterns, scene, ["scene"], None, run, settings)
+        record_scenes(patterns, scene, ["scene"], None, run, settings)
         began = time.perf_counter()
         counts = count(run)
         shown = design.as_shown(*read_acquisition(run)[1].realised)

@@ -4,7 +4,7 @@ import numpy as np
 
 from deepfsi.camera.device import find_device
 from deepfsi.camera.layout import Layout, find_grid
-from deepfsi.hardware.calibration.view import camera_view
+from deepfsi.hardware.calibration import camera_view
 from deepfsi.hardware.counting.calibration_file import Calibration
 
 VIEW = np.array([[0.9, 0.05, 0.02], [-0.04, 0.88, 0.06], [0.05, -0.06, 1]])

@@ -5,14 +5,18 @@ import pytest
 
 from deepfsi.base.errors import InputError
 from deepfsi.camera.device import Device
-from deepfsi.hardware.calibration.detectors import find_detectors, save_detectors
-from deepfsi.hardware.calibration.fit import spot_scenes
-from deepfsi.hardware.calibration.scans import SCANS, scan_rails
+from deepfsi.hardware.calibration import (
+    SCAN_NAMES,
+    find_detectors,
+    save_detectors,
+    scan_rails,
+    spot_scenes,
+)
 from deepfsi.hardware.counting.counting import count
 from deepfsi.hardware.counting.counts import Counts
 from deepfsi.hardware.patterns.folder import export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings, Patterns
-from deepfsi.hardware.virtual.camera import RecordingSettings, VirtualCamera, record
+from deepfsi.hardware.virtual import RecordingSettings, VirtualCamera, record_scenes
 
 DEVICE = Device(name="d", columns=48, rows=48)
 CELLS = (8, 6)
@@ -31,11 +35,11 @@ def scanned(folder, scan="hadamard", camera=EYES, flux=1e7, detectors=4) -> tupl
     names = [f"scene {k}" for k in range(len(scenes))]
     inputs = (6, 1, 4, 3, 9)[: shown.manifest.inputs]
     settings = RecordingSettings(camera, flux, 0.02, inputs=inputs)
-    record(folder / "patterns", scenes, names, None, folder / "run", settings)
+    record_scenes(folder / "patterns", scenes, names, None, folder / "run", settings)
     return count(folder / "run"), shown
 
 
-@pytest.mark.parametrize("scan", SCANS)
+@pytest.mark.parametrize("scan", SCAN_NAMES)
 def test_each_cell_is_its_detectors(tmp_path, scan):
     found = find_detectors(*scanned(tmp_path, scan))
     assert np.array_equal(found, np.kron(PARTS, np.ones((2, 2), int)))

@@ -7,8 +7,8 @@ from calibration_samples import GRID, IDENTITY, VIEW, apply, calibration_of, pic
 from deepfsi.base.errors import InputError
 from deepfsi.camera.device import Device
 from deepfsi.camera.layout import Layout, find_grid
-from deepfsi.hardware.calibration import fit
-from deepfsi.hardware.calibration.view import camera_view, view_matrix
+from deepfsi.hardware.calibration import camera_view, fit
+from deepfsi.hardware.calibration.view import view_matrix
 from deepfsi.hardware.counting.calibration_file import load_calibration, save_calibration
 from deepfsi.hardware.counting.counting import count
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
@@ -32,7 +32,9 @@ def test_a_calibration_finds_what_was_done(blur_cells, noise):
     scenes = fit.spot_scenes((32, 32))
     shown = np.concatenate([scenes, np.ones((1, 32, 32), np.float32)])
     pictures = pictures_of(shown, VIEW, blur, flat, noise)
-    found = fit.calibrate(scenes, pictures[:-1], GRID, white=pictures[-1], dark=3.0, ambient=5.0)
+    found = fit.fit_calibration(
+        scenes, pictures[:-1], GRID, white=pictures[-1], dark=3.0, ambient=5.0
+    )
     assert 32 * off_corners(found) < 0.15
     assert found.residual < 0.08
     assert (found.spots, found.shown) == (25, 25)
@@ -56,7 +58,7 @@ def test_a_spot_smaller_than_a_cell_is_not_drawn_to_its_centre(blur_cells):
     blur = blur_cells * 8 / 9.24 / 8, blur_cells * 8 / 12.3 / 8
     scenes = fit.spot_scenes((32, 32))
     pictures = pictures_of(scenes, VIEW, blur, ((1.0,),), 0.002, grid=grid)
-    found = fit.calibrate(scenes, pictures, grid)
+    found = fit.fit_calibration(scenes, pictures, grid)
     assert found.spots == 25
     assert 8 * off_corners(found) < 0.05
 
@@ -76,7 +78,7 @@ def test_faint_spots_of_hadamard_pictures_are_not_lost():
     off, told, seen = [], [], []
     for seed in range(8):
         pictures = pictures_of(scenes, VIEW, (0.01, 0.01), ((1.0,),), hadamard_noise(1500), seed)
-        found = fit.calibrate(scenes, pictures, GRID)
+        found = fit.fit_calibration(scenes, pictures, GRID)
         corner = np.array([[0, 0], [0, 1], [1, 0], [1, 1]])
         distance = 32 * (apply(found.homography, corner) - apply(VIEW, corner))
         off.append(np.sqrt((distance**2).sum(axis=1).max()))
@@ -103,7 +105,7 @@ def test_a_spot_that_is_not_where_the_others_say_is_left_out():
     pictures = pictures_of(scenes, VIEW, (0.01, 0.01), ((1.0,),), 0.005)
     pictures[7] = np.roll(pictures[7], 2, axis=1)
     pictures[12] = np.nan  # no valid exposure
-    found = fit.calibrate(scenes, pictures, GRID)
+    found = fit.fit_calibration(scenes, pictures, GRID)
     assert found.spots == 23
     assert 32 * off_corners(found) < 0.05
 
@@ -112,7 +114,7 @@ def test_other_device_and_cell_number():
     grid = find_grid(Device(name="d", columns=100, rows=90), (16, 20), Layout(stretch=True))
     scenes = fit.spot_scenes((30, 40), (4, 6), 3)
     pictures = pictures_of(scenes, VIEW, (0.03, 0.03), ((1.0,),), 0.003, grid=grid)
-    found = fit.calibrate(scenes, pictures, grid)
+    found = fit.fit_calibration(scenes, pictures, grid)
     assert 20 * off_corners(found) < 0.15
     assert found.flat == ((1.0,),)
 
@@ -138,8 +140,10 @@ def test_black_is_taken_from_every_picture():
     shown = np.concatenate([scenes, np.ones((1, 32, 32), np.float32)])
     pictures = pictures_of(shown, VIEW, (0.01, 0.01), vignette((32, 32)), 0.0)
     glow = np.random.default_rng(0).random((32, 32))
-    plain = fit.calibrate(scenes, pictures[:-1], GRID, white=pictures[-1])
-    freed = fit.calibrate(scenes, pictures[:-1] + glow, GRID, white=pictures[-1] + glow, black=glow)
+    plain = fit.fit_calibration(scenes, pictures[:-1], GRID, white=pictures[-1])
+    freed = fit.fit_calibration(
+        scenes, pictures[:-1] + glow, GRID, white=pictures[-1] + glow, black=glow
+    )
     np.testing.assert_allclose(freed.homography, plain.homography, atol=1e-9)
     np.testing.assert_allclose(freed.flat, plain.flat, atol=1e-9)
 
@@ -206,13 +210,13 @@ def test_words_on_arrays_that_do_not_fit():
     scenes = fit.spot_scenes((32, 32))
     pictures = np.zeros((25, 32, 32))
     with pytest.raises(InputError, match="one picture of 32 x 32"):
-        fit.calibrate(scenes, pictures[:3], GRID)
+        fit.fit_calibration(scenes, pictures[:3], GRID)
     with pytest.raises(InputError, match="white picture has shape"):
-        fit.calibrate(scenes, pictures, GRID, white=np.ones((3, 3)))
+        fit.fit_calibration(scenes, pictures, GRID, white=np.ones((3, 3)))
     with pytest.raises(InputError, match="uniform"):
-        fit.calibrate(np.ones((25, 32, 32)), pictures, GRID)
+        fit.fit_calibration(np.ones((25, 32, 32)), pictures, GRID)
     with pytest.raises(InputError, match="0 of 25 spots"):
-        fit.calibrate(scenes, pictures, GRID)
+        fit.fit_calibration(scenes, pictures, GRID)
     with pytest.raises(InputError, match="is dark"):
         fit.find_flat(np.zeros((8, 8)), (8, 8), IDENTITY)
 
@@ -227,7 +231,7 @@ def test_the_virtual_camera_is_calibrated():
     mirrors = camera.irradiance(shown, eyes, device, grid)
     cells = mirrors.reshape(26, 32, 12, 32, 16).sum(axis=(2, 4))
     pictures = np.random.default_rng(0).poisson(4000 * cells) / 4000
-    found = fit.calibrate(spots, pictures[:-1], grid, white=pictures[-1])
+    found = fit.fit_calibration(spots, pictures[:-1], grid, white=pictures[-1])
     scene = np.random.default_rng(1).random((1, 32, 32), dtype=np.float32)
     truth = camera.irradiance(scene, eyes, device, grid).reshape(32, 12, 32, 16).sum(axis=(1, 3))
     mine = camera_view(scene.reshape(1, -1), (32, 32), found).reshape(32, 32)
@@ -253,14 +257,14 @@ def test_a_recorded_run_is_calibrated_end_to_end(tmp_path):
     scenes = np.concatenate([spots, np.ones((1, 32, 32)), np.zeros((1, 32, 32))])
     names = [f"scene {k}" for k in range(len(scenes))]
     settings = camera.RecordingSettings(eyes, flux=2e7, exposure_s=1.0)
-    camera.record(tmp_path / "patterns", scenes, names, None, tmp_path / "run", settings)
+    camera.record_scenes(tmp_path / "patterns", scenes, names, None, tmp_path / "run", settings)
     counts = count(tmp_path / "run")
     pictures = counts.counts[:, 0, 0].reshape(-1, *shape)  # of a raster
     dark, ambient = black_rates(counts.on_rate[-1:], counts.off_rate[-1:])
     assert dark == pytest.approx(1e3, abs=6 * np.sqrt(1e3 / 8e-3))
     assert ambient == pytest.approx(2e4, abs=6 * np.sqrt(2e4 / 8e-3))
     uniform = {"white": pictures[-2], "black": pictures[-1]}
-    found = fit.calibrate(spots, pictures[:-2], grid, **uniform, dark=dark, ambient=ambient)
+    found = fit.fit_calibration(spots, pictures[:-2], grid, **uniform, dark=dark, ambient=ambient)
     save_calibration(found, tmp_path / "run" / "calibration")
     found = load_calibration(tmp_path / "run" / "calibration")
     scene = np.random.default_rng(0).random((4, 8, 8)).repeat(4, axis=1).repeat(4, axis=2)

@@ -11,22 +11,17 @@ from deepfsi.base.errors import InputError
 from deepfsi.camera.device import Device
 from deepfsi.camera.layout import Layout
 from deepfsi.datasets import read_display
-from deepfsi.hardware.calibration.reference import (
-    EXPECTED,
-    REFERENCE,
-    find_reference,
-    reference_picture,
-    write_reference,
-)
+from deepfsi.hardware.calibration import find_reference, write_reference
+from deepfsi.hardware.calibration.reference import EXPECTED, REFERENCE, reference_picture
 from deepfsi.hardware.counting.counting import count
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
-from deepfsi.hardware.virtual.camera import (
+from deepfsi.hardware.virtual import (
     CAMERAS,
     RecordingSettings,
     VirtualCamera,
     arrival_rates,
-    record,
+    record_scenes,
 )
 
 DEVICE = Device(name="d", columns=256, rows=192, shortest_us=10, settle_us=2)
@@ -60,7 +55,7 @@ def view(layout=PLAIN, scale=1.0, shift=(0.0, 0.0), turn=0.0):
 def found(tmp_path, shown, camera, flux=3e8, picture=None, exposure=0.01):
     x = read_display(tmp_path / "p" / REFERENCE).x if picture is None else picture
     settings = RecordingSettings(camera, flux, exposure)
-    record(tmp_path / "p", x, ["reference"], None, tmp_path / "run", settings)
+    record_scenes(tmp_path / "p", x, ["reference"], None, tmp_path / "run", settings)
     return find_reference(count(tmp_path / "run"), shown)
 
 

@@ -5,12 +5,12 @@ import pytest
 
 from deepfsi.base.errors import InputError
 from deepfsi.camera.device import Device
-from deepfsi.hardware.calibration.scans import SCANS, scan_rails
+from deepfsi.hardware.calibration import SCAN_NAMES, scan_rails
 from deepfsi.hardware.patterns.folder import check_patterns, export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 
 
-@pytest.mark.parametrize("name", SCANS)
+@pytest.mark.parametrize("name", SCAN_NAMES)
 @pytest.mark.parametrize("cells", [(8, 8), (6, 9), (1, 5)])
 def test_a_scan_tells_all_cells_apart(name, cells):
     scan = scan_rails(name, cells)
@@ -22,7 +22,7 @@ def test_a_scan_tells_all_cells_apart(name, cells):
     assert scan.summed_reflectance == np.prod(cells)
 
 
-@pytest.mark.parametrize("name", SCANS)
+@pytest.mark.parametrize("name", SCAN_NAMES)
 def test_a_scan_is_exported_without_a_design(tmp_path, name):
     settings = FrameSettings(Device(name="d", columns=40, rows=32), 1e-3)
     export_patterns(scan_rails(name, (4, 5)), settings, tmp_path / "p")

@@ -12,7 +12,8 @@ from deepfsi.base.errors import InputError
 from deepfsi.camera.device import Device, find_device
 from deepfsi.camera.layout import Layout, find_grid
 from deepfsi.datasets import load_dataset
-from deepfsi.hardware.calibration.view import camera_view, view_dataset, view_matrix
+from deepfsi.hardware.calibration import camera_view, view_dataset
+from deepfsi.hardware.calibration.view import view_matrix
 from deepfsi.hardware.counting.calibration_file import load_calibration, save_calibration
 from deepfsi.hardware.virtual import camera
 

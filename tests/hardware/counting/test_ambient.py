@@ -14,11 +14,11 @@ from deepfsi.hardware.counting.tables import TableSettings, count_table
 from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns, read_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
-from deepfsi.hardware.virtual.camera import (
+from deepfsi.hardware.virtual import (
     RecordingSettings,
     VirtualCamera,
     arrival_rates,
-    record,
+    record_scenes,
 )
 
 DEVICE = Device(name="small", columns=36, rows=26, shortest_us=10, settle_us=2)
@@ -47,7 +47,7 @@ def recorded(folder, shown, x, ambient: float, seed: int = 0, dead: float = 0.0)
     names = names or [f"s{k}" for k in range(len(x))]
     camera = VirtualCamera(dark=300.0, ambient=ambient, dead_time_s=dead)
     settings = RecordingSettings(camera, FLUX, EXPOSURE, repeats=1, seed=seed)
-    record(shown, x, names, None, folder, settings)
+    record_scenes(shown, x, names, None, folder, settings)
     return folder
 
 

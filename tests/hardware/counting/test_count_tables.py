@@ -16,7 +16,7 @@ from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.nominal import nominal_manifest
 from deepfsi.hardware.patterns.sequence import FrameSettings
-from deepfsi.hardware.virtual.camera import VirtualCamera, arrival_rates
+from deepfsi.hardware.virtual import VirtualCamera, arrival_rates
 from deepfsi.optics import constraints
 
 SHAPE, PIXELS, S_BAR = (3, 4), 12, 7.0

@@ -13,7 +13,7 @@ from deepfsi.hardware.counting.tables import TableSettings, column_names, count_
 from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns, read_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
-from deepfsi.hardware.virtual.camera import VirtualCamera, arrival_rates
+from deepfsi.hardware.virtual import VirtualCamera, arrival_rates
 
 DEVICE = Device(name="small", columns=36, rows=26, shortest_us=10, settle_us=2)
 SHAPE, MASKS, FLUX, BIN_US = (3, 4), 8, 2e7, 100

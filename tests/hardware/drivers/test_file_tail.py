@@ -9,9 +9,8 @@ import pytest
 
 from deepfsi.base.errors import InputError
 from deepfsi.hardware.counting.streaming import FrameGates, StreamCounter
+from deepfsi.hardware.drivers import FollowedCounter, StreamingCounter
 from deepfsi.hardware.drivers import file_tail as followed
-from deepfsi.hardware.drivers.file_tail import FollowedCounter
-from deepfsi.hardware.drivers.protocols import StreamingCounter
 from deepfsi.hardware.photons.writer import Writer
 
 GATES = FrameGates.of(10e-6, [60e-6] * 20)

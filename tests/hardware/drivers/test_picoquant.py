@@ -12,9 +12,8 @@ from driver_samples import check_refused_before_a_recording
 
 from deepfsi.base.errors import InputError
 from deepfsi.hardware.counting.streaming import FrameGates
-from deepfsi.hardware.drivers import picoquant
+from deepfsi.hardware.drivers import StreamingCounter, picoquant
 from deepfsi.hardware.drivers.picoquant import SnapiCounter
-from deepfsi.hardware.drivers.protocols import StreamingCounter
 from deepfsi.hardware.photons.header import read_header
 from deepfsi.hardware.photons.reader import count_gates, read_markers
 from deepfsi.hardware.photons.writer import Writer

@@ -10,8 +10,7 @@ from driver_samples import check_refused_before_a_recording
 
 from deepfsi.base.errors import InputError
 from deepfsi.hardware.counting.streaming import FrameGates
-from deepfsi.hardware.drivers import swabian
-from deepfsi.hardware.drivers.protocols import StreamingCounter
+from deepfsi.hardware.drivers import StreamingCounter, swabian
 from deepfsi.hardware.drivers.swabian import TaggerCounter, TaggerSettings
 from deepfsi.hardware.photons.reader import count_gates, read_markers
 from hardware.drivers.swabian_fake import (

@@ -6,7 +6,7 @@ import pytest
 from deepfsi.base.errors import InputError
 from deepfsi.camera.device import Device
 from deepfsi.camera.light import detector_shares
-from deepfsi.hardware.calibration.detectors import find_gains
+from deepfsi.hardware.calibration import find_gains
 from deepfsi.hardware.counting.counting import count
 from deepfsi.hardware.counting.counts import read_counts
 from deepfsi.hardware.light.gains import find_gains as recorded_gains
@@ -14,7 +14,7 @@ from deepfsi.hardware.light.sentinels import Background, LightCurve
 from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
-from deepfsi.hardware.virtual.camera import RecordingSettings, VirtualCamera, record
+from deepfsi.hardware.virtual import RecordingSettings, VirtualCamera, record_scenes
 
 DEVICE = Device(name="d", columns=64, rows=64, shortest_us=10, settle_us=2)
 CELLS = np.kron([[0, 1], [2, 3]], np.ones((2, 2), int))
@@ -43,7 +43,7 @@ def export(folder, light="equal-dwell", known=True):
 
 def run(folder, x, camera_gains=None, name="run", **settings):
     camera, names = VirtualCamera(gains=camera_gains, dark=500.0), [str(k) for k in range(len(x))]
-    record(folder / "p", x, names, None, folder / name, RecordingSettings(camera, 1e7, 0.01))
+    record_scenes(folder / "p", x, names, None, folder / name, RecordingSettings(camera, 1e7, 0.01))
     return count(folder / name, **settings)
 
 

@@ -17,8 +17,7 @@ from deepfsi.hardware.live.run import plan_live, run_live
 from deepfsi.hardware.live.shown import read_shown
 from deepfsi.hardware.patterns.folder import check_patterns, export_patterns, read_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
-from deepfsi.hardware.virtual.camera import CAMERAS, VirtualCamera
-from deepfsi.hardware.virtual.setup import Latencies, most_events, virtual_setup
+from deepfsi.hardware.virtual import CAMERAS, Latencies, VirtualCamera, most_events, virtual_setup
 from deepfsi.lab.rails import design_rails
 from shared.live_samples import replay, scenes_of
 

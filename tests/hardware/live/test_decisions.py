@@ -13,8 +13,7 @@ from deepfsi.hardware.live.decisions import SENTINELS, Observer
 from deepfsi.hardware.live.known import read_looks
 from deepfsi.hardware.live.run import plan_live
 from deepfsi.hardware.patterns.folder import read_patterns
-from deepfsi.hardware.virtual.camera import CAMERAS, arrival_rates
-from deepfsi.hardware.virtual.detector import Detector
+from deepfsi.hardware.virtual import CAMERAS, Detector, arrival_rates
 from shared.live_samples import LOOKS, OPTICS, make_patterns, scenes_of
 
 EXPOSURE_S, FLUX = 10e-3, 1e7

@@ -15,8 +15,7 @@ from deepfsi.hardware.live import run as runs
 from deepfsi.hardware.live.replay import count_live, read_live_counts
 from deepfsi.hardware.live.shown import DARK, NAME, read_shown
 from deepfsi.hardware.patterns.folder import read_patterns
-from deepfsi.hardware.virtual.camera import CAMERAS, VirtualCamera, arrival_rates
-from deepfsi.hardware.virtual.setup import Latencies
+from deepfsi.hardware.virtual import CAMERAS, Latencies, VirtualCamera, arrival_rates
 from shared.live_samples import LOOKS, OPTICS, bench, live, make_patterns, replay, scenes_of
 
 EXPOSURE_S = 10e-3

@@ -5,15 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deepfsi.hardware.drivers.file_tail import FollowedCounter
-from deepfsi.hardware.drivers.protocols import Setup
+from deepfsi.hardware.drivers import FollowedCounter, Setup, VialuxLooks
 from deepfsi.hardware.drivers.swabian import TaggerCounter
-from deepfsi.hardware.drivers.vialux import VialuxLooks
 from deepfsi.hardware.live.replay import count_live
 from deepfsi.hardware.live.run import plan_live, run_live
 from deepfsi.hardware.live.shown import read_shown
 from deepfsi.hardware.photons.writer import Writer
-from deepfsi.hardware.virtual.camera import CAMERAS, arrival_rates
+from deepfsi.hardware.virtual import CAMERAS, arrival_rates
 from hardware.drivers import swabian_fake
 from hardware.drivers.vialux_fake import install
 from shared.live_samples import LOOKS, bench, live, make_patterns, replay, scenes_of

@@ -11,8 +11,7 @@ from deepfsi.hardware.live.replay import count_live
 from deepfsi.hardware.live.run import plan_live, run_live
 from deepfsi.hardware.patterns.folder import export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
-from deepfsi.hardware.virtual.camera import VirtualCamera
-from deepfsi.hardware.virtual.setup import Latencies, virtual_setup
+from deepfsi.hardware.virtual import Latencies, VirtualCamera, virtual_setup
 from deepfsi.lab.calibration import check_view
 from deepfsi.lab.rails import design_rails
 from shared.live_samples import make_patterns

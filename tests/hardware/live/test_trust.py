@@ -10,18 +10,20 @@ from conftest import quick
 from deepfsi.base.errors import InputError
 from deepfsi.camera.dead_time import DeadTime
 from deepfsi.camera.device import find_device
-from deepfsi.hardware.drivers.protocols import Setup
+from deepfsi.hardware.drivers import Setup
 from deepfsi.hardware.live.replay import count_live
 from deepfsi.hardware.live.run import plan_live, run_live
 from deepfsi.hardware.patterns.folder import export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
-from deepfsi.hardware.virtual.camera import CAMERAS, VirtualCamera, arrival_rates
-from deepfsi.hardware.virtual.detector import TICK_S
-from deepfsi.hardware.virtual.setup import (
+from deepfsi.hardware.virtual import (
+    CAMERAS,
+    DETECTOR_TICK_S,
     Latencies,
+    VirtualCamera,
     VirtualCounter,
     VirtualOptics,
     VirtualProjector,
+    arrival_rates,
 )
 from deepfsi.lab.rails import design_rails
 from shared.live_samples import replay, scenes_of
@@ -56,16 +58,16 @@ class Wavering(VirtualOptics):
     lab = Lab()
 
     def _see(self, frames, ends):
-        outs = np.rint(np.array(self.lab.outs_s).ravel() / TICK_S).astype(np.int64)
+        outs = np.rint(np.array(self.lab.outs_s).ravel() / DETECTOR_TICK_S).astype(np.int64)
         size, hertz = self.lab.flicker
         every = outs
         if size:
-            each = round(0.1 / hertz / TICK_S)
+            each = round(0.1 / hertz / DETECTOR_TICK_S)
             every = np.arange(self._end // each + 1, ends[-1] // each + 1) * each
         here = every[(every > self._end) & (every < ends[-1])]
         lit = self._rates
         for end in np.unique(np.concatenate([ends, here])).tolist():
-            wave = 1 + size * np.sin(2 * np.pi * hertz * (self._end + end) / 2 * TICK_S)
+            wave = 1 + size * np.sin(2 * np.pi * hertz * (self._end + end) / 2 * DETECTOR_TICK_S)
             out = np.searchsorted(outs, end - 1, side="right") % 2
             self._rates = lit * wave * (1 - out)
             super()._see(frames[[int(np.searchsorted(ends, end))]], np.array([end]))
@@ -190,7 +192,11 @@ def test_a_trigger_that_jitters_is_named(digits, patterns, tmp_path):
         add = setup._add
 
         def late(times, code):
-            off = rng.normal(0, 4e-6 / TICK_S, len(times)).astype(np.int64) if code < 0 else 0
+            off = (
+                rng.normal(0, 4e-6 / DETECTOR_TICK_S, len(times)).astype(np.int64)
+                if code < 0
+                else 0
+            )
             add(np.sort(times + off), code)
 
         setup._add = late

@@ -19,17 +19,17 @@ from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings, Patterns
 from deepfsi.hardware.patterns.timing import Gates, find_gates
 from deepfsi.hardware.photons import reader as ptu
-from deepfsi.hardware.virtual import camera as module
-from deepfsi.hardware.virtual import detector
-from deepfsi.hardware.virtual.camera import (
+from deepfsi.hardware.virtual import (
     CAMERAS,
     RecordingSettings,
     VirtualCamera,
     arrival_rates,
+    detector,
     expected_events,
-    irradiance,
-    record,
+    record_scenes,
 )
+from deepfsi.hardware.virtual import camera as module
+from deepfsi.hardware.virtual.camera import irradiance
 from deepfsi.optics.scanner import Scanner
 from deepfsi_paper.camera.gate_counts import draw_counts
 
@@ -305,7 +305,7 @@ def shoot(folder: Path, name: str = "run", x=None, names=("a", "b", "c"), labels
     given = {"camera": IDEAL, "flux": 2e6, "exposure_s": 1e-3, "seed": 7, **changes}
     x = scenes() if x is None else x
     settings = RecordingSettings(**given)
-    return record(folder / "p", x, names, labels, folder / name, settings, report)
+    return record_scenes(folder / "p", x, names, labels, folder / name, settings, report)
 
 
 @every_optics

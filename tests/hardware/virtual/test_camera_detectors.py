@@ -18,14 +18,14 @@ from deepfsi.hardware.patterns.folder import DesignRails, export_patterns, read_
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.patterns.timing import Gates, find_gates
 from deepfsi.hardware.photons.header import GENERIC_T2, PICOHARP_T2
-from deepfsi.hardware.virtual.camera import (
+from deepfsi.hardware.virtual import (
     CAMERAS,
     RecordingSettings,
     VirtualCamera,
     arrival_rates,
-    record,
-    write_photons,
+    record_scenes,
 )
+from deepfsi.hardware.virtual.camera import write_photons
 from deepfsi.optics import constraints
 from deepfsi.optics.detection import Detection
 from deepfsi.optics.scanner import Scanner
@@ -131,7 +131,7 @@ def test_a_recording_is_counted_input_by_input(tmp_path, light, rails):
     inputs = tuple(reversed(range(3, 3 + shown.manifest.inputs)))
     camera = VirtualCamera(dark=2000.0)
     settings = RecordingSettings(camera, FLUX, EXPOSURE, repeats=1, seed=2, inputs=inputs)
-    made = record(tmp_path / "p", x, list("abcd"), None, tmp_path / "run", settings)
+    made = record_scenes(tmp_path / "p", x, list("abcd"), None, tmp_path / "run", settings)
     assert made.inputs == inputs
     counts = count(tmp_path / "run")
     assert counts.faults == ()
@@ -154,7 +154,7 @@ def test_a_picture_is_each_detectors_of_its_own_cells(tmp_path):
     """Twenty counts of five masks tell twelve cells, where those of one detector could not."""
     shown, x, flux = patterns(tmp_path / "p", "free-dwell", "single"), scenes(2), 1e9
     settings = RecordingSettings(CAMERAS["ideal"], flux, EXPOSURE, repeats=1)
-    record(tmp_path / "p", x, list("ab"), None, tmp_path / "run", settings)
+    record_scenes(tmp_path / "p", x, list("ab"), None, tmp_path / "run", settings)
     count(tmp_path / "run")
     mean, noise = expected(shown, x, flux * EXPOSURE)[:, 0], np.empty((2, 12))
     for each in range(D):
@@ -174,7 +174,7 @@ def disturbed(tmp_path):
         manifest = patterns(tmp_path / "p", "free-dwell", "single").manifest
         x = scenes(6) if x is None else x
         settings = RecordingSettings(CAMERAS["ideal"], FLUX, EXPOSURE, repeats=1)
-        record(tmp_path / "p", x, list("abcdef"), None, tmp_path / "run", settings)
+        record_scenes(tmp_path / "p", x, list("abcdef"), None, tmp_path / "run", settings)
         rates = arrival_rates(tmp_path / "p", x, CAMERAS["ideal"], FLUX)
         change(rates)
         path, rng = tmp_path / "run" / "photons.ptu", np.random.default_rng(5)
@@ -237,7 +237,7 @@ def test_the_background_of_one_detector_may_change(disturbed):
 def test_a_detector_without_light_is_named(tmp_path):
     patterns(tmp_path / "p")
     settings = RecordingSettings(CAMERAS["ideal"], FLUX, EXPOSURE, repeats=1)
-    record(tmp_path / "p", scenes(), list("abc"), None, tmp_path / "run", settings)
+    record_scenes(tmp_path / "p", scenes(), list("abc"), None, tmp_path / "run", settings)
     counts = count(tmp_path / "run", inputs=(0, 1, 8, 3))
     assert [each.kind for each in counts.faults] == ["blind"]
     assert "almost no light on input 9" in str(counts.faults[0])
@@ -249,7 +249,7 @@ def test_a_tile_that_one_scene_leaves_dark_is_no_fault(tmp_path):
     x = scenes()
     x[1].ravel()[np.array(CELLS) == 2] = 0
     settings = RecordingSettings(CAMERAS["pmt"], FLUX, EXPOSURE, repeats=1)
-    record(tmp_path / "p", x, list("abc"), None, tmp_path / "run", settings)
+    record_scenes(tmp_path / "p", x, list("abc"), None, tmp_path / "run", settings)
     assert count(tmp_path / "run").faults == ()
 
 
@@ -263,14 +263,14 @@ def test_more_detectors_than_inputs_are_refused(tmp_path):
     export_patterns(design, FrameSettings(device, 2e-3), tmp_path / "p")
     settings = RecordingSettings(CAMERAS["ideal"], FLUX, EXPOSURE)
     with pytest.raises(InputError, match="up to 64 inputs, and these patterns need 66"):
-        record(tmp_path / "p", scenes(1, (3, 11)), ["a"], None, tmp_path / "run", settings)
+        record_scenes(tmp_path / "p", scenes(1, (3, 11)), ["a"], None, tmp_path / "run", settings)
     assert not (tmp_path / "run").exists()
 
 
 def test_a_counter_with_too_few_inputs_is_refused(tmp_path):
     patterns(tmp_path / "p", "two-arm")
     settings = RecordingSettings(CAMERAS["ideal"], FLUX, EXPOSURE)
-    record(tmp_path / "p", scenes(1), ["a"], None, tmp_path / "run", settings)
+    record_scenes(tmp_path / "p", scenes(1), ["a"], None, tmp_path / "run", settings)
     path = tmp_path / "run" / "photons.ptu"
     kinds = [struct.pack("<q", kind.code) for kind in (GENERIC_T2, PICOHARP_T2)]
     path.write_bytes(path.read_bytes().replace(*kinds, 1))
@@ -286,5 +286,5 @@ def test_each_detector_needs_an_input(tmp_path, inputs, match):
     patterns(tmp_path / "p")
     settings = RecordingSettings(CAMERAS["ideal"], FLUX, EXPOSURE, inputs=inputs)
     with pytest.raises(InputError, match=match):
-        record(tmp_path / "p", scenes(1), ["a"], None, tmp_path / "run", settings)
+        record_scenes(tmp_path / "p", scenes(1), ["a"], None, tmp_path / "run", settings)
     assert not (tmp_path / "run").exists()

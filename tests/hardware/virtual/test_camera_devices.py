@@ -9,7 +9,8 @@ from deepfsi.camera.device import DEVICES
 from deepfsi.camera.layout import Layout, find_grid
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
-from deepfsi.hardware.virtual.camera import CAMERAS, VirtualCamera, arrival_rates, irradiance
+from deepfsi.hardware.virtual import CAMERAS, VirtualCamera, arrival_rates
+from deepfsi.hardware.virtual.camera import irradiance
 
 IDEAL = CAMERAS["ideal"]
 DIAMOND = DEVICES["dlp4500"].model_copy(update={"columns": 58, "rows": 119})

@@ -5,19 +5,12 @@ import pytest
 from pydantic import ValidationError
 
 from deepfsi.hardware.patterns.timing import ClickGates
+from deepfsi.hardware.virtual import DETECTOR_TICK_S, Detector, Stream, divide
 from deepfsi.hardware.virtual import detector as module
-from deepfsi.hardware.virtual.detector import (
-    TICK_S,
-    Detector,
-    Shutter,
-    Stream,
-    arrivals,
-    divide,
-    thin,
-)
+from deepfsi.hardware.virtual.detector import Shutter, arrivals, thin
 
 TAU = 5e-8
-DEAD = round(TAU / TICK_S)
+DEAD = round(TAU / DETECTOR_TICK_S)
 PARALYSABLE = Detector(dead_time_s=TAU, paralysable=True)
 NON_PARALYSABLE = Detector(dead_time_s=TAU)
 
@@ -43,7 +36,7 @@ def test_dead_time_follows_its_closed_form(detector, load):
     rate, seconds = load / TAU, 2e6 * TAU / load
     registered = rate * np.exp(-load) if detector.paralysable else rate / (1 + load)
     expected = registered * seconds
-    events = record(detector, np.array([round(seconds / TICK_S)]), np.array([rate]))
+    events = record(detector, np.array([round(seconds / DETECTOR_TICK_S)]), np.array([rate]))
     assert abs(len(events) - expected) <= 5 * np.sqrt(expected)  # dead time only calms counts
     assert detector.registered(rate) * seconds == pytest.approx(expected)
     assert np.diff(events).min() >= DEAD
@@ -52,8 +45,8 @@ def test_dead_time_follows_its_closed_form(detector, load):
 def test_afterpulses_are_as_many_as_they_should_be_and_come_in_time():
     detector = Detector(dead_time_s=TAU, afterpulse_probability=0.3, afterpulse_s=2e-7)
     rate, seconds = 10.0, 1e4  # so rare that each count's afterpulse can be told
-    events = record(detector, np.array([round(seconds / TICK_S)]), np.array([rate]))
-    gaps = np.diff(events) * TICK_S
+    events = record(detector, np.array([round(seconds / DETECTOR_TICK_S)]), np.array([rate]))
+    gaps = np.diff(events) * DETECTOR_TICK_S
     after = gaps[gaps < 1e-5]
     expected = rate * seconds * 0.3
     assert abs(len(after) - expected) <= 5 * np.sqrt(expected) + 20
@@ -62,7 +55,7 @@ def test_afterpulses_are_as_many_as_they_should_be_and_come_in_time():
 
 
 def test_jitter_moves_time_stamps_by_its_deviation():
-    course = np.array([round(1e-2 / TICK_S)]), np.array([1e7])
+    course = np.array([round(1e-2 / DETECTOR_TICK_S)]), np.array([1e7])
     sharp = Stream(Detector(), rng()).events(0, *course)
     moved = Stream(Detector(jitter_s=2e-10), rng()).events(0, *course) - sharp
     assert abs(moved.mean()) <= 5 * 200 / len(moved) ** 0.5
@@ -74,7 +67,7 @@ def test_arrivals_are_poisson_and_even_in_each_piece():
     edges = np.cumsum(np.r_[0, durations])
     runs = [arrivals(durations, flow, rng(seed)) for seed in range(300)]
     counts = np.array([np.histogram(run, edges)[0] for run in runs])
-    mean = flow * durations * TICK_S
+    mean = flow * durations * DETECTOR_TICK_S
     assert (counts[:, 1] == 0).all()
     assert np.all(abs(counts.mean(axis=0) - mean) <= 5 * np.sqrt(mean / len(runs)))
     spread = mean * np.sqrt(2 / len(runs)) + np.sqrt(mean / len(runs))
@@ -120,7 +113,9 @@ def test_chunks_are_the_course_in_pieces(monkeypatch):
     assert sum(int(pieces.sum()) for pieces, _ in chunks) == durations.sum()
     light = sum((rates * pieces[:, None]).sum(axis=0) for pieces, rates in chunks)
     assert light == pytest.approx((flow * durations[:, None]).sum(axis=0))
-    loads = [float((rates.sum(axis=1) * pieces).sum() * TICK_S) for pieces, rates in chunks]
+    loads = [
+        float((rates.sum(axis=1) * pieces).sum() * DETECTOR_TICK_S) for pieces, rates in chunks
+    ]
     assert max(loads) <= 2 * 1000
     assert len(chunks) > 50
 
@@ -135,13 +130,13 @@ def test_a_gated_detector_registers_the_first_arrival_of_each_gate_alone(monkeyp
     """Whatever chunks they come in; gate by gate from the arrivals of a free one."""
     monkeypatch.setattr(module, "EVENTS_AT_ONCE", 50)
     lengths = np.tile(np.array([20e-6, 4e-6]), 100)
-    durations = np.rint(lengths / TICK_S).astype(np.int64)
+    durations = np.rint(lengths / DETECTOR_TICK_S).astype(np.int64)
     starts, rates = np.cumsum(durations) - durations, np.tile([4e5, 1e6], 100)
     wanted, free = [], record(Detector(), durations, rates)
     for place, start in enumerate(starts):
-        width, number = GATES.width_s[place % 2] / TICK_S, 4 * GATES.exposures[place % 2]
+        width, number = GATES.width_s[place % 2] / DETECTOR_TICK_S, 4 * GATES.exposures[place % 2]
         for gate in range(number):
-            opens = start + 1e-6 / TICK_S + gate * width
+            opens = start + 1e-6 / DETECTOR_TICK_S + gate * width
             wanted += free[(free >= opens) & (free < opens + width)][:1].tolist()
     assert 200 < len(wanted) < len(free) / 2
     fired = record(Detector(gates=4), durations, rates, shutter=Shutter(starts, GATES))

@@ -6,9 +6,15 @@ from virtual_samples import patterns, scenes
 
 from deepfsi.hardware.counting.counting import count
 from deepfsi.hardware.photons.writer import Writer
-from deepfsi.hardware.virtual.camera import RecordingSettings, VirtualCamera, record
-from deepfsi.hardware.virtual.detector import TICK_S, Fluctuation
-from deepfsi.hardware.virtual.setup import Latencies, VirtualOptics
+from deepfsi.hardware.virtual import (
+    DETECTOR_TICK_S,
+    Latencies,
+    RecordingSettings,
+    VirtualCamera,
+    VirtualOptics,
+    record_scenes,
+)
+from deepfsi.hardware.virtual.detector import Fluctuation
 
 PICTURES = 20_000
 
@@ -48,7 +54,7 @@ def recorded(folder, fluctuation: float, number: int = 300) -> np.ndarray:
     camera = VirtualCamera(fluctuation=fluctuation)
     settings = RecordingSettings(camera, 2e6, 1e-3, seed=7)
     x = np.repeat(scenes(1), number, axis=0)
-    record(folder / "p", x, [f"s{k}" for k in range(number)], None, folder / "run", settings)
+    record_scenes(folder / "p", x, [f"s{k}" for k in range(number)], None, folder / "run", settings)
     found = count(folder / "run")
     return found.counts[found.valid.all(axis=1)].sum(axis=1)
 
@@ -92,10 +98,10 @@ def test_the_light_of_a_live_setup_fluctuates_too(tmp_path):
     rates = np.full((1, 2, 1), 2e6)
     setup = VirtualOptics(rates, VirtualCamera(fluctuation=0.1), Latencies(), seed=5)
     path = tmp_path / "photons.ptu"
-    with Writer(path, tick_s=TICK_S) as writer:
+    with Writer(path, tick_s=DETECTOR_TICK_S) as writer:
         setup.written = writer
         setup.show(np.arange(frames) % 2, np.full(frames, dwell))
-        start = setup._end - round(frames * dwell / TICK_S)
+        start = setup._end - round(frames * dwell / DETECTOR_TICK_S)
         setup.rest()
         setup.written = None
     from ptufile import PtuFile
@@ -103,7 +109,7 @@ def test_the_light_of_a_live_setup_fluctuates_too(tmp_path):
     with PtuFile(path) as file:
         decoded = file.decode_records()
     times = decoded["time"][decoded["channel"] == 0].astype(np.int64)
-    counts = np.histogram(times, start + np.arange(frames + 1) * round(dwell / TICK_S))[0]
+    counts = np.histogram(times, start + np.arange(frames + 1) * round(dwell / DETECTOR_TICK_S))[0]
     mean = counts.mean()
     excess = (counts.var(ddof=1) - mean) / mean**2
     assert abs(excess - 0.01) <= 5 * (0.01 + 1 / mean) * np.sqrt(2 / frames)

@@ -6,14 +6,16 @@ from virtual_samples import SHAPE, patterns
 
 from deepfsi.base.errors import InputError
 from deepfsi.hardware.photons.reader import count_gates, inspect, read_markers
-from deepfsi.hardware.virtual.camera import MARKER, VirtualCamera, arrival_rates
-from deepfsi.hardware.virtual.detector import TICK_S
-from deepfsi.hardware.virtual.setup import (
+from deepfsi.hardware.virtual import (
+    DETECTOR_TICK_S,
     Latencies,
+    VirtualCamera,
     VirtualCounter,
     VirtualOptics,
     VirtualProjector,
+    arrival_rates,
 )
+from deepfsi.hardware.virtual.camera import MARKER
 
 
 def test_virtual_devices_say_what_comes_first(tmp_path):
@@ -47,13 +49,17 @@ def test_lists_follow_each_other_on_one_clock_and_every_photon_is_kept(tmp_path)
         setup.show(np.array([1, 2, 0]), dwells)
         starts.append(shown_s + np.array([0, *np.cumsum(dwells[:-1])]))
     setup.rest()
-    assert setup.now_s == pytest.approx(starts[-1][0] + dwells.sum() + 8e-7, abs=2 * TICK_S)
+    assert setup.now_s == pytest.approx(
+        starts[-1][0] + dwells.sum() + 8e-7, abs=2 * DETECTOR_TICK_S
+    )
     counter.stop()
     times, bits = read_markers(path)
     assert (bits == MARKER).all()
-    np.testing.assert_allclose(times * TICK_S, np.concatenate(starts) + 1e-6, atol=2 * TICK_S)
+    np.testing.assert_allclose(
+        times * DETECTOR_TICK_S, np.concatenate(starts) + 1e-6, atol=2 * DETECTOR_TICK_S
+    )
     edges, shown = np.concatenate(starts), np.tile(dwells, 2)
-    gates = (np.rint(each / TICK_S).astype(np.int64) for each in (edges, edges + shown))
+    gates = (np.rint(each / DETECTOR_TICK_S).astype(np.int64) for each in (edges, edges + shown))
     found = count_gates(path, *gates)[:, 0]
     expected = np.tile(rates[0, [1, 2, 0], 0], 2) * shown
     # Some 0.3 counts come into a gate from beside it, or leave it

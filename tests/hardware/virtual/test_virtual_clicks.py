@@ -12,7 +12,7 @@ from deepfsi.hardware.counting.counting import count
 from deepfsi.hardware.counting.counts import read_counts
 from deepfsi.hardware.counting.picture import reconstruct
 from deepfsi.hardware.patterns.sequence import Patterns
-from deepfsi.hardware.virtual.camera import RecordingSettings, VirtualCamera, record
+from deepfsi.hardware.virtual import RecordingSettings, VirtualCamera, record_scenes
 from deepfsi.lab.calibration import check_view, gains_of
 from deepfsi.optics.scanner import Scanner
 
@@ -29,7 +29,7 @@ every_optics = pytest.mark.parametrize(
 
 def recorded(folder, name, camera, x, flux=FLUX, **settings):
     how = RecordingSettings(camera, flux, EXPOSURE, **settings)
-    record(folder / "p", x, [str(k) for k in range(len(x))], None, folder / name, how)
+    record_scenes(folder / "p", x, [str(k) for k in range(len(x))], None, folder / name, how)
     return folder / name
 
 

@@ -1,21 +1,27 @@
 """Calibrations fitted to pictures of spots, of uniform white and of uniform black.
 
 Show the scenes of `spot_scenes`, one of uniform white and one of uniform black, take a picture of
-each (`recording.picture.reconstruct`) and give them to `calibrate`.
+each (`reconstruct` of `hardware.counting`) and give them to `fit_calibration`.
+
+The centre of one spot in a picture is biased where a spot is smaller than a cell, and lost where it
+is faint. So the centres give a first homography alone. Then each picture is compared with what the
+view would show of its spot, light averaged over the cells, and all of them share one homography and
+one blur; the brightness of each is its own. Cells weigh by their noise, which grows with the light
+where a picture is of raster patterns.
 """
 
 import warnings
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy import ndimage
-from skimage import measure, transform
+from scipy import ndimage, optimize, special
 
 from deepfsi.base.errors import InputError
 from deepfsi.camera.layout import Grid
-from deepfsi.hardware.calibration.background import expected_background
-from deepfsi.hardware.calibration.refine import fit_view
+from deepfsi.datasets import write_pictures
 from deepfsi.hardware.calibration.view import geometry_matrix
 from deepfsi.hardware.counting.calibration_file import Calibration
 from deepfsi.hardware.counting.counts import Counts
@@ -42,11 +48,44 @@ FLAT_DEGREE = 4
 CELLS_PER_TERM = 4
 """Cells that each term of the polynomial needs."""
 
+POINTS = 4
+"""Points of a displayed pixel in each direction that stand for its light."""
+
+WIDEST_BLUR_CELLS = 2.0
+"""Largest blur that is looked for, cells."""
+
+OUTLIER_CELLS = 0.5
+"""Distance beyond which a spot is left out of the fit, cells."""
+
+LEAST_BRIGHTNESS_STD = 5.0
+"""A spot is part of the fit where its brightness is this many of its standard errors."""
+
+LEAST_VARIANCE = 1e-3
+"""Least variance of a cell, of the largest: a cell without photons is not known exactly."""
+
+STEP_CELLS = 0.02
+"""Step of the derivatives by a spot's place, cells."""
+
 
 def spot_scenes(
     image_shape: tuple[int, int], count: tuple[int, int] = (5, 5), side: int = 2
 ) -> np.ndarray:
-    """Scenes of one bright square each, on a regular grid over the display."""
+    """Scenes (spots, h, w) of one bright square each, on a regular grid over the display.
+
+    Parameters
+    ----------
+    image_shape : tuple of int
+        Rows and columns of the display's picture, (h, w).
+    count : tuple of int
+        Spots down and across.
+    side : int
+        Side of a spot, pixels.
+
+    Raises
+    ------
+    InputError
+        If they do not fit side by side.
+    """
     room = np.array(image_shape) - np.array(count) * side
     if min(count) < 2 or side < 1 or room.min() < 0:
         raise InputError(
@@ -63,8 +102,29 @@ def spot_scenes(
     return scenes
 
 
+def write_spots(folder: Path, shape: tuple[int, int] = (32, 32), side: int = 2) -> list[Path]:
+    """Write the pictures that calibrate a camera: spots, uniform white and uniform black.
+
+    Parameters
+    ----------
+    folder : path
+        New.
+    shape : tuple of int
+        Rows and columns of a picture.
+    side : int
+        Side of a spot, pixels.
+
+    Raises
+    ------
+    InputError
+        If the spots do not fit, or the folder is there already.
+    """
+    pictures = {f"spot-{k:02d}.png": spot for k, spot in enumerate(spot_scenes(shape, side=side))}
+    return write_pictures({**pictures, WHITE: np.ones(shape), BLACK: np.zeros(shape)}, folder)
+
+
 @np.errstate(under="ignore")
-def calibrate(
+def fit_calibration(
     scenes: np.ndarray,
     pictures: np.ndarray,
     grid: Grid,
@@ -74,8 +134,26 @@ def calibrate(
     dark: float = 0.0,
     ambient: float = 0.0,
 ) -> Calibration:
-    """Fit a calibration to pictures of spots, and of uniform scenes if they are there."""
-    # scenes (spots, h, w); pictures (spots, down, across); white, black (down, across)
+    """Fit a calibration to pictures of spots, and of uniform scenes if they are there.
+
+    Parameters
+    ----------
+    scenes : ndarray
+        The displayed spots, (spots, h, w).
+    pictures : ndarray
+        What the cells saw of each, (spots, down, across).
+    grid : Grid
+        Cells on the device.
+    white, black : ndarray, optional
+        Pictures of uniform white and black, (down, across).
+    dark, ambient : float
+        Counts/s with all mirrors OFF, and those that all mirrors ON add, the display black.
+
+    Raises
+    ------
+    InputError
+        If shapes do not fit, or too few spots are seen.
+    """
     scenes, pictures = np.asarray(scenes, dtype=float), np.asarray(pictures, dtype=float)
     cells = (grid.down, grid.across)
     _check_shapes(scenes, pictures, {"white": white, "black": black}, cells)
@@ -127,12 +205,30 @@ def calibrate_run(
     counts: Counts,
     patterns: Patterns,
 ) -> Calibration:
-    """Calibrate from one acquisition of spots, a white and a black picture."""
-    # shown (h, w); pictures (S, down, across)
-    unknown = sorted(set(names) - set(shown))
-    if unknown:
+    """Calibrate from one acquisition of spots, a white and a black picture.
+
+    Parameters
+    ----------
+    shown : mapping
+        Displayed picture (h, w) of each name.
+    names : sequence of str
+        Of the acquisition's scenes, in their order.
+    pictures : ndarray
+        What the cells saw of each, (S, down, across).
+    counts : Counts
+        Of the acquisition.
+    patterns : Patterns
+        That were shown.
+
+    Raises
+    ------
+    InputError
+        If a scene is none of the pictures, a picture was not counted, or too few spots are seen.
+    """
+    others = sorted(set(names) - set(shown))
+    if others:
         raise InputError(
-            f"the run has a scene {unknown[0]} that is none of the displayed pictures: give the "
+            f"the run has a scene {others[0]} that is none of the displayed pictures: give the "
             "folder that `deepfsi camera spots` wrote"
         )
     counted = np.any(counts.valid, axis=1)
@@ -151,7 +247,7 @@ def calibrate_run(
         mean = exposures.sum() / max(len(exposures), 1)
         lit = expected_background(patterns, counts.exposure_s, dark=0.0, ambient=1.0).sum()
         ambient = max(0.0, float(mean / lit))
-    fitted = calibrate(
+    fitted = fit_calibration(
         np.array([shown[name] for name in spots]),
         np.array([measured[name] for name in spots]),
         patterns.manifest.grid,
@@ -160,8 +256,8 @@ def calibrate_run(
         dark=dark,
         ambient=ambient,
     )
-    known = counts.dead_time if counts.dead_time.seconds else None
-    return fitted.model_copy(update={"dead_time": known})
+    dead_time = counts.dead_time if counts.dead_time.seconds else None
+    return fitted.model_copy(update={"dead_time": dead_time})
 
 
 def find_spots(pictures: np.ndarray) -> np.ndarray:
@@ -205,6 +301,8 @@ def find_homography(
     )
     if found.sum() < 4:
         raise InputError(trouble)
+    from skimage import measure, transform
+
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "No inliers found")
         _, inliers = measure.ransac(
@@ -274,3 +372,192 @@ def _centroids(scenes: np.ndarray) -> np.ndarray:
     places = [(np.arange(size) + 0.5) / size for size in scenes.shape[:0:-1]]
     across, down = bright.sum(axis=1) @ places[0], bright.sum(axis=2) @ places[1]
     return np.stack([across, down], axis=1) / total[:, None]
+
+
+@dataclass(frozen=True)
+class FittedView:
+    """Homography and blur fitted to pictures of spots."""
+
+    matrix: np.ndarray  # (3, 3): Display → device in unit squares
+    blur: tuple[float, float]  # standard deviation down and across, in the device's unit square
+    used: np.ndarray  # (spots,): Spots that it rests on
+    residual: float  # root mean square distance of those from it, cells
+    error: float  # standard error of the place of the display's worst corner, cells
+
+
+class DisplayedScenes:
+    """Displayed scenes, and what cells see of them through a view (8 of its homography, blur)."""
+
+    def __init__(self, scenes: np.ndarray, grid: Grid) -> None:
+        self.grid = grid
+        self.cells = np.array([grid.down, grid.across])
+        self.side = np.sqrt(grid.mirrors) / np.array([grid.height, grid.width])
+        shape = np.array(scenes.shape[1:])
+        inside = (np.indices((POINTS, POINTS)).reshape(2, -1).T + 0.5) / POINTS
+        self.points: list[np.ndarray] = []
+        self.light: list[np.ndarray] = []
+        for scene in scenes:
+            pixels = np.argwhere(scene > 0)
+            places = (pixels[:, None] + inside).reshape(-1, 2) / shape
+            self.points.append(places[:, ::-1])
+            self.light.append(scene[tuple(pixels.T)].repeat(len(inside)))
+        self.spacing = self.cells / (shape * POINTS * np.sqrt(12))
+
+    def images(self, view: np.ndarray, shift: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
+        """Pictures (spots, down, across), all of brightness 1; shifted by cells down and across."""
+        matrix = np.append(view[:8], 1).reshape(3, 3)
+        width = np.hypot(view[8] * self.side, self.spacing)
+        out = np.empty((len(self.points), *self.cells))
+        for image, points, light in zip(out, self.points, self.light, strict=True):
+            x, y, scale = matrix @ np.stack([*points.T, np.ones(len(points))])
+            down, across = (
+                np.diff(special.ndtr((np.arange(n + 1) - place[:, None]) / std), axis=1)
+                for n, place, std in zip(
+                    self.cells,
+                    (y / scale * self.cells[0] + shift[0], x / scale * self.cells[1] + shift[1]),
+                    width,
+                    strict=True,
+                )
+            )
+            image[:] = (down * light[:, None]).T @ across
+        return out
+
+
+def fit_view(
+    scenes: np.ndarray, pictures: np.ndarray, grid: Grid, matrix: np.ndarray, agreed: np.ndarray
+) -> FittedView:
+    """Fit homography and blur to pictures of spots, from a first homography."""
+    # scenes (spots, h, w); pictures (spots, down, across); matrix (3, 3); agreed (spots,)
+    spots = DisplayedScenes(scenes, grid)
+    used, view = agreed, np.append((matrix / matrix[2, 2]).ravel()[:8], 0.3)
+    for _ in range(3):
+        view, jacobian, noise = _solve(DisplayedScenes(scenes[used], grid), pictures[used], view)
+        shifts, bright = _shifts(spots, pictures, view)
+        near = bright & (np.hypot(*shifts.T) < OUTLIER_CELLS)
+        if near.sum() < 4 or (near == used).all():
+            break
+        used = near
+    across = view[8] * spots.side / spots.cells
+    return FittedView(
+        matrix=np.append(view[:8], 1).reshape(3, 3),
+        blur=(float(across[0]), float(across[1])),
+        used=used,
+        residual=float(np.sqrt((shifts[used] ** 2).sum(axis=1).mean())),
+        error=_corner_error(spots, view, jacobian, noise),
+    )
+
+
+def _solve(
+    spots: DisplayedScenes, pictures: np.ndarray, view: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Least-squares view, the Jacobian of its weighted misfit, and the misfit's variance."""
+    weight = np.ones_like(pictures)
+
+    def fitted(view: np.ndarray) -> np.ndarray:
+        images = spots.images(view)
+        power = (weight**2 * images**2).sum(axis=(1, 2))
+        match = (weight**2 * images * pictures).sum(axis=(1, 2))
+        brightness = np.divide(match, power, out=np.zeros_like(power), where=power > 1e-12)
+        return np.asarray(brightness.clip(0)[:, None, None] * images)
+
+    def misfit(view: np.ndarray) -> np.ndarray:
+        return (weight * (pictures - fitted(view))).ravel()
+
+    for weighted in (False, True):
+        if weighted:
+            weight = _weights(pictures, fitted(view))
+        found = optimize.least_squares(
+            misfit,
+            view,
+            bounds=([-np.inf] * 8 + [0.0], [np.inf] * 8 + [WIDEST_BLUR_CELLS]),
+            x_scale=[0.01] * 8 + [0.1],
+            xtol=1e-6,
+            ftol=1e-6,
+        )
+        view = found.x
+    free = max(pictures.size - len(view) - len(pictures), 1)
+    return view, found.jac, float(2 * found.cost / free)
+
+
+def _weights(pictures: np.ndarray, model: np.ndarray) -> np.ndarray:
+    """One over the noise of each cell: a variance of its own for darkness, and more with light."""
+    squares = (pictures - model).ravel() ** 2
+    (dark, light), _ = optimize.nnls(np.stack([np.ones(model.size), model.ravel()], 1), squares)
+    variance = dark + light * model.ravel()
+    most = variance.max()
+    if most <= 0:
+        return np.ones_like(pictures)
+    return np.asarray(1 / np.sqrt(variance / most + LEAST_VARIANCE)).reshape(pictures.shape)
+
+
+def _shifts(
+    spots: DisplayedScenes, pictures: np.ndarray, view: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Distance of spots from where the view shows them, cells (spots, 2), and which are bright."""
+    # A distance that a picture does not tell, since the spot lies within one cell or is faint, is
+    # taken to be small beside `OUTLIER_CELLS`
+    centre = spots.images(view)
+    slopes = [
+        (spots.images(view, step) - spots.images(view, (-step[0], -step[1]))) / (2 * STEP_CELLS)
+        for step in ((STEP_CELLS, 0.0), (0.0, STEP_CELLS))
+    ]
+    shifts, bright = np.zeros((len(pictures), 2)), np.zeros(len(pictures), dtype=bool)
+    for k, picture in enumerate(pictures):
+        power = (centre[k] ** 2).sum()
+        if not (np.isfinite(picture).all() and power > 1e-12):
+            continue
+        brightness = (centre[k] * picture).sum() / power
+        rest = picture - brightness * centre[k]
+        variance = (rest**2).mean() + 1e-300
+        bright[k] = brightness > LEAST_BRIGHTNESS_STD * np.sqrt(variance / power)
+        slope = brightness * np.stack([each[k].ravel() for each in slopes], axis=1)
+        prior = variance / OUTLIER_CELLS**2 * np.eye(2)
+        shifts[k] = np.linalg.solve(slope.T @ slope + prior, slope.T @ rest.ravel())
+    return shifts, bright
+
+
+def _corner_error(
+    spots: DisplayedScenes, view: np.ndarray, jacobian: np.ndarray, noise: float
+) -> float:
+    """Standard error, cells, of the place on the device of the display's worst corner."""
+    spread = np.linalg.pinv(jacobian.T @ jacobian)[:8, :8] * noise
+    worst = 0.0
+    for corner in ((0, 0), (0, 1), (1, 0), (1, 1)):
+        place = np.array([*corner, 1.0])
+        x, y, scale = np.append(view[:8], 1).reshape(3, 3) @ place
+        slopes = np.zeros((2, 8))
+        slopes[0, :3] = slopes[1, 3:6] = place / scale
+        slopes[:, 6:] = -np.outer([x, y], place[:2]) / scale**2
+        slopes *= spots.cells[::-1, None]
+        worst = max(worst, float(np.trace(slopes @ spread @ slopes.T)))
+    return float(np.sqrt(worst))
+
+
+def expected_background(
+    patterns: Patterns,
+    exposure_s: float,
+    dark: float | np.ndarray,
+    ambient: float | np.ndarray = 0.0,
+) -> np.ndarray:
+    """Expected counts of each readout, (rails, m), that do not come from the scene.
+
+    The dark rate counts during every gate; ambient light as far as the frame's mirrors are ON,
+    spread evenly over the cells.
+
+    Parameters
+    ----------
+    patterns : Patterns
+        That are shown.
+    exposure_s : float
+        Time of an exposure, seconds.
+    dark, ambient : float or ndarray
+        Counts/s, of all rails or of each, (rails,).
+    """
+    manifest = patterns.manifest
+    dark, ambient = (np.broadcast_to(rate, manifest.rails) for rate in (dark, ambient))
+    opened = patterns.fractions.mean(axis=1)
+    lit, gates = np.stack([opened, 1 - opened]), manifest.shares * exposure_s
+    rail, mask, column, arm = manifest.read
+    out = np.zeros((manifest.rails, manifest.masks))
+    out[rail, mask] = gates[column] * (dark[rail] + ambient[rail] * lit[arm, column])
+    return out

@@ -18,7 +18,7 @@ from deepfsi.base.errors import InputError
 from deepfsi.base.files import write_atomically
 from deepfsi.base.progress import SILENT, Report
 from deepfsi.camera.layout import Layout
-from deepfsi.hardware.calibration.refine import DisplayedScenes
+from deepfsi.hardware.calibration.fit import DisplayedScenes
 from deepfsi.hardware.counting.counts import Counts
 from deepfsi.hardware.patterns.sequence import Manifest, Patterns
 
@@ -92,8 +92,20 @@ def expected_shares(patterns: Patterns) -> np.ndarray:
 
 
 def write_reference(patterns: Patterns, folder: Path) -> list[Path]:
-    """Write the target, and what each frame is expected to count of it, to a folder of patterns."""
-    # Nothing for masks of one axis
+    """Write the target, and what each frame is expected to count of it, to a folder of patterns.
+
+    Parameters
+    ----------
+    patterns : Patterns
+        The folder's.
+    folder : path
+        Where the files go.
+
+    Returns
+    -------
+    list of path
+        The files; none for masks of one axis, which have no orientation in a plane.
+    """
     if not has_reference(patterns.manifest):
         return []
     picture = io.BytesIO()
@@ -215,7 +227,7 @@ class _Model:
 
 
 @dataclass(frozen=True)
-class Readouts:
+class ReferenceReadouts:
     """Counts of the target behind masks."""
 
     masks: np.ndarray  # (k, N)
@@ -223,7 +235,7 @@ class Readouts:
     noise: np.ndarray  # (k,): standard deviation
 
     @classmethod
-    def of(cls, masks: np.ndarray, counts: np.ndarray, variance: np.ndarray) -> "Readouts":
+    def of(cls, masks: np.ndarray, counts: np.ndarray, variance: np.ndarray) -> "ReferenceReadouts":
         """Readouts with the error of the model beside their noise."""
         least = np.maximum(variance, 1) + (MODEL_ERROR * counts.max()) ** 2
         return cls(masks, counts, np.sqrt(least))
@@ -239,11 +251,58 @@ class Readouts:
 
 @np.errstate(under="ignore")
 def find_reference(counts: Counts, patterns: Patterns, report: Report = SILENT) -> ReferenceFit:
-    """Place of the target in a recording of it alone, all passes and exposures together."""
-    return fit_reference(_readouts(counts, patterns), patterns.manifest, report)
+    """Place of the target in a recording of it alone, all passes and exposures together.
+
+    Parameters
+    ----------
+    counts : Counts
+        Of the run.
+    patterns : Patterns
+        That were shown.
+    report : callable
+        Told of the share that is done.
+
+    Raises
+    ------
+    InputError
+        If masks of one axis, too few readouts or no sound exposure tell where it lies.
+    """
+    return _fit_place(_sound_readouts(counts, patterns), patterns.manifest, report)
 
 
-def check_readouts(manifest: Manifest, count: int) -> None:
+@np.errstate(under="ignore")
+def find_reference_of_masks(
+    masks: np.ndarray,
+    counts: np.ndarray,
+    variance: np.ndarray,
+    manifest: Manifest,
+    report: Report = SILENT,
+) -> ReferenceFit:
+    """Place of the target behind masks that were made while it was shown.
+
+    Parameters
+    ----------
+    masks : ndarray
+        Share of its time for which each cell is ON in each readout, (k, N).
+    counts, variance : ndarray
+        Counts of the readouts, (k,), and their variance.
+    manifest : Manifest
+        Of the patterns.
+    report : callable
+        Told of the share that is done.
+
+    Raises
+    ------
+    InputError
+        As `find_reference`.
+    """
+    lit = masks.any(axis=1)
+    _check_readouts(manifest, len(np.unique(masks[lit] > 0, axis=0)))
+    readouts = ReferenceReadouts.of(masks[lit], counts[lit], variance[lit])
+    return _fit_place(readouts, manifest, report)
+
+
+def _check_readouts(manifest: Manifest, count: int) -> None:
     """Raise `InputError` if so many readouts, or masks of one axis, do not tell where it lies."""
     if not has_reference(manifest):
         raise InputError("masks of one axis have no orientation: there is no reference for them")
@@ -254,15 +313,17 @@ def check_readouts(manifest: Manifest, count: int) -> None:
         )
 
 
-def fit_reference(readouts: Readouts, manifest: Manifest, report: Report = SILENT) -> ReferenceFit:
+def _fit_place(
+    readouts: ReferenceReadouts, manifest: Manifest, report: Report = SILENT
+) -> ReferenceFit:
     """Place of the target that explains its counts behind masks best."""
     from scipy.stats import chi2
 
     model = _Model(manifest)
-    found = []
-    every = model.exported.orientations()
-    for done, layout in enumerate(every):
-        report(done / len(every))
+    fits = []
+    orientations = model.exported.orientations()
+    for done, layout in enumerate(orientations):
+        report(done / len(orientations))
         starts = [
             np.array([scale, 0.0, down, across, 0.3])
             for scale, down, across in product(STARTS[0], STARTS[1], STARTS[1])
@@ -283,11 +344,11 @@ def fit_reference(readouts: Readouts, manifest: Manifest, report: Report = SILEN
                 xtol=1e-5,
                 max_nfev=MOST_STEPS,
             )
-            found.append((2 * step.cost, layout, step))
-    found.sort(key=lambda each: each[0])
-    cost, layout, best = found[0]
+            fits.append((2 * step.cost, layout, step))
+    fits.sort(key=lambda fit: fit[0])
+    cost, layout, best = fits[0]
     spread = np.sqrt(np.diag(np.linalg.pinv(best.jac.T @ best.jac)))
-    others = [each[0] for each in found if each[1] != layout]
+    others = [fit[0] for fit in fits if fit[1] != layout]
     scale, turn, down, across, blur = best.x.tolist()
     return ReferenceFit(
         exported=model.exported,
@@ -303,10 +364,10 @@ def fit_reference(readouts: Readouts, manifest: Manifest, report: Report = SILEN
     )
 
 
-def _readouts(counts: Counts, patterns: Patterns) -> Readouts:
+def _sound_readouts(counts: Counts, patterns: Patterns) -> ReferenceReadouts:
     """Readouts of sound exposures together, or `InputError` if they are too few."""
     manifest, read = patterns.manifest, counts.lengths_s > 0
-    check_readouts(manifest, int(read.sum()))
+    _check_readouts(manifest, int(read.sum()))
     usable = counts.by_readout(counts.valid & ~counts.spoilt[:, None])
     if not usable.any():
         raise InputError("no exposure of the reference was counted: record it again")
@@ -314,4 +375,4 @@ def _readouts(counts: Counts, patterns: Patterns) -> Readouts:
     noise = counts.variance.sum(axis=(0, 1), where=usable)
     if manifest.several:
         signal, noise = signal.sum(axis=-1), noise.sum(axis=-1)
-    return Readouts.of(patterns.rails[read], signal[read], noise[read])
+    return ReferenceReadouts.of(patterns.rails[read], signal[read], noise[read])

@@ -1,29 +1,42 @@
-"""Patterns that take pictures of scenes for a calibration, without a trained design."""
+"""Scans: patterns that take pictures without a design, and what they tell of the detectors."""
 
+import io
 import math
+from pathlib import Path
 from typing import Literal, get_args
 
 import numpy as np
-from scipy.linalg import hadamard
+from scipy.linalg import hadamard, solve
 
 from deepfsi.base.errors import InputError, check_known
+from deepfsi.base.files import write_atomically
+from deepfsi.hardware.counting.counts import Counts
+from deepfsi.hardware.light.faults import SPOILING
 from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.patterns.folder import DesignRails
+from deepfsi.hardware.patterns.sequence import Patterns
 
 Scan = Literal["raster", "hadamard"]
 """Patterns of a scan: one cell after another, or Hadamard masks of two frames each."""
 
-SCANS = get_args(Scan)
+SCAN_NAMES = get_args(Scan)
 """Names of the scans."""
 
 MOST_CELLS = 64 * 64
 """Cells of a scan at most: a calibration with larger cells serves masks with smaller ones."""
 
+CLEAR_SIGMAS = 5.0
+"""Standard errors by which a detector must count more of a cell's light than any other does."""
+
+
+WORST_GAIN = 0.01
+"""Standard error of a detector's efficiency at most, a share."""
+
 
 def scan_rails(name: str, cells: tuple[int, int], detectors: int = 1) -> DesignRails:
     """Rails of a scan with equal dwells; its mean scene is one of uniform white."""
     # Hadamard masks of sides that are no power of two are those of the next larger one, cut to size
-    check_known("scan", name, SCANS)
+    check_known("scan", name, SCAN_NAMES)
     down, across = cells
     pixels = down * across
     if not 2 <= pixels <= MOST_CELLS:
@@ -39,3 +52,79 @@ def scan_rails(name: str, cells: tuple[int, int], detectors: int = 1) -> DesignR
         rails = np.stack([masks > 0, masks < 0]) / (2 * len(masks) - 1)
     several = Detectors(count=detectors) if detectors > 1 else None
     return DesignRails(rails, "equal-dwell", cells, float(math.prod(cells)), detectors=several)
+
+
+def find_detectors(counts: Counts, patterns: Patterns) -> np.ndarray:
+    """Detector of each cell: the one that counts most of its light, in all scenes together."""
+    shape, read = patterns.manifest.image_shape, counts.lengths_s > 0
+    usable = counts.by_readout(counts.valid & ~counts.spoilt[:, None])
+    signal = counts.signal().sum(axis=(0, 1), where=usable)[read]
+    background = (counts.background * usable.sum(axis=1)).sum(axis=0)[read]
+    photons = counts.counts.sum(axis=(0, 1), where=usable)[read]
+    masks = patterns.rails[read]
+    inverse = solve(masks.T @ masks, masks.T, assume_a="pos")
+    light = inverse @ signal
+    variance = inverse**2 @ (photons + background + 1)  # that of the background is no larger
+    second, best = np.argsort(light, axis=1)[:, -2:].T
+    cell = np.arange(len(light))
+    lead = light[cell, best] - light[cell, second]
+    clear = lead > CLEAR_SIGMAS * np.sqrt(variance[cell, best] + variance[cell, second])
+    if not clear.all():
+        place = int(np.flatnonzero(~clear)[0])
+        where = " and ".join(str(axis + 1) for axis in np.unravel_index(place, shape))
+        raise InputError(
+            f"{np.count_nonzero(~clear)} of {len(cell)} cells are seen clearly by no detector, "
+            f"first that at row and column {where}, where input "
+            f"{counts.inputs[best[place]] + 1} counts {lead[place]:.3g} more than input "
+            f"{counts.inputs[second[place]] + 1}: show white that fills the device, and expose "
+            "longer"
+        )
+    idle = set(range(light.shape[1])) - set(best.tolist())
+    if idle:
+        raise InputError(
+            f"input {counts.inputs[min(idle)] + 1} counts most in no cell: wire its detector, or "
+            "export the scan for fewer `detectors`"
+        )
+    return best.astype(np.int64).reshape(shape)
+
+
+def find_gains(counts: Counts, patterns: Patterns) -> tuple[float, ...]:
+    """Efficiency of each detector over their mean, from a run of a uniform white scene."""
+    # What each counts in all masks together, over what its cells of the masks send it
+    manifest, rails = patterns.manifest, patterns.rails
+    several, count = manifest.detectors, manifest.detector_count
+    spoilt = [each.kind for each in counts.faults if each.kind in SPOILING and each.kind != "gain"]
+    if counts.gains or spoilt:
+        raise InputError(
+            "the flat field's light is not what it should be, or it was corrected itself: record "
+            "uniform white, and count it without a flat field"
+        )
+    if several is None and not manifest.two_arm:
+        raise InputError("one detector has no other to be compared with: leave the flat field out")
+    if several is not None and several.cells is None:
+        raise InputError("nothing says which cells each detector sees: give patterns of a design")
+    labels = np.zeros(rails.shape[-1], int) if several is None else np.array(several.cells)
+    usable = counts.by_readout(counts.valid)
+
+    def by_input(values: np.ndarray) -> np.ndarray:
+        """Sums of readouts (rails, m, D) that each input counts, (arms, D)."""
+        each = values.reshape(manifest.rails, -1, count).sum(axis=1)
+        return each if manifest.two_arm else each.sum(axis=0, keepdims=True)
+
+    found = by_input(counts.signal().sum(axis=(0, 1), where=usable))
+    noise = by_input(counts.variance.sum(axis=(0, 1), where=usable))
+    lit = by_input(np.stack([rails[..., labels == d].sum(axis=-1) for d in range(count)], axis=-1))
+    if not (np.sqrt(noise) < WORST_GAIN * found).all():
+        raise InputError(
+            f"the flat field does not tell each detector's share to {WORST_GAIN:.1%}: record it "
+            "longer, or with more light"
+        )
+    gains = (found / lit).ravel()
+    return tuple((gains / gains.mean()).tolist())
+
+
+def save_detectors(labels: np.ndarray, folder: Path) -> Path:
+    """Write `detectors.npy` into a folder, which is made if need be."""
+    file = io.BytesIO()
+    np.save(file, labels)
+    return write_atomically(folder / "detectors.npy", file.getvalue())

@@ -46,8 +46,29 @@ def camera_view(
     calibration: Calibration,
     cells_shape: tuple[int, ...] | None = None,
 ) -> np.ndarray:
-    """Scenes as the cells of a mask see them."""
-    # x (n, h * w)
+    """Scenes as the cells of a mask see them.
+
+    Parameters
+    ----------
+    x : ndarray
+        Scenes, (n, h * w), in [0, 1].
+    image_shape : tuple of int
+        Their rows and columns, (h, w).
+    calibration : Calibration
+        The camera's.
+    cells_shape : tuple of int, optional
+        Rows and columns of cells, (down, across); those of the scenes unless given.
+
+    Returns
+    -------
+    ndarray
+        Light of each cell, (n, down * across), float32, in [0, 1].
+
+    Raises
+    ------
+    InputError
+        If the scenes are no images of this shape, or no cell looks at the display.
+    """
     x = np.asarray(x, dtype=np.float32)
     view = view_matrix(image_shape, calibration, cells_shape or image_shape).astype(np.float32)
     if x.ndim != 2 or x.shape[1] != view.shape[1]:
@@ -59,12 +80,29 @@ def camera_view(
     return np.clip(out, 0, 1, out=out)  # rounding
 
 
-def view_dataset(data: Dataset, calibration: Calibration) -> Dataset:
-    """Data set of images as the camera sees them, to train on; its preprocessing says so."""
+def view_dataset(data: Dataset, camera: Calibration | Path) -> Dataset:
+    """Data set of images as the camera sees them, to train on; its preprocessing says so.
+
+    Parameters
+    ----------
+    data : Dataset
+        Images.
+    camera : Calibration or path
+        A calibration, or the folder that has one; the data set's origin then names it.
+
+    Raises
+    ------
+    InputError
+        If the scenes are no images, no cell looks at the display, or the folder has no calibration.
+    """
+    calibration = load_calibration(camera) if isinstance(camera, Path) else camera
+    origin = None
+    if isinstance(camera, Path) and data.origin is not None:
+        origin = data.origin.model_copy(update={"view": str(camera.absolute())})
     digest = hashlib.sha256(calibration.model_dump_json().encode()).hexdigest()
     return replace(
         data,
-        origin=None,
+        origin=origin,
         x_train=camera_view(data.x_train, data.image_shape, calibration),
         x_test=camera_view(data.x_test, data.image_shape, calibration),
         preprocessing=(
@@ -74,21 +112,18 @@ def view_dataset(data: Dataset, calibration: Calibration) -> Dataset:
     )
 
 
-def view_from(data: Dataset, folder: Path) -> Dataset:
-    """Data set of images as the camera whose calibration is in a folder sees them."""
-    view = view_dataset(data, load_calibration(folder))
-    if data.origin is None:
-        return view
-    return replace(view, origin=data.origin.model_copy(update={"view": str(folder.absolute())}))
-
-
 def geometry_matrix(
     image_shape: tuple[int, ...],
     cells_shape: tuple[int, ...],
     homography: Any,
     blur: tuple[float, float],
 ) -> sparse.csr_array:
-    """Matrix of geometry and blur: cell averages over points that each see one pixel."""
+    """Matrix (down * across, h * w) of geometry and blur: cell averages over points.
+
+    Each point sees one pixel, or nothing beside the display. `homography` (3, 3) leads from the
+    display to the device, in unit squares; `blur` is a standard deviation down and across, in the
+    device's.
+    """
     # The average over a cell of the blurred image is separable, so it is applied to the points'
     # pixels one axis after the other
     (h, w), (down, across) = image_shape, cells_shape

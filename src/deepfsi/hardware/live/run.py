@@ -20,7 +20,7 @@ from deepfsi.camera.dead_time import NO_DEAD_TIME, DeadTime
 from deepfsi.camera.stop_rule import MARGIN_NS, Live, StopRule, margin_ns
 from deepfsi.hardware.counting.acquisition import Acquisition, Scene, prepare
 from deepfsi.hardware.counting.streaming import FrameCounts, FrameGates
-from deepfsi.hardware.drivers.protocols import PATIENCE_S, Setup, StreamingProjector
+from deepfsi.hardware.drivers import PATIENCE_S, Setup, StreamingProjector
 from deepfsi.hardware.live import shown
 from deepfsi.hardware.live.decisions import OFF, Decision, Observer
 from deepfsi.hardware.live.known import read_looks

@@ -42,7 +42,14 @@ from deepfsi.hardware.patterns.sequence import Manifest, Patterns
 from deepfsi.hardware.patterns.timing import ClickGates
 from deepfsi.hardware.photons.header import GENERIC_T2
 from deepfsi.hardware.photons.writer import Writer
-from deepfsi.hardware.virtual.detector import TICK_S, Detector, Fluctuation, Shutter, Stream, divide
+from deepfsi.hardware.virtual.detector import (
+    DETECTOR_TICK_S,
+    Detector,
+    Fluctuation,
+    Shutter,
+    Stream,
+    divide,
+)
 from deepfsi.hardware.virtual.parts import (
     Parts,
     check_parts,
@@ -287,7 +294,7 @@ class RecordingSettings:
     inputs: tuple[int, ...] | None = None
 
 
-def record(
+def record_scenes(
     patterns_folder: str | os.PathLike[str],
     scenes: np.ndarray,
     names: Sequence[str],
@@ -365,7 +372,7 @@ def write_photons(
     wired = range(rates.shape[2]) if inputs is None else inputs
     check_file_inputs(wired)
     picture = np.array([frame.picture_us for frame in manifest.frames], dtype=np.int64)
-    durations = np.tile(picture * round(1e-6 / TICK_S), len(rates))
+    durations = np.tile(picture * round(1e-6 / DETECTOR_TICK_S), len(rates))
     ends = np.cumsum(durations)
     marks = ends - durations
     streams = [
@@ -374,8 +381,10 @@ def write_photons(
     ]
     times, codes = np.empty(0, np.int64), np.empty(0, np.int16)
     start = 0
-    every = camera.fluctuate(rates.reshape(len(durations), -1), marks * TICK_S, camera.light(rng))
-    with Writer(path, tick_s=TICK_S) as writer:
+    every = camera.fluctuate(
+        rates.reshape(len(durations), -1), marks * DETECTOR_TICK_S, camera.light(rng)
+    )
+    with Writer(path, tick_s=DETECTOR_TICK_S) as writer:
         for pieces, flow in divide(durations, every):
             end = start + int(pieces.sum())
             marked = marks[slice(*np.searchsorted(marks, [start, end]))]

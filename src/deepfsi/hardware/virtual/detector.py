@@ -27,7 +27,7 @@ from pydantic import Field, model_validator
 from deepfsi.base.models import StrictModel
 from deepfsi.hardware.patterns.timing import ClickGates
 
-TICK_S = 1e-12
+DETECTOR_TICK_S = 1e-12
 """Unit of event times, seconds."""
 
 EVENTS_AT_ONCE = 2**19
@@ -72,7 +72,7 @@ def divide(durations: np.ndarray, rates: np.ndarray) -> Iterator[tuple[np.ndarra
     """Cut a course of steady rates into chunks of about `EVENTS_AT_ONCE` events."""
     # From durations in ticks, int64 (F,), and arrivals/s at each detector (F, A), to those of each
     # chunk's pieces; what takes long is cut into several
-    expected = rates.sum(axis=1) * (durations * TICK_S)
+    expected = rates.sum(axis=1) * (durations * DETECTOR_TICK_S)
     parts = np.maximum(np.ceil(expected / EVENTS_AT_ONCE), 1).astype(np.int64)
     source = np.repeat(np.arange(len(parts)), parts)
     part = np.arange(len(source)) - np.repeat(np.cumsum(parts) - parts, parts)
@@ -122,9 +122,11 @@ class Shutter:
         """Those of arrivals (a,), which follow all before, that are the first of their gate."""
         gates, frames = self.gates, len(self.gates.width_s)
         frame = np.searchsorted(self.starts, times, side="right") - 1
-        since = times - self.starts[frame] - self.gates.offset_s / TICK_S
+        since = times - self.starts[frame] - self.gates.offset_s / DETECTOR_TICK_S
         # Edges of gates are whole ticks, to which they are rounded
-        gate = np.floor((since + 0.5) / (gates.width_s[frame % frames] / TICK_S)).astype(np.int64)
+        gate = np.floor((since + 0.5) / (gates.width_s[frame % frames] / DETECTOR_TICK_S)).astype(
+            np.int64
+        )
         most = gates.number * gates.exposures
         inside = (frame >= 0) & (gate >= 0) & (gate < most[frame % frames])
         times, which = times[inside], (frame * most.max() + gate)[inside]
@@ -140,13 +142,13 @@ class Stream:
         self, detector: Detector, rng: np.random.Generator, shutter: Shutter | None = None
     ) -> None:
         self.detector, self.rng, self._shutter = detector, rng, shutter
-        self._dead = round(detector.dead_time_s / TICK_S)
+        self._dead = round(detector.dead_time_s / DETECTOR_TICK_S)
         self._last = -self._dead - 1
 
     @property
     def reach(self) -> int:
         """Most ticks by which an event may lie before the chunk that gives it."""
-        return int(np.ceil(LARGEST_JITTER * self.detector.jitter_s / TICK_S))
+        return int(np.ceil(LARGEST_JITTER * self.detector.jitter_s / DETECTOR_TICK_S))
 
     def events(self, start: int, durations: np.ndarray, rates: np.ndarray) -> np.ndarray:
         """Events that follow from the arrivals of a chunk."""
@@ -155,11 +157,11 @@ class Stream:
         detector, rng = self.detector, self.rng
         if detector.afterpulse_probability:
             parents = times[rng.random(len(times)) < detector.afterpulse_probability]
-            delay = rng.exponential(detector.afterpulse_s / TICK_S, len(parents))
+            delay = rng.exponential(detector.afterpulse_s / DETECTOR_TICK_S, len(parents))
             times = np.concatenate([times, parents + self._dead + delay.astype(np.int64)])
         if detector.jitter_s:
             shift = np.clip(rng.standard_normal(len(times)), -LARGEST_JITTER, LARGEST_JITTER)
-            times = times + np.rint(shift * (detector.jitter_s / TICK_S)).astype(np.int64)
+            times = times + np.rint(shift * (detector.jitter_s / DETECTOR_TICK_S)).astype(np.int64)
         return times
 
     def _register(self, times: np.ndarray) -> np.ndarray:
@@ -180,7 +182,7 @@ def arrivals(durations: np.ndarray, rates: np.ndarray, rng: np.random.Generator)
     """Poisson arrivals at rates that are steady in pieces."""
     # durations, rates (p,)
     ends = np.cumsum(durations, dtype=np.float64)
-    expected = np.cumsum(rates * (durations * TICK_S))
+    expected = np.cumsum(rates * (durations * DETECTOR_TICK_S))
     count = rng.poisson(expected[-1])
     waits = np.cumsum(rng.standard_exponential(count + 1))
     reached = waits[:-1] * (expected[-1] / waits[-1])

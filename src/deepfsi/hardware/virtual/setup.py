@@ -20,7 +20,7 @@ from deepfsi.base.models import StrictModel
 from deepfsi.base.progress import SILENT, Report
 from deepfsi.hardware.counting.acquisition import Acquisition
 from deepfsi.hardware.counting.streaming import FrameCounts, FrameGates, StreamCounter
-from deepfsi.hardware.drivers.protocols import Setup
+from deepfsi.hardware.drivers import Setup
 from deepfsi.hardware.patterns.folder import check_patterns, read_patterns
 from deepfsi.hardware.photons.writer import Writer
 from deepfsi.hardware.virtual.camera import (
@@ -32,7 +32,7 @@ from deepfsi.hardware.virtual.camera import (
     check_scenes,
     expected_events,
 )
-from deepfsi.hardware.virtual.detector import TICK_S, Stream, divide
+from deepfsi.hardware.virtual.detector import DETECTOR_TICK_S, Stream, divide
 
 START_S = 1e-3
 """Time on the counter's clock before the first list, seconds."""
@@ -106,19 +106,19 @@ class VirtualOptics:
         self.now_s += self.latencies.command
         start = max(self._ticks(self.now_s), self._end)
         self._see(np.array([self._frame]), np.array([start]))
-        ends = start + np.cumsum(np.rint(dwells_s / TICK_S).astype(np.int64))
+        ends = start + np.cumsum(np.rint(dwells_s / DETECTOR_TICK_S).astype(np.int64))
         marks = np.append(start, ends[:-1]) + self._ticks(self.latencies.trigger)
         self._add(marks, -self.wiring[1])
         self._see(frames, ends)
         self._frame = int(frames[-1])
         # All that came before the last frame's marker is handed over with it.
-        self.now_s = self._handed_over(float(marks[-1]) * TICK_S)
+        self.now_s = self._handed_over(float(marks[-1]) * DETECTOR_TICK_S)
 
     def rest(self) -> None:
         """Let time pass until all that was shown is recorded."""
         end = max(self._ticks(self.now_s), self._end + self._reach)
         self._see(np.array([self._frame]), np.array([end]))
-        self.now_s = end * TICK_S
+        self.now_s = end * DETECTOR_TICK_S
 
     def _handed_over(self, time_s: float) -> float:
         """Time at which the computer has decided upon what was recorded until a time."""
@@ -128,13 +128,13 @@ class VirtualOptics:
 
     @staticmethod
     def _ticks(seconds: float) -> int:
-        return round(seconds / TICK_S)
+        return round(seconds / DETECTOR_TICK_S)
 
     def _see(self, frames: np.ndarray, ends: np.ndarray) -> None:
         """Draw the events while frames are shown, the last until `ends[-1]`, and write them."""
         durations = np.diff(ends, prepend=self._end)
         rates = self._camera.fluctuate(
-            self._rates[self._scene, frames], (ends - durations) * TICK_S, self._light
+            self._rates[self._scene, frames], (ends - durations) * DETECTOR_TICK_S, self._light
         )
         for pieces, flow in divide(durations, rates):
             stop = self._end + int(pieces.sum())
@@ -215,7 +215,7 @@ class VirtualCounter(AbstractContextManager["VirtualCounter"]):
         """Begin to record into a new file."""
         check_file_inputs(self._inputs)
         self._optics.wiring = self._inputs, self._bit
-        self._optics.written = Writer(path, TICK_S, growing=True).__enter__()
+        self._optics.written = Writer(path, DETECTOR_TICK_S, growing=True).__enter__()
         self._file = FileIO(path)
         self._counter = StreamCounter(self._inputs, self._bit, path)
 

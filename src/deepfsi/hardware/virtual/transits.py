@@ -6,7 +6,7 @@ import numpy as np
 
 from deepfsi.hardware.photons.writer import Writer
 
-TICK_S = 1e-9
+TRANSIT_TICK_S = 1e-9
 """Tick of the file, seconds."""
 
 
@@ -29,6 +29,6 @@ def write_transits(
     passing = passing + step_s * rng.random(len(passing))
     dark = seconds * rng.random(rng.poisson(background * seconds))
     times = np.sort(np.concatenate([passing, dark]))
-    ticks = np.rint(times[(times >= 0) & (times < seconds)] / TICK_S).astype(np.int64)
-    with Writer(path, TICK_S) as writer:
+    ticks = np.rint(times[(times >= 0) & (times < seconds)] / TRANSIT_TICK_S).astype(np.int64)
+    with Writer(path, TRANSIT_TICK_S) as writer:
         writer.write(ticks, np.zeros(len(ticks), np.int64))
