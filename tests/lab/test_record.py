@@ -101,7 +101,7 @@ def test_a_run_that_is_stopped_keeps_its_finished_scenes(lab, digits, tmp_path, 
             if not late:
                 raise KeyboardInterrupt
             bench.projector.run = stopped
-        bench.projector._setup.display(scene)
+        bench.projector._optics.display(scene)
 
     told = record.record_run(
         tmp_path / "run", lab / "patterns", acquisition, replace(bench, display=display)
@@ -117,7 +117,7 @@ def tagged(lab: Path, scenes: np.ndarray, monkeypatch):
     """The same bench, whose photons and triggers are tags of a fake of a Time Tagger."""
     acquisition, bench = planned(lab, scenes)
     device = swabian_fake.install(monkeypatch)
-    bench.projector._setup.written = device
+    bench.projector._optics.written = device
     counter = TaggerCounter(acquisition.inputs, acquisition.marker_bit, trigger=8)
     return device, acquisition, replace(bench, counter=counter)
 
@@ -146,9 +146,9 @@ def test_ctrl_c_or_a_loss_lets_go_of_the_time_tagger_and_keeps_scenes(
         if scene == 2 and not loss:
             raise KeyboardInterrupt
         if scene == 2:
-            last = [bench.projector._setup._end]
+            last = [bench.projector._optics._end]
             device.add(times=last, channels=[0], types=[swabian_fake.OVERFLOW_BEGIN], missed=[0])
-        bench.projector._setup.display(scene)
+        bench.projector._optics.display(scene)
 
     told = record.record_run(
         tmp_path / "run", lab / "patterns", acquisition, replace(bench, display=display)
@@ -173,7 +173,7 @@ def test_a_scene_without_light_and_a_missing_trigger_are_said_at_once(
     bench.counter._bit = 2  # the trigger is on another input
     bench.counter.start = lambda path: (
         type(bench.counter).start(bench.counter, path),
-        setattr(bench.projector._setup, "wiring", ((0,), 1)),
+        setattr(bench.projector._optics, "wiring", ((0,), 1)),
     )
     with pytest.raises(InputError, match="trigger is wired"):
         list(record.record_run(tmp_path / "2", lab / "patterns", acquisition, bench))

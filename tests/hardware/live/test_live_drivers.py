@@ -88,7 +88,7 @@ def test_the_loop_runs_on_a_time_tagger_as_on_the_virtual_counter(digits, tmp_pa
     x, scenes = scenes_of(digits, SCENES)
     device = swabian_fake.install(monkeypatch, trigger=-4)
     devices = bench(patterns, x, FLUX)
-    devices.projector._setup.written = device
+    devices.projector._optics.written = device
     folder, acquisition = tmp_path / "run", plan_live(patterns, scenes, 20e-3)
     counter = TaggerCounter(acquisition.inputs, acquisition.marker_bit, trigger=-4)
     decided = list(run_live(folder, patterns, acquisition, replace(devices, counter=counter)))

@@ -67,7 +67,7 @@ def open_tagger(
 ) -> "TaggerCounter":
     """Time Tagger with the channel of the trigger, and the settings of a TOML file."""
     if trigger is None:
-        raise InputError("counter swabian needs a `marker_channel`, the trigger's: such as 8")
+        raise InputError("counter swabian needs `marker_channel`, that of the trigger: such as 8")
     settings = None
     if config is not None:
         with as_input_error(str(config)):
