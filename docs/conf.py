@@ -39,6 +39,7 @@ extensions = [
     "messages",
     "modules",
     "playable",
+    "rooms",
     "words",
 ]
 exclude_patterns = [

@@ -200,6 +200,19 @@ def documented(tree: ast.AST) -> list[tuple[str, str]]:
     return [(name, text) for name, text in found if text]
 
 
+@pytest.mark.parametrize(
+    ("page", "named"),
+    [
+        ("docs/understand/architecture.md", r"^- \*\*`([\w.]+)`\*\* "),
+        ("CONTRIBUTING.md", r"^\| `([\w/]+)/` \|"),
+    ],
+)
+def test_the_pages_have_each_room_and_no_other(page, named):
+    text = (ROOT / page).read_text().partition("`src/deepfsi_paper/` has")[0]
+    rooms = [name.replace("/", ".") for name in re.findall(named, text, re.M)]
+    assert sorted(rooms) == sorted(room for room, modules in HOUSE.rooms.items() if modules)
+
+
 def test_no_module_takes_a_private_name_of_another():
     every = {**TREES, **{p: ast.parse(p.read_text()) for p in (ROOT / "tests").rglob("*.py")}}
     found = [

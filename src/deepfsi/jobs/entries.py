@@ -1,4 +1,4 @@
-"""How a design was exposed, as the header of its file says it: one entry for each kind.
+"""The exposure of a design as the header of its file has it: one entry for each kind.
 
 An entry and the tensors beside it rebuild the exposure of a trained design. Nothing of a field's
 name, order or default may change: files are read again by them.

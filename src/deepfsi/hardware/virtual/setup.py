@@ -59,7 +59,7 @@ class Latencies(StrictModel):
 
 
 class VirtualOptics:
-    """What virtual devices share: clock, scene on the display, light and detectors."""
+    """The parts that virtual devices share: clock, scene on the display, light and detectors."""
 
     def __init__(
         self,
