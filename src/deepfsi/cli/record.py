@@ -60,10 +60,10 @@ def camera_record(
         open_counter,
         open_projector,
     )
+    from deepfsi.hardware.live.run import record_run
     from deepfsi.hardware.patterns.folder import read_patterns
     from deepfsi.hardware.virtual import expected_events, virtual_setup
     from deepfsi.lab.camera import camera_of, clicks_of, dead_time_of, flux_of
-    from deepfsi.lab.record import record_run
     from deepfsi.lab.scenes import displayed, listed, scenes_of
 
     shown, known = read_patterns(patterns), camera_of(patterns, **settings)

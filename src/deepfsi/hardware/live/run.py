@@ -1,7 +1,11 @@
-"""A live run: a projector and a counter show, count and decide, scene after scene.
+"""Runs: a projector shows, and a counter counts, scene after scene, until all are shown.
 
-Each list of frames ends with the all-OFF frame, which stays while the next list is chosen: its
-marker ends the last gate, and the detector rests.
+A live run decides on what is shown next. Each of its lists of frames ends with the all-OFF frame,
+which stays while the next list is chosen: its marker ends the last gate, and the detector rests.
+
+A recorded run shows a pass of all frames for each scene. Its photon file is counted afterwards, as
+any. While it is written frames are counted, too, so that a missing marker or a scene without light
+is said at once, and not when all scenes are shown.
 """
 
 import math
@@ -13,14 +17,29 @@ from pathlib import Path
 
 import numpy as np
 
-from deepfsi.base import interrupts
+from deepfsi.base import interrupts, progress
 from deepfsi.base.errors import InputError, as_input_error
 from deepfsi.base.files import GrowingFile
+from deepfsi.base.progress import Report
 from deepfsi.camera.dead_time import NO_DEAD_TIME, DeadTime
 from deepfsi.camera.stop_rule import MARGIN_NS, Live, StopRule, margin_ns
-from deepfsi.hardware.counting.acquisition import Acquisition, Scene, prepare
+from deepfsi.hardware.counting.acquisition import (
+    Acquisition,
+    Scene,
+    check_fixed,
+    keep_first,
+    prepare,
+)
 from deepfsi.hardware.counting.streaming import FrameCounts, FrameGates
-from deepfsi.hardware.drivers import PATIENCE_S, Setup, StreamingProjector
+from deepfsi.hardware.drivers import (
+    PATIENCE_S,
+    PassProjector,
+    Setup,
+    StreamingCounter,
+    StreamingProjector,
+)
+from deepfsi.hardware.light.monitor import NO_LIGHT
+from deepfsi.hardware.light.tails import excess_chance
 from deepfsi.hardware.live import shown
 from deepfsi.hardware.live.decisions import OFF, Decision, Observer
 from deepfsi.hardware.live.known import read_looks
@@ -210,7 +229,7 @@ class _Sequencer:
     ) -> None:
         self._setup, self._manifest = setup, manifest
         self._settle_s = acquisition.settle_s
-        self._rests = 0  # all-OFF frames whose counts are still to come, before the next list's
+        self._counted = _CountedFrames(setup.counter, manifest.inputs)
         self.lists: list[shown.ShownList] = []
         self.markers = 0
 
@@ -228,7 +247,8 @@ class _Sequencer:
         offsets_s = np.full(len(frames), self._settle_s)
         counter.expect(FrameGates(offsets_s, gates_s, markers, each_s))
         projector.show(frames, pictures_s)
-        counts = self._wait(len(asked.frames), float(pictures_s.sum()))
+        limit_s = float(pictures_s.sum()) + PATIENCE_S
+        counts = self._counted.take(len(asked.frames), limit_s)
         self.lists.append(
             shown.ShownList(
                 look=asked.look,
@@ -249,20 +269,135 @@ class _Sequencer:
             us = np.array([self._manifest.frames[place].picture_us for place in asked.frames])
         return np.append(np.maximum(us, device.shortest_us), device.shortest_us) * 1e-6
 
-    def _wait(self, wanted: int, duration_s: float) -> FrameCounts:
-        """Counts of so many frames."""
-        clock, counter = time.monotonic, self._setup.counter
-        until, parts, found = clock() + duration_s + PATIENCE_S, [], -self._rests
-        while found < wanted:
-            left = until - clock()
+
+class _CountedFrames:
+    """Counts of frames as a counter gives them, list after list.
+
+    The frame after a list's own, which ends the last gate, is left out: its count may come late.
+    """
+
+    def __init__(self, counter: StreamingCounter, inputs: int) -> None:
+        self._counter, self._inputs = counter, inputs
+        self._late = 0  # frames of earlier lists whose counts are still to come
+
+    def take(self, wanted: int, limit_s: float, since: str = "") -> FrameCounts:
+        """Counts of the next frames, within a time; `since` says in a fault when it begins."""
+        until, parts, count = time.monotonic() + limit_s, [], -self._late
+        while count < wanted:
+            left = until - time.monotonic()
             if left <= 0:
                 raise InputError(
-                    f"counts of {wanted - max(found, 0)} of {wanted} frames did not come within "
-                    f"{duration_s + PATIENCE_S:.3g} s: check that the device's trigger is wired to "
-                    "the counter and that it records"
+                    f"counts of {wanted - max(count, 0)} of {wanted} frames did not come within "
+                    f"{limit_s:.3g} s{since}: check that the device's trigger is wired to the "
+                    "counter and that it records"
                 )
-            counts = counter.counts_since_marker(left)
-            parts.append(counts[max(-found, 0) :])
-            found += len(counts.starts_s)
-        self._rests = wanted + 1 - found
-        return FrameCounts.join(parts, self._manifest.inputs)[:wanted]
+            counts = self._counter.counts_since_marker(left)
+            parts.append(counts[max(-count, 0) :])
+            count += len(counts.starts_s)
+        self._late = wanted + 1 - count
+        return FrameCounts.join(parts, self._inputs)[:wanted]
+
+
+@dataclass(frozen=True)
+class RecordedScene:
+    """A scene as its pass was counted while it was recorded, counts/s."""
+
+    scene: Scene
+    on_rate: float  # in the all-ON frames, of the detectors that see mirrors ON
+    off_rate: float  # in the first all-OFF frame, of the same
+    masks_rate: float  # in the masks' frames, of all detectors
+    lit: bool  # whether all-ON frames are brighter than the all-OFF one, by more than chance
+
+
+def record_run(
+    folder: Path,
+    patterns_folder: Path,
+    acquisition: Acquisition,
+    setup: Setup[PassProjector],
+    report: Report | None = None,
+) -> Generator[RecordedScene]:
+    """Show and record scene after scene; gives each when its pass has ended.
+
+    Parameters
+    ----------
+    folder : path
+        Of the run, new. Scenes that are finished are kept whenever the run is stopped, and the
+        folder then has these alone.
+    patterns_folder : path
+        Patterns that are shown.
+    acquisition : Acquisition
+        Settings of the run, as `plan_acquisition` makes them.
+    setup : Setup
+        Devices; taken hold of, and let go at the end.
+    report : callable, optional
+        Told of the share of frames that is loaded; a bar on the terminal unless given.
+
+    Yields
+    ------
+    RecordedScene
+        Each when its pass has ended.
+
+    Raises
+    ------
+    InputError
+        If the patterns choose their dwells, or a device fails.
+    """
+    check_fixed(acquisition, folder)
+    manifest = read_patterns(patterns_folder).manifest
+    done = 0
+    with ExitStack() as stack:
+        stack.enter_context(setup.projector)
+        stack.enter_context(setup.counter)
+        with progress.shown(report, "loading the frames") as loading:
+            setup.projector.load(patterns_folder, loading)
+        prepared = prepare(folder, patterns_folder, acquisition)
+        setup.counter.start(folder / "photons.ptu")
+        show = _Passes(setup.projector, setup.counter, manifest, acquisition.settle_s)
+        try:
+            for place, scene in enumerate(acquisition.scenes):
+                setup.display(place)
+                counted = show(scene)
+                done = place + 1
+                interrupts.keep("finished scenes are kept")
+                yield counted
+            setup.counter.stop()
+        finally:
+            if 0 < done < len(acquisition.scenes):
+                keep_first(folder, prepared, done)
+
+
+class _Passes:
+    """Shows one pass after another, and counts its frames."""
+
+    def __init__(
+        self,
+        projector: PassProjector,
+        counter: StreamingCounter,
+        manifest: Manifest,
+        settle_s: float,
+    ) -> None:
+        self._projector, self._counter, self._manifest = projector, counter, manifest
+        self._frames = _CountedFrames(counter, manifest.inputs)
+        room = manifest.picture_s - settle_s
+        lengths = np.maximum(room - margin_ns(room * 1e9) * 1e-9, 0)
+        lengths[-1] = 0  # nothing ends the gate of the last frame before the next pass
+        ones = np.ones(len(lengths), np.int64)
+        offsets = np.full(len(lengths), settle_s)
+        self._gates = FrameGates(offsets, lengths, ones, manifest.picture_s)
+
+    def __call__(self, scene: Scene) -> RecordedScene:
+        self._counter.expect(self._gates)
+        self._projector.run()
+        self._projector.wait()
+        counts = self._frames.take(len(self._gates) - 1, PATIENCE_S, " of their pass").counts
+        times, masks = self._gates.lengths_s[:-1], self._manifest.shown
+        arm = counts[:, : self._manifest.detector_count]  # those that see mirrors ON
+        on, on_s = arm[[0, -1]].sum(), times[[0, -1]].sum()
+        off, off_s = arm[1].sum(), times[1]
+        return RecordedScene(
+            scene=scene,
+            on_rate=float(on / on_s),
+            off_rate=float(off / off_s),
+            masks_rate=float(counts[masks].sum() / times[masks].sum()),
+            lit=bool(excess_chance(on, on_s, off, off_s) < NO_LIGHT),
+        )

@@ -18,10 +18,10 @@ from deepfsi.hardware.counting.counting import count
 from deepfsi.hardware.counting.counts import read_counts
 from deepfsi.hardware.drivers import Dlpc900Projector
 from deepfsi.hardware.drivers.swabian import TaggerCounter
+from deepfsi.hardware.live import run as record
 from deepfsi.hardware.patterns.folder import export_patterns, read_frames, read_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.virtual import CAMERAS, Latencies, arrival_rates, virtual_setup
-from deepfsi.lab import record
 from hardware.drivers import dlpc900_fake, swabian_fake
 
 FLUX, EXPOSURE, SCENES = 1e7, 10e-3, 5
