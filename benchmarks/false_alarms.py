@@ -24,10 +24,7 @@ from deepfsi.design.adaptive.posterior import AdaptivePosterior, LookOptics
 from deepfsi.design.consistency import REFUSED, UNSURE, ReadoutDistribution
 from deepfsi.design.readout_fit import find_distribution
 from deepfsi.hardware.counting.gates import Frames, Windows, find_lateness
-from deepfsi.hardware.light.flux import find_light
-from deepfsi.hardware.light.monitor import LiveLight, ShownFrames
-from deepfsi.hardware.light.sentinels import PARTS
-from deepfsi.hardware.light.tails import FALSE_ALARMS
+from deepfsi.hardware.light import FALSE_ALARMS, PARTS, Arrivals, LightMonitor, check_light
 from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.patterns.sequence import Brightness, Frame, Manifest
 from deepfsi.hardware.patterns.timing import Gates
@@ -112,8 +109,10 @@ def kinds(rng: np.random.Generator, detectors: int = 1, **course) -> set[str]:
     """Kinds of the faults of an acquisition's light."""
     photons, seconds, middles = drawn(rng, **course)
     passes, none = np.arange(PASSES), np.empty(0, np.int64)
-    known = photons, photons, seconds, middles, passes, tuple(range(detectors))
-    return {each.kind for each in find_light(*known, manifest_of(detectors), none).faults}
+    manifest = manifest_of(detectors)
+    arrivals = Arrivals(manifest.frames, photons, photons, seconds, middles)
+    light = check_light(arrivals, manifest, range(detectors), scenes=passes, lost=none)
+    return {fault.kind for fault in light.faults}
 
 
 @cache
@@ -178,13 +177,13 @@ def live(rng: np.random.Generator, faulty: bool) -> bool:
     photons, seconds, middles = drawn(rng, sags if faulty else None)
     manifest, found = manifest_of(), False
     light, frames, period = (
-        LiveLight(manifest, (0,), PASSES),
+        LightMonitor(manifest, (0,), PASSES),
         manifest.frames,
         len(middles) * FRAME_S,
     )
     for place in range(PASSES):
         parts = [
-            ShownFrames(
+            Arrivals(
                 frames[some],
                 photons[place, some].astype(float),
                 photons[place, some].astype(float),
@@ -199,9 +198,9 @@ def live(rng: np.random.Generator, faulty: bool) -> bool:
 
 def stated(rng: np.random.Generator, faulty: bool) -> bool:
     """Alarm of a stated budget; with the fault it is 0.6 of the true one."""
-    light, (photons, seconds, middles) = LiveLight(manifest_of(), (0,), PASSES), drawn(rng)
+    light, (photons, seconds, middles) = LightMonitor(manifest_of(), (0,), PASSES), drawn(rng)
     held = photons[0, :2].astype(float)
-    light.begin(ShownFrames(manifest_of().frames[:2], held, held, seconds[0, :2], middles[:2]))
+    light.begin(Arrivals(manifest_of().frames[:2], held, held, seconds[0, :2], middles[:2]))
     return light.contradicts((0.6 if faulty else 1.0) * FLUX)
 
 

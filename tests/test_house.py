@@ -22,7 +22,7 @@ SOURCE = ROOT / "src"
 TREES = {path: ast.parse(path.read_text()) for path in sorted(SOURCE.rglob("*.py"))}
 HOUSE = House(SOURCE, users=(ROOT / "README.md", ROOT / "docs", ROOT / "benchmarks"))
 
-ROOMS_DONE: set[str] = set()
+ROOMS_DONE: set[str] = {"hardware.light"}
 """Rooms that keep every rule. A finished room is added here, and never goes again."""
 
 LONELY: dict[str, str] = {}

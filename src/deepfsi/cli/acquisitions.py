@@ -40,7 +40,8 @@ def camera_prepare(
     """
     paths.check_there(patterns, "a folder of patterns")
     paths.check_new_folder(out)
-    from deepfsi.hardware.counting.acquisition import name_inputs, plan_acquisition, prepare
+    from deepfsi.hardware.counting.acquisition import plan_acquisition, prepare
+    from deepfsi.hardware.light import name_inputs
     from deepfsi.hardware.patterns.folder import read_patterns
     from deepfsi.lab.camera import camera_of
     from deepfsi.lab.scenes import listed

@@ -17,7 +17,7 @@ from deepfsi.design.adaptive.design import AdaptiveDesign
 from deepfsi.design.adaptive.misfit import squared_distance
 from deepfsi.design.adaptive.posterior import AdaptivePosterior, LookOptics
 from deepfsi.design.consistency import UNSURE
-from deepfsi.hardware.light.monitor import ShownFrames
+from deepfsi.hardware.light import Arrivals
 from deepfsi.hardware.live.looks import AllOn, Conditions, FrameList, Likeness
 from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.patterns.folder import DesignRails
@@ -78,7 +78,7 @@ class AdaptiveExposure:
 
     @torch.no_grad()
     @library_defaults()
-    def take(self, asked: FrameList, found: ShownFrames) -> np.ndarray:
+    def take(self, asked: FrameList, found: Arrivals) -> np.ndarray:
         """Probabilities (C,) of the classes, from the photons of a look and those before."""
         assert asked.masks is not None
         counts = torch.from_numpy(found.photons.sum(axis=1)).float()

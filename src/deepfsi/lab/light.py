@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from deepfsi.camera.light import TOO_DIM
-from deepfsi.hardware.light.faults import Fault
+from deepfsi.hardware.light import Fault
 
 if TYPE_CHECKING:
     from deepfsi.design.artifact import Design

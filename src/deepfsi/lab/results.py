@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from deepfsi.design.training_data import was_trained_on
-from deepfsi.hardware.light.faults import SPOILING, Fault
+from deepfsi.hardware.light import SPOILING, Fault
 from deepfsi.lab.score import Score
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from deepfsi.hardware.counting.rail_sums import (
     fineness,
 )
 from deepfsi.hardware.counting.rail_tables import LAYOUTS, split_rails
-from deepfsi.hardware.light.tails import FALSE_ALARMS
+from deepfsi.hardware.light import FALSE_ALARMS
 from deepfsi.jobs.designs import formula_masks, hadamard_masks
 
 SHAPE = (16, 16)

@@ -8,7 +8,7 @@ from deepfsi.camera.dead_time import DeadTime
 from deepfsi.design.artifact import Design
 from deepfsi.hardware.counting.acquisition import Scene
 from deepfsi.hardware.counting.streaming import FrameCounts
-from deepfsi.hardware.light.sentinels import PARTS
+from deepfsi.hardware.light import PARTS
 from deepfsi.hardware.live.decisions import SENTINELS, Observer
 from deepfsi.hardware.live.known import read_looks
 from deepfsi.hardware.live.run import plan_live

@@ -11,7 +11,7 @@ from scipy.linalg import hadamard, solve
 from deepfsi.base.errors import InputError, check_known
 from deepfsi.base.files import write_atomically
 from deepfsi.hardware.counting.counts import Counts
-from deepfsi.hardware.light.faults import SPOILING
+from deepfsi.hardware.light import SPOILING
 from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.patterns.folder import DesignRails
 from deepfsi.hardware.patterns.sequence import Patterns

@@ -328,10 +328,3 @@ def check_inputs(manifest: Manifest, most: int, name: str) -> None:
             f"{name} has up to {most} inputs, and these patterns need {manifest.inputs}, one for "
             "each detector: use a counter with more, or a design with fewer `detectors`"
         )
-
-
-def name_inputs(inputs: tuple[int, ...]) -> str:
-    """Inputs as people number them: `1`, `1 and 2`, or `1 to 4`."""
-    if len(inputs) > 2 and inputs == tuple(range(inputs[0], inputs[0] + len(inputs))):
-        return f"{inputs[0] + 1} to {inputs[-1] + 1}"
-    return " and ".join(str(each + 1) for each in inputs)

@@ -16,7 +16,6 @@ from deepfsi.hardware.counting.acquisition import (
     check_fixed,
     check_inputs,
     gates_of,
-    name_inputs,
     read_acquisition,
 )
 from deepfsi.hardware.counting.alignment import find_steps
@@ -41,9 +40,7 @@ from deepfsi.hardware.counting.gates import (
     in_ticks,
 )
 from deepfsi.hardware.counting.readouts import by_rail, by_readout, lengths_by_readout
-from deepfsi.hardware.light.faults import Fault
-from deepfsi.hardware.light.flux import Light, find_light
-from deepfsi.hardware.light.sentinels import PARTS
+from deepfsi.hardware.light import PARTS, Arrivals, Fault, Light, check_light, name_inputs
 from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.hardware.patterns.timing import ClickGates, Gates
 from deepfsi.hardware.photons.header import Header, read_header
@@ -143,8 +140,12 @@ def count(
     arrivals = parted * factors.arrivals[:, :, None]
     variance = parted * factors.variance[:, :, None]
     open_s, scenes = parted_s[fits].reshape(shape), np.flatnonzero(whole)
-    light = find_light(
-        arrivals, variance, open_s, parts.middles, scenes, acquisition.inputs, manifest, lost
+    light = check_light(
+        Arrivals(manifest.frames, arrivals, variance, open_s, parts.middles),
+        manifest,
+        acquisition.inputs,
+        scenes=scenes,
+        lost=lost,
     )
     _check_lit(header, acquisition, bool(light.lit.any()))
     flux = ambient.of_flux(light.flux, str(header.path))

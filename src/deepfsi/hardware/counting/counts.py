@@ -29,7 +29,7 @@ from deepfsi.hardware.counting.acquisition import (
     check_fixed,
     read_acquisition,
 )
-from deepfsi.hardware.light.faults import SPOILING, Fault
+from deepfsi.hardware.light import SPOILING, Fault
 from deepfsi.hardware.patterns.frame_files import npy_header
 from deepfsi.hardware.patterns.sequence import Manifest
 

@@ -15,9 +15,9 @@ import numpy as np
 from deepfsi.base.errors import InputError
 from deepfsi.base.progress import SILENT, Report
 from deepfsi.hardware.counting.acquisition import Acquisition
-from deepfsi.hardware.counting.alignment import CERTAIN_SIGMAS, Counter, align
+from deepfsi.hardware.counting.alignment import Counter, align
 from deepfsi.hardware.counting.passes import MOST_DRIFT
-from deepfsi.hardware.light.faults import Fault
+from deepfsi.hardware.light import CERTAIN_SIGMAS, Fault
 from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.hardware.patterns.timing import Gates
 from deepfsi.hardware.photons.header import Header

@@ -21,7 +21,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.special import chdtrc, stdtrit
 
-from deepfsi.hardware.light.tails import FALSE_ALARMS
+from deepfsi.hardware.light import FALSE_ALARMS
 
 PARTS = 20
 """Parts of a sequence, each of which is left out in turn for an interval."""

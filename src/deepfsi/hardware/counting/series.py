@@ -19,8 +19,8 @@ import numpy as np
 from scipy.special import xlogy
 
 from deepfsi.base.errors import InputError
-from deepfsi.hardware.counting.alignment import CERTAIN_SIGMAS
 from deepfsi.hardware.counting.tables import column_names
+from deepfsi.hardware.light import CERTAIN_SIGMAS
 from deepfsi.hardware.patterns.sequence import Manifest
 
 ROLL_OVER = 2**32

@@ -18,7 +18,7 @@ import numpy as np
 from deepfsi.base.errors import InputError
 from deepfsi.base.quantities import time_text
 from deepfsi.hardware.counting.clocks import MOST_EXTRA, MOST_RATE
-from deepfsi.hardware.light.sentinels import PARTS
+from deepfsi.hardware.light import PARTS
 from deepfsi.hardware.photons.gate_counter import GateCounter, cut_gates
 from deepfsi.hardware.photons.header import Kind
 from deepfsi.hardware.photons.records import EARLIEST_TICK, Part, marker_slack

@@ -29,8 +29,7 @@ from deepfsi.hardware.counting.clicks import (
 )
 from deepfsi.hardware.counting.counts import Counts
 from deepfsi.hardware.counting.readouts import by_rail, by_readout, lengths_by_readout
-from deepfsi.hardware.light.faults import Fault
-from deepfsi.hardware.light.flux import find_light
+from deepfsi.hardware.light import Arrivals, Fault, check_light
 from deepfsi.hardware.patterns.sequence import Manifest
 
 SCENE, LABEL = "scene", "label"
@@ -358,9 +357,15 @@ def _find_light(
         measured[:] = measured.mean(axis=0)
     else:
         middles = (np.cumsum(times) - times / 2)[:, None]
-        whole = found[:, :, None], noise[:, :, None], seconds[..., None], middles
-        inputs, lost = tuple(range(manifest.inputs)), np.empty(0, np.int64)
-        light = find_light(*whole, np.arange(scenes), inputs, manifest, lost)
+        light = check_light(
+            Arrivals(
+                manifest.frames, found[:, :, None], noise[:, :, None], seconds[..., None], middles
+            ),
+            manifest,
+            range(manifest.inputs),
+            scenes=np.arange(scenes),
+            lost=np.empty(0, np.int64),
+        )
         flux, measured, faults = light.flux, light.dark_rate, light.faults
     if given is None:
         dark = measured

@@ -1,1 +1,28 @@
-"""The light of a run: is it what it should be."""
+"""The light of a run, checked against what it should be."""
+
+from deepfsi.hardware.light.checks import CHECKS, SPOILING, Fault, Light, check_light
+from deepfsi.hardware.light.curves import (
+    CERTAIN_SIGMAS,
+    FALSE_ALARMS,
+    PARTS,
+    Arrivals,
+    excess_chance,
+    name_inputs,
+)
+from deepfsi.hardware.light.monitor import NO_LIGHT, LightMonitor
+
+__all__ = [
+    "CERTAIN_SIGMAS",
+    "CHECKS",
+    "FALSE_ALARMS",
+    "NO_LIGHT",
+    "PARTS",
+    "SPOILING",
+    "Arrivals",
+    "Fault",
+    "Light",
+    "LightMonitor",
+    "check_light",
+    "excess_chance",
+    "name_inputs",
+]

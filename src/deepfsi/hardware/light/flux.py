@@ -1,30 +1,29 @@
-"""Light of an acquisition: its faults, and the flux and background of each scene.
+"""Flux and background of passes: where they change, and what is common between two changes.
+
+A row of passes is cut where a segment of it, at one of its ends or within, is brighter or darker
+than the rest beyond chance and beyond what is allowed; then each segment is looked at in the same
+way.
 
 The flux of a scene is the mean over the passes between two changes of the lamp, not its own: scenes
 differ in brightness, and a dim one is to stay dim. What a scene's brightness may be is known from
 the training scenes (`Brightness`). Where the all-ON rates change by more, the light did.
 """
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
 from itertools import pairwise
+from typing import Self
 
 import numpy as np
 
-from deepfsi.hardware.counting.acquisition import name_inputs
-from deepfsi.hardware.counting.alignment import CERTAIN_SIGMAS
-from deepfsi.hardware.light.faults import Fault
-from deepfsi.hardware.light.gains import find_gains
-from deepfsi.hardware.light.levels import Allowed, Row, find_parts
-from deepfsi.hardware.light.sentinels import (
-    HARMLESS,
-    LAWS,
-    Background,
-    Checked,
-    LightCurve,
-    check_light,
-)
-from deepfsi.hardware.light.tails import FALSE_ALARMS
-from deepfsi.hardware.patterns.sequence import Brightness, Frame, Manifest
+from deepfsi.hardware.light.curves import LightCurve, excess_chance
+from deepfsi.hardware.patterns.sequence import Brightness
+
+HARMLESS = 0.05
+"""Change of a light that is left alone, as a share of it."""
+
+HARMLESS_DARK = 0.02
+"""Change of the background that is left alone, as a share of the light with all mirrors ON."""
 
 SPREAD_SIGMAS = 5.0
 """Standard deviations by which scenes of one class may differ from their mean."""
@@ -35,206 +34,236 @@ LEAST_FOR_DECAY = 5
 RANGE_SLACK = 1.25
 """Range of brightness that new scenes may fill, as a multiple of the training scenes' (in log)."""
 
+AllowedRatio = Callable[[np.ndarray, np.ndarray], np.ndarray]
+"""Ratio of the rates of two segments at most, from the numbers of their passes."""
+
 
 @dataclass(frozen=True)
-class Light:
-    """Light of the passes that were recorded."""
+class PassRates:
+    """Rates of passes in their order; those of several sum."""
 
-    # (P,): Counts/s of the scenes' light with all mirrors ON, mean over the passes that agree with
-    # each
-    flux: np.ndarray
-    dark_rate: np.ndarray  # (P, inputs): Counts/s of each input without light
-    lit: np.ndarray  # (P,): bool; passes with light
-    faults: tuple[Fault, ...]
+    counts: np.ndarray  # (P,): photons, less the background where it is known
+    variances: np.ndarray  # (P,): of the counts
+    seconds: np.ndarray  # (P,)
 
+    def sums(self) -> np.ndarray:
+        """Sums of counts, variances and seconds over the first 0 … P passes, (3, P + 1)."""
+        rows = np.stack([self.counts, self.variances, self.seconds]).astype(np.float64)
+        return np.pad(np.cumsum(rows, axis=1), ((0, 0), (1, 0)))
 
-def find_light(
-    photons: np.ndarray,
-    variance: np.ndarray,
-    seconds: np.ndarray,
-    middles: np.ndarray,
-    scenes: np.ndarray,
-    inputs: tuple[int, ...],
-    manifest: Manifest,
-    lost: np.ndarray,
-) -> Light:
-    """Light of an acquisition, from the parts of frames of the passes that were recorded."""
-    # photons, variance (P, F, K, inputs); seconds (P, F, K); middles (F, K); scenes (P,)
-    count = manifest.detector_count
-    wired = [inputs[first : first + count] for first in range(0, len(inputs), count)]
-    arms, detectors = light_curves(
-        photons, variance, seconds, middles, scenes, manifest.frames, wired
-    )
-    chance = FALSE_ALARMS / (len(arms) + len(detectors))
-    checked = [check_light(curve, lost, chance) for curve in arms]
-    alone = [check_light(curve, lost, chance) for curve in detectors]
-    faults = [fault for each in checked for fault in each.faults]
-    named = {(fault.kind, fault.scene) for fault in faults}
-    faults += [each for one in alone for each in one.faults if (each.kind, each.scene) not in named]
-    flux, changes = find_flux(arms[0], checked[0], manifest.brightness, chance / LAWS)
-    for curve, each in zip(detectors or arms, alone or checked, strict=True):
-        faults += name_backgrounds(curve, each.background)
-    faults += changes
-    backgrounds = [each.background for each in alone]
-    faults += _find_blind(detectors, backgrounds)
-    for first in range(0, len(alone), count):
-        arm = slice(first, first + count)
-        faults += find_gains(detectors[arm], backgrounds[arm], manifest.detectors)
-    faults.sort(key=lambda fault: (fault.scene is not None, fault.scene))
-    rates = np.stack([each.background.rate for each in alone or checked], axis=1)
-    lit = np.logical_and.reduce([each.lit for each in checked])
-    return Light(flux, rates, lit, tuple(faults))
+    def mean(self, segment: slice) -> float:
+        """Rate of passes together, counts/s."""
+        return float(self.counts[segment].sum() / self.seconds[segment].sum())
 
 
-def light_curves(
-    photons: np.ndarray,
-    variance: np.ndarray,
-    seconds: np.ndarray,
-    middles: np.ndarray,
-    scenes: np.ndarray,
-    shown: tuple[Frame, ...],
-    wired: list[tuple[int, ...]],
-) -> tuple[list[LightCurve], list[LightCurve]]:
-    """Light of each arm's detectors together, and of each detector where an arm has several."""
-    frames = len(middles)
-    on, off = (0, frames - 2), (1, frames - 1)
-    arms, detectors = [], []
+def find_segments(rates: PassRates, allowed: AllowedRatio, chance: float) -> list[slice]:
+    """Segments between the change points of a row of passes, in their order.
 
-    def poisson(columns: slice) -> tuple[np.ndarray, np.ndarray]:
-        held = photons[..., columns].sum(axis=-1)
-        noise = variance[..., columns].sum(axis=(-2, -1))
-        share = np.where(noise > 0, held.sum(axis=-1) / np.where(noise > 0, noise, 1), 1)[..., None]
-        return held * share, seconds * share
-
-    for arm, inputs in enumerate(wired):
-        first = arm * len(inputs)
-        together = LightCurve(
-            *poisson(slice(first, first + len(inputs))),
-            middles,
-            scenes,
-            *((on, off) if arm == 0 else (off, on)),
-            shown,
-            f" on input {name_inputs(inputs)}" if len(wired) > 1 else "",
-        )
-        arms.append(together)
-        for column, each in enumerate(inputs if len(inputs) > 1 else (), first):
-            own, open_s = poisson(slice(column, column + 1))
-            name = f" on input {each + 1}"
-            detectors.append(replace(together, photons=own, seconds=open_s, name=name, part=True))
-    return arms, detectors
+    Parameters
+    ----------
+    rates : PassRates
+    allowed : callable
+        By how much the rates of two segments may differ.
+    chance : float
+        Chance at most by which a row of one rate is cut.
+    """
+    segments, todo, sums = [], [(0, len(rates.counts))], rates.sums()
+    while todo:
+        start, stop = todo.pop()
+        cut = _find_cut(sums[:, start : stop + 1], allowed, chance)
+        if cut is None:
+            segments.append(slice(start, stop))
+            continue
+        edges = [0, *cut, stop - start]
+        todo += [(start + a, start + b) for a, b in pairwise(edges) if b > a]
+    return sorted(segments, key=lambda segment: int(segment.start))
 
 
-def find_flux(
-    curve: LightCurve, checked: Checked, brightness: Brightness | None, chance: float
-) -> tuple[np.ndarray, list[Fault]]:
-    """Flux (P,) and the faults of its changes, from passes whose light was steady if any was."""
-    used = checked.sound if checked.sound.any() else checked.lit
-    if not used.any():
-        return np.zeros(len(used)), []
-    on, on_s = curve.together(curve.bright)
-    used = used & (on_s > 0)
-    rate = checked.background.rate
-    error = rate**2 / np.maximum(checked.background.photons, 1)
-    counts = on - rate * on_s
-    row = Row(counts[used], on[used] + error[used] * on_s[used] ** 2, on_s[used])
-    parts, places = [slice(0, int(used.sum()))], np.flatnonzero(used)
-    if brightness is not None:
-        parts = find_parts(row, spread(brightness), chance)
-        line = _fit_decay(row, parts, brightness)
-        if line is not None:
-            share = line[-1] / line[0]
-            detail = (
-                f"all ON {'rises' if share > 1 else 'falls'} steadily, to {share:.3g} times its "
-                "first brightness: each scene has a budget of its own"
-            )
-            fault = Fault(kind="level", detail=detail)
-            return np.interp(np.arange(len(used)), places, line), [fault]
-    starts = [0, *(int(places[part.start]) for part in parts[1:]), len(used)]
-    flux = np.concatenate(
-        [
-            np.full(b - a, _mean(row, part))
-            for (a, b), part in zip(pairwise(starts), parts, strict=True)
-        ]
-    )
-    scenes = curve.scenes[places]
-    faults = [_name_step(row, scenes, one, other) for one, other in pairwise(parts)]
-    return flux, faults
-
-
-def _mean(row: Row, part: slice) -> float:
-    """Rate of passes together, counts/s."""
-    return float(row.counts[part].sum() / row.seconds[part].sum())
-
-
-def _fit_decay(row: Row, parts: list[slice], brightness: Brightness) -> np.ndarray | None:
-    """Rates (P,) of a light that rises or falls steadily, if it does, and not in steps."""
-    passes = len(row.counts)
-    if passes < LEAST_FOR_DECAY or not (row.counts > 0).all():
+def _find_cut(sums: np.ndarray, allowed: AllowedRatio, chance: float) -> tuple[int, int] | None:
+    """Start and stop of the segment that stands out most from the rest of a row, if any does."""
+    passes = sums.shape[1] - 1
+    if passes < 2:
         return None
-    logs, when = np.log(row.counts / row.seconds), np.arange(passes) - (passes - 1) / 2
+    edges = np.arange(1, passes)
+    starts, stops = [np.zeros_like(edges)], [edges]
+    length = 1
+    while length <= passes // 2:
+        first = np.arange(1, passes - length)
+        starts.append(first)
+        stops.append(first + length)
+        length *= 2
+    start, stop = np.concatenate(starts), np.concatenate(stops)
+    clearness, chances = _compare(sums, start, stop, allowed)
+    best = int(np.argmax(clearness))
+    if chances[best] * len(start) > chance:
+        return None
+    return _refine(sums, (int(start[best]), int(stop[best])), allowed)
+
+
+def _refine(sums: np.ndarray, cut: tuple[int, int], allowed: AllowedRatio) -> tuple[int, int]:
+    """Move both ends of a segment, pass by pass, while it stands out more."""
+    passes = sums.shape[1] - 1
+    while True:
+        tries = [(cut[0] + i, cut[1] + j) for i in (0, -1, 1) for j in (0, -1, 1)]
+        tries = [(a, b) for a, b in tries if 0 <= a < b <= passes and b - a < passes]
+        start, stop = np.array(tries).T
+        best = tries[int(np.argmax(_compare(sums, start, stop, allowed)[0]))]
+        if best == cut:
+            return cut
+        cut = best
+
+
+def _compare(
+    sums: np.ndarray, start: np.ndarray, stop: np.ndarray, allowed: AllowedRatio
+) -> tuple[np.ndarray, np.ndarray]:
+    """Difference of each segment from the rest in standard errors, and the chance of it."""
+    passes = sums.shape[1] - 1
+    inner = sums[:, stop] - sums[:, start]
+    outer = sums[:, -1:] - sums[:, :1] - inner
+    (one, one_s), (other, other_s) = _as_photons(inner), _as_photons(outer)
+    ratio = allowed(stop - start, passes - (stop - start))
+    more = excess_chance(one, one_s, other, other_s, ratio)
+    less = excess_chance(other, other_s, one, one_s, ratio)
+    apart = np.abs(np.log((one + 0.5) / one_s) - np.log((other + 0.5) / other_s)) - np.log(ratio)
+    clearness = apart / np.sqrt(1 / (one + 0.5) + 1 / (other + 0.5))
+    return clearness, np.minimum(1.0, 2 * np.minimum(more, less))
+
+
+def _as_photons(sums: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Photons, and the time they take, of Poisson counts with the same rate and relative error."""
+    counts, variances, seconds = np.maximum(sums[0], 0.0), sums[1], sums[2]
+    # Counts below their noise, or less than 0, tell as little as those that are as large as it
+    size = np.maximum(counts, np.sqrt(variances))
+    weight = np.where(variances > 0, size / np.where(variances > 0, variances, 1.0), 1.0)
+    return counts * weight, seconds * weight
+
+
+@dataclass(frozen=True)
+class Background:
+    """Counts of an input without light, of each pass and of those that agree with it."""
+
+    photons: np.ndarray  # (P,): of all-OFF frames; for the second of two arms, of all-ON ones
+    seconds: np.ndarray  # (P,)
+    segments: list[slice]  # passes that agree with each other
+
+    @classmethod
+    def of(cls, curve: LightCurve, chance: float) -> Self:
+        """Background of each pass: that of its own dark frames and of its neighbours that agree."""
+        photons, seconds = curve.together(curve.dark)
+        usual = (photons.sum() + 1) / max(seconds.sum(), 1e-300)
+        ratio = 1 + HARMLESS_DARK * _usual_light(curve) / usual
+        rates = PassRates(photons, photons, seconds)
+        segments = find_segments(rates, lambda *_: np.array(ratio), chance)
+        pooled, pooled_s = photons.astype(np.float64), seconds.copy()
+        for segment in segments:
+            pooled[segment], pooled_s[segment] = photons[segment].sum(), seconds[segment].sum()
+        return cls(pooled, pooled_s, segments)
+
+    @property
+    def rate(self) -> np.ndarray:
+        """Counts/s, (P,)."""
+        return self.photons / np.where(self.seconds > 0, self.seconds, 1.0)
+
+    @property
+    def last(self) -> "Background":
+        """That of the last pass."""
+        return Background(self.photons[-1:], self.seconds[-1:], [slice(0, 1)])
+
+
+def _usual_light(curve: LightCurve) -> float:
+    """Median over passes of the rate with all light less that with none, counts/s."""
+    (on, on_s), (off, off_s) = curve.together(curve.bright), curve.together(curve.dark)
+    counted = (on_s > 0) & (off_s > 0)
+    if not counted.any():
+        return 0.0
+    return max(0.0, float(np.median(on[counted] / on_s[counted] - off[counted] / off_s[counted])))
+
+
+@dataclass(frozen=True)
+class Level:
+    """Brightness of the scenes between two changes of the lamp."""
+
+    first: int  # scene
+    last: int
+    rate: float  # counts/s
+
+
+@dataclass(frozen=True)
+class Flux:
+    """Light of the scenes with all mirrors ON, without background."""
+
+    rate: np.ndarray  # (P,): counts/s, of each pass and of those that agree with it
+    levels: tuple[Level, ...] = ()
+    trend: float | None = None  # last brightness over first, of a lamp that rises or falls steadily
+
+    @classmethod
+    def of(
+        cls,
+        curve: LightCurve,
+        background: Background,
+        used: np.ndarray,
+        brightness: Brightness | None,
+        chance: float,
+    ) -> Self:
+        """Flux from the passes `used` (P,), bool, of scenes that differ by a known brightness."""
+        if not used.any():
+            return cls(np.zeros(len(used)))
+        on, on_s = curve.together(curve.bright)
+        used = used & (on_s > 0)
+        if not used.any():  # light was seen behind masks alone
+            return cls(np.full(len(used), np.nan))
+        rate = background.rate
+        error = rate**2 / np.maximum(background.photons, 1)
+        counts, noise = (on - rate * on_s)[used], on[used] + error[used] * on_s[used] ** 2
+        rates = PassRates(counts, noise, on_s[used])
+        segments, passes = [slice(0, int(used.sum()))], np.flatnonzero(used)
+        if brightness is not None:
+            segments = find_segments(rates, allowed_ratio(brightness), chance)
+            line = _fit_decay(rates, segments, brightness)
+            if line is not None:
+                every = np.interp(np.arange(len(used)), passes, line)
+                return cls(every, trend=line[-1] / line[0])
+        starts = [0, *(int(passes[segment.start]) for segment in segments[1:]), len(used)]
+        lengths, scenes = np.diff(starts), curve.scenes[passes]
+        levels = [
+            Level(scenes[segment.start], scenes[segment.stop - 1], rates.mean(segment))
+            for segment in segments
+        ]
+        return cls(np.repeat([level.rate for level in levels], lengths), tuple(levels))
+
+
+def _fit_decay(
+    rates: PassRates, segments: list[slice], brightness: Brightness
+) -> np.ndarray | None:
+    """Rates (P,) of a light that rises or falls steadily, if it does, and not in steps."""
+    passes = len(rates.counts)
+    if passes < LEAST_FOR_DECAY or not (rates.counts > 0).all():
+        return None
+    logs, when = np.log(rates.counts / rates.seconds), np.arange(passes) - (passes - 1) / 2
     line = logs.mean() + when * ((logs @ when) / (when @ when))
     change = abs(float(line[-1] - line[0]))
-    noise = brightness.within**2 + float((row.variances / row.counts**2).mean())
+    noise = brightness.within**2 + float((rates.variances / rates.counts**2).mean())
     error = np.sqrt(noise / (when @ when)) * (passes - 1)
     # Two classes one after the other are a step, and the line through it is half as much longer.
     sound = 1.5 * np.log(brightness.between) + SPREAD_SIGMAS * error + HARMLESS
-    if len(parts) == 1 and change <= sound:
+    if len(segments) == 1 and change <= sound:
         return None
-    steps = np.concatenate([np.full(part.stop - part.start, _mean(row, part)) for part in parts])
-    free = max(passes - 2 * len(parts) + 1, 1)
+    steps = np.concatenate(
+        [np.full(segment.stop - segment.start, rates.mean(segment)) for segment in segments]
+    )
+    free = max(passes - 2 * len(segments) + 1, 1)
     by_line = float(((logs - line) ** 2).sum()) / (passes - 2)
     by_steps = float(((logs - np.log(steps)) ** 2).sum()) / free
     return np.asarray(np.exp(line)) if by_line < by_steps else None
 
 
-def _name_step(row: Row, scenes: np.ndarray, before: slice, after: slice) -> Fault:
-    first, last = scenes[after.start], scenes[after.stop - 1]
-    some = f"scenes {first} to {last}" if last > first else "this scene"
-    detail = (
-        f"all ON is {_mean(row, after) / max(_mean(row, before), 1e-300):.3g} times as bright as "
-        f"before, and scenes do not differ so much: {some} have a budget of their own"
-    )
-    return Fault(kind="level", scene=int(first), detail=detail)
-
-
-def spread(known: Brightness) -> Allowed:
+def allowed_ratio(brightness: Brightness) -> AllowedRatio:
     """Ratio by which the mean brightness of two groups of scenes may differ."""
-    most = RANGE_SLACK * np.log(known.high / known.low) if known.low > 0 else np.inf
+    low, high = brightness.low, brightness.high
+    most = RANGE_SLACK * np.log(high / low) if low > 0 else np.inf
 
     def allowed(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-        noise = SPREAD_SIGMAS * known.within * np.sqrt(1 / one + 1 / other)
-        return np.exp(np.minimum(np.log(known.between) + noise, most)) * (1 + HARMLESS)
+        noise = SPREAD_SIGMAS * brightness.within * np.sqrt(1 / one + 1 / other)
+        return np.exp(np.minimum(np.log(brightness.between) + noise, most)) * (1 + HARMLESS)
 
     return allowed
-
-
-def _find_blind(detectors: list[LightCurve], backgrounds: list[Background]) -> list[Fault]:
-    """Detectors that certainly see less than `HARMLESS` of the light that they see in the mean."""
-    bright = [curve.together(curve.bright) for curve in detectors]
-    photons = np.array([float(found.sum()) for found, _ in bright])
-    pairs = zip(backgrounds, bright, strict=True)
-    dark = np.array([float(each.rate @ seconds) for each, (_, seconds) in pairs])
-    wanted = HARMLESS * max(float((photons - dark).sum()), 0.0) / max(len(detectors), 1)
-    lacks = dark + wanted - photons
-    blind = lacks > CERTAIN_SIGMAS * np.sqrt(dark + photons + 1)
-    faults = []
-    for place in np.flatnonzero(blind).tolist():
-        detail = (
-            f"almost no light{detectors[place].name} in all scenes together: their parts that this "
-            "detector sees are dark, or it is not wired to that input"
-        )
-        faults.append(Fault(kind="blind", detail=detail))
-    return faults
-
-
-def name_backgrounds(curve: LightCurve, background: Background) -> list[Fault]:
-    """Changes of the background; counts are rid of each scene's own."""
-    faults, rate = [], background.rate
-    for part in background.parts[1:]:
-        detail = (
-            f"dark frames{curve.name} have {rate[part.start]:.4g} counts/s, and "
-            f"{rate[part.start - 1]:.4g} before: the background is that of scenes from here on"
-        )
-        scene = int(curve.scenes[part.start])
-        faults.append(Fault(kind="background", scene=scene, detail=detail))
-    return faults

@@ -8,7 +8,7 @@ Each scene begins and ends with an all-ON and an all-OFF frame. A scene whose fi
 no brighter than the all-OFF ones has no light, and gets no class. The budget is the flux of the
 all-ON frames of all lit scenes since the lamp changed, as scenes differ in brightness and a dim one
 is to stay dim; the dark counts are those of the all-OFF frames that agree. After the last look the
-light of the scene is tested as that of a recorded one (`live_light`), and its counts against the
+light of the scene is tested as that of a recorded one (`LightMonitor`), and its counts against the
 training (`trust`); a scene that fails has faults, and gets no class.
 
 Where the masks' own background was measured first, with the scenes dark, it is subtracted as the
@@ -28,8 +28,7 @@ from deepfsi.camera.stop_rule import MARGIN_NS
 from deepfsi.design.view_test import Rows, ViewResult, ViewTest
 from deepfsi.hardware.counting.acquisition import Acquisition
 from deepfsi.hardware.counting.ambient import dark_frames
-from deepfsi.hardware.light.faults import SPOILING, Fault
-from deepfsi.hardware.light.monitor import LiveLight, ShownFrames
+from deepfsi.hardware.light import SPOILING, Arrivals, Fault, LightMonitor
 from deepfsi.hardware.live.looks import AllOn, Conditions, Count, FrameList, LiveLooks
 from deepfsi.hardware.live.trust import Trust
 from deepfsi.hardware.patterns.sequence import Manifest
@@ -67,7 +66,7 @@ class Observer:
             raise InputError("this acquisition is no live run: make one with `deepfsi camera live`")
         self.looks, self._manifest = looks, manifest
         self._settings, self._exposure_ns = acquisition.live, round(acquisition.exposure_s * 1e9)
-        self._light = LiveLight(manifest, acquisition.inputs, len(acquisition.scenes))
+        self._light = LightMonitor(manifest, acquisition.inputs, len(acquisition.scenes))
         self._trust = Trust(looks.photons, acquisition)
         loaded = 0 if manifest.looks.adaptive else len(manifest.shown)
         known, shape = looks.scene_model, manifest.image_shape
@@ -111,7 +110,7 @@ class Observer:
         exposure = self.looks.expose(scene, Conditions(
             photons, self._exposure_ns, self._settings.shortest_ns, self._light.dark, self._ambient
         ))  # fmt: skip
-        looks: list[ShownFrames] = []
+        looks: list[Arrivals] = []
         shown: list[FrameList] = []
         light_ns = 0
         last = len(self.looks.shares) - 1
@@ -142,7 +141,7 @@ class Observer:
         faults += doubts
         yield Decision(*decision, final=True, faults=changes + faults, view=view)
 
-    def _rows(self, photons: float, shown: list[FrameList], looks: list[ShownFrames]) -> Rows:
+    def _rows(self, photons: float, shown: list[FrameList], looks: list[Arrivals]) -> Rows:
         """Counts of a scene, and what each of its looks showed."""
         manifest, arms = self._manifest, self._manifest.inputs // self._manifest.detector_count
         cells = manifest.detectors and manifest.detectors.cells
@@ -173,7 +172,7 @@ class Observer:
             )
         return Rows.join(parts)
 
-    def _arrivals(self, count: Count, asked: FrameList) -> ShownFrames:
+    def _arrivals(self, count: Count, asked: FrameList) -> Arrivals:
         """Photons that arrived in the gates of a list, of those that were counted."""
         found, dead = count(asked), self._settings.dead_time
         rates, most = found.counts / (asked.gate_ns * 1e-9)[:, None], dead.most_registered
@@ -185,7 +184,7 @@ class Observer:
         factors, parts = dead.correction(np.minimum(rates, most)), found.parts.shape[1]
         each_s = np.repeat((asked.gate_ns * 1e-9 / parts)[:, None], parts, axis=1)
         opens_s = found.starts_s[:, None] + self._settle_s
-        return ShownFrames(
+        return Arrivals(
             tuple(self._manifest.frames[place] for place in asked.frames),
             found.parts * factors.arrivals[:, None],
             found.parts * factors.variance[:, None],
@@ -193,7 +192,7 @@ class Observer:
             opens_s + each_s * (np.arange(parts) + 0.5),
         )
 
-    def _all_on(self, ends: list[ShownFrames]) -> AllOn:
+    def _all_on(self, ends: list[Arrivals]) -> AllOn:
         """Counts of a scene's all-ON frames."""
         arm = slice(0, self._manifest.detector_count)
         counts, variance = (

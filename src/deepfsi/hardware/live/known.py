@@ -10,7 +10,7 @@ from deepfsi.base.plugins import torch_needed
 from deepfsi.design.file_content import damaged, read_content
 from deepfsi.design.training_data import HASHES, TrainingScenes
 from deepfsi.hardware.counting.readouts import by_readout
-from deepfsi.hardware.light.monitor import ShownFrames
+from deepfsi.hardware.light import Arrivals
 from deepfsi.hardware.live.looks import AllOn, Conditions, FrameList, Likeness, LiveLooks
 from deepfsi.hardware.live.loop import Loop, read_loop
 from deepfsi.hardware.patterns.folder import DESIGN, LOOP, read_patterns
@@ -94,7 +94,7 @@ class KnownExposure:
         kept = own > 0
         return FrameList(look, masks.manifest.shown[kept], own[kept])
 
-    def take(self, asked: FrameList, found: ShownFrames) -> np.ndarray:
+    def take(self, asked: FrameList, found: Arrivals) -> np.ndarray:
         """Probabilities (C,) of the classes, from the photons of a look and those before."""
         counts, noise = self._by_rail(found, asked)
         self._read, self._noise = self._read + counts, self._noise + noise
@@ -123,7 +123,7 @@ class KnownExposure:
         detail = f"{found.brightness:.2f} times the counts of its mean scene at this budget"
         return Likeness(float(found.exposures[0]), bool(found.unsure[0]), detail)
 
-    def _by_rail(self, found: ShownFrames, shown: FrameList) -> tuple[np.ndarray, np.ndarray]:
+    def _by_rail(self, found: Arrivals, shown: FrameList) -> tuple[np.ndarray, np.ndarray]:
         """Counts (rails, m, D) of a look that are a scene's, and noise beyond their own."""
         manifest, header = self._masks.manifest, self._loop.header
         every = np.zeros((2, len(manifest.shown), manifest.inputs))

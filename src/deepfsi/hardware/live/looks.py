@@ -10,7 +10,7 @@ from deepfsi.camera.stop_rule import StopRule
 from deepfsi.design.training_data import TrainingScenes
 from deepfsi.design.view_test import SceneModel
 from deepfsi.hardware.counting.streaming import FrameCounts
-from deepfsi.hardware.light.monitor import ShownFrames
+from deepfsi.hardware.light import Arrivals
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class LiveExposure(Protocol):
     def ask(self, look: int) -> FrameList:
         """Frames of the next look."""
 
-    def take(self, asked: FrameList, found: ShownFrames) -> np.ndarray:
+    def take(self, asked: FrameList, found: Arrivals) -> np.ndarray:
         """Probabilities (C,) of the classes, from the photons of a look and those before."""
 
     def compare(self, on: AllOn) -> Likeness | None:

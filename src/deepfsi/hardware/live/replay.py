@@ -21,7 +21,7 @@ from deepfsi.base.progress import SILENT, Report
 from deepfsi.design.view_test import Rows
 from deepfsi.hardware.counting.acquisition import Acquisition, check_inputs, read_acquisition
 from deepfsi.hardware.counting.streaming import FrameCounts
-from deepfsi.hardware.light.sentinels import PARTS
+from deepfsi.hardware.light import PARTS
 from deepfsi.hardware.live import shown
 from deepfsi.hardware.live.decisions import Decision, Observer
 from deepfsi.hardware.live.looks import FrameList, LiveLooks

@@ -13,7 +13,7 @@ from pydantic import Field, ValidationError, model_validator
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import read_regular
 from deepfsi.base.models import StrictModel
-from deepfsi.hardware.light.faults import Fault
+from deepfsi.hardware.light import Fault
 from deepfsi.hardware.live.looks import FrameList
 
 DARK = -1

@@ -7,8 +7,7 @@ from scipy.special import bdtrc
 from deepfsi.camera.light import TOO_DIM
 from deepfsi.design.consistency import REFUSED, UNSURE
 from deepfsi.hardware.counting.acquisition import Acquisition
-from deepfsi.hardware.light.faults import Fault
-from deepfsi.hardware.light.monitor import LiveLight
+from deepfsi.hardware.light import Fault, LightMonitor
 from deepfsi.hardware.live.looks import AllOn, Likeness
 
 LOOKED_BACK = 20
@@ -35,7 +34,7 @@ class Trust:
         scene: int,
         likeness: Likeness | None,
         on: AllOn,
-        light: LiveLight,
+        light: LightMonitor,
         photons: float,
         measured: float,
     ) -> tuple[Fault, ...]:

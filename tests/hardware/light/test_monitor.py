@@ -5,24 +5,24 @@ import pytest
 from scipy.optimize import brentq
 from scipy.stats import poisson
 
-from deepfsi.hardware.light.monitor import LiveLight, ShownFrames
-from deepfsi.hardware.light.sentinels import HARMLESS, LAWS, PARTS
-from deepfsi.hardware.light.tails import EXCESS, FALSE_ALARMS
+from deepfsi.hardware.light import CHECKS, FALSE_ALARMS, PARTS, Arrivals, LightMonitor
+from deepfsi.hardware.light.curves import EXCESS
+from deepfsi.hardware.light.flux import HARMLESS
 from deepfsi.hardware.patterns.sequence import Brightness
 from hardware.counting.recording_samples import schedule
 
 SCENES, SECONDS = 20, 1e-3
 
 
-def all_on(photons: int) -> LiveLight:
+def all_on(photons: int) -> LightMonitor:
     """Light after the first all-ON frame of a run of scenes of one brightness; none is dark."""
     same = Brightness(low=1, high=1, between=1, within=0)
     manifest = schedule([1000] * 4).model_copy(update={"brightness": same})
-    light, parts = LiveLight(manifest, (0,), SCENES), np.full((2, PARTS), SECONDS / PARTS)
+    light, parts = LightMonitor(manifest, (0,), SCENES), np.full((2, PARTS), SECONDS / PARTS)
     counts = np.zeros((2, PARTS, 1))
     counts[0] = photons / PARTS
     middles = (np.arange(2)[:, None] + (np.arange(PARTS) + 0.5) / PARTS) * SECONDS
-    lit, faults = light.begin(ShownFrames(manifest.frames[:2], counts, counts, parts, middles))
+    lit, faults = light.begin(Arrivals(manifest.frames[:2], counts, counts, parts, middles))
     assert lit
     assert not faults
     return light
@@ -36,7 +36,7 @@ def test_law_a_stated_flux_is_contradicted_at_the_stated_chance(photons):
     def edge(low: float, high: float) -> float:
         return brentq(lambda s: light.contradicts(s * each) - 0.5, low, high, xtol=1e-9)
 
-    chance = FALSE_ALARMS / LAWS / SCENES / 2
+    chance = FALSE_ALARMS / len(CHECKS) / SCENES / 2
     far, near = edge(1.0, 5.0), edge(0.1, 1.0)
     read = round(photons / EXCESS)
     fewer = poisson.cdf(read, far / (1 + HARMLESS) * read)

@@ -13,10 +13,11 @@ from scipy.stats import binom
 from deepfsi.base.errors import InputError
 from deepfsi.hardware.counting.counting import count
 from deepfsi.hardware.counting.counts import Counts
-from deepfsi.hardware.light.flux import find_flux
-from deepfsi.hardware.light.sentinels import Checked, LightCurve, find_background
-from deepfsi.hardware.light.tails import FALSE_ALARMS
-from deepfsi.hardware.patterns.sequence import Brightness
+from deepfsi.hardware.light import FALSE_ALARMS
+from deepfsi.hardware.light.checks import PassLight, find_unequal_gains
+from deepfsi.hardware.light.curves import LightCurve
+from deepfsi.hardware.light.flux import Background
+from deepfsi.hardware.patterns.detectors import Detectors
 
 RECORDINGS = int(os.environ.get("DEEPFSI_LIGHT", "45"))
 LIGHTS = ("free-dwell", "two-arm")
@@ -159,22 +160,22 @@ def test_a_mask_that_is_brighter_than_all_mirrors_on_spoils_its_scene(shown, tmp
     assert np.flatnonzero(counts.spoilt).tolist() == [2]
 
 
-@pytest.mark.parametrize("unit", [1.0, 0.05])
-def test_law_the_error_of_the_background_is_in_the_test_of_levels(unit):
-    """A background that changes is known from short dark frames, and is far above the light."""
-    rng, passes = np.random.default_rng(7), 6
-    seconds = np.tile(unit * np.array([1.0, 0.01, 1.0, 0.01]), (passes, 1))[..., None]
-    stray = np.repeat([1e5, 3e5], passes // 2)[:, None, None] / unit
-    light = 5e3 / unit * np.array([1, 0, 1, 0])[:, None]
-    brightness = Brightness(low=0.87, high=1.14, between=1.03, within=0.05)
-    alarms = 0
-    for _ in range(60):
-        photons = rng.poisson((stray + light) * seconds)
-        places = np.zeros((4, 1)), np.arange(passes), (0, 2), (1, 3), ()
-        curve = LightCurve(photons, seconds, *places, "")
-        background = find_background(curve, 1e-4)
-        assert len(background.parts) == 2
-        every = np.ones(passes, bool)
-        _, faults = find_flux(curve, Checked(background, every, every, ()), brightness, 1e-4)
-        alarms += bool(faults)
-    assert alarms == 0
+@pytest.mark.parametrize("seconds", [0.01, 4.0])
+def test_law_few_photons_alone_are_no_gain(seconds):
+    """Shares of 120 photons a scene err by a tenth and more; half of the light is no error."""
+    rng, scenes = np.random.default_rng(6), 3
+    known = Detectors(count=2, shares=((0.5, 0.5), (0.4, 0.6)), spread=(0.0, 0.0))
+
+    def found(gain: float, mean: float) -> list:
+        detectors = []
+        for share in (0.5 * gain, 0.5):
+            photons = rng.poisson(mean * share, (scenes, 4, 1))
+            open_s = np.full((scenes, 4, 1), seconds)
+            places = np.zeros((4, 1)), np.arange(scenes), (0, 2), (1, 3), ()
+            curve = LightCurve(photons, open_s, *places, "", sees_part=True)
+            none = Background(np.zeros(scenes), np.ones(scenes), [slice(0, scenes)])
+            detectors.append(PassLight.of(curve, none, 1e-4))
+        return find_unequal_gains(detectors, known)
+
+    assert sum(bool(found(1.0, 20)) for _ in range(300)) == 0
+    assert all(found(0.3, 2e3) for _ in range(20))

@@ -9,8 +9,6 @@ from deepfsi.camera.light import detector_shares
 from deepfsi.hardware.calibration import find_gains
 from deepfsi.hardware.counting.counting import count
 from deepfsi.hardware.counting.counts import read_counts
-from deepfsi.hardware.light.gains import find_gains as recorded_gains
-from deepfsi.hardware.light.sentinels import Background, LightCurve
 from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
@@ -108,23 +106,3 @@ def test_what_is_no_flat_field_is_refused(tmp_path):
 def test_patterns_that_know_no_shares_are_not_tested(tmp_path):
     export(tmp_path, known=False)
     assert run(tmp_path, scenes(20, 1)[0], HALF).faults == ()
-
-
-@pytest.mark.parametrize("seconds", [0.01, 4.0])
-def test_law_few_photons_alone_are_no_gain(seconds):
-    """Shares of 120 photons a scene err by a tenth and more; half of the light is no error."""
-    rng, scenes = np.random.default_rng(6), 3
-    known = Detectors(count=2, shares=((0.5, 0.5), (0.4, 0.6)), spread=(0.0, 0.0))
-
-    def found(gain: float, mean: float) -> list:
-        curves = []
-        for share in (0.5 * gain, 0.5):
-            photons = rng.poisson(mean * share, (scenes, 4, 1))
-            open_s = np.full((scenes, 4, 1), seconds)
-            places = np.zeros((4, 1)), np.arange(scenes), (0, 2), (1, 3), ()
-            curves.append(LightCurve(photons, open_s, *places, ""))
-        none = Background(np.zeros(scenes), np.ones(scenes), [slice(0, scenes)])
-        return recorded_gains(curves, [none, none], known)
-
-    assert sum(bool(found(1.0, 20)) for _ in range(300)) == 0
-    assert all(found(0.3, 2e3) for _ in range(20))
