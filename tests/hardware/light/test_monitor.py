@@ -5,7 +5,8 @@ import pytest
 from scipy.optimize import brentq
 from scipy.stats import poisson
 
-from deepfsi.hardware.light import CHECKS, FALSE_ALARMS, PARTS, Arrivals, LightMonitor
+from deepfsi.hardware.light import FALSE_ALARMS, PARTS, Arrivals, LightMonitor
+from deepfsi.hardware.light.checks import CHECKS
 from deepfsi.hardware.light.curves import EXCESS
 from deepfsi.hardware.light.flux import HARMLESS
 from deepfsi.hardware.patterns.sequence import Brightness

@@ -1,6 +1,6 @@
 """The light of a run, checked against what it should be."""
 
-from deepfsi.hardware.light.checks import CHECKS, SPOILING, Fault, Light, check_light
+from deepfsi.hardware.light.checks import SPOILING, Fault, Light, check_light
 from deepfsi.hardware.light.curves import (
     CERTAIN_SIGMAS,
     FALSE_ALARMS,
@@ -13,7 +13,6 @@ from deepfsi.hardware.light.monitor import NO_LIGHT, LightMonitor
 
 __all__ = [
     "CERTAIN_SIGMAS",
-    "CHECKS",
     "FALSE_ALARMS",
     "NO_LIGHT",
     "PARTS",

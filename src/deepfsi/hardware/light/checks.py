@@ -36,7 +36,7 @@ from deepfsi.hardware.light.curves import (
 )
 from deepfsi.hardware.light.flux import HARMLESS, HARMLESS_DARK, Background, Flux
 from deepfsi.hardware.patterns.detectors import Detectors
-from deepfsi.hardware.patterns.sequence import Manifest
+from deepfsi.hardware.patterns.sequence import Brightness, Manifest
 
 MARKER_FAULTS = ("missing", "extra", "late", "lost")
 """Faults of the markers; the others are of the light."""
@@ -115,13 +115,28 @@ class PassLight:
             rhythms.add(curve.photons, curve.seconds, curve.middles)
         lit = _find_lit(curve, background, chance)
         sound = np.ones_like(lit) if curve.sees_part else lit.copy()
-        return cls(curve, curve if ends is None else ends, rhythms, background, lit, sound)
+        return cls(
+            curve=curve,
+            ends=curve if ends is None else ends,
+            rhythms=rhythms,
+            background=background,
+            lit=lit,
+            sound=sound,
+        )
 
     @cached_property
     def bright_rate(self) -> np.ndarray:
         """Counts/s (P,) of the scene with all light, less the background."""
         on, on_s = self.curve.together(self.curve.bright)
         return np.maximum(on / np.where(on_s > 0, on_s, 1.0) - self.background.rate, 0.0)
+
+    def measure_flux(self, brightness: Brightness | None, chance: float) -> np.ndarray:
+        """Flux (P,), from passes whose light was steady if any was; it is kept with its changes."""
+        used = self.sound if self.sound.any() else self.lit
+        self.flux = Flux.of(
+            self.curve, self.background, used=used, brightness=brightness, chance=chance
+        )
+        return self.flux.rate
 
 
 def _find_lit(curve: LightCurve, background: Background, chance: float) -> np.ndarray:
@@ -196,10 +211,12 @@ class FastChange(LightCheck):
         curve = light.ends
         photons, seconds = curve.of(curve.bright)
         counted = (seconds > 0).all(axis=1) & (photons.sum(axis=1) > 0)
-        photons, seconds = photons[counted].astype(np.float64), seconds[counted]
+        photons = photons[counted].astype(np.float64)
+        seconds = seconds[counted]
         if len(photons) < 3:
             return
-        both, share = photons.sum(axis=1), seconds[:, 0] / seconds.sum(axis=1)
+        both = photons.sum(axis=1)
+        share = seconds[:, 0] / seconds.sum(axis=1)
         spread = both * share * (1 - share)
         off = photons[:, 0] - both * share
         steps = off**2 / (EXCESS * spread + (HARMLESS * spread) ** 2)
@@ -226,7 +243,8 @@ class NoLight(LightCheck):
         curve = light.curve
         if curve.sees_part:
             return
-        (on, on_s), (off, off_s) = curve.together(curve.bright), curve.together(curve.dark)
+        (on, on_s) = curve.together(curve.bright)
+        (off, off_s) = curve.together(curve.dark)
         for index in np.flatnonzero(~light.lit).tolist():
             rate = float(on[index]) / max(float(on_s[index]), 1e-300)
             dark_rate = float(off[index]) / max(float(off_s[index]), 1e-300)
@@ -246,9 +264,10 @@ class BrighterMask(LightCheck):
     def find(self, light: PassLight, chance: float) -> Iterator[Fault]:
         """Faults of passes, each with its brightest frame."""
         curve = light.curve
-        photons, seconds = curve.photons.sum(axis=2), curve.seconds.sum(axis=2)
+        photons = curve.photons.sum(axis=2)
+        seconds = curve.seconds.sum(axis=2)
         on, on_s = curve.together(curve.bright)
-        chances = excess_chance(photons, seconds, on[:, None], on_s[:, None], 1 + HARMLESS)
+        chances = excess_chance(photons, seconds, on[:, None], on_s[:, None], ratio=1 + HARMLESS)
         brighter = chances * photons.size <= chance
         brighter[:, [*curve.bright, *curve.dark]] = False
         for index in np.flatnonzero(brighter.any(axis=1)).tolist():
@@ -285,7 +304,8 @@ class UnsteadyFrame(LightCheck):
 
     def find(self, light: PassLight, chance: float) -> Iterator[Fault]:
         """Faults of passes, each with its least steady frame."""
-        curve, restless = light.curve, self._find_restless(light, chance)
+        curve = light.curve
+        restless = self._find_restless(light, chance)
         for index in np.flatnonzero(restless.any(axis=1)).tolist():
             photons = curve.photons[index]
             off = photons - photons.mean(axis=1, keepdims=True)
@@ -302,7 +322,8 @@ class UnsteadyFrame(LightCheck):
     def _find_restless(self, light: PassLight, chance: float) -> np.ndarray:
         """Frames (P, F) in which the light is not steady."""
         curve = light.curve
-        total, total_s = curve.photons.sum(axis=2), curve.seconds.sum(axis=2)
+        total = curve.photons.sum(axis=2)
+        total_s = curve.seconds.sum(axis=2)
         restless = np.zeros(total.shape, bool)
         if curve.photons.shape[2] < PARTS:
             return restless  # frames were counted whole
@@ -311,14 +332,15 @@ class UnsteadyFrame(LightCheck):
         ratio = np.where(total_s > 0, 1 + np.maximum(HARMLESS, harmless), 1.0)
         tests = 2 * len(self.SPLITS) * total.size
         for split in self.SPLITS:
-            some, some_s = curve.photons @ split, curve.seconds @ split
+            some = curve.photons @ split
+            some_s = curve.seconds @ split
             share = some_s / np.where(total_s > 0, total_s, 1.0)
             noise = np.sqrt(np.maximum(total * share * (1 - share), 1e-300))
             far = np.abs(some - total * share) > self.LOOKED_AT_SIGMAS * noise
             inside = some[far], some_s[far]
             outside = (total - some)[far], (total_s - some_s)[far]
-            more = excess_chance(*inside, *outside, ratio[far])
-            less = excess_chance(*outside, *inside, ratio[far])
+            more = excess_chance(*inside, *outside, ratio=ratio[far])
+            less = excess_chance(*outside, *inside, ratio=ratio[far])
             restless[far] |= np.minimum(more, less) * tests <= chance
         return restless
 
@@ -331,7 +353,8 @@ class Drift(LightCheck):
 
     def find(self, light: PassLight, chance: float) -> Iterator[Fault]:
         """Faults of passes whose two bright frames, or else two dark ones, differ."""
-        curve, background = light.curve, light.background
+        curve = light.curve
+        background = light.background
         spent = np.where(background.seconds > 0, background.seconds, 1.0)
         floor = (background.photons + 1) / spent
         bright = self._differ(curve, curve.bright, 1 + HARMLESS, chance)
@@ -352,9 +375,10 @@ class Drift(LightCheck):
     ) -> np.ndarray:
         """Passes (P,) in which one of two frames is brighter than the other, by more than that."""
         photons, seconds = curve.of(frames)
-        (one, other), (one_s, other_s) = photons.T, seconds.T
-        more = excess_chance(one, one_s, other, other_s, ratio)
-        less = excess_chance(other, other_s, one, one_s, ratio)
+        (one, other) = photons.T
+        (one_s, other_s) = seconds.T
+        more = excess_chance(one, one_s, other, other_s, ratio=ratio)
+        less = excess_chance(other, other_s, one, one_s, ratio=ratio)
         return np.asarray(np.minimum(more, less) * 2 * len(photons) <= chance)
 
 
@@ -367,7 +391,8 @@ class BackgroundChange(LightCheck):
 
     def find(self, light: PassLight, chance: float) -> Iterator[Fault]:
         """Faults of the scenes from which on it is another."""
-        background, curve = light.background, light.curve
+        background = light.background
+        curve = light.curve
         for segment in background.segments[1:]:
             before, after = background.rate[[segment.start - 1, segment.start]]
             detail = (
@@ -517,7 +542,9 @@ def check_light(
     wired = [tuple(inputs[first : first + count]) for first in range(0, len(inputs), count)]
     curves = Curves.of(arrivals, scenes, wired)
     chance = FALSE_ALARMS / len(curves.every) / len(CHECKS)
-    lights, faults, of_arms = [], list[Fault](), set[tuple[str, int | None]]()
+    lights = []
+    faults = list[Fault]()
+    of_arms = set[tuple[str, int | None]]()
     for curve in curves.every:
         light = PassLight.of(curve, Background.of(curve, chance), chance)
         tested = light.sound.copy()
@@ -530,12 +557,12 @@ def check_light(
             of_arms |= {(fault.kind, fault.scene) for fault in of_curve}
         faults += of_curve
         lights.append(light)
-    arms, of_inputs = lights[: len(curves.arms)], lights[-len(curves.inputs) :]
+    arms = lights[: len(curves.arms)]
+    of_inputs = lights[-len(curves.inputs) :]
     for light in of_inputs:
         faults += run_checks(light, "inputs", chance)
     first = arms[0]
-    steady = first.sound if first.sound.any() else first.lit
-    first.flux = Flux.of(first.curve, first.background, steady, manifest.brightness, chance)
+    flux = first.measure_flux(manifest.brightness, chance)
     faults += run_checks(first, "arm", chance)
     if curves.detectors:
         faults += find_blind_detectors(of_inputs)
@@ -544,7 +571,7 @@ def check_light(
     faults.sort(key=lambda fault: (fault.scene is not None, fault.scene))
     rates = np.stack([light.background.rate for light in of_inputs], axis=1)
     lit = np.logical_and.reduce([light.lit for light in arms])
-    return Light(first.flux.rate, rates, lit, tuple(faults))
+    return Light(flux, rates, lit, tuple(faults))
 
 
 def find_blind_detectors(detectors: Sequence[PassLight]) -> list[Fault]:
@@ -580,7 +607,8 @@ def find_unequal_gains(detectors: Sequence[PassLight], trained: Detectors | None
     every = rates.sum()
     if not every > 0:
         return []
-    share, classes = rates.sum(axis=1) / every, np.array(trained.shares).T
+    share = rates.sum(axis=1) / every
+    classes = np.array(trained.shares).T
     spread = np.array(trained.spread) / np.sqrt(rates.shape[1])
     noise = np.sqrt(((photons + 1) / seconds**2).sum(axis=1)) / every
     allowed = HARMLESS * classes.max(axis=1) + CERTAIN_SIGMAS * np.hypot(spread, noise)
@@ -674,10 +702,8 @@ class Periodogram:
             self._evidence = np.zeros((4, len(self._hertz)))
         step = max(1, self.AT_ONCE // middles.size)
         for a in range(0, len(self._hertz), step):
-            more, so_far = (
-                self._gather(blocks, self._hertz[a : a + step]),
-                self._evidence[:, a : a + step],
-            )
+            more = self._gather(blocks, self._hertz[a : a + step])
+            so_far = self._evidence[:, a : a + step]
             so_far[1] = np.maximum(so_far[1], more[1])
             so_far[[0, 2, 3]] += more[[0, 2, 3]]
 
@@ -709,7 +735,8 @@ class Periodogram:
         if longest <= 0 or part_s <= 0:
             return np.empty(0)
         top = min(0.5 / part_s, self.MOST_HZ)
-        first, step = 1 / longest, 0.5 / longest
+        first = 1 / longest
+        step = 0.5 / longest
         number = int(min(max((top - first) / step + 1, 0), self.MOST_FREQUENCIES))
         return first + step * np.arange(number)
 
@@ -718,7 +745,8 @@ class Periodogram:
         out = np.zeros((4, len(hertz)))
         for block in blocks:
             phase = 2 * np.pi * block.middles[..., None] * hertz
-            cosine, sine = np.cos(phase), np.sin(phase)
+            cosine = np.cos(phase)
+            sine = np.sin(phase)
             centred = [wave - wave.mean(axis=1, keepdims=True) for wave in (cosine, sine)]
             number = block.photons.astype(np.float64)
             lacks = block.lacks.reshape(len(number), -1)

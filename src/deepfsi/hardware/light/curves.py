@@ -139,8 +139,10 @@ class Curves:
     def of(cls, arrivals: Arrivals, scenes: np.ndarray, wired: Sequence[tuple[int, ...]]) -> Self:
         """Curves of passes (P) of these scenes (P,); `wired`: inputs of each arm's detectors."""
         last = len(arrivals.frames) - 1
-        on, off = (0, last - 1), (1, last)
-        arms, detectors = [], []
+        on = (0, last - 1)
+        off = (1, last)
+        arms = []
+        detectors = []
         for arm, inputs in enumerate(wired):
             first = arm * len(inputs)
             photons, seconds = _as_poisson(arrivals, slice(first, first + len(inputs)))

@@ -67,7 +67,9 @@ def find_segments(rates: PassRates, allowed: AllowedRatio, chance: float) -> lis
     chance : float
         Chance at most by which a row of one rate is cut.
     """
-    segments, todo, sums = [], [(0, len(rates.counts))], rates.sums()
+    segments = []
+    todo = [(0, len(rates.counts))]
+    sums = rates.sums()
     while todo:
         start, stop = todo.pop()
         cut = _find_cut(sums[:, start : stop + 1], allowed, chance)
@@ -85,14 +87,16 @@ def _find_cut(sums: np.ndarray, allowed: AllowedRatio, chance: float) -> tuple[i
     if passes < 2:
         return None
     edges = np.arange(1, passes)
-    starts, stops = [np.zeros_like(edges)], [edges]
+    starts = [np.zeros_like(edges)]
+    stops = [edges]
     length = 1
     while length <= passes // 2:
         first = np.arange(1, passes - length)
         starts.append(first)
         stops.append(first + length)
         length *= 2
-    start, stop = np.concatenate(starts), np.concatenate(stops)
+    start = np.concatenate(starts)
+    stop = np.concatenate(stops)
     clearness, chances = _compare(sums, start, stop, allowed)
     best = int(np.argmax(clearness))
     if chances[best] * len(start) > chance:
@@ -120,10 +124,11 @@ def _compare(
     passes = sums.shape[1] - 1
     inner = sums[:, stop] - sums[:, start]
     outer = sums[:, -1:] - sums[:, :1] - inner
-    (one, one_s), (other, other_s) = _as_photons(inner), _as_photons(outer)
+    (one, one_s) = _as_photons(inner)
+    (other, other_s) = _as_photons(outer)
     ratio = allowed(stop - start, passes - (stop - start))
-    more = excess_chance(one, one_s, other, other_s, ratio)
-    less = excess_chance(other, other_s, one, one_s, ratio)
+    more = excess_chance(one, one_s, other, other_s, ratio=ratio)
+    less = excess_chance(other, other_s, one, one_s, ratio=ratio)
     apart = np.abs(np.log((one + 0.5) / one_s) - np.log((other + 0.5) / other_s)) - np.log(ratio)
     clearness = apart / np.sqrt(1 / (one + 0.5) + 1 / (other + 0.5))
     return clearness, np.minimum(1.0, 2 * np.minimum(more, less))
@@ -131,7 +136,9 @@ def _compare(
 
 def _as_photons(sums: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Photons, and the time they take, of Poisson counts with the same rate and relative error."""
-    counts, variances, seconds = np.maximum(sums[0], 0.0), sums[1], sums[2]
+    counts = np.maximum(sums[0], 0.0)
+    variances = sums[1]
+    seconds = sums[2]
     # Counts below their noise, or less than 0, tell as little as those that are as large as it
     size = np.maximum(counts, np.sqrt(variances))
     weight = np.where(variances > 0, size / np.where(variances > 0, variances, 1.0), 1.0)
@@ -154,9 +161,11 @@ class Background:
         ratio = 1 + HARMLESS_DARK * _usual_light(curve) / usual
         rates = PassRates(photons, photons, seconds)
         segments = find_segments(rates, lambda *_: np.array(ratio), chance)
-        pooled, pooled_s = photons.astype(np.float64), seconds.copy()
+        pooled = photons.astype(np.float64)
+        pooled_s = seconds.copy()
         for segment in segments:
-            pooled[segment], pooled_s[segment] = photons[segment].sum(), seconds[segment].sum()
+            pooled[segment] = photons[segment].sum()
+            pooled_s[segment] = seconds[segment].sum()
         return cls(pooled, pooled_s, segments)
 
     @property
@@ -172,7 +181,8 @@ class Background:
 
 def _usual_light(curve: LightCurve) -> float:
     """Median over passes of the rate with all light less that with none, counts/s."""
-    (on, on_s), (off, off_s) = curve.together(curve.bright), curve.together(curve.dark)
+    (on, on_s) = curve.together(curve.bright)
+    (off, off_s) = curve.together(curve.dark)
     counted = (on_s > 0) & (off_s > 0)
     if not counted.any():
         return 0.0
@@ -201,6 +211,7 @@ class Flux:
         cls,
         curve: LightCurve,
         background: Background,
+        *,
         used: np.ndarray,
         brightness: Brightness | None,
         chance: float,
@@ -214,9 +225,11 @@ class Flux:
             return cls(np.full(len(used), np.nan))
         rate = background.rate
         error = rate**2 / np.maximum(background.photons, 1)
-        counts, noise = (on - rate * on_s)[used], on[used] + error[used] * on_s[used] ** 2
+        counts = (on - rate * on_s)[used]
+        noise = on[used] + error[used] * on_s[used] ** 2
         rates = PassRates(counts, noise, on_s[used])
-        segments, passes = [slice(0, int(used.sum()))], np.flatnonzero(used)
+        segments = [slice(0, int(used.sum()))]
+        passes = np.flatnonzero(used)
         if brightness is not None:
             segments = find_segments(rates, allowed_ratio(brightness), chance)
             line = _fit_decay(rates, segments, brightness)
@@ -224,7 +237,8 @@ class Flux:
                 every = np.interp(np.arange(len(used)), passes, line)
                 return cls(every, trend=line[-1] / line[0])
         starts = [0, *(int(passes[segment.start]) for segment in segments[1:]), len(used)]
-        lengths, scenes = np.diff(starts), curve.scenes[passes]
+        lengths = np.diff(starts)
+        scenes = curve.scenes[passes]
         levels = [
             Level(scenes[segment.start], scenes[segment.stop - 1], rates.mean(segment))
             for segment in segments
@@ -239,7 +253,8 @@ def _fit_decay(
     passes = len(rates.counts)
     if passes < LEAST_FOR_DECAY or not (rates.counts > 0).all():
         return None
-    logs, when = np.log(rates.counts / rates.seconds), np.arange(passes) - (passes - 1) / 2
+    logs = np.log(rates.counts / rates.seconds)
+    when = np.arange(passes) - (passes - 1) / 2
     line = logs.mean() + when * ((logs @ when) / (when @ when))
     change = abs(float(line[-1] - line[0]))
     noise = brightness.within**2 + float((rates.variances / rates.counts**2).mean())
@@ -259,7 +274,8 @@ def _fit_decay(
 
 def allowed_ratio(brightness: Brightness) -> AllowedRatio:
     """Ratio by which the mean brightness of two groups of scenes may differ."""
-    low, high = brightness.low, brightness.high
+    low = brightness.low
+    high = brightness.high
     most = RANGE_SLACK * np.log(high / low) if low > 0 else np.inf
 
     def allowed(one: np.ndarray, other: np.ndarray) -> np.ndarray:

@@ -26,7 +26,7 @@ from deepfsi.hardware.light.curves import (
     LightCurve,
     excess_chance,
 )
-from deepfsi.hardware.light.flux import Background, Flux, allowed_ratio
+from deepfsi.hardware.light.flux import Background, allowed_ratio
 from deepfsi.hardware.patterns.sequence import Manifest
 
 NO_LIGHT = 0.01
@@ -93,7 +93,8 @@ class LightMonitor:
         )
         self._ends.append(Arrivals.join([first, unknown]))
         curves = self._find_backgrounds()
-        arm, dark = curves.every[0], self._backgrounds[0]
+        arm = curves.every[0]
+        dark = self._backgrounds[0]
         self.dark = np.array([one.rate[-1] for one in self._backgrounds[-len(self.dark) :]])
         on, on_s = arm.together(arm.bright)
         unlit = dark.photons[-1] + self.ambient * dark.seconds[-1]
@@ -107,10 +108,7 @@ class LightMonitor:
             changes += run_checks(self._so_far(curve, background), "inputs", self._chance)
         if lit:
             light = self._so_far(arm, dark)
-            steady = light.sound if light.sound.any() else light.lit
-            brightness = self._manifest.brightness
-            light.flux = Flux.of(arm, dark, steady, brightness, self._chance)
-            rates = light.flux.rate
+            rates = light.measure_flux(self._manifest.brightness, self._chance)
             self.flux = float(rates[-1]) - self.ambient
             self.since = int(np.flatnonzero(rates != rates[-1]).max(initial=-1)) + 1
             changes += run_checks(light, "arm", self._chance)
@@ -120,7 +118,8 @@ class LightMonitor:
 
     def end(self, lists: Sequence[Arrivals]) -> tuple[Fault, ...]:
         """Faults of the light of the scene that ends, from all lists of its frames."""
-        scene, last = Arrivals.join(lists), len(self._ends) - 1
+        scene = Arrivals.join(lists)
+        last = len(self._ends) - 1
         frames = len(scene.frames)
         self._ends[-1] = scene.select([0, 1, frames - 2, frames - 1])
         history = self._find_backgrounds()
@@ -143,7 +142,8 @@ class LightMonitor:
             faults += [fault for fault in of_curve if fault.kind not in of_arms]
             if index == len(curves.arms) - 1:
                 of_arms = {fault.kind for fault in faults}
-        scenes, lit = np.arange(last + 1), np.array(self._lit)
+        scenes = np.arange(last + 1)
+        lit = np.array(self._lit)
         lost = np.empty(0, np.int64)
         faults += find_restless_lamp(scenes, lit, np.array(self._sound), lost)
         return tuple(faults)
@@ -159,7 +159,8 @@ class LightMonitor:
         used = np.flatnonzero(self._lit)
         used = used[used >= self.since]
         on, on_s = curve.together(curve.bright)
-        counts, seconds = float(on[used].sum()), float(on_s[used].sum())
+        counts = float(on[used].sum())
+        seconds = float(on_s[used].sum())
         rate = float(self._backgrounds[0].rate[-1]) + self.ambient
         ratio = allowed_ratio(brightness)(np.array(len(used)), np.array(np.inf)) * 1.0
         most, least = ((photons_s * factor + rate) * seconds for factor in (ratio, 1 / ratio))
@@ -169,8 +170,14 @@ class LightMonitor:
 
     def _so_far(self, curve: LightCurve, background: Background) -> PassLight:
         """Light of all scenes so far, by what was found of each as it ended."""
-        lit, sound = np.array(self._lit), np.array(self._sound)
-        return PassLight(curve, curve, Periodogram(), background, lit, sound)
+        return PassLight(
+            curve=curve,
+            ends=curve,
+            rhythms=Periodogram(),
+            background=background,
+            lit=np.array(self._lit),
+            sound=np.array(self._sound),
+        )
 
     def _curves_of_ends(self) -> Curves:
         """Curves of the all-ON and all-OFF frames of all scenes."""
