@@ -38,8 +38,7 @@ from deepfsi.hardware.drivers import (
     StreamingCounter,
     StreamingProjector,
 )
-from deepfsi.hardware.light.monitor import NO_LIGHT
-from deepfsi.hardware.light.tails import excess_chance
+from deepfsi.hardware.light import NO_LIGHT, excess_chance
 from deepfsi.hardware.live import shown
 from deepfsi.hardware.live.decisions import OFF, Decision, Observer
 from deepfsi.hardware.live.known import read_looks
