@@ -1,10 +1,9 @@
 """Rooms of the package, counted in its source while the site is built.
 
-The directive `rooms` makes a table of all rooms: what each is for, its modules, lines, and names
-that its door exports, and the rooms that it imports from. Nothing in it is written by hand.
+The directive `rooms` makes a table of all rooms: their modules, lines, and names that their doors
+export, and the rooms that they import from. Nothing in it is written by hand.
 """
 
-import ast
 import sys
 from pathlib import Path
 
@@ -18,11 +17,6 @@ sys.path.append(str(ROOT / "tests"))
 from shared.house import House, all_names  # noqa: E402
 
 
-def purpose(module):
-    """First sentence of the docstring of a door."""
-    return ast.get_docstring(module.tree).partition("\n\n")[0]
-
-
 def counted(house):
     """Text and table of a house."""
     rows = []
@@ -34,12 +28,12 @@ def counted(house):
         exports = len(all_names(door.tree) or ())
         counts = sorted(house.neighbours[room].items(), key=lambda item: -item[1])
         others = ", ".join(f"{name} {count}" for name, count in counts)
-        rows.append([f"`{room}`", purpose(door), str(len(modules)), str(lines), str(exports)])
-        rows[-1].append(others or "none")
+        numbers = [str(number) for number in (len(modules), lines, exports)]
+        rows.append([f"`{room}`", *numbers, others or "none"])
     modules = sum(not module.is_door for module in house.modules.values())
     lines = sum(module.lines for module in house.modules.values())
     text = f"The package has {len(rows)} rooms, {modules} modules and {lines} lines."
-    heads = ["room", "what it is for", "modules", "lines", "exports", "imports from, how many"]
+    heads = ["room", "modules", "lines", "exports", "imports from, how many names"]
     return f"{text}\n\n{table(heads, rows, 'stacked')}"
 
 
