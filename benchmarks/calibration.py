@@ -24,6 +24,7 @@ from deepfsi.datasets import Dataset
 from deepfsi.design.adaptive.design import AdaptiveDesign
 from deepfsi.design.confidence import chance_error, confidence_error, logits_at_stops
 from deepfsi.design.evaluation import scanner_for
+from deepfsi.design.temperatures import stop_temperatures
 from deepfsi.jobs.job import Job
 from deepfsi.training.characterisation import find_temperatures
 
@@ -63,7 +64,7 @@ def answers(design: Any, data: Dataset, photons: float, seed: int, tests: int) -
         x, y = data.x_test, data.y_test
         scanner = scanner_for(design, design.camera)
         logits = logits_at_stops(design, scanner, x, photons, 1, seed)[-1]
-        temperature = float(design.temperatures.of_stops(photons)[-1])
+        temperature = float(stop_temperatures(design.temperatures, photons)[-1])
     both = (softmax(logits / each, axis=1).max(axis=1) for each in (temperature, 1.0))
     return *both, logits.argmax(axis=1) == y
 

@@ -17,7 +17,7 @@ from scipy.ndimage import gaussian_filter
 
 from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.design.artifact import Design
-from deepfsi.design.consistency import REFUSED
+from deepfsi.designfile import REFUSED
 from deepfsi.training.learning import learn
 
 BUDGETS = (1e3, 1e4, 1e5, 1e6)

@@ -21,8 +21,8 @@ from deepfsi.camera.device import DEVICES
 from deepfsi.design.adaptive.exposures import look_at
 from deepfsi.design.adaptive.misfit import squared_distance
 from deepfsi.design.adaptive.posterior import AdaptivePosterior, LookOptics
-from deepfsi.design.consistency import REFUSED, UNSURE, ReadoutDistribution
 from deepfsi.design.readout_fit import find_distribution
+from deepfsi.designfile import REFUSED, UNSURE, ReadoutDistribution
 from deepfsi.hardware.counting.gates import Frames, Windows, find_lateness
 from deepfsi.hardware.light import FALSE_ALARMS, PARTS, Arrivals, LightMonitor, check_light
 from deepfsi.hardware.patterns.detectors import Detectors

@@ -23,6 +23,7 @@ from deepfsi.datasets import Dataset
 from deepfsi.design.adaptive.design import AdaptiveDesign
 from deepfsi.design.confidence import chance_error, confidence_error, logits_at_stops
 from deepfsi.design.evaluation import scanner_for
+from deepfsi.design.temperatures import stop_temperatures
 
 DESIGNS: dict[str, dict[str, Any]] = {
     "adaptive masks": {"design": "adaptive", "masks": 16},
@@ -70,7 +71,7 @@ def answers(design: Any, data: Dataset, photons: float, seed: int) -> tuple[np.n
         return found[0], found[1]
     scanner = scanner_for(design, design.camera)
     logits = logits_at_stops(design, scanner, data.x_test, photons, 1, seed)[-1]
-    temperature = design.temperatures.of_stops(photons)[-1]
+    temperature = stop_temperatures(design.temperatures, photons)[-1]
     return softmax(logits / temperature, axis=1), softmax(logits, axis=1)
 
 

@@ -39,12 +39,12 @@ from pathlib import Path
 import numpy as np
 
 from deepfsi.camera.device import find_device
+from deepfsi.designfile import DesignFile, MaskHeader, loop_bytes
 from deepfsi.hardware.counting.acquisition import Scene
 from deepfsi.hardware.counting.streaming import FrameCounts, FrameGates, StreamCounter
 from deepfsi.hardware.drivers import Setup
 from deepfsi.hardware.live.decisions import FrameList, Observer
 from deepfsi.hardware.live.known import KnownMasks
-from deepfsi.hardware.live.loop import Loop, LoopHeader
 from deepfsi.hardware.live.run import plan_live, run_live
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns, read_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
@@ -59,6 +59,7 @@ from deepfsi.hardware.virtual import (
     VirtualProjector,
     arrival_rates,
 )
+from deepfsi.lab.rails import looks_of
 
 FLUX, TICK_S, SETTLE_S = 1e7, 1e-12, 1e-5
 GATE = 0.8
@@ -183,35 +184,34 @@ LOOKS, MASKS, EXPOSURE_S = 4, 60, 10e-3
 """Of the loop that is timed: those of the README's design."""
 
 
-def made_loop(masks: int, hidden: Sequence[int]) -> Loop:
-    """A loop of some size, whose weights are drawn."""
+def made_design(masks: int, hidden: Sequence[int]) -> DesignFile:
+    """A design of several looks of some size, whose masks and weights are drawn."""
     rng = np.random.default_rng(0)
-    header = LoopHeader(
-        looks=LOOKS, masks=masks, rails=1, detectors=1, each_rail=False, readout="difference",
-        classes=tuple("0123456789"), largest_score=4.0, shortest=0.0,
+    header = MaskHeader(
+        name="deepfsi", light="free-dwell", readout="difference", summed_reflectance=32.0,
+        image_shape=(8, 8), classes=tuple("0123456789"), info={},
+        exposure={"kind": "adaptive", "looks": LOOKS, "hidden": hidden, "shortest": 0.0},
+        classifier={"kind": "mlp", "hidden": hidden, "dropout": 0.0},
     )  # fmt: skip
-
-    def layers(*widths: int) -> tuple:
-        return tuple(
-            (
-                rng.normal(size=pair).astype(np.float32) / pair[0] ** 0.5,
-                np.zeros(pair[1], np.float32),
-            )
-            for pair in itertools.pairwise(widths)
-        )
-
     mean = np.full(masks, 0.5 / masks, np.float32)
-    inputs = header.features + header.frames
-    networks = layers(inputs, *hidden, 10), layers(inputs + 1, *hidden, masks)
-    temperatures = np.zeros((header.looks, 9)), np.geomspace(1e2, 1e6, 9)
-    return Loop(header, mean, mean / 5, *networks, temperatures)
+    arrays = {"mean": mean, "std": mean / 5, "shares": mean}
+    widths = {"classifier": (2 * masks, *hidden, 10), "exposure": (2 * masks + 1, *hidden, masks)}
+    for network, sizes in widths.items():
+        for place, (before, after) in enumerate(itertools.pairwise(sizes)):
+            weight = rng.normal(size=(before, after)).astype(np.float32) / before**0.5
+            arrays[f"{network}.layers.{place}.weight"] = weight.T
+            arrays[f"{network}.layers.{place}.bias"] = np.zeros(after, np.float32)
+    arrays["temperatures.logs"] = np.zeros((LOOKS, 9))
+    arrays["temperatures.budgets"] = np.geomspace(1e2, 1e6, 9)
+    drawn = np.random.default_rng(2).integers(0, 2, (1, masks, 64)) / masks
+    return DesignFile(header, arrays | {"rails": drawn.astype(np.float32)})
 
 
-def decide(loop: Loop, features: np.ndarray, dwell: np.ndarray) -> None:
+def decide(design: DesignFile, features: np.ndarray, dwell: np.ndarray) -> None:
     """Probabilities of the classes, and the dwells of the next look."""
-    inputs = loop.inputs(features, dwell)
-    loop.classify(inputs, 1e4)
-    loop.choose(inputs, 1, 0.003)
+    inputs = design.inputs(features, dwell)
+    design.chances(inputs, 1e4)
+    design.next_dwell(inputs, 1, 0.003)
 
 
 def now() -> np.ndarray:
@@ -230,11 +230,11 @@ def decision(arguments: argparse.Namespace) -> None:
     print("| what | processor | 99 % | clock | 99 % |\n| --- | --- | --- | --- | --- |")
     rng = np.random.default_rng(1)
     for masks, hidden in ((MASKS, (40, 128)), (96, (512, 256))):
-        loop, seconds = made_loop(masks, hidden), []
+        design, seconds = made_design(masks, hidden), []
         for _ in range(arguments.times):
             features, dwell = rng.random(masks) / masks, rng.dirichlet(np.ones(masks)) / LOOKS
             began = now()
-            decide(loop, features, dwell)
+            decide(design, features, dwell)
             seconds.append(now() - began)
         widths = " and ".join(map(str, hidden))
         print_times(f"a decision, {masks} masks, hidden layers of {widths}", seconds)
@@ -254,10 +254,12 @@ def marker_to_decision(
     A virtual run is recorded; its file is then read as it came, look by look, in blocks. Reading
     the last block is part of the time, and so are counts, class, dwells and gates.
     """
-    loop = made_loop(MASKS, hidden)
-    rails = np.random.default_rng(2).integers(0, 2, (1, MASKS, 64)) / MASKS
-    design = DesignRails(rails, "free-dwell", (8, 8), 32.0, looks=loop.looks, loop=loop.to_bytes())
-    export_patterns(design, FrameSettings(find_device("64x48"), 1e-3), folder / "patterns")
+    design = made_design(MASKS, hidden)
+    rails = DesignRails(
+        design.rails, "free-dwell", (8, 8), 32.0, design.to_bytes(),
+        looks=looks_of(design), loop=loop_bytes(design),
+    )  # fmt: skip
+    export_patterns(rails, FrameSettings(find_device("64x48"), 1e-3), folder / "patterns")
     x = np.random.default_rng(3).random((arguments.scenes, 8, 8))
     rates = arrival_rates(folder / "patterns", x, VirtualCamera(), flux)
     setup = VirtualOptics(rates, VirtualCamera(), Latencies())
@@ -270,7 +272,7 @@ def marker_to_decision(
     ]
     stream = _Replayed(folder / "run" / "photons.ptu", arguments.block)
     patterns = read_patterns(folder / "patterns")
-    observer = Observer(KnownMasks(loop, patterns), patterns.manifest, acquisition)
+    observer = Observer(KnownMasks(design, patterns), patterns.manifest, acquisition)
     found = []
     for k in range(len(scenes)):
         found += [each.chances for each in observer.observe(k, stream)]

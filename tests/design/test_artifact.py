@@ -22,7 +22,8 @@ from deepfsi import Camera
 from deepfsi.base.errors import InputError
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import camera_for, evaluate
-from deepfsi.design.file_content import SCHEMA
+from deepfsi.design.temperatures import stop_temperatures
+from deepfsi.designfile.header import DESIGN_SCHEMA
 from deepfsi.training.learning import train
 from deepfsi.training.training_set import TrainingSet
 from shared.design_files import header_of, refused, rewrite
@@ -189,7 +190,7 @@ def test_a_pickle_in_disguise_is_refused_and_not_run(tmp_path, write):
 
 
 def test_a_newer_schema_asks_for_an_upgrade(saved):
-    rewrite(saved, lambda header, _: header.update(schema=SCHEMA + 1))
+    rewrite(saved, lambda header, _: header.update(schema=DESIGN_SCHEMA + 1))
     refused(saved, "upgrade deepfsi")
 
 
@@ -204,7 +205,7 @@ def test_a_file_of_another_version_is_called_so_and_a_damaged_one_is_not(saved):
     refused(
         saved, "written by deepfsi 0.1.0 with schema 3, older than .* make it again with `deepf"
     )
-    rewrite(saved, lambda header, _: header.update(deepfsi="99.0.0", schema=SCHEMA))
+    rewrite(saved, lambda header, _: header.update(deepfsi="99.0.0", schema=DESIGN_SCHEMA))
     refused(saved, "written by deepfsi 99.0.0, newer than this one: upgrade deepfsi")
     rewrite(saved, lambda header, _: header.update(deepfsi=version("deepfsi")))
     refused(saved)
@@ -353,7 +354,7 @@ def test_classify_is_the_softmax_of_logits_of_the_difference(made):
     design = made("deepfsi", "column", "dual")
     counts = some_counts(design, 5)
     features = torch.from_numpy(counts[:, 0] - counts[:, 1]).float()
-    [temperature] = design.temperatures.of_stops(1e4)
+    [temperature] = stop_temperatures(design.temperatures, 1e4)
     chances = (design.logits(features, 1e4) / temperature).softmax(dim=-1).detach().numpy()
     assert design.classify(counts, 1e4) == pytest.approx(chances, abs=1e-6)
 

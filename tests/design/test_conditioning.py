@@ -13,6 +13,7 @@ from deepfsi.camera.light import photons_per_pixel
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate
 from deepfsi.design.exposure.conditioned import ConditionedExposure
+from deepfsi.design.temperatures import stop_temperatures
 from deepfsi.jobs.job import Job
 from deepfsi.optics import constraints
 from deepfsi.optics.features import mean_over_exposures
@@ -61,7 +62,7 @@ def test_an_exposure_that_stops_is_one_of_the_first_masks_at_the_budget_so_far(
         last = torch.tensor([level, masks / 8]).expand(20, 2)
         with torch.no_grad():
             logits = design.classifier(torch.cat([scaled, last], dim=-1))
-        by_hand = (logits / design.temperatures.of_stops(5e3)[masks - 3]).softmax(dim=-1)
+        by_hand = (logits / stop_temperatures(design.temperatures, 5e3)[masks - 3]).softmax(dim=-1)
         np.testing.assert_allclose(chance, by_hand.numpy(), atol=2e-5)
 
 

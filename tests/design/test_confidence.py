@@ -20,7 +20,8 @@ from deepfsi.design.confidence import (
     logits_at_stops,
 )
 from deepfsi.design.evaluation import evaluate
-from deepfsi.design.temperatures import Temperatures, calibration_budgets
+from deepfsi.design.temperatures import stop_temperatures
+from deepfsi.designfile import Temperatures, calibration_budgets
 from deepfsi.jobs.job import Job
 from deepfsi.training.characterisation import find_temperatures
 
@@ -49,7 +50,7 @@ def fixed(digits):
 def answers(design, digits, photons, seed=1):
     """Confidence and rightness of answers to the test scenes."""
     [logits] = logits_at_stops(design, design.scanner(), digits.x_test, photons, 2, seed)[-1:]
-    [temperature] = design.temperatures.of_stops(photons)[-1:]
+    [temperature] = stop_temperatures(design.temperatures, photons)[-1:]
     right = logits.argmax(axis=1) == np.repeat(digits.y_test, 2)
     return softmax(logits, axis=1).max(axis=1), softmax(logits / temperature, axis=1), right
 
@@ -72,7 +73,9 @@ def test_two_photons_make_nobody_sure(design):
     told = []
     for each in (design, unsure):
         logits = logits_at_stops(each, each.scanner(), scenes.numpy(), 2.0, 5, 0)[-1]
-        [temperature] = each.temperatures.of_stops(2.0)[-1:] if each.temperatures else [1.0]
+        [temperature] = (
+            stop_temperatures(each.temperatures, 2.0)[-1:] if each.temperatures else [1.0]
+        )
         told.append(softmax(logits / temperature, axis=1).max(axis=1))
     assert told[0].max() < 0.75
     assert told[0].mean() < 0.25
@@ -97,7 +100,7 @@ def test_the_error_of_a_result_is_that_of_its_answers(fixed, digits):
     counts = []
     [found] = evaluate(fixed, digits, 3e3, draws=1, seed=5)
     logits = logits_at_stops(fixed, fixed.scanner(), digits.x_test, 3e3, 1, 5)[-1]
-    [temperature] = fixed.temperatures.of_stops(3e3)
+    [temperature] = stop_temperatures(fixed.temperatures, 3e3)
     sure = softmax(logits / temperature, axis=1).max(axis=1)
     order = np.argsort(sure, kind="stable")
     right = (logits.argmax(axis=1) == digits.y_test)[order]
@@ -160,27 +163,13 @@ def test_held_out_scenes_calibrate_where_there_are_any(fixed, digits):
     assert np.array_equal(own, its)
 
 
-def test_temperatures_between_budgets_and_looks():
-    held = Temperatures(np.array([[4.0, 2.0, 0.0], [2.0, 1.0, 0.0]]), np.array([1.0, 10.0, 100.0]))
-
-    def log(place, photons):
-        return float(held.at(place, torch.tensor([photons], dtype=torch.double)).log())
-
-    assert log(0, 1.0) == pytest.approx(4)
-    assert log(1, 10**1.5) == pytest.approx(0.5)
-    assert log(torch.tensor([0.5]), 10.0) == pytest.approx(1.5)
-    assert log(7, 1e9) == pytest.approx(0)  # the last look, the highest budget
-    assert log(0, 0.01) == pytest.approx(4 + np.log(100))  # as 1 / Φ
-    assert held.of_stops(1.0) == pytest.approx(np.exp([4, 2]))
-
-
 def test_first_masks_and_dimmer_devices_have_the_temperatures_of_their_light(digits, tmp_path):
     design = quick(digits.hold_out(HELD_OUT), **KINDS["nested"])
     for shown in (2, 5, 8):
         part = design.first(shown)
         share = part.exposure.used / design.exposure.used
-        wanted = design.temperatures.of_stops(3e3)[shown - 2]
-        assert part.temperatures.of_stops(3e3 * share)[-1] == pytest.approx(wanted)
+        wanted = stop_temperatures(design.temperatures, 3e3)[shown - 2]
+        assert stop_temperatures(part.temperatures, 3e3 * share)[-1] == pytest.approx(wanted)
         again = Design.load(part.save(tmp_path / "part.safetensors"))
         assert np.array_equal(again.temperatures.logs, part.temperatures.logs)
     shown = design.as_shown(design.rails.stacked.numpy() / 2, design.image_shape, 0.5)

@@ -12,6 +12,7 @@ from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate
 from deepfsi.design.onnx_graph import to_onnx
 from deepfsi.design.stopping import stop
+from deepfsi.design.temperatures import stop_temperatures
 from deepfsi.optics import constraints
 from deepfsi.optics.detection import Detection
 from shared.design_files import refused, rewrite
@@ -68,7 +69,7 @@ def test_every_kind_of_design_works_with_several_detectors(
     shown = counts.reshape(30, *loaded.counts_shape).numpy()
     with torch.no_grad():
         logits = loaded.logits(loaded.detection.features(counts), 1e4)
-    by_hand = (logits / loaded.temperatures.of_stops(1e4)[-1]).softmax(-1)
+    by_hand = (logits / stop_temperatures(loaded.temperatures, 1e4)[-1]).softmax(-1)
     np.testing.assert_allclose(loaded.classify(shown, 1e4), by_hand, atol=1e-6)
 
 

@@ -7,7 +7,7 @@ from conftest import quick
 from deepfsi.camera.light import share_out
 from deepfsi.design.artifact import Design
 from deepfsi.design.onnx_graph import to_onnx
-from shared.design_files import loop_of
+from shared.design_files import file_of
 
 onnxruntime = pytest.importorskip("onnxruntime")
 
@@ -27,13 +27,13 @@ def design(request, digits) -> Design:
 
 
 @pytest.mark.parametrize("shortest", [0.0, 0.07, 0.9])
-def test_a_graph_says_and_chooses_what_the_loop_does(design, shortest):
+def test_a_graph_says_and_chooses_what_the_file_does(design, shortest):
     """In each look of scenes with any counts and light, also where no frame is long enough."""
-    loop, rng, photons = loop_of(design), np.random.default_rng(0), 10 ** (2 + shortest)
+    file, rng, photons = file_of(design), np.random.default_rng(0), 10 ** (2 + shortest)
     session = onnxruntime.InferenceSession(to_onnx(design), providers=["CPUExecutionProvider"])
     assert [each.name for each in session.get_outputs()] == ["probabilities", "next"]
     dwells, batch = design.exposure.dwells, 4
-    rails = (loop.header.rails, loop.header.masks, loop.header.detectors)
+    rails = (file.rail_count, file.masks, file.detector_count)
     counts = np.zeros((batch, *design.counts_shape), np.float32)
     dwell = np.zeros((batch, dwells.count))
     for look in range(LOOKS):
@@ -47,10 +47,10 @@ def test_a_graph_says_and_chooses_what_the_loop_does(design, shortest):
         chances, asked = session.run(None, given)
         chosen = dwells.by_mask(asked)
         for k in range(batch):
-            inputs = loop.inputs(loop.features(counts[k].reshape(rails)) / photons, dwell[k])
-            wanted = share_out(loop.choose(inputs, look), shortest)
+            inputs = file.inputs(file.features(counts[k].reshape(rails)) / photons, dwell[k])
+            wanted = share_out(file.next_dwell(inputs, look), shortest)
             np.testing.assert_allclose(chosen[k], wanted, rtol=1e-3, atol=1e-7)
-            np.testing.assert_allclose(chances[k], loop.classify(inputs, photons), atol=1e-5)
+            np.testing.assert_allclose(chances[k], file.chances(inputs, photons), atol=1e-5)
         dwell = dwell + chosen
         mean = photons * float(design.shares.mean()) / LOOKS
         counts = counts + rng.poisson(mean, counts.shape).astype(np.float32)

@@ -15,6 +15,7 @@ from deepfsi.design import own
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate
 from deepfsi.design.onnx_graph import to_onnx
+from deepfsi.design.temperatures import stop_temperatures
 from deepfsi.optics.detection import Detection
 from deepfsi.optics.masks import LearnedMasks
 from shared.design_files import header_of, refused, rewrite
@@ -330,7 +331,7 @@ def test_a_loop_of_ones_own_keeps_its_detectors(digits, tmp_path, detectors, rea
     design = Design.load(path, classifier=network)
     x = torch.from_numpy(digits.x_test[:20])
     photons = deepfsi.photons_per_pixel(x, 1e4, design.summed_reflectance)
-    [temperature] = design.temperatures.of_stops(1e4)  # of a network that knows nothing
+    [temperature] = stop_temperatures(design.temperatures, 1e4)  # of a network that knows nothing
     mine = (network(scanner(photons)) / temperature).softmax(dim=-1).detach().numpy()
     counts = design.scanner("none").counts(photons)
     counts = counts if detectors == "1x1" else counts.unflatten(-1, (3, 4))

@@ -38,7 +38,7 @@ class Reader:
 def read_design(path: Path) -> None:
     from deepfsi.design.artifact import Design
     from deepfsi.design.stopping import rule_of
-    from deepfsi.design.training_data import trained_on
+    from deepfsi.designfile import trained_on
     from deepfsi.lab.camera import camera_of
 
     design = Design.load(path)
@@ -57,7 +57,7 @@ def read_design(path: Path) -> None:
 
 def read_adaptive(path: Path) -> None:
     from deepfsi.design.adaptive.design import load_design
-    from deepfsi.design.training_data import trained_on
+    from deepfsi.designfile import trained_on
 
     design = load_design(path)
     repr(design)
@@ -73,9 +73,15 @@ def read_shown_design(path: Path) -> None:
 
 
 def read_loop(path: Path) -> None:
-    from deepfsi.hardware.live.loop import read_loop
+    from deepfsi.designfile import read_loop
+    from deepfsi.hardware.patterns.folder import read_patterns
 
-    assert np.isfinite(read_loop(path).first).all()
+    patterns = read_patterns(path.parent)
+    rails, image_shape, _ = patterns.realised
+    about = patterns.manifest.light, patterns.manifest.summed_reflectance
+    facts = dict(zip(("light", "summed_reflectance"), about, strict=True))
+    design = read_loop(path, rails, image_shape=image_shape, **facts)
+    assert np.isfinite(design.first_dwell).all()
 
 
 def read_patterns(path: Path) -> None:
@@ -156,9 +162,9 @@ def read_recipe(path: Path) -> None:
 
 
 def read_index(path: Path) -> None:
-    from deepfsi.design.published import Index
+    from deepfsi.designfile import CollectionIndex
 
-    Index.read(path.parent)
+    CollectionIndex.read(path.parent)
 
 
 def read_list(path: Path) -> None:

@@ -12,7 +12,7 @@ from selenium.webdriver.common.by import By
 from conftest import quick, synthetic
 from deepfsi.design.payload import playable
 from deepfsi.report.playground.page import write_page
-from shared.design_files import loop_of
+from shared.design_files import file_of
 from shared.playground import (
     KINDS,
     VECTORS,
@@ -89,14 +89,14 @@ def test_classes_and_rates_are_those_of_the_design(opened, designs, digits, kind
 @pytest.mark.parametrize("kind", ["looks", "looks-both"])
 def test_dwells_are_those_of_a_live_run(opened, designs, digits, kind):
     design, browser = designs[kind], opened(kind)
-    loop = loop_of(design)
+    file = file_of(design)
     _, photons, _, counts = read_counts(design, digits, kind)
     rng = np.random.default_rng(2)
-    dwell = rng.dirichlet(np.ones(loop.header.frames), VECTORS)
-    looks = rng.integers(0, loop.header.looks, VECTORS)
-    shape = (loop.header.rails, loop.header.masks, 1)
+    dwell = rng.dirichlet(np.ones(file.frames), VECTORS)
+    looks = rng.integers(0, file.looks.looks, VECTORS)
+    shape = (file.rail_count, file.masks, 1)
     wanted = [
-        loop.choose(loop.inputs(loop.features(c.reshape(shape)) / phi, d), look)
+        file.next_dwell(file.inputs(file.features(c.reshape(shape)) / phi, d), look)
         for c, phi, d, look in zip(counts, photons, dwell, looks, strict=True)
     ]
     found = ask(

@@ -13,8 +13,7 @@ from safetensors.torch import load_file, save_file
 
 from deepfsi.base.errors import InputError
 from deepfsi.design.artifact import Design
-from deepfsi.hardware.live.loop import Loop
-from deepfsi.lab.rails import ShownDesign
+from deepfsi.designfile import DesignFile
 
 
 def header_of(path: Path) -> dict[str, Any]:
@@ -37,7 +36,7 @@ def refused(path: Path, match: str = "not a whole deepfsi design file") -> None:
     assert "\n" not in str(error.value)
 
 
-def loop_of(design: Design) -> Loop:
-    """Loop of a design, from its file."""
+def file_of(design: Design) -> DesignFile:
+    """File of a design, written and read."""
     with tempfile.TemporaryDirectory() as folder:
-        return ShownDesign.read(design.save(Path(folder) / "design.safetensors")).loop
+        return DesignFile.read(design.save(Path(folder) / "design.safetensors"))

@@ -12,7 +12,7 @@ import pytest
 from deepfsi.base import interrupts
 from deepfsi.datasets import from_arrays, idx
 from deepfsi.design.adaptive.design import AdaptiveDesign, load_design
-from deepfsi.design.published import VARIABLE
+from deepfsi.designfile.published import DESIGNS_VARIABLE
 from deepfsi.sweeps import collection
 from deepfsi.sweeps.collection import Collection
 
@@ -103,7 +103,7 @@ def test_a_collection_is_made_once_and_opened_by_name(mine, done, tmp_path, monk
     first = (folder / "small.safetensors").stat().st_mtime_ns
     told = json.loads(done("designs", "make", mine, "-o", folder, "--json"))
     assert (folder / "small.safetensors").stat().st_mtime_ns == first  # there already
-    monkeypatch.setenv(VARIABLE, str(folder))
+    monkeypatch.setenv(DESIGNS_VARIABLE, str(folder))
     listed = json.loads(done("designs", "list", "--json"))
     assert listed["designs"] == told["designs"]
     assert (told["schema"], listed["schema"]) == (

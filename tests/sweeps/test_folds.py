@@ -9,7 +9,7 @@ from deepfsi.base.intervals import accuracy, unpack
 from deepfsi.datasets import from_arrays, load_dataset
 from deepfsi.design.adaptive.design import load_design
 from deepfsi.design.evaluation import evaluate
-from deepfsi.design.training_data import trained_on
+from deepfsi.designfile import trained_on
 from deepfsi.lab.data import data_of
 from deepfsi.sweeps.forecast import forecast_cost
 from deepfsi.sweeps.recipe_check import check_recipe

@@ -15,7 +15,8 @@ from deepfsi.design.adaptive.design import AdaptiveDesign
 from deepfsi.design.adaptive.posterior import AdaptivePosterior, LookOptics
 from deepfsi.design.confidence import fit_temperatures, logits_at_stops
 from deepfsi.design.evaluation import evaluate, scanner_for
-from deepfsi.design.temperatures import Temperatures
+from deepfsi.design.temperatures import stop_temperatures
+from deepfsi.designfile import Temperatures
 from deepfsi.training.folds import FEW_SCENES, FOLDS, folds_of
 from shared.design_files import rewrite
 
@@ -106,7 +107,7 @@ def chances(design, data, photons=PHOTONS, seed=3):
         return np.exp(logits_at_stops(design, *options, [LOOKS - 1])[0])
     scanner = scanner_for(design, design.camera)
     logits = logits_at_stops(design, scanner, data.x_test, photons, 1, seed)[-1]
-    return softmax(logits / design.temperatures.of_stops(photons)[-1], axis=1)
+    return softmax(logits / stop_temperatures(design.temperatures, photons)[-1], axis=1)
 
 
 def loss(given, truth):
@@ -143,7 +144,7 @@ def test_scenes_that_are_all_answered_rightly_leave_a_doubt():
     sure = []
     for scenes.doubt in (1.0, 0.0):
         found = fit_temperatures(scenes, np.array([1.0, 10.0]), trained_on=False, seed=0)
-        sure.append(softmax(logits[0] / found.of_stops(1.0)[0])[0])
+        sure.append(softmax(logits[0] / stop_temperatures(found, 1.0)[0])[0])
     assert sure[0] == pytest.approx(1 - 2 / 3 / (n + 1), abs=1e-3)
     assert sure[1] > 1 - 1e-6
 
@@ -160,8 +161,10 @@ def test_labels_that_scenes_do_not_tell_are_only_guessed(few):
 
 def test_fewer_scenes_are_less_sure(digits):
     logs = [
-        learn(drawn(digits, each, 7), photons=PHOTONS, **SETTINGS["adaptive"])
-        .prior.temperatures.of_stops(PHOTONS)[-1]
+        stop_temperatures(
+            learn(drawn(digits, each, 7), photons=PHOTONS, **SETTINGS["adaptive"])
+            .prior.temperatures, PHOTONS
+        )[-1]
         for each in (10, 100)
     ]  # fmt: skip
     assert logs[0] > logs[1]

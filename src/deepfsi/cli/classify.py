@@ -12,7 +12,7 @@ from deepfsi.cli.settings import laboratory_fields, with_settings
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from deepfsi.design.view_test import ViewResult
+    from deepfsi.designfile import ViewResult
     from deepfsi.lab.results import ClassifiedRun, ClassifiedScene, LiveScene, ReplayedRun
 
 

@@ -9,7 +9,7 @@ from deepfsi.cli import common, options, paths
 from deepfsi.cli.groups import Group
 
 if TYPE_CHECKING:
-    from deepfsi.design.published import Published
+    from deepfsi.designfile import PublishedDesign
 
 app = typer.Typer(
     cls=Group,
@@ -65,10 +65,10 @@ def designs_list(as_json: options.Json = False) -> None:
 
     Example: deepfsi designs list
     """
-    from deepfsi.design.published import SHIPPED, read_indexes
+    from deepfsi.designfile import SHIPPED_DESIGNS, read_indexes
 
     collections = {
-        "shipped with the package" if where == str(SHIPPED) else where: designs
+        "shipped with the package" if where == str(SHIPPED_DESIGNS) else where: designs
         for where, designs in read_indexes().items()
     }
     if as_json:
@@ -84,13 +84,13 @@ def designs_list(as_json: options.Json = False) -> None:
         common.print_table(where, heads, rows)
 
 
-def _told(entry: "Published") -> str:
+def _told(entry: "PublishedDesign") -> str:
     return f"test accuracy {_share(entry)} at {common.budget(entry.photons)} photons"
 
 
-def _share(entry: "Published") -> str:
+def _share(entry: "PublishedDesign") -> str:
     return common.share(entry.accuracy, entry.low, entry.high)
 
 
-def _json(designs: "dict[str, Published]") -> dict[str, dict[str, object]]:
+def _json(designs: "dict[str, PublishedDesign]") -> dict[str, dict[str, object]]:
     return {name: entry.model_dump() for name, entry in designs.items()}

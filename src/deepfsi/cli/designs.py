@@ -287,7 +287,7 @@ def stop(
 def _check_same(file: Path, job: "Job", data: "Dataset", matrix: "np.ndarray | None") -> None:
     """Raise `InputError` unless a design file is what training this job would write again."""
     from deepfsi.design.adaptive.design import load_design
-    from deepfsi.design.training_data import trained_on
+    from deepfsi.designfile import trained_on
 
     with suppress(InputError):
         there = load_design(file)
@@ -348,8 +348,7 @@ def show(
     paths.check_file(out, paths.PICTURES, force)
     from deepfsi.design.adaptive.design import load_design
     from deepfsi.design.artifact import Design
-    from deepfsi.design.readouts import check_masks
-    from deepfsi.design.training_data import trained_on
+    from deepfsi.designfile import check_masks, trained_on
     from deepfsi.lab.data import data_of
     from deepfsi.report.masks import masks_figure
 

@@ -15,7 +15,7 @@ from deepfsi.cli.classify import print_right, print_view
 from deepfsi.cli.settings import laboratory_fields, with_settings
 
 if TYPE_CHECKING:
-    from deepfsi.design.view_test import ViewResult
+    from deepfsi.designfile import ViewResult
     from deepfsi.hardware.counting.acquisition import Acquisition
     from deepfsi.hardware.virtual import Latencies
     from deepfsi.lab.results import LiveScene

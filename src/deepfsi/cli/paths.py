@@ -17,7 +17,7 @@ PROBE = 2**20
 
 def check_design(path: Path) -> Path:
     """Path of a design file, of a folder of patterns, or of a published design by its name."""
-    from deepfsi.design.published import find_design
+    from deepfsi.designfile import find_design
 
     found = find_design(path)
     if not found.exists():

@@ -18,15 +18,22 @@ from deepfsi.camera.camera import Camera
 from deepfsi.camera.light import check_budget
 from deepfsi.camera.names import LightLawName
 from deepfsi.design import artifact_file, clicks, readings
-from deepfsi.design.consistency import Consistency, ReadoutDistribution
 from deepfsi.design.exposure.looks import Dwells, LooksExposure
 from deepfsi.design.exposure.trained import FixedExposure, Observation, TrainedExposure
-from deepfsi.design.file_content import check_classes
 from deepfsi.design.own import Given, OwnClassifier, rebuilt
-from deepfsi.design.temperatures import Temperatures
-from deepfsi.design.training_data import TrainingScenes
-from deepfsi.design.values import Values
-from deepfsi.design.view_test import SceneModel
+from deepfsi.design.temperatures import temperatures_at
+from deepfsi.design.values import Values, check_classes
+from deepfsi.designfile import (
+    ConsistencyResult,
+    DesignFile,
+    ReadoutDistribution,
+    SceneModel,
+    Temperatures,
+    TrainingScenes,
+    click_gates,
+    trained_budgets,
+    trained_camera,
+)
 from deepfsi.optics import constraints
 from deepfsi.optics.detection import ONE, Detection
 from deepfsi.optics.noise import OwnNoise
@@ -148,19 +155,24 @@ class Design:
     @property
     def camera(self) -> Camera:
         """The camera that it was trained for, as the file keeps it; of older files its optics."""
-        known = self.info.get("job", {}).get("camera")
-        if known is None:
-            known = {"light": self.light, "rails": self.rails.kind}
-            known["readout"] = self.detection.readout
-            if self.detection.labels is not None and self.light != "column":
-                known["detectors"] = self.detection.labels.cpu()
+        if camera := trained_camera(self.info):
+            return camera
+        optics: dict[str, Any] = {"light": self.light, "rails": self.rails.kind}
+        optics["readout"] = self.detection.readout
+        if self.detection.labels is not None and self.light != "column":
+            optics["detectors"] = self.detection.labels.cpu()
         with as_input_error("the design's camera", "train it again"):
-            return Camera.restored(known)
+            return Camera.restored(optics)
+
+    @property
+    def trained_budgets(self) -> tuple[float, float] | None:
+        """Lowest and highest budget of the training; None for a design that does not say."""
+        return trained_budgets(self.info, self.exposure.entry())
 
     @property
     def gates(self) -> int | None:
         """Clicks of a readout at most, where its detectors click."""
-        return readings.gates_of(self.info)
+        return click_gates(self.info)
 
     def scale(self, photons: Tensor | float) -> Tensor | float:
         """Divisor of features in counts: the budget; of clicks that of the training, always."""
@@ -200,7 +212,7 @@ class Design:
         if self.temperatures is None:
             return 1.0
         budget = self.exposure.budget(torch.as_tensor(photons).to(seen.features))
-        return self.temperatures.at(self.exposure.stop_place(seen), budget)
+        return temperatures_at(self.temperatures, self.exposure.stop_place(seen), budget)
 
     def expose(
         self, scanner: Scanner, rates: Tensor, generator: torch.Generator, photons: float
@@ -325,7 +337,7 @@ class Design:
         return self.detection.features(every if self.rails.count == 2 else every.unsqueeze(-2))
 
     @library_defaults()
-    def consistency(self, counts: Any, photons: Any, background: Any = 0.0) -> Consistency:
+    def consistency(self, counts: Any, photons: Any, background: Any = 0.0) -> ConsistencyResult:
         """Consistency of exposures with the training, each of another scene.
 
         Exposures of one scene are to be added before, counts, photons and background.
@@ -443,10 +455,9 @@ class Design:
 
     def to_bytes(self) -> bytes:
         """Content of the design file, or `InputError` if the classifier cannot be described."""
-        return artifact_file.pack(self)
+        return artifact_file.file_of(self).to_bytes()
 
     @classmethod
-    @library_defaults()
     def load(
         cls,
         path: str | os.PathLike[str],
@@ -474,7 +485,20 @@ class Design:
             If the file is missing, damaged, truncated, not a design, or of a newer schema; if its
             classifier cannot be imported or is not the one given.
         """
-        design = cls(**artifact_file.read_design(path))
+        return cls.of_file(DesignFile.read(path), device, trust=trust, classifier=classifier)
+
+    @classmethod
+    @library_defaults()
+    def of_file(
+        cls,
+        file: DesignFile,
+        device: str | torch.device = "cpu",
+        *,
+        trust: bool = False,
+        classifier: Given | None = None,
+    ) -> "Design":
+        """Design of a file that was read; parameters as of `load`."""
+        design = cls(**artifact_file.fields_of(file))
         if isinstance(design.classifier, OwnClassifier) and (trust or classifier is not None):
             design = design.with_classifier(classifier or design.classifier.factory)
         return design.to(device)

@@ -17,7 +17,8 @@ import torch
 from scipy.optimize import minimize_scalar
 from scipy.special import log_softmax
 
-from deepfsi.design.temperatures import BOUNDS, Temperatures
+from deepfsi.design.temperatures import stop_temperatures
+from deepfsi.designfile import LOG_BOUNDS, Temperatures
 
 CALIBRATED_STOPS = 8
 """Numbers of masks or looks at which temperatures are fitted, at most."""
@@ -149,7 +150,7 @@ def measure_left_out(
     """Test of the answers to scenes that a training left out; guessing gives chances (C,)."""
     last, labels = scenes.stops - 1, scenes.labels
     [logits] = scenes.logits(photons, seed, [last])
-    temperature = float(temperatures.of_stops(photons)[last])
+    temperature = float(stop_temperatures(temperatures, photons)[last])
     losses, plain = (scenes.losses(logits, each) for each in (temperature, 1.0))
     guessed = -np.log(guess.clip(min=LEAST_SHARE))[labels]
     # exposures of one scene are no scenes of their own
@@ -212,7 +213,7 @@ def _fit(logits: np.ndarray, scenes: CalibrationScenes) -> float:
         sums = np.exp(wide / np.exp(log) + base).sum(axis=1)
         return lost / np.exp(log) + float(np.log(sums).mean())
 
-    found = minimize_scalar(log_loss, bounds=BOUNDS, method="bounded", options={"xatol": 1e-2})
+    found = minimize_scalar(log_loss, bounds=LOG_BOUNDS, method="bounded", options={"xatol": 1e-2})
     return float(found.x)
 
 

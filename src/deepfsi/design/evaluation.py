@@ -23,8 +23,8 @@ from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.design.confidence import confidence_error
 from deepfsi.design.estimation import test_values
-from deepfsi.design.training_data import TrainingScenes, new_scenes
 from deepfsi.design.values import Values
+from deepfsi.designfile import TrainingScenes, new_scenes
 from deepfsi.optics.scanner import Scanner
 from deepfsi.optics.surroundings import library_defaults
 

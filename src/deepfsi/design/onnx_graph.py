@@ -22,9 +22,9 @@ from deepfsi.design.artifact import Design
 from deepfsi.design.classifiers import Mlp
 from deepfsi.design.exposure.looks import LooksExposure
 from deepfsi.design.exposure.trained import Observation
-from deepfsi.design.file_content import check_classes
 from deepfsi.design.own import OwnClassifier
-from deepfsi.design.readouts import check_masks
+from deepfsi.design.values import check_classes
+from deepfsi.designfile import check_masks
 from deepfsi.optics.surroundings import library_defaults
 
 SCHEMA = 1

@@ -25,11 +25,9 @@ from deepfsi.design.artifact import Design
 from deepfsi.design.classifiers import Mlp
 from deepfsi.design.confidence import stops_of
 from deepfsi.design.evaluation import check_data, evaluate, scanner_for
-from deepfsi.design.file_content import check_classes
-from deepfsi.design.readouts import check_masks
 from deepfsi.design.stopping import rule_of, stop
-from deepfsi.design.temperatures import Temperatures
-from deepfsi.design.training_data import new_scenes, trained_budgets, trained_on
+from deepfsi.design.values import check_classes
+from deepfsi.designfile import Temperatures, check_masks, new_scenes, trained_on
 from deepfsi.jobs.entries import LARGEST_SCORE
 from deepfsi.optics import constraints
 from deepfsi.optics.surroundings import library_defaults
@@ -58,7 +56,7 @@ def playable(
     check_playable(design)
     check_data(design, data)
     fresh, _ = new_scenes(design.training_scenes, data)
-    trained, budgets, tested = trained_budgets(design), BUDGETS, fresh
+    trained, budgets, tested = design.trained_budgets, BUDGETS, fresh
     if isinstance(design, AdaptiveDesign):
         known, budgets, tested = of_page(design, seed), BUDGETS[::2], few_tests(fresh, seed)
         own, design = _posterior(known, design), known
@@ -243,7 +241,7 @@ def _rules(design: AnyDesign, data: Dataset, seed: int, report: Report) -> list[
         return [asdict(held)]
     if isinstance(design, AdaptiveDesign):
         return []
-    known, trained = trained_on(design.info), trained_budgets(design)
+    known, trained = trained_on(design.info), design.trained_budgets
     if known is None or not known.held_out or not known.is_of(data) or trained is None:
         return []
     decades = np.log10(trained[1] / trained[0])

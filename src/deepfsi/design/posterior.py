@@ -19,8 +19,8 @@ from deepfsi.camera.light import check_budget, summed_reflectance
 from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import Guess, Result, check_data, check_draws, test_scenes
-from deepfsi.design.file_content import check_classes
-from deepfsi.design.training_data import new_scenes
+from deepfsi.design.values import check_classes
+from deepfsi.designfile import new_scenes
 from deepfsi.optics.scanner import Scanner
 from deepfsi.optics.surroundings import library_defaults
 

@@ -1,6 +1,6 @@
 """Counts, budgets and dwells as users hand them over, checked."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -83,12 +83,6 @@ def check_look(
             f"{asked.sum():.4g}: show each mask for at most the shares asked"
         )
     return counts, shown
-
-
-def gates_of(info: Mapping[str, Any]) -> int | None:
-    """Clicks of a readout at most, where the detectors of a design's camera click."""
-    known = info.get("job", {}).get("camera", {})
-    return int(known.get("gates", 1)) if known.get("noise") == "click" else None
 
 
 def check_clicks(read: Tensor, gates: int | None) -> None:

@@ -5,8 +5,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from torch import Tensor
 
-from deepfsi.design.consistency import CHANCES, COUNTS, ReadoutDistribution
-from deepfsi.design.readout_model import SMALLEST, ReadoutModel
+from deepfsi.designfile import TAIL_CHANCES, TAIL_COUNTS, ReadoutDistribution, ReadoutModel
+from deepfsi.designfile.distribution import SMALLEST_STATISTIC
 
 FEWEST_SCENES = 100
 """Scenes from which on a tail is calibrated."""
@@ -96,9 +96,9 @@ def _calibrate(
     members = [np.flatnonzero(labels == k) for k in np.unique(labels)]
     couples = [each[: len(each) // 2 * 2].reshape(2, -1) for each in members]
     models = [ReadoutModel.fit(np.delete(rates, fold, axis=0)) for fold in folds]
-    likeness = [np.empty((len(COUNTS), couple.shape[1])) for couple in couples]
+    likeness = [np.empty((len(TAIL_COUNTS), couple.shape[1])) for couple in couples]
     levels = []
-    for place, counts in enumerate(COUNTS):
+    for place, counts in enumerate(TAIL_COUNTS):
         expected = np.full(len(rates), counts * rates.shape[1])
         looks = exposed(float(expected[0]))
         values = np.empty((len(looks), 2, len(rates)))
@@ -109,7 +109,7 @@ def _calibrate(
         for found, couple in zip(likeness, couples, strict=True):
             found[place] = whole.likeness(*([each[part] for each in seen[:3]] for part in couple))
         levels.append(values)
-    logs = np.log(np.maximum(np.stack(levels, axis=2), SMALLEST))
+    logs = np.log(np.maximum(np.stack(levels, axis=2), SMALLEST_STATISTIC))
     every = _tail(logs)
     worst = np.max([every, *(_tail(logs[..., each]) for each in members)], axis=0)
     pairs = np.max([_tail(np.log(found)) for found in likeness], axis=0)
@@ -118,7 +118,7 @@ def _calibrate(
 
 def _tail(logs: np.ndarray) -> np.ndarray:
     """Logarithms (..., chances) that values (..., n) exceed with each of `CHANCES`."""
-    chances = np.array(CHANCES)
+    chances = np.array(TAIL_CHANCES)
     tail = chances[chances * logs.shape[-1] >= IN_TAIL].min()
     bulk = np.moveaxis(np.quantile(logs, 1 - chances, axis=-1), 0, -1)
     start = bulk[..., chances == tail]

@@ -4,18 +4,15 @@ Such a design is one of impulse imaging without noise, whose "pixels" are the re
 from its span to [0, 1]. Offset and gain of that map stand in `Design.info`.
 """
 
-from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from deepfsi.base.errors import InputError
+from deepfsi.designfile import READOUTS
 
 if TYPE_CHECKING:
     from deepfsi.design.artifact import Design
-
-READOUTS = "readouts"
-"""Entry of `Design.info` with the offset and the gain of each readout."""
 
 PHOTONS = 1e4
 """Budget that the design needs and that, without noise, nothing depends on."""
@@ -32,15 +29,6 @@ class ReadoutClasses(NamedTuple):
     chances: np.ndarray  # (n, C)
     scenes: np.ndarray  # (n, k): readouts as the design sees them
     outside: float  # share of readouts outside of the span of those of the training's table
-
-
-def check_masks(info: Mapping[str, Any], what: str) -> None:
-    """Raise `InputError` where a design reads measured readouts and `what` needs its masks."""
-    if READOUTS in info:
-        raise InputError(
-            f"{what} needs masks, and those of measured readouts are not known: use "
-            "`deepfsi camera classify` with a table of readouts"
-        )
 
 
 def classify_readouts(design: "Design", values: np.ndarray) -> ReadoutClasses:

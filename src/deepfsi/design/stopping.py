@@ -32,8 +32,9 @@ from deepfsi.design.confidence import (
 )
 from deepfsi.design.evaluation import check_data, check_draws, covered
 from deepfsi.design.exposure.looks import LooksExposure
-from deepfsi.design.file_content import check_classes
-from deepfsi.design.training_data import new_scenes, trained_on
+from deepfsi.design.temperatures import stop_temperatures
+from deepfsi.design.values import check_classes
+from deepfsi.designfile import new_scenes, trained_on
 from deepfsi.optics.surroundings import library_defaults
 
 THRESHOLDS = 1 - np.geomspace(0.5, 1e-7, 135)
@@ -244,7 +245,7 @@ def stop(
     kept = _held_out(design, scenes, held_out)
     scanner, temperatures = design.scanner(), np.ones(len(after))
     if design.temperatures is not None:
-        temperatures = design.temperatures.of_stops(budget)
+        temperatures = stop_temperatures(design.temperatures, budget)
     logits = logits_at_stops(design, scanner, kept.x_test, budget, draws, seed ^ 2**31)
     choice = _Answers(logits, kept.y_test, temperatures)
     if threshold is None:

@@ -7,7 +7,18 @@ from typing import Self
 import torch
 from torch import Tensor
 
+from deepfsi.base.errors import InputError
 from deepfsi.datasets import Dataset
+
+
+def check_classes(values: "Values | tuple[str, ...] | None", what: str) -> None:
+    """Raise `InputError` where a design estimates values and `what` is of classes."""
+    if values:
+        names = values if isinstance(values, tuple) else values.names
+        raise InputError(
+            f"{what} is of classes, and this design estimates {', '.join(names)}: use "
+            "Design.estimate, or `deepfsi evaluate`"
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,7 @@ from deepfsi.design.adaptive.choice import next_masks
 from deepfsi.design.adaptive.design import AdaptiveDesign
 from deepfsi.design.adaptive.misfit import squared_distance
 from deepfsi.design.adaptive.posterior import AdaptivePosterior, LookOptics
-from deepfsi.design.consistency import UNSURE
+from deepfsi.designfile import UNSURE
 from deepfsi.hardware.light import Arrivals
 from deepfsi.hardware.live.looks import AllOn, Conditions, FrameList, Likeness
 from deepfsi.hardware.patterns.detectors import Detectors

@@ -5,7 +5,7 @@ from pathlib import Path
 from deepfsi.base.errors import InputError
 from deepfsi.base.progress import SILENT, Report
 from deepfsi.datasets import read_display
-from deepfsi.design.view_test import Rows
+from deepfsi.designfile import SceneReadouts
 from deepfsi.hardware.calibration import (
     ReferenceFit,
     calibrate_run,
@@ -50,7 +50,7 @@ def check_view(folder: Path, report: Report = SILENT) -> ReferenceFit:
     seen = [each.rows for each in replayed if each.rows is not None]
     if not seen:
         raise InputError(f"no scene of {folder} had light: record the reference again")
-    rows = Rows.join(seen)
+    rows = SceneReadouts.join(seen)
     variance = rows.counts.clip(min=0) + rows.noise
     return find_reference_of_masks(rows.masks, rows.counts, variance, run.manifest, report)
 

@@ -3,17 +3,16 @@
 No torch: a camera's computer reads the header of a design file.
 """
 
-import json
 import os
 from collections.abc import Container
 from pathlib import Path
 from typing import Any
 
-from deepfsi.base.arrays import DamagedError, read_tensors
-from deepfsi.base.errors import InputError, as_input_error
+from deepfsi.base.errors import InputError
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.dead_time import DeadTime
 from deepfsi.camera.device import Device
+from deepfsi.designfile import DesignFile
 from deepfsi.hardware.patterns.folder import DESIGN, DesignRails
 from deepfsi.hardware.virtual import VirtualCamera
 
@@ -44,12 +43,10 @@ def _known(path: Path) -> Camera | None:
     if file.is_dir() or not file.is_file():
         return None
     try:
-        header = json.loads(read_tensors(file, "deepfsi", "give a design file", ())[0])
-        known = header["info"].get("job", {}).get("camera")
-    except (DamagedError, KeyError, TypeError, ValueError, AttributeError, RecursionError):
+        design = DesignFile.read(file, ())
+    except InputError:
         return None  # whoever opens the design says what is wrong with it
-    with as_input_error(str(file), "train it again"):
-        return None if known is None else Camera.restored(known)
+    return design.camera
 
 
 def clicks_of(source: Path) -> int | None:

@@ -19,10 +19,16 @@ from deepfsi.base.plugins import torch_needed
 from deepfsi.base.tables import read_table
 from deepfsi.camera.dead_time import NO_DEAD_TIME
 from deepfsi.camera.light import check_budget
-from deepfsi.design.file_content import check_classes
-from deepfsi.design.readouts import READOUTS, classify_readouts
-from deepfsi.design.training_data import scene_hashes, was_trained_on
-from deepfsi.design.view_test import Rows, ViewResult, ViewTest
+from deepfsi.design.readouts import classify_readouts
+from deepfsi.design.values import check_classes
+from deepfsi.designfile import (
+    READOUTS,
+    SceneReadouts,
+    ViewResult,
+    ViewTest,
+    scene_hashes,
+    was_trained_on,
+)
 from deepfsi.hardware.counting.acquisition import Scene, Verdict, read_acquisition
 from deepfsi.hardware.counting.clicks import check_budget_of_clicks
 from deepfsi.hardware.counting.counts import Counts, load_counts
@@ -38,7 +44,7 @@ from deepfsi.lab.results import ClassifiedRun, ClassifiedScene, ReplayedRun
 
 if TYPE_CHECKING:  # they import torch, which a live run does without
     from deepfsi.design.artifact import Design
-    from deepfsi.design.consistency import Consistency
+    from deepfsi.designfile import ConsistencyResult
 
 UNTESTED = (
     "these counts were not compared with those of the training, which takes 50 training scenes of "
@@ -340,7 +346,7 @@ def _classified(
 
 def _remarks(
     design: "Design",
-    found: "Consistency | None",
+    found: "ConsistencyResult | None",
     view: ViewResult | None,
     counts: Counts,
     usable: np.ndarray,
@@ -404,13 +410,13 @@ def _view(
     for place in np.flatnonzero(often).tolist():
         gain = budgets[place] * often[place] / design.summed_reflectance
         masks = gain * rails.reshape(-1, rails.shape[-1])
-        test.add(Rows(masks, signal[place].ravel(), noise[place].ravel(), inputs.ravel()))
+        test.add(SceneReadouts(masks, signal[place].ravel(), noise[place].ravel(), inputs.ravel()))
     return test.result
 
 
 def _consistency(
     design: "Design", counts: Counts, usable: np.ndarray, budgets: np.ndarray
-) -> "Consistency | None":
+) -> "ConsistencyResult | None":
     """Consistency of scenes with usable exposures (S, R), as one of their budgets (S,) together."""
     if design.distribution is None:
         return None

@@ -4,14 +4,12 @@ A camera's calibration may view them. Where they are not what the design was tra
 noted.
 """
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from deepfsi.base.arrays import DamagedError, read_tensors
 from deepfsi.base.errors import InputError
 from deepfsi.datasets import Dataset, Origin, absolute, load_dataset, takes
-from deepfsi.design.training_data import TrainedOn, new_scenes, trained_on
+from deepfsi.designfile import DesignFile, TrainedOn, new_scenes, trained_on
 from deepfsi.hardware.calibration import view_dataset
 
 if TYPE_CHECKING:
@@ -58,11 +56,7 @@ def data_of(
 
 def data_of_file(file: Path, size: tuple[int, int] | None = None) -> Dataset:
     """Data that a design file was trained on, without torch."""
-    try:
-        info = json.loads(read_tensors(file, "deepfsi", "give a design file", ())[0])["info"]
-        training = trained_on(info)
-    except (DamagedError, KeyError, TypeError, ValueError, AttributeError) as error:
-        raise InputError(f"{file} is no whole design file: train it again") from error
+    training = trained_on(DesignFile.read(file, ()).header.info)
     if training is None or training.origin is None:
         raise InputError(
             f"{file} was trained on data that no file or name holds, such as arrays in memory: "

@@ -17,8 +17,8 @@ from deepfsi.camera.light import check_budget
 from deepfsi.design.artifact import Design
 from deepfsi.design.clicks import full_gates
 from deepfsi.design.evaluation import camera_for, check_draws, scanner_for
-from deepfsi.design.file_content import check_classes
-from deepfsi.design.training_data import scene_hashes, trained_budgets, was_trained_on
+from deepfsi.design.values import check_classes
+from deepfsi.designfile import scene_hashes, was_trained_on
 from deepfsi.lab.light import dim_scenes
 from deepfsi.lab.scenes import design_scenes
 from deepfsi.lab.score import Score
@@ -171,7 +171,7 @@ def predict(
 
 def _budget(design: Design, camera: Camera) -> float:
     """Budget of the camera's exposure if the training had it, else the lowest of the training."""
-    trained = trained_budgets(design)
+    trained = design.trained_budgets
     if trained is None:
         raise InputError("this design does not say what light it was trained for: give `photons`")
     low, high = trained

@@ -4,13 +4,12 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from deepfsi.design.training_data import was_trained_on
+from deepfsi.designfile import was_trained_on
 from deepfsi.hardware.light import SPOILING, Fault
 from deepfsi.lab.score import Score
 
 if TYPE_CHECKING:
-    from deepfsi.design.consistency import Consistency
-    from deepfsi.design.view_test import ViewResult
+    from deepfsi.designfile import ConsistencyResult, ViewResult
     from deepfsi.hardware.counting.acquisition import Scene
     from deepfsi.hardware.live.decisions import Decision
     from deepfsi.hardware.live.looks import LiveLooks
@@ -52,7 +51,7 @@ class ClassifiedRun:
     classes: tuple[str, ...]  # those that the design tells apart
     scenes: tuple[ClassifiedScene, ...]
     faults: tuple[Fault, ...]  # of the markers and the light
-    consistency: "Consistency | None"  # with the training; none where it was not tested
+    consistency: "ConsistencyResult | None"  # with the training; none where it was not tested
     remarks: tuple[str, ...]  # on the consistency, for a reader
     view: "ViewResult | None" = None  # of the camera; none where it was not tested
 

@@ -5,13 +5,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ValidationError
-
 from deepfsi.base.errors import InputError
 from deepfsi.datasets import prepared, read_display
 from deepfsi.datasets.display import Display
-from deepfsi.design.file_content import Info, damaged, read_content
-from deepfsi.design.training_data import scene_hashes, trained_on
+from deepfsi.designfile import DesignFile, DesignHeader, scene_hashes, trained_on
 from deepfsi.hardware.calibration import camera_view
 from deepfsi.hardware.counting.acquisition import Scene
 from deepfsi.hardware.counting.calibration_file import load_calibration
@@ -19,28 +16,17 @@ from deepfsi.hardware.counting.scene_list import read_scenes
 from deepfsi.hardware.patterns.folder import DESIGN, read_patterns
 
 
-class _Sight(BaseModel):
-    """Part of a design file's header that says how its scenes were prepared."""
-
-    image_shape: tuple[int, ...]
-    info: Info
-
-    @classmethod
-    def of(cls, patterns: Path) -> "_Sight | None":
-        """That of the design in a folder of patterns; None where it has none."""
-        if read_patterns(patterns).manifest.design_sha256 is None:
-            return None
-        text, _ = read_content(patterns / DESIGN, ())
-        try:
-            return cls.model_validate_json(text)
-        except ValidationError as error:
-            raise damaged(patterns / DESIGN) from error
+def _design_of(patterns: Path) -> DesignHeader | None:
+    """Header of the design in a folder of patterns; None where it has none."""
+    if read_patterns(patterns).manifest.design_sha256 is None:
+        return None
+    return DesignFile.read(patterns / DESIGN, ()).header
 
 
 def displayed(source: Path, patterns: Path) -> Display:
     """Pictures of scenes, with the white of the patterns' design where their type has none."""
     images = read_display(source)
-    if not images.levels.chosen or (design := _Sight.of(patterns)) is None:
+    if not images.levels.chosen or (design := _design_of(patterns)) is None:
         return images
     known = trained_on(design.info)
     white = known.origin.white if known and known.origin else None
@@ -76,7 +62,7 @@ def picture_hashes(
     source: str | os.PathLike[str], patterns: str | os.PathLike[str]
 ) -> tuple[str, ...] | None:
     """Hashes of pictures as the patterns' design sees them; None where it cannot see them."""
-    design = _Sight.of(Path(patterns))
+    design = _design_of(Path(patterns))
     if design is None:
         return None
     try:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from deepfsi.base.intervals import wilson
-from deepfsi.design.training_data import NO_MEASURE
+from deepfsi.designfile import NO_MEASURE
 
 
 @dataclass(frozen=True)

@@ -7,9 +7,8 @@ import numpy as np
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import check_ending, write_atomically
-from deepfsi.design.file_content import damaged
+from deepfsi.designfile import DesignFile, damaged_design
 from deepfsi.hardware.patterns.photomask import as_png, as_svg
-from deepfsi.lab.rails import ShownDesign
 
 ENDS = (".svg", ".png")
 """Ends of the names of files of a photomask."""
@@ -26,15 +25,15 @@ def read_pattern(file: str | os.PathLike[str]) -> np.ndarray:
     InputError
         If the file is no design, or one of another exposure.
     """
-    made = ShownDesign.read(Path(file))
-    if made.header.exposure.kind != "passing":
+    design = DesignFile.read(file)
+    if design.mask_header.exposure.kind != "passing":
         raise InputError(
             f"{file} has masks that a device shows one after the other, and a photomask is one "
             "pattern that scenes pass: learn one with `bins`, or use `deepfsi dmd export`"
         )
-    pattern = made.tensors.get("exposure.pattern", np.zeros(0))
+    pattern = design.arrays.get("exposure.pattern", np.zeros(0))
     if pattern.ndim != 2 or not ((pattern >= 0) & (pattern <= 1)).all():
-        raise damaged(file)
+        raise damaged_design(file)
     return pattern
 
 

@@ -15,7 +15,7 @@ from deepfsi.base.quantities import time_text
 from deepfsi.camera.light import check_budget
 from deepfsi.design.artifact import Design
 from deepfsi.design.exposure.passing import PassingExposure
-from deepfsi.design.file_content import check_classes
+from deepfsi.design.values import check_classes
 from deepfsi.hardware.counting.transits import (
     FINE,
     Threshold,

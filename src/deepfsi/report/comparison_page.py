@@ -1,7 +1,5 @@
 """The output folder of a comparison, as one HTML page that needs nothing else."""
 
-import json
-import math
 import os
 import shlex
 from collections.abc import Iterable, Iterator
@@ -11,12 +9,12 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from deepfsi.base.arrays import DamagedError, read_tensors
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import write_atomically
 from deepfsi.base.html import confusion_table
 from deepfsi.base.intervals import difference
 from deepfsi.camera.names import noise_text
+from deepfsi.designfile import DesignFile
 from deepfsi.jobs.designs import ADAPTIVE
 from deepfsi.report import accuracy
 from deepfsi.report.figures import Figures
@@ -54,15 +52,10 @@ def build(folder: str | os.PathLike[str]) -> Path:
 def read_masks(path: Path) -> tuple[np.ndarray, tuple[int, ...]]:
     """Rails (2 or 1, m, N) and the shape of a mask, which may be of a patch, in a design file."""
     try:
-        text, tensors = read_tensors(path, "deepfsi", "remove it", ("rails",))
-        header, rails = json.loads(text), tensors["rails"]
-        patch = header.get("exposure", {}).get("side")
-        shape = (patch, patch) if patch else tuple(header["image_shape"])
-        if rails.ndim != 3 or rails.shape[2] != math.prod(shape) or not np.isfinite(rails).all():
-            raise ValueError(shape)
-    except (DamagedError, KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
-        raise InputError(f"{path} is not a whole deepfsi design file: remove it") from error
-    return rails, shape
+        design = DesignFile.read(path)
+        return design.rails, design.mask_header.mask_shape
+    except InputError as error:
+        raise InputError(f"{error}; or remove it") from None
 
 
 def page_text(results: Results, designs: Path, figures: Figures) -> str:

@@ -9,7 +9,7 @@ from jinja2 import StrictUndefined, Template
 from deepfsi.datasets import Dataset
 from deepfsi.design.adaptive.design import AnyDesign
 from deepfsi.design.evaluation import Result
-from deepfsi.design.training_data import trained_on
+from deepfsi.designfile import trained_on
 from deepfsi.jobs.job import Job
 
 if TYPE_CHECKING:

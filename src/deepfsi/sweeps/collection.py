@@ -21,8 +21,8 @@ from deepfsi.base.models import StrictModel
 from deepfsi.base.progress import Report
 from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.design.evaluation import Result, evaluate
-from deepfsi.design.file_content import check_classes
-from deepfsi.design.published import INDEX, Index, Name, Published, Words
+from deepfsi.design.values import check_classes
+from deepfsi.designfile import INDEX_NAME, CollectionIndex, DesignName, PublishedDesign, ShortText
 from deepfsi.jobs.job import REVISION, Job, find_job, sorted_settings
 from deepfsi.sweeps.cards import card
 from deepfsi.training.learning import learn
@@ -63,8 +63,8 @@ class DesignRecipe(StrictModel):
         Single settings of a job, as options of `deepfsi design` are.
     """
 
-    recognises: Words
-    data: Words
+    recognises: ShortText
+    data: ShortText
     rescale: tuple[float, float] | None = None
     split: str | None = None
     size: tuple[int, int] | None = None
@@ -102,7 +102,7 @@ class Collection(StrictModel):
         By the data of the designs.
     """
 
-    designs: dict[Name, DesignRecipe] = Field(min_length=1)
+    designs: dict[DesignName, DesignRecipe] = Field(min_length=1)
     data: dict[str, DataTerms]
 
     @model_validator(mode="after")
@@ -131,7 +131,7 @@ class Made(NamedTuple):
     """A design of a collection, and whether it was there already."""
 
     name: str
-    entry: Published
+    entry: PublishedDesign
     there: bool
 
 
@@ -178,7 +178,7 @@ def make(
         interrupts.keep("finished designs are kept, run again to go on")
 
 
-def _there(folder: Path, name: str, recipe: DesignRecipe) -> Published | None:
+def _there(folder: Path, name: str, recipe: DesignRecipe) -> PublishedDesign | None:
     """Entry of a design that is in a folder as the recipe asks for it, with its card."""
     known = _index(folder).designs.get(name)
     file, words = folder / f"{name}.safetensors", folder / f"{name}.md"
@@ -187,13 +187,13 @@ def _there(folder: Path, name: str, recipe: DesignRecipe) -> Published | None:
     return known if hash_file(file) == known.sha256 else None
 
 
-def _index(folder: Path) -> Index:
-    return Index.read(folder) if (folder / INDEX).exists() else Index()
+def _index(folder: Path) -> CollectionIndex:
+    return CollectionIndex.read(folder) if (folder / INDEX_NAME).exists() else CollectionIndex()
 
 
 def _make(
     collection: Collection, folder: Path, name: str, command: str, report: Report
-) -> Published:
+) -> PublishedDesign:
     """Train, test and write a design, its card and its entry in the index."""
     recipe = collection.designs[name]
     data, job = recipe.load(), recipe.job
@@ -211,13 +211,13 @@ def _make(
     write_atomically(folder / f"{name}.safetensors", content)
     write_atomically(folder / f"{name}.md", words.encode())
     index = _index(folder)  # as it is now: another process may have made another design
-    changed = Index(designs={**index.designs, name: entry})
-    write_atomically(folder / INDEX, (changed.model_dump_json(indent=1) + "\n").encode())
+    changed = CollectionIndex(designs={**index.designs, name: entry})
+    write_atomically(folder / INDEX_NAME, (changed.model_dump_json(indent=1) + "\n").encode())
     return entry
 
 
-def _entry(recipe: DesignRecipe, result: Result, sha256: str) -> Published:
-    return Published(
+def _entry(recipe: DesignRecipe, result: Result, sha256: str) -> PublishedDesign:
+    return PublishedDesign(
         sha256=sha256,
         recognises=recipe.recognises,
         data=recipe.data,

@@ -27,7 +27,7 @@ from deepfsi.datasets.dataset import Measure
 from deepfsi.design.estimation import Estimates
 from deepfsi.design.evaluation import Result
 from deepfsi.design.exposure import find_exposure
-from deepfsi.design.training_data import TrainingScenes, new_scenes
+from deepfsi.designfile import TrainingScenes, new_scenes
 from deepfsi.jobs import designs as codes
 from deepfsi.optics.detection import Detection
 from deepfsi.sweeps.recipe import Recipe

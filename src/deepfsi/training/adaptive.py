@@ -22,7 +22,7 @@ from deepfsi.design.adaptive.misfit import (
 from deepfsi.design.adaptive.posterior import LookOptics
 from deepfsi.design.adaptive.prior import ScenePrior
 from deepfsi.design.confidence import CalibrationScenes, Exposed
-from deepfsi.design.temperatures import REACH, Temperatures
+from deepfsi.designfile import CALIBRATION_REACH, Temperatures
 from deepfsi.jobs.entries import AdaptiveMasks
 from deepfsi.jobs.job import Job
 from deepfsi.training.folds import DOUBT, calibrated, folds_of
@@ -81,7 +81,7 @@ def _calibrated(
     found, test = calibrated(scenes, np.array(BUDGETS) * job.photons, data, job.photons, job.seed)
     # beyond the light that is measured as at its ends
     logs = np.pad(found.logs, ((0, 0), (1, 1)), mode="edge")
-    budgets = np.array([1 / REACH, *BUDGETS, REACH]) * job.photons
+    budgets = np.array([1 / CALIBRATION_REACH, *BUDGETS, CALIBRATION_REACH]) * job.photons
     return prior.with_temperatures(Temperatures(logs, budgets)), test.as_dict()
 
 

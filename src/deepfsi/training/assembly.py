@@ -12,8 +12,8 @@ from deepfsi.camera.names import LightLawName
 from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.design.own import OwnClassifier, make
-from deepfsi.design.training_data import TrainingScenes
 from deepfsi.design.values import Values
+from deepfsi.designfile import TrainingScenes
 from deepfsi.jobs.job import Job
 from deepfsi.optics import constraints
 from deepfsi.optics.detection import Detection

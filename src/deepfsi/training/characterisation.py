@@ -15,11 +15,9 @@ from deepfsi.design.confidence import (
     LeftOutTest,
     fit_temperatures,
 )
-from deepfsi.design.consistency import ReadoutDistribution
 from deepfsi.design.evaluation import scanner_for
 from deepfsi.design.readout_fit import sample_scenes
-from deepfsi.design.temperatures import Temperatures, calibration_budgets
-from deepfsi.design.view_test import SceneModel
+from deepfsi.designfile import ReadoutDistribution, SceneModel, Temperatures, calibration_budgets
 from deepfsi.jobs.job import Job
 from deepfsi.optics.features import CHUNK
 from deepfsi.training.folds import DOUBT, LEFT_OUT, calibrated, draws_of

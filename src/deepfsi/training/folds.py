@@ -12,7 +12,7 @@ from deepfsi.design.confidence import (
     fit_temperatures,
     measure_left_out,
 )
-from deepfsi.design.temperatures import Temperatures
+from deepfsi.designfile import Temperatures
 
 FEW_SCENES = 1000
 """Training scenes below which a design is surer of them than it is right on others."""

@@ -8,7 +8,7 @@ from pydantic import BaseModel
 
 from deepfsi.camera.light import brightness
 from deepfsi.datasets import Dataset
-from deepfsi.design.training_data import TrainedOn
+from deepfsi.designfile import TrainedOn
 
 
 def provenance(

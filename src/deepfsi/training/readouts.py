@@ -17,7 +17,8 @@ from deepfsi.base.intervals import Interval, accuracy, student, wilson
 from deepfsi.base.progress import SILENT, Report
 from deepfsi.datasets.readouts import Readouts
 from deepfsi.design.artifact import Design
-from deepfsi.design.readouts import PHOTONS, READOUTS, TRAINING, classify_readouts
+from deepfsi.design.readouts import PHOTONS, TRAINING, classify_readouts
+from deepfsi.designfile import READOUTS
 from deepfsi.training.learning import learn
 
 MOST_RIDGE = 5000

@@ -11,8 +11,8 @@ from deepfsi.camera.light import summed_reflectance
 from deepfsi.camera.names import LightLawName
 from deepfsi.datasets import Dataset
 from deepfsi.design.exposure import Exposure
-from deepfsi.design.training_data import TrainingScenes
 from deepfsi.design.values import Values
+from deepfsi.designfile import TrainingScenes
 from deepfsi.jobs import designs as codes
 from deepfsi.jobs import tiles
 from deepfsi.optics.detection import ONE, Detection

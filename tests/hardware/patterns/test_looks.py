@@ -8,9 +8,9 @@ import pytest
 from conftest import quick
 from deepfsi.base.errors import InputError
 from deepfsi.design.artifact import Design
-from deepfsi.hardware.live.loop import read_loop
+from deepfsi.designfile import loop_bytes
 from deepfsi.hardware.patterns.folder import check_patterns, read_patterns
-from shared.design_files import loop_of
+from shared.design_files import file_of
 
 LOOKS = 3
 OPTICS = {
@@ -43,11 +43,11 @@ def patterns(request, digits, tmp_path_factory):
 def test_each_frame_is_there_once_with_the_first_look_s_time(patterns):
     design = Design.load(patterns / "looks.safetensors")
     manifest = check_patterns(patterns / "patterns").manifest
-    looks, loop = manifest.looks, loop_of(design)
+    looks, file = manifest.looks, file_of(design)
     rails = [(manifest.frames[at].mask, manifest.frames[at].rail) for at in manifest.shown]
     assert len(set(rails)) == len(rails)
     assert (looks.count, looks.each_rail) == (LOOKS, design.exposure.dwells.each_rail)
-    np.testing.assert_allclose(looks.first, loop.first)
+    np.testing.assert_allclose(looks.first, file.first_dwell)
     assert looks.shortest == design.exposure.shortest
     places = looks.places(
         np.array([mask for mask, _ in rails]), np.array([rail == "minus" for _, rail in rails])
@@ -65,7 +65,7 @@ def test_each_frame_is_there_once_with_the_first_look_s_time(patterns):
 def test_the_loop_stands_beside_them(patterns):
     design = Design.load(patterns / "looks.safetensors")
     folder = patterns / "patterns"
-    assert read_loop(folder / "loop.safetensors").to_bytes() == loop_of(design).to_bytes()
+    assert (folder / "loop.safetensors").read_bytes() == loop_bytes(file_of(design))
     content = bytearray((folder / "loop.safetensors").read_bytes())
     content[-1] ^= 1
     (folder / "loop.safetensors").write_bytes(content)

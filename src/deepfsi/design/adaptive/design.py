@@ -1,22 +1,18 @@
 """A design of adaptive masks: what is known of scenes and how they are looked at, in one file."""
 
-import json
-import math
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import torch
-from pydantic import BaseModel, ConfigDict, Field
-from safetensors.numpy import save as to_bytes
 from torch import Tensor
 
-from deepfsi.base.errors import as_input_error
+from deepfsi.base.errors import InputError
 from deepfsi.base.files import DESIGNS, check_ending, write_atomically
 from deepfsi.camera.camera import Camera
 from deepfsi.design.adaptive.exposures import AT_ONCE, expose, look_at
@@ -26,22 +22,22 @@ from deepfsi.design.adaptive.prior import ScenePrior
 from deepfsi.design.artifact import Design
 from deepfsi.design.confidence import logits_at_stops, stops_of
 from deepfsi.design.evaluation import Answering, Guess, answering
-from deepfsi.design.file_content import SCHEMA, Info, damaged, is_adaptive, read_content
-from deepfsi.design.published import find_design
-from deepfsi.design.training_data import TrainingScenes
-from deepfsi.design.view_test import SceneModel
+from deepfsi.designfile import (
+    AdaptiveHeader,
+    DesignFile,
+    SceneModel,
+    TrainingScenes,
+    damaged_design,
+    find_design,
+    trained_budgets,
+    trained_camera,
+)
 from deepfsi.jobs.entries import AdaptiveMasks
 from deepfsi.optics.detection import Detection
 from deepfsi.optics.surroundings import library_defaults
 
 MOST_EXPOSURES = 32
 """Exposures that are computed at a time, at most: a thousand of them take twice as long each."""
-
-SLACK = 1e-3
-"""What rounding may change of a reflectance, or of a sum of them, relative."""
-
-MOST_REFLECTANCE, MOST_SPREAD = 1e3, 1e2
-"""Bounds of what a file may hold: a sum of all components, and the spread of a prior."""
 
 
 class Known(NamedTuple):
@@ -108,8 +104,15 @@ class AdaptiveDesign:
     @property
     def camera(self) -> Camera:
         """The camera that it was made for."""
-        with as_input_error("the design's camera", "make it again"):
-            return Camera.restored(self.info["job"]["camera"])
+        camera = trained_camera(self.info)
+        if camera is None:
+            raise InputError("this design does not say which camera it is for: make it again")
+        return camera
+
+    @property
+    def trained_budgets(self) -> tuple[float, float] | None:
+        """Lowest and highest budget of the training: it has one."""
+        return trained_budgets(self.info)
 
     @property
     def detection(self) -> Detection:
@@ -193,86 +196,47 @@ class AdaptiveDesign:
     @library_defaults()
     def to_bytes(self) -> bytes:
         """Content of the design file."""
-        header = _Header(
+        header = AdaptiveHeader(
+            deepfsi=version("deepfsi"),
             settings=self.settings,
             image_shape=self.image_shape,
             classes=self.classes,
             info=self.info,
         )
-        words = header.model_dump(mode="json", by_alias=True)
         arrays = self.prior.arrays | {"shares": self.shares.numpy()}
-        if self.usual_misfit is not None:
-            arrays |= self.usual_misfit.arrays
-        if self.training_scenes is not None:
-            arrays |= self.training_scenes.tensors
-        whole = {name: np.ascontiguousarray(each) for name, each in arrays.items()}
-        return to_bytes(whole, metadata={"deepfsi": json.dumps(words)})
+        for part in (self.usual_misfit, self.training_scenes):
+            arrays |= {} if part is None else part.arrays
+        return DesignFile(header, arrays).to_bytes()
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> "AdaptiveDesign":
+        """Read a design file, or raise `InputError` if it is no whole one of adaptive masks."""
+        return cls.of_file(DesignFile.read(path))
 
     @classmethod
     @library_defaults()
-    def load(cls, path: str | os.PathLike[str]) -> "AdaptiveDesign":
-        """Read a design file, or raise `InputError` if it is no whole one of adaptive masks."""
-        text, arrays = read_content(path)
+    def of_file(cls, file: DesignFile) -> "AdaptiveDesign":
+        """Design of a file, or `InputError` if it is not of adaptive masks."""
+        header, arrays = file.header, file.arrays
         try:
-            header = _Header.model_validate_json(text)
-            _check(header, arrays)
-            prior = ScenePrior.restored(arrays)
-            shares = torch.from_numpy(arrays["shares"])
-            usual = UsualMisfit.restored(arrays, header.settings.looks)
-            trained = TrainingScenes.restored(arrays)
+            if not isinstance(header, AdaptiveHeader):
+                raise TypeError(header)
+            return cls(
+                prior=ScenePrior.restored(arrays),
+                settings=header.settings,
+                image_shape=header.image_shape,
+                classes=header.classes,
+                shares=torch.from_numpy(arrays["shares"]),
+                usual_misfit=UsualMisfit.restored(arrays, header.settings.looks),
+                info=header.info,
+                training_scenes=file.training_scenes,
+            )
         except (KeyError, TypeError, ValueError, RuntimeError, IndexError) as error:
-            raise damaged(path, text) from error
-        known = header.settings, header.image_shape, header.classes
-        return cls(prior, *known, shares, usual, header.info, trained)
+            raise damaged_design(file.path or "this", file.text or "") from error
 
 
 AnyDesign = Design | AdaptiveDesign
 """A design whose masks are known before, or one that makes them while it looks."""
-
-
-class _Header(BaseModel):
-    """Header of a file of adaptive masks: all of the design but its arrays."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True)
-
-    schema_number: Literal[1] = Field(SCHEMA, alias="schema")
-    deepfsi: str = version("deepfsi")
-    name: Literal["adaptive"] = "adaptive"
-    settings: AdaptiveMasks
-    image_shape: tuple[Annotated[int, Field(ge=1)], ...]
-    classes: tuple[str, ...]
-    info: Info
-
-
-def _check(header: _Header, arrays: Mapping[str, np.ndarray]) -> None:
-    """Raise `ValueError` unless arrays are of a prior as `ScenePrior.arrays` gives it."""
-    (scenes, parts), pixels = arrays["levels"].shape, math.prod(header.image_shape)
-    shapes = {
-        "mean": ((pixels,), np.float32),
-        "components": ((parts, pixels), np.float32),
-        "steps": ((parts,), np.float32),
-        "levels": ((scenes, parts), np.int8),
-        "members": ((scenes,), np.int32),
-        "sizes": ((len(header.classes),), np.int64),
-        "numbers": ((2,), np.float64),
-        "shares": ((header.settings.looks,), np.float32),
-    }
-    for name, (shape, kind) in shapes.items():
-        held = arrays[name]
-        if held.shape != shape or held.dtype != kind or not np.isfinite(held).all():
-            raise ValueError(f"{name} is not of this design")
-    if len(arrays.get("temperature_logs", arrays["shares"])) != header.settings.looks:
-        raise ValueError("temperatures are of other looks")
-    if not isinstance(header.info.get("job", {}).get("camera"), dict):
-        raise ValueError("no camera is known")
-    mean, farthest = arrays["mean"], 127 * arrays["steps"] @ np.abs(arrays["components"])
-    if mean.min() < 0 or mean.max() > 1 + SLACK or farthest.max() > MOST_REFLECTANCE:
-        raise ValueError("the prior holds no reflectances")
-    sizes, (light, spread) = arrays["sizes"], arrays["numbers"]
-    whole = math.isclose(light, mean.sum(dtype=float), rel_tol=SLACK) and 0 <= spread <= MOST_SPREAD
-    whole &= arrays["members"].min() > 0
-    if sizes.min() < 0 or sizes.sum() != scenes or not whole:
-        raise ValueError("the scenes of the prior are none")
 
 
 def load_design(
@@ -305,11 +269,10 @@ def load_design(
     ...     deepfsi.load_design(design.save(f"{folder}/d.safetensors")).masks
     6
     """
-    path = find_design(path)
-    header, _ = read_content(path, ())
-    if is_adaptive(header):
-        return AdaptiveDesign.load(path)
-    return Design.load(path, device, trust=trust)
+    file = DesignFile.read(find_design(path))
+    if isinstance(file.header, AdaptiveHeader):
+        return AdaptiveDesign.of_file(file)
+    return Design.of_file(file, device, trust=trust)
 
 
 @answering.register

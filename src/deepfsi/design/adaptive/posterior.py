@@ -18,6 +18,7 @@ from deepfsi.camera.camera import Camera
 from deepfsi.camera.names import LOOK_LIGHT
 from deepfsi.design.adaptive.prior import ScenePrior
 from deepfsi.design.posterior import class_chances
+from deepfsi.design.temperatures import temperatures_at
 from deepfsi.optics.detection import Detection
 
 DIMMEST = 1e-6
@@ -211,12 +212,12 @@ class AdaptivePosterior:
         A temperature τ makes of the odds of classes to those before all looks their power 1 / τ.
         Without light the classes keep their shares.
         """
-        known = self.prior.temperatures
-        if known is None or not self._looks:
+        fitted = self.prior.temperatures
+        if fitted is None or not self._looks:
             return self.class_weights
         shares = self.prior.class_shares.log()
         budget = torch.tensor([self.optics.photons], dtype=torch.double)
-        temperature = known.at(self._looks - 1, budget).to(shares)
+        temperature = temperatures_at(fitted, self._looks - 1, budget).to(shares)
         odds = self.class_weights.clamp(min=LEAST_WEIGHT).log() - shares
         return (odds / temperature + shares).softmax(dim=1)
 

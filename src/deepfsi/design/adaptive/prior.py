@@ -9,8 +9,8 @@ from threadpoolctl import threadpool_limits
 from torch import Tensor
 
 from deepfsi.camera.light import summed_reflectance
-from deepfsi.design.temperatures import Temperatures
-from deepfsi.design.view_test import FEWEST_OF_A_CLASS, FEWEST_SCENES, SceneModel
+from deepfsi.designfile import SceneModel, Temperatures
+from deepfsi.designfile.view_test import FEWEST_MODELLED, FEWEST_MODELLED_OF_A_CLASS
 
 NEIGHBOURS = 3000
 """Scenes whose nearest neighbours tell how far scenes lie from those of the prior, at most."""
@@ -127,7 +127,7 @@ class ScenePrior:
         members = self.members.numpy().astype(float)
         labels = self.labels.numpy()
         often = np.bincount(labels, members, minlength=self.classes)
-        if often.sum() < FEWEST_SCENES or often.min() < FEWEST_OF_A_CLASS:
+        if often.sum() < FEWEST_MODELLED or often.min() < FEWEST_MODELLED_OF_A_CLASS:
             return None
         own = self.coefficients.numpy().astype(float)
         centres = np.stack([
@@ -176,8 +176,7 @@ class ScenePrior:
         }
         prior.temperatures = None
         if held:
-            tensors = {name: torch.from_numpy(each) for name, each in held.items()}
-            prior.temperatures = Temperatures.restored(tensors, len(held["logs"]))
+            prior.temperatures = Temperatures.restored(held, len(held["logs"]))
         return prior
 
     def few(self, count: int, seed: int = 0) -> "ScenePrior":

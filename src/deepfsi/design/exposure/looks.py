@@ -23,10 +23,10 @@ from deepfsi.camera.camera import Camera
 from deepfsi.camera.light import Shares, share_out
 from deepfsi.camera.names import LightLawName
 from deepfsi.design.classifiers import Mlp, restored
-from deepfsi.design.consistency import ReadoutDistribution
 from deepfsi.design.exposure import LOOKING, Looks
 from deepfsi.design.exposure.trained import Observation, Read, Show, TrainedExposure
 from deepfsi.design.readout_fit import find_distribution
+from deepfsi.designfile import ReadoutDistribution
 from deepfsi.jobs.entries import LARGEST_SCORE, ExposureEntry, LooksEntry
 from deepfsi.optics import constraints
 from deepfsi.optics.detection import Detection

@@ -17,8 +17,8 @@ from deepfsi.base.errors import InputError
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.names import LightLawName
 from deepfsi.design.classifiers import Mlp
-from deepfsi.design.consistency import ReadoutDistribution
 from deepfsi.design.readout_fit import find_distribution
+from deepfsi.designfile import ReadoutDistribution
 from deepfsi.jobs.entries import ExposureEntry, FixedEntry, PatchesEntry
 from deepfsi.optics import constraints
 from deepfsi.optics.detection import Detection

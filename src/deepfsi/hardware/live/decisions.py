@@ -25,7 +25,7 @@ import numpy as np
 
 from deepfsi.base.errors import InputError
 from deepfsi.camera.stop_rule import MARGIN_NS
-from deepfsi.design.view_test import Rows, ViewResult, ViewTest
+from deepfsi.designfile import SceneReadouts, ViewResult, ViewTest
 from deepfsi.hardware.counting.acquisition import Acquisition
 from deepfsi.hardware.counting.ambient import dark_frames
 from deepfsi.hardware.light import SPOILING, Arrivals, Fault, LightMonitor
@@ -71,7 +71,7 @@ class Observer:
         loaded = 0 if manifest.looks.adaptive else len(manifest.shown)
         known, shape = looks.scene_model, manifest.image_shape
         self._view = None if known is None else ViewTest(known, shape, loaded)
-        self.rows: Rows | None = None  # counts of the last scene, behind its masks
+        self.rows: SceneReadouts | None = None  # counts of the last scene, behind its masks
         self._settle_s = acquisition.settle_s
         first = (manifest.frames[place].picture_us * 1000 for place in (ON, OFF))
         settle = acquisition.settle_s + usual_tolerance(manifest)
@@ -141,7 +141,7 @@ class Observer:
         faults += doubts
         yield Decision(*decision, final=True, faults=changes + faults, view=view)
 
-    def _rows(self, photons: float, shown: list[FrameList], looks: list[Arrivals]) -> Rows:
+    def _rows(self, photons: float, shown: list[FrameList], looks: list[Arrivals]) -> SceneReadouts:
         """Counts of a scene, and what each of its looks showed."""
         manifest, arms = self._manifest, self._manifest.inputs // self._manifest.detector_count
         cells = manifest.detectors and manifest.detectors.cells
@@ -161,7 +161,7 @@ class Observer:
             dark = (self._light.dark + ambient) * seconds
             noise = dark.clip(min=0) + its_noise * seconds**2 + (variance - counts).clip(min=0)
             parts.append(
-                Rows(
+                SceneReadouts(
                     masks.reshape(-1, lit.shape[-1]),
                     (counts - dark).ravel(),
                     noise.ravel(),
@@ -170,7 +170,7 @@ class Observer:
                     np.repeat(share, len(inputs)),
                 )
             )
-        return Rows.join(parts)
+        return SceneReadouts.join(parts)
 
     def _arrivals(self, count: Count, asked: FrameList) -> Arrivals:
         """Photons that arrived in the gates of a list, of those that were counted."""

@@ -7,12 +7,10 @@ import numpy as np
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import hash_file
 from deepfsi.base.plugins import torch_needed
-from deepfsi.design.file_content import damaged, read_content
-from deepfsi.design.training_data import HASHES, TrainingScenes
+from deepfsi.designfile import DesignFile, read_loop
 from deepfsi.hardware.counting.readouts import by_readout
 from deepfsi.hardware.light import Arrivals
 from deepfsi.hardware.live.looks import AllOn, Conditions, FrameList, Likeness, LiveLooks
-from deepfsi.hardware.live.loop import Loop, read_loop
 from deepfsi.hardware.patterns.folder import DESIGN, LOOP, read_patterns
 from deepfsi.hardware.patterns.sequence import Manifest, Patterns
 
@@ -21,13 +19,20 @@ def read_looks(folder: Path, manifest: Manifest) -> LiveLooks:
     """Looks of a folder of patterns, or `InputError` if its files are damaged."""
     assert manifest.looks is not None
     if not manifest.looks.adaptive:
-        known = manifest.design_sha256 is not None
-        held = read_content(folder / DESIGN, (HASHES,))[1] if known else {}
-        try:
-            trained = TrainingScenes.restored(held)
-        except ValueError as error:
-            raise damaged(folder / DESIGN) from error
-        return KnownMasks(read_loop(folder / LOOP), read_patterns(folder), trained)
+        patterns = read_patterns(folder)
+        if manifest.design_sha256 is not None:
+            return KnownMasks(DesignFile.read(folder / DESIGN), patterns)
+        rails, image_shape, _ = patterns.realised
+        detectors = manifest.detectors and manifest.detectors.cells
+        design = read_loop(
+            folder / LOOP,
+            rails,
+            image_shape=image_shape,
+            light=manifest.light,
+            summed_reflectance=manifest.summed_reflectance,
+            detectors=None if detectors is None else np.array(detectors),
+        )
+        return KnownMasks(design, patterns)
     with torch_needed():
         from deepfsi.design.adaptive.design import AdaptiveDesign
         from deepfsi.lab.adaptive import AdaptiveLooks
@@ -49,16 +54,15 @@ class KnownMasks:
     Its attributes are those of `LiveLooks`.
     """
 
-    def __init__(
-        self, loop: Loop, patterns: Patterns, training_scenes: TrainingScenes | None = None
-    ) -> None:
-        header, manifest = loop.header, patterns.manifest
-        self.training_scenes, self.scene_model = training_scenes, loop.scene_model
-        self._fractions = patterns.fractions
-        self.loop, self.classes = loop, header.classes
-        self.shares = (1 / header.looks,) * header.looks
-        self.photons, self.rule, self.shortest = header.photons, header.rule, header.shortest
-        self.manifest, self.decision_s = manifest, DECISION_S
+    def __init__(self, design: DesignFile, patterns: Patterns) -> None:
+        manifest = patterns.manifest
+        self.design, self.manifest, self._fractions = design, manifest, patterns.fractions
+        self.training_scenes, self.scene_model = design.training_scenes, design.scene_model
+        self.classes = design.header.classes
+        looks = design.looks.looks
+        self.shares, self.shortest = (1 / looks,) * looks, design.looks.shortest
+        self.photons, self.rule = design.photons, design.stop_rule
+        self.decision_s = DECISION_S
         masks = np.array([manifest.frames[at].mask for at in manifest.shown])
         rails = np.array([manifest.frames[at].rail for at in manifest.shown])
         assert manifest.looks is not None
@@ -77,18 +81,19 @@ class KnownExposure:
     """One exposure of a scene with known masks."""
 
     def __init__(self, masks: KnownMasks, conditions: Conditions) -> None:
-        header = masks.loop.header
-        self._masks, self._loop, self._conditions = masks, masks.loop, conditions
-        self._features, self._dwell = np.zeros(header.features), np.zeros(header.frames)
-        self._gates = np.zeros(header.frames, np.int64)  # of the present look
-        self._read, self._noise = np.zeros((2, header.rails, header.masks, header.detectors))
+        self._masks, self._design, self._conditions = masks, masks.design, conditions
+        design = masks.design
+        self._features, self._dwell = np.zeros(design.feature_count), np.zeros(design.frames)
+        self._gates = np.zeros(design.frames, np.int64)  # of the present look
+        self._shape = design.rail_count, design.masks, design.detector_count
+        self._read, self._noise = np.zeros((2, *self._shape))
         self._look = 0
 
     def ask(self, look: int) -> FrameList:
         """Frames of the next look, for the dwells that the networks choose."""
-        masks, inputs = self._masks, self._loop.inputs(self._features, self._dwell)
+        masks, inputs = self._masks, self._design.inputs(self._features, self._dwell)
         exposure_ns = self._conditions.exposure_ns
-        asked = self._loop.choose(inputs, look, self._conditions.shortest_ns / exposure_ns)
+        asked = self._design.next_dwell(inputs, look, self._conditions.shortest_ns / exposure_ns)
         self._gates, self._look = np.rint(asked * exposure_ns).astype(np.int64), look
         own = self._gates[masks.places]
         kept = own > 0
@@ -99,16 +104,16 @@ class KnownExposure:
         counts, noise = self._by_rail(found, asked)
         self._read, self._noise = self._read + counts, self._noise + noise
         photons = self._conditions.photons
-        self._features += self._loop.features(counts) / photons
+        self._features += self._design.features(counts) / photons
         self._dwell += self._gates / self._conditions.exposure_ns
-        return self._loop.classify(self._loop.inputs(self._features, self._dwell), photons)
+        return self._design.chances(self._design.inputs(self._features, self._dwell), photons)
 
     def compare(self, on: AllOn) -> Likeness | None:
         """Comparison of all counts with the training; none where nothing of it is known."""
-        known, header = self._loop.distribution, self._loop.header
+        known, design = self._design.distribution, self._design
         if known is None:
             return None
-        each = (self._dwell * header.frames).reshape(header.masks, -1).T[:, :, None]
+        each = (self._dwell * design.frames).reshape(design.masks, -1).T[:, :, None]
         weights = np.broadcast_to(each, self._read.shape).ravel()
         read, noise, often = (
             np.append(one, last)[None, None]
@@ -125,7 +130,7 @@ class KnownExposure:
 
     def _by_rail(self, found: Arrivals, shown: FrameList) -> tuple[np.ndarray, np.ndarray]:
         """Counts (rails, m, D) of a look that are a scene's, and noise beyond their own."""
-        manifest, header = self._masks.manifest, self._loop.header
+        manifest = self._masks.manifest
         every = np.zeros((2, len(manifest.shown), manifest.inputs))
         rows = np.searchsorted(manifest.shown, shown.frames)
         counts, variance = found.photons.sum(axis=1), found.variance.sum(axis=1)
@@ -135,5 +140,5 @@ class KnownExposure:
         noise = dark.clip(min=0) + its_noise * seconds**2 + (variance - counts).clip(min=0)
         every[:, rows] = counts - dark, noise
         held = by_readout(manifest, every)
-        read, noise = held.reshape(2, header.rails, header.masks, header.detectors)
+        read, noise = held.reshape(2, *self._shape)
         return read, noise

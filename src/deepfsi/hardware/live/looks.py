@@ -7,8 +7,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from deepfsi.camera.stop_rule import StopRule
-from deepfsi.design.training_data import TrainingScenes
-from deepfsi.design.view_test import SceneModel
+from deepfsi.designfile import SceneModel, TrainingScenes
 from deepfsi.hardware.counting.streaming import FrameCounts
 from deepfsi.hardware.light import Arrivals
 

@@ -18,7 +18,7 @@ from deepfsi.base.arrays import read_npz
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import hash_file, write_atomically
 from deepfsi.base.progress import SILENT, Report
-from deepfsi.design.view_test import Rows
+from deepfsi.designfile import SceneReadouts
 from deepfsi.hardware.counting.acquisition import Acquisition, check_inputs, read_acquisition
 from deepfsi.hardware.counting.streaming import FrameCounts
 from deepfsi.hardware.light import PARTS
@@ -131,7 +131,7 @@ class Replayed:
     shown: ShownScene  # as the run has it
     decisions: tuple[Decision, ...]  # after each look, from its counts; none without light
     answer: LiveScene
-    rows: Rows | None = None  # its counts behind its masks; none without light
+    rows: SceneReadouts | None = None  # its counts behind its masks; none without light
 
 
 def replay_run(run: LiveCounts, looks: LiveLooks) -> tuple[Replayed, ...]:

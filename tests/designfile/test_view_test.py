@@ -5,9 +5,9 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from conftest import quick
-from deepfsi.design import view_test
 from deepfsi.design.artifact import Design
-from deepfsi.design.view_test import FALSE_ALARM, Rows, SceneModel, ViewTest, motions, views
+from deepfsi.designfile import SceneModel, SceneReadouts, ViewTest, view_test
+from deepfsi.designfile.view_test import FALSE_ALARM, orientation_faults, view_faults
 
 SHAPE, PHOTONS, MASKS = (8, 8), 1e4, 16
 
@@ -31,7 +31,7 @@ def exposed(model, masks, scenes, rng, frames=0, shown=None):
     places = (np.arange(len(masks)), np.ones(len(masks))) if frames else (None, None)
     for x in scenes:
         read = rng.poisson((masks if shown is None else shown) @ x.clip(min=0)).astype(float)
-        test.add(Rows(masks, read, none, none.astype(int), *places))
+        test.add(SceneReadouts(masks, read, none, none.astype(int), *places))
     return test.result
 
 
@@ -78,7 +78,7 @@ def test_a_likelihood_ratio_is_1_in_the_mean_of_sound_runs(model, masks):
         test = ViewTest.__new__(ViewTest)
         test.__dict__.update(test_of.__dict__, _log=0 * test_of._log, _often=test_of._often)
         test._all_alike = view_test._AllAlike(test_of._shares)
-        test.add(Rows(bright, read, np.zeros(MASKS), np.zeros(MASKS, int)))
+        test.add(SceneReadouts(bright, read, np.zeros(MASKS), np.zeros(MASKS, int)))
         ratios.append(np.exp(test.result.odds))
     error = np.std(ratios, axis=0) / np.sqrt(len(ratios))
     assert (np.mean(ratios, axis=0) < 1 + 5 * error).all()
@@ -96,7 +96,9 @@ def test_sound_runs_are_let_pass_whatever_their_classes(digits, model, masks):
     assert alarms <= 1
 
 
-@pytest.mark.parametrize("view", [*motions(SHAPE), *views(SHAPE)], ids=lambda view: view.words)
+@pytest.mark.parametrize(
+    "view", [*orientation_faults(SHAPE), *view_faults(SHAPE)], ids=lambda view: view.words
+)
 def test_each_fault_is_refused_and_named_in_40_scenes(digits, model, masks, view):
     rng = np.random.default_rng(4)
     scenes = chosen(digits, rng)
@@ -143,7 +145,7 @@ def test_an_alarm_stays(digits, model, masks):
     scenes = chosen(digits, rng, 300)
     scenes[:30] = scenes[:30].reshape(-1, 8, 8)[:, :, ::-1].reshape(-1, 64)
     for x in scenes:
-        test.add(Rows(masks, rng.poisson(masks @ x).astype(float), none, none.astype(int)))
+        test.add(SceneReadouts(masks, rng.poisson(masks @ x).astype(float), none, none.astype(int)))
     assert test.result.evidence < -np.log(FALSE_ALARM)
     assert test.result.refused
 
@@ -162,7 +164,7 @@ def test_the_file_of_a_design_keeps_the_model_and_one_without_reads(digits, tmp_
 
 
 def test_a_spectrum_is_a_picture_of_one_row():
-    every = (*motions((20,)), *views((20,)))
+    every = (*orientation_faults((20,)), *view_faults((20,)))
     names = [view.words for view in every]
     assert "mirrored left to right" in names
     assert not any("top" in name or "degrees" in name for name in names)

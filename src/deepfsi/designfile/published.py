@@ -20,28 +20,28 @@ from deepfsi.base.errors import InputError, as_input_error, closest
 from deepfsi.base.files import hash_file, read_text
 from deepfsi.base.models import StrictModel
 
-VARIABLE = "DEEPFSI_DESIGNS"
+DESIGNS_VARIABLE = "DEEPFSI_DESIGNS"
 """Environment variable: folder or address of a collection."""
 
-SHIPPED = Path(str(files(__package__) / "shipped"))
+SHIPPED_DESIGNS = Path(str(files(__package__) / "shipped"))
 """Folder of the collection that comes with the package."""
 
-INDEX = "designs.json"
+INDEX_NAME = "designs.json"
 """Name of the index of a collection."""
 
 LARGEST_INDEX = 2**20
 """Bytes of an index at most."""
 
-NAME = r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}"
+NAME_PATTERN = r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}"
 """Names of published designs."""
 
-Name = Annotated[str, Field(pattern=f"^{NAME}$")]
-Hash = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
-Words = Annotated[str, Field(max_length=200, pattern="^[^\x00-\x1f\x7f-\x9f]*$")]
-Share = Annotated[float, Field(ge=0, le=1)]
+DesignName = Annotated[str, Field(pattern=f"^{NAME_PATTERN}$")]
+_Hash = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
+ShortText = Annotated[str, Field(max_length=200, pattern="^[^\x00-\x1f\x7f-\x9f]*$")]
+_Share = Annotated[float, Field(ge=0, le=1)]
 
 
-class Published(StrictModel):
+class PublishedDesign(StrictModel):
     """A published design, as an index tells it.
 
     Attributes
@@ -60,17 +60,17 @@ class Published(StrictModel):
         SHA-256 of the settings that it was made with.
     """
 
-    sha256: Hash
-    recognises: Words
-    data: Words
+    sha256: _Hash
+    recognises: ShortText
+    data: ShortText
     photons: Annotated[float, Field(gt=0, allow_inf_nan=False)]
-    accuracy: Share
-    low: Share
-    high: Share
-    recipe: Hash
+    accuracy: _Share
+    low: _Share
+    high: _Share
+    recipe: _Hash
 
 
-class Index(StrictModel):
+class CollectionIndex(StrictModel):
     """Index of a collection, the file `designs.json`.
 
     Attributes
@@ -82,12 +82,12 @@ class Index(StrictModel):
     """
 
     schema_version: Literal[1] = 1
-    designs: dict[Name, Published] = Field({})
+    designs: dict[DesignName, PublishedDesign] = Field({})
 
     @classmethod
-    def read(cls, folder: Path) -> "Index":
+    def read(cls, folder: Path) -> "CollectionIndex":
         """Index in a folder."""
-        path = folder / INDEX
+        path = folder / INDEX_NAME
         content = read_text(path, LARGEST_INDEX, "give the folder of a collection of designs")
         with as_input_error(str(path), "make the collection again", content):
             return cls.model_validate_json(content)
@@ -116,7 +116,7 @@ def find_design(given: str | os.PathLike[str]) -> Path:
         return path
     if path.name and (longer := path.with_name(f"{path.name}.safetensors")).is_file():
         raise InputError(f"no design file at {name}: did you mean {longer}?")
-    if not re.fullmatch(NAME, name):
+    if not re.fullmatch(NAME_PATTERN, name):
         return path
     collections = read_indexes()
     where = next((each for each, designs in collections.items() if name in designs), None)
@@ -124,7 +124,8 @@ def find_design(given: str | os.PathLike[str]) -> Path:
         names = [each for designs in collections.values() for each in designs]
         raise InputError(
             f"no design file and no published design {name!r}: {closest(name, names)}; make a file "
-            f"with `deepfsi design`, or set {VARIABLE} to the folder or address of a collection"
+            f"with `deepfsi design`, or set {DESIGNS_VARIABLE} to the folder or address of a "
+            "collection"
         )
     folder, sha256 = _folder(where), collections[where][name].sha256
     if folder is None:
@@ -132,32 +133,34 @@ def find_design(given: str | os.PathLike[str]) -> Path:
     path = folder / f"{name}.safetensors"
     if hash_file(path) != sha256:
         raise InputError(
-            f"{path} is not the file that {INDEX} beside it names (wrong sha256), changed or "
+            f"{path} is not the file that {INDEX_NAME} beside it names (wrong sha256), changed or "
             "damaged: copy the original, or make it again with `deepfsi designs make`"
         )
     return path
 
 
-def read_indexes() -> dict[str, dict[str, Published]]:
+def read_indexes() -> dict[str, dict[str, PublishedDesign]]:
     """Designs by name, of the collection of `DEEPFSI_DESIGNS` if it is set, and of the package's.
 
     The collections go by their folder or address.
     """
     found = {}
-    if where := os.environ.get(VARIABLE, "").rstrip("/"):
+    if where := os.environ.get(DESIGNS_VARIABLE, "").rstrip("/"):
         found[where] = _read_index(where)
-    return {**found, str(SHIPPED): Index.read(SHIPPED).designs}
+    return {**found, str(SHIPPED_DESIGNS): CollectionIndex.read(SHIPPED_DESIGNS).designs}
 
 
-def _read_index(where: str) -> dict[str, Published]:
+def _read_index(where: str) -> dict[str, PublishedDesign]:
     folder = _folder(where)
     if folder is not None:
-        return Index.read(folder).designs
+        return CollectionIndex.read(folder).designs
     from deepfsi.datasets.store import fetch
 
     with TemporaryDirectory() as there:
-        _check_fetched(f"{where}/{INDEX}", fetch(f"{where}/{INDEX}", None, Path(there, INDEX)))
-        return Index.read(Path(there)).designs
+        _check_fetched(
+            f"{where}/{INDEX_NAME}", fetch(f"{where}/{INDEX_NAME}", None, Path(there, INDEX_NAME))
+        )
+        return CollectionIndex.read(Path(there)).designs
 
 
 def _folder(where: str) -> Path | None:
@@ -169,7 +172,7 @@ def _folder(where: str) -> Path | None:
         return Path(url2pathname(path))
     if scheme not in ("http", "https"):
         raise InputError(
-            f"{VARIABLE} is '{where}': give a folder, or an address of http, https or file"
+            f"{DESIGNS_VARIABLE} is '{where}': give a folder, or an address of http, https or file"
         )
     return None
 
@@ -188,5 +191,5 @@ def _check_fetched(url: str, failure: str) -> None:
     if failure:
         raise InputError(
             f"cannot download {url} ({failure}), and nothing of it was kept: try again, or set "
-            f"{VARIABLE} to another address or to a folder"
+            f"{DESIGNS_VARIABLE} to another address or to a folder"
         )

@@ -9,13 +9,8 @@ import deepfsi
 from deepfsi import InputError, load_dataset, load_design
 from deepfsi.datasets import write_pictures
 from deepfsi.design.artifact import Design
-from deepfsi.design.training_data import (
-    HASHES,
-    NO_MEASURE,
-    TrainingScenes,
-    new_scenes,
-    scene_hashes,
-)
+from deepfsi.designfile import NO_MEASURE, TrainingScenes, new_scenes, scene_hashes
+from deepfsi.designfile.provenance import SCENE_HASHES
 from shared.design_files import rewrite
 from shared.jobs import learn
 from shared.pictures import save_images
@@ -131,7 +126,7 @@ def test_scenes_that_were_held_out_are_known_too(data):
 
 def test_a_file_of_an_older_version_does_not_know(design, data, pictures, tmp_path):
     path = design.save(tmp_path / "old.safetensors")
-    rewrite(path, lambda header, tensors: tensors.pop(HASHES))
+    rewrite(path, lambda header, tensors: tensors.pop(SCENE_HASHES))
     old = load_design(path)
     assert old.training_scenes is None
     [now], [then] = (deepfsi.evaluate(each, data, 1e4, draws=1) for each in (design, old))
@@ -145,7 +140,7 @@ def test_hashes_that_are_none_are_refused(design, tmp_path):
     path = design.save(tmp_path / "bad.safetensors")
 
     def reverse(header, tensors):
-        tensors[HASHES] = tensors[HASHES].flip(0)
+        tensors[SCENE_HASHES] = tensors[SCENE_HASHES].flip(0)
 
     rewrite(path, reverse)
     with pytest.raises(InputError, match="not a whole deepfsi design file"):

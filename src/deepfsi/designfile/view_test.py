@@ -18,15 +18,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from itertools import combinations
 from math import log
-from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import ndimage
-from scipy.linalg import eigh
-from scipy.special import logsumexp
-
-if TYPE_CHECKING:  # live runs do without torch
-    from torch import Tensor
 
 FALSE_ALARM = 0.005
 """Chance, at most, that a sound run is refused, whatever its length."""
@@ -37,7 +30,7 @@ MOST_AXES = 40
 SCENES_OF_AN_AXIS = 5
 """Training scenes that each axis needs."""
 
-FEWEST_SCENES, FEWEST_OF_A_CLASS = 100, 20
+FEWEST_MODELLED, FEWEST_MODELLED_OF_A_CLASS = 100, 20
 """Training scenes in all, and of each class, from which on runs can be tested."""
 
 FREE_BRIGHTNESS = 0.3
@@ -49,12 +42,12 @@ FREE_GAIN = 0.03
 MOST_EXCHANGED = 24
 """Frames, at most, of which each two are tried exchanged."""
 
-MOST_NAMED = 3
+MOST_FAULTS_NAMED = 3
 """Faults that a remark lists at most."""
 
 
 @dataclass(frozen=True)
-class Sizes:
+class FaultSizes:
     """Sizes of faults."""
 
     blurs: tuple[float, ...]  # cells, standard deviation
@@ -64,26 +57,26 @@ class Sizes:
     tilts: tuple[float, ...]  # half of the difference of light between two sides, over the mean
 
 
-FAULTY = Sizes((1.0, 2.0), (0.5, 1.0, 3.0), (0.4, 0.7), (1 / 16,), (0.4,))
+FAULTY_SIZES = FaultSizes((1.0, 2.0), (0.5, 1.0, 3.0), (0.4, 0.7), (1 / 16,), (0.4,))
 """Sizes that are looked for."""
 
-HARMLESS = Sizes((0.5,), (0.2,), (0.2,), (1 / 40,), (0.15,))
+HARMLESS_SIZES = FaultSizes((0.5,), (0.2,), (0.2,), (1 / 40,), (0.15,))
 """Sizes that are let pass: a run is refused only if none of these explains its counts."""
-
-Images = np.ndarray
-"""Scenes as images (..., h, w)."""
 
 
 @dataclass(frozen=True)
-class View:
+class ViewFault:
     """Fault in how a camera sees scenes."""
 
     words: str  # "... of the picture on the device"
-    see: Callable[[Images], Images]  # linear in the scenes
+    # Of scenes as images (..., h, w), linear in them
+    see: Callable[[np.ndarray], np.ndarray]
     stray: float = 0.0  # even light beside that of the scenes, over their mean light
 
 
-def views(image_shape: tuple[int, ...], sizes: Sizes = FAULTY) -> tuple[View, ...]:
+def view_faults(
+    image_shape: tuple[int, ...], sizes: FaultSizes = FAULTY_SIZES
+) -> tuple[ViewFault, ...]:
     """Faults that are looked for in scenes of a shape; masks of one axis are images of one row."""
     height, width = _rows(image_shape)
     flat = height == 1
@@ -95,19 +88,21 @@ def views(image_shape: tuple[int, ...], sizes: Sizes = FAULTY) -> tuple[View, ..
     sides = {"right": (0, 1), "left": (0, -1), "bottom": (1, 0), "top": (-1, 0)}
     return (
         *[
-            View(f"blurred by about {cells:g} cells (standard deviation)", _blur(cells, flat))
+            ViewFault(f"blurred by about {cells:g} cells (standard deviation)", _blur(cells, flat))
             for cells in sizes.blurs
         ],
         *[
-            View(f"mixed with stray light of about {share:g} of the scenes'", lambda x: x, share)
+            ViewFault(
+                f"mixed with stray light of about {share:g} of the scenes'", lambda x: x, share
+            )
             for share in sizes.stray
         ],
         *[
-            View(f"darker at its corners, to about {1 - lost:g}", _times(1 - lost * radius))
+            ViewFault(f"darker at its corners, to about {1 - lost:g}", _times(1 - lost * radius))
             for lost in sizes.corners
         ],
         *[
-            View(
+            ViewFault(
                 f"lit unevenly, brighter at the {side}",
                 _times(1 + tilt * (dy * down + dx * across)),
             )
@@ -116,7 +111,7 @@ def views(image_shape: tuple[int, ...], sizes: Sizes = FAULTY) -> tuple[View, ..
             if dx or not flat
         ],
         *[
-            View(f"shifted to the {side}", _shift(dy * share * height, dx * share * width))
+            ViewFault(f"shifted to the {side}", _shift(dy * share * height, dx * share * width))
             for share in sizes.shifts
             for side, (dy, dx) in sides.items()
             if dx or not flat
@@ -124,21 +119,23 @@ def views(image_shape: tuple[int, ...], sizes: Sizes = FAULTY) -> tuple[View, ..
     )
 
 
-def motions(image_shape: tuple[int, ...]) -> tuple[View, ...]:
+def orientation_faults(image_shape: tuple[int, ...]) -> tuple[ViewFault, ...]:
     """Orientations, other than that of the training, in which scenes may lie."""
     height, width = _rows(image_shape)
-    found = [View("mirrored left to right", lambda x: x[..., ::-1])]
+    found = [ViewFault("mirrored left to right", lambda x: x[..., ::-1])]
     if height > 1:
         found += [
-            View("mirrored top to bottom", lambda x: x[..., ::-1, :]),
-            View("turned by 180 degrees", lambda x: x[..., ::-1, ::-1]),
+            ViewFault("mirrored top to bottom", lambda x: x[..., ::-1, :]),
+            ViewFault("turned by 180 degrees", lambda x: x[..., ::-1, ::-1]),
         ]
     if height == width:
         found += [
-            View("turned by 90 degrees", lambda x: x[..., ::-1, :].swapaxes(-1, -2)),
-            View("turned by 270 degrees", lambda x: x.swapaxes(-1, -2)[..., ::-1, :]),
-            View("mirrored at its falling diagonal", lambda x: x.swapaxes(-1, -2)),
-            View("mirrored at its rising diagonal", lambda x: x[..., ::-1, ::-1].swapaxes(-1, -2)),
+            ViewFault("turned by 90 degrees", lambda x: x[..., ::-1, :].swapaxes(-1, -2)),
+            ViewFault("turned by 270 degrees", lambda x: x.swapaxes(-1, -2)[..., ::-1, :]),
+            ViewFault("mirrored at its falling diagonal", lambda x: x.swapaxes(-1, -2)),
+            ViewFault(
+                "mirrored at its rising diagonal", lambda x: x[..., ::-1, ::-1].swapaxes(-1, -2)
+            ),
         ]
     return tuple(found)
 
@@ -148,21 +145,25 @@ def _rows(image_shape: tuple[int, ...]) -> tuple[int, int]:
     return height, width
 
 
-def _blur(cells: float, flat: bool) -> Callable[[Images], Images]:
-    def see(x: Images) -> Images:
+def _blur(cells: float, flat: bool) -> Callable[[np.ndarray], np.ndarray]:
+    from scipy.ndimage import gaussian_filter
+
+    def see(x: np.ndarray) -> np.ndarray:
         sigma = (*[0.0] * (x.ndim - 2), 0.0 if flat else cells, cells)
-        return np.asarray(ndimage.gaussian_filter(x, sigma, mode="constant"))
+        return np.asarray(gaussian_filter(x, sigma, mode="constant"))
 
     return see
 
 
-def _times(light: np.ndarray) -> Callable[[Images], Images]:
+def _times(light: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
     return lambda x: x * light
 
 
-def _shift(down: float, across: float) -> Callable[[Images], Images]:
-    def see(x: Images) -> Images:
-        return np.asarray(ndimage.shift(x, (*[0.0] * (x.ndim - 2), down, across), order=1))
+def _shift(down: float, across: float) -> Callable[[np.ndarray], np.ndarray]:
+    from scipy.ndimage import shift
+
+    def see(x: np.ndarray) -> np.ndarray:
+        return np.asarray(shift(x, (*[0.0] * (x.ndim - 2), down, across), order=1))
 
     return see
 
@@ -182,7 +183,7 @@ class SceneModel:
     def fit(cls, x: np.ndarray, labels: np.ndarray, classes: int) -> "SceneModel | None":
         """Model of scenes (n, N) of classes (n,), or None where there are too few."""
         sizes = np.bincount(labels, minlength=classes)
-        if len(x) < FEWEST_SCENES or sizes.min() < FEWEST_OF_A_CLASS:
+        if len(x) < FEWEST_MODELLED or sizes.min() < FEWEST_MODELLED_OF_A_CLASS:
             return None
         means = np.stack([x[labels == k].mean(axis=0, dtype=float) for k in range(classes)])
         away = np.asarray(x, float) - means[labels]
@@ -194,6 +195,8 @@ class SceneModel:
         cls, means: np.ndarray, away: np.ndarray, shares: np.ndarray, axes: int = MOST_AXES
     ) -> "SceneModel":
         """Model of class means (C, N), and of rows (n, N) whose squares sum to the covariance."""
+        from scipy.linalg import eigh
+
         count = min(axes, len(away), away.shape[1])
         wide = away.shape[1] > len(away)
         square = away @ away.T if wide else away.T @ away
@@ -204,15 +207,8 @@ class SceneModel:
         return cls(*(each.astype(np.float16) for each in (means, found[::-1], rest, shares)))
 
     @property
-    def tensors(self) -> "dict[str, Tensor]":
-        """Fields by name, as a design file takes them."""
-        from torch import from_numpy
-
-        return {name: from_numpy(held.copy()) for name, held in self.arrays.items()}
-
-    @property
     def arrays(self) -> dict[str, np.ndarray]:
-        """Fields by name."""
+        """Fields by name, as a design file takes them."""
         return dict(vars(self))
 
     @classmethod
@@ -230,7 +226,7 @@ class SceneModel:
 
 
 @dataclass(frozen=True)
-class Rows:
+class SceneReadouts:
     """Counts of one scene, readout by readout."""
 
     # (k, N): Counts that each pixel of reflectance 1 gives to each readout
@@ -243,7 +239,7 @@ class Rows:
     dwells: np.ndarray | None = None
 
     @classmethod
-    def join(cls, parts: "list[Rows]") -> "Rows":
+    def join(cls, parts: "list[SceneReadouts]") -> "SceneReadouts":
         """Counts of several looks at one scene."""
         names = [part.name for part in fields(cls)]
         return cls(*(np.concatenate([getattr(each, name) for each in parts]) for name in names))
@@ -264,6 +260,8 @@ class ViewResult:
     @np.errstate(under="ignore")
     def evidence(self) -> float:
         """Logarithm of the mean of the likelihood ratios."""
+        from scipy.special import logsumexp
+
         return float(logsumexp(self.odds + self.before))
 
     @property
@@ -313,7 +311,7 @@ class ViewResult:
             return None
         known = [scenes for scenes in left.values() if np.isfinite(scenes)]
         enough = f"about {max(known):.0f} scenes would" if known else "more light or scenes would"
-        shown = list(left)[:MOST_NAMED]
+        shown = list(left)[:MOST_FAULTS_NAMED]
         more = f" or {len(left) - len(shown)} others" if len(left) > len(shown) else ""
         return (
             f"{self.scenes} scenes do not exclude that the picture on the device is "
@@ -348,8 +346,8 @@ class ViewTest:
     """
 
     def __init__(self, model: SceneModel, image_shape: tuple[int, ...], frames: int = 0) -> None:
-        known = (*motions(image_shape), *views(image_shape))
-        sound, shape = views(image_shape, HARMLESS), _rows(image_shape)
+        known = (*orientation_faults(image_shape), *view_faults(image_shape))
+        sound, shape = view_faults(image_shape, HARMLESS_SIZES), _rows(image_shape)
         means, axes = (np.asarray(each, float) for each in (model.means, model.axes))
         shares = np.asarray(model.shares, float)
         self._shares = shares / shares.sum()
@@ -384,8 +382,10 @@ class ViewTest:
         self._all_alike = _AllAlike(self._shares)
 
     @np.errstate(under="ignore")
-    def add(self, rows: Rows) -> None:
+    def add(self, rows: SceneReadouts) -> None:
         """Take in the counts of another scene."""
+        from scipy.special import logsumexp
+
         expected = rows.masks @ self._mean
         noise = expected.clip(min=0) + rows.noise + rows.masks**2 @ self._rest
         kept = expected > 0
@@ -412,7 +412,7 @@ class ViewTest:
         self._all_alike.add(precision[0], along[0], squares[0])
         self._refused |= self.result.refused
 
-    def _exchanged(self, seen: np.ndarray, rows: Rows, kept: np.ndarray) -> np.ndarray:
+    def _exchanged(self, seen: np.ndarray, rows: SceneReadouts, kept: np.ndarray) -> np.ndarray:
         """Light (P, C + axes, k) behind masks of which two frames are exchanged."""
         out = np.repeat(seen[None], len(self._pairs), axis=0)
         if rows.frames is None or rows.dwells is None:
@@ -463,6 +463,8 @@ class _AllAlike:
     @np.errstate(under="ignore")
     def log(self) -> float:
         """Its logarithm."""
+        from scipy.special import logsumexp
+
         precision, along, squares = self._parts
         logs = _log_densities(precision + np.eye(len(precision)), along, squares)
         return float(logsumexp(logs + np.log(self._shares)))

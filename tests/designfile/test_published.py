@@ -17,15 +17,15 @@ from deepfsi import load_dataset
 from deepfsi.base.errors import InputError
 from deepfsi.design.adaptive.design import load_design
 from deepfsi.design.evaluation import evaluate
-from deepfsi.design.published import (
-    INDEX,
-    SHIPPED,
-    VARIABLE,
-    Index,
-    Published,
+from deepfsi.designfile import (
+    INDEX_NAME,
+    SHIPPED_DESIGNS,
+    CollectionIndex,
+    PublishedDesign,
     find_design,
     read_indexes,
 )
+from deepfsi.designfile.published import DESIGNS_VARIABLE
 from deepfsi.sweeps.collection import Collection
 
 
@@ -38,15 +38,15 @@ def collection(made, tmp_path, monkeypatch):
     (folder / "small.safetensors").write_bytes(content)
     index(folder, hashlib.sha256(content).hexdigest())
     monkeypatch.setattr(pooch, "os_cache", lambda _: tmp_path / "cache")
-    monkeypatch.setenv(VARIABLE, str(folder))
+    monkeypatch.setenv(DESIGNS_VARIABLE, str(folder))
     monkeypatch.chdir(tmp_path)
     return folder
 
 
 def index(folder, sha256):
     numbers = {"photons": 1e4, "accuracy": 0.5, "low": 0.4, "high": 0.6}
-    entry = Published(sha256=sha256, recognises="it", data="it", recipe="0" * 64, **numbers)
-    (folder / INDEX).write_text(Index(designs={"small": entry}).model_dump_json())
+    entry = PublishedDesign(sha256=sha256, recognises="it", data="it", recipe="0" * 64, **numbers)
+    (folder / INDEX_NAME).write_text(CollectionIndex(designs={"small": entry}).model_dump_json())
 
 
 @pytest.fixture
@@ -61,14 +61,14 @@ def address(collection, monkeypatch):
     serving = functools.partial(Handler, directory=str(collection))
     with http.server.ThreadingHTTPServer(("127.0.0.1", 0), serving) as server:
         threading.Thread(target=server.serve_forever, args=(0.01,), daemon=True).start()
-        monkeypatch.setenv(VARIABLE, f"http://127.0.0.1:{server.server_port}/")
+        monkeypatch.setenv(DESIGNS_VARIABLE, f"http://127.0.0.1:{server.server_port}/")
         yield asked
         server.shutdown()
 
 
 def test_a_name_is_looked_for_in_the_folder(collection, monkeypatch):
     assert load_design("small").masks == load_design(collection / "small.safetensors").masks
-    monkeypatch.setenv(VARIABLE, collection.as_uri())
+    monkeypatch.setenv(DESIGNS_VARIABLE, collection.as_uri())
     assert find_design("small") == collection / "small.safetensors"
 
 
@@ -94,7 +94,7 @@ def test_a_file_of_another_hash_is_refused_and_not_kept(address, collection, tmp
     with pytest.raises(InputError, match=r"small.safetensors \(wrong hash\), and nothing of it"):
         load_design("small")
     assert not list((tmp_path / "cache").rglob("*.*"))
-    monkeypatch.setenv(VARIABLE, str(collection))
+    monkeypatch.setenv(DESIGNS_VARIABLE, str(collection))
     with pytest.raises(InputError, match=r"wrong sha256.*make it again"):
         load_design("small")
 
@@ -102,15 +102,21 @@ def test_a_file_of_another_hash_is_refused_and_not_kept(address, collection, tmp
 @pytest.mark.parametrize(
     ("where", "words"),
     [
-        (None, f"no design file and no published design 'smal': .*or set {VARIABLE} to the folder"),
+        (
+            None,
+            "no design file and no published design 'smal': .*or set "
+            f"{DESIGNS_VARIABLE} to the folder",
+        ),
         ("collection", "no published design 'smal': did you mean 'small'"),
-        ("nowhere", f"nowhere/{INDEX} is missing: give the folder of a collection"),
+        ("nowhere", f"nowhere/{INDEX_NAME} is missing: give the folder of a collection"),
         ("ftp://a.example", "give a folder, or an address of http, https or file"),
-        ("http://127.0.0.1:9", f"cannot download http://127.0.0.1:9/{INDEX} .ConnectionError"),
+        ("http://127.0.0.1:9", f"cannot download http://127.0.0.1:9/{INDEX_NAME} .ConnectionError"),
     ],
 )
 def test_what_cannot_be_found_is_said_in_one_line(collection, monkeypatch, where, words):
-    monkeypatch.delenv(VARIABLE) if where is None else monkeypatch.setenv(VARIABLE, where)
+    monkeypatch.delenv(DESIGNS_VARIABLE) if where is None else monkeypatch.setenv(
+        DESIGNS_VARIABLE, where
+    )
     with pytest.raises(InputError, match=words):
         load_design("smal")
 
@@ -124,8 +130,8 @@ def test_what_cannot_be_found_is_said_in_one_line(collection, monkeypatch, where
     ],
 )
 def test_a_spoilt_index_is_refused(collection, spoilt, said):
-    (collection / INDEX).write_text(spoilt)
-    with pytest.raises(InputError, match=f"{INDEX} .*{said}"):
+    (collection / INDEX_NAME).write_text(spoilt)
+    with pytest.raises(InputError, match=f"{INDEX_NAME} .*{said}"):
         read_indexes()
 
 
@@ -141,12 +147,12 @@ NAMES = {"dmd-mnist", "adaptive-mnist"}
 
 def test_small_designs_come_with_the_package(monkeypatch, tmp_path):
     """Made by the package's own list as it is; a collection of one's own comes before them."""
-    monkeypatch.delenv(VARIABLE, raising=False)
+    monkeypatch.delenv(DESIGNS_VARIABLE, raising=False)
     monkeypatch.chdir(tmp_path)
-    designs, recipes = read_indexes()[str(SHIPPED)], Collection.read().designs
+    designs, recipes = read_indexes()[str(SHIPPED_DESIGNS)], Collection.read().designs
     assert designs.keys() == NAMES
-    assert {path.name for path in SHIPPED.iterdir()} == {
-        INDEX, *(f"{name}.{kind}" for name in NAMES for kind in ("md", "safetensors")),
+    assert {path.name for path in SHIPPED_DESIGNS.iterdir()} == {
+        INDEX_NAME, *(f"{name}.{kind}" for name in NAMES for kind in ("md", "safetensors")),
     }  # fmt: skip
     for name, entry in designs.items():
         assert entry.recipe == recipes[name].hash
@@ -171,9 +177,9 @@ def test_shipped_designs_are_listed_and_a_spoilt_one_is_refused(
     told = json.loads(done("designs", "list", "--json"))
     assert told["where"] == str(collection)
     assert [len(each["designs"]) for each in told["collections"]] == [1, len(NAMES)]
-    copy = shutil.copytree(SHIPPED, tmp_path / "shipped")
+    copy = shutil.copytree(SHIPPED_DESIGNS, tmp_path / "shipped")
     (copy / "dmd-mnist.safetensors").write_bytes(b"spoilt")
-    monkeypatch.setattr("deepfsi.design.published.SHIPPED", copy)
+    monkeypatch.setattr("deepfsi.designfile.published.SHIPPED_DESIGNS", copy)
     with pytest.raises(InputError, match="wrong sha256"):
         load_design("dmd-mnist")
 
@@ -181,10 +187,10 @@ def test_shipped_designs_are_listed_and_a_spoilt_one_is_refused(
 @real_mnist
 def test_shipped_designs_are_as_accurate_as_their_index_says(monkeypatch):
     """On some test images, of one noise draw; within four standard errors."""
-    monkeypatch.delenv(VARIABLE, raising=False)
+    monkeypatch.delenv(DESIGNS_VARIABLE, raising=False)
     mnist = load_dataset("mnist")
     few = replace(mnist, x_test=mnist.x_test[:400], y_test=mnist.y_test[:400])
-    for name, entry in read_indexes()[str(SHIPPED)].items():
+    for name, entry in read_indexes()[str(SHIPPED_DESIGNS)].items():
         [result] = evaluate(load_design(name), few, entry.photons, draws=1)
         error = (entry.accuracy * (1 - entry.accuracy) / 400) ** 0.5
         assert abs(result.accuracy - entry.accuracy) < 4 * error

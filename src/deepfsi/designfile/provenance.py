@@ -1,23 +1,23 @@
-"""The data that a design was trained on, as it remembers them.
+"""Provenance of a design: its `info`, and the hashes of its training scenes.
 
-A design keeps the name or path of its data with the options that load it, the hash of what was
-trained on, the number of training scenes that were left out, and a short hash of each scene that it
-was made with, so that a test can tell its training scenes from others.
+A design keeps the job of its training with its camera, the name or path of its data with the
+options that load it, the hash of what was trained on, the number of training scenes that were left
+out, and a short hash of each scene that it was made with, so that a test can tell its training
+scenes from others.
 """
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from hashlib import blake2b
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from deepfsi.base.errors import as_input_error
+from deepfsi.base.errors import InputError, as_input_error
+from deepfsi.camera.camera import Camera
 from deepfsi.datasets import Dataset, Origin
-
-if TYPE_CHECKING:
-    from deepfsi.design.adaptive.design import AnyDesign
+from deepfsi.jobs.entries import ExposureEntry
 
 HASH_BYTES = 4
 """Bytes of the hash of a scene. A scene that is new is taken for one of n with n / 2³²."""
@@ -25,8 +25,11 @@ HASH_BYTES = 4
 LEVELS, FINE_LEVELS = 255, 2**16 - 1
 """Highest level to which scenes are rounded before: images as a picture file keeps them; others."""
 
-HASHES = "training_scenes"
+SCENE_HASHES = "training_scenes"
 """Name of the tensor of a design file that holds the hashes."""
+
+READOUTS = "readouts"
+"""Entry of `info`, of designs of measured readouts: the offset and the gain of each readout."""
 
 
 class TrainedOn(BaseModel):
@@ -93,19 +96,20 @@ class TrainingScenes:
         return cls(_numbers(h for part in parts for h in scene_hashes(part, data.image_shape)))
 
     @classmethod
-    def restored(cls, tensors: Mapping[str, np.ndarray]) -> Self | None:
+    def restored(cls, arrays: Mapping[str, np.ndarray]) -> Self | None:
         """Those that a design file holds, if it does; `ValueError` if they are none."""
-        if HASHES not in tensors:
+        hashes = arrays.get(SCENE_HASHES)
+        if hashes is None:
             return None
-        held = tensors[HASHES]
-        if held.ndim != 1 or held.dtype != np.int32 or (np.diff(held.astype(np.int64)) <= 0).any():
-            raise ValueError(f"{HASHES} are no hashes in order")
-        return cls(held)
+        rising = hashes.ndim == 1 and (np.diff(hashes.astype(np.int64)) > 0).all()
+        if hashes.dtype != np.int32 or not rising:
+            raise ValueError(f"{SCENE_HASHES} are no hashes in order")
+        return cls(hashes)
 
     @property
-    def tensors(self) -> dict[str, np.ndarray]:
-        """Tensor of a design file, by its name."""
-        return {HASHES: self.hashes}
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Array of a design file, by its name."""
+        return {SCENE_HASHES: self.hashes}
 
     def contains(self, hashes: Iterable[str]) -> np.ndarray:
         """True (n,) for each hash that is of a scene that the design was made with."""
@@ -153,12 +157,34 @@ NO_MEASURE = "no number here says how good the design is"
 """Said of answers to scenes that were all trained on."""
 
 
-def trained_budgets(design: "AnyDesign") -> tuple[float, float] | None:
-    """Lowest and highest budget of the training; None for a design that does not say."""
-    header = getattr(design, "exposure", None)
-    exposure = {} if header is None else header.entry().model_dump()
-    known = {**design.info.get("job", {}), **exposure}
-    if "photons" not in known:
+def trained_budgets(
+    info: Mapping[str, Any], exposure: ExposureEntry | None = None
+) -> tuple[float, float] | None:
+    """Lowest and highest budget of the training in the `info` of a design; None if it has none."""
+    facts = {**info.get("job", {}), **({} if exposure is None else exposure.model_dump())}
+    if "photons" not in facts:
         return None
-    low = float(known["photons"])
-    return low, low * known.get("span", 1.0)
+    low = float(facts["photons"])
+    return low, low * facts.get("span", 1.0)
+
+
+def trained_camera(info: Mapping[str, Any]) -> Camera | None:
+    """Camera that a design was trained for; None of files of older versions."""
+    fields = info.get("job", {}).get("camera")
+    with as_input_error("the design's camera", "train it again"):
+        return None if fields is None else Camera.restored(fields)
+
+
+def click_gates(info: Mapping[str, Any]) -> int | None:
+    """Clicks of a readout at most, where the detectors of a design's camera click."""
+    camera = info.get("job", {}).get("camera", {})
+    return int(camera.get("gates", 1)) if camera.get("noise") == "click" else None
+
+
+def check_masks(info: Mapping[str, Any], what: str) -> None:
+    """Raise `InputError` where a design reads measured readouts and `what` needs its masks."""
+    if READOUTS in info:
+        raise InputError(
+            f"{what} needs masks, and those of measured readouts are not known: use "
+            "`deepfsi camera classify` with a table of readouts"
+        )

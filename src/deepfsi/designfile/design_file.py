@@ -1,0 +1,476 @@
+"""The design file: a JSON header and arrays in one safetensors file that holds no code.
+
+A camera's computer, a page and a report read it without torch, and it answers counts by itself
+where its classifier is the package's own network, an `Mlp`: in 32-bit numbers, as torch does.
+"""
+
+import json
+import math
+import os
+from collections.abc import Container, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from pydantic import TypeAdapter
+
+from deepfsi.base.arrays import DamagedError, read_tensors
+from deepfsi.base.errors import InputError, as_input_error, other_version
+from deepfsi.camera.camera import Camera
+from deepfsi.camera.detectors import detector_map
+from deepfsi.camera.light import share_out
+from deepfsi.camera.stop_rule import StopRule
+from deepfsi.designfile.distribution import ReadoutDistribution
+from deepfsi.designfile.header import DESIGN_SCHEMA, AdaptiveHeader, DesignHeader, MaskHeader
+from deepfsi.designfile.provenance import TrainingScenes, click_gates, trained_camera
+from deepfsi.designfile.temperatures import Temperatures
+from deepfsi.designfile.view_test import SceneModel
+from deepfsi.jobs.designs import DESIGNS
+from deepfsi.jobs.entries import LARGEST_SCORE, ConditionedEntry, LooksEntry
+
+STATISTICS = ("mean", "std", "shares")
+"""Arrays of one number a feature."""
+
+REFLECTANCE_SLACK = 1e-3
+"""What rounding may change of a reflectance, or of a sum of them, relative."""
+
+MOST_REFLECTANCE, MOST_SPREAD = 1e3, 1e2
+"""Bounds of what a file may hold: a sum of all components, and the spread of a prior."""
+
+KEY = "deepfsi"
+"""Key of the header in the file's metadata."""
+
+Layer = tuple[np.ndarray, np.ndarray]
+"""Weights (inputs, outputs) and biases (outputs,) of a linear layer, float32."""
+
+DAMAGED = (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError)
+"""What arrays raise that do not fit their header."""
+
+
+@dataclass(frozen=True, eq=False)
+class DesignFile:
+    """A design as its file holds it.
+
+    Sizes: m masks of N cells, on 2 rails or 1; D detectors; k features, which the networks read; q
+    dwells of a look; K looks; C classes.
+
+    Attributes
+    ----------
+    header : MaskHeader or AdaptiveHeader
+    arrays : dict of str to array
+        By their names in the file; some of them where only some were read.
+    path : Path, optional
+        Where it was read.
+    text : str, optional
+        The header as it was read, JSON.
+
+    Examples
+    --------
+    >>> from deepfsi.designfile import DesignFile, find_design
+    >>> file = DesignFile.read(find_design("dmd-mnist"))
+    >>> file.masks, file.header.classes[:3]
+    (64, ('0', '1', '2'))
+    """
+
+    header: DesignHeader
+    arrays: Mapping[str, np.ndarray]
+    path: Path | None = None
+    text: str | None = None
+
+    @classmethod
+    def read(cls, path: str | os.PathLike[str], arrays: Container[str] | None = None) -> Self:
+        """Read a design file, or a part of one.
+
+        Parameters
+        ----------
+        path : str or path
+        arrays : container of str, optional
+            Names of the arrays that are read; all unless given, and only then is the file compared
+            with its header throughout.
+
+        Raises
+        ------
+        InputError
+            If the file is missing, damaged, truncated, not a design, or of a newer schema.
+        """
+        if not Path(path).exists():
+            raise InputError(f"no design file at {path}: make one with `deepfsi design -o {path}`")
+        text = ""
+        try:
+            text, tensors = read_tensors(path, KEY, "give a design file", arrays)
+            facts = json.loads(text)
+            if int(facts["schema"]) != DESIGN_SCHEMA:
+                raise ValueError(facts["schema"])
+            code = DESIGNS.get(str(facts.get("name")))
+            kind = AdaptiveHeader if code is not None and code.adaptive else MaskHeader
+            file = cls(kind.model_validate_json(text), tensors, Path(path), text)
+            file.check(whole=arrays is None)
+        except (DamagedError, RecursionError, *DAMAGED) as error:
+            if isinstance(error, InputError) and not text:
+                raise  # it is no file, or larger than any
+            raise damaged_design(path, text) from error
+        return file
+
+    def to_bytes(self) -> bytes:
+        """Content of the file: of one that was read, its bytes."""
+        from safetensors.numpy import save
+
+        text = self.text
+        if text is None:
+            text = json.dumps(self.header.model_dump(mode="json", by_alias=True))
+        whole = {name: np.asarray(array, order="C") for name, array in self.arrays.items()}
+        return save(whole, metadata={KEY: text})
+
+    def part(self, name: str) -> dict[str, np.ndarray]:
+        """Arrays of a part of the design, such as `classifier`, by their names there."""
+        start = f"{name}."
+        every = self.arrays.items()
+        return {key.removeprefix(start): array for key, array in every if key.startswith(start)}
+
+    def check(self, whole: bool = True) -> None:
+        """Raise an error of `DAMAGED` unless arrays are finite and, as a whole, fit the header."""
+        custom = isinstance(self.header, MaskHeader) and self.header.classifier.kind == "own"
+        for key, array in self.arrays.items():
+            if custom and key.startswith("classifier."):
+                continue  # whatever its maker's module keeps
+            computed = key in ("rails", *STATISTICS) or key.startswith(("classifier.", "exposure."))
+            if computed and array.dtype != np.float32:
+                raise ValueError(f"{key} holds numbers of another type")
+            if not np.isfinite(array).all():
+                raise ValueError(f"{key} is not finite")
+        if not whole:
+            return
+        _ = self.training_scenes
+        if isinstance(self.header, AdaptiveHeader):
+            _check_prior(self.header, self.arrays)
+        else:
+            self._check_masks(self.header)
+
+    def _check_masks(self, header: MaskHeader) -> None:
+        rails, _, pixels = self.arrays["rails"].shape
+        if rails not in (1, 2):
+            raise ValueError(f"{rails} rails")
+        if {self.arrays[name].shape for name in STATISTICS} != {(self.feature_count,)}:
+            raise ValueError("statistics are not those of the masks")
+        if not (self.arrays["std"] > 0).all():
+            raise ValueError("standard deviations are not above 0")
+        if math.prod(header.image_shape) != pixels * header.classifier.patches:
+            raise ValueError("images have other pixels than masks on all patches")
+        _ = self.distribution, self.scene_model, self.temperatures
+
+    # What it is
+
+    @property
+    def mask_header(self) -> MaskHeader:
+        """The header of a design whose masks are known before it is shown, or `InputError`."""
+        if isinstance(self.header, MaskHeader):
+            return self.header
+        raise InputError(
+            f"{self.path or 'this design'} makes its masks while the camera looks, and this takes "
+            "masks that are known before: `deepfsi evaluate`, `stop`, `show`, `page`, `dmd "
+            "export` and `camera live` take it"
+        )
+
+    @property
+    def camera(self) -> Camera | None:
+        """The camera that it was trained for; None of files of older versions."""
+        return trained_camera(self.header.info)
+
+    @property
+    def photons(self) -> float | None:
+        """Budget Φ of the training, counts of an exposure; None where that is not known."""
+        return self.header.info.get("job", {}).get("photons")
+
+    @property
+    def stop_rule(self) -> StopRule | None:
+        """When an exposure stops; None where no rule was chosen."""
+        with as_input_error("the design's stopping rule", "make it again with `deepfsi stop`"):
+            return TypeAdapter(StopRule | None).validate_python(self.header.info.get("stopping"))
+
+    @cached_property
+    def training_scenes(self) -> TrainingScenes | None:
+        """Hashes of the scenes that it was made with; None of files of older versions."""
+        return TrainingScenes.restored(self.arrays)
+
+    # Of masks that are known before
+
+    @property
+    def rails(self) -> np.ndarray:
+        """Rails of the masks (2 or 1, m, N), the positive ones first."""
+        return self.arrays["rails"]
+
+    @property
+    def rail_count(self) -> int:
+        """Number of rails: 2 of signed masks, or 1."""
+        return len(self.arrays["rails"])
+
+    @property
+    def masks(self) -> int:
+        """m, number of masks."""
+        return self.arrays["rails"].shape[1]
+
+    @cached_property
+    def detectors(self) -> np.ndarray | None:
+        """Detector (N,) of each pixel, 0 .. D-1; None where one sees all."""
+        labels = self.arrays.get("detectors")
+        if labels is None:
+            return None
+        labels = detector_map(labels, self.header.image_shape)
+        return labels if labels.max() else None
+
+    @property
+    def detector_count(self) -> int:
+        """D, number of detectors."""
+        return 1 if self.detectors is None else int(self.detectors.max()) + 1
+
+    @cached_property
+    def feature_count(self) -> int:
+        """k, numbers that the networks read of the counts."""
+        width = self.rail_count if self.mask_header.readout == "both" else 1
+        return self.masks * self.detector_count * width
+
+    @property
+    def each_rail(self) -> bool:
+        """True if the two rails of a mask are frames of their own: not on two arms."""
+        return self.rail_count == 2 and self.mask_header.light != "two-arm"
+
+    @cached_property
+    def frames(self) -> int:
+        """q, number of dwells of a look; those of a mask's two rails follow one another."""
+        return self.masks * (2 if self.each_rail else 1)
+
+    @cached_property
+    def looks(self) -> LooksEntry:
+        """Entry of several looks, or `InputError` where the exposure has one."""
+        entry = self.mask_header.exposure
+        if not isinstance(entry, LooksEntry):
+            raise InputError("this design has one look: learn one of several `looks`")
+        return entry
+
+    @cached_property
+    def distribution(self) -> ReadoutDistribution | None:
+        """Distribution of the readouts of training scenes; None where there were too few.
+
+        Where dwells are chosen, of all rails in one row, and of all mirrors ON.
+        """
+        arrays, entry = self.part("distribution"), self.mask_header.exposure
+        readouts = self.masks * self.detector_count
+        shape, looks = (self.rail_count, readouts), 0
+        if isinstance(entry, LooksEntry):
+            shape, looks = (1, self.rail_count * readouts + 1), entry.looks
+        return ReadoutDistribution.restored(arrays, shape, looks) if arrays else None
+
+    @cached_property
+    def scene_model(self) -> SceneModel | None:
+        """Model of the training scenes; None where there were too few."""
+        arrays, header = self.part("scenes"), self.mask_header
+        pixels = math.prod(header.image_shape)
+        return SceneModel.restored(arrays, pixels, len(header.classes) or 1) if arrays else None
+
+    @cached_property
+    def temperatures(self) -> Temperatures | None:
+        """Divisors of the logits at each budget; None where none were fitted."""
+        arrays, stops = self.part("temperatures"), self.mask_header.exposure.count_stops(self.masks)
+        return Temperatures.restored(arrays, stops) if arrays else None
+
+    # What its networks answer
+
+    @cached_property
+    def classifier(self) -> tuple[Layer, ...]:
+        """Layers of the classifier, or `InputError` where that is not the package's own `Mlp`."""
+        header = self.mask_header
+        entry = header.exposure
+        if header.classifier.kind != "mlp":
+            raise InputError(
+                "a loop with a classifier of your own is not possible: learn the design with the "
+                "package's own, an Mlp"
+            )
+        if click_gates(header.info) is not None:
+            raise InputError("this design reads clicks, which `Design.classify` answers")
+        inputs = self.feature_count
+        if isinstance(entry, LooksEntry):
+            inputs += self.frames
+        elif isinstance(entry, ConditionedEntry):
+            inputs = entry.masks * entry.width + 2
+        return self._layers("classifier", inputs, len(header.classes or header.values))
+
+    @cached_property
+    def chooser(self) -> tuple[Layer, ...]:
+        """Layers of the network that chooses dwells, or `InputError` where there is none."""
+        _ = self.looks
+        return self._layers("exposure", self.feature_count + self.frames + 1, self.frames)
+
+    def _layers(self, part: str, inputs: int, outputs: int) -> tuple[Layer, ...]:
+        """Layers of a network, or `InputError` where they do not follow each other.
+
+        Weights are copied to (inputs, outputs): products with a transposed view have other bits.
+        """
+        arrays, width = self.part(part), inputs
+        layers: list[Layer] = []
+        while (weight := arrays.get(f"layers.{len(layers)}.weight")) is not None:
+            bias = arrays.get(f"layers.{len(layers)}.bias")
+            if bias is None or weight.ndim != 2 or weight.shape != (*bias.shape, width):
+                break
+            layers.append((np.ascontiguousarray(weight.T), bias))
+            width = len(bias)
+        if 2 * len(layers) != len(arrays) or not layers or width != outputs:
+            raise InputError("the design's networks do not fit its masks: give a whole design file")
+        return tuple(layers)
+
+    def features(self, counts: np.ndarray) -> np.ndarray:
+        """Features (k,) of counts (rails, m, D)."""
+        if self.rail_count == 1:
+            return counts[0].ravel()
+        if self.mask_header.readout == "difference":
+            return (counts[0] - counts[1]).ravel()
+        return counts.swapaxes(0, 1).ravel()
+
+    def inputs(self, features: np.ndarray, dwell: np.ndarray | None = None) -> np.ndarray:
+        """Standardised features, and relative dwells where they are chosen, float32.
+
+        Parameters
+        ----------
+        features : array, shape (k,)
+            Of all looks so far, over the budget of the whole exposure; of nested masks those of
+            the first ones.
+        dwell : array, shape (q,), optional
+            Share of the exposure that each frame had so far.
+
+        Returns
+        -------
+        array, shape (k,) or (k + q,)
+        """
+        mean, std = self.arrays["mean"], self.arrays["std"]
+        if dwell is None:
+            count = len(features)
+            return (features.astype(np.float32) - mean[:count]) / std[:count]
+        relative = dwell.astype(np.float32) * np.float32(self.frames)
+        by_feature = np.repeat(relative, len(mean) // len(relative))
+        scaled = (features.astype(np.float32) - by_feature * mean) / std
+        return np.concatenate([scaled, relative / np.float32(3)])
+
+    def next_dwell(self, inputs: np.ndarray, look: int, shortest: float = 0.0) -> np.ndarray:
+        """Dwells (q,) of a look: shares of the exposure, float64, of 1 / K together.
+
+        Parameters
+        ----------
+        inputs : array, shape (k + q,)
+            As from `inputs`, of the looks before.
+        look : int
+            From 0.
+        shortest : float
+            Shortest dwell of the device, if longer than the design's own.
+        """
+        looks, (weight, bias) = self.looks, self.chooser[0]
+        left = np.float32(1 - look / looks.looks)  # the last input
+        first = weight[:-1], bias + left * weight[-1]
+        scores = _outputs((first, *self.chooser[1:]), inputs).astype(float)
+        bounded = LARGEST_SCORE * np.tanh(scores / LARGEST_SCORE)
+        return share_out(_softmax(bounded) / looks.looks, max(shortest, looks.shortest))
+
+    @cached_property
+    def first_dwell(self) -> np.ndarray:
+        """Dwells (q,) of the first look, which are the same for every scene."""
+        with np.errstate(all="ignore"):  # of weights near the largest number
+            inputs = self.inputs(np.zeros(self.feature_count), np.zeros(self.frames))
+            dwell = self.next_dwell(inputs, 0)
+        if not np.isfinite(dwell).all():
+            raise InputError("the design's networks do not fit its masks: give a whole design file")
+        return dwell
+
+    def chances(self, inputs: np.ndarray, photons: float) -> np.ndarray:
+        """Calibrated probabilities (C,) of the classes, float64.
+
+        Parameters
+        ----------
+        inputs : array, shape (k,) or (k + q,)
+            As from `inputs`.
+        photons : float
+            Budget Φ of the whole exposure.
+        """
+        entry, read = self.mask_header.exposure, inputs
+        if isinstance(entry, ConditionedEntry):
+            read = _conditioned(entry, inputs, photons)
+        logits = _outputs(self.classifier, read).astype(float)
+        if self.temperatures is None:
+            return _softmax(logits)
+        return _softmax(logits / self.temperatures.after(self._stop(inputs), photons))
+
+    def _stop(self, inputs: np.ndarray) -> float:
+        """Number of the stop, from 1, that an exposure has come to; between stops a fraction."""
+        entry = self.mask_header.exposure
+        if isinstance(entry, LooksEntry):  # by the time that the dwells of the inputs took
+            frames = self.frames
+            return 3 * float(inputs[-frames:].sum()) / frames * entry.looks
+        if isinstance(entry, ConditionedEntry):
+            return entry.count_stops(len(inputs) // entry.width)
+        return 1.0
+
+
+def damaged_design(path: str | os.PathLike[str], header: str = "") -> InputError:
+    """Error for a file that is no design of this version, by its header as far as it was read."""
+    if words := other_version(header, DESIGN_SCHEMA, "make it again with `deepfsi design`"):
+        return InputError(f"{path} {words}")
+    return InputError(
+        f"{path} is not a whole deepfsi design file: give a .safetensors file that "
+        "`deepfsi design` or Design.save wrote"
+    )
+
+
+def _check_prior(header: AdaptiveHeader, arrays: Mapping[str, np.ndarray]) -> None:
+    """Raise `ValueError` unless arrays are of a prior of scenes, and of the header's looks."""
+    (scenes, parts), pixels = arrays["levels"].shape, math.prod(header.image_shape)
+    looks = header.settings.looks
+    shapes = {
+        "mean": ((pixels,), np.float32),
+        "components": ((parts, pixels), np.float32),
+        "steps": ((parts,), np.float32),
+        "levels": ((scenes, parts), np.int8),
+        "members": ((scenes,), np.int32),
+        "sizes": ((len(header.classes),), np.int64),
+        "numbers": ((2,), np.float64),
+        "shares": ((looks,), np.float32),
+    }
+    for name, (shape, kind) in shapes.items():
+        if arrays[name].shape != shape or arrays[name].dtype != kind:
+            raise ValueError(f"{name} is not of this design")
+    if len(arrays.get("temperature_logs", arrays["shares"])) != looks:
+        raise ValueError("temperatures are of other looks")
+    if not isinstance(header.info.get("job", {}).get("camera"), dict):
+        raise ValueError("no camera is known")
+    mean, farthest = arrays["mean"], 127 * arrays["steps"] @ np.abs(arrays["components"])
+    brightest = 1 + REFLECTANCE_SLACK
+    if mean.min() < 0 or mean.max() > brightest or farthest.max() > MOST_REFLECTANCE:
+        raise ValueError("the prior holds no reflectances")
+    sizes, (light, spread) = arrays["sizes"], arrays["numbers"]
+    lit = math.isclose(light, mean.sum(dtype=float), rel_tol=REFLECTANCE_SLACK)
+    populated = arrays["members"].min() > 0 and sizes.min() >= 0 and sizes.sum() == scenes
+    if not (lit and populated and 0 <= spread <= MOST_SPREAD):
+        raise ValueError("the scenes of the prior are none")
+
+
+def _conditioned(entry: ConditionedEntry, inputs: np.ndarray, photons: float) -> np.ndarray:
+    """Inputs of a classifier that knows the budget and the number of masks, float32."""
+    ratio = np.float32(photons) / np.float32(entry.used * entry.photons)
+    middle = math.log(entry.span) / 2
+    level = (np.log(ratio) - np.float32(middle)) / np.float32(max(middle, 1.0))
+    share = np.float32(len(inputs) // entry.width) / np.float32(entry.masks)
+    dark = np.zeros(entry.masks * entry.width - len(inputs), np.float32)  # of masks not shown
+    return np.concatenate([inputs, dark, [level, share]], dtype=np.float32)
+
+
+def _outputs(layers: Sequence[Layer], inputs: np.ndarray) -> Any:
+    """Outputs of a network with rectified hidden layers."""
+    hidden = inputs
+    for weight, bias in layers[:-1]:
+        hidden = np.maximum(hidden @ weight + bias, np.float32(0))
+    weight, bias = layers[-1]
+    return hidden @ weight + bias
+
+
+def _softmax(scores: np.ndarray) -> np.ndarray:
+    """Probabilities of scores, float64."""
+    powers = np.exp(scores - scores.max())
+    return powers / powers.sum()

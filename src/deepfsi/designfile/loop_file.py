@@ -1,0 +1,141 @@
+"""The file `loop.safetensors` in a folder of patterns: the networks of several looks, alone.
+
+A live run reads the design that lies beside the patterns. Versions that had no reader of it without
+torch read this file, which is written for them; folders without a design have nothing else.
+"""
+
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from deepfsi.base.arrays import DamagedError, read_tensors
+from deepfsi.base.errors import InputError, as_input_error
+from deepfsi.base.models import StrictModel
+from deepfsi.camera.names import Readout
+from deepfsi.camera.stop_rule import StopRule
+from deepfsi.designfile.design_file import DAMAGED, DesignFile
+from deepfsi.designfile.header import MaskHeader, MlpEntry
+from deepfsi.jobs.entries import LARGEST_SCORE, LooksEntry
+
+KEY = "deepfsi-loop"
+"""Key of the header in the file's metadata."""
+
+PARTS = {"classifier": "classifier.layers", "chooser": "exposure.layers"}
+"""Networks of a loop by their names in a design file."""
+
+
+class LoopHeader(StrictModel):
+    """Header of a loop's file: all but the numbers of its networks."""
+
+    schema_version: Literal[2] = 2
+    looks: int = Field(ge=2, le=64)  # K, each 1 / K of the exposure
+    masks: int = Field(ge=1)  # m, 2 or 1, and D
+    rails: Literal[1, 2]
+    detectors: int = Field(ge=1)
+    each_rail: bool  # whether the two rails of a mask are frames with dwells of their own
+    readout: Readout  # what is read of two rails
+    classes: tuple[str, ...] = Field(min_length=1)
+    largest_score: float = Field(gt=0)  # bound of the scores whose softmax dwells are
+    # Shortest dwell that the design was learned for, a share of the exposure
+    shortest: float = Field(ge=0, lt=1)
+    rule: StopRule | None = None  # of the design, where it has one
+    # Budget that the design was trained at, counts of an exposure; none where that is not known
+    photons: float | None = Field(None, gt=0, allow_inf_nan=False)
+
+
+def loop_bytes(design: DesignFile) -> bytes:
+    """Content of the loop's file of a design of several looks, or `InputError` if it has one."""
+    from safetensors.numpy import save
+
+    header, entry = design.mask_header, design.looks
+    networks = {"classifier": design.classifier, "chooser": design.chooser}
+    _ = design.first_dwell  # which is a number
+    with as_input_error("the design"):
+        about = LoopHeader(
+            looks=entry.looks,
+            masks=design.masks,
+            rails=2 if design.rail_count == 2 else 1,
+            detectors=design.detector_count,
+            each_rail=design.each_rail,
+            readout=header.readout,
+            classes=header.classes,
+            largest_score=LARGEST_SCORE,
+            shortest=entry.shortest,
+            rule=design.stop_rule,
+            photons=design.photons,
+        )
+    arrays = {name: design.arrays[name] for name in ("mean", "std")}
+    for name, layers in networks.items():
+        for place, (weight, bias) in enumerate(layers):
+            arrays |= {f"{name}.{place}.weight": weight, f"{name}.{place}.bias": bias}
+    for part in ("distribution", "scenes", "temperatures"):
+        arrays |= {f"{part}.{name}": array for name, array in design.part(part).items()}
+    whole = {name: np.asarray(array, order="C") for name, array in arrays.items()}
+    return save(whole, metadata={KEY: about.model_dump_json()})
+
+
+def read_loop(path: Path, rails: np.ndarray, **facts: Any) -> DesignFile:
+    """Design of a loop's file, as far as its networks need it.
+
+    Parameters
+    ----------
+    path : Path
+    rails : array, shape (2 or 1, m, N)
+        What the patterns beside it realise.
+    facts
+        `light`, `image_shape` and `summed_reflectance`, of the header, and `detectors` (N,), the
+        detector of each cell or None.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, damaged, or of other patterns.
+    """
+    again = "export the patterns again"
+    try:
+        text, tensors = read_tensors(path, KEY, again)
+    except DamagedError:
+        raise InputError(f"{path} is not a whole loop of a design: {again}") from None
+    with as_input_error(str(path), again, text, schema=2):
+        loop = LoopHeader.model_validate_json(text)
+    detectors = facts.pop("detectors", None)
+    arrays = {"rails": np.asarray(rails, np.float32)}
+    if detectors is not None:
+        arrays["detectors"] = detectors
+    for name, array in tensors.items():
+        part, _, rest = name.partition(".")
+        turned = np.ascontiguousarray(array.T) if rest.endswith(".weight") else array
+        arrays[f"{PARTS[part]}.{rest}" if part in PARTS else name] = turned
+    arrays["shares"] = np.zeros_like(arrays["mean"])  # which no look needs
+    try:
+        header = MaskHeader(
+            name="deepfsi",
+            readout=loop.readout,
+            classes=loop.classes,
+            exposure=LooksEntry(
+                looks=loop.looks, hidden=_hidden(arrays, "exposure"), shortest=loop.shortest
+            ),
+            classifier=MlpEntry(kind="mlp", hidden=_hidden(arrays, "classifier"), dropout=0.0),
+            info={"job": {"photons": loop.photons}} if loop.photons else {},
+            **facts,
+        )
+        if loop.rule is not None:
+            header.info["stopping"] = loop.rule.model_dump()
+        made = DesignFile(header, arrays, path)
+        made.check()
+        own = (made.masks, made.rail_count, made.detector_count, made.each_rail, LARGEST_SCORE)
+        if own != (loop.masks, loop.rails, loop.detectors, loop.each_rail, loop.largest_score):
+            raise ValueError("the loop is of other patterns")
+        _ = made.classifier, made.first_dwell
+    except DAMAGED:
+        raise InputError(f"{path} has networks that do not fit its masks: {again}") from None
+    return made
+
+
+def _hidden(arrays: dict[str, np.ndarray], network: str) -> tuple[int, ...]:
+    """Widths of the hidden layers of a network."""
+    start = f"{network}.layers."
+    count = sum(name.startswith(start) and name.endswith(".bias") for name in arrays)
+    return tuple(len(arrays[f"{start}{place}.bias"]) for place in range(count - 1))

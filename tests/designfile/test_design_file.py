@@ -1,0 +1,93 @@
+"""Laws of design files in NumPy: they come back byte by byte, and answer as the design does."""
+
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from conftest import quick
+from deepfsi.base.errors import InputError
+from deepfsi.camera.stop_rule import StopRule
+from deepfsi.design.artifact import Design
+from deepfsi.designfile import DesignFile, find_design
+from shared.design_files import file_of
+
+OPTICS = {
+    "single": {"light": "free-dwell", "rails": "single"},
+    "dual": {"light": "free-dwell", "rails": "dual", "readout": "both"},
+    "two arms": {"light": "two-arm", "readout": "difference"},
+    "two arms, both read": {"light": "two-arm", "readout": "both"},
+    "detectors": {"light": "free-dwell", "rails": "single", "detectors": "2x2"},
+    "shortest dwell": {"light": "free-dwell", "rails": "single", "shortest_dwell": 0.08},
+}
+
+
+@pytest.fixture(scope="module", params=OPTICS)
+def design(request, digits) -> Design:
+    return quick(digits, masks=5, looks=3, photons=1e3, **OPTICS[request.param])
+
+
+def test_it_says_and_chooses_what_the_design_does(design):
+    """Through all looks, with any counts."""
+    file, rng = file_of(design), np.random.default_rng(0)
+    shape, photons = design.counts_shape, 1e3
+    rails = (file.rail_count, file.masks, file.detector_count)
+    asked: list[np.ndarray] = []
+    counts = rng.poisson(photons * float(design.shares.mean()) / 3, (3, *shape))
+
+    def read(dwell):
+        asked.append(design.exposure.dwells.by_mask(dwell))
+        return counts[len(asked) - 1]
+
+    wanted = design.classify_live(read, photons)
+    features, dwell = np.zeros(file.feature_count), np.zeros(file.frames)
+    for look in range(3):
+        chosen = file.next_dwell(file.inputs(features, dwell), look)
+        np.testing.assert_allclose(chosen, asked[look], rtol=1e-4)
+        features = features + file.features(counts[look].reshape(rails)) / photons
+        dwell = dwell + asked[look]
+    inputs = file.inputs(features, dwell)
+    np.testing.assert_allclose(file.chances(inputs, photons), wanted, atol=1e-5)
+    assert file.chances(inputs, 1e-3 * photons).max() < 0.5 < 5 * wanted.max()  # calibrated
+    np.testing.assert_allclose(file.first_dwell, asked[0], rtol=1e-4)
+
+
+@pytest.mark.parametrize("name", ["dmd-mnist", "adaptive-mnist"])
+def test_a_file_comes_back_byte_by_byte(name):
+    path = find_design(name)
+    assert DesignFile.read(path).to_bytes() == path.read_bytes()
+
+
+def test_a_rule_is_read_with_the_design(good):
+    rule = {"threshold": 0.9, "photons": 1e3}
+    stopping = replace(good, info={**good.info, "stopping": rule})
+    assert file_of(stopping).stop_rule == StopRule(**rule)
+    assert file_of(good).stop_rule is None
+    with pytest.raises(InputError, match="make it again with `deepfsi stop`"):
+        _ = file_of(replace(good, info={**good.info, "stopping": {"threshold": 2}})).stop_rule
+
+
+def test_what_it_cannot_do_is_said(good):
+    file = file_of(good)
+    with pytest.raises(InputError, match="one look: learn one of several `looks`"):
+        file.next_dwell(np.zeros(1), 0)
+    with pytest.raises(InputError, match="makes its masks while the camera looks"):
+        _ = DesignFile.read(find_design("adaptive-mnist")).classifier
+    for changed in (
+        file.arrays | {"classifier.layers.0.bias": np.zeros(1, np.float32)},
+        {name: array for name, array in file.arrays.items() if name != "classifier.layers.0.bias"},
+    ):
+        with pytest.raises(InputError, match="networks do not fit its masks"):
+            _ = replace(file, arrays=changed).classifier
+
+
+def test_torch_is_not_needed():
+    code = (
+        "import sys; from deepfsi.designfile import DesignFile, find_design\n"
+        "file = DesignFile.read(find_design('dmd-mnist'))\n"
+        "file.chances(file.inputs(file.arrays['mean']), 1e4)\n"
+        "assert 'torch' not in sys.modules and 'scipy.stats' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)

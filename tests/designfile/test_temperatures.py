@@ -1,0 +1,53 @@
+"""Temperatures between the budgets and the stops of a calibration, in NumPy and in torch."""
+
+import numpy as np
+import pytest
+import torch
+
+from deepfsi.design.temperatures import stop_temperatures, temperatures_at
+from deepfsi.designfile import Temperatures, calibration_budgets
+
+FITTED = Temperatures(np.array([[4.0, 2.0, 0.0], [2.0, 1.0, 0.0]]), np.array([1.0, 10.0, 100.0]))
+
+
+def in_numpy(stop, photons):
+    return FITTED.after(stop, photons)
+
+
+def in_torch(stop, photons):
+    budget = torch.tensor([photons], dtype=torch.double)
+    return float(temperatures_at(FITTED, torch.tensor([stop - 1.0]), budget))
+
+
+@pytest.mark.parametrize("temperature", [in_numpy, in_torch])
+def test_their_logarithm_is_interpolated(temperature):
+    assert temperature(1, 1.0) == pytest.approx(np.exp(4))
+    assert temperature(2, 10**1.5) == pytest.approx(np.exp(0.5))
+    assert temperature(1.5, 10.0) == pytest.approx(np.exp(1.5))
+    assert temperature(8, 1e9) == pytest.approx(1)  # the last look, the highest budget
+    assert temperature(1, 0.01) == pytest.approx(np.exp(4) * 100)  # as 1 / Φ
+
+
+def test_those_of_all_stops():
+    assert stop_temperatures(FITTED, 1.0) == pytest.approx(np.exp([4, 2]))
+
+
+def test_budgets_of_a_calibration_reach_beyond_the_training():
+    budgets = calibration_budgets(1e3, 1e4)
+    assert budgets[[0, -1]] == pytest.approx([10, 1e6])
+    assert np.diff(np.log10(budgets)) == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize(
+    "arrays",
+    [
+        {"logs": np.zeros((3, 3)), "budgets": FITTED.budgets},
+        {"logs": FITTED.logs, "budgets": FITTED.budgets[::-1]},
+        {"logs": FITTED.logs, "budgets": -FITTED.budgets},
+        {"logs": FITTED.logs + 20, "budgets": FITTED.budgets},
+        {"logs": FITTED.logs, "budgets": np.array([1.0, 10.0, 1e3])},
+    ],
+)
+def test_others_are_refused(arrays):
+    with pytest.raises(ValueError, match="temperatures"):
+        Temperatures.restored(arrays, 2)
