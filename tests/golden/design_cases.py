@@ -1,0 +1,285 @@
+"""Designs of every exposure, light law and noise, trained for a moment: their files and answers.
+
+A case is a function without parameters that works in the current folder, which is its own and
+empty, and gives facts as `facts.parts` takes them.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+import deepfsi
+from golden.scenes import BUDGET, STEPS, digits, facts_of, refused_or, spots, tested
+
+Case = Callable[[], dict[str, Any]]
+
+HASHED = True
+"""Of the exact facts of so many designs only hashes are stored."""
+
+EXPOSURES: dict[str, dict[str, Any]] = {
+    "fixed": {"masks": 4},
+    "range": {"masks": 4, "exposure": {"span": 10}},
+    "nested": {"masks": 4, "exposure": {"nested": 2}},
+    "looks": {"masks": 4, "exposure": {"looks": 2}},
+    "patches": {
+        "masks": 4,
+        "exposure": {"patch": 4},
+        "training": {
+            "epochs": 1,
+            "batch": 45,
+            "classifier_arguments": {"width": 8, "depth": 1, "heads": 2, "hidden": 8},
+        },
+    },
+    "passing": {"exposure": {"bins": 8, "jitter": 0.5, "speed_jitter": 0.05}},
+    "adaptive": {"design": "adaptive", "masks": 3, "training": {"clusters": 2}},
+}
+"""Kinds of exposure, by settings of a job."""
+
+LIGHTS: dict[str, dict[str, Any]] = {
+    "column": {"light": "column"},
+    "column single": {"light": "column", "rails": "single"},
+    "equal-dwell": {"light": "equal-dwell"},
+    "equal-dwell dual": {"light": "equal-dwell", "rails": "dual"},
+    "free-dwell": {"light": "free-dwell"},
+    "free-dwell both": {"light": "free-dwell", "rails": "dual", "readout": "both"},
+    "two-arm": {"light": "two-arm"},
+    "two-arm difference": {"light": "two-arm", "readout": "difference"},
+}
+"""Light laws with the rails and readouts that they can have, by fields of a camera."""
+
+NOISES: dict[str, dict[str, Any]] = {
+    "none": {"noise": "none"},
+    "gaussian": {"noise": "gaussian", "sigma": 2.0},
+    "ml_gauss": {"noise": "ml_gauss"},
+    "poisson": {"noise": "poisson"},
+    "camera": {"noise": "camera", "dark": 20.0, "sigma": 1.5},
+    "dark": {"noise": "camera", "dark": 20.0},
+    "click": {"noise": "click", "gates": 200},
+    "own": {"noise": "golden.parts:shot"},
+}
+"""Noises, by fields of a camera."""
+
+
+def exposed(exposure: str, light: str) -> dict[str, Any]:
+    """A kind of exposure under a light law, under each noise, or that it is refused."""
+    return {
+        noise: refused_or(partial(_trained, exposure, {**LIGHTS[light], **fields}))
+        for noise, fields in NOISES.items()
+    }
+
+
+def _trained(exposure: str, camera: dict[str, Any]) -> dict[str, Any]:
+    settings = {"training": STEPS, "photons": BUDGET, "camera": camera, "seed": 3}
+    data = digits(classes=4).hold_out(9)
+    test = {"noise": camera["noise"]} if ":" in camera.get("noise", "") else {}
+    return facts_of(deepfsi.learn(data, **{**settings, **EXPOSURES[exposure]}), data, **test)
+
+
+CAMERAS: dict[str, dict[str, Any]] = {
+    "2x2": {"detectors": "2x2"},
+    "2x2 two-arm": {"detectors": "2x2", "light": "two-arm"},
+    "map": {"detectors": tuple(np.arange(64) % 3)},
+    "levels": {"levels": 3},
+    "device": {"device": "64x48", "exposure": "10ms", "flux": 1e6, "dark": 100.0},
+    "shortest": {"shortest_dwell": "1ms", "exposure": "10ms"},
+}
+"""Cameras that all exposures are seen with, where they can be."""
+
+
+def pictured(camera: str) -> dict[str, Any]:
+    """Each kind of exposure with one camera, or that it is refused."""
+    return {
+        exposure: refused_or(partial(_trained, exposure, CAMERAS[camera])) for exposure in EXPOSURES
+    }
+
+
+TRAININGS: dict[str, dict[str, Any]] = {
+    "scale": {"training": {**STEPS, "scale": "each", "dropout": 0.2, "decay": 0.01}},
+    "precise": {"training": {**STEPS, "precision": "bfloat16", "hidden": (16, 8)}},
+    "noise": {"training": {**STEPS, "noise": "poisson"}},
+    "start": {"training": {**STEPS, "start": "class-pairs"}},
+    "balance": {"training": {**STEPS, "balance": True}},
+    "network": {
+        "training": {
+            "epochs": 2,
+            "batch": 30,
+            "classifier": "golden.parts:network",
+            "classifier_arguments": {"hidden": 4},
+        }
+    },
+    "few counts": {
+        "camera": {"light": "column", "rails": "single", "noise": "poisson"},
+        "training": {**STEPS, "counts": 50.0},
+    },
+    "few clicks": {
+        "camera": {"light": "column", "rails": "single", "noise": "click"},
+        "training": {**STEPS, "counts": 3.0},
+    },
+    "target counts": {"photons": None, "counts": 200.0, "training": {**STEPS, "epochs": 1}},
+    "control": {"design": "control", "camera": {"light": "column"}},
+    "random": {"design": "random", "exposure": {"looks": 3}},
+}
+"""Other ways to train, by settings."""
+
+
+def trained(name: str) -> dict[str, Any]:
+    """A design that was trained in some way."""
+    data = digits().hold_out(9)
+    settings = {"training": STEPS, "photons": BUDGET, "masks": 4, "seed": 1, "camera": "dmd"}
+    given = {name: one for name, one in {**settings, **TRAININGS[name]}.items() if one is not None}
+    return facts_of(deepfsi.learn(data, **given), data)
+
+
+NAMED = {
+    "impulse": 64,
+    "raster": 64,
+    "hadamard": 64,
+    "truncated-hadamard": 6,
+    "pca": 6,
+    "random": 6,
+    "lda": 6,
+    "class-pairs": 6,
+    "s-matrix": 67,
+}
+"""Named designs, by their masks."""
+
+
+def named() -> dict[str, Any]:
+    """Each named design, trained under the paper's optics and one device's."""
+    data = digits().hold_out(9)
+
+    def made(design: str, camera: dict[str, Any]) -> dict[str, Any]:
+        settings = {"photons": 1e5, "masks": NAMED[design], "camera": camera, "training": STEPS}
+        design = deepfsi.learn(data, design=design, **settings)
+        return {"matrix": design.matrix, "test": tested(design, data)}
+
+    return {
+        f"{design} {light}": refused_or(partial(made, design, LIGHTS[light]))
+        for design in NAMED
+        for light in ("column", "equal-dwell", "free-dwell both", "two-arm")
+    }
+
+
+def values() -> dict[str, Any]:
+    """Each kind of exposure that estimates values, with the usual loss and one's own."""
+    data = spots()
+    settings = {"photons": BUDGET, "seed": 2, "camera": "dmd", "training": STEPS}
+
+    def made(**given: Any) -> dict[str, Any]:
+        return facts_of(deepfsi.learn(data, **{**settings, **given}), data)
+
+    out = {
+        name: refused_or(partial(made, **given))
+        for name, given in EXPOSURES.items()
+        if name != "patches"
+    }
+    own = {**STEPS, "loss": "golden.parts:absolute"}
+    return {**out, "own loss": made(masks=4, training=own)}
+
+
+def characterised() -> dict[str, Any]:
+    """A design with all that is measured after its training: folds, temperatures, readouts."""
+    data = digits(600, classes=4)
+    design = deepfsi.learn(data, photons=BUDGET, masks=4, camera="dmd", training=STEPS)
+    whole = facts_of(design, data)
+    ideal = deepfsi.ideal_observer(design, data, [100.0, BUDGET], seed=1)
+    numbers = [{**one.as_dict(), "confusion": None} for one in ideal]
+    return {**whole, "ideal observer": numbers}
+
+
+def characterised_ranges() -> dict[str, Any]:
+    """Temperatures of budgets and of first masks."""
+    data = digits(500, classes=3)
+    out = {}
+    for name in ("range", "nested"):
+        settings = {"photons": BUDGET, "camera": "dmd", "training": STEPS}
+        design = deepfsi.learn(data, **{**settings, **EXPOSURES[name]})
+        out[name] = facts_of(design, data)
+    return out
+
+
+def seeded() -> dict[str, Any]:
+    """A seed gives the same design; a better one than guessing, which counts less than there is."""
+    data = deepfsi.load_dataset("digits").hold_out(300)
+    settings = {"masks": 8, "photons": 1e5, "seed": 5}
+    training = {"epochs": 2, "hidden": (16,), "batch": 100}
+    out: dict[str, Any] = {}
+    for light in ("column", "free-dwell", "two-arm"):
+        given = {**settings, "camera": {"light": light}, "training": training}
+        one, other = (deepfsi.learn(data, **given) for _ in range(2))
+        [result] = deepfsi.evaluate(one, data, 1e5, draws=1)
+        out[light] = {
+            "same": bool(np.array_equal(one.matrix, other.matrix)),
+            "better than guessing": result.accuracy > 0.15,
+            "no more light than there is": result.throughput <= 1 + 1e-6,
+            "rails": one.matrix,
+        }
+    return out
+
+
+def own_scanner() -> dict[str, Any]:
+    """Masks and network that a user trained, made a design; masks from an array."""
+    import torch
+
+    rng = torch.Generator().manual_seed(0)
+    rails = torch.rand(1, 5, 64, generator=rng) / 5
+    scanner, network = deepfsi.Scanner.from_rails(rails), torch.nn.Linear(5, 10)
+    with torch.no_grad():
+        for weight in network.parameters():
+            weight.copy_(torch.randn(weight.shape, generator=rng))
+    data = digits()
+    photons = deepfsi.photons_per_pixel(torch.tensor(data.x_train[:4]), BUDGET, 30.0)
+    made = deepfsi.design_of(scanner, network, data, photons=BUDGET)
+    matrix = np.random.default_rng(3).random((4, 64)) / 4
+    custom = {"design": "custom", "matrix": matrix, "masks": 4, "training": STEPS}
+    return {
+        "design": {"matrix": made.matrix, "test": tested(made, data)},
+        "photons": photons.numpy(),
+        "counts": scanner(photons, torch.Generator().manual_seed(1)).numpy(),
+        **{
+            f"custom {light}": refused_or(
+                lambda light=light: facts_of(
+                    deepfsi.learn(data, photons=BUDGET, camera=LIGHTS[light], **custom), data
+                )
+            )
+            for light in ("column single", "equal-dwell", "free-dwell")
+        },
+        "network": deepfsi.Mlp(5, 3, (4,), 0.0, torch.Generator().manual_seed(0))(torch.ones(2, 5))
+        .detach()
+        .numpy(),
+    }
+
+
+def anomalies() -> dict[str, Any]:
+    """Scenes of one class told from anomalies, which are made of them."""
+    from golden.facts import answer
+    from golden.scenes import file_facts
+
+    words = ("--data", "digits", "--normal", "3", "--masks", 4, "--photons", "1e4", "--epochs", 1)
+    said = answer("design", *words, "--hidden", "8", "-o", "d.safetensors")
+    return {"said": sorted(said), "file": file_facts("d.safetensors")}
+
+
+CASES: dict[str, Case] = {
+    **{
+        f"{exposure} {light}": partial(exposed, exposure, light)
+        for exposure in EXPOSURES
+        for light in LIGHTS
+    },
+    **{f"camera {name}": partial(pictured, name) for name in CAMERAS},
+    **{f"training {name}": partial(trained, name) for name in TRAININGS},
+    **{
+        case.__name__.replace("_", " "): case
+        for case in (
+            named,
+            values,
+            characterised,
+            characterised_ranges,
+            seeded,
+            own_scanner,
+            anomalies,
+        )
+    },
+}
