@@ -48,9 +48,7 @@ from deepfsi.hardware.live.known import KnownMasks
 from deepfsi.hardware.live.run import plan_live, run_live
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns, read_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
-from deepfsi.hardware.photons.header import read_header
-from deepfsi.hardware.photons.reader import count_gates, read_markers
-from deepfsi.hardware.photons.writer import Writer
+from deepfsi.hardware.photons import PtuFile, PtuWriter, count_windows, read_markers
 from deepfsi.hardware.virtual import (
     Latencies,
     VirtualCamera,
@@ -73,7 +71,7 @@ def record(path: Path, records: float, frame_s: float, inputs: int) -> int:
     photons = frame_s * FLUX
     frames = round(records / (photons * (1 + 1 / (FLUX * TICK_S * 2**25)) + 1))
     frame, at_once = round(frame_s / TICK_S), max(1, round(1e6 / photons))
-    with Writer(path, TICK_S) as writer:
+    with PtuWriter(path, TICK_S) as writer:
         for first in range(0, frames, at_once):
             last = min(first + at_once, frames)
             some = rng.integers(first * frame, last * frame, rng.poisson((last - first) * photons))
@@ -105,12 +103,12 @@ def edges(markers: np.ndarray, frame_s: float) -> tuple[np.ndarray, np.ndarray]:
 def whole(path: Path, frames: int, frame_s: float, inputs: int, block: int) -> np.ndarray:
     """Counts, shape (frames, inputs)."""
     times, bits = read_markers(path)
-    return count_gates(path, *edges(times[bits == 1], frame_s), range(inputs))
+    return count_windows(path, *edges(times[bits == 1], frame_s), range(inputs))
 
 
 def plain(path: Path, frames: int, frame_s: float, inputs: int, block: int) -> np.ndarray:
     """Counts, shape (frames, inputs)."""
-    words = np.fromfile(path, "<u4", offset=read_header(path).offset)
+    words = np.fromfile(path, "<u4", offset=PtuFile(path).header.offset)
     special, channel = words >> 31 != 0, words >> 25 & 63
     overflow = special & (channel == 63)
     wraps = np.cumsum(np.where(overflow, np.maximum(words & (1 << 25) - 1, 1), 0), dtype=np.int64)
@@ -151,7 +149,7 @@ def reader(arguments: argparse.Namespace) -> None:
     with tempfile.TemporaryDirectory(dir=arguments.folder) as folder:
         path = Path(folder) / "photons.ptu"
         frames = record(path, arguments.records, arguments.frame, arguments.inputs)
-        records, size = read_header(path).records, path.stat().st_size
+        records, size = PtuFile(path).header.records, path.stat().st_size
         ways = [("stream", block) for block in arguments.blocks]
         ways += [("whole file", 0), ("numpy", 0)]
         found: dict[tuple[str, int], list[dict]] = {each: [] for each in ways}
@@ -284,7 +282,7 @@ class _Replayed:
     """Recording fed look by look, and how long each took from its last block to the next list."""
 
     def __init__(self, path: Path, block: int) -> None:
-        header, self.content = read_header(path), path.read_bytes()
+        header, self.content = PtuFile(path).header, path.read_bytes()
         words = np.frombuffer(self.content, "<u4", offset=header.offset)
         markers = np.flatnonzero((words >> 31 != 0) & (words >> 25 & 63 != 63))
         self.ends = header.offset + 4 * (markers + 1)  # bytes up to each marker's

@@ -31,9 +31,7 @@ from pathlib import Path
 import numpy as np
 import ptufile
 
-from deepfsi.hardware.photons.header import read_header
-from deepfsi.hardware.photons.reader import count_gates, inspect, read_markers
-from deepfsi.hardware.photons.writer import Writer
+from deepfsi.hardware.photons import PtuFile, PtuWriter, count_windows, read_markers, summarise
 
 FLUX, FRAMES, TICK_S = 1e7, 2048, 1e-12
 PART = 200_000
@@ -46,7 +44,7 @@ def record(path: Path, records: float, inputs: int) -> int:
     # overflows are records too: one for each 2^25 ticks
     photons = records / (1 + 1 / (FLUX * TICK_S * 2**25)) / FRAMES
     frame = round(photons / FLUX / TICK_S)
-    with Writer(path, TICK_S) as writer:
+    with PtuWriter(path, TICK_S) as writer:
         for start in range(0, FRAMES * frame, frame):
             times = start + np.sort(rng.integers(0, frame, rng.poisson(photons)))
             codes = rng.integers(0, inputs, len(times), dtype=np.int16)
@@ -62,7 +60,7 @@ def gates(markers: np.ndarray, frame: int) -> tuple[np.ndarray, np.ndarray]:
 def ours(path: Path, frame: int, inputs: int) -> np.ndarray:
     """Counts, shape (frames, inputs)."""
     markers, _ = read_markers(path)
-    return count_gates(path, *gates(markers, frame), range(inputs))
+    return count_windows(path, *gates(markers, frame), range(inputs))
 
 
 def with_ptufile(path: Path, frame: int, inputs: int) -> np.ndarray:
@@ -120,7 +118,7 @@ def seconds(run: Callable[[], object]) -> tuple[float, object]:
 
 def compare(path: Path, frame: int, inputs: int, rounds: int) -> None:
     """Run all in turn and print a table."""
-    header = read_header(path)
+    header = PtuFile(path).header
     share = min(PART, header.records) / header.records
     words = np.fromfile(path, np.uint64, header.records // 2, offset=header.offset)
     ways: dict[str, Callable[[], np.ndarray]] = {
@@ -142,7 +140,7 @@ def compare(path: Path, frame: int, inputs: int, rounds: int) -> None:
     bandwidth = words.nbytes / min(sums)
     del words
 
-    contents = inspect(path)
+    contents = summarise(path)
     print(
         f"{header.records:,} records ({header.records * 4 / 1e6:.0f} MB), {len(counts)} frames of "
         f"{frame * TICK_S * 1e3:.2f} ms, {sum(contents.photons.values()):,} photons on {inputs} "

@@ -8,8 +8,7 @@ import pytest
 import torch
 
 import deepfsi
-from deepfsi.hardware.photons.reader import inspect, read_markers
-from deepfsi.hardware.photons.writer import Writer
+from deepfsi.hardware.photons import PtuWriter, read_markers, summarise
 from deepfsi.jobs import designs as codes
 from deepfsi.optics import constraints
 from deepfsi.sweeps.recipe import Recipe
@@ -100,8 +99,8 @@ def test_a_queue_trains_each_trial_once(digits, tmp_path):
 def test_a_photon_file_is_read_back(tmp_path):
     times = np.cumsum(np.random.default_rng(0).integers(1, 2**30, 2000))
     codes_of = np.where(np.arange(2000) % 50 == 0, -1, 0).astype(np.int16)
-    with Writer(tmp_path / "a.ptu") as writer:
+    with PtuWriter(tmp_path / "a.ptu") as writer:
         writer.write(times, codes_of)
-    found = inspect(tmp_path / "a.ptu")
+    found = summarise(tmp_path / "a.ptu")
     assert (found.photons, found.markers, found.problems) == ({0: 1960}, {1: 40}, ())
     assert np.array_equal(read_markers(tmp_path / "a.ptu")[0], times[codes_of < 0])

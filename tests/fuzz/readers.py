@@ -109,12 +109,12 @@ def read_run(path: Path) -> None:
 
 
 def read_ptu(path: Path) -> None:
-    from deepfsi.hardware.photons.reader import count_gates, inspect, read_markers
+    from deepfsi.hardware.photons import count_windows, read_markers, summarise
 
-    inspect(path)
+    summarise(path)
     times, _ = read_markers(path)
     if len(times) > 1:
-        count_gates(path, times[:-1], times[1:])
+        count_windows(path, times[:-1], times[1:])
 
 
 def read_live(path: Path) -> None:

@@ -9,8 +9,7 @@ import deepfsi
 from conftest import once, synthetic
 from deepfsi.base.errors import InputError
 from deepfsi.hardware.counting.transits import count_bins
-from deepfsi.hardware.photons.reader import read_photons
-from deepfsi.hardware.photons.writer import Writer
+from deepfsi.hardware.photons import PtuWriter, read_photons
 from deepfsi.lab.transits import classify_transits, simulate_transits
 
 BIN_S, PHOTONS, BACKGROUND = 1e-3, 1e4, 200.0
@@ -108,7 +107,7 @@ def test_bad_input_is_one_line(design, recorded, settings, match):
 def test_background_alone_has_no_transits(design, tmp_path):
     rng = np.random.default_rng(0)
     times = np.sort(rng.integers(0, 20 * 10**9, 20_000))
-    with Writer(tmp_path / "dark.ptu", 1e-9) as writer:
+    with PtuWriter(tmp_path / "dark.ptu", 1e-9) as writer:
         writer.write(times, np.zeros(20_000, np.int64))
     found = classify_transits(design, tmp_path / "dark.ptu", BIN_S, false_alarms=1e-4)
     assert found.transits == ()

@@ -12,8 +12,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
-from deepfsi.hardware.photons.reader import count_gates, inspect, read_markers
-from deepfsi.hardware.photons.writer import Writer
+from deepfsi.hardware.photons import PtuWriter, count_windows, read_markers, summarise
 
 # %%
 # This makes a small file to read: 24 frames of 1 ms, each with its own light, and photons at random
@@ -40,11 +39,11 @@ order = np.argsort(times, kind="stable")
 
 with tempfile.TemporaryDirectory() as folder:
     path = Path(folder) / "photons.ptu"
-    with Writer(path, tick_s=tick) as writer:
+    with PtuWriter(path, tick_s=tick) as writer:
         writer.write(times[order], codes[order])
-    contents = inspect(path)
+    contents = summarise(path)
     marked, _ = read_markers(path)
-    counts = count_gates(path, marked, marked + frame)[:, 0]
+    counts = count_windows(path, marked, marked + frame)[:, 0]
 print(contents.model_dump_json(indent=1))
 
 # %%

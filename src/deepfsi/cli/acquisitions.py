@@ -140,15 +140,14 @@ def camera_import(
     if patterns is not None or passes is not None:
         raise InputError(f"--patterns and --passes are for {_SERIES}: leave them out")
     paths.check_file(out, (".ptu",), force)
-    from deepfsi.hardware.photons.reader import inspect
-    from deepfsi.hardware.photons.stamps import read_stamps, write_stamps
+    from deepfsi.hardware.photons import read_timestamps, summarise
 
-    stamps = read_stamps(events, options.optional_seconds("unit", unit))
-    chosen = write_stamps(stamps, out, marker, tuple(channels) if channels else None)
-    found = inspect(out)
+    events_read = read_timestamps(events, options.optional_seconds("unit", unit))
+    chosen = events_read.write(out, marker, tuple(channels) if channels else None)
+    found = summarise(out)
     photons = {column + 1: found.photons.get(column, 0) for column in range(len(chosen))}
     triggers = found.markers.get(1, 0)
-    left = len(stamps.times) - sum(photons.values()) - triggers
+    left = len(events_read.times) - sum(photons.values()) - triggers
     if as_json:
         about = {"channels": chosen, "photons": photons, "markers": triggers, "left_out": left}
         about["span_s"] = found.span_s

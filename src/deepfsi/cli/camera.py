@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from deepfsi.hardware.counting.counts import Counts
     from deepfsi.hardware.live.replay import LiveCounts
-    from deepfsi.hardware.photons.contents import Contents
+    from deepfsi.hardware.photons import PtuSummary
     from deepfsi.hardware.virtual import VirtualCamera
 
 NO_DRIFT = 1e-7
@@ -230,11 +230,11 @@ def print_counts(
 ) -> None:
     """Print what was counted, and every fault."""
     from deepfsi.hardware.counting.acquisition import read_acquisition
-    from deepfsi.hardware.photons.header import read_header
+    from deepfsi.hardware.photons import PtuFile
 
     run = read_acquisition(folder)[0]
     names = [scene.name for scene in run.scenes]
-    problems = read_header(folder / "photons.ptu").problems
+    problems = PtuFile(folder / "photons.ptu").problems
     summary: dict[str, Any] = {
         "scenes": len(counts.counts),
         "exposures": int(counts.valid.size),
@@ -359,10 +359,10 @@ def camera_inspect(
 
     Example: deepfsi camera inspect photons.ptu
     """
-    from deepfsi.hardware.photons.reader import inspect
+    from deepfsi.hardware.photons import summarise
 
     with common.progress("records", quiet=as_json) as report:
-        contents = inspect(file, report)
+        contents = summarise(file, report)
     if as_json:
         common.print_json(
             "camera.inspect",
@@ -376,7 +376,7 @@ def camera_inspect(
         raise InputError(f"{file} is not whole: {'; '.join(contents.problems)}")
 
 
-def _print_contents(file: Path, contents: "Contents") -> None:
+def _print_contents(file: Path, contents: "PtuSummary") -> None:
     rows = [
         ("record type", contents.kind),
         ("time unit", time_text(contents.tick_s)),

@@ -42,7 +42,7 @@ def camera_scan(
     import numpy as np
 
     from deepfsi.base.files import write_atomically
-    from deepfsi.hardware.photons.scan import ScanMarkers, count_scan
+    from deepfsi.hardware.photons import ScanMarkers, count_scan
 
     if figure is not None and pixels == 1:
         raise InputError("a picture needs pixels: give --pixels, 2 or more, or leave --figure out")

@@ -25,7 +25,7 @@ from deepfsi.hardware.counting.transits import (
     find_threshold,
     find_transits,
 )
-from deepfsi.hardware.photons.reader import read_photons
+from deepfsi.hardware.photons import read_photons
 from deepfsi.hardware.virtual.transits import write_transits
 from deepfsi.optics.surroundings import library_defaults
 

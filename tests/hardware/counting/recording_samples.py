@@ -19,7 +19,7 @@ from deepfsi.hardware.counting.alignment import Counter
 from deepfsi.hardware.counting.counting import count
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.sequence import Frame, FrameSettings, Manifest, Patterns
-from deepfsi.hardware.photons.writer import Writer
+from deepfsi.hardware.photons import PtuWriter
 
 FUZZ = int(os.environ.get("DEEPFSI_FUZZ", "100"))
 """Examples of each test on random faults, and mutated folders."""
@@ -219,7 +219,7 @@ class Run:
         codes.append(np.zeros(50, int))
         every, kinds = np.concatenate(times), np.concatenate(codes)
         order = np.argsort(every, kind="stable")
-        with Writer(self.folder / "photons.ptu", TICK) as writer:
+        with PtuWriter(self.folder / "photons.ptu", TICK) as writer:
             writer.write(np.rint(every[order] / TICK).astype(np.int64), kinds[order])
 
     def edit(self, **changes) -> None:

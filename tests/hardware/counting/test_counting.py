@@ -16,7 +16,7 @@ from deepfsi.hardware.counting.acquisition import prepare, read_acquisition
 from deepfsi.hardware.counting.counting import count
 from deepfsi.hardware.counting.counts import read_counts
 from deepfsi.hardware.counting.picture import reconstruct
-from deepfsi.hardware.photons.writer import Writer
+from deepfsi.hardware.photons import PtuWriter
 
 run, whole = recording_samples.run, recording_samples.whole
 
@@ -74,7 +74,7 @@ def test_gates_open_and_close_when_they_should(tmp_path):
     dark = np.isin(np.searchsorted(starts[0] / TICK, times, side="right") - 1, [1, 14])
     times, codes = times[~dark | (codes < 0)], codes[~dark | (codes < 0)]
     order = np.argsort(times, kind="stable")
-    with Writer(tmp_path / "run" / "photons.ptu", TICK) as writer:
+    with PtuWriter(tmp_path / "run" / "photons.ptu", TICK) as writer:
         writer.write(times[order], codes[order])
     # All frames but OFF are equally bright, so none is shown to be wrong.
     counts = count(tmp_path / "run", exposure_s=11 * 37e-6, settle_s=5e-5, repeats=3)

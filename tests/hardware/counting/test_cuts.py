@@ -8,8 +8,7 @@ from recording_samples import Run, lamp, schedule, train
 from deepfsi.base.errors import InputError
 from deepfsi.hardware.counting.alignment import align
 from deepfsi.hardware.counting.counting import count
-from deepfsi.hardware.photons.header import read_header
-from deepfsi.hardware.photons.reader import read_markers
+from deepfsi.hardware.photons import PtuFile, read_markers
 
 run, whole = recording_samples.run, recording_samples.whole
 
@@ -17,7 +16,7 @@ run, whole = recording_samples.run, recording_samples.whole
 def cut_after(run: Run, markers: int, more: int) -> None:
     """Cut a file so many records after its marker of that number."""
     path = run.folder / "photons.ptu"
-    offset, content = read_header(path).offset, path.read_bytes()
+    offset, content = PtuFile(path).header.offset, path.read_bytes()
     words = np.frombuffer(content[offset : offset + (len(content) - offset) // 4 * 4], "<u4")
     places = np.flatnonzero((words >> 31 == 1) & (words >> 25 & 63 < 16))
     path.write_bytes(content[: offset + 4 * (int(places[markers - 1]) + 1 + more)])

@@ -9,7 +9,7 @@ from deepfsi.hardware.counting.acquisition import gates_of, prepare
 from deepfsi.hardware.counting.counting import count
 from deepfsi.hardware.counting.gates import Frames, Windows, find_lateness
 from deepfsi.hardware.patterns.timing import Gates, usual_tolerance
-from deepfsi.hardware.photons.writer import Writer
+from deepfsi.hardware.photons import PtuWriter
 
 FLUX = 1e7
 DARK = 100.0
@@ -38,7 +38,7 @@ def lamp(tmp_path):
         codes = np.zeros(len(times), int)
         codes[: len(starts)] = -1
         order = np.argsort(times, kind="stable")
-        with Writer(tmp_path / "run" / "photons.ptu", TICK) as writer:
+        with PtuWriter(tmp_path / "run" / "photons.ptu", TICK) as writer:
             writer.write(np.rint(times[order] / TICK).astype(np.int64), codes[order])
 
     return tmp_path / "run", record

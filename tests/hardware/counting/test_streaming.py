@@ -8,10 +8,15 @@ import pytest
 
 from deepfsi.base.errors import InputError
 from deepfsi.hardware.counting.streaming import FrameGates, StreamCounter
-from deepfsi.hardware.photons.header import KINDS, read_header
-from deepfsi.hardware.photons.reader import count_gates, inspect, read_markers
-from deepfsi.hardware.photons.records import marker_slack
-from deepfsi.hardware.photons.writer import Writer
+from deepfsi.hardware.photons import (
+    PtuFile,
+    PtuWriter,
+    count_windows,
+    marker_slack_s,
+    read_markers,
+    summarise,
+)
+from deepfsi.hardware.photons.ptu import KINDS
 from hardware.photons.ptu_samples import END, T2, photon, recorded, save, special, tags_of
 
 TICK_S, SETTLE = 1e-12, 10e-6
@@ -29,7 +34,7 @@ def record(path, dwells_s, rate, inputs=2, seed=0, end_s=1e-4):
         [rng.integers(0, inputs, len(photons)), np.full(len(dwells_s), -2), np.full(20, -1)]
     )
     order = np.argsort(times, kind="stable")
-    with Writer(path, TICK_S) as writer:
+    with PtuWriter(path, TICK_S) as writer:
         writer.write(times[order], codes[order])
     return path
 
@@ -61,7 +66,7 @@ def test_frames_are_counted_as_when_the_recording_has_ended(tmp_path, rate, size
     times, bits = read_markers(path)
     starts = times[bits == 2]
     offsets, lengths = (np.rint(s / TICK_S).astype(int) for s in (gates.offsets_s, gates.lengths_s))
-    wanted = count_gates(path, starts + offsets, starts + offsets + lengths, (1, 0))
+    wanted = count_windows(path, starts + offsets, starts + offsets + lengths, (1, 0))
 
     counter, content = StreamCounter((1, 0), marker_bit=2), path.read_bytes()
     counter.expect(gates)
@@ -90,11 +95,13 @@ def test_frames_of_all_types_of_records_are_counted_alike(tmp_path, kind, seed):
     rng = np.random.default_rng(seed)
     path = save(tmp_path / "a.ptu", kind, recorded(kind.code, 600, seed))
     times, bits = read_markers(path)
-    header, bit = read_header(path), int(rng.choice([1, 2, 4, 8]))
+    header, bit = PtuFile(path), int(rng.choice([1, 2, 4, 8]))
     starts = times[bits & bit != 0]
-    first, offsets, lengths, markers = frames_of(starts, marker_slack(header.tick_s), rng)
+    first, offsets, lengths, markers = frames_of(
+        starts, round(marker_slack_s(header.tick_s) / header.tick_s), rng
+    )
     opens = starts[first] + offsets
-    wanted = count_gates(path, opens, opens + lengths, (1, 0, 2))
+    wanted = count_windows(path, opens, opens + lengths, (1, 0, 2))
 
     counter, content = StreamCounter((1, 0, 2), bit), path.read_bytes()
     counter.expect(FrameGates(offsets * header.tick_s, lengths * header.tick_s, markers))
@@ -130,12 +137,12 @@ def test_counts_come_with_the_first_record_after_the_gate(tmp_path):
     path = record(tmp_path / "a.ptu", [100e-6], 1e6, end_s=3e-4)
     counter, content = StreamCounter((0,), marker_bit=2), path.read_bytes()
     counter.expect(FrameGates.of(SETTLE, [80e-6]))
-    offset = read_header(path).offset
+    offset = PtuFile(path).header.offset
     _, (start,), (when,) = feed(counter, content, [offset] + [4] * (len(content) // 4))
     stop, last = round((start + 90e-6) / TICK_S), []
     for end in (when - 4, when):
         path.write_bytes(content[:end])
-        last.append(inspect(path).last)
+        last.append(summarise(path).last)
     assert last[0] < stop <= last[1] < stop + 10**6
 
 
@@ -150,7 +157,9 @@ def test_a_frame_of_several_pictures_begins_with_its_first_marker(tmp_path):
     counter.expect(gates)
     opens = starts + round(SETTLE / TICK_S)
     closes = opens + np.rint(gates.lengths_s / TICK_S).astype(int)
-    assert np.array_equal(counter.feed(path.read_bytes()).counts, count_gates(path, opens, closes))
+    assert np.array_equal(
+        counter.feed(path.read_bytes()).counts, count_windows(path, opens, closes)
+    )
 
 
 EVEN = np.full(8, 44e-6)
@@ -246,7 +255,7 @@ def test_damage_is_named_as_when_a_whole_file_is_read(tmp_path):
     content[-8:] = content[-4:] + content[-8:-4]
     path.write_bytes(content)
     with pytest.raises(InputError) as wanted:
-        count_gates(path, np.array([0]), np.array([1]))
+        count_windows(path, np.array([0]), np.array([1]))
     counter = StreamCounter((0,), marker_bit=4, name=path)
     with pytest.raises(InputError) as error:
         counter.feed(bytes(content))

@@ -12,8 +12,7 @@ from deepfsi.hardware.counting.transits import (
     find_threshold,
     find_transits,
 )
-from deepfsi.hardware.photons.reader import inspect, read_photons
-from deepfsi.hardware.photons.writer import Writer
+from deepfsi.hardware.photons import PtuWriter, read_photons, summarise
 from deepfsi.hardware.virtual.transits import write_transits
 
 BACKGROUND, WINDOW, DURATION = 40.0, 0.1, 20.0
@@ -86,7 +85,7 @@ def recorded(tmp_path):
 def test_simulated_transits_are_found_where_they_are(recorded):
     path, trace, starts = recorded
     times, end = read_photons(path)
-    assert len(times) == inspect(path).photons[0]
+    assert len(times) == summarise(path).photons[0]
     assert (np.diff(times) >= 0).all()
     assert 14 < end <= 15
     background = find_background(times, WINDOW, end, 0.01)
@@ -118,7 +117,7 @@ def test_a_record_that_is_full_of_transits_does_not_tell_its_background():
 def test_photons_on_each_input_are_read_between_markers(tmp_path):
     path = tmp_path / "two.ptu"
     times, codes = np.array([5, 9, 9, 40, 2**40, 2**40 + 3]), np.array([0, 1, -1, 0, 1, 0])
-    with Writer(path, 1e-9) as writer:
+    with PtuWriter(path, 1e-9) as writer:
         writer.write(times, codes)
     for number in (0, 1):
         found, end = read_photons(path, number)

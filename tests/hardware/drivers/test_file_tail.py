@@ -11,7 +11,7 @@ from deepfsi.base.errors import InputError
 from deepfsi.hardware.counting.streaming import FrameGates, StreamCounter
 from deepfsi.hardware.drivers import FollowedCounter, StreamingCounter
 from deepfsi.hardware.drivers import file_tail as followed
-from deepfsi.hardware.photons.writer import Writer
+from deepfsi.hardware.photons import PtuWriter
 
 GATES = FrameGates.of(10e-6, [60e-6] * 20)
 
@@ -20,7 +20,7 @@ GATES = FrameGates.of(10e-6, [60e-6] * 20)
 def content(tmp_path_factory) -> bytes:
     path, rng = tmp_path_factory.mktemp("followed") / "a.ptu", np.random.default_rng(0)
     times = np.sort(np.append(np.arange(20) * 10**8, rng.integers(0, 21 * 10**8, 20000)))
-    with Writer(path) as writer:
+    with PtuWriter(path) as writer:
         writer.write(times, np.where(times % 10**8 == 0, -1, 0))
     return path.read_bytes()
 

@@ -14,9 +14,7 @@ from deepfsi.base.errors import InputError
 from deepfsi.hardware.counting.streaming import FrameGates
 from deepfsi.hardware.drivers import StreamingCounter, picoquant
 from deepfsi.hardware.drivers.picoquant import SnapiCounter
-from deepfsi.hardware.photons.header import read_header
-from deepfsi.hardware.photons.reader import count_gates, read_markers
-from deepfsi.hardware.photons.writer import Writer
+from deepfsi.hardware.photons import PtuFile, PtuWriter, count_windows, read_markers
 
 TICK_S, FRAME = 5e-12, 10**7
 GATES = FrameGates.of(10e-6, np.linspace(5e-6, 30e-6, 12))
@@ -125,10 +123,10 @@ def api(monkeypatch, tmp_path):
     starts = np.arange(1, 13) * FRAME
     times = np.sort(np.append(starts, rng.integers(0, 14 * FRAME, 4000)))
     codes = np.where(np.isin(times, starts), -2, rng.integers(0, 3, len(times)))
-    with Writer(tmp_path / "made.ptu", TICK_S) as writer:
+    with PtuWriter(tmp_path / "made.ptu", TICK_S) as writer:
         writer.write(times, codes)
     content = (tmp_path / "made.ptu").read_bytes()
-    words = np.frombuffer(content, "<u4", offset=read_header(tmp_path / "made.ptu").offset)
+    words = np.frombuffer(content, "<u4", offset=PtuFile(tmp_path / "made.ptu").header.offset)
     state = {"steps": [], "refused": set(), "words": words, "content": content, "made": []}
     state["shown"] = threading.Event()
     fake = type("snAPI", (Api,), {**state, "cuts": rng.integers(0, len(words), 100)})
@@ -158,7 +156,7 @@ def test_counts_are_those_of_the_file_that_is_left(api, tmp_path):
     times, bits = read_markers(path)
     opens = times[bits == 2] + round(10e-6 / TICK_S)
     closes = opens + np.rint(GATES.lengths_s / TICK_S).astype(int)
-    assert np.array_equal(found, count_gates(path, opens, closes, (2, 0)))
+    assert np.array_equal(found, count_windows(path, opens, closes, (2, 0)))
     assert found.sum() > 100
     assert (made.serial, made.enabled, made.edges) == (("1045483",), (0, 1, 0, 0), (0, 1, 0, 0))
     assert "loadIniConfig a.ini" in api.steps

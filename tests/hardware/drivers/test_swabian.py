@@ -12,7 +12,7 @@ from deepfsi.base.errors import InputError
 from deepfsi.hardware.counting.streaming import FrameGates
 from deepfsi.hardware.drivers import StreamingCounter, swabian
 from deepfsi.hardware.drivers.swabian import TaggerCounter, TaggerSettings
-from deepfsi.hardware.photons.reader import count_gates, read_markers
+from deepfsi.hardware.photons import count_windows, read_markers
 from hardware.drivers.swabian_fake import (
     ERROR,
     MISSED,
@@ -62,7 +62,7 @@ def test_counts_are_those_of_the_file_that_is_left(device, signals, tmp_path):
     assert (bits == 2).all()
     opens = at[:FRAMES] + 10 * 10**6
     closes = opens + np.rint(GATES.lengths_s * 1e12).astype(int)
-    assert np.array_equal(found[:FRAMES], count_gates(path, opens, closes, (2, 0)))
+    assert np.array_equal(found[:FRAMES], count_windows(path, opens, closes, (2, 0)))
     assert found.sum() > 1000
     assert device.levels == {1: 0.1, 8: -0.5}
     assert "TimeTagStream [8, 3, 1]" in device.steps

@@ -10,7 +10,7 @@ from deepfsi.hardware.counting.acquisition import prepare
 from deepfsi.hardware.counting.counts import Counts
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.sequence import Brightness, FrameSettings, Patterns
-from deepfsi.hardware.photons.writer import Writer
+from deepfsi.hardware.photons import PtuWriter
 from hardware.counting.recording_samples import DEVICE, DWELL, SHAPE, TICK, named, split
 
 SETTLE = 2e-5
@@ -116,7 +116,7 @@ class Lit:
                 codes.append(np.full(len(came), heard))
         every, kinds = np.concatenate(times), np.concatenate(codes)
         order = np.argsort(every, kind="stable")
-        with Writer(folder / "photons.ptu", TICK) as writer:
+        with PtuWriter(folder / "photons.ptu", TICK) as writer:
             writer.write(np.rint((every[order] + 0.01) / TICK).astype(np.int64), kinds[order])
 
     def errors(self, counts: Counts) -> np.ndarray:

@@ -71,7 +71,7 @@ def test_each_look_has_its_time_and_no_frame_is_too_short(run, patterns):
 
 
 def test_frames_are_held_as_long_as_the_device_needs(run, patterns):
-    from deepfsi.hardware.photons.reader import read_markers
+    from deepfsi.hardware.photons import read_markers
 
     times = read_markers(run / "photons.ptu")[0] * 1e-12
     device = read_patterns(patterns).manifest.device

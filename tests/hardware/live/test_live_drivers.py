@@ -10,7 +10,7 @@ from deepfsi.hardware.drivers.swabian import TaggerCounter
 from deepfsi.hardware.live.replay import count_live
 from deepfsi.hardware.live.run import plan_live, run_live
 from deepfsi.hardware.live.shown import read_shown
-from deepfsi.hardware.photons.writer import Writer
+from deepfsi.hardware.photons import PtuWriter
 from deepfsi.hardware.virtual import CAMERAS, arrival_rates
 from hardware.drivers import swabian_fake
 from hardware.drivers.vialux_fake import install
@@ -53,7 +53,7 @@ def test_the_loop_runs_on_a_vialux_device_and_a_file_that_grows(
 
     class Counter(FollowedCounter):
         def start(self, path):
-            laboratory.written = Writer(path, growing=True).__enter__()
+            laboratory.written = PtuWriter(path, growing=True).__enter__()
             super().start(path)
 
     bench = Setup(VialuxLooks(), Counter(), laboratory.display)

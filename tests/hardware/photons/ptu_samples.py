@@ -1,7 +1,7 @@
 """PTU files to test with, written and decoded record by record as the format's words say."""
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -9,12 +9,9 @@ import numpy as np
 import pytest
 from ptufile.ptufile import encode_tag
 
-from deepfsi.hardware.photons import reader
-from deepfsi.hardware.photons.contents import Contents, Tally
-from deepfsi.hardware.photons.gate_counter import GateCounter
-from deepfsi.hardware.photons.header import GENERIC_T2, KINDS, Header, Kind
-from deepfsi.hardware.photons.records import Part
-from deepfsi.hardware.photons.stream import StreamReader
+from deepfsi.base.progress import SILENT, Report
+from deepfsi.hardware.photons import Part, PtuFile, PtuStream
+from deepfsi.hardware.photons.ptu import GENERIC_T2, KINDS, Kind, read_header
 
 T2 = GENERIC_T2
 
@@ -137,71 +134,37 @@ def special(code: int, time: int = 0) -> int:
     return 1 << 31 | code << 25 | time
 
 
-@dataclass
-class Streamed:
-    """Reads files as `reader` does, but as streams whose bytes arrive in cuts of some size."""
+class StreamedFile(PtuStream):
+    """A file as a stream whose bytes arrive in cuts of some size, random ones unless given."""
 
-    size: int | None = None
-    """Bytes of a cut; random unless given, and often none or a part of a record."""
+    def __init__(self, path: Path, size: int | None = None) -> None:
+        super().__init__(path)
+        self.pieces = cut(path.read_bytes(), size)
+        for piece in self.pieces:
+            self.feed(piece)
+            if self.begun:
+                break
+        else:
+            read_header(path)  # refused, as a file that ends within its header
+        self.header = replace(self.header, size=path.stat().st_size)
 
-    def read_header(self, path: Path) -> Header:
-        stream = StreamReader(path)
-        for _ in self.parts(path, stream):
-            pass
-        return self.header(path, stream)
-
-    def inspect(self, path: Path) -> Contents:
-        stream, tally = StreamReader(path), None
-        for part in self.parts(path, stream):
-            tally = tally or Tally(stream.header.kind)
-            tally.add(part)
-        header = self.header(path, stream)
-        return (tally or Tally(header.kind)).contents(header)
-
-    def read_markers(self, path: Path) -> tuple[np.ndarray, np.ndarray]:
-        stream = StreamReader(path)
-        found = [(np.zeros(0, np.int64), np.zeros(0, np.uint8))]
-        for part in self.parts(path, stream):
-            part.check(path)
-            found.append(part.markers)
-        self.header(path, stream)
-        times, bits = zip(*found, strict=True)
-        return np.concatenate(times), np.concatenate(bits)
-
-    def count_gates(
-        self, path: Path, starts: np.ndarray, stops: np.ndarray, inputs: Sequence[int] = (0,)
-    ) -> np.ndarray:
-        stream, counter, counts = StreamReader(path), None, []
-        for part in self.parts(path, stream):
-            part.check(path)
-            if counter is None:
-                counter = GateCounter(stream.header.kind, inputs, path)
-                counter.expect(starts, stops)
-            counter.add(part)
-            counts.append(counter.take())
-        header = self.header(path, stream)
-        if counter is None:
-            counter = GateCounter(header.kind, inputs, path)
-            counter.expect(starts, stops)
-        return np.concatenate([*counts, counter.finish(header)])
-
-    def header(self, path: Path, stream: StreamReader) -> Header:
-        """Header of a stream that ended; one that ended within its header is refused as a file."""
-        if stream.header is None:
-            return reader.read_header(path)
-        return replace(stream.header, size=path.stat().st_size)
-
-    def parts(self, path: Path, stream: StreamReader) -> Iterator[Part]:
-        content, first = path.read_bytes(), 0
-        rng = np.random.default_rng(len(content))
-        while first < len(content):
-            some = int(rng.integers(0, 2 ** int(rng.integers(1, 20))))
-            size = some if self.size is None else self.size
-            yield from stream.feed(content[first : first + size])
-            first += size
+    def parts(self, progress: Report = SILENT, ordered: bool = True) -> Iterator[Part]:
+        yield from super().parts()
+        for piece in self.pieces:
+            self.feed(piece)
+            yield from super().parts()
 
 
-READERS = {"whole": reader, "stream": Streamed()}
+def cut(content: bytes, size: int | None) -> Iterator[bytes]:
+    """Pieces that follow each other; random ones often have none or a part of a record."""
+    first, rng = 0, np.random.default_rng(len(content))
+    while first < len(content):
+        some = int(rng.integers(0, 2 ** int(rng.integers(1, 20)))) if size is None else size
+        yield content[first : first + some]
+        first += some
+
+
+SOURCES = {"file": PtuFile, "stream": StreamedFile}
 """Ways to read a file: at once, and while its bytes arrive."""
 
-every_reader = pytest.mark.parametrize("read", READERS.values(), ids=READERS)
+every_source = pytest.mark.parametrize("opened", SOURCES.values(), ids=SOURCES)

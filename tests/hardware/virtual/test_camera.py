@@ -18,7 +18,7 @@ from deepfsi.hardware.counting.counting import count
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings, Patterns
 from deepfsi.hardware.patterns.timing import Gates, find_gates
-from deepfsi.hardware.photons import reader as ptu
+from deepfsi.hardware.photons import read_markers, summarise
 from deepfsi.hardware.virtual import (
     CAMERAS,
     RecordingSettings,
@@ -346,7 +346,7 @@ def test_counts_from_a_file_are_as_in_memory(tmp_path, name):
 def test_the_file_has_a_marker_at_the_start_of_each_frame_and_the_budget(tmp_path):
     shown = patterns(tmp_path / "p")
     shoot(tmp_path, flux=5e6)
-    times, bits = ptu.read_markers(tmp_path / "run" / "photons.ptu")
+    times, bits = read_markers(tmp_path / "run" / "photons.ptu")
     manifest = shown.manifest
     starts = manifest.starts_s + manifest.pass_s * np.arange(3)[:, None]
     assert times * 1e-12 == pytest.approx(starts.ravel(), abs=1e-12)
@@ -463,7 +463,7 @@ def test_events_stay_in_order_where_jitter_reaches_over_chunks(tmp_path, monkeyp
     camera = VirtualCamera(jitter_s=1e-6, afterpulse_probability=0.3, afterpulse_s=1e-5)
     flow = arrival_rates(tmp_path / "p", scenes(), camera, 1e6)
     module.write_photons(tmp_path / "a.ptu", shown.manifest, flow, camera, np.random.default_rng(0))
-    contents = ptu.inspect(tmp_path / "a.ptu")
+    contents = summarise(tmp_path / "a.ptu")
     expected = (flow.sum(axis=2) * shown.manifest.picture_s).sum() * 1.3
     assert abs(sum(contents.photons.values()) - expected) <= 6 * np.sqrt(expected * 1.3)
     assert contents.markers == {1: 3 * len(shown.manifest.frames)}

@@ -17,7 +17,7 @@ from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns, read_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.patterns.timing import Gates, find_gates
-from deepfsi.hardware.photons.header import GENERIC_T2, PICOHARP_T2
+from deepfsi.hardware.photons.ptu import GENERIC_T2, PICOHARP_T2
 from deepfsi.hardware.virtual import (
     CAMERAS,
     RecordingSettings,

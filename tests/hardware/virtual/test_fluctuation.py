@@ -5,7 +5,7 @@ import pytest
 from virtual_samples import patterns, scenes
 
 from deepfsi.hardware.counting.counting import count
-from deepfsi.hardware.photons.writer import Writer
+from deepfsi.hardware.photons import PtuWriter
 from deepfsi.hardware.virtual import (
     DETECTOR_TICK_S,
     Latencies,
@@ -98,7 +98,7 @@ def test_the_light_of_a_live_setup_fluctuates_too(tmp_path):
     rates = np.full((1, 2, 1), 2e6)
     setup = VirtualOptics(rates, VirtualCamera(fluctuation=0.1), Latencies(), seed=5)
     path = tmp_path / "photons.ptu"
-    with Writer(path, tick_s=DETECTOR_TICK_S) as writer:
+    with PtuWriter(path, tick_s=DETECTOR_TICK_S) as writer:
         setup.written = writer
         setup.show(np.arange(frames) % 2, np.full(frames, dwell))
         start = setup._end - round(frames * dwell / DETECTOR_TICK_S)

@@ -5,7 +5,7 @@ import pytest
 from virtual_samples import SHAPE, patterns
 
 from deepfsi.base.errors import InputError
-from deepfsi.hardware.photons.reader import count_gates, inspect, read_markers
+from deepfsi.hardware.photons import count_windows, read_markers, summarise
 from deepfsi.hardware.virtual import (
     DETECTOR_TICK_S,
     Latencies,
@@ -60,10 +60,10 @@ def test_lists_follow_each_other_on_one_clock_and_every_photon_is_kept(tmp_path)
     )
     edges, shown = np.concatenate(starts), np.tile(dwells, 2)
     gates = (np.rint(each / DETECTOR_TICK_S).astype(np.int64) for each in (edges, edges + shown))
-    found = count_gates(path, *gates)[:, 0]
+    found = count_windows(path, *gates)[:, 0]
     expected = np.tile(rates[0, [1, 2, 0], 0], 2) * shown
     # Some 0.3 counts come into a gate from beside it, or leave it
     assert (abs(found - expected) < 5 * np.sqrt(expected) + 5).all()
     waited = 1e6 * starts[0][0]  # frame 1 is seen until the first list
     whole = waited + expected.sum()
-    assert abs(inspect(path).photons[0] - whole) < 5 * np.sqrt(whole)
+    assert abs(summarise(path).photons[0] - whole) < 5 * np.sqrt(whole)

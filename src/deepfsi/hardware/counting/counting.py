@@ -43,8 +43,7 @@ from deepfsi.hardware.counting.readouts import by_rail, by_readout, lengths_by_r
 from deepfsi.hardware.light import PARTS, Arrivals, Fault, Light, check_light, name_inputs
 from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.hardware.patterns.timing import ClickGates, Gates
-from deepfsi.hardware.photons.header import Header, read_header
-from deepfsi.hardware.photons.reader import inspect
+from deepfsi.hardware.photons import PhotonSource, PtuFile, summarise
 
 LEAST_GATE_TICKS = 10
 """Ticks of the counter that a gate must have at least."""
@@ -282,10 +281,10 @@ def _name_dark(scene: int | None) -> tuple[Fault, ...]:
     return (Fault(kind="background", scene=scene, detail=detail),)
 
 
-def _read_counter(path: Path, lengths_s: np.ndarray, manifest: Manifest) -> Header:
+def _read_counter(path: Path, lengths_s: np.ndarray, manifest: Manifest) -> PhotonSource:
     """Header of a counter's file with enough inputs, and times fine enough for gates (n,)."""
-    header = read_header(path)
-    check_inputs(manifest, header.kind.inputs, f"{header.path} ({header.kind.name})")
+    header = PtuFile(path)
+    check_inputs(manifest, header.inputs, f"{header.path} ({header.record_type})")
     if lengths_s.min() < LEAST_GATE_TICKS * header.tick_s:
         raise InputError(
             f"{header.path} has times in steps of {time_text(header.tick_s)}, too coarse for gates "
@@ -296,7 +295,7 @@ def _read_counter(path: Path, lengths_s: np.ndarray, manifest: Manifest) -> Head
 
 
 def _count_windows(
-    header: Header,
+    header: PhotonSource,
     frames_s: np.ndarray,
     until_s: float,
     sets: tuple[Windows | FrameParts | ClickWindows, ...],
@@ -351,11 +350,11 @@ def _check_gains(gains: tuple[float, ...], manifest: Manifest) -> np.ndarray:
     return np.array(gains or (1.0,) * manifest.inputs)
 
 
-def _check_lit(header: Header, acquisition: Acquisition, lit: bool) -> None:
+def _check_lit(header: PhotonSource, acquisition: Acquisition, lit: bool) -> None:
     """Raise `InputError` if no pass has light, saying which inputs have photons."""
     if lit:
         return
-    contents = inspect(header.path)
+    contents = summarise(header.path)
     there = ", ".join(f"{n} photons on input {k + 1}" for k, n in sorted(contents.photons.items()))
     asked = name_inputs(acquisition.inputs)
     raise InputError(
@@ -365,7 +364,7 @@ def _check_lit(header: Header, acquisition: Acquisition, lit: bool) -> None:
     )
 
 
-def _show_ends(header: Header, photons: np.ndarray, seconds: np.ndarray) -> np.ndarray:
+def _show_ends(header: PhotonSource, photons: np.ndarray, seconds: np.ndarray) -> np.ndarray:
     """Passes whose first and last two frames are all ON and all OFF, as far as photons tell."""
     # From photons and seconds (S, F). At least one of each must have been recorded
     fits = np.array(

@@ -20,9 +20,12 @@ from deepfsi.hardware.counting.passes import MOST_DRIFT
 from deepfsi.hardware.light import CERTAIN_SIGMAS, Fault
 from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.hardware.patterns.timing import Gates
-from deepfsi.hardware.photons.header import Header
-from deepfsi.hardware.photons.reader import count_gates, read_markers
-from deepfsi.hardware.photons.records import MARKER_SLACK_S
+from deepfsi.hardware.photons import (
+    PhotonSource,
+    count_windows,
+    marker_slack_s,
+    read_markers,
+)
 
 GUARD_SHARE = 0.5
 """Share of a frame after settling that a guard takes at most, where it is cut in parts."""
@@ -42,7 +45,7 @@ class Frames:
 
 
 def find_frames(
-    header: Header,
+    header: PhotonSource,
     acquisition: Acquisition,
     manifest: Manifest,
     tolerance_s: float | None,
@@ -56,7 +59,7 @@ def find_frames(
     times = times[bits & acquisition.marker_bit != 0]
     last = float(times.max(initial=0)) * tick_s
     # The file of a recording that was cut holds all photons up to the last marker.
-    until = last - 2 * max(MARKER_SLACK_S, tick_s) if header.problems else np.inf
+    until = last - 2 * marker_slack_s(tick_s) if header.problems else np.inf
     inputs = acquisition.inputs[: manifest.detector_count]
     try:
         aligned = align(
@@ -89,7 +92,7 @@ def find_frames(
     )
 
 
-def _check_markers(header: Header, bits: np.ndarray, wanted: int) -> None:
+def _check_markers(header: PhotonSource, bits: np.ndarray, wanted: int) -> None:
     """Raise `InputError`, with the marker inputs that have some, if a file has none of a bit."""
     if (bits & wanted != 0).any():
         return
@@ -102,7 +105,7 @@ def _check_markers(header: Header, bits: np.ndarray, wanted: int) -> None:
     )
 
 
-def _photon_counter(header: Header, inputs: tuple[int, ...], until: float) -> Counter:
+def _photon_counter(header: PhotonSource, inputs: tuple[int, ...], until: float) -> Counter:
     """Count photons on some inputs in any windows, as far as all are in the file."""
     end = max(int(until / header.tick_s), 0) if np.isfinite(until) else None
 
@@ -167,7 +170,7 @@ class Windows:
         return np.add.reduceat(kept, np.searchsorted(self.frame, np.arange(self.frames)), axis=1)
 
 
-def check_gates(header: Header, gates: Gates, manifest: Manifest, found: Frames) -> None:
+def check_gates(header: PhotonSource, gates: Gates, manifest: Manifest, found: Frames) -> None:
     """Raise `InputError` if frames were so much shorter than planned that gates do not fit."""
     pictures = found.pictures_s[manifest.shown]
     room = pictures - gates.settle_s
@@ -241,7 +244,7 @@ def count_overlapping(
     """Photons (n, inputs) in windows, starts and stops (n,), that may overlap, in any order."""
     edges = np.stack([starts, stops])
     unique, places = np.unique(edges, return_inverse=True)
-    found = count_gates(path, unique[:-1], unique[1:], inputs, report)
+    found = count_windows(path, unique[:-1], unique[1:], inputs, report)
     before = np.pad(np.cumsum(found, axis=0), ((1, 0), (0, 0)))[places.reshape(edges.shape)]
     return np.asarray(before[1] - before[0])
 

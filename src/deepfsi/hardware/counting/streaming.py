@@ -19,10 +19,17 @@ from deepfsi.base.errors import InputError
 from deepfsi.base.quantities import time_text
 from deepfsi.hardware.counting.clocks import MOST_EXTRA, MOST_RATE
 from deepfsi.hardware.light import PARTS
-from deepfsi.hardware.photons.gate_counter import GateCounter, cut_gates
-from deepfsi.hardware.photons.header import Kind
-from deepfsi.hardware.photons.records import EARLIEST_TICK, Part, marker_slack
-from deepfsi.hardware.photons.stream import StreamReader
+from deepfsi.hardware.photons import (
+    Part,
+    PhotonSource,
+    PtuStream,
+    WindowCounter,
+    cut_windows,
+    marker_slack_s,
+)
+
+BEFORE_ALL = -(2**62)
+"""A time before all others, ticks."""
 
 
 @dataclass(frozen=True)
@@ -100,23 +107,23 @@ class FrameCounter:
 
     def __init__(
         self,
-        kind: Kind,
-        tick_s: float,
+        source: PhotonSource,
         inputs: Sequence[int],
         marker_bit: int = 1,
-        name: object = "the stream",
     ) -> None:
-        self._tick_s, self._bit, self._name = tick_s, marker_bit, name
-        self._slack = marker_slack(tick_s)
-        self._gates = GateCounter(kind, inputs, name)
+        self._tick_s = source.tick_s
+        self._bit = marker_bit
+        self._name = source.path
+        self._slack = round(marker_slack_s(source.tick_s) / source.tick_s)
+        self._gates = WindowCounter(source, inputs)
         self._due: deque[_DueFrame] = deque()
         self._shown: _DueFrame | None = None  # the frame whose marker came last
-        self._last = EARLIEST_TICK  # that marker
+        self._last = BEFORE_ALL  # that marker
         self._skipped = 0  # markers to come of the frame that is shown
         self._begun: deque[int] = deque()  # markers of frames whose counts were not given
         # (n, inputs): Of the parts of their gates that have ended
         self._counts = np.zeros((0, len(inputs)), np.int64)
-        self._stop = EARLIEST_TICK  # end of the last gate
+        self._stop = BEFORE_ALL  # end of the last gate
 
     def expect(self, gates: FrameGates) -> None:
         """Count frames that are shown after those before. To be told before they are shown."""
@@ -148,7 +155,7 @@ class FrameCounter:
         times, bits = part.markers
         begun = map(self._begin, times[bits & self._bit != 0].tolist())
         gates = np.array([gate for gate in begun if gate], np.int64).reshape(-1, 2)
-        self._gates.expect(*cut_gates(gates[:, 0], gates[:, 1], PARTS))
+        self._gates.expect(*cut_windows(gates[:, 0], gates[:, 1], PARTS))
         self._gates.add(part)
         counts = np.concatenate([self._counts, self._gates.take()])
         ended = len(counts) // PARTS
@@ -230,8 +237,8 @@ class StreamCounter:
         marker_bit: int = 1,
         name: str | os.PathLike[str] = "the stream",
     ) -> None:
-        self._wiring = tuple(inputs), marker_bit, name
-        self._reader = StreamReader(name)
+        self._wiring = tuple(inputs), marker_bit
+        self._stream = PtuStream(name)
         self._frames: FrameCounter | None = None
         self._early: list[FrameGates] = []  # told before the header has arrived
 
@@ -244,17 +251,14 @@ class StreamCounter:
 
     def feed(self, data: bytes | bytearray | memoryview) -> FrameCounts:
         """Read the next bytes; give the frames whose gates ended, in order."""
-        found = []
-        for part in self._reader.feed(data):
-            found.append(self._counter().add(part))
+        self._stream.feed(data)
+        found = [self._counter().add(part) for part in self._stream.parts()]
         return FrameCounts.join(found, len(self._wiring[0]))
 
     def _counter(self) -> FrameCounter:
         """Counter of frames, which is made when the header has arrived."""
-        header = self._reader.header
         if self._frames is None:
-            assert header is not None
-            self._frames = FrameCounter(header.kind, header.tick_s, *self._wiring)
+            self._frames = FrameCounter(self._stream, *self._wiring)
             for gates in self._early:
                 self._frames.expect(gates)
         return self._frames

@@ -21,9 +21,7 @@ import numpy as np
 
 from deepfsi.base.errors import InputError
 from deepfsi.hardware.counting.streaming import FrameCounter, FrameCounts, FrameGates
-from deepfsi.hardware.photons import records
-from deepfsi.hardware.photons.header import GENERIC_T2
-from deepfsi.hardware.photons.records import Decoder
+from deepfsi.hardware.photons import PtuStream
 
 LONGEST_MS = 360_000_000
 """Longest recording that the devices take, 100 hours, milliseconds."""
@@ -97,10 +95,11 @@ class SnapiCounter:
         self._accept(self._api.setPTUFilePath(str(path.absolute())), f"record into {path}")
         self._accept(self._api.raw.startBlock(LONGEST_MS, self.buffer, True), "start to record")
         tick_s = self._api.deviceConfig["BaseResolution"] * 1e-12
-        self._frames = FrameCounter(GENERIC_T2, tick_s, self.inputs, self.marker_bit, path)
+        stream = PtuStream.without_header(path, tick_s)
+        self._frames = FrameCounter(stream, self.inputs, self.marker_bit)
         self._found, self._ending = queue.Queue(), threading.Event()
-        given = self._frames, Decoder(GENERIC_T2, tick_s), path
-        self._thread = threading.Thread(target=self._read, args=given, daemon=True)
+        arguments = (self._frames, stream)
+        self._thread = threading.Thread(target=self._read, args=arguments, daemon=True)
         self._thread.start()
 
     def expect(self, gates: FrameGates) -> None:
@@ -131,7 +130,7 @@ class SnapiCounter:
             self._thread = self._frames = None
             self._api.raw.stopMeasure()
 
-    def _read(self, frames: FrameCounter, decoder: Decoder, path: Path) -> None:
+    def _read(self, frames: FrameCounter, stream: PtuStream) -> None:
         """Count all records until the end; what is found, or goes wrong, is for the other side."""
         try:
             while not self._ending.is_set():
@@ -139,23 +138,23 @@ class SnapiCounter:
                 words = self._api.raw.getBlock()  # a view, until the next call
                 if len(words) >= self.buffer:
                     raise InputError(
-                        f"{path}: more records came than the {self.buffer} that may wait, and some "
-                        "were lost: give a larger `buffer`, or less light"
+                        f"{stream.path}: more records came than the {self.buffer} that may wait, "
+                        "and some were lost: give a larger `buffer`, or less light"
                     )
-                self._count(words, frames, decoder)
+                self._count(words, frames, stream)
                 if finished:
                     raise InputError(
-                        f"{path}: the PicoQuant device stopped by itself; look into snAPI's log, "
-                        "and for less light if its buffer ran over"
+                        f"{stream.path}: the PicoQuant device stopped by itself; look into "
+                        "snAPI's log, and for less light if its buffer ran over"
                     )
                 if not len(words):
                     self._ending.wait(POLL_S)
         except Exception as error:
             self._found.put(error)
 
-    def _count(self, words: np.ndarray, frames: FrameCounter, decoder: Decoder) -> None:
-        for first in range(0, len(words), records.RECORDS_IN_MEMORY):
-            part = decoder.decode(words[first : first + records.RECORDS_IN_MEMORY])
+    def _count(self, words: np.ndarray, frames: FrameCounter, stream: PtuStream) -> None:
+        stream.feed(words.data)
+        for part in stream.parts():
             with self._lock:
                 counts = frames.add(part)
             if len(counts.counts):

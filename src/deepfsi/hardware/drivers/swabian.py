@@ -29,7 +29,7 @@ from deepfsi.base.models import UserModel
 from deepfsi.hardware.counting.streaming import FrameCounts, FrameGates
 from deepfsi.hardware.drivers.device_errors import refusals
 from deepfsi.hardware.drivers.file_tail import FollowedCounter
-from deepfsi.hardware.photons.writer import Writer
+from deepfsi.hardware.photons import PtuWriter
 
 MODULES = "Swabian.TimeTagger", "TimeTagger"
 """The library as installed by pip, and by the vendor's installer."""
@@ -135,7 +135,7 @@ class TaggerCounter(AbstractContextManager["TaggerCounter"]):
                 self._sync()  # levels are settled, and what came before is gone
                 stream = self._module.TimeTagStream(self._tagger, MOST_TAGS, list(self._codes))
             stack.callback(stream.stop)
-            writer = stack.enter_context(Writer(path, TICK_S, growing=True))
+            writer = stack.enter_context(PtuWriter(path, TICK_S, growing=True))
             self._followed.start(path)
             stack.callback(self._followed.stop)
             tags, ending = _Tags(stream, writer, self._codes, path), threading.Event()
@@ -194,7 +194,7 @@ class TaggerCounter(AbstractContextManager["TaggerCounter"]):
 class _Tags:
     """Tags of a recording, from the device's stream to the file."""
 
-    def __init__(self, stream: Any, writer: Writer, codes: dict[int, int], path: Path) -> None:
+    def __init__(self, stream: Any, writer: PtuWriter, codes: dict[int, int], path: Path) -> None:
         self._stream, self._writer, self._codes, self._path = stream, writer, codes, path
         self._first: int | None = None  # time of the first tag, ps
 

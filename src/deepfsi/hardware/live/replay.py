@@ -27,9 +27,13 @@ from deepfsi.hardware.live.decisions import Decision, Observer
 from deepfsi.hardware.live.looks import FrameList, LiveLooks
 from deepfsi.hardware.live.shown import DARK, ShownList, ShownScene, read_shown
 from deepfsi.hardware.patterns.sequence import Manifest
-from deepfsi.hardware.photons.gate_counter import cut_gates
-from deepfsi.hardware.photons.header import Header, read_header
-from deepfsi.hardware.photons.reader import count_gates, read_markers
+from deepfsi.hardware.photons import (
+    PhotonSource,
+    PtuFile,
+    count_windows,
+    cut_windows,
+    read_markers,
+)
 from deepfsi.lab.results import LiveScene
 
 PHOTONS, COUNTS = "photons.ptu", "counts.npz"
@@ -68,11 +72,11 @@ class LiveCounts:
 def count_live(folder: Path, report: Report = SILENT) -> LiveCounts:
     """Count the photons of a live run and write counts.npz."""
     acquisition, patterns = read_acquisition(folder)
-    manifest, scenes, header = patterns.manifest, read_shown(folder), read_header(folder / PHOTONS)
-    check_inputs(manifest, header.kind.inputs, f"{header.path} ({header.kind.name})")
+    manifest, scenes, header = patterns.manifest, read_shown(folder), PtuFile(folder / PHOTONS)
+    check_inputs(manifest, header.inputs, f"{header.path} ({header.record_type})")
     markers, starts, stops = _find_gates(header, scenes, acquisition, report.part(0.0, 0.4))
-    parts = cut_gates(starts, stops, PARTS)
-    counts = count_gates(header.path, *parts, acquisition.inputs, report.part(0.4, 1.0))
+    parts = cut_windows(starts, stops, PARTS)
+    counts = count_windows(header.path, *parts, acquisition.inputs, report.part(0.4, 1.0))
     found = FrameCounts(
         markers.astype(np.float64) * header.tick_s, counts.reshape(len(markers), PARTS, -1)
     )
@@ -86,7 +90,7 @@ def count_live(folder: Path, report: Report = SILENT) -> LiveCounts:
 
 
 def _find_gates(
-    header: Header, scenes: tuple[ShownScene, ...], acquisition: Acquisition, report: Report
+    header: PhotonSource, scenes: tuple[ShownScene, ...], acquisition: Acquisition, report: Report
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Markers, starts and stops of all gates, ticks, as the counter had them while it ran."""
     times, bits = read_markers(header.path, report)

@@ -1,15 +1,9 @@
-"""PicoQuant PTU files: their contents, markers, and photons counted between gates.
-
-A file is a header of tags and then records of 32 bits, as PicoQuant describes them:
-
-- tags: https://github.com/PicoQuant/PicoQuant-Time-Tagged-File-Format-Demos/tree/master/doc
-- records: the same folder's `apx_tttrrecords.html`
-- the vendor's reader: the same repository's `PTU/Python/Read_PTU.py`
+"""Photons read from their source: markers, times, what a file holds, and counts in windows.
 
 A record is a photon on one of the inputs, or *special*: a marker, a sync event (T2 only), or an
 overflow, after which times count from one *wrap* later. Specials are few. So photons are counted
-without their times: between two specials the records' time fields rise, and a gate's edge is
-searched for there.
+without their times: between two specials the records' time fields rise, and the edge of a window
+is searched for there.
 
 Times are in *ticks*. In T2 a tick is the resolution of the device. In T3 it is a period of the
 sync, and a photon's delay after it is not read.
@@ -20,16 +14,19 @@ them more coarsely.
 """
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Protocol, Self
 
 import numpy as np
 
 from deepfsi.base.errors import InputError
+from deepfsi.base.files import open_regular
+from deepfsi.base.models import StrictModel
 from deepfsi.base.progress import SILENT, Report
-from deepfsi.hardware.photons.contents import Contents, Tally
-from deepfsi.hardware.photons.gate_counter import GateCounter, check_input
-from deepfsi.hardware.photons.header import read_header
-from deepfsi.hardware.photons.records import read_parts
+from deepfsi.hardware.photons import records
+from deepfsi.hardware.photons.ptu import GENERIC_T2, Header, parse_header, read_header
+from deepfsi.hardware.photons.records import EARLIEST_TICK, LATEST_TICK, Decoder, Part
 
 MOST_PHOTONS = 2**27
 """Photons whose times are held at once, at most."""
@@ -38,66 +35,518 @@ MOST_MARKERS = 2**24
 """Markers of a file at most."""
 
 
-def inspect(path: str | os.PathLike[str], report: Report = SILENT) -> Contents:
-    """Count the photons, markers and other records of a file."""
-    # Damaged records do not raise: `problems` names the first, and what stands before it is counted
-    header = read_header(path)
-    tally = Tally(header.kind)
-    for part in read_parts(header, report):
-        tally.add(part)
-    return tally.contents(header)
+class PhotonSource(Protocol):
+    """Source of photons and markers with their times: a file, or a stream that grows."""
+
+    @property
+    def path(self) -> Path:
+        """File, or a name for a stream: messages say it."""
+
+    @property
+    def record_type(self) -> str:
+        """Device and mode in words."""
+
+    @property
+    def tick_s(self) -> float:
+        """Seconds of a tick."""
+
+    @property
+    def inputs(self) -> int:
+        """Number of inputs that there can be; they count from 0."""
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """Reasons why the recording may be incomplete."""
+
+    def parts(self, progress: Report = SILENT, ordered: bool = True) -> Iterator[Part]:
+        """Give the records, in parts that follow each other; none follows one with a `fault`.
+
+        Parameters
+        ----------
+        progress
+            Told how much of the source is read.
+        ordered
+            False where nothing but markers is wanted.
+        """
 
 
-def read_markers(
-    path: str | os.PathLike[str], report: Report = SILENT
-) -> tuple[np.ndarray, np.ndarray]:
-    """Markers of a file, in its order: times in ticks, int64 (n,), and bits, uint8 (n,)."""
-    # Bits are 1 to 15: which of the four marker inputs. Those of a file that is cut are given as
-    # far as it goes; see `Header.problems`. Whether times run back is not looked at here
-    header = read_header(path)
-    times, bits, found = [np.zeros(0, np.int64)], [np.zeros(0, np.uint8)], 0
-    for part in read_parts(header, report, ordered=False):
-        part.check(path)
-        here, which = part.markers
-        times.append(here)
+class _PtuSource:
+    """Facts that the header of a PTU file gives."""
+
+    header: Header
+
+    @property
+    def path(self) -> Path:
+        return self.header.path
+
+    @property
+    def record_type(self) -> str:
+        return self.header.kind.name
+
+    @property
+    def tick_s(self) -> float:
+        return self.header.tick_s
+
+    @property
+    def inputs(self) -> int:
+        return self.header.kind.inputs
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        return self.header.problems
+
+
+class PtuFile(_PtuSource):
+    """PTU file that is there as a whole, or as far as it was recorded.
+
+    Raises
+    ------
+    InputError
+        If it is no PTU file, or its header is damaged.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.header = read_header(path)
+
+    def parts(self, progress: Report = SILENT, ordered: bool = True) -> Iterator[Part]:
+        """Give the records, as `PhotonSource` says. A part is valid until the next one."""
+        header = self.header
+        decoder = Decoder(header.kind, header.tick_s, ordered)
+        buffer = np.empty(records.RECORDS_IN_MEMORY, "<u4")
+        with open_regular(header.path, buffering=0) as file:
+            file.seek(header.offset)
+            for start in range(0, header.records, len(buffer)):
+                words = buffer[: header.records - start]
+                if file.readinto(words.data.cast("B")) != words.nbytes:
+                    raise InputError(
+                        f"{header.path} became shorter while it was read: wait for its end"
+                    )
+                for part in decoder.parts(words):
+                    yield part
+                    if part.fault:
+                        return
+                progress((start + len(words)) / header.records)
+
+
+class PtuStream(_PtuSource):
+    """PTU file whose bytes arrive in any cuts: from a pipe, or a file that grows.
+
+    The header's parser and the records' decoder are those of whole files, so that a stream is read
+    as the file that it becomes, whatever its cuts. Memory is that of the bytes given at once. Facts
+    of the header are there when it has `begun`.
+    """
+
+    def __init__(self, name: str | os.PathLike[str] = "the stream") -> None:
+        self._parser = parse_header(name)
+        self._needed = next(self._parser)
+        self._rest = bytearray()  # bytes of the header, or of a record that is not complete
+        self._records_left = 0
+        self._decoder: Decoder | None = None
+        self._arrived: list[memoryview] = []  # bytes after the header that are not read yet
+
+    @classmethod
+    def without_header(cls, name: str | os.PathLike[str], tick_s: float) -> Self:
+        """Stream of T2 records of type Generic alone, as a device gives them."""
+        stream = cls(name)
+        header = Header(Path(name), {}, GENERIC_T2, offset=0, tick_s=tick_s, claimed=0)
+        stream._begin(header)
+        return stream
+
+    @property
+    def begun(self) -> bool:
+        """True when the header has arrived."""
+        return self._decoder is not None
+
+    def feed(self, data: bytes | bytearray | memoryview) -> None:
+        """Take the next bytes, which `parts` then reads: do not change them before.
+
+        Raises
+        ------
+        InputError
+            If they show that this is no PTU file, or that its header is damaged.
+        """
+        view = memoryview(data)
+        if not view.nbytes:  # numpy's empty arrays cannot be cast
+            return
+        view = view.cast("B")
+        if self._decoder is None:
+            view = self._feed_header(view)
+        self._arrived.append(view)
+
+    def parts(self, progress: Report = SILENT, ordered: bool = True) -> Iterator[Part]:
+        """Give the records that ended with the bytes that came since the last call.
+
+        As of a file, none follows a part with a `fault`, and what follows the records that the
+        header gives is not read. A part holds on to the bytes. How much is to come is not known,
+        and whether it is in order is always looked at, so `progress` and `ordered` change nothing.
+        """
+        while self._arrived:
+            view = self._arrived.pop(0)
+            if self._decoder is None or not self._records_left:
+                continue
+            if self._rest:
+                view = memoryview(bytes(self._rest) + view)
+            count = min(len(view) // 4, self._records_left)
+            self._rest = bytearray(view[4 * count :][:3])
+            for part in self._decoder.parts(np.frombuffer(view, "<u4", count)):
+                self._records_left = 0 if part.fault else self._records_left - len(part.words)
+                yield part
+
+    def _feed_header(self, view: memoryview) -> memoryview:
+        """Parse bytes as far as the header goes, and give those that follow it."""
+        while self._decoder is None:
+            taken = self._needed - len(self._rest)
+            self._rest += view[:taken]
+            view = view[taken:]
+            if len(self._rest) < self._needed:
+                break
+            try:
+                self._needed = self._parser.send(bytes(self._rest))
+            except StopIteration as end:
+                self._begin(end.value)
+            self._rest.clear()
+        return view
+
+    def _begin(self, header: Header) -> None:
+        self.header = header
+        self._records_left = header.records
+        self._decoder = Decoder(header.kind, header.tick_s)
+
+
+Photons = PhotonSource | str | os.PathLike[str]
+"""A source, or the path of a PTU file."""
+
+
+def _as_source(photons: Photons) -> PhotonSource:
+    return PtuFile(photons) if isinstance(photons, str | os.PathLike) else photons
+
+
+class PtuSummary(StrictModel):
+    """Photons, markers and other records of a PTU file."""
+
+    kind: str
+    tick_s: float  # seconds of a tick
+    records: int  # records read. Fewer than the file's if `problems` says that one is damaged
+    photons: dict[int, int]  # photons on each input that has any; 0 is input 1
+    markers: dict[int, int]  # markers with each bit, 1, 2, 4 and 8, that is ever set
+    overflows: int
+    syncs: int  # sync records (T2)
+    first: int | None  # times of the earliest and latest photon, marker or sync, ticks
+    last: int | None
+    span_s: float  # seconds from the start of the recording to the latest of them
+    problems: tuple[str, ...]
+
+
+def summarise(photons: Photons, progress: Report = SILENT) -> PtuSummary:
+    """Count the photons, markers and other records of a file.
+
+    Damaged records do not raise: `problems` names the first, and what stands before it is counted.
+
+    Parameters
+    ----------
+    photons
+        A source, or the path of a PTU file.
+    progress
+        Told how much of it is read.
+
+    Returns
+    -------
+    PtuSummary
+        What there is of each sort of record.
+
+    Raises
+    ------
+    InputError
+        If it is no PTU file, or its header is damaged.
+    """
+    source = _as_source(photons)
+    inputs = np.zeros(source.inputs, np.int64)
+    markers = np.zeros(16, np.int64)
+    records_read = overflows = syncs = 0
+    first = LATEST_TICK
+    last = -1
+    faults: tuple[str, ...] = ()
+    for part in source.parts(progress):
+        records_read += len(part.words)
+        inputs += part.totals
+        markers += np.bincount(part.bits, minlength=16)
+        overflows += int(np.count_nonzero(part.wraps))
+        syncs += int(np.count_nonzero(part.sync))
+        times = np.concatenate([part.runs.low, part.runs.high, part.times[part.wraps == 0]])
+        if len(times):
+            first = min(first, int(times.min()))
+            last = max(last, int(times.max()))
+        if part.fault:
+            faults = (part.fault,)
+    bits = {bit: int(markers[np.arange(16) & bit != 0].sum()) for bit in (1, 2, 4, 8)}
+    return PtuSummary(
+        kind=source.record_type,
+        tick_s=source.tick_s,
+        records=records_read,
+        photons={number: int(n) for number, n in enumerate(inputs) if n},
+        markers={bit: n for bit, n in bits.items() if n},
+        overflows=overflows,
+        syncs=syncs,
+        first=first if last >= 0 else None,
+        last=last if last >= 0 else None,
+        span_s=max(last, 0) * source.tick_s,
+        problems=source.problems + faults,
+    )
+
+
+def read_markers(photons: Photons, progress: Report = SILENT) -> tuple[np.ndarray, np.ndarray]:
+    """Read the markers of a file, in its order.
+
+    Those of a file that is cut are given as far as it goes: its `problems` say so. Whether times
+    run back is not looked at here.
+
+    Parameters
+    ----------
+    photons
+        A source, or the path of a PTU file.
+    progress
+        Told how much of it is read.
+
+    Returns
+    -------
+    times
+        Ticks, int64 (n,).
+    bits
+        Which of the four marker inputs have one, 1 to 15, uint8 (n,).
+
+    Raises
+    ------
+    InputError
+        If the file is damaged, or has more than `MOST_MARKERS`.
+    """
+    source = _as_source(photons)
+    times = [np.zeros(0, np.int64)]
+    bits = [np.zeros(0, np.uint8)]
+    total = 0
+    for part in source.parts(progress, ordered=False):
+        part.check(source.path)
+        ticks, which = part.markers
+        times.append(ticks)
         bits.append(which)
-        found += len(here)
-        if found > MOST_MARKERS:
+        total += len(ticks)
+        if total > MOST_MARKERS:
             raise InputError(
-                f"{path} has more than {MOST_MARKERS} markers; give one for each frame"
+                f"{source.path} has more than {MOST_MARKERS} markers; give one for each frame"
             )
     return np.concatenate(times), np.concatenate(bits)
 
 
 def read_photons(
-    path: str | os.PathLike[str], number: int = 0, report: Report = SILENT
+    photons: Photons, number: int = 0, progress: Report = SILENT
 ) -> tuple[np.ndarray, float]:
-    """Times of the photons on an input, seconds (n,), and that of the last event of all."""
-    header = read_header(path)
-    check_input(number, header.kind)
-    times, reached, found = [np.zeros(0, np.int64)], 0, 0
-    for part in read_parts(header, report):
-        part.check(path)
+    """Read the times of the photons on an input.
+
+    Parameters
+    ----------
+    photons
+        A source, or the path of a PTU file.
+    number
+        The input, from 0.
+    progress
+        Told how much is read.
+
+    Returns
+    -------
+    times_s
+        Seconds, float64 (n,).
+    last_s
+        Time of the last event of all, seconds.
+
+    Raises
+    ------
+    InputError
+        If the file is damaged, has no such input, or has more than `MOST_PHOTONS` on it.
+    """
+    source = _as_source(photons)
+    _check_inputs(source, (number,))
+    times = [np.zeros(0, np.int64)]
+    reached = total = 0
+    for part in source.parts(progress):
+        part.check(source.path)
         times.append(part.photons(number))
-        reached, found = part.reached, found + len(times[-1])
-        if found > MOST_PHOTONS:
-            raise InputError(f"{path} has more than {MOST_PHOTONS} photons: give a shorter record")
-    return np.concatenate(times) * header.tick_s, reached * header.tick_s
+        reached = part.reached
+        total += len(times[-1])
+        if total > MOST_PHOTONS:
+            raise InputError(
+                f"{source.path} has more than {MOST_PHOTONS} photons: give a shorter record"
+            )
+    return np.concatenate(times) * source.tick_s, reached * source.tick_s
 
 
-def count_gates(
-    path: str | os.PathLike[str],
+def count_windows(
+    photons: Photons,
     starts: np.ndarray,
     stops: np.ndarray,
     inputs: Sequence[int] = (0,),
-    report: Report = SILENT,
+    progress: Report = SILENT,
 ) -> np.ndarray:
-    """Count the photons in each gate."""
-    # starts, stops (gates,)
-    header = read_header(path)
-    counter = GateCounter(header.kind, inputs, path)
+    """Count the photons in each window of time.
+
+    Parameters
+    ----------
+    photons
+        A source, or the path of a PTU file.
+    starts, stops
+        Ticks, integers (windows,), in order: each start is at or after the stop before. A photon
+        at the start is counted, and one at the stop is not.
+    inputs
+        Inputs whose photons are counted, from 0.
+    progress
+        Told how much is read.
+
+    Returns
+    -------
+    numpy.ndarray
+        Photons, int64 (windows, inputs).
+
+    Raises
+    ------
+    InputError
+        If windows overlap, the file is damaged, or it may end before the last window.
+    """
+    source = _as_source(photons)
+    counter = WindowCounter(source, inputs)
     counter.expect(starts, stops)
-    for part in read_parts(header, report):
-        part.check(path)
+    for part in source.parts(progress):
+        part.check(source.path)
         counter.add(part)
-    return counter.finish(header)
+    return counter.finish()
+
+
+class WindowCounter:
+    """Counter of the photons in windows, which may be told as late as they begin.
+
+    Parameters
+    ----------
+    source
+        Where the parts that are added come from.
+    inputs
+        Inputs whose photons are counted, from 0.
+
+    Raises
+    ------
+    InputError
+        If the source has no such input.
+    """
+
+    def __init__(self, source: PhotonSource, inputs: Sequence[int]) -> None:
+        _check_inputs(source, inputs)
+        self._source = source
+        self._inputs = tuple(inputs)
+        self._edges = np.zeros(0, np.int64)  # starts and stops in turn, of windows not yet taken
+        self._before = np.zeros((0, len(inputs)), np.int64)  # photons before each edge, in `_done`
+        self._done = 0
+        self._total = np.zeros(len(inputs), np.int64)
+        self._latest = EARLIEST_TICK
+        self._reached = -1  # no photon of parts to come is earlier
+
+    def expect(self, starts: np.ndarray, stops: np.ndarray) -> None:
+        """Count windows that follow those before; shapes as of `count_windows`."""
+        edges = _join_edges(starts, stops)
+        if not len(edges):
+            return
+        every = np.concatenate([self._edges, edges])
+        if (every[1:] < every[:-1]).any():
+            raise InputError(
+                "gates overlap or run back: give them in order, each start <= its stop"
+            )
+        if edges[0] <= self._latest:
+            raise InputError(
+                f"{self._source.path} holds photons up to {self._latest}, and a gate begins at "
+                f"{edges[0]}: tell gates before they begin"
+            )
+        self._edges = every
+        unknown = np.zeros((len(edges), len(self._inputs)), np.int64)
+        self._before = np.concatenate([self._before, unknown])
+
+    def add(self, part: Part) -> None:
+        """Count the photons of the next part."""
+        edges = self._edges[self._done :]
+        until = 0
+        if len(part.runs.high):
+            self._latest = int(part.runs.high[-1])
+            until = int(np.searchsorted(edges, self._latest, side="right"))
+        places = part.find(edges[:until])
+        before = self._before[self._done :]
+        for column, number in enumerate(self._inputs):
+            earlier, total = part.count(number, places)
+            before[:until, column] = self._total[column] + earlier
+            self._total[column] += total
+        self._reached = part.reached
+        ended = max(until, int(np.searchsorted(edges, self._reached, side="right")))
+        before[until:ended] = self._total
+        self._done += ended
+
+    def take(self) -> np.ndarray:
+        """Counts of the windows that ended since the last call, int64 (windows, inputs)."""
+        windows = self._done // 2
+        before = self._before[: 2 * windows]
+        self._edges = self._edges[2 * windows :]
+        self._before = self._before[2 * windows :]
+        self._done -= 2 * windows
+        return np.asarray(before[1::2] - before[::2])
+
+    def finish(self) -> np.ndarray:
+        """Give the counts of all windows since the last call: no more records come.
+
+        Raises
+        ------
+        InputError
+            If the recording may be incomplete, and ends before the last window does.
+        """
+        problems = self._source.problems
+        if problems and len(self._edges) and self._edges[-1] > self._reached:
+            raise InputError(
+                f"{self._source.path} may lack records ({problems[0]}) and holds times up to "
+                f"{self._reached}, but gates end at {self._edges[-1]}: count only gates that end "
+                "before"
+            )
+        self._before[self._done :] = self._total
+        self._done = len(self._edges)
+        return self.take()
+
+
+def cut_windows(starts: np.ndarray, stops: np.ndarray, parts: int) -> tuple[np.ndarray, np.ndarray]:
+    """Cut windows into equal parts.
+
+    Parameters
+    ----------
+    starts, stops
+        Ticks, integers (windows,).
+    parts
+        Parts of each window.
+
+    Returns
+    -------
+    starts, stops
+        Whole ticks, integers (windows · parts,), window by window.
+    """
+    edges = starts[:, None] + (stops - starts)[:, None] * np.arange(parts + 1) // parts
+    return edges[:, :-1].ravel(), edges[:, 1:].ravel()
+
+
+def _check_inputs(source: PhotonSource, numbers: Sequence[int]) -> None:
+    """Raise `InputError` unless a source has inputs of these numbers, from 0."""
+    for number in numbers:
+        if not 0 <= number < source.inputs:
+            raise InputError(
+                f"input {number}, counted from 0, is not one of {source.record_type}: give 0 to "
+                f"{source.inputs - 1} (--input 1 to {source.inputs})"
+            )
+
+
+def _join_edges(starts: np.ndarray, stops: np.ndarray) -> np.ndarray:
+    """Starts and stops in turn, int64 (2 · windows,)."""
+    starts = np.asarray(starts)
+    stops = np.asarray(stops)
+    if starts.ndim != 1 or starts.shape != stops.shape:
+        raise InputError(f"{starts.shape} starts and {stops.shape} stops: give one for each gate")
+    for edges in (starts, stops):
+        if len(edges) and edges.dtype.kind not in "iu":
+            raise InputError(f"gates in {edges.dtype} are not allowed: give integer ticks")
+    return np.stack([starts, stops], axis=1).astype(np.int64).ravel()

@@ -6,9 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from deepfsi.base.errors import InputError
-from deepfsi.base.files import open_regular
-from deepfsi.base.progress import SILENT, Report
-from deepfsi.hardware.photons.header import PICOHARP_T2, PICOHARP_T3, Header, Kind
+from deepfsi.hardware.photons.ptu import PICOHARP_T2, PICOHARP_T3, Kind
 
 RECORDS_IN_MEMORY = 2**19
 """Records in memory at once."""
@@ -33,27 +31,46 @@ MARKER_SLACK_S = 1e-6
 class Runs:
     """Photons between two specials; runs without any are left out."""
 
-    begin: np.ndarray  # (r,): Place of the first photon, and the place after the last
-    end: np.ndarray  # (r,)
-    base: np.ndarray  # (r,): The time from which their fields count
-    low: np.ndarray  # (r,): Time of the first photon and of the last
-    high: np.ndarray  # (r,)
+    begin: np.ndarray  # (r,): index of the first photon among the records
+    end: np.ndarray  # (r,): index after the last
+    base: np.ndarray  # (r,): tick from which their time fields count
+    low: np.ndarray  # (r,): time of the first photon, ticks
+    high: np.ndarray  # (r,): time of the last
 
 
 @dataclass
 class Part:
-    """Some records that follow each other, decoded as far as is needed to count."""
+    """Some records that follow each other, decoded as far as is needed to count.
+
+    Parameters
+    ----------
+    kind
+        Type of the records.
+    words
+        Records, uint32 (n,).
+    places
+        Places of the specials, that is, of what is no photon, (s,). The next four are of these.
+    times, bits, sync, wraps
+        Time in ticks; bits of a marker, 0 of others; True for a sync event; overflows, 0 of
+        others; each (s,).
+    runs
+        Photons between the specials.
+    reached
+        Tick before which no photon or sync event of later parts is.
+    fault
+        What is wrong with the record that follows; empty if nothing is.
+    """
 
     kind: Kind
     words: np.ndarray
-    places: np.ndarray  # (s,): Of the specials; their times follow
+    places: np.ndarray
     times: np.ndarray
-    bits: np.ndarray  # (s,): 0 of a special that is no marker
+    bits: np.ndarray
     sync: np.ndarray
-    wraps: np.ndarray  # (s,): 0 of a special that is no overflow
+    wraps: np.ndarray
     runs: Runs
-    reached: int  # no photon or sync event after this part is earlier
-    fault: str = ""  # of the record that follows
+    reached: int
+    fault: str = ""
 
     @property
     def markers(self) -> tuple[np.ndarray, np.ndarray]:
@@ -70,7 +87,8 @@ class Part:
         """Places of the first photons at or after some times, none later than the last photon."""
         run = np.searchsorted(self.runs.high, edges)
         wanted = edges - self.runs.base[run]
-        low, high = self.runs.begin[run], self.runs.end[run] - 1
+        low = self.runs.begin[run]
+        high = self.runs.end[run] - 1
         for _ in range(int((high - low).max(initial=0)).bit_length()):
             middle = (low + high) >> 1
             later = self.words[middle] & self.kind.time_mask < wanted
@@ -81,15 +99,22 @@ class Part:
     def count(self, number: int, places: np.ndarray) -> tuple[np.ndarray, int]:
         """Photons on an input before each of some places, and all of them."""
         field = self.kind.first + number
-        found = self.words < np.uint32(field + 1 << self.kind.shift)
+        counted = self.words < np.uint32(field + 1 << self.kind.shift)
         if field:
-            found &= self.words >= np.uint32(field << self.kind.shift)
-        total = int(np.count_nonzero(found))
+            counted &= self.words >= np.uint32(field << self.kind.shift)
+        total = int(np.count_nonzero(counted))
         if total == len(self.words) - len(self.places):  # all photons
             return places - np.searchsorted(self.places, places), total
         if not (total and len(places)):
             return np.zeros(len(places), np.int64), total
-        return np.searchsorted(np.flatnonzero(found), places), total
+        return np.searchsorted(np.flatnonzero(counted), places), total
+
+    @property
+    def totals(self) -> np.ndarray:
+        """Photons on each input that there can be, int64 (inputs,)."""
+        fields = self.kind.first + self.kind.inputs
+        channels = np.bincount(self.words >> self.kind.shift, minlength=fields)
+        return channels[self.kind.first : fields]
 
     def photons(self, number: int) -> np.ndarray:
         """Times of the photons on an input, int64 (n,)."""
@@ -114,100 +139,120 @@ class _Damage(Exception):
 
 
 class Decoder:
-    """Decoder of records that come in parts, which may be of any length.
+    """Decoder of records that come in blocks, which may be of any length.
 
     Where a record is damaged, the part ends before it with a `fault`, and no more can be decoded.
+
+    Parameters
+    ----------
+    kind
+        Type of the records.
+    tick_s
+        Seconds of a tick.
+    ordered
+        False where nothing but markers is wanted: photons are then not looked at, nor whether
+        times run back.
     """
 
     def __init__(self, kind: Kind, tick_s: float, ordered: bool = True) -> None:
-        self._kind, self._ordered = kind, ordered
-        self._slack = marker_slack(tick_s)
+        self._kind = kind
+        self._ordered = ordered
+        self._slack = round(marker_slack_s(tick_s) / tick_s)
         self._state = _State()
         self._records = 0
 
-    def decode(self, words: np.ndarray) -> Part:
-        """Decode records, uint32 (n,), that follow those before. The part holds on to them."""
+    def parts(self, words: np.ndarray) -> Iterator[Part]:
+        """Decode records, uint32 (n,), that follow those before, and hold on to them.
+
+        No part follows one with a `fault`.
+        """
+        for start in range(0, len(words), RECORDS_IN_MEMORY):
+            part = self._decode_or_stop(words[start : start + RECORDS_IN_MEMORY])
+            yield part
+            if part.fault:
+                return
+
+    def _decode_or_stop(self, words: np.ndarray) -> Part:
+        """Decode records up to the first that is damaged."""
         try:
             part, self._state = self._decode(words)
         except _Damage as damage:
-            place, how = damage.args
-            part, self._state = self._decode(words[:place])
-            part.fault = f"record {self._records + place + 1} has {how}"
+            first, how = damage.args
+            part, self._state = self._decode(words[:first])
+            part.fault = f"record {self._records + first + 1} has {how}"
         self._records += len(part.words)
         return part
 
     def _decode(self, words: np.ndarray) -> tuple[Part, _State]:
-        return _decode(self._kind, words, self._state, self._slack, self._ordered)
+        """Decode records, and give the state after them; `_Damage` at the first damaged one."""
+        kind = self._kind
+        places, back = _scan(kind, words, self._ordered)
+        wraps, bits, sync, values = _specials(kind, words[places].astype(np.int64))
+        damages = [(places[~((wraps > 0) | (bits > 0) | sync)], "no known meaning")]
+
+        total = self._state.wraps + np.cumsum(wraps)
+        damages.append(
+            (places[total > LATEST_TICK // kind.wrap], f"a time beyond {LATEST_TICK} ticks")
+        )
+        bases = kind.wrap * np.minimum(
+            np.append(self._state.wraps, total), LATEST_TICK // kind.wrap
+        )
+        times = bases[1:] + values
+
+        runs = Runs(*np.zeros((5, 0), np.int64))
+        latest = after = 0
+        if self._ordered:
+            runs = _find_runs(words, places, bases, kind.time_mask)
+            exact = _merge(
+                (runs.begin, runs.low, runs.high), (places[sync], times[sync], times[sync])
+            )
+            marked = times[bits > 0]
+            loose = _merge(exact, (places[bits > 0], marked + self._slack, marked - self._slack))
+            late, latest = _follow(exact, self._state.latest)
+            later, after = _follow(loose, self._state.after)
+            damages += [(back, RUNS_BACK), (late, RUNS_BACK), (later, RUNS_BACK)]
+
+        starts = [(int(where[0]), how) for where, how in damages if len(where)]
+        if starts:
+            raise _Damage(*min(starts))
+        reached = max(int(bases[-1]), latest, after)
+        part = Part(
+            kind=kind,
+            words=words,
+            places=places,
+            times=times,
+            bits=bits,
+            sync=sync,
+            wraps=wraps,
+            runs=runs,
+            reached=reached,
+        )
+        return part, _State(int(bases[-1]) // kind.wrap, latest, after)
 
 
-def marker_slack(tick_s: float) -> int:
-    """Ticks by which a marker may stand too early or too late among photons."""
-    return max(round(MARKER_SLACK_S / tick_s), 1)
-
-
-def read_parts(header: Header, report: Report = SILENT, ordered: bool = True) -> Iterator[Part]:
-    """Decode a file in parts; none follows one with a `fault`. Parameters as of `Decoder`."""
-    decoder = Decoder(header.kind, header.tick_s, ordered)
-    buffer = np.empty(RECORDS_IN_MEMORY, "<u4")
-    with open_regular(header.path, buffering=0) as file:
-        file.seek(header.offset)
-        for first in range(0, header.records, RECORDS_IN_MEMORY):
-            words = buffer[: header.records - first]
-            if file.readinto(words.data.cast("B")) != words.nbytes:
-                raise InputError(
-                    f"{header.path} became shorter while it was read: wait for its end"
-                )
-            part = decoder.decode(words)
-            yield part
-            if part.fault:
-                return
-            report((first + len(words)) / header.records)
-
-
-def _decode(
-    kind: Kind, words: np.ndarray, state: _State, slack: int, ordered: bool
-) -> tuple[Part, _State]:
-    """Decode records that follow a state; raise `_Damage` at the first that is damaged."""
-    places, back = _scan(kind, words, ordered)
-    wraps, bits, sync, values = _specials(kind, words[places].astype(np.int64))
-    damages = [(places[~((wraps > 0) | (bits > 0) | sync)], "no known meaning")]
-
-    total = state.wraps + np.cumsum(wraps)
-    damages.append((places[total > LATEST_TICK // kind.wrap], f"a time beyond {LATEST_TICK} ticks"))
-    bases = kind.wrap * np.minimum(np.append(state.wraps, total), LATEST_TICK // kind.wrap)
-    times = bases[1:] + values
-
-    runs = Runs(*np.zeros((5, 0), np.int64))
-    latest = after = 0
-    if ordered:
-        runs = _find_runs(words, places, bases, kind.time_mask)
-        exact = _merge((runs.begin, runs.low, runs.high), (places[sync], times[sync], times[sync]))
-        marked = times[bits > 0]
-        loose = _merge(exact, (places[bits > 0], marked + slack, marked - slack))
-        late, latest = _follow(exact, state.latest)
-        later, after = _follow(loose, state.after)
-        damages += [(back, RUNS_BACK), (late, RUNS_BACK), (later, RUNS_BACK)]
-
-    first = [(int(where[0]), how) for where, how in damages if len(where)]
-    if first:
-        raise _Damage(*min(first))
-    reached = max(int(bases[-1]), latest, after)
-    part = Part(kind, words, places, times, bits, sync, wraps, runs, reached)
-    return part, _State(int(bases[-1]) // kind.wrap, latest, after)
+def marker_slack_s(tick_s: float) -> float:
+    """Seconds by which a marker may stand too early or too late: a tick, if that is longer."""
+    return max(MARKER_SLACK_S, tick_s)
 
 
 def _find_runs(words: np.ndarray, places: np.ndarray, bases: np.ndarray, mask: int) -> Runs:
     """Photons between specials at some places, whose times count from `bases`."""
-    begin, end = np.append(0, places + 1), np.append(places, len(words))
+    begin = np.append(0, places + 1)
+    end = np.append(places, len(words))
     full = begin < end
-    begin, end, base = begin[full], end[full], bases[full]
-    return Runs(begin, end, base, base + (words[begin] & mask), base + (words[end - 1] & mask))
+    begin = begin[full]
+    end = end[full]
+    base = bases[full]
+    low = base + (words[begin] & mask)
+    high = base + (words[end - 1] & mask)
+    return Runs(begin=begin, end=end, base=base, low=low, high=high)
 
 
 def _scan(kind: Kind, words: np.ndarray, ordered: bool) -> tuple[np.ndarray, np.ndarray]:
     """Places of the specials, and of photons earlier than a photon right before them."""
     # The latter are not looked for unless `ordered`
-    specials, backs = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
+    specials = [np.zeros(0, np.int64)]
+    backs = [np.zeros(0, np.int64)]
     for start in range(0, len(words), RECORDS_IN_CACHE):
         block = words[start : start + RECORDS_IN_CACHE + 1]  # and the first of the next
         special = block >= np.uint32(kind.first + kind.inputs << kind.shift)
@@ -248,7 +293,8 @@ def _specials(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Overflows, marker bits, sync events (bool) and times of records that are special."""
     # All but the times are 0 of a record that has no meaning
-    times, codes = words & kind.time_mask, words >> kind.shift
+    times = words & kind.time_mask
+    codes = words >> kind.shift
     if kind in (PICOHARP_T2, PICOHARP_T3):
         valid = codes == 15
         bits = words & 15 if kind.mode == "T2" else words >> kind.time_bits & 0xFFF

@@ -15,55 +15,73 @@ import numpy as np
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.progress import SILENT, Report
-from deepfsi.hardware.photons.gate_counter import cut_gates
-from deepfsi.hardware.photons.header import Header, read_header
-from deepfsi.hardware.photons.reader import count_gates, read_markers
+from deepfsi.hardware.photons.ptu import Header
+from deepfsi.hardware.photons.reader import PtuFile, count_windows, cut_windows, read_markers
 
 TAGS = {"line_start": "ImgHdr_LineStart", "line_end": "ImgHdr_LineStop", "frame": "ImgHdr_Frame"}
 """Tags of a header that number the marker inputs, from 1."""
 
-MOST_NAMED = 10
+MOST_NAMED_FAULTS = 10
 """Faults of one kind that are named one by one."""
 
 
 @dataclass(frozen=True)
 class ScanMarkers:
-    """Marker inputs, 0 to 3, of an image scan; those of the header unless given."""
+    """Marker inputs of an image scan, 0 to 3; those of the header unless given.
+
+    Parameters
+    ----------
+    line_start, line_end
+        Of the start and the end of each line.
+    frame
+        Of the start or the end of each frame.
+    """
 
     line_start: int | None = None
     line_end: int | None = None
     frame: int | None = None
 
-    def bits(self, header: Header) -> tuple[int, int, int]:
-        """Bit of each input; 0 for a frame that is not marked."""
-        every: dict[str, int | None] = dict(vars(self))
+    def of_header(self, header: Header) -> "ScanMarkers":
+        """Markers with those that only the header gives."""
+        inputs: dict[str, int | None] = dict(vars(self))
         for name, tag in TAGS.items():
             number = header.tags.get(tag)
-            if every[name] is None and isinstance(number, int) and number > 0:
-                every[name] = number - 1
+            if inputs[name] is None and isinstance(number, int) and number > 0:
+                inputs[name] = number - 1
         for name in ("line_start", "line_end"):
-            if every[name] is None:
+            if inputs[name] is None:
                 raise InputError(
                     f"{header.path} does not say on which marker input the {name[5:]} of a line "
                     f"is: give `{name}`, 0 to 3"
                 )
-        numbers = [each for each in every.values() if each is not None]
-        if any(not 0 <= each <= 3 for each in numbers) or len(set(numbers)) < len(numbers):
+        numbers = [number for number in inputs.values() if number is not None]
+        if any(not 0 <= number <= 3 for number in numbers) or len(set(numbers)) < len(numbers):
             raise InputError(
                 f"marker inputs {', '.join(map(str, numbers))} of line start, line end and frame: "
                 "give different ones, 0 to 3"
             )
-        start, end, frame = (0 if each is None else 1 << each for each in every.values())
-        return start, end, frame
+        return ScanMarkers(**inputs)
 
 
 @dataclass(frozen=True)
 class Scan:
-    """Photons of an image scan, line after line."""
+    """Photons of an image scan, line after line.
 
-    counts: np.ndarray  # (lines, pixels, inputs) int64
-    frame: np.ndarray  # (lines,): number of the frame of each, from 0
-    starts_s: np.ndarray  # (lines,): start and end of each line, seconds
+    Parameters
+    ----------
+    counts
+        Photons, int64 (lines, pixels, inputs).
+    frame
+        Number of the frame of each line, from 0, (lines,).
+    starts_s, ends_s
+        Start and end of each line, seconds (lines,).
+    faults
+        Lines and frames that lack something, in words.
+    """
+
+    counts: np.ndarray
+    frame: np.ndarray
+    starts_s: np.ndarray
     ends_s: np.ndarray
     faults: tuple[str, ...]
 
@@ -81,24 +99,49 @@ def count_scan(
     markers: ScanMarkers,
     pixels: int = 1,
     inputs: Sequence[int] = (0,),
-    report: Report = SILENT,
+    progress: Report = SILENT,
 ) -> Scan:
-    """Count the photons of each line of an image scan in so many equal pixels."""
-    header = read_header(path)
-    start, end, frame = markers.bits(header)
-    first, second = report.part(0.0, 0.3), report.part(0.3, 1.0)
-    times, bits = read_markers(path, first)
-    lines, faults = _lines(times, bits, (start, end), header.tick_s)
+    """Count the photons of each line of an image scan in so many equal pixels.
+
+    Parameters
+    ----------
+    path
+        PTU file.
+    markers
+        Which markers are those of lines and frames.
+    pixels
+        Equal parts of the time of a line.
+    inputs
+        Inputs whose photons are counted, from 0.
+    progress
+        Told how much is done.
+
+    Returns
+    -------
+    Scan
+        Counts of each line, and what is wrong with the markers.
+
+    Raises
+    ------
+    InputError
+        If nothing says which markers are which, or there is no line between them.
+    """
+    source = PtuFile(path)
+    header = source.header
+    markers = markers.of_header(header)
+    times, bits = read_markers(source, progress.part(0.0, 0.3))
+    lines, faults = _find_lines(times, bits, markers, header.tick_s)
     if not len(lines):
         raise InputError(
-            f"{path} has no line from a marker on {start.bit_length() - 1} to one on "
-            f"{end.bit_length() - 1}: `deepfsi camera inspect` lists its markers"
+            f"{path} has no line from a marker on {markers.line_start} to one on "
+            f"{markers.line_end}: `deepfsi camera inspect` lists its markers"
         )
-    numbers = np.searchsorted(times[(bits & frame) > 0], lines[:, 0], side="right")
+    frame_markers = times[(bits & _bit(markers.frame)) > 0]
+    numbers = np.searchsorted(frame_markers, lines[:, 0], side="right")
     numbers = np.unique(numbers, return_inverse=True)[1]
     faults += _frame_faults(numbers, header)
-    starts, ends = cut_gates(lines[:, 0], lines[:, 1], pixels)
-    counts = count_gates(path, starts, ends, inputs, second)
+    starts, ends = cut_windows(lines[:, 0], lines[:, 1], pixels)
+    counts = count_windows(source, starts, ends, inputs=inputs, progress=progress.part(0.3, 1.0))
     counts = counts.reshape(len(lines), pixels, len(inputs))
     if header.tags.get("ImgHdr_BiDirect"):  # every second line of a frame runs back
         back = (np.arange(len(lines)) - np.searchsorted(numbers, numbers)) % 2 == 1
@@ -110,21 +153,28 @@ def count_scan(
         )
     seconds = lines * header.tick_s
     return Scan(
-        counts,
-        numbers,
-        seconds[:, 0],
-        seconds[:, 1],
-        (*header.problems, *faults),
+        counts=counts,
+        frame=numbers,
+        starts_s=seconds[:, 0],
+        ends_s=seconds[:, 1],
+        faults=(*header.problems, *faults),
     )
 
 
-def _lines(
-    times: np.ndarray, bits: np.ndarray, line: tuple[int, int], tick_s: float
+def _bit(marker: int | None) -> int:
+    """Bit of a marker input; 0 of none."""
+    return 0 if marker is None else 1 << marker
+
+
+def _find_lines(
+    times: np.ndarray, bits: np.ndarray, markers: ScanMarkers, tick_s: float
 ) -> tuple[np.ndarray, list[str]]:
     """Starts and ends (lines, 2) in ticks, and the lines that lack a marker."""
-    start, end = line
+    start = _bit(markers.line_start)
+    end = _bit(markers.line_end)
     kept = np.flatnonzero(bits & (start | end))
-    times, bits = times[kept], bits[kept]
+    times = times[kept]
+    bits = bits[kept]
     both = np.flatnonzero((bits & start > 0) & (bits & end > 0))
     if len(both):
         raise InputError(
@@ -132,20 +182,24 @@ def _lines(
             f"{times[both[0]] * tick_s:.6g} s: give inputs that are not marked together"
         )
     starts = bits & start > 0
-    whole = np.flatnonzero(starts[:-1] & ~starts[1:])
+    first = np.flatnonzero(starts[:-1] & ~starts[1:])
     paired = np.zeros(len(times), bool)
-    paired[whole], paired[whole + 1] = True, True
+    paired[first] = True
+    paired[first + 1] = True
     faults = []
-    for is_start, lost, bit in ((True, "end", end), (False, "start", start)):
+    for is_start, lost, number in (
+        (True, "end", markers.line_end),
+        (False, "start", markers.line_start),
+    ):
         alone = np.flatnonzero(~paired & (starts == is_start))
         faults += [
-            f"a line {'from' if is_start else 'to'} {times[place] * tick_s:.6g} s has no {lost}: a "
-            f"marker on {bit.bit_length() - 1} is lost, and the line is left out"
-            for place in alone[:MOST_NAMED]
+            f"a line {'from' if is_start else 'to'} {times[index] * tick_s:.6g} s has no {lost}: a "
+            f"marker on {number} is lost, and the line is left out"
+            for index in alone[:MOST_NAMED_FAULTS]
         ]
-        if len(alone) > MOST_NAMED:
-            faults.append(f"{len(alone) - MOST_NAMED} more lines have no {lost}")
-    return np.stack([times[whole], times[whole + 1]], axis=1), faults
+        if len(alone) > MOST_NAMED_FAULTS:
+            faults.append(f"{len(alone) - MOST_NAMED_FAULTS} more lines have no {lost}")
+    return np.stack([times[first], times[first + 1]], axis=1), faults
 
 
 def _commonest(sizes: np.ndarray) -> int:
@@ -155,14 +209,14 @@ def _commonest(sizes: np.ndarray) -> int:
 def _frame_faults(frame: np.ndarray, header: Header) -> list[str]:
     """Frames of an unusual number of lines, by the header or by the others."""
     sizes = np.bincount(frame)
-    said = header.tags.get("ImgHdr_PixY")
-    usual = said if isinstance(said, int) and said > 0 else _commonest(sizes)
-    by = "the header says" if usual == said else "most have"
+    planned = header.tags.get("ImgHdr_PixY")
+    usual = planned if isinstance(planned, int) and planned > 0 else _commonest(sizes)
+    by = "the header says" if usual == planned else "most have"
     wrong = np.flatnonzero(sizes != usual)
     faults = [
         f"frame {number + 1} has {sizes[number]} lines, where {by} {usual}"
-        for number in wrong[:MOST_NAMED]
+        for number in wrong[:MOST_NAMED_FAULTS]
     ]
-    if len(wrong) > MOST_NAMED:
-        faults.append(f"{len(wrong) - MOST_NAMED} more frames have other numbers of lines")
+    if len(wrong) > MOST_NAMED_FAULTS:
+        faults.append(f"{len(wrong) - MOST_NAMED_FAULTS} more frames have other numbers of lines")
     return faults

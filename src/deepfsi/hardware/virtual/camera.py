@@ -40,8 +40,7 @@ from deepfsi.hardware.patterns.folder import read_frames, read_patterns
 from deepfsi.hardware.patterns.mirrors import unpack
 from deepfsi.hardware.patterns.sequence import Manifest, Patterns
 from deepfsi.hardware.patterns.timing import ClickGates
-from deepfsi.hardware.photons.header import GENERIC_T2
-from deepfsi.hardware.photons.writer import Writer
+from deepfsi.hardware.photons import PtuWriter
 from deepfsi.hardware.virtual.detector import (
     DETECTOR_TICK_S,
     Detector,
@@ -350,10 +349,10 @@ def record_scenes(
 
 def check_file_inputs(inputs: Sequence[int]) -> None:
     """Raise `InputError` if the file of a virtual recording has no such inputs."""
-    if max(inputs) >= GENERIC_T2.inputs:
+    if max(inputs) >= PtuWriter.inputs:
         raise InputError(
-            f"input {max(inputs) + 1} is none of a {GENERIC_T2.name} file, which has "
-            f"{GENERIC_T2.inputs}: use fewer `detectors`"
+            f"input {max(inputs) + 1} is none of a {PtuWriter.record_type} file, which has "
+            f"{PtuWriter.inputs}: use fewer `detectors`"
         )
 
 
@@ -384,7 +383,7 @@ def write_photons(
     every = camera.fluctuate(
         rates.reshape(len(durations), -1), marks * DETECTOR_TICK_S, camera.light(rng)
     )
-    with Writer(path, tick_s=DETECTOR_TICK_S) as writer:
+    with PtuWriter(path, tick_s=DETECTOR_TICK_S) as writer:
         for pieces, flow in divide(durations, every):
             end = start + int(pieces.sum())
             marked = marks[slice(*np.searchsorted(marks, [start, end]))]

@@ -22,7 +22,7 @@ from deepfsi.hardware.counting.acquisition import Acquisition
 from deepfsi.hardware.counting.streaming import FrameCounts, FrameGates, StreamCounter
 from deepfsi.hardware.drivers import Setup
 from deepfsi.hardware.patterns.folder import check_patterns, read_patterns
-from deepfsi.hardware.photons.writer import Writer
+from deepfsi.hardware.photons import PtuWriter
 from deepfsi.hardware.virtual.camera import (
     MARKER,
     MirrorLight,
@@ -84,7 +84,7 @@ class VirtualOptics:
         self._camera, self._light = camera, camera.light(rng)
         self._end = 0  # ticks up to which the detectors' light is known
         self._times, self._codes = np.zeros(0, np.int64), np.zeros(0, np.int64)
-        self.written: Writer | None = None  # of the counter that records
+        self.written: PtuWriter | None = None  # of the counter that records
         # Its inputs, one for each detector, and the bits of its markers
         self.wiring: tuple[tuple[int, ...], int] = tuple(range(rates.shape[2])), MARKER
 
@@ -215,7 +215,7 @@ class VirtualCounter(AbstractContextManager["VirtualCounter"]):
         """Begin to record into a new file."""
         check_file_inputs(self._inputs)
         self._optics.wiring = self._inputs, self._bit
-        self._optics.written = Writer(path, DETECTOR_TICK_S, growing=True).__enter__()
+        self._optics.written = PtuWriter(path, DETECTOR_TICK_S, growing=True).__enter__()
         self._file = FileIO(path)
         self._counter = StreamCounter(self._inputs, self._bit, path)
 

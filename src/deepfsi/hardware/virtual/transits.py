@@ -4,7 +4,7 @@ import os
 
 import numpy as np
 
-from deepfsi.hardware.photons.writer import Writer
+from deepfsi.hardware.photons import PtuWriter
 
 TRANSIT_TICK_S = 1e-9
 """Tick of the file, seconds."""
@@ -30,5 +30,5 @@ def write_transits(
     dark = seconds * rng.random(rng.poisson(background * seconds))
     times = np.sort(np.concatenate([passing, dark]))
     ticks = np.rint(times[(times >= 0) & (times < seconds)] / TRANSIT_TICK_S).astype(np.int64)
-    with Writer(path, TRANSIT_TICK_S) as writer:
+    with PtuWriter(path, TRANSIT_TICK_S) as writer:
         writer.write(ticks, np.zeros(len(ticks), np.int64))

@@ -9,8 +9,8 @@ import pytest
 from ptu_samples import T2, encode, save
 
 from deepfsi.base.errors import InputError
-from deepfsi.hardware.photons.header import PICOHARP_T3
-from deepfsi.hardware.photons.scan import ScanMarkers, count_scan
+from deepfsi.hardware.photons import ScanMarkers, count_scan
+from deepfsi.hardware.photons.ptu import PICOHARP_T3
 
 FRAMES, LINES, LINE, GAP = 3, 4, 1000, 100
 MARKERS = ScanMarkers(0, 1, 2)

@@ -1,13 +1,18 @@
 """Time stamps of other counters: a PTU file with the same events, or one line."""
 
+import json
+import os
+import shutil
+from pathlib import Path
+
 import h5py
 import numpy as np
 import ptufile
 import pytest
 
 from deepfsi.base.errors import InputError
-from deepfsi.hardware.photons.reader import inspect
-from deepfsi.hardware.photons.stamps import Stamps, read_stamps, write_stamps
+from deepfsi.hardware.photons import read_photons, read_timestamps, summarise, timestamps
+from deepfsi.hardware.photons.timestamps import Timestamps
 
 RNG = np.random.default_rng(5)
 TIMES = 10**9 + np.sort(RNG.integers(0, 10**6, 500))
@@ -36,8 +41,8 @@ def test_events_of_every_file_are_those_of_the_ptu_file(tmp_path, name):
         np.savetxt(tmp_path / name, table, "%d", header="as a time tagger writes it")
     else:
         np.save(tmp_path / name, table)
-    stamps = read_stamps(tmp_path / name, None if name == "tags.h5" else UNIT)
-    assert write_stamps(stamps, tmp_path / "p.ptu", 8, (7, 2)) == (7, 2)
+    stamps = read_timestamps(tmp_path / name, None if name == "tags.h5" else UNIT)
+    assert stamps.write(tmp_path / "p.ptu", 8, (7, 2)) == (7, 2)
     with ptufile.PtuFile(tmp_path / "p.ptu") as file:
         assert file.tags["MeasDesc_GlobalResolution"] == UNIT
         found = file.decode_records()
@@ -48,7 +53,7 @@ def test_events_of_every_file_are_those_of_the_ptu_file(tmp_path, name):
         assert np.array_equal(ours, TIMES[channel == CHANNELS] - TIMES[kept][0])
     markers = found["time"][found["marker"] == 1]
     assert np.array_equal(markers, TIMES[CHANNELS == 8] - TIMES[kept][0])
-    assert write_stamps(stamps, tmp_path / "all.ptu", 8) == (2, 5, 7)
+    assert stamps.write(tmp_path / "all.ptu", 8) == (2, 5, 7)
 
 
 def test_what_tells_no_events_is_one_line(tmp_path):
@@ -82,9 +87,9 @@ def test_what_tells_no_events_is_one_line(tmp_path):
         ("tags.txt", 5.0, "units of 5 s"),
     ):
         with pytest.raises(InputError, match=said) as error:
-            read_stamps(tmp_path / name, unit)
+            read_timestamps(tmp_path / name, unit)
         assert "\n" not in str(error.value)
-    stamps = read_stamps(tmp_path / "tags.txt", 1e-12)
+    stamps = read_timestamps(tmp_path / "tags.txt", 1e-12)
     for marker, inputs, said in (
         (3, None, "channel 3 has no events; there are some on 2, 5, 7, 8"),
         (8, (2, 9), "channel 9 has no events"),
@@ -92,14 +97,14 @@ def test_what_tells_no_events_is_one_line(tmp_path):
         (8, (2, 2), "each once"),
     ):
         with pytest.raises(InputError, match=said):
-            write_stamps(stamps, tmp_path / "p.ptu", marker, inputs)
+            stamps.write(tmp_path / "p.ptu", marker, inputs)
     assert not (tmp_path / "p.ptu").exists()
 
 
 def test_without_a_trigger_every_channel_is_an_input(tmp_path):
     stamps = clocked(np.arange(0, 4000, 10), np.arange(400) % 3)
-    assert write_stamps(stamps, tmp_path / "p.ptu", None) == (0, 1, 2)
-    found = inspect(tmp_path / "p.ptu")
+    assert stamps.write(tmp_path / "p.ptu", None) == (0, 1, 2)
+    found = summarise(tmp_path / "p.ptu")
     assert found.photons == {0: 134, 1: 133, 2: 133}
     assert not found.markers
 
@@ -122,7 +127,7 @@ def test_names_of_columns_tell_times_channels_and_the_unit(tmp_path, heading, or
     rows[:, order[0]], rows[:, order[1]] = TIMES, CHANNELS
     path = tmp_path / "tags.csv"
     np.savetxt(path, rows, "%d", ",", header=heading, comments="")
-    stamps = read_stamps(path, None if unit else UNIT)
+    stamps = read_timestamps(path, None if unit else UNIT)
     assert stamps.tick_s == (unit or UNIT)
     assert np.array_equal(stamps.times, TIMES)
     assert np.array_equal(stamps.channels, CHANNELS)
@@ -132,14 +137,14 @@ def test_names_of_columns_tell_times_channels_and_the_unit(tmp_path, heading, or
 def test_a_tagger_may_be_on_for_any_time(tmp_path, start):
     """Times in ps pass 2^53 after 2.5 hours; only their differences count."""
     np.savetxt(tmp_path / "tags.txt", np.stack([TIMES + start, CHANNELS], axis=1), "%d")
-    write_stamps(read_stamps(tmp_path / "tags.txt", UNIT), tmp_path / "p.ptu", 8)
+    read_timestamps(tmp_path / "tags.txt", UNIT).write(tmp_path / "p.ptu", 8)
     with ptufile.PtuFile(tmp_path / "p.ptu") as file:
         found = np.sort(file.decode_records()["time"])
     assert np.array_equal(found, TIMES - TIMES[0])
 
 
 def clocked(times, channels=CHANNELS):
-    return Stamps(times, channels, 1e-12)
+    return Timestamps(times, channels, 1e-12)
 
 
 FAR = TIMES * 1000  # 1 ms with ticks of 1 ps, whose order within 1 us is free
@@ -155,7 +160,7 @@ CLOCKS = {
 def test_a_clock_that_runs_back_is_refused(tmp_path, case):
     """Sorted by time, parts of a recording would lie over each other."""
     with pytest.raises(InputError, match=r"time runs back on channel 8, event \d+: from"):
-        write_stamps(CLOCKS[case], tmp_path / "p.ptu", 8)
+        CLOCKS[case].write(tmp_path / "p.ptu", 8)
     assert not (tmp_path / "p.ptu").exists()
 
 
@@ -165,14 +170,14 @@ def test_events_that_stand_twice_are_refused(tmp_path):
         (np.r_[0, np.repeat(FAR, 2)], np.r_[8, np.full(1000, 1)], "channel 1 has 50. of its 1000"),
     ):
         with pytest.raises(InputError, match=said):
-            write_stamps(clocked(times, channels), tmp_path / "p.ptu", 8)
+            clocked(times, channels).write(tmp_path / "p.ptu", 8)
 
 
 def test_a_small_disorder_within_a_channel_is_put_right(tmp_path):
     near = TIMES + RNG.integers(-400, 400, 500)
     near[0] = near.min()
-    stamps = Stamps(near, CHANNELS, 1e-9)
-    write_stamps(stamps, tmp_path / "p.ptu", 8)
+    stamps = Timestamps(near, CHANNELS, 1e-9)
+    stamps.write(tmp_path / "p.ptu", 8)
     with ptufile.PtuFile(tmp_path / "p.ptu") as file:
         found = np.sort(file.decode_records()["time"])
     assert np.array_equal(found, np.sort(near) - near.min())
@@ -180,5 +185,61 @@ def test_a_small_disorder_within_a_channel_is_put_right(tmp_path):
 
 def test_many_channels_are_not_all_named(tmp_path):
     with pytest.raises(InputError, match="and 480 more") as error:
-        write_stamps(Stamps(TIMES, np.arange(500), 1e-12), tmp_path / "p.ptu", 999)
+        Timestamps(TIMES, np.arange(500), 1e-12).write(tmp_path / "p.ptu", 999)
     assert len(str(error.value)) < 200
+
+
+# Becker & Hickl -----------------------------------------------------------------------------------
+
+SPC = Path(os.environ.get("DEEPFSI_DATA") or ".") / "bh" / "test_noise.spc"
+
+
+def decoded(path: Path) -> np.ndarray:
+    """Macro times of an SPC-150's photons: 12 bits, flags of overflow (30) and invalid (31)."""
+    words = np.fromfile(path, "<u4")[1:]
+    invalid, overflow = words >> 31 == 1, words >> 30 & 1 == 1
+    wraps = np.where(invalid & overflow, words & 0xFFFFFFF, overflow).astype(np.int64)
+    times = 4096 * np.cumsum(wraps) + (words & 0xFFF)
+    return times[~invalid]
+
+
+@pytest.mark.filterwarnings("ignore:Photon-HDF5")
+@pytest.mark.skipif(not SPC.is_file(), reason="needs $DEEPFSI_DATA/bh")
+def test_photons_are_those_of_phconvert_and_of_the_records(done, tmp_path, capsys):
+    phconvert = pytest.importorskip("phconvert")
+    for end in (".spc", ".set"):
+        shutil.copyfile(SPC.with_suffix(end), tmp_path / f"run{end}")
+    data, _ = phconvert.loader.nsalex_bh(str(tmp_path / "run.spc"))
+    data["description"] = "a run"
+    phconvert.hdf5.save_photon_hdf5(data, h5_fname=str(tmp_path / "run.h5"))
+    capsys.readouterr()  # phconvert prints
+    found = json.loads(
+        done("camera", "import", tmp_path / "run.h5", "-o", tmp_path / "run.ptu", "--json")
+    )
+    photons = data["photon_data"]
+    channels, counts = np.unique(photons["detectors"], return_counts=True)
+    assert found["channels"] == channels.tolist()
+    assert list(found["photons"].values()) == counts.tolist() == [6114]
+    assert (found["markers"], found["left_out"]) == (0, 0)
+    times = photons["timestamps"].astype(np.int64)
+    assert np.array_equal(times, decoded(SPC))
+    seconds, _ = read_photons(tmp_path / "run.ptu")
+    unit = float(photons["timestamps_specs"]["timestamps_unit"])
+    assert np.array_equal(np.rint(seconds / unit).astype(np.int64), times - times[0])
+
+
+def test_another_make_is_a_class_and_a_line_of_the_table(tmp_path, monkeypatch):
+    class Spc:
+        def matches(self, path):
+            return path.suffix == ".spc"
+
+        def read(self, path, unit_s):
+            times = decoded(path)
+            return Timestamps(times, np.zeros(len(times), int), unit_s or 1e-9)
+
+    monkeypatch.setattr(timestamps, "EVENT_FORMATS", (Spc(), *timestamps.EVENT_FORMATS))
+    path = tmp_path / "run.spc"
+    np.array([0, 5, 9, 1 << 30 | 3], "<u4").tofile(path)
+    assert read_timestamps(path).write(tmp_path / "run.ptu", None) == (0,)
+    seconds, _ = read_photons(tmp_path / "run.ptu")
+    assert np.rint(seconds * 1e9).tolist() == [0, 4, 4094]

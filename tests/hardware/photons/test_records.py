@@ -16,10 +16,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from ptu_samples import (
     END,
-    READERS,
+    SOURCES,
     T2,
     decode,
-    every_reader,
+    every_source,
     photon,
     recorded,
     save,
@@ -29,10 +29,8 @@ from ptu_samples import (
 from ptufile.ptufile import encode_tag
 
 from deepfsi.base.errors import InputError
-from deepfsi.hardware.photons import records
-from deepfsi.hardware.photons.header import KINDS, PICOHARP_T2, PICOHARP_T3
-from deepfsi.hardware.photons.reader import count_gates, inspect
-from deepfsi.hardware.photons.writer import Writer
+from deepfsi.hardware.photons import PtuWriter, count_windows, read_markers, records, summarise
+from deepfsi.hardware.photons.ptu import KINDS, PICOHARP_T2, PICOHARP_T3
 
 FUZZ = int(os.environ.get("DEEPFSI_FUZZ", "300"))
 """Mutated files that the fuzz test reads."""
@@ -49,14 +47,14 @@ def counted(found: list[tuple[str, int, int]], starts, stops, inputs) -> np.ndar
 
 def test_memory_does_not_grow_with_the_file(tmp_path):
     path, rng, million = tmp_path / "long.ptu", np.random.default_rng(0), 10**6
-    with Writer(path) as writer:
+    with PtuWriter(path) as writer:
         for k in range(8):
             times = np.sort(rng.integers(k * 10**11, (k + 1) * 10**11, million))
             writer.write(times, rng.integers(0, 3, million))
     edges = np.arange(0, 8 * 10**11, 10**9)
     tracemalloc.start()
-    gated = count_gates(path, edges[:-1], edges[1:], (0, 1, 2))
-    inspect(path)
+    gated = count_windows(path, edges[:-1], edges[1:], (0, 1, 2))
+    summarise(path)
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert path.stat().st_size > 32e6
@@ -68,14 +66,14 @@ def test_memory_does_not_grow_with_the_file(tmp_path):
 def test_memory_is_bounded_where_every_record_is_special(tmp_path, word):
     path = save(tmp_path / "a.ptu", T2, np.full(2**21, word))
     tracemalloc.start()
-    count_gates(path, np.array([0]), np.array([1]))
-    inspect(path)
+    count_windows(path, np.array([0]), np.array([1]))
+    summarise(path)
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert peak < 150e6
 
 
-@every_reader
+@every_source
 @pytest.mark.parametrize("chunk", [1, 2, 3, 2**17])
 @pytest.mark.parametrize(
     ("words", "bad"),
@@ -97,14 +95,14 @@ def test_memory_is_bounded_where_every_record_is_special(tmp_path, word):
     ],
 )
 def test_damaged_records_are_named_and_nothing_is_counted(
-    tmp_path, monkeypatch, words, bad, chunk, read
+    tmp_path, monkeypatch, words, bad, chunk, opened
 ):
     monkeypatch.setattr(records, "RECORDS_IN_MEMORY", chunk)
     monkeypatch.setattr(records, "RECORDS_IN_CACHE", chunk // 3 + 1)
     path = save(tmp_path / "bad.ptu", T2, words)
     with pytest.raises(InputError, match=f"record {bad} has"):
-        read.count_gates(path, np.array([0]), np.array([99]))
-    contents = read.inspect(path)
+        count_windows(opened(path), np.array([0]), np.array([99]))
+    contents = summarise(opened(path))
     assert contents.records == bad - 1
     found = decode(T2.code, words[: bad - 1])
     assert sum(contents.photons.values()) == sum(what == "photon" for what, _, _ in found)
@@ -112,7 +110,7 @@ def test_damaged_records_are_named_and_nothing_is_counted(
     assert f"record {bad} has" in problem
 
 
-@every_reader
+@every_source
 @pytest.mark.parametrize(
     ("kind", "word"),
     [
@@ -124,31 +122,31 @@ def test_damaged_records_are_named_and_nothing_is_counted(
         (KINDS[0x01010304], special(0)),
     ],
 )
-def test_records_without_a_meaning_are_refused(tmp_path, kind, word, read):
+def test_records_without_a_meaning_are_refused(tmp_path, kind, word, opened):
     path = save(tmp_path / "bad.ptu", kind, [1 << 28, word])
     for each in (
-        read.read_markers,
-        lambda path: read.count_gates(path, np.array([0]), np.array([9])),
+        lambda path: read_markers(opened(path)),
+        lambda path: count_windows(opened(path), np.array([0]), np.array([9])),
     ):
         with pytest.raises(InputError, match="record 2 has no known meaning"):
             each(path)
 
 
-@every_reader
-def test_one_record_can_stand_for_very_many_overflows(tmp_path, read):
+@every_source
+def test_one_record_can_stand_for_very_many_overflows(tmp_path, opened):
     """Ptufile is no oracle here: it multiplies in 32 bits."""
     for kind, wraps in ((T2, 200), (T2, 2**25 - 1), (KINDS[0x00010307], 1023)):
         path = save(tmp_path / "a.ptu", kind, [special(63, wraps), special(1, 4), photon(5)])
         late = wraps * kind.wrap
-        assert read.read_markers(path)[0] == [late + 4]
-        assert read.inspect(path).last == late + 5
+        assert read_markers(opened(path))[0] == [late + 4]
+        assert summarise(opened(path)).last == late + 5
         edges = np.array([late, late + 5, late + 6])
-        assert read.count_gates(path, edges[:-1], edges[1:]).ravel().tolist() == [0, 1]
+        assert count_windows(opened(path), edges[:-1], edges[1:]).ravel().tolist() == [0, 1]
 
 
-@every_reader
+@every_source
 @pytest.mark.parametrize("chunk", [1, 2, 2**17])
-def test_markers_may_stand_a_little_beside_their_time(tmp_path, monkeypatch, chunk, read):
+def test_markers_may_stand_a_little_beside_their_time(tmp_path, monkeypatch, chunk, opened):
     monkeypatch.setattr(records, "RECORDS_IN_MEMORY", chunk)
     monkeypatch.setattr(records, "RECORDS_IN_CACHE", chunk // 3 + 1)
     start = 3 * TICK
@@ -162,11 +160,11 @@ def test_markers_may_stand_a_little_beside_their_time(tmp_path, monkeypatch, chu
         photon(start + 6),
     ]
     path = save(tmp_path / "a.ptu", T2, words)
-    times, bits = read.read_markers(path)
+    times, bits = read_markers(opened(path))
     assert times.tolist() == [start - TICK, start + 7, start + 6 + TICK]
     assert bits.tolist() == [1, 2, 4]
     assert bits.dtype == np.uint8
-    assert read.count_gates(path, np.array([start + 5]), np.array([start + 7])) == 3
+    assert count_windows(opened(path), np.array([start + 5]), np.array([start + 7])) == 3
 
 
 # Fuzzing -----------------------------------------------------------------------------------------
@@ -215,21 +213,21 @@ def mutate(content: bytes, changes: list[tuple[str, float, int]]) -> bytes:
     return content
 
 
-def check_mutated(path: Path, edges: np.ndarray, read: Any) -> None:
+def check_mutated(path: Path, edges: np.ndarray, opened: Any) -> None:
     """Either `InputError`, or the counts that the format's words give record by record."""
-    header = read.read_header(path)
+    header = opened(path).header
     with path.open("rb") as file:
         file.seek(header.offset)
         words = np.frombuffer(file.read(4 * header.records), "<u4").tolist()
     found = decode(header.kind.code, words)
-    contents = read.inspect(path)
+    contents = summarise(opened(path))
     good = found[: contents.records]
     assert sum(contents.photons.values()) == sum(what == "photon" for what, _, _ in good)
     assert len(good) == len(found) or len(contents.problems) > len(header.problems)
-    gated = read.count_gates(path, edges[:-1], edges[1:], (0, 1))
+    gated = count_windows(opened(path), edges[:-1], edges[1:], (0, 1))
     assert np.array_equal(gated, counted(found, edges[:-1], edges[1:], (0, 1)))
     marks = [(time, bits) for what, time, bits in found if what == "marker"]
-    times, bits = read.read_markers(path)
+    times, bits = read_markers(opened(path))
     assert list(zip(times.tolist(), bits.tolist(), strict=True)) == marks
     assert "unknown" not in {what for what, _, _ in found}
 
@@ -250,9 +248,9 @@ def test_mutated_files_are_read_right_or_refused(scratch, code, changes, chunk):
     began = time.process_time()
     with mock.patch.multiple(records, **at_once):
         said = []
-        for read in READERS.values():
+        for opened in SOURCES.values():
             try:
-                check_mutated(scratch, edges, read)
+                check_mutated(scratch, edges, opened)
                 said.append("")
             except InputError as error:
                 said.append(str(error))

@@ -1,19 +1,38 @@
 """PTU files: every type of record against ptufile, photons between gates, files that are cut."""
 
 import os
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
 import ptufile
 import pytest
-from ptu_samples import END, T2, decode, every_reader, recorded, save, special, tags_of
+from ptu_samples import (
+    END,
+    T2,
+    StreamedFile,
+    decode,
+    every_source,
+    photon,
+    recorded,
+    save,
+    special,
+    tags_of,
+)
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.progress import Report
-from deepfsi.hardware.photons import reader, records
-from deepfsi.hardware.photons.header import KINDS
-from deepfsi.hardware.photons.reader import inspect, read_markers
-from deepfsi.hardware.photons.writer import Writer
+from deepfsi.hardware.photons import (
+    PtuStream,
+    PtuWriter,
+    WindowCounter,
+    count_windows,
+    read_markers,
+    reader,
+    records,
+    summarise,
+)
+from deepfsi.hardware.photons.ptu import KINDS
 
 REAL = Path(os.environ.get("DEEPFSI_DATA", "no data")) / "ptu"
 real_ptu = pytest.mark.skipif(not REAL.is_dir(), reason="needs ptu/ in $DEEPFSI_DATA")
@@ -35,10 +54,12 @@ def gates_over(times: list[int], gates: int, seed: int = 1) -> tuple[np.ndarray,
     return edges[::2], edges[1::2]
 
 
-@every_reader
+@every_source
 @every_kind
 @pytest.mark.parametrize("chunk", [1, 7, 250, 2**17])
-def test_every_type_of_record_is_read_as_ptufile_reads_it(tmp_path, monkeypatch, kind, chunk, read):
+def test_every_type_of_record_is_read_as_ptufile_reads_it(
+    tmp_path, monkeypatch, kind, chunk, opened
+):
     monkeypatch.setattr(records, "RECORDS_IN_MEMORY", chunk)
     monkeypatch.setattr(records, "RECORDS_IN_CACHE", chunk // 3 + 1)
     words = recorded(kind.code, 400 if chunk == 1 else 3000)
@@ -57,9 +78,9 @@ def test_every_type_of_record_is_read_as_ptufile_reads_it(tmp_path, monkeypatch,
         marker = events["marker"] > 0
         wanted = events["time"][marker], events["marker"][marker]
 
-    for ours, their in zip(read.read_markers(path), wanted, strict=True):
+    for ours, their in zip(read_markers(opened(path)), wanted, strict=True):
         assert np.array_equal(ours, their)
-    contents = read.inspect(path)
+    contents = summarise(opened(path))
     assert contents.photons == dict(zip(*np.unique(inputs, return_counts=True), strict=True))
     for bit in (1, 2, 4, 8):
         assert contents.markers[bit] == np.count_nonzero(wanted[1] & bit)
@@ -73,7 +94,7 @@ def test_every_type_of_record_is_read_as_ptufile_reads_it(tmp_path, monkeypatch,
 
     starts, stops = gates_over(real, 60)
     columns = (0, 2, kind.inputs - 1, 1)
-    gated = read.count_gates(path, starts, stops, columns)
+    gated = count_windows(opened(path), starts, stops, columns)
     assert gated.dtype == np.int64
     for column, n in enumerate(columns):
         one = times[inputs == n]
@@ -82,7 +103,7 @@ def test_every_type_of_record_is_read_as_ptufile_reads_it(tmp_path, monkeypatch,
         assert wanted.sum() > 0
 
 
-@every_reader
+@every_source
 @real_ptu
 @pytest.mark.parametrize(
     ("name", "wanted"),
@@ -98,17 +119,17 @@ def test_every_type_of_record_is_read_as_ptufile_reads_it(tmp_path, monkeypatch,
         ),
     }.items(),
 )
-def test_real_files_hold_what_their_description_says(name, wanted, read):
+def test_real_files_hold_what_their_description_says(name, wanted, opened):
     path = REAL / f"{name}.ptu"
     kind, records, overflows, photons, tick, last = wanted
-    contents = read.inspect(path)
+    contents = summarise(opened(path))
     assert contents.kind == kind
     assert contents.tick_s == pytest.approx(tick, rel=1e-5)
     found = (contents.records, contents.overflows, contents.photons, contents.last)
     assert found == (records, overflows, photons, last)
     assert (contents.markers, contents.syncs, contents.problems) == ({}, 0, ())
     assert contents.span_s == pytest.approx(last * tick, rel=1e-5)
-    header = read.read_header(path)
+    header = opened(path).header
 
     with ptufile.PtuFile(path) as theirs:
         events = theirs.decode_records()
@@ -119,7 +140,7 @@ def test_real_files_hold_what_their_description_says(name, wanted, read):
             if not hasattr(value, "year"):  # a date, which stays a number here
                 assert ours == (value if listed else [value])
     edges = np.linspace(0, last + 1, 2001).astype(np.int64)
-    gated = read.count_gates(path, edges[:-1], edges[1:], (0, 1))
+    gated = count_windows(opened(path), edges[:-1], edges[1:], (0, 1))
     for n in (0, 1):
         times = events["time"][events["channel"] == n].astype(np.int64)
         assert np.array_equal(gated[:, n], np.histogram(times, np.append(edges[:-1], last + 1))[0])
@@ -129,13 +150,13 @@ def test_real_files_hold_what_their_description_says(name, wanted, read):
 def test_progress_ends_at_one(tmp_path, monkeypatch):
     monkeypatch.setattr(records, "RECORDS_IN_MEMORY", 1000)
     path, shares = save(tmp_path / "a.ptu", T2, recorded(T2.code)), []
-    inspect(path, Report(lambda share, what: shares.append(share)))
+    summarise(path, Report(lambda share, what: shares.append(share)))
     assert len(shares) > 3
     assert shares == sorted(shares)
     assert shares[-1] == 1
 
 
-@every_reader
+@every_source
 @pytest.mark.parametrize(
     ("starts", "stops", "inputs", "message"),
     [
@@ -148,28 +169,30 @@ def test_progress_ends_at_one(tmp_path, monkeypatch):
         ([5], [6], (-1,), "input -1"),
     ],
 )
-def test_gates_that_cannot_be_are_refused(tmp_path, starts, stops, inputs, message, read):
+def test_gates_that_cannot_be_are_refused(tmp_path, starts, stops, inputs, message, opened):
     path = save(tmp_path / "a.ptu", T2, [5, 6])
     with pytest.raises(InputError, match=message):
-        read.count_gates(path, np.array(starts), np.array(stops), inputs)
+        count_windows(opened(path), np.array(starts), np.array(stops), inputs)
 
 
-@every_reader
-def test_no_gates_and_no_records_give_no_counts(tmp_path, read):
+@every_source
+def test_no_gates_and_no_records_give_no_counts(tmp_path, opened):
     path = save(tmp_path / "a.ptu", T2, [5, 6])
-    assert read.count_gates(path, np.array([]), np.array([])).shape == (0, 1)
+    assert count_windows(opened(path), np.array([]), np.array([])).shape == (0, 1)
     empty = tmp_path / "empty.ptu"
-    with Writer(empty):
+    with PtuWriter(empty):
         pass
-    contents = read.inspect(empty)
+    contents = summarise(opened(empty))
     assert (contents.records, contents.last, contents.span_s) == (0, None, 0)
     assert contents.problems == ()
-    assert read.count_gates(empty, np.array([0]), np.array([9])) == [[0]]
+    assert count_windows(opened(empty), np.array([0]), np.array([9])) == [[0]]
 
 
-@every_reader
+@every_source
 @pytest.mark.parametrize("claimed", [3000, 2**60, 0, -5, "absent", 1200])
-def test_of_a_recording_that_may_not_be_whole_only_what_is_sure_is_counted(tmp_path, claimed, read):
+def test_of_a_recording_that_may_not_be_whole_only_what_is_sure_is_counted(
+    tmp_path, claimed, opened
+):
     words = recorded(T2.code)[:3000]
     whole = save(tmp_path / "whole.ptu", T2, words)
     path = tmp_path / "cut.ptu"
@@ -177,28 +200,28 @@ def test_of_a_recording_that_may_not_be_whole_only_what_is_sure_is_counted(tmp_p
     path.write_bytes(
         tags_of(T2, claimed) + END + np.array(words[:2000], "<u4").tobytes() + b"\1\2\3"
     )
-    contents, header = read.inspect(path), read.read_header(path)
+    contents, header = summarise(opened(path)), opened(path).header
     assert contents.records == header.records == held
     assert contents.problems == header.problems
     assert len(header.problems) == 1
     found = decode(T2.code, words[:held])
-    times, marks = read.read_markers(path)
+    times, marks = read_markers(opened(path))
     assert len(marks) == sum(what == "marker" for what, _, _ in found)
-    assert np.array_equal(times, read.read_markers(whole)[0][: len(times)])
+    assert np.array_equal(times, read_markers(opened(whole))[0][: len(times)])
     sure = max(time for what, time, _ in found if what != "marker")
     edges = np.linspace(0, sure, 50).astype(int)
-    gated = read.count_gates(path, edges[:-1], edges[1:])
-    assert np.array_equal(gated, read.count_gates(whole, edges[:-1], edges[1:]))
+    gated = count_windows(opened(path), edges[:-1], edges[1:])
+    assert np.array_equal(gated, count_windows(opened(whole), edges[:-1], edges[1:]))
     assert gated.sum() > 100
     with pytest.raises(InputError, match="gates end at"):
-        read.count_gates(path, np.array([0]), np.array([sure + 1]))
+        count_windows(opened(path), np.array([0]), np.array([sure + 1]))
 
 
 def test_a_file_that_shrinks_while_it_is_read_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(records, "RECORDS_IN_MEMORY", 10)
     path = save(tmp_path / "a.ptu", T2, recorded(T2.code))
     with pytest.raises(InputError, match="shorter"):
-        inspect(path, Report(lambda share, what: os.truncate(path, 3000)))
+        summarise(path, Report(lambda share, what: os.truncate(path, 3000)))
 
 
 def test_more_markers_than_frames_can_be_are_refused(tmp_path, monkeypatch):
@@ -206,3 +229,77 @@ def test_more_markers_than_frames_can_be_are_refused(tmp_path, monkeypatch):
     path = save(tmp_path / "a.ptu", T2, [special(1, k) for k in range(11)])
     with pytest.raises(InputError, match="more than 10 markers"):
         read_markers(path)
+
+
+# Streams ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("size", [1, 3, 4, 7, 4096])
+@pytest.mark.parametrize("kind", KINDS.values(), ids=lambda kind: kind.name)
+def test_a_stream_is_the_file_it_becomes_whatever_its_cuts(tmp_path, kind, size):
+    path = save(tmp_path / "a.ptu", kind, recorded(kind.code, 200))
+    assert summarise(StreamedFile(path, size)) == summarise(path)
+    markers = read_markers(StreamedFile(path, size))
+    for ours, wanted in zip(markers, read_markers(path), strict=True):
+        assert np.array_equal(ours, wanted)
+        assert len(wanted) > 5
+    edges = np.linspace(0, summarise(path).last + 1, 31).astype(np.int64)
+    gated = count_windows(StreamedFile(path, size), edges[:-1], edges[1:], (0, 1, 2))
+    assert np.array_equal(gated, count_windows(path, edges[:-1], edges[1:], (0, 1, 2)))
+    assert gated.sum() > 100
+
+
+def test_a_gate_is_counted_when_a_later_record_shows_that_it_has_ended():
+    def give(counter, *words):
+        stream.feed(np.array(words, "<u4").tobytes())
+        (part,) = stream.parts()
+        counter.add(part)
+        return counter.take().ravel().tolist()
+
+    stream = PtuStream()
+    assert not stream.begun
+    stream.feed(tags_of(T2, 0) + END)
+    assert stream.begun
+    assert list(stream.parts()) == []
+    counter = WindowCounter(stream, (0,))
+    counter.expect(np.array([10, 20, 3 * 10**6]), np.array([20, 30, 4 * 10**6]))
+    assert give(counter, photon(12), photon(19)) == []
+    assert give(counter, photon(20)) == [2]
+    assert give(counter, special(1, 40)) == []  # the marker may be a microsecond too late
+    counter.expect(np.array([2**25 - 1]), np.array([2**25]))
+    assert give(counter, special(1, 10**6 + 30)) == [1]
+    assert give(counter, special(63, 1)) == [0, 0]  # an overflow: without light, too
+    with pytest.raises(InputError, match="overlap or run back"):
+        counter.expect(np.array([5, 1]), np.array([6, 2]))
+    assert give(counter, photon(7)) == []
+    with pytest.raises(InputError, match="photons up to 33554439, and a gate begins at 33554439"):
+        counter.expect(np.array([2**25 + 7]), np.array([2**25 + 9]))
+
+
+def test_memory_does_not_grow_with_the_stream():
+    rng = np.random.default_rng(0)
+    times = np.sort(rng.integers(0, 2**25, 2**18)).astype("<u4")
+    block = np.append(times, np.uint32(special(63, 1))).tobytes()
+    stream = PtuStream.without_header("it", 1e-12)
+    counter, found = WindowCounter(stream, (0,)), 0
+    tracemalloc.start()
+    for k in range(30):
+        counter.expect(np.array([k << 25]), np.array([k + 1 << 25]))
+        stream.feed(block)
+        for part in stream.parts():
+            counter.add(part)
+        found += int(counter.take().sum())
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert found == 30 * 2**18
+    assert peak < 12e6 < 30 * len(block)
+
+
+def test_a_stream_after_damage_is_not_read(tmp_path):
+    stream = PtuStream("pipe")
+    stream.feed(tags_of(T2, 0) + END + np.array([9, 5, 10], "<u4").tobytes())
+    (part,) = stream.parts()
+    with pytest.raises(InputError, match="pipe is damaged: record 2 has a time before"):
+        part.check("pipe")
+    stream.feed(bytes(8))
+    assert list(stream.parts()) == []
