@@ -21,8 +21,8 @@ from deepfsi.design.evaluation import evaluate
 from deepfsi.hardware.calibration import calibrate_run
 from deepfsi.hardware.counting import acquisition
 from deepfsi.hardware.counting.counts import read_counts
-from deepfsi.hardware.counting.picture import reconstruct
 from deepfsi.hardware.patterns.folder import read_patterns
+from deepfsi.hardware.pictures import reconstruct
 
 
 @pytest.fixture(scope="module")

@@ -130,7 +130,7 @@ def read_calibration(path: Path) -> None:
 
 
 def read_scenes(path: Path) -> None:
-    from deepfsi.hardware.counting.scene_list import read_scenes
+    from deepfsi.lab.scenes import read_scenes
 
     read_scenes(path)
 

@@ -8,9 +8,8 @@ import pytest
 import deepfsi
 from conftest import once, synthetic
 from deepfsi.base.errors import InputError
-from deepfsi.hardware.counting.transits import count_bins
 from deepfsi.hardware.photons import PtuWriter, read_photons
-from deepfsi.lab.transits import classify_transits, simulate_transits
+from deepfsi.lab.transits import classify_transits, count_bins, simulate_transits
 
 BIN_S, PHOTONS, BACKGROUND = 1e-3, 1e4, 200.0
 

@@ -7,7 +7,7 @@ from scipy.linalg import lstsq
 from scipy.ndimage import gaussian_filter
 
 from deepfsi.base.errors import InputError
-from deepfsi.hardware.counting.picture import solve_masks, solve_wavelets
+from deepfsi.hardware.pictures import solve_masks, solve_wavelets
 from deepfsi.jobs.designs import formula_masks
 from deepfsi.lab.table_pictures import TableMasks, compare_picture, read_pictures
 

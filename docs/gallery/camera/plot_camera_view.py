@@ -15,9 +15,9 @@ import numpy as np
 import deepfsi
 from deepfsi.camera.device import find_device
 from deepfsi.hardware.counting.counting import count
-from deepfsi.hardware.counting.picture import reconstruct
 from deepfsi.hardware.patterns.folder import export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
+from deepfsi.hardware.pictures import reconstruct
 from deepfsi.hardware.virtual import CAMERAS, RecordingSettings, record_scenes
 from deepfsi.lab.rails import design_rails
 

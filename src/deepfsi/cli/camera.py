@@ -342,7 +342,7 @@ def camera_image(
         paths.check_file(out, paths.PICTURES, force)
     paths.check_there(folder, "an acquisition folder, with photons.ptu in it")
     from deepfsi.hardware.counting.acquisition import read_acquisition
-    from deepfsi.hardware.counting.picture import reconstruct
+    from deepfsi.hardware.pictures import reconstruct
     from deepfsi.report.pictures import pictures_figure
 
     acquisition, _ = read_acquisition(folder)

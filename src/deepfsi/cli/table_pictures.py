@@ -9,7 +9,7 @@ import typer
 from deepfsi.cli import common, options, paths
 
 if TYPE_CHECKING:
-    from deepfsi.hardware.counting.rail_sums import Excess, RailSums
+    from deepfsi.hardware.pictures import Excess, RailSums
     from deepfsi.lab.table_pictures import Pictures
 
 

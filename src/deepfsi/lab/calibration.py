@@ -18,9 +18,9 @@ from deepfsi.hardware.calibration import (
 from deepfsi.hardware.counting.acquisition import read_acquisition
 from deepfsi.hardware.counting.calibration_file import Calibration, save_calibration
 from deepfsi.hardware.counting.counts import Counts, check_photons, read_counts
-from deepfsi.hardware.counting.picture import reconstruct
 from deepfsi.hardware.live.known import read_looks
 from deepfsi.hardware.live.replay import is_live, read_live_counts, replay_run
+from deepfsi.hardware.pictures import reconstruct
 
 
 def calibrate(folder: Path, spots: Path, out: Path) -> tuple[Calibration, Path, Path | None]:

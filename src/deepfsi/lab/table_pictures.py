@@ -13,15 +13,17 @@ from scipy.special import gammaincinv
 from deepfsi.base.arrays import split_variable
 from deepfsi.base.errors import InputError
 from deepfsi.base.tables import read_table
-from deepfsi.hardware.counting.picture import (
+from deepfsi.hardware.pictures import (
+    RailSums,
+    check_rail_sums,
     coarse_light,
+    fineness,
     solve_masks,
     solve_wavelets,
     split_levels,
+    split_rails,
     wavelet_of,
 )
-from deepfsi.hardware.counting.rail_sums import RailSums, check_rail_sums, fineness
-from deepfsi.hardware.counting.rail_tables import split_rails
 from deepfsi.jobs.designs import FORMULAS, formula_masks
 from deepfsi.optics.mask_files import read_matrix
 

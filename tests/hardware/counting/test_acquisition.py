@@ -16,8 +16,8 @@ from deepfsi.hardware.counting import acquisition
 from deepfsi.hardware.counting.acquisition import Scene, plan_acquisition, prepare
 from deepfsi.hardware.counting.counting import count
 from deepfsi.hardware.counting.counts import read_counts
-from deepfsi.hardware.counting.picture import reconstruct
 from deepfsi.hardware.patterns.timing import usual_tolerance
+from deepfsi.hardware.pictures import reconstruct
 
 run, whole = recording_samples.run, recording_samples.whole
 

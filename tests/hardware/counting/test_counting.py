@@ -15,8 +15,8 @@ from deepfsi.hardware.counting import acquisition
 from deepfsi.hardware.counting.acquisition import prepare, read_acquisition
 from deepfsi.hardware.counting.counting import count
 from deepfsi.hardware.counting.counts import read_counts
-from deepfsi.hardware.counting.picture import reconstruct
 from deepfsi.hardware.photons import PtuWriter
+from deepfsi.hardware.pictures import reconstruct
 
 run, whole = recording_samples.run, recording_samples.whole
 

@@ -11,7 +11,7 @@ from recording_samples import Run
 from deepfsi.base.errors import InputError
 from deepfsi.hardware.counting.counting import count
 from deepfsi.hardware.counting.counts import read_counts
-from deepfsi.hardware.counting.picture import reconstruct
+from deepfsi.hardware.pictures import reconstruct
 
 run, whole = recording_samples.run, recording_samples.whole
 

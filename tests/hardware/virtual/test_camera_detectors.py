@@ -12,12 +12,12 @@ from deepfsi.base.errors import InputError
 from deepfsi.camera.device import Device
 from deepfsi.hardware.counting.counting import count
 from deepfsi.hardware.counting.counts import Counts, read_counts
-from deepfsi.hardware.counting.picture import reconstruct
 from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns, read_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.patterns.timing import Gates, find_gates
 from deepfsi.hardware.photons.ptu import GENERIC_T2, PICOHARP_T2
+from deepfsi.hardware.pictures import reconstruct
 from deepfsi.hardware.virtual import (
     CAMERAS,
     RecordingSettings,

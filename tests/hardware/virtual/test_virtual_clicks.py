@@ -10,8 +10,8 @@ from deepfsi.camera.dead_time import DeadTime
 from deepfsi.hardware.counting.clicks import light_of_clicks
 from deepfsi.hardware.counting.counting import count
 from deepfsi.hardware.counting.counts import read_counts
-from deepfsi.hardware.counting.picture import reconstruct
 from deepfsi.hardware.patterns.sequence import Patterns
+from deepfsi.hardware.pictures import reconstruct
 from deepfsi.hardware.virtual import RecordingSettings, VirtualCamera, record_scenes
 from deepfsi.lab.calibration import check_view, gains_of
 from deepfsi.optics.scanner import Scanner

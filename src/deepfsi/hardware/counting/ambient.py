@@ -12,7 +12,6 @@ from typing import Self
 import numpy as np
 
 from deepfsi.base.errors import InputError
-from deepfsi.hardware.counting.readouts import by_rail, by_readout, lengths_by_readout
 from deepfsi.hardware.patterns.sequence import Manifest
 
 
@@ -46,16 +45,14 @@ class Ambient:
         rate, noise, flux = np.zeros(manifest.inputs), np.zeros(manifest.inputs), 0.0
         on, off = (_rate(found, seconds, ends) for ends in ([0, -2], [1, -1]))
         if on is not None and off is not None:
-            rate, noise = (
-                dark_frames(*each, manifest.detector_count) for each in zip(on, off, strict=True)
-            )
+            rate, noise = (manifest.dark_inputs(*each) for each in zip(on, off, strict=True))
             flux = float((on[0] - rate)[: manifest.detector_count].sum())
         mean, variance = gates[0].mean(axis=0), gates[1].sum(axis=0) / exposures**2
-        lengths = lengths_by_readout(manifest, lengths_s)
+        lengths = manifest.lengths_by_readout(lengths_s)
         lengths = np.expand_dims(lengths, tuple(range(2, 2 + len(manifest.several))))
-        dark, dark_noise = (by_rail(manifest, each)[:, None] for each in (rate, noise))
-        counts = by_readout(manifest, mean) - dark * lengths
-        return cls(counts, by_readout(manifest, variance) + dark_noise * lengths**2, flux)
+        dark, dark_noise = (manifest.by_rail(each)[:, None] for each in (rate, noise))
+        counts = manifest.by_readout(mean) - dark * lengths
+        return cls(counts, manifest.by_readout(variance) + dark_noise * lengths**2, flux)
 
     def of_flux(self, flux: np.ndarray, source: str) -> np.ndarray:
         """Flux of scenes without this light, or `InputError` if nothing is left."""
@@ -66,11 +63,6 @@ class Ambient:
                 "brighter than those of the dark scene; give the pass with the scene dark"
             )
         return left
-
-
-def dark_frames(on: np.ndarray, off: np.ndarray, detectors: int) -> np.ndarray:
-    """Values (inputs,) of frames in which inputs see no mirror: all OFF, or all ON of arm two."""
-    return np.append(off[:detectors], on[detectors:])
 
 
 def _rate(

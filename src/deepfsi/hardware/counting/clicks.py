@@ -21,8 +21,6 @@ import numpy as np
 from deepfsi.base.errors import InputError
 from deepfsi.base.quantities import time_text
 from deepfsi.hardware.counting.acquisition import MOST_READOUTS, Acquisition, gates_of
-from deepfsi.hardware.counting.ambient import dark_frames
-from deepfsi.hardware.counting.readouts import by_rail
 from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.hardware.patterns.timing import ClickGates, Gates
 
@@ -81,7 +79,7 @@ def light_of_clicks(
     with np.errstate(divide="ignore"):
         rate = np.where(held > 1, held, -np.log1p(-share)) / width_s
     arm = slice(0, manifest.detector_count)
-    dark = dark_frames(rate[0], rate[1], manifest.detector_count)
+    dark = manifest.dark_inputs(rate[0], rate[1])
     told = ((held > 1) | (gates - fired >= LEAST_UNFIRED))[0, arm].all()
     flux = float((rate[0] - dark)[arm].sum()) if told else np.nan
     on, off = share[:, arm].sum(axis=1) / width_s
@@ -89,7 +87,7 @@ def light_of_clicks(
         "on_rate": np.full(scenes, on),
         "off_rate": np.full(scenes, off),
         "flux": np.full(scenes, flux if flux > 0 else np.nan),
-        "dark_rate": by_rail(manifest, np.tile(dark, (scenes, 1))),
+        "dark_rate": manifest.by_rail(np.tile(dark, (scenes, 1))),
         "faults": (),
     }
 

@@ -39,7 +39,6 @@ from deepfsi.hardware.counting.gates import (
     find_lateness,
     in_ticks,
 )
-from deepfsi.hardware.counting.readouts import by_rail, by_readout, lengths_by_readout
 from deepfsi.hardware.light import PARTS, Arrivals, Fault, Light, check_light, name_inputs
 from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.hardware.patterns.timing import ClickGates, Gates
@@ -156,7 +155,7 @@ def count(
         gate_s=gates.length_s,
         exposure_s=acquisition.exposure_s if exposure_s is None else exposure_s,
         settle_s=gates.settle_s,
-        lengths_s=lengths_by_readout(manifest, gates.length_s),
+        lengths_s=manifest.lengths_by_readout(gates.length_s),
         drift=frames.drift,
         inputs=acquisition.inputs,
         faults=(*frames.faults, *shifted, *late, *light.faults, *_name_dark(own)),
@@ -203,7 +202,7 @@ def _count_clicks(
     light = light_of_clicks(ends, float(of_gates.width_s[0]), len(found), manifest)
     # Where clicks do not tell the flux, it is the one that was stated
     flux = np.where(np.isfinite(light["flux"]), light["flux"], acquisition.flux or np.nan)
-    counts = by_readout(manifest, _spread(whole, clicks, 0))
+    counts = manifest.by_readout(_spread(whole, clicks, 0))
     ambient = Ambient.none(manifest)
     return Counts(
         on_rate=_spread(whole, light["on_rate"], np.nan),
@@ -217,7 +216,7 @@ def _count_clicks(
         gate_s=gates.length_s,
         exposure_s=exposure,
         settle_s=gates.settle_s,
-        lengths_s=lengths_by_readout(manifest, gates.length_s),
+        lengths_s=manifest.lengths_by_readout(gates.length_s),
         drift=frames.drift,
         inputs=acquisition.inputs,
         faults=(*frames.faults, *late),
@@ -409,7 +408,7 @@ def _by_scene(
     """Readouts of gates (P, R, f, inputs) and rates of frames (P, F, inputs), of all scenes."""
 
     def readouts(factor: np.ndarray | int) -> np.ndarray:
-        return _spread(whole, by_readout(manifest, gated * factor), 0)
+        return _spread(whole, manifest.by_readout(gated * factor), 0)
 
     rates, arm = rates * factors.arrivals, slice(0, manifest.detector_count)
     on, off = (np.nanmean(rates[:, frames], axis=1) for frames in ([0, -2], [1, -1]))
@@ -420,5 +419,5 @@ def _by_scene(
         "on_rate": _spread(whole, on[:, arm].sum(axis=1), np.nan),
         "off_rate": _spread(whole, off[:, arm].sum(axis=1), np.nan),
         "flux": _spread(whole, light.flux, np.nan),
-        "dark_rate": _spread(whole, by_rail(manifest, light.dark_rate), 0),
+        "dark_rate": _spread(whole, manifest.by_rail(light.dark_rate), 0),
     }

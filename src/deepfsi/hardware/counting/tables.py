@@ -28,7 +28,6 @@ from deepfsi.hardware.counting.clicks import (
     variance_of,
 )
 from deepfsi.hardware.counting.counts import Counts
-from deepfsi.hardware.counting.readouts import by_rail, by_readout, lengths_by_readout
 from deepfsi.hardware.light import Arrivals, Fault, check_light
 from deepfsi.hardware.patterns.sequence import Manifest
 
@@ -131,7 +130,7 @@ def count_table(
 
     def by_scene(frames: np.ndarray) -> np.ndarray:
         """Readouts (S, R, rails, m[, D]) from those of masks' frames (E, f, inputs)."""
-        readouts = by_readout(manifest, frames)
+        readouts = manifest.by_readout(frames)
         out = np.zeros((*valid.shape, *readouts.shape[1:]))
         out[valid] = readouts
         return out
@@ -145,7 +144,7 @@ def count_table(
         gate_s=lengths,
         exposure_s=exposure,
         settle_s=settings.settle_s,
-        lengths_s=lengths_by_readout(manifest, lengths),
+        lengths_s=manifest.lengths_by_readout(lengths),
         drift=0.0,
         ambient=ambient.counts,
         ambient_variance=ambient.variance,
@@ -334,7 +333,7 @@ def _find_light(
             "on_rate": np.full(scenes, np.nan),
             "off_rate": np.full(scenes, np.nan),
             "flux": np.full(scenes, (settings.photons or np.nan) / exposure_s),
-            "dark_rate": by_rail(manifest, dark),
+            "dark_rate": manifest.by_rail(dark),
             "faults": (),
         }
     if settings.clicks is not None:
@@ -373,7 +372,7 @@ def _find_light(
         "on_rate": on[:, arm].sum(axis=1),
         "off_rate": off[:, arm].sum(axis=1),
         "flux": flux + (measured - dark)[:, arm].sum(axis=1),
-        "dark_rate": by_rail(manifest, dark),
+        "dark_rate": manifest.by_rail(dark),
         "faults": faults,
     }
 

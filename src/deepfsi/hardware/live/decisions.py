@@ -27,7 +27,6 @@ from deepfsi.base.errors import InputError
 from deepfsi.camera.stop_rule import MARGIN_NS
 from deepfsi.designfile import SceneReadouts, ViewResult, ViewTest
 from deepfsi.hardware.counting.acquisition import Acquisition
-from deepfsi.hardware.counting.ambient import dark_frames
 from deepfsi.hardware.light import SPOILING, Arrivals, Fault, LightMonitor
 from deepfsi.hardware.live.looks import AllOn, Conditions, Count, FrameList, LiveLooks
 from deepfsi.hardware.live.trust import Trust
@@ -94,7 +93,7 @@ class Observer:
         noise = found.variance.sum(axis=1) / (gate * 1e-9) ** 2
         count_of_arm = self._manifest.detector_count
         dark, dark_noise = (
-            dark_frames(each[ON], each[OFF], count_of_arm) for each in (rates, noise)
+            self._manifest.dark_inputs(each[ON], each[OFF]) for each in (rates, noise)
         )
         self._ambient = np.stack([rates - dark, noise + dark_noise])[:, 2:]
         self._light.ambient = float((rates[ON] - dark)[:count_of_arm].sum())

@@ -8,7 +8,6 @@ from deepfsi.base.errors import InputError
 from deepfsi.base.files import hash_file
 from deepfsi.base.plugins import torch_needed
 from deepfsi.designfile import DesignFile, read_loop
-from deepfsi.hardware.counting.readouts import by_readout
 from deepfsi.hardware.light import Arrivals
 from deepfsi.hardware.live.looks import AllOn, Conditions, FrameList, Likeness, LiveLooks
 from deepfsi.hardware.patterns.folder import DESIGN, LOOP, read_patterns
@@ -139,6 +138,5 @@ class KnownExposure:
         dark = (self._conditions.dark + ambient) * seconds
         noise = dark.clip(min=0) + its_noise * seconds**2 + (variance - counts).clip(min=0)
         every[:, rows] = counts - dark, noise
-        held = by_readout(manifest, every)
-        read, noise = held.reshape(2, *self._shape)
+        read, noise = manifest.by_readout(every).reshape(2, *self._shape)
         return read, noise

@@ -320,6 +320,34 @@ class Manifest(StrictModel):
         """Numbers that an exposure counts at most, dark rails among them."""
         return self.detector_count * max(len(self.shown), self.rails * self.masks)
 
+    def by_readout(self, frames: np.ndarray) -> np.ndarray:
+        """Numbers of readouts (..., rails, m[, D]) from those of masks' frames (..., f, inputs)."""
+        # 0 for a rail that is dark
+        split = frames.reshape(*frames.shape[:-1], -1, self.detector_count)
+        shape = (*frames.shape[:-2], self.rails, self.masks, self.detector_count)
+        out = np.zeros(shape, frames.dtype)
+        rail, mask, column, arm = self.read
+        out[..., rail, mask, :] = split[..., column, arm, :]
+        return out.reshape(*out.shape[:-1], *self.several)
+
+    def lengths_by_readout(self, lengths_s: np.ndarray) -> np.ndarray:
+        """For how long each readout is counted (rails, m), from the gates of masks' frames (f,)."""
+        out = np.zeros((self.rails, self.masks))
+        rail, mask, column, _ = self.read
+        out[rail, mask] = lengths_s[column]
+        return out
+
+    def by_rail(self, inputs: np.ndarray) -> np.ndarray:
+        """Numbers (..., rails[, D]) of the inputs that read each rail, from those of all inputs."""
+        # One arm reads both rails, of two each its own
+        split = inputs.reshape(*inputs.shape[:-1], -1, self.detector_count)
+        wide: Any = (*inputs.shape[:-1], self.rails, self.detector_count)
+        return np.broadcast_to(split, wide).reshape(*wide[:-1], *self.several)
+
+    def dark_inputs(self, on: np.ndarray, off: np.ndarray) -> np.ndarray:
+        """Values (inputs,) of frames in which inputs see no mirror: all OFF, or ON of arm two."""
+        return np.append(off[: self.detector_count], on[self.detector_count :])
+
 
 @dataclass(frozen=True)
 class Patterns:

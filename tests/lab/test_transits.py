@@ -4,8 +4,11 @@ import numpy as np
 import pytest
 
 from deepfsi.base.errors import InputError
-from deepfsi.hardware.counting.transits import (
-    align,
+from deepfsi.hardware.photons.reader import inspect, read_photons
+from deepfsi.hardware.photons.writer import Writer
+from deepfsi.hardware.virtual.transits import write_transits
+from deepfsi.lab.transits import (
+    align_transits,
     count_bins,
     false_alarms,
     find_background,
@@ -13,7 +16,6 @@ from deepfsi.hardware.counting.transits import (
     find_transits,
 )
 from deepfsi.hardware.photons import PtuWriter, read_photons, summarise
-from deepfsi.hardware.virtual.transits import write_transits
 
 BACKGROUND, WINDOW, DURATION = 40.0, 0.1, 20.0
 """Counts/s, seconds, seconds: a mean of four photons in a window."""
@@ -93,7 +95,7 @@ def test_simulated_transits_are_found_where_they_are(recorded):
     level = find_threshold(background, WINDOW, end, 0.01).photons
     rough = find_transits(times, WINDOW, level)
     assert len(rough) == 40
-    found = align(times, rough, WINDOW / 6, trace, background)
+    found = align_transits(times, rough, WINDOW / 6, trace, background)
     assert abs(found - starts).max() < WINDOW / 6
     assert abs(found - starts).std() < WINDOW / 30
     counts = count_bins(times, found, WINDOW / 6, 6)

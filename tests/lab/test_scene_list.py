@@ -3,7 +3,7 @@
 import pytest
 
 from deepfsi.base.errors import InputError
-from deepfsi.hardware.counting.scene_list import read_scenes
+from deepfsi.lab.scenes import read_scenes
 
 
 @pytest.mark.parametrize(

@@ -15,18 +15,17 @@ that are as fine as it.
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from itertools import combinations
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
-from scipy.spatial import cKDTree
-from scipy.special import chdtrc, stdtrit
 
+from deepfsi.base.errors import InputError, check_known
 from deepfsi.hardware.light import FALSE_ALARMS
 
-PARTS = 20
-"""Parts of a sequence, each of which is left out in turn for an interval."""
+CUTS = 20
+"""Parts that a sequence is cut into, each of which is left out in turn for an interval."""
 
-LEAST_PAIRS = 2 * PARTS
+LEAST_PAIRS = 2 * CUTS
 """Pairs of pictures below which no verdict is given."""
 
 LEAST_COUNTS = 5.0
@@ -44,7 +43,15 @@ ALIKE = 8
 
 @dataclass(frozen=True)
 class Excess:
-    """Excess relative variance of the light, with its 95 % interval."""
+    """Excess relative variance of the light, with its 95 % interval.
+
+    Attributes
+    ----------
+    variance : float
+        Relative variance beyond that of Poisson counts.
+    low, high : float
+        Ends of the interval.
+    """
 
     variance: float
     low: float
@@ -80,20 +87,44 @@ class Cause:
 
 @dataclass(frozen=True)
 class RailSums:
-    """Verdict on the light of runs with the same masks."""
+    """Verdict on the light of runs with the same masks.
+
+    Attributes
+    ----------
+    pairs : int
+        Pairs of a mask and its inverse.
+    poisson : bool
+        True if all runs and tests agree with Poisson counts of a constant light.
+    runs : tuple of RunScatter
+        Of each run.
+    causes : mapping
+        From the name of a cause to its share, where the counts are not Poisson's.
+    chi2_counts, chance_counts, chi2_sums : float, optional
+        χ² between runs, per degree of freedom, of counts and of sums, and the chance of the first.
+    correlations : tuple of float
+        Of the sums of two runs each.
+    common : Excess, optional
+        Alike in all runs.
+    own : tuple of Excess
+        Of each run by itself.
+    own_autocorrelation : tuple of float
+        Of that, at `LAGS`.
+    pictures : tuple of Excess
+        That of each run, of single pictures.
+    """
 
     pairs: int
     poisson: bool
     runs: tuple[RunScatter, ...]
     causes: Mapping[str, Cause]
-    chi2_counts: float | None = None  # between runs, per degree of freedom
+    chi2_counts: float | None = None
     chance_counts: float | None = None
     chi2_sums: float | None = None
-    correlations: tuple[float, ...] = ()  # of the sums of two runs each
-    common: Excess | None = None  # alike in all runs
-    own: tuple[Excess, ...] = field(default=())  # of each run
+    correlations: tuple[float, ...] = ()
+    common: Excess | None = None
+    own: tuple[Excess, ...] = field(default=())
     own_autocorrelation: tuple[float, ...] = ()
-    pictures: tuple[Excess, ...] = ()  # that of each run, of single pictures
+    pictures: tuple[Excess, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers for JSON."""
@@ -101,7 +132,18 @@ class RailSums:
 
 
 def fineness(masks: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """Sign changes of each mask (m, N) along each axis, of a line in the mean, (m, axes)."""
+    """Sign changes of each mask along each axis, of a line in the mean.
+
+    Parameters
+    ----------
+    masks : array (m, N)
+    shape : tuple of int
+        Of a mask.
+
+    Returns
+    -------
+    array (m, axes)
+    """
     lit = masks.reshape(-1, *shape) > 0
     axes = tuple(range(1, lit.ndim))
     lines = [lit[0].size / side for side in shape]
@@ -152,12 +194,16 @@ def check_rail_sums(
         tests.append(several["chance_counts"])
     poisson = min(tests) * len(tests) > FALSE_ALARMS
     place = np.arange(pairs) if order is None else order
-    causes = {} if poisson else find_causes(relative.mean(axis=0), fine, place, block, seed)
+    causes = (
+        {} if poisson else find_causes(relative.mean(axis=0), fine, place, block=block, seed=seed)
+    )
     return RailSums(pairs, poisson, scatter, causes, **several)
 
 
 def homogeneity(counts: np.ndarray) -> tuple[float, float]:
     """χ² per degree of freedom between rows of counts (runs, n) of one shape, and its chance."""
+    from scipy.special import chdtrc
+
     lit = counts.sum(axis=0) >= LEAST_COUNTS * len(counts)
     held = counts[:, lit]
     expected = held.sum(axis=0) * (held.sum(axis=1) / held.sum())[:, None]
@@ -168,18 +214,20 @@ def homogeneity(counts: np.ndarray) -> tuple[float, float]:
 
 def _scatter(row: np.ndarray) -> RunScatter:
     """Scatter of rail sums (m,)."""
+    from scipy.special import chdtrc
+
     mean = float(row.mean())
     chi2 = float(((row - mean) ** 2).sum() / mean)
     relative = row / mean
     free = len(row) - 1
     return RunScatter(
-        mean,
-        float(relative.std(ddof=1)),
-        mean**-0.5,
-        chi2 / free,
-        float(chdtrc(free, chi2)),
-        _intervals(lambda kept: np.array([_excess(row[kept])]), len(row))[0],
-        _autocorrelation(relative, 1 / mean),
+        mean=mean,
+        spread=float(relative.std(ddof=1)),
+        allowed=mean**-0.5,
+        chi2=chi2 / free,
+        chance=float(chdtrc(free, chi2)),
+        excess=_intervals(lambda kept: np.array([_excess(row[kept])]), len(row))[0],
+        autocorrelation=_autocorrelation(relative, 1 / mean),
     )
 
 
@@ -191,7 +239,8 @@ def _excess(row: np.ndarray) -> float:
 
 def _compare(runs: np.ndarray, sums: np.ndarray, relative: np.ndarray) -> dict[str, Any]:
     """Excess that runs have in common, and that of each by itself, as of `RailSums`."""
-    (number, pairs), pairwise = sums.shape, list(combinations(range(len(sums)), 2))
+    (number, pairs) = sums.shape
+    pairwise = list(combinations(range(len(sums)), 2))
     noise = 1 / sums.mean(axis=1)
 
     def split(kept: np.ndarray) -> np.ndarray:
@@ -245,7 +294,10 @@ def find_causes(
     sums: np.ndarray, fine: np.ndarray, place: np.ndarray, block: int | None, seed: int
 ) -> dict[str, Cause]:
     """Shares of the scatter of rail sums (m,) that each place of a pair predicts."""
-    rng, pairs = np.random.default_rng(seed), len(sums)
+    from scipy.spatial import cKDTree
+
+    rng = np.random.default_rng(seed)
+    pairs = len(sums)
     nearest = cKDTree(fine).query(fine, min(ALIKE + 1, pairs))[1]
     by_time: dict[str, Callable[[np.ndarray], np.ndarray]] = {"sequence": _neighbours}
     if block:
@@ -277,7 +329,8 @@ def _neighbours(row: np.ndarray) -> np.ndarray:
 
 def _others(row: np.ndarray, group: np.ndarray) -> np.ndarray:
     """Mean of the other members of each one's group; of all where it is alone."""
-    number, total = np.bincount(group), np.bincount(group, row)
+    number = np.bincount(group)
+    total = np.bincount(group, row)
     others = (total[group] - row) / np.maximum(number[group] - 1, 1)
     return np.where(number[group] > 1, others, row.mean())
 
@@ -298,11 +351,82 @@ def _autocorrelation(row: np.ndarray, noise: float) -> tuple[float, ...]:
 
 def _intervals(statistics: Callable[[np.ndarray], np.ndarray], number: int) -> list[Excess]:
     """Statistics of a sequence, with the intervals of leaving each part out in turn."""
+    from scipy.special import stdtrit
+
     # Parts that follow each other keep the correlation of neighbours (block jackknife)
     place = np.arange(number)
-    parts = np.array_split(place, PARTS)
+    parts = np.array_split(place, CUTS)
     left = np.stack([statistics(np.delete(place, part)) for part in parts])
-    error = np.sqrt((PARTS - 1) / PARTS * ((left - left.mean(axis=0)) ** 2).sum(axis=0))
-    half = stdtrit(PARTS - 1, 0.975) * error
+    error = np.sqrt((CUTS - 1) / CUTS * ((left - left.mean(axis=0)) ** 2).sum(axis=0))
+    half = stdtrit(CUTS - 1, 0.975) * error
     ends = zip(statistics(place).tolist(), half.tolist(), strict=True)
     return [Excess(value, value - width, value + width) for value, width in ends]
+
+
+Layout = Literal["columns", "turns", "halves", "single"]
+"""Masks and inverses side by side, in turn, all masks before all inverses, or masks alone."""
+
+LAYOUTS = get_args(Layout)
+"""Names of the layouts."""
+
+
+def split_rails(values: np.ndarray, layout: str | None, masks: int | None, name: str) -> np.ndarray:
+    """Counts of the rails in the order in which they were shown.
+
+    Parameters
+    ----------
+    values : array (rows, columns)
+        A table as it was read. Of two columns or two rows, the first is that of the masks.
+    layout : str or None
+        One of `LAYOUTS`; as the shape says unless given.
+    masks : int or None
+        How many masks there are, where it is fixed already.
+    name : str
+        What errors call the table.
+
+    Returns
+    -------
+    array (rails, m)
+        Two rails, masks first; one for the layout "single".
+
+    Raises
+    ------
+    InputError
+        If the table does not hold these values, or may be read in two ways.
+    """
+    if layout is not None:
+        check_known("`rails`", layout, LAYOUTS)
+    shape = f"{name} has {values.shape[0]} rows and {values.shape[1]} columns"
+    upright = values if values.shape[0] >= values.shape[1] else values.T
+    wide = upright.shape[1]
+    if wide == 2 and layout in (None, "columns"):
+        rails = upright.T
+    elif wide == 1 and layout not in (None, "columns"):
+        row = upright[:, 0]
+        if layout != "single" and len(row) % 2:
+            raise InputError(f"{shape}: masks and their inverses are an even number of values")
+        rails = {
+            "turns": row.reshape(-1, 2).T,
+            "halves": row.reshape(2, -1),
+            "single": row[None],
+        }[str(layout)]
+    elif wide == 1 and layout is None:
+        if masks not in (len(upright), len(upright) / 2):
+            raise InputError(
+                f"{shape}, in which masks and inverses may stand in several ways: say `rails` "
+                "turns, halves or single"
+            )
+        if masks != len(upright):
+            raise InputError(f"{shape}, for {masks} masks: say `rails` turns or halves")
+        rails = upright[:, 0][None]
+    else:
+        raise InputError(
+            f"{shape}: give a column of masks and one of inverses (`rails` columns), or all in one "
+            "column (`rails` turns, halves or single)"
+        )
+    if masks is not None and rails.shape[1] != masks:
+        raise InputError(
+            f"{shape}, which are {rails.shape[1]} masks, and {masks} are needed: give the masks "
+            "that were shown, or another layout of `rails`"
+        )
+    return np.ascontiguousarray(rails)

@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-from recording_samples import DEVICE, DWELL, SHAPE, Run, named, split, train
 
 from deepfsi.hardware.counting.acquisition import prepare
 from deepfsi.hardware.counting.counting import count
-from deepfsi.hardware.counting.picture import reconstruct
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
+from deepfsi.hardware.pictures import reconstruct
+from hardware.counting.recording_samples import DEVICE, DWELL, SHAPE, Run, named, split, train
 
 
 @pytest.mark.parametrize("light", ["equal-dwell", "free-dwell", "two-arm"])

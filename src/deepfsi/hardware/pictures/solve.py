@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.linalg import lstsq
 
 from deepfsi.base.errors import InputError, closest
 from deepfsi.hardware.counting.acquisition import read_acquisition
@@ -39,6 +38,8 @@ def reconstruct(folder: str | os.PathLike[str]) -> np.ndarray:
 
 def _solve(masks: np.ndarray, counts: np.ndarray, detectors: Detectors | None) -> np.ndarray:
     """Pictures (S, N) of counts (S, k[, D]) behind masks (k, N): each detector's of its cells."""
+    from scipy.linalg import lstsq
+
     if detectors is not None and detectors.cells is not None:
         out = np.empty((len(counts), masks.shape[1]))
         labels = np.array(detectors.cells)
@@ -58,7 +59,17 @@ ORTHOGONAL = 1e-9
 
 
 def solve_masks(masks: np.ndarray, readouts: np.ndarray) -> np.ndarray:
-    """Least-squares pictures (S, N) of readouts (S, m) behind masks (m, N)."""
+    """Least-squares pictures of readouts behind masks.
+
+    Parameters
+    ----------
+    masks : array (m, N)
+    readouts : array (S, m)
+
+    Returns
+    -------
+    array (S, N)
+    """
     # Of masks that are orthogonal and of one norm, M⁺ = Mᵀ / c. A random vector, which other
     # matrices do not carry to c times itself, tells whether they are
     rows = [slice(a, a + ROWS_AT_ONCE) for a in range(0, len(masks), ROWS_AT_ONCE)]
@@ -125,7 +136,15 @@ def solve_wavelets(coefficients: np.ndarray, wavelet: str, levels: int) -> tuple
 
 
 def coarse_light(parts: list[Any], wavelet: str) -> np.ndarray:
-    """Means of the next finer level, of either sign of the details the smoother ones."""
+    """Means of the next finer level, of either sign of the details the smoother ones.
+
+    Parameters
+    ----------
+    parts : list
+        Levels as `split_levels` gives them.
+    wavelet : str
+        Name of PyWavelets.
+    """
     return _smoother(parts, wavelet)[0]
 
 
@@ -149,11 +168,18 @@ def _roughness(picture: np.ndarray) -> float:
 
 
 def split_levels(coefficients: np.ndarray, levels: int) -> list[Any]:
-    """Coarsest means, then (down, across, both) of each level from the coarsest to the finest."""
+    """Coarsest means, then (down, across, both) of each level from the coarsest to the finest.
+
+    Parameters
+    ----------
+    coefficients : array (H, W)
+    levels : int
+    """
     down, across = coefficients.shape
     parts: list[Any] = [coefficients[: down >> levels, : across >> levels]]
     for level in range(levels, 0, -1):
-        a, b = down >> level, across >> level
+        a = down >> level
+        b = across >> level
         parts.append(
             (
                 coefficients[a : 2 * a, :b],

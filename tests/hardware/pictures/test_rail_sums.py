@@ -5,14 +5,9 @@ import pytest
 from scipy.stats import binom
 
 from deepfsi.base.errors import InputError
-from deepfsi.hardware.counting.rail_sums import (
-    LEAST_PAIRS,
-    check_rail_sums,
-    find_causes,
-    fineness,
-)
-from deepfsi.hardware.counting.rail_tables import LAYOUTS, split_rails
 from deepfsi.hardware.light import FALSE_ALARMS
+from deepfsi.hardware.pictures import check_rail_sums, fineness, split_rails
+from deepfsi.hardware.pictures.rail_sums import LAYOUTS, LEAST_PAIRS, find_causes
 from deepfsi.jobs.designs import formula_masks, hadamard_masks
 
 SHAPE = (16, 16)
