@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from deepfsi.base.errors import InputError
-from deepfsi.hardware.photons.reader import inspect, read_photons
-from deepfsi.hardware.photons.writer import Writer
+from deepfsi.hardware.photons import PtuWriter, read_photons, summarise
 from deepfsi.hardware.virtual.transits import write_transits
 from deepfsi.lab.transits import (
     align_transits,
@@ -15,7 +14,6 @@ from deepfsi.lab.transits import (
     find_threshold,
     find_transits,
 )
-from deepfsi.hardware.photons import PtuWriter, read_photons, summarise
 
 BACKGROUND, WINDOW, DURATION = 40.0, 0.1, 20.0
 """Counts/s, seconds, seconds: a mean of four photons in a window."""
