@@ -215,9 +215,8 @@ def store(modules: list[str]) -> None:
             if of_case is None:
                 raise SystemExit(f"the history of this repository lacks {REFERENCE}")
             content[name] = to_be_stored(module, of_case)
-        indent = None if is_hashed(module) else 1
         lines = {
-            name: json.dumps(one, indent=indent, ensure_ascii=False, sort_keys=True)
+            name: json.dumps(one, ensure_ascii=False, sort_keys=True)
             for name, one in sorted(content.items())
         }
         text = ",\n".join(f"{json.dumps(name)}: {one}" for name, one in lines.items())

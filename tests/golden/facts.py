@@ -6,9 +6,11 @@ Runs in two packages, of now and of the reference, so it knows the command line 
 import contextlib
 import io
 import json
+import os
 import re
 import shutil
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
@@ -18,6 +20,11 @@ import numpy as np
 
 INPUTS = Path(__file__).parent / "inputs"
 """Stored designs, recordings, tables and pictures; `make_inputs.py` says how they were made."""
+
+DATA = Path(os.environ.get("DEEPFSI_DATA") or "nowhere")
+"""Real files of the user; without them their cases are left out."""
+
+Case = Callable[[], dict[str, Any]]
 
 OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]*")
 NUMBER = re.compile(r"\d+(?:\.\d+)?(?:e[+-]?\d+)?")
@@ -85,6 +92,38 @@ def _numbers(value: Any) -> Any:
     if isinstance(value, str):
         return [float(number) for number in NUMBER.findall(value)]
     return [_numbers(one) for one in value] if isinstance(value, list) else value
+
+
+def without_paths(value: Any) -> Any:
+    """Without where inputs, real files and the current folder are."""
+    if isinstance(value, dict):
+        return {key: without_paths(one) for key, one in value.items()}
+    if isinstance(value, list):
+        return [without_paths(one) for one in value]
+    if isinstance(value, str):
+        for path, name in ((INPUTS, "INPUTS"), (DATA, "DATA"), (os.getcwd(), "HERE")):
+            value = value.replace(str(path), name)
+    return value
+
+
+TIMES = (
+    "seconds",
+    "training_seconds",
+    "finished",
+    "version",
+    "deepfsi",
+    "torch",
+    "machine",
+    "python",
+    "numpy",
+)
+
+
+def without_times(value: Any) -> Any:
+    """Without what depends on when and where it ran."""
+    if isinstance(value, dict):
+        return {key: without_times(one) for key, one in value.items() if key not in TIMES}
+    return [without_times(one) for one in value] if isinstance(value, list) else value
 
 
 def parts(value: Any) -> tuple[Any, dict[str, str]]:

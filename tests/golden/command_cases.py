@@ -1,0 +1,396 @@
+"""Command lines of every command: exit codes, JSON, files, and what `--help` lists.
+
+A case works in the current folder, which is its own and empty, as those of `run_cases`.
+"""
+
+import json
+import re
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from golden.facts import (
+    INPUTS,
+    Case,
+    answer,
+    file_of,
+    files,
+    patterns_of,
+    recording,
+    say,
+    without_paths,
+    without_times,
+)
+
+COMMANDS = (
+    "", "design", "readouts", "show", "page", "evaluate", "predict", "stop", "export", "mask",
+    "designs", "designs make", "designs list", "compare", "plan", "sweep", "reproduce", "report",
+    "dmd", "dmd export", "dmd check", "dmd devices", "data", "data list", "data download",
+    "data check", "data export", "camera", "camera describe", "camera prepare", "camera simulate",
+    "camera record", "camera live", "camera import", "camera inspect", "camera count",
+    "camera classify", "camera image", "camera picture", "camera scan", "camera transits",
+    "camera spots", "camera calibrate", "camera check",
+)  # fmt: skip
+
+
+def helped() -> dict[str, Any]:
+    """Options of every command, and the commands of every group, as `--help` lists them."""
+    out = {}
+    for command in COMMANDS:
+        said = say(*command.split(), "--help")
+        options = re.findall(r"^  (?:-\w, )?(--[a-z-]+)", said.out, re.MULTILINE)
+        commands = re.findall(r"^  ([a-z]+)  ", said.out, re.MULTILINE)
+        out[command] = {"code": said.code, "listed": options, "commands": commands}
+    return out
+
+
+EXPORTED = {
+    **{
+        device: ("single", f"--device {device}")
+        for device in (
+            "dlp7000", "dlp9500", "dlp650lnir", "dlp6500", "dlp6500-dlpc910", "dlp9000",
+            "dlp9000x", "dlp670s", "dlp500yx", "dlp4500", "dlp3010", "dlp4710",
+        )
+    },
+    "a device file": ("single", "--device loading.toml"),
+    "raw, inverted": ("single", "--device 64x48 --format raw --invert"),
+    "png, flipped": ("single", "--device 64x48 --format png --flip"),
+    "bmp, turned": ("single", "--device 64x48 --format bmp --rotate 90"),
+    "planes, random": ("dual", "--device dlp4500 --selection random --seed 3"),
+    "region": ("dual", "--device 64x48 --region 32x32+4+8"),
+    "stretch": ("dual", "--device 64x48 --stretch --settle 5us --shortest 60us"),
+    "arms": ("arms", "--device 64x48"),
+    "detectors": ("quad", "--device 64x48"),
+    "image": ("image", "--device 64x48"),
+    "clicks": ("click", "--device 64x48"),
+    "looks": ("looks-dual", "--device dlp7000"),
+    "looks, arms": ("looks-arms", "--device 64x48"),
+    "adaptive": ("adaptive", "--device dlp7000"),
+    "passing": ("passing", "--device 64x48"),
+    "grey levels": ("dual", "--device 16x16"),
+    "too small": ("dual", "--device 4x4"),
+    "too short": ("dual", "--device dlp4710 --exposure 1us"),
+}  # fmt: skip
+"""Patterns: design, and options of `dmd export`."""
+
+
+def exported(name: str) -> dict[str, Any]:
+    """Every file of a folder of patterns, and what checks it."""
+    design, words = EXPORTED[name]
+    options = [INPUTS / word if word.endswith(".toml") else word for word in words.split()]
+    if "--exposure" not in options:
+        options += ["--exposure", "15ms" if "dlp4710" in words else "30ms"]
+    out = {"said": answer("dmd", "export", file_of(design), *options, "-o", "p")}
+    if Path("p").exists():
+        manifest = json.loads(Path("p/manifest.json").read_text())
+        del manifest["deepfsi"]  # the version
+        frames = [frame.pop("sha256") for frame in manifest["frames"]]
+        hashes = {key: manifest.pop(key) for key in list(manifest) if key.endswith("sha256")}
+        out |= {
+            "manifest": manifest,
+            "hashes": {"frames": " ".join(frames).encode(), "others": str(hashes).encode()},
+            "files": files("p", "manifest.json"),
+            "checked": answer("dmd", "check", "p"),
+        }
+    return out
+
+
+def checked() -> dict[str, Any]:
+    """Folders of patterns that were changed."""
+    folder = Path(patterns_of("dual"))
+    good = (folder / "frames.npy").read_bytes()
+    out = {}
+    (folder / "frames.npy").write_bytes(good[:-900] + bytes([good[-900] ^ 1]) + good[-899:])
+    out["a mirror"] = answer("dmd", "check", folder)
+    (folder / "frames.npy").write_bytes(good[:-9])
+    out["cut"] = answer("dmd", "check", folder)
+    (folder / "frames.npy").unlink()
+    out["missing"] = answer("dmd", "check", folder)
+    (folder / "manifest.json").write_text("{}")
+    out["no manifest"] = answer("dmd", "check", folder)
+    return out
+
+
+def masks() -> dict[str, Any]:
+    """Photomasks of the pattern that scenes pass."""
+    passing = file_of("passing")
+    return {
+        "svg": answer("mask", passing, "--pixel", 5, "-o", "m.svg"),
+        "png": answer("mask", passing, "--pixel", 2.5, "-o", "m.png"),
+        "other": answer("mask", file_of("dual"), "--pixel", 5, "-o", "n.svg"),
+        "end": answer("mask", passing, "--pixel", 5, "-o", "n.gif"),
+        "files": files("."),
+    }
+
+
+def graphs() -> dict[str, Any]:
+    """ONNX graphs: nodes and tensors; their weights bit for bit."""
+    import onnx
+
+    out = {}
+    for design in ("single", "dual", "arms", "quad", "click", "passing", "looks", "adaptive"):
+        path = f"{design}.onnx"
+        said = answer("export", file_of(design), "-o", path)
+        out[design] = {"said": without_paths(said)}
+        if Path(path).exists():
+            graph = onnx.load(path).graph
+            out[design] |= {
+                "nodes": [node.op_type for node in graph.node],
+                "inputs": [_tensor(one) for one in graph.input],
+                "outputs": [_tensor(one) for one in graph.output],
+                "weights": [[list(one.dims), one.raw_data] for one in graph.initializer],
+            }
+    return out
+
+
+def _tensor(value: Any) -> list[Any]:
+    kind = value.type.tensor_type
+    return [value.name, kind.elem_type, [one.dim_param or one.dim_value for one in kind.shape.dim]]
+
+
+def page(design: str) -> dict[str, Any]:
+    """The data in a page to play with, and what it says in JSON."""
+    out = {"said": without_paths(answer("page", file_of(design), "-o", "p.html"))}
+    text = Path("p.html").read_text()
+    out["data"] = [
+        block.encode()
+        for block in re.findall(
+            r"<script[^>]*type=.application/json.[^>]*>(.*?)</script>", text, re.DOTALL
+        )
+    ]
+    return out
+
+
+def described() -> dict[str, Any]:
+    """Cameras: presets, files, designs, patterns, and the template of a file."""
+    Path("lab.toml").write_text('light = "equal-dwell"\nflux = 1e6\nexposure = "10ms"\n')
+    Path("wrong.toml").write_text('lite = "equal-dwell"\n')
+    sources = ("", "dmd", "dmd-2x2", "dmd-4x4", "two-arm", "paper", "lab.toml", "wrong.toml")
+    out = {source: answer("camera", "describe", *source.split()) for source in sources}
+    for design in ("quad", "looks-arms", "adaptive", "click", "passing"):
+        out[f"design {design}"] = answer("camera", "describe", file_of(design))
+    out["patterns"] = answer("camera", "describe", patterns_of("quad"))
+    out["run"] = answer("camera", "describe", recording("two-arms", "arms"))
+    out["nosuch"] = answer("camera", "describe", "nosuch")
+    out["template"] = say("camera", "describe", "two-arm", "--template", "t.toml").code
+    fields = re.findall(r"^#? ?([a-z_]+) = ", Path("t.toml").read_text(), re.MULTILINE)
+    return {**out, "fields": fields}
+
+
+def devices_and_data() -> dict[str, Any]:
+    """Lists of devices, data sets and designs; scenes as pictures."""
+    return {
+        "devices": answer("dmd", "devices"),
+        "check": answer("data", "check", "digits"),
+        "unknown": answer("data", "check", "digit"),
+        "export": answer("data", "export", "digits", "--per-class", 2, "--seed", 1, "-o", "d"),
+        "small": answer("data", "export", "digits", "--size", 4, "-o", "s"),
+        "files": files("."),
+        "names": [one["name"] for one in say("data", "list", "--json").json["data_sets"]],
+        "designs": answer("designs", "list"),
+        "version": say("--version").code,
+        "module": say("nosuch").refused(),
+        "option": say("design", "--nosuch").refused(),
+    }
+
+
+def designed(words: str) -> dict[str, Any]:
+    """A design that is learned: what is said, and its tensors bit for bit."""
+    told = without_times(answer("design", *words.split(), "-o", "one.safetensors"))
+    out = {"said": told}
+    if Path("one.safetensors").exists():
+        from safetensors.numpy import load_file
+
+        out["tensors"] = load_file("one.safetensors")
+        out["again"] = answer("design", *words.split(), "--seed", 1, "-o", "one.safetensors")
+    return out
+
+
+LEARNED = (
+    "--masks 4 --epochs 1 --hidden 8 --photons 1e3",
+    "--masks 4 --epochs 1 --hidden 8 --photons 1e2:1e4 --camera two-arm",
+    "--masks 4 --epochs 1 --hidden 8 --photons 1e3 --nested 2 --detectors 2x2",
+)
+
+FULL = "--designs pca,impulse --photons 1e2,1e4 --masks 3 --trials 1 --epochs 1 --workers 1"
+
+
+def compared() -> dict[str, Any]:
+    """A comparison, its records and its report."""
+    said = answer("compare", *FULL.split(), "-o", "c")
+    return {
+        "said": without_times(said),
+        "again": without_times(answer("compare", *FULL.split(), "-o", "c")),
+        "report": without_times(answer("report", "c")),
+        "results": without_times(json.loads(Path("c/results.json").read_text())),
+        "names": sorted(path.name for path in Path("c").iterdir() if path.is_file()),
+    }
+
+
+TESTED = {
+    "evaluate": "evaluate dual --photons 1e3,1e4 --draws 1",
+    "evaluate, camera noise": "evaluate quad --photons 1e4 --dark 100 --sigma 2 --noise camera "
+    "--draws 1",
+    "evaluate, ideal": "evaluate single --photons 1e3 --draws 1 --ideal",
+    "evaluate, looks": "evaluate looks-arms --photons 1e3 --draws 1",
+    "evaluate, clicks": "evaluate click --photons 1e2 --draws 1",
+    "evaluate, passing": "evaluate passing --photons 1e4 --draws 1 --seed 2",
+    "evaluate, adaptive": "evaluate adaptive --photons 1e4 --draws 1",
+    "stop": "stop looks --photons 1e4 --draws 1 --threshold 0.5",
+    "stop, nothing left out": "stop looks-dual --photons 1e4 --draws 1",
+    "stop, fixed": "stop dual --photons 1e4 --draws 1 --threshold 0.5",
+    "predict": "predict dual few --photons 1e4",
+    "predict, noise": "predict quad few --photons 1e3 --noise gaussian --sigma 3 --seed 2",
+    "predict, budget": "predict dual few --photons 0",
+}
+"""Tests of stored designs: words, the second one a design."""
+
+
+def tested() -> dict[str, Any]:
+    out = {}
+    for name, words in TESTED.items():
+        command, design, *others = words.split()
+        pictures = [INPUTS / word if word == "few" else word for word in others]
+        said = answer(command, file_of(design), *pictures)
+        out[name] = without_times(without_paths(said))
+    out["shown"] = without_paths(answer("show", file_of("dual"), "-o", "masks.png"))
+    out["shown, too"] = without_paths(answer("show", file_of("looks"), "-o", "masks.txt"))
+    written = answer(
+        "stop", file_of("looks"), "--photons", "1e4", "--draws", 1, "--threshold", 0.6,
+        "-o", "sure.safetensors",
+    )  # fmt: skip
+    out["rule"] = without_times(without_paths(written))
+    return out
+
+
+def readouts() -> dict[str, Any]:
+    """A classifier of readouts that were measured."""
+    rng = np.random.default_rng(0)
+    labels = np.arange(120) % 3
+    values = rng.normal(0, 1, (120, 5)) + labels[:, None] * np.array([0.5, -1, 2, 0, 1])
+    np.savez("r.npz", volts=values, digit=labels, laser=rng.normal(1, 0.01, 120))
+    words = "--values volts --label digit --monitor laser --epochs 3 --hidden 8"
+    out = {
+        "said": without_times(answer("readouts", "r.npz", *words.split(), "-o", "r.safetensors")),
+        "wrong": answer("readouts", "r.npz", "--values", "amps", "-o", "s.safetensors"),
+    }
+    if Path("r.safetensors").exists():
+        np.savetxt("t.csv", values[:4], delimiter=",")
+        out["classes"] = answer("camera", "classify", "r.safetensors", "t.csv")
+    return out
+
+
+REFUSED = (
+    "design --masks 4 --photons 1e4 -o d",
+    "design --photons 0 -o d.safetensors",
+    "design --photons 1e4 --masks 0 -o d.safetensors",
+    "design --masks 4 --photons 1e4 --design nosuch -o d.safetensors",
+    "design --masks 4 --photons 1e4 --light nosuch -o d.safetensors",
+    "design --masks 4 --photons 1e4 --light two-arm --rails single -o d.safetensors",
+    "design --masks 4 --photons 1e4 --camera nosuch -o d.safetensors",
+    "design --masks 4 --photons 1e4 --data nosuch -o d.safetensors",
+    "design --masks 4 --photons 1e4 --detectors 3x -o d.safetensors",
+    "design --masks 4 --photons 1e4 --looks 99 -o d.safetensors",
+    "design --masks 4 --photons 1e4 --noise click --gates 0 -o d.safetensors",
+    "design --masks 4 --photons 1e4 --hidden 0 -o d.safetensors",
+    "design --masks 4 --photons 1e4 --lr -1 -o d.safetensors",
+    "design --masks 4 --photons 1e4 --dead-time 1h -o d.safetensors",
+    "design --masks 4 --photons 1e4:1e2 -o d.safetensors",
+    "design --masks 4 --photons 1e4 --matrix nosuch.npy -o d.safetensors",
+    "design --masks 4 --photons 1e4 --size 4x -o d.safetensors",
+    "design --masks 4 --photons 1e4 --levels 1 -o d.safetensors",
+    "design --masks 4 --photons 1e4 --exposure soon -o d.safetensors",
+    "compare --designs nosuch -o c",
+    "compare --photons 1e4 --masks x -o c",
+    "compare --recipe nosuch -o c",
+    "compare --photons 1e4 --trials 0 -o c",
+    "sweep nosuch -o c",
+    "reproduce nosuch -o c",
+    "report nosuch",
+    "plan --target 2 -o c",
+    "evaluate nosuch.safetensors --photons 1e4",
+    "evaluate {dual} --photons many",
+    "evaluate {dual} --photons 1e4 --draws 0",
+    "evaluate {dual} --photons 1e4 --first 2",
+    "stop {looks} --photons 1e4 --threshold 2",
+    "predict {dual} nosuch --photons 1e4",
+    "export {adaptive} -o a.onnx",
+    "export {dual} -o a.txt",
+    "page {dual} -o page.txt",
+    "show {dual} --count 0 -o m.png",
+    "designs make nosuch.toml -o c",
+    "dmd export {dual} --device nosuch -o p",
+    "dmd export {dual} --device 64x48 --exposure soon -o p",
+    "dmd export {dual} --device 64x48 --rotate 45 -o p",
+    "dmd export {dual} --device 64x48 --format jpg -o p",
+    "dmd export {dual} --device 64x48 --selection some -o p",
+    "dmd export {dual} --device 64x48 --region 9x -o p",
+    "dmd check nosuch",
+    "camera count nosuch",
+    "camera count {run} --exposure 10s",
+    "camera count {run} --tolerance never",
+    "camera count {run} --input 0",
+    "camera count {run} --input 9",
+    "camera count {run} --marker 4",
+    "camera count {run} --repeats 0",
+    "camera count {run} --dead-time -1ns",
+    "camera count {run} --dead-time 1us --dead-time-model nosuch",
+    "camera count {run} --background nosuch",
+    "camera classify {dual} nosuch",
+    "camera classify {single} {run}",
+    "camera image {run} -o x.txt",
+    "camera inspect {dual}",
+    "camera inspect nosuch.ptu",
+    "camera scan {run}/photons.ptu -o s.npz",
+    "camera calibrate {run} --spots nosuch -o c",
+    "camera check {run}",
+    "camera spots --size 4 -o s",
+    "camera simulate {run}/patterns --scene nosuch --flux 1e6 --exposure 10ms -o r",
+    "camera simulate {run}/patterns --scene {few} --flux -1 --exposure 10ms -o r",
+    "camera simulate {run}/patterns --scene {few} --flux 1e6 --virtual eye -o r",
+    "camera simulate {run}/patterns --scene {few} --flux 1e6 --seed -1 -o r",
+    "camera record {run}/patterns --scene {few} --projector nosuch -o r",
+    "camera record {run}/patterns --scene {few} --counter nosuch -o r",
+    "camera live {run}/patterns --scene {few} --flux 1e6 --exposure 10ms -o r",
+    "camera live {looks} --scene {few} --flux 1e6 --exposure 10ms --until 2 -o r",
+    "camera live {looks} --scene {few} --flux 1e6 --exposure 10ms --shortest-dwell 1s -o r",
+    "camera live {looks} --scene {few} --exposure 10ms --virtual ideal -o r",
+    "data export digits --per-class 5000 -o d",
+    "data export nosuch -o d",
+    "data download nosuch",
+)
+"""Bad input: exit code 2, one line of errors, and nothing is written."""
+
+
+def refused() -> dict[str, Any]:
+    run = recording("jump", "dual")
+    places: dict[str, object] = {"run": run, "few": INPUTS / "few"}
+    places |= {name: file_of(name) for name in ("dual", "single", "looks", "adaptive")}
+    before = files(".")
+    out = {line: say(*line.format(**places).split()).refused() for line in REFUSED}
+    after = files(".")
+    return {**out, "written": sorted(set(after) - set(before)), "same": before == after}
+
+
+CASES: dict[str, Case] = {
+    "help": helped,
+    **{f"exported {name}": partial(exported, name) for name in EXPORTED},
+    **{f"page {name}": partial(page, name) for name in ("single", "looks", "adaptive")},
+    **{f"design {words}": partial(designed, words) for words in LEARNED},
+    **{
+        case.__name__.replace("_", " "): case
+        for case in (
+            checked,
+            masks,
+            graphs,
+            described,
+            devices_and_data,
+            compared,
+            tested,
+            readouts,
+            refused,
+        )
+    },
+}

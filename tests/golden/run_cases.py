@@ -1,0 +1,562 @@
+"""Runs that are stored, recorded, counted, classified, lived and replayed; tables of counts.
+
+A case is a function without parameters that works in the current folder, which is its own and
+empty, and gives facts as `facts.parts` takes them.
+"""
+
+import os
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from golden.facts import (
+    DATA,
+    INPUTS,
+    Case,
+    answer,
+    arrays,
+    file_of,
+    files,
+    patterns_of,
+    recording,
+    say,
+    without_paths,
+)
+
+DESIGNS = {
+    "one-arm": "single",
+    "both-rails": "dual",
+    "two-arms": "arms",
+    "paralysable": "single",
+    "gains": "quad",
+    "image": "image",
+    "clicks": "click",
+    "lost": "dual",
+    "late": "dual",
+    "extra": "dual",
+    "drifting": "single",
+    "flicker": "single",
+    "drift": "single",
+    "jump": "dual",
+    "brighter": "dual",
+    "blind": "quad",
+    "ambient": "single",
+    "fluctuating": "single",
+    "live": "looks",
+    "live-rails": "looks-dual",
+    "live-arms": "looks-arms",
+    "live-quad": "looks-quad",
+    "live-adaptive": "adaptive",
+    "live-adaptive-arms": "adaptive-arms",
+    "live-adaptive-quad": "adaptive-quad",
+    "live-mirrored": "looks",
+    "live-fluctuating": "looks-dual",
+}
+"""Design of each stored run."""
+
+COUNTED = {
+    "one-arm": (
+        "--dead-time 200ns",
+        "--dead-time 0",
+        "--dead-time 200ns --dead-time-model paralysable",
+        "--exposure 5ms --settle 30us",
+        "--repeats 2 --exposure 2ms",
+    ),
+    "both-rails": ("", "--repeats 1", "--exposure 1ms", "--tolerance 30us"),
+    "two-arms": ("", "--dead-time 100ns", "--input 2 --input 1"),
+    "paralysable": ("", "--dead-time 1us --dead-time-model paralysable", "--dead-time 2us"),
+    "gains": ("", "--dead-time 1us", "--input 4 --input 3 --input 2 --input 1"),
+    "clicks": ("", "--exposure 5ms"),
+    "late": ("", "--tolerance 80us"),
+    "drifting": ("", "--tolerance 5us"),
+    "ambient": ("", "--background dark/dark.png", "--background dark/dark.png --dead-time 1us"),
+}
+"""Options of `camera count` that stored runs are counted with, beside none."""
+
+
+def counted(name: str) -> dict[str, Any]:
+    """A stored run, counted in several ways and classified after each."""
+    run, design = recording(name, DESIGNS[name]), DESIGNS[name]
+    out = {}
+    for words in COUNTED.get(name, ("",)):
+        said = {"count": answer("camera", "count", run, *words.split())}
+        if Path(run, "counts.npz").exists():
+            said["file"] = Path(run, "counts.npz").read_bytes()
+            said["arrays"] = _about_as_text(arrays(Path(run, "counts.npz")))
+        said["classes"] = answer("camera", "classify", file_of(design), run)
+        if "code" in said["classes"]:
+            said["forced"] = answer("camera", "classify", Path(run, "patterns"), run, "--force")
+        out[words] = said
+    return out
+
+
+def _about_as_text(content: dict[str, np.ndarray]) -> dict[str, Any]:
+    """Arrays of counts.npz; its text holds floats, so that it is compared bit for bit."""
+    return {
+        name: array.tobytes() if array.dtype == np.uint8 else array
+        for name, array in content.items()
+    }
+
+
+def replayed(name: str) -> dict[str, Any]:
+    """A stored live run, counted and replayed."""
+    run, design = recording(name, DESIGNS[name]), DESIGNS[name]
+    return {
+        "count": answer("camera", "count", run),
+        "arrays": _about_as_text(arrays(Path(run, "counts.npz"))),
+        "decisions": answer("camera", "classify", file_of(design), run),
+        "other design": answer("camera", "classify", file_of("looks-quad"), run),
+    }
+
+
+def with_a_flat() -> dict[str, Any]:
+    """Efficiencies of several detectors from a run of uniform white with the same patterns."""
+    run, white = recording("gains", "quad"), INPUTS / "white"
+    for flat, flux in (("flat", "1e8"), ("dim", "1e6")):
+        words = ("--virtual", INPUTS / "gains.toml", "--flux", flux, "--exposure", "10ms")
+        answer("camera", "simulate", patterns_of("quad"), "--scene", white, *words, "-o", flat)
+    return {
+        "uncounted": answer("camera", "count", run, "--flat", "flat"),
+        "flat": answer("camera", "count", "flat"),
+        "count": answer("camera", "count", run, "--flat", "flat"),
+        "arrays": _about_as_text(arrays(Path(run, "counts.npz"))),
+        "classes": answer("camera", "classify", file_of("quad"), run),
+        "dim": [
+            answer("camera", "count", "dim")["whole"],
+            answer("camera", "count", run, "--flat", "dim"),
+        ],
+    }
+
+
+def with_a_dark_run() -> dict[str, Any]:
+    """The background of another run, whose scenes were dark."""
+    run, dark = recording("ambient", "single"), recording("one-arm", "single", "dark")
+    answer("camera", "count", dark, "--dead-time", 0)
+    return {
+        "count": answer("camera", "count", run, "--background", dark),
+        "arrays": _about_as_text(arrays(Path(run, "counts.npz"))),
+        "other patterns": answer(
+            "camera", "count", run, "--background", recording("jump", "dual", "other")
+        ),
+    }
+
+
+def inspected() -> dict[str, Any]:
+    """Photon files that are listed, one cut; a picture of a run."""
+    run = recording("both-rails", "dual")
+    answer("camera", "count", run)
+    out = {
+        "whole": answer("camera", "inspect", Path(run, "photons.ptu")),
+        "arms": answer("camera", "inspect", INPUTS / "recordings/two-arms/photons.ptu"),
+        "image": answer("camera", "image", run, "-o", "picture.png"),
+        "picture": Path("picture.png").read_bytes(),
+    }
+    Path("cut.ptu").write_bytes(Path(run, "photons.ptu").read_bytes()[:-401])
+    said = say("camera", "inspect", "cut.ptu", "--json")
+    return {**out, "cut": said.code, "lines": said.errors.count("\n")}
+
+
+SIMULATED = {
+    "one arm": ("single", "--virtual pmt --flux 1e6"),
+    "one arm, spad": ("dual", "--virtual spad --flux 1e6 --exposure 4.5ms --repeats 2"),
+    "two arms": ("arms", "--virtual ideal --flux 2e5 --exposure 5ms --dark 2e3"),
+    "detectors": ("quad", "--virtual gains.toml --flux 6e5 --dead-time 1us"),
+    "parts of an image": ("image", "--virtual halves.toml --flux 4e5 --input 2 --input 1"),
+    "clicks": ("click", "--flux 5e4"),
+    "paralysable": ("single", "--virtual slow.toml --flux 6e5 --seed 4"),
+    "view": ("single", "--virtual mirrored.toml --flux 4e5"),
+    "ambient": ("single", "--virtual ambient.toml --flux 4e5 --settle 20us"),
+    "fluctuating": ("dual", "--virtual fluctuating.toml --flux 4e5"),
+    "too long": ("dual", "--virtual ideal --flux 4e5 --exposure 20ms"),
+}
+"""Runs of a virtual camera: design, and options of `camera simulate`."""
+
+
+def simulated(command: str, name: str) -> dict[str, Any]:
+    """A recording of the virtual camera or of virtual devices: every file of it, and its counts."""
+    design, words = SIMULATED[name] if command == "simulate" else RECORDED[name]
+    shown = ["--scene", INPUTS / "few", "--exposure", "10ms", *_with_paths(words), "-o", "run"]
+    out = {"said": without_paths(answer("camera", command, patterns_of(design), *shown))}
+    if Path("run").exists():
+        out["files"] = files("run", "manifest.json")
+        out["counted"] = answer("camera", "count", "run")
+    return out
+
+
+def _with_paths(words: str) -> list[str | Path]:
+    return [INPUTS / word if word.endswith(".toml") else word for word in words.split()]
+
+
+RECORDED = {
+    "one arm": ("single", "--virtual ideal --flux 4e5"),
+    "rails": ("dual", "--virtual pmt --flux 1e6 --latency display=3ms --latency command=2ms"),
+    "two arms": ("arms", "--virtual spad --flux 2e5 --exposure 5ms"),
+    "detectors": ("quad", "--virtual gains.toml --flux 6e5 --marker 2"),
+    "fluctuating": ("single", "--virtual fluctuating.toml --flux 4e5 --dark 500"),
+    "unknown latency": ("single", "--flux 4e5 --latency comand=1ms"),
+}
+"""Runs of virtual devices: design, and options of `camera record`."""
+
+LIVE = {
+    "looks": ("looks", "--virtual ideal --flux 8e5"),
+    "stopped": ("looks", "--virtual pmt --flux 2e6 --until 0.4 --latency decision=3ms"),
+    "rails, background, dead time": (
+        "looks-dual",
+        "--flux 1e6 --background --virtual spad --dead-time 100ns",
+    ),
+    "arms, shortest dwell": ("looks-arms", "--virtual ideal --flux 1.5e5 --shortest-dwell 400us"),
+    "detectors": ("looks-quad", "--virtual ideal --flux 1e6 --until 0.6"),
+    "detectors, gains": ("looks-quad", "--virtual gains.toml --flux 2e6 --dead-time 50ns"),
+    "budget": ("looks", "--virtual ideal --flux 8e5 --photons 6.9e3"),
+    "ambient": ("looks", "--virtual ambient.toml --flux 8e5 --background"),
+    "mirrored": ("looks-dual", "--virtual mirrored.toml --flux 1e6"),
+    "fluctuating": ("looks-dual", "--virtual fluctuating.toml --flux 4e5"),
+    "dim": ("looks", "--virtual ideal --flux 1e4"),
+    "adaptive, dark counts": ("adaptive", "--virtual ideal --flux 1e6 --dark 2e4"),
+    "adaptive, dead time": ("adaptive", "--virtual spad --flux 1e6 --dead-time 50ns --until 0.5"),
+    "adaptive, arms": ("adaptive-arms", "--virtual ideal --flux 1.5e5 --until 0.7"),
+    "adaptive, detectors": ("adaptive-quad", "--virtual ideal --flux 1e6 --dark 2e3"),
+    "adaptive, background": ("adaptive", "--virtual ideal --flux 1e6 --background"),
+}
+"""Live runs: design, and options of `camera live`."""
+
+
+def lived(name: str) -> dict[str, Any]:
+    """A live run of virtual devices: its decisions, files, counts and its replay."""
+    design, words = LIVE[name]
+    shown = ["--scene", INPUTS / "few", "--exposure", "10ms", *_with_paths(words), "-o", "run"]
+    out = {"said": without_paths(answer("camera", "live", patterns_of(design), *shown))}
+    if Path("run").exists():
+        out["files"] = files("run", "manifest.json", "loop.safetensors")
+        out["counted"] = answer("camera", "count", "run")
+        out["replayed"] = answer("camera", "classify", file_of(design), "run")
+    return out
+
+
+def transits() -> dict[str, Any]:
+    """Scenes that passed a pattern, in a photon file without markers."""
+    ptu, design = INPUTS / "passing.ptu", file_of("passing")
+    out = {}
+    for words in ("", "--photons 3e3", "--background 500 --false-alarms 1", "--input 2"):
+        table = ("-o", "found.csv", "--force")
+        said = answer("camera", "transits", design, ptu, "--bin", "1ms", *words.split(), *table)
+        out[words] = {"said": said}
+        if Path("found.csv").exists():
+            out[words]["table"] = Path("found.csv").read_bytes()
+    out["bin"] = answer("camera", "transits", design, ptu, "--bin", "0")
+    out["other"] = answer("camera", "transits", file_of("single"), ptu, "--bin", "1ms")
+    return out
+
+
+TABLES = {
+    "single": ("", "--settle 10us", "--background 3", "--photons 4e3", "--repeats 5"),
+    "dual": ("", "--exposures rows", "--dead-time 1us"),
+    "arms": ("", "--settle 10us"),
+    "quad": ("", "--repeats 1 --background 1"),
+    "click": ("--photons 500", "--photons 500 --repeats 5"),
+}
+"""Options of `camera classify` that each stored table of counts is classified with."""
+
+
+def table(name: str) -> dict[str, Any]:
+    """A table of counts, behind the folder of patterns and behind the design alone."""
+    source, patterns = INPUTS / "tables" / f"{name}.csv", patterns_of(name)
+    return {
+        f"{shown}, {words}": answer("camera", "classify", asked, source, *words.split())
+        for words in TABLES[name]
+        for shown, asked in (("patterns", patterns), ("design", file_of(name)))
+    }
+
+
+def tables_of_each_format() -> dict[str, Any]:
+    """One table in every format that is read, turned, of analogue values, and with names."""
+    import h5py
+    import polars
+    from scipy.io import savemat
+
+    values = np.loadtxt(INPUTS / "tables/single.csv", delimiter=",")
+    names = [
+        "scene",
+        "label",
+        "on",
+        "off",
+        "mask0",
+        "mask1",
+        "mask2",
+        "mask3",
+        "mask4",
+        "mask5",
+        "on2",
+        "off2",
+    ]
+    values = values[:, : len(names) - 2]
+    rows = [f"s{k},{k},{','.join(f'{v:.0f}' for v in row)}" for k, row in enumerate(values)]
+    Path("names.csv").write_text("\n".join([",".join(names), *rows]))
+    order = [0, 1, 11, 10, *range(4, 10), 2, 3]
+    turned = [",".join(line.split(",")[k] for k in order) for line in [",".join(names), *rows]]
+    Path("order.csv").write_text("\n".join(turned))
+    Path("comma.csv").write_text("\n".join(";".join(f"{v:.1f}" for v in r) for r in values))
+    decimal = Path("comma.csv").read_text().replace(".", ",")
+    Path("comma.csv").write_text(decimal)
+    np.savetxt("tabs.tsv", values, delimiter="\t", fmt="%d", header="a comment")
+    np.savetxt("spaces.txt", values, fmt="%d")
+    np.save("array.npy", values.astype(np.int32))
+    np.save("turned.npy", values.T)
+    np.save("dark.npy", np.tile([3, 2, 1, 0, 1, 0, 2, 0, 3, 0], (2, 1)))
+    np.save("analogue.npy", values * 0.1 + 0.003)
+    savemat("one.mat", {"counts": values, "other": np.eye(3)})
+    savemat("two.mat", {"a": values, "b": values})
+    with h5py.File("file.h5", "w") as file:
+        file["run/counts"] = values
+    polars.DataFrame({f"c{k}": column for k, column in enumerate(values.T)}).write_parquet(
+        "p.parquet"
+    )
+    polars.read_csv("names.csv").write_parquet("names.parquet")
+    asked = patterns_of("single")
+    files_and_words = (
+        "names.csv", "order.csv", "comma.csv", "tabs.tsv", "spaces.txt", "array.npy",
+        "turned.npy --exposures columns", "one.mat", "two.mat:b", "file.h5:run/counts", "p.parquet",
+        "names.parquet", "analogue.npy --gain 10 --read-noise 2",
+        "analogue.npy --gain 10 --read-noise 2 --background 5", "array.npy --background dark.npy",
+        "array.npy --background array.npy",
+        # refused:
+        "two.mat", "analogue.npy", "file.h5:none", "array.npy --gain 2", "nosuch.csv",
+        "array.npy --read-noise 2", "turned.npy --exposures rows", "array.npy --repeats 3",
+    )  # fmt: skip
+    return {words: answer("camera", "classify", asked, *words.split()) for words in files_and_words}
+
+
+WRONG_TABLES = {
+    "negative": "1,0,3,4,-5,6,7,8,9,1",
+    "a word": "1,0,3,4,five,6,7,8,9,1",
+    "a fraction": "1,0,3,4,5.5,6,7,8,9,1",
+    "no number": "1,0,3,4,nan,6,7,8,9,1",
+    "one value": "7",
+    "three values": "1,2,3",
+    "ragged": "1,0,3,4,5,6,7,8,9,1\n1,2",
+    "empty": "",
+    "half of the names": "on,off,mask0,x,y\n1,2,3,4,5",
+    "huge": "1,0,3,4,1e300,6,7,8,9,1",
+}
+"""Tables that are refused."""
+
+
+def wrong_tables() -> dict[str, Any]:
+    """Refused, whoever is asked."""
+    out, asked = {}, patterns_of("single")
+    for name, text in WRONG_TABLES.items():
+        Path("table.csv").write_text(text)
+        out[name] = answer("camera", "classify", asked, "table.csv")
+    return out
+
+
+def prepared() -> dict[str, Any]:
+    """A folder for a real acquisition, and the scenes that are listed for it."""
+    Path("list.csv").write_text("name,label\nfirst,cat\nsecond,dog\nthird,\n")
+    Path("twice.csv").write_text("a\na\n")
+    out = {}
+    for number, words in enumerate(
+        (
+            "--scenes list.csv --input 1 --marker 0",
+            "--scenes list.csv --input 2 --marker 3 --exposure 2ms --repeats 2 --settle 12us",
+            f"--scenes {INPUTS / 'few'} --flux 1e6",
+            "--scenes twice.csv",
+            "--scenes nosuch.csv",
+            "--scenes list.csv --exposure 1s",
+        )
+    ):
+        said = answer("camera", "prepare", patterns_of("dual"), *words.split(), "-o", f"r{number}")
+        out[str(number)] = without_paths(said)
+        if Path(f"r{number}").exists():
+            out[f"files {number}"] = files(f"r{number}", "manifest.json")
+    return out
+
+
+def imported() -> dict[str, Any]:
+    """Events, cumulative counts and bins of other counters."""
+    events, latched = INPUTS / "tables/events.csv", INPUTS / "tables/cumulative.txt"
+    patterns = patterns_of("single")
+    rng = np.random.default_rng(0)
+    np.savetxt("bins.txt", rng.poisson(30, 400), fmt="%d")
+    out = {}
+    for number, (source, words) in enumerate(
+        (
+            (events, "--unit 1ps --marker-channel 8 -o OUT.ptu"),
+            (events, "--unit 81ps --marker-channel 8 --channel 0 -o OUT.ptu"),
+            (events, "--unit 1ps -o OUT.ptu"),
+            (latched, f"--cumulative --patterns {patterns} -o OUT.csv"),
+            (latched, f"--cumulative --patterns {patterns} --passes 6 -o OUT.csv"),
+            ("bins.txt", f"--bins 100us --patterns {patterns} -o OUT.csv"),
+            (events, "--unit 1ps --marker-channel 5 -o OUT.ptu"),
+            (events, "--marker-channel 8 -o OUT.ptu"),
+            (events, "--unit 1ps -o OUT.txt"),
+        )
+    ):
+        name = words.split("-o ")[1].replace("OUT", str(number))
+        words = words.replace("OUT", str(number))
+        out[str(number)] = without_paths(answer("camera", "import", source, *words.split()))
+        if Path(name).exists():
+            out[f"file {number}"] = Path(name).read_bytes()
+            if name.endswith(".ptu"):
+                out[f"inspected {number}"] = answer("camera", "inspect", name)
+    return out
+
+
+def pictured() -> dict[str, Any]:
+    """Pictures of tables of counts behind named masks, and a verdict on their light."""
+    from scipy.linalg import hadamard
+
+    rng, masks = np.random.default_rng(0), hadamard(64)
+    scene = np.zeros((8, 8))
+    scene[2:6, 3:5] = 40.0
+    mean = np.stack([(masks > 0) @ scene.ravel(), (masks < 0) @ scene.ravel()], axis=1)
+    np.save("steady.npy", rng.poisson(mean))
+    np.save("lamp.npy", rng.poisson(mean * rng.lognormal(0, 0.1, 64)[:, None]))
+    np.savetxt("turns.csv", rng.poisson(mean).reshape(-1), fmt="%d")
+    np.savetxt("single.csv", rng.poisson(mean[:, 0]), fmt="%d")
+    np.save("other.npy", scene)
+    words = (
+        "steady.npy --masks hadamard-natural",
+        "steady.npy lamp.npy --masks hadamard-natural --exposures 1ms,1ms --block 16",
+        "turns.csv --masks hadamard-natural --rails turns --compare other.npy",
+        "single.csv --masks hadamard-sequency --rails single --size 8x8",
+        "single.csv --masks raster --rails single",
+        "steady.npy --masks wavelet-haar-1",
+        "steady.npy --masks hadamrd",
+        "turns.csv --masks hadamard-natural --size 16x16",
+    )
+    out = {}
+    for number, one in enumerate(words):
+        said = answer("camera", "picture", *one.split(), "-o", f"p{number}")
+        out[one] = {"said": said}
+        if Path(f"p{number}").exists():
+            out[one]["pictures"] = np.load(f"p{number}/pictures.npy")
+            out[one]["names"] = sorted(os.listdir(f"p{number}"))
+    return out
+
+
+def calibrated() -> dict[str, Any]:
+    """Spots through a tilted camera, the view fitted to them, and scenes checked."""
+    Path("tilted.toml").write_text(
+        "view = [[0.9, 0.04, 0.03], [-0.03, 0.92, 0.05], [0.01, 0.02, 1.0]]\ndark = 1e3\n"
+    )
+    device = ("--device", "64x64", "--dwell", "2ms")
+    out = {
+        "export": answer("dmd", "export", "hadamard", "--size", "8x8", *device, "-o", "p"),
+        "spots": answer("camera", "spots", "--size", "32x32", "-o", "spots"),
+        "pictures": files("spots"),
+    }
+    words = ("--scene", "spots", "--flux", "1e6", "--exposure", "0.2s", "--repeats", 1)
+    camera = ("--virtual", "tilted.toml", "-o", "run")
+    out["run"] = without_paths(answer("camera", "simulate", "p", *words, *camera))
+    out["count"] = answer("camera", "count", "run")
+    out["fit"] = answer("camera", "calibrate", "run", "--spots", "spots", "-o", "calibration")
+    out["files"] = files("calibration") if Path("calibration").exists() else None
+    return out
+
+
+def public_names() -> dict[str, Any]:
+    """`classify_run`, `classify_table` and `predict`, as a program of the user calls them."""
+    import deepfsi
+
+    dual, counts = file_of("dual"), INPUTS / "tables/dual.csv"
+    run = recording("jump", "dual")
+    answer("camera", "count", run)
+    loaded = deepfsi.load_design(dual)
+    np.savetxt("negative.csv", -np.loadtxt(counts, delimiter=","), delimiter=",")
+    out = {
+        "run": _public(deepfsi.classify_run(dual, run)),
+        "table": _public(deepfsi.classify_table(dual, counts)),
+        "predict": _public(deepfsi.predict(loaded, INPUTS / "few", 1e4, seed=1)),
+        "camera": loaded.camera.model_dump(mode="json"),
+    }
+    for name, bad in (
+        ("table", lambda: deepfsi.classify_table(dual, "negative.csv")),
+        ("run", lambda: deepfsi.classify_run(file_of("single"), run)),
+        ("budget", lambda: deepfsi.predict(loaded, INPUTS / "few", 0.0)),
+    ):
+        try:
+            bad()
+        except deepfsi.InputError:
+            out[f"refused {name}"] = True
+    return out
+
+
+def _public(value: Any) -> Any:
+    """Public numbers of a result: its attributes that are plain, and arrays."""
+    if isinstance(value, (list, tuple)):
+        return [_public(one) for one in value]
+    if isinstance(value, (str, int, float, bool, np.ndarray, type(None))):
+        return value
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, dict):
+        return {str(key): _public(one) for key, one in value.items()}
+    names = [name for name in getattr(value, "__dataclass_fields__", {}) if name[0] != "_"]
+    return {name: _public(getattr(value, name)) for name in names}
+
+
+def real_photons() -> dict[str, Any]:
+    """Files of PicoQuant devices: listed, and refused or scanned."""
+    out = {}
+    for name in ("hydraharp_v20_t2", "hydraharp_v20_t3", "picoharp_v30_t2"):
+        out[name] = answer("camera", "inspect", DATA / "ptu" / f"{name}.ptu")
+    said = answer("camera", "scan", DATA / "ptu/hazelnut_flim.ptu", "--pixels", 16, "-o", "s.npz")
+    out["scan"] = without_paths(said)
+    if Path("s.npz").exists():
+        out["lines"] = arrays("s.npz")
+    out["spc"] = answer("camera", "inspect", DATA / "bh/test_noise.spc")
+    return out
+
+
+def real_pictures() -> dict[str, Any]:
+    """Counts of a photon counter and coefficients of wavelets."""
+    out = {}
+    counter, wavelet = DATA / "spc_photon_counter", DATA / "spc_wavelet"
+    for number, words in enumerate(
+        (
+            f"{counter}/240324_14_256_1000_0.npy --masks hadamard-natural --rails turns",
+            f"{counter}/240321_13_1024_20000_150_0.npy {counter}/240321_13_1024_40000_150_0.npy "
+            "--masks hadamard-natural --block 64 --exposures 20ms,40ms",
+            f"{wavelet}/Jaszczak_Haar_4_128x128.mat:W --masks wavelet-haar-4 "
+            f"--compare {wavelet}/Jaszczak_Haar_4_128x128.mat:F",
+            f"{wavelet}/Jaszczak_Haar_4_128x128.mat --masks wavelet-haar-4",
+        )
+    ):
+        out[str(number)] = without_paths(
+            answer("camera", "picture", *words.split(), "-o", f"p{number}")
+        )
+        if Path(f"p{number}").exists():
+            out[f"pictures {number}"] = np.load(f"p{number}/pictures.npy")
+    return out
+
+
+CASES: dict[str, Case] = {
+    **{f"counted {name}": partial(counted, name) for name in DESIGNS if "live" not in name},
+    **{f"replayed {name}": partial(replayed, name) for name in DESIGNS if "live" in name},
+    **{f"simulated {name}": partial(simulated, "simulate", name) for name in SIMULATED},
+    **{f"recorded {name}": partial(simulated, "record", name) for name in RECORDED},
+    **{f"lived {name}": partial(lived, name) for name in LIVE},
+    **{f"table {name}": partial(table, name) for name in TABLES},
+    **{
+        case.__name__.replace("_", " "): case
+        for case in (
+            with_a_flat,
+            with_a_dark_run,
+            inspected,
+            transits,
+            tables_of_each_format,
+            wrong_tables,
+            prepared,
+            imported,
+            pictured,
+            calibrated,
+            public_names,
+        )
+    },
+}
+
+REAL_CASES: dict[str, Case] = {"real photons": real_photons, "real pictures": real_pictures}
+"""Cases that need `DEEPFSI_DATA`."""
