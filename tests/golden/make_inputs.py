@@ -123,6 +123,20 @@ def add_markers(run: Path, after: dict[int, int]) -> None:
     write_events(run / "photons.ptu", header, np.append(times, extra), np.append(codes, bits))
 
 
+def add_at_edges(run: Path) -> None:
+    """Add photons around the first and the last tick of each gate of a mask."""
+    header, times, codes = read_events(run / "photons.ptu")
+    exposure_s = json.loads((run / "acquisition.json").read_text())["exposure_s"]
+    frames = json.loads((run / "patterns/manifest.json").read_text())["frames"]
+    extra = []
+    for place, start in enumerate(times[codes < 0]):
+        share = frames[place % len(frames)]["share"]
+        first, last = start + 10_000_000, start + 10_000_000 + round(share * exposure_s * 1e12)
+        extra += [first - 1, first, first + 1, last - 1, last, last + 1] if share else []
+    photons = np.zeros(len(extra), np.int64)
+    write_events(run / "photons.ptu", header, np.append(times, extra), np.append(codes, photons))
+
+
 def stretch(run: Path, rate: float) -> None:
     """Let the devices' clock run slow by this share."""
     header, times, codes = read_events(run / "photons.ptu")
@@ -154,6 +168,7 @@ RUNS = {
         lambda run: add_markers(run, {7: 300_000_000, 33: 1_000_000}),
     ),
     "drifting": ("single", "--virtual ideal --flux 3e5", lambda run: stretch(run, 3e-4)),
+    "edges": ("single", "--virtual ideal --flux 3e5", add_at_edges),
     "flicker": (
         "single",
         "--virtual ideal --flux 7e5",

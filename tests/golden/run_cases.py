@@ -37,6 +37,7 @@ DESIGNS = {
     "late": "dual",
     "extra": "dual",
     "drifting": "single",
+    "edges": "single",
     "flicker": "single",
     "drift": "single",
     "jump": "dual",
@@ -71,6 +72,7 @@ COUNTED = {
     "clicks": ("", "--exposure 5ms"),
     "late": ("", "--tolerance 80us"),
     "drifting": ("", "--tolerance 5us"),
+    "edges": ("", "--settle 10us --dead-time 50ns"),
     "ambient": ("", "--background dark/dark.png", "--background dark/dark.png --dead-time 1us"),
 }
 """Options of `camera count` that stored runs are counted with, beside none."""
