@@ -16,6 +16,7 @@ from collections.abc import Callable
 
 import torch
 
+from deepfsi.camera.detectors import DetectorMap
 from deepfsi.optics.detection import Detection
 from deepfsi.optics.scanner import measure
 
@@ -33,7 +34,7 @@ def steps(side: int, tiles: int) -> tuple[Callable[[], None], Callable[[], None]
     """A step part by part, and one with the masks of all detectors."""
     draw, detection = (
         torch.Generator().manual_seed(0),
-        Detection.of(f"{tiles}x{tiles}", (side,) * 2),
+        Detection.of(DetectorMap.of(f"{tiles}x{tiles}", (side,) * 2)),
     )
     scenes = torch.rand(BATCH + 1, side**2, generator=draw)
     frames = torch.rand(1, FRAMES, side**2, generator=draw) / FRAMES

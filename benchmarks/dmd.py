@@ -34,7 +34,7 @@ from skimage.transform import resize
 from sklearn.datasets import load_sample_image
 
 from deepfsi.camera.device import DEVICES
-from deepfsi.camera.layout import Layout, find_grid
+from deepfsi.camera.layout import DmdLayout, find_grid
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.mirrors import count_mirrors, make_frames, order_mirrors
 from deepfsi.hardware.patterns.sequence import Format, FrameSettings
@@ -42,7 +42,7 @@ from deepfsi.jobs import designs as codes
 
 DEVICE = DEVICES["dlp7000"]
 SHAPE = (32, 32)
-LAYOUT = Layout(stretch=True)
+LAYOUT = DmdLayout(stretch=True)
 GRID = find_grid(DEVICE, SHAPE, LAYOUT)
 ORDER = order_mirrors(GRID.height, GRID.width)
 

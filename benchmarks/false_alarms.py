@@ -17,6 +17,7 @@ import typer
 from scipy.stats import binomtest
 
 import deepfsi
+from deepfsi.camera.detectors import DetectorMap
 from deepfsi.camera.device import DEVICES
 from deepfsi.design.adaptive.exposures import look_at
 from deepfsi.design.adaptive.misfit import squared_distance
@@ -25,7 +26,6 @@ from deepfsi.design.readout_fit import find_distribution
 from deepfsi.designfile import REFUSED, UNSURE, ReadoutDistribution
 from deepfsi.hardware.counting.gates import Frames, Windows, find_lateness
 from deepfsi.hardware.light import FALSE_ALARMS, PARTS, Arrivals, LightMonitor, check_light
-from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.patterns.sequence import Brightness, Frame, Manifest
 from deepfsi.hardware.patterns.timing import Gates
 
@@ -61,7 +61,7 @@ def manifest_of(detectors: int = 1) -> Manifest:
     seen = None
     if detectors > 1:
         usual = (1 / detectors,) * detectors
-        seen = Detectors(count=detectors, shares=(usual,), spread=(0.01,) * detectors)
+        seen = DetectorMap(count=detectors, shares=(usual,), spread=(0.01,) * detectors)
     return Manifest(
         deepfsi="0",
         device=DEVICES["dlp7000"],

@@ -30,8 +30,10 @@ from deepfsi.datasets import load_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.design.classifiers import Mlp
 from deepfsi.design.evaluation import evaluate
-from deepfsi.jobs.job import Job, Training
+from deepfsi.jobs.job import Job
+from deepfsi.jobs.training import Training
 from deepfsi.optics import constraints
+from deepfsi.optics.detection import Detection
 from deepfsi.optics.masks import LearnedMasks
 from deepfsi.optics.noise import poisson
 from deepfsi.optics.rails import Rails
@@ -238,7 +240,7 @@ def learn(
         {"params": list(network.parameters()), "lr": settings.lr},
         {"params": list(masks.parameters()), "lr": settings.mask_lr if keep is None else 0.0},
     ]
-    detection = job.detection(training_set.data.image_shape)
+    detection = Detection.of_camera(job.optics, training_set.data.image_shape)
     x, count = (
         training_set.centred(job.camera.light, torch.float32, detection),
         len(training_set.labels),

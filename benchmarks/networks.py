@@ -19,8 +19,9 @@ from deepfsi.base.progress import Moments
 from deepfsi.camera.camera import Camera
 from deepfsi.datasets import load_dataset
 from deepfsi.design.evaluation import evaluate
-from deepfsi.design.exposure import Fixed, Looks
-from deepfsi.jobs.job import Job, Training
+from deepfsi.jobs.exposures import Fixed, Looks
+from deepfsi.jobs.job import Job
+from deepfsi.jobs.training import Training
 from deepfsi.training import precision as rules
 from deepfsi.training.learning import train
 from deepfsi.training.training_set import TrainingSet

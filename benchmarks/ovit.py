@@ -23,7 +23,8 @@ from torch.utils.data import DataLoader, TensorDataset
 from deepfsi.base.progress import Moments, Report
 from deepfsi.datasets import Dataset, from_arrays
 from deepfsi.design.classifiers import Vit
-from deepfsi.design.exposure import Patches
+from deepfsi.design.exposure.kinds import begin
+from deepfsi.jobs.exposures import Patches
 from deepfsi.jobs.job import Job
 from deepfsi.jobs.tiles import sensing_matrix
 from deepfsi.training.learning import train
@@ -39,12 +40,12 @@ class Plain(nn.Module):
 
     def __init__(self, job: Job, data: Dataset, light: float) -> None:
         super().__init__()
-        start = sensing_matrix("pca", job.masks, job.exposure.seen(data))
+        start = sensing_matrix("pca", job.masks, job.exposure.view(data))
         start = start / np.abs(start).sum(axis=0).max()
         self.unit = float(np.sqrt(np.mean(start**2)))
         self.masks = nn.Parameter(torch.tensor(start / self.unit, dtype=torch.float32))
         self.side, self.shape, self.light = job.exposure.patch, data.image_shape, light
-        tokens = job.exposure.begin(job, data.image_shape, torch.Generator()).tokens(self.shape)
+        tokens = begin(job, data.image_shape, torch.Generator()).tokens(self.shape)
         self.norm = nn.BatchNorm1d(1, affine=False)
         self.vit = Vit(job.masks, tokens, CLASSES, **job.training.classifier_arguments)
 

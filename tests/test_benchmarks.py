@@ -12,8 +12,10 @@ from torch.nn import functional
 
 from conftest import generator, quick
 from deepfsi.design.classifiers import Mlp
+from deepfsi.design.exposure.kinds import begin
 from deepfsi.hardware.patterns.mirrors import recount, unpack
-from deepfsi.jobs.job import Job, Training
+from deepfsi.jobs.job import Job
+from deepfsi.jobs.training import Training
 from deepfsi.optics.noise import attach_gradient
 from deepfsi.training.learning import train
 from deepfsi.training.training_set import TrainingSet
@@ -204,8 +206,8 @@ def test_the_comparison_of_streaming_runs(capsys):
 def test_both_trainings_of_ovit_do_the_same_work(capsys):
     """They start from one set of masks, and see the same patches in the same light."""
     from deepfsi.datasets import from_arrays
-    from deepfsi.design.exposure import Patches
     from deepfsi.design.exposure.trained import cut
+    from deepfsi.jobs.exposures import Patches
     from deepfsi.training.masks import initial_masks
 
     ovit = benchmark("ovit")
@@ -226,7 +228,7 @@ def test_both_trainings_of_ovit_do_the_same_work(capsys):
     )
     plain = ovit.Plain(job, data, scenes.summed_reflectance)
     matrix = plain.masks.detach() * plain.unit
-    exposure = job.exposure.begin(job, data.image_shape, generator())
+    exposure = begin(job, data.image_shape, generator())
     start = initial_masks(scenes.seen(job.exposure), [job], exposure, None)()
     assert torch.allclose(matrix, start.difference[0], atol=1e-6)
     rows = torch.from_numpy(data.x_train) * (ovit.BUDGET / scenes.summed_reflectance)

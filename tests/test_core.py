@@ -31,7 +31,7 @@ def check(design, digits, photons=1e5):
 
 @pytest.mark.parametrize(
     "name",
-    [name for name, code in codes.DESIGNS.items() if not (code.own or code.adaptive)],
+    [name for name, code in codes.DESIGNS.items() if not (code.is_custom or code.adaptive)],
 )
 def test_each_design_learns_digits_and_counts_no_more_light_than_there_is(digits, name):
     code = codes.DESIGNS[name]

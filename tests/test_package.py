@@ -13,7 +13,8 @@ import deepfsi
 from conftest import RECIPE, quick, same
 from deepfsi.base.progress import Report, shown
 from deepfsi.cli import as_options
-from deepfsi.jobs.job import TUNED, Job, Training
+from deepfsi.jobs.job import Job
+from deepfsi.jobs.training import TUNED, Training
 from shared.jobs import learn
 
 BRIEF = {**RECIPE, "photons": 1e4, "masks": 5, "device": "cpu"}

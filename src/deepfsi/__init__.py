@@ -24,17 +24,17 @@ if TYPE_CHECKING:
     from deepfsi.design.classifiers import Mlp as Mlp
     from deepfsi.design.evaluation import Result as Result
     from deepfsi.design.evaluation import evaluate as evaluate
-    from deepfsi.design.exposure import Fixed as Fixed
-    from deepfsi.design.exposure import Looks as Looks
-    from deepfsi.design.exposure import Nested as Nested
-    from deepfsi.design.exposure import Passing as Passing
-    from deepfsi.design.exposure import Patches as Patches
-    from deepfsi.design.exposure import Range as Range
     from deepfsi.design.own import OwnClassifier as OwnClassifier
     from deepfsi.design.posterior import IdealObserver as IdealObserver
     from deepfsi.design.posterior import ideal_observer as ideal_observer
+    from deepfsi.jobs.exposures import Fixed as Fixed
+    from deepfsi.jobs.exposures import Looks as Looks
+    from deepfsi.jobs.exposures import Nested as Nested
+    from deepfsi.jobs.exposures import Passing as Passing
+    from deepfsi.jobs.exposures import Patches as Patches
+    from deepfsi.jobs.exposures import Range as Range
     from deepfsi.jobs.job import Job as Job
-    from deepfsi.jobs.job import Training as Training
+    from deepfsi.jobs.training import Training as Training
     from deepfsi.lab.classify import classify_run as classify_run
     from deepfsi.lab.classify import classify_table as classify_table
     from deepfsi.lab.prediction import predict as predict
@@ -50,20 +50,20 @@ _HOMES = {
     "Camera": "camera.camera",
     "Dataset": "datasets",
     "Design": "design.artifact",
-    "Fixed": "design.exposure",
+    "Fixed": "jobs.exposures",
     "IdealObserver": "design.posterior",
     "InputError": "base.errors",
     "Job": "jobs.job",
-    "Looks": "design.exposure",
+    "Looks": "jobs.exposures",
     "Mlp": "design.classifiers",
-    "Nested": "design.exposure",
+    "Nested": "jobs.exposures",
     "OwnClassifier": "design.own",
-    "Passing": "design.exposure",
-    "Patches": "design.exposure",
-    "Range": "design.exposure",
+    "Passing": "jobs.exposures",
+    "Patches": "jobs.exposures",
+    "Range": "jobs.exposures",
     "Result": "design.evaluation",
     "Scanner": "optics.scanner",
-    "Training": "jobs.job",
+    "Training": "jobs.training",
     "classify_run": "lab.classify",
     "classify_table": "lab.classify",
     "design_of": "training.assembly",

@@ -5,13 +5,13 @@ import tomllib
 
 import numpy as np
 import pytest
-import torch
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.quantities import seconds
-from deepfsi.camera.camera import EXAMPLES, GUARD_S, PRESETS, Camera, template
+from deepfsi.camera.camera import GUARD_S, PRESETS, Camera
+from deepfsi.camera.detectors import DetectorMap
 from deepfsi.camera.device import DEVICES
-from deepfsi.optics.detection import Detection
+from deepfsi.cli.camera import CAMERA_EXAMPLES, camera_template
 from shared.noises import saturating
 
 pytestmark = pytest.mark.core
@@ -110,7 +110,7 @@ def test_a_camera_of_an_older_file_keeps_its_stretched_cells_and_levels():
 def test_presets_are_cameras(name, light, rails, detectors, readout):
     camera = Camera.load(name)
     assert (camera.light, camera.rails, camera.readout) == (light, rails, readout)
-    assert camera.detection((8, 8)).count == detectors
+    assert camera.detector_map((8, 8)).count == detectors
     assert camera.noise == "poisson"
     assert set(PRESETS) >= {name}
 
@@ -180,12 +180,12 @@ def test_a_noise_of_ones_own_is_kept_as_it_is_and_written_by_its_path():
 
 
 def test_detectors_may_be_a_map_or_a_number(tmp_path):
-    tiles = Detection.of("2x2", (8, 8)).labels
-    np.save(tmp_path / "map.npy", tiles.numpy())
-    for given in (tiles, tiles.numpy(), tiles.tolist(), str(tmp_path / "map.npy")):
+    tiles = DetectorMap.of("2x2", (8, 8)).labels
+    np.save(tmp_path / "map.npy", tiles)
+    for given in (tiles, tiles, tiles.tolist(), str(tmp_path / "map.npy")):
         camera = Camera(detectors=given)
         assert camera.detectors == tuple(tiles.tolist())
-        assert torch.equal(camera.detection((8, 8)).labels, tiles)
+        assert np.array_equal(camera.detector_map((8, 8)).labels, tiles)
         assert Camera.model_validate_json(camera.model_dump_json()) == camera
     assert Camera(detectors=4).detectors == "4"
 
@@ -193,11 +193,11 @@ def test_detectors_may_be_a_map_or_a_number(tmp_path):
 def test_the_template_is_a_camera_file(tmp_path):
     """As it is that of the usual camera; with every line in force, one of each field."""
     file = tmp_path / "camera.toml"
-    file.write_text(template(), "utf-8")
+    file.write_text(camera_template(), "utf-8")
     assert Camera.load(file) == Camera.load(str(file)) == Camera.load("dmd")
-    every = {"light", *EXAMPLES}
+    every = {"light", *CAMERA_EXAMPLES}
     assert every == set(Camera.model_fields)
-    lines = [line.removeprefix("# ") for line in template().splitlines()]
+    lines = [line.removeprefix("# ") for line in camera_template().splitlines()]
     whole = "\n".join(line for line in lines if line.partition(" = ")[0] in every)
     file.write_text(whole, "utf-8")
     camera = Camera.load(file)
@@ -215,7 +215,7 @@ def test_files_that_a_camera_file_names_are_beside_it(tmp_path, monkeypatch):
     file.write_text('detectors = "map.npy"\ndevice = "mirrors.toml"\n')
     monkeypatch.chdir(tmp_path)
     camera = Camera.load("lab/camera.toml")
-    assert camera.detection((8, 8)).count == 4
+    assert camera.detector_map((8, 8)).count == 4
     assert (camera.device.name, camera.device.columns) == ("mirrors", 64)
     assert camera.shortest_dwell == pytest.approx(88e-6)
 
@@ -288,7 +288,7 @@ def test_a_bad_camera_file_is_named(tmp_path, text, match):
 
 
 def test_words_say_optics_frames_and_light():
-    lines = Camera(**{**FULL, "device": "dlp7000", "noise": "camera"}).words.splitlines()
+    lines = Camera(**{**FULL, "device": "dlp7000", "noise": "camera"}).describe().splitlines()
     assert lines == [
         "one DMD with a detector on each arm (light law two-arm); signed masks of two rails",
         "2x2 detectors on each arm",

@@ -5,7 +5,7 @@ import pytest
 
 from deepfsi.base.errors import InputError
 from deepfsi.camera.device import DEVICES, Device, find_device
-from deepfsi.camera.layout import Layout, find_grid
+from deepfsi.camera.layout import DmdLayout, find_grid
 from deepfsi.hardware.patterns.folder import check_patterns, read_frames, read_patterns
 from deepfsi.hardware.patterns.mirrors import unpack
 from hardware.patterns.pattern_samples import SMALL, export
@@ -35,7 +35,7 @@ def test_law_cells_are_square_and_in_the_middle_of_each_device(name, shape):
 )
 def test_stretched_cells_fill_the_device_and_are_not_square(name, stretched, square, share):
     device = DEVICES[name]
-    grid = find_grid(device, (32, 32), Layout(stretch=True))
+    grid = find_grid(device, (32, 32), DmdLayout(stretch=True))
     assert (grid.height, grid.width) == stretched
     assert grid.aspect == stretched[1] / stretched[0]
     grid = find_grid(device, (32, 32))
@@ -51,12 +51,12 @@ def test_a_spectrum_fills_the_height():
 
 def test_cells_lie_in_the_region():
     device = DEVICES["dlp7000"]
-    grid = find_grid(device, (8, 8), Layout(region="400x320+100+40"))
+    grid = find_grid(device, (8, 8), DmdLayout(region="400x320+100+40"))
     assert (grid.height, grid.width) == (40, 40)
     assert (grid.left, grid.top) == (100 + 40, 40)
-    grid = find_grid(device, (8, 8), Layout(region="400x320", stretch=True))
+    grid = find_grid(device, (8, 8), DmdLayout(region="400x320", stretch=True))
     assert (grid.height, grid.width, grid.left, grid.top) == (40, 50, 312, 224)
-    diamond = find_grid(DEVICES["dlp4500"], (8, 8), Layout(region="400x400+1+3"))
+    diamond = find_grid(DEVICES["dlp4500"], (8, 8), DmdLayout(region="400x400+1+3"))
     assert diamond.top % 2 == 0
 
 
@@ -70,21 +70,21 @@ def test_cells_lie_in_the_region():
 )
 def test_a_region_that_cannot_be_is_named(region, match):
     with pytest.raises(InputError, match=match):
-        find_grid(DEVICES["dlp7000"], (8, 8), Layout(region=region))
+        find_grid(DEVICES["dlp7000"], (8, 8), DmdLayout(region=region))
 
 
 @pytest.mark.parametrize("region", ["768", "0x5", "768X768", "-1x4", "4x4+1"])
 def test_text_that_is_no_region_is_refused(region):
     with pytest.raises(ValueError, match="give COLUMNSxROWS"):
-        Layout(region=region)
+        DmdLayout(region=region)
 
 
-def oriented(picture: np.ndarray, layout: Layout) -> np.ndarray:
+def oriented(picture: np.ndarray, layout: DmdLayout) -> np.ndarray:
     """A picture flipped left to right, then turned clockwise."""
     return np.rot90(picture[:, ::-1] if layout.flip else picture, -layout.rotate // 90)
 
 
-@pytest.mark.parametrize("layout", Layout().orientations(), ids=str)
+@pytest.mark.parametrize("layout", DmdLayout().orientations(), ids=str)
 @pytest.mark.parametrize("device", [SMALL, find_device("dlp4500")], ids=["square", "diamond"])
 @pytest.mark.parametrize("selection", ["ordered", "random"])
 def test_law_frames_show_the_masks_flipped_and_turned(tmp_path, layout, device, selection):
@@ -105,7 +105,7 @@ def test_law_frames_show_the_masks_flipped_and_turned(tmp_path, layout, device, 
 
 def test_inverted_files_have_a_one_for_every_mirror_that_is_off(tmp_path):
     usual = export(tmp_path / "a")
-    inverted = export(tmp_path / "b", layout=Layout(stretch=True, invert=True))
+    inverted = export(tmp_path / "b", layout=DmdLayout(stretch=True, invert=True))
     pairs = zip(read_frames(tmp_path / "a"), read_frames(tmp_path / "b"), strict=True)
     assert all(np.array_equal(unpack(a, SMALL), ~unpack(b, SMALL)) for a, b in pairs)
     assert np.array_equal(usual.on, inverted.on)
@@ -126,6 +126,6 @@ def test_a_manifest_that_says_no_layout_is_of_stretched_cells(tmp_path):
 
 def test_the_share_of_the_light_is_that_of_the_mirrors(tmp_path):
     device = Device(name="d", columns=64, rows=48)
-    made = export(tmp_path / "p", device=device, layout=Layout())
+    made = export(tmp_path / "p", device=device, layout=DmdLayout())
     assert made.manifest.used == 0.75
     check_patterns(tmp_path / "p")

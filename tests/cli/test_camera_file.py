@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from safetensors.numpy import load_file
 
-from deepfsi.camera.camera import Camera, template
+from deepfsi.camera.camera import Camera
+from deepfsi.cli.camera import camera_template
 from deepfsi.datasets import write_pictures
 
 FILE = """
@@ -85,7 +86,7 @@ def test_a_camera_file_drives_a_live_run_as_its_options_do(done, lab, tmp_path):
 def test_the_template_is_a_camera_file_and_says_every_field(done, tmp_path):
     done("camera", "describe", "--template", tmp_path / "mine.toml")
     assert Camera.load(tmp_path / "mine.toml") == Camera()
-    assert all(f"{name} = " in template() for name in Camera.model_fields)
+    assert all(f"{name} = " in camera_template() for name in Camera.model_fields)
 
 
 def test_a_camera_is_described_in_words(done, lab):

@@ -10,8 +10,9 @@ from pydantic import BaseModel, Field
 from deepfsi.camera.camera import Camera
 from deepfsi.cli import app
 from deepfsi.cli.settings import NO_OPTIONS, SettingsCommand, with_settings
-from deepfsi.design.exposure import KINDS
-from deepfsi.jobs.job import ALIASES, Job, Training
+from deepfsi.jobs.exposures import KINDS
+from deepfsi.jobs.job import ALIASES, Job
+from deepfsi.jobs.training import Training
 
 OWN = {"design", "masks", "photons", "camera", "seed"}
 RANGED = {"span"}  # a range of budgets is given as --photons LOW:HIGH

@@ -10,6 +10,7 @@ from deepfsi.base.errors import InputError
 from deepfsi.design.artifact import Design
 from deepfsi.design.clicks import to_training_light
 from deepfsi.design.evaluation import evaluate
+from deepfsi.optics.noise import noise_of
 from deepfsi.sweeps.recipe import Recipe
 
 FEW = 60.0
@@ -88,7 +89,7 @@ def test_clicks_off_their_budget_are_answered_as_their_light_allows(digits):
 
 
 def test_clicks_train_features_of_mean_0_and_variance_1(clicking, digits):
-    scanner = clicking.scanner(clicking.camera.detector_noise)
+    scanner = clicking.scanner(noise_of(clicking.camera))
     rates = clicking.rates(scanner, torch.from_numpy(digits.x_train)).float()
     generator = torch.Generator().manual_seed(1)
     seen = scanner.read((rates * FEW).repeat(10, 1, 1), generator)[:, 0] / FEW

@@ -8,6 +8,7 @@ import torch
 
 from conftest import RECIPE, generator, once
 from deepfsi.base.errors import InputError
+from deepfsi.camera.detectors import DetectorMap
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate
 from deepfsi.design.onnx_graph import to_onnx
@@ -122,7 +123,7 @@ def test_more_detectors_read_more_of_the_same_light(digits):
 
 
 def test_a_map_of_detectors_trains_as_its_tiles(digits):
-    tiles = Detection.of("2x2", digits.image_shape).labels.numpy()
+    tiles = Detection.of(DetectorMap.of("2x2", digits.image_shape)).labels.numpy()
     one = trained(digits)
     other = trained(digits, detectors=tuple(tiles.tolist()))
     assert torch.equal(one.rails.stacked, other.rails.stacked)

@@ -6,11 +6,12 @@ from pydantic import BaseModel, ValidationError
 from conftest import generator, synthetic
 from deepfsi import Fixed, Looks, Nested, Passing, Patches, Range
 from deepfsi.base.errors import InputError
-from deepfsi.design.exposure import AnyExposure, find_exposure
 from deepfsi.design.exposure.conditioned import ConditionedExposure
+from deepfsi.design.exposure.kinds import begin
 from deepfsi.design.exposure.looks import LooksExposure
 from deepfsi.design.exposure.passing import PassingExposure
 from deepfsi.design.exposure.trained import FixedExposure, PatchExposure
+from deepfsi.jobs.exposures import AnyExposure, find_exposure
 from shared.jobs import job
 
 pytestmark = pytest.mark.core
@@ -164,7 +165,7 @@ TRAINED = (
 def test_each_kind_begins_the_exposure_of_a_design(settings, kind):
     camera = "paper" if "patch" in settings else "dmd"
     one = job(masks=6, photons=1e3, camera=camera, **settings)
-    found = one.exposure.begin(one, (16, 16), generator())
+    found = begin(one, (16, 16), generator())
     assert isinstance(found, kind)
     assert found.entry() is not None
     assert found.tokens((16, 16)) == (4 if "patch" in settings else 1)
@@ -183,10 +184,10 @@ def test_the_training_noise_is_the_smooth_stand_in_but_for_looks():
 
 def test_patches_see_every_block_as_a_scene_of_its_own():
     data = synthetic((8, 12))
-    seen = Patches(patch=4).seen(data)
+    seen = Patches(patch=4).view(data)
     assert seen.x_train.shape == (6 * len(data.x_train), 16)
     assert seen.x_train.sum() == pytest.approx(data.x_train.sum(), rel=1e-5)
     assert (seen.y_train.reshape(-1, 6) == data.y_train[:, None]).all()
     assert seen.image_shape == (4, 4)
     assert len(seen.x_test) == 0
-    assert Looks(looks=2).seen(data) is data
+    assert Looks(looks=2).view(data) is data

@@ -15,6 +15,8 @@ from conftest import generator, once, quick
 from deepfsi.datasets import from_arrays
 from deepfsi.design.classifiers import Replicas
 from deepfsi.design.evaluation import evaluate
+from deepfsi.design.exposure.kinds import begin
+from deepfsi.optics.detection import Detection
 from deepfsi.optics.features import FeatureNoise
 from deepfsi.optics.scanner import Scanner
 from deepfsi.training.draws import seed_streams
@@ -85,7 +87,7 @@ def test_looks_of_a_training_have_the_same_law(optics, dark, sigma):
     )  # fmt: skip
     one.check(data)
     exposure, gain = (
-        one.exposure.begin(one, (8, 8), generator(2)),
+        begin(one, (8, 8), generator(2)),
         PHOTONS / scenes.summed_reflectance,
     )
     masks = initial_masks(scenes, [one], exposure)
@@ -96,7 +98,7 @@ def test_looks_of_a_training_have_the_same_law(optics, dark, sigma):
     with torch.no_grad():
         features = features_of(scenes, one, masks, noise, streams, exposure, choose)
         last = features.at(0)[-count:, 0].double()
-        detection = one.detection((8, 8))
+        detection = Detection.of_camera(one.optics, (8, 8))
         rates = Scanner(masks, "none", detection=detection).rates(gain * scenes.full[0])
         rates = detection.totals(rates[0]).double()
     k, q = rates.shape[-1], exposure.dwells.count

@@ -11,6 +11,7 @@ from torch import nn
 import deepfsi
 from conftest import PHOTONS, RECIPE, generator, light_on, same
 from deepfsi.base.errors import InputError
+from deepfsi.camera.detectors import DetectorMap
 from deepfsi.design import own
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate
@@ -320,7 +321,7 @@ def test_a_loop_of_ones_own_makes_a_design(digits, tmp_path):
     [("1x1", "both", 2), ("2x2", "difference", 2), ("2x2", "both", 2), ("2x2", "difference", 1)],
 )
 def test_a_loop_of_ones_own_keeps_its_detectors(digits, tmp_path, detectors, readout, rails):
-    detection = Detection.of(detectors, (8, 8), readout)
+    detection = Detection.of(DetectorMap.of(detectors, (8, 8)), readout)
     masks = torch.rand(rails, 3, 64, generator=generator()) / 6
     scanner = deepfsi.Scanner.from_rails(masks, "none", detection=detection)
     with own.seeded(0):
@@ -353,7 +354,7 @@ def test_a_loop_of_ones_own_is_checked(digits):
     dark = deepfsi.Scanner.from_rails(rails, "camera", sigma=-1.0)
     with pytest.raises(InputError, match="sigma"):
         deepfsi.design_of(dark, nn.Linear(3, 10), digits, 1e4)
-    apart = Detection.of("2x2", (8, 8))
+    apart = Detection.of(DetectorMap.of("2x2", (8, 8)))
     with pytest.raises(InputError, match="column is other optics: give light equal-dwell"):
         deepfsi.design_of(
             deepfsi.Scanner.from_rails(rails, detection=apart), nn.Linear(12, 10), digits, 1e4

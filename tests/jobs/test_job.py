@@ -14,7 +14,8 @@ from deepfsi.base.progress import Report
 from deepfsi.design.evaluation import evaluate
 from deepfsi.jobs import designs as codes
 from deepfsi.jobs import tiles
-from deepfsi.jobs.job import TUNED, Job, Training, find_job, owner, sorted_settings
+from deepfsi.jobs.job import Job, find_job, find_table, sorted_settings
+from deepfsi.jobs.training import TUNED, Training
 from deepfsi.optics import constraints
 from deepfsi.optics.rails import Rails
 from deepfsi.training.learning import companions, train
@@ -256,7 +257,7 @@ def test_a_job_comes_back_from_json():
     ],
 )
 def test_every_single_setting_has_an_owner(setting, table, name):
-    assert owner(setting) == (table, name)
+    assert find_table(setting) == (table, name)
 
 
 def test_single_settings_are_sorted_into_the_tables_that_declare_them():
@@ -349,8 +350,8 @@ def test_a_design_has_the_optics_that_it_needs(settings, light, rails, readout, 
     assert (found.light, found.rails, found.readout, found.detectors) == (
         light, rails, readout, detectors,
     )  # fmt: skip
-    assert job.in_force.camera == found
-    assert job.in_force.in_force == job.in_force
+    assert job.resolved.camera == found
+    assert job.resolved.resolved == job.resolved
     assert job.camera == job_of(masks=6, photons=1e3, **{**settings, "design": "deepfsi"}).camera
 
 
@@ -372,9 +373,9 @@ def test_a_job_trains_under_its_cameras_noise_unless_told(settings, noise):
     job = Job(masks=6, photons=1e3, camera=camera, **own)
     assert job.noise == noise
     control = job.model_copy(update={"design": "control"})
-    assert control.masks_from().noise == "gaussian"
-    assert control.masks_from().design == "deepfsi"
-    assert job.masks_from() is job
+    assert control.mask_job().noise == "gaussian"
+    assert control.mask_job().design == "deepfsi"
+    assert job.mask_job() is job
 
 
 def test_companions_differ_in_budget_sigma_and_seed():

@@ -11,7 +11,7 @@ from conftest import generator
 from deepfsi.base.errors import InputError
 from deepfsi.camera.camera import Camera
 from deepfsi.optics.features import FeatureNoise
-from deepfsi.optics.noise import Click, check_noise, resolve, try_own
+from deepfsi.optics.noise import Click, check_noise, noise_of, resolve, try_own
 from deepfsi.optics.scanner import Scanner
 
 DRAWS = 200_000
@@ -155,8 +155,8 @@ def test_a_scanner_counts_clicks():
 
 def test_a_camera_has_gates_for_clicks_alone():
     camera = Camera(noise="click", gates=4)
-    assert camera.detector_noise == Click(4)
-    assert "4 gates a frame" in camera.words
+    assert noise_of(camera) == Click(4)
+    assert "4 gates a frame" in camera.describe()
     assert resolve("click") == ("click", Click(1))
     assert Camera.load(camera, noise="poisson").gates == 1
     assert check_noise("click") == "click"

@@ -6,7 +6,7 @@ import torch
 
 from conftest import FLOAT32, every_optics, generator
 from deepfsi.base.errors import InputError
-from deepfsi.camera.detectors import detector_map
+from deepfsi.camera.detectors import DetectorMap
 from deepfsi.jobs import tiles
 from deepfsi.optics import constraints
 from deepfsi.optics.constraints import expand, fit
@@ -50,7 +50,7 @@ def photons(count: int = 7) -> torch.Tensor:
 @every_optics
 @pytest.mark.parametrize("detectors", MAPS, ids=str)
 def test_each_detector_counts_what_its_part_of_the_mask_passes(detectors, light, rails):
-    frames, seen = rails_for(light, rails), Detection.of(detectors, SHAPE)
+    frames, seen = rails_for(light, rails), Detection.of(DetectorMap.of(detectors, SHAPE))
     wanted = project(photons(), dense(frames, seen))
     found = Scanner.from_rails(frames, "none", detection=seen).rates(photons())
     assert torch.allclose(found, wanted, rtol=10 * FLOAT32, atol=1e-3)
@@ -60,7 +60,7 @@ def test_each_detector_counts_what_its_part_of_the_mask_passes(detectors, light,
 
 def test_a_detector_for_each_pixel_and_one_open_frame_is_impulse_imaging():
     open_frame = torch.ones(1, 1, 48)
-    every = Scanner.from_rails(open_frame, detection=Detection.of("6x8", SHAPE))
+    every = Scanner.from_rails(open_frame, detection=Detection.of(DetectorMap.of("6x8", SHAPE)))
     impulse = Scanner.from_rails(torch.eye(48).unsqueeze(0))
     assert constraints.excess(open_frame, "free-dwell") == 0
     assert torch.equal(every.rates(photons()), impulse.rates(photons()))
@@ -73,7 +73,9 @@ def test_frames_repeated_over_tiles_are_the_masks_of_a_patch():
     scenes = photons()
     cut = scenes.view(-1, 2, 3, 2, 4).transpose(2, 3).flatten(1, 2).flatten(-2)
     wanted = Scanner.from_rails(patch).rates(cut)  # (scenes, patches, rails, masks)
-    found = Scanner.from_rails(frames, detection=Detection.of("2x2", SHAPE)).rates(scenes)
+    found = Scanner.from_rails(frames, detection=Detection.of(DetectorMap.of("2x2", SHAPE))).rates(
+        scenes
+    )
     assert torch.allclose(
         found.unflatten(-1, (5, 4)), wanted.permute(0, 2, 3, 1), rtol=10 * FLOAT32, atol=1e-3
     )
@@ -83,7 +85,7 @@ def test_frames_repeated_over_tiles_are_the_masks_of_a_patch():
 @pytest.mark.parametrize("readout", READOUTS)
 @pytest.mark.parametrize("noise", ["poisson", "gaussian", "ml_gauss", "camera", "none"])
 def test_features_have_the_mean_and_variance_of_their_readouts(light, rails, readout, noise):
-    frames, seen = rails_for(light, rails), Detection.of("2x2", SHAPE, readout)
+    frames, seen = rails_for(light, rails), Detection.of(DetectorMap.of("2x2", SHAPE), readout)
     scanner = Scanner.from_rails(frames, noise, 3.0, 40.0 if noise == "camera" else 0.0, seen)
     x, draws = photons(1), 4000
     features = scanner(x.expand(draws, -1), generator())
@@ -101,7 +103,7 @@ def test_features_have_the_mean_and_variance_of_their_readouts(light, rails, rea
 
 
 def test_both_rails_are_read_mask_by_mask():
-    seen = Detection.of("1x2", (1, 2), "both")
+    seen = Detection.of(DetectorMap.of("1x2", (1, 2)), "both")
     rails = expand(torch.tensor([[0.5, -0.25], [-0.125, 0.0]]), "free-dwell")
     counts = Scanner.from_rails(rails, "none", detection=seen).counts(torch.tensor([16.0, 8.0]))
     assert counts.tolist() == [[8, 0, 0, 0], [0, 2, 2, 0]]  # (rails, mask by mask: 2 detectors)
@@ -113,7 +115,7 @@ def test_both_rails_are_read_mask_by_mask():
 @pytest.mark.parametrize("detectors", MAPS, ids=str)
 @pytest.mark.parametrize("readout", READOUTS)
 def test_a_step_of_training_has_the_gradient_of_autograd(light, rails, detectors, readout):
-    draw, seen = generator(3), Detection.of(detectors, SHAPE, readout)
+    draw, seen = generator(3), Detection.of(DetectorMap.of(detectors, SHAPE), readout)
     scenes = torch.rand(7, 48, generator=draw, dtype=torch.float64)
     middle = scenes.mean(dim=0)
     if light == "column" and seen.count > 1:
@@ -149,7 +151,7 @@ def test_a_step_of_training_has_the_gradient_of_autograd(light, rails, detectors
 
 @pytest.mark.parametrize("detectors", MAPS, ids=str)
 def test_arranging_loses_nothing(detectors):
-    seen, scenes = Detection.of(detectors, SHAPE), photons()
+    seen, scenes = Detection.of(DetectorMap.of(detectors, SHAPE)), photons()
     arranged = seen.arrange(scenes)
     assert torch.equal(seen.restore(arranged), scenes)
     assert arranged.sum() == pytest.approx(float(scenes.sum()), rel=1e-6)
@@ -162,16 +164,16 @@ def test_arranging_loses_nothing(detectors):
 @pytest.mark.parametrize("light", ["equal-dwell", "free-dwell", "two-arm"])
 def test_dark_counts_are_those_of_each_detector(light):
     """Every detector counts its own dark counts for as long as a frame is shown."""
-    frames, seen = rails_for(light, "dual"), Detection.of("2x2", SHAPE)
+    frames, seen = rails_for(light, "dual"), Detection.of(DetectorMap.of("2x2", SHAPE))
     one, four = (each.readouts(FixedMasks(frames)().each(seen.arrange)) for each in (ONE, seen))
     assert torch.equal(four.time.unflatten(-1, (5, 4)), one.time.unsqueeze(-1).expand(2, 5, 4))
 
 
 @pytest.mark.parametrize("design", ["raster", "hadamard", "truncated-hadamard", "pca", "s-matrix"])
 def test_each_part_has_the_masks_of_the_design(digits, design):
-    seen = Detection.of("2x4", digits.image_shape)
-    _, high = tiles.count_allowed(design, digits, seen)
-    matrix = tiles.sensing_matrix(design, high, digits, detection=seen)
+    tiles_of = DetectorMap.of("2x4", digits.image_shape)
+    _, high = tiles.count_allowed(design, digits, tiles_of)
+    matrix = tiles.sensing_matrix(design, high, digits, detectors=tiles_of)
     part = matrix.reshape(high, 2, 4, 4, 2).transpose(1, 3, 0, 2, 4).reshape(8, high, 8)
     assert high == (11 if design == "s-matrix" else 8)
     if design in ("raster", "hadamard", "truncated-hadamard", "s-matrix"):
@@ -183,7 +185,7 @@ def test_each_part_has_the_masks_of_the_design(digits, design):
         assert matrix.sum() == pytest.approx(64 / 8)
         assert float(matrix.max(axis=1).sum()) == 1  # frames of equal time
     with pytest.raises(InputError, match=f"{high + 1} masks .* with 8 detectors"):
-        tiles.check_count(design, high + 1, digits, seen)
+        tiles.check_count(design, high + 1, digits, tiles_of)
 
 
 @pytest.mark.parametrize(
@@ -202,10 +204,10 @@ def test_each_part_has_the_masks_of_the_design(digits, design):
 )
 def test_detectors_that_cannot_be_are_told(detectors, match):
     with pytest.raises(InputError, match=match):
-        detector_map(detectors, SHAPE)
+        DetectorMap.of(detectors, SHAPE)
 
 
 def test_parts_are_as_equal_as_can_be():
-    assert detector_map("4", (10,)).tolist() == [0, 0, 0, 1, 1, 2, 2, 2, 3, 3]
-    sizes = np.bincount(detector_map("3x3", (7, 8)))  # sides of 3, 2, 2 and 3, 3, 2
+    assert DetectorMap.of("4", (10,)).cells == (0, 0, 0, 1, 1, 2, 2, 2, 3, 3)
+    sizes = np.bincount(DetectorMap.of("3x3", (7, 8)).labels)  # sides of 3, 2, 2 and 3, 3, 2
     assert sizes.tolist() == [9, 9, 6, 6, 6, 4, 6, 6, 4]

@@ -8,7 +8,7 @@ from matplotlib.collections import QuadMesh
 
 from deepfsi.base.errors import InputError
 from deepfsi.camera.device import Device, find_device
-from deepfsi.camera.layout import Layout, find_grid
+from deepfsi.camera.layout import DmdLayout, find_grid
 from deepfsi.jobs import designs as codes
 from deepfsi.report import style
 from deepfsi_paper.camera import figures
@@ -64,7 +64,7 @@ def test_views_show_scenes_above_and_views_below_on_one_scale(count):
 
 
 def test_a_frame_is_shown_whole_and_its_close_up_mirror_by_mirror():
-    grid = find_grid(find_device("dlp7000"), (32, 32), Layout(stretch=True))
+    grid = find_grid(find_device("dlp7000"), (32, 32), DmdLayout(stretch=True))
     mirrors = np.random.default_rng(0).random((768, 1024)) < 0.3
     figure = mirrors_figure(mirrors, grid, (4, 9), (2, 3))
     assert_legible(figure)
@@ -83,7 +83,7 @@ def test_a_frame_is_shown_whole_and_its_close_up_mirror_by_mirror():
 
 def test_the_close_up_lies_within_masks_that_leave_a_margin():
     device = Device(name="d", columns=103, rows=77)
-    grid = find_grid(device, (2, 5), Layout(stretch=True))
+    grid = find_grid(device, (2, 5), DmdLayout(stretch=True))
     figure = mirrors_figure(np.ones((77, 103), bool), grid)
     assert_legible(figure)
     left, right, bottom, top = figure.axes[1].get_images()[0].get_extent()

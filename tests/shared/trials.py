@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from deepfsi.datasets import Dataset
-from deepfsi.jobs.job import owner
+from deepfsi.jobs.job import find_table
 from deepfsi.sweeps.context import SweepContext
 from deepfsi.sweeps.queue import run_trials
 from deepfsi.sweeps.recipe import Recipe
@@ -45,6 +45,6 @@ def small(**changes: Any) -> Recipe:
     }
     fields = {name: value for name, value in settings.items() if name in Recipe.model_fields}
     for name in settings.keys() - fields.keys():
-        table, key = owner(name)
+        table, key = find_table(name)
         fields[table] = {**fields.get(table, {}), key: settings[name]}
     return Recipe(**fields)

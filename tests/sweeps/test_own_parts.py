@@ -25,7 +25,7 @@ def test_a_recipe_names_classifiers_of_ones_own(digits, tmp_path):
     assert {trial.variant for trial in trials} == {"classifier mlp", f"classifier {CNN}"}
     records = train_trials(trials, digits, tmp_path, device="cpu")
     for trial, record in zip(trials, records, strict=True):
-        if trial.job.training.own:
+        if trial.job.training.is_custom:
             design = Design.load(tmp_path / f"designs/{record['design']}.safetensors", trust=True)
             alone = learn(
                 digits.hold_out(trial.validation), photons=trial.job.photons, masks=4,

@@ -10,6 +10,7 @@ from deepfsi.base.errors import InputError
 from deepfsi.camera.light import photons_per_pixel
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate
+from deepfsi.design.exposure.kinds import begin
 from deepfsi.design.exposure.trained import cut
 from deepfsi.design.onnx_graph import to_onnx
 from deepfsi.design.stopping import stop
@@ -55,7 +56,7 @@ class Cut:
 
     def masks(self, design: str) -> FixedMasks | LearnedMasks:
         one = job(**SMALL, design=design)
-        exposure = one.exposure.begin(one, self.training_set.data.image_shape, generator())
+        exposure = begin(one, self.training_set.data.image_shape, generator())
         return initial_masks(self.training_set.seen(one.exposure), [one], exposure)
 
     def counts(self, design: str, photons: torch.Tensor, noise: str = "poisson") -> torch.Tensor:

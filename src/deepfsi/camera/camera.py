@@ -9,9 +9,9 @@ no exposure is given it lasts one second, so that a rate is the counts of an exp
 
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import (
     AfterValidator,
@@ -25,13 +25,21 @@ from deepfsi.base.errors import InputError, as_input_error, check_known, closest
 from deepfsi.base.files import read_toml
 from deepfsi.base.models import UserModel
 from deepfsi.base.quantities import Seconds, count_text, time_text
+from deepfsi.camera.dead_time import LONGEST_DEAD_TIME_S, DeadTime
+from deepfsi.camera.detectors import DetectorMap, detector_setting
 from deepfsi.camera.device import Device, find_device
-from deepfsi.camera.layout import Layout, Region, find_grid
-from deepfsi.camera.names import LightLawName, NoiseSetting, RailsKind, Readout, noise_name
-
-if TYPE_CHECKING:
-    from deepfsi.optics.detection import Detection
-    from deepfsi.optics.noise import OwnNoise
+from deepfsi.camera.layout import DmdLayout, Region, find_grid
+from deepfsi.camera.names import (
+    LIGHT_LAWS,
+    LightLawFacts,
+    LightLawName,
+    NoiseFacts,
+    NoiseSetting,
+    RailsKind,
+    Readout,
+    find_noise,
+    noise_name,
+)
 
 UNIT_EXPOSURE_S = 1.0
 """Exposure where none is given, seconds: rates are then the counts of an exposure."""
@@ -42,8 +50,11 @@ GUARD_S = 2e-6
 MOST_GATES = 1_000_000
 """Gates of a frame at most: with more, clicks are as good as Poisson counts."""
 
-LONGEST_DEAD_TIME_S = 1e-5
-"""Longest dead time of a counter, seconds."""
+NAMES_OF_ONE = ("1x1", "1")
+"""Names of one detector that sees all, of images and of spectra."""
+
+ANY_NOISE = NoiseFacts("any noise", dark=True, gates=True)
+"""Facts of a noise that is not valid, and refused for that alone."""
 
 PRESETS: dict[str, dict[str, Any]] = {
     "dmd": {"light": "free-dwell"},
@@ -65,18 +76,6 @@ Levels = Annotated[int, Field(ge=0, le=2**24), AfterValidator(_levels)]
 """Grey levels, dark included; 0 for continuous masks."""
 
 
-def _detectors(given: Any) -> str | tuple[int, ...]:
-    from deepfsi.camera.detectors import read_detectors
-
-    if isinstance(given, str):
-        return read_detectors(given)
-    if isinstance(given, int):
-        return str(given)
-    import numpy as np
-
-    return tuple(np.asarray(given).ravel().tolist())
-
-
 def _device(given: Any) -> Any:
     if not isinstance(given, str):
         return given
@@ -85,6 +84,84 @@ def _device(given: Any) -> Any:
     path = Path(given)
     with as_input_error(given):
         return Device.model_validate({"name": path.stem, **read_toml(path)})
+
+
+Fields = Mapping[str, Any]
+"""Fields of a camera, those that are valid so far."""
+
+
+def _law(fields: Fields) -> LightLawFacts:
+    """Facts of the light law; where the law is not valid, of the usual one."""
+    return LIGHT_LAWS[fields.get("light", "free-dwell")]
+
+
+def _noise(fields: Fields) -> NoiseFacts:
+    """Facts of the noise; where the noise is not valid, of one that has everything."""
+    return find_noise(fields["noise"]) if "noise" in fields else ANY_NOISE
+
+
+_CONFLICTS: tuple[tuple[str, Callable[[Fields], bool], str], ...] = (
+    (
+        "rails",
+        lambda fields: _law(fields).arms == 2 and fields["rails"] == "single",
+        "two-arm with a single rail is not allowed: each arm is a rail; use dual rails",
+    ),
+    (
+        "detectors",
+        lambda fields: (
+            isinstance(fields["detectors"], str)
+            and not re.fullmatch(r"[1-9]\d*(x[1-9]\d*)?", fields["detectors"])
+        ),
+        "give ROWSxCOLUMNS such as 2x2, a number of bands, or a .npy map",
+    ),
+    (
+        "detectors",
+        lambda fields: not _law(fields).one_device and fields["detectors"] not in NAMES_OF_ONE,
+        "several detectors are parts of one device, and column is other optics: give light "
+        "equal-dwell, free-dwell or two-arm",
+    ),
+    (
+        "device",
+        lambda fields: not _law(fields).one_device and fields["device"] is not None,
+        "column is optics that split each pixel's light among all readouts, which no device does: "
+        "give light free-dwell, equal-dwell or two-arm, or leave device out",
+    ),
+    (
+        "exposure",
+        lambda fields: (
+            fields["exposure"] is not None
+            and fields.get("shortest_dwell", 0.0) >= fields["exposure"]
+        ),
+        "a frame is counted for {shortest_dwell:g} s at least: give a longer exposure, which has "
+        "room for more than one frame, or another device or shortest_dwell",
+    ),
+    (
+        "gates",
+        lambda fields: fields["gates"] > 1 and bool(fields.get("dark")),
+        "clicks have no dark counts here: leave dark or gates out",
+    ),
+    (
+        "gates",
+        lambda fields: fields["gates"] > 1 and bool(fields.get("dead_time")),
+        "clicks have no dead time here: leave dead_time or gates out",
+    ),
+    (
+        "noise",
+        lambda fields: bool(fields.get("dark")) and not _noise(fields).dark,
+        "{noise} noise has no dark counts: give noise camera, or leave dark or noise out",
+    ),
+    (
+        "noise",
+        lambda fields: bool(fields.get("dead_time")) and not _noise(fields).dead_time,
+        "clicks have no dead time here: leave dead_time or noise out",
+    ),
+    (
+        "noise",
+        lambda fields: fields.get("gates", 1) > 1 and not _noise(fields).gates,
+        "{noise} noise has no gates: give noise click, or leave gates or noise out",
+    ),
+)
+"""What does not go together: the field that is refused, whether it is, and why."""
 
 
 class Camera(UserModel):
@@ -114,19 +191,17 @@ class Camera(UserModel):
         "two-arm (a detector on each arm) or column (optics that split each pixel's light)",
     )
     rails: RailsKind = Field(
-        default_factory=lambda known: (
-            "dual" if known.get("light") in ("column", "two-arm") else "single"
-        ),
+        default_factory=lambda fields: _law(fields).usual_rails,
         description="dual: signed masks of two frames each; single: non-negative masks; dual for "
         "column and two-arm, else single unless given",
     )
-    detectors: Annotated[str | tuple[int, ...], BeforeValidator(_detectors)] = Field(
+    detectors: Annotated[str | tuple[int, ...], BeforeValidator(detector_setting)] = Field(
         "1x1",
         description="detectors, each on its part of the device: ROWSxCOLUMNS, a number of spectral "
         "bands, or each pixel's detector, from 0 (a .npy file)",
     )
     readout: Readout = Field(
-        default_factory=lambda known: "both" if known.get("light") == "two-arm" else "difference",
+        default_factory=lambda fields: _law(fields).usual_readout,
         description="what the network reads of two rails: both, or their difference; both for "
         "two-arm, else difference unless given",
     )
@@ -144,7 +219,7 @@ class Camera(UserModel):
         False, description="cells fill the device or region, and need not be square"
     )
     shortest_dwell: Seconds = Field(
-        default_factory=lambda known: _shortest_frame(known.get("device")),
+        default_factory=lambda fields: _shortest_frame(fields.get("device")),
         description="shortest time for which a frame is counted, such as 32us; the device's "
         "shortest picture less settling and 2 us unless given",
     )
@@ -184,88 +259,31 @@ class Camera(UserModel):
         "noise",
     )
     noise: NoiseSetting = Field(
-        default_factory=lambda known: (
-            "click" if known.get("gates", 1) > 1 else "camera" if known.get("dark") else "poisson"
+        default_factory=lambda fields: (
+            "click" if fields.get("gates", 1) > 1 else "camera" if fields.get("dark") else "poisson"
         ),
         description="noise of the counts: poisson, gaussian, camera (photons, dark counts and "
         "read noise), click (a gated detector that fires at most once in a gate), none, or "
         "module:function of your own; poisson, click with gates, or camera with dark counts",
     )
     sigma: float = Field(
-        default_factory=lambda known: float(known.get("noise") != "camera"),
+        default_factory=lambda fields: _noise(fields).usual_sigma,
         ge=0,
         allow_inf_nan=False,
         description="read noise of gaussian and camera noise, counts rms per readout; 1 for "
         "gaussian, 0 for camera unless given",
     )
 
-    @field_validator("rails")
+    @field_validator(*(field for field, _, _ in _CONFLICTS))
     @classmethod
-    def _arms_are_rails(cls, rails: RailsKind, info: ValidationInfo) -> RailsKind:
-        if info.data.get("light") == "two-arm" and rails == "single":
-            raise ValueError(
-                "two-arm with a single rail is not allowed: each arm is a rail; use dual rails"
-            )
-        return rails
-
-    @field_validator("detectors")
-    @classmethod
-    def _on_one_device(cls, detectors: Any, info: ValidationInfo) -> Any:
-        if isinstance(detectors, str) and not re.fullmatch(r"[1-9]\d*(x[1-9]\d*)?", detectors):
-            raise ValueError("give ROWSxCOLUMNS such as 2x2, a number of bands, or a .npy map")
-        if info.data.get("light") == "column" and detectors not in ("1x1", "1"):
-            raise ValueError(
-                "several detectors are parts of one device, and column is other optics: give light "
-                "equal-dwell, free-dwell or two-arm"
-            )
-        return detectors
-
-    @field_validator("device")
-    @classmethod
-    def _shows_one_frame(cls, device: Device | None, info: ValidationInfo) -> Device | None:
-        if device is not None and info.data.get("light") == "column":
-            raise ValueError(
-                "column is optics that split each pixel's light among all readouts, which no "
-                "device does: give light free-dwell, equal-dwell or two-arm, or leave device out"
-            )
-        return device
-
-    @field_validator("exposure")
-    @classmethod
-    def _shows_frames(cls, exposure: float | None, info: ValidationInfo) -> float | None:
-        shortest = info.data.get("shortest_dwell", 0.0)
-        if exposure is not None and shortest >= exposure:
-            raise ValueError(
-                f"a frame is counted for {shortest:g} s at least: give a longer exposure, which "
-                "has room for more than one frame, or another device or shortest_dwell"
-            )
-        return exposure
-
-    @field_validator("gates")
-    @classmethod
-    def _without_dark_counts(cls, gates: int, info: ValidationInfo) -> int:
-        for name in ("dark", "dead_time"):
-            if gates > 1 and info.data.get(name):
-                words = {"dark": "dark counts", "dead_time": "dead time"}[name]
-                raise ValueError(f"clicks have no {words} here: leave {name} or gates out")
-        return gates
-
-    @field_validator("noise")
-    @classmethod
-    def _with_dark_counts_or_gates(cls, noise: Any, info: ValidationInfo) -> Any:
-        if info.data.get("dark") and noise_name(noise) != "camera":
-            raise ValueError(
-                f"{noise_name(noise)} noise has no dark counts: give noise camera, or leave dark "
-                "or noise out"
-            )
-        if info.data.get("dead_time") and noise_name(noise) == "click":
-            raise ValueError("clicks have no dead time here: leave dead_time or noise out")
-        if info.data.get("gates", 1) > 1 and noise_name(noise) != "click":
-            raise ValueError(
-                f"{noise_name(noise)} noise has no gates: give noise click, or leave gates or "
-                "noise out"
-            )
-        return noise
+    def _fits(cls, value: Any, info: ValidationInfo) -> Any:
+        """The value of a field, or `ValueError` where it does not go with those before it."""
+        fields = {**info.data, str(info.field_name): value}
+        for field, is_conflict, message in _CONFLICTS:
+            if field == info.field_name and is_conflict(fields):
+                noise = noise_name(fields.get("noise"))
+                raise ValueError(message.format_map({**fields, "noise": noise}))
+        return value
 
     @classmethod
     def load(cls, source: "CameraSource" = None, **settings: Any) -> "Camera":
@@ -285,12 +303,14 @@ class Camera(UserModel):
         """
         name = str(source) if isinstance(source, str | os.PathLike) else ""
         fields = {**_fields(source), **settings}
-        if settings.get("noise", "camera") != "camera":
-            fields["dark"] = settings.get("dark", 0.0)  # only camera noise has dark counts
-        if settings.get("noise") == "click":
-            fields["dead_time"] = settings.get("dead_time", 0.0)  # a gate that fired is blind
-        if settings.get("noise", "click") != "click":
-            fields["gates"] = settings.get("gates", 1)  # only clicks have gates
+        if "noise" in settings:  # the source's fields that this noise does not have go
+            noise = find_noise(settings["noise"])
+            if not noise.dark:
+                fields["dark"] = settings.get("dark", 0.0)
+            if not noise.dead_time:
+                fields["dead_time"] = settings.get("dead_time", 0.0)  # a gate that fired is blind
+            if not noise.gates:
+                fields["gates"] = settings.get("gates", 1)
         for field in fields:
             if field not in cls.model_fields:
                 raise InputError(
@@ -350,21 +370,14 @@ class Camera(UserModel):
         return noise_name(self.noise)
 
     @property
-    def detector_noise(self) -> "str | OwnNoise":
-        """The noise as `Scanner` takes it."""
-        from deepfsi.optics.noise import Click
-
-        return self.noise if self.clicks is None else Click(self.clicks)
-
-    @property
     def clicks(self) -> int | None:
         """Clicks of a readout at most, its gates; None of detectors that count photons."""
-        return self.gates if self.noise_name == "click" else None
+        return self.gates if find_noise(self.noise).gates else None
 
     @property
-    def layout(self) -> Layout:
+    def layout(self) -> DmdLayout:
         """Place of the cells of its masks on the device."""
-        return Layout(region=self.region, stretch=self.stretch)
+        return DmdLayout(region=self.region, stretch=self.stretch)
 
     def mask_levels(self, mask_shape: tuple[int, ...]) -> int:
         """Grey levels of masks of a shape, dark included; 0 for continuous ones."""
@@ -374,19 +387,27 @@ class Camera(UserModel):
             return 0
         return find_grid(self.device, mask_shape, self.layout).mirrors + 1
 
-    def detection(self, image_shape: tuple[int, ...]) -> "Detection":
-        """Detectors of scenes of a shape, and what is read of two rails."""
-        from deepfsi.optics.detection import Detection
-
-        return Detection.of(self.detectors, image_shape, self.readout)
+    def detector_map(self, image_shape: tuple[int, ...]) -> DetectorMap:
+        """Which detector sees each pixel of scenes of a shape."""
+        return DetectorMap.of(self.detectors, image_shape)
 
     @property
-    def words(self) -> str:
+    def one_detector(self) -> bool:
+        """True if one detector sees all that an arm sends."""
+        return self.detectors in NAMES_OF_ONE
+
+    @property
+    def counter_dead_time(self) -> DeadTime:
+        """Dead time of the counter."""
+        return DeadTime(seconds=self.dead_time, paralysable=self.dead_time_model == "paralysable")
+
+    def describe(self) -> str:
         """The camera in a few lines: its optics, what it can show, its light."""
+        law, noise = LIGHT_LAWS[self.light], find_noise(self.noise)
         masks = {"single": "non-negative masks", "dual": "signed masks of two rails"}[self.rails]
-        lines = [f"{OPTICS[self.light]} (light law {self.light}); {masks}"]
-        if self.light != "column":
-            where = " on each arm" if self.light == "two-arm" else ""
+        lines = [f"{law.optics} (light law {self.light}); {masks}"]
+        if law.one_device:
+            where = " on each arm" if law.arms == 2 else ""
             many = self.detectors if isinstance(self.detectors, str) else "of a map"
             lines.append("one detector" + where if many == "1x1" else f"{many} detectors{where}")
         if self.device is not None:
@@ -406,10 +427,10 @@ class Camera(UserModel):
             )
         if self.dark:
             lines.append(f"{count_text(self.dark_counts)} dark counts of a detector in an exposure")
-        if self.noise_name == "click":
+        if noise.gates:
             gates = f"{self.gates} gates" if self.gates > 1 else "one gate"
             lines.append(f"detectors that click at most once in a gate, {gates} a frame")
-        if self.sigma and self.noise_name in ("gaussian", "camera"):
+        if self.sigma and noise.read_noise:
             lines.append(f"read noise of {self.sigma:g} counts rms a readout")
         if self.dead_time:
             lines.append(f"dead time {self.dead_time * 1e9:.4g} ns, {self.dead_time_model}")
@@ -447,44 +468,3 @@ def _shortest_frame(device: Device | None) -> float:
     if device is None:
         return 0.0
     return max(round(device.shortest_us * 1e-6 - device.settle_us * 1e-6 - GUARD_S, 12), 0.0)
-
-
-OPTICS = {
-    "column": "optics that split each pixel's light among all readouts, with a detector for each",
-    "equal-dwell": "one DMD, every frame for the same time",
-    "free-dwell": "one DMD, every frame for a time of its own",
-    "two-arm": "one DMD with a detector on each arm",
-}
-"""What realises each light law."""
-
-
-def template() -> str:
-    """A camera file with a comment on each field, as a laboratory may fill it in."""
-    lines = ["# A camera: leave out what you do not know, or what follows from the rest.", ""]
-    usual = {"light": '"free-dwell"'}
-    for name, field in Camera.model_fields.items():
-        lines.append(f"# {field.description}")
-        lines.append(f"{name} = {usual[name]}" if name in usual else f"# {name} = {EXAMPLES[name]}")
-        lines.append("")
-    return "\n".join(lines)
-
-
-EXAMPLES = {
-    "rails": '"single"',
-    "detectors": '"1x1"',
-    "readout": '"difference"',
-    "device": '"dlp7000"',
-    "exposure": '"10ms"',
-    "region": '"768x768"',
-    "stretch": "false",
-    "shortest_dwell": '"32us"',
-    "levels": "2",
-    "flux": "1e6",
-    "dark": "200",
-    "dead_time": '"20ns"',
-    "dead_time_model": '"non-paralysable"',
-    "noise": '"camera"',
-    "gates": "1",
-    "sigma": "0.0",
-}
-"""Values of a camera file, as TOML writes them."""

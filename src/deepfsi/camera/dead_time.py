@@ -14,18 +14,14 @@ gates come N = m n/r arrivals, of variance
 for all gates of the frame together; of one gate among several it is at most that.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from pydantic import Field
-from scipy.special import lambertw
 
-from deepfsi.base.errors import InputError
 from deepfsi.base.models import StrictModel
-from deepfsi.hardware.patterns.sequence import Frame
 
-LONGEST_S = 1e-5
+LONGEST_DEAD_TIME_S = 1e-5
 """Longest dead time that is corrected for, seconds: a gate must hold many of them."""
 
 MOST_BLIND = {False: 1.0, True: 0.5}
@@ -38,7 +34,7 @@ With more, a dead time that is wrong by a tenth makes the light wrong by more th
 class DeadTime(StrictModel):
     """Dead time of a counter with its detector."""
 
-    seconds: float = Field(ge=0, le=LONGEST_S)  # For which it is blind after a photon
+    seconds: float = Field(ge=0, le=LONGEST_DEAD_TIME_S)  # For which it is blind after a photon
     # True if an arrival that is lost makes it blind again, as overlapping pulses of a
     # photomultiplier do
     paralysable: bool = False
@@ -59,6 +55,8 @@ class DeadTime(StrictModel):
         if not self.paralysable:
             gain = 1 / (1 - rate)
             return Correction(gain, gain**2)
+        from scipy.special import lambertw
+
         blind = -lambertw(-rate).real
         gain = np.exp(blind)
         return Correction(gain, (1 - 2 * rate) * gain**2 / (1 - blind) ** 2)
@@ -78,23 +76,3 @@ class Correction:
 
 NO_DEAD_TIME = DeadTime(seconds=0.0)
 """Nothing is lost."""
-
-
-def check_rates(
-    dead: DeadTime,
-    registered: np.ndarray,
-    frames: Sequence[Frame],
-    inputs: Sequence[int],
-    name: str,
-) -> None:
-    """Raise `InputError` where a counter is too near its saturation to be corrected."""
-    # registered (S, F, inputs)
-    most = dead.most_registered
-    if not (registered > most).any():
-        return
-    worst = _, frame, column = np.unravel_index(np.nanargmax(registered), registered.shape)
-    raise InputError(
-        f"{name} has {registered[worst]:.3g} counts/s on input {inputs[int(column)] + 1} in "
-        f"{frames[int(frame)]}, and a dead time of {dead}, is corrected up to {most:.3g}: dim the "
-        "light, or give the counter's own dead time"
-    )

@@ -1,15 +1,146 @@
-"""Names and maps of detectors on parts of the device (no torch)."""
+"""Detectors on parts of the device: which of them sees each cell of a mask."""
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Annotated, Any, Self
 
 import numpy as np
+from pydantic import AfterValidator, Field, model_validator
 
 from deepfsi.base.arrays import read_npy
 from deepfsi.base.errors import InputError
+from deepfsi.base.models import StrictModel
+from deepfsi.camera.layout import DmdGrid
 
-Detectors = str | Sequence[int] | np.ndarray
+MOST_DETECTORS = 2**16
+"""Detectors of an arm at most."""
+
+DetectorSetting = str | Sequence[int] | np.ndarray
 """ROWSxCOLUMNS, bands of a spectrum as one number, or the detector of each pixel."""
+
+DetectorRows = tuple[tuple[Annotated[int, Field(ge=0)], ...], ...]
+"""Detector of each part of an area that these rows, equally long, divide evenly."""
+
+
+class DetectorMap(StrictModel):
+    """Detectors of a device, or of each of its two arms.
+
+    Attributes
+    ----------
+    count : int
+        D, detectors of an arm.
+    cells : tuple of int, or None
+        Detector of each cell (N,), 0 .. D-1; None where that is not known, as before a calibration,
+        and of one detector that sees all.
+    shares : tuple of tuple of float, or None
+        Share of each detector in the light of each class of the training, (classes, D); None where
+        that is not known.
+    spread : tuple of float
+        Standard deviation of a scene's shares about those of its class, (D,).
+    """
+
+    count: int = Field(ge=1, le=MOST_DETECTORS)
+    cells: tuple[Annotated[int, Field(ge=0)], ...] | None = None
+    shares: tuple[tuple[Annotated[float, Field(ge=0, le=1)], ...], ...] | None = None
+    spread: tuple[Annotated[float, Field(ge=0, allow_inf_nan=False)], ...] = ()
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if self.cells and count_detectors(self.cells) != self.count:
+            raise ValueError("the detectors of the cells are not numbered from 0 without a gap")
+        if self.shares is not None and {len(self.spread), *map(len, self.shares)} != {self.count}:
+            raise ValueError("the light of the classes is of another number of detectors")
+        return self
+
+    @classmethod
+    def of(cls, setting: DetectorSetting, image_shape: tuple[int, ...]) -> Self:
+        """Map of a camera's detectors on scenes.
+
+        Parameters
+        ----------
+        setting : str, sequence of int or array
+            ``"2x2"`` of an image, ``"4"`` of a spectrum, or the detector of each of N pixels.
+        image_shape : tuple of int
+            Shape of a scene, (H, W) or (B,).
+
+        Raises
+        ------
+        InputError
+            Where these detectors do not divide such scenes.
+
+        Examples
+        --------
+        >>> from deepfsi.camera import DetectorMap
+        >>> DetectorMap.of("1x2", (1, 4)).cells
+        (0, 0, 1, 1)
+        """
+        if isinstance(setting, str):
+            cells = _divided(setting, image_shape)
+        else:
+            cells = _listed(np.asarray(setting), image_shape)
+        count = int(cells.max()) + 1
+        return cls(count=count, cells=tuple(cells.tolist()) if count > 1 else None)
+
+    @property
+    def labels(self) -> np.ndarray | None:
+        """Detector of each cell, int64 (N,); None of one that sees all, and where none is known."""
+        return None if self.cells is None else np.array(self.cells, dtype=np.int64)
+
+
+ONE_DETECTOR = DetectorMap(count=1)
+"""One detector that sees all."""
+
+
+def _check_several(detectors: DetectorMap) -> DetectorMap:
+    if detectors.count < 2:
+        raise ValueError("one detector sees all cells, and needs no map")
+    return detectors
+
+
+SeveralDetectors = Annotated[DetectorMap, AfterValidator(_check_several)]
+"""Field of a file that has none where one detector sees all."""
+
+
+def count_detectors(labels: Sequence[int]) -> int | None:
+    """D of the detector of each cell or part; None where numbers from 0 to D-1 leave a gap."""
+    numbers = set(labels)
+    return len(numbers) if max(numbers) == len(numbers) - 1 else None
+
+
+def check_rows(rows: DetectorRows | None) -> DetectorRows | None:
+    """Rows as they are; `ValueError` unless they are equally long and leave no detector out."""
+    if rows is None:
+        return None
+    if len({len(row) for row in rows}) != 1 or not rows[0]:
+        raise ValueError("the rows of the detectors differ in length")
+    if count_detectors([label for row in rows for label in row]) is None:
+        raise ValueError("the detectors are not numbered from 0 without a gap")
+    return rows
+
+
+def mirrors_of_detectors(
+    labels: np.ndarray, grid: DmdGrid, device_shape: tuple[int, int]
+) -> list[np.ndarray]:
+    """Mirrors that each detector sees, as places among all mirrors of the device in a row.
+
+    Parameters
+    ----------
+    labels : array of int, shape (rows, columns)
+        Detector of each of the parts that divide the area of the cells evenly.
+    grid : DmdGrid
+        The cells on the device.
+    device_shape : tuple of int
+        Rows and columns of the device's mirrors.
+    """
+    area = grid.down * grid.height, grid.across * grid.width
+    rows, columns = (
+        np.arange(mirrors) * parts // mirrors
+        for parts, mirrors in zip(labels.shape, area, strict=True)
+    )
+    of_mirrors = np.full(device_shape, -1)
+    of_mirrors[grid.window] = labels[np.ix_(rows, columns)]
+    return [np.flatnonzero(of_mirrors == detector) for detector in range(labels.max() + 1)]
 
 
 def read_detectors(name: str) -> str | tuple[int, ...]:
@@ -25,38 +156,52 @@ def read_detectors(name: str) -> str | tuple[int, ...]:
     return tuple(labels.ravel().tolist())
 
 
-def detector_map(detectors: Detectors, image_shape: tuple[int, ...]) -> np.ndarray:
-    """Detector (N,) of each pixel, 0 .. D-1, int64."""
-    shape = "x".join(map(str, image_shape))
-    if isinstance(detectors, str):
-        if detectors == "1x1":
-            return np.zeros(int(np.prod(image_shape)), dtype=np.int64)
-        parts = detectors.lower().split("x")
-        whole = all(part.isdecimal() for part in parts) and len(parts) == len(image_shape)
-        if not whole or not all(
-            1 <= int(n) <= side for n, side in zip(parts, image_shape, strict=True)
-        ):
-            form = "ROWSxCOLUMNS" if len(image_shape) == 2 else "a number of bands"
-            raise InputError(
-                f"detectors {detectors!r} do not divide scenes of {shape}: give {form} from "
-                f"{'x'.join('1' for _ in image_shape)} to {shape}, or a map of each pixel's "
-                "detector, a .npy file"
-            )
-        labels: np.ndarray = np.zeros((), dtype=np.int64)
-        for n, side in zip(map(int, parts), image_shape, strict=True):
-            labels = labels[..., None] * n + np.arange(side) * n // side
-        return labels.ravel()
-    given = np.asarray(detectors)
-    pixels = int(np.prod(image_shape))
-    if given.dtype.kind not in "iu" or given.size != pixels:
+def detector_setting(given: Any) -> str | tuple[int, ...]:
+    """Field of a camera: a name or bands as text, or the detector of each pixel."""
+    if isinstance(given, str):
+        return read_detectors(given)
+    if isinstance(given, int):
+        return str(given)
+    return tuple(np.asarray(given).ravel().tolist())
+
+
+def _divided(name: str, image_shape: tuple[int, ...]) -> np.ndarray:
+    """Detector of each pixel (N,) where each side is divided as evenly as it can be."""
+    if name == "1x1":
+        return np.zeros(math.prod(image_shape), dtype=np.int64)
+    numbers = name.lower().split("x")
+    whole = all(number.isdecimal() for number in numbers) and len(numbers) == len(image_shape)
+    if not whole or not all(
+        1 <= int(number) <= side for number, side in zip(numbers, image_shape, strict=True)
+    ):
+        form = "ROWSxCOLUMNS" if len(image_shape) == 2 else "a number of bands"
+        shape = _text(image_shape)
         raise InputError(
-            f"a map of detectors of shape {given.shape} and type {given.dtype} does not fit scenes "
-            f"of {shape}: give {pixels} whole numbers"
+            f"detectors {name!r} do not divide scenes of {shape}: give {form} from "
+            f"{'x'.join('1' for _ in image_shape)} to {shape}, or a map of each pixel's "
+            "detector, a .npy file"
         )
-    labels = given.ravel().astype(np.int64)
-    found = np.unique(labels)
-    if not np.array_equal(found, np.arange(len(found))):
+    labels: np.ndarray = np.zeros((), dtype=np.int64)
+    for number, side in zip(map(int, numbers), image_shape, strict=True):
+        labels = labels[..., None] * number + np.arange(side) * number // side
+    return labels.ravel()
+
+
+def _listed(labels: np.ndarray, image_shape: tuple[int, ...]) -> np.ndarray:
+    """Detector of each pixel (N,), as it was given one by one."""
+    pixels = math.prod(image_shape)
+    if labels.dtype.kind not in "iu" or labels.size != pixels:
+        raise InputError(
+            f"a map of detectors of shape {labels.shape} and type {labels.dtype} does not fit "
+            f"scenes of {_text(image_shape)}: give {pixels} whole numbers"
+        )
+    numbers = np.unique(labels)
+    if not np.array_equal(numbers, np.arange(len(numbers))):
         raise InputError(
             "a map of detectors must number them from 0 without a gap: each sees a pixel or more"
         )
-    return labels
+    return labels.ravel().astype(np.int64)
+
+
+def _text(image_shape: tuple[int, ...]) -> str:
+    return "x".join(map(str, image_shape))

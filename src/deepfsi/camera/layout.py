@@ -35,7 +35,7 @@ Region = Annotated[str, AfterValidator(_region)]
 """Part of a device: COLUMNSxROWS of mirrors, in its middle, or COLUMNSxROWS+LEFT+TOP."""
 
 
-class Layout(StrictModel):
+class DmdLayout(StrictModel):
     """Place of the cells of masks on a device."""
 
     region: Region | None = None  # that holds the cells; the whole device unless given
@@ -54,7 +54,7 @@ class Layout(StrictModel):
         side = -1 if self.flip else 1
         return (cos * side, -sin), (sin * side, cos)
 
-    def orientations(self) -> "tuple[Layout, ...]":
+    def orientations(self) -> "tuple[DmdLayout, ...]":
         """The layout in each of the eight orientations, that as exported first."""
         return tuple(
             self.model_copy(update={"flip": flip, "rotate": turn})
@@ -63,12 +63,12 @@ class Layout(StrictModel):
         )
 
 
-USUAL_LAYOUT = Layout()
+USUAL_LAYOUT = DmdLayout()
 """Square cells in the middle, as they are."""
 
 
 @dataclass(frozen=True)
-class Grid:
+class DmdGrid:
     """Cells of a mask on a device: as large as fit, centred; mirrors beyond them are OFF."""
 
     down: int  # cells
@@ -78,7 +78,7 @@ class Grid:
     top: int  # rows and columns of mirrors before the first cell
     left: int
     diamond: bool = False  # true where odd rows lie half a column to the right
-    layout: Layout = USUAL_LAYOUT
+    layout: DmdLayout = USUAL_LAYOUT
 
     @property
     def mirrors(self) -> int:
@@ -129,7 +129,9 @@ class Grid:
         return np.rot90(places, -self.layout.rotate // 90)
 
 
-def find_grid(device: Device, image_shape: tuple[int, ...], layout: Layout = USUAL_LAYOUT) -> Grid:
+def find_grid(
+    device: Device, image_shape: tuple[int, ...], layout: DmdLayout = USUAL_LAYOUT
+) -> DmdGrid:
     """Grid of a mask's cells; a mask of one axis (a spectrum) lies across the device."""
     # Cells are square unless the layout stretches them, or the mask has one axis: a spectrum's are
     # as tall as the region
@@ -153,7 +155,7 @@ def find_grid(device: Device, image_shape: tuple[int, ...], layout: Layout = USU
         height = width * together
     top += (rows - down * height) // 2
     left += (columns - across * width) // 2
-    return Grid(down, across, height, width, top - top % together, left, diamond, layout)
+    return DmdGrid(down, across, height, width, top - top % together, left, diamond, layout)
 
 
 def _find_region(device: Device, region: Region | None) -> tuple[int, int, int, int]:

@@ -1,19 +1,20 @@
-"""Names of light laws, rails, readouts, noises and scales, and limits, shared by all parts."""
+"""Names of light laws, noises, rails and readouts, and the facts of laws and noises.
+
+Who needs to know something of a law or a noise asks its facts: `LIGHT_LAWS` and `NOISES` are the
+only places that tell one name from another.
+"""
 
 import re
+from dataclasses import dataclass
 from typing import Annotated, Any, Literal, get_args
 
 from pydantic import AfterValidator, Field, PlainSerializer, WithJsonSchema
 
-from deepfsi.base import plugins as imports
-from deepfsi.base.errors import check_known
-from deepfsi.base.plugins import UNNAMED
+from deepfsi.base.errors import InputError, check_known
+from deepfsi.base.plugins import PATTERN, UNNAMED, path_of
 
 LightLawName = Literal["column", "equal-dwell", "free-dwell", "two-arm"]
 """Name of a light law, see `optics.constraints`."""
-
-LOOK_LIGHT: tuple[LightLawName, ...] = ("free-dwell", "two-arm")
-"""Light laws under which a device can show masks that are made while it looks."""
 
 RailsKind = Literal["dual", "single"]
 """Rails of each mask: positive and negative part, or one non-negative frame."""
@@ -21,50 +22,152 @@ RailsKind = Literal["dual", "single"]
 Readout = Literal["difference", "both"]
 """What a network reads of two rails."""
 
-Scale = Literal["each", "common"]
-"""Whether each feature has a standard deviation of its own, or all a common one."""
-
 NoiseName = Literal["none", "gaussian", "poisson", "ml_gauss", "camera", "click"]
 """Name of a detector noise, see `optics.noise`."""
-
-MLP, VIT = "mlp", "vit"
-"""Names of the paper's classifier, and of the transformer of patches, in settings."""
-
-MOST_LAYERS = 64
-"""Hidden layers of a network at most."""
-
-Widths = Annotated[tuple[Annotated[int, Field(ge=1)], ...], Field(max_length=MOST_LAYERS)]
-"""Widths of the hidden layers of a network."""
 
 SummedReflectance = Annotated[float, Field(ge=1e-6, allow_inf_nan=False)]
 """Mean summed reflectance of training scenes, s."""
 
 
-def check_noise(name: str) -> str:
-    """Return the name or import path of a noise, or raise `InputError` that names the closest."""
-    if not re.fullmatch(imports.PATTERN, name):
-        check_known("noise", name, get_args(NoiseName))
-    return name
+@dataclass(frozen=True)
+class LightLawFacts:
+    """Facts of a light law, whatever its masks are.
+
+    Attributes
+    ----------
+    optics : str
+        What realises it, in words.
+    one_device : bool
+        True if one micromirror device shows the masks one after another.
+    arms : int
+        Arms of the device whose light is counted; on two, one frame serves both rails of a mask.
+    looks : bool
+        True if masks and dwells can be chosen while the exposure runs.
+    equal_times : bool
+        True if all frames are shown for the same time.
+    usual_rails, usual_readout : str
+        Fields of a camera that are not given.
+    """
+
+    optics: str
+    one_device: bool = True
+    arms: int = 1
+    looks: bool = False
+    equal_times: bool = False
+    usual_rails: RailsKind = "single"
+    usual_readout: Readout = "difference"
 
 
-NOISES = {"poisson": "photon noise", "gaussian": "Gaussian read noise", "camera": "camera noise"}
+LIGHT_LAWS: dict[str, LightLawFacts] = {
+    "column": LightLawFacts(
+        "optics that split each pixel's light among all readouts, with a detector for each",
+        one_device=False,
+        usual_rails="dual",
+    ),
+    "equal-dwell": LightLawFacts("one DMD, every frame for the same time", equal_times=True),
+    "free-dwell": LightLawFacts("one DMD, every frame for a time of its own", looks=True),
+    "two-arm": LightLawFacts(
+        "one DMD with a detector on each arm",
+        arms=2,
+        looks=True,
+        usual_rails="dual",
+        usual_readout="both",
+    ),
+}
+"""Facts of each light law, by its name."""
+
+
+def check_light(light: str, rails: str) -> None:
+    """Raise `InputError` unless the light law exists and can be had with these rails."""
+    check_known("light law", light, LIGHT_LAWS)
+    check_known("rails", rails, get_args(RailsKind))
+    if LIGHT_LAWS[light].arms == 2 and rails == "single":
+        raise InputError(
+            "two-arm with a single rail is not allowed: each arm is a rail; use dual rails, and "
+            "not raster or s-matrix, which have one"
+        )
+
+
+@dataclass(frozen=True)
+class NoiseFacts:
+    """Facts of a noise, whatever it is drawn of.
+
+    Attributes
+    ----------
+    title : str
+        Name for headings and sentences.
+    photons : bool
+        True if its mean is the rate and its variance grows with the light, or is 0: dwells can be
+        chosen under it.
+    counting : bool
+        True if whole counts are drawn, whose mean is known.
+    dark, read_noise, gates : bool
+        True if it has dark counts, a `sigma`, or gates in which a detector clicks at most once.
+    dead_time : bool
+        False if counts are never corrected for a dead time.
+    usual_sigma : float
+        `sigma` of a camera where it is not given, counts rms per readout.
+    trains_as : str, optional
+        Noise that is trained under in its place.
+    """
+
+    title: str
+    photons: bool = False
+    counting: bool = False
+    dark: bool = False
+    read_noise: bool = False
+    gates: bool = False
+    dead_time: bool = True
+    usual_sigma: float = 1.0
+    trains_as: NoiseName | None = None
+
+
+NOISES: dict[str, NoiseFacts] = {
+    "none": NoiseFacts("none noise", photons=True),
+    "gaussian": NoiseFacts("Gaussian read noise", read_noise=True),
+    "poisson": NoiseFacts("photon noise", photons=True, counting=True, trains_as="ml_gauss"),
+    "ml_gauss": NoiseFacts("ml_gauss noise", photons=True),
+    "camera": NoiseFacts(
+        "camera noise", photons=True, counting=True, dark=True, read_noise=True, usual_sigma=0.0
+    ),
+    "click": NoiseFacts("click noise", counting=True, gates=True, dead_time=False),
+}
+"""Facts of each noise of the package, by its name."""
+
+
+def find_noise(noise: Any) -> NoiseFacts:
+    """Facts of a noise of a name; of one's own, nothing is known but what it is called.
+
+    Parameters
+    ----------
+    noise : str or callable
+        Name, import path, or the function itself.
+    """
+    name = noise_name(noise)
+    return NOISES.get(name) or NoiseFacts(f"{name} noise")
 
 
 def noise_text(noise: str) -> str:
-    """Name of a noise model for headings and sentences."""
-    return NOISES.get(noise, f"{noise} noise")
+    """Name of a noise for headings and sentences."""
+    return find_noise(noise).title
+
+
+def check_noise(name: str) -> str:
+    """Return the name or import path of a noise, or raise `InputError` that names the closest."""
+    if not re.fullmatch(PATTERN, name):
+        check_known("noise", name, NOISES)
+    return name
 
 
 def noise_name(noise: Any) -> str:
     """Name or import path of a noise that is given by name or as a function."""
     if isinstance(noise, str):
         return noise
-    from deepfsi.optics.noise import resolve
+    name = getattr(noise, "name", None)  # of a function of the package's, such as `Click`
+    return name if name in NOISES else path_of(noise) or UNNAMED
 
-    return resolve(noise)[0]
 
-
-def _known_noise(noise: Any) -> Any:
+def _check_setting(noise: Any) -> Any:
     if not (isinstance(noise, str) or callable(noise)):
         raise ValueError("give a noise's name, or noise(rates, generator) of your own")
     if isinstance(noise, str) and noise != UNNAMED:
@@ -74,7 +177,7 @@ def _known_noise(noise: Any) -> Any:
 
 NoiseSetting = Annotated[
     Any,
-    AfterValidator(_known_noise),
+    AfterValidator(_check_setting),
     PlainSerializer(noise_name, return_type=str),
     WithJsonSchema({"type": "string"}),
 ]

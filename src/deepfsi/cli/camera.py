@@ -43,6 +43,42 @@ EVENT_BYTES = 4
 """Bytes of a photon in its file."""
 
 
+CAMERA_EXAMPLES = {
+    "rails": '"single"',
+    "detectors": '"1x1"',
+    "readout": '"difference"',
+    "device": '"dlp7000"',
+    "exposure": '"10ms"',
+    "region": '"768x768"',
+    "stretch": "false",
+    "shortest_dwell": '"32us"',
+    "levels": "2",
+    "flux": "1e6",
+    "dark": "200",
+    "dead_time": '"20ns"',
+    "dead_time_model": '"non-paralysable"',
+    "noise": '"camera"',
+    "gates": "1",
+    "sigma": "0.0",
+}
+"""Values of a camera file, as TOML writes them."""
+
+
+def camera_template() -> str:
+    """A camera file with a comment on each field, as a laboratory may fill it in."""
+    from deepfsi.camera.camera import Camera
+
+    lines = ["# A camera: leave out what you do not know, or what follows from the rest.", ""]
+    usual = {"light": '"free-dwell"'}
+    for name, field in Camera.model_fields.items():
+        lines.append(f"# {field.description}")
+        lines.append(
+            f"{name} = {usual[name]}" if name in usual else f"# {name} = {CAMERA_EXAMPLES[name]}"
+        )
+        lines.append("")
+    return "\n".join(lines)
+
+
 @with_settings(laboratory_fields, leave=("camera",))
 def camera_describe(
     settings: dict[str, Any],
@@ -64,12 +100,11 @@ def camera_describe(
     Example: deepfsi camera describe --template my-lab.toml
     """
     from deepfsi.camera.camera import PRESETS, Camera
-    from deepfsi.camera.camera import template as commented
     from deepfsi.lab.camera import camera_of
 
     if template is not None:
         paths.check_file(template, (".toml",), force)
-        write_atomically(template, commented().encode())
+        write_atomically(template, camera_template().encode())
         print(f"camera file: {template}; then: deepfsi camera describe {template}")
         return
     name = "dmd" if source is None else str(source)
@@ -83,7 +118,7 @@ def camera_describe(
         shown = {"shortest_share": found.shortest_share}
         common.print_json("camera.describe", {"camera": held, **counted, **shown})
         return
-    print(found.words)
+    print(found.describe())
 
 
 @with_settings(laboratory_fields, "exposure", "flux", "dark", "dead_time", "dead_time_model")

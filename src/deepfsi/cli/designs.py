@@ -98,7 +98,7 @@ def design(
         common.print_json("design", {**said, "lit_masks": fewest_lit(results)})
         return
     common.print_data(scenes, notes)
-    print(job.exposure.words(job.optics))
+    print(job.exposure.describe(job.optics))
     for result in results:
         print(
             f"{made.name} with {common.size(made)} at {common.budget(result.photons)} photons: "

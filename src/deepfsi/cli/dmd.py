@@ -13,7 +13,7 @@ from deepfsi.cli.settings import SettingsCommand, laboratory_fields, with_settin
 
 if TYPE_CHECKING:
     from deepfsi.camera.device import Device
-    from deepfsi.camera.layout import Grid, Layout
+    from deepfsi.camera.layout import DmdGrid, DmdLayout
     from deepfsi.hardware.patterns.folder import DesignRails
     from deepfsi.hardware.patterns.sequence import Manifest, Patterns
     from deepfsi.hardware.patterns.timing import Cost
@@ -131,13 +131,13 @@ def dmd_export(
     _print_patterns("dmd.export", patterns, out, as_json)
 
 
-def _layout(known: "Layout", **options: Any) -> "Layout":
+def _layout(known: "DmdLayout", **options: Any) -> "DmdLayout":
     """Layout of a camera, with the orientation of options."""
     from deepfsi.base.errors import as_input_error
-    from deepfsi.camera.layout import Layout
+    from deepfsi.camera.layout import DmdLayout
 
     with as_input_error():
-        return Layout.model_validate(known.model_dump() | options)
+        return DmdLayout.model_validate(known.model_dump() | options)
 
 
 def _rails(file: Path, size: str | None, detectors: int | None) -> "DesignRails":
@@ -268,7 +268,7 @@ def _allowed(device: "Device") -> str:
     return f"{device.shortest_us} to {device.longest_us}"
 
 
-def _placed(manifest: "Manifest", grid: "Grid") -> str:
+def _placed(manifest: "Manifest", grid: "DmdGrid") -> str:
     """Cells on the device, in words."""
     device, layout = manifest.device, manifest.layout
     columns, rows = grid.across * grid.width, grid.down * grid.height

@@ -280,8 +280,10 @@ def budget_range(text: str) -> tuple[float, float]:
 
 def check_sigma(given: Mapping[str, Any], noises: Iterable[str]) -> None:
     """Raise `InputError` if read noise is given and none of these noises has any."""
-    named = [each for each in dict.fromkeys(noises) if each != "ml_gauss"]  # of photons
-    if "sigma" in given and not {"gaussian", "camera"} & {*named}:
+    from deepfsi.camera.names import find_noise
+
+    named = [noise for noise in dict.fromkeys(noises) if noise != "ml_gauss"]  # of photons
+    if "sigma" in given and not any(find_noise(noise).read_noise for noise in named):
         raise InputError(
             f"--sigma is not of {' and '.join(named)} noise: leave it out, or give --noise "
             "gaussian or camera"
@@ -327,21 +329,22 @@ def job_settings(
 
 def _fixed_count(job: Mapping[str, Any], data: "Dataset") -> int:
     """Number of masks of a design that has no choice, or `InputError`."""
-    from deepfsi.design.exposure import find_exposure
+    from deepfsi.camera.detectors import ONE_DETECTOR
     from deepfsi.jobs import designs as codes
     from deepfsi.jobs import tiles
-    from deepfsi.optics.detection import ONE
+    from deepfsi.jobs.exposures import find_exposure
 
     exposure = find_exposure(job.get("exposure", {}))
-    if exposure.own_count:
-        return exposure.own_count
+    if exposure.fixed_mask_count:
+        return exposure.fixed_mask_count
     design = codes.check_design(job.get("design", "deepfsi"))
     code = codes.DESIGNS[design]
     if not code.fixed_count:
         raise InputError(f"{design} needs a number of masks: add --masks, for instance --masks 10")
     scene = exposure.scene(data)
-    detection = ONE if code.every_pixel else job["camera"].detection(scene.image_shape)
-    return tiles.count_allowed(design, scene, detection)[1]
+    camera = job["camera"]
+    detectors = ONE_DETECTOR if code.every_pixel else camera.detector_map(scene.image_shape)
+    return tiles.count_allowed(design, scene, detectors)[1]
 
 
 def recipe_fields(
@@ -374,7 +377,7 @@ def recipe_settings(
     # Options of a job are axes, as text; `own` are fields of the recipe, None where one is not
     # given; settings of `base` hold where no option overrides them
     from deepfsi.camera.camera import Camera
-    from deepfsi.jobs.job import owner
+    from deepfsi.jobs.job import find_table
 
     fields = {name: value for name, value in own.items() if value is not None}
     if "masks" in given and "ratios" in fields:
@@ -383,7 +386,7 @@ def recipe_settings(
     if "camera" in given:
         tables["camera"] = Camera.load(given["camera"]).given
     for name, text in given.items():
-        table, key = owner(name)
+        table, key = find_table(name)
         if name != "camera":
             if name == "hidden":  # widths of one network
                 tables[table][key] = [numbers(name, text, whole=True)]

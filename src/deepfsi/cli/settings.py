@@ -43,8 +43,9 @@ FIRST = "Options"
 def job_fields() -> Fields:
     """Help panel and field of each option of a job."""
     from deepfsi.camera.camera import Camera
-    from deepfsi.design.exposure import EXPOSURE_FIELDS, KINDS
-    from deepfsi.jobs.job import Job, Training
+    from deepfsi.jobs.exposures import EXPOSURE_FIELDS, KINDS
+    from deepfsi.jobs.job import Job
+    from deepfsi.jobs.training import Training
 
     found: Fields = {name: (FIRST, Job.model_fields[name]) for name in JOB_FIELDS}
     found |= _named("camera", "Camera", Camera.model_fields)

@@ -9,6 +9,8 @@ import torch
 from torch import Tensor, nn
 
 from deepfsi.base.errors import InputError
+from deepfsi.camera.detectors import DetectorMap
+from deepfsi.camera.names import check_light
 from deepfsi.design.classifiers import Mlp, Vit, restored
 from deepfsi.design.exposure.conditioned import ConditionedExposure
 from deepfsi.design.exposure.looks import LooksExposure
@@ -106,8 +108,9 @@ def _fields(file: DesignFile, header: MaskHeader) -> dict[str, Any]:
     rails = Rails.of(torch.from_numpy(file.rails))
     detection = Detection(header.readout)
     if file.arrays.get("detectors") is not None:
-        detection = Detection.of(file.arrays["detectors"], header.image_shape, header.readout)
-    constraints.check_light(header.light, rails.kind)
+        detectors = DetectorMap.of(file.arrays["detectors"], header.image_shape)
+        detection = Detection.of(detectors, header.readout)
+    check_light(header.light, rails.kind)
     constraints.check(rails.stacked, header.light)
     weights = {name: torch.from_numpy(array) for name, array in file.part("exposure").items()}
     exposure = KINDS[header.exposure.kind].restored(

@@ -25,6 +25,7 @@ from deepfsi.design.confidence import confidence_error
 from deepfsi.design.estimation import test_values
 from deepfsi.design.values import Values
 from deepfsi.designfile import TrainingScenes, new_scenes
+from deepfsi.optics.noise import noise_of
 from deepfsi.optics.scanner import Scanner
 from deepfsi.optics.surroundings import library_defaults
 
@@ -303,7 +304,7 @@ def camera_for(design: Tested, camera: CameraSource = None, **settings: Any) -> 
 def scanner_for(design: Design, camera: Camera) -> Scanner:
     """A design's front end with the noise, the dark counts and the read noise of a camera."""
     dark = camera.dark_counts if camera.noise_name == "camera" else 0.0
-    scanner = design.scanner(camera.detector_noise, camera.sigma, dark)
+    scanner = design.scanner(noise_of(camera), camera.sigma, dark)
     design.exposure.check_noise(scanner.noise)
     return scanner
 

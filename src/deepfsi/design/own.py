@@ -18,6 +18,7 @@ from torch import Tensor, nn
 
 from deepfsi.base import plugins as imports
 from deepfsi.base.errors import InputError
+from deepfsi.jobs.training import describe_classifier
 
 Factory = Callable[..., nn.Module]
 """Makes a module of the number of features and, if it takes two numbers, that of classes."""
@@ -107,28 +108,11 @@ class OwnClassifier(nn.Module):
         return logits.reshape(*features.shape[:-1], logits.shape[-1])
 
 
-def describe(given: Given, arguments: Mapping[str, Any] | None) -> tuple[str, dict[str, Any]]:
-    """Name of a classifier in settings and in design files, and its factory's arguments."""
-    # The name is an import path where there is one, else `imports.UNNAMED`
-    every = dict(arguments or {})
-    if isinstance(given, functools.partial):
-        if given.args:
-            raise InputError("a partial of positional arguments was given: give them as keywords")
-        return imports.path_of(given.func) or imports.UNNAMED, {**given.keywords, **every}
-    if isinstance(given, str):
-        return given, every
-    if isinstance(given, nn.Module):
-        if every:
-            raise InputError("arguments go with a factory: a module has its own already")
-        return imports.UNNAMED, {}
-    return imports.path_of(given) or imports.UNNAMED, every
-
-
 def make(
     given: Given, arguments: Mapping[str, Any], inputs: int, classes: int, seed: int = 0
 ) -> OwnClassifier:
     """Classifier for so many inputs and classes, tried on zeros."""
-    name, every = describe(given, arguments)
+    name, every = describe_classifier(given, arguments)
     factory = given.func if isinstance(given, functools.partial) else given
     factory = imports.named(factory) if isinstance(factory, str) else factory
     with seeded(seed):

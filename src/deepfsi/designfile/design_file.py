@@ -19,8 +19,9 @@ from pydantic import TypeAdapter
 from deepfsi.base.arrays import DamagedError, read_tensors
 from deepfsi.base.errors import InputError, as_input_error, other_version
 from deepfsi.camera.camera import Camera
-from deepfsi.camera.detectors import detector_map
+from deepfsi.camera.detectors import DetectorMap
 from deepfsi.camera.light import share_out
+from deepfsi.camera.names import LIGHT_LAWS
 from deepfsi.camera.stop_rule import StopRule
 from deepfsi.designfile.distribution import ReadoutDistribution
 from deepfsi.designfile.header import DESIGN_SCHEMA, AdaptiveHeader, DesignHeader, MaskHeader
@@ -28,7 +29,7 @@ from deepfsi.designfile.provenance import TrainingScenes, click_gates, trained_c
 from deepfsi.designfile.temperatures import Temperatures
 from deepfsi.designfile.view_test import SceneModel
 from deepfsi.jobs.designs import DESIGNS
-from deepfsi.jobs.entries import LARGEST_SCORE, ConditionedEntry, LooksEntry
+from deepfsi.jobs.exposures import LARGEST_SCORE, ConditionedEntry, LooksEntry
 
 STATISTICS = ("mean", "std", "shares")
 """Arrays of one number a feature."""
@@ -215,10 +216,7 @@ class DesignFile:
     def detectors(self) -> np.ndarray | None:
         """Detector (N,) of each pixel, 0 .. D-1; None where one sees all."""
         labels = self.arrays.get("detectors")
-        if labels is None:
-            return None
-        labels = detector_map(labels, self.header.image_shape)
-        return labels if labels.max() else None
+        return None if labels is None else DetectorMap.of(labels, self.header.image_shape).labels
 
     @property
     def detector_count(self) -> int:
@@ -234,7 +232,7 @@ class DesignFile:
     @property
     def each_rail(self) -> bool:
         """True if the two rails of a mask are frames of their own: not on two arms."""
-        return self.rail_count == 2 and self.mask_header.light != "two-arm"
+        return self.rail_count == 2 and LIGHT_LAWS[self.mask_header.light].arms == 1
 
     @cached_property
     def frames(self) -> int:

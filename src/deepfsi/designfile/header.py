@@ -12,9 +12,10 @@ from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
 from deepfsi.base.models import StrictModel
 from deepfsi.base.plugins import PATTERN
-from deepfsi.camera.names import MOST_LAYERS, LightLawName, Readout, SummedReflectance, Widths
+from deepfsi.camera.names import LightLawName, Readout, SummedReflectance
 from deepfsi.jobs.designs import check_design
-from deepfsi.jobs.entries import AdaptiveMasks, ExposureEntry
+from deepfsi.jobs.exposures import AdaptiveMasks, ExposureEntry
+from deepfsi.jobs.training import MOST_LAYERS, Widths
 
 DESIGN_SCHEMA: Literal[1] = 1
 """Number of the design file's schema."""

@@ -17,7 +17,7 @@ from deepfsi.camera.names import Readout
 from deepfsi.camera.stop_rule import StopRule
 from deepfsi.designfile.design_file import DAMAGED, DesignFile
 from deepfsi.designfile.header import MaskHeader, MlpEntry
-from deepfsi.jobs.entries import LARGEST_SCORE, LooksEntry
+from deepfsi.jobs.exposures import LARGEST_SCORE, LooksEntry
 
 KEY = "deepfsi-loop"
 """Key of the header in the file's metadata."""

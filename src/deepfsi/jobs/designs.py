@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-import scipy.linalg
 
 from deepfsi.base.errors import InputError, check_known
 from deepfsi.datasets import Dataset
@@ -62,7 +61,7 @@ class Code:
     scaled: bool = False  # its scale is what defines it, so that no light law changes it
     seeded: bool = False  # its matrix is drawn from the seed
     shared: bool = False  # the matrix of few masks is the first of that of many: made once
-    own: bool = False  # its matrix is the user's
+    is_custom: bool = False  # its matrix is the user's
     of_classes: bool = False  # made of the classes of scenes, which those with values have not
     # Each next mask is made from the counts so far: it has no matrix before, and shows one mask a
     # look
@@ -148,7 +147,7 @@ DESIGNS: dict[str, Code] = {
         single_rail=True,
     ),
     "adaptive": Code("AM", "adaptive masks", specific=True, adaptive=True, of_classes=True),
-    "custom": Code("USER", "own matrix", own=True),
+    "custom": Code("USER", "own matrix", is_custom=True),
 }
 """The named designs."""
 
@@ -196,6 +195,8 @@ def padded_shape(image_shape: tuple[int, ...]) -> tuple[int, ...]:
 
 def sequency_hadamard(order: int) -> np.ndarray:
     """Walsh functions ±1, (order, order): Hadamard rows by their number of sign changes."""
+    import scipy.linalg
+
     return by_sequency(scipy.linalg.hadamard(order).astype(np.float64))
 
 
@@ -239,6 +240,8 @@ def formula_masks(name: str, image_shape: tuple[int, ...]) -> np.ndarray:
         raise InputError(f"{name} has no {size} pixels: give powers of two, such as 32x32")
     if name == "hadamard":
         return hadamard_masks(image_shape, pixels)
+    import scipy.linalg
+
     natural = scipy.linalg.hadamard(pixels, dtype=np.int8)
     return natural if name == "hadamard-natural" else by_sequency(natural)
 
@@ -264,6 +267,8 @@ def principal_components(x: np.ndarray, masks: int) -> np.ndarray:
     """Leading principal components (masks, N) of training scenes (n, N), conventional FSI."""
     # The largest entry of each component is positive. Where the data has fewer directions than
     # masks are asked for, pixels' own directions complete the basis, those least explained first
+    import scipy.linalg
+
     pixels = x.shape[1]
     varying = np.flatnonzero(np.ptp(x, axis=0))
     mean = x[:, varying].mean(axis=0, dtype=np.float64)

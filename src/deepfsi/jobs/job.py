@@ -1,188 +1,47 @@
 """Jobs: one design to be trained, with its camera, its exposure and the settings of the training.
 
-Each setting is declared here, in `optics.camera` or in `design.exposure`, with the text that helps
-to choose it. Options of the command line, keywords of `learn`, axes of recipes, records and tables
-of the documents are made from these fields.
+Each setting is declared here, in `training`, in `exposures` or in the camera, with the text that
+helps to choose it. Options of the command line, keywords of `learn`, axes of recipes, records and
+tables of the documents are made from these fields.
 """
 
 from collections.abc import Collection, Mapping
-from functools import partial
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any
 
+import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from deepfsi.base.errors import InputError, closest
 from deepfsi.base.models import UserModel
+from deepfsi.base.plugins import UNNAMED
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.light import BUDGETS, check_budget, check_one_budget
-from deepfsi.camera.names import MLP, VIT, NoiseSetting, Scale, Widths, noise_name
-from deepfsi.design.exposure import (
+from deepfsi.camera.names import LIGHT_LAWS, NOISES, check_light, find_noise, noise_name
+from deepfsi.datasets import Dataset
+from deepfsi.jobs.designs import DESIGNS, Code, check_design, check_matrix
+from deepfsi.jobs.exposures import (
     KINDS,
+    AdaptiveMasks,
     AnyExposure,
     Exposure,
     Fixed,
     Patches,
     find_exposure,
 )
-from deepfsi.jobs.own_names import Classifier, Loss, classifier_name
-from deepfsi.training.faults import of_adaptive_masks, of_few_counts, of_values
-
-if TYPE_CHECKING:
-    import numpy as np
-
-    from deepfsi.datasets import Dataset
-    from deepfsi.jobs.designs import Code
-    from deepfsi.optics.detection import Detection
-    from deepfsi.optics.noise import OwnNoise
-
-Precision = Literal["auto", "float32", "bfloat16"]
-"""Type of the products of training; "auto" is bfloat16 where its rounding is under the noise."""
+from deepfsi.jobs.tiles import check_count
+from deepfsi.jobs.training import (
+    FEW_COUNTS,
+    MLP,
+    TUNED,
+    VIT,
+    VIT_SIZES,
+    Training,
+    classifier_name,
+    loss_name,
+)
 
 REVISION = 5
 """Raised whenever a change makes the same job end in another design: old records then expire."""
-
-MOST_EPOCHS = 100_000
-"""Epochs of one training: far more than any has needed, and fewer than never end."""
-
-VIT_SIZES = ("width", "depth", "heads", "hidden")
-"""Arguments of that transformer."""
-
-LearningRate = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-"""Above 0, finite."""
-
-
-def _design(name: str) -> str:
-    from deepfsi.jobs.designs import check_design
-
-    return check_design(name)
-
-
-def _start(name: str) -> str:
-    from deepfsi.jobs.designs import DESIGNS
-
-    if DESIGNS[_design(name)].make is None:
-        raise InputError(f"masks cannot start from {name}: name a fixed design")
-    return name
-
-
-def _is_size(given: Any) -> bool:
-    return isinstance(given, int) and not isinstance(given, bool) and given >= 1
-
-
-def _widths(given: Any) -> Any:
-    return [part for part in given.split(",") if part] if isinstance(given, str) else given
-
-
-class Training(UserModel):
-    """Settings of a training: its steps, its network, its precision and its start.
-
-    Examples
-    --------
-    >>> import deepfsi
-    >>> deepfsi.Training(epochs=20, hidden=(256, 128), start="class-pairs").lr
-    0.01
-    """
-
-    epochs: int = Field(40, ge=1, le=MOST_EPOCHS, description="passes over the training scenes")
-    batch: int | None = Field(
-        None, ge=2, description="scenes of a step; a hundredth of all, 32 to 500, unless given"
-    )
-    lr: LearningRate = Field(
-        1e-2,
-        description="peak learning rate of a one-cycle schedule; the default holds where none was "
-        "tuned for the design",
-    )
-    mask_lr: LearningRate = Field(
-        1e-1, description="peak learning rate of the masks, relative to their rms"
-    )
-    hidden: Annotated[Widths, BeforeValidator(_widths)] = Field(
-        (40, 128), description="widths of the hidden layers of mlp"
-    )
-    dropout: float = Field(0.0, ge=0, lt=1, description="share of hidden units left out in a step")
-    classifier: Classifier = Field(
-        MLP, description="mlp, or module:factory of a torch module of your own"
-    )
-    classifier_arguments: dict[str, Any] = Field(
-        {}, description="keyword arguments of that factory, besides the numbers"
-    )
-    scale: Scale = Field("common", description="standard deviation of features: each, or common")
-    decay: float = Field(
-        0.0, ge=0, allow_inf_nan=False, description="decoupled weight decay of the classifier"
-    )
-    balance: bool = Field(
-        False, description="weigh training scenes so that all classes count alike in the loss"
-    )
-    counts: float | None = Field(
-        None,
-        gt=0,
-        allow_inf_nan=False,
-        description="mean counts of an exposure: with photons, masks learn to count no more of "
-        "them; without, the budget at which a design counts so many is found",
-    )
-    start: Annotated[str, AfterValidator(_start)] = Field(
-        "pca",
-        description="design that learned masks start from; unless given pca, for several looks "
-        "class-pairs, for few counts random",
-    )
-    clusters: int | None = Field(
-        None,
-        ge=1,
-        description="of adaptive masks: the prior is the centres of so many clusters of each "
-        "class; all training scenes unless given",
-    )
-    precision: Precision = Field(
-        "auto",
-        description="number type of the products of learned masks and of wide networks: float32, "
-        "bfloat16, or auto (bfloat16 where its rounding is below the noise)",
-    )
-    loss: Loss = Field(
-        None,
-        description="module:function of a loss of your own, of outputs (n, C) and truth (n,) of "
-        "classes or (n, q) of values; cross entropy, or the squared error of values, unless given",
-    )
-    noise: NoiseSetting | None = Field(
-        None,
-        description="noise of the training, if other than the camera's: ml_gauss, poisson, "
-        "gaussian, camera or none; unless given ml_gauss stands for photon noise, and several "
-        "looks get exact counts",
-    )
-
-    @model_validator(mode="before")
-    @classmethod
-    def _arguments(cls, given: Any) -> Any:
-        """The settings, with the keywords of a partial among the arguments of its function."""
-        classifier = given.get("classifier", MLP) if isinstance(given, Mapping) else MLP
-        if isinstance(classifier, str) or not callable(classifier):
-            return given
-        from deepfsi.design.own import describe
-
-        _, arguments = describe(classifier, given.get("classifier_arguments"))
-        if isinstance(classifier, partial):
-            classifier = classifier.func
-        return {**given, "classifier": classifier, "classifier_arguments": arguments}
-
-    @property
-    def own(self) -> bool:
-        """True if the classifier is a user's own."""
-        return classifier_name(self.classifier) not in (MLP, VIT)
-
-
-TUNED: dict[str, dict[str, Any]] = {
-    "impulse": {"lr": 5e-3},
-    "truncated-hadamard": {"lr": 5e-3},
-    "raster": {"lr": 5e-3, "scale": "each"},
-    "hadamard": {"lr": 5e-3, "scale": "each"},
-}
-"""Where a design does better with other settings than the defaults of `Training`.
-
-Chosen on the last 10 000 training images of MNIST at 1e3, 1e4 and 1e5 photons, each design from
-the same grid: lr 2e-3, 5e-3, 1e-2; scale each, common; dropout 0, 0.1 (for those of a thousand
-readouts at one setting at most). Designs not named here, but for learned ones and PCA, are untuned.
-"""
-
-
-FEW_COUNTS: dict[str, Any] = {"start": "random"}
-"""Settings of a training for few counts, where none are given."""
 
 
 class Job(UserModel):
@@ -199,7 +58,7 @@ class Job(UserModel):
     ('dual', Looks(looks=4), 'class-pairs')
     """
 
-    design: Annotated[str, AfterValidator(_design)] = Field(
+    design: Annotated[str, AfterValidator(check_design)] = Field(
         "deepfsi", description="which design: deepfsi, pca, raster, hadamard, …"
     )
     masks: int = Field(ge=1, description="number of masks, m")
@@ -231,7 +90,7 @@ class Job(UserModel):
         if not isinstance(given, Mapping):
             return given
         for name in given.keys() - cls.model_fields.keys():
-            table, field = owner(name)
+            table, field = find_table(name)
             where = (
                 f"give `{table}={{{field!r}: ...}}`" if table else closest(name, cls.model_fields)
             )
@@ -240,26 +99,25 @@ class Job(UserModel):
         if photons is None:
             photons = check_one_budget(camera.budget, None)
         given = {**given, "camera": camera, "photons": photons}
-        told = _training_of(given)
+        training = _training_of(given)
         exposure = find_exposure(given.get("exposure", {}))
-        if isinstance(exposure, Exposure) and exposure.own_count and given.get("masks") is None:
-            given["masks"] = exposure.own_count
-        if not (isinstance(told, Mapping) and isinstance(exposure, Exposure)):
+        fixed_count = isinstance(exposure, Exposure) and exposure.fixed_mask_count
+        if fixed_count and given.get("masks") is None:
+            given["masks"] = fixed_count
+        if not (isinstance(training, Mapping) and isinstance(exposure, Exposure)):
             return given
-        for name in told:
+        for name in training:
             if name not in Training.model_fields:
                 raise InputError(
                     f"a training has no setting {name!r}: {closest(name, Training.model_fields)}"
                 )
-        few = FEW_COUNTS if told.get("counts") is not None else {}
+        few = FEW_COUNTS if training.get("counts") is not None else {}
         usual = {**exposure.training, **TUNED.get(given.get("design", "deepfsi"), {}), **few}
-        return {**given, "exposure": exposure, "training": {**usual, **told}}
+        return {**given, "exposure": exposure, "training": {**usual, **training}}
 
     @property
-    def code(self) -> "Code":
+    def code(self) -> Code:
         """All that the design's name implies."""
-        from deepfsi.jobs.designs import DESIGNS
-
         return DESIGNS[self.design]
 
     @property
@@ -270,19 +128,10 @@ class Job(UserModel):
     @property
     def noise(self) -> str:
         """Name of the noise that is trained under."""
-        own = self.training.noise
-        if own is not None:
-            return noise_name(own)
-        known = self.camera.noise_name
-        return known if self.training.counts else self.exposure.training_noise(known)
-
-    @property
-    def own_noise(self) -> "OwnNoise | None":
-        """The noise that is trained under, where it is a user's own."""
-        from deepfsi.optics.noise import resolve
-
-        told = self.training.noise
-        return resolve(self.camera.noise if told is None else told, self.camera.gates)[1]
+        if self.training.noise is not None:
+            return noise_name(self.training.noise)
+        noise = self.camera.noise_name
+        return noise if self.training.counts else self.exposure.training_noise(noise)
 
     @property
     def optics(self) -> Camera:
@@ -290,35 +139,33 @@ class Job(UserModel):
 
         Impulse imaging is `column` whatever else is compared, and a design of one rail has one.
         """
-        told = self.exposure.optics(self.camera)
+        changes = self.exposure.optics(self.camera)
         if self.code.every_pixel:
-            told = {"light": "column", "detectors": "1x1", "device": None, "shortest_dwell": 0.0}
-        one_arm = self.code.adaptive and self.camera.light != "two-arm"
+            changes = {"light": "column", "detectors": "1x1", "device": None, "shortest_dwell": 0.0}
+        one_arm = self.code.adaptive and LIGHT_LAWS[self.camera.light].arms == 1
         if self.code.single_rail or one_arm:
-            told |= {"rails": "single", "readout": "difference"}
+            changes |= {"rails": "single", "readout": "difference"}
         elif self.camera.rails == "single":
-            told |= {"readout": "difference"}
-        return self.camera.model_copy(update=told)
+            changes |= {"readout": "difference"}
+        return self.camera.model_copy(update=changes)
 
     @property
-    def in_force(self) -> "Job":
+    def resolved(self) -> "Job":
         """The job with the camera as the design has it: what its record is a hash of."""
         return self.model_copy(update={"camera": self.optics})
 
     @property
-    def drawn_from(self) -> str:
+    def start_matrix(self) -> str:
         """The named design whose matrix the masks are or start from."""
-        return self.training.start if self.masks_from().code.learned else self.design
-
-    def detection(self, image_shape: tuple[int, ...]) -> "Detection":
-        """Detectors of scenes of a shape, and what is read of two rails."""
-        return self.optics.detection(image_shape)
+        return self.training.start if self.mask_job().code.learned else self.design
 
     def features(self, image_shape: tuple[int, ...]) -> int:
         """Numbers that are read of the masks of scenes of a shape, k."""
-        return self.masks * self.detection(image_shape).width(self.optics.rail_count)
+        camera = self.optics
+        rails = camera.rail_count if camera.readout == "both" else 1
+        return self.masks * rails * camera.detector_map(image_shape).count
 
-    def masks_from(self) -> "Job":
+    def mask_job(self) -> "Job":
         """The job that makes the masks: of a design that learns them before, DeepFSI's."""
         under = self.code.learned_under
         if under is None:
@@ -326,64 +173,66 @@ class Job(UserModel):
         training = self.training.model_copy(update={"noise": under})
         return self.model_copy(update={"design": "deepfsi", "training": training})
 
-    def check(self, data: "Dataset", matrix: "np.ndarray | None" = None) -> None:
+    def check(self, data: Dataset, matrix: np.ndarray | None = None) -> None:
         """Raise `InputError` for whatever the job asks that cannot be had on this data."""
         if faults := self.faults(data, matrix):
             raise InputError("; ".join(faults))
 
-    def faults(self, data: "Dataset", matrix: "np.ndarray | None" = None) -> list[str]:
-        """Everything that the job asks and that cannot be had on this data.
+    def faults(self, data: Dataset, matrix: np.ndarray | None = None) -> list[str]:
+        """Everything that the job asks and that cannot be had on this data, in words.
 
-        The matrix (m, N) is of a design whose masks are the user's own.
+        Parameters
+        ----------
+        data : Dataset
+            Scenes of the training.
+        matrix : array, shape (m, N), optional
+            Masks of a design that are the user's own. Whether they break the light law is seen when
+            they are shown, by `optics.constraints.own_rails`.
         """
         faults = [*self._classifier_faults(), *self.exposure.faults(self)]
         if self.training.counts is not None:
-            faults += of_few_counts(self, data.image_shape)
+            faults += self._few_counts_faults(data.image_shape)
         if data.values:
-            faults += of_values(self)
+            faults += self._value_faults()
             if self.code.of_classes:  # it has no masks of such data, whose number could be told
                 return faults
         if self.training.balance and self.training.loss is not None:
             faults.append("`balance` weighs the usual loss: leave it out, or `loss`")
         if self.code.signed and self.camera.rails == "single":
             faults.append(f"{self.design} is signed: use dual rails, or the s-matrix")
-        if "gaussian" in (self.noise, self.masks_from().noise) and not self.camera.sigma:
+        noises = [find_noise(noise) for noise in (self.noise, self.mask_job().noise)]
+        if any(noise.read_noise and not noise.counting for noise in noises) and (
+            not self.camera.sigma
+        ):
             faults.append("gaussian noise is read noise: give `sigma` above 0")
         if self.code.adaptive:
-            faults += of_adaptive_masks(self, data)
-        if (matrix is not None) != self.code.own:
+            faults += self._adaptive_faults(data)
+        if (matrix is not None) != self.code.is_custom:
             faults.append(
                 'a matrix goes with the custom design, and only with it: give `design="custom"` '
                 "and `matrix`, or neither"
             )
         return [*faults, *self._matrix_faults(data, matrix)]
 
-    def _matrix_faults(self, data: "Dataset", matrix: "np.ndarray | None") -> list[str]:
-        import numpy as np
-
-        from deepfsi.design.adaptive.posterior import LookOptics
-        from deepfsi.jobs import designs as codes
-        from deepfsi.jobs import tiles
-        from deepfsi.optics import constraints
-
+    def _matrix_faults(self, data: Dataset, matrix: np.ndarray | None) -> list[str]:
         camera = self.optics
         try:
-            constraints.check_light(camera.light, camera.rails)
+            check_light(camera.light, camera.rails)
             scene = self.exposure.scene(data)
             camera.mask_levels(scene.image_shape)
             if self.code.adaptive:
-                LookOptics.of(camera, scene.image_shape, self.photons)
+                AdaptiveMasks.check_camera(camera)
             if matrix is None:
-                tiles.check_count(self.design, self.masks, scene, self.detection(scene.image_shape))
+                check_count(self.design, self.masks, scene, camera.detector_map(scene.image_shape))
             else:
-                codes.check_matrix(np.asarray(matrix), (self.masks, data.pixels))
-                constraints.own_rails(matrix, camera.light, camera.rails)
+                check_matrix(np.asarray(matrix), (self.masks, data.pixels))
         except InputError as error:
             return [str(error)]
         return []
 
     def _classifier_faults(self) -> list[str]:
-        usual, mine, faults = Training(), self.training, []
+        faults = list[str]()
+        mine, usual = self.training, Training()
         if mine.classifier != MLP and (mine.hidden, mine.dropout) != (usual.hidden, usual.dropout):
             faults.append(
                 "`hidden` and `dropout` are of the usual classifier: give them to a classifier of "
@@ -402,12 +251,86 @@ class Job(UserModel):
             faults.append("arguments of a classifier go with one of your own: give `classifier`")
         return faults
 
+    def _few_counts_faults(self, image_shape: tuple[int, ...]) -> list[str]:
+        """Everything in a job of few counts within its budget that cannot be had."""
+        camera = self.optics
+        counts = self.training.counts or 0.0
+        if not self.code.learned or not isinstance(self.exposure, Fixed):
+            return [
+                "counts within a budget are of learned masks that are shown once each: leave "
+                '`counts` or `photons` out, or give `design="deepfsi"` without looks, nested, span '
+                "or patch"
+            ]
+        noise = find_noise(self.noise)
+        if not noise.counting:
+            return [
+                f"counts within a budget are trained on counts, not under {self.noise} noise: give "
+                f"one of {', '.join(name for name, facts in NOISES.items() if facts.counting)}"
+            ]
+        most = self.photons
+        limit = "the photons of its budget"
+        if noise.gates:
+            detectors = camera.detector_map(image_shape).count
+            readouts = self.masks * camera.rail_count * detectors
+            most = min(most, readouts * camera.gates)
+            limit = "the clicks of all its gates"
+        if counts < most:
+            return []
+        return [f"{counts:g} counts are not fewer than {most:g}, {limit}: give fewer"]
+
+    def _value_faults(self) -> list[str]:
+        """Everything in a job on scenes with values that is of classes alone."""
+        faults = []
+        if self.code.of_classes:
+            faults.append(
+                f"{self.design} is made of classes, and these scenes have values: give another "
+                "design"
+            )
+        elif self.code.learns_masks and DESIGNS[self.training.start].of_classes:
+            faults.append(
+                f"masks cannot start from {self.training.start}, which is made of classes, where "
+                'scenes have values: give `start="pca"`'
+            )
+        if self.exposure.of_classes:
+            faults.append(
+                "several looks are decided by the probabilities of classes, and these scenes have "
+                "values: leave `looks` out"
+            )
+        if self.training.balance:
+            faults.append("`balance` is of classes, and these scenes have values: leave it out")
+        return faults
+
+    def _adaptive_faults(self, data: Dataset) -> list[str]:
+        """Everything in a job of adaptive masks that cannot be had."""
+        faults = []
+        fewest = int(np.bincount(data.y_train, minlength=len(data.classes)).min())
+        if (self.training.clusters or 0) > fewest // 2:
+            faults.append(
+                f"{self.training.clusters} clusters of each class are too many where one has "
+                f"{fewest} scenes: give at most {fewest // 2}, or leave `clusters` out"
+            )
+        if not isinstance(self.exposure, Fixed):
+            faults.append("adaptive masks have a look each: give no looks, nested, span or patch")
+        if self.training.classifier != MLP:
+            faults.append("adaptive masks are read by their posterior: leave `classifier` out")
+        shortest = self.camera.shortest_share
+        if shortest * self.masks > 1:
+            faults.append(
+                f"{self.masks} looks are shorter than {shortest:.3g} of the exposure, the shortest "
+                f"picture of the camera: give at most {int(1 / shortest)} masks"
+            )
+        return faults
+
+
+def _is_size(given: Any) -> bool:
+    return isinstance(given, int) and not isinstance(given, bool) and given >= 1
+
 
 ALIASES = {"dmd": ("camera", "device"), "train_noise": ("training", "noise")}
 """Table and field of single settings whose field's name is taken by another."""
 
 
-def owner(setting: str) -> tuple[str, str]:
+def find_table(setting: str) -> tuple[str, str]:
     """Table of a job that holds a setting, "" for its own fields, and the setting's name there."""
     # Three names have two owners. As single settings `dmd` is the camera's device, `train_noise`
     # the noise of the training, and `exposure` the camera's time
@@ -422,10 +345,10 @@ def owner(setting: str) -> tuple[str, str]:
 
 
 def sorted_settings(flat: Mapping[str, Any]) -> dict[str, Any]:
-    """Fields of a job of single settings, each where it is declared."""
+    """Fields of a job of single settings, each in the table where it is declared."""
     tables: dict[str, dict[str, Any]] = {"": {}, "camera": {}, "exposure": {}, "training": {}}
     for setting, value in flat.items():
-        table, name = owner(setting)
+        table, name = find_table(setting)
         tables[table][name] = value
     job = tables.pop("")
     if fields := tables.pop("camera"):
@@ -442,7 +365,7 @@ def find_job(settings: Mapping[str, Any], counts: float | None = None) -> Job:
     elif counts is not None:
         settings = {**settings, "photons": check_one_budget(None, counts)}
     job = Job(**settings)
-    if counts is not None and not within and job.camera.noise_name == "click":
+    if counts is not None and not within and job.camera.clicks is not None:
         raise InputError(
             "clicks are not in proportion to the light, so that they tell no budget: give "
             "`photons`, too"
@@ -463,7 +386,14 @@ def find_job(settings: Mapping[str, Any], counts: float | None = None) -> Job:
 
 def _training_of(settings: Mapping[str, Any]) -> Any:
     """Settings of the training that were given."""
-    told = settings.get("training", {})
-    if not isinstance(told, Training):
-        return told
-    return {name: getattr(told, name) for name in told.model_fields_set}
+    training = settings.get("training", {})
+    if not isinstance(training, Training):
+        return training
+    return {name: getattr(training, name) for name in training.model_fields_set}
+
+
+def custom_parts(job: Job, *noises: str) -> list[str]:
+    """Import paths of a user's own parts in a job and in further noises, `UNNAMED` among them."""
+    parts = classifier_name(job.training.classifier), loss_name(job.training.loss) or ""
+    names = {job.noise, *noises, *parts}
+    return sorted(name for name in names if ":" in name or name == UNNAMED)

@@ -4,46 +4,54 @@ A frame of raster lights a pixel of every part, a mask of Hadamard or PCA is a H
 of each part, and so on: what each detector sees is the design of its part, all at once.
 """
 
+import math
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from deepfsi.base.errors import InputError
+from deepfsi.camera.detectors import ONE_DETECTOR, DetectorMap
 from deepfsi.datasets import Dataset
-from deepfsi.jobs import designs as codes
-from deepfsi.optics.detection import ONE, Detection
-
-Part = tuple[np.ndarray, tuple[int, ...]]
-"""Pixels of a detector's part, and its shape."""
+from deepfsi.jobs.designs import DESIGNS
 
 
-def parts(image_shape: tuple[int, ...], detection: Detection) -> Iterator[Part]:
-    """Parts of scenes: a rectangle with its shape, any other as a row of its pixels."""
-    if detection.labels is None:
-        yield np.arange(int(np.prod(image_shape))), image_shape
+class Tile(NamedTuple):
+    """Pixels of a scene that a detector sees: a rectangle with its shape, any other as a row."""
+
+    pixels: np.ndarray  # (n,): places among those of the scene
+    shape: tuple[int, ...]
+
+
+def divide_scene(image_shape: tuple[int, ...], detectors: DetectorMap) -> Iterator[Tile]:
+    """Tile of each detector, in their order."""
+    labels = detectors.labels
+    if labels is None:
+        yield Tile(np.arange(math.prod(image_shape)), image_shape)
         return
-    labels = detection.labels.cpu().numpy()
-    for detector in range(detection.count):
-        own = np.flatnonzero(labels == detector)
-        box = tuple(int(np.ptp(axis)) + 1 for axis in np.unravel_index(own, image_shape))
-        yield own, box if np.prod(box) == len(own) else (len(own),)
+    for detector in range(detectors.count):
+        pixels = np.flatnonzero(labels == detector)
+        box = tuple(int(np.ptp(axis)) + 1 for axis in np.unravel_index(pixels, image_shape))
+        yield Tile(pixels, box if math.prod(box) == len(pixels) else (len(pixels),))
 
 
-def count_allowed(name: str, data: Dataset, detection: Detection = ONE) -> tuple[int, int]:
+def count_allowed(
+    name: str, data: Dataset, detectors: DetectorMap = ONE_DETECTOR
+) -> tuple[int, int]:
     """Smallest and largest number of masks that a design can have, that of the largest part."""
-    shapes = {shape for _, shape in parts(data.image_shape, detection)}
-    each = [codes.DESIGNS[name].counts(shape, len(data.classes)) for shape in shapes]
-    return max(low for low, _ in each), max(high for _, high in each)
+    shapes = {tile.shape for tile in divide_scene(data.image_shape, detectors)}
+    ranges = [DESIGNS[name].counts(shape, len(data.classes)) for shape in shapes]
+    return max(low for low, _ in ranges), max(high for _, high in ranges)
 
 
-def check_count(name: str, masks: int, data: Dataset, detection: Detection = ONE) -> int:
+def check_count(name: str, masks: int, data: Dataset, detectors: DetectorMap = ONE_DETECTOR) -> int:
     """Return a mask count, or raise `InputError` if the design cannot have it on this data."""
-    low, high = count_allowed(name, data, detection)
+    low, high = count_allowed(name, data, detectors)
     whole = not isinstance(masks, bool) and float(masks).is_integer()
     if not whole or not low <= masks <= high:
         allowed = f"exactly {low}" if low == high else f"a whole number from {low} to {high}"
-        many = f" with {detection.count} detectors" if detection.count > 1 else ""
+        many = f" with {detectors.count} detectors" if detectors.count > 1 else ""
         raise InputError(
             f"{masks} masks are not allowed for {name} on {data.name}{many}: give {allowed}"
         )
@@ -51,24 +59,46 @@ def check_count(name: str, masks: int, data: Dataset, detection: Detection = ONE
 
 
 def sensing_matrix(
-    name: str, masks: int, data: Dataset, seed: int = 0, detection: Detection = ONE
+    name: str, masks: int, data: Dataset, seed: int = 0, detectors: DetectorMap = ONE_DETECTOR
 ) -> np.ndarray:
-    """Sensing matrix (m, N) of a fixed design, float64, signed; each detector sees its part of it.
+    """Sensing matrix (m, N) of a fixed design, float64, signed; each detector sees its tile of it.
 
-    Where a part can have fewer masks, the others are dark there.
+    Where a tile can have fewer masks, the others are dark there.
+
+    Parameters
+    ----------
+    name : str
+        One of `DESIGNS` that has a fixed matrix.
+    masks : int
+        m.
+    data : Dataset
+        Scenes whose pixels, and whose training part, the matrix is made of.
+    seed : int
+        Of a design that is drawn.
+    detectors : DetectorMap
+        Which detector sees each pixel.
+
+    Raises
+    ------
+    InputError
+        If the design cannot have so many masks on this data.
     """
-    masks, code = check_count(name, masks, data, detection), codes.DESIGNS[name]
+    masks = check_count(name, masks, data, detectors)
+    code = DESIGNS[name]
     if code.make is None:
         raise ValueError(f"{name} has no fixed sensing matrix")
-    if detection.count == 1:
+    if detectors.count == 1:
         return code.make(data, masks, seed)
     whole = np.zeros((masks, data.pixels))
-    for own, shape in parts(data.image_shape, detection):
-        part = replace(
-            data, x_train=data.x_train[:, own], x_test=data.x_test[:, own], image_shape=shape,
+    for tile in divide_scene(data.image_shape, detectors):
+        scenes = replace(
+            data,
+            x_train=data.x_train[:, tile.pixels],
+            x_test=data.x_test[:, tile.pixels],
+            image_shape=tile.shape,
             wavelengths=None,
-        )  # fmt: skip
-        low, high = code.counts(shape, len(data.classes))
+        )
+        low, high = code.counts(tile.shape, len(data.classes))
         count = min(max(masks, low), high)
-        whole[:count, own] = code.make(part, count, seed)
+        whole[:count, tile.pixels] = code.make(scenes, count, seed)
     return np.where(whole > 0, 1 / masks, 0.0) if code.scaled else whole

@@ -10,7 +10,6 @@ import torch
 from deepfsi.base.arrays import LARGEST_TENSORS
 from deepfsi.base.errors import as_input_error
 from deepfsi.base.files import read_regular
-from deepfsi.camera.detectors import detector_map
 from deepfsi.camera.stop_rule import StopRule
 from deepfsi.design.adaptive.choice import next_masks
 from deepfsi.design.adaptive.design import AdaptiveDesign
@@ -19,7 +18,6 @@ from deepfsi.design.adaptive.posterior import AdaptivePosterior, LookOptics
 from deepfsi.designfile import UNSURE
 from deepfsi.hardware.light import Arrivals
 from deepfsi.hardware.live.looks import AllOn, Conditions, FrameList, Likeness
-from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.patterns.folder import DesignRails
 from deepfsi.hardware.patterns.looks import Looks
 from deepfsi.hardware.patterns.sequence import Brightness, Manifest
@@ -110,7 +108,7 @@ def adaptive_rails(path: str | os.PathLike[str]) -> DesignRails:
     state = AdaptivePosterior(design.prior, 1, optics)
     mask = next_masks(state, share, torch.Generator().manual_seed(0))
     rails = torch.stack([mask, 1 - mask]) if optics.arms == 2 else mask[None]
-    cells = tuple(detector_map(camera.detectors, design.image_shape).tolist())
+    detectors = camera.detector_map(design.image_shape)
     with as_input_error(str(path)):
         brightness = Brightness.of(design.info)
     return DesignRails(
@@ -120,7 +118,7 @@ def adaptive_rails(path: str | os.PathLike[str]) -> DesignRails:
         design.prior.summed_reflectance,
         file,
         brightness,
-        Detectors(count=max(cells) + 1, cells=cells) if max(cells) else None,
+        detectors if detectors.count > 1 else None,
         looks=Looks(
             count=design.masks, each_rail=False, first=(share,), shortest=0, loop_sha256=None
         ),

@@ -12,6 +12,7 @@ from deepfsi.base.errors import InputError
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.dead_time import DeadTime
 from deepfsi.camera.device import Device
+from deepfsi.camera.names import LIGHT_LAWS
 from deepfsi.designfile import DesignFile
 from deepfsi.hardware.patterns.folder import DESIGN, DesignRails
 from deepfsi.hardware.virtual import VirtualCamera
@@ -32,7 +33,7 @@ def camera_of(source: Camera | str | os.PathLike[str], **settings: Any) -> Camer
     if given is None:
         given = source if isinstance(source, Camera) else _known(Path(source))
     found = Camera.load(given)
-    if "device" in settings and found.light == "column":
+    if "device" in settings and not LIGHT_LAWS[found.light].one_device:
         found = Camera.load(found, light="free-dwell")  # its masks are shown with less light
     return Camera.load(found, **settings)
 
@@ -84,7 +85,7 @@ def dead_time_of(camera: Camera, told: Container[str] = ()) -> DeadTime | None:
         if "dead_time_model" in told:
             raise InputError("`dead_time_model` is of a dead time: give `dead_time`, such as 20ns")
         return None
-    return DeadTime(seconds=camera.dead_time, paralysable=camera.dead_time_model == "paralysable")
+    return camera.counter_dead_time
 
 
 def virtual_of(camera: Camera) -> VirtualCamera:
@@ -92,6 +93,6 @@ def virtual_of(camera: Camera) -> VirtualCamera:
     # Its flux is of counts: the efficiency of the detector is in it
     return VirtualCamera(
         dark=camera.dark,
-        dead_time_s=camera.dead_time,
-        paralysable=camera.dead_time_model == "paralysable",
+        dead_time_s=camera.counter_dead_time.seconds,
+        paralysable=camera.counter_dead_time.paralysable,
     )

@@ -19,6 +19,7 @@ from deepfsi.base.plugins import torch_needed
 from deepfsi.base.tables import read_table
 from deepfsi.camera.dead_time import NO_DEAD_TIME
 from deepfsi.camera.light import check_budget
+from deepfsi.camera.names import LIGHT_LAWS
 from deepfsi.design.readouts import classify_readouts
 from deepfsi.design.values import check_classes
 from deepfsi.designfile import (
@@ -399,7 +400,7 @@ def _view(
     if labels is not None:
         rails = rails * (labels.cpu().numpy() == np.arange(design.detection.count)[:, None])
     shape = rails.shape[:-1]  # (rails, m, D)
-    arms = np.arange(shape[0]) if design.light == "two-arm" else np.zeros(shape[0], int)
+    arms = np.arange(shape[0]) if LIGHT_LAWS[design.light].arms == 2 else np.zeros(shape[0], int)
     inputs = np.broadcast_to(arms[:, None, None] * shape[2] + np.arange(shape[2]), shape)
     exposures, often = counts.by_readout(usable), usable.sum(axis=1)
     signal = counts.signal().sum(axis=1, where=exposures)

@@ -12,14 +12,14 @@ from deepfsi.base.errors import InputError, as_input_error
 from deepfsi.base.files import read_regular
 from deepfsi.base.plugins import torch_needed
 from deepfsi.base.progress import SILENT, Report
+from deepfsi.camera.detectors import DetectorMap
 from deepfsi.camera.device import find_device
-from deepfsi.design.exposure.transits import STATIC
 from deepfsi.designfile import AdaptiveHeader, DesignFile, check_masks, loop_bytes
-from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.looks import Looks
 from deepfsi.hardware.patterns.sequence import Brightness, FrameSettings
 from deepfsi.jobs.designs import EVERY_PIXEL
+from deepfsi.jobs.exposures import STATIC
 
 
 def design_rails(file: str | os.PathLike[str]) -> DesignRails:
@@ -69,13 +69,13 @@ def looks_of(design: DesignFile) -> Looks:
     )
 
 
-def detectors_of(design: DesignFile) -> Detectors | None:
+def detectors_of(design: DesignFile) -> DetectorMap | None:
     """Which detector sees each cell, and the light of each; None where one sees all."""
     if design.detectors is None:
         return None
     light = design.header.info.get("detector_light") or {}
     cells = tuple(design.detectors.tolist())
-    return Detectors.model_validate({"count": design.detector_count, "cells": cells, **light})
+    return DetectorMap.model_validate({"count": design.detector_count, "cells": cells, **light})
 
 
 @contextmanager

@@ -10,14 +10,13 @@ signed masks, or (..., 1, m, N) where there is one rail, `Rails.stacked`.
 """
 
 import math
-from typing import get_args
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from deepfsi.base.errors import InputError, check_known
-from deepfsi.camera.names import LightLawName, RailsKind
+from deepfsi.base.errors import InputError
+from deepfsi.camera.names import LightLawName, RailsKind, check_light
 from deepfsi.optics.rails import Rails
 
 SLACK = 1e-5
@@ -25,17 +24,6 @@ SLACK = 1e-5
 
 BRIGHTEST = 1e30
 """Entry beyond which sums of float32 may be infinite."""
-
-
-def check_light(light: str, rails: str) -> None:
-    """Raise `InputError` unless the constraint exists and can be had with these rails."""
-    check_known("light law", light, get_args(LightLawName))
-    check_known("rails", rails, get_args(RailsKind))
-    if light == "two-arm" and rails == "single":
-        raise InputError(
-            "two-arm with a single rail is not allowed: each arm is a rail; use dual rails, and "
-            "not raster or s-matrix, which have one"
-        )
 
 
 def expand(matrix: Tensor, light: LightLawName, rails: RailsKind = "dual") -> Tensor:

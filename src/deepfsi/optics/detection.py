@@ -12,14 +12,14 @@ A network reads the difference y⁺ − y⁻ of the rails, or `both`: each rail'
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple, get_args
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 from torch.nn import functional
 
-from deepfsi.base.errors import check_known
-from deepfsi.camera.detectors import Detectors, detector_map
+from deepfsi.camera.camera import Camera
+from deepfsi.camera.detectors import DetectorMap
 from deepfsi.camera.names import Readout
 from deepfsi.optics.rails import Rails
 
@@ -34,14 +34,15 @@ class Detection:
     labels: Tensor | None = None
 
     @classmethod
-    def of(
-        cls, detectors: Detectors, image_shape: tuple[int, ...], readout: str = "difference"
-    ) -> "Detection":
-        """Detection by some detectors; parameters as of `detector_map` and the class."""
-        check_known("readout", readout, get_args(Readout))
-        labels = detector_map(detectors, image_shape)
-        count = int(labels.max()) + 1
-        return cls(readout, count, torch.from_numpy(labels) if count > 1 else None)  # type: ignore[arg-type]
+    def of(cls, detectors: DetectorMap, readout: Readout = "difference") -> "Detection":
+        """Detection by detectors that see these cells."""
+        labels = detectors.labels
+        return cls(readout, detectors.count, None if labels is None else torch.from_numpy(labels))
+
+    @classmethod
+    def of_camera(cls, camera: Camera, image_shape: tuple[int, ...]) -> "Detection":
+        """Detection of scenes of a shape by a camera."""
+        return cls.of(camera.detector_map(image_shape), camera.readout)
 
     @cached_property
     def key(self) -> bytes:

@@ -7,8 +7,8 @@ from torch import Tensor, nn
 
 from deepfsi.base.errors import InputError
 from deepfsi.camera.light import share_out
-from deepfsi.camera.names import LightLawName, RailsKind
-from deepfsi.optics.constraints import check_light, peak
+from deepfsi.camera.names import LightLawName, RailsKind, check_light
+from deepfsi.optics.constraints import peak
 from deepfsi.optics.grey_levels import quantise
 from deepfsi.optics.rails import Rails
 

@@ -25,13 +25,14 @@ A rail that is dark by construction is not read out and adds no noise.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, get_args
+from typing import Any, ClassVar, get_args
 
 import torch
 from torch import Tensor
 
 from deepfsi.base import plugins as imports
 from deepfsi.base.errors import InputError, check_known
+from deepfsi.camera.camera import Camera
 from deepfsi.camera.names import NoiseName, check_noise
 
 OwnNoise = Callable[[Tensor, torch.Generator | None], Tensor]
@@ -43,6 +44,7 @@ class Click:
     """Noise of a detector that fires at most once in each of `gates` gates of a frame."""
 
     gates: int = 1
+    name: ClassVar[str] = "click"  # by which settings name it
 
     def __call__(self, rates: Tensor, generator: torch.Generator | None = None) -> Tensor:
         """Clicks of rates (..., m), with the gradient of `attach_gradient`."""
@@ -96,6 +98,11 @@ def resolve(noise: str | OwnNoise, gates: int = 1) -> tuple[str, OwnNoise | None
     if not isinstance(noise, str):
         return imports.path_of(noise) or imports.UNNAMED, noise
     return check_noise(noise), imports.named(noise) if ":" in noise else None
+
+
+def noise_of(camera: Camera) -> str | OwnNoise:
+    """Noise of a camera's counts as `Scanner` takes it: a name, or the function of clicks."""
+    return camera.noise if camera.clicks is None else Click(camera.clicks)
 
 
 def try_own(own: OwnNoise, learning: bool) -> None:

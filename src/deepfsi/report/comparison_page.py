@@ -13,7 +13,7 @@ from deepfsi.base.errors import InputError
 from deepfsi.base.files import write_atomically
 from deepfsi.base.html import confusion_table
 from deepfsi.base.intervals import difference
-from deepfsi.camera.names import noise_text
+from deepfsi.camera.names import LIGHT_LAWS, noise_text
 from deepfsi.designfile import DesignFile
 from deepfsi.jobs.designs import ADAPTIVE
 from deepfsi.report import accuracy
@@ -190,7 +190,7 @@ def optics_text(point: Point) -> str:
 def following(results: Results, designs: Path, said: Verdict) -> Iterator[tuple[str, str]]:
     """Next steps, in words and as commands: to see an exposure, and to show masks on a device."""
     points = [p for p in results.points if p.best and not p.every_pixel]
-    shown = [p for p in points if p.light != "column"]
+    shown = [p for p in points if LIGHT_LAWS[p.light].one_device]
 
     def file(point: Point) -> str | None:
         name = f"{point.keys[0]}.safetensors"

@@ -51,7 +51,7 @@ def card(
         recipe=recipe,
         terms=terms,
         classes=data.classes,
-        camera=recipe.job.optics.words.replace("\n", "; "),
+        camera=recipe.job.optics.describe().replace("\n", "; "),
         masks=_masks(recipe.job),
         photons=f"{result.photons:g}",
         counts=_counts(result),

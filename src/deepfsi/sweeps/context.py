@@ -115,7 +115,7 @@ class SweepContext:
     def prepare(self, trials: Sequence[Trial]) -> None:
         """Compute the matrices that trials start from."""
         for trial in trials:
-            self.training_set.seen(trial.job.exposure).prepare(trial.job.drawn_from)
+            self.training_set.seen(trial.job.exposure).prepare(trial.job.start_matrix)
 
     def effort(self, batch: Sequence[Trial]) -> float:
         """Relative cost of training a batch: a constant a step, products and noise."""
@@ -144,7 +144,7 @@ class SweepContext:
         if len(parts) > 1:
             each = zip(parts, report.parts(len(parts)), strict=True)
             return [done for part, span in each for done in self.train(part, span, checkpoints)]
-        own = self.matrix if batch[0].job.code.own else None
+        own = self.matrix if batch[0].job.code.is_custom else None
         share = PRIOR_SHARE if batch[0].job.code.adaptive else TRAINING_SHARE
         learning, testing = report.part(0.0, share), report.part(share, 1.0)
         try:

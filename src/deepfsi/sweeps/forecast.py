@@ -93,7 +93,7 @@ def _forecast(
     todo = context.batches(left, processes)
     kinds: dict[Any, list[Batch]] = defaultdict(list)
     for batch in todo:
-        context.training_set.prepare(batch[0].job.drawn_from)
+        context.training_set.prepare(batch[0].job.start_matrix)
         kinds[_kind(batch, context)].append(batch)
     threads, costs = torch.get_num_threads(), list[float]()
     torch.set_num_threads(max(1, threads // processes))
@@ -167,7 +167,7 @@ def _steps(job: Job, context: SweepContext) -> int:
 
 def _operations(job: Job, context: SweepContext) -> float:
     """Of the products with learned masks: forward and backward, with M and under PN with |M|."""
-    made = job.masks_from()
+    made = job.mask_job()
     if not made.code.learned:
         return 2.0 * context.data.x_train.size * job.masks * 2
     pair = 2 if made.noise == "ml_gauss" else 1
@@ -185,7 +185,7 @@ def _probe(batch: Batch, context: SweepContext) -> tuple[float, float]:
     jobs = [trial.job.model_copy(update={"training": short}) for trial in batch]
     training_set = TrainingSet(few, context.device, dict(context.matrices))
     moments = Moments()
-    own = context.matrix if jobs[0].code.own else None
+    own = context.matrix if jobs[0].code.is_custom else None
     designs = train(training_set, jobs, own, moments.report)
     epochs = moments.epochs(4 if jobs[0].code.learned_under else 2)  # that is trained twice
     step = sum(epochs[1::2]) / (len(few.y_train) // size)

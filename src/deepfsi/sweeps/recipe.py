@@ -16,15 +16,15 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 
 from deepfsi.base.errors import InputError, as_input_error, closest
 from deepfsi.camera.camera import Camera, Levels
+from deepfsi.camera.detectors import ONE_DETECTOR, DetectorMap
 from deepfsi.camera.light import BUDGETS
-from deepfsi.camera.names import MLP, check_noise
+from deepfsi.camera.names import check_noise
 from deepfsi.datasets import Dataset
 from deepfsi.design.evaluation import MOST_DRAWS
-from deepfsi.design.exposure import Exposure, find_exposure
 from deepfsi.jobs import designs as codes
 from deepfsi.jobs import tiles
-from deepfsi.jobs.job import Training
-from deepfsi.optics.detection import ONE, Detection
+from deepfsi.jobs.exposures import Exposure, find_exposure
+from deepfsi.jobs.training import MLP, Training
 from deepfsi.sweeps.workers import Resources
 
 PAPER_RATIOS = tuple((k / 10) ** 2 for k in range(1, 11))
@@ -285,14 +285,16 @@ class Recipe(BaseModel):
         """Budgets to train at under a noise."""
         return (self.gaussian_photons if noise == "gaussian" else ()) or self.photons
 
-    def mask_counts(self, design: str, data: Dataset, detection: Detection = ONE) -> list[int]:
+    def mask_counts(
+        self, design: str, data: Dataset, detectors: DetectorMap = ONE_DETECTOR
+    ) -> list[int]:
         """Mask counts of one design: those asked for that it can have, else the most it can."""
         # a ratio is that of readouts, m · D / N, so that it means as much under several detectors.
         # Of adaptive masks, which share the light among their looks, ratios ask for one count: more
         # looks tell more
-        low, high = tiles.count_allowed(design, data, detection)
+        low, high = tiles.count_allowed(design, data, detectors)
         asked = self.masks or [
-            codes.mask_count(ratio, data.pixels / detection.count)
+            codes.mask_count(ratio, data.pixels / detectors.count)
             for ratio in self.ratios or PAPER_RATIOS
         ]
         counts = sorted({count for count in asked if low <= count <= high}) or [high]

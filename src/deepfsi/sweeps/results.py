@@ -10,6 +10,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat, 
 from deepfsi.base.errors import as_input_error
 from deepfsi.base.files import read_text, write_atomically
 from deepfsi.base.intervals import unpack
+from deepfsi.camera.names import find_noise
 from deepfsi.datasets.dataset import Measure
 from deepfsi.jobs.designs import EVERY_PIXEL
 
@@ -172,7 +173,7 @@ class Point(Frozen):
     @property
     def clicks(self) -> bool:
         """True of detectors that click, whose counts are fewer than the photons that arrive."""
-        return self.noise == "click"
+        return find_noise(self.noise).gates
 
     @property
     def every_pixel(self) -> bool:

@@ -21,15 +21,15 @@ from deepfsi.base.intervals import (
     unpack,
     worst_of,
 )
+from deepfsi.camera.detectors import DetectorMap
 from deepfsi.camera.names import noise_text
 from deepfsi.datasets import Dataset
 from deepfsi.datasets.dataset import Measure
 from deepfsi.design.estimation import Estimates
 from deepfsi.design.evaluation import Result
-from deepfsi.design.exposure import find_exposure
 from deepfsi.designfile import TrainingScenes, new_scenes
 from deepfsi.jobs import designs as codes
-from deepfsi.optics.detection import Detection
+from deepfsi.jobs.exposures import find_exposure
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.results import SCHEMA, Data, Point, Provenance, Results
 
@@ -137,7 +137,7 @@ def _pixels_seen(record: Mapping[str, Any], data: Dataset) -> float:
     """Pixels that each detector of a trial sees, in the mean."""
     job = record["trial"]["job"]
     scene = find_exposure(job["exposure"]).scene(data)
-    return scene.pixels / Detection.of(job["camera"]["detectors"], scene.image_shape).count
+    return scene.pixels / DetectorMap.of(job["camera"]["detectors"], scene.image_shape).count
 
 
 def facts_of(data: Dataset, held_out: int) -> Data:

@@ -14,13 +14,12 @@ from pydantic import BaseModel, ConfigDict, Field
 from deepfsi.base.errors import InputError
 from deepfsi.base.plugins import source_hash
 from deepfsi.camera.camera import Camera
-from deepfsi.camera.names import LOOK_LIGHT
+from deepfsi.camera.detectors import ONE_DETECTOR
+from deepfsi.camera.names import LIGHT_LAWS
 from deepfsi.datasets import Dataset
-from deepfsi.design.exposure import Exposure
 from deepfsi.jobs import designs as codes
-from deepfsi.jobs.job import REVISION, Job
-from deepfsi.jobs.own_names import own_parts
-from deepfsi.optics.detection import ONE
+from deepfsi.jobs.exposures import Exposure
+from deepfsi.jobs.job import REVISION, Job, custom_parts
 from deepfsi.sweeps.recipe import NamedCamera, Recipe, TestNoise
 
 MOST_TRIALS = 100_000
@@ -89,8 +88,8 @@ def plan(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None) -> lis
             detectors="1x1" if job.code.every_pixel else named.detectors,
             data=data.name,
             data_hash=data.hash,
-            matrix_hash=_matrix_hash(matrix if job.code.own else None),
-            source_hash=_source_hash(own_parts(job, *test_noise), hashed),
+            matrix_hash=_matrix_hash(matrix if job.code.is_custom else None),
+            source_hash=_source_hash(custom_parts(job, *test_noise), hashed),
             validation=recipe.held_out(data),
             draws=recipe.draws,
             test_photons=recipe.test_photons or (job.photons,),
@@ -134,17 +133,30 @@ def trial_faults(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None
     found: dict[str, None] = {}
     names: dict[str, None] = {}
     for _, _, job in _jobs(recipe, data, matrix):
-        own = matrix if job.code.own else None
-        found |= dict.fromkeys(job.faults(data, own))
+        own = matrix if job.code.is_custom else None
+        found |= dict.fromkeys(job_faults := job.faults(data, own))
+        if own is not None and not job_faults:
+            found |= dict.fromkeys(_light_faults(own, job.optics))
         test_noise = recipe.test_noise or (job.camera.noise_name,)
         found |= dict.fromkeys(job.exposure.test_faults(test_noise))
-        names |= dict.fromkeys(own_parts(job, *test_noise))
+        names |= dict.fromkeys(custom_parts(job, *test_noise))
     for name in names:
         try:
             source_hash(name)
         except InputError as error:
             found[str(error)] = None
     return list(found)
+
+
+def _light_faults(matrix: np.ndarray, camera: Camera) -> list[str]:
+    """Why a user's masks (m, N) cannot be shown under a camera's light law."""
+    from deepfsi.optics.constraints import own_rails
+
+    try:
+        own_rails(matrix, camera.light, camera.rails)
+    except InputError as error:
+        return [str(error)]
+    return []
 
 
 def count_trials(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None) -> int:
@@ -163,19 +175,19 @@ def count_trials(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None
 def _kinds(recipe: Recipe, data: Dataset) -> Iterator[tuple[str, NamedCamera]]:
     """Yield every design with every camera that it can have."""
     for named, design in product(recipe.cameras(), recipe.designs):
-        count = named.camera.detection(data.image_shape).count
+        count = named.camera.detector_map(data.image_shape).count
         if _possible(codes.DESIGNS[design], named.camera, count):
             yield design, named
 
 
 def _possible(code: codes.Code, camera: Camera, detectors: int) -> bool:
-    one_rail = code.single_rail and not code.every_pixel
+    law, one_rail = LIGHT_LAWS[camera.light], code.single_rail and not code.every_pixel
     return not (
         (code.learned_under is not None and camera.noise_name != "poisson")
-        or (camera.light == "two-arm" and one_rail)
+        or (law.arms == 2 and one_rail)
         or (code.signed and camera.rails == "single")
-        or (camera.light == "column" and detectors > 1)
-        or (code.adaptive and camera.light not in LOOK_LIGHT)
+        or (not law.one_device and detectors > 1)
+        or (code.adaptive and not law.looks)
     )
 
 
@@ -189,12 +201,12 @@ def _counts(
 ) -> Sequence[int]:
     """Mask counts of a design for scenes as its masks see them."""
     code, scene = codes.DESIGNS[design], exposure.scene(data)
-    if exposure.own_count:
-        return [exposure.own_count]
-    if code.own and matrix is not None:
+    if exposure.fixed_mask_count:
+        return [exposure.fixed_mask_count]
+    if code.is_custom and matrix is not None:
         return [len(matrix)]
-    detection = ONE if code.every_pixel else named.camera.detection(scene.image_shape)
-    return recipe.mask_counts(design, scene, detection)
+    detectors = ONE_DETECTOR if code.every_pixel else named.camera.detector_map(scene.image_shape)
+    return recipe.mask_counts(design, scene, detectors)
 
 
 def _jobs(
@@ -218,7 +230,7 @@ def _jobs(
                 seed=seed,
             )
             variant = ", ".join(filter(None, (named.variant, training[0], exposure[0])))
-            yield named, variant, job.in_force
+            yield named, variant, job.resolved
 
 
 def _optics_text(recipe: Recipe) -> str:

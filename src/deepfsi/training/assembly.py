@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from deepfsi.base.errors import InputError
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.light import check_budget, summed_reflectance
-from deepfsi.camera.names import LightLawName
+from deepfsi.camera.names import LightLawName, check_light
 from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.design.own import OwnClassifier, make
@@ -117,7 +117,7 @@ def _rails(scanner: Scanner, data: Dataset, light: LightLawName) -> Rails:
         raise InputError(
             f"masks of shape {shape} do not fit {data.name}: give (masks, {data.pixels})"
         )
-    constraints.check_light(light, rails.kind)
+    check_light(light, rails.kind)
     constraints.check(rails.stacked, light)
     return rails
 

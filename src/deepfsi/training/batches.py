@@ -5,7 +5,8 @@ from collections.abc import Sequence
 import torch
 
 from deepfsi.base.arrays import check_memory, free_memory
-from deepfsi.jobs.job import Job, Training
+from deepfsi.jobs.job import Job
+from deepfsi.jobs.training import Training
 from deepfsi.training.masks import matrix_seeds
 from deepfsi.training.training_set import TrainingSet
 
@@ -54,7 +55,7 @@ def footprint(training_set: TrainingSet, jobs: Sequence[Job]) -> float:
     masks, batch = replicas * job.masks, batch_of(job.training, count)
     levels = job.optics.mask_levels(training_set.data.image_shape)
     copies = MASK_COPIES + (QUANTISED_MASK_COPIES if levels else 0)
-    learned = copies * masks * scene if job.masks_from().code.learned else 0
+    learned = copies * masks * scene if job.mask_job().code.learned else 0
     own = replicas if job.code.learned_under else len(matrix_seeds(jobs))
     products_of_all = 0 if job.code.learned else 5 * own * count * job.masks
     step = FEATURE_COPIES * batch * (masks + replicas * sum(job.training.hidden))

@@ -26,8 +26,7 @@ from deepfsi.base.arrays import DamagedError, read_tensors
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import write_atomically
 from deepfsi.base.plugins import UNNAMED, source_hash
-from deepfsi.jobs.job import REVISION, Job
-from deepfsi.jobs.own_names import own_parts
+from deepfsi.jobs.job import REVISION, Job, custom_parts
 from deepfsi.training.draws import SeedStream
 from deepfsi.training.few_counts import CountsCost
 from deepfsi.training.training_set import TrainingSet
@@ -262,7 +261,7 @@ def _key(
     training_set: TrainingSet, jobs: Sequence[Job], matrix: np.ndarray | None, counts: float | None
 ) -> str:
     """Hash of all that the bits of a training depend on."""
-    names = own_parts(jobs[0])
+    names = custom_parts(jobs[0])
     if UNNAMED in names:
         raise InputError(
             "a part of your own that has no import path cannot be told from another when a "

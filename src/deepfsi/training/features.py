@@ -10,13 +10,14 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from deepfsi.camera.names import LightLawName, Scale
+from deepfsi.camera.names import LightLawName
 from deepfsi.design.classifiers import Replicas
 from deepfsi.design.exposure.conditioned import ConditionedExposure, first
 from deepfsi.design.exposure.looks import LooksExposure
 from deepfsi.design.exposure.passing import PassingExposure
 from deepfsi.design.exposure.trained import FixedExposure, PatchExposure, TrainedExposure
 from deepfsi.jobs.job import Job
+from deepfsi.jobs.training import Scale
 from deepfsi.optics import constraints
 from deepfsi.optics.detection import Detection
 from deepfsi.optics.features import (
@@ -340,7 +341,10 @@ def features_of(
     choose: Replicas,
 ) -> Features | PassingFeatures:
     """Features of the kind of exposure of jobs, of which `job` is one."""
-    scale, detection = job.training.scale, job.detection(training_set.data.image_shape)
+    scale, detection = (
+        job.training.scale,
+        Detection.of_camera(job.optics, training_set.data.image_shape),
+    )
     if isinstance(exposure, PassingExposure):
         assert isinstance(masks, FixedPattern | LearnedPattern)
         return PassingFeatures(streams, masks, training_set.full, scale)

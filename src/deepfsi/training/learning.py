@@ -14,12 +14,14 @@ from deepfsi.camera.light import check_budget, detector_shares
 from deepfsi.datasets import Source, as_dataset
 from deepfsi.design.adaptive.design import AnyDesign
 from deepfsi.design.artifact import Design
+from deepfsi.design.exposure.kinds import begin
 from deepfsi.design.exposure.trained import TrainedExposure
 from deepfsi.jobs.job import Job, find_job
 from deepfsi.optics import constraints
+from deepfsi.optics.detection import Detection
 from deepfsi.optics.features import FeatureNoise, feature_statistics
 from deepfsi.optics.masks import FixedMasks, LearnedMasks
-from deepfsi.optics.noise import try_own
+from deepfsi.optics.noise import resolve, try_own
 from deepfsi.optics.rails import Rails
 from deepfsi.optics.surroundings import library_defaults
 from deepfsi.optics.transit import FixedPattern
@@ -154,7 +156,7 @@ def train(
 def companions(job: Job, device: torch.device) -> tuple[Any, ...]:
     """Key that jobs trained together share: all but budget, sigma and seed."""
     # a module of a user's own may draw from torch's global generator: one after another
-    alone = job.training.own or not job.exposure.side_by_side
+    alone = job.training.is_custom or not job.exposure.side_by_side
     apart: Any = set() if alone else {"photons": True, "seed": True, "camera": {"sigma"}}
     return (job.model_dump_json(exclude=apart), dtypes(job, device))
 
@@ -186,13 +188,11 @@ def _optimised(
     device, shape, job = training_set.device, training_set.data.image_shape, jobs[0]
     noise, seen = _noise(jobs, training_set), training_set.seen(job.exposure)
     seeds = [torch.Generator(device).manual_seed(each.seed) for each in jobs]
-    exposures = [
-        each.exposure.begin(each, shape, seed) for each, seed in zip(jobs, seeds, strict=True)
-    ]
+    exposures = [begin(each, shape, seed) for each, seed in zip(jobs, seeds, strict=True)]
     masks: FixedMasks | LearnedMasks
     if job.code.learned_under:
         before, report = report.part(0.0, 0.5), report.part(0.5, 1.0)
-        sources = [each.masks_from() for each in jobs]
+        sources = [each.mask_job() for each in jobs]
         masks = _optimised(training_set, sources, None, before, checkpoint)[0]
     else:
         masks = initial_masks(seen, jobs, exposures[0], matrix).to(device)
@@ -209,7 +209,9 @@ def _optimised(
 
 def _noise(jobs: Sequence[Job], training_set: TrainingSet) -> FeatureNoise:
     """Noise of the training of jobs."""
-    kind, own = jobs[0].noise, jobs[0].own_noise
+    job = jobs[0]
+    noise = job.camera.noise if job.training.noise is None else job.training.noise
+    kind, (_, own) = job.noise, resolve(noise, job.camera.gates)
     if own is not None:
         try_own(own, jobs[0].code.learned)
     dark = [each.camera.dark_counts if kind == "camera" else 0.0 for each in jobs]
@@ -230,7 +232,7 @@ def _first_share(training_set: TrainingSet, job: Job, matrix: np.ndarray | None)
     if job.code.adaptive:
         return USUAL_SHARE
     seen, shape = training_set.seen(job.exposure), training_set.data.image_shape
-    exposure = job.exposure.begin(job, shape, torch.Generator().manual_seed(job.seed))
+    exposure = begin(job, shape, torch.Generator().manual_seed(job.seed))
     masks = initial_masks(seen, [job], exposure, matrix)
     if isinstance(masks, LearnedMasks):
         masks = final_masks(masks, seen, job, exposure)
@@ -250,7 +252,7 @@ def _designs(
     """Designs of trained masks and networks, with the statistics of their features."""
     job, s = jobs[0], training_set.summed_reflectance
     light, shape = job.optics.light, training_set.data.image_shape
-    rails, detection = masks().stacked, job.detection(shape)
+    rails, detection = masks().stacked, Detection.of_camera(job.optics, shape)
     seen, scale = training_set.seen(job.exposure).full, job.training.scale
     with torch.no_grad():
         if isinstance(masks, FixedPattern):

@@ -19,12 +19,12 @@ from torch import Tensor, nn
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.progress import SILENT, Report
-from deepfsi.camera.names import VIT
 from deepfsi.datasets import Dataset
 from deepfsi.design.classifiers import Mlp, Replicas, Vit
 from deepfsi.design.exposure.trained import TrainedExposure
 from deepfsi.design.own import OwnClassifier, make, seeded
-from deepfsi.jobs.job import Job, Training
+from deepfsi.jobs.job import Job
+from deepfsi.jobs.training import VIT, Training
 from deepfsi.optics.features import FeatureNoise
 from deepfsi.optics.masks import FixedMasks, LearnedMasks
 from deepfsi.training.batches import batch_of
@@ -97,7 +97,7 @@ def optimise(
     state = LoopState(
         [classify, choose, *learned], groups, settings.epochs * steps, streams, generators, cost
     )
-    draws = seeded(job.seed) if settings.own else nullcontext()
+    draws = seeded(job.seed) if settings.is_custom else nullcontext()
     tokens = exposures[0].tokens(training_set.data.image_shape)
     elements = batch * len(jobs) * tokens * max(job.masks, *settings.hidden, 1)
     with _threads(elements), draws:
@@ -148,7 +148,7 @@ def _generators(
 ) -> list[torch.Generator]:
     """Generators that networks draw from in a training: their own, or torch's global ones."""
     generators = [each.generator for each in networks if isinstance(each, Mlp) and each.generator]
-    if settings.own:
+    if settings.is_custom:
         generators.append(torch.default_generator)
         if device.type == "cuda":
             generators.append(torch.cuda.default_generators[torch.cuda.current_device()])
@@ -161,7 +161,7 @@ def _classifiers(
     """Classifiers of jobs, untrained."""
     job, settings, classes = jobs[0], jobs[0].training, data.answers
     inputs = exposure.input_count(job.features(data.image_shape))
-    if settings.own:
+    if settings.is_custom:
         made = make(settings.classifier, settings.classifier_arguments, inputs, classes, job.seed)
         if not any(each.requires_grad for each in made.parameters()):
             raise InputError("the classifier has no parameter that learns: give another module")

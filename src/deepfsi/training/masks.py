@@ -31,7 +31,7 @@ def initial_masks(
     """Masks before training: of R replicas, or of one where all share them."""
     # The scenes are those that the masks see; the matrix (m, N) is a user's own
     job, camera, shape = jobs[0], jobs[0].optics, seen.data.image_shape
-    detection, levels = job.detection(shape), camera.mask_levels(shape)
+    detection, levels = Detection.of_camera(camera, shape), camera.mask_levels(shape)
     if isinstance(exposure, PassingExposure):
         seeds, learned = [each.seed for each in jobs], job.code.learned
         held = seeds if learned else matrix_seeds(jobs)
@@ -39,7 +39,7 @@ def initial_masks(
     if matrix is not None:
         rails = constraints.own_rails(matrix, camera.light, camera.rails).unsqueeze(0)
     else:
-        signed = torch.stack([_matrix(seen, job, seed, detection) for seed in matrix_seeds(jobs)])
+        signed = torch.stack([_matrix(seen, job, seed) for seed in matrix_seeds(jobs)])
         if job.code.learned:
             kept = seen.pixels(camera.light).cpu()
             start = detection.of_pixels(kept).arrange(signed[..., kept])
@@ -51,7 +51,7 @@ def initial_masks(
 def matrix_seeds(jobs: Sequence[Job]) -> list[int]:
     """Seed of each matrix that jobs trained together are drawn from; one where all share it."""
     seeds = [job.seed for job in jobs]
-    drawn = codes.DESIGNS[jobs[0].drawn_from].seeded
+    drawn = codes.DESIGNS[jobs[0].start_matrix].seeded
     return seeds if drawn and len(set(seeds)) > 1 else seeds[:1]
 
 
@@ -73,24 +73,25 @@ def final_masks(
     with torch.no_grad():
         learned = masks().stacked
     rails = learned.new_zeros(*learned.shape[:-1], len(pixels))
-    detection = job.detection(seen.data.image_shape)
+    detection = Detection.of_camera(job.optics, seen.data.image_shape)
     rails[..., pixels] = detection.of_pixels(pixels).restore(learned)
     return FixedMasks(exposure.final(rails, light))
 
 
-def _matrix(seen: TrainingSet, job: Job, seed: int, detection: Detection) -> Tensor:
+def _matrix(seen: TrainingSet, job: Job, seed: int) -> Tensor:
     """Matrix (m, N) that masks are fitted from; of one rail the first lit frames of a design."""
     # Learned masks of two arms that are both read start from these frames, too, and the other arm
     # from what they leave: so they begin where one arm does (0.848 on MNIST's validation images at
     # 1e4 photons and 24 masks; 0.838 from the signed matrix, whose zeros are half light on each
     # arm)
-    name, count, camera = job.drawn_from, job.masks, job.optics
+    name, count, camera = job.start_matrix, job.masks, job.optics
+    detectors = camera.detector_map(seen.data.image_shape)
     both_arms = job.code.learned and camera.light == "two-arm" and camera.readout == "both"
     if job.code.single_rail or (camera.rails == "dual" and not both_arms):
-        return torch.from_numpy(seen.matrix(name, count, seed, detection)).float()
-    least, most = tiles.count_allowed(name, seen.data, detection)
+        return torch.from_numpy(seen.matrix(name, count, seed, detectors)).float()
+    least, most = tiles.count_allowed(name, seen.data, detectors)
     for masks in range(min(max(-(-count // 2), least), most), most + 1):
-        signed = torch.from_numpy(seen.matrix(name, masks, seed, detection)).float()
+        signed = torch.from_numpy(seen.matrix(name, masks, seed, detectors)).float()
         frames = constraints.frames(constraints.expand(signed, "column"))
         if len(frames) >= count:
             first = frames[:count]

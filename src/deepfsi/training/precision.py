@@ -20,12 +20,12 @@ and with 40 and 128 eight tenths as long (`benchmarks/networks.py`).
 
 def dtypes(job: Job, device: torch.device) -> tuple[torch.dtype, torch.dtype]:
     """Types of the products of a job's masks and of its networks."""
-    return product_dtype(job.masks_from(), device), network_dtype(job, device)
+    return product_dtype(job.mask_job(), device), network_dtype(job, device)
 
 
 def product_dtype(job: Job, device: torch.device) -> torch.dtype:
     """Type of the products of learned masks: bfloat16 where that stays under the readout noise."""
-    if job.training.precision == "auto" and not job.exposure.rounds_products:
+    if job.training.precision == "auto" and not job.exposure.allow_bf16:
         return torch.float32
     return _rounded(job, device)
 
@@ -33,7 +33,7 @@ def product_dtype(job: Job, device: torch.device) -> torch.dtype:
 def network_dtype(job: Job, device: torch.device) -> torch.dtype:
     """Type of the products of the networks in training: bfloat16 for wide ones on a processor."""
     wide = max(job.training.hidden, default=0) >= BFLOAT16_WIDTH
-    if not job.exposure.rounds_networks(device.type, wide) or job.training.own:
+    if not job.exposure.allow_bf16_networks(device.type, wide) or job.training.is_custom:
         return torch.float32
     return _rounded(job, device)
 
@@ -49,7 +49,7 @@ def _rounded(job: Job, device: torch.device) -> torch.dtype:
         if device.type == "cuda"
         else torch.cpu.get_capabilities().get("avx512_bf16", False)
     )
-    readouts = job.exposure.brightest(job.masks) * (2 if job.optics.rails == "dual" else 1)
+    readouts = job.exposure.min_lit_masks(job.masks) * (2 if job.optics.rails == "dual" else 1)
     counts = job.exposure.highest(job.photons) / readouts
     limit = {
         "ml_gauss": BFLOAT16_COUNTS,

@@ -7,17 +7,18 @@ import torch
 from torch import Tensor
 
 from deepfsi.base.errors import InputError
+from deepfsi.camera.detectors import ONE_DETECTOR, DetectorMap
 from deepfsi.camera.light import summed_reflectance
 from deepfsi.camera.names import LightLawName
 from deepfsi.datasets import Dataset
-from deepfsi.design.exposure import Exposure
 from deepfsi.design.values import Values
 from deepfsi.designfile import TrainingScenes
 from deepfsi.jobs import designs as codes
 from deepfsi.jobs import tiles
-from deepfsi.optics.detection import ONE, Detection
+from deepfsi.jobs.exposures import Exposure
+from deepfsi.optics.detection import Detection
 
-Matrices = dict[tuple[str, int, int, bytes], np.ndarray]
+Matrices = dict[tuple[str, int, int, tuple[int, ...] | None], np.ndarray]
 """Sensing matrices (m, N) by design, number of masks, seed and detectors."""
 
 
@@ -47,7 +48,7 @@ class TrainingSet:
     def seen(self, exposure: Exposure) -> "TrainingSet":
         """The scenes as the masks of an exposure see them."""
         if exposure not in self._seen:
-            scenes = exposure.seen(self.data)
+            scenes = exposure.view(self.data)
             self._seen[exposure] = self if scenes is self.data else self.of(scenes)
         return self._seen[exposure]
 
@@ -95,16 +96,18 @@ class TrainingSet:
         if codes.DESIGNS[name].shared and self.data.pixels <= codes.FULL_BASIS_PIXELS:
             self.matrix(name, 1, 0)
 
-    def matrix(self, name: str, masks: int, seed: int, detection: Detection = ONE) -> np.ndarray:
+    def matrix(
+        self, name: str, masks: int, seed: int, detectors: DetectorMap = ONE_DETECTOR
+    ) -> np.ndarray:
         """Sensing matrix of a fixed design; principal components are computed once for all m."""
         # Parameters as for `tiles.sensing_matrix`
-        tiles.check_count(name, masks, self.data, detection)
-        _, most = tiles.count_allowed(name, self.data, detection)
+        tiles.check_count(name, masks, self.data, detectors)
+        _, most = tiles.count_allowed(name, self.data, detectors)
         code = codes.DESIGNS[name]
         whole = most if code.shared and most <= codes.FULL_BASIS_PIXELS else masks
-        key = (name, whole, seed if code.seeded else 0, detection.key)
+        key = (name, whole, seed if code.seeded else 0, detectors.cells)
         if key not in self.matrices:
-            self.matrices[key] = tiles.sensing_matrix(name, whole, self.data, seed, detection)
+            self.matrices[key] = tiles.sensing_matrix(name, whole, self.data, seed, detectors)
         return self.matrices[key][:masks]
 
 

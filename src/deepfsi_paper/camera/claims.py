@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from deepfsi.base.intervals import Difference, above, of_trials
-from deepfsi.camera.layout import Grid, find_grid
+from deepfsi.camera.layout import DmdGrid, find_grid
 from deepfsi.hardware.patterns.mirrors import recount, unpack
 from deepfsi.jobs.designs import DESIGNS
 from deepfsi.report.style import photons_text
@@ -303,7 +303,7 @@ def _optics_pictures(measures: Measures) -> tuple[Picture, Picture]:
     )
 
 
-def _greyest(mirrors: np.ndarray, grid: Grid, side: int = 3) -> tuple[int, int]:
+def _greyest(mirrors: np.ndarray, grid: DmdGrid, side: int = 3) -> tuple[int, int]:
     """First cell of the window of side x side cells that are farthest from dark and full."""
     share = recount(mirrors, grid).reshape(grid.down, grid.across) / grid.mirrors
     grey = np.minimum(share, 1 - share)

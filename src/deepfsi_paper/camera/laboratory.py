@@ -21,7 +21,7 @@ import numpy as np
 from deepfsi.base.intervals import Difference, of_trials
 from deepfsi.base.progress import Report
 from deepfsi.camera.device import find_device
-from deepfsi.camera.layout import Layout, find_grid
+from deepfsi.camera.layout import DmdLayout, find_grid
 from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.hardware.calibration import expected_background, fit, scan_rails, view_dataset
@@ -65,7 +65,7 @@ REPEATS = 10
 DEVICE = find_device("dlp7000")
 """The micromirror device of the paper."""
 
-LAYOUT = Layout(stretch=True)
+LAYOUT = DmdLayout(stretch=True)
 """Cells of the paper fill the device: 24 x 32 mirrors each."""
 
 OURS = "deepfsi"

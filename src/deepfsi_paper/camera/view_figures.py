@@ -12,7 +12,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.patches import ConnectionPatch, Rectangle
 
 from deepfsi.base.errors import InputError
-from deepfsi.camera.layout import Grid
+from deepfsi.camera.layout import DmdGrid
 from deepfsi.report.style import COLOURS, GREYS, GRID, PAGE_WIDTH, plain_bar, styled
 
 MARGIN = 1.5
@@ -80,7 +80,7 @@ def views_figure(
 @styled
 def mirrors_figure(
     mirrors: np.ndarray,
-    grid: Grid,
+    grid: DmdGrid,
     close: tuple[int, int] | None = None,
     cells: tuple[int, int] = (3, 3),
 ) -> Figure:
@@ -132,7 +132,7 @@ def mirrors_figure(
 
 
 def _close_up(
-    grid: Grid, close: tuple[int, int] | None, cells: tuple[int, int]
+    grid: DmdGrid, close: tuple[int, int] | None, cells: tuple[int, int]
 ) -> tuple[np.ndarray, np.ndarray]:
     """First cell and extent of the close-up, down and across."""
     all_cells = np.array([grid.down, grid.across])
@@ -162,7 +162,7 @@ def _join(
         figure.add_artist(line)
 
 
-def _number_cells(near: Axes, grid: Grid, first: np.ndarray, extent: np.ndarray) -> None:
+def _number_cells(near: Axes, grid: DmdGrid, first: np.ndarray, extent: np.ndarray) -> None:
     """Border the cells of the close-up, and write which cells of the mask they are."""
     top, left = np.array([grid.top, grid.left]) + first * (grid.height, grid.width)
     looks: dict[str, Any] = {"color": COLOURS["deepfsi"], "linewidth": 1.2, "clip_on": False}

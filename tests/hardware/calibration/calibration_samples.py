@@ -3,13 +3,13 @@
 import numpy as np
 
 from deepfsi.camera.device import find_device
-from deepfsi.camera.layout import Layout, find_grid
+from deepfsi.camera.layout import DmdLayout, find_grid
 from deepfsi.hardware.calibration import camera_view
 from deepfsi.hardware.counting.calibration_file import Calibration
 
 VIEW = np.array([[0.9, 0.05, 0.02], [-0.04, 0.88, 0.06], [0.05, -0.06, 1]])
 IDENTITY = np.eye(3)
-GRID = find_grid(find_device("dlp7000"), (32, 32), Layout(stretch=True))
+GRID = find_grid(find_device("dlp7000"), (32, 32), DmdLayout(stretch=True))
 
 
 def vignette(shape, loss=0.4):

@@ -6,7 +6,7 @@ from calibration_samples import GRID, IDENTITY, VIEW, apply, calibration_of, pic
 
 from deepfsi.base.errors import InputError
 from deepfsi.camera.device import Device
-from deepfsi.camera.layout import Layout, find_grid
+from deepfsi.camera.layout import DmdLayout, find_grid
 from deepfsi.hardware.calibration import camera_view, fit
 from deepfsi.hardware.calibration.view import view_matrix
 from deepfsi.hardware.counting.calibration_file import load_calibration, save_calibration
@@ -54,7 +54,7 @@ def test_a_calibration_finds_what_was_done(blur_cells, noise):
 @pytest.mark.parametrize("blur_cells", [0.0, 0.4])
 def test_a_spot_smaller_than_a_cell_is_not_drawn_to_its_centre(blur_cells):
     """Centres of spots of half a cell would leave an error of 0.2 cells, and 5 of 25 spots out."""
-    grid = find_grid(Device(name="d", columns=256, rows=192), (8, 8), Layout(stretch=True))
+    grid = find_grid(Device(name="d", columns=256, rows=192), (8, 8), DmdLayout(stretch=True))
     blur = blur_cells * 8 / 9.24 / 8, blur_cells * 8 / 12.3 / 8
     scenes = fit.spot_scenes((32, 32))
     pictures = pictures_of(scenes, VIEW, blur, ((1.0,),), 0.002, grid=grid)
@@ -111,7 +111,7 @@ def test_a_spot_that_is_not_where_the_others_say_is_left_out():
 
 
 def test_other_device_and_cell_number():
-    grid = find_grid(Device(name="d", columns=100, rows=90), (16, 20), Layout(stretch=True))
+    grid = find_grid(Device(name="d", columns=100, rows=90), (16, 20), DmdLayout(stretch=True))
     scenes = fit.spot_scenes((30, 40), (4, 6), 3)
     pictures = pictures_of(scenes, VIEW, (0.03, 0.03), ((1.0,),), 0.003, grid=grid)
     found = fit.fit_calibration(scenes, pictures, grid)
@@ -224,7 +224,7 @@ def test_words_on_arrays_that_do_not_fit():
 def test_the_virtual_camera_is_calibrated():
     """Spots, white and black shown to it, counted, and found again."""
     device = Device(name="d", columns=512, rows=384)
-    grid = find_grid(device, (32, 32), Layout(stretch=True))
+    grid = find_grid(device, (32, 32), DmdLayout(stretch=True))
     eyes = camera.VirtualCamera(view=tuple(map(tuple, VIEW.tolist())), blur=7.0, vignetting=0.3)
     spots = fit.spot_scenes((32, 32))
     shown = np.concatenate([spots, np.ones((1, 32, 32), np.float32)])
@@ -243,7 +243,7 @@ def test_the_virtual_camera_is_calibrated():
 def test_a_recorded_run_is_calibrated_end_to_end(tmp_path):
     """Spots, white and black: pattern folder, photon file, counts, calibration, view."""
     device, shape = Device(name="d", columns=128, rows=128), (16, 16)
-    grid = find_grid(device, shape, Layout(stretch=True))
+    grid = find_grid(device, shape, DmdLayout(stretch=True))
     eyes = camera.VirtualCamera(
         view=tuple(map(tuple, VIEW.tolist())), blur=3.0, vignetting=0.2, dark=1e3, ambient=2e4
     )

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from deepfsi.base.errors import InputError
+from deepfsi.camera.detectors import DetectorMap
 from deepfsi.camera.device import Device
 from deepfsi.camera.light import detector_shares
 from deepfsi.hardware.calibration import find_gains
 from deepfsi.hardware.counting.counting import count
 from deepfsi.hardware.counting.counts import read_counts
-from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.virtual import RecordingSettings, VirtualCamera, record_scenes
@@ -34,7 +34,7 @@ def export(folder, light="equal-dwell", known=True):
     masks = np.random.default_rng(1).random((1, 6, 16)) / 6
     if light == "two-arm":
         masks = np.concatenate([masks, 1 / 6 - masks])
-    detectors = Detectors(count=4, cells=tuple(CELLS.ravel().tolist()), **held)
+    detectors = DetectorMap(count=4, cells=tuple(CELLS.ravel().tolist()), **held)
     design = DesignRails(masks, light, (4, 4), 7.0, detectors=detectors)
     return export_patterns(design, FrameSettings(DEVICE, 2e-3), folder / "p")
 

@@ -9,7 +9,7 @@ from scipy import ndimage
 
 from deepfsi.base.errors import InputError
 from deepfsi.camera.device import Device
-from deepfsi.camera.layout import Layout
+from deepfsi.camera.layout import DmdLayout
 from deepfsi.datasets import read_display
 from deepfsi.hardware.calibration import find_reference, write_reference
 from deepfsi.hardware.calibration.reference import EXPECTED, REFERENCE, reference_picture
@@ -25,7 +25,7 @@ from deepfsi.hardware.virtual import (
 )
 
 DEVICE = Device(name="d", columns=256, rows=192, shortest_us=10, settle_us=2)
-PLAIN = Layout()
+PLAIN = DmdLayout()
 
 
 def masks(count: int = 16, seed: int = 0) -> np.ndarray:
@@ -65,7 +65,7 @@ def found(tmp_path, shown, camera, flux=3e8, picture=None, exposure=0.01):
         (PLAIN, {}),
         (PLAIN, {"shift": (0.0, 0.125)}),
         (PLAIN, {"scale": 0.9, "turn": 4.0, "shift": (0.03, -0.05)}),
-        (Layout(rotate=90), {"scale": 0.5}),
+        (DmdLayout(rotate=90), {"scale": 0.5}),
         *((each, {}) for each in PLAIN.orientations()[2::2]),
     ],
     ids=str,
@@ -85,7 +85,7 @@ def test_law_the_place_of_a_scene_is_found_with_stray_light(tmp_path, layout, pl
 
 
 def test_an_export_with_what_it_says_fits(tmp_path):
-    turned = Layout(flip=True, rotate=90)
+    turned = DmdLayout(flip=True, rotate=90)
     camera = VirtualCamera(view=view(turned))
     first = found(tmp_path, export(tmp_path / "p"), camera)
     assert "export again with --flip --rotate 90" in first.findings[0][1]
@@ -139,7 +139,7 @@ def test_few_masks_and_spectra_are_refused(tmp_path):
 
 @pytest.mark.parametrize("inverted", [False, True])
 def test_mirrors_of_the_other_polarity_are_named_and_corrected(tmp_path, inverted):
-    shown = export(tmp_path / "p", Layout(invert=inverted))
+    shown = export(tmp_path / "p", DmdLayout(invert=inverted))
     camera = VirtualCamera(inverted=True)
     if inverted:
         assert found(tmp_path, shown, camera).fits

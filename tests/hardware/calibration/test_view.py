@@ -10,7 +10,7 @@ from scipy import ndimage
 
 from deepfsi.base.errors import InputError
 from deepfsi.camera.device import Device, find_device
-from deepfsi.camera.layout import Layout, find_grid
+from deepfsi.camera.layout import DmdLayout, find_grid
 from deepfsi.datasets import load_dataset
 from deepfsi.hardware.calibration import camera_view, view_dataset
 from deepfsi.hardware.calibration.view import view_matrix
@@ -126,7 +126,7 @@ def test_shapes_that_do_not_fit_are_refused():
     ids=["same points", "larger cells", "tall cells"],
 )
 def test_the_virtual_camera_and_the_operator_agree(device, shape, tolerance, blur):
-    grid = find_grid(device, shape, Layout(stretch=True))
+    grid = find_grid(device, shape, DmdLayout(stretch=True))
     eyes = camera.VirtualCamera(view=tuple(map(tuple, VIEW.tolist())), blur=blur, vignetting=0.3)
     scenes = np.random.default_rng(0).random((3, 16, 16), dtype=np.float32)
     mirrors = camera.irradiance(scenes, eyes, device, grid)

@@ -6,12 +6,12 @@ from recording_samples import schedule
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.tables import Table
+from deepfsi.camera.detectors import DetectorMap
 from deepfsi.camera.device import Device
 from deepfsi.hardware.counting.ambient import Ambient
 from deepfsi.hardware.counting.counting import count
 from deepfsi.hardware.counting.counts import read_counts
 from deepfsi.hardware.counting.tables import TableSettings, count_table
-from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns, read_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.virtual import (
@@ -35,7 +35,7 @@ def patterns(folder, law: str):
     else:
         rails = wild[None] / wild.max(axis=1).sum()
     if law == "detectors":
-        cells = Detectors(count=2, cells=(0, 0, 1, 1) * 3)
+        cells = DetectorMap(count=2, cells=(0, 0, 1, 1) * 3)
     light = "two-arm" if law == "two-arm" else "free-dwell"
     made = DesignRails(rails, light, SHAPE, float(STEADY.sum()), None, None, cells)
     export_patterns(made, FrameSettings(DEVICE, 1.2e-3), folder)

@@ -10,9 +10,9 @@ from recording_samples import patterns_of
 from deepfsi.base.errors import InputError
 from deepfsi.base.tables import Table
 from deepfsi.camera.dead_time import DeadTime
+from deepfsi.camera.detectors import DetectorMap
 from deepfsi.camera.device import Device
 from deepfsi.hardware.counting.tables import TableSettings, column_names, count_table
-from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.nominal import nominal_manifest
 from deepfsi.hardware.patterns.sequence import FrameSettings
@@ -33,7 +33,7 @@ def design_of(light: str, rails: str, cells=None) -> DesignRails:
     wild = np.random.default_rng(3).random((5, PIXELS)) - (0.5 if rails == "dual" else 0)
     wild[1] = abs(wild[1])  # of two rails, one that is dark
     fitted = constraints.fit(torch.from_numpy(wild), light, rails).numpy()
-    detectors = None if cells is None else Detectors(count=max(cells) + 1, cells=cells)
+    detectors = None if cells is None else DetectorMap(count=max(cells) + 1, cells=cells)
     return DesignRails(fitted, light, SHAPE, S_BAR, None, None, detectors)
 
 

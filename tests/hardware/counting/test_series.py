@@ -7,10 +7,10 @@ import pytest
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.tables import read_table
+from deepfsi.camera.detectors import DetectorMap
 from deepfsi.camera.device import Device
 from deepfsi.hardware.counting.series import ROLL_OVER, of_bins, of_cumulative
 from deepfsi.hardware.counting.tables import TableSettings, column_names, count_table
-from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns, read_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.virtual import VirtualCamera, arrival_rates
@@ -25,7 +25,7 @@ def shown(request, tmp_path_factory):
     """Patterns with pictures of ten bins, and rates (S, F, inputs) of some scenes."""
     folder = tmp_path_factory.mktemp("series") / "patterns"
     rails = np.random.default_rng(3).integers(0, 2, (1, MASKS, 12)).astype(np.float32) / MASKS
-    cells = Detectors(count=2, cells=(0, 1) * 6) if request.param == 2 else None
+    cells = DetectorMap(count=2, cells=(0, 1) * 6) if request.param == 2 else None
     made = DesignRails(rails, "equal-dwell", SHAPE, float(SCENES.sum() / 5), detectors=cells)
     export_patterns(made, FrameSettings(DEVICE, BIN_US * 10e-6), folder)
     rates = arrival_rates(folder, SCENES, VirtualCamera(dark=200.0), FLUX)

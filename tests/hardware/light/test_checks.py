@@ -11,13 +11,13 @@ from light_faults import FAULTS, Lit, patterns_of, steady
 from scipy.stats import binom
 
 from deepfsi.base.errors import InputError
+from deepfsi.camera.detectors import DetectorMap
 from deepfsi.hardware.counting.counting import count
 from deepfsi.hardware.counting.counts import Counts
 from deepfsi.hardware.light import FALSE_ALARMS
 from deepfsi.hardware.light.checks import PassLight, find_unequal_gains
 from deepfsi.hardware.light.curves import LightCurve
 from deepfsi.hardware.light.flux import Background
-from deepfsi.hardware.patterns.detectors import Detectors
 
 RECORDINGS = int(os.environ.get("DEEPFSI_LIGHT", "45"))
 LIGHTS = ("free-dwell", "two-arm")
@@ -164,7 +164,7 @@ def test_a_mask_that_is_brighter_than_all_mirrors_on_spoils_its_scene(shown, tmp
 def test_law_few_photons_alone_are_no_gain(seconds):
     """Shares of 120 photons a scene err by a tenth and more; half of the light is no error."""
     rng, scenes = np.random.default_rng(6), 3
-    known = Detectors(count=2, shares=((0.5, 0.5), (0.4, 0.6)), spread=(0.0, 0.0))
+    known = DetectorMap(count=2, shares=((0.5, 0.5), (0.4, 0.6)), spread=(0.0, 0.0))
 
     def found(gain: float, mean: float) -> list:
         detectors = []

@@ -7,7 +7,7 @@ import pytest
 
 from deepfsi.base.progress import SILENT
 from deepfsi.camera.device import find_device
-from deepfsi.camera.layout import Layout
+from deepfsi.camera.layout import DmdLayout
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 
@@ -34,7 +34,7 @@ def export(
     folder: Path, rails=None, light="free-dwell", image_shape=(4, 4), s=3.0, file=None,
     report=SILENT, **changes,
 ):  # fmt: skip
-    usual = {"device": SMALL, "dwell_s": 1e-3, "layout": Layout(stretch=True)}
+    usual = {"device": SMALL, "dwell_s": 1e-3, "layout": DmdLayout(stretch=True)}
     settings = FrameSettings(**{**usual, **changes})
     design = DesignRails(grey() if rails is None else rails, light, image_shape, s, file)
     return export_patterns(design, settings, folder, report)

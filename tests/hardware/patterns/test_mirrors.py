@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from pattern_samples import SMALL
 
 from deepfsi.camera.device import Device
-from deepfsi.camera.layout import Layout, find_grid
+from deepfsi.camera.layout import DmdLayout, find_grid
 from deepfsi.hardware.patterns.mirrors import make_frames, order_mirrors, recount, unpack
 
 
@@ -21,7 +21,7 @@ def test_frames_are_mirrors_counted_in_cells_and_packed(data):
     columns = data.draw(st.integers(across, 70) | st.sampled_from([16, 32, 64]))
     device = Device(name="any", columns=columns, rows=data.draw(st.integers(down, 20)))
     shape = (across,) if down == 1 and data.draw(st.booleans()) else (down, across)
-    grid = find_grid(device, shape, Layout(stretch=True))
+    grid = find_grid(device, shape, DmdLayout(stretch=True))
     seed = data.draw(st.integers(0, 9))
     on = np.random.default_rng(seed).integers(0, grid.mirrors + 1, (3, down * across))
     order = np.tile(order_mirrors(grid.height, grid.width), (down, across))
@@ -78,7 +78,7 @@ def errors(scenes: np.ndarray, selection: str, seed: int = 0) -> np.ndarray:
     height, width = scenes.shape[1:]
     device = Device(name="cell", columns=width, rows=height)
     on = np.arange(height * width + 1)[:, None]
-    grid = find_grid(device, (1, 1), Layout(stretch=True))
+    grid = find_grid(device, (1, 1), DmdLayout(stretch=True))
     frames = make_frames(on, device, grid, selection, seed)
     shown = np.stack([unpack(frame, device).ravel() for frame in frames])
     flat = scenes.reshape(len(scenes), -1)
@@ -131,7 +131,7 @@ def test_random_mirrors_err_as_drawn_without_replacement():
 
 
 def test_random_mirrors_are_drawn_anew_for_each_cell_and_frame_and_follow_the_seed():
-    grid = find_grid(SMALL, (4, 4), Layout(stretch=True))
+    grid = find_grid(SMALL, (4, 4), DmdLayout(stretch=True))
     on = np.full((2, 16), grid.mirrors // 2)
 
     def draw(seed: int) -> np.ndarray:

@@ -12,7 +12,7 @@ from virtual_samples import DEVICE, SHAPE, SUMMED_REFLECTANCE, into, patterns, s
 from deepfsi.base.errors import InputError
 from deepfsi.base.progress import SILENT, Report
 from deepfsi.camera.device import Device
-from deepfsi.camera.layout import Layout, find_grid
+from deepfsi.camera.layout import DmdLayout, find_grid
 from deepfsi.hardware.counting.acquisition import read_acquisition
 from deepfsi.hardware.counting.counting import count
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
@@ -33,7 +33,7 @@ from deepfsi.hardware.virtual.camera import irradiance
 from deepfsi.optics.scanner import Scanner
 from deepfsi_paper.camera.gate_counts import draw_counts
 
-GRID = find_grid(DEVICE, SHAPE, Layout(stretch=True))
+GRID = find_grid(DEVICE, SHAPE, DmdLayout(stretch=True))
 MIRRORS = GRID.mirrors
 AREA = slice(GRID.top, GRID.top + 24), slice(GRID.left, GRID.left + 36)
 IDEAL = CAMERAS["ideal"]

@@ -9,10 +9,10 @@ import torch
 from virtual_samples import DEVICE, SHAPE, SUMMED_REFLECTANCE, scenes
 
 from deepfsi.base.errors import InputError
+from deepfsi.camera.detectors import DetectorMap
 from deepfsi.camera.device import Device
 from deepfsi.hardware.counting.counting import count
 from deepfsi.hardware.counting.counts import Counts, read_counts
-from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns, read_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.patterns.timing import Gates, find_gates
@@ -44,7 +44,7 @@ every_optics = pytest.mark.parametrize(("light", "rails"), OPTICS)
 def design_of(light: str, rails: str, cells=CELLS) -> DesignRails:
     wild = np.random.default_rng(3).random((5, 12)) - (0.5 if rails == "dual" else 0)
     fitted = constraints.fit(torch.from_numpy(wild), light, rails).numpy()
-    detectors = None if cells is None else Detectors(count=max(cells) + 1, cells=cells)
+    detectors = None if cells is None else DetectorMap(count=max(cells) + 1, cells=cells)
     return DesignRails(fitted, light, SHAPE, SUMMED_REFLECTANCE, None, None, detectors)
 
 
@@ -55,7 +55,8 @@ def patterns(folder, light="equal-dwell", rails="dual", cells=CELLS):
 def expected(shown, x, photons) -> np.ndarray:
     """Mean counts of each detector by the scanner, (S, rails, m, D)."""
     scanner = Scanner.from_rails(
-        torch.from_numpy(shown.rails), detection=Detection.of(np.array(CELLS), SHAPE)
+        torch.from_numpy(shown.rails),
+        detection=Detection.of(DetectorMap.of(np.array(CELLS), SHAPE)),
     )
     flat = torch.from_numpy(x.reshape(len(x), -1).astype(np.float64))
     rates = scanner.rates(flat * (photons / SUMMED_REFLECTANCE)).numpy()
@@ -257,7 +258,7 @@ def test_more_detectors_than_inputs_are_refused(tmp_path):
     cells = tuple(range(33))
     design = DesignRails(
         np.full((2, 1, 33), 0.5), "two-arm", (3, 11), 9.0,
-        detectors=Detectors(count=33, cells=cells),
+        detectors=DetectorMap(count=33, cells=cells),
     )  # fmt: skip
     device = Device(name="small", columns=44, rows=12, shortest_us=10, settle_us=2)
     export_patterns(design, FrameSettings(device, 2e-3), tmp_path / "p")

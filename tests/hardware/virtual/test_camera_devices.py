@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from deepfsi.camera.device import DEVICES
-from deepfsi.camera.layout import Layout, find_grid
+from deepfsi.camera.layout import DmdLayout, find_grid
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.virtual import CAMERAS, VirtualCamera, arrival_rates
@@ -39,7 +39,7 @@ def places() -> tuple[np.ndarray, np.ndarray]:
 
 def test_mirrors_of_a_diamond_lattice_get_the_light_of_their_places():
     """The area is that of the cells' mirrors: 56 diagonals across, 58 down."""
-    grid = find_grid(DIAMOND, (2, 4), Layout(stretch=True))
+    grid = find_grid(DIAMOND, (2, 4), DmdLayout(stretch=True))
     x, y = places()
     used = np.zeros(x.shape, bool)
     used[grid.window] = True
@@ -56,7 +56,7 @@ def test_mirrors_of_a_diamond_lattice_get_the_light_of_their_places():
 
 def test_blur_is_as_wide_in_both_directions_of_a_diamond_lattice():
     """Standard deviation of 3 mirrors, each 1 / sqrt(2) of a diagonal."""
-    grid = find_grid(DIAMOND, (2, 4), Layout(stretch=True))
+    grid = find_grid(DIAMOND, (2, 4), DmdLayout(stretch=True))
     x, y = places()
     spot = np.zeros((1, 58, 56))
     spot[0, 29, 28] = 1

@@ -7,7 +7,7 @@ import torch
 
 from deepfsi.base.progress import Report
 from deepfsi.camera.device import Device
-from deepfsi.camera.layout import Layout
+from deepfsi.camera.layout import DmdLayout
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.optics import constraints
@@ -27,7 +27,7 @@ def patterns(folder: Path, light: str = "equal-dwell", rails: str = "dual", mask
     wild[1] = abs(wild[1])
     fitted = constraints.fit(torch.from_numpy(wild), light, rails).numpy()
     design = DesignRails(fitted, light, SHAPE, SUMMED_REFLECTANCE)
-    settings = FrameSettings(DEVICE, dwell, layout=Layout(stretch=True))
+    settings = FrameSettings(DEVICE, dwell, layout=DmdLayout(stretch=True))
     return export_patterns(design, settings, folder)
 
 

@@ -32,7 +32,7 @@ from deepfsi.designfile import (
     trained_budgets,
     trained_camera,
 )
-from deepfsi.jobs.entries import AdaptiveMasks
+from deepfsi.jobs.exposures import AdaptiveMasks
 from deepfsi.optics.detection import Detection
 from deepfsi.optics.surroundings import library_defaults
 
@@ -117,7 +117,7 @@ class AdaptiveDesign:
     @property
     def detection(self) -> Detection:
         """Detectors on parts of the device."""
-        return self.camera.detection(self.image_shape)
+        return Detection.of_camera(self.camera, self.image_shape)
 
     @cached_property
     def scene_model(self) -> SceneModel | None:

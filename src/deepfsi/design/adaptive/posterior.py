@@ -13,13 +13,12 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from deepfsi.base.errors import InputError
 from deepfsi.camera.camera import Camera
-from deepfsi.camera.names import LOOK_LIGHT
+from deepfsi.camera.names import LIGHT_LAWS
 from deepfsi.design.adaptive.prior import ScenePrior
 from deepfsi.design.posterior import class_chances
 from deepfsi.design.temperatures import temperatures_at
-from deepfsi.optics.detection import Detection
+from deepfsi.jobs.exposures import AdaptiveMasks
 
 DIMMEST = 1e-6
 """Least light of a scene through a mask, over that of the whole mean scene."""
@@ -55,20 +54,10 @@ class LookOptics:
     @classmethod
     def of(cls, camera: Camera, image_shape: tuple[int, ...], photons: float) -> "LookOptics":
         """Optics of a camera; `InputError` where it shows no binary masks, or has read noise."""
-        if camera.light not in LOOK_LIGHT:
-            raise InputError(
-                f"adaptive masks are shown by one device, not {camera.light}: give the light law "
-                "free-dwell or two-arm"
-            )
-        read_noise = camera.noise_name == "camera" and camera.sigma
-        if camera.noise_name not in ("poisson", "camera") or read_noise:
-            raise InputError(
-                "adaptive masks are for photon counts: give poisson noise, or camera noise of "
-                "dark counts alone"
-            )
-        arms = 2 if camera.light == "two-arm" else 1
-        detection = Detection.of(camera.detectors, image_shape)
-        return cls(photons, camera.dark_counts, arms, detection.labels)
+        AdaptiveMasks.check_camera(camera)
+        labels, arms = camera.detector_map(image_shape).labels, LIGHT_LAWS[camera.light].arms
+        detectors = None if labels is None else torch.from_numpy(labels)
+        return cls(photons, camera.dark_counts, arms, detectors)
 
     def areas(self, masks: Tensor) -> Tensor:
         """Pixels (D, N) of each detector, 1 where it sees them."""

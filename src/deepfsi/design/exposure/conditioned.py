@@ -20,7 +20,8 @@ from torch.nn import functional
 from deepfsi.base.errors import InputError
 from deepfsi.camera.names import LightLawName
 from deepfsi.design.exposure.trained import TrainedExposure
-from deepfsi.jobs.entries import ConditionedEntry
+from deepfsi.jobs.exposures import ConditionedEntry
+from deepfsi.jobs.job import Job
 from deepfsi.optics import constraints
 from deepfsi.optics.features import mean_over_exposures
 from deepfsi.optics.rails import Rails
@@ -47,6 +48,15 @@ class ConditionedExposure(TrainedExposure):
     def entry(self) -> ConditionedEntry:
         """Entry of the design file's header."""
         return ConditionedEntry(**vars(self))
+
+    @classmethod
+    def begin(
+        cls, job: Job, image_shape: tuple[int, ...], seed: torch.Generator
+    ) -> "ConditionedExposure":
+        """One whose classifier is told budget and masks; parameters as of the base class."""
+        span, fewest = job.exposure.highest(1.0), getattr(job.exposure, "nested", 0)
+        width = job.features(image_shape) // job.masks
+        return cls(job.photons, span, job.masks, fewest, width)
 
     def check(self, rails: Rails, light: LightLawName, image_shape: tuple[int, ...]) -> None:
         """Raise `ValueError` unless rails can be exposed so; parameters as for `Design`."""

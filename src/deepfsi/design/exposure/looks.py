@@ -21,13 +21,13 @@ from torch import Tensor
 from deepfsi.base.errors import InputError
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.light import Shares, share_out
-from deepfsi.camera.names import LightLawName
+from deepfsi.camera.names import LIGHT_LAWS, LightLawName
 from deepfsi.design.classifiers import Mlp, restored
-from deepfsi.design.exposure import LOOKING, Looks
 from deepfsi.design.exposure.trained import Observation, Read, Show, TrainedExposure
 from deepfsi.design.readout_fit import find_distribution
 from deepfsi.designfile import ReadoutDistribution
-from deepfsi.jobs.entries import LARGEST_SCORE, ExposureEntry, LooksEntry
+from deepfsi.jobs.exposures import LARGEST_SCORE, ExposureEntry, Looks, LooksEntry
+from deepfsi.jobs.job import Job
 from deepfsi.optics import constraints
 from deepfsi.optics.detection import Detection
 from deepfsi.optics.masks import LearnedMasks, through
@@ -117,6 +117,18 @@ class LooksExposure(TrainedExposure):
         sizes = {"inputs": inputs, "classes": dwells.count, "hidden": entry.hidden}
         return cls(dwells, restored(Mlp, weights, **sizes), entry.looks, entry.shortest)
 
+    @classmethod
+    def begin(
+        cls, job: Job, image_shape: tuple[int, ...], seed: torch.Generator
+    ) -> "LooksExposure":
+        """One whose network chooses dwells; parameters as of the base class."""
+        assert isinstance(job.exposure, Looks)
+        camera = job.optics
+        dwells = Dwells.of(job.masks, camera.light, camera.rails)
+        inputs = job.features(image_shape) + dwells.count + 1
+        network = Mlp(inputs, dwells.count, job.training.hidden, 0.0, seed)
+        return cls(dwells, network, job.exposure.looks, camera.shortest_share)
+
     def to(self, device: str | torch.device) -> "LooksExposure":
         """The kind on a device."""
         return replace(self, network=self.network.to(device))
@@ -127,7 +139,7 @@ class LooksExposure(TrainedExposure):
         equal = constraints.excess(rails.stacked, same) < constraints.SLACK
         if light == "two-arm":
             equal &= float(rails.total.max()) * rails.masks < 1 + constraints.SLACK
-        if not (equal and light in LOOKING):
+        if not (equal and LIGHT_LAWS[light].looks):
             raise ValueError("dwells are chosen for frames of one device that all have the same")
 
     def learned_masks(self, start: Tensor, camera: Camera, levels: int) -> LearnedMasks:

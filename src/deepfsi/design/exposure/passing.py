@@ -10,8 +10,8 @@ from torch import Tensor, nn
 from deepfsi.base.errors import InputError
 from deepfsi.camera.names import LightLawName
 from deepfsi.design.exposure.trained import Observation, TrainedExposure
-from deepfsi.design.exposure.transits import STATIC
-from deepfsi.jobs.entries import ExposureEntry, PassingEntry
+from deepfsi.jobs.exposures import STATIC, ExposureEntry, Passing, PassingEntry
+from deepfsi.jobs.job import Job
 from deepfsi.optics.grey_levels import check_levels
 from deepfsi.optics.rails import Rails
 from deepfsi.optics.scanner import Scanner, project
@@ -70,6 +70,24 @@ class PassingExposure(TrainedExposure):
             speed_jitter=entry.speed_jitter,
         )
         return cls(path, pattern)
+
+    @classmethod
+    def begin(
+        cls, job: Job, image_shape: tuple[int, ...], seed: torch.Generator
+    ) -> "PassingExposure":
+        """One whose pattern is not known yet; parameters as of the base class."""
+        asked = job.exposure
+        assert isinstance(asked, Passing)
+        height, columns = image_shape
+        path = Transit(
+            shape=(height, columns),
+            width=asked.columns(image_shape),
+            bins=asked.bins,
+            speed=asked.speed,
+            jitter=asked.jitter,
+            speed_jitter=asked.speed_jitter,
+        )
+        return cls(path)
 
     @property
     def weights(self) -> dict[str, Tensor]:

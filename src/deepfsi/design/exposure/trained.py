@@ -19,7 +19,8 @@ from deepfsi.camera.names import LightLawName
 from deepfsi.design.classifiers import Mlp
 from deepfsi.design.readout_fit import find_distribution
 from deepfsi.designfile import ReadoutDistribution
-from deepfsi.jobs.entries import ExposureEntry, FixedEntry, PatchesEntry
+from deepfsi.jobs.exposures import ExposureEntry, FixedEntry, Patches, PatchesEntry
+from deepfsi.jobs.job import Job
 from deepfsi.optics import constraints
 from deepfsi.optics.detection import Detection
 from deepfsi.optics.grey_levels import quantise
@@ -86,6 +87,13 @@ class TrainedExposure:
     ) -> "TrainedExposure":
         """The kind of an entry, with its tensors of a design file; an error where they differ."""
         return cls(**entry.model_dump(exclude={"kind"}))
+
+    @classmethod
+    def begin(
+        cls, job: Job, image_shape: tuple[int, ...], seed: torch.Generator
+    ) -> "TrainedExposure":
+        """The exposure of a design that is to be trained on scenes of a shape."""
+        return cls()
 
     def to(self, device: str | torch.device) -> "TrainedExposure":
         """The kind on a device."""
@@ -296,6 +304,14 @@ class PatchExposure(TrainedExposure):
     def entry(self) -> PatchesEntry:
         """Entry of the design file's header."""
         return PatchesEntry(side=self.side)
+
+    @classmethod
+    def begin(
+        cls, job: Job, image_shape: tuple[int, ...], seed: torch.Generator
+    ) -> "PatchExposure":
+        """One that cuts images in patches; parameters as of the base class."""
+        assert isinstance(job.exposure, Patches)
+        return cls(job.exposure.patch)
 
     def check(self, rails: Rails, light: LightLawName, image_shape: tuple[int, ...]) -> None:
         """Raise `ValueError` unless rails are of patches; parameters as for `Design`."""

@@ -20,7 +20,7 @@ import numpy as np
 from scipy import ndimage, optimize, special
 
 from deepfsi.base.errors import InputError
-from deepfsi.camera.layout import Grid
+from deepfsi.camera.layout import DmdGrid
 from deepfsi.datasets import write_pictures
 from deepfsi.hardware.calibration.view import geometry_matrix
 from deepfsi.hardware.counting.calibration_file import Calibration
@@ -127,7 +127,7 @@ def write_spots(folder: Path, shape: tuple[int, int] = (32, 32), side: int = 2) 
 def fit_calibration(
     scenes: np.ndarray,
     pictures: np.ndarray,
-    grid: Grid,
+    grid: DmdGrid,
     *,
     white: np.ndarray | None = None,
     black: np.ndarray | None = None,
@@ -388,7 +388,7 @@ class FittedView:
 class DisplayedScenes:
     """Displayed scenes, and what cells see of them through a view (8 of its homography, blur)."""
 
-    def __init__(self, scenes: np.ndarray, grid: Grid) -> None:
+    def __init__(self, scenes: np.ndarray, grid: DmdGrid) -> None:
         self.grid = grid
         self.cells = np.array([grid.down, grid.across])
         self.side = np.sqrt(grid.mirrors) / np.array([grid.height, grid.width])
@@ -424,7 +424,7 @@ class DisplayedScenes:
 
 
 def fit_view(
-    scenes: np.ndarray, pictures: np.ndarray, grid: Grid, matrix: np.ndarray, agreed: np.ndarray
+    scenes: np.ndarray, pictures: np.ndarray, grid: DmdGrid, matrix: np.ndarray, agreed: np.ndarray
 ) -> FittedView:
     """Fit homography and blur to pictures of spots, from a first homography."""
     # scenes (spots, h, w); pictures (spots, down, across); matrix (3, 3); agreed (spots,)

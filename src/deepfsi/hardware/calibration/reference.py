@@ -17,7 +17,7 @@ from scipy import optimize
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import write_atomically
 from deepfsi.base.progress import SILENT, Report
-from deepfsi.camera.layout import Layout
+from deepfsi.camera.layout import DmdLayout
 from deepfsi.hardware.calibration.fit import DisplayedScenes
 from deepfsi.hardware.counting.counts import Counts
 from deepfsi.hardware.patterns.sequence import Manifest, Patterns
@@ -129,8 +129,8 @@ def has_reference(manifest: Manifest) -> bool:
 class ReferenceFit:
     """Place of the reference target on the device, as a camera shows it."""
 
-    exported: Layout
-    layout: Layout  # that masks need to lie on the device as scenes do
+    exported: DmdLayout
+    layout: DmdLayout  # that masks need to lie on the device as scenes do
     scale: float  # of the target's image, over that of the region
     shift: tuple[float, float]  # of its middle, down and across, shares of the region's sides
     rotation: float  # beyond the orientation's, degrees clockwise
@@ -209,7 +209,7 @@ class _Model:
         self.scene = DisplayedScenes(TARGET[None], self.grid)
         self.wide = self.grid.across * self.grid.aspect / self.grid.down
 
-    def image(self, layout: Layout, place: np.ndarray) -> np.ndarray:
+    def image(self, layout: DmdLayout, place: np.ndarray) -> np.ndarray:
         """Light of a mask's pixels (N,) from scale, rotation, shifts and blur of the target."""
         scale, turn, down, across, blur = place
         sides = [self.wide, 1.0]
@@ -329,7 +329,7 @@ def _fit_place(
             for scale, down, across in product(STARTS[0], STARTS[1], STARTS[1])
         ]
 
-        def misfit(place: np.ndarray, layout: Layout = layout) -> np.ndarray:
+        def misfit(place: np.ndarray, layout: DmdLayout = layout) -> np.ndarray:
             return readouts.misfit(model.image(layout, place))
 
         starts.sort(key=lambda place: float((misfit(place) ** 2).sum()))

@@ -10,9 +10,9 @@ from scipy.linalg import hadamard, solve
 
 from deepfsi.base.errors import InputError, check_known
 from deepfsi.base.files import write_atomically
+from deepfsi.camera.detectors import DetectorMap
 from deepfsi.hardware.counting.counts import Counts
 from deepfsi.hardware.light import SPOILING
-from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.patterns.folder import DesignRails
 from deepfsi.hardware.patterns.sequence import Patterns
 
@@ -50,7 +50,7 @@ def scan_rails(name: str, cells: tuple[int, int], detectors: int = 1) -> DesignR
         axes = [hadamard(1 << (side - 1).bit_length())[:, :side] for side in cells]
         masks = np.kron(*axes)
         rails = np.stack([masks > 0, masks < 0]) / (2 * len(masks) - 1)
-    several = Detectors(count=detectors) if detectors > 1 else None
+    several = DetectorMap(count=detectors) if detectors > 1 else None
     return DesignRails(rails, "equal-dwell", cells, float(math.prod(cells)), detectors=several)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from deepfsi.base.errors import InputError
 from deepfsi.base.progress import SILENT, Report
 from deepfsi.base.quantities import time_text
-from deepfsi.camera.dead_time import NO_DEAD_TIME, Correction, DeadTime, check_rates
+from deepfsi.camera.dead_time import NO_DEAD_TIME, Correction, DeadTime
 from deepfsi.hardware.counting.acquisition import (
     Acquisition,
     check_fixed,
@@ -39,6 +39,7 @@ from deepfsi.hardware.counting.gates import (
     find_lateness,
     in_ticks,
 )
+from deepfsi.hardware.counting.rates import check_rates
 from deepfsi.hardware.light import PARTS, Arrivals, Fault, Light, check_light, name_inputs
 from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.hardware.patterns.timing import ClickGates, Gates

@@ -17,7 +17,7 @@ import numpy as np
 from deepfsi.base.errors import InputError, check_known, closest
 from deepfsi.base.quantities import time_text
 from deepfsi.base.tables import Table
-from deepfsi.camera.dead_time import NO_DEAD_TIME, DeadTime, check_rates
+from deepfsi.camera.dead_time import NO_DEAD_TIME, DeadTime
 from deepfsi.hardware.counting.acquisition import MOST_READOUTS, Scene
 from deepfsi.hardware.counting.ambient import Ambient
 from deepfsi.hardware.counting.clicks import (
@@ -28,6 +28,7 @@ from deepfsi.hardware.counting.clicks import (
     variance_of,
 )
 from deepfsi.hardware.counting.counts import Counts
+from deepfsi.hardware.counting.rates import check_rates
 from deepfsi.hardware.light import Arrivals, Fault, check_light
 from deepfsi.hardware.patterns.sequence import Manifest
 

@@ -24,6 +24,7 @@ from typing import ClassVar, Literal, Self
 import numpy as np
 
 from deepfsi.base.models import StrictModel
+from deepfsi.camera.detectors import DetectorMap
 from deepfsi.hardware.light.curves import (
     CERTAIN_SIGMAS,
     EXCESS,
@@ -35,7 +36,6 @@ from deepfsi.hardware.light.curves import (
     excess_chance,
 )
 from deepfsi.hardware.light.flux import HARMLESS, HARMLESS_DARK, Background, Flux
-from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.patterns.sequence import Brightness, Manifest
 
 MARKER_FAULTS = ("missing", "extra", "late", "lost")
@@ -593,7 +593,7 @@ def find_blind_detectors(detectors: Sequence[PassLight]) -> list[Fault]:
     return faults
 
 
-def find_unequal_gains(detectors: Sequence[PassLight], trained: Detectors | None) -> list[Fault]:
+def find_unequal_gains(detectors: Sequence[PassLight], trained: DetectorMap | None) -> list[Fault]:
     """Fault of an arm's detectors that share the light of all scenes as no classes do, if any."""
     # In the mean over scenes each detector's share of the light lies among those of the classes,
     # whatever classes are shown. Where no mixture of classes explains the shares, detectors differ

@@ -21,10 +21,10 @@ import numpy as np
 from deepfsi.base.errors import InputError, as_input_error, check_known
 from deepfsi.base.files import check_room, check_unpacked, hash_file, new_folder, read_text
 from deepfsi.base.progress import SILENT, Report
+from deepfsi.camera.detectors import DetectorMap
 from deepfsi.camera.layout import find_grid
-from deepfsi.camera.names import LightLawName, Readout
+from deepfsi.camera.names import LIGHT_LAWS, LightLawName, Readout
 from deepfsi.hardware.patterns import controller_tables, frame_files, mirrors, sequence
-from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.patterns.limits import check_limits, check_stored
 from deepfsi.hardware.patterns.looks import Looks
 
@@ -51,7 +51,7 @@ class DesignRails:
     summed_reflectance: float
     file: bytes | None = None
     brightness: sequence.Brightness | None = None
-    detectors: Detectors | None = None
+    detectors: DetectorMap | None = None
     readout: Readout = "difference"
     looks: Looks | None = None
     loop: bytes | None = None
@@ -64,20 +64,25 @@ class DesignRails:
             raise InputError(
                 f"rails of shape {rails.shape} are not allowed: give (2 or 1, masks, {pixels})"
             )
-        if self.light == "two-arm" and self.rail_count != 2:
+        if self.two_arm and self.rail_count != 2:
             raise InputError("two-arm with a single rail is not allowed: give both arms' rails")
         if not np.isfinite(rails).all() or rails.min() < 0:
             raise InputError(
                 "rails must be finite and 0 or more: give shares of each pixel's photons"
             )
         times = rails.sum(axis=0)
-        if self.light == "two-arm" and np.ptp(times, axis=-1).max() * len(times) > ARMS_SLACK:
+        if self.two_arm and np.ptp(times, axis=-1).max() * len(times) > ARMS_SLACK:
             raise InputError("the two arms of a mask do not sum to one time for all of its pixels")
         if not (math.isfinite(self.summed_reflectance) and self.summed_reflectance > 0):
             raise InputError(
                 f"summed reflectance {self.summed_reflectance!r} is not allowed: give a number "
                 "above 0"
             )
+
+    @property
+    def two_arm(self) -> bool:
+        """True where a second detector sees the mirrors that are OFF."""
+        return LIGHT_LAWS[self.light].arms == 2
 
     @property
     def rail_count(self) -> Literal[1, 2]:

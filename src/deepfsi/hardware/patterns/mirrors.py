@@ -16,8 +16,8 @@ from typing import NamedTuple
 import numpy as np
 
 from deepfsi.camera.device import Device
-from deepfsi.camera.layout import Grid
-from deepfsi.camera.names import LightLawName
+from deepfsi.camera.layout import DmdGrid
+from deepfsi.camera.names import LIGHT_LAWS, LightLawName
 from deepfsi.hardware.patterns.sequence import Rail, Selection
 
 SMALLEST_STEP = float(np.finfo(np.float64).tiny)
@@ -66,7 +66,7 @@ def count_mirrors(rails: np.ndarray, light: LightLawName, mirrors: int) -> MaskF
     for mask in range(rails.shape[1]):
         parts = rails[:, mask].astype(np.float64)
         sides: list[tuple[Rail, float, np.ndarray]] = []
-        if light == "two-arm":
+        if LIGHT_LAWS[light].arms == 2:
             time = parts.sum(axis=0)
             sides.append(("both", time.max(), parts[0] / np.where(time > 0, time, 1.0) * mirrors))
         else:
@@ -85,7 +85,7 @@ def count_mirrors(rails: np.ndarray, light: LightLawName, mirrors: int) -> MaskF
 def make_frames(
     on: Iterable[np.ndarray],
     device: Device,
-    grid: Grid,
+    grid: DmdGrid,
     selection: Selection = "ordered",
     seed: int = 0,
 ) -> Iterator[np.ndarray]:
@@ -95,14 +95,14 @@ def make_frames(
         yield _as_written(frame, device, grid)
 
 
-def make_frame(on: np.ndarray, device: Device, grid: Grid) -> np.ndarray:
+def make_frame(on: np.ndarray, device: Device, grid: DmdGrid) -> np.ndarray:
     """Packed frame of cells (N,) that have all mirrors ON where true, and none elsewhere."""
     sides = grid.down, grid.height, grid.across, grid.width
     lit = np.broadcast_to(on[grid.pixels][:, None, :, None], sides)
     return _as_written(_pack(lit, device, grid), device, grid)
 
 
-def _as_written(frame: np.ndarray, device: Device, grid: Grid) -> np.ndarray:
+def _as_written(frame: np.ndarray, device: Device, grid: DmdGrid) -> np.ndarray:
     """Packed frame as the layout has it: inverted, or as it is."""
     if not grid.layout.invert:
         return frame
@@ -110,7 +110,7 @@ def _as_written(frame: np.ndarray, device: Device, grid: Grid) -> np.ndarray:
 
 
 def _lit_frames(
-    on: Iterable[np.ndarray], device: Device, grid: Grid, selection: Selection, seed: int
+    on: Iterable[np.ndarray], device: Device, grid: DmdGrid, selection: Selection, seed: int
 ) -> Iterator[np.ndarray]:
     """Packed frames of the cells of the device, mirrors ON as 1."""
     # on (down, across)
@@ -127,7 +127,7 @@ def unpack(frame: np.ndarray, device: Device) -> np.ndarray:
     return np.unpackbits(frame, axis=1, count=device.columns).view(np.bool_)
 
 
-def recount(mirrors: np.ndarray, grid: Grid) -> np.ndarray:
+def recount(mirrors: np.ndarray, grid: DmdGrid) -> np.ndarray:
     """Mirrors ON in each cell, shape (N,), of a frame's mirrors, bool (rows, columns)."""
     window = mirrors[grid.window].view(np.uint8)
     cells = window.reshape(grid.down, grid.height, grid.across, grid.width)
@@ -195,7 +195,7 @@ def _herd(heights: np.ndarray, widths: np.ndarray) -> np.ndarray:
     return chosen
 
 
-def _aligned(device: Device, grid: Grid) -> bool:
+def _aligned(device: Device, grid: DmdGrid) -> bool:
     """True where every cell begins and ends with a byte and a table of its levels is small."""
     return (
         grid.width % 8 == 0
@@ -204,7 +204,7 @@ def _aligned(device: Device, grid: Grid) -> bool:
     )
 
 
-def _look_up(on: Iterable[np.ndarray], device: Device, grid: Grid) -> Iterator[np.ndarray]:
+def _look_up(on: Iterable[np.ndarray], device: Device, grid: DmdGrid) -> Iterator[np.ndarray]:
     """Frames put together from packed cells, one for each grey level."""
     order = order_mirrors(grid.height, grid.width)
     levels = np.arange(grid.mirrors + 1)[:, None, None]
@@ -223,7 +223,7 @@ def _look_up(on: Iterable[np.ndarray], device: Device, grid: Grid) -> Iterator[n
         yield frame
 
 
-def _compare(on: Iterable[np.ndarray], device: Device, grid: Grid) -> Iterator[np.ndarray]:
+def _compare(on: Iterable[np.ndarray], device: Device, grid: DmdGrid) -> Iterator[np.ndarray]:
     """Frames from comparing each mirror's place in the order with its cell's count."""
     order = order_mirrors(grid.height, grid.width)[None, :, None, :]
     for counts in on:
@@ -232,7 +232,7 @@ def _compare(on: Iterable[np.ndarray], device: Device, grid: Grid) -> Iterator[n
 
 
 def _draw(
-    on: Iterable[np.ndarray], device: Device, grid: Grid, rng: np.random.Generator
+    on: Iterable[np.ndarray], device: Device, grid: DmdGrid, rng: np.random.Generator
 ) -> Iterator[np.ndarray]:
     """Frames with mirrors drawn at random, as many as counted."""
     places = np.arange(grid.mirrors, dtype=np.uint32)
@@ -244,7 +244,7 @@ def _draw(
         yield _pack(cells.transpose(0, 2, 1, 3), device, grid)
 
 
-def _pack(lit: np.ndarray, device: Device, grid: Grid) -> np.ndarray:
+def _pack(lit: np.ndarray, device: Device, grid: DmdGrid) -> np.ndarray:
     """Packed frame of mirrors (down, height, across, width)."""
     mirrors = np.zeros((device.rows, device.columns), dtype=np.bool_)
     mirrors[grid.window] = lit.reshape(grid.down * grid.height, grid.across * grid.width)

@@ -26,10 +26,10 @@ from pydantic import Field, model_validator
 from deepfsi.base.errors import InputError, check_known
 from deepfsi.base.models import StrictModel
 from deepfsi.base.quantities import time_text
+from deepfsi.camera.detectors import SeveralDetectors
 from deepfsi.camera.device import LONGEST_PICTURE_S, Device
-from deepfsi.camera.layout import USUAL_LAYOUT, Grid, Layout, find_grid
-from deepfsi.camera.names import LightLawName, Readout, SummedReflectance
-from deepfsi.hardware.patterns.detectors import Detectors
+from deepfsi.camera.layout import USUAL_LAYOUT, DmdGrid, DmdLayout, find_grid
+from deepfsi.camera.names import LIGHT_LAWS, LightLawName, Readout, SummedReflectance
 from deepfsi.hardware.patterns.looks import Looks
 
 MOST_FRAMES = 2**20
@@ -67,7 +67,7 @@ class FrameSettings:
     selection: Selection = "ordered"
     seed: int = 0
     format: Format = "npy"
-    layout: Layout = USUAL_LAYOUT
+    layout: DmdLayout = USUAL_LAYOUT
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.dwell_s) and 0 < self.dwell_s <= LONGEST_PICTURE_S):
@@ -127,7 +127,7 @@ class FrameSettings:
                 "mirrors "
                 "settle: give a longer --exposure"
             )
-        if light == "equal-dwell":
+        if LIGHT_LAWS[light].equal_times:
             return [_whole(mean)] * len(shares)
         wanted = device.settle_us + rest * len(shares) * shares / shares.sum()
         if wanted.max() > device.longest_us:
@@ -204,14 +204,14 @@ class Manifest(StrictModel):
     summed_reflectance: SummedReflectance
     brightness: Brightness | None = None  # By how much scenes differ from it, where that is known
     # Which see which cells; None where one sees all that an arm sends
-    detectors: Detectors | None = None
+    detectors: SeveralDetectors | None = None
     readout: Readout = "difference"  # What the network reads of two rails
     # Where dwells are chosen while the exposure runs; the frames' shares are then equal ones
     looks: Looks | None = None
     selection: Selection  # Choice of the mirrors of a grey cell
     seed: int = 0  # Of the random selection
     # How the cells lie on the device; of folders that do not say so they fill it
-    layout: Layout = Layout(stretch=True)
+    layout: DmdLayout = DmdLayout(stretch=True)
     format: Format  # Files of the frames
     design_sha256: str | None = None  # Of the design file beside it
     mirrors_sha256: str  # Of the numbers in mirrors.npy
@@ -231,8 +231,8 @@ class Manifest(StrictModel):
             raise ValueError("a frame shows a rail that does not exist")
         if sum(frame.share for frame in self.frames) > 1 + SHARES_SLACK:
             raise ValueError("the frames' shares of the exposure sum to more than 1")
-        check_known("light law", self.light, get_args(LightLawName))
-        if self.two_arm != (self.light == "two-arm") or not rails:
+        check_known("light law", self.light, LIGHT_LAWS)
+        if self.two_arm != (LIGHT_LAWS[self.light].arms == 2) or not rails:
             raise ValueError(f"the rails are not those of {self.light}")
         if self.looks and self.looks.dwells(self.masks) != len(self.looks.first):
             raise ValueError("the first look has a dwell for other frames than the masks'")
@@ -248,7 +248,7 @@ class Manifest(StrictModel):
         return self
 
     @cached_property
-    def grid(self) -> Grid:
+    def grid(self) -> DmdGrid:
         """Cells of the masks."""
         return find_grid(self.device, self.image_shape, self.layout)
 

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from deepfsi.base.errors import InputError, closest
+from deepfsi.camera.detectors import DetectorMap
 from deepfsi.hardware.counting.acquisition import read_acquisition
 from deepfsi.hardware.counting.counts import check_photons, load_counts
-from deepfsi.hardware.patterns.detectors import Detectors
 
 LEAST_SINGULAR_VALUE = 1e-3
 """Least singular value that a picture is made from, of the sensing matrix's largest."""
@@ -36,7 +36,7 @@ def reconstruct(folder: str | os.PathLike[str]) -> np.ndarray:
     return out.reshape(len(valid), *patterns.manifest.image_shape)
 
 
-def _solve(masks: np.ndarray, counts: np.ndarray, detectors: Detectors | None) -> np.ndarray:
+def _solve(masks: np.ndarray, counts: np.ndarray, detectors: DetectorMap | None) -> np.ndarray:
     """Pictures (S, N) of counts (S, k[, D]) behind masks (k, N): each detector's of its cells."""
     from scipy.linalg import lstsq
 

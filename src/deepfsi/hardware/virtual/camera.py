@@ -26,8 +26,9 @@ from pydantic import Field, field_validator
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import check_room, new_folder
 from deepfsi.base.progress import SILENT, Report
+from deepfsi.camera.detectors import DetectorRows, check_rows, mirrors_of_detectors
 from deepfsi.camera.device import Device
-from deepfsi.camera.layout import Grid
+from deepfsi.camera.layout import DmdGrid
 from deepfsi.hardware.counting.acquisition import (
     Acquisition,
     Scene,
@@ -48,12 +49,6 @@ from deepfsi.hardware.virtual.detector import (
     Shutter,
     Stream,
     divide,
-)
-from deepfsi.hardware.virtual.parts import (
-    Parts,
-    check_parts,
-    mirrors_of_cells,
-    mirrors_of_detectors,
 )
 
 MARKER = 1
@@ -91,7 +86,7 @@ class VirtualCamera(Detector):
     inverted: bool = False
     # Detector of each part of the area of the cells, which these rows divide evenly. None for the
     # parts that the patterns name
-    detectors: Parts | None = None
+    detectors: DetectorRows | None = None
 
     @field_validator("view")
     @classmethod
@@ -100,7 +95,7 @@ class VirtualCamera(Detector):
             raise ValueError("the view cannot be inverted")
         return view
 
-    _parts = field_validator("detectors")(check_parts)
+    _detector_rows = field_validator("detectors")(check_rows)
 
     def fluctuate(
         self, rates: np.ndarray, starts_s: np.ndarray, light: Fluctuation | None
@@ -154,7 +149,9 @@ spad
 """
 
 
-def irradiance(scenes: np.ndarray, camera: VirtualCamera, device: Device, grid: Grid) -> np.ndarray:
+def irradiance(
+    scenes: np.ndarray, camera: VirtualCamera, device: Device, grid: DmdGrid
+) -> np.ndarray:
     """Relative irradiance of each mirror."""
     # scenes (S, h, w)
     from scipy.fft import irfft2, rfft2
@@ -193,6 +190,38 @@ def _find_pixels(
     return np.where(inside, row * shape[1] + column, 0).astype(np.intp), inside
 
 
+def mirrors_of_arm(manifest: Manifest, rows: DetectorRows | None) -> list[np.ndarray | slice]:
+    """Mirrors of a device, in a row, that each detector of an arm sees."""
+    # By the camera's rows of parts, or by the cells that the manifest names where it has none
+    if manifest.detectors is None and rows is None:
+        return [slice(None)]
+    count = manifest.detector_count
+    cells = None if manifest.detectors is None else manifest.detectors.labels
+    if rows is not None:
+        labels = np.array(rows)
+    elif cells is not None:
+        labels = cells[manifest.grid.pixels]
+    else:
+        raise InputError(
+            f"these patterns are for {count} detectors, and nothing says which part of the device "
+            "each sees: give a `camera` with them, such as detectors = [[0, 1], [2, 3]]"
+        )
+    if labels.max() + 1 != count:
+        raise InputError(
+            f"the camera has {labels.max() + 1} detectors, and the patterns are for {count}: give "
+            "one with as many, or export the patterns for it"
+        )
+    device = manifest.device
+    return [*mirrors_of_detectors(labels, manifest.grid, (device.rows, device.columns))]
+
+
+def mirrors_of_cells(manifest: Manifest) -> np.ndarray:
+    """Mirrors of a device, in a row, that are of a cell: float32, 1 or 0."""
+    out = np.zeros((manifest.device.rows, manifest.device.columns), np.float32)
+    out[manifest.grid.window] = 1
+    return out.ravel()
+
+
 class MirrorLight:
     """Light of scenes (S, h, w) on the mirrors, and what a frame sends of it to the detectors."""
 
@@ -200,7 +229,7 @@ class MirrorLight:
         self, manifest: Manifest, scenes: np.ndarray, camera: VirtualCamera, flux: float
     ) -> None:
         device, self._camera, self._arms = manifest.device, camera, 2 if manifest.two_arm else 1
-        self._device, self._mirrors = device, mirrors_of_detectors(manifest, camera.detectors)
+        self._device, self._mirrors = device, mirrors_of_arm(manifest, camera.detectors)
         image = irradiance(scenes, camera, device, manifest.grid).reshape(len(scenes), -1)
         self._light = [image[:, places] for places in self._mirrors]
         self._inside = mirrors_of_cells(manifest)

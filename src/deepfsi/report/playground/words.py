@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
+from deepfsi.camera.names import LIGHT_LAWS
 from deepfsi.report.style import photons_text
 from deepfsi.report.terms import LAWS
 
@@ -59,7 +60,8 @@ def lead_text(payload: Payload) -> str:
 def way_text(payload: Payload) -> str:
     """Sentences on the way in which the camera counts."""
     light, looks = payload["light"], payload.get("exposure", {}).get("looks")
-    if light == "column":
+    law = LIGHT_LAWS[light]
+    if not law.one_device:
         return (
             f"Its optics split the light of each pixel among {masks_text(payload)} at once, with "
             f"a detector for {_readout(payload)}; no single mirror device does this."
@@ -69,7 +71,7 @@ def way_text(payload: Payload) -> str:
     words = "A device of small mirrors shows one pattern, a mask, after another" + (
         ". Each mirror sends its light in one of two directions, and detectors in both count "
         "single photons."
-        if light == "two-arm"
+        if law.arms == 2
         else f", and {counting} the photons that each lets through."
     )
     if _is_adaptive(payload):

@@ -1,0 +1,28 @@
+"""Behaviour of each kind of exposure that a job asks for, and its beginning before a training."""
+
+import torch
+
+from deepfsi.design.exposure.conditioned import ConditionedExposure
+from deepfsi.design.exposure.looks import LooksExposure
+from deepfsi.design.exposure.passing import PassingExposure
+from deepfsi.design.exposure.trained import FixedExposure, PatchExposure, TrainedExposure
+from deepfsi.jobs.exposures import Exposure, Fixed, Looks, Nested, Passing, Patches, Range
+from deepfsi.jobs.job import Job
+
+TRAINED_KINDS: dict[type[Exposure], type[TrainedExposure]] = {
+    Fixed: FixedExposure,
+    Range: ConditionedExposure,
+    Nested: ConditionedExposure,
+    Looks: LooksExposure,
+    Patches: PatchExposure,
+    Passing: PassingExposure,
+}
+"""What exposures of each kind become by a training."""
+
+
+def begin(job: Job, image_shape: tuple[int, ...], seed: torch.Generator) -> TrainedExposure:
+    """The exposure of a design that is to be trained on scenes of a shape.
+
+    Where it has a network of its own, that is untrained.
+    """
+    return TRAINED_KINDS[type(job.exposure)].begin(job, image_shape, seed)

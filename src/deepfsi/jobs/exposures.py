@@ -1,0 +1,678 @@
+"""Kinds of exposure: what is shown when, and what the network is told.
+
+    Fixed     every mask once, each for its own dwell; all are needed for an answer
+    Range     the same for a range of budgets, and the network is told the budget
+    Nested    the first masks alone give an answer, too, and the network is told how many
+    Looks     several looks; the counts so far choose the dwells of the next
+    Patches   an image seen patch by patch, with a detector for each patch and mask
+    Passing   a scene that passes a static pattern, of which each time bin is a readout
+
+A kind is here what is asked for, its settings, and what a design file's header says of it, its
+entry. An entry and the tensors beside it rebuild the exposure of a trained design: nothing of a
+field's name, order or default may change, as files are read again by them. What a trained design
+does with its masks is in `design.exposure`.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from math import ceil
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+
+import numpy as np
+from pydantic import BeforeValidator, ConfigDict, Field, SerializeAsAny
+
+from deepfsi.base.errors import InputError, as_input_error
+from deepfsi.base.models import StrictModel, UserModel
+from deepfsi.camera.camera import Camera
+from deepfsi.camera.names import LIGHT_LAWS, find_noise
+from deepfsi.datasets import Dataset
+from deepfsi.jobs.training import VIT, Widths
+
+if TYPE_CHECKING:
+    from deepfsi.jobs.job import Job
+
+LARGEST_SCORE = 4.0
+"""Bound of the scores whose softmax dwells are: the longest is e⁸ times the shortest at most.
+
+A mask that is never shown is never learned, and the scores would not come back from there.
+"""
+
+
+STATIC = (
+    "this design is one static pattern that scenes pass, which no sequence of frames shows: write "
+    "the pattern with `deepfsi mask`"
+)
+"""Why a passing scene's design is not for a device's frames."""
+
+
+class Exposure(UserModel):
+    """An exposure of which every mask is shown once, and all are needed."""
+
+    training: ClassVar[dict[str, Any]] = {"start": "pca"}
+    """Settings of the training where none are given."""
+
+    @property
+    def parts(self) -> int:
+        """Parts of an exposure after which the network answers."""
+        return 1
+
+    side_by_side: ClassVar[bool] = True
+    """Whether jobs that differ in budget and seed train together."""
+
+    of_classes: ClassVar[bool] = False
+    """Whether it is decided by the probabilities of classes."""
+
+    allow_bf16: ClassVar[bool] = True
+    """Whether products of masks in bfloat16 were tried."""
+
+    def allow_bf16_networks(self, device: str, wide: bool) -> bool:
+        """True if networks are faster in bfloat16: wide ones, on a processor."""
+        return device == "cpu" and wide
+
+    def highest(self, photons: float) -> float:
+        """Highest budget of a training whose lowest is `photons`."""
+        return photons
+
+    def training_noise(self, noise: str) -> str:
+        """Noise to train under where the camera has another."""
+        return find_noise(noise).trains_as or noise
+
+    def min_lit_masks(self, masks: int) -> int:
+        """Fewest masks, of m, that the whole light may come to."""
+        return masks
+
+    @property
+    def fixed_mask_count(self) -> int | None:
+        """Number of masks, where the exposure has it and a design no choice."""
+        return None
+
+    def optics(self, camera: Camera) -> dict[str, Any]:
+        """Fields of the camera that the exposure decides."""
+        return {}
+
+    def describe(self, camera: Camera) -> str:
+        """The camera in a few lines, as it exposes."""
+        return camera.describe()
+
+    def view(self, data: Dataset) -> Dataset:
+        """The data as the masks see it: whole scenes."""
+        return data
+
+    def scene(self, data: Dataset) -> Dataset:
+        """One training scene as the masks see it: its shape, and the classes."""
+        return self.view(replace(data, x_train=data.x_train[:1], y_train=data.y_train[:1]))
+
+    def faults(self, job: "Job") -> list[str]:
+        """Everything that a job asks of this exposure and that cannot be had."""
+        return []
+
+    def test_faults(self, noises: Sequence[str]) -> list[str]:
+        """Everything in noises of tests that cannot be had."""
+        return []
+
+
+class _Entry(StrictModel):
+    """Entry of a design file's header: no further fields, and no conversions."""
+
+    model_config = ConfigDict(strict=True)
+
+    def count_stops(self, masks: int) -> int:
+        """K, numbers of masks, of m, or of looks, after which an exposure can be classified."""
+        return 1
+
+
+class Fixed(Exposure):
+    """Every mask is shown once, for a dwell of its own, and all are needed for an answer.
+
+    Examples
+    --------
+    >>> import deepfsi
+    >>> deepfsi.Job(masks=10, photons=1e4).exposure == deepfsi.Fixed()
+    True
+    """
+
+
+class FixedEntry(_Entry):
+    """Exposure of which all masks are needed, each with its own dwell."""
+
+    kind: Literal["fixed"] = "fixed"
+
+
+class Conditioned(Exposure):
+    """Base of those whose network is told the budget, and how many masks were shown."""
+
+    span: float
+
+    def highest(self, photons: float) -> float:
+        """The other end of the range."""
+        return photons * self.span
+
+    def faults(self, job: "Job") -> list[str]:
+        """Another training noise than MLGauss, or masks that learn under one."""
+        if job.code.learned_under:
+            left = f"{job.design}, whose masks learn under {job.code.learned_under} noise"
+        elif job.noise != "ml_gauss":
+            left = f"{job.noise} noise, or train under ml_gauss"
+        else:
+            return []
+        return [f"a range of budgets and nested masks are trained under ml_gauss: leave out {left}"]
+
+
+class Range(Conditioned):
+    """One design for a range of budgets, which are log-uniform in its training.
+
+    Examples
+    --------
+    >>> import deepfsi
+    >>> deepfsi.Range(span=1e4).highest(1e2)
+    1000000.0
+    """
+
+    # Highest budget over the lowest, `photons`; those of the training are log-uniform between
+    span: float = Field(gt=1, le=1e12, description="highest budget over the lowest, `photons`")
+
+
+class Nested(Conditioned):
+    """One design whose first masks alone already give an answer.
+
+    Examples
+    --------
+    >>> import deepfsi
+    >>> deepfsi.Job(masks=16, photons=1e5, exposure=deepfsi.Nested(nested=2)).exposure.span
+    1.0
+    """
+
+    # Smallest number of first masks from which the network must classify
+    nested: int = Field(
+        ge=1,
+        description="nested masks: smallest number of first masks from which the network must "
+        "classify",
+    )
+    # Highest budget over the lowest; 1 for one budget
+    span: float = Field(1.0, ge=1, le=1e12, description="highest budget over the lowest")
+
+    def min_lit_masks(self, masks: int) -> int:
+        """Those that are shown at least."""
+        return self.nested
+
+    def faults(self, job: "Job") -> list[str]:
+        """Those of all conditioned ones, or more nested masks than there are."""
+        found = super().faults(job)
+        if self.nested > job.masks:
+            found.append(
+                f"the first {self.nested} of {job.masks} masks cannot be nested: give at most "
+                f"{job.masks}"
+            )
+        return found
+
+
+class ConditionedEntry(_Entry):
+    """Exposure of fixed dwells whose classifier has the budget and the number of masks as inputs.
+
+    Attributes
+    ----------
+    photons : float
+        Lowest budget of the training.
+    span : float
+        Highest over lowest.
+    masks : int
+        m, of the whole sequence.
+    nested : int
+        Smallest number of first masks that can be classified alone; 0 if only all can.
+    width : int
+        Features of each mask.
+    used : float
+        Share of the light law that the masks take within the whole sequence.
+    """
+
+    photons: Annotated[float, Field(gt=0, allow_inf_nan=False)]
+    span: Annotated[float, Field(ge=1, allow_inf_nan=False)]
+    masks: Annotated[int, Field(ge=1)]
+    nested: Annotated[int, Field(ge=0)] = 0
+    width: Annotated[int, Field(ge=1)] = 1
+    used: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 1.0
+    kind: Literal["conditioned"] = "conditioned"
+
+    def count_stops(self, masks: int) -> int:
+        """K, numbers of first masks, of m, that can be classified alone."""
+        return masks - (self.nested or masks) + 1
+
+
+class Looks(Exposure):
+    """Several looks of equal length: the counts so far choose the dwells of the next look.
+
+    Examples
+    --------
+    >>> import deepfsi
+    >>> deepfsi.Job(masks=16, photons=1e4, exposure=deepfsi.Looks(looks=4)).noise
+    'poisson'
+    """
+
+    of_classes: ClassVar[bool] = True
+
+    training: ClassVar[dict[str, Any]] = {"start": "class-pairs"}
+    """On MNIST's validation images at 1e4 photons, 64 masks and 4 looks 0.866; 0.845 from pca."""
+
+    allow_bf16: ClassVar[bool] = False
+
+    # K, each 1 / K of the exposure
+    looks: int = Field(
+        ge=2,
+        le=64,
+        description="parts (looks) of an exposure: the counts so far choose the dwells of the "
+        "next part",
+    )
+
+    @property
+    def parts(self) -> int:
+        """K."""
+        return self.looks
+
+    def training_noise(self, noise: str) -> str:
+        """The camera's own: a look shows many masks too shortly for MLGauss."""
+        return noise
+
+    def min_lit_masks(self, masks: int) -> int:
+        """One: a look may show nothing else."""
+        return 1
+
+    def faults(self, job: "Job") -> list[str]:
+        """Designs and optics whose dwells cannot be chosen, and looks that are too short."""
+        found, camera = list[str](), job.optics
+        law = LIGHT_LAWS[camera.light]
+        if job.code.every_pixel or job.code.learned_under or job.code.is_custom:
+            found.append(
+                f"{job.design} has one look only: several looks are for deepfsi and for named "
+                "designs that one device shows"
+            )
+        if not law.looks:
+            found.append(
+                f"several looks choose how long one device shows each frame, not {camera.light}: "
+                '`light="free-dwell"` or "two-arm" goes with them'
+            )
+        elif law.arms == 1 and (camera.rails, camera.readout) == ("dual", "difference"):
+            found.append(
+                "several looks show each rail for a time of its own, whose counts are to be read "
+                'by themselves: use `readout="both"`, or `rails="single"`'
+            )
+        found += self.test_faults([job.noise])
+        if camera.shortest_share * self.looks > 1:
+            found.append(
+                f"a frame lasts {camera.shortest_share:g} of the exposure at least, and a look "
+                f"{1 / self.looks:g}: give fewer looks, or a longer exposure"
+            )
+        return found
+
+    def test_faults(self, noises: Sequence[str]) -> list[str]:
+        """Noise other than that of photons."""
+        strange = [noise for noise in noises if not find_noise(noise).photons]
+        return [f"several looks are for photon noise: leave {noise} noise out" for noise in strange]
+
+
+class LooksEntry(_Entry):
+    """Exposure of several looks, whose dwells a network chooses from the counts so far.
+
+    Attributes
+    ----------
+    looks : int
+        K, each 1 / K of the exposure.
+    hidden : tuple of int
+        Widths of the hidden layers of the network that chooses dwells.
+    shortest : float
+        Shortest dwell of a frame, a share of the exposure.
+    """
+
+    looks: Annotated[int, Field(ge=2, le=64)]
+    hidden: Widths
+    shortest: Annotated[float, Field(ge=0, lt=1)]
+    kind: Literal["adaptive"] = "adaptive"
+
+    def count_stops(self, masks: int) -> int:
+        """K, an answer after each look."""
+        return self.looks
+
+
+class Patches(Exposure):
+    """An image seen patch by patch: the same masks for all patches, read by a transformer.
+
+    A patch has a detector for each mask, and a budget is of the whole image, which the patches
+    share as they share its light.
+
+    Examples
+    --------
+    >>> import deepfsi
+    >>> seen = deepfsi.Patches(patch=4)
+    >>> deepfsi.Job(masks=8, photons=1e4, camera="paper", exposure=seen).training.classifier
+    'vit'
+    """
+
+    training: ClassVar[dict[str, Any]] = {
+        "start": "pca",
+        "classifier": "vit",
+        "epochs": 15,
+        "batch": 100,
+        "lr": 2e-3,
+        "mask_lr": 2e-2,
+        "decay": 0.05,
+    }
+
+    side_by_side: ClassVar[bool] = False
+    allow_bf16: ClassVar[bool] = False
+
+    # Side of a patch, pixels. A patch has a detector for each mask, and a budget is of the whole
+    # image, which the patches share as they share its light
+    patch: int = Field(ge=2, description="side of a patch, pixels, of an image seen by patches")
+
+    def view(self, data: Dataset) -> Dataset:
+        """Every patch of the training images as a scene of its own; no test scenes."""
+        if len(data.image_shape) != 2:
+            raise InputError(f"{data.name} holds no images: patches need two sides")
+        patches = _cut(data.x_train, data.image_shape, self.patch)
+        return replace(
+            data,
+            x_train=patches.reshape(-1, self.patch**2),
+            y_train=np.repeat(data.y_train, patches.shape[1], axis=0),
+            x_test=np.zeros((0, self.patch**2), np.float32),
+            y_test=data.y_test[:0],
+            image_shape=(self.patch, self.patch),
+        )
+
+    def allow_bf16_networks(self, device: str, wide: bool) -> bool:
+        """True on a GPU: a processor is slower with it at a transformer's size."""
+        return device == "cuda"
+
+    def faults(self, job: "Job") -> list[str]:
+        """Optics that no patch has, and noise that was not tried."""
+        found, camera = list[str](), job.optics
+        if LIGHT_LAWS[camera.light].one_device:
+            found.append("a patch has a detector for each readout: give the light law column")
+        if job.code.seeded or job.code.learned_under or job.code.is_custom:
+            found.append(f"{job.design} is not for patches: give deepfsi or a named design")
+        if job.noise != "ml_gauss" or camera.mask_levels((self.patch, self.patch)):
+            found.append("patches are trained under photon noise, with continuous masks")
+        if job.training.classifier != VIT:
+            found.append("patches are classified by a transformer: give classifier vit")
+        return found
+
+
+def _cut(scenes: np.ndarray, image_shape: tuple[int, ...], side: int) -> np.ndarray:
+    """Patches (n, P, side²) of images (n, H · W), row by row; `InputError` if a rest stays."""
+    height, width = image_shape
+    if height % side or width % side:
+        raise InputError(
+            f"images of {height}x{width} pixels cannot be cut in patches of {side}x{side}: give a "
+            "side that divides both"
+        )
+    blocks = scenes.reshape(len(scenes), height // side, side, width // side, side)
+    return blocks.swapaxes(-3, -2).reshape(len(scenes), -1, side * side)
+
+
+class PatchesEntry(_Entry):
+    """Exposure of fixed dwells, with a detector for each patch of an image.
+
+    Attributes
+    ----------
+    side : int
+        Of a patch, pixels.
+    """
+
+    side: Annotated[int, Field(ge=1)]
+    kind: Literal["patches"] = "patches"
+
+
+class Passing(Exposure):
+    """Scenes that move past one static pattern: each time bin is a readout.
+
+    The pattern is learned (`deepfsi`) or drawn ON and OFF (`random`). Its middle is where the scene
+    is in the middle of the bins; place and speed are drawn for each exposure where they jitter.
+
+    Examples
+    --------
+    >>> import deepfsi
+    >>> job = deepfsi.Job(photons=1e4, exposure=deepfsi.Passing(bins=16, speed=0.5, jitter=1))
+    >>> job.masks, job.optics.light
+    (16, 'equal-dwell')
+    """
+
+    training: ClassVar[dict[str, Any]] = {"start": "random"}
+    allow_bf16: ClassVar[bool] = False
+
+    bins: int = Field(
+        32,
+        ge=2,
+        le=4096,
+        description="time bins of a scene that passes a static pattern; 32 unless given",
+    )
+    speed: float = Field(
+        1.0,
+        gt=0,
+        allow_inf_nan=False,
+        description="speed of a passing scene, pixels a bin; 1 unless given",
+    )
+    jitter: float = Field(
+        0.0,
+        ge=0,
+        allow_inf_nan=False,
+        description="standard deviation of a passing scene's place in an exposure, pixels; 0 "
+        "unless given",
+    )
+    speed_jitter: float = Field(
+        0.0,
+        ge=0,
+        le=0.3,
+        description="standard deviation of a passing scene's speed over the mean one; 0 unless "
+        "given",
+    )
+    pattern_width: int | None = Field(
+        None,
+        ge=1,
+        le=2**16,
+        description="columns of the static pattern; the scene's and those that it passes unless "
+        "given",
+    )
+
+    @property
+    def fixed_mask_count(self) -> int:
+        """T, its bins."""
+        return self.bins
+
+    def optics(self, camera: Camera) -> dict[str, Any]:
+        """Bins of equal length."""
+        return {"light": "equal-dwell"}
+
+    def describe(self, camera: Camera) -> str:
+        """Path and jitter of the scenes."""
+        return (
+            f"scenes pass a static pattern at {self.speed:g} pixels a bin; one detector counts "
+            f"{self.bins} bins\njitter: {self.jitter:g} pixels rms of the place, "
+            f"{self.speed_jitter:g} rms of the speed over the mean one"
+        )
+
+    def columns(self, image_shape: tuple[int, ...]) -> int:
+        """P of the pattern, or `InputError` where scenes of a shape have left it too early."""
+        if len(image_shape) != 2:
+            raise InputError("spectra pass no pattern: give images")
+        _, scene = image_shape
+        width = self.pattern_width or scene + ceil(self.bins * self.speed)
+        if self.bins * self.speed > width + scene:
+            raise InputError(
+                f"scenes of {scene} columns pass a pattern of {width} in {width + scene} pixels, "
+                f"and {self.bins} bins at {self.speed:g} are {self.bins * self.speed:g}: give "
+                "fewer `bins`, a lower `speed` or a larger `pattern_width`"
+            )
+        return width
+
+    def view(self, data: Dataset) -> Dataset:
+        """Whole scenes, or `InputError` where they cannot pass."""
+        self.columns(data.image_shape)
+        return data
+
+    def faults(self, job: "Job") -> list[str]:
+        """Designs that are no one pattern, and optics other than one detector behind it."""
+        found, camera = list[str](), job.optics
+        if job.design not in ("deepfsi", "random"):
+            found.append(
+                f"{job.design} is a set of masks, and scenes pass one pattern: give `deepfsi`, "
+                "which learns it, or `random`"
+            )
+        elif job.code.learned and job.training.start != "random":
+            found.append("a pattern that scenes pass starts at random: leave `start` out")
+        one = camera.rails == "single" and camera.one_detector
+        if not one or camera.device is not None or camera.shortest_dwell:
+            found.append(
+                "scenes pass a static pattern before one detector: give single rails, no "
+                "`detectors`, no `device` and no `shortest_dwell`"
+            )
+        if job.masks != self.bins:
+            found.append(
+                f"{job.masks} masks and {self.bins} bins are one number: leave `masks` out"
+            )
+        return found
+
+
+class PassingEntry(_Entry):
+    """Scenes that pass a pattern, which is a tensor of the file.
+
+    Attributes
+    ----------
+    shape : tuple of int
+        Rows and columns of a scene.
+    bins : int
+        Time bins of a transit.
+    speed : float
+        Pixels a bin.
+    jitter : float
+        Standard deviation of the place of an exposure, pixels.
+    speed_jitter : float
+        Standard deviation of its speed over the mean one.
+    """
+
+    shape: tuple[Annotated[int, Field(ge=1)], Annotated[int, Field(ge=1)]]
+    bins: Annotated[int, Field(ge=1)]
+    speed: Annotated[float, Field(gt=0, allow_inf_nan=False)]
+    jitter: Annotated[float, Field(ge=0, allow_inf_nan=False)]
+    speed_jitter: Annotated[float, Field(ge=0, allow_inf_nan=False)]
+    kind: Literal["passing"] = "passing"
+
+
+ExposureEntry = Annotated[
+    FixedEntry | ConditionedEntry | LooksEntry | PatchesEntry | PassingEntry,
+    Field(discriminator="kind"),
+]
+"""Field of a header: how the masks of a design are exposed, where they are known before."""
+
+
+class AdaptiveMasks(UserModel):
+    """Exposure with adaptive masks: how a design that makes each next mask looks at a scene.
+
+    Examples
+    --------
+    >>> from deepfsi.jobs import AdaptiveMasks
+    >>> AdaptiveMasks(looks=3, growth=4).shares
+    [0.14285714285714285, 0.2857142857142857, 0.5714285714285714]
+    """
+
+    looks: int = Field(
+        16, ge=1, le=1024, strict=True, description="masks that are shown one after another"
+    )
+    growth: float = Field(
+        1.0,
+        ge=1e-3,
+        le=1e3,
+        description="share of the exposure that the last look takes, over that of the first",
+    )
+    until: float = Field(
+        1.0,
+        gt=0,
+        le=1,
+        description="probability of a class above which the exposure stops; 1 for never",
+    )
+    components: int = Field(
+        120, ge=1, strict=True, description="principal components of the scenes that are kept"
+    )
+    spread: float = Field(
+        0.7,
+        ge=0,
+        allow_inf_nan=False,
+        description="how far scenes lie from those of the prior, over the distance of neighbours "
+        "in it; 0 if they are among them",
+    )
+
+    clusters: int | None = Field(
+        None,
+        ge=1,
+        strict=True,
+        description="clusters of each class whose centres stand for its scenes; all scenes unless "
+        "given",
+    )
+
+    @property
+    def shares(self) -> list[float]:
+        """Share of the exposure that each look takes; their sum is 1."""
+        times = self.growth ** np.linspace(0, 1, self.looks)
+        return (times / times.sum()).tolist()
+
+    @staticmethod
+    def check_camera(camera: Camera) -> None:
+        """Raise `InputError` where a camera shows no binary masks, or has read noise."""
+        if not LIGHT_LAWS[camera.light].looks:
+            raise InputError(
+                f"adaptive masks are shown by one device, not {camera.light}: give the light law "
+                "free-dwell or two-arm"
+            )
+        noise = find_noise(camera.noise)
+        exact = noise.counting and not noise.gates
+        if not exact or (noise.read_noise and camera.sigma):
+            raise InputError(
+                "adaptive masks are for photon counts: give poisson noise, or camera noise of "
+                "dark counts alone"
+            )
+
+
+KINDS: dict[str, type[Exposure]] = {
+    "looks": Looks,
+    "patch": Patches,
+    "nested": Nested,
+    "span": Range,
+    "bins": Passing,
+    "speed": Passing,
+    "jitter": Passing,
+    "speed_jitter": Passing,
+    "pattern_width": Passing,
+}
+"""Kind of exposure by the setting that asks for it; the first that is given counts."""
+
+EXPOSURE_FIELDS = ("nested", "looks", "patch", *Passing.model_fields)
+"""Settings that ask for an exposure by an option of their own; a range is one of budgets."""
+
+NEUTRAL = {"looks": "1", "nested": "0", "span": "1", "patch": "0", "bins": "0"}
+"""Values of these settings that ask for nothing."""
+
+
+def find_exposure(given: Any) -> Any:
+    """Exposure of its settings: none for `Fixed`, ``{"looks": 4}`` for `Looks`, and so on."""
+    if not isinstance(given, Mapping):
+        return given
+    asked = {
+        name: value
+        for name, value in given.items()
+        if str(value).removesuffix(".0") != NEUTRAL.get(name)
+    }
+    for name, kind in KINDS.items():
+        if name not in asked:
+            continue
+        if strange := asked.keys() - kind.model_fields.keys():
+            raise InputError(
+                f"{', '.join(sorted(strange))} and {name} are of different exposures: give one"
+            )
+        with as_input_error():
+            return kind(**asked)
+    if asked:
+        raise InputError(
+            f"an exposure has no setting {', '.join(asked)}: give one of {', '.join(KINDS)}"
+        )
+    return Fixed()
+
+
+AnyExposure = Annotated[SerializeAsAny[Exposure], BeforeValidator(find_exposure)]
+"""Field of a model: an exposure, or its settings."""

@@ -1,0 +1,246 @@
+"""Settings of a training: its steps, its network, its precision and its start.
+
+A classifier and a loss of a user's own are a name, an import path, or the object itself.
+"""
+
+import re
+import sys
+from collections.abc import Mapping
+from functools import partial
+from typing import Annotated, Any, Literal
+
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Field,
+    PlainSerializer,
+    WithJsonSchema,
+    model_validator,
+)
+
+from deepfsi.base.errors import InputError
+from deepfsi.base.models import UserModel
+from deepfsi.base.plugins import PATTERN, UNNAMED, path_of
+from deepfsi.camera.names import NoiseSetting
+from deepfsi.jobs.designs import DESIGNS, check_design
+
+MLP, VIT = "mlp", "vit"
+"""Names of the paper's classifier, and of the transformer of patches, in settings."""
+
+VIT_SIZES = ("width", "depth", "heads", "hidden")
+"""Arguments of that transformer."""
+
+MOST_LAYERS = 64
+"""Hidden layers of a network at most."""
+
+MOST_EPOCHS = 100_000
+"""Epochs of one training: far more than any has needed, and fewer than never end."""
+
+Widths = Annotated[tuple[Annotated[int, Field(ge=1)], ...], Field(max_length=MOST_LAYERS)]
+"""Widths of the hidden layers of a network."""
+
+Scale = Literal["each", "common"]
+"""Whether each feature has a standard deviation of its own, or all a common one."""
+
+Precision = Literal["auto", "float32", "bfloat16"]
+"""Type of the products of training; "auto" is bfloat16 where its rounding is under the noise."""
+
+LearningRate = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+"""Above 0, finite."""
+
+
+def describe_classifier(
+    given: Any, arguments: Mapping[str, Any] | None = None
+) -> tuple[str, dict[str, Any]]:
+    """Name of a classifier in settings and in design files, and its factory's arguments.
+
+    Parameters
+    ----------
+    given : str, module or callable
+        A name, the import path of a factory, a torch module, a factory, or a partial of one.
+    arguments : mapping, optional
+        Keyword arguments of the factory, besides the numbers of its inputs and classes.
+
+    Returns
+    -------
+    name : str
+        An import path where there is one, else `UNNAMED`.
+    arguments : dict
+        Those of a partial among them.
+    """
+    every = dict(arguments or {})
+    if isinstance(given, partial):
+        if given.args:
+            raise InputError("a partial of positional arguments was given: give them as keywords")
+        return path_of(given.func) or UNNAMED, {**given.keywords, **every}
+    if isinstance(given, str):
+        return given, every
+    torch = sys.modules.get("torch")  # whoever gives a module has loaded it
+    if torch is not None and isinstance(given, torch.nn.Module):
+        if every:
+            raise InputError("arguments go with a factory: a module has its own already")
+        return UNNAMED, {}
+    return path_of(given) or UNNAMED, every
+
+
+def classifier_name(given: Any) -> str:
+    """Name or import path of a classifier that is given by name, as a module or as a factory."""
+    return describe_classifier(given)[0]
+
+
+def loss_name(given: Any) -> str | None:
+    """Import path of a loss, `UNNAMED` of one that has none; None where none is given."""
+    return given if given is None or isinstance(given, str) else path_of(given) or UNNAMED
+
+
+def _classifier(given: Any) -> Any:
+    if not (isinstance(given, str) or callable(given)):
+        raise ValueError(f"give {MLP}, or a module or factory of your own")
+    name = classifier_name(given)
+    if name not in (MLP, VIT, UNNAMED) and not re.fullmatch(PATTERN, name):
+        raise ValueError(f"give {MLP}, or module:factory of your own")
+    return given
+
+
+def _loss(given: Any) -> Any:
+    named = isinstance(given, str) and re.fullmatch(f"{PATTERN}|{UNNAMED}", given)
+    if not (given is None or callable(given) or named):
+        raise ValueError("give module:function, or a function of outputs and truth")
+    return given
+
+
+Classifier = Annotated[
+    Any,
+    AfterValidator(_classifier),
+    PlainSerializer(classifier_name, return_type=str),
+    WithJsonSchema({"type": "string"}),
+]
+"""Name of a classifier, import path of a factory of one's own, a module or a factory."""
+
+Loss = Annotated[
+    Any,
+    AfterValidator(_loss),
+    PlainSerializer(loss_name, return_type=str | None),
+    WithJsonSchema({"type": "string"}),
+]
+"""Import path of a loss of one's own, or its function; None for the usual one."""
+
+
+def _start(name: str) -> str:
+    if DESIGNS[check_design(name)].make is None:
+        raise InputError(f"masks cannot start from {name}: name a fixed design")
+    return name
+
+
+def _widths(given: Any) -> Any:
+    return [width for width in given.split(",") if width] if isinstance(given, str) else given
+
+
+class Training(UserModel):
+    """Settings of a training: its steps, its network, its precision and its start.
+
+    Examples
+    --------
+    >>> import deepfsi
+    >>> deepfsi.Training(epochs=20, hidden=(256, 128), start="class-pairs").lr
+    0.01
+    """
+
+    epochs: int = Field(40, ge=1, le=MOST_EPOCHS, description="passes over the training scenes")
+    batch: int | None = Field(
+        None, ge=2, description="scenes of a step; a hundredth of all, 32 to 500, unless given"
+    )
+    lr: LearningRate = Field(
+        1e-2,
+        description="peak learning rate of a one-cycle schedule; the default holds where none was "
+        "tuned for the design",
+    )
+    mask_lr: LearningRate = Field(
+        1e-1, description="peak learning rate of the masks, relative to their rms"
+    )
+    hidden: Annotated[Widths, BeforeValidator(_widths)] = Field(
+        (40, 128), description="widths of the hidden layers of mlp"
+    )
+    dropout: float = Field(0.0, ge=0, lt=1, description="share of hidden units left out in a step")
+    classifier: Classifier = Field(
+        MLP, description="mlp, or module:factory of a torch module of your own"
+    )
+    classifier_arguments: dict[str, Any] = Field(
+        {}, description="keyword arguments of that factory, besides the numbers"
+    )
+    scale: Scale = Field("common", description="standard deviation of features: each, or common")
+    decay: float = Field(
+        0.0, ge=0, allow_inf_nan=False, description="decoupled weight decay of the classifier"
+    )
+    balance: bool = Field(
+        False, description="weigh training scenes so that all classes count alike in the loss"
+    )
+    counts: float | None = Field(
+        None,
+        gt=0,
+        allow_inf_nan=False,
+        description="mean counts of an exposure: with photons, masks learn to count no more of "
+        "them; without, the budget at which a design counts so many is found",
+    )
+    start: Annotated[str, AfterValidator(_start)] = Field(
+        "pca",
+        description="design that learned masks start from; unless given pca, for several looks "
+        "class-pairs, for few counts random",
+    )
+    clusters: int | None = Field(
+        None,
+        ge=1,
+        description="of adaptive masks: the prior is the centres of so many clusters of each "
+        "class; all training scenes unless given",
+    )
+    precision: Precision = Field(
+        "auto",
+        description="number type of the products of learned masks and of wide networks: float32, "
+        "bfloat16, or auto (bfloat16 where its rounding is below the noise)",
+    )
+    loss: Loss = Field(
+        None,
+        description="module:function of a loss of your own, of outputs (n, C) and truth (n,) of "
+        "classes or (n, q) of values; cross entropy, or the squared error of values, unless given",
+    )
+    noise: NoiseSetting | None = Field(
+        None,
+        description="noise of the training, if other than the camera's: ml_gauss, poisson, "
+        "gaussian, camera or none; unless given ml_gauss stands for photon noise, and several "
+        "looks get exact counts",
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _arguments(cls, given: Any) -> Any:
+        """The settings, with the keywords of a partial among the arguments of its function."""
+        classifier = given.get("classifier", MLP) if isinstance(given, Mapping) else MLP
+        if isinstance(classifier, str) or not callable(classifier):
+            return given
+        _, arguments = describe_classifier(classifier, given.get("classifier_arguments"))
+        if isinstance(classifier, partial):
+            classifier = classifier.func
+        return {**given, "classifier": classifier, "classifier_arguments": arguments}
+
+    @property
+    def is_custom(self) -> bool:
+        """True if the classifier is a user's own."""
+        return classifier_name(self.classifier) not in (MLP, VIT)
+
+
+TUNED: dict[str, dict[str, Any]] = {
+    "impulse": {"lr": 5e-3},
+    "truncated-hadamard": {"lr": 5e-3},
+    "raster": {"lr": 5e-3, "scale": "each"},
+    "hadamard": {"lr": 5e-3, "scale": "each"},
+}
+"""Where a design does better with other settings than the defaults of `Training`.
+
+Chosen on the last 10 000 training images of MNIST at 1e3, 1e4 and 1e5 photons, each design from
+the same grid: lr 2e-3, 5e-3, 1e-2; scale each, common; dropout 0, 0.1 (for those of a thousand
+readouts at one setting at most). Designs not named here, but for learned ones and PCA, are untuned.
+"""
+
+
+FEW_COUNTS: dict[str, Any] = {"start": "random"}
+"""Settings of a training for few counts, where none are given."""
