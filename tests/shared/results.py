@@ -1,14 +1,14 @@
 """Points and results of comparisons, whole, of which a test says only what matters to it."""
 
-import json
 from collections.abc import Iterable
 from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from safetensors.numpy import save_file
 
+from deepfsi.designfile import DesignFile, MaskHeader
+from deepfsi.jobs.entries import FixedEntry
 from deepfsi.sweeps.results import SCHEMA, Data, Point, Provenance, Results, write_results
 
 DESIGNS = {
@@ -157,11 +157,15 @@ def make_results(
 
 
 def write_design(path: Path, matrix: np.ndarray, shape: tuple[int, ...]) -> None:
-    """Write what a page reads of a design file."""
+    """Write what a page reads of a design file: its header and its rails."""
     path.parent.mkdir(parents=True, exist_ok=True)
+    header = MaskHeader(
+        name="deepfsi", light="column", readout="difference", summed_reflectance=1.0,
+        image_shape=shape, classes=("a", "b"), exposure=FixedEntry(), info={},
+        classifier={"kind": "mlp", "hidden": (), "dropout": 0.0},
+    )  # fmt: skip
     rails = np.stack([matrix.clip(min=0), -matrix.clip(max=0)]).astype(np.float32)
-    header = {"deepfsi": json.dumps({"schema": 1, "image_shape": list(shape)})}
-    save_file({"rails": rails}, path, metadata=header)
+    path.write_bytes(DesignFile(header, {"rails": rails}).to_bytes())
 
 
 def with_all(results: Results, **fields: Any) -> Results:

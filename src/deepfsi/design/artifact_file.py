@@ -44,7 +44,8 @@ KINDS: dict[str, type[TrainedExposure]] = {
 
 def file_of(design: "Design") -> DesignFile:
     """File of a design, or `InputError` if its classifier cannot be described."""
-    classifier, values = design.classifier, design.values
+    classifier = design.classifier
+    values = design.values
     if not isinstance(classifier, Mlp | Vit | OwnClassifier):
         raise InputError(
             f"a design with a {type(classifier).__name__} classifier cannot be saved: "
@@ -68,17 +69,17 @@ def file_of(design: "Design") -> DesignFile:
         "exposure": design.exposure.weights,
         "values": values.tensors if values else {},
     }
-    for part, state in networks.items():
-        tensors |= {f"{part}.{name}": tensor for name, tensor in state.items()}
+    for network, state in networks.items():
+        tensors |= {f"{network}.{name}": tensor for name, tensor in state.items()}
     arrays = {name: as_array(tensor) for name, tensor in tensors.items()}
-    parts = {
+    every = {
         "distribution": design.distribution,
         "scenes": design.scene_model,
         "temperatures": design.temperatures,
     }
-    for part, fitted in parts.items():
+    for owner, fitted in every.items():
         if fitted is not None:
-            arrays |= {f"{part}.{name}": array for name, array in fitted.arrays.items()}
+            arrays |= {f"{owner}.{name}": array for name, array in fitted.arrays.items()}
     if design.training_scenes is not None:
         arrays |= design.training_scenes.arrays
     return DesignFile(header, arrays)
@@ -112,12 +113,12 @@ def _fields(file: DesignFile, header: MaskHeader) -> dict[str, Any]:
         detection = Detection.of(detectors, header.readout)
     check_light(header.light, rails.kind)
     constraints.check(rails.stacked, header.light)
-    weights = {name: torch.from_numpy(array) for name, array in file.part("exposure").items()}
+    weights = {name: torch.from_numpy(array) for name, array in file.arrays_of("exposure").items()}
     exposure = KINDS[header.exposure.kind].restored(
         header.exposure, weights, file.feature_count, rails, header.light
     )
     exposure.check(rails, header.light, header.image_shape)
-    scales = {name: torch.from_numpy(array) for name, array in file.part("values").items()}
+    scales = {name: torch.from_numpy(array) for name, array in file.arrays_of("values").items()}
     return {
         **{name: getattr(header, name) for name in WORDS},
         **{name: torch.from_numpy(file.arrays[name]) for name in STATISTICS},
@@ -136,7 +137,9 @@ def _fields(file: DesignFile, header: MaskHeader) -> dict[str, Any]:
 def _classifier(file: DesignFile, header: MaskHeader, inputs: int) -> nn.Module:
     """Classifier of a file, of so many inputs; one of its maker's own without its code."""
     sizes = header.classifier
-    weights = {name: torch.from_numpy(array) for name, array in file.part("classifier").items()}
+    weights = {
+        name: torch.from_numpy(array) for name, array in file.arrays_of("classifier").items()
+    }
     if isinstance(sizes, CustomEntry):
         return OwnClassifier(None, sizes.factory, sizes.arguments, weights)
     return restored(

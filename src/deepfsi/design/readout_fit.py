@@ -5,8 +5,14 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from torch import Tensor
 
-from deepfsi.designfile import TAIL_CHANCES, TAIL_COUNTS, ReadoutDistribution, ReadoutModel
-from deepfsi.designfile.distribution import SMALLEST_STATISTIC
+from deepfsi.designfile import (
+    SMALLEST_STATISTIC,
+    TAIL_CHANCES,
+    TAIL_COUNTS,
+    ReadoutCounts,
+    ReadoutDistribution,
+    ReadoutModel,
+)
 
 FEWEST_SCENES = 100
 """Scenes from which on a tail is calibrated."""
@@ -103,11 +109,11 @@ def _calibrate(
         looks = exposed(float(expected[0]))
         values = np.empty((len(looks), 2, len(rates)))
         for look, (read, weights) in enumerate(looks):
-            seen = read, expected, np.zeros_like(read), weights
+            seen = ReadoutCounts(read, expected, np.zeros_like(read), weights)
             for fold, model in zip(folds, models, strict=True):
-                values[look, :, fold] = np.transpose(model.statistics(*(k[fold] for k in seen)))
-        for found, couple in zip(likeness, couples, strict=True):
-            found[place] = whole.likeness(*([each[part] for each in seen[:3]] for part in couple))
+                values[look, :, fold] = np.transpose(model.statistics(seen.rows(fold)))
+        for found, (first, second) in zip(likeness, couples, strict=True):
+            found[place] = whole.likeness(seen.rows(first), seen.rows(second))
         levels.append(values)
     logs = np.log(np.maximum(np.stack(levels, axis=2), SMALLEST_STATISTIC))
     every = _tail(logs)

@@ -3,10 +3,12 @@
 from deepfsi.designfile.design_file import DesignFile, damaged_design
 from deepfsi.designfile.distribution import (
     REFUSED,
+    SMALLEST_STATISTIC,
     TAIL_CHANCES,
     TAIL_COUNTS,
     UNSURE,
     ConsistencyResult,
+    ReadoutCounts,
     ReadoutDistribution,
     ReadoutModel,
 )
@@ -14,10 +16,7 @@ from deepfsi.designfile.header import (
     AdaptiveHeader,
     CustomEntry,
     DesignHeader,
-    DesignInfo,
     MaskHeader,
-    MlpEntry,
-    VitEntry,
 )
 from deepfsi.designfile.loop_file import loop_bytes, read_loop
 from deepfsi.designfile.provenance import (
@@ -50,16 +49,26 @@ from deepfsi.designfile.temperatures import (
     Temperatures,
     calibration_budgets,
 )
-from deepfsi.designfile.view_test import SceneModel, SceneReadouts, ViewResult, ViewTest
+from deepfsi.designfile.view_test import (
+    FEWEST_MODELLED,
+    FEWEST_MODELLED_OF_A_CLASS,
+    SceneModel,
+    SceneReadouts,
+    ViewResult,
+    ViewTest,
+)
 
 __all__ = [
     "CALIBRATION_REACH",
+    "FEWEST_MODELLED",
+    "FEWEST_MODELLED_OF_A_CLASS",
     "INDEX_NAME",
     "LOG_BOUNDS",
     "NO_MEASURE",
     "READOUTS",
     "REFUSED",
     "SHIPPED_DESIGNS",
+    "SMALLEST_STATISTIC",
     "TAIL_CHANCES",
     "TAIL_COUNTS",
     "UNSURE",
@@ -69,11 +78,10 @@ __all__ = [
     "CustomEntry",
     "DesignFile",
     "DesignHeader",
-    "DesignInfo",
     "DesignName",
     "MaskHeader",
-    "MlpEntry",
     "PublishedDesign",
+    "ReadoutCounts",
     "ReadoutDistribution",
     "ReadoutModel",
     "SceneModel",
@@ -84,7 +92,6 @@ __all__ = [
     "TrainingScenes",
     "ViewResult",
     "ViewTest",
-    "VitEntry",
     "calibration_budgets",
     "check_masks",
     "click_gates",

@@ -15,6 +15,7 @@ from typing import Any, Self
 
 import numpy as np
 from pydantic import TypeAdapter
+from safetensors.numpy import save
 
 from deepfsi.base.arrays import DamagedError, read_tensors
 from deepfsi.base.errors import InputError, as_input_error, other_version
@@ -37,10 +38,13 @@ STATISTICS = ("mean", "std", "shares")
 REFLECTANCE_SLACK = 1e-3
 """What rounding may change of a reflectance, or of a sum of them, relative."""
 
-MOST_REFLECTANCE, MOST_SPREAD = 1e3, 1e2
-"""Bounds of what a file may hold: a sum of all components, and the spread of a prior."""
+MOST_REFLECTANCE = 1e3
+"""Largest sum of all components of a prior."""
 
-KEY = "deepfsi"
+MOST_SPREAD = 1e2
+"""Largest spread of a prior."""
+
+HEADER_KEY = "deepfsi"
 """Key of the header in the file's metadata."""
 
 Layer = tuple[np.ndarray, np.ndarray]
@@ -100,7 +104,7 @@ class DesignFile:
             raise InputError(f"no design file at {path}: make one with `deepfsi design -o {path}`")
         text = ""
         try:
-            text, tensors = read_tensors(path, KEY, "give a design file", arrays)
+            text, tensors = read_tensors(path, HEADER_KEY, "give a design file", arrays)
             facts = json.loads(text)
             if int(facts["schema"]) != DESIGN_SCHEMA:
                 raise ValueError(facts["schema"])
@@ -116,43 +120,44 @@ class DesignFile:
 
     def to_bytes(self) -> bytes:
         """Content of the file: of one that was read, its bytes."""
-        from safetensors.numpy import save
-
         text = self.text
         if text is None:
             text = json.dumps(self.header.model_dump(mode="json", by_alias=True))
         whole = {name: np.asarray(array, order="C") for name, array in self.arrays.items()}
-        return save(whole, metadata={KEY: text})
+        return save(whole, metadata={HEADER_KEY: text})
 
-    def part(self, name: str) -> dict[str, np.ndarray]:
-        """Arrays of a part of the design, such as `classifier`, by their names there."""
-        start = f"{name}."
+    def arrays_of(self, owner: str) -> dict[str, np.ndarray]:
+        """Arrays of what a design has, such as its `classifier`, by their names there."""
+        start = f"{owner}."
         every = self.arrays.items()
-        return {key.removeprefix(start): array for key, array in every if key.startswith(start)}
+        return {name.removeprefix(start): array for name, array in every if name.startswith(start)}
 
     def check(self, whole: bool = True) -> None:
         """Raise an error of `DAMAGED` unless arrays are finite and, as a whole, fit the header."""
         custom = isinstance(self.header, MaskHeader) and self.header.classifier.kind == "own"
-        for key, array in self.arrays.items():
-            if custom and key.startswith("classifier."):
+        networks = ("classifier.", "exposure.")
+        for name, array in self.arrays.items():
+            if custom and name.startswith("classifier."):
                 continue  # whatever its maker's module keeps
-            computed = key in ("rails", *STATISTICS) or key.startswith(("classifier.", "exposure."))
+            computed = name in ("rails", *STATISTICS) or name.startswith(networks)
             if computed and array.dtype != np.float32:
-                raise ValueError(f"{key} holds numbers of another type")
+                raise ValueError(f"{name} holds numbers of another type")
             if not np.isfinite(array).all():
-                raise ValueError(f"{key} is not finite")
-        if not whole:
-            return
+                raise ValueError(f"{name} is not finite")
         _ = self.training_scenes
         if isinstance(self.header, AdaptiveHeader):
-            _check_prior(self.header, self.arrays)
-        else:
+            if whole:
+                _check_prior(self.header, self.arrays)
+            return
+        if whole or "rails" in self.arrays:
+            rails, _, pixels = self.arrays["rails"].shape
+            if rails not in (1, 2) or pixels != math.prod(self.header.mask_shape):
+                raise ValueError("rails are not of the masks of these scenes")
+        if whole:
             self._check_masks(self.header)
 
     def _check_masks(self, header: MaskHeader) -> None:
-        rails, _, pixels = self.arrays["rails"].shape
-        if rails not in (1, 2):
-            raise ValueError(f"{rails} rails")
+        pixels = self.arrays["rails"].shape[2]
         if {self.arrays[name].shape for name in STATISTICS} != {(self.feature_count,)}:
             raise ValueError("statistics are not those of the masks")
         if not (self.arrays["std"] > 0).all():
@@ -253,24 +258,29 @@ class DesignFile:
 
         Where dwells are chosen, of all rails in one row, and of all mirrors ON.
         """
-        arrays, entry = self.part("distribution"), self.mask_header.exposure
+        arrays = self.arrays_of("distribution")
+        if not arrays:
+            return None
+        entry = self.mask_header.exposure
         readouts = self.masks * self.detector_count
-        shape, looks = (self.rail_count, readouts), 0
         if isinstance(entry, LooksEntry):
-            shape, looks = (1, self.rail_count * readouts + 1), entry.looks
-        return ReadoutDistribution.restored(arrays, shape, looks) if arrays else None
+            row = (1, self.rail_count * readouts + 1)
+            return ReadoutDistribution.restored(arrays, row, entry.looks)
+        return ReadoutDistribution.restored(arrays, (self.rail_count, readouts), looks=0)
 
     @cached_property
     def scene_model(self) -> SceneModel | None:
         """Model of the training scenes; None where there were too few."""
-        arrays, header = self.part("scenes"), self.mask_header
-        pixels = math.prod(header.image_shape)
-        return SceneModel.restored(arrays, pixels, len(header.classes) or 1) if arrays else None
+        arrays = self.arrays_of("scenes")
+        pixels = math.prod(self.header.image_shape)
+        classes = len(self.header.classes) or 1
+        return SceneModel.restored(arrays, pixels, classes) if arrays else None
 
     @cached_property
     def temperatures(self) -> Temperatures | None:
         """Divisors of the logits at each budget; None where none were fitted."""
-        arrays, stops = self.part("temperatures"), self.mask_header.exposure.count_stops(self.masks)
+        arrays = self.arrays_of("temperatures")
+        stops = self.mask_header.exposure.count_stops(self.masks)
         return Temperatures.restored(arrays, stops) if arrays else None
 
     # What its networks answer
@@ -300,13 +310,14 @@ class DesignFile:
         _ = self.looks
         return self._layers("exposure", self.feature_count + self.frames + 1, self.frames)
 
-    def _layers(self, part: str, inputs: int, outputs: int) -> tuple[Layer, ...]:
+    def _layers(self, network: str, inputs: int, outputs: int) -> tuple[Layer, ...]:
         """Layers of a network, or `InputError` where they do not follow each other.
 
         Weights are copied to (inputs, outputs): products with a transposed view have other bits.
         """
-        arrays, width = self.part(part), inputs
+        arrays = self.arrays_of(network)
         layers: list[Layer] = []
+        width = inputs
         while (weight := arrays.get(f"layers.{len(layers)}.weight")) is not None:
             bias = arrays.get(f"layers.{len(layers)}.bias")
             if bias is None or weight.ndim != 2 or weight.shape != (*bias.shape, width):
@@ -340,7 +351,8 @@ class DesignFile:
         -------
         array, shape (k,) or (k + q,)
         """
-        mean, std = self.arrays["mean"], self.arrays["std"]
+        mean = self.arrays["mean"]
+        std = self.arrays["std"]
         if dwell is None:
             count = len(features)
             return (features.astype(np.float32) - mean[:count]) / std[:count]
@@ -361,7 +373,8 @@ class DesignFile:
         shortest : float
             Shortest dwell of the device, if longer than the design's own.
         """
-        looks, (weight, bias) = self.looks, self.chooser[0]
+        looks = self.looks
+        weight, bias = self.chooser[0]
         left = np.float32(1 - look / looks.looks)  # the last input
         first = weight[:-1], bias + left * weight[-1]
         scores = _outputs((first, *self.chooser[1:]), inputs).astype(float)
@@ -388,10 +401,11 @@ class DesignFile:
         photons : float
             Budget Φ of the whole exposure.
         """
-        entry, read = self.mask_header.exposure, inputs
+        entry = self.mask_header.exposure
+        conditioned = inputs
         if isinstance(entry, ConditionedEntry):
-            read = _conditioned(entry, inputs, photons)
-        logits = _outputs(self.classifier, read).astype(float)
+            conditioned = _conditioned(entry, inputs, photons)
+        logits = _outputs(self.classifier, conditioned).astype(float)
         if self.temperatures is None:
             return _softmax(logits)
         return _softmax(logits / self.temperatures.after(self._stop(inputs), photons))
@@ -408,7 +422,14 @@ class DesignFile:
 
 
 def damaged_design(path: str | os.PathLike[str], header: str = "") -> InputError:
-    """Error for a file that is no design of this version, by its header as far as it was read."""
+    """Error for a file that is no whole design, or one of another version.
+
+    Parameters
+    ----------
+    path : str or path
+    header : str
+        Its header as far as it was read, JSON, which may say which version wrote it.
+    """
     if words := other_version(header, DESIGN_SCHEMA, "make it again with `deepfsi design`"):
         return InputError(f"{path} {words}")
     return InputError(
@@ -419,13 +440,14 @@ def damaged_design(path: str | os.PathLike[str], header: str = "") -> InputError
 
 def _check_prior(header: AdaptiveHeader, arrays: Mapping[str, np.ndarray]) -> None:
     """Raise `ValueError` unless arrays are of a prior of scenes, and of the header's looks."""
-    (scenes, parts), pixels = arrays["levels"].shape, math.prod(header.image_shape)
+    scenes, components = arrays["levels"].shape
+    pixels = math.prod(header.image_shape)
     looks = header.settings.looks
     shapes = {
         "mean": ((pixels,), np.float32),
-        "components": ((parts, pixels), np.float32),
-        "steps": ((parts,), np.float32),
-        "levels": ((scenes, parts), np.int8),
+        "components": ((components, pixels), np.float32),
+        "steps": ((components,), np.float32),
+        "levels": ((scenes, components), np.int8),
         "members": ((scenes,), np.int32),
         "sizes": ((len(header.classes),), np.int64),
         "numbers": ((2,), np.float64),
@@ -438,11 +460,13 @@ def _check_prior(header: AdaptiveHeader, arrays: Mapping[str, np.ndarray]) -> No
         raise ValueError("temperatures are of other looks")
     if not isinstance(header.info.get("job", {}).get("camera"), dict):
         raise ValueError("no camera is known")
-    mean, farthest = arrays["mean"], 127 * arrays["steps"] @ np.abs(arrays["components"])
+    mean = arrays["mean"]
+    farthest = 127 * arrays["steps"] @ np.abs(arrays["components"])
     brightest = 1 + REFLECTANCE_SLACK
     if mean.min() < 0 or mean.max() > brightest or farthest.max() > MOST_REFLECTANCE:
         raise ValueError("the prior holds no reflectances")
-    sizes, (light, spread) = arrays["sizes"], arrays["numbers"]
+    sizes = arrays["sizes"]
+    light, spread = arrays["numbers"]
     lit = math.isclose(light, mean.sum(dtype=float), rel_tol=REFLECTANCE_SLACK)
     populated = arrays["members"].min() > 0 and sizes.min() >= 0 and sizes.sum() == scenes
     if not (lit and populated and 0 <= spread <= MOST_SPREAD):

@@ -12,7 +12,7 @@ Scenes whose patterns do not differ by more than photon noise, where those of tw
 would, are *alike*: then they count as one.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -60,14 +60,25 @@ SMALLEST_STATISTIC = 1e-12
 
 @dataclass(frozen=True)
 class ConsistencyResult:
-    """Consistency of exposures with the training of a design."""
+    """Consistency of exposures with the training of a design.
 
-    exposures: np.ndarray  # (...): p-value of each exposure
-    whole: float  # p-value of all of them together
-    # p-value of how little they differ from each other; 1 for one exposure, and where their
-    # patterns differ by more than photon noise
+    Attributes
+    ----------
+    exposures : array, shape (...)
+        p-value of each exposure.
+    whole : float
+        p-value of all of them together.
+    alike : float
+        p-value of how little they differ from each other; 1 for one exposure, and where their
+        patterns differ by more than photon noise.
+    brightness : float
+        All counts over those that the mean scene has at these budgets.
+    """
+
+    exposures: np.ndarray
+    whole: float
     alike: float
-    brightness: float  # all counts over those that the mean scene has at these budgets
+    brightness: float
 
     @property
     def unsure(self) -> np.ndarray:
@@ -114,15 +125,54 @@ class ConsistencyResult:
 
 
 @dataclass(frozen=True)
-class ReadoutModel:
-    """Mean and covariance of the R readouts of scenes."""
+class ReadoutCounts:
+    """Counts of n exposures in R readouts that are lit.
 
-    total: float  # all counts of the mean scene over the budget
-    share: np.ndarray  # (R,): What each readout has of them; above 0
-    spread: float  # standard deviation of the brightness
-    # (k, R): Patterns of one standard deviation each, along the principal axes of their covariance
+    Attributes
+    ----------
+    counts : array, shape (n, R)
+        Photons, less the background.
+    expected : array, shape (n,)
+        Counts of the mean scene in all readouts, where each has its usual time.
+    dark : array, shape (n, R)
+        Background that was subtracted.
+    weights : array, shape (n, R)
+        How long each readout was counted over its usual time; 0 of one that was not.
+    """
+
+    counts: np.ndarray
+    expected: np.ndarray
+    dark: np.ndarray
+    weights: np.ndarray
+
+    def rows(self, index: np.ndarray | slice) -> "ReadoutCounts":
+        """Some of the exposures."""
+        return ReadoutCounts(*(array[index] for array in vars(self).values()))
+
+
+@dataclass(frozen=True)
+class ReadoutModel:
+    """Mean and covariance of the R readouts of scenes.
+
+    Attributes
+    ----------
+    total : float
+        All counts of the mean scene over the budget.
+    share : array, shape (R,)
+        What each readout has of them; above 0.
+    spread : float
+        Standard deviation of the brightness.
+    directions : array, shape (k, R)
+        Patterns of one standard deviation each, along the principal axes of their covariance.
+    rest : array, shape (R,)
+        Variance of the patterns beyond these.
+    """
+
+    total: float
+    share: np.ndarray
+    spread: float
     directions: np.ndarray
-    rest: np.ndarray  # (R,): Variance of the patterns beyond these
+    rest: np.ndarray
 
     @classmethod
     def fit(cls, rates: np.ndarray) -> "ReadoutModel":
@@ -134,64 +184,77 @@ class ReadoutModel:
         patterns = (rates / total - sums * share) / np.sqrt(share)
         axes = _principal(patterns)
         rest = (np.square(patterns).mean(axis=0) - np.square(axes).sum(axis=0)).clip(min=0)
-        return cls(total, share, float(sums.std()), axes * np.sqrt(share), rest * share)
+        return cls(
+            total=total,
+            share=share,
+            spread=float(sums.std()),
+            directions=axes * np.sqrt(share),
+            rest=rest * share,
+        )
 
-    def statistics(
-        self, read: np.ndarray, expected: np.ndarray, dark: np.ndarray, weights: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Brightness and pattern of counts (n, R), each a squared distance (n,) from the mean."""
-        # read, dark (n, R); expected (n,), of the mean scene at weights of 1; weights (n, R), how
-        # long each readout was counted over its usual time: one of 0 was not
-        whole = expected * (weights @ self.share)
-        power = (1 + dark.sum(axis=1) / whole) / whole
+    def statistics(self, exposures: ReadoutCounts) -> tuple[np.ndarray, np.ndarray]:
+        """Brightness and pattern of counts, each a squared distance (n,) from the mean."""
+        counts, dark, weights = exposures.counts, exposures.dark, exposures.weights
+        complete = exposures.expected * (weights @ self.share)
+        power = (1 + dark.sum(axis=1) / complete) / complete
         power += self.spread**2 + BRIGHTNESS_ERROR**2
-        bright = read.sum(axis=1) / whole
+        bright = counts.sum(axis=1) / complete
         brightness = np.square(bright - 1) / power
-        shown = weights > 0
-        scale = np.where(shown, weights, 1.0) * expected[:, None]
-        off = np.where(shown, read / scale - bright[:, None] * self.share, 0.0)
+        counted = weights > 0
+        scale = np.where(counted, weights, 1.0) * exposures.expected[:, None]
+        off = np.where(counted, counts / scale - bright[:, None] * self.share, 0.0)
         floor = self.rest + np.square(READOUT_ERROR * self.share)
-        noise = np.where(shown, (self.share + dark / scale) / scale + floor, np.inf)
+        noise = np.where(counted, (self.share + dark / scale) / scale + floor, np.inf)
         if (noise == noise[0]).all():  # most often of fixed dwells: one matrix serves them all
             return brightness, _distance(off, noise[0], self.directions)
-        parts = [
-            _distance(
-                off[a : a + EXPOSURES_AT_ONCE, None],
-                noise[a : a + EXPOSURES_AT_ONCE],
-                self.directions,
-            )[:, 0]
-            for a in range(0, len(off), EXPOSURES_AT_ONCE)
-        ]
-        return brightness, np.concatenate(parts)
+        distances = []
+        for start in range(0, len(off), EXPOSURES_AT_ONCE):
+            rows = slice(start, start + EXPOSURES_AT_ONCE)
+            distances.append(_distance(off[rows, None], noise[rows], self.directions)[:, 0])
+        return brightness, np.concatenate(distances)
 
-    def likeness(self, one: Sequence[np.ndarray], other: Sequence[np.ndarray]) -> np.ndarray:
+    def likeness(self, first: ReadoutCounts, second: ReadoutCounts) -> np.ndarray:
         """Inverse (n,) of the mean squared distance of patterns in units of their noise."""
-        power, off = np.zeros(self.share.shape), 0.0
-        for sign, (read, expected, dark) in ((1, one), (-1, other)):
-            scale, mean = expected[:, None], read.sum(axis=1, keepdims=True) * self.share
-            off = off + sign * (read - mean) / scale
-            power = power + (np.maximum(mean, self.share) + dark) / np.square(scale)
+        power = np.zeros(self.share.shape)
+        off = np.zeros(())
+        for sign, exposures in ((1, first), (-1, second)):
+            scale = exposures.expected[:, None]
+            mean = exposures.counts.sum(axis=1, keepdims=True) * self.share
+            off = off + sign * (exposures.counts - mean) / scale
+            noise = np.maximum(mean, self.share) + exposures.dark
+            power = power + noise / np.square(scale)
         return 1 / np.maximum((np.square(off) / power).mean(axis=1), SMALLEST_STATISTIC)
 
 
 @dataclass(frozen=True)
 class ReadoutDistribution:
-    """Distribution of the readouts of training scenes, and the tails of the two statistics."""
+    """Distribution of the readouts of training scenes, and the tails of the two statistics.
 
-    # (rails, m): Share of the budget that each readout counts, in the mean over scenes. Where
-    # dwells are chosen, (1, R): those of equal dwells, and at the end of all mirrors ON
+    Attributes
+    ----------
+    mean : array, shape (rails, m)
+        Share of the budget that each readout counts, in the mean over scenes. Where dwells are
+        chosen, (1, R): those of equal dwells, and at the end of all mirrors ON.
+    spread : array, shape ()
+        Standard deviation of the brightness.
+    directions : array, shape (k, rails, m)
+        Patterns of one standard deviation each, along the principal axes of their covariance.
+    rest : array, shape (rails, m)
+        Variance of the patterns beyond these.
+    tails : array, shape ([K,] 2, 2, counts, chances)
+        After each look; of all scenes and of the class that fits worst; of brightness and pattern;
+        at each of `TAIL_COUNTS`: logarithm of the value that is exceeded with each of
+        `TAIL_CHANCES`.
+    pairs : array, shape (counts, chances)
+        The same of the likeness of two scenes, in the class whose scenes are most alike; of no
+        counts where dwells are chosen, and it is not tested.
+    """
+
     mean: np.ndarray
-    spread: np.ndarray  # (): Standard deviation of the brightness
-    # (k, rails, m): Patterns of one standard deviation each, along the principal axes of their
-    # covariance
+    spread: np.ndarray
     directions: np.ndarray
-    rest: np.ndarray  # (rails, m): Variance of the patterns beyond these
-    # ([K,] 2, 2, counts, chances): After each look; of all scenes and of the class that fits worst;
-    # of brightness and pattern; at each of `TAIL_COUNTS`: logarithm of the value that is exceeded
-    # with each of `TAIL_CHANCES`
+    rest: np.ndarray
     tails: np.ndarray
-    # (counts, chances): The same of the likeness of two scenes, in the class whose scenes are most
-    # alike; (0, chances) where dwells are chosen, and it is not tested
     pairs: np.ndarray
 
     @property
@@ -219,18 +282,18 @@ class ReadoutDistribution:
         ValueError
             If the arrays are no distribution of such readouts.
         """
-        axes, levels = len(arrays["directions"]), (len(TAIL_COUNTS), len(TAIL_CHANCES))
+        levels = len(TAIL_COUNTS), len(TAIL_CHANCES)
         shapes = {
             "mean": readouts,
             "spread": (),
-            "directions": (axes, *readouts),
+            "directions": (len(arrays["directions"]), *readouts),
             "rest": readouts,
             "tails": (*([looks] if looks else []), 2, 2, *levels),
             "pairs": (0 if looks else len(TAIL_COUNTS), len(TAIL_CHANCES)),
         }
-        if {name: held.shape for name, held in arrays.items()} != shapes:
+        if {name: array.shape for name, array in arrays.items()} != shapes:
             raise ValueError("the distribution of the readouts is not of these masks")
-        if not all(np.isfinite(held).all() for held in arrays.values()):
+        if not all(np.isfinite(array).all() for array in arrays.values()):
             raise ValueError("the distribution of the readouts is not finite")
         least = min(float(arrays[name].min()) for name in ("mean", "spread", "rest"))
         shares = [arrays[name] for name in ("mean", "directions", "rest") if arrays[name].size]
@@ -243,14 +306,15 @@ class ReadoutDistribution:
     @property
     def _model(self) -> ReadoutModel:
         """Model of the readouts that are lit."""
-        parts = {name: part.astype(float) for name, part in self.arrays.items()}
-        lit, total = parts["mean"] > 0, float(parts["mean"].sum())
+        fitted = {name: array.astype(float) for name, array in self.arrays.items()}
+        lit = fitted["mean"] > 0
+        total = float(fitted["mean"].sum())
         return ReadoutModel(
             total=total,
-            share=parts["mean"][lit] / total,
-            spread=float(parts["spread"]),
-            directions=parts["directions"][:, lit],
-            rest=parts["rest"][lit],
+            share=fitted["mean"][lit] / total,
+            spread=float(fitted["spread"]),
+            directions=fitted["directions"][:, lit],
+            rest=fitted["rest"][lit],
         )
 
     def dimmed(self, factor: float) -> "ReadoutDistribution":
@@ -282,54 +346,61 @@ class ReadoutDistribution:
             How long each readout was counted, over the time that the mean has it for.
         """
         model = self._model
-        read = np.asarray(counts, dtype=float)
-        lead = read.shape[:-2]
-        dark = np.broadcast_to(np.asarray(background, dtype=float), read.shape)
-        budget = np.broadcast_to(np.asarray(photons, dtype=float), lead).reshape(-1)
-        often = np.broadcast_to(np.asarray(weights, dtype=float), read.shape)
+        every = np.asarray(counts, dtype=float)
+        exposures = every.shape[:-2]
+        budget = np.broadcast_to(np.asarray(photons, dtype=float), exposures).reshape(-1)
         lit = (self.mean > 0).ravel()
-        read, dark, often = (each.reshape(len(budget), -1)[:, lit] for each in (read, dark, often))
-        chances, careful = self._chances(model, read, budget, dark, often)
-        one, sums, rest = (each.sum(axis=0)[None] for each in (read, budget, dark))
-        _, together = self._chances(model, one, sums, rest, (budget @ often / sums)[None])
-        alike = self._alike(model, read, budget, dark)
-        apart = 1.0 if alike < REFUSED else _fisher(careful)
-        whole = min(1.0, 2 * min(apart, float(together[0])))
-        brightness = float(read.sum() / (budget @ often @ model.share * model.total))
-        return ConsistencyResult(chances.reshape(lead), whole, alike, brightness)
 
-    def _chances(
-        self,
-        model: ReadoutModel,
-        read: np.ndarray,
-        budget: np.ndarray,
-        dark: np.ndarray,
-        weights: np.ndarray,
-    ) -> np.ndarray:
-        """p-values (2, n) of counts (n, R) of lit readouts, among all and in the worst class."""
-        expected = budget * model.total
-        statistics = model.statistics(read, expected, dark, weights)
-        noise = _mean_counts(expected, dark / (weights @ model.share)[:, None])
+        def of_lit(values: ArrayLike) -> np.ndarray:
+            spread = np.broadcast_to(np.asarray(values, dtype=float), every.shape)
+            return spread.reshape(len(budget), -1)[:, lit]
+
+        single = ReadoutCounts(
+            counts=of_lit(every),
+            expected=budget * model.total,
+            dark=of_lit(background),
+            weights=of_lit(weights),
+        )
+        sums = budget.sum(axis=0)[None]
+        usual = budget @ single.weights
+        together = ReadoutCounts(
+            counts=single.counts.sum(axis=0)[None],
+            expected=sums * model.total,
+            dark=single.dark.sum(axis=0)[None],
+            weights=(usual / sums)[None],
+        )
+        chances, of_worst_class = self._chances(model, single)
+        alike = self._alike(model, single)
+        apart = 1.0 if alike < REFUSED else _fisher(of_worst_class)
+        joint = float(self._chances(model, together)[1][0])
+        return ConsistencyResult(
+            exposures=chances.reshape(exposures),
+            whole=min(1.0, 2 * min(apart, joint)),
+            alike=alike,
+            brightness=float(single.counts.sum() / (usual @ model.share * model.total)),
+        )
+
+    def _chances(self, model: ReadoutModel, exposures: ReadoutCounts) -> np.ndarray:
+        """p-values (2, n) of exposures, among all scenes and in the worst class."""
+        statistics = model.statistics(exposures)
+        usual = (exposures.weights @ model.share)[:, None]
+        noise = _mean_counts(exposures.expected, exposures.dark / usual)
         brightness, pattern = (
             [_survival(statistic, noise, tail) for tail in self.tails[:, k].astype(float)]
             for k, statistic in enumerate(statistics)
         )
         return np.minimum(1.0, 2 * np.minimum(brightness, pattern))
 
-    def _alike(
-        self, model: ReadoutModel, read: np.ndarray, budget: np.ndarray, dark: np.ndarray
-    ) -> float:
-        """p-value of the likeness of exposures, taken two by two; parameters as of `_chances`."""
-        if not len(self.pairs) or _dispersion(read, dark) > OVER_DISPERSED:
+    def _alike(self, model: ReadoutModel, exposures: ReadoutCounts) -> float:
+        """p-value of the likeness of exposures, taken two by two."""
+        if not len(self.pairs) or _dispersion(exposures) > OVER_DISPERSED:
             return 1.0
-        expected = budget * model.total
-        pairs = len(read) // 2
-        one, other = slice(0, pairs), slice(pairs, 2 * pairs)
-        likeness = model.likeness(
-            *((read[each], expected[each], dark[each]) for each in (one, other))
-        )
-        noise = _mean_counts(expected, dark)
-        fewer = np.minimum(noise[one], noise[other])
+        pairs = len(exposures.counts) // 2
+        first = slice(0, pairs)
+        second = slice(pairs, 2 * pairs)
+        likeness = model.likeness(exposures.rows(first), exposures.rows(second))
+        noise = _mean_counts(exposures.expected, exposures.dark)
+        fewer = np.minimum(noise[first], noise[second])
         return _fisher(_survival(likeness, fewer, self.pairs.astype(float)))
 
 
@@ -359,14 +430,15 @@ def _mean_counts(expected: np.ndarray, dark: np.ndarray) -> np.ndarray:
     return expected**2 / (expected + dark.sum(axis=1)) / dark.shape[1]
 
 
-def _dispersion(read: np.ndarray, dark: np.ndarray) -> float:
+def _dispersion(exposures: ReadoutCounts) -> float:
     """Squared differences of exposures' patterns beyond photon noise, in standard deviations."""
-    # Parameters are those of `ReadoutModel.statistics`. The patterns are compared with their mean
-    every = max(float(read.sum()), SMALLEST_STATISTIC)
-    share, part = read.sum(axis=0) / every, read.sum(axis=1, keepdims=True) / every
-    mean = every * part * share
+    counts, dark = exposures.counts, exposures.dark  # the patterns are compared with their mean
+    total = max(float(counts.sum()), SMALLEST_STATISTIC)
+    by_readout = counts.sum(axis=0) / total
+    by_exposure = counts.sum(axis=1, keepdims=True) / total
+    mean = total * by_exposure * by_readout
     power = mean.clip(min=0) + dark
-    beyond = np.square(read - mean) - power * (1 - share) * (1 - part)
+    beyond = np.square(counts - mean) - power * (1 - by_readout) * (1 - by_exposure)
     weight = np.maximum(power, 1)
     error = np.sqrt(((2 * np.square(power) + power) / np.square(weight)).sum())
     return float((beyond / weight).sum() / max(error, SMALLEST_STATISTIC))
@@ -381,10 +453,10 @@ def _fisher(chances: np.ndarray) -> float:
 
 def _survival(statistic: np.ndarray, noise: np.ndarray, tail: np.ndarray) -> np.ndarray:
     """p-values (n,) of a statistic at mean counts of a readout, from the tail (counts, chances)."""
-    place = np.interp(np.log(noise), np.log(TAIL_COUNTS), np.arange(len(TAIL_COUNTS)))
-    below = np.minimum(place.astype(int), len(TAIL_COUNTS) - 2)
-    weight = (place - below)[:, None]
+    row = np.interp(np.log(noise), np.log(TAIL_COUNTS), np.arange(len(TAIL_COUNTS)))
+    below = np.minimum(row.astype(int), len(TAIL_COUNTS) - 2)
+    weight = (row - below)[:, None]
     levels = (1 - weight) * tail[below] + weight * tail[below + 1]
-    seen = np.log(np.maximum(statistic, SMALLEST_STATISTIC)) - LOG_ERROR
-    logs = [np.interp(*each, np.log(TAIL_CHANCES)) for each in zip(seen, levels, strict=True)]
+    log = np.log(np.maximum(statistic, SMALLEST_STATISTIC)) - LOG_ERROR
+    logs = [np.interp(*pair, np.log(TAIL_CHANCES)) for pair in zip(log, levels, strict=True)]
     return np.exp(logs)

@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field
+from safetensors.numpy import save
 
 from deepfsi.base.arrays import DamagedError, read_tensors
 from deepfsi.base.errors import InputError, as_input_error
@@ -19,10 +20,10 @@ from deepfsi.designfile.design_file import DAMAGED, DesignFile
 from deepfsi.designfile.header import MaskHeader, MlpEntry
 from deepfsi.jobs.exposures import LARGEST_SCORE, LooksEntry
 
-KEY = "deepfsi-loop"
+LOOP_KEY = "deepfsi-loop"
 """Key of the header in the file's metadata."""
 
-PARTS = {"classifier": "classifier.layers", "chooser": "exposure.layers"}
+NETWORKS = {"classifier": "classifier.layers", "chooser": "exposure.layers"}
 """Networks of a loop by their names in a design file."""
 
 
@@ -47,9 +48,8 @@ class LoopHeader(StrictModel):
 
 def loop_bytes(design: DesignFile) -> bytes:
     """Content of the loop's file of a design of several looks, or `InputError` if it has one."""
-    from safetensors.numpy import save
-
-    header, entry = design.mask_header, design.looks
+    header = design.mask_header
+    entry = design.looks
     networks = {"classifier": design.classifier, "chooser": design.chooser}
     _ = design.first_dwell  # which is a number
     with as_input_error("the design"):
@@ -70,10 +70,11 @@ def loop_bytes(design: DesignFile) -> bytes:
     for name, layers in networks.items():
         for place, (weight, bias) in enumerate(layers):
             arrays |= {f"{name}.{place}.weight": weight, f"{name}.{place}.bias": bias}
-    for part in ("distribution", "scenes", "temperatures"):
-        arrays |= {f"{part}.{name}": array for name, array in design.part(part).items()}
+    for fitted in ("distribution", "scenes", "temperatures"):
+        values = design.arrays_of(fitted)
+        arrays |= {f"{fitted}.{name}": array for name, array in values.items()}
     whole = {name: np.asarray(array, order="C") for name, array in arrays.items()}
-    return save(whole, metadata={KEY: about.model_dump_json()})
+    return save(whole, metadata={LOOP_KEY: about.model_dump_json()})
 
 
 def read_loop(path: Path, rails: np.ndarray, **facts: Any) -> DesignFile:
@@ -95,7 +96,7 @@ def read_loop(path: Path, rails: np.ndarray, **facts: Any) -> DesignFile:
     """
     again = "export the patterns again"
     try:
-        text, tensors = read_tensors(path, KEY, again)
+        text, tensors = read_tensors(path, LOOP_KEY, again)
     except DamagedError:
         raise InputError(f"{path} is not a whole loop of a design: {again}") from None
     with as_input_error(str(path), again, text, schema=2):
@@ -105,9 +106,9 @@ def read_loop(path: Path, rails: np.ndarray, **facts: Any) -> DesignFile:
     if detectors is not None:
         arrays["detectors"] = detectors
     for name, array in tensors.items():
-        part, _, rest = name.partition(".")
+        network, _, rest = name.partition(".")
         turned = np.ascontiguousarray(array.T) if rest.endswith(".weight") else array
-        arrays[f"{PARTS[part]}.{rest}" if part in PARTS else name] = turned
+        arrays[f"{NETWORKS[network]}.{rest}" if network in NETWORKS else name] = turned
     arrays["shares"] = np.zeros_like(arrays["mean"])  # which no look needs
     try:
         header = MaskHeader(
@@ -125,10 +126,10 @@ def read_loop(path: Path, rails: np.ndarray, **facts: Any) -> DesignFile:
             header.info["stopping"] = loop.rule.model_dump()
         made = DesignFile(header, arrays, path)
         made.check()
-        own = (made.masks, made.rail_count, made.detector_count, made.each_rail, LARGEST_SCORE)
-        if own != (loop.masks, loop.rails, loop.detectors, loop.each_rail, loop.largest_score):
+        sizes = (made.masks, made.rail_count, made.detector_count, made.each_rail, LARGEST_SCORE)
+        if sizes != (loop.masks, loop.rails, loop.detectors, loop.each_rail, loop.largest_score):
             raise ValueError("the loop is of other patterns")
-        _ = made.classifier, made.first_dwell
+        _ = made.classifier, made.first_dwell  # which raise an error where they do not fit
     except DAMAGED:
         raise InputError(f"{path} has networks that do not fit its masks: {again}") from None
     return made

@@ -22,8 +22,11 @@ from deepfsi.jobs.exposures import ExposureEntry
 HASH_BYTES = 4
 """Bytes of the hash of a scene. A scene that is new is taken for one of n with n / 2³²."""
 
-LEVELS, FINE_LEVELS = 255, 2**16 - 1
-"""Highest level to which scenes are rounded before: images as a picture file keeps them; others."""
+IMAGE_LEVELS = 255
+"""Highest level to which images are rounded before they are hashed: that of a picture's file."""
+
+FINE_LEVELS = 2**16 - 1
+"""Highest level to which other scenes are rounded before they are hashed."""
 
 SCENE_HASHES = "training_scenes"
 """Name of the tensor of a design file that holds the hashes."""
@@ -70,11 +73,19 @@ def trained_on(info: Mapping[str, Any]) -> TrainedOn | None:
 
 
 def scene_hashes(scenes: np.ndarray, image_shape: tuple[int, ...]) -> tuple[str, ...]:
-    """Short hash, in hex, of each scene (n, ...) as a design sees it, rounded to levels."""
+    """Short hash, in hex, of each scene, rounded to levels.
+
+    Parameters
+    ----------
+    scenes : array, shape (n, ...)
+        Reflectance, as a design sees it.
+    image_shape : tuple of int
+        Rows and columns of a scene, or values of a spectrum.
+    """
     # Rounded as `write_pictures` does, so that a scene keeps its hash when it is written as a
     # picture and read again
-    most = LEVELS if len(image_shape) == 2 else FINE_LEVELS
-    kind = np.uint8 if most == LEVELS else np.uint16
+    most = IMAGE_LEVELS if len(image_shape) == 2 else FINE_LEVELS
+    kind = np.uint8 if most == IMAGE_LEVELS else np.uint16
     return tuple(
         blake2b(
             np.rint(scene.ravel() * most).clip(0, most).astype(kind), digest_size=HASH_BYTES
@@ -118,39 +129,58 @@ class TrainingScenes:
 
 def _numbers(hashes: Iterable[str], unique: bool = True) -> np.ndarray:
     """Hashes (n,) as int32, in order and each once if they are a set."""
-    found = np.frombuffer(bytes.fromhex("".join(hashes)), ">i4").astype(np.int32)
-    return np.unique(found) if unique else found
+    numbers = np.frombuffer(bytes.fromhex("".join(hashes)), ">i4").astype(np.int32)
+    return np.unique(numbers) if unique else numbers
 
 
-def was_trained_on(known: TrainingScenes | None, hashes: Iterable[str | None]) -> list[bool | None]:
-    """True for each scene that was trained on; None where that is not known."""
-    every = list(hashes)
-    if known is None:
-        return [None] * len(every)
+def was_trained_on(
+    training: TrainingScenes | None, hashes: Iterable[str | None]
+) -> list[bool | None]:
+    """Tell scenes of the training from others.
+
+    Parameters
+    ----------
+    training : TrainingScenes or None
+        Of the design, if its file holds them.
+    hashes : iterable of str or None
+        Of scenes, as from `scene_hashes`; None of one that has none.
+
+    Returns
+    -------
+    list of bool or None
+        True for each scene that was trained on; None where that is not known.
+    """
+    scenes = list(hashes)
+    if training is None:
+        return [None] * len(scenes)
     # All at once: each look among a whole training takes milliseconds
-    answers = iter(known.contains(each for each in every if each is not None).tolist())
-    return [None if each is None else next(answers) for each in every]
+    answers = iter(training.contains(scene for scene in scenes if scene is not None).tolist())
+    return [None if scene is None else next(answers) for scene in scenes]
 
 
-def new_scenes(known: TrainingScenes | None, data: Dataset) -> tuple[Dataset, str | None]:
-    """The data with those test scenes that are new to a design, and what was left out, in words.
+def new_scenes(training: TrainingScenes | None, data: Dataset) -> tuple[Dataset, str | None]:
+    """Data with those test scenes that are new to a design, and what was left out, in words.
 
     Where the design was trained on all of them they stay, and the words say so. The test part of a
     `hold_out` stays as it is: it is known to be of the training.
+
+    Parameters
+    ----------
+    training : TrainingScenes or None
+        Of the design, if its file holds them.
+    data : Dataset
     """
-    if known is None or data.held_out:
+    if training is None or data.held_out:
         return data, None
-    trained = known.contains(scene_hashes(data.x_test, data.image_shape))
-    count, every = int(trained.sum()), len(trained)
+    old = training.contains(scene_hashes(data.x_test, data.image_shape))
+    count = int(old.sum())
     if count == 0:
         return data, None
-    if count == every:
-        return data, f"all {every} test scenes were trained on: {NO_MEASURE}"
-    kept = replace(data, x_test=data.x_test[~trained], y_test=data.y_test[~trained])
-    verb = ("was", "is") if count == 1 else ("were", "are")
-    return kept, "{} of the {} test scenes {} trained on, and {} left out".format(
-        count, every, *verb
-    )
+    if count == len(old):
+        return data, f"all {count} test scenes were trained on: {NO_MEASURE}"
+    fresh = replace(data, x_test=data.x_test[~old], y_test=data.y_test[~old])
+    was, are = ("was", "is") if count == 1 else ("were", "are")
+    return fresh, f"{count} of the {len(old)} test scenes {was} trained on, and {are} left out"
 
 
 NO_MEASURE = "no number here says how good the design is"
@@ -160,7 +190,15 @@ NO_MEASURE = "no number here says how good the design is"
 def trained_budgets(
     info: Mapping[str, Any], exposure: ExposureEntry | None = None
 ) -> tuple[float, float] | None:
-    """Lowest and highest budget of the training in the `info` of a design; None if it has none."""
+    """Lowest and highest budget of a training; None if its design does not say.
+
+    Parameters
+    ----------
+    info : mapping
+        Of the design.
+    exposure : ExposureEntry, optional
+        Its entry, which has a range of budgets or none.
+    """
     facts = {**info.get("job", {}), **({} if exposure is None else exposure.model_dump())}
     if "photons" not in facts:
         return None
@@ -182,7 +220,15 @@ def click_gates(info: Mapping[str, Any]) -> int | None:
 
 
 def check_masks(info: Mapping[str, Any], what: str) -> None:
-    """Raise `InputError` where a design reads measured readouts and `what` needs its masks."""
+    """Raise `InputError` where a design reads measured readouts, whose masks are not known.
+
+    Parameters
+    ----------
+    info : mapping
+        Of the design.
+    what : str
+        What needs its masks.
+    """
     if READOUTS in info:
         raise InputError(
             f"{what} needs masks, and those of measured readouts are not known: use "

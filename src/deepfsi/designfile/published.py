@@ -19,6 +19,7 @@ from pydantic import Field
 from deepfsi.base.errors import InputError, as_input_error, closest
 from deepfsi.base.files import hash_file, read_text
 from deepfsi.base.models import StrictModel
+from deepfsi.datasets.store import cache, fetch
 
 DESIGNS_VARIABLE = "DEEPFSI_DESIGNS"
 """Environment variable: folder or address of a collection."""
@@ -111,7 +112,8 @@ def find_design(given: str | os.PathLike[str]) -> Path:
         If no such name is in the collections, one cannot be reached, or the file's hash is not
         that of the index.
     """
-    name, path = os.fspath(given), Path(given)
+    name = os.fspath(given)
+    path = Path(given)
     if path.exists():
         return path
     if path.name and (longer := path.with_name(f"{path.name}.safetensors")).is_file():
@@ -119,15 +121,16 @@ def find_design(given: str | os.PathLike[str]) -> Path:
     if not re.fullmatch(NAME_PATTERN, name):
         return path
     collections = read_indexes()
-    where = next((each for each, designs in collections.items() if name in designs), None)
+    where = next((at for at, designs in collections.items() if name in designs), None)
     if where is None:
-        names = [each for designs in collections.values() for each in designs]
+        names = [name for designs in collections.values() for name in designs]
         raise InputError(
             f"no design file and no published design {name!r}: {closest(name, names)}; make a file "
             f"with `deepfsi design`, or set {DESIGNS_VARIABLE} to the folder or address of a "
             "collection"
         )
-    folder, sha256 = _folder(where), collections[where][name].sha256
+    folder = _folder(where)
+    sha256 = collections[where][name].sha256
     if folder is None:
         return _from_address(name, sha256, where)
     path = folder / f"{name}.safetensors"
@@ -154,8 +157,6 @@ def _read_index(where: str) -> dict[str, PublishedDesign]:
     folder = _folder(where)
     if folder is not None:
         return CollectionIndex.read(folder).designs
-    from deepfsi.datasets.store import fetch
-
     with TemporaryDirectory() as there:
         _check_fetched(
             f"{where}/{INDEX_NAME}", fetch(f"{where}/{INDEX_NAME}", None, Path(there, INDEX_NAME))
@@ -179,8 +180,6 @@ def _folder(where: str) -> Path | None:
 
 def _from_address(name: str, sha256: str, address: str) -> Path:
     """A published design in the cache, downloaded unless it is there whole."""
-    from deepfsi.datasets.store import cache, fetch
-
     path = cache("designs") / f"{name}-{sha256[:12]}.safetensors"
     url = f"{address}/{name}.safetensors"
     _check_fetched(url, fetch(url, f"sha256:{sha256}", path))

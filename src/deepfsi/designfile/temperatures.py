@@ -22,17 +22,36 @@ BOUNDS_SLACK = 1e-6
 
 
 def calibration_budgets(low: float, high: float) -> np.ndarray:
-    """Budgets (B,), two a decade, that calibrate a design of a training from low to high."""
-    low, high = low / CALIBRATION_REACH, high * CALIBRATION_REACH
+    """Budgets that calibrate a design, two a decade.
+
+    Parameters
+    ----------
+    low, high : float
+        Budgets of its training.
+
+    Returns
+    -------
+    array, shape (B,)
+    """
+    low = low / CALIBRATION_REACH
+    high = high * CALIBRATION_REACH
     return np.geomspace(low, high, 1 + int(np.ceil(2 * np.log10(high / low) - 1e-9)))
 
 
 @dataclass(frozen=True)
 class Temperatures:
-    """Temperatures of a design over budgets and stops."""
+    """Temperatures of a design over budgets and stops.
 
-    logs: np.ndarray  # (K, B): log τ after each number of masks or looks, rising, at each budget
-    budgets: np.ndarray  # (B,): of whole exposures, rising in equal ratios
+    Attributes
+    ----------
+    logs : array, shape (K, B)
+        log τ after each number of masks or looks, rising, at each budget.
+    budgets : array, shape (B,)
+        Of whole exposures, rising in equal ratios.
+    """
+
+    logs: np.ndarray
+    budgets: np.ndarray
 
     @classmethod
     def restored(cls, arrays: Mapping[str, np.ndarray], stops: int) -> "Temperatures":
@@ -40,8 +59,8 @@ class Temperatures:
         logs, budgets = (arrays[name].astype(float) for name in ("logs", "budgets"))
         if logs.shape != (stops, len(budgets)) or len(budgets) < 2 or not budgets.min() > 0:
             raise ValueError("temperatures are not of this design")
-        low, high = LOG_BOUNDS
-        if not (low - BOUNDS_SLACK <= logs.min() and logs.max() <= high + BOUNDS_SLACK):
+        least, most = LOG_BOUNDS
+        if not (least - BOUNDS_SLACK <= logs.min() and logs.max() <= most + BOUNDS_SLACK):
             raise ValueError("temperatures are beyond all that are fitted")
         ratios = np.diff(np.log(budgets))
         if not ratios.min() > 0 or not np.allclose(ratios, ratios[0], rtol=1e-3):

@@ -30,8 +30,11 @@ MOST_AXES = 40
 SCENES_OF_AN_AXIS = 5
 """Training scenes that each axis needs."""
 
-FEWEST_MODELLED, FEWEST_MODELLED_OF_A_CLASS = 100, 20
-"""Training scenes in all, and of each class, from which on runs can be tested."""
+FEWEST_MODELLED = 100
+"""Training scenes from which on runs can be tested."""
+
+FEWEST_MODELLED_OF_A_CLASS = 20
+"""Training scenes of each class from which on runs can be tested."""
 
 FREE_BRIGHTNESS = 0.3
 """Standard deviation of the brightness of a scene that is allowed beyond that of the training."""
@@ -57,10 +60,14 @@ class FaultSizes:
     tilts: tuple[float, ...]  # half of the difference of light between two sides, over the mean
 
 
-FAULTY_SIZES = FaultSizes((1.0, 2.0), (0.5, 1.0, 3.0), (0.4, 0.7), (1 / 16,), (0.4,))
+FAULTY_SIZES = FaultSizes(
+    blurs=(1.0, 2.0), stray=(0.5, 1.0, 3.0), corners=(0.4, 0.7), shifts=(1 / 16,), tilts=(0.4,)
+)
 """Sizes that are looked for."""
 
-HARMLESS_SIZES = FaultSizes((0.5,), (0.2,), (0.2,), (1 / 40,), (0.15,))
+HARMLESS_SIZES = FaultSizes(
+    blurs=(0.5,), stray=(0.2,), corners=(0.2,), shifts=(1 / 40,), tilts=(0.15,)
+)
 """Sizes that are let pass: a run is refused only if none of these explains its counts."""
 
 
@@ -122,14 +129,14 @@ def view_faults(
 def orientation_faults(image_shape: tuple[int, ...]) -> tuple[ViewFault, ...]:
     """Orientations, other than that of the training, in which scenes may lie."""
     height, width = _rows(image_shape)
-    found = [ViewFault("mirrored left to right", lambda x: x[..., ::-1])]
+    faults = [ViewFault("mirrored left to right", lambda x: x[..., ::-1])]
     if height > 1:
-        found += [
+        faults += [
             ViewFault("mirrored top to bottom", lambda x: x[..., ::-1, :]),
             ViewFault("turned by 180 degrees", lambda x: x[..., ::-1, ::-1]),
         ]
     if height == width:
-        found += [
+        faults += [
             ViewFault("turned by 90 degrees", lambda x: x[..., ::-1, :].swapaxes(-1, -2)),
             ViewFault("turned by 270 degrees", lambda x: x.swapaxes(-1, -2)[..., ::-1, :]),
             ViewFault("mirrored at its falling diagonal", lambda x: x.swapaxes(-1, -2)),
@@ -137,7 +144,7 @@ def orientation_faults(image_shape: tuple[int, ...]) -> tuple[ViewFault, ...]:
                 "mirrored at its rising diagonal", lambda x: x[..., ::-1, ::-1].swapaxes(-1, -2)
             ),
         ]
-    return tuple(found)
+    return tuple(faults)
 
 
 def _rows(image_shape: tuple[int, ...]) -> tuple[int, int]:
@@ -170,14 +177,24 @@ def _shift(down: float, across: float) -> Callable[[np.ndarray], np.ndarray]:
 
 @dataclass(frozen=True)
 class SceneModel:
-    """Scenes of the training: the mean of each class, and how scenes lie about it."""
+    """Scenes of the training: the mean of each class, and how scenes lie about it.
 
-    # (C, N): Mean scene of each class, reflectance
+    Attributes
+    ----------
+    means : array, shape (C, N)
+        Mean scene of each class, reflectance.
+    axes : array, shape (d, N)
+        Principal axes of one standard deviation each, of all classes together.
+    rest : array, shape (N,)
+        Variance of each pixel beyond these.
+    shares : array, shape (C,)
+        Of each class in the training.
+    """
+
     means: np.ndarray
-    # (d, N): Principal axes of one standard deviation each, of all classes together
     axes: np.ndarray
-    rest: np.ndarray  # (N,): Variance of each pixel beyond these
-    shares: np.ndarray  # (C,): of each class in the training
+    rest: np.ndarray
+    shares: np.ndarray
 
     @classmethod
     def fit(cls, x: np.ndarray, labels: np.ndarray, classes: int) -> "SceneModel | None":
@@ -202,9 +219,14 @@ class SceneModel:
         square = away @ away.T if wide else away.T @ away
         last = len(square) - 1
         values, vectors = eigh(square, subset_by_index=[last + 1 - count, last])
-        found = vectors.T @ away if wide else (vectors * np.sqrt(values.clip(min=0))).T
-        rest = ((away**2).sum(axis=0) - (found**2).sum(axis=0)).clip(min=0)
-        return cls(*(each.astype(np.float16) for each in (means, found[::-1], rest, shares)))
+        found_axes = vectors.T @ away if wide else (vectors * np.sqrt(values.clip(min=0))).T
+        rest = ((away**2).sum(axis=0) - (found_axes**2).sum(axis=0)).clip(min=0)
+        return cls(
+            means=means.astype(np.float16),
+            axes=found_axes[::-1].astype(np.float16),
+            rest=rest.astype(np.float16),
+            shares=shares.astype(np.float16),
+        )
 
     @property
     def arrays(self) -> dict[str, np.ndarray]:
@@ -216,9 +238,9 @@ class SceneModel:
         """Model from a file, or `ValueError` if it holds none of such scenes."""
         shapes = {"means": (classes, pixels), "rest": (pixels,), "shares": (classes,)}
         shapes["axes"] = (len(arrays["axes"]), pixels)
-        if {name: held.shape for name, held in arrays.items()} != shapes:
+        if {name: array.shape for name, array in arrays.items()} != shapes:
             raise ValueError("the model of the scenes is not of these masks")
-        if not all(np.isfinite(held).all() for held in arrays.values()):
+        if not all(np.isfinite(array).all() for array in arrays.values()):
             raise ValueError("the model of the scenes is not finite")
         if min(arrays["rest"].min(), arrays["shares"].min()) < 0 or not arrays["means"].any():
             raise ValueError("the model of the scenes is none")
@@ -227,34 +249,61 @@ class SceneModel:
 
 @dataclass(frozen=True)
 class SceneReadouts:
-    """Counts of one scene, readout by readout."""
+    """Counts of one scene, readout by readout.
 
-    # (k, N): Counts that each pixel of reflectance 1 gives to each readout
+    Attributes
+    ----------
+    masks : array, shape (k, N)
+        Counts that each pixel of reflectance 1 gives to each readout.
+    counts : array, shape (k,)
+        Photons, less what is no scene's.
+    noise : array, shape (k,)
+        Variance beyond that of the scene's own photons.
+    inputs : array, shape (k,)
+        Detector that counted each.
+    frames, dwells : array, shape (k,), optional
+        Frame that was shown, where two may be exchanged, and for what share of the exposure.
+    """
+
     masks: np.ndarray
-    counts: np.ndarray  # (k,): less what is no scene's
-    noise: np.ndarray  # (k,): variance beyond that of the scene's own photons
-    inputs: np.ndarray  # (k,): detector that counted each
-    # (k,): Frame that was shown, where two may be exchanged, and for what share of the exposure
+    counts: np.ndarray
+    noise: np.ndarray
+    inputs: np.ndarray
     frames: np.ndarray | None = None
     dwells: np.ndarray | None = None
 
     @classmethod
-    def join(cls, parts: "list[SceneReadouts]") -> "SceneReadouts":
+    def join(cls, looks: "list[SceneReadouts]") -> "SceneReadouts":
         """Counts of several looks at one scene."""
-        names = [part.name for part in fields(cls)]
-        return cls(*(np.concatenate([getattr(each, name) for each in parts]) for name in names))
+        names = [field.name for field in fields(cls)]
+        return cls(*(np.concatenate([getattr(look, name) for look in looks]) for name in names))
 
 
 @dataclass(frozen=True)
 class ViewResult:
-    """Evidence of a run for each fault of the view."""
+    """Evidence of a run for each fault of the view.
+
+    Attributes
+    ----------
+    scenes : int
+    faults : tuple of str
+        In words: "the picture on the device is ...".
+    odds : array, shape (V,)
+        Logarithm of the likelihood with each fault, over that without.
+    before : array, shape (V,)
+        Logarithm of the chance of each, of those that are looked for.
+    alike : float
+        As `odds`, at least 0, if all scenes were one and the same, seen soundly.
+    ever : bool
+        True if the run was refused after fewer scenes already.
+    """
 
     scenes: int
-    faults: tuple[str, ...]  # in words: "the picture on the device is ..."
-    odds: np.ndarray  # (V,): logarithm of the likelihood with each fault, over that without
-    before: np.ndarray  # (V,): logarithm of the chance of each, of those that are looked for
-    alike: float = 0.0  # as `odds`, at least 0, if all scenes were one and the same, seen soundly
-    ever: bool = False  # true if the run was refused after fewer scenes already
+    faults: tuple[str, ...]
+    odds: np.ndarray
+    before: np.ndarray
+    alike: float = 0.0
+    ever: bool = False
 
     @property
     @np.errstate(under="ignore")
@@ -294,10 +343,9 @@ class ViewResult:
     def open(self) -> dict[str, float]:
         """Faults that this run does not exclude, and from how many scenes on it would; or inf."""
         needed = -log(FALSE_ALARM)
-        held = zip(self.faults, self.odds.tolist(), strict=True)
         return {
             words: self.scenes * needed / -odds if odds < 0 else np.inf
-            for words, odds in held
+            for words, odds in zip(self.faults, self.odds.tolist(), strict=True)
             if odds > -needed
         }
 
@@ -306,16 +354,17 @@ class ViewResult:
         """Words on the fault, or on faults that stay possible; None where there are none."""
         if self.named:
             return self.refusal
-        left = self.open
-        if not left:
+        possible = self.open
+        if not possible:
             return None
-        known = [scenes for scenes in left.values() if np.isfinite(scenes)]
-        enough = f"about {max(known):.0f} scenes would" if known else "more light or scenes would"
-        shown = list(left)[:MOST_FAULTS_NAMED]
-        more = f" or {len(left) - len(shown)} others" if len(left) > len(shown) else ""
+        counts = [scenes for scenes in possible.values() if np.isfinite(scenes)]
+        enough = f"about {max(counts):.0f} scenes would" if counts else "more light or scenes would"
+        first = list(possible)[:MOST_FAULTS_NAMED]
+        others = len(possible) - len(first)
+        more = f" or {others} others" if others else ""
         return (
             f"{self.scenes} scenes do not exclude that the picture on the device is "
-            f"{' or '.join(shown)}{more}: {enough}, or a recording of the reference target "
+            f"{' or '.join(first)}{more}: {enough}, or a recording of the reference target "
             "(`deepfsi camera check`)"
         )
 
@@ -346,39 +395,43 @@ class ViewTest:
     """
 
     def __init__(self, model: SceneModel, image_shape: tuple[int, ...], frames: int = 0) -> None:
-        known = (*orientation_faults(image_shape), *view_faults(image_shape))
-        sound, shape = view_faults(image_shape, HARMLESS_SIZES), _rows(image_shape)
-        means, axes = (np.asarray(each, float) for each in (model.means, model.axes))
+        faults = (*orientation_faults(image_shape), *view_faults(image_shape))
+        harmless = view_faults(image_shape, HARMLESS_SIZES)
+        means = np.asarray(model.means, float)
         shares = np.asarray(model.shares, float)
         self._shares = shares / shares.sum()
         self._rest = np.asarray(model.rest, float)
-        mean, count = self._shares @ means, len(means)
-        own = np.concatenate([means, axes])
-        seen = [own]
-        for view in (*sound, *known):
-            image = view.see(own.reshape(len(own), *shape)).reshape(own.shape)
-            image = image * (mean.sum() / (self._shares @ image[:count]).sum())
-            image[:count] += view.stray * mean.mean()
+        self._mean = self._shares @ means
+        self._classes = len(means)
+        scenes = np.concatenate([means, np.asarray(model.axes, float)])
+        views = [scenes]
+        for fault in (*harmless, *faults):
+            image = fault.see(scenes.reshape(len(scenes), *_rows(image_shape)))
+            image = image.reshape(scenes.shape)
+            lit = image[: self._classes]
+            image = image * (self._mean.sum() / (self._shares @ lit).sum())
+            image[: self._classes] += fault.stray * self._mean.mean()
             # The all-ON frames that measure the light see the stray light, too
-            seen.append(image / (1 + view.stray))
+            views.append(image / (1 + fault.stray))
         # The same freedom whatever the view: brightness alone speaks for none
-        free = [FREE_BRIGHTNESS * self._shares @ each[None, :count] for each in seen]
-        self._seen = np.stack([np.concatenate(pair) for pair in zip(seen, free, strict=True)])
-        self._mean, self._classes = mean, count
+        free = [FREE_BRIGHTNESS * self._shares @ view[None, : self._classes] for view in views]
+        self._views = np.stack([np.concatenate(pair) for pair in zip(views, free, strict=True)])
         pairs = list(combinations(range(frames), 2)) if frames <= MOST_EXCHANGED else []
         self._pairs = np.array(pairs, int).reshape(-1, 2)
         self._faults = (
-            *(view.words for view in known),
+            *(fault.words for fault in faults),
             *(f"of masks whose frames {i} and {j} were exchanged" for i, j in pairs),
         )
         # Every view is as likely before as another, and so are all exchanges together
-        each = 1 / (len(known) + bool(pairs))
-        self._before = np.log([each] * len(known) + [each / max(len(pairs), 1)] * len(pairs))
-        self._sound = 1 + len(sound)  # views that are let pass, the first that of the training
+        chance = 1 / (len(faults) + bool(pairs))
+        self._before = np.log([chance] * len(faults) + [chance / max(len(pairs), 1)] * len(pairs))
+        self._sound = 1 + len(harmless)  # views that are let pass, the first that of the training
         # Scenes of each class so far, as a Dirichlet law of the shares has them
-        every = self._sound + len(self._faults)
-        self._often, self._log = np.tile(self._shares * count, (every, 1)), np.zeros(every)
-        self._scenes, self._refused = 0, False
+        count = self._sound + len(self._faults)
+        self._often = np.tile(self._shares * self._classes, (count, 1))
+        self._log = np.zeros(count)
+        self._scenes = 0
+        self._refused = False
         self._all_alike = _AllAlike(self._shares)
 
     @np.errstate(under="ignore")
@@ -388,43 +441,46 @@ class ViewTest:
 
         expected = rows.masks @ self._mean
         noise = expected.clip(min=0) + rows.noise + rows.masks**2 @ self._rest
-        kept = expected > 0
-        if not kept.any():
+        lit = expected > 0
+        if not lit.any():
             return
-        scale = 1 / np.sqrt(np.maximum(noise[kept], 1e-12))
-        seen = self._seen @ rows.masks[kept].T  # (V, C + axes, k)
-        seen = np.concatenate([seen, self._exchanged(seen[0], rows, kept)]) * scale
-        away = rows.counts[kept] * scale - seen[:, : self._classes]
-        gains = rows.inputs[kept, None] == np.unique(rows.inputs)
-        free = (FREE_GAIN * (expected[kept] * scale)[:, None] * gains).T
+        scale = 1 / np.sqrt(np.maximum(noise[lit], 1e-12))
+        light = self._views @ rows.masks[lit].T  # (V, C + axes, k)
+        light = np.concatenate([light, self._exchanged(light[0], rows, lit)]) * scale
+        away = rows.counts[lit] * scale - light[:, : self._classes]
+        gains = rows.inputs[lit, None] == np.unique(rows.inputs)
+        free = (FREE_GAIN * (expected[lit] * scale)[:, None] * gains).T
         axes = np.concatenate(
-            [seen[:, self._classes :], np.broadcast_to(free, (len(seen), *free.shape))], axis=1
+            [light[:, self._classes :], np.broadcast_to(free, (len(light), *free.shape))], axis=1
         )
         precision = np.eye(axes.shape[1]) + axes @ axes.swapaxes(1, 2)
-        along, squares = away @ axes.swapaxes(1, 2), (away**2).sum(axis=2)
+        along = away @ axes.swapaxes(1, 2)
+        squares = (away**2).sum(axis=2)
         logs = _log_densities(precision, along, squares)
         often = self._often
         chances = logs + np.log(often / often.sum(axis=1, keepdims=True))
-        whole = logsumexp(chances, axis=1)
-        self._log += whole
-        self._often = often + np.exp(chances - whole[:, None])
+        total = logsumexp(chances, axis=1)
+        self._log += total
+        self._often = often + np.exp(chances - total[:, None])
         self._scenes += 1
         self._all_alike.add(precision[0], along[0], squares[0])
         self._refused |= self.result.refused
 
-    def _exchanged(self, seen: np.ndarray, rows: SceneReadouts, kept: np.ndarray) -> np.ndarray:
+    def _exchanged(self, light: np.ndarray, rows: SceneReadouts, lit: np.ndarray) -> np.ndarray:
         """Light (P, C + axes, k) behind masks of which two frames are exchanged."""
-        out = np.repeat(seen[None], len(self._pairs), axis=0)
+        out = np.repeat(light[None], len(self._pairs), axis=0)
         if rows.frames is None or rows.dwells is None:
             return out
-        frames, inputs, dwells = rows.frames[kept], rows.inputs[kept], rows.dwells[kept]
-        places = {pair: at for at, pair in enumerate(zip(frames, inputs, strict=True))}
+        frames = rows.frames[lit]
+        inputs = rows.inputs[lit]
+        dwells = rows.dwells[lit]
+        columns = {pair: at for at, pair in enumerate(zip(frames, inputs, strict=True))}
         for swapped, (one, other) in zip(out, self._pairs.tolist(), strict=True):
             for first, second in ((one, other), (other, one)):
                 for at in np.flatnonzero(frames == first).tolist():
-                    source = places.get((second, inputs[at]))
+                    source = columns.get((second, inputs[at]))
                     if source is not None:
-                        swapped[:, at] = seen[:, source] * (dwells[at] / dwells[source])
+                        swapped[:, at] = light[:, source] * (dwells[at] / dwells[source])
         return out
 
     @property
@@ -433,7 +489,14 @@ class ViewTest:
         sound = float(self._log[: self._sound].max())
         alike = max(self._all_alike.log - sound, 0.0) if self._scenes else 0.0
         odds = self._log[self._sound :] - sound
-        return ViewResult(self._scenes, self._faults, odds, self._before, alike, self._refused)
+        return ViewResult(
+            scenes=self._scenes,
+            faults=self._faults,
+            odds=odds,
+            before=self._before,
+            alike=alike,
+            ever=self._refused,
+        )
 
 
 def _log_densities(precision: np.ndarray, along: np.ndarray, squares: np.ndarray) -> np.ndarray:
@@ -452,12 +515,14 @@ class _AllAlike:
 
     def __init__(self, shares: np.ndarray) -> None:
         self._shares = shares
-        self._parts: list[np.ndarray] = []
+        self._sums: list[np.ndarray] = []
 
     def add(self, precision: np.ndarray, along: np.ndarray, squares: np.ndarray) -> None:
         """Take in a scene: what scenes change of its counts, as `_log_densities` has it."""
-        own = [precision - np.eye(len(precision)), along, squares]
-        self._parts = [a + b for a, b in zip(self._parts, own, strict=True)] if self._parts else own
+        sums = [precision - np.eye(len(precision)), along, squares]
+        if self._sums:
+            sums = [before + more for before, more in zip(self._sums, sums, strict=True)]
+        self._sums = sums
 
     @property
     @np.errstate(under="ignore")
@@ -465,6 +530,6 @@ class _AllAlike:
         """Its logarithm."""
         from scipy.special import logsumexp
 
-        precision, along, squares = self._parts
+        precision, along, squares = self._sums
         logs = _log_densities(precision + np.eye(len(precision)), along, squares)
         return float(logsumexp(logs + np.log(self._shares)))

@@ -30,6 +30,9 @@ MASKS_SHOWN = 12
 """Masks of a design that the page shows at most."""
 
 
+RAILS = ("rails",)
+"""Arrays of a design file that the page reads."""
+
 COUNTED = ("noise", *accuracy.CHOSEN)
 """Fields of points that differ in their number of masks alone."""
 
@@ -47,15 +50,6 @@ def build(folder: str | os.PathLike[str]) -> Path:
     text = page_text(read_results(home / "results.json"), home / "designs", figures)
     figures.write(home)
     return write_atomically(home / "report.html", text.encode())
-
-
-def read_masks(path: Path) -> tuple[np.ndarray, tuple[int, ...]]:
-    """Rails (2 or 1, m, N) and the shape of a mask, which may be of a patch, in a design file."""
-    try:
-        design = DesignFile.read(path)
-        return design.rails, design.mask_header.mask_shape
-    except InputError as error:
-        raise InputError(f"{error}; or remove it") from None
 
 
 def page_text(results: Results, designs: Path, figures: Figures) -> str:
@@ -425,18 +419,18 @@ def learned_masks(results: Results, designs: Path, figures: Figures) -> Iterator
             files = {designs / f"{p.keys[0]}.safetensors": p for p in members if not p.levels}
             there = sorted((p.trained_at, path) for path, p in files.items() if path.is_file())
             panels = [
-                _mask_panel(files[path], *read_masks(path), f"{i}-{j}-{place}", figures)
-                for place, (_, path) in enumerate(there, start=1)
+                _mask_panel(files[path], DesignFile.read(path, RAILS), f"{i}-{j}-{number}", figures)
+                for number, (_, path) in enumerate(there, start=1)
             ]
             if panels:
                 yield {"heading": f"{names[key]}, {noise_text(noise)}", "panels": panels}
 
 
-def _mask_panel(
-    point: Point, rails: np.ndarray, shape: tuple[int, ...], number: str, figures: Figures
-) -> Part:
+def _mask_panel(point: Point, design: DesignFile, number: str, figures: Figures) -> Part:
     """Masks of one design at one budget, and the distribution of their values."""
-    masks, where = rails.shape[1], f"{photons_text(point.trained_at)} photons"
+    rails = design.rails
+    masks = design.masks
+    where = f"{photons_text(point.trained_at)} photons"
     lit = lit_masks(rails)
     shown = f"the brightest {MASKS_SHOWN} of {masks} masks"
     if lit <= MASKS_SHOWN:
@@ -444,7 +438,10 @@ def _mask_panel(
     if lit < masks:
         most = "the brightest " if lit > MASKS_SHOWN else "these "
         shown = f"{lit_text(masks, lit)}; {most}{min(lit, MASKS_SHOWN)}"
-    drawn, words = masks_figure(rails, shape, count=MASKS_SHOWN), f"Masks learned at {where}"
+    drawn, words = (
+        masks_figure(rails, design.mask_header.mask_shape, count=MASKS_SHOWN),
+        f"Masks learned at {where}",
+    )
     values, said = values_figure(rails), f"Histogram of the mask values learned at {where}."
     end, counted = peak(signed(rails)), share_text(point.throughput)
     return {

@@ -18,7 +18,7 @@ from deepfsi.datasets import Dataset, SpectralImage
 from deepfsi.datasets.indian_pines import load_scene
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate
-from deepfsi.report.comparison_page import read_masks
+from deepfsi.designfile import DesignFile
 from deepfsi.report.masks import brightest
 from deepfsi.sweeps.results import Point, Results
 from deepfsi_paper.experiment import best
@@ -240,7 +240,7 @@ def _spectral_masks(
             row: list[Any] = []
             for own in chosen.values():
                 point = own[("deepfsi", photons)]
-                rails = read_masks(designs / f"{point.keys[0]}.safetensors")[0]
+                rails = DesignFile.read(designs / f"{point.keys[0]}.safetensors", ("rails",)).rails
                 masks = (rails[0] - rails[1])[brightest(rails, CURVE_COUNT), :bands]
                 row += [masks.round(6).tolist(), point.masks]
             yield SpectralMasks(photons, *row)

@@ -11,8 +11,8 @@ from pydantic import TypeAdapter
 from deepfsi.base.intervals import Difference, above, of_trials
 from deepfsi.base.progress import Report
 from deepfsi.datasets import Dataset
+from deepfsi.designfile import DesignFile
 from deepfsi.jobs.tiles import sensing_matrix
-from deepfsi.report.comparison_page import read_masks
 from deepfsi.report.style import photons_text
 from deepfsi.sweeps.results import Results
 from deepfsi_paper.experiment import Experiment, Finding
@@ -85,7 +85,9 @@ def measure(
     mean_scene = data.x_train[: results.data.train].mean(axis=0, dtype=np.float64)
     matrices: dict[tuple[str, float], list[np.ndarray]] = {}
     for point in results.points:
-        rails = [read_masks(designs / f"{key}.safetensors")[0] for key in point.keys]
+        rails = [
+            DesignFile.read(designs / f"{key}.safetensors", ("rails",)).rails for key in point.keys
+        ]
         matrices[(point.noise, point.photons)] = [pair[0] - pair[1] for pair in rails]
     rows: list[Measure] = []
     for (noise, photons), trials in matrices.items():

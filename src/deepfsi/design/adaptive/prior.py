@@ -9,8 +9,7 @@ from threadpoolctl import threadpool_limits
 from torch import Tensor
 
 from deepfsi.camera.light import summed_reflectance
-from deepfsi.designfile import SceneModel, Temperatures
-from deepfsi.designfile.view_test import FEWEST_MODELLED, FEWEST_MODELLED_OF_A_CLASS
+from deepfsi.designfile import FEWEST_MODELLED, FEWEST_MODELLED_OF_A_CLASS, SceneModel, Temperatures
 
 NEIGHBOURS = 3000
 """Scenes whose nearest neighbours tell how far scenes lie from those of the prior, at most."""
