@@ -194,7 +194,9 @@ class ReadoutModel:
 
     def statistics(self, exposures: ReadoutCounts) -> tuple[np.ndarray, np.ndarray]:
         """Brightness and pattern of counts, each a squared distance (n,) from the mean."""
-        counts, dark, weights = exposures.counts, exposures.dark, exposures.weights
+        counts = exposures.counts
+        dark = exposures.dark
+        weights = exposures.weights
         complete = exposures.expected * (weights @ self.share)
         power = (1 + dark.sum(axis=1) / complete) / complete
         power += self.spread**2 + BRIGHTNESS_ERROR**2
@@ -432,7 +434,8 @@ def _mean_counts(expected: np.ndarray, dark: np.ndarray) -> np.ndarray:
 
 def _dispersion(exposures: ReadoutCounts) -> float:
     """Squared differences of exposures' patterns beyond photon noise, in standard deviations."""
-    counts, dark = exposures.counts, exposures.dark  # the patterns are compared with their mean
+    counts = exposures.counts  # whose patterns are compared with their mean
+    dark = exposures.dark
     total = max(float(counts.sum()), SMALLEST_STATISTIC)
     by_readout = counts.sum(axis=0) / total
     by_exposure = counts.sum(axis=1, keepdims=True) / total

@@ -438,10 +438,8 @@ def _mask_panel(point: Point, design: DesignFile, number: str, figures: Figures)
     if lit < masks:
         most = "the brightest " if lit > MASKS_SHOWN else "these "
         shown = f"{lit_text(masks, lit)}; {most}{min(lit, MASKS_SHOWN)}"
-    drawn, words = (
-        masks_figure(rails, design.mask_header.mask_shape, count=MASKS_SHOWN),
-        f"Masks learned at {where}",
-    )
+    drawn = masks_figure(rails, design.mask_header.mask_shape, count=MASKS_SHOWN)
+    words = f"Masks learned at {where}"
     values, said = values_figure(rails), f"Histogram of the mask values learned at {where}."
     end, counted = peak(signed(rails)), share_text(point.throughput)
     return {
