@@ -117,10 +117,10 @@ def masks() -> dict[str, Any]:
     """Photomasks of the pattern that scenes pass."""
     passing = file_of("passing")
     return {
-        "svg": answer("mask", passing, "--pixel", 5, "-o", "m.svg"),
-        "png": answer("mask", passing, "--pixel", 2.5, "-o", "m.png"),
-        "other": answer("mask", file_of("dual"), "--pixel", 5, "-o", "n.svg"),
-        "end": answer("mask", passing, "--pixel", 5, "-o", "n.gif"),
+        "svg": without_paths(answer("mask", passing, "--pixel", 5, "-o", "m.svg")),
+        "png": without_paths(answer("mask", passing, "--pixel", 2.5, "-o", "m.png")),
+        "other": without_paths(answer("mask", file_of("dual"), "--pixel", 5, "-o", "n.svg")),
+        "end": without_paths(answer("mask", passing, "--pixel", 5, "-o", "n.gif")),
         "files": files("."),
     }
 
