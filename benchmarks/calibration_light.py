@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from scipy.linalg import lstsq
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.camera.device import Device
 from deepfsi.hardware.calibration import SCAN_NAMES, fit_calibration, scan_rails, spot_scenes
 from deepfsi.hardware.counting.calibration_file import Calibration

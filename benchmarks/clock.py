@@ -29,8 +29,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
 from deepfsi import Dataset, Design, learn, load_dataset
-from deepfsi.base.files import write_atomically
-from deepfsi.base.intervals import wilson
+from deepfsi.base import wilson, write_atomically
 from deepfsi.design.exposure.trained import Observation
 from deepfsi.optics.constraints import frames
 from deepfsi.report.style import COLOURS, photons_text, styled

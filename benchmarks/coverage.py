@@ -15,7 +15,7 @@ import argparse
 import numpy as np
 from scipy import stats
 
-from deepfsi.base.intervals import accuracy, paired, student
+from deepfsi.base import accuracy_interval, paired_difference, student
 
 IMAGES, SEEDS, RATES, SPREADS = (24, 100, 1000), (1, 3, 5), (0.6, 0.9, 0.98), (0.1, 0.3)
 IMAGE, BOTH, DRAWS = 1.5, 0.5, 3
@@ -51,12 +51,12 @@ def main() -> None:
                     held = alone = told = 0
                     for _ in range(asked.studies):
                         one, other = study(rng, images, seeds, rate, spread)
-                        _, low, high = accuracy(one)
+                        _, low, high = accuracy_interval(one)
                         held += low <= rate <= high
                         if seeds > 1:
                             low, high = student(one.mean(axis=1).tolist())
                             alone += low <= rate <= high
-                        apart = paired(one, other)
+                        apart = paired_difference(one, other)
                         told += apart.low > 0 or apart.high < 0
                     shares = [count / asked.studies for count in (held, alone, told)]
                     before = f"{shares[1]:.3f}" if seeds > 1 else "–"

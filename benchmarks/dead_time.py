@@ -16,8 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deepfsi.base.errors import InputError
-from deepfsi.base.tables import Table
+from deepfsi.base import InputError, Table
 from deepfsi.camera.dead_time import DeadTime
 from deepfsi.camera.device import find_device
 from deepfsi.datasets import Dataset, load_dataset

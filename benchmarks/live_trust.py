@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from deepfsi import Looks, Training, learn, load_dataset
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.camera.device import find_device
 from deepfsi.datasets import Dataset
 from deepfsi.hardware.counting.acquisition import Scene

@@ -15,7 +15,7 @@ from contextlib import contextmanager
 
 import torch
 
-from deepfsi.base.progress import Moments
+from deepfsi.base import Moments
 from deepfsi.camera.camera import Camera
 from deepfsi.datasets import load_dataset
 from deepfsi.design.evaluation import evaluate

@@ -20,7 +20,7 @@ import torch
 from torch import Tensor, nn
 from torch.utils.data import DataLoader, TensorDataset
 
-from deepfsi.base.progress import Moments, Report
+from deepfsi.base import Moments, Progress
 from deepfsi.datasets import Dataset, from_arrays
 from deepfsi.design.classifiers import Vit
 from deepfsi.design.exposure.kinds import begin
@@ -105,7 +105,7 @@ def our_epochs(scenes: TrainingSet, job: Job) -> list[float]:
             torch.cuda.synchronize()
         moments.report(share, what)
 
-    train(scenes, [job], report=Report(tick))
+    train(scenes, [job], report=Progress(tick))
     return moments.epochs(job.training.epochs)
 
 

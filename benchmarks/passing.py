@@ -25,8 +25,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from deepfsi import Camera, Passing, Training, evaluate, learn, load_dataset
-from deepfsi.base.intervals import wilson
-from deepfsi.base.progress import SILENT
+from deepfsi.base import SILENT, wilson
 from deepfsi.datasets import Dataset
 from deepfsi.lab.transits import classify_transits, simulate_transits
 

@@ -24,7 +24,7 @@ import numpy as np
 import torch
 from torch import nn
 
-from deepfsi.base.progress import Moments
+from deepfsi.base import Moments
 from deepfsi.datasets import Dataset, from_arrays, load_dataset
 from deepfsi.design.classifiers import Mlp, Replicas
 from deepfsi.design.evaluation import evaluate

@@ -19,7 +19,7 @@ import torch
 from torch import nn
 from torch.utils.data import DataLoader, TensorDataset
 
-from deepfsi.base.progress import Moments
+from deepfsi.base import Moments
 from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.design.evaluation import evaluate
 from deepfsi.jobs.job import Job

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 
 import deepfsi
-from deepfsi.base.files import write_atomically
+from deepfsi.base import write_atomically
 from deepfsi.design.adaptive.exposures import look_at
 from deepfsi.design.adaptive.posterior import AdaptivePosterior, LookOptics
 

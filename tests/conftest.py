@@ -140,9 +140,8 @@ def _made(design: str, light: str, rails: str) -> Design:
 def call(monkeypatch, capsys) -> Callable[..., tuple[object, str, str]]:
     """Run a command line; gives its exit code, what it printed, and its errors."""
     from deepfsi import cli
-    from deepfsi.base import progress
 
-    monkeypatch.setattr(progress, "FIRST_LINE_SECONDS", 1e6)  # at no load such lines
+    monkeypatch.setattr("deepfsi.base.progress.FIRST_LINE_SECONDS", 1e6)  # at no load such lines
 
     def run(*words):
         monkeypatch.setattr(sys, "argv", ["deepfsi", *map(str, words)])

@@ -11,7 +11,7 @@ import torch
 
 import deepfsi
 from conftest import RECIPE, quick, same
-from deepfsi.base.progress import Report, shown
+from deepfsi.base import Progress, progress_bar
 from deepfsi.cli import as_options
 from deepfsi.jobs.job import Job
 from deepfsi.jobs.training import TUNED, Training
@@ -115,7 +115,7 @@ def test_a_bar_is_shown_where_a_terminal_is_attached(digits, capsys, monkeypatch
     deepfsi.evaluate(design, digits, 1e4)
     assert "deepfsi, 5 masks" in capsys.readouterr().err
     seen = []
-    with shown(Report(lambda share, _: seen.append(share)), "work") as report:
+    with progress_bar(Progress(lambda share, _: seen.append(share)), "work") as report:
         report(0.5)
     assert seen == [0.5]
     assert capsys.readouterr().err == ""

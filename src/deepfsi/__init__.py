@@ -12,7 +12,7 @@ import os
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from deepfsi.base.errors import InputError as InputError
+    from deepfsi.base import InputError as InputError
     from deepfsi.camera.camera import Camera as Camera
     from deepfsi.camera.light import photons_per_pixel as photons_per_pixel
     from deepfsi.datasets import Dataset as Dataset
@@ -115,9 +115,9 @@ def __getattr__(name: str) -> Any:
         return importlib.import_module("importlib.metadata").version("deepfsi")
     if name not in _HOMES:
         raise AttributeError(f"module 'deepfsi' has no attribute {name!r}")
-    from deepfsi.base.plugins import torch_needed
+    from deepfsi.base import require_torch
 
-    with torch_needed():
+    with require_torch():
         return getattr(importlib.import_module(f"deepfsi.{_HOMES[name]}"), name)
 
 

@@ -1,22 +1,28 @@
 """`deepfsi` and `python -m deepfsi`."""
 
+import signal
+import sys
 from typing import NoReturn
-
-from deepfsi.base import interrupts
 
 
 def main() -> NoReturn:
     """Run the command line, with Ctrl-C handled from the first moment."""
-    interrupts.arm()
+    if sys.platform != "win32":  # what stops waits until its handler is there: imports take it ill
+        usual = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
+    from deepfsi.base import STOPPED_EXIT_CODE, end_process, install_handler
+
+    install_handler()
+    if sys.platform != "win32":
+        signal.pthread_sigmask(signal.SIG_SETMASK, usual)
     from deepfsi import cli
 
     try:
         cli.main()
     except KeyboardInterrupt:  # before the command's own handler
-        interrupts.leave()
+        end_process()
     except SystemExit as end:
-        if end.code == interrupts.STOPPED:
-            interrupts.leave()
+        if end.code == STOPPED_EXIT_CODE:
+            end_process()
         raise
 
 

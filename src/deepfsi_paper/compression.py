@@ -4,7 +4,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from deepfsi.base.intervals import Difference, above, difference, of_trials
+from deepfsi.base import Difference, accuracy_difference, all_above, mean_of_trials
 from deepfsi.report.style import photons_text
 from deepfsi.sweeps.results import Point, Results
 from deepfsi_paper.experiment import Experiment, Finding, budgets, points
@@ -42,17 +42,17 @@ def show(results: Results) -> Finding:
     claims = (
         Claim(
             f"At {photons_text(trained_at)} photons FSI falls by more across ratios than DeepFSI",
-            above([paired]),
+            all_above([paired]),
             f"FSI falls by {fall['pca']}, DeepFSI by {fall['deepfsi']}: {paired}",
         ),
         Claim(
             f"Above the training budget accuracy is robust (loses less than {ROBUST})",
-            above(brighter.values(), -ROBUST),
+            all_above(brighter.values(), -ROBUST),
             f"lowest change {min(brighter.values(), key=lambda each: each.low)}",
         ),
         Claim(
             "Below the training budget accuracy falls",
-            above(-each for each in dimmer.values()),
+            all_above(-each for each in dimmer.values()),
             f"smallest fall {max(dimmer.values(), key=lambda each: each.high)}",
         ),
     )
@@ -78,7 +78,7 @@ def _falls(at_one_budget: Iterable[Point]) -> list[float]:
 
 
 def _less(first: list[float], second: list[float]) -> Difference:
-    return of_trials(np.subtract(first, second).tolist())
+    return mean_of_trials(np.subtract(first, second).tolist())
 
 
 def _changes(
@@ -87,7 +87,7 @@ def _changes(
     """Change of accuracy from the training budget to each beyond it, by design and ratio."""
     own = {(p.design, p.ratio): p for p in points(results, photons=trained_at)}
     return {
-        (p.design, p.ratio, p.photons): difference(p, own[(p.design, p.ratio)])
+        (p.design, p.ratio, p.photons): accuracy_difference(p, own[(p.design, p.ratio)])
         for p in results.points
         if p.photons != trained_at and (p.photons > trained_at) == up
     }

@@ -10,7 +10,7 @@ from functools import partial
 from itertools import pairwise
 from math import prod
 
-from deepfsi.base.intervals import Difference, above, difference
+from deepfsi.base import Difference, accuracy_difference, all_above
 from deepfsi.report.style import BUDGET_AXIS, COLOURS, PAPER, photons_text
 from deepfsi.sweeps.results import Point, Results
 from deepfsi_paper.experiment import Experiment, Finding, budgets, cifar10_here
@@ -146,7 +146,7 @@ def _target_claims(fixed: Chosen, targets: Targets) -> list[Claim]:
 def _more_claim(fixed: Chosen) -> Claim:
     numbers = _numbers(fixed)
     gains = {
-        (few, many, photons): difference(fixed[many, photons], fixed[few, photons])
+        (few, many, photons): accuracy_difference(fixed[many, photons], fixed[few, photons])
         for few, many in pairwise(numbers)
         for photons in budgets(fixed.values())
         if photons < SCARCE
@@ -154,7 +154,7 @@ def _more_claim(fixed: Chosen) -> Claim:
     (few, many, photons), least = min(gains.items(), key=lambda item: item[1].low)
     return Claim(
         f"Below {photons_text(SCARCE)} photons more detectors read more, each step",
-        above(gains.values()),
+        all_above(gains.values()),
         f"least from {few} to {many} detectors at {photons_text(photons)} photons: {least}",
     )
 
@@ -167,7 +167,7 @@ def _mask_claims(fixed: Chosen, on: Chosen) -> list[Claim]:
             Claim(
                 f"With {_counted(detectors)} masks read more than one frame that is all ON, at "
                 "every budget",
-                above(gains.values()),
+                all_above(gains.values()),
                 f"least at {photons_text(photons)} photons: {least}",
             )
         )
@@ -182,7 +182,7 @@ def _look_claims(fixed: Chosen, looks: Chosen) -> list[Claim]:
         claims.append(
             Claim(
                 f"With {_counted(detectors)} looks read more than fixed dwells",
-                above(gains.values()),
+                all_above(gains.values()),
                 ", ".join(said) + " photons",
             )
         )
@@ -194,7 +194,7 @@ def _gains(first: Chosen, second: Chosen) -> dict[int, dict[float, Difference]]:
     gains = defaultdict[int, dict[float, Difference]](dict)
     for place in sorted(first.keys() & second.keys()):
         detectors, photons = place
-        gains[detectors][photons] = difference(first[place], second[place])
+        gains[detectors][photons] = accuracy_difference(first[place], second[place])
     return gains
 
 

@@ -11,10 +11,16 @@ from typing import Any
 
 import polars
 
-from deepfsi.base.errors import InputError, as_input_error
-from deepfsi.base.files import write_atomically
-from deepfsi.base.intervals import Difference, above, difference
-from deepfsi.base.progress import SILENT, Report
+from deepfsi.base import (
+    SILENT,
+    Difference,
+    InputError,
+    Progress,
+    accuracy_difference,
+    all_above,
+    as_input_error,
+    write_atomically,
+)
 from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.datasets.cifar import where
 from deepfsi.report.comparison_page import listed
@@ -28,7 +34,7 @@ from deepfsi.sweeps.workers import Workers
 from deepfsi_paper.report.maps import Cell
 from deepfsi_paper.report.section import Claim, Picture, Section, Table
 
-Measure = Callable[[Results, Dataset, Path, int | None, Report], dict[str, Any]]
+Measure = Callable[[Results, Dataset, Path, int | None, Progress], dict[str, Any]]
 
 
 @dataclass(frozen=True)
@@ -111,7 +117,7 @@ class Experiment:
         device: str = "auto",
         workers: int | None = 1,
         ray: str | None = None,
-        report: Report = SILENT,
+        report: Progress = SILENT,
     ) -> Results:
         """Train and test what the folder does not hold yet, and write the numbers.
 
@@ -139,7 +145,7 @@ class Experiment:
         recipes = self.recipes(quick, trials)
         data = self._data(recipes)
         compared, points, records = list[Results](), list[Point](), list[dict[str, Any]]()
-        spans = report.parts(len(recipes) + (self.measure is not None))
+        spans = report.split(len(recipes) + (self.measure is not None))
         for (name, recipe), span in zip(recipes.items(), spans, strict=False):
             part, own = compare(
                 recipe,
@@ -287,7 +293,7 @@ def gains(
 ) -> Compared:
     """Accuracy of one design less that of another, by rising budgets below a bound."""
     return {
-        budget: difference(point, chosen[(second, budget)])
+        budget: accuracy_difference(point, chosen[(second, budget)])
         for (design, budget), point in sorted(chosen.items(), key=lambda item: item[0][1])
         if design == first and budget < below and (second, budget) in chosen
     }
@@ -300,7 +306,7 @@ def no_gain(label: str, compared: Compared, why: str = "") -> Claim:
     where = f"; above at {listed(clear)} photons" if clear else ""
     return Claim(
         f"{label} gains nothing over RS (less than {NOTHING})",
-        above([-each for each in compared.values()], -NOTHING),
+        all_above([-each for each in compared.values()], -NOTHING),
         f"{label.split()[-1]} − RS at most {compared[most]} at {photons_text(most)} photons{where}",
         why if clear else "",
     )

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
-from deepfsi.base.intervals import Difference, above
+from deepfsi.base import Difference, all_above
 from deepfsi.report.style import COLOURS, photons_text
 from deepfsi.sweeps.results import Point, Results
 from deepfsi_paper.experiment import Experiment, Finding, points
@@ -157,7 +157,7 @@ def _reach(each: Difference) -> float:
 
 def _within(differences: Iterable[Difference]) -> bool | None:
     """Test that no difference is beyond what is noticed, either way."""
-    return above([part for each in differences for part in (each, -each)], -NOTICED)
+    return all_above([part for each in differences for part in (each, -each)], -NOTICED)
 
 
 EXPERIMENT = Experiment(name="mlgauss", title="What MLGauss leaves out", paper=PAPER, show=show)

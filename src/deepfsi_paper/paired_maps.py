@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.figure import Figure
 
-from deepfsi.base.intervals import Difference, difference
+from deepfsi.base import Difference, accuracy_difference
 from deepfsi.report.style import photons_text
 from deepfsi.sweeps.results import Point
 from deepfsi_paper.experiment import budgets
@@ -66,7 +66,9 @@ def pair(one: Sequence[Point], other: Sequence[Point]) -> Pair:
         accuracy_grid(one, lights, ratios),
         accuracy_grid(other, lights, ratios),
         {
-            (point.ratio, point.photons): difference(point, there[(point.ratio, point.photons)])
+            (point.ratio, point.photons): accuracy_difference(
+                point, there[(point.ratio, point.photons)]
+            )
             for point in other
         },
     )

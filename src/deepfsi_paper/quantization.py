@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from deepfsi.base.intervals import Difference, above, of_trials, signed
+from deepfsi.base import Difference, all_above, mean_of_trials, signed_text
 from deepfsi.sweeps.results import Results
 from deepfsi_paper.experiment import Experiment, Finding, points
 from deepfsi_paper.paired_maps import pair
@@ -25,12 +25,12 @@ def show(results: Results) -> Finding:
     most, where = both.largest
     claim = Claim(
         f"{levels} grey levels cost less than {LOSS} on average",
-        above([-loss], -LOSS),
+        all_above([-loss], -LOSS),
         f"mean loss {loss}; largest change {most} at {where}",
     )
     found = (
         f"With {levels} grey levels, k/{levels - 1} of each frame's peak, accuracy changes by "
-        f"{signed(-loss.mean, 4)} on average over the grid. The largest change is "
+        f"{signed_text(-loss.mean, 4)} on average over the grid. The largest change is "
         f"{most}, at {where}."
     )
     picture = Picture(
@@ -48,7 +48,7 @@ def _mean_loss(results: Results, levels: int) -> Difference:
         for level in (0, levels)
     )
     values = (one - other).mean(axis=0).tolist()
-    return of_trials(values)
+    return mean_of_trials(values)
 
 
 EXPERIMENT = Experiment(

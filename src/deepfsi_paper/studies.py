@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from deepfsi.base.errors import InputError, check_known
+from deepfsi.base import InputError, check_choice
 from deepfsi_paper import compression, detectors, mlgauss, quantization
 from deepfsi_paper.adaptive import claims as adaptive
 from deepfsi_paper.camera import claims as camera_study
@@ -35,7 +35,7 @@ STUDIES: dict[str, tuple[Experiment, ...]] = {
 
 def find(name: str) -> tuple[Experiment, ...]:
     """Experiments of that name, or `InputError`."""
-    check_known("experiment", name, STUDIES)
+    check_choice("experiment", name, STUDIES)
     return STUDIES[name]
 
 

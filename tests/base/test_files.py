@@ -9,15 +9,15 @@ import pytest
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import (
-    WINDOWS,
+    WINDOWS_ENCODING,
     GrowingFile,
-    check_readable,
-    check_room,
+    check_disk_space,
+    check_readable_name,
     content_of,
     new_folder,
     read_text,
     read_toml,
-    readable,
+    readable_name,
     remove_drafts,
     write_atomically,
 )
@@ -128,9 +128,9 @@ def test_nothing_is_left_of_what_a_disk_does_not_take(tmp_path):
 
 
 def test_room_is_asked_for_before_the_work(tmp_path):
-    check_room(tmp_path / "not" / "there" / "yet", 1e3, "write less")
+    check_disk_space(tmp_path / "not" / "there" / "yet", 1e3, "write less")
     with pytest.raises(InputError, match=r"1e\+12 MB, and its disk has .* MB free: .* write less"):
-        check_room(tmp_path / "not" / "there" / "yet", 1e18, "write less")
+        check_disk_space(tmp_path / "not" / "there" / "yet", 1e18, "write less")
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-32"])
@@ -150,7 +150,7 @@ def test_the_mark_says_the_order_of_bytes(tmp_path):
 def test_text_of_windows_is_read_where_tables_are(tmp_path):
     path = tmp_path / "names"
     path.write_bytes("müsli, 5 µm, €".encode("cp1252"))
-    assert read_text(path, 100, "", WINDOWS) == "müsli, 5 µm, €"
+    assert read_text(path, 100, "", WINDOWS_ENCODING) == "müsli, 5 µm, €"
     with pytest.raises(InputError, match="holds text of another encoding, not text in UTF-8: save"):
         read_text(path, 100, "save it again")
 
@@ -179,7 +179,7 @@ def test_what_a_file_holds_is_told_by_its_first_bytes(tmp_path, content, said):
 def test_what_is_no_text_is_one_line(tmp_path, content):
     (tmp_path / "file").write_bytes(content)
     with pytest.raises(InputError, match="not text in UTF-8: save it again") as error:
-        read_text(tmp_path / "file", 100, "save it again", WINDOWS)
+        read_text(tmp_path / "file", 100, "save it again", WINDOWS_ENCODING)
     assert "\n" not in str(error.value)
 
 
@@ -193,11 +193,11 @@ def test_files_of_any_name_are_written(tmp_path, name):
     path = write_atomically(tmp_path / os.fsdecode(name), b"content")
     assert os.listdir(os.fsencode(tmp_path)) == [name]
     assert path.read_bytes() == b"content"
-    assert json.loads(json.dumps(readable(path.name)).encode()) == readable(path.name)
+    assert json.loads(json.dumps(readable_name(path.name)).encode()) == readable_name(path.name)
 
 
 def test_a_name_that_is_not_utf_8_is_told_as_it_can_be(tmp_path):
-    assert readable(os.fsdecode(b"s\xff.png")) == r"s\xff.png"
-    assert check_readable("é") == readable("é") == "é"
+    assert readable_name(os.fsdecode(b"s\xff.png")) == r"s\xff.png"
+    assert check_readable_name("é") == readable_name("é") == "é"
     with pytest.raises(InputError, match=r"the name a/s\\xff is not UTF-8: rename"):
-        check_readable(os.fsdecode(b"a/s\xff"))
+        check_readable_name(os.fsdecode(b"a/s\xff"))

@@ -13,7 +13,7 @@ from PIL import Image
 import deepfsi
 from deepfsi import InputError, evaluate
 from deepfsi.base.html import confusion_table, mask_picture
-from deepfsi.base.intervals import frequent, shares
+from deepfsi.base.intervals import confusion_shares, frequent_confusions
 
 CONFUSION = [[8, 2, 0], [0, 10, 0], [5, 0, 15]]
 
@@ -24,9 +24,11 @@ def pixels(html):
 
 
 def test_shares_are_of_the_true_classes():
-    assert shares(CONFUSION) == pytest.approx(np.array([[0.8, 0.2, 0], [0, 1, 0], [0.25, 0, 0.75]]))
-    assert shares([[0, 0], [1, 1]]).tolist() == [[0, 0], [0.5, 0.5]]
-    assert frequent(CONFUSION) == [(2, 0, 0.25), (0, 1, 0.2)]
+    assert confusion_shares(CONFUSION) == pytest.approx(
+        np.array([[0.8, 0.2, 0], [0, 1, 0], [0.25, 0, 0.75]])
+    )
+    assert confusion_shares([[0, 0], [1, 1]]).tolist() == [[0, 0], [0.5, 0.5]]
+    assert frequent_confusions(CONFUSION) == [(2, 0, 0.25), (0, 1, 0.2)]
 
 
 def test_a_confusion_matrix_is_a_table():

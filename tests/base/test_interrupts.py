@@ -35,10 +35,11 @@ training = { epochs = 2, batch = 32 }
 """
 ARMED = """
 import sys
+import deepfsi.base
 from deepfsi import __main__
 from deepfsi.base import interrupts
-interrupts.arm()
-interrupts.arm = lambda: None
+interrupts.install_handler()
+deepfsi.base.install_handler = lambda: None
 print("armed", flush=True)
 __main__.main()
 """
@@ -109,7 +110,7 @@ def test_a_signal_at_any_moment_says_one_line_and_leaves_at_once(tmp_path):
 def test_a_command_ends_within_a_moment_where_no_exception_would_come(number):
     """A loop that swallows what Ctrl-C raises, and prints its own words."""
     code = (
-        "import sys, time; from deepfsi.base import interrupts; interrupts.arm()\n"
+        "import sys, time; from deepfsi.base import interrupts; interrupts.install_handler()\n"
         "sys.argv = ['deepfsi', 'show']\n"
         "while True:\n"
         "    try: print('armed', flush=True); time.sleep(600)\n"
@@ -126,11 +127,11 @@ def test_a_command_ends_within_a_moment_where_no_exception_would_come(number):
 
 def test_a_worker_sees_no_signal_while_it_is_started(monkeypatch):
     """What comes meanwhile comes after: a worker whose parent ends then prints a traceback."""
-    came, usual = [], {each: signal.getsignal(each) for each in interrupts.SIGNALS}
+    came, usual = [], {each: signal.getsignal(each) for each in interrupts.STOP_SIGNALS}
     try:
-        for number in interrupts.SIGNALS:
+        for number in interrupts.STOP_SIGNALS:
             signal.signal(number, lambda number, frame: came.append(number))
-        with interrupts.held_back():
+        with interrupts.block_ctrl_c():
             os.kill(os.getpid(), signal.SIGTERM)
             assert not came
         assert came == [signal.SIGTERM]
@@ -141,16 +142,16 @@ def test_a_worker_sees_no_signal_while_it_is_started(monkeypatch):
 
 def test_signals_are_taken_again_from_a_library_that_takes_them():
     usual = signal.getsignal(signal.SIGTERM)
-    with interrupts.handlers_kept():
+    with interrupts.restore_handlers():
         signal.signal(signal.SIGTERM, signal.SIG_IGN)
     assert signal.getsignal(signal.SIGTERM) == usual
 
 
 def test_what_is_kept_is_said_once_there_is_something(capsys, monkeypatch):
-    monkeypatch.setattr(interrupts, "_kept", "")
+    monkeypatch.setattr(interrupts, "_saved_work", "")
     monkeypatch.setattr(interrupts, "_said", threading.Event())
-    assert interrupts.kept() == ""
-    interrupts.keep("finished scenes are kept")
+    assert interrupts.saved_work_text() == ""
+    interrupts.note_saved_work("finished scenes are kept")
     interrupts.say_stopped()
     interrupts.say_stopped()
     assert capsys.readouterr().err == "deepfsi: stopped; finished scenes are kept\n"

@@ -6,14 +6,14 @@ from scipy import stats
 from scipy.stats import binom, binomtest
 
 from deepfsi.base.intervals import (
-    accuracy,
-    balanced,
+    accuracy_interval,
+    balanced_interval,
     balanced_terms,
-    over_images,
+    image_interval,
     seeds_error,
     student,
     wilson,
-    worst_of,
+    worst_class,
 )
 
 
@@ -37,14 +37,14 @@ def shares(rates, images):
 @pytest.mark.parametrize("images", [1, 2, 7, 500])
 def test_of_one_draw_and_one_training_the_interval_is_wilsons(images):
     for right in {0, 1, images // 3, images - 1, images}:
-        found = accuracy(np.arange(images) < right)
+        found = accuracy_interval(np.arange(images) < right)
         assert found == pytest.approx((right / images, *wilson(right / images, images)))
 
 
 def test_draws_that_are_averaged_narrow_it():
     """Of images that are all alike, 30 draws vary by a thirtieth of right and wrong."""
     rng = np.random.default_rng(0)
-    one, many = (accuracy(rng.binomial(k, 0.7, 4000) / k) for k in (1, 30))
+    one, many = (accuracy_interval(rng.binomial(k, 0.7, 4000) / k) for k in (1, 30))
     assert many.high - many.low == pytest.approx((one.high - one.low) / 30**0.5, rel=0.1)
 
 
@@ -65,7 +65,7 @@ def crossed(rng, images, seeds, rate, spread=0.3, draws=3):
 def test_it_covers_images_seeds_and_draws(images, seeds, rate):
     """In 95 % of 400 studies and at most 99 %, less or more four standard deviations."""
     rng = np.random.default_rng(images + seeds)
-    ends = [accuracy(crossed(rng, images, seeds, rate)) for _ in range(400)]
+    ends = [accuracy_interval(crossed(rng, images, seeds, rate)) for _ in range(400)]
     covered = sum(low <= rate <= high for _, low, high in ends)
     assert binom.ppf(3e-5, 400, 0.95) <= covered <= binom.ppf(1 - 3e-5, 400, 0.99)
     assert all(0 <= low <= mean <= high <= 1 for mean, low, high in ends)
@@ -78,7 +78,9 @@ def test_seeds_alone_or_images_alone_are_not_enough():
     seeds = np.mean([low <= 0.8 <= high for low, high in (student(s.mean(1)) for s in studies)])
     assert seeds < 0.8
     wide = [crossed(rng, 1000, 3, 0.8) for _ in range(300)]
-    images = np.mean([low <= 0.8 <= high for _, low, high in (accuracy(s.mean(0)) for s in wide)])
+    images = np.mean(
+        [low <= 0.8 <= high for _, low, high in (accuracy_interval(s.mean(0)) for s in wide)]
+    )
     assert images < 0.6
 
 
@@ -95,25 +97,25 @@ def test_images_and_draws_count_once_where_trainings_are_alike():
 
 def test_every_class_counts_alike():
     right, labels = shares([0.99, 0.0, 0.6], [600, 6, 5])
-    mean, low, high = balanced(right, labels)
+    mean, low, high = balanced_interval(right, labels)
     assert mean == pytest.approx(1.59 / 3)
     assert low < mean < high
     assert balanced_terms(right, labels).mean() == pytest.approx(mean)
 
 
 def test_of_one_class_it_is_wilsons():
-    assert balanced(*shares([0.8], [50])) == pytest.approx((0.8, *wilson(0.8, 50)))
+    assert balanced_interval(*shares([0.8], [50])) == pytest.approx((0.8, *wilson(0.8, 50)))
 
 
 def test_of_alike_classes_it_narrows_with_the_root_of_their_number():
     """C classes of n images, far from 0 and 1, are known as well as one of C · n, but for z²/2n."""
-    _, low, high = balanced(*shares([0.5] * 9, [400] * 9))
+    _, low, high = balanced_interval(*shares([0.5] * 9, [400] * 9))
     assert high - low == pytest.approx(np.diff(wilson(0.5, 3600))[0], rel=1.96**2 / 800)
 
 
 def test_a_class_of_one_image_widens_it():
     for rate in (0.0, 1.0):
-        _, low, high = balanced(*shares([0.9, rate], [1000, 1]))
+        _, low, high = balanced_interval(*shares([0.9, rate], [1000, 1]))
         assert high - low > 0.3
         assert 0 <= low <= (0.9 + rate) / 2 <= high <= 1
 
@@ -133,7 +135,7 @@ def test_it_covers_the_truth(truth, images, share):
     """Of 1000 tests that share, less five standard deviations."""
     rng = np.random.default_rng(3)
     right = rng.binomial(images, truth, (1000, len(images))) / np.array(images)
-    found = [balanced(*shares(row, images)) for row in right]
+    found = [balanced_interval(*shares(row, images)) for row in right]
     covered = np.mean([low <= np.mean(truth) <= high for _, low, high in found])
     assert covered >= binom.ppf(3e-7, 1000, share) / 1000
 
@@ -141,7 +143,7 @@ def test_it_covers_the_truth(truth, images, share):
 def test_the_balanced_accuracy_covers_seeds_too():
     rng = np.random.default_rng(2)
     labels = np.arange(120) % 3
-    ends = [balanced(crossed(rng, 120, 3, 0.8), labels) for _ in range(400)]
+    ends = [balanced_interval(crossed(rng, 120, 3, 0.8), labels) for _ in range(400)]
     covered = sum(low <= 0.8 <= high for _, low, high in ends)
     assert binom.ppf(3e-5, 400, 0.95) <= covered
 
@@ -152,13 +154,15 @@ def test_means_without_bounds_cover_images_and_seeds():
     def study():
         return 0.9 + 0.3 * (rng.standard_normal(50) + 0.3 * rng.standard_normal((4, 1)))
 
-    covered = sum(low <= 0.9 <= high for _, low, high in (over_images(study()) for _ in range(400)))
+    covered = sum(
+        low <= 0.9 <= high for _, low, high in (image_interval(study()) for _ in range(400))
+    )
     assert binom.ppf(3e-5, 400, 0.95) <= covered <= binom.ppf(1 - 3e-5, 400, 0.99)
-    assert over_images(np.full((2, 5), 0.4)) == pytest.approx((0.4, 0.4, 0.4))
+    assert image_interval(np.full((2, 5), 0.4)) == pytest.approx((0.4, 0.4, 0.4))
 
 
 def test_the_worst_class_is_among_those_that_are_tested():
-    assert worst_of([0.9, None, 0.2, 0.3]) == 2
+    assert worst_class([0.9, None, 0.2, 0.3]) == 2
 
 
 def test_an_interval_over_trials_covers_what_it_says():

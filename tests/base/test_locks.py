@@ -103,7 +103,7 @@ def test_locks_of_killed_processes_are_not_left_over(tmp_path, other):
 def test_a_new_process_of_an_old_number_is_another_one(tmp_path):
     """Numbers of processes come again; their moments of start do not."""
     own = this_process()
-    old = own._replace(started=own.started - 3600)
+    old = own._replace(start_s=own.start_s - 3600)
     path = tmp_path / "locks/a" / str(old)
     path.parent.mkdir(parents=True)
     path.touch()

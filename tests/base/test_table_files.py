@@ -18,8 +18,7 @@ from scipy.io import savemat
 from deepfsi.base import tables as table_files
 from deepfsi.base.arrays import read_npy, read_npz
 from deepfsi.base.errors import InputError
-from deepfsi.base.tables import is_table, read_table, read_whole
-from deepfsi.base.text_files import number_of
+from deepfsi.base.tables import is_table, parse_number, read_table, read_whole_numbers
 
 VALUES = np.random.default_rng(2).integers(0, 1000, (3, 5))
 NAMES = tuple("abcde")
@@ -122,7 +121,7 @@ SPELLINGS = "1_0;1e3; 5 ;\uff10;nan;+1;0x10;True;1.;.5;1d3;1e400;--1;1 2;-0.5E-3
 def test_tables_and_lists_agree_on_what_is_a_number(tmp_path, text):
     path = tmp_path / "t.csv"
     path.write_text(f"a,b\n1,{text}\n", "utf-8")
-    value = number_of(text)
+    value = parse_number(text)
     if value is None:
         with pytest.raises(InputError, match="row 2 of column b holds"):
             read_table(path)
@@ -137,7 +136,7 @@ def test_a_wide_table_costs_little_more_than_its_numbers(tmp_path):
     read_table(path)  # what is imported once
     code = (
         "import resource, sys; from deepfsi.base.tables import read_table\n"
-        "import deepfsi.base.columns\n"
+        "import polars\n"
         "def peak(): return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss\n"
         "before = peak(); print(read_table(sys.argv[1]).values.shape, peak() - before)"
     )
@@ -162,7 +161,7 @@ def test_whole_numbers_are_exact_to_64_bits(tmp_path, kind):
             file["counts"] = values.T
         with path.open("r+b") as file:
             file.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
-    whole = read_whole(path, lambda names, width: range(width))
+    whole = read_whole_numbers(path, lambda names, width: range(width))
     assert whole.dtype == np.int64
     assert np.array_equal(whole, values)
 
@@ -179,19 +178,19 @@ def test_whole_numbers_are_exact_to_64_bits(tmp_path, kind):
 def test_whole_numbers_that_may_be_rounded_are_refused(tmp_path, values, said):
     np.save(tmp_path / "t.npy", values)
     with pytest.raises(InputError, match=said):
-        read_whole(tmp_path / "t.npy", lambda names, width: range(width))
+        read_whole_numbers(tmp_path / "t.npy", lambda names, width: range(width))
 
 
 def test_whole_numbers_of_text_may_have_exponents_below_2_to_53(tmp_path):
     path = tmp_path / "t.txt"
     np.savetxt(path, [[1e12, 8.0]])
-    assert read_whole(path, lambda names, width: [0, 1]).tolist() == [[10**12, 8]]
+    assert read_whole_numbers(path, lambda names, width: [0, 1]).tolist() == [[10**12, 8]]
     path.write_text("1.5 8\n")
     with pytest.raises(InputError, match=r"column column_1, holds 1\.5: give whole numbers"):
-        read_whole(path, lambda names, width: [0, 1])
+        read_whole_numbers(path, lambda names, width: [0, 1])
     np.savetxt(path, [[1e16, 8.0]])
     with pytest.raises(InputError, match="save them as whole numbers of 64 bits"):
-        read_whole(path, lambda names, width: [0, 1])
+        read_whole_numbers(path, lambda names, width: [0, 1])
 
 
 def test_times_of_day_in_parquet_are_no_numbers(tmp_path):
@@ -294,7 +293,7 @@ def test_hdf5_without_its_package_says_what_to_install(tmp_path, monkeypatch):
 def test_a_vector_is_one_row(tmp_path):
     np.save(tmp_path / "one.npy", VALUES[0])
     assert read_table(tmp_path / "one.npy").values.shape == (1, 5)
-    assert table_files.SUFFIXES[0] == ".csv"
+    assert table_files.TABLE_ENDINGS[0] == ".csv"
 
 
 def mat_element(kind, data) -> bytes:

@@ -6,8 +6,7 @@ import tomllib
 import numpy as np
 import pytest
 
-from deepfsi.base.errors import InputError
-from deepfsi.base.quantities import seconds
+from deepfsi.base import InputError, seconds
 from deepfsi.camera.camera import GUARD_S, PRESETS, Camera
 from deepfsi.camera.detectors import DetectorMap
 from deepfsi.camera.device import DEVICES

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from deepfsi.base.errors import InputError
-from deepfsi.base.tables import Table
+from deepfsi.base import InputError, Table
 from deepfsi.camera.dead_time import MOST_BLIND, DeadTime
 from deepfsi.hardware.counting.calibration_file import Calibration, save_calibration
 from deepfsi.hardware.counting.counting import count

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.camera.device import DEVICES, SOURCES, Device, find_device
 
 DIAGONAL_INCHES = {

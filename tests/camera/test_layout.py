@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.camera.device import DEVICES, Device, find_device
 from deepfsi.camera.layout import DmdLayout, find_grid
 from deepfsi.hardware.patterns.folder import check_patterns, read_frames, read_patterns

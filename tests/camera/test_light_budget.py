@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.camera.light import brightness, check_budget, photons_per_pixel, summed_reflectance
 
 

@@ -13,7 +13,7 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from conftest import quick
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.cli import app
 from deepfsi.datasets import read_display, write_pictures
 from deepfsi.design.artifact import Design

@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.cli import common, paths
 from shared.disks import nearly_full
 

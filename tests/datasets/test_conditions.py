@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from conftest import quick, synthetic
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.camera.light import photons_per_pixel, summed_reflectance
 from deepfsi.datasets import ambient, jitter
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from dataset_samples import X, Y, refused
 
-from deepfsi.base.errors import closest
+from deepfsi.base import closest_choice
 from deepfsi.datasets import load_dataset
 
 DIGITS_HASH = "a24eb6e0dbf2acc4009205dbb06c1c3e5d3f8a6db4843471cb6da068e8b9c8a2"
@@ -35,8 +35,10 @@ def test_unknown_source(source, parts, tmp_path, monkeypatch):
 
 
 def test_closest():
-    assert closest("Hadamrad", ["raster", "hadamard"]).startswith("did you mean 'hadamard'? ")
-    assert closest("xyz", ["raster", "hadamard"]) == "give one of raster, hadamard"
+    assert closest_choice("Hadamrad", ["raster", "hadamard"]).startswith(
+        "did you mean 'hadamard'? "
+    )
+    assert closest_choice("xyz", ["raster", "hadamard"]) == "give one of raster, hadamard"
 
 
 def test_size_is_for_folders_only(tmp_path):

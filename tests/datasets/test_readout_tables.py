@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.datasets.readouts import Variables, read_readouts
 
 NAMES = Variables("volts", "digit", "shown", "clock", ("laser",))

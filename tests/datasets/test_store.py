@@ -10,8 +10,7 @@ import pooch
 import pytest
 from dataset_samples import TINY, TINY_IMAGES, TINY_LABELS, idx_file, refused
 
-from deepfsi.base.errors import InputError
-from deepfsi.base.progress import Report
+from deepfsi.base import InputError, Progress
 from deepfsi.datasets import check, download, idx, indian_pines, list_datasets, load_dataset, store
 
 
@@ -182,7 +181,7 @@ def test_a_download_says_how_far_it_is(monkeypatch):
 
     @contextmanager
     def bar(what):
-        yield Report(lambda share, _: shares.append((what, share)))
+        yield Progress(lambda share, _: shares.append((what, share)))
 
     def retrieve(*_, progressbar):
         progressbar.update(10)  # before the size is known

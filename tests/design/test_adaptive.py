@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from conftest import RECIPE
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.datasets import Dataset, from_arrays
 from deepfsi.design.artifact import Design
 from deepfsi.design.classifiers import Mlp, Replicas

@@ -7,7 +7,7 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
 from deepfsi import AdaptiveDesign, evaluate, learn
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.design.adaptive.posterior import AdaptivePosterior, LookOptics
 from deepfsi.design.adaptive.prior import ScenePrior
 from deepfsi.jobs.job import Job

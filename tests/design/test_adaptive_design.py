@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from deepfsi import Camera, Job, learn
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.design.adaptive.design import AdaptiveDesign, load_design
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate

@@ -7,7 +7,7 @@ from scipy.special import logsumexp, xlogy
 from scipy.stats import multivariate_normal, poisson, spearmanr
 
 from conftest import generator
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.datasets import Dataset, from_arrays
 from deepfsi.design.adaptive.choice import brightest, information, next_masks
 from deepfsi.design.adaptive.design import AdaptiveDesign

@@ -19,7 +19,7 @@ from torch import nn
 import deepfsi
 from conftest import PHOTONS, RECIPE, every_design, every_optics, generator, light_on, quick
 from deepfsi import Camera
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import camera_for, evaluate
 from deepfsi.design.temperatures import stop_temperatures

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor, nn
 
 from conftest import generator
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.design.classifiers import Mlp, Replicas, Vit
 
 

@@ -6,7 +6,7 @@ import torch
 
 from conftest import PHOTONS, quick, same
 from deepfsi import Camera
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.design.artifact import Design
 from deepfsi.design.clicks import to_training_light
 from deepfsi.design.evaluation import evaluate

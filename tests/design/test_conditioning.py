@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from conftest import every_optics, generator, once, quick
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.camera.light import photons_per_pixel
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate

@@ -8,7 +8,7 @@ import torch
 from scipy.special import softmax
 
 from conftest import quick
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.design.artifact import Design
 from deepfsi.design.confidence import (
     BINS,

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from conftest import RECIPE, generator, once
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.camera.detectors import DetectorMap
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate

@@ -9,9 +9,7 @@ import pytest
 import torch
 
 from conftest import PHOTONS, every_design, generator, light_on, quick, synthetic
-from deepfsi.base.errors import InputError
-from deepfsi.base.intervals import balanced
-from deepfsi.base.progress import SILENT
+from deepfsi.base import SILENT, InputError, balanced_interval
 from deepfsi.datasets import from_arrays
 from deepfsi.design.evaluation import evaluate
 from deepfsi.design.evaluation import test_scenes as run_test
@@ -36,7 +34,7 @@ def test_balanced_accuracy_is_the_mean_of_the_classes(results, digits):
         assert result.balanced == pytest.approx(np.mean(result.rates))
         assert 0 <= result.balanced_low <= result.balanced <= result.balanced_high <= 1
         assert result.rates[result.worst] == min(result.rates)
-        expected = balanced(np.array(result.right), digits.y_test)
+        expected = balanced_interval(np.array(result.right), digits.y_test)
         assert (result.balanced_low, result.balanced_high) == expected[1:], "draws are no scenes"
 
 

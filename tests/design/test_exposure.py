@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.design.exposure.trained import Observation, cut
 from deepfsi.optics import constraints
 

@@ -5,7 +5,7 @@ from pydantic import BaseModel, ValidationError
 
 from conftest import generator, synthetic
 from deepfsi import Fixed, Looks, Nested, Passing, Patches, Range
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.design.exposure.conditioned import ConditionedExposure
 from deepfsi.design.exposure.kinds import begin
 from deepfsi.design.exposure.looks import LooksExposure

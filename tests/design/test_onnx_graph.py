@@ -12,7 +12,7 @@ import torch
 from torch import nn
 
 from conftest import PHOTONS, every_design, every_optics, quick
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.camera.light import photons_per_pixel
 from deepfsi.design.artifact import Design
 from deepfsi.design.exposure.conditioned import ConditionedExposure

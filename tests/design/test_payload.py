@@ -10,7 +10,7 @@ import torch
 
 from conftest import synthetic
 from deepfsi import learn
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.design.adaptive.prior import ScenePrior
 from deepfsi.design.exposure.trained import PatchExposure
 from deepfsi.design.payload import COEFFICIENTS, check_playable, of_page, playable

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from conftest import every_optics, generator, quick, real_mnist
 from deepfsi import IdealObserver, ideal_observer
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.datasets import Dataset, from_arrays, load_dataset
 from deepfsi.design.evaluation import evaluate
 

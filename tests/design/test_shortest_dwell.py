@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from conftest import RECIPE, quick, same
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.design.artifact import Design
 from deepfsi.optics import constraints
 from deepfsi.optics.masks import LearnedMasks

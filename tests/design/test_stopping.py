@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from conftest import generator, quick
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.camera.stop_rule import StopRule
 from deepfsi.design import stopping
 from deepfsi.design.evaluation import evaluate

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.design.artifact import Design
 from deepfsi.design.bounds import cramer_rao, linear_bound
 from deepfsi.design.evaluation import evaluate, scanner_for

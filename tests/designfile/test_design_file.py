@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from conftest import quick
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.camera.stop_rule import StopRule
 from deepfsi.design.artifact import Design
 from deepfsi.designfile import DesignFile, find_design

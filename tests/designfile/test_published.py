@@ -14,7 +14,7 @@ import pytest
 
 from conftest import real_mnist
 from deepfsi import load_dataset
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.design.adaptive.design import load_design
 from deepfsi.design.evaluation import evaluate
 from deepfsi.designfile import (

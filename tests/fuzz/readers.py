@@ -142,8 +142,7 @@ def read_camera(path: Path) -> None:
 
 
 def read_virtual(path: Path) -> None:
-    from deepfsi.base.errors import as_input_error
-    from deepfsi.base.files import read_toml
+    from deepfsi.base import as_input_error, read_toml
     from deepfsi.hardware.virtual import VirtualCamera
 
     with as_input_error():
@@ -198,7 +197,7 @@ def read_masks(path: Path) -> None:
 
 
 def read_table(path: Path) -> None:
-    from deepfsi.base.tables import read_table
+    from deepfsi.base import read_table
 
     read_table(path, ("scene", "label"))
 

@@ -13,8 +13,8 @@ import pytest
 from PIL import Image
 from safetensors.numpy import load_file, save_file
 
-from deepfsi.base.errors import InputError
-from deepfsi.base.files import SPARE, check_unpacked, open_regular, read_regular, read_toml
+from deepfsi.base import InputError, check_unpacked, open_regular, read_regular, read_toml
+from deepfsi.base.files import UNPACKED_SPARE
 from fuzz.readers import READERS, copied
 from fuzz.worker import fault_of, watching
 from shared.design_files import header_of
@@ -91,9 +91,9 @@ def test_one_limit_of_bytes(tmp_path):
 
 
 def test_one_rule_of_what_unpacks():
-    check_unpacked(SPARE + 32 * 100, 100, "x", "")
+    check_unpacked(UNPACKED_SPARE + 32 * 100, 100, "x", "")
     with pytest.raises(InputError, match="would unpack 100 bytes"):
-        check_unpacked(SPARE + 32 * 100 + 1, 100, "x", "")
+        check_unpacked(UNPACKED_SPARE + 32 * 100 + 1, 100, "x", "")
 
 
 # ---------------------------------------------------------------- designs

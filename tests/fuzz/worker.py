@@ -17,7 +17,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from fuzz.readers import READERS, copied, drawn
 
 MOST_S = 20

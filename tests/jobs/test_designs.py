@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from conftest import FIXED, FLOAT32, synthetic
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.jobs import designs as codes
 from deepfsi.jobs import tiles
 from deepfsi.jobs.designs import hadamard_masks, mask_count

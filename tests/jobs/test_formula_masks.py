@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.linalg import hadamard
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.jobs.designs import FORMULAS, formula_masks, hadamard_masks
 
 

@@ -9,8 +9,7 @@ import torch
 import deepfsi
 from conftest import PHOTONS, RECIPE, quick, same
 from deepfsi import Camera, Looks, Range
-from deepfsi.base.errors import InputError
-from deepfsi.base.progress import Report
+from deepfsi.base import InputError, Progress
 from deepfsi.design.evaluation import evaluate
 from deepfsi.jobs import designs as codes
 from deepfsi.jobs import tiles
@@ -100,7 +99,7 @@ def test_a_setting_that_is_not_allowed_is_one_clear_line(digits, settings):
 def test_a_bad_matrix_is_refused_before_training(digits, matrix, match):
     seen = []
     settings = {"photons": 1e4, "masks": 7, "device": "cpu"}
-    report = Report(lambda share, what: seen.append(share))
+    report = Progress(lambda share, what: seen.append(share))
     with pytest.raises(InputError, match=match):
         learn(digits, design="custom", matrix=matrix, report=report, **settings)
     assert not seen

@@ -7,7 +7,7 @@ import pytest
 
 import deepfsi
 from conftest import once, synthetic
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.hardware.photons import PtuWriter, read_photons
 from deepfsi.lab.transits import classify_transits, count_bins, simulate_transits
 

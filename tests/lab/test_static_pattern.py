@@ -9,7 +9,7 @@ from PIL import Image
 
 import deepfsi
 from conftest import RECIPE, once, synthetic
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.lab.static_pattern import read_pattern, write_photomask
 from shared.design_files import rewrite
 

@@ -6,7 +6,7 @@ import pywt
 from scipy.linalg import lstsq
 from scipy.ndimage import gaussian_filter
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.hardware.pictures import solve_masks, solve_wavelets
 from deepfsi.jobs.designs import formula_masks
 from deepfsi.lab.table_pictures import TableMasks, compare_picture, read_pictures

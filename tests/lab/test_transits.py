@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.hardware.photons import PtuWriter, read_photons, summarise
 from deepfsi.hardware.virtual.transits import write_transits
 from deepfsi.lab.transits import (

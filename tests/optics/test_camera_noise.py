@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from conftest import OPTICS, assert_moments, generator, quick
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.optics import constraints, noise
 from deepfsi.optics.detection import ONE
 from deepfsi.optics.features import FeatureNoise

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from conftest import generator
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.camera.camera import Camera
 from deepfsi.optics.features import FeatureNoise
 from deepfsi.optics.noise import Click, check_noise, noise_of, resolve, try_own

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from conftest import FIXED, FLOAT32, OPTICS, every_optics, generator, quick, two_valued
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.jobs import tiles
 from deepfsi.optics import constraints
 from deepfsi.optics.constraints import SLACK, check, excess, fit, frames

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from conftest import FLOAT32, every_optics, generator
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.camera.detectors import DetectorMap
 from deepfsi.jobs import tiles
 from deepfsi.optics import constraints

@@ -12,7 +12,7 @@ from PIL import Image
 from scipy.io import savemat
 
 from conftest import OPTICS
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.optics import constraints
 from deepfsi.optics.mask_files import read_matrix
 

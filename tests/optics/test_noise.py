@@ -7,7 +7,7 @@ import torch
 from torch.nn.functional import softplus
 
 from conftest import assert_moments, generator
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.optics import noise
 
 DRAWS = 100_000

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from conftest import generator
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.optics.masks import FixedMasks
 from deepfsi.optics.rails import Rails
 from deepfsi.optics.scanner import project, project_rails

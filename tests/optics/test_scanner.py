@@ -7,7 +7,7 @@ import torch
 from torch import Tensor, nn
 
 from conftest import assert_moments, every_design, every_optics, generator, light_on
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.optics.constraints import fit
 from deepfsi.optics.detection import ONE
 from deepfsi.optics.masks import FixedMasks, LearnedMasks

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi_paper import bootstrap
 from deepfsi_paper.bootstrap import (
     CONFIDENCE,

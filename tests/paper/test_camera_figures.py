@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from matplotlib.collections import QuadMesh
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.camera.device import Device, find_device
 from deepfsi.camera.layout import DmdLayout, find_grid
 from deepfsi.jobs import designs as codes

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from conftest import synthetic
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.sweeps.trial import plan
 from deepfsi_paper import experiment, mlgauss, studies
 from deepfsi_paper.camera import claims as camera

@@ -8,7 +8,7 @@ import pytest
 from scipy.special import gammainc
 from scipy.stats import chi2
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.hardware.virtual import DETECTOR_TICK_S, Detector, Stream, divide
 from deepfsi_paper.camera import gate_counts as module
 from deepfsi_paper.camera.gate_counts import black_rates, draw, subtract_background

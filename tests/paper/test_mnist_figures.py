@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from matplotlib.text import Annotation
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.jobs import designs as codes
 from deepfsi.report.style import COLOURS, svg
 from deepfsi_paper.measures import impulse_imaging_error

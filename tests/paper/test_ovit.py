@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from conftest import synthetic
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.design.artifact import Design
 from deepfsi.report.accuracy import accuracy_figure
 from deepfsi.report.comparison_page import page_text

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import special
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi_paper.camera.published import PUBLISHED, exposures_of
 from deepfsi_paper.camera.rate_fit import (
     LIMIT,

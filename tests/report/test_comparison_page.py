@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from markupsafe import escape
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.report.accuracy import accuracy_figure
 from deepfsi.report.comparison_page import build, compared, covered, summary
 from deepfsi.report.terms import DESIGNS, LAWS

@@ -11,7 +11,7 @@ import torch
 from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.design.artifact import Design
 from deepfsi.designfile import DesignFile
 

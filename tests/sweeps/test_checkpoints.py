@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 from safetensors.numpy import load_file
 
-from deepfsi.base import interrupts
-from deepfsi.base.locks import owner_of, this_process
+from deepfsi.base import saved_work_text
+from deepfsi.base.locks import parse_process, this_process
 from deepfsi.sweeps.context import SweepContext
 from deepfsi.sweeps.records import Records
 from deepfsi.sweeps.trial import Trial, plan
@@ -105,8 +105,8 @@ def test_who_has_no_lock_leaves_a_checkpoint_alone(digits, trials, stop, tmp_pat
         train_trials(trials, digits, folder)
     (file,) = (folder / "checkpoints").iterdir()
     before = file.read_bytes()
-    lock = folder / "locks" / file.stem / str(this_process()._replace(place="0" * 12))
-    assert owner_of(lock.name)
+    lock = folder / "locks" / file.stem / str(this_process()._replace(host="0" * 12))
+    assert parse_process(lock.name)
     lock.parent.mkdir(parents=True)
     lock.touch()  # of another host
     asked, lost = [], lambda batch: [(trial, None, None) for trial in batch]
@@ -131,11 +131,11 @@ def test_a_checkpoint_left_by_a_kill_before_its_removal_is_removed(digits, trial
 
 
 def test_a_stopped_sweep_says_that_it_goes_on(digits, trials, stop, tmp_path, monkeypatch):
-    monkeypatch.setattr(interrupts, "_kept", "")
+    monkeypatch.setattr("deepfsi.base.interrupts._saved_work", "")
     stop["last"] = 2
     with pytest.raises(Stopped):
         train_trials(trials, digits, tmp_path)
-    assert interrupts.kept() == "; what was trained is kept, run again to go on"
+    assert saved_work_text() == "; what was trained is kept, run again to go on"
 
 
 @pytest.mark.slow

@@ -9,7 +9,6 @@ from functools import cache
 import numpy as np
 import pytest
 
-from deepfsi.base import interrupts
 from deepfsi.datasets import from_arrays, idx
 from deepfsi.design.adaptive.design import AdaptiveDesign, load_design
 from deepfsi.designfile.published import DESIGNS_VARIABLE
@@ -157,7 +156,9 @@ def test_ctrl_c_keeps_what_is_finished(mine, call, done, tmp_path, monkeypatch):
 
     with monkeypatch.context() as stopping:
         stopping.setattr(collection, "learn", learn)
-        stopping.setattr(interrupts, "_said", threading.Event())  # a process says it once
+        stopping.setattr(
+            "deepfsi.base.interrupts._said", threading.Event()
+        )  # a process says it once
         code, _, errors = call("designs", "make", mine, "-o", folder)
     assert code == 130
     assert "finished designs are kept" in errors

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from conftest import synthetic
-from deepfsi.base.errors import InputError
-from deepfsi.base.intervals import accuracy, unpack
+from deepfsi.base import InputError, accuracy_interval, unpack_values
 from deepfsi.datasets import from_arrays, load_dataset
 from deepfsi.design.adaptive.design import load_design
 from deepfsi.design.evaluation import evaluate
@@ -33,10 +32,10 @@ def test_few_scenes_are_tested_in_folds(few, tmp_path):
     assert (results.data.folds, results.data.test, results.data.train) == (5, 60, 40)
     assert (results.data.name, results.data.hash) == (few.name, few.hash)
     assert (point.trials, len(point.keys), len(records)) == (2, 10, 10)
-    rows = np.stack([unpack(text) for text in point.terms])
+    rows = np.stack([unpack_values(text) for text in point.terms])
     assert rows.shape == (2, 60)
     assert point.accuracies == pytest.approx(rows.mean(axis=1))
-    assert (point.low, point.high) == pytest.approx(accuracy(rows)[1:], abs=1e-6)
+    assert (point.low, point.high) == pytest.approx(accuracy_interval(rows)[1:], abs=1e-6)
     assert np.sum(point.confusion) == 2 * 60
     assert "5 folds" in point.covers
     assert "images" in point.covers
@@ -71,7 +70,7 @@ def test_as_many_folds_as_are_asked_for(few, tmp_path):
     results, records = compare(recipe, data, tmp_path, command="deepfsi")
     assert (results.data.folds, results.data.test, len(records)) == (3, 60, 3)
     (point,) = results.points
-    assert len(unpack(point.terms[0])) == 60
+    assert len(unpack_values(point.terms[0])) == 60
 
 
 def test_a_design_of_a_fold_is_tested_on_the_scenes_of_its_fold(few, tmp_path):
@@ -93,7 +92,7 @@ def test_values_are_tested_in_folds(tmp_path):
     data = from_arrays(x, x[:, :4].mean(axis=1), values=["corner"])
     results, _ = compare(small(**FEW), data, tmp_path, command="deepfsi")
     (point,) = results.points
-    [terms] = [unpack(text) for text in point.terms]
+    [terms] = [unpack_values(text) for text in point.terms]
     assert len(terms) == 60
     assert point.accuracy == pytest.approx(terms.mean(), abs=1e-6)
     assert len(point.rmse) == 1
@@ -109,6 +108,6 @@ def test_scenes_that_are_there_twice_are_not_tested_in_folds_that_were_trained_o
     recipe = small(designs="raster", masks=25, folds=5)
     results, _ = compare(recipe, data, tmp_path, command="")
     point = results.points[0]
-    tested = len(unpack(point.terms[0]))
+    tested = len(unpack_values(point.terms[0]))
     assert results.data.folds == 5
     assert 55 <= tested < 60

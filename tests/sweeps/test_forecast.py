@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from deepfsi.base.progress import Report
+from deepfsi.base import Progress
 from deepfsi.sweeps import forecast
 from deepfsi.sweeps.context import SweepContext
 from deepfsi.sweeps.forecast import forecast_cost, slowdown
@@ -40,7 +40,7 @@ def test_a_forecast_says_the_load_it_assumes(digits, tmp_path, monkeypatch, othe
     monkeypatch.setattr(forecast._Load, "of_others", lambda _: others)
     monkeypatch.setattr(forecast, "cores", lambda: 2)
     seen = []
-    report = Report(lambda share, what: seen.append((share, what)))
+    report = Progress(lambda share, what: seen.append((share, what)))
     found = forecast_cost(small(trials=2), digits, tmp_path, workers=2, report=report)
     assert (found.others, found.cores) == (others, 2)
     assert found.seconds / found.seconds_free == pytest.approx(slowdown(others, 2, 2))
@@ -53,7 +53,7 @@ def test_a_forecast_says_the_load_it_assumes(digits, tmp_path, monkeypatch, othe
 def test_trainings_that_differ_in_seed_budget_and_masks_are_timed_as_one_kind(digits, tmp_path):
     seen = []
     recipe = small(masks=(3, 4, 6), trials=3)
-    forecast_cost(recipe, digits, tmp_path, report=Report(lambda share, what: seen.append(what)))
+    forecast_cost(recipe, digits, tmp_path, report=Progress(lambda share, what: seen.append(what)))
     assert {what.split(",")[0] for what in seen} == {"pca", "deepfsi"}
     assert len(seen) == 2
 

@@ -3,7 +3,7 @@
 import pytest
 
 from conftest import same
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.design.artifact import Design
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.records import rows

@@ -5,8 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from deepfsi.base.errors import InputError
-from deepfsi.base.intervals import Crossing, crossing
+from deepfsi.base import Crossing, InputError, find_crossing
 from deepfsi.sweeps import planning
 from deepfsi.sweeps.planning import check_plan, next_budget, photons_needed
 from deepfsi.sweeps.recipe import Recipe
@@ -52,7 +51,7 @@ def planned(curve: MadeUp, trials: int, rounds: int) -> Crossing:
         tried[more] = curve.tested(more, curve.held_out)
     budgets = sorted(tried)
     tests = [[curve.tested(budget, curve.test) for _ in range(trials)] for budget in budgets]
-    return crossing(budgets, tests, len(curve.test), TARGET)
+    return find_crossing(budgets, tests, len(curve.test), TARGET)
 
 
 @pytest.mark.parametrize("rounds", [0, 2])
@@ -78,13 +77,13 @@ def test_the_estimate_is_near_where_nothing_errs():
         curve = MadeUp(rng, 0.4, 0.98, 1)
         budgets = np.geomspace(1e2, 1e7, 11)
         exact = [[curve.accuracy(budget)] for budget in budgets]
-        found = crossing(budgets, exact, 10**9, TARGET)
+        found = find_crossing(budgets, exact, 10**9, TARGET)
         assert found.found == "within"
         assert found.photons == pytest.approx(curve.crossing, rel=0.1)
 
 
 def test_a_budget_that_is_tried_at_the_crossing_is_it():
-    found = crossing([1e2, 1e3, 1e4], [[0.2], [0.9], [0.95]], 10**12, 0.9)
+    found = find_crossing([1e2, 1e3, 1e4], [[0.2], [0.9], [0.95]], 10**12, 0.9)
     assert found.photons == pytest.approx(1e3)
     assert found.low == pytest.approx(1e3, rel=0.02)
     assert found.high == pytest.approx(1e3, rel=0.02)
@@ -93,7 +92,8 @@ def test_a_budget_that_is_tried_at_the_crossing_is_it():
 def test_more_seeds_that_differ_more_widen_the_interval():
     means = (0.2, 0.6, 0.85, 0.95, 0.97)
     calm, wild = (
-        crossing(DECADES, [[p - off, p + off] for p in means], 10**6, 0.9) for off in (0.001, 0.02)
+        find_crossing(DECADES, [[p - off, p + off] for p in means], 10**6, 0.9)
+        for off in (0.001, 0.02)
     )
     assert calm.photons == pytest.approx(wild.photons)
     assert wild.low < calm.low < calm.high < wild.high
@@ -111,7 +111,7 @@ def test_more_seeds_that_differ_more_widen_the_interval():
 )
 def test_targets_beyond_what_was_tried(accuracies, target, wanted):
     """An interval's end that is not known is None, and what is known of it is kept."""
-    found = crossing([1e2, 1e3, 1e4], [[accuracy] for accuracy in accuracies], 300, target)
+    found = find_crossing([1e2, 1e3, 1e4], [[accuracy] for accuracy in accuracies], 300, target)
     if isinstance(wanted, Crossing):
         assert found == wanted
         return
@@ -126,7 +126,7 @@ def test_targets_beyond_what_was_tried(accuracies, target, wanted):
 
 
 def test_accuracies_out_of_order_are_brought_to_order():
-    found = crossing(DECADES, [[0.2], [0.9], [0.86], [0.95], [0.97]], 1000, 0.9)
+    found = find_crossing(DECADES, [[0.2], [0.9], [0.86], [0.95], [0.97]], 1000, 0.9)
     assert found.found == "within"
     assert 1e4 < found.photons < 1e5
     assert 1e2 < found.low < 1e3

@@ -22,7 +22,7 @@ import ray
 from ray.cluster_utils import Cluster
 
 from conftest import synthetic
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.datasets import load_dataset
 from deepfsi.sweeps import ray_cluster
 from deepfsi.sweeps.context import SweepContext

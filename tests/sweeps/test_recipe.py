@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from conftest import synthetic
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.datasets import from_arrays
 from deepfsi.sweeps.recipe import Recipe, only, parts
 from deepfsi.sweeps.recipe_check import ADAPTIVE_SCENES, check_recipe, with_adaptive

@@ -5,7 +5,7 @@ import json
 import polars
 import pytest
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.sweeps.records import write_table
 from deepfsi.sweeps.trial import plan
 from shared.trials import small, train_trials

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deepfsi.base.intervals import unpack
+from deepfsi.base import unpack_values
 from deepfsi.cli.recipes import shipped
 from deepfsi.sweeps.recipe import Recipe, parts
 from deepfsi.sweeps.records import rows
@@ -120,7 +120,7 @@ def test_a_test_scene_that_was_trained_on_is_in_no_interval(digits, tmp_path):
     recipe = small(designs="pca", masks=3, photons=1e3, training={"epochs": 1})
     results, _ = compare(recipe, data, tmp_path, command="deepfsi")
     (point,) = results.points
-    assert len(unpack(point.terms[0])) == len(digits.x_test)
+    assert len(unpack_values(point.terms[0])) == len(digits.x_test)
     np.testing.assert_array_equal(
         np.sum(point.confusion, axis=1), np.bincount(digits.y_test, minlength=10)
     )

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from deepfsi.base.intervals import accuracy, balanced, pack, student, unpack
+from deepfsi.base import accuracy_interval, balanced_interval, pack_values, student, unpack_values
 from deepfsi.sweeps.summary import mean_lit_masks, summarise
 from shared.trials import small
 
@@ -166,7 +166,7 @@ def test_confusions_are_the_sum_over_trials_at_chosen_mask_counts(digits):
 
 def with_images(entry, right):
     """A record that keeps the share of draws of each test image that are right."""
-    terms = {"accuracy": pack(right)}
+    terms = {"accuracy": pack_values(right)}
     return {
         **entry,
         "test": [{**entry["test"][0], "accuracy": float(right.mean()), "terms": terms}],
@@ -181,14 +181,16 @@ def test_an_interval_over_trials_covers_images_and_seeds_where_records_keep_them
     records = [with_images(record(1e3, 3, k, 0.8, 0.5), row) for k, row in enumerate(rows)]
     (point,) = summary(digits, records)
     assert (point.accuracy, point.low, point.high) == pytest.approx(
-        accuracy(np.stack(rows)), abs=1e-6
+        accuracy_interval(np.stack(rows)), abs=1e-6
     )
-    ends = balanced(np.stack(rows), digits.y_test)[1:]
+    ends = balanced_interval(np.stack(rows), digits.y_test)[1:]
     assert (point.balanced_low, point.balanced_high) == pytest.approx(ends, abs=1e-6)
     assert point.high - point.low > 2 * 1.9 * np.std(np.mean(rows, axis=0)) / len(chance) ** 0.5
     assert "images" in point.covers
     assert "3 trainings" in point.covers
-    assert [unpack(text) for text in point.terms] == [pytest.approx(row, abs=1e-6) for row in rows]
+    assert [unpack_values(text) for text in point.terms] == [
+        pytest.approx(row, abs=1e-6) for row in rows
+    ]
 
 
 def test_records_of_an_earlier_version_keep_the_old_rule_and_say_so(digits):

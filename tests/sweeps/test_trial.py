@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.datasets import load_dataset
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.recipe_check import check_recipe

@@ -5,7 +5,7 @@ import torch
 
 from conftest import same
 from deepfsi import evaluate
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.optics import constraints
 from deepfsi.optics.masks import LearnedMasks
 from deepfsi.training.few_counts import CountsCost

@@ -21,7 +21,7 @@ from conftest import (
     synthetic,
     two_valued,
 )
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate
 from deepfsi.jobs import designs as codes

@@ -9,7 +9,7 @@ import torch
 from scipy.special import softmax
 
 from deepfsi import learn
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.design.adaptive.choice import next_masks
 from deepfsi.design.adaptive.design import AdaptiveDesign
 from deepfsi.design.adaptive.posterior import AdaptivePosterior, LookOptics

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from conftest import RECIPE, every_optics, quick, same, synthetic
-from deepfsi.base.progress import Report
+from deepfsi.base import Progress
 from deepfsi.design.artifact import Design
 from deepfsi.design.classifiers import Mlp, Replicas
 from deepfsi.design.evaluation import evaluate
@@ -201,7 +201,7 @@ def test_a_batch_may_be_larger_than_the_data():
 @pytest.mark.parametrize("design", ["deepfsi", "pca", "control"])
 def test_progress_rises_to_one(digits, design):
     seen = []
-    quick(digits, design, epochs=3, report=Report(lambda share, what: seen.append(share)))
+    quick(digits, design, epochs=3, report=Progress(lambda share, what: seen.append(share)))
     assert seen == sorted(seen)
     assert 0 == seen[0] < seen[-1] == 1
     assert len(set(seen)) > 2
@@ -235,7 +235,7 @@ def test_threads_wait_asleep_unless_the_user_says_otherwise(given, spins):
 def test_progress_rises_within_an_epoch_that_takes_long(digits, monkeypatch):
     monkeypatch.setattr(loop, "REPORT_SECONDS", 0.0)
     seen = []
-    quick(digits, epochs=1, batch=100, report=Report(lambda share, what: seen.append(share)))
+    quick(digits, epochs=1, batch=100, report=Progress(lambda share, what: seen.append(share)))
     steps = len(digits.x_train) // 100
     assert len([share for share in seen if 0 < share < 1]) >= steps - 1
     assert seen == sorted(seen)

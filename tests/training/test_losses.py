@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch.nn import functional
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.design.evaluation import evaluate
 from deepfsi.jobs.training import Training
 from deepfsi.training import losses

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from conftest import PHOTONS, generator, light_on, quick, same
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate
 from deepfsi.sweeps.recipe import Recipe

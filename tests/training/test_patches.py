@@ -6,7 +6,7 @@ import torch
 
 from conftest import FLOAT32, assert_moments, generator, same, synthetic
 from deepfsi import Patches
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.camera.light import photons_per_pixel
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate

@@ -14,9 +14,8 @@ from safetensors.numpy import load_file, save_file
 from conftest import RECIPE
 from deepfsi import Training
 from deepfsi import learn as learned
-from deepfsi.base import interrupts
-from deepfsi.base.errors import InputError
-from deepfsi.base.progress import Report
+from deepfsi.base import InputError, Progress
+from deepfsi.base.interrupts import STOP_SIGNALS
 from deepfsi.training import checkpoint as module
 from deepfsi.training import learning, loop
 from deepfsi.training.checkpoint import Checkpoint
@@ -256,7 +255,7 @@ def test_a_training_that_diverged_leaves_no_checkpoint(few, writes, tmp_path):
 
 
 @pytest.mark.usefixtures("unfolded")
-@pytest.mark.parametrize("number", interrupts.SIGNALS)
+@pytest.mark.parametrize("number", STOP_SIGNALS)
 def test_a_signal_ends_a_training_after_its_step_and_writes_it(few, monkeypatch, tmp_path, number):
     """A handler that a command line has: it raises. The resumed training is the whole one."""
     path, usual = tmp_path / "training.checkpoint", signal.getsignal(number)
@@ -275,7 +274,7 @@ def test_a_signal_ends_a_training_after_its_step_and_writes_it(few, monkeypatch,
     signal.signal(number, stop)
     try:
         with pytest.raises(KeyboardInterrupt):
-            learn(few, checkpoint=path, report=Report(report), **SHORT)
+            learn(few, checkpoint=path, report=Progress(report), **SHORT)
     finally:
         signal.signal(number, usual)
     assert path.exists()

@@ -10,7 +10,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import deepfsi
-from deepfsi.base.intervals import paired
+from deepfsi.base import paired_difference
 from deepfsi.report.style import COLOURS
 
 # %%
@@ -38,7 +38,8 @@ for detectors, masks in parts.items():
 names = [*parts]
 for place in range(1, 4):
     more, fewer = ([results[k].right] for k in (place, place - 1))
-    print(f"{names[place]} less {names[place - 1]}: {paired(np.array(more), np.array(fewer))}")
+    gain = paired_difference(np.array(more), np.array(fewer))
+    print(f"{names[place]} less {names[place - 1]}: {gain}")
 
 # %%
 # The same as a figure:

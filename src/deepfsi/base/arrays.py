@@ -22,22 +22,22 @@ from safetensors import safe_open
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import check_unpacked, content_of, open_regular
 
-HDF5 = (".h5", ".hdf5")
+HDF5_ENDINGS = (".h5", ".hdf5")
 """Ends of the names of HDF5 files."""
 
-VARIABLES = (".mat", *HDF5)
+VARIABLE_ENDINGS = (".mat", *HDF5_ENDINGS)
 """Ends of the names of files that may hold several arrays, each with a name."""
 
-NUMBERS = (
+MATLAB_NUMBERS = (
     *("int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64"),
     *("single", "double", "logical"),
 )
 """Names in ``.mat`` files of the types that hold numbers."""
 
-LARGEST_FILE = 2**36
+LARGEST_ARRAY_FILE = 2**36
 """Bytes of a file of arrays at most."""
 
-LARGEST_ENTRY = 2**33
+LARGEST_ZIP_ENTRY = 2**33
 """Bytes of an array in a ``.npz`` file at most."""
 
 MATLAB_HDF5 = b"MATLAB 7.3"
@@ -60,7 +60,7 @@ UNCOMPRESSED = "save it uncompressed, or as a .npy file"
 
 def split_variable(source: str) -> tuple[Path, str]:
     """Path and variable of FILE or FILE:VARIABLE."""
-    for suffix in VARIABLES:
+    for suffix in VARIABLE_ENDINGS:
         end = source.lower().rfind(f"{suffix}:") + len(suffix)
         if end >= len(suffix) and not Path(source).exists():
             return Path(source[:end]), source[end + 1 :]
@@ -78,7 +78,7 @@ def read_array(
 ) -> npt.NDArray[Any]:
     """Array of a ``.npy`` file, or a variable of so many dimensions of a ``.mat`` or HDF5 file."""
     # Of several it is the one of the name `variable`, or else `usual`
-    if path.suffix.lower() not in VARIABLES:
+    if path.suffix.lower() not in VARIABLE_ENDINGS:
         return read_npy(path, largest)
     found = list_variables(path, dimensions)
     if not variable:
@@ -104,7 +104,7 @@ def read_npz(
         arrays = {}
         for entry in entries:
             where = f"{path}/{entry.filename}"
-            content = read_entry(archive, entry, where, LARGEST_ENTRY, advice)
+            content = read_zip_entry(archive, entry, where, LARGEST_ZIP_ENTRY, advice)
             arrays[entry.filename.removesuffix(".npy")] = _of_npy(content, where, advice)
         return arrays
 
@@ -129,7 +129,7 @@ def _of_npy(content: bytes, where: str, advice: str) -> npt.NDArray[Any]:
 
 def read_npy(path: Path, largest: int = 2**30) -> npt.NDArray[Any]:
     """Array of a ``.npy`` file, or `InputError` if it holds something else than real numbers."""
-    with open_regular(path, LARGEST_FILE, "give a .npy file"):
+    with open_regular(path, LARGEST_ARRAY_FILE, "give a .npy file"):
         try:
             # mapped, so that no more is read than the file holds
             values: npt.NDArray[Any] = np.lib.format.open_memmap(path, mode="r")
@@ -171,7 +171,7 @@ def list_variables(path: Path, dimensions: Sequence[int]) -> dict[str, tuple[int
         return {
             name: shape
             for name, shape, kind in whosmat(file)
-            if kind in NUMBERS and len(shape) in dimensions and not name.startswith("__")
+            if kind in MATLAB_NUMBERS and len(shape) in dimensions and not name.startswith("__")
         }
 
 
@@ -183,7 +183,7 @@ def _others(path: Path) -> str:
         return ""
     with _open_mat(path) as file:
         listed = [(name, kind) for name, _, kind in whosmat(file) if name[:2] != "__"]
-    named = [f"{name} ({kind})" for name, kind in listed if kind not in NUMBERS]
+    named = [f"{name} ({kind})" for name, kind in listed if kind not in MATLAB_NUMBERS]
     full = ", of which full() makes numbers of a sparse one" if "(sparse)" in str(named) else ""
     return f" (and {', '.join(named)}{full})" if named else ""
 
@@ -211,7 +211,7 @@ def _in_hdf5(path: Path) -> bool:
     """True if a file's name says HDF5, or MATLAB's header in it says version 7.3."""
     if path.suffix.lower() != ".mat":
         return True
-    with open_regular(path, LARGEST_FILE, "give a .mat file") as file:
+    with open_regular(path, LARGEST_ARRAY_FILE, "give a .mat file") as file:
         return file.read(len(MATLAB_HDF5)) == MATLAB_HDF5
 
 
@@ -238,11 +238,11 @@ def _open_hdf5(path: Path) -> Iterator[dict[str, Any]]:
         matlab = item.attrs.get("MATLAB_class", b"double").decode()
         elsewhere = real and (item.external or item.is_virtual)  # numbers of other files
         empty = bool(item.attrs.get("MATLAB_empty", 0))  # it then holds the lengths of its axes
-        if real and matlab in NUMBERS and not (elsewhere or empty or name.startswith("#")):
+        if real and matlab in MATLAB_NUMBERS and not (elsewhere or empty or name.startswith("#")):
             held[name] = item
 
     try:
-        with open_regular(path, LARGEST_FILE, "give a file"), h5py.File(path, "r") as file:
+        with open_regular(path, LARGEST_ARRAY_FILE, "give a file"), h5py.File(path, "r") as file:
             file.visititems(visit)
             yield held
     except InputError:
@@ -254,7 +254,7 @@ def _open_hdf5(path: Path) -> Iterator[dict[str, Any]]:
 @contextmanager
 def _open_mat(path: Path) -> Iterator[IO[bytes]]:
     """Open a ``.mat`` file for scipy."""
-    with open_regular(path, LARGEST_FILE, "give a .mat file") as file:
+    with open_regular(path, LARGEST_ARRAY_FILE, "give a .mat file") as file:
         try:
             yield _check_mat(file, path)
         except InputError:
@@ -326,14 +326,14 @@ def _check_parts(file: IO[bytes], order: str, end: int) -> None:
     file.seek(end)
 
 
-METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+ZIP_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 """Ways of compression that are unpacked."""
 
 
 @contextmanager
 def open_zip(path: Path, advice: str) -> Iterator[zipfile.ZipFile]:
     """Open a zip file, or raise `InputError` if it is none or a bomb."""
-    with open_regular(path, LARGEST_FILE, advice) as file:
+    with open_regular(path, LARGEST_ARRAY_FILE, advice) as file:
         try:
             archive = zipfile.ZipFile(file)
         except Exception as error:  # zipfile raises almost anything on a damaged directory
@@ -348,13 +348,13 @@ def open_zip(path: Path, advice: str) -> Iterator[zipfile.ZipFile]:
             yield archive
 
 
-def read_entry(
+def read_zip_entry(
     archive: zipfile.ZipFile, info: zipfile.ZipInfo, where: str, largest: int, advice: str
 ) -> bytes:
     """Content of an entry of so many bytes at most."""
     if info.flag_bits & 1:
         raise InputError(f"{where} is encrypted; pack it again without a password")
-    if info.compress_type not in METHODS:
+    if info.compress_type not in ZIP_METHODS:
         raise InputError(f"{where} is compressed in an unusual way; pack it with deflate or none")
     if info.file_size > largest:
         raise InputError(

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from pydantic import ValidationError
     from pydantic_core import ErrorDetails
 
-OLDEST = "0.2.0"
+OLDEST_VERSION = "0.2.0"
 """Version of the first package whose files are read."""
 
 MOST_SCHEMAS = 10**6
@@ -20,10 +20,8 @@ MOST_SCHEMAS = 10**6
 LONGEST_GIVEN = 120
 """Characters of what was given that a message repeats, at most."""
 
-LONGEST = 4000
+LONGEST_MESSAGE = 4000
 """Characters of a message at most; one that repeats more is cut in its middle."""
-
-__all__ = ["InputError", "as_input_error", "check_known", "closest", "faults", "other_version"]
 
 
 class InputError(ValueError):
@@ -45,12 +43,12 @@ class InputError(ValueError):
     def __str__(self) -> str:
         """The message, without what a terminal would take for a command."""
         words = "".join(each if each.isprintable() else " " for each in super().__str__())
-        if len(words) <= LONGEST:
+        if len(words) <= LONGEST_MESSAGE:
             return words
-        return f"{words[: LONGEST // 2]} ... {words[-LONGEST // 2 :]}"
+        return f"{words[: LONGEST_MESSAGE // 2]} ... {words[-LONGEST_MESSAGE // 2 :]}"
 
 
-def closest(name: str, allowed: Iterable[str]) -> str:
+def closest_choice(name: str, allowed: Iterable[str]) -> str:
     """Say what to write instead of an unknown name, as the end of an error message."""
     allowed = list(allowed)
     by_lower_case = {known.lower(): known for known in allowed}
@@ -61,10 +59,10 @@ def closest(name: str, allowed: Iterable[str]) -> str:
     return f"did you mean '{by_lower_case[matches[0]]}'? Known: {names}"
 
 
-def check_known(what: str, name: str, known: Iterable[str]) -> None:
+def check_choice(what: str, name: str, known: Iterable[str]) -> None:
     """Raise `InputError` with the closest known name unless a name is known."""
     if name not in (known := list(known)):
-        raise InputError(f"unknown {what} {name!r}: {closest(name, known)}")
+        raise InputError(f"unknown {what} {name!r}: {closest_choice(name, known)}")
 
 
 def other_version(content: str | bytes, schema: int, again: str = "make it again") -> str:
@@ -83,7 +81,7 @@ def other_version(content: str | bytes, schema: int, again: str = "make it again
         number = schema
     if number != schema:
         who += f" with schema {number}"
-    if (release and release < _release(OLDEST)) or number < schema:
+    if (release and release < _release(OLDEST_VERSION)) or number < schema:
         return f"was written by {who}, older than the files that are read: {again}"
     if release > _release(version("deepfsi")) or number > schema:
         return f"was written by {who}, newer than this one: upgrade deepfsi"
@@ -119,13 +117,13 @@ def as_input_error(
         if words := other_version(content, schema, advice or "make it again"):
             raise InputError(f"{file} {words}") from None
         if not file:
-            raise InputError("; ".join(faults(error))) from None
+            raise InputError("; ".join(field_errors(error))) from None
         fault = error.errors()[0]
         at, end = fault["loc"] and f" at {_place(fault)}", advice and f"; {advice}"
         raise InputError(f"{file} cannot be used{at or ''}: {_words(fault)}{end}") from None
 
 
-def faults(error: "ValidationError") -> list[str]:
+def field_errors(error: "ValidationError") -> list[str]:
     """Every bad field of pydantic's error, with what was given."""
     return [
         (f"{_place(fault)}{_given(fault)}: " if fault["loc"] else "") + _words(fault)

@@ -27,7 +27,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from deepfsi.base.errors import InputError
-from deepfsi.base.locks import PATTERN, owner_of, this_process
+from deepfsi.base.locks import PROCESS_PATTERN, parse_process, this_process
 
 BYTE_ORDER_MARKS = {
     codecs.BOM_UTF8: "utf-8",
@@ -38,7 +38,7 @@ BYTE_ORDER_MARKS = {
 }
 """Encodings of text that begins with a byte order mark."""
 
-CONTENTS = {
+KINDS_OF_CONTENT = {
     b"PK\x03\x04": "a zip file (such as .npz, .xlsx or .pt)",
     b"\x93NUMPY": "a NumPy array (.npy)",
     b"MATLAB ": "MATLAB variables (.mat)",
@@ -64,14 +64,14 @@ CONTENTS = {
 }
 """Kinds of files by their first bytes."""
 
-DESIGNS = (".safetensors",)
+DESIGN_ENDINGS = (".safetensors",)
 """Ends of the names of design files."""
 
 DRAFT_SECONDS = 86400.0
 """Age from which a draft of another host is left over: its process cannot be asked for."""
 
 
-WINDOWS = "cp1252"
+WINDOWS_ENCODING = "cp1252"
 """Encoding of text that Windows' programs save for western Europe and America."""
 
 LARGEST_TOML = 2**18
@@ -83,7 +83,7 @@ MOST_DOTS = 500
 LONGEST_NAME = 255
 """Bytes of a file's name at most."""
 
-SPARE, RATIO = 2**24, 32
+UNPACKED_SPARE, UNPACKED_RATIO = 2**24, 32
 """Values, or bytes, that any file may unpack to, and those for each of its bytes beyond."""
 
 
@@ -125,14 +125,14 @@ def read_regular(path: str | os.PathLike[str], largest: int, advice: str) -> byt
 def content_of(path: str | os.PathLike[str]) -> str:
     """Kind of what a file holds, whatever its name says, as a part of a message."""
     with open_regular(path) as file:
-        return kind_of(file.read(512))
+        return kind_of_content(file.read(512))
 
 
-def kind_of(head: bytes) -> str:
+def kind_of_content(head: bytes) -> str:
     """Kind of content that begins with these bytes, as a part of a message."""
     if not head:
         return "nothing"
-    kind = next((kind for start, kind in CONTENTS.items() if head.startswith(start)), "")
+    kind = next((kind for start, kind in KINDS_OF_CONTENT.items() if head.startswith(start)), "")
     if not kind and re.match(rb"(\xef\xbb\xbf)?\s*<(!doctype|html|\?xml)", head, re.IGNORECASE):
         kind = "a web page (a download that failed?)"
     printable = bytes({*range(32, 256), *b"\t\r\n\f"})
@@ -177,10 +177,11 @@ def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
 
 def check_unpacked(unpacked: float, packed: int, what: str, advice: str) -> None:
     """Raise `InputError` for far more values, or bytes, than a file of so many bytes explains."""
-    if unpacked > SPARE + RATIO * packed:
+    limit = UNPACKED_SPARE + UNPACKED_RATIO * packed
+    if unpacked > limit:
         raise InputError(
-            f"{what} would unpack {packed} bytes to {unpacked:.3g}, and {SPARE + RATIO * packed} "
-            f"are allowed: {advice}"
+            f"{what} would unpack {packed} bytes to {unpacked:.3g}, and {limit} are allowed: "
+            f"{advice}"
         )
 
 
@@ -197,15 +198,15 @@ def check_ending(path: str | os.PathLike[str], ends: Sequence[str]) -> None:
         raise InputError(f"cannot write to {path}: end the name in {' or '.join(ends)}")
 
 
-def readable(name: str) -> str:
+def readable_name(name: str) -> str:
     r"""A file's name as text: bytes of it that are no UTF-8 as `\xff`, which JSON cannot hold."""
     return os.fsencode(name).decode("utf-8", "backslashreplace")
 
 
-def check_readable(path: str) -> str:
+def check_readable_name(path: str) -> str:
     """The path, or `InputError` where bytes of it are no UTF-8: no file of ours could keep it."""
-    if readable(path) != path:
-        raise InputError(f"the name {readable(path)} is not UTF-8: rename the file or folder")
+    if readable_name(path) != path:
+        raise InputError(f"the name {readable_name(path)} is not UTF-8: rename the file or folder")
     return path
 
 
@@ -260,7 +261,7 @@ class GrowingFile(FileIO):
         return len(part)
 
 
-def check_room(path: str | os.PathLike[str], size: float, advice: str) -> None:
+def check_disk_space(path: str | os.PathLike[str], size: float, advice: str) -> None:
     """Raise `InputError` where the disk of a file to be has no room for so many bytes."""
     above = next((each for each in Path(path).absolute().parents if each.exists()), None)
     free = shutil.disk_usage(above).free if above else math.inf
@@ -314,9 +315,9 @@ def remove_drafts(folder: Path) -> None:
     with os.scandir(folder) as entries:
         drafts = [entry for entry in entries if entry.name.endswith(".draft")]
     for entry in drafts:
-        found = re.fullmatch(rf"\..*\.({PATTERN})\.draft", entry.name)
-        owner = owner_of(found[1]) if found else None
-        if owner and (owner.gone if owner.here else _age(entry) > DRAFT_SECONDS):
+        found = re.fullmatch(rf"\..*\.({PROCESS_PATTERN})\.draft", entry.name)
+        owner = parse_process(found[1]) if found else None
+        if owner and (owner.is_gone if owner.is_here else _age(entry) > DRAFT_SECONDS):
             if entry.is_dir(follow_symlinks=False):
                 shutil.rmtree(entry.path, ignore_errors=True)
             else:

@@ -8,7 +8,7 @@ from html import escape
 
 import numpy as np
 
-from deepfsi.base.intervals import MOST_CLASSES, frequent, shares
+from deepfsi.base.intervals import MOST_CLASSES, confusion_shares, frequent_confusions
 
 TINT = "0, 114, 178"
 """Red, green and blue of the cells of a confusion matrix."""
@@ -29,13 +29,13 @@ def confusion_table(confusion: Sequence[Sequence[int]], classes: Sequence[str]) 
     if len(names) > MOST_CLASSES:
         rows = [
             f"<tr><th scope='row'>{names[i]}</th><td>{names[j]}</td><td>{share:.1%}</td></tr>"
-            for i, j, share in frequent(confusion)
+            for i, j, share in frequent_confusions(confusion)
         ]
         heads = "".join(f"<th scope='col'>{head}</th>" for head in ("true", "answered", "share"))
         return f"<table><thead><tr>{heads}</tr></thead><tbody>{''.join(rows)}</tbody></table>"
     heads = "".join(f"<th scope='col'>{name}</th>" for name in names)
     rows = []
-    for name, row in zip(names, shares(confusion), strict=True):
+    for name, row in zip(names, confusion_shares(confusion), strict=True):
         cells = "".join(
             f"<td style='background: rgba({TINT}, {0.6 * share:.3f})'>{_percent(share)}</td>"
             for share in row

@@ -19,10 +19,10 @@ from collections.abc import Iterator
 from types import FrameType
 from typing import Any, NoReturn
 
-STOPPED = 130
+STOPPED_EXIT_CODE = 130
 """Exit code of a command that was stopped, here; `leave` gives that of the signal."""
 
-SIGNALS = signal.SIGINT, signal.SIGTERM
+STOP_SIGNALS = signal.SIGINT, signal.SIGTERM
 """What stops a command."""
 
 GRACE_SECONDS = 1.2
@@ -33,16 +33,16 @@ RAY_GRACE_SECONDS = 20.0
 
 _said = threading.Event()
 _came = signal.SIGINT
-_kept = ""
+_saved_work = ""
 
 
-def arm() -> None:
+def install_handler() -> None:
     """Handle Ctrl-C for the rest of this process, a command line."""
     if sys.platform == "win32":  # has no such signals
         return
     reading, writing = os.pipe()
     os.set_blocking(writing, False)
-    for number in SIGNALS:
+    for number in STOP_SIGNALS:
         signal.signal(number, _stop)
     signal.set_wakeup_fd(writing, warn_on_full_buffer=False)  # also while a long call runs
     threading.Thread(target=_end_in_time, args=(reading,), daemon=True).start()
@@ -56,25 +56,25 @@ def arm() -> None:
     sys.unraisablehook = without_stops
 
 
-def keep(words: str) -> None:
+def note_saved_work(words: str) -> None:
     """Note what is kept from now on if the command is stopped, such as "finished scenes"."""
-    global _kept
-    _kept = words
+    global _saved_work
+    _saved_work = words
 
 
-def kept() -> str:
+def saved_work_text() -> str:
     """End of a line that says what is kept of a command's work: nothing where nothing is."""
-    return f"; {_kept}" if _kept else ""
+    return f"; {_saved_work}" if _saved_work else ""
 
 
 def say_stopped() -> None:
     """Say once on standard error that the command was stopped, and what is kept."""
     if not _said.is_set():
         _said.set()
-        print(f"deepfsi: stopped{kept()}", file=sys.stderr)
+        print(f"deepfsi: stopped{saved_work_text()}", file=sys.stderr)
 
 
-def leave() -> NoReturn:
+def end_process() -> NoReturn:
     """End this process and its workers now."""
     _end_workers()
     with contextlib.suppress(OSError, ValueError, RuntimeError):  # it may interrupt a print
@@ -86,7 +86,7 @@ def leave() -> NoReturn:
     os._exit(128 + _came)
 
 
-class Postponed:
+class PostponedSignals:
     """Signals that stop and have come in a block of `postponed`."""
 
     def __init__(self) -> None:
@@ -102,15 +102,15 @@ class Postponed:
 
 
 @contextlib.contextmanager
-def postponed() -> Iterator[Postponed]:
+def postpone_signals() -> Iterator[PostponedSignals]:
     """Postpone what stops until the block asks for it, or ends."""
-    signals = Postponed()
-    usual = {number: signal.getsignal(number) for number in SIGNALS}
+    signals = PostponedSignals()
+    usual = {number: signal.getsignal(number) for number in STOP_SIGNALS}
     elsewhere = threading.current_thread() is not threading.main_thread()
     if sys.platform == "win32" or elsewhere or usual[signal.SIGINT] is None:
         yield signals
         return
-    signals.usual = {number: usual[number] for number in SIGNALS if callable(usual[number])}
+    signals.usual = {number: usual[number] for number in STOP_SIGNALS if callable(usual[number])}
     for number in signals.usual:
         signal.signal(number, lambda number, frame: signals.came.append(number))
     try:
@@ -122,9 +122,9 @@ def postponed() -> Iterator[Postponed]:
 
 
 @contextlib.contextmanager
-def held_back() -> Iterator[None]:
+def block_ctrl_c() -> Iterator[None]:
     """Hold back what stops until the block ends; processes started in it never see Ctrl-C."""
-    with postponed() as signals:
+    with postpone_signals() as signals:
         if not signals.usual:
             yield
             return
@@ -136,9 +136,9 @@ def held_back() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def handlers_kept() -> Iterator[None]:
+def restore_handlers() -> Iterator[None]:
     """Take signals again after a block in which a library takes them, as Ray does with SIGTERM."""
-    usual = {number: signal.getsignal(number) for number in SIGNALS}
+    usual = {number: signal.getsignal(number) for number in STOP_SIGNALS}
     try:
         yield
     finally:
@@ -164,10 +164,10 @@ def _stop(number: int, frame: FrameType | None) -> None:
     global _came
     _came = signal.Signals(number)
     if "deepfsi.cli" not in sys.modules:  # nobody would catch it
-        leave()
+        end_process()
     while frame is not None:
         if frame.f_code.co_filename.startswith("<frozen importlib"):
-            leave()
+            end_process()
         frame = frame.f_back
     raise KeyboardInterrupt
 
@@ -180,7 +180,7 @@ def _end_in_time(reading: int) -> None:
     again.start()
     ray = any(word.split("=")[0] == "--ray" for word in sys.argv)
     again.join(RAY_GRACE_SECONDS if ray else GRACE_SECONDS)
-    leave()
+    end_process()
 
 
 def _end_at_once(reading: int) -> None:
@@ -188,6 +188,6 @@ def _end_at_once(reading: int) -> None:
 
 
 def _wait_for_stop(reading: int) -> signal.Signals:
-    while (number := os.read(reading, 1)[0]) not in SIGNALS:
+    while (number := os.read(reading, 1)[0]) not in STOP_SIGNALS:
         pass
     return signal.Signals(number)

@@ -20,7 +20,7 @@ from typing import Literal, NamedTuple, Protocol
 import numpy as np
 import numpy.typing as npt
 
-Z = NormalDist().inv_cdf(0.975)
+Z_95 = NormalDist().inv_cdf(0.975)
 
 PRIOR_SQUARES = 1.0
 """Sum of squares, beside the images' own, with which their values are taken to spread as right and
@@ -40,7 +40,7 @@ class Interval(NamedTuple):
         return f"{self.mean:.3f} ({self.low:.3f} to {self.high:.3f})"
 
 
-def accuracy(right: np.ndarray) -> Interval:
+def accuracy_interval(right: np.ndarray) -> Interval:
     """Accuracy with its interval, which lies in [0, 1].
 
     Parameters
@@ -56,10 +56,10 @@ def accuracy(right: np.ndarray) -> Interval:
     """
     values = np.atleast_2d(right)
     mean, low, high = _score(values.mean(axis=0))
-    return over_seeds(Interval(mean, low, high), values, (0.0, 1.0))
+    return widen_by_seeds(Interval(mean, low, high), values, (0.0, 1.0))
 
 
-def balanced(right: np.ndarray, labels: np.ndarray) -> Interval:
+def balanced_interval(right: np.ndarray, labels: np.ndarray) -> Interval:
     """Mean of the classes' accuracies with its interval.
 
     Every class counts alike, whatever its number of images; classes without any are left out.
@@ -86,7 +86,7 @@ def balanced(right: np.ndarray, labels: np.ndarray) -> Interval:
     below = math.hypot(*(rate - low for rate, low, _ in ends)) / len(ends)
     above = math.hypot(*(high - rate for rate, _, high in ends)) / len(ends)
     terms = np.stack([balanced_terms(row, labels) for row in values])
-    return over_seeds(Interval(mean, mean - below, mean + above), terms, (0.0, 1.0))
+    return widen_by_seeds(Interval(mean, mean - below, mean + above), terms, (0.0, 1.0))
 
 
 def balanced_terms(right: np.ndarray, labels: np.ndarray) -> np.ndarray:
@@ -98,7 +98,7 @@ def balanced_terms(right: np.ndarray, labels: np.ndarray) -> np.ndarray:
     return np.asarray(rates.mean() + weights[groups] * (right - rates[groups]))
 
 
-def over_images(values: np.ndarray) -> Interval:
+def image_interval(values: np.ndarray) -> Interval:
     """Mean of values (S, n) or (n,) without bounds, such as the shares that make R²."""
     from scipy import stats
 
@@ -108,10 +108,10 @@ def over_images(values: np.ndarray) -> Interval:
     if count < 2:
         return Interval(mean, mean, mean)
     half = float(stats.t.ppf(0.975, count - 1)) * float(stats.sem(each))
-    return over_seeds(Interval(mean, mean - half, mean + half), rows)
+    return widen_by_seeds(Interval(mean, mean - half, mean + half), rows)
 
 
-def over_seeds(
+def widen_by_seeds(
     found: Interval, terms: np.ndarray, bounds: tuple[float, float] = (-math.inf, math.inf)
 ) -> Interval:
     """An interval over images, which covers training seeds, too, where there are several."""
@@ -148,7 +148,7 @@ def wilson(accuracy: float, images: int) -> tuple[float, float]:
 
 
 def _wilson(rate: float, images: float) -> tuple[float, float]:
-    part = Z**2 / images
+    part = Z_95**2 / images
     half = math.sqrt(part * (rate * (1 - rate) + part / 4))
     low, high = ((rate + part / 2 + off) / (1 + part) for off in (-half, half))
     return low if rate > 0 else 0.0, high if rate < 1 else 1.0
@@ -171,7 +171,7 @@ def student(values: Sequence[float]) -> tuple[float, float]:
     return mean - half, mean + half
 
 
-def worst_of(rates: Sequence[float | None]) -> int:
+def worst_class(rates: Sequence[float | None]) -> int:
     """Place of the class with the lowest accuracy, of those that have one."""
     return min((rate, place) for place, rate in enumerate(rates) if rate is not None)[1]
 
@@ -180,13 +180,13 @@ CONFIDENCE = 0.95
 """Of the intervals."""
 
 
-OFF = 0.5
+SHARE_TAKEN_OFF = 0.5
 """Part of the share of images and draws in the trainings' variance that is taken off it: the whole
 is right in the mean, but the variance of three trainings is often far below that, and alike designs
 would then be told apart in up to 9 of 100 studies instead of 7 (`benchmarks/coverage.py`)."""
 
 
-class Trials(Protocol):
+class AccuracyTrials(Protocol):
     """Accuracies of trials, the 95 % interval of their mean, and terms of the test images."""
 
     @property
@@ -250,16 +250,16 @@ class Difference:
 
     def __str__(self) -> str:
         if not math.isfinite(self.error):
-            return f"{signed(self.mean)} (one trial, no interval)"
-        return f"{signed(self.mean)} [{signed(self.low)}, {signed(self.high)}]"
+            return f"{signed_text(self.mean)} (one trial, no interval)"
+        return f"{signed_text(self.mean)} [{signed_text(self.low)}, {signed_text(self.high)}]"
 
 
-def signed(value: float, digits: int = 3) -> str:
+def signed_text(value: float, digits: int = 3) -> str:
     """Number with its sign, the minus as wide as the plus."""
     return f"{value:+.{digits}f}".replace("-", "−")
 
 
-def of_trials(values: Sequence[float]) -> Difference:
+def mean_of_trials(values: Sequence[float]) -> Difference:
     """Mean of one value for each trial, with its error over trials, if there are several."""
     from scipy import stats
 
@@ -269,7 +269,7 @@ def of_trials(values: Sequence[float]) -> Difference:
     return Difference(mean, float(stats.sem(values)), count - 1)
 
 
-def paired(first: np.ndarray, second: np.ndarray) -> Difference:
+def paired_difference(first: np.ndarray, second: np.ndarray) -> Difference:
     """Mean of values of images less that of others of the same images.
 
     Parameters
@@ -292,14 +292,18 @@ def paired(first: np.ndarray, second: np.ndarray) -> Difference:
     freedom = max(count - 1, 1)
     if len(first) == len(second):
         return Difference(
-            mean, error, freedom, seeds_error(first - second, OFF), max(len(first) - 1, 1)
+            mean,
+            error,
+            freedom,
+            seeds_error(first - second, SHARE_TAKEN_OFF),
+            max(len(first) - 1, 1),
         )
-    errors = seeds_error(first, OFF), seeds_error(second, OFF)
+    errors = seeds_error(first, SHARE_TAKEN_OFF), seeds_error(second, SHARE_TAKEN_OFF)
     fewest = min(len(part) for part in (first, second) if len(part) > 1)
     return Difference(mean, error, freedom, math.hypot(*errors), fewest - 1)
 
 
-def difference(first: Trials, second: Trials) -> Difference:
+def accuracy_difference(first: AccuracyTrials, second: AccuracyTrials) -> Difference:
     """Accuracy of some trials less that of others, paired on the images that both were tested with.
 
     Of trials that keep no values of images those of one seed are paired, and the error is that over
@@ -307,17 +311,19 @@ def difference(first: Trials, second: Trials) -> Difference:
     independent.
     """
     if first.terms and second.terms:
-        rows = [np.stack([unpack(each) for each in point.terms]) for point in (first, second)]
+        rows = [
+            np.stack([unpack_values(each) for each in point.terms]) for point in (first, second)
+        ]
         if rows[0].shape[1] == rows[1].shape[1]:
-            return paired(*rows)
+            return paired_difference(*rows)
     one, other = (np.asarray(each.accuracies) for each in (first, second))
     if len(one) == len(other) > 1:
-        return of_trials((one - other).tolist())
+        return mean_of_trials((one - other).tolist())
     half = math.hypot(*((each.high - each.low) / 2 for each in (first, second)))
-    return Difference(float(one.mean() - other.mean()), half / Z)
+    return Difference(float(one.mean() - other.mean()), half / Z_95)
 
 
-def above(differences: Iterable[Difference], limit: float = 0.0) -> bool | None:
+def all_above(differences: Iterable[Difference], limit: float = 0.0) -> bool | None:
     """Test that all differences are above a limit."""
     # Yes if every 95 % interval is. No if one lies below it, by an interval widened for as many
     # comparisons as there are differences (Bonferroni). Else open
@@ -334,20 +340,27 @@ CURVE_BUDGETS = 1000
 
 @dataclass(frozen=True)
 class Crossing:
-    """Where a curve of accuracy over photons meets a target."""
+    """Where a curve of accuracy over photons meets a target.
 
-    # Best estimate; None if the curve does not meet the target within the tried budgets
+    Attributes
+    ----------
+    photons : float or None
+        Best estimate; None if the curve does not meet the target within the tried budgets.
+    low, high : float or None
+        Its 95 % interval. An end beyond the tried budgets is None; where all of the interval is,
+        the other end is the budget that it lies beyond.
+    found : str
+        Whether the estimate is within the tried budgets, the target is reached at the lowest
+        already (below), or not even at the highest (beyond).
+    """
+
     photons: float | None
-    # Its 95 % interval. An end beyond the tried budgets is None; where all of the interval is, the
-    # other end is the budget that it lies beyond
     low: float | None
     high: float | None
-    # Whether the estimate is within the tried budgets, the target is reached at the lowest already,
-    # or not even at the highest
     found: Literal["within", "below", "beyond"]
 
 
-def crossing(
+def find_crossing(
     photons: Sequence[float], accuracies: Sequence[Sequence[float]], images: int, target: float
 ) -> Crossing:
     """Photons at which the accuracy reaches a target."""
@@ -472,22 +485,22 @@ def auc(terms: np.ndarray, positive: np.ndarray) -> Interval:
         reach = min(3 / min(int(positive.sum()), int((~positive).sum())), 1.0)
         low, high = area - reach, area + reach
     else:
-        middle, half = math.log(area / (1 - area)), Z * error / (area * (1 - area))
+        middle, half = math.log(area / (1 - area)), Z_95 * error / (area * (1 - area))
         low, high = (1 / (1 + math.exp(-(middle + off))) for off in (-half, half))
-    return over_seeds(Interval(area, low, high), rows, (0.0, 1.0))
+    return widen_by_seeds(Interval(area, low, high), rows, (0.0, 1.0))
 
 
 LARGEST_TERMS = 2**27
 """Bytes of the values of one test at most."""
 
 
-def pack(values: np.ndarray) -> str:
+def pack_values(values: np.ndarray) -> str:
     """Values (n,) of images as text."""
     content = np.asarray(values, dtype="<f4").tobytes()
     return base64.b64encode(zlib.compress(content, 9)).decode()
 
 
-def unpack(text: str) -> np.ndarray:
+def unpack_values(text: str) -> np.ndarray:
     """Values (n,) that `pack` wrote; `ValueError` of other text."""
     try:
         reader = zlib.decompressobj()
@@ -505,20 +518,20 @@ def unpack(text: str) -> np.ndarray:
 MOST_CLASSES = 20
 """Classes whose whole matrix can be read; of more, the most frequent confusions are told."""
 
-MOST_PAIRS = 10
+MOST_CONFUSIONS = 10
 """Confusions that are told of many classes."""
 
 
-def shares(confusion: Sequence[Sequence[int]]) -> npt.NDArray[np.float64]:
+def confusion_shares(confusion: Sequence[Sequence[int]]) -> npt.NDArray[np.float64]:
     """Share of each answer among the scenes of each true class; 0 of a class without scenes."""
     counts = np.asarray(confusion, dtype=float)
     return counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
 
 
-def frequent(confusion: Sequence[Sequence[int]]) -> list[tuple[int, int, float]]:
+def frequent_confusions(confusion: Sequence[Sequence[int]]) -> list[tuple[int, int, float]]:
     """True class, wrong answer and the answer's share, of the most frequent ones."""
-    wrong = shares(confusion)
+    wrong = confusion_shares(confusion)
     np.fill_diagonal(wrong, 0)
     rows, columns = np.unravel_index(np.argsort(-wrong, axis=None, kind="stable"), wrong.shape)
     pairs = zip(rows.tolist(), columns.tolist(), strict=True)
-    return [(i, j, float(wrong[i, j])) for i, j in pairs if wrong[i, j] > 0][:MOST_PAIRS]
+    return [(i, j, float(wrong[i, j])) for i, j in pairs if wrong[i, j] > 0][:MOST_CONFUSIONS]

@@ -1,8 +1,8 @@
-"""Processes that own a file, told from its name, and whether one of them is gone.
+"""Processes that own files, told from the files' names, and locks that end with their process.
 
-A process is named by its place (host, boot and process namespace, so that another container or a
-host that was started anew is another place), its number there and the moment of its start. Whether
-one at this place still runs can be asked; of one elsewhere only its files' changes tell.
+A process is named by its host (with boot and process namespace, so that another container or a host
+that was started anew is another one), its number there and the moment of its start. Whether one on
+this host still runs can be asked; of one elsewhere only its files' changes tell.
 """
 
 import contextlib
@@ -23,54 +23,58 @@ import psutil
 START_TOLERANCE = 60.0
 """Seconds by which the start of one process may seem to move, where the clock is set."""
 
-PATTERN = r"[0-9a-f]{12}-\d+-\d+-[0-9a-f]{8}"
-"""Regular expression of an owner's name."""
+PROCESS_PATTERN = r"[0-9a-f]{12}-\d+-\d+-[0-9a-f]{8}"
+"""Regular expression of the name of a process."""
 
 
-class Owner(NamedTuple):
-    """A process, and a number that tells apart what it owns."""
+class ProcessId(NamedTuple):
+    """A process, and a number that tells apart what it owns; as text it is a file's name."""
 
-    place: str  # hash of its host
-    process: int  # its number there
-    started: int  # seconds from the host's start to its own
-    own: str  # random
+    host: str
+    """Hash of its host, as of `host_id`."""
+    number: int
+    """Its number there."""
+    start_s: int
+    """Seconds from the host's start to its own."""
+    token: str
+    """Random."""
 
     def __str__(self) -> str:
-        return f"{self.place}-{self.process}-{self.started}-{self.own}"
+        return f"{self.host}-{self.number}-{self.start_s}-{self.token}"
 
     @property
-    def here(self) -> bool:
-        """True if the process is or was at this place, so that it can be asked for."""
-        return self.place == place()
+    def is_here(self) -> bool:
+        """True if the process is or was on this host, so that it can be asked for."""
+        return self.host == host_id()
 
     @property
-    def gone(self) -> bool:
+    def is_gone(self) -> bool:
         """True if the process was here and runs no more."""
-        if not self.here:
+        if not self.is_here:
             return False
         try:
-            return abs(_started(self.process) - self.started) > START_TOLERANCE
+            return abs(_start_of(self.number) - self.start_s) > START_TOLERANCE
         except psutil.NoSuchProcess:
             return True
         except psutil.AccessDenied:
             return False
 
 
-def this_process() -> Owner:
-    """Owner of something new that this process makes."""
-    return Owner(place(), os.getpid(), _own_start(os.getpid()), uuid.uuid4().hex[:8])
+def this_process() -> ProcessId:
+    """Name of this process for something new that it makes."""
+    return ProcessId(host_id(), os.getpid(), _this_start(os.getpid()), uuid.uuid4().hex[:8])
 
 
-def owner_of(name: str) -> Owner | None:
-    """Owner whose name this is, or None if it is none."""
-    if not re.fullmatch(PATTERN, name):
+def parse_process(name: str) -> ProcessId | None:
+    """Process whose name this is, or None if it is none."""
+    if not re.fullmatch(PROCESS_PATTERN, name):
         return None
-    where, process, started, own = name.split("-")
-    return Owner(where, int(process), int(started), own)
+    host, number, start, token = name.split("-")
+    return ProcessId(host, int(number), int(start), token)
 
 
 @cache
-def place() -> str:
+def host_id() -> str:
     """Name of this host, since it was started, as this process's namespace sees it."""
     facts = [platform.node()]
     for source in ("/proc/sys/kernel/random/boot_id", "/proc/self/ns/pid"):
@@ -83,16 +87,16 @@ def place() -> str:
 
 
 @cache
-def _own_start(process: int) -> int:
-    return round(_started(process))
+def _this_start(number: int) -> int:
+    return round(_start_of(number))
 
 
-def _started(process: int) -> float:
+def _start_of(number: int) -> float:
     """Seconds from the host's start to a process's; psutil's error if it does not run."""
-    found = psutil.Process(process)
-    if found.status() == psutil.STATUS_ZOMBIE:
-        raise psutil.ZombieProcess(process)
-    return found.create_time() - psutil.boot_time()
+    process = psutil.Process(number)
+    if process.status() == psutil.STATUS_ZOMBIE:
+        raise psutil.ZombieProcess(number)
+    return process.create_time() - psutil.boot_time()
 
 
 BEAT_SECONDS = 20.0
@@ -121,7 +125,7 @@ class Locks:
         mine = self.folder / key / str(this_process())
         self._owned[key] = mine
         self._make(mine)
-        if any(other != mine and not self._over(other) for other in inside(mine.parent)):
+        if any(other != mine and not self._over(other) for other in list_folder(mine.parent)):
             self.give_up(key)
             return False
         self._beat()
@@ -154,10 +158,10 @@ class Locks:
 
     def _over(self, lock: Path) -> bool:
         """Take a lock's file away if its process is gone; True if nothing is left of it."""
-        owner = owner_of(lock.name)
+        owner = parse_process(lock.name)
         if owner is None:
             return True
-        if owner.gone if owner.here else self._silent(lock):
+        if owner.is_gone if owner.is_here else self._silent(lock):
             lock.unlink(missing_ok=True)
             return True
         return False
@@ -176,8 +180,8 @@ class Locks:
 
     def _remove_old(self) -> None:
         """Take away what processes left that are gone."""
-        for key in inside(self.folder):
-            for lock in inside(key):
+        for key in list_folder(self.folder):
+            for lock in list_folder(key):
                 self._over(lock)
             _remove_empty(key)
         _remove_empty(self.folder)
@@ -196,7 +200,7 @@ class Locks:
                     os.utime(mine)
 
 
-def inside(folder: Path) -> Iterator[Path]:
+def list_folder(folder: Path) -> Iterator[Path]:
     """Give what a folder holds, nothing where another process took it away."""
     try:
         yield from list(folder.iterdir())

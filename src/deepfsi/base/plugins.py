@@ -17,14 +17,14 @@ from typing import Any
 
 from deepfsi.base.errors import InputError
 
-PATTERN = r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*"
+IMPORT_PATH = r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*"
 """Form of an import path."""
 
-UNNAMED = "own"
+UNNAMED_PLUGIN = "own"
 """Name in settings of a part that is given as an object and has no import path."""
 
 
-NO_TORCH = (
+TORCH_MISSING = (
     'torch is not installed, and learning, testing and classifying need it: pip install "deepfsi'
     "[design]\"; a camera's computer needs none to show patterns, count and decide in looks"
 )
@@ -32,17 +32,17 @@ NO_TORCH = (
 
 
 @contextlib.contextmanager
-def torch_needed() -> Iterator[None]:
+def require_torch() -> Iterator[None]:
     """Say in one line what to install where torch is missing."""
     try:
         yield
     except ModuleNotFoundError as error:
         if error.name != "torch":
             raise
-        raise InputError(NO_TORCH) from None
+        raise InputError(TORCH_MISSING) from None
 
 
-def named(path: str) -> Any:
+def load_plugin(path: str) -> Any:
     """Import a part from an installed package, or from a file in the current folder."""
     module, _, name = path.partition(":")
     if (here := os.getcwd()) not in sys.path:
@@ -61,7 +61,7 @@ def named(path: str) -> Any:
     return found
 
 
-def path_of(part: Any) -> str | None:
+def import_path(part: Any) -> str | None:
     """Where a part can be imported from again, or None, as for what a script itself defines."""
     module, name = getattr(part, "__module__", None), getattr(part, "__qualname__", None)
     if not module or not name or module == "__main__" or "<" in name:
@@ -75,7 +75,7 @@ def path_of(part: Any) -> str | None:
 def source_hash(path: str) -> str:
     """SHA-256 in hex of the file that defines a part, so that records of an older one expire."""
     try:
-        file = inspect.getsourcefile(named(path))
+        file = inspect.getsourcefile(load_plugin(path))
     except TypeError:
         file = None
     return hashlib.sha256(Path(file).read_bytes()).hexdigest() if file else ""

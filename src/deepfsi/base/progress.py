@@ -14,7 +14,7 @@ def _nothing(share: float, what: str) -> None:
 
 
 @dataclass(frozen=True)
-class Report:
+class Progress:
     """Where a task says how far it is."""
 
     show: Callable[[float, str], None] = _nothing
@@ -25,17 +25,17 @@ class Report:
         """Say that a share of this task is done, 0 to 1, and what is being done."""
         self.show(self.begin + share * (self.end - self.begin), what)
 
-    def part(self, begin: float, end: float) -> "Report":
-        """Report of a part of this task, from one share of it to another."""
+    def between(self, begin: float, end: float) -> "Progress":
+        """Progress of a part of this task, from one share of it to another."""
         span = self.end - self.begin
-        return Report(self.show, self.begin + begin * span, self.begin + end * span)
+        return Progress(self.show, self.begin + begin * span, self.begin + end * span)
 
-    def parts(self, count: int) -> list["Report"]:
-        """Reports of equal parts of this task, one after another."""
-        return [self.part(i / count, (i + 1) / count) for i in range(count)]
+    def split(self, count: int) -> list["Progress"]:
+        """Progress of equal parts of this task, one after another."""
+        return [self.between(i / count, (i + 1) / count) for i in range(count)]
 
 
-SILENT = Report()
+SILENT = Progress()
 """Shows nothing."""
 
 
@@ -44,7 +44,7 @@ class Moments:
 
     def __init__(self) -> None:
         self._seen: list[tuple[float, float]] = []
-        self.report = Report(lambda share, what: self._seen.append((share, time.perf_counter())))
+        self.report = Progress(lambda share, what: self._seen.append((share, time.perf_counter())))
 
     def reached(self, share: float) -> float:
         """Moment, s, at which the task first was that far."""
@@ -70,10 +70,11 @@ WHOLE_TASK = 1e7
 
 
 @contextmanager
-def terminal_bar(what: str, hidden: bool = False) -> Iterator[Report]:
+def terminal_bar(what: str, hidden: bool = False) -> Iterator[Progress]:
     """Progress with the time left on standard error: a bar on a terminal, else a line at times."""
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import BarColumn, SpinnerColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import Progress as Bar
     from rich.progress import TimeRemainingColumn as TimeLeft
 
     console = Console(stderr=True)
@@ -86,15 +87,15 @@ def terminal_bar(what: str, hidden: bool = False) -> Iterator[Report]:
         return
     words = TextColumn("{task.description}", markup=False)
     columns = (SpinnerColumn(), words, BarColumn(), TimeElapsedColumn(), TimeLeft())
-    with Progress(
-        *columns, console=console, transient=True, speed_estimate_period=WHOLE_TASK
-    ) as bar:
+    with Bar(*columns, console=console, transient=True, speed_estimate_period=WHOLE_TASK) as bar:
         task = bar.add_task(what, total=1.0)
-        yield Report(lambda share, now: bar.update(task, completed=share, description=now or what))
+        yield Progress(
+            lambda share, now: bar.update(task, completed=share, description=now or what)
+        )
 
 
 @contextmanager
-def _lines(what: str) -> Iterator[Report]:
+def _lines(what: str) -> Iterator[Progress]:
     """Say at times how far a task is, from the second second on."""
     # The pace is that since the first share above 0: what starts a task is not of it
     began, ended = time.monotonic(), threading.Event()
@@ -117,7 +118,7 @@ def _lines(what: str) -> Iterator[Report]:
 
     threading.Thread(target=say, daemon=True).start()
     try:
-        yield Report(note)
+        yield Progress(note)
     finally:
         ended.set()
 
@@ -136,7 +137,7 @@ def duration_text(seconds: float) -> str:
 
 
 @contextmanager
-def shown(report: Report | None, what: str) -> Iterator[Report]:
+def progress_bar(report: Progress | None, what: str) -> Iterator[Progress]:
     """The report of a task that was given one, else a bar where a terminal is attached."""
     if report is not None:
         yield report

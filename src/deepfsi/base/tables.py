@@ -1,77 +1,143 @@
-"""Tables of numbers in ``.csv``, ``.parquet``, ``.npy``, ``.mat`` and HDF5 files."""
+"""Tables of numbers, and lists of names, labels and numbers that a person or a program wrote.
 
-from collections.abc import Callable, Sequence
+Tables are ``.csv``, ``.parquet``, ``.npy``, ``.mat`` and HDF5 files (`read_table`); lists are text
+alone, a row of cells for each line (`read_rows`). Either is refused where it may be misread: a
+decimal comma that may part thousands, a whole number that floating point rounded, a first line that
+numbers the columns.
+"""
+
+import csv
+import io
+import os
+import re
+import unicodedata
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from deepfsi.base.arrays import VARIABLES, read_array, split_variable
+from deepfsi.base.arrays import VARIABLE_ENDINGS, read_array, split_variable
 from deepfsi.base.errors import InputError
-from deepfsi.base.text_files import spelling
+from deepfsi.base.files import WINDOWS_ENCODING, check_unpacked, open_regular, read_text
 
 if TYPE_CHECKING:
-    from deepfsi.base.columns import Columns
+    import polars as pl
 
-TEXTS = (".csv", ".txt", ".tsv", ".dat")
+TEXT_ENDINGS = (".csv", ".txt", ".tsv", ".dat")
 """Ends of the names of text files."""
 
-SUFFIXES = (*TEXTS, ".parquet", ".npy", *VARIABLES)
+TABLE_ENDINGS = (*TEXT_ENDINGS, ".parquet", ".npy", *VARIABLE_ENDINGS)
 """Ends of the names of files that hold tables."""
 
 USUAL_VARIABLE = "counts"
 """Name of the table of a file that holds several."""
 
-LARGEST = 2**27
-"""Numbers of an array at most."""
+LARGEST_TABLE = 2**27
+"""Numbers of a table at most."""
+
+LARGEST_TABLE_FILE = 2**31
+"""Bytes of a text or Parquet file at most."""
+
+MOST_COLUMNS = 2**18
+"""Columns of a text file at most."""
+
+MOST_PARQUET_COLUMNS = 2**15
+"""Columns of a Parquet file at most: each takes 8 kB of memory, however few its rows are."""
 
 LARGEST_WHOLE = 2.0**53
 """Numbers above which floating point leaves out whole ones."""
 
+NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
+"""A number as programs write it: no underscores, no digits of other scripts, no words."""
+
+THOUSANDS = re.compile(r"[+-]?[1-9][0-9]{0,2}(,[0-9]{3})+")
+"""A number that a comma may part into thousands as well as from its fraction."""
+
+WITHOUT_VALUE = ("nan", "inf", "-inf", "+inf", "na", "n/a", "#n/a", "#num!", "#div/0!", "null")
+"""Words that stand for a number that is none, in lower case."""
+
+LABEL_HEADS = ("label", "labels", "class", "classes", "category", "target", "y", "class name")
+"""Words over a column of labels, in lower case."""
+
+TABLE_SEPARATORS = ";\t, "
+"""Characters that may stand between the numbers of a line of text."""
+
+LIST_SEPARATORS = ";\t,"
+"""The same of a list, whose cells may hold blanks."""
+
+SEPARATOR_LINE = re.compile(r"sep=(.)\n")
+"""First line of a table by which Excel is told the separator."""
+
+SEPARATOR_LINES = 1000
+"""Lines by which the separator is found, at most."""
+
 
 @dataclass(frozen=True)
 class Table:
-    """Numbers in rows and columns, and columns of words beside them."""
+    """Numbers in rows and columns, and columns of words beside them.
 
-    values: np.ndarray  # (rows, columns): float64
-    names: tuple[str, ...] = ()  # of the columns; empty where they have none
-    # From the name of a column of words to those of each row
+    Attributes
+    ----------
+    values : array, shape (rows, columns), float64
+    names : tuple of str
+        Of the columns; empty where they have none.
+    words : dict
+        From the name of a column of words to those of each row.
+    """
+
+    values: np.ndarray
+    names: tuple[str, ...] = ()
     words: dict[str, tuple[str, ...]] = field(default_factory=dict)
 
 
 def is_table(source: str | Path) -> bool:
     """True if a path, or FILE:VARIABLE, ends like the name of a file that holds a table."""
-    return split_variable(str(source))[0].suffix.lower() in SUFFIXES
+    return split_variable(str(source))[0].suffix.lower() in TABLE_ENDINGS
 
 
 def read_table(source: str | Path, words: Sequence[str] = ()) -> Table:
-    """Read a table."""
+    """Read a table.
+
+    Parameters
+    ----------
+    source : str or path
+        A file, or FILE:VARIABLE of one that holds several arrays.
+    words : sequence of str
+        Names of columns that hold words; the others hold numbers.
+
+    Raises
+    ------
+    InputError
+        If there is no such file, it holds no table, or a cell holds no finite number.
+    """
     path, columns = _read(source)
     if isinstance(columns, np.ndarray):
         return Table(_finite(columns.astype(np.float64), path))
-    said_words = {
-        name: tuple("" if one is None else spelling(str(one)) for one in columns.cells(place))
-        for place, name in enumerate(columns.names)
+    word_columns = {
+        name: tuple("" if cell is None else normal_name(str(cell)) for cell in columns.cells(index))
+        for index, name in enumerate(columns.names)
         if name in words
     }
-    kept = [
-        place
-        for place in range(columns.width)
-        if not columns.names or columns.names[place] not in said_words
+    numeric = [
+        index
+        for index in range(columns.width)
+        if not columns.names or columns.names[index] not in word_columns
     ]
-    heads = tuple(columns.names[place] for place in kept) if columns.names else ()
-    if not kept:
-        return Table(np.empty((0, 0)), heads, said_words)
-    values = columns.numbers(kept)
+    heads = tuple(columns.names[index] for index in numeric) if columns.names else ()
+    if not numeric:
+        return Table(np.empty((0, 0)), heads, word_columns)
+    values = columns.numbers(numeric)
     wrong = np.argwhere(~np.isfinite(values))
     if wrong.size:
         row, column = wrong[0].tolist()
-        raise InputError(_no_number(path, columns, row, kept[column]))
-    return Table(values, heads, said_words)
+        raise InputError(_no_number(path, columns, row, numeric[column]))
+    return Table(values, heads, word_columns)
 
 
-def read_whole(
+def read_whole_numbers(
     source: str | Path, choose: Callable[[tuple[str, ...], int], Sequence[int]]
 ) -> np.ndarray:
     """Whole numbers of some columns, exact to 64 bits, (rows, columns) int64.
@@ -90,23 +156,32 @@ def read_whole(
     """
     path, columns = _read(source)
     if isinstance(columns, np.ndarray):
-        return as_whole(columns[:, list(choose((), columns.shape[1]))], str(path))
-    kept = list(choose(columns.names, columns.width))
-    whole = np.empty((columns.rows, len(kept)), np.int64)
-    for at, place in enumerate(kept):
-        values, exact = columns.numbers([place])[:, 0], columns.whole(place)
+        return whole_numbers(columns[:, list(choose((), columns.shape[1]))], str(path))
+    chosen = list(choose(columns.names, columns.width))
+    out = np.empty((columns.rows, len(chosen)), np.int64)
+    for number, index in enumerate(chosen):
+        values = columns.numbers([index])[:, 0]
         wrong = np.flatnonzero(~np.isfinite(values))
         if wrong.size:
-            raise InputError(_no_number(path, columns, int(wrong[0]), place))
+            raise InputError(_no_number(path, columns, int(wrong[0]), index))
+        exact = columns.exact(index)
         rest = exact.is_null().to_numpy()
-        name = columns.names[place] if columns.names else f"column_{place + 1}"
-        whole[:, at] = exact.fill_null(0).to_numpy()
-        whole[rest, at] = as_whole(values[rest], f"{path}, column {name},")
-    return whole
+        name = columns.names[index] if columns.names else f"column_{index + 1}"
+        out[:, number] = exact.fill_null(0).to_numpy()
+        out[rest, number] = whole_numbers(values[rest], f"{path}, column {name},")
+    return out
 
 
-def as_whole(values: np.ndarray, what: str) -> np.ndarray:
-    """Numbers as int64, or `InputError` for one that is no whole number or may be rounded."""
+def whole_numbers(values: np.ndarray, what: str) -> np.ndarray:
+    """Numbers as int64, or `InputError` for one that is no whole number or may be rounded.
+
+    Parameters
+    ----------
+    values : array
+        Of any type of numbers.
+    what : str
+        What holds them, as the beginning of a message.
+    """
     if values.dtype.kind == "b" or (values.dtype.kind in "iu" and values.dtype != np.uint64):
         return values.astype(np.int64)
     limit = 2**63 - 1 if values.dtype == np.uint64 else LARGEST_WHOLE
@@ -131,20 +206,17 @@ def _read(source: str | Path) -> "tuple[Path, np.ndarray | Columns]":
     """Path of a table, and its array or columns."""
     path, variable = split_variable(str(source))
     suffix = path.suffix.lower()
-    if suffix not in SUFFIXES:
-        raise InputError(f"{path} is no table: give a file ending in {', '.join(SUFFIXES)}")
+    if suffix not in TABLE_ENDINGS:
+        raise InputError(f"{path} is no table: give a file ending in {', '.join(TABLE_ENDINGS)}")
     if not path.exists():
-        raise InputError(f"there is no file {path}: give one ending in {', '.join(SUFFIXES)}")
-    if suffix in (*TEXTS, ".parquet"):
-        from deepfsi.base.columns import as_table, read_parquet_columns, read_text_columns
-
-        with as_table(path):
-            columns = read_text_columns(path) if suffix in TEXTS else read_parquet_columns(path)
+        raise InputError(f"there is no file {path}: give one ending in {', '.join(TABLE_ENDINGS)}")
+    if suffix in (*TEXT_ENDINGS, ".parquet"):
+        columns = read_columns(path)
         if not (columns.width and columns.rows):
             raise InputError(f"{path} holds no numbers: give a row or column for each exposure")
         return path, columns
     dimensions = (2,) if suffix == ".mat" else (1, 2)
-    values = read_array(path, dimensions, variable, largest=LARGEST, usual=USUAL_VARIABLE)
+    values = read_array(path, dimensions, variable, largest=LARGEST_TABLE, usual=USUAL_VARIABLE)
     if values.ndim == 1:
         values = values[None]
     if values.ndim != 2 or not values.size:
@@ -152,12 +224,12 @@ def _read(source: str | Path) -> "tuple[Path, np.ndarray | Columns]":
     return path, values
 
 
-def _no_number(path: Path, columns: "Columns", row: int, place: int) -> str:
+def _no_number(path: Path, columns: "Columns", row: int, column: int) -> str:
     """Line that names a cell without a number."""
-    held: Any = columns.cells(place)[row]
-    said = "nothing" if held in (None, "") else repr(held)
-    name, first = (columns.names[place], 2) if columns.names else (f"column_{place + 1}", 1)
-    return f"{path}: row {row + first} of column {name} holds {said}: give numbers"
+    cell: Any = columns.cells(column)[row]
+    text = "nothing" if cell in (None, "") else repr(cell)
+    name, first = (columns.names[column], 2) if columns.names else (f"column_{column + 1}", 1)
+    return f"{path}: row {row + first} of column {name} holds {text}: give numbers"
 
 
 def _finite(values: np.ndarray, path: Path) -> np.ndarray:
@@ -167,3 +239,327 @@ def _finite(values: np.ndarray, path: Path) -> np.ndarray:
         row, column = wrong[0] + 1
         raise InputError(f"{path}: row {row}, column {column} is not finite: give numbers")
     return values
+
+
+@dataclass(frozen=True)
+class TextColumns:
+    """Cells of a text file, row by row: a series for each of many columns would take far more."""
+
+    names: tuple[str, ...]
+    width: int
+    flat: "pl.Series"
+
+    @property
+    def rows(self) -> int:
+        """Rows of numbers or words."""
+        return len(self.flat) // self.width
+
+    def cells(self, column: int) -> "pl.Series":
+        """Cells of a column."""
+        return self.flat.gather_every(self.width, column)
+
+    def numbers(self, chosen: Sequence[int]) -> np.ndarray:
+        """Numbers of some columns, (rows, columns); not finite where a cell holds none."""
+        import polars as pl
+
+        flat = self.cells(chosen[0]) if len(chosen) == 1 else self.flat
+        values = flat.cast(pl.Float64, strict=False).to_numpy().reshape(self.rows, -1)
+        return values if values.shape[1] == len(chosen) else values[:, list(chosen)]
+
+    def exact(self, column: int) -> "pl.Series":
+        """Whole numbers of a column as its file has them, int64; null where it has others."""
+        import polars as pl
+
+        return self.cells(column).cast(pl.Int64, strict=False)
+
+
+@dataclass(frozen=True)
+class ParquetColumns:
+    """Columns of a Parquet file."""
+
+    names: tuple[str, ...]
+    frame: "pl.DataFrame"
+
+    @property
+    def width(self) -> int:
+        """Number of columns."""
+        return self.frame.width
+
+    @property
+    def rows(self) -> int:
+        """Rows of numbers or words."""
+        return self.frame.height
+
+    def cells(self, column: int) -> "pl.Series":
+        """Cells of a column."""
+        return self.frame.to_series(column)
+
+    def numbers(self, chosen: Sequence[int]) -> np.ndarray:
+        """Numbers of some columns, (rows, columns); not finite where a cell holds none."""
+        import polars as pl
+
+        columns = [self.cells(index) for index in chosen]
+        return np.stack([one.cast(pl.Float64, strict=False).to_numpy() for one in columns], axis=1)
+
+    def exact(self, column: int) -> "pl.Series":
+        """Whole numbers of a column as its file has them, int64; null where it has others."""
+        import polars as pl
+
+        cells = self.cells(column)
+        numbers = cells.cast(pl.Int64, strict=False)
+        return numbers.clear(len(numbers)) if cells.dtype.is_float() else numbers
+
+
+Columns = TextColumns | ParquetColumns
+
+
+def read_columns(path: Path) -> Columns:
+    """Columns of a text or Parquet file, by the end of its name."""
+    with _as_table(path):
+        is_text = path.suffix.lower() in TEXT_ENDINGS
+        return _read_text_columns(path) if is_text else _read_parquet_columns(path)
+
+
+@contextmanager
+def _as_table(path: Path) -> Iterator[None]:
+    """Turn what polars raises on what it cannot parse into one line."""
+    import polars as pl
+
+    try:
+        with _without_reports():
+            yield
+    except InputError:
+        raise
+    except (Exception, pl.exceptions.PanicException) as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise InputError(f"cannot read {path} as a table ({reason}): save it again") from error
+
+
+@contextmanager
+def _without_reports() -> Iterator[None]:
+    """Drop what is written to file descriptor 2.
+
+    A thread of polars that panics prints so, and its exception says the same.
+    """
+    try:
+        usual = os.dup(2)
+    except OSError:  # a program without a terminal may have closed it
+        yield
+        return
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 2)
+        yield
+    finally:
+        os.dup2(usual, 2)
+        os.close(usual)
+        os.close(nowhere)
+
+
+def _read_parquet_columns(path: Path) -> ParquetColumns:
+    import polars as pl
+
+    with open_regular(path, LARGEST_TABLE_FILE, "give a .parquet file"):
+        lazy = pl.scan_parquet(path)
+        schema = lazy.collect_schema()
+        rows = int(lazy.select(pl.len()).collect().item())
+        _check_size(rows, len(schema), MOST_PARQUET_COLUMNS)
+        size = path.stat().st_size
+        check_unpacked(rows * len(schema), size, str(path), "save it as a .npy file")
+        for name, kind in schema.items():
+            if kind.is_temporal() or kind.is_nested():
+                raise InputError(f"{path}: column {name} holds {kind}: give numbers")
+        return ParquetColumns(tuple(schema.names()), pl.read_parquet(path))
+
+
+def _check_size(rows: int, columns: int, most: int = MOST_COLUMNS) -> None:
+    """Raise `InputError` for a table that is larger than any is read."""
+    if columns > most or rows * columns > LARGEST_TABLE:
+        raise InputError(
+            f"it has {rows} rows of {columns} columns: give {most} columns and {LARGEST_TABLE} "
+            "numbers or fewer"
+        )
+
+
+def _read_text_columns(path: Path) -> TextColumns:
+    """Cells of a text file, and the names of its columns if its first line has some."""
+    import polars as pl
+
+    text = read_text(path, LARGEST_TABLE_FILE, "give a table of text", WINDOWS_ENCODING)
+    text, separator, _ = _separated(text, TABLE_SEPARATORS)
+    written = separator
+    if '"' in text:
+        cells = csv.reader(io.StringIO(text), delimiter=separator, skipinitialspace=True)
+        text = "\n".join("\x1f".join(row).replace("\n", " ") for row in cells)
+        separator = "\x1f"
+    lines = pl.Series([text]).str.split("\n").explode().str.strip_chars(" ")
+    del text
+    lines = lines.filter((lines != "") & ~lines.str.starts_with("#"))
+    if separator == " ":  # as wide as MATLAB's -ascii and others make them
+        lines = lines.str.replace_all(r"\s+", " ")
+    while (
+        len(lines)
+        and lines[-1]
+        and lines[1 if len(lines) > 1 else 0 :].str.ends_with(separator).all()
+    ):
+        lines = lines.str.strip_suffix(separator)  # a separator at the end of every line
+    rows = lines.str.split(separator)
+    widths = rows.list.len()
+    if not len(rows):
+        return TextColumns((), 0, pl.Series([], dtype=pl.String))
+    width = int(widths[0])
+    _check_size(len(rows), max(width, int(widths.max())))  # type: ignore[arg-type]
+    if other := (widths != width).arg_max() if (widths != width).any() else None:
+        raise InputError(
+            f"{path}: row {other + 1} has {widths[other]} cells and row 1 has {width}: give each "
+            "row as many"
+        )
+    flat = rows.explode().str.strip_chars()
+    with_comma = flat.filter(flat.str.contains(",", literal=True))
+    comma = has_decimal_commas(with_comma.head(MOST_COLUMNS), written)
+    if comma:
+        flat = flat.str.replace(r"^([^,.]*),([^,.]*)$", "${1}.${2}")
+    heads = flat[:width].to_list()
+    numbers = [parse_number(head) for head in heads]
+    if any(number is not None for number in numbers) or not set(heads).isdisjoint(WITHOUT_VALUE):
+        _check_heading(numbers, len(rows), path)
+        return TextColumns((), width, flat)
+    if len(set(heads)) < len(heads) or "" in heads:
+        raise InputError(
+            f"{path}: its first line must give each column a name of its own, or hold numbers"
+        )
+    return TextColumns(tuple(heads), width, flat[width:])
+
+
+def _check_heading(numbers: list[float | None], rows: int, path: Path) -> None:
+    """Raise `InputError` for a first line that numbers the columns, as pandas writes it."""
+    count = list(range(len(numbers)))
+    if rows > 1 and len(count) > 3 and numbers in (count, [number + 1 for number in count]):
+        raise InputError(
+            f"{path}: its first line numbers the columns ({numbers[0]:g} to {numbers[-1]:g}) and "
+            "would be read as values: leave it out, or give names"
+        )
+
+
+@dataclass(frozen=True)
+class TextRows:
+    """Cells of a text file, without blank lines and comments.
+
+    Attributes
+    ----------
+    cells : tuple of tuples of str
+        Of each row.
+    lines : tuple of int
+        Number of the line of each row.
+    separator : str
+        Between the cells.
+    """
+
+    cells: tuple[tuple[str, ...], ...]
+    lines: tuple[int, ...]
+    separator: str
+
+
+def read_rows(path: Path, largest: int, advice: str) -> TextRows:
+    """Rows of a list, in which a line `# …` is a comment.
+
+    Parameters
+    ----------
+    path : path
+    largest : int
+        Bytes of the file at most.
+    advice : str
+        What to give instead, as the end of a message.
+
+    Raises
+    ------
+    InputError
+        If it is no text, or a quote is not closed.
+    """
+    text = read_text(path, largest, advice, WINDOWS_ENCODING)
+    text, separator, skipped = _separated(text, LIST_SEPARATORS)
+    lines = ["" if re.match(r"#($|\s)", line) else line for line in text.split("\n")]
+    source = io.StringIO("\n".join(lines), newline="")
+    reader = csv.reader(source, delimiter=separator, skipinitialspace=True, strict=True)
+    cells: list[list[str]] = []
+    numbers: list[int] = []
+    try:
+        for row in reader:
+            if any(cell.strip() for cell in row):
+                cells.append([cell.strip().replace("\n", " ") for cell in row])
+                numbers.append(reader.line_num + skipped)
+    except csv.Error as error:
+        raise InputError(f"{path}, line {reader.line_num + skipped}: {error}; {advice}") from None
+    while cells and all(len(row) > 1 and not row[-1] for row in cells):
+        cells = [row[:-1] for row in cells]  # a separator at the end of every line
+    return TextRows(tuple(map(tuple, cells)), tuple(numbers), separator)
+
+
+def parse_number(text: str, comma: bool = False) -> float | None:
+    """Finite number that a text is, or None.
+
+    Parameters
+    ----------
+    text : str
+    comma : bool
+        Allows a decimal comma.
+    """
+    text = text.strip()
+    if comma and "." not in text:
+        text = text.replace(",", ".", 1)
+    value = float(text) if NUMBER.fullmatch(text) else float("inf")
+    return value if abs(value) < float("inf") else None
+
+
+def is_whole_number(text: str) -> bool:
+    """True for a number that is written without point and exponent."""
+    return re.fullmatch(r"[+-]?[0-9]+", text.strip()) is not None
+
+
+def has_decimal_commas(cells: Iterable[str], separator: str) -> bool:
+    """True if the commas of a table's cells part fractions: not those of a list with commas.
+
+    Parameters
+    ----------
+    cells : iterable of str
+        Where each may part thousands, none is believed: 1,234 would be wrong by 1000.
+    separator : str
+        Between the cells.
+    """
+    if separator not in (";", "\t"):
+        return False
+    with_comma = [cell.strip() for cell in cells if "," in cell]
+    return any(
+        not THOUSANDS.fullmatch(cell) and parse_number(cell, comma=True) is not None
+        for cell in with_comma
+    )
+
+
+def normal_name(name: str) -> str:
+    """A name in the one spelling of Unicode that is kept (NFC), without blanks around it."""
+    return unicodedata.normalize("NFC", name).strip()
+
+
+def _separated(text: str, separators: str) -> tuple[str, str, int]:
+    """Text, its separator, and how many lines were taken off: one, if it names the separator."""
+    # Otherwise it is the first of `separators` that is in every line; then one in the first line
+    if match := SEPARATOR_LINE.match(text.replace('"', "", 2) if text[:1] == '"' else text):
+        return text.split("\n", 1)[1], match[1], 1
+    lines = list(_first_lines(text))
+    every = (one for one in separators if lines and all(one in line for line in lines))
+    some = (one for one in separators if lines and one in lines[0])
+    return text, next(every, next(some, separators[-1])), 0
+
+
+def _first_lines(text: str) -> Iterator[str]:
+    """The first lines that are neither empty nor comments."""
+    start = 0
+    count = 0
+    while start < len(text) and count < SEPARATOR_LINES:
+        end = text.find("\n", start)
+        end = len(text) if end < 0 else end
+        line = text[start:end]
+        if line.strip() and not line.startswith("#"):
+            yield line
+            count += 1
+        start = end + 1

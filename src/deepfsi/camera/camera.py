@@ -21,10 +21,17 @@ from pydantic import (
     field_validator,
 )
 
-from deepfsi.base.errors import InputError, as_input_error, check_known, closest
-from deepfsi.base.files import read_toml
-from deepfsi.base.models import UserModel
-from deepfsi.base.quantities import Seconds, count_text, time_text
+from deepfsi.base import (
+    InputError,
+    Seconds,
+    UserModel,
+    as_input_error,
+    check_choice,
+    closest_choice,
+    count_text,
+    read_toml,
+    time_text,
+)
 from deepfsi.camera.dead_time import LONGEST_DEAD_TIME_S, DeadTime
 from deepfsi.camera.detectors import DetectorMap, detector_setting
 from deepfsi.camera.device import Device, find_device
@@ -315,7 +322,7 @@ class Camera(UserModel):
             if field not in cls.model_fields:
                 raise InputError(
                     f"{name or 'a camera'} has an unknown key {field!r}: "
-                    f"{closest(field, cls.model_fields)}"
+                    f"{closest_choice(field, cls.model_fields)}"
                 )
         with as_input_error(name if name.lower().endswith(".toml") else ""):
             return cls.model_validate(fields)
@@ -452,7 +459,7 @@ def _fields(source: CameraSource) -> dict[str, Any]:
         )
     name = "dmd" if source is None else os.fspath(source)
     if not name.lower().endswith(".toml"):
-        check_known("camera", name, PRESETS)
+        check_choice("camera", name, PRESETS)
         return dict(PRESETS[name])
     path = Path(name)
     fields = read_toml(path)

@@ -8,9 +8,7 @@ from typing import Annotated, Any, Self
 import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
-from deepfsi.base.arrays import read_npy
-from deepfsi.base.errors import InputError
-from deepfsi.base.models import StrictModel
+from deepfsi.base import InputError, StrictModel, read_npy
 from deepfsi.camera.layout import DmdGrid
 
 MOST_DETECTORS = 2**16

@@ -10,7 +10,7 @@ from typing import Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from deepfsi.base.errors import InputError, closest
+from deepfsi.base import InputError, closest_choice
 
 MOST_MIRRORS = 2**14
 """Mirrors of a device in each direction at most."""
@@ -161,6 +161,6 @@ def _device_of_size(name: str) -> Device:
         if known and columns * rows <= MOST_TOGETHER:
             return Device(name=f"{columns}x{rows}", columns=columns, rows=rows)
     raise InputError(
-        f"unknown device {name!r}: {closest(name, DEVICES)}; or COLUMNSxROWS, such as 1920x1080, "
-        "or a TOML file"
+        f"unknown device {name!r}: {closest_choice(name, DEVICES)}; or COLUMNSxROWS, such as "
+        "1920x1080, or a TOML file"
     )

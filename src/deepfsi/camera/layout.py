@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import AfterValidator
 
-from deepfsi.base.errors import InputError
-from deepfsi.base.models import StrictModel
+from deepfsi.base import InputError, StrictModel
 from deepfsi.camera.device import Device
 
 if TYPE_CHECKING:

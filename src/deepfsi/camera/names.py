@@ -10,8 +10,7 @@ from typing import Annotated, Any, Literal, get_args
 
 from pydantic import AfterValidator, Field, PlainSerializer, WithJsonSchema
 
-from deepfsi.base.errors import InputError, check_known
-from deepfsi.base.plugins import PATTERN, UNNAMED, path_of
+from deepfsi.base import IMPORT_PATH, UNNAMED_PLUGIN, InputError, check_choice, import_path
 
 LightLawName = Literal["column", "equal-dwell", "free-dwell", "two-arm"]
 """Name of a light law, see `optics.constraints`."""
@@ -79,8 +78,8 @@ LIGHT_LAWS: dict[str, LightLawFacts] = {
 
 def check_light(light: str, rails: str) -> None:
     """Raise `InputError` unless the light law exists and can be had with these rails."""
-    check_known("light law", light, LIGHT_LAWS)
-    check_known("rails", rails, get_args(RailsKind))
+    check_choice("light law", light, LIGHT_LAWS)
+    check_choice("rails", rails, get_args(RailsKind))
     if LIGHT_LAWS[light].arms == 2 and rails == "single":
         raise InputError(
             "two-arm with a single rail is not allowed: each arm is a rail; use dual rails, and "
@@ -154,8 +153,8 @@ def noise_text(noise: str) -> str:
 
 def check_noise(name: str) -> str:
     """Return the name or import path of a noise, or raise `InputError` that names the closest."""
-    if not re.fullmatch(PATTERN, name):
-        check_known("noise", name, NOISES)
+    if not re.fullmatch(IMPORT_PATH, name):
+        check_choice("noise", name, NOISES)
     return name
 
 
@@ -164,13 +163,13 @@ def noise_name(noise: Any) -> str:
     if isinstance(noise, str):
         return noise
     name = getattr(noise, "name", None)  # of a function of the package's, such as `Click`
-    return name if name in NOISES else path_of(noise) or UNNAMED
+    return name if name in NOISES else import_path(noise) or UNNAMED_PLUGIN
 
 
 def _check_setting(noise: Any) -> Any:
     if not (isinstance(noise, str) or callable(noise)):
         raise ValueError("give a noise's name, or noise(rates, generator) of your own")
-    if isinstance(noise, str) and noise != UNNAMED:
+    if isinstance(noise, str) and noise != UNNAMED_PLUGIN:
         check_noise(noise)
     return noise
 

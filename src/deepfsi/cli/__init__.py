@@ -11,9 +11,7 @@ from typing import Annotated, Any, NoReturn
 import typer
 
 import deepfsi
-from deepfsi.base.errors import InputError
-from deepfsi.base.interrupts import STOPPED, say_stopped
-from deepfsi.base.plugins import torch_needed
+from deepfsi.base import STOPPED_EXIT_CODE, InputError, require_torch, say_stopped
 from deepfsi.cli import (
     acquisitions,
     calibrations,
@@ -112,12 +110,12 @@ def main() -> NoReturn:
             stream.reconfigure(errors="backslashreplace")  # a console may lack a letter of a name
     try:
         _check_here()
-        with torch_needed():
+        with require_torch():
             code = app(standalone_mode=False)
     except typer.Exit as stop:
         code = stop.exit_code
     except (KeyboardInterrupt, typer.Abort):
-        code = STOPPED
+        code = STOPPED_EXIT_CODE
     except InputError as error:
         _fail(as_options(str(error)))
     except typer.TyperException as error:
@@ -127,10 +125,10 @@ def main() -> NoReturn:
     except ValueError as error:
         if not isinstance(error.__cause__, KeyboardInterrupt):  # what pydantic makes of Ctrl-C
             raise
-        code = STOPPED
+        code = STOPPED_EXIT_CODE
     except OSError as error:
         _fail(f"{error.filename or 'cannot write the output'}: {error.strerror or error}")
-    if code == STOPPED:
+    if code == STOPPED_EXIT_CODE:
         say_stopped()
     sys.exit(code if isinstance(code, int) else 0)
 

@@ -5,8 +5,7 @@ from typing import Annotated, Any
 
 import typer
 
-from deepfsi.base.errors import InputError
-from deepfsi.base.quantities import time_text
+from deepfsi.base import InputError, time_text
 from deepfsi.cli import common, options, paths
 from deepfsi.cli.settings import laboratory_fields, with_settings
 
@@ -176,8 +175,7 @@ def _import_series(
     """Write cumulative counts, or counts in bins, as a table."""
     if patterns is None:
         raise InputError(f"{_SERIES} need the patterns that were shown: give --patterns")
-    from deepfsi.base.files import write_atomically
-    from deepfsi.base.tables import read_table
+    from deepfsi.base import read_table, write_atomically
     from deepfsi.hardware.counting.series import of_bins, of_cumulative
     from deepfsi.hardware.patterns.folder import read_patterns
 

@@ -7,9 +7,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from deepfsi.base.errors import InputError, as_input_error, closest
-from deepfsi.base.files import read_toml, write_atomically
-from deepfsi.base.quantities import count_text, time_text
+from deepfsi.base import (
+    InputError,
+    as_input_error,
+    closest_choice,
+    count_text,
+    read_toml,
+    time_text,
+    write_atomically,
+)
 from deepfsi.cli import common, options, paths
 from deepfsi.cli.groups import Group
 from deepfsi.cli.settings import laboratory_fields, with_settings
@@ -455,7 +461,9 @@ def find_camera(name: str | None, source: Path, settings: dict[str, Any]) -> "Vi
     if name in CAMERAS:
         return CAMERAS[name]
     if not name.lower().endswith(".toml"):
-        raise InputError(f"unknown camera {name!r}: {closest(name, CAMERAS)}; or give a TOML file")
+        raise InputError(
+            f"unknown camera {name!r}: {closest_choice(name, CAMERAS)}; or give a TOML file"
+        )
     with as_input_error():
         return VirtualCamera.model_validate(read_toml(name))
 

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.cli import common, options, paths
 from deepfsi.cli.settings import laboratory_fields, with_settings
 
@@ -80,7 +80,7 @@ def camera_classify(
         "read-noise": read_noise, "repeats": None if repeats == 1 else repeats,
         **{name.replace("_", "-"): value for name, value in settings.items()},
     }  # fmt: skip
-    from deepfsi.base.tables import SUFFIXES, is_table, read_table
+    from deepfsi.base import TABLE_ENDINGS, is_table, read_table
     from deepfsi.hardware.live.replay import COUNTS, count_live, is_live
     from deepfsi.lab.classify import classify_run, classify_table
     from deepfsi.lab.results import ClassifiedRun
@@ -107,7 +107,7 @@ def camera_classify(
     else:
         raise InputError(
             f"{counted} is nothing that was counted: give an acquisition folder, with photons.ptu "
-            f"in it, or a table ending in {', '.join(SUFFIXES)}"
+            f"in it, or a table ending in {', '.join(TABLE_ENDINGS)}"
         )
     if as_json:
         common.print_json("camera.classify", found.as_dict())

@@ -11,9 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from deepfsi.base.files import readable
-from deepfsi.base.progress import Report, terminal_bar
-from deepfsi.base.quantities import count_text
+from deepfsi.base import Progress, count_text, readable_name, terminal_bar
 from deepfsi.cli import paths
 
 if TYPE_CHECKING:
@@ -94,7 +92,7 @@ def save_figure(figure: "Figure", path: Path) -> None:
     """Write a figure as the kind that its name ends in, whole or not at all."""
     import io
 
-    from deepfsi.base.files import write_atomically
+    from deepfsi.base import write_atomically
     from deepfsi.report.style import drawing
 
     picture = io.BytesIO()
@@ -121,7 +119,7 @@ def read_matrix(source: str | None) -> "np.ndarray | None":
 
 def command_line() -> str:
     """Command as it was typed, for records and pages."""
-    return shlex.join(["deepfsi", *map(readable, sys.argv[1:])])
+    return shlex.join(["deepfsi", *map(readable_name, sys.argv[1:])])
 
 
 NAME_WIDTH = 13
@@ -236,6 +234,6 @@ def detectors_text(design: str, detectors: str) -> str:
     return "each pixel" if design in EVERY_PIXEL else detectors
 
 
-def progress(what: str, quiet: bool) -> AbstractContextManager[Report]:
+def progress(what: str, quiet: bool) -> AbstractContextManager[Progress]:
     """Progress bar on standard error with the time left."""
     return terminal_bar(what, quiet)

@@ -32,7 +32,7 @@ def export(
     """
     target, file = out or file.with_suffix(".onnx"), paths.check_design(file)
     paths.check_file(target, (".onnx",), force)
-    from deepfsi.base.files import write_atomically
+    from deepfsi.base import write_atomically
     from deepfsi.design.onnx_graph import to_onnx
 
     design = common.open_design(file, trust)
@@ -85,7 +85,7 @@ def plan(
     """
     paths.check_folder(out)
     common.check_data(data)
-    from deepfsi.base.files import write_atomically
+    from deepfsi.base import write_atomically
     from deepfsi.sweeps.planning import check_plan, photons_needed
     from deepfsi.sweeps.results import write_results
     from deepfsi.sweeps.run import check_kept

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.cli import common, options, paths
 from deepfsi.cli.results import (
     counts_text,
@@ -65,7 +65,9 @@ def design(
 
     Example: deepfsi design --data mnist --photons 1e4 --masks 10 -o digits.safetensors
     """
-    paths.check_file(out, paths.DESIGNS, force=True)  # one of the same settings may be replaced
+    paths.check_file(
+        out, paths.DESIGN_ENDINGS, force=True
+    )  # one of the same settings may be replaced
     common.check_data(data, view)
     from deepfsi.design.evaluation import evaluate as test
     from deepfsi.jobs.job import find_job
@@ -255,7 +257,7 @@ def stop(
     """
     file = paths.check_design(file)
     if out is not None:
-        paths.check_file(out, paths.DESIGNS, force)
+        paths.check_file(out, paths.DESIGN_ENDINGS, force)
     common.check_data(data)
     from deepfsi.design.adaptive.design import load_design
     from deepfsi.design.artifact import Design

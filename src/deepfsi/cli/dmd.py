@@ -5,8 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from deepfsi.base.errors import InputError
-from deepfsi.base.quantities import time_text
+from deepfsi.base import InputError, time_text
 from deepfsi.cli import common, options, paths
 from deepfsi.cli.groups import Group
 from deepfsi.cli.settings import SettingsCommand, laboratory_fields, with_settings
@@ -133,7 +132,7 @@ def dmd_export(
 
 def _layout(known: "DmdLayout", **options: Any) -> "DmdLayout":
     """Layout of a camera, with the orientation of options."""
-    from deepfsi.base.errors import as_input_error
+    from deepfsi.base import as_input_error
     from deepfsi.camera.layout import DmdLayout
 
     with as_input_error():

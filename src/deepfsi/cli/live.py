@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from deepfsi.base.errors import InputError, as_input_error, check_known
+from deepfsi.base import InputError, as_input_error, check_choice
 from deepfsi.cli import camera, common, options, paths
 from deepfsi.cli.classify import print_right, print_view
 from deepfsi.cli.settings import laboratory_fields, with_settings
@@ -148,8 +148,8 @@ def check_devices(
     """True of virtual devices; `InputError` for devices or options that do not go together."""
     from deepfsi.hardware.drivers import COUNTERS, PROJECTORS
 
-    check_known("projector", projector, ("virtual", *PROJECTORS))
-    check_known("counter", counter, ("virtual", *COUNTERS))
+    check_choice("projector", projector, ("virtual", *PROJECTORS))
+    check_choice("counter", counter, ("virtual", *COUNTERS))
     virtual = projector == "virtual"
     if virtual != (counter == "virtual"):
         raise InputError("virtual and real devices do not go together: give both, or neither")
@@ -186,7 +186,7 @@ def latencies_of(given: list[str]) -> "Latencies":
     times = {}
     for each in given:
         name, _, time = each.partition("=")
-        check_known("latency", name, Latencies.model_fields)
+        check_choice("latency", name, Latencies.model_fields)
         times[name] = options.seconds(f"latency {name}", time)
     with as_input_error():
         return Latencies(**times)

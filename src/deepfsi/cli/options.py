@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.cli.settings import values
 
 if TYPE_CHECKING:
@@ -175,10 +175,10 @@ def whole_number(option: str, text: str) -> int:
 
 def seconds(option: str, text: str) -> float:
     """Seconds of a time such as 0.01, 10ms or 44us, or `InputError`."""
-    from deepfsi.base import quantities as units
+    from deepfsi.base import seconds
 
     try:
-        return units.seconds(text)
+        return seconds(text)
     except ValueError as error:
         raise InputError(f"--{option}: {error}") from None
 

@@ -7,7 +7,7 @@ from importlib.util import find_spec
 from types import ModuleType
 from typing import TYPE_CHECKING
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 
 if TYPE_CHECKING:
     from importlib.resources.abc import Traversable

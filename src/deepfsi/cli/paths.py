@@ -3,9 +3,8 @@
 import tempfile
 from pathlib import Path
 
-from deepfsi.base.errors import InputError
-from deepfsi.base.files import DESIGNS as DESIGNS
-from deepfsi.base.files import check_ending
+from deepfsi.base import DESIGN_ENDINGS as DESIGN_ENDINGS
+from deepfsi.base import InputError, check_ending
 
 PICTURES = (".png", ".svg", ".pdf")
 TABLES = (".csv", ".parquet")

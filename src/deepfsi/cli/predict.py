@@ -49,7 +49,7 @@ def predict(
     paths.check_there(pictures, "a picture, or a folder of pictures")
     if out is not None:
         paths.check_file(out, (".csv",), force)
-    from deepfsi.base.files import write_atomically
+    from deepfsi.base import write_atomically
     from deepfsi.cli import as_options
     from deepfsi.design.evaluation import camera_for
     from deepfsi.lab.prediction import predict as run

@@ -91,19 +91,19 @@ def readouts(
 
     Example: deepfsi readouts run7/ --values volts --label digit --monitor laser -o run7.safetensors
     """
-    paths.check_file(out, paths.DESIGNS, force)
+    paths.check_file(out, paths.DESIGN_ENDINGS, force)
     if figure is not None:
         paths.check_file(figure, paths.PICTURES, force)
-    from deepfsi.base.errors import check_known
+    from deepfsi.base import check_choice
     from deepfsi.datasets.readouts import Variables, read_readouts
     from deepfsi.training.readouts import learn_readouts, measure_readouts
 
     variables = Variables(values, label, picture, order, tuple(monitor or ()))
     table = read_readouts(source, variables)
-    check_known("split", split, table.splits)
+    check_choice("split", split, table.splits)
     designs = {}
     with common.progress("readouts", quiet=as_json) as report:
-        for name, part in zip(table.splits, report.parts(len(table.splits)), strict=True):
+        for name, part in zip(table.splits, report.split(len(table.splits)), strict=True):
             designs[name] = learn_readouts(
                 table, name, training=settings, seed=seed, device=device, report=part
             )

@@ -6,8 +6,7 @@ from importlib.resources import as_file, files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from deepfsi.base.errors import InputError, closest
-from deepfsi.base.files import read_toml
+from deepfsi.base import InputError, closest_choice, read_toml
 from deepfsi.cli import common, paper
 
 if TYPE_CHECKING:
@@ -29,7 +28,7 @@ def read_recipe(source: str) -> dict[str, Any]:
     """Settings of a recipe with that name, or of a file; ``./mnist`` is a file of that name."""
     named, path = shipped(), Path(source)
     if source not in named and not path.exists():
-        known = closest(source, sorted(named))
+        known = closest_choice(source, sorted(named))
         raise InputError(f"no recipe at {source}: {known}; or give a TOML file")
     with as_file(named[source]) if source in named else nullcontext(path) as there:
         file = read_toml(there)

@@ -50,7 +50,7 @@ def camera_record(
     if counter_config is not None:
         paths.check_there(counter_config, "counter configuration")
     times = live.latencies_of(latency or [])
-    from deepfsi.base.progress import SILENT
+    from deepfsi.base import SILENT
     from deepfsi.hardware.counting.acquisition import plan_acquisition
     from deepfsi.hardware.counting.counting import count
     from deepfsi.hardware.drivers import (

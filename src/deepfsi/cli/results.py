@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from itertools import zip_longest
 from typing import TYPE_CHECKING
 
-from deepfsi.base.quantities import count_text
+from deepfsi.base import count_text
 from deepfsi.cli import common
 
 if TYPE_CHECKING:
@@ -156,16 +156,17 @@ def _print_covered(result: "Result | Estimates", meaning: str) -> None:
 
 def _print_confusion(result: "Result", classes: Sequence[str]) -> None:
     """Print which classes are taken for which; of many, the most frequent mistakes."""
-    from deepfsi.base.intervals import MOST_CLASSES, frequent, shares
+    from deepfsi.base import MOST_CLASSES, confusion_shares, frequent_confusions
 
     where = f"at {common.budget(result.photons)} photons, % of the true class"
     if len(classes) > MOST_CLASSES:
         told = [
-            (classes[i], classes[j], f"{100 * x:.1f}") for i, j, x in frequent(result.confusion)
+            (classes[i], classes[j], f"{100 * x:.1f}")
+            for i, j, x in frequent_confusions(result.confusion)
         ]
         common.print_table(f"most frequent mistakes {where}", ("true", "answered", "share"), told)
         return
-    found = shares(result.confusion)
+    found = confusion_shares(result.confusion)
     rows = [
         (common.short(name), *(f"{100 * x:.0f}" if x else "" for x in row))
         for name, row in zip(classes, found, strict=True)

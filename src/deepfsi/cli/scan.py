@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.cli import common, options, paths
 
 MARKER = "marker input, 0 to 3; that of the header unless given"
@@ -41,7 +41,7 @@ def camera_scan(
         paths.check_file(figure, paths.PICTURES, force)
     import numpy as np
 
-    from deepfsi.base.files import write_atomically
+    from deepfsi.base import write_atomically
     from deepfsi.hardware.photons import ScanMarkers, count_scan
 
     if figure is not None and pixels == 1:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperCommand
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 
 if TYPE_CHECKING:
     from pydantic.fields import FieldInfo

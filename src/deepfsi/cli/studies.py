@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from deepfsi.base.progress import duration_text
+from deepfsi.base import duration_text
 from deepfsi.cli import common, options, paper, paths
 from deepfsi.cli.recipes import check_recipe, read_recipe
 from deepfsi.cli.settings import job_fields, with_settings

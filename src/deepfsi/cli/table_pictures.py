@@ -65,7 +65,7 @@ def camera_picture(
     paths.check_new_folder(out)
     import numpy as np
 
-    from deepfsi.base.files import new_folder
+    from deepfsi.base import new_folder
     from deepfsi.lab.table_pictures import TableMasks, compare_picture, read_pictures
     from deepfsi.report.pictures import pictures_figure
     from deepfsi.report.rail_light import rail_light_figure

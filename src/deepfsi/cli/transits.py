@@ -5,8 +5,7 @@ from typing import Annotated
 
 import typer
 
-from deepfsi.base.errors import InputError
-from deepfsi.base.quantities import time_text
+from deepfsi.base import InputError, time_text
 from deepfsi.cli import common, options, paths
 
 
@@ -46,7 +45,7 @@ def camera_transits(
     paths.check_there(file, "a .ptu file")
     if out is not None:
         paths.check_file(out, (".csv",), force)
-    from deepfsi.base.files import write_atomically
+    from deepfsi.base import write_atomically
     from deepfsi.design.artifact import Design
     from deepfsi.lab.transits import classify_transits
 

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from deepfsi.base.errors import InputError, closest
+from deepfsi.base import InputError, closest_choice
 from deepfsi.datasets.dataset import Dataset, Reflectance
 
 ANOMALY = "anomaly"
@@ -52,7 +52,8 @@ def one_class(data: Dataset, normal: str, seed: int = 0) -> Dataset:
         raise InputError(f"{data.name} has values and no classes: leave `normal` out")
     if normal not in data.classes:
         raise InputError(
-            f"{data.name} has no class {normal!r}: {closest(normal, data.classes)}, as `normal`"
+            f"{data.name} has no class {normal!r}: {closest_choice(normal, data.classes)}, as "
+            "`normal`"
         )
     own = data.classes.index(normal)
     rng = np.random.default_rng(seed)

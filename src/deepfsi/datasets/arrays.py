@@ -9,9 +9,14 @@ from unicodedata import category, normalize
 import numpy as np
 import numpy.typing as npt
 
-from deepfsi.base.arrays import check_memory, free_memory, read_npz
-from deepfsi.base.errors import InputError
-from deepfsi.base.text_files import is_whole, spelling
+from deepfsi.base import (
+    InputError,
+    check_memory,
+    free_memory,
+    is_whole_number,
+    normal_name,
+    read_npz,
+)
 from deepfsi.datasets.dataset import Dataset, Labels, Reflectance, Truth
 from deepfsi.datasets.values import Values, grey, measure, reflectance
 
@@ -310,7 +315,7 @@ def _labels(given: npt.ArrayLike, scenes: int, what: str) -> npt.NDArray[Any]:
     if labels.shape in ((scenes, 1), (1, scenes)):  # MATLAB's vectors
         labels = labels.ravel()
     if labels.dtype.kind == "U":
-        labels = np.array([spelling(label) for label in labels.flat]).reshape(labels.shape)
+        labels = np.array([normal_name(label) for label in labels.flat]).reshape(labels.shape)
     if labels.shape != (scenes,):
         raise InputError(
             f"{what} has shape {labels.shape} for {scenes} scenes; give one label for each"
@@ -346,7 +351,7 @@ def _check_spellings(names: Sequence[str], name: str) -> None:
         plain = "".join(one for one in normalize("NFKC", each) if category(one) != "Cf")
         key = " ".join(plain.split()).rstrip(". ")
         key = key.casefold() if len(key) > 1 else key  # letters to be read may be large or small
-        key = str(int(key)) if is_whole(key) else key
+        key = str(int(key)) if is_whole_number(key) else key
         if (other := by_key.setdefault(key, each)) != each:
             raise InputError(
                 f"{name}: the classes {other!r} and {each!r} differ in case, blanks, zeros or a "

@@ -14,7 +14,7 @@
 from pathlib import Path
 from typing import NamedTuple
 
-from deepfsi.base.errors import InputError, check_known
+from deepfsi.base import InputError, check_choice
 from deepfsi.datasets import cifar, idx, indian_pines
 from deepfsi.datasets.store import FileCheck
 
@@ -62,7 +62,7 @@ def download(name: str) -> Path:
     # this finds the files that are here. Gives their folder
     if name == "digits":
         raise InputError("digits is part of scikit-learn: there is nothing to download, load it")
-    check_known("data set", name, NAMES)
+    check_choice("data set", name, NAMES)
     return FILES[name].download(name)
 
 
@@ -70,7 +70,7 @@ def check(name: str) -> list[FileCheck]:
     """Compare the files of a data set with the hashes of the originals."""
     # They are in the folder where all are, or else where they belong. Where no hash is known, the
     # content is looked at instead
-    check_known("data set", name, NAMES)
+    check_choice("data set", name, NAMES)
     if name == "digits":
         return [FileCheck("digits", True, "embedded in scikit-learn")]
     return FILES[name].check(name)

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.datasets import pictures
 from deepfsi.datasets.arrays import Options
 from deepfsi.datasets.dataset import Dataset

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.datasets.dataset import Dataset, Reflectance
 
 

@@ -10,10 +10,14 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from deepfsi.base.arrays import read_array
-from deepfsi.base.errors import InputError
-from deepfsi.base.files import WINDOWS, open_regular, read_text
-from deepfsi.base.text_files import number_of
+from deepfsi.base import (
+    WINDOWS_ENCODING,
+    InputError,
+    open_regular,
+    parse_number,
+    read_array,
+    read_text,
+)
 from deepfsi.datasets.spectra import Mask, SpectralImage
 
 SUFFIXES = (".mat", ".npy", ".hdr")
@@ -137,7 +141,7 @@ def _read_envi(path: Path, dimensions: int) -> _Array:
 def _plain_header(path: Path) -> Iterator[tuple[Path, str | None]]:
     """Header as spectral reads it, and the data file where it would not be found."""
     # It reads UTF-8 without a byte order mark alone, and looks for data beside the header
-    text = read_text(path, MAX_HEADER, "write it again", WINDOWS)
+    text = read_text(path, MAX_HEADER, "write it again", WINDOWS_ENCODING)
     if text.isascii() and path.read_bytes()[:1] == b"E":
         yield path, None
         return
@@ -239,7 +243,7 @@ def _field(header: Mapping[str, Any], key: str, bands: int) -> npt.NDArray[Any] 
     """Numbers of a field, one for each band; None where the header has no such field."""
     if (given := header.get(key)) is None:
         return None
-    numbers = np.array([number_of(str(each)) for each in np.atleast_1d(given)], float)
+    numbers = np.array([parse_number(str(each)) for each in np.atleast_1d(given)], float)
     if numbers.shape != (bands,) or not np.isfinite(numbers).all():
         raise ValueError(f"its field {key!r} does not hold a number for each of {bands} bands")
     return numbers

@@ -9,8 +9,7 @@ from typing import IO, TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from deepfsi.base.errors import InputError
-from deepfsi.base.files import kind_of
+from deepfsi.base import InputError, kind_of_content
 from deepfsi.datasets.deep_colours import deep_values, is_deep
 from deepfsi.datasets.values import Family, Levels, levels_of
 
@@ -169,7 +168,7 @@ def unread_kind(content: IO[bytes]) -> str:
 
     content.seek(0)
     head = content.read(512)
-    kind = kind_of(head)
+    kind = kind_of_content(head)
     if head[:4] not in (b"II*\0", b"MM\0*"):
         return f"no image, but {kind}"
     try:

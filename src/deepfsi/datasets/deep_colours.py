@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.datasets.values import grey
 
 BITS_TAG = 258

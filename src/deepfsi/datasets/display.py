@@ -11,8 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deepfsi.base.errors import InputError
-from deepfsi.base.files import new_folder, readable
+from deepfsi.base import InputError, new_folder, readable_name
 from deepfsi.datasets.dataset import Dataset, Reflectance
 from deepfsi.datasets.decoding import WRITTEN, Shape
 from deepfsi.datasets.picture_lists import is_image, list_labels
@@ -61,7 +60,7 @@ def read_display(
     folder = source.parent if source.is_file() else source
     pixels, tally, kept = read_all(pictures, shape, bilinear, skip_bad)
     files = [Path(pictures[place].where).relative_to(folder).as_posix() for place in kept]
-    names = tuple(map(readable, files))
+    names = tuple(map(readable_name, files))
     labels = [pictures[place].label for place in kept]
     classes = tuple(label for label in labels if label and isinstance(label, str)) or None
     levels, sized = tally.levels(white), sized_text(shape, bilinear, tally.sizes)

@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.datasets.cubes import read_cube
 from deepfsi.datasets.spectra import SpectralImage
 from deepfsi.datasets.store import FileCheck, candidates

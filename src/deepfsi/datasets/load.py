@@ -7,8 +7,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from deepfsi.base.errors import InputError, closest
-from deepfsi.base.files import check_readable, content_of
+from deepfsi.base import InputError, check_readable_name, closest_choice, content_of
 from deepfsi.datasets import cifar, idx, indian_pines, pictures
 from deepfsi.datasets.anomalies import one_class
 from deepfsi.datasets.arrays import Options, Range, load_npz, split_arrays
@@ -128,7 +127,11 @@ def _load(source: str | os.PathLike[str] | tuple[Any, ...], options: Options) ->
 
 def absolute(source: str) -> str:
     """Name of a data set as it is, absolute path of any other."""
-    return source if source in NAMES else check_readable(str(Path(source).expanduser().absolute()))
+    return (
+        source
+        if source in NAMES
+        else check_readable_name(str(Path(source).expanduser().absolute()))
+    )
 
 
 def takes(source: str) -> tuple[str, ...]:
@@ -165,7 +168,9 @@ def _existing(name: str) -> Path:
         return path
     if path.suffix or len(path.parts) > 1:
         raise InputError(f"there is no folder and no file at '{name}': give {KINDS}")
-    raise InputError(f"unknown data set '{name}': {closest(name, NAMES)}; or the path of {KINDS}")
+    raise InputError(
+        f"unknown data set '{name}': {closest_choice(name, NAMES)}; or the path of {KINDS}"
+    )
 
 
 def _load_arrays(arrays: tuple[Any, ...], options: Options) -> Dataset:

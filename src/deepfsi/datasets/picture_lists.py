@@ -9,16 +9,16 @@ from typing import TypeAlias
 
 import numpy as np
 
-from deepfsi.base.errors import InputError
-from deepfsi.base.text_files import (
+from deepfsi.base import (
     LABEL_HEADS,
     WITHOUT_VALUE,
-    Rows,
+    InputError,
+    TextRows,
     has_decimal_commas,
-    is_whole,
-    number_of,
+    is_whole_number,
+    normal_name,
+    parse_number,
     read_rows,
-    spelling,
 )
 from deepfsi.datasets.arrays import check_no_classes
 
@@ -71,7 +71,7 @@ def list_labels(path: Path) -> tuple[list[tuple[Path, Label]], tuple[str, ...]]:
             "write one column of words or of numbers without a point, 1 and not 1.0",
             "write their name over the column",
         )
-    labels: Sequence[Label] = values or [spelling(label) for [label] in answers]
+    labels: Sequence[Label] = values or [normal_name(label) for [label] in answers]
     find = _finder(folder)
     paths = [find(name) for name in names]
     missing = [str(each) for each in paths if not each.is_file()]
@@ -93,7 +93,7 @@ def _finder(folder: Path) -> Callable[[str], Path]:
     def spellings(place: Path) -> dict[str, list[str]]:
         found: dict[str, list[str]] = {}
         for each in sorted(place.iterdir()) if place.is_dir() else ():
-            found.setdefault(spelling(each.name).casefold(), []).append(each.name)
+            found.setdefault(normal_name(each.name).casefold(), []).append(each.name)
         return found
 
     def find(name: str) -> Path:
@@ -102,21 +102,23 @@ def _finder(folder: Path) -> Callable[[str], Path]:
             return path
         here = folder
         for part in name.replace("\\", "/").split("/"):
-            alike = spellings(here).get(spelling(part).casefold(), [])
+            alike = spellings(here).get(normal_name(part).casefold(), [])
             here = here / (alike[0] if len(alike) == 1 and part not in alike else part)
         return here if here.is_file() else path
 
     return find
 
 
-def _values_of(answers: list[tuple[str, ...]], rows: Rows, path: Path) -> list[tuple[float, ...]]:
+def _values_of(
+    answers: list[tuple[str, ...]], rows: TextRows, path: Path
+) -> list[tuple[float, ...]]:
     """Values of images, or none where their cells are labels."""
     columns = len(answers[0])
-    if columns == 1 and all(is_whole(cell) for [cell] in answers):
+    if columns == 1 and all(is_whole_number(cell) for [cell] in answers):
         return []
     every = [cell for cells in answers for cell in cells]
     comma = has_decimal_commas(every, rows.separator)
-    numbers = [number_of(cell, comma) for cell in every]
+    numbers = [parse_number(cell, comma) for cell in every]
     wrong = [cell for cell, number in zip(every, numbers, strict=True) if number is None]
     no_value = [cell for cell in wrong if cell.lower() in WITHOUT_VALUE]
     if columns == 1 and wrong and (len(no_value) < len(wrong) or len(wrong) == len(every)):

@@ -20,10 +20,15 @@ from typing import IO, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from deepfsi.base.arrays import open_zip, read_entry
-from deepfsi.base.errors import InputError
-from deepfsi.base.files import check_unpacked, read_regular, readable
-from deepfsi.base.text_files import spelling
+from deepfsi.base import (
+    InputError,
+    check_unpacked,
+    normal_name,
+    open_zip,
+    read_regular,
+    read_zip_entry,
+    readable_name,
+)
 from deepfsi.datasets.arrays import (
     Names,
     Options,
@@ -172,7 +177,7 @@ def _walk(folder: Path, above: tuple[str, ...] = ()) -> Iterator[_Entry]:
             if not _is_of_system(entry.name)
         ]
     for entry, is_dir in parts:
-        names = (*above, readable(entry.name))
+        names = (*above, readable_name(entry.name))
         yield names, None if is_dir else picture_file(Path(entry.path))
         if is_dir and len(names) < DEEPEST:
             yield from _walk(Path(entry.path), names)
@@ -254,7 +259,7 @@ def _safe_names(info: zipfile.ZipInfo, path: Path) -> tuple[str, ...]:
 
 
 def _open_entry(archive: zipfile.ZipFile, info: zipfile.ZipInfo, where: str) -> IO[bytes]:
-    return io.BytesIO(read_entry(archive, info, where, MAX_FILE, "remove it"))
+    return io.BytesIO(read_zip_entry(archive, info, where, MAX_FILE, "remove it"))
 
 
 def _group(entries: Iterable[_Entry], where: str) -> list[Picture]:
@@ -263,10 +268,12 @@ def _group(entries: Iterable[_Entry], where: str) -> list[Picture]:
     classes: dict[str, list[tuple[str, Picture]]] = {}
     astray = []
     for names, picture in entries:
-        found = classes.setdefault(spelling(names[0]), []) if len(names) > 1 or not picture else []
+        found = (
+            classes.setdefault(normal_name(names[0]), []) if len(names) > 1 or not picture else []
+        )
         if picture and is_image(names[-1]):
             if len(names) == 2:
-                found.append((names[1], picture._replace(label=spelling(names[0]))))
+                found.append((names[1], picture._replace(label=normal_name(names[0]))))
             else:
                 astray.append("/".join(names))
     if not classes:

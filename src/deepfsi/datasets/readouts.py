@@ -15,10 +15,18 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from deepfsi.base.arrays import VARIABLES, list_variables, read_npz, read_variable
-from deepfsi.base.errors import InputError, check_known
-from deepfsi.base.tables import TEXTS, read_table
-from deepfsi.base.text_files import spelling
+from deepfsi.base import (
+    TEXT_ENDINGS,
+    VARIABLE_ENDINGS,
+    InputError,
+    check_choice,
+    list_variables,
+    normal_name,
+    read_columns,
+    read_npz,
+    read_table,
+    read_variable,
+)
 from deepfsi.datasets.arrays import SPLIT_MINIMUM, TEST_SHARE, assemble, check_seed
 from deepfsi.datasets.dataset import Dataset, Labels
 
@@ -28,7 +36,7 @@ SPLITS = ("random", "later", "pictures")
 LARGEST = 2**27
 """Numbers of a variable at most."""
 
-ARRAYS, TABLES = (*VARIABLES, ".npz"), (*TEXTS, ".parquet")
+ARRAYS, TABLES = (*VARIABLE_ENDINGS, ".npz"), (*TEXT_ENDINGS, ".parquet")
 """Ends of the names of files with variables, and with columns."""
 
 Numbers = npt.NDArray[np.float64]
@@ -105,7 +113,7 @@ class Readouts:
         ``"pictures"`` whole pictures, so that none is in both parts.
         """
         check_seed(seed)
-        check_known("split", split, self.splits)
+        check_choice("split", split, self.splits)
         test = np.zeros(len(self.y), bool)
         if split == "later":
             for label in range(len(self.classes)):
@@ -231,12 +239,8 @@ def _read(path: Path, variables: Variables, alone: bool) -> _Block:
 
 
 def _of_table(path: Path, variables: Variables) -> _Block:
-    from deepfsi.base.columns import as_table, read_parquet_columns, read_text_columns
-
     words = [each for each in (variables.label, variables.picture) if each]
-    with as_table(path):
-        read = read_text_columns if path.suffix.lower() in TEXTS else read_parquet_columns
-        heads = read(path).names
+    heads = read_columns(path).names
     for each in (*words, *([variables.order] if variables.order else [])):
         if each not in heads:
             raise _missing(path, each, heads)
@@ -333,5 +337,6 @@ def _words(values: npt.NDArray[Any], count: int) -> list[str]:
     """Names (count,) of labels or pictures, of which a file of one class has one alone."""
     flat = np.broadcast_to(values.ravel(), count) if values.size == 1 else values.ravel()
     return [
-        f"{each:.15g}" if isinstance(each, float) else spelling(str(each)) for each in flat.tolist()
+        f"{each:.15g}" if isinstance(each, float) else normal_name(str(each))
+        for each in flat.tolist()
     ]

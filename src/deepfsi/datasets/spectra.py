@@ -13,7 +13,7 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from deepfsi.base.errors import InputError, check_known
+from deepfsi.base import InputError, check_choice
 from deepfsi.datasets.arrays import TEST_SHARE, Range, assemble, check_seed
 from deepfsi.datasets.dataset import Dataset, Reflectance
 
@@ -114,7 +114,7 @@ class SpectralImage:
         # that lies in one block is not tested. Raises `InputError` if the split is unknown or the
         # classes are too small for it
         check_seed(seed)
-        check_known("split", split, SPLITS)
+        check_choice("split", split, SPLITS)
         counts = np.unique(self.labels[self.labels != 0], return_counts=True)[1]
         if counts.min() < TEST_SHARE:
             raise InputError(

@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import urlsplit
 
-from deepfsi.base.errors import InputError
-from deepfsi.base.progress import Report, terminal_bar
+from deepfsi.base import InputError, Progress, terminal_bar
 
 
 class FileCheck(NamedTuple):
@@ -103,7 +102,7 @@ def fetch(url: str, known_hash: str | None, path: Path) -> str:
 class _Download:
     """Progress of a download, as pooch tells it."""
 
-    def __init__(self, report: Report) -> None:
+    def __init__(self, report: Progress) -> None:
         self.report = report
         self.total = self.done = 0  # bytes; the total stays 0 where the server does not tell it
 

@@ -11,9 +11,14 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from deepfsi.base.errors import InputError, as_input_error
-from deepfsi.base.files import DESIGNS, check_ending, write_atomically
-from deepfsi.base.html import mask_picture
+from deepfsi.base import (
+    DESIGN_ENDINGS,
+    InputError,
+    as_input_error,
+    check_ending,
+    mask_picture,
+    write_atomically,
+)
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.light import check_budget
 from deepfsi.camera.names import LightLawName
@@ -450,7 +455,7 @@ class Design:
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write one safetensors file, all or nothing; its name ends in ``.safetensors``."""
-        check_ending(path, DESIGNS)
+        check_ending(path, DESIGN_ENDINGS)
         return write_atomically(path, self.to_bytes())
 
     def to_bytes(self) -> bytes:

@@ -21,7 +21,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.camera.light import check_budget
 from deepfsi.datasets import Dataset
 from deepfsi.design.artifact import Design

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 
 
 class Mlp(nn.Module):

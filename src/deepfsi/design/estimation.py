@@ -8,8 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepfsi.base.intervals import Z, over_images
-from deepfsi.base.progress import Report
+from deepfsi.base import Z_95, Progress, image_interval
 from deepfsi.datasets import Dataset
 from deepfsi.design.artifact import Design
 from deepfsi.design.bounds import linear_bound
@@ -105,7 +104,7 @@ def test_values(
     budgets: Sequence[float],
     draws: int,
     seed: int,
-    report: Report,
+    report: Progress,
 ) -> list[Estimates]:
     """Results of the estimates of the values of test scenes, at each budget."""
     assert design.values is not None
@@ -158,7 +157,7 @@ def _result(
     lost = squares / variance
     counts, arriving = light
     explained = 1 - lost.mean(axis=1)
-    r2, low, high = over_images(explained)
+    r2, low, high = image_interval(explained)
     return Estimates(
         photons=budget,
         noise=noise,
@@ -184,4 +183,4 @@ def _result(
 
 def _half(values: np.ndarray) -> np.ndarray:
     """Half of the 95 % interval of a mean over images (n, …)."""
-    return Z * values.std(axis=0, ddof=min(len(values) - 1, 1)) / np.sqrt(len(values))
+    return Z_95 * values.std(axis=0, ddof=min(len(values) - 1, 1)) / np.sqrt(len(values))

@@ -11,11 +11,18 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepfsi.base.errors import InputError
-from deepfsi.base.html import accuracy_curve, confusion_table
-from deepfsi.base.intervals import accuracy as accuracy_of
-from deepfsi.base.intervals import auc, auc_terms, balanced, worst_of
-from deepfsi.base.progress import Report, shown
+from deepfsi.base import (
+    InputError,
+    Progress,
+    accuracy_curve,
+    auc,
+    auc_terms,
+    balanced_interval,
+    confusion_table,
+    progress_bar,
+    worst_class,
+)
+from deepfsi.base import accuracy_interval as accuracy_of
 from deepfsi.camera.camera import Camera, CameraSource
 from deepfsi.camera.light import check_budget
 from deepfsi.camera.names import NoiseName
@@ -139,7 +146,7 @@ class Result:
     @property
     def worst(self) -> int:
         """Place of the class with the lowest accuracy."""
-        return worst_of(self.rates)
+        return worst_class(self.rates)
 
     def as_dict(self) -> dict[str, Any]:
         """JSON types only, without the numbers of each image."""
@@ -191,7 +198,7 @@ def evaluate(
     camera: CameraSource = None,
     draws: int = 3,
     seed: int = 0,
-    report: Report | None = None,
+    report: Progress | None = None,
     **settings: Any,
 ) -> list[Any]:
     """Test a design on a data set under noise: a `Result`, or `Estimates`, for each budget.
@@ -235,12 +242,12 @@ def evaluate(
     known = camera_for(design, camera, **settings)
     title = f"{design.name}, {design.masks} masks"
     if isinstance(design, Design) and design.values:
-        with shown(report, title) as bar:
+        with progress_bar(report, title) as bar:
             scanner, test = scanner_for(design, known), (scenes, budgets, draws, seed)
             values = test_values(design, scanner, *test, bar)
         return [replace(each, covers=covered(each.covers, left)) for each in values]
     guess_of, shares = answering(design, known)
-    with shown(report, title) as bar:
+    with progress_bar(report, title) as bar:
         results = test_scenes(scenes, guess_of, budgets, draws, seed, known.noise_name, shares, bar)
     return ResultList(replace(each, covers=covered(each.covers, left)) for each in results)
 
@@ -317,7 +324,7 @@ def test_scenes(
     seed: int,
     noise: str,
     shares: Tensor,
-    report: Report,
+    report: Progress,
 ) -> list[Result]:
     """Results of the answers of a rule to the test scenes of a data set, at each budget."""
     # shares (m,) of the budget that each mask counts
@@ -412,7 +419,7 @@ def _result(
     _, low, high = accuracy_of(each)
     rates = [float(row[k] / row.sum()) if row.any() else None for k, row in enumerate(confusion)]
     counts, arriving = light
-    mean, lower, upper = balanced(each, labels)
+    mean, lower, upper = balanced_interval(each, labels)
     return Result(
         photons=budget,
         noise=noise,

@@ -16,8 +16,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from deepfsi.base import plugins as imports
-from deepfsi.base.errors import InputError
+from deepfsi.base import UNNAMED_PLUGIN, InputError, load_plugin
 from deepfsi.jobs.training import describe_classifier
 
 Factory = Callable[..., nn.Module]
@@ -114,7 +113,7 @@ def make(
     """Classifier for so many inputs and classes, tried on zeros."""
     name, every = describe_classifier(given, arguments)
     factory = given.func if isinstance(given, functools.partial) else given
-    factory = imports.named(factory) if isinstance(factory, str) else factory
+    factory = load_plugin(factory) if isinstance(factory, str) else factory
     with seeded(seed):
         try:
             if isinstance(factory, nn.Module):
@@ -132,7 +131,7 @@ def make(
                 f"the classifier cannot be used: {told or type(error).__name__}; give a module "
                 f"from (batch, {inputs}) features to (batch, {classes}) logits, or a factory of it"
             ) from error
-    return OwnClassifier(module, "" if name == imports.UNNAMED else name, every)
+    return OwnClassifier(module, "" if name == UNNAMED_PLUGIN else name, every)
 
 
 def _try(module: nn.Module, inputs: int, classes: int) -> None:

@@ -16,8 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from deepfsi.base.errors import InputError
-from deepfsi.base.progress import SILENT, Report
+from deepfsi.base import SILENT, InputError, Progress
 from deepfsi.datasets import Dataset
 from deepfsi.design.adaptive.design import AdaptiveDesign, AnyDesign
 from deepfsi.design.adaptive.posterior import LookOptics
@@ -50,7 +49,7 @@ LARGEST_SHORT = 2**16 - 1
 
 @library_defaults()
 def playable(
-    design: AnyDesign, data: Dataset, *, draws: int = 1, seed: int = 0, report: Report = SILENT
+    design: AnyDesign, data: Dataset, *, draws: int = 1, seed: int = 0, report: Progress = SILENT
 ) -> dict[str, Any]:
     """Payload of a page: JSON types only."""
     check_playable(design)
@@ -64,8 +63,10 @@ def playable(
         own = _networks(design)
     inside = [each for each in trained or () if BUDGETS[0] <= each <= BUDGETS[-1]]
     measured = sorted({*budgets, *inside})
-    results = evaluate(design, tested, measured, draws=draws, seed=seed, report=report.part(0, 0.8))
-    rules = _rules(design, data, seed, report.part(0.8, 1))
+    results = evaluate(
+        design, tested, measured, draws=draws, seed=seed, report=report.between(0, 0.8)
+    )
+    rules = _rules(design, data, seed, report.between(0.8, 1))
     return {
         **own,
         "name": design.name,
@@ -228,7 +229,7 @@ def _layers(network: Mlp) -> list[dict[str, Any]]:
     return [{"weight": pack(weight), "bias": pack(bias)} for weight, bias in network.arrays]
 
 
-def _rules(design: AnyDesign, data: Dataset, seed: int, report: Report) -> list[dict[str, Any]]:
+def _rules(design: AnyDesign, data: Dataset, seed: int, report: Progress) -> list[dict[str, Any]]:
     """Rules of when an exposure stops, each with the budget that it was chosen at."""
     # That which the design holds; else so many in its training's range that one is near each
     # budget, where it can stop early and its training left scenes out

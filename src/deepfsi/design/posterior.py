@@ -12,9 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepfsi.base.arrays import check_memory, free_memory
-from deepfsi.base.errors import InputError
-from deepfsi.base.progress import Report, shown
+from deepfsi.base import InputError, Progress, check_memory, free_memory, progress_bar
 from deepfsi.camera.light import check_budget, summed_reflectance
 from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.artifact import Design
@@ -107,7 +105,7 @@ def ideal_observer(
     *,
     draws: int = 1,
     seed: int = 0,
-    report: Report | None = None,
+    report: Progress | None = None,
 ) -> list[Result]:
     """Accuracy of the ideal observer under photon noise, a `Result` for each budget.
 
@@ -150,7 +148,7 @@ def ideal_observer(
     check_classes(scenes.values, "the ideal observer")
     check_draws(draws, seed)
     scanner, rates_of = _front_end(design, scenes)
-    with torch.no_grad(), shown(report, "ideal observer") as bar:
+    with torch.no_grad(), progress_bar(report, "ideal observer") as bar:
         rates = rates_of(torch.from_numpy(scenes.x_train))
         needed = COPIES * rates.numel() * rates.element_size()
         check_memory(needed, free_memory(), "likelihoods of these scenes", "give fewer scenes")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.designfile import READOUTS
 
 if TYPE_CHECKING:

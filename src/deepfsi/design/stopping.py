@@ -18,8 +18,7 @@ from numpy.typing import ArrayLike
 from pydantic import TypeAdapter
 from scipy.special import log_softmax
 
-from deepfsi.base.errors import InputError, as_input_error
-from deepfsi.base.intervals import accuracy
+from deepfsi.base import InputError, accuracy_interval, as_input_error
 from deepfsi.camera.light import check_budget
 from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.adaptive.design import AdaptiveDesign, AnyDesign
@@ -205,7 +204,7 @@ class _Answers:
         each = np.bincount(self.images, values) / np.bincount(self.images)
         mean, count = float(each.mean()), len(each)
         if values.dtype == bool:
-            return Estimate(*accuracy(each))
+            return Estimate(*accuracy_interval(each))
         half = 1.96 * float(each.std(ddof=1)) / count**0.5
         return Estimate(mean, mean - half, mean + half)
 

@@ -17,8 +17,7 @@ import numpy as np
 from pydantic import TypeAdapter
 from safetensors.numpy import save
 
-from deepfsi.base.arrays import DamagedError, read_tensors
-from deepfsi.base.errors import InputError, as_input_error, other_version
+from deepfsi.base import DamagedError, InputError, as_input_error, other_version, read_tensors
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.detectors import DetectorMap
 from deepfsi.camera.light import share_out

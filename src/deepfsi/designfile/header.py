@@ -10,8 +10,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
-from deepfsi.base.models import StrictModel
-from deepfsi.base.plugins import PATTERN
+from deepfsi.base import IMPORT_PATH, StrictModel
 from deepfsi.camera.names import LightLawName, Readout, SummedReflectance
 from deepfsi.jobs.designs import check_design
 from deepfsi.jobs.exposures import AdaptiveMasks, ExposureEntry
@@ -96,7 +95,7 @@ class CustomEntry(_Classifier):
     """
 
     kind: Literal["own"]
-    factory: str = Field(pattern=f"^({PATTERN})?$")
+    factory: str = Field(pattern=f"^({IMPORT_PATH})?$")
     arguments: dict[str, Any]
     patches: ClassVar = 1
 

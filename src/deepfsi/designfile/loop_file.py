@@ -11,9 +11,7 @@ import numpy as np
 from pydantic import Field
 from safetensors.numpy import save
 
-from deepfsi.base.arrays import DamagedError, read_tensors
-from deepfsi.base.errors import InputError, as_input_error
-from deepfsi.base.models import StrictModel
+from deepfsi.base import DamagedError, InputError, StrictModel, as_input_error, read_tensors
 from deepfsi.camera.names import Readout
 from deepfsi.camera.stop_rule import StopRule
 from deepfsi.designfile.design_file import DAMAGED, DesignFile

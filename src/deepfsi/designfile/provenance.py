@@ -14,7 +14,7 @@ from typing import Any, Self
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from deepfsi.base.errors import InputError, as_input_error
+from deepfsi.base import InputError, as_input_error
 from deepfsi.camera.camera import Camera
 from deepfsi.datasets import Dataset, Origin
 from deepfsi.jobs.exposures import ExposureEntry

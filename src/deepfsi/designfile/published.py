@@ -16,9 +16,14 @@ from urllib.request import url2pathname
 
 from pydantic import Field
 
-from deepfsi.base.errors import InputError, as_input_error, closest
-from deepfsi.base.files import hash_file, read_text
-from deepfsi.base.models import StrictModel
+from deepfsi.base import (
+    InputError,
+    StrictModel,
+    as_input_error,
+    closest_choice,
+    hash_file,
+    read_text,
+)
 from deepfsi.datasets.store import cache, fetch
 
 DESIGNS_VARIABLE = "DEEPFSI_DESIGNS"
@@ -125,9 +130,9 @@ def find_design(given: str | os.PathLike[str]) -> Path:
     if where is None:
         names = [name for designs in collections.values() for name in designs]
         raise InputError(
-            f"no design file and no published design {name!r}: {closest(name, names)}; make a file "
-            f"with `deepfsi design`, or set {DESIGNS_VARIABLE} to the folder or address of a "
-            "collection"
+            f"no design file and no published design {name!r}: {closest_choice(name, names)}; "
+            f"make a file with `deepfsi design`, or set {DESIGNS_VARIABLE} to the folder or "
+            "address of a collection"
         )
     folder = _folder(where)
     sha256 = collections[where][name].sha256

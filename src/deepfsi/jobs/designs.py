@@ -11,7 +11,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from deepfsi.base.errors import InputError, check_known
+from deepfsi.base import InputError, check_choice
 from deepfsi.datasets import Dataset
 
 FULL_BASIS_PIXELS = 2048
@@ -161,7 +161,7 @@ ADAPTIVE = {name for name, code in DESIGNS.items() if code.adaptive}
 
 def check_design(name: str) -> str:
     """Return the name of a design, or raise `InputError` that names the closest."""
-    check_known("design", name, DESIGNS)
+    check_choice("design", name, DESIGNS)
     return name
 
 
@@ -227,7 +227,7 @@ def formula_masks(name: str, image_shape: tuple[int, ...]) -> np.ndarray:
         For another name, more than `MOST_FORMULA_PIXELS`, or pixels (of "hadamard", sides) that are
         no power of two.
     """
-    check_known("`masks`", name, FORMULAS)
+    check_choice("`masks`", name, FORMULAS)
     pixels = int(np.prod(image_shape))
     size = "x".join(map(str, image_shape))
     if pixels > MOST_FORMULA_PIXELS:

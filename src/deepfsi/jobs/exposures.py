@@ -21,8 +21,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import BeforeValidator, ConfigDict, Field, SerializeAsAny
 
-from deepfsi.base.errors import InputError, as_input_error
-from deepfsi.base.models import StrictModel, UserModel
+from deepfsi.base import InputError, StrictModel, UserModel, as_input_error
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.names import LIGHT_LAWS, find_noise
 from deepfsi.datasets import Dataset

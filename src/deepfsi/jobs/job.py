@@ -11,9 +11,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from deepfsi.base.errors import InputError, closest
-from deepfsi.base.models import UserModel
-from deepfsi.base.plugins import UNNAMED
+from deepfsi.base import UNNAMED_PLUGIN, InputError, UserModel, closest_choice
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.light import BUDGETS, check_budget, check_one_budget
 from deepfsi.camera.names import LIGHT_LAWS, NOISES, check_light, find_noise, noise_name
@@ -92,7 +90,9 @@ class Job(UserModel):
         for name in given.keys() - cls.model_fields.keys():
             table, field = find_table(name)
             where = (
-                f"give `{table}={{{field!r}: ...}}`" if table else closest(name, cls.model_fields)
+                f"give `{table}={{{field!r}: ...}}`"
+                if table
+                else closest_choice(name, cls.model_fields)
             )
             raise InputError(f"a job has no setting {name!r}: {where}")
         camera, photons = Camera.load(given.get("camera")), given.get("photons")
@@ -108,9 +108,8 @@ class Job(UserModel):
             return given
         for name in training:
             if name not in Training.model_fields:
-                raise InputError(
-                    f"a training has no setting {name!r}: {closest(name, Training.model_fields)}"
-                )
+                near = closest_choice(name, Training.model_fields)
+                raise InputError(f"a training has no setting {name!r}: {near}")
         few = FEW_COUNTS if training.get("counts") is not None else {}
         usual = {**exposure.training, **TUNED.get(given.get("design", "deepfsi"), {}), **few}
         return {**given, "exposure": exposure, "training": {**usual, **training}}
@@ -396,4 +395,4 @@ def custom_parts(job: Job, *noises: str) -> list[str]:
     """Import paths of a user's own parts in a job and in further noises, `UNNAMED` among them."""
     parts = classifier_name(job.training.classifier), loss_name(job.training.loss) or ""
     names = {job.noise, *noises, *parts}
-    return sorted(name for name in names if ":" in name or name == UNNAMED)
+    return sorted(name for name in names if ":" in name or name == UNNAMED_PLUGIN)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.camera.detectors import ONE_DETECTOR, DetectorMap
 from deepfsi.datasets import Dataset
 from deepfsi.jobs.designs import DESIGNS

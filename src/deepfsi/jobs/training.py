@@ -18,9 +18,7 @@ from pydantic import (
     model_validator,
 )
 
-from deepfsi.base.errors import InputError
-from deepfsi.base.models import UserModel
-from deepfsi.base.plugins import PATTERN, UNNAMED, path_of
+from deepfsi.base import IMPORT_PATH, UNNAMED_PLUGIN, InputError, UserModel, import_path
 from deepfsi.camera.names import NoiseSetting
 from deepfsi.jobs.designs import DESIGNS, check_design
 
@@ -72,15 +70,15 @@ def describe_classifier(
     if isinstance(given, partial):
         if given.args:
             raise InputError("a partial of positional arguments was given: give them as keywords")
-        return path_of(given.func) or UNNAMED, {**given.keywords, **every}
+        return import_path(given.func) or UNNAMED_PLUGIN, {**given.keywords, **every}
     if isinstance(given, str):
         return given, every
     torch = sys.modules.get("torch")  # whoever gives a module has loaded it
     if torch is not None and isinstance(given, torch.nn.Module):
         if every:
             raise InputError("arguments go with a factory: a module has its own already")
-        return UNNAMED, {}
-    return path_of(given) or UNNAMED, every
+        return UNNAMED_PLUGIN, {}
+    return import_path(given) or UNNAMED_PLUGIN, every
 
 
 def classifier_name(given: Any) -> str:
@@ -90,20 +88,22 @@ def classifier_name(given: Any) -> str:
 
 def loss_name(given: Any) -> str | None:
     """Import path of a loss, `UNNAMED` of one that has none; None where none is given."""
-    return given if given is None or isinstance(given, str) else path_of(given) or UNNAMED
+    return (
+        given if given is None or isinstance(given, str) else import_path(given) or UNNAMED_PLUGIN
+    )
 
 
 def _classifier(given: Any) -> Any:
     if not (isinstance(given, str) or callable(given)):
         raise ValueError(f"give {MLP}, or a module or factory of your own")
     name = classifier_name(given)
-    if name not in (MLP, VIT, UNNAMED) and not re.fullmatch(PATTERN, name):
+    if name not in (MLP, VIT, UNNAMED_PLUGIN) and not re.fullmatch(IMPORT_PATH, name):
         raise ValueError(f"give {MLP}, or module:factory of your own")
     return given
 
 
 def _loss(given: Any) -> Any:
-    named = isinstance(given, str) and re.fullmatch(f"{PATTERN}|{UNNAMED}", given)
+    named = isinstance(given, str) and re.fullmatch(f"{IMPORT_PATH}|{UNNAMED_PLUGIN}", given)
     if not (given is None or callable(given) or named):
         raise ValueError("give module:function, or a function of outputs and truth")
     return given

@@ -7,9 +7,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from deepfsi.base.arrays import LARGEST_TENSORS
-from deepfsi.base.errors import as_input_error
-from deepfsi.base.files import read_regular
+from deepfsi.base import LARGEST_TENSORS, as_input_error, read_regular
 from deepfsi.camera.stop_rule import StopRule
 from deepfsi.design.adaptive.choice import next_masks
 from deepfsi.design.adaptive.design import AdaptiveDesign

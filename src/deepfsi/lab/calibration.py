@@ -2,8 +2,7 @@
 
 from pathlib import Path
 
-from deepfsi.base.errors import InputError
-from deepfsi.base.progress import SILENT, Report
+from deepfsi.base import SILENT, InputError, Progress
 from deepfsi.datasets import read_display
 from deepfsi.designfile import SceneReadouts
 from deepfsi.hardware.calibration import (
@@ -41,7 +40,7 @@ def calibrate(folder: Path, spots: Path, out: Path) -> tuple[Calibration, Path, 
     return found, file, None if labels is None else save_detectors(labels, out)
 
 
-def check_view(folder: Path, report: Report = SILENT) -> ReferenceFit:
+def check_view(folder: Path, report: Progress = SILENT) -> ReferenceFit:
     """Place of scenes on the device, from a counted run of the reference target."""
     if not is_live(folder):
         return find_reference(_photons(folder), read_acquisition(folder)[1], report)

@@ -8,7 +8,7 @@ from collections.abc import Container
 from pathlib import Path
 from typing import Any
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.dead_time import DeadTime
 from deepfsi.camera.device import Device

@@ -13,10 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from deepfsi.base.errors import InputError
-from deepfsi.base.files import hash_file
-from deepfsi.base.plugins import torch_needed
-from deepfsi.base.tables import read_table
+from deepfsi.base import InputError, hash_file, read_table, require_torch
 from deepfsi.camera.dead_time import NO_DEAD_TIME
 from deepfsi.camera.light import check_budget
 from deepfsi.camera.names import LIGHT_LAWS
@@ -265,7 +262,7 @@ def _nominal(file: str | os.PathLike[str], settings: TableSettings) -> Manifest:
 
 def _opened(design: str | os.PathLike[str], patterns: Patterns | None, trust: bool) -> "Design":
     """Design of a file or a folder of patterns, of fixed dwells, as its patterns realise it."""
-    with torch_needed():
+    with require_torch():
         from deepfsi.design.artifact import Design
 
     file = Path(design) if patterns is None else _file_shown(design, patterns.manifest)

@@ -7,7 +7,7 @@ noted.
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.datasets import Dataset, Origin, absolute, load_dataset, takes
 from deepfsi.designfile import DesignFile, TrainedOn, new_scenes, trained_on
 from deepfsi.hardware.calibration import view_dataset

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.camera.camera import Camera, CameraSource
 from deepfsi.camera.light import check_budget
 from deepfsi.design.artifact import Design

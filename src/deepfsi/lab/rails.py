@@ -7,11 +7,15 @@ from contextlib import contextmanager
 from hashlib import sha256
 from pathlib import Path
 
-from deepfsi.base.arrays import LARGEST_TENSORS
-from deepfsi.base.errors import InputError, as_input_error
-from deepfsi.base.files import read_regular
-from deepfsi.base.plugins import torch_needed
-from deepfsi.base.progress import SILENT, Report
+from deepfsi.base import (
+    LARGEST_TENSORS,
+    SILENT,
+    InputError,
+    Progress,
+    as_input_error,
+    read_regular,
+    require_torch,
+)
 from deepfsi.camera.detectors import DetectorMap
 from deepfsi.camera.device import find_device
 from deepfsi.designfile import AdaptiveHeader, DesignFile, check_masks, loop_bytes
@@ -26,7 +30,7 @@ def design_rails(file: str | os.PathLike[str]) -> DesignRails:
     """Rails of a design file, as `export_patterns` takes them."""
     path = Path(file)
     if isinstance(DesignFile.read(path, ()).header, AdaptiveHeader):
-        with torch_needed():
+        with require_torch():
             from deepfsi.lab.adaptive import adaptive_rails
         return adaptive_rails(path)
     design = DesignFile.read(path)
@@ -79,7 +83,7 @@ def detectors_of(design: DesignFile) -> DetectorMap | None:
 
 
 @contextmanager
-def patterns_for_now(file: str | os.PathLike[str], report: Report = SILENT) -> Iterator[Path]:
+def patterns_for_now(file: str | os.PathLike[str], report: Progress = SILENT) -> Iterator[Path]:
     """Folder of a design file's patterns for a DLP7000, removed at the end."""
     with tempfile.TemporaryDirectory() as folder:
         patterns = Path(folder) / "patterns"

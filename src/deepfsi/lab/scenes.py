@@ -5,8 +5,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from deepfsi.base.errors import InputError, as_input_error
-from deepfsi.base.text_files import LABEL_HEADS, read_rows, spelling
+from deepfsi.base import LABEL_HEADS, InputError, as_input_error, normal_name, read_rows
 from deepfsi.datasets import prepared, read_display
 from deepfsi.datasets.display import Display
 from deepfsi.designfile import DesignFile, DesignHeader, scene_hashes, trained_on
@@ -116,7 +115,7 @@ def read_scenes(path: str | os.PathLike[str]) -> tuple[Scene, ...]:
                 f"{path} has {','.join(row)!r} on line {number}: give NAME or NAME,LABEL"
             )
         with as_input_error(f"{path}, line {number},"):
-            label = spelling(row[1]) or None if len(row) > 1 else None
+            label = normal_name(row[1]) or None if len(row) > 1 else None
             scenes.append(Scene(name=row[0], label=label))
     if not scenes:
         raise InputError(f"{path} has no scenes: {hint}")

@@ -5,8 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deepfsi.base.errors import InputError
-from deepfsi.base.files import check_ending, write_atomically
+from deepfsi.base import InputError, check_ending, write_atomically
 from deepfsi.designfile import DesignFile, damaged_design
 from deepfsi.hardware.patterns.photomask import as_png, as_svg
 

@@ -10,9 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.special import gammaincinv
 
-from deepfsi.base.arrays import split_variable
-from deepfsi.base.errors import InputError
-from deepfsi.base.tables import read_table
+from deepfsi.base import InputError, read_table, split_variable
 from deepfsi.hardware.pictures import (
     RailSums,
     check_rail_sums,

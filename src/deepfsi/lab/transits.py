@@ -22,9 +22,7 @@ import numpy as np
 import torch
 from scipy.stats import poisson
 
-from deepfsi.base.errors import InputError
-from deepfsi.base.progress import SILENT, Report
-from deepfsi.base.quantities import time_text
+from deepfsi.base import SILENT, InputError, Progress, time_text
 from deepfsi.camera.light import check_budget
 from deepfsi.design.artifact import Design
 from deepfsi.design.exposure.passing import PassingExposure
@@ -203,7 +201,7 @@ def classify_transits(
     background: float | None = None,
     false_alarms: float = FALSE_ALARMS,
     counter_input: int = 0,
-    report: Report = SILENT,
+    report: Progress = SILENT,
 ) -> ClassifiedTransits:
     """Find the transits of a photon file, count their bins, and classify them.
 

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.camera.names import LightLawName, RailsKind, check_light
 from deepfsi.optics.rails import Rails
 

@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.camera.names import LightLawName
 from deepfsi.optics.constraints import peak
 

@@ -6,9 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deepfsi.base.arrays import read_array, split_variable
-from deepfsi.base.errors import InputError
-from deepfsi.base.files import check_unpacked, open_regular
+from deepfsi.base import InputError, check_unpacked, open_regular, read_array, split_variable
 from deepfsi.datasets.decoding import check_levels, unread_kind
 from deepfsi.datasets.deep_colours import is_deep
 

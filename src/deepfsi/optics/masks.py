@@ -5,7 +5,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.camera.light import share_out
 from deepfsi.camera.names import LightLawName, RailsKind, check_light
 from deepfsi.optics.constraints import peak

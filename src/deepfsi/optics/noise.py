@@ -30,8 +30,7 @@ from typing import Any, ClassVar, get_args
 import torch
 from torch import Tensor
 
-from deepfsi.base import plugins as imports
-from deepfsi.base.errors import InputError, check_known
+from deepfsi.base import UNNAMED_PLUGIN, InputError, check_choice, import_path, load_plugin
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.names import NoiseName, check_noise
 
@@ -96,8 +95,8 @@ def resolve(noise: str | OwnNoise, gates: int = 1) -> tuple[str, OwnNoise | None
     if isinstance(noise, Click):
         return "click", noise
     if not isinstance(noise, str):
-        return imports.path_of(noise) or imports.UNNAMED, noise
-    return check_noise(noise), imports.named(noise) if ":" in noise else None
+        return import_path(noise) or UNNAMED_PLUGIN, noise
+    return check_noise(noise), load_plugin(noise) if ":" in noise else None
 
 
 def noise_of(camera: Camera) -> str | OwnNoise:
@@ -192,7 +191,7 @@ def readout(
 ) -> Tensor:
     """Noisy counts of one rail."""
     # rate (..., m); dark (..., m)
-    check_known("noise", noise, get_args(NoiseName))
+    check_choice("noise", noise, get_args(NoiseName))
     if noise == "none":
         return rate
     if noise == "camera":

@@ -12,7 +12,7 @@ from typing import Self
 import torch
 from torch import Tensor
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.camera.names import RailsKind
 
 

@@ -5,7 +5,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.optics.detection import Detection
 from deepfsi.optics.masks import FixedMasks
 from deepfsi.optics.noise import (

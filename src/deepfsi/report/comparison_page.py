@@ -9,10 +9,7 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from deepfsi.base.errors import InputError
-from deepfsi.base.files import write_atomically
-from deepfsi.base.html import confusion_table
-from deepfsi.base.intervals import difference
+from deepfsi.base import InputError, accuracy_difference, confusion_table, write_atomically
 from deepfsi.camera.names import LIGHT_LAWS, noise_text
 from deepfsi.designfile import DesignFile
 from deepfsi.jobs.designs import ADAPTIVE
@@ -237,7 +234,7 @@ def leader_differences(results: Results) -> Iterator[dict[str, Any]]:
         for photons in sorted({p.photons for p in points}):
             first, *others = ranking(points, photons)
             for other in others:
-                apart = difference(first, other)
+                apart = accuracy_difference(first, other)
                 yield {
                     "noise": noise,
                     "photons": photons,

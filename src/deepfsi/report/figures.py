@@ -7,7 +7,7 @@ from typing import Any
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from deepfsi.base.files import write_atomically
+from deepfsi.base import write_atomically
 from deepfsi.report.style import drawing, svg
 
 FOLDER = "figures"

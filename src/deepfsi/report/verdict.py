@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from deepfsi.base.intervals import Crossing, crossing, difference
+from deepfsi.base import Crossing, accuracy_difference, find_crossing
 from deepfsi.camera.names import noise_text
 from deepfsi.jobs.designs import DESIGNS
 from deepfsi.report import accuracy
@@ -118,7 +118,7 @@ def _made_for_the_task(point: Point) -> bool:
 
 def better(first: Point, second: Point) -> bool:
     """True if the first is more accurate than the second on the same test images."""
-    return difference(first, second).low > 0
+    return accuracy_difference(first, second).low > 0
 
 
 def _times(
@@ -142,7 +142,7 @@ def _meets(curve: Sequence[Point], target: float, images: int) -> Crossing:
     if len(curve) < 2:
         return Crossing(None, None, None, "beyond")
     trials = [[max(each, 0.0) for each in p.accuracies] for p in curve]  # R² may lie below 0
-    return crossing([p.photons for p in curve], trials, images, target)
+    return find_crossing([p.photons for p in curve], trials, images, target)
 
 
 def _ratio_text(ratio: float) -> str | None:

@@ -14,11 +14,17 @@ from typing import Any, NamedTuple
 
 from pydantic import Field, model_validator
 
-from deepfsi.base import interrupts
-from deepfsi.base.errors import InputError, as_input_error, check_known
-from deepfsi.base.files import hash_file, read_toml, write_atomically
-from deepfsi.base.models import StrictModel
-from deepfsi.base.progress import Report
+from deepfsi.base import (
+    InputError,
+    Progress,
+    StrictModel,
+    as_input_error,
+    check_choice,
+    hash_file,
+    note_saved_work,
+    read_toml,
+    write_atomically,
+)
 from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.design.evaluation import Result, evaluate
 from deepfsi.design.values import check_classes
@@ -135,7 +141,7 @@ class Made(NamedTuple):
     there: bool
 
 
-Bar = Callable[[str], AbstractContextManager[Report]]
+Bar = Callable[[str], AbstractContextManager[Progress]]
 """Gives the progress of a design by its name."""
 
 
@@ -167,7 +173,7 @@ def make(
     if not wanted:
         raise InputError(f"no design was named: give one of {', '.join(collection.designs)}")
     for name in wanted:
-        check_known("published design", name, collection.designs)
+        check_choice("published design", name, collection.designs)
     for name in wanted:
         recipe = collection.designs[name]
         if (known := _there(folder, name, recipe)) is not None:
@@ -175,7 +181,7 @@ def make(
         else:
             with bar(name) as report:
                 yield Made(name, _make(collection, folder, name, command, report), False)
-        interrupts.keep("finished designs are kept, run again to go on")
+        note_saved_work("finished designs are kept, run again to go on")
 
 
 def _there(folder: Path, name: str, recipe: DesignRecipe) -> PublishedDesign | None:
@@ -192,16 +198,16 @@ def _index(folder: Path) -> CollectionIndex:
 
 
 def _make(
-    collection: Collection, folder: Path, name: str, command: str, report: Report
+    collection: Collection, folder: Path, name: str, command: str, report: Progress
 ) -> PublishedDesign:
     """Train, test and write a design, its card and its entry in the index."""
     recipe = collection.designs[name]
     data, job = recipe.load(), recipe.job
     design = learn(
-        data, report=report.part(0.0, TRAINING_SHARE), **sorted_settings(recipe.settings)
+        data, report=report.between(0.0, TRAINING_SHARE), **sorted_settings(recipe.settings)
     )
     [result] = evaluate(
-        design, data, job.photons, draws=job.draws, report=report.part(TRAINING_SHARE, 1.0)
+        design, data, job.photons, draws=job.draws, report=report.between(TRAINING_SHARE, 1.0)
     )
     content = design.to_bytes()
     sha256 = hashlib.sha256(content).hexdigest()

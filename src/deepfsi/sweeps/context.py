@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from deepfsi.base.errors import InputError
-from deepfsi.base.progress import SILENT, Report
+from deepfsi.base import SILENT, InputError, Progress
 from deepfsi.datasets import Dataset
 from deepfsi.design.adaptive.design import AnyDesign
 from deepfsi.design.artifact import Design
@@ -133,7 +132,7 @@ class SweepContext:
         return f"{job.design}, {job.masks} masks" + f" × {len(batch)}" * (len(batch) > 1)
 
     def train(
-        self, batch: Batch, report: Report = SILENT, checkpoints: Path | None = None
+        self, batch: Batch, report: Progress = SILENT, checkpoints: Path | None = None
     ) -> list[Done]:
         """Train and test one batch, which goes on from its file in a folder of checkpoints."""
         # In parts where this machine would batch otherwise than the one that planned or has less
@@ -142,11 +141,11 @@ class SweepContext:
         held = self.training_set.full.nbytes
         parts = self.batches_within(batch, memory_for(self.processor) + held)
         if len(parts) > 1:
-            each = zip(parts, report.parts(len(parts)), strict=True)
+            each = zip(parts, report.split(len(parts)), strict=True)
             return [done for part, span in each for done in self.train(part, span, checkpoints)]
         own = self.matrix if batch[0].job.code.is_custom else None
         share = PRIOR_SHARE if batch[0].job.code.adaptive else TRAINING_SHARE
-        learning, testing = report.part(0.0, share), report.part(share, 1.0)
+        learning, testing = report.between(0.0, share), report.between(share, 1.0)
         try:
             checkpoint = self._checkpoint(batch, own, checkpoints)
             jobs = [trial.job for trial in batch]

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from deepfsi.base.intervals import pack, unpack
+from deepfsi.base import pack_values, unpack_values
 from deepfsi.datasets import Dataset
 
 Record = Mapping[str, Any]
@@ -58,7 +58,9 @@ def _test(tests: Sequence[Record]) -> Record:
             made[name] = np.sum(values, axis=0).tolist()
         elif name == "terms":
             made[name] = {
-                measure: pack(np.concatenate([unpack(each[measure]) for each in values]))
+                measure: pack_values(
+                    np.concatenate([unpack_values(each[measure]) for each in values])
+                )
                 for measure in value
                 if all(measure in each for each in values)
             }

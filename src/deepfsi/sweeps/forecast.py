@@ -11,7 +11,7 @@ import numpy as np
 import psutil
 import torch
 
-from deepfsi.base.progress import SILENT, Moments, Report
+from deepfsi.base import SILENT, Moments, Progress
 from deepfsi.datasets import Dataset
 from deepfsi.design.evaluation import evaluate
 from deepfsi.jobs.job import Job
@@ -57,13 +57,13 @@ def forecast_cost(
     folder: Path,
     device: str = "auto",
     workers: int | None = None,
-    report: Report = SILENT,
+    report: Progress = SILENT,
 ) -> Forecast:
     """Cost of a sweep, less what its folder holds; of folds that of all together."""
     parts = recipe.parts(data)
     each = [
         _forecast(recipe, part, folder, device, workers, span)
-        for part, span in zip(parts, report.parts(len(parts)), strict=True)
+        for part, span in zip(parts, report.split(len(parts)), strict=True)
     ]
     added = ("trials", "done", "batches", "operations", "seconds", "seconds_free")
     sums = {name: sum(getattr(cost, name) for cost in each) for name in added}
@@ -76,7 +76,7 @@ def _forecast(
     folder: Path,
     device: str,
     workers: int | None,
-    report: Report,
+    report: Progress,
 ) -> Forecast:
     """Cost on one data set, or on one fold."""
     # What only needs other tests of a design that is there is not counted, nor are the products of

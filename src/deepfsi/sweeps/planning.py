@@ -12,9 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from deepfsi.base.errors import InputError
-from deepfsi.base.intervals import crossing
-from deepfsi.base.progress import SILENT, Report
+from deepfsi.base import SILENT, InputError, Progress, find_crossing
 from deepfsi.datasets import Dataset
 from deepfsi.sweeps.context import SweepContext
 from deepfsi.sweeps.queue import run_trials
@@ -42,7 +40,7 @@ def next_budget(
     photons: Sequence[float], accuracies: Sequence[float], target: float
 ) -> float | None:
     """Budget where one more training tells most: the crossing, but `LEAST_DECADES` from others."""
-    found = crossing(photons, [[accuracy] for accuracy in accuracies], 1, target).photons
+    found = find_crossing(photons, [[accuracy] for accuracy in accuracies], 1, target).photons
     if found is None:
         return None
     tried, place = np.log10(photons), int(np.searchsorted(photons, found))
@@ -59,7 +57,7 @@ def photons_needed(
     command: str,
     device: str = "auto",
     workers: Workers = HERE,
-    report: Report = SILENT,
+    report: Progress = SILENT,
 ) -> tuple[dict[str, Any], Results]:
     """Photons and masks that a target accuracy needs, for each design, its light and detectors."""
     # Mask counts and the budgets that are added are chosen on validation data, and the crossings
@@ -69,7 +67,7 @@ def photons_needed(
     records, asked = list[dict[str, Any]](), [recipe]
     for number in range(ROUNDS + 1):
         trials = {trial.key: trial for each in asked for trial in trials_of(each, data)}
-        part = report.part(number / (ROUNDS + 1), (number + 1) / (ROUNDS + 1))
+        part = report.between(number / (ROUNDS + 1), (number + 1) / (ROUNDS + 1))
         records += run_trials(list(trials.values()), context, folder, workers, part)
         seconds = sum(record["info"]["seconds"] for record in records)
         results = summarise(recipe, data, records, command=command, seconds=seconds)
@@ -154,7 +152,7 @@ def _more(recipe: Recipe, kind: tuple[str, ...], curve: Curve, target: float) ->
 
 def _need(kind: tuple[str, ...], curve: Curve, images: int, target: float) -> dict[str, Any]:
     tried = list(curve)
-    found = crossing(tried, [point.accuracies for point in curve.values()], images, target)
+    found = find_crossing(tried, [point.accuracies for point in curve.values()], images, target)
     at = found.photons or (tried[0] if found.found == "below" else tried[-1])
     nearest = min(tried, key=lambda budget: abs(np.log(budget / at)))
     kept = {"photons", "masks", "accuracy", "low", "high", "validation", "keys"}

@@ -11,8 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from deepfsi.base.errors import InputError
-from deepfsi.base.progress import SILENT, Report
+from deepfsi.base import SILENT, InputError, Progress
 from deepfsi.sweeps.context import Batch, Done, SweepContext
 from deepfsi.sweeps.records import Records
 from deepfsi.sweeps.trial import Trial
@@ -24,7 +23,7 @@ def run_trials(
     context: SweepContext,
     folder: Path,
     workers: Workers = HERE,
-    report: Report = SILENT,
+    report: Progress = SILENT,
 ) -> list[dict[str, Any]]:
     """Train and test whatever the folder does not hold yet."""
     records = Records(folder)
@@ -47,7 +46,7 @@ def _work_off(
     context: SweepContext,
     records: Records,
     workers: Workers,
-    report: Report,
+    report: Progress,
 ) -> list[Trial]:
     """Train and test until all trials have records; return those that diverged."""
     failed: set[str] = set()
@@ -73,7 +72,7 @@ def _work_off(
 
 
 def _test_trained(
-    trials: Sequence[Trial], context: SweepContext, records: Records, report: Report
+    trials: Sequence[Trial], context: SweepContext, records: Records, report: Progress
 ) -> list[Trial]:
     """Test the designs that are there already, from other tests; return the other trials."""
     left = []
@@ -92,17 +91,17 @@ def _train_all(
     context: SweepContext,
     records: Records,
     workers: Workers,
-    report: Report,
+    report: Progress,
 ) -> list[Trial]:
     """Train and record batches; return the trials that diverged."""
     lost: list[Trial] = []
     given: list[Batch] = []
     total, done = sum(map(context.effort, todo)), 0.0
 
-    def part(batch: Batch) -> Report:
+    def part(batch: Batch) -> Progress:
         title = context.title(batch)
-        titled = Report(lambda share, _: report(share, title))
-        return titled.part(done / total, (done + context.effort(batch)) / total)
+        titled = Progress(lambda share, _: report(share, title))
+        return titled.between(done / total, (done + context.effort(batch)) / total)
 
     def watch(shares: dict[int, float]) -> None:
         """Show how far all batches are that workers have."""
@@ -156,7 +155,7 @@ def _trained(
     context: SweepContext,
     checkpoints: Path,
     workers: Workers,
-    part: Callable[[Batch], Report],
+    part: Callable[[Batch], Progress],
     watch: Callable[[dict[int, float]], None],
 ) -> Generator[list[Done], None, None]:
     """Yield what batches give, as they finish."""

@@ -9,8 +9,7 @@ from contextlib import contextmanager
 from itertools import islice
 from typing import Any, TypeVar
 
-from deepfsi.base.errors import InputError
-from deepfsi.base.interrupts import handlers_kept
+from deepfsi.base import InputError, restore_handlers
 
 Shared = TypeVar("Shared")
 Task = TypeVar("Task")
@@ -63,7 +62,7 @@ def _connected(address: str) -> Iterator[None]:
 
     joined = not ray.is_initialized()
     if joined:
-        with handlers_kept():
+        with restore_handlers():
             _join(address)
     try:
         yield

@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
-from deepfsi.base.errors import InputError, as_input_error, closest
+from deepfsi.base import InputError, as_input_error, closest_choice
 from deepfsi.camera.camera import Camera, Levels
 from deepfsi.camera.detectors import ONE_DETECTOR, DetectorMap
 from deepfsi.camera.light import BUDGETS
@@ -352,7 +352,7 @@ def only(file: Mapping[str, Any], part: str | None = None, quick: bool = False) 
     if part is not None and "" in found:
         raise InputError(f"the recipe has no parts: leave --part {part} out")
     if (part or "") not in found:
-        raise InputError(f"the recipe has no part {part!r}: {closest(str(part), found)}")
+        raise InputError(f"the recipe has no part {part!r}: {closest_choice(str(part), found)}")
     return found[part or ""]
 
 

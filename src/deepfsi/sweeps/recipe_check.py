@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from deepfsi.base.errors import InputError, faults
+from deepfsi.base import InputError, field_errors
 from deepfsi.datasets import Dataset
 from deepfsi.sweeps.recipe import RATIOS_OR_MASKS, Recipe, Settings, axis
 from deepfsi.sweeps.trial import count_trials, mask_faults, trial_faults
@@ -90,7 +90,7 @@ def _read(settings: Mapping[str, Any]) -> tuple[Recipe, list[str], set[str]]:
     try:
         return Recipe.model_validate(settings), [], set()
     except ValidationError as error:
-        found = faults(error)
+        found = field_errors(error)
         sound = _sound(settings, error)
     if settings.get("ratios") and settings.get("masks"):
         found = list(dict.fromkeys([*found, RATIOS_OR_MASKS]))

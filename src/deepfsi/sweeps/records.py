@@ -25,16 +25,17 @@ from typing import Any
 
 from pydantic import BaseModel, Field, FiniteFloat
 
-from deepfsi.base import interrupts
-from deepfsi.base.errors import InputError
-from deepfsi.base.files import (
+from deepfsi.base import (
+    InputError,
+    Locks,
     check_ending,
+    list_folder,
     new_folder,
+    note_saved_work,
     read_regular,
     remove_drafts,
     write_atomically,
 )
-from deepfsi.base.locks import Locks, inside
 from deepfsi.design.adaptive.design import AnyDesign, load_design
 from deepfsi.design.estimation import Estimates
 from deepfsi.design.evaluation import Result
@@ -123,7 +124,7 @@ class Records:
             return None
         if (whole.revision, whole.key) != (SCHEMA, trial.key):
             return None
-        interrupts.keep(KEPT)
+        note_saved_work(KEPT)
         return record
 
     def design(self, trial: Trial) -> AnyDesign | None:
@@ -144,7 +145,7 @@ class Records:
                     write_atomically(draft / self._design_path(trial).name, design)
                 record_file = draft / self._record_path(trial).name
                 write_atomically(record_file, json.dumps(record, indent=1).encode())
-        interrupts.keep(KEPT)  # the next process moves what this one does not
+        note_saved_work(KEPT)  # the next process moves what this one does not
         self._move(folder)
         self._clear_checkpoints()
         self.release(trial for trial, _, _ in finished)
@@ -153,7 +154,7 @@ class Records:
         """Move finished files to their places, each record after its design."""
         for place, suffix in (("designs", ".safetensors"), ("trials", ".json")):
             (self.folder / place).mkdir(exist_ok=True)
-            for path in (each for each in inside(finished) if each.suffix == suffix):
+            for path in (each for each in list_folder(finished) if each.suffix == suffix):
                 with suppress(FileNotFoundError):  # another process that found them moved it
                     os.replace(path, self.folder / place / path.name)
         with suppress(OSError):
@@ -161,7 +162,7 @@ class Records:
 
     def _clear_checkpoints(self) -> None:
         """Remove the checkpoints of designs that are there, and their folder with the last."""
-        for path in inside(self.checkpoints):
+        for path in list_folder(self.checkpoints):
             if (self.folder / "designs" / path.name).is_file():
                 path.unlink(missing_ok=True)
         with suppress(OSError):

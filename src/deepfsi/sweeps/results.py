@@ -7,9 +7,7 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat, model_validator
 
-from deepfsi.base.errors import as_input_error
-from deepfsi.base.files import read_text, write_atomically
-from deepfsi.base.intervals import unpack
+from deepfsi.base import as_input_error, read_text, unpack_values, write_atomically
 from deepfsi.camera.names import find_noise
 from deepfsi.datasets.dataset import Measure
 from deepfsi.jobs.designs import EVERY_PIXEL
@@ -51,7 +49,7 @@ Key = Annotated[str, Field(pattern=r"^[^/\\\x00.][^/\\\x00]*$")]
 
 
 def _packed(text: str) -> str:
-    unpack(text)
+    unpack_values(text)
     return text
 
 

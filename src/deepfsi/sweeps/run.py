@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from deepfsi.base.errors import InputError
-from deepfsi.base.progress import SILENT, Report
+from deepfsi.base import SILENT, InputError, Progress
 from deepfsi.datasets import Dataset
 from deepfsi.optics.surroundings import library_defaults
 from deepfsi.sweeps.context import SweepContext
@@ -61,7 +60,7 @@ def compare(
     matrix: np.ndarray | None = None,
     device: str = "auto",
     workers: Workers = HERE,
-    report: Report = SILENT,
+    report: Progress = SILENT,
 ) -> tuple[Results, list[dict[str, Any]]]:
     """Results of a recipe, and their records."""
     # A changed recipe reuses what it still shares with the folder. matrix (m, N)
@@ -78,7 +77,7 @@ def compare(
             replace(workers, resources=recipe.resources),
             span,
         )
-        for part, span in zip(parts, report.parts(len(parts)), strict=True)
+        for part, span in zip(parts, report.split(len(parts)), strict=True)
     ]
     seconds = time.perf_counter() - began
     tested = [

@@ -10,16 +10,16 @@ from typing import Any
 
 import numpy as np
 
-from deepfsi.base.intervals import (
+from deepfsi.base import (
     Interval,
-    accuracy,
+    accuracy_interval,
     auc,
-    balanced,
-    over_images,
-    pack,
+    balanced_interval,
+    image_interval,
+    pack_values,
     student,
-    unpack,
-    worst_of,
+    unpack_values,
+    worst_class,
 )
 from deepfsi.camera.detectors import DetectorMap
 from deepfsi.camera.names import noise_text
@@ -123,7 +123,7 @@ def summarise(
 def tested_scenes(data: Dataset, held_out: int, records: Sequence[Mapping[str, Any]]) -> Dataset:
     """The data with the test scenes that were tested: those of the training were left out."""
     sizes = {
-        len(unpack(text))
+        len(unpack_values(text))
         for each in records[:1]
         for text in each["test"][0].get("terms", {}).values()
     }
@@ -202,7 +202,7 @@ def point(
         throughput=float(np.mean([test["throughput"] for test in tests])),
         seconds=float(np.mean([record["info"]["seconds"] for record, _ in members])),
         accuracies=tuple(float(test[score]) for test in tests),
-        terms=tuple(pack(row) for row in trials.terms.get(measure, ())),
+        terms=tuple(pack_values(row) for row in trials.terms.get(measure, ())),
         keys=tuple(
             key for record, _ in members for key in record.get("designs", [record["design"]])
         ),
@@ -219,9 +219,9 @@ def mean_lit_masks(tests: Sequence[Mapping[str, Any]]) -> float | None:
 def terms_of(result: Result | Estimates) -> dict[str, str]:
     """Values of the test images by measure, packed for a record."""
     if isinstance(result, Estimates):
-        return {"R²": pack(np.array(result.explained))}
+        return {"R²": pack_values(np.array(result.explained))}
     found = {"accuracy": result.right, "AUC": result.area_terms}
-    return {measure: pack(np.array(values)) for measure, values in found.items() if values}
+    return {measure: pack_values(np.array(values)) for measure, values in found.items() if values}
 
 
 @dataclass(frozen=True)
@@ -236,7 +236,7 @@ class _Trials:
     def of(cls, tests: Sequence[Mapping[str, Any]], data: Dataset) -> "_Trials":
         kept = [test.get("terms", {}) for test in tests]
         shared = [name for name in kept[0] if all(name in each for each in kept)]
-        terms = {name: np.stack([unpack(each[name]) for each in kept]) for name in shared}
+        terms = {name: np.stack([unpack_values(each[name]) for each in kept]) for name in shared}
         return cls(tests, terms, data.y_test)
 
     @property
@@ -272,10 +272,10 @@ class _Trials:
     def _interval(self, measure: str, terms: np.ndarray) -> Interval:
         """Interval of a measure over images and seeds; terms (S, n)."""
         if measure == "accuracy":
-            return accuracy(terms)
+            return accuracy_interval(terms)
         if measure == "balanced":
-            return balanced(terms, self.labels)
-        return auc(terms, self.labels == 1) if measure == "AUC" else over_images(terms)
+            return balanced_interval(terms, self.labels)
+        return auc(terms, self.labels == 1) if measure == "AUC" else image_interval(terms)
 
 
 def _of_classes(trials: _Trials) -> dict[str, Any]:
@@ -284,8 +284,8 @@ def _of_classes(trials: _Trials) -> dict[str, Any]:
     rates = _mean_rates(tests)
     return {
         **dict(zip(BALANCED, trials.measured("balanced"), strict=True)),
-        "worst": rates[worst_of(rates)] or 0.0,
-        "worst_class": worst_of(rates),
+        "worst": rates[worst_class(rates)] or 0.0,
+        "worst_class": worst_class(rates),
         "log_loss": float(np.mean([test["log_loss"] for test in tests])),
         "confusion": np.sum([test["confusion"] for test in tests], axis=0).tolist(),
         "one_class": all(np.any(test["confusion"], axis=0).sum() == 1 for test in tests),

@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from deepfsi.base.errors import InputError
-from deepfsi.base.plugins import source_hash
+from deepfsi.base import InputError, source_hash
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.detectors import ONE_DETECTOR
 from deepfsi.camera.names import LIGHT_LAWS

@@ -16,9 +16,7 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from deepfsi.base.errors import InputError
-from deepfsi.base.interrupts import held_back, kept
-from deepfsi.base.progress import SILENT, Report
+from deepfsi.base import SILENT, InputError, Progress, block_ctrl_c, saved_work_text
 
 Task = TypeVar("Task")
 Shared = TypeVar("Shared")
@@ -90,7 +88,7 @@ def processes(
     except BrokenProcessPool:
         raise InputError(
             f"one of {workers} worker processes was killed, perhaps for want of memory: run again "
-            f"with fewer `workers`{kept()}"
+            f"with fewer `workers`{saved_work_text()}"
         ) from None
     finally:
         if running:
@@ -124,7 +122,7 @@ def _worked_off(
         while free and (task := next(queue, None)):
             (place, given), slot = task, free.pop()
             shares[slot] = 0.0
-            with held_back(), _main_hidden():
+            with block_ctrl_c(), _main_hidden():
                 running[pool.submit(_run, work, given, slot)] = place, slot
         if not running:
             return
@@ -136,7 +134,7 @@ def _worked_off(
             future.result()
 
 
-def report_of_task() -> Report:
+def report_of_task() -> Progress:
     """Report of the task that this worker process does; of any other process one that is silent."""
     if _shares is None:
         return SILENT
@@ -144,7 +142,7 @@ def report_of_task() -> Report:
     def show(share: float, _: str) -> None:
         _shares[_slot] = share
 
-    return Report(show)
+    return Progress(show)
 
 
 def _settle(shared: Any, shares: Any, threads: int) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepfsi.base.progress import SILENT, Report
+from deepfsi.base import SILENT, Progress
 from deepfsi.datasets import Dataset
 from deepfsi.design.adaptive.design import AdaptiveDesign
 from deepfsi.design.adaptive.exposures import prior_of
@@ -31,7 +31,7 @@ from deepfsi.training.training_set import TrainingSet
 
 
 def adaptive_designs(
-    training_set: TrainingSet, jobs: Sequence[Job], report: Report = SILENT
+    training_set: TrainingSet, jobs: Sequence[Job], report: Progress = SILENT
 ) -> list[AdaptiveDesign]:
     """Designs of jobs that differ in budget and seed, with one prior."""
     began, data = time.perf_counter(), training_set.data

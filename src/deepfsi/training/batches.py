@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import torch
 
-from deepfsi.base.arrays import check_memory, free_memory
+from deepfsi.base import check_memory, free_memory
 from deepfsi.jobs.job import Job
 from deepfsi.jobs.training import Training
 from deepfsi.training.masks import matrix_seeds

@@ -21,11 +21,17 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 from safetensors.numpy import save as to_bytes
 from torch import Tensor, nn
 
-from deepfsi.base import interrupts
-from deepfsi.base.arrays import DamagedError, read_tensors
-from deepfsi.base.errors import InputError
-from deepfsi.base.files import write_atomically
-from deepfsi.base.plugins import UNNAMED, source_hash
+from deepfsi.base import (
+    UNNAMED_PLUGIN,
+    DamagedError,
+    InputError,
+    PostponedSignals,
+    note_saved_work,
+    postpone_signals,
+    read_tensors,
+    source_hash,
+    write_atomically,
+)
 from deepfsi.jobs.job import REVISION, Job, custom_parts
 from deepfsi.training.draws import SeedStream
 from deepfsi.training.few_counts import CountsCost
@@ -148,7 +154,7 @@ class Checkpoint:
         self._loops: list[tuple[int, Arrays]] = []  # of this run, those that are done
         self._before: list[tuple[int, Arrays]] = []  # that were read
         self._began = self._written = time.monotonic()
-        self._stop = interrupts.Postponed()
+        self._stop = PostponedSignals()
 
     @classmethod
     def of(
@@ -210,7 +216,7 @@ class Checkpoint:
                 loop.restore(*self._before[place])
             except (KeyError, IndexError, TypeError, ValueError, RuntimeError) as error:
                 raise self._damaged() from error
-        with interrupts.postponed() as self._stop:
+        with postpone_signals() as self._stop:
             yield
         self._loops.append((loop.step, loop.arrays()))
 
@@ -243,7 +249,7 @@ class Checkpoint:
         except InputError as error:  # the next one may have room again
             warnings.warn(f"{error}; the training goes on", stacklevel=2)
         else:
-            interrupts.keep(self.words)
+            note_saved_work(self.words)
         self._written = time.monotonic()
 
     def remove(self) -> None:
@@ -262,7 +268,7 @@ def _key(
 ) -> str:
     """Hash of all that the bits of a training depend on."""
     names = custom_parts(jobs[0])
-    if UNNAMED in names:
+    if UNNAMED_PLUGIN in names:
         raise InputError(
             "a part of your own that has no import path cannot be told from another when a "
             "training is resumed: give it as module:name, or leave out `checkpoint`"

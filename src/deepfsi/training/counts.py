@@ -8,7 +8,7 @@ then at the one that its own shares ask for, until these are the same.
 
 from collections.abc import Callable
 
-from deepfsi.base.progress import Report
+from deepfsi.base import Progress
 from deepfsi.design.adaptive.design import AnyDesign
 
 NEAR = 0.02
@@ -19,14 +19,14 @@ MOST_TRAININGS = 6
 
 
 def train_for_counts(
-    counts: float, share: float, train: Callable[[float, Report], AnyDesign], report: Report
+    counts: float, share: float, train: Callable[[float, Progress], AnyDesign], report: Progress
 ) -> AnyDesign:
     """Design that counts a number of photons in the mean over training scenes, to within `NEAR`."""
     # Where that is not reached after `MOST_TRAININGS`, the last one: its own counts are the budget
     # of its training times the sum of its shares
     for number in range(MOST_TRAININGS):
         photons = counts / share
-        design = train(photons, report.part(1 - 2.0**-number, 1 - 2.0 ** -(number + 1)))
+        design = train(photons, report.between(1 - 2.0**-number, 1 - 2.0 ** -(number + 1)))
         share = float(design.shares.sum())
         if abs(photons * share / counts - 1) <= NEAR:
             break

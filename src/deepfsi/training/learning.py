@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from deepfsi.base.errors import InputError
-from deepfsi.base.progress import SILENT, Report, shown
+from deepfsi.base import SILENT, InputError, Progress, progress_bar
 from deepfsi.camera.light import check_budget, detector_shares
 from deepfsi.datasets import Source, as_dataset
 from deepfsi.design.adaptive.design import AnyDesign
@@ -56,7 +55,7 @@ def learn(
     counts: float | None = None,
     matrix: np.ndarray | None = None,
     device: str = "auto",
-    report: Report | None = None,
+    report: Progress | None = None,
     checkpoint: str | os.PathLike[str] | None = None,
     **settings: Any,
 ) -> AnyDesign:
@@ -101,11 +100,11 @@ def learn(
     training_set = TrainingSet(as_dataset(data), device)
     state = Checkpoint.of(checkpoint, training_set, [job], matrix, counts)
 
-    def train_at(photons: float, bar: Report) -> AnyDesign:
+    def train_at(photons: float, bar: Progress) -> AnyDesign:
         at_budget = job.model_copy(update={"photons": check_budget(photons)})
         return train(training_set, [at_budget], matrix, bar, state)[0]
 
-    with shown(report, f"{job.design}, {job.masks} masks") as bar:
+    with progress_bar(report, f"{job.design}, {job.masks} masks") as bar:
         if counts is None or job.training.counts is not None:
             design = train_at(job.photons, bar)
         else:
@@ -120,7 +119,7 @@ def train(
     training_set: TrainingSet,
     jobs: Sequence[Job],
     matrix: np.ndarray | None = None,
-    report: Report = SILENT,
+    report: Progress = SILENT,
     checkpoint: Checkpoint = NO_CHECKPOINT,
 ) -> Sequence[AnyDesign]:
     """Train designs side by side that differ in budget, sigma and seed only, in their order."""
@@ -131,7 +130,7 @@ def train(
     if jobs[0].code.adaptive:
         return adaptive_designs(training_set, jobs, report)
     folds = [] if training_set.data.held_out else folds_of(training_set.data)
-    own, *others = report.parts(1 + len(folds))
+    own, *others = report.split(1 + len(folds))
     designs = _designs(training_set, jobs, *_optimised(training_set, jobs, matrix, own, checkpoint))
     for job, design in zip(jobs, designs, strict=True):
         design.info = provenance(job, training_set.data, training_set.device, 0.0)
@@ -179,7 +178,7 @@ def _optimised(
     training_set: TrainingSet,
     jobs: Sequence[Job],
     matrix: np.ndarray | None,
-    report: Report,
+    report: Progress,
     checkpoint: Checkpoint,
 ) -> Optimised:
     """Masks and networks after training."""
@@ -191,7 +190,7 @@ def _optimised(
     exposures = [begin(each, shape, seed) for each, seed in zip(jobs, seeds, strict=True)]
     masks: FixedMasks | LearnedMasks
     if job.code.learned_under:
-        before, report = report.part(0.0, 0.5), report.part(0.5, 1.0)
+        before, report = report.between(0.0, 0.5), report.between(0.5, 1.0)
         sources = [each.mask_job() for each in jobs]
         masks = _optimised(training_set, sources, None, before, checkpoint)[0]
     else:

@@ -17,8 +17,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from deepfsi.base.errors import InputError
-from deepfsi.base.progress import SILENT, Report
+from deepfsi.base import SILENT, InputError, Progress
 from deepfsi.datasets import Dataset
 from deepfsi.design.classifiers import Mlp, Replicas, Vit
 from deepfsi.design.exposure.trained import TrainedExposure
@@ -55,7 +54,7 @@ def optimise(
     masks: FixedMasks | LearnedMasks,
     noise: FeatureNoise,
     exposures: Sequence[TrainedExposure],
-    report: Report = SILENT,
+    report: Progress = SILENT,
     checkpoint: Checkpoint = NO_CHECKPOINT,
 ) -> list[Classifier]:
     """Train classifiers of jobs, the networks of their exposures, and masks where they learn."""
@@ -121,7 +120,7 @@ def descend(
     state: LoopState,
     steps: int,
     loss: Callable[[int], Tensor],
-    report: Report,
+    report: Progress,
     checkpoint: Checkpoint,
 ) -> None:
     """Minimise a loss with AdamW on a one-cycle schedule, in epochs of so many steps."""

@@ -11,8 +11,7 @@ from typing import Any
 from torch import Tensor
 from torch.nn import functional
 
-from deepfsi.base import plugins as imports
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError, load_plugin
 
 Loss = Callable[[Tensor, Tensor], Tensor]
 """Loss (n,) of outputs (n, C) and truth (n,) or (n, q)."""
@@ -24,7 +23,7 @@ EARLY_LOOKS_WEIGHT = 0.2
 def find_loss(own: Any, values: bool, weights: Tensor | None, rows: bool) -> Loss:
     """Loss of a training; weights (C,) are of classes, `rows` as of `cross_entropy`."""
     if own is not None:
-        return _checked(imports.named(own) if isinstance(own, str) else own)
+        return _checked(load_plugin(own) if isinstance(own, str) else own)
     if values:
         return squared_error
     return lambda logits, labels: cross_entropy(logits, labels, weights, rows)

@@ -13,8 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from deepfsi.base.intervals import Interval, accuracy, student, wilson
-from deepfsi.base.progress import SILENT, Report
+from deepfsi.base import SILENT, Interval, Progress, accuracy_interval, student, wilson
 from deepfsi.datasets.readouts import Readouts
 from deepfsi.design.artifact import Design
 from deepfsi.design.readouts import PHOTONS, TRAINING, classify_readouts
@@ -173,7 +172,7 @@ def learn_readouts(
     training: Mapping[str, Any] | None = None,
     seed: int = 0,
     device: str = "auto",
-    report: Report = SILENT,
+    report: Progress = SILENT,
 ) -> Design:
     """Train a classifier on the training part of a split of measured readouts.
 
@@ -210,7 +209,7 @@ def measure_readouts(
                 split,
                 int((~test).sum()),
                 int(test.sum()),
-                accuracy((answers == readouts.y[test]).astype(float)),
+                accuracy_interval((answers == readouts.y[test]).astype(float)),
                 _ridge(readouts.values, readouts.y, test, seed),
             )
         )
@@ -251,7 +250,7 @@ def _ridge(values: np.ndarray, y: np.ndarray, test: np.ndarray, seed: int) -> In
     model = KernelRidge(kernel="rbf", alpha=RIDGE)
     model.fit(scaled.transform(values[train]), 2.0 * np.eye(int(y.max()) + 1)[y[train]] - 1)
     answers = model.predict(scaled.transform(values[test])).argmax(axis=1)
-    return accuracy((answers == y[test]).astype(float))
+    return accuracy_interval((answers == y[test]).astype(float))
 
 
 def measure_order(readouts: Readouts) -> OrderTest:

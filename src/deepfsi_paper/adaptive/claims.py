@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Mapping
 import numpy as np
 from pydantic import TypeAdapter
 
-from deepfsi.base.intervals import Difference, above, difference, signed
+from deepfsi.base import Difference, accuracy_difference, all_above, signed_text
 from deepfsi.report.style import BUDGET_AXIS, COLOURS, PAPER, photons_text
 from deepfsi.sweeps.results import Point, Results
 from deepfsi_paper.adaptive.clock import LEAST_LEFT, Measures, Rival, best_at, measure, rivals
@@ -156,7 +156,7 @@ def _gain_claims(kinds: Mapping[tuple[str, str], Chosen]) -> Iterable[Claim]:
         for kind in ("fixed", "looks"):
             known = kinds[kind, detectors]
             gains = {
-                photons: difference(own[photons], known[photons])
+                photons: accuracy_difference(own[photons], known[photons])
                 for photons in own.keys() & known.keys()
             }
             early = {photons: gains[photons] for photons in GAINED if photons in gains}
@@ -165,14 +165,14 @@ def _gain_claims(kinds: Mapping[tuple[str, str], Chosen]) -> Iterable[Claim]:
                 yield Claim(
                     f"With {name} adaptive masks read more than {words} at "
                     f"{' and '.join(map(photons_text, early))} photons",
-                    above(early.values()),
+                    all_above(early.values()),
                     _said(early),
                 )
             if BRIGHT in gains and detectors == "1x1":
                 yield Claim(
                     f"With {name} {words} read more than adaptive masks at {photons_text(BRIGHT)} "
                     "photons",
-                    above([-gains[BRIGHT]]),
+                    all_above([-gains[BRIGHT]]),
                     f"{-gains[BRIGHT]}, of {own[BRIGHT].masks} looks",
                 )
 
@@ -197,9 +197,11 @@ def _look_claim(results: Results) -> Claim:
     points = _of_largest_prior(results)
     few, many = min(p.masks for p in points), max(p.masks for p in points)
     at = {(point.photons, point.masks): point for point in points}
-    gains = {each: difference(at[each, many], at[each, few]) for each in budgets(points)}
+    gains = {each: accuracy_difference(at[each, many], at[each, few]) for each in budgets(points)}
     return Claim(
-        f"{many} looks read more than {few}, at every budget", above(gains.values()), _said(gains)
+        f"{many} looks read more than {few}, at every budget",
+        all_above(gains.values()),
+        _said(gains),
     )
 
 
@@ -224,11 +226,11 @@ def _prior_claim(results: Results, measures: Measures) -> Iterable[Claim]:
     for photons, by_size in found.items():
         *_, second, largest = by_size.values() if len(by_size) > 1 else (None, None)
         if second and largest:
-            gains[photons], looks = difference(largest, second), largest.masks
+            gains[photons], looks = accuracy_difference(largest, second), largest.masks
     if gains:
         yield Claim(
             f"The largest prior reads more than the second, in {looks} looks at every budget",
-            above(gains.values()),
+            all_above(gains.values()),
             _said(gains),
         )
 
@@ -268,8 +270,8 @@ def _clock_claim(results: Results, measures: Measures, wall_s: float) -> Claim:
     else:
         most = max(gains, key=lambda flux: gains[flux])
         measured = (
-            f"largest gain {signed(gains[most])} at {_flux_text(most)} photons a second, last one "
-            f"at {_flux_text(max(ahead))}; the clock takes {max(lost):.3f} at most"
+            f"largest gain {signed_text(gains[most])} at {_flux_text(most)} photons a second, last "
+            f"one at {_flux_text(max(ahead))}; the clock takes {max(lost):.3f} at most"
             if ahead
             else "known masks are ahead at every flux"
         )

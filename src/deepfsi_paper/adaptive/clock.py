@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from deepfsi.base.progress import Report
+from deepfsi.base import Progress
 from deepfsi.camera.device import DEVICES
 from deepfsi.datasets import Dataset
 from deepfsi.design.adaptive.design import AdaptiveDesign
@@ -71,7 +71,7 @@ class Measures:
 
 
 def measure(
-    results: Results, data: Dataset, designs: Path, workers: int | None, report: Report
+    results: Results, data: Dataset, designs: Path, workers: int | None, report: Progress
 ) -> dict[str, Any]:
     """Entropy of the classes, sizes of priors and times of decisions; as `Experiment.measure`."""
     shares = np.bincount(data.y_test) / len(data.y_test)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from pydantic import TypeAdapter
 
-from deepfsi.base.intervals import Difference, above, of_trials
+from deepfsi.base import Difference, all_above, mean_of_trials
 from deepfsi.camera.layout import DmdGrid, find_grid
 from deepfsi.hardware.patterns.mirrors import recount, unpack
 from deepfsi.jobs.designs import DESIGNS
@@ -177,7 +177,7 @@ def _first(compared: Comparison) -> Claim:
     nearest = min(worst, key=lambda rival: worst[rival].low)
     return Claim(
         f"{LABELS[OURS]}: first of the equal-dwell designs at every exposure from 0.001 s up",
-        above(lead for each in leads for lead in each.values()),
+        all_above(lead for each in leads for lead in each.values()),
         f"nearest: {compared.labels[nearest]}, {worst[nearest]}",
     )
 
@@ -190,7 +190,7 @@ def _every_digit(compared: Comparison) -> Claim:
     for rival in compared.rivals:
         theirs = compared.at[(rival, exposure)].by_digit
         for digit, column in enumerate((ours - theirs).T):
-            each = of_trials(column.tolist())
+            each = mean_of_trials(column.tolist())
             differences.append(each)
             if each.mean <= 0:
                 behind.append(f"{digit} ({compared.labels[rival]})")
@@ -198,7 +198,7 @@ def _every_digit(compared: Comparison) -> Claim:
     said = f"lowest {least}" + (f"; not above in {', '.join(behind)}" if behind else "")
     return Claim(
         f"{LABELS[OURS]}: above every other equal-dwell design in every digit at {exposure:g} s",
-        above(differences),
+        all_above(differences),
         said,
     )
 
@@ -209,11 +209,11 @@ def _even(compared: Comparison) -> Claim:
         name: np.std(compared.at[(name, exposure)].rates, axis=2, ddof=1).mean(axis=0)
         for name in (OURS, *compared.rivals)
     }
-    less = {rival: of_trials((std[rival] - std[OURS]).tolist()) for rival in compared.rivals}
+    less = {rival: mean_of_trials((std[rival] - std[OURS]).tolist()) for rival in compared.rivals}
     nearest = min(less, key=lambda rival: less[rival].low)
     return Claim(
         f"{LABELS[OURS]}: varies least between digits at {exposure:g} s",
-        above(less.values()),
+        all_above(less.values()),
         f"standard deviation over digits lower by {less[nearest]} than "
         f"{compared.labels[nearest]}'s",
     )

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.hardware.patterns.timing import Gates
 from deepfsi.hardware.virtual import DETECTOR_TICK_S, Detector, Stream, VirtualCamera, divide

@@ -18,8 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from deepfsi.base.intervals import Difference, of_trials
-from deepfsi.base.progress import Report
+from deepfsi.base import Difference, Progress, mean_of_trials
 from deepfsi.camera.device import find_device
 from deepfsi.camera.layout import DmdLayout, find_grid
 from deepfsi.datasets import Dataset, load_dataset
@@ -156,11 +155,11 @@ class DigitTest:
     @property
     def accuracy(self) -> Difference:
         """Mean over draws, with its error; the error covers draws of digits, not trainings."""
-        return of_trials(self.by_draw.tolist())
+        return mean_of_trials(self.by_draw.tolist())
 
     def less(self, other: "DigitTest") -> Difference:
         """Accuracy less another design's on the same digits, with its error over draws."""
-        return of_trials((self.by_draw - other.by_draw).tolist())
+        return mean_of_trials((self.by_draw - other.by_draw).tolist())
 
 
 @dataclass(frozen=True)
@@ -383,7 +382,7 @@ def design_groups(results: Results) -> list[Group]:
 
 
 def measure(
-    results: Results, data: Dataset, designs: Path, workers: int | None, report: Report
+    results: Results, data: Dataset, designs: Path, workers: int | None, report: Progress
 ) -> dict[str, Any]:
     """Tests of every design in the laboratory, several at a time.
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import qmc
 
-from deepfsi.base.progress import SILENT, Report
+from deepfsi.base import SILENT, Progress
 from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.datasets.load import DIM_BLACK
 from deepfsi.design.artifact import Design
@@ -91,20 +91,20 @@ class Answers:
 
 
 def measure(
-    results: Results, data: Dataset, designs: Path, workers: int | None, report: Report
+    results: Results, data: Dataset, designs: Path, workers: int | None, report: Progress
 ) -> dict[str, Any]:
     """Tests in the laboratory as it is, and the fit of the published rates.
 
     Parameters as of `Experiment.measure`.
     """
-    first, second = report.part(0.0, 0.6), report.part(0.6, 1.0)
+    first, second = report.between(0.0, 0.6), report.between(0.6, 1.0)
     tests = laboratory.measure(results, data, designs, workers, first)
     fit = fit_published(results, designs, workers, second)
     return {**tests, "fit": fit and asdict(fit)}
 
 
 def fit_published(
-    results: Results, designs: Path, workers: int | None = 1, report: Report = SILENT
+    results: Results, designs: Path, workers: int | None = 1, report: Progress = SILENT
 ) -> RateFit | None:
     """Fit of the published rates by designs of equal dwells; None if trained for one budget only.
 

@@ -13,7 +13,14 @@ import numpy as np
 from pydantic import TypeAdapter
 from scipy import stats
 
-from deepfsi.base.intervals import CONFIDENCE, Difference, above, difference, of_trials, signed
+from deepfsi.base import (
+    CONFIDENCE,
+    Difference,
+    accuracy_difference,
+    all_above,
+    mean_of_trials,
+    signed_text,
+)
 from deepfsi.design.stopping import Estimate, Stopped
 from deepfsi.report.style import BUDGET_AXIS, photons_text
 from deepfsi.sweeps.results import Point, Results
@@ -72,7 +79,8 @@ class Rivalry:
     def differences(self) -> dict[Place, Difference]:
         """Accuracy of the one design less that of the learned design of its own."""
         return {
-            place: difference(self.one[place], self.own[(LEARNED, place)]) for place in self.places
+            place: accuracy_difference(self.one[place], self.own[(LEARNED, place)])
+            for place in self.places
         }
 
     @property
@@ -213,7 +221,7 @@ def _saving(stopped: Sequence[Stopped]) -> Saving:
 def mean_rate(rates: Sequence[Estimate]) -> Difference:
     """Mean over trials; of a single one with its interval over images."""
     if len(rates) > 1:
-        return of_trials([rate.mean for rate in rates])
+        return mean_of_trials([rate.mean for rate in rates])
     [rate] = rates
     half = (rate.high - rate.low) / 2
     return Difference(rate.mean, half / float(stats.norm.ppf((1 + CONFIDENCE) / 2)))
@@ -226,9 +234,9 @@ def _found(numbers: Numbers) -> str:
         "photons, against the one trained for that budget; the first masks of a nested design are "
         f"at their lowest {numbers.nested.lowest(str)} masks, against the design of so many. "
         f"Stopping early saves {saved.share.mean:.0%} of {numbers.stopped_at} photons with nested "
-        f"masks and changes accuracy by {signed(0.0 - saved.loss.mean, 4)}; with several looks, "
-        f"whose counts choose the dwells of the next, {by_looks.share.mean:.0%} and "
-        f"{signed(0.0 - by_looks.loss.mean, 4)}."
+        f"masks and changes accuracy by {signed_text(0.0 - saved.loss.mean, 4)}; with several "
+        f"looks, whose counts choose the dwells of the next, {by_looks.share.mean:.0%} and "
+        f"{signed_text(0.0 - by_looks.loss.mean, 4)}."
     )
 
 
@@ -238,20 +246,20 @@ def claims_of(numbers: Numbers) -> tuple[Claim, ...]:
     return (
         Claim(
             f"One design for all budgets loses at most {RANGE_LOSS} against each dedicated one",
-            above(ranged.differences.values(), -RANGE_LOSS),
+            all_above(ranged.differences.values(), -RANGE_LOSS),
             f"lowest {ranged.lowest(photons_text)} photons",
         ),
         Claim(
             f"The first masks of one design lose at most {NESTED_LOSS} against dedicated ones at "
             f"{numbers.nested_at} photons",
-            above(nested.differences.values(), -NESTED_LOSS),
+            all_above(nested.differences.values(), -NESTED_LOSS),
             f"lowest {nested.lowest(str)} masks",
         ),
         *(
             Claim(
                 f"Stopping exposures of {kind} early saves {SAVED:.0%} of the photons and loses "
                 f"less than {EQUAL} at {numbers.stopped_at} photons",
-                _both(above([each.share], SAVED), above([-each.loss], -EQUAL)),
+                _both(all_above([each.share], SAVED), all_above([-each.loss], -EQUAL)),
                 f"saved {each.share}, lost {each.loss}",
             )
             for kind, each in zip(("nested masks", "several looks"), numbers.savings, strict=True)

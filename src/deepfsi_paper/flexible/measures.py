@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from deepfsi.base.intervals import accuracy
-from deepfsi.base.progress import SILENT, Report
+from deepfsi.base import SILENT, Progress, accuracy_interval
 from deepfsi.datasets import Dataset
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate
@@ -63,7 +62,7 @@ class Measures:
 
 
 def measure(
-    results: Results, data: Dataset, designs: Path, workers: int | None, report: Report
+    results: Results, data: Dataset, designs: Path, workers: int | None, report: Progress
 ) -> dict[str, Any]:
     """Tests of the first masks of nested designs, and of exposures that stop early.
 
@@ -93,7 +92,7 @@ def _prefixes(results: Results, recipe: str, data: Dataset, folder: Path) -> Ite
         ]
         for photons, *trials in zip(tested, *tests, strict=True):
             accuracies = [test.accuracy for test in trials]
-            measured = accuracy(np.array([test.right for test in trials]))
+            measured = accuracy_interval(np.array([test.right for test in trials]))
             ratio = masks / data.pixels
             yield Prefix(recipe, masks, ratio, photons, accuracies, *measured)
 

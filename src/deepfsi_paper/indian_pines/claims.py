@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 from pydantic import TypeAdapter
 
-from deepfsi.base.intervals import Difference, above, difference, of_trials
+from deepfsi.base import Difference, accuracy_difference, all_above, mean_of_trials
 from deepfsi.report.accuracy import accuracy_figure
 from deepfsi.report.comparison_page import listed
 from deepfsi.report.style import INK, photons_text
@@ -135,7 +135,7 @@ def _advantage(chosen: Chosen, rivals: Sequence[str]) -> Compared:
     found = {}
     for (design, budget), point in sorted(chosen.items(), key=lambda item: item[0][1]):
         if design == "deepfsi":
-            found[budget] = difference(point, _rival(chosen, rivals, budget))
+            found[budget] = accuracy_difference(point, _rival(chosen, rivals, budget))
     return found
 
 
@@ -152,7 +152,7 @@ def _no_advantage(of: str, split: str, compared: Compared) -> Claim:
         said += f"; beyond {NOTICED} at {listed(clear)}"
     return Claim(
         f"AGN, {split} split: DeepFSI has no clear advantage (less than {NOTICED}) at any budget",
-        above([-each for each in compared.values()], -NOTICED),
+        all_above([-each for each in compared.values()], -NOTICED),
         said,
     )
 
@@ -170,7 +170,7 @@ def _advantageous(of: str, split: str, compared: Compared, chosen: Chosen) -> Cl
     )
     if unclear:
         said += f"; not clearly above {listed(unclear)}"
-    holds = above(compared.values())
+    holds = all_above(compared.values())
     return Claim(
         f"PN, {split} split: DeepFSI is above every other design of masks at every budget",
         holds,
@@ -192,7 +192,7 @@ def leakage(measures: Measures) -> dict[float, Leakage]:
         one, other = (rates[(split, photons)] for split in measures.parts)
         both = np.isfinite(one).all(axis=0) & np.isfinite(other).all(axis=0)
         means = [np.average(each[:, both], axis=1, weights=sizes[both]) for each in (one, other)]
-        apart = of_trials((means[0] - means[1]).tolist())
+        apart = mean_of_trials((means[0] - means[1]).tolist())
         found[photons] = Leakage(float(means[0].mean()), float(means[1].mean()), apart)
     return found
 
@@ -203,7 +203,7 @@ def _leakage_claim(of: str, leakages: dict[float, Leakage]) -> Claim:
     return Claim(
         f"Ours: in bright light ({photons_text(bright)} photons, PN) a random split flatters "
         "DeepFSI",
-        above([own.difference]),
+        all_above([own.difference]),
         f"{of}: {own.random:.3f} random, {own.blocks:.3f} blocks, {own.difference}, over the "
         "classes that both test, by their shares of the scene",
         "The interval covers training seeds, for one draw of the blocks.",
@@ -225,12 +225,12 @@ def _same_claim(of: str, results: Results, splits: Sequence[str]) -> Claim:
                 for b in budgets
             }
         )
-    apart = {b: of_trials((gains[0][b] - gains[1][b]).tolist()) for b in gains[0]}
+    apart = {b: mean_of_trials((gains[0][b] - gains[1][b]).tolist()) for b in gains[0]}
     most = max(apart, key=lambda budget: abs(apart[budget].mean))
     both = [*apart.values(), *(-each for each in apart.values())]
     return Claim(
         f"Ours: DeepFSI's advantage under PN is the same in both splits (within {NOTICED})",
-        above(both, -NOTICED),
+        all_above(both, -NOTICED),
         f"{of}: random − blocks at most {apart[most]} at {photons_text(most)} photons",
     )
 

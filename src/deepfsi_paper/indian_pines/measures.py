@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from deepfsi.base.progress import SILENT, Report
+from deepfsi.base import SILENT, Progress
 from deepfsi.datasets import Dataset, SpectralImage
 from deepfsi.datasets.indian_pines import load_scene
 from deepfsi.design.artifact import Design
@@ -143,7 +143,7 @@ class Measures:
 
 
 def measure(
-    results: Results, data: Dataset, designs: Path, workers: int | None, report: Report
+    results: Results, data: Dataset, designs: Path, workers: int | None, report: Progress
 ) -> dict[str, Any]:
     """Overview, parts, class maps, spectral masks and recalls of the trained designs.
 

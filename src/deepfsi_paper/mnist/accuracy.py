@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Any
 
-from deepfsi.base.intervals import Difference, above
+from deepfsi.base import Difference, all_above
 from deepfsi.report.accuracy import accuracy_figure
 from deepfsi.report.comparison_page import listed
 from deepfsi.report.style import photons_text
@@ -66,7 +66,7 @@ def _claim(text: str, compared: Compared, why: str = "") -> Claim:
     said = f"lowest: {compared[least]} at {photons_text(least)} photons"
     if unclear:
         said += f"; not clearly above at {listed(unclear)}"
-    return Claim(text, above(compared.values()), said, why)
+    return Claim(text, all_above(compared.values()), said, why)
 
 
 def photon_claims(photon: dict[tuple[str, float], Point]) -> list[Claim]:
@@ -125,17 +125,17 @@ def read_claims(read: dict[tuple[str, float], Point]) -> list[Claim]:
     return [
         Claim(
             "AGN: every multiplexed code is above RS wherever their intervals are apart",
-            None if least is None else above(each for _, _, each in clear),
+            None if least is None else all_above(each for _, _, each in clear),
             f"{len(clear)} cases apart, lowest {least}"
             + (f"; below: {listed(against)}" if against else ""),
         ),
         Claim(
             "AGN: DeepFSI is the highest of the designs of masks",
-            above(rivals.values()),
+            all_above(rivals.values()),
             f"nearest: {rivals[worst]} over {read[worst].label} at "
             f"{photons_text(worst[1])} photons",
             ""
-            if above(rivals.values())
+            if all_above(rivals.values())
             else "With much light several designs reach the limit of the classifier, and the "
             "order is chance; with very little light all are near guessing.",
         ),

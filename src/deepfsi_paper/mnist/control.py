@@ -2,7 +2,7 @@
 
 import math
 
-from deepfsi.base.intervals import Difference, above, difference
+from deepfsi.base import Difference, accuracy_difference, all_above
 from deepfsi.report.style import COLOURS, photons_text
 from deepfsi.sweeps.results import Point, Results
 from deepfsi_paper.experiment import Experiment, Finding, points
@@ -29,7 +29,9 @@ def show(results: Results) -> Finding:
     """DeepFSI less the control group, by budget and read noise."""
     learned = {p.photons: p for p in points(results, best=True, design="deepfsi")}
     control = {(relative(p), p.photons): p for p in points(results, best=True, design="control")}
-    lead = {place: difference(learned[place[1]], point) for place, point in control.items()}
+    lead = {
+        place: accuracy_difference(learned[place[1]], point) for place, point in control.items()
+    }
     noises = sorted({noise for noise, _ in control})
     claims = tuple(_claim(noise, lead) for noise in noises)
     nearest = {
@@ -67,7 +69,7 @@ def _claim(noise: float, lead: dict[tuple[float, float], Difference]) -> Claim:
     said = "σ = √(Φ / N)" if noise == 1 else f"σ = {noise:g} √(Φ / N)"
     return Claim(
         f"PN: the control group with {said} is below DeepFSI in the dimmer half",
-        above(own.values()),
+        all_above(own.values()),
         f"lowest: {own[least]} at {photons_text(least)} photons",
     )
 

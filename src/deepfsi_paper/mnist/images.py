@@ -3,7 +3,7 @@
 from collections import defaultdict
 from collections.abc import Sequence
 
-from deepfsi.base.intervals import above, difference
+from deepfsi.base import accuracy_difference, all_above
 from deepfsi.report.style import COLOURS, LINES, photons_text
 from deepfsi.sweeps.results import Point, Results
 from deepfsi_paper.experiment import Experiment, Finding
@@ -90,7 +90,7 @@ def _claims(chosen: Places, budgets: Sequence[float]) -> tuple[Claim, ...]:
     claims = []
     for photons in budgets:
         lead = {
-            images: difference(point, chosen[("pca", photons, images)])
+            images: accuracy_difference(point, chosen[("pca", photons, images)])
             for (design, budget, images), point in chosen.items()
             if (design, budget) == ("deepfsi", photons) and ("pca", photons, images) in chosen
         }
@@ -100,7 +100,7 @@ def _claims(chosen: Places, budgets: Sequence[float]) -> tuple[Claim, ...]:
         claims.append(
             Claim(
                 f"DeepFSI is above FSI with any number of scenes ({photons_text(photons)} photons)",
-                above(lead.values()),
+                all_above(lead.values()),
                 f"lowest: {lead[least]} with {least} scenes",
             )
         )

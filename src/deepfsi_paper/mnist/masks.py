@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 from pydantic import TypeAdapter
 
-from deepfsi.base.intervals import Difference, above, of_trials
-from deepfsi.base.progress import Report
+from deepfsi.base import Difference, Progress, all_above, mean_of_trials
 from deepfsi.datasets import Dataset
 from deepfsi.designfile import DesignFile
 from deepfsi.jobs.tiles import sensing_matrix
@@ -76,7 +75,7 @@ class Measures:
 
 
 def measure(
-    results: Results, data: Dataset, designs: Path, workers: int | None, report: Report
+    results: Results, data: Dataset, designs: Path, workers: int | None, report: Progress
 ) -> dict[str, Any]:
     """Measures of the masks of every trial, and the masks of the first for the figure.
 
@@ -116,7 +115,7 @@ def measure(
 
 
 def _row(name: str, series: str, photons: float, values: list[float]) -> Measure:
-    low, high = of_trials(values).interval() if len(values) > 1 else (None, None)
+    low, high = mean_of_trials(values).interval() if len(values) > 1 else (None, None)
     return Measure(name, series, photons, float(np.mean(values)), low, high, values)
 
 
@@ -158,7 +157,7 @@ def _claims(measures: Measures) -> tuple[Claim, ...]:
         _claim(spanned, across(SPAN), repeated),
         Claim(
             "AGN's and PN's masks become alike as light grows",
-            above([grown]),
+            all_above([grown]),
             f"likeness mask by mask {likeness[dim].value:.2f} at {photons_text(dim)} and "
             f"{likeness[bright].value:.2f} at {photons_text(bright)} photons: {grown}",
         ),
@@ -211,14 +210,14 @@ def _pictures(measures: Measures) -> tuple[Picture, ...]:
 
 def _minus(first: Measure, second: Measure) -> Difference:
     """Difference of two measures, trial by trial; of one trial without an interval."""
-    return of_trials(np.subtract(first.values, second.values).tolist())
+    return mean_of_trials(np.subtract(first.values, second.values).tolist())
 
 
 def _claim(text: str, differences: dict[float, Difference], otherwise: str = "") -> Claim:
     said = "; ".join(
         f"AGN − PN {each} at {photons_text(budget)}" for budget, each in differences.items()
     )
-    holds = above(differences.values())
+    holds = all_above(differences.values())
     return Claim(text, holds, f"{said} photons", "" if holds else otherwise)
 
 

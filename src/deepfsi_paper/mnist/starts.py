@@ -1,6 +1,6 @@
 """The effect of the matrix that learned masks start from."""
 
-from deepfsi.base.intervals import CONFIDENCE, Difference, difference
+from deepfsi.base import CONFIDENCE, Difference, accuracy_difference
 from deepfsi.report.style import photons_text
 from deepfsi.sweeps.results import Results
 from deepfsi_paper.experiment import Experiment, Finding
@@ -19,7 +19,7 @@ def show(results: Results) -> Finding:
     """Accuracies by start, and paired differences to the start from principal components."""
     at = {(point.variant.removeprefix("start "), point.photons): point for point in results.points}
     compared = {
-        (start, photons): difference(point, at[("pca", photons)])
+        (start, photons): accuracy_difference(point, at[("pca", photons)])
         for (start, photons), point in at.items()
         if start != "pca"
     }

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 
-from deepfsi.base.intervals import Difference, above, difference
+from deepfsi.base import Difference, accuracy_difference, all_above
 from deepfsi.report.style import COLOURS, photons_text
 from deepfsi.sweeps.results import Point, Results
 from deepfsi_paper.experiment import Experiment, Finding, points
@@ -22,12 +22,12 @@ def show(results: Results) -> Finding:
     dropout = points(results, recipe="dropout", best=True)
     without = {(p.label, p.photons): p for p in dropout if _setting(p) == 0}
     gains = {
-        (p.label, p.photons, _setting(p)): difference(p, without[(p.label, p.photons)])
+        (p.label, p.photons, _setting(p)): accuracy_difference(p, without[(p.label, p.photons)])
         for p in dropout
         if _setting(p) > 0
     }
     first, last = epochs[0], epochs[-1]
-    longer = difference(last, first)
+    longer = accuracy_difference(last, first)
     found = (
         f"DeepFSI at {photons_text(first.photons)} photons has {first.accuracy:.3f} after "
         f"{_setting(first):g} epochs and {last.accuracy:.3f} after {_setting(last):g}: {longer}. "
@@ -36,7 +36,7 @@ def show(results: Results) -> Finding:
     claims = (
         Claim(
             f"{_setting(last):g} epochs are better than {_setting(first):g}",
-            above([longer]),
+            all_above([longer]),
             str(longer),
         ),
         *(_claim(share, gains) for share in sorted({share for *_, share in gains})),
@@ -70,7 +70,7 @@ def _claim(share: float, gains: dict[tuple[str, float, float], Difference]) -> C
     least, most = (pick(own, key=lambda place: own[place].mean) for pick in (min, max))
     return Claim(
         f"Dropout of {share:g} raises the accuracy of every design",
-        above(own.values()),
+        all_above(own.values()),
         "; ".join(
             f"{word} {own[place]}, {place[0]} at {photons_text(place[1])} photons"
             for word, place in (("least", least), ("most", most))

@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 from pydantic import TypeAdapter
 
-from deepfsi.base.intervals import Difference, above, difference, of_trials
-from deepfsi.base.progress import Report
+from deepfsi.base import Difference, Progress, accuracy_difference, all_above, mean_of_trials
 from deepfsi.datasets import Dataset
 from deepfsi.design.artifact import Design
 from deepfsi.report.accuracy import accuracy_figure
@@ -61,7 +60,7 @@ class Measures:
 
 
 def measure(
-    results: Results, data: Dataset, designs: Path, workers: int | None, report: Report
+    results: Results, data: Dataset, designs: Path, workers: int | None, report: Progress
 ) -> dict[str, Any]:
     """Throughput and directions of every trial's learned masks, and the masks of the first.
 
@@ -195,7 +194,7 @@ def ahead(at: Mapping[tuple[str, float], Point], rival: str, budgets: Sequence[f
         Rising.
     """
     compared: dict[float, Difference] = {
-        budget: difference(at[(LEARNED, budget)], at[(rival, budget)])
+        budget: accuracy_difference(at[(LEARNED, budget)], at[(rival, budget)])
         for budget in budgets
         if (LEARNED, budget) in at and (rival, budget) in at
     }
@@ -204,7 +203,7 @@ def ahead(at: Mapping[tuple[str, float], Point], rival: str, budgets: Sequence[f
     unclear = [photons_text(budget) for budget, each in compared.items() if each.low <= 0]
     return Claim(
         f"{LABEL} is above {label} at every budget",
-        above(compared.values()),
+        all_above(compared.values()),
         f"{LABEL} − {label}: {said} photons",
         f"not clearly above at {listed(unclear)} photons" if unclear else "",
     )
@@ -232,8 +231,8 @@ def grows(
         f"{float(np.mean(values)):#.3g} at {photons_text(photons)}" for photons, values in ends
     )
     (_, dim), (_, bright) = ends
-    each = of_trials(np.subtract(bright, dim).tolist())
-    holds = above([each], limit)
+    each = mean_of_trials(np.subtract(bright, dim).tolist())
+    holds = all_above([each], limit)
     return Claim(text, holds, f"{said} photons: {each}", otherwise if holds is False else "")
 
 

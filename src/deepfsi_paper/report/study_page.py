@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from numbers import Integral, Real
 from pathlib import Path, PurePosixPath
 
-from deepfsi.base.errors import InputError
-from deepfsi.base.files import write_atomically
+from deepfsi.base import InputError, write_atomically
 from deepfsi.report.figures import Figures
 from deepfsi.report.rendering import flat, render
 from deepfsi_paper.report.section import Cell, Claim, Section, Table

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from calibration_samples import GRID, IDENTITY, VIEW, apply, calibration_of, pictures_of, vignette
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.camera.device import Device
 from deepfsi.camera.layout import DmdLayout, find_grid
 from deepfsi.hardware.calibration import camera_view, fit

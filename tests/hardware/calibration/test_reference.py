@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 from scipy import ndimage
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.camera.device import Device
 from deepfsi.camera.layout import DmdLayout
 from deepfsi.datasets import read_display

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.camera.device import Device
 from deepfsi.hardware.calibration import SCAN_NAMES, scan_rails
 from deepfsi.hardware.patterns.folder import check_patterns, export_patterns

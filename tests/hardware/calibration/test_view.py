@@ -8,7 +8,7 @@ import pytest
 from calibration_samples import IDENTITY, VIEW, apply, calibration_of, vignette
 from scipy import ndimage
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.camera.device import Device, find_device
 from deepfsi.camera.layout import DmdLayout, find_grid
 from deepfsi.datasets import load_dataset

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.camera.device import DEVICES, find_device
 from deepfsi.hardware.counting.acquisition import Acquisition, Scene, prepare
 from deepfsi.hardware.counting.alignment import Counter

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from recording_samples import made, many, named, patterns_of
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.hardware.counting import acquisition
 from deepfsi.hardware.counting.acquisition import Scene, plan_acquisition, prepare
 from deepfsi.hardware.counting.counting import count

@@ -6,7 +6,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from recording_samples import JITTER, lamp, many, schedule, train, troubles, unseen
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.hardware.counting.alignment import align, find_steps
 
 EQUAL = schedule([1000] * 16)

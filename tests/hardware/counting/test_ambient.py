@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from recording_samples import schedule
 
-from deepfsi.base.errors import InputError
-from deepfsi.base.tables import Table
+from deepfsi.base import InputError, Table
 from deepfsi.camera.detectors import DetectorMap
 from deepfsi.camera.device import Device
 from deepfsi.hardware.counting.ambient import Ambient

@@ -7,7 +7,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from recording_samples import DWELL, JITTER, made, many, schedule, train, troubles, unseen
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.hardware.counting.alignment import align
 from deepfsi.hardware.counting.clocks import measure_clock
 from deepfsi.hardware.counting.counting import count

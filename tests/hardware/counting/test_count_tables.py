@@ -7,8 +7,7 @@ import pytest
 import torch
 from recording_samples import patterns_of
 
-from deepfsi.base.errors import InputError
-from deepfsi.base.tables import Table
+from deepfsi.base import InputError, Table
 from deepfsi.camera.dead_time import DeadTime
 from deepfsi.camera.detectors import DetectorMap
 from deepfsi.camera.device import Device

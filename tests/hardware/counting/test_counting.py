@@ -9,8 +9,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from recording_samples import DWELL, TICK, made, many, named, patterns_of, train, troubles, unseen
 
-from deepfsi.base.errors import InputError
-from deepfsi.base.progress import Report
+from deepfsi.base import InputError, Progress
 from deepfsi.hardware.counting import acquisition
 from deepfsi.hardware.counting.acquisition import prepare, read_acquisition
 from deepfsi.hardware.counting.counting import count
@@ -205,7 +204,7 @@ def test_a_file_cut_while_recording_keeps_whole_exposures(run):
 
 def test_progress_rises_to_one(run):
     shares: list[float] = []
-    count(run.folder, report=Report(lambda share, what: shares.append(share)))
+    count(run.folder, report=Progress(lambda share, what: shares.append(share)))
     assert shares == sorted(shares)
     assert shares[-1] == pytest.approx(1)
 

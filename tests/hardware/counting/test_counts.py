@@ -8,7 +8,7 @@ import pytest
 import recording_samples
 from recording_samples import Run
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.hardware.counting.counting import count
 from deepfsi.hardware.counting.counts import read_counts
 from deepfsi.hardware.pictures import reconstruct

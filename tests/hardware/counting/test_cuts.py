@@ -5,7 +5,7 @@ import pytest
 import recording_samples
 from recording_samples import Run, lamp, schedule, train
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.hardware.counting.alignment import align
 from deepfsi.hardware.counting.counting import count
 from deepfsi.hardware.photons import PtuFile, read_markers

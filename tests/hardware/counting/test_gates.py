@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from recording_samples import DWELL, TICK, named, patterns_of, schedule, train
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.hardware.counting.acquisition import gates_of, prepare
 from deepfsi.hardware.counting.counting import count
 from deepfsi.hardware.counting.gates import Frames, Windows, find_lateness

@@ -5,8 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from deepfsi.base.errors import InputError
-from deepfsi.base.tables import read_table
+from deepfsi.base import InputError, read_table
 from deepfsi.camera.detectors import DetectorMap
 from deepfsi.camera.device import Device
 from deepfsi.hardware.counting.series import ROLL_OVER, of_bins, of_cumulative

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.hardware.counting.streaming import FrameGates, StreamCounter
 from deepfsi.hardware.photons import (
     PtuFile,

@@ -8,8 +8,7 @@ import pytest
 from dlpc900_fake import decode, install
 from driver_samples import make_patterns
 
-from deepfsi.base.errors import InputError
-from deepfsi.base.progress import Report
+from deepfsi.base import InputError, Progress
 from deepfsi.camera.device import DEVICES, Device
 from deepfsi.hardware.drivers import dlpc900
 from deepfsi.hardware.drivers.dlpc900 import encode_picture
@@ -116,7 +115,7 @@ def test_lines_that_repeat_cost_a_few_bytes():
 def test_progress_reaches_the_end(board, tmp_path):
     folder, shares = patterns(tmp_path / "patterns"), []
     with dlpc900.Dlpc900Projector() as projector:
-        projector.load(folder, Report(lambda share, _: shares.append(share)))
+        projector.load(folder, Progress(lambda share, _: shares.append(share)))
     assert shares == sorted(shares)
     assert shares[-1] == 1
     assert len(shares) > 5

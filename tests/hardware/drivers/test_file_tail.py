@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.hardware.counting.streaming import FrameGates, StreamCounter
 from deepfsi.hardware.drivers import FollowedCounter, StreamingCounter
 from deepfsi.hardware.drivers import file_tail as followed

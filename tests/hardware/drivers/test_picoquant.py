@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from driver_samples import check_refused_before_a_recording
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.hardware.counting.streaming import FrameGates
 from deepfsi.hardware.drivers import StreamingCounter, picoquant
 from deepfsi.hardware.drivers.picoquant import SnapiCounter

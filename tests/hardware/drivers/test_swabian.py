@@ -8,7 +8,7 @@ import ptufile
 import pytest
 from driver_samples import check_refused_before_a_recording
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.hardware.counting.streaming import FrameGates
 from deepfsi.hardware.drivers import StreamingCounter, swabian
 from deepfsi.hardware.drivers.swabian import TaggerCounter, TaggerSettings

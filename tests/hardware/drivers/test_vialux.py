@@ -7,8 +7,7 @@ import pytest
 from driver_samples import make_patterns
 from vialux_fake import DEVICE, install
 
-from deepfsi.base.errors import InputError
-from deepfsi.base.progress import Report
+from deepfsi.base import InputError, Progress
 from deepfsi.camera.device import Device
 from deepfsi.hardware.drivers import vialux
 from deepfsi.hardware.patterns.folder import (
@@ -40,7 +39,7 @@ def test_a_pass_shows_every_frame_for_its_time(library, tmp_path, light, format)
     folder = patterns(tmp_path / "patterns", light, format)
     shares = []
     with vialux.VialuxProjector() as projector:
-        projector.load(folder, Report(lambda share, _: shares.append(share)))
+        projector.load(folder, Progress(lambda share, _: shares.append(share)))
         loaded = dict(library.sequences)
         for _ in range(2):
             projector.run()

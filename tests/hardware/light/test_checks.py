@@ -10,7 +10,7 @@ import pytest
 from light_faults import FAULTS, Lit, patterns_of, steady
 from scipy.stats import binom
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.camera.detectors import DetectorMap
 from deepfsi.hardware.counting.counting import count
 from deepfsi.hardware.counting.counts import Counts

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from deepfsi import learn
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.camera.device import find_device
 from deepfsi.hardware.live.known import read_looks
 from deepfsi.hardware.live.replay import count_live, read_live_counts

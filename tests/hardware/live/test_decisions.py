@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.camera.dead_time import DeadTime
 from deepfsi.design.artifact import Design
 from deepfsi.hardware.counting.acquisition import Scene

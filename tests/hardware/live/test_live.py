@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.camera.device import find_device
 from deepfsi.hardware.counting.acquisition import read_acquisition
 from deepfsi.hardware.live import run as runs

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.camera.device import DEVICES, find_device
 from deepfsi.datasets import write_pictures
 from deepfsi.hardware.calibration import scan_rails

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from conftest import quick
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.camera.dead_time import DeadTime
 from deepfsi.camera.device import find_device
 from deepfsi.hardware.drivers import Setup

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deepfsi.base.progress import SILENT
+from deepfsi.base import SILENT
 from deepfsi.camera.device import find_device
 from deepfsi.camera.layout import DmdLayout
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns

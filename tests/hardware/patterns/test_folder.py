@@ -18,8 +18,7 @@ from PIL import Image
 from scipy.linalg import hadamard
 
 from conftest import CASES, FLOAT32
-from deepfsi.base.errors import InputError
-from deepfsi.base.progress import Report
+from deepfsi.base import InputError, Progress
 from deepfsi.camera.device import DEVICES, Device, find_device
 from deepfsi.hardware.patterns.folder import (
     check_patterns,
@@ -166,17 +165,17 @@ def test_an_export_that_stops_leaves_nothing(tmp_path):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        export(tmp_path / "p", report=Report(stop))
+        export(tmp_path / "p", report=Progress(stop))
     assert not list(tmp_path.iterdir())
 
 
 def test_progress_and_rights_of_the_folder(tmp_path):
     seen: list[float] = []
-    export(tmp_path / "deep" / "p", report=Report(lambda share, _: seen.append(share)))
+    export(tmp_path / "deep" / "p", report=Progress(lambda share, _: seen.append(share)))
     assert seen == sorted(seen)
     assert seen[-1] == 1
     checked: list[float] = []
-    check_patterns(tmp_path / "deep" / "p", Report(lambda share, _: checked.append(share)))
+    check_patterns(tmp_path / "deep" / "p", Progress(lambda share, _: checked.append(share)))
     assert checked == seen
     umask = os.umask(0)
     os.umask(umask)

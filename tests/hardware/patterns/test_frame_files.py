@@ -9,7 +9,7 @@ from pattern_samples import FORMATS, SMALL, every_format, export, grey
 from PIL import Image
 from vendor_readers import read_one_bit
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.camera.device import DEVICES, find_device
 from deepfsi.hardware.patterns import folder
 from deepfsi.hardware.patterns.folder import check_patterns, read_frames

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from conftest import quick
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.design.artifact import Design
 from deepfsi.designfile import loop_bytes
 from deepfsi.hardware.patterns.folder import check_patterns, read_patterns

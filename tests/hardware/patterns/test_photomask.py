@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.hardware.patterns.photomask import as_png, as_svg, rectangles
 
 SVG = "{http://www.w3.org/2000/svg}"

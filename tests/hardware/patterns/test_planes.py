@@ -16,7 +16,7 @@ from vendor_readers import (
     read_packed,
 )
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.camera.device import DEVICES, Device
 from deepfsi.hardware.patterns.folder import check_patterns, read_frames
 from deepfsi.hardware.patterns.sequence import Format

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from ptufile.ptufile import encode_tag
 
-from deepfsi.base.progress import SILENT, Report
+from deepfsi.base import SILENT, Progress
 from deepfsi.hardware.photons import Part, PtuFile, PtuStream
 from deepfsi.hardware.photons.ptu import GENERIC_T2, KINDS, Kind, read_header
 
@@ -148,7 +148,7 @@ class StreamedFile(PtuStream):
             read_header(path)  # refused, as a file that ends within its header
         self.header = replace(self.header, size=path.stat().st_size)
 
-    def parts(self, progress: Report = SILENT, ordered: bool = True) -> Iterator[Part]:
+    def parts(self, progress: Progress = SILENT, ordered: bool = True) -> Iterator[Part]:
         yield from super().parts()
         for piece in self.pieces:
             self.feed(piece)

@@ -10,7 +10,7 @@ import pytest
 from ptu_samples import END, T2, every_source, tags_of
 from ptufile.ptufile import encode_tag
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.hardware.photons import PtuFile, PtuWriter, read_markers, summarise
 from shared.disks import nearly_full
 

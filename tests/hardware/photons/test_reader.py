@@ -20,8 +20,7 @@ from ptu_samples import (
     tags_of,
 )
 
-from deepfsi.base.errors import InputError
-from deepfsi.base.progress import Report
+from deepfsi.base import InputError, Progress
 from deepfsi.hardware.photons import (
     PtuStream,
     PtuWriter,
@@ -150,7 +149,7 @@ def test_real_files_hold_what_their_description_says(name, wanted, opened):
 def test_progress_ends_at_one(tmp_path, monkeypatch):
     monkeypatch.setattr(records, "RECORDS_IN_MEMORY", 1000)
     path, shares = save(tmp_path / "a.ptu", T2, recorded(T2.code)), []
-    summarise(path, Report(lambda share, what: shares.append(share)))
+    summarise(path, Progress(lambda share, what: shares.append(share)))
     assert len(shares) > 3
     assert shares == sorted(shares)
     assert shares[-1] == 1
@@ -221,7 +220,7 @@ def test_a_file_that_shrinks_while_it_is_read_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(records, "RECORDS_IN_MEMORY", 10)
     path = save(tmp_path / "a.ptu", T2, recorded(T2.code))
     with pytest.raises(InputError, match="shorter"):
-        summarise(path, Report(lambda share, what: os.truncate(path, 3000)))
+        summarise(path, Progress(lambda share, what: os.truncate(path, 3000)))
 
 
 def test_more_markers_than_frames_can_be_are_refused(tmp_path, monkeypatch):

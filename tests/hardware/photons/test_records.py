@@ -28,7 +28,7 @@ from ptu_samples import (
 )
 from ptufile.ptufile import encode_tag
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.hardware.photons import PtuWriter, count_windows, read_markers, records, summarise
 from deepfsi.hardware.photons.ptu import KINDS, PICOHARP_T2, PICOHARP_T3
 

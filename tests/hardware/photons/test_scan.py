@@ -8,7 +8,7 @@ import ptufile
 import pytest
 from ptu_samples import T2, encode, save
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.hardware.photons import ScanMarkers, count_scan
 from deepfsi.hardware.photons.ptu import PICOHARP_T3
 

@@ -10,7 +10,7 @@ import numpy as np
 import ptufile
 import pytest
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.hardware.photons import read_photons, read_timestamps, summarise, timestamps
 from deepfsi.hardware.photons.timestamps import Timestamps
 

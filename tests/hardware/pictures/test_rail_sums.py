@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.hardware.light import FALSE_ALARMS
 from deepfsi.hardware.pictures import check_rail_sums, fineness, split_rails
 from deepfsi.hardware.pictures.rail_sums import LAYOUTS, LEAST_PAIRS, find_causes

@@ -9,8 +9,7 @@ import torch
 from pydantic import ValidationError
 from virtual_samples import DEVICE, SHAPE, SUMMED_REFLECTANCE, into, patterns, scenes
 
-from deepfsi.base.errors import InputError
-from deepfsi.base.progress import SILENT, Report
+from deepfsi.base import SILENT, InputError, Progress
 from deepfsi.camera.device import Device
 from deepfsi.camera.layout import DmdLayout, find_grid
 from deepfsi.hardware.counting.acquisition import read_acquisition
@@ -405,7 +404,7 @@ def test_a_recording_that_is_stopped_leaves_nothing(tmp_path):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        shoot(tmp_path, report=Report(stop))
+        shoot(tmp_path, report=Progress(stop))
     assert [path.name for path in tmp_path.iterdir()] == ["p"]
 
 

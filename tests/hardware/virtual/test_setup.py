@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from virtual_samples import SHAPE, patterns
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.hardware.photons import count_windows, read_markers, summarise
 from deepfsi.hardware.virtual import (
     DETECTOR_TICK_S,

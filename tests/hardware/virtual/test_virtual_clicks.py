@@ -5,7 +5,7 @@ import pytest
 import torch
 from virtual_samples import SUMMED_REFLECTANCE, patterns, scenes
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.camera.dead_time import DeadTime
 from deepfsi.hardware.counting.clicks import light_of_clicks
 from deepfsi.hardware.counting.counting import count

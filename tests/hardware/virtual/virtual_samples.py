@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from deepfsi.base.progress import Report
+from deepfsi.base import Progress
 from deepfsi.camera.device import Device
 from deepfsi.camera.layout import DmdLayout
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
@@ -31,6 +31,6 @@ def patterns(folder: Path, light: str = "equal-dwell", rails: str = "dual", mask
     return export_patterns(design, settings, folder)
 
 
-def into(shares: list[float]) -> Report:
+def into(shares: list[float]) -> Progress:
     """Report that keeps the shares."""
-    return Report(lambda share, _: shares.append(share))
+    return Progress(lambda share, _: shares.append(share))

@@ -12,8 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepfsi.base.errors import InputError
-from deepfsi.base.files import DESIGNS, check_ending, write_atomically
+from deepfsi.base import DESIGN_ENDINGS, InputError, check_ending, write_atomically
 from deepfsi.camera.camera import Camera
 from deepfsi.design.adaptive.exposures import AT_ONCE, expose, look_at
 from deepfsi.design.adaptive.misfit import UsualMisfit
@@ -190,7 +189,7 @@ class AdaptiveDesign:
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write one safetensors file, all or nothing; its name ends in ``.safetensors``."""
-        check_ending(path, DESIGNS)
+        check_ending(path, DESIGN_ENDINGS)
         return write_atomically(path, self.to_bytes())
 
     @library_defaults()

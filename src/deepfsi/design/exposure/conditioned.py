@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.camera.names import LightLawName
 from deepfsi.design.exposure.trained import TrainedExposure
 from deepfsi.jobs.exposures import ConditionedEntry

@@ -18,7 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.light import Shares, share_out
 from deepfsi.camera.names import LIGHT_LAWS, LightLawName

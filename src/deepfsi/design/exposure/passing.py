@@ -7,7 +7,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor, nn
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.camera.names import LightLawName
 from deepfsi.design.exposure.trained import Observation, TrainedExposure
 from deepfsi.jobs.exposures import STATIC, ExposureEntry, Passing, PassingEntry

@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.names import LightLawName
 from deepfsi.design.classifiers import Mlp

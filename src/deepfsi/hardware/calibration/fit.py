@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from scipy import ndimage, optimize, special
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.camera.layout import DmdGrid
 from deepfsi.datasets import write_pictures
 from deepfsi.hardware.calibration.view import geometry_matrix

@@ -14,9 +14,7 @@ import numpy as np
 from PIL import Image
 from scipy import optimize
 
-from deepfsi.base.errors import InputError
-from deepfsi.base.files import write_atomically
-from deepfsi.base.progress import SILENT, Report
+from deepfsi.base import SILENT, InputError, Progress, write_atomically
 from deepfsi.camera.layout import DmdLayout
 from deepfsi.hardware.calibration.fit import DisplayedScenes
 from deepfsi.hardware.counting.counts import Counts
@@ -250,7 +248,7 @@ class ReferenceReadouts:
 
 
 @np.errstate(under="ignore")
-def find_reference(counts: Counts, patterns: Patterns, report: Report = SILENT) -> ReferenceFit:
+def find_reference(counts: Counts, patterns: Patterns, report: Progress = SILENT) -> ReferenceFit:
     """Place of the target in a recording of it alone, all passes and exposures together.
 
     Parameters
@@ -276,7 +274,7 @@ def find_reference_of_masks(
     counts: np.ndarray,
     variance: np.ndarray,
     manifest: Manifest,
-    report: Report = SILENT,
+    report: Progress = SILENT,
 ) -> ReferenceFit:
     """Place of the target behind masks that were made while it was shown.
 
@@ -314,7 +312,7 @@ def _check_readouts(manifest: Manifest, count: int) -> None:
 
 
 def _fit_place(
-    readouts: ReferenceReadouts, manifest: Manifest, report: Report = SILENT
+    readouts: ReferenceReadouts, manifest: Manifest, report: Progress = SILENT
 ) -> ReferenceFit:
     """Place of the target that explains its counts behind masks best."""
     from scipy.stats import chi2

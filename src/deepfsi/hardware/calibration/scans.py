@@ -8,8 +8,7 @@ from typing import Literal, get_args
 import numpy as np
 from scipy.linalg import hadamard, solve
 
-from deepfsi.base.errors import InputError, check_known
-from deepfsi.base.files import write_atomically
+from deepfsi.base import InputError, check_choice, write_atomically
 from deepfsi.camera.detectors import DetectorMap
 from deepfsi.hardware.counting.counts import Counts
 from deepfsi.hardware.light import SPOILING
@@ -36,7 +35,7 @@ WORST_GAIN = 0.01
 def scan_rails(name: str, cells: tuple[int, int], detectors: int = 1) -> DesignRails:
     """Rails of a scan with equal dwells; its mean scene is one of uniform white."""
     # Hadamard masks of sides that are no power of two are those of the next larger one, cut to size
-    check_known("scan", name, SCAN_NAMES)
+    check_choice("scan", name, SCAN_NAMES)
     down, across = cells
     pixels = down * across
     if not 2 <= pixels <= MOST_CELLS:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from scipy import ndimage, sparse
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.datasets import Dataset
 from deepfsi.hardware.counting.calibration_file import Calibration, load_calibration
 

@@ -18,10 +18,17 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
-from deepfsi.base.errors import InputError, as_input_error
-from deepfsi.base.files import hash_file, new_folder, read_regular, read_text, write_atomically
-from deepfsi.base.models import StrictModel
-from deepfsi.base.quantities import time_text
+from deepfsi.base import (
+    InputError,
+    StrictModel,
+    as_input_error,
+    hash_file,
+    new_folder,
+    read_regular,
+    read_text,
+    time_text,
+    write_atomically,
+)
 from deepfsi.camera.stop_rule import Live
 from deepfsi.hardware.patterns.folder import companions, read_patterns
 from deepfsi.hardware.patterns.sequence import Manifest, Patterns

@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.hardware.counting.clocks import measure_clock
 from deepfsi.hardware.counting.passes import (
     MOST_DRIFT,

@@ -11,7 +11,7 @@ from typing import Self
 
 import numpy as np
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.hardware.patterns.sequence import Manifest
 
 

@@ -12,9 +12,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, FiniteFloat, model_validator
 
-from deepfsi.base.errors import as_input_error
-from deepfsi.base.files import read_text, write_atomically
-from deepfsi.base.models import StrictModel
+from deepfsi.base import StrictModel, as_input_error, read_text, write_atomically
 from deepfsi.camera.dead_time import DeadTime
 
 LEAST_SPOTS = 16

@@ -18,8 +18,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from deepfsi.base.errors import InputError
-from deepfsi.base.quantities import time_text
+from deepfsi.base import InputError, time_text
 from deepfsi.hardware.counting.acquisition import MOST_READOUTS, Acquisition, gates_of
 from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.hardware.patterns.timing import ClickGates, Gates

@@ -7,9 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deepfsi.base.errors import InputError
-from deepfsi.base.progress import SILENT, Report
-from deepfsi.base.quantities import time_text
+from deepfsi.base import SILENT, InputError, Progress, time_text
 from deepfsi.camera.dead_time import NO_DEAD_TIME, Correction, DeadTime
 from deepfsi.hardware.counting.acquisition import (
     Acquisition,
@@ -71,7 +69,7 @@ def count(
     background: str | None = None,
     gains: tuple[float, ...] = (),
     clicks: int | None = None,
-    report: Report = SILENT,
+    report: Progress = SILENT,
 ) -> Counts:
     """Count the photons of each readout and write counts.npz."""
     # background: the scene that was dark, or the folder of a recording with the scene dark, of the
@@ -107,13 +105,18 @@ def count(
     if background is not None and own is None:
         ambient = _read_dark(Path(background), acquisition, manifest, gates, correct)
     header = _read_counter(Path(folder) / "photons.ptu", gates.length_s, manifest)
-    frames = find_frames(header, acquisition, manifest, tolerance_s, report.part(0.0, 0.4))
+    frames = find_frames(header, acquisition, manifest, tolerance_s, report.between(0.0, 0.4))
     check_gates(header, gates, manifest, frames)
     windows = Windows.of(manifest, gates, frames)
     whole = frames.whole
     starts, parts = frames.starts_s[whole], find_frame_parts(frames, gates.settle_s, PARTS)
     (found, seconds), (parted, parted_s) = _count_windows(
-        header, starts, frames.until_s, (windows, parts), acquisition.inputs, report.part(0.4, 1.0)
+        header,
+        starts,
+        frames.until_s,
+        (windows, parts),
+        acquisition.inputs,
+        report.between(0.4, 1.0),
     )
     if own is not None:
         dark, kept = (np.flatnonzero(whole) == own, np.flatnonzero(whole) != own)
@@ -176,21 +179,21 @@ def _count_clicks(
     manifest: Manifest,
     asked: tuple[float, Gates, ClickGates],
     tolerance_s: float | None,
-    report: Report,
+    report: Progress,
 ) -> Counts:
     """Clicks of each readout in exposures of so many seconds."""
     exposure, gates, of_gates = asked
     header = _read_counter(folder / "photons.ptu", of_gates.width_s, manifest)
     # Clicks saturate, so that they do not tell which frames are the brightest
     frames = find_frames(
-        header, acquisition, manifest, tolerance_s, report.part(0.0, 0.4), by_light=False
+        header, acquisition, manifest, tolerance_s, report.between(0.0, 0.4), by_light=False
     )
     check_gates(header, gates, manifest, frames)
     whole, windows = frames.whole, Windows.of(manifest, gates, frames)
     parts = ClickWindows.of(of_gates, len(acquisition.scenes))
     (found, seconds), (parted, open_s) = _count_windows(
         header, frames.starts_s[whole], frames.until_s, (windows, parts), acquisition.inputs,
-        report.part(0.4, 1.0),
+        report.between(0.4, 1.0),
     )  # fmt: skip
     _check_lit(header, acquisition, bool(found.any()))
     arm = slice(0, manifest.detector_count)
@@ -300,7 +303,7 @@ def _count_windows(
     until_s: float,
     sets: tuple[Windows | FrameParts | ClickWindows, ...],
     inputs: tuple[int, ...],
-    report: Report,
+    report: Progress,
 ) -> list[tuple[np.ndarray, np.ndarray]]:
     """Photons (S, g, inputs) in windows (S, g), and how long each was open, seconds (S, g)."""
     # For each set of windows, of passes whose frames start at `frames_s` (S, F), and none later

@@ -18,9 +18,7 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
-from deepfsi.base.errors import InputError
-from deepfsi.base.files import hash_file, read_regular, write_atomically
-from deepfsi.base.models import StrictModel
+from deepfsi.base import InputError, StrictModel, hash_file, read_regular, write_atomically
 from deepfsi.camera.dead_time import NO_DEAD_TIME, DeadTime
 from deepfsi.hardware.counting.acquisition import (
     MOST_READOUTS,

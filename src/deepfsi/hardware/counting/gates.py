@@ -12,8 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deepfsi.base.errors import InputError
-from deepfsi.base.progress import SILENT, Report
+from deepfsi.base import SILENT, InputError, Progress
 from deepfsi.hardware.counting.acquisition import Acquisition
 from deepfsi.hardware.counting.alignment import Counter, align
 from deepfsi.hardware.counting.passes import MOST_DRIFT
@@ -49,7 +48,7 @@ def find_frames(
     acquisition: Acquisition,
     manifest: Manifest,
     tolerance_s: float | None,
-    report: Report,
+    report: Progress,
     by_light: bool = True,
 ) -> Frames:
     """Frames of a recording by its markers, and by photons where markers leave a doubt."""
@@ -239,7 +238,7 @@ def count_overlapping(
     starts: np.ndarray,
     stops: np.ndarray,
     inputs: Sequence[int],
-    report: Report = SILENT,
+    report: Progress = SILENT,
 ) -> np.ndarray:
     """Photons (n, inputs) in windows, starts and stops (n,), that may overlap, in any order."""
     edges = np.stack([starts, stops])

@@ -11,8 +11,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from deepfsi.base.errors import InputError
-from deepfsi.base.quantities import time_text
+from deepfsi.base import InputError, time_text
 from deepfsi.hardware.counting.clocks import Clock
 from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.hardware.patterns.timing import usual_tolerance

@@ -18,7 +18,7 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.special import xlogy
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.hardware.counting.tables import column_names
 from deepfsi.hardware.light import CERTAIN_SIGMAS
 from deepfsi.hardware.patterns.sequence import Manifest

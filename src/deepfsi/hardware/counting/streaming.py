@@ -15,8 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deepfsi.base.errors import InputError
-from deepfsi.base.quantities import time_text
+from deepfsi.base import InputError, time_text
 from deepfsi.hardware.counting.clocks import MOST_EXTRA, MOST_RATE
 from deepfsi.hardware.light import PARTS
 from deepfsi.hardware.photons import (

@@ -14,9 +14,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from deepfsi.base.errors import InputError, check_known, closest
-from deepfsi.base.quantities import time_text
-from deepfsi.base.tables import Table
+from deepfsi.base import InputError, Table, check_choice, closest_choice, time_text
 from deepfsi.camera.dead_time import NO_DEAD_TIME, DeadTime
 from deepfsi.hardware.counting.acquisition import MOST_READOUTS, Scene
 from deepfsi.hardware.counting.ambient import Ambient
@@ -61,7 +59,7 @@ class TableSettings:
 
     def __post_init__(self) -> None:
         if self.exposures is not None:
-            check_known("`exposures`", self.exposures, get_args(Along))
+            check_choice("`exposures`", self.exposures, get_args(Along))
         for name, value in (("photons", self.photons), ("gain", self.gain)):
             if value is not None and not 0 < value < np.inf:
                 raise InputError(f"`{name}` {value:g} is not allowed: give a number above 0")
@@ -233,8 +231,8 @@ def _check_names(
     other = [each for each in given if each.lower() not in names]
     if other:
         raise InputError(
-            f"{name} has a column {other[0]!r} that is no frame: {closest(other[0], names)}, and "
-            f"{SCENE} and {LABEL}"
+            f"{name} has a column {other[0]!r} that is no frame: "
+            f"{closest_choice(other[0], names)}, and {SCENE} and {LABEL}"
         )
     missing = [each for each in names if each not in known]
     sentinels = {*names[:ends], *names[-ends:]}

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from deepfsi.base.errors import InputError, check_known
+from deepfsi.base import InputError, check_choice
 from deepfsi.hardware.drivers.dlpc900 import Dlpc900Projector
 from deepfsi.hardware.drivers.file_tail import FollowedCounter
 from deepfsi.hardware.drivers.picoquant import SnapiCounter
@@ -118,7 +118,7 @@ def open_projector(name: str, settings: DeviceSettings) -> PassProjector:
     InputError
         For a name that is none of them.
     """
-    check_known("projector", name, PROJECTORS)
+    check_choice("projector", name, PROJECTORS)
     return PROJECTORS[name].passes(settings)
 
 
@@ -130,7 +130,7 @@ def open_list_projector(name: str, settings: DeviceSettings) -> StreamingProject
     InputError
         For a name that is none of `PROJECTORS`, or a projector that shows no such lists.
     """
-    check_known("projector", name, PROJECTORS)
+    check_choice("projector", name, PROJECTORS)
     driver = PROJECTORS[name]
     if driver.lists is None:
         raise InputError(f"live runs choose frames while they run, and {driver.no_lists}")
@@ -152,5 +152,5 @@ def open_counter(name: str, settings: DeviceSettings) -> StreamingCounter:
     InputError
         For a name that is none of them, or settings that it cannot take.
     """
-    check_known("counter", name, COUNTERS)
+    check_choice("counter", name, COUNTERS)
     return COUNTERS[name].open(settings)

@@ -33,8 +33,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from deepfsi.base.errors import InputError
-from deepfsi.base.progress import SILENT, Report
+from deepfsi.base import SILENT, InputError, Progress
 from deepfsi.camera.device import DEVICES, PLANES, Device
 from deepfsi.hardware.drivers.device_errors import let_go, refusals
 from deepfsi.hardware.patterns.controller_tables import (
@@ -191,19 +190,19 @@ class Dlpc900Projector:
         """Stop and close the board."""
         let_go(kind, self.halt, self._close)
 
-    def load(self, folder: Path, report: Report = SILENT) -> None:
+    def load(self, folder: Path, report: Progress = SILENT) -> None:
         """Send the frames of a folder of any format to the board, in place of earlier ones."""
         link, device, controllers = self._open()
         manifest = _for_board(read_patterns(folder).manifest, folder, device)
         self.halt()
         self._pass_s = 0.0
-        pictures = _encoded(folder, manifest, controllers, report.part(0.0, ENCODING))
+        pictures = _encoded(folder, manifest, controllers, report.between(0.0, ENCODING))
         with _refusals("load frames"):
             for command, data in dlpc900_commands(manifest):
                 link.write(command, data)
                 if command == DISPLAY_MODE:
                     _wait_for_mode(link)
-            _load(link, pictures, report.part(ENCODING, 1.0))
+            _load(link, pictures, report.between(ENCODING, 1.0))
         self._pass_s = manifest.pass_s
 
     def run(self) -> None:
@@ -274,7 +273,7 @@ def _for_board(manifest: Manifest, folder: Path, device: Device) -> Manifest:
 
 
 def _encoded(
-    folder: Path, manifest: Manifest, controllers: int, report: Report
+    folder: Path, manifest: Manifest, controllers: int, report: Progress
 ) -> list[tuple[bytes, ...]]:
     """Pictures of a folder, each in as many halves, left first, as a board has controllers."""
     total, device = len(manifest.frames), manifest.device
@@ -286,7 +285,7 @@ def _encoded(
     return out
 
 
-def _load(link: _Link, pictures: list[tuple[bytes, ...]], report: Report) -> None:
+def _load(link: _Link, pictures: list[tuple[bytes, ...]], report: Progress) -> None:
     """Send pictures, the last one first, as the guide wants them."""
     total = sum(len(half) for halves in pictures for half in halves)
     sent = 0

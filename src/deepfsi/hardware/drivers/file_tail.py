@@ -11,7 +11,7 @@ from contextlib import AbstractContextManager
 from io import FileIO
 from pathlib import Path
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.hardware.counting.streaming import FrameCounts, FrameGates, StreamCounter
 
 BYTES_AT_ONCE = 2**21

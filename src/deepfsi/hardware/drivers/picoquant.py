@@ -19,7 +19,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.hardware.counting.streaming import FrameCounter, FrameCounts, FrameGates
 from deepfsi.hardware.photons import PtuStream
 

@@ -12,7 +12,7 @@ from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
-from deepfsi.base.progress import SILENT, Report
+from deepfsi.base import SILENT, Progress
 from deepfsi.hardware.counting.streaming import FrameCounts, FrameGates
 
 PATIENCE_S = 5.0
@@ -26,7 +26,7 @@ class StreamingProjector(AbstractContextManager["StreamingProjector"], Protocol)
     marker at its start.
     """
 
-    def load(self, folder: Path, report: Report = SILENT) -> None:
+    def load(self, folder: Path, report: Progress = SILENT) -> None:
         """Bring the frames of a pattern folder into the device, once, in place of earlier ones."""
 
     def replace(self, frame: int, packed: np.ndarray) -> None:
@@ -60,7 +60,7 @@ class PassProjector(AbstractContextManager["PassProjector"], Protocol):
     marker at its start, and is held for the picture time of the folder's manifest.
     """
 
-    def load(self, folder: Path, report: Report = SILENT) -> None:
+    def load(self, folder: Path, report: Progress = SILENT) -> None:
         """Bring the frames of a pattern folder into the device, once, in place of earlier ones."""
 
     def run(self) -> None:

@@ -23,9 +23,7 @@ from typing import Any, Self
 import numpy as np
 from pydantic import FiniteFloat
 
-from deepfsi.base.errors import InputError, as_input_error
-from deepfsi.base.files import read_toml
-from deepfsi.base.models import UserModel
+from deepfsi.base import InputError, UserModel, as_input_error, read_toml
 from deepfsi.hardware.counting.streaming import FrameCounts, FrameGates
 from deepfsi.hardware.drivers.device_errors import refusals
 from deepfsi.hardware.drivers.file_tail import FollowedCounter

@@ -30,8 +30,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from deepfsi.base.errors import InputError
-from deepfsi.base.progress import SILENT, Report
+from deepfsi.base import SILENT, InputError, Progress
 from deepfsi.hardware.drivers.device_errors import let_go, refusals
 from deepfsi.hardware.patterns.folder import read_frames, read_patterns
 from deepfsi.hardware.patterns.sequence import Manifest
@@ -111,7 +110,7 @@ class _Board(ABC):
         """Halt and free the device."""
         let_go(kind, self.halt, self._free)
 
-    def load(self, folder: Path, report: Report = SILENT) -> None:
+    def load(self, folder: Path, report: Progress = SILENT) -> None:
         """Send the frames of a folder of any format to the device, in place of earlier ones."""
         manifest = read_patterns(folder).manifest
         self.halt()
@@ -134,10 +133,10 @@ class _Board(ABC):
             self._alp.ProjControl(RESET_QUEUE, DEFAULT)
 
     @abstractmethod
-    def _send(self, manifest: Manifest, frames: Iterator[np.ndarray], report: Report) -> None:
+    def _send(self, manifest: Manifest, frames: Iterator[np.ndarray], report: Progress) -> None:
         """Bring frames into the device, in sequences of their own."""
 
-    def _put(self, sequence: Any, frames: Iterator[np.ndarray], count: int, sent: Report) -> None:
+    def _put(self, sequence: Any, frames: Iterator[np.ndarray], count: int, sent: Progress) -> None:
         """Fill a sequence with the next frames."""
         for first in range(0, count, FRAMES_AT_ONCE):
             block = np.stack(list(itertools.islice(frames, min(FRAMES_AT_ONCE, count - first))))
@@ -246,12 +245,12 @@ class VialuxProjector(_Board):
         """Return when the pass has ended; Ctrl-C is heard meanwhile."""
         self._wait(POLL_S)
 
-    def _send(self, manifest: Manifest, frames: Iterator[np.ndarray], report: Report) -> None:
+    def _send(self, manifest: Manifest, frames: Iterator[np.ndarray], report: Progress) -> None:
         sent = 0
         for picture_us, run in itertools.groupby(manifest.frames, lambda f: f.picture_us):
             count = len(list(run))
             first, sent = sent, sent + count
-            share = report.part(first / len(manifest.frames), sent / len(manifest.frames))
+            share = report.between(first / len(manifest.frames), sent / len(manifest.frames))
             self._put(self._new_sequence(count, picture_us), frames, count, share)
         self._pass_s = manifest.pass_s
 
@@ -335,7 +334,7 @@ class VialuxLooks(_Board):
             )
         return picture_us, repeats
 
-    def _send(self, manifest: Manifest, frames: Iterator[np.ndarray], report: Report) -> None:
+    def _send(self, manifest: Manifest, frames: Iterator[np.ndarray], report: Progress) -> None:
         self._shortest_us = self._picture_us = manifest.device.shortest_us
         self._frames = len(manifest.frames)
         if self.trigger_s is not None and self.trigger_s * 1e6 <= self._shortest_us:

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.camera.stop_rule import MARGIN_NS
 from deepfsi.designfile import SceneReadouts, ViewResult, ViewTest
 from deepfsi.hardware.counting.acquisition import Acquisition

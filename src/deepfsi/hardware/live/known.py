@@ -4,9 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deepfsi.base.errors import InputError
-from deepfsi.base.files import hash_file
-from deepfsi.base.plugins import torch_needed
+from deepfsi.base import InputError, hash_file, require_torch
 from deepfsi.designfile import DesignFile, read_loop
 from deepfsi.hardware.light import Arrivals
 from deepfsi.hardware.live.looks import AllOn, Conditions, FrameList, Likeness, LiveLooks
@@ -32,7 +30,7 @@ def read_looks(folder: Path, manifest: Manifest) -> LiveLooks:
             detectors=None if detectors is None else np.array(detectors),
         )
         return KnownMasks(design, patterns)
-    with torch_needed():
+    with require_torch():
         from deepfsi.design.adaptive.design import AdaptiveDesign
         from deepfsi.lab.adaptive import AdaptiveLooks
     if hash_file(folder / DESIGN) != manifest.design_sha256:

@@ -14,10 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deepfsi.base.arrays import read_npz
-from deepfsi.base.errors import InputError
-from deepfsi.base.files import hash_file, write_atomically
-from deepfsi.base.progress import SILENT, Report
+from deepfsi.base import SILENT, InputError, Progress, hash_file, read_npz, write_atomically
 from deepfsi.designfile import SceneReadouts
 from deepfsi.hardware.counting.acquisition import Acquisition, check_inputs, read_acquisition
 from deepfsi.hardware.counting.streaming import FrameCounts
@@ -69,14 +66,14 @@ class LiveCounts:
             yield scene, lists
 
 
-def count_live(folder: Path, report: Report = SILENT) -> LiveCounts:
+def count_live(folder: Path, report: Progress = SILENT) -> LiveCounts:
     """Count the photons of a live run and write counts.npz."""
     acquisition, patterns = read_acquisition(folder)
     manifest, scenes, header = patterns.manifest, read_shown(folder), PtuFile(folder / PHOTONS)
     check_inputs(manifest, header.inputs, f"{header.path} ({header.record_type})")
-    markers, starts, stops = _find_gates(header, scenes, acquisition, report.part(0.0, 0.4))
+    markers, starts, stops = _find_gates(header, scenes, acquisition, report.between(0.0, 0.4))
     parts = cut_windows(starts, stops, PARTS)
-    counts = count_windows(header.path, *parts, acquisition.inputs, report.part(0.4, 1.0))
+    counts = count_windows(header.path, *parts, acquisition.inputs, report.between(0.4, 1.0))
     found = FrameCounts(
         markers.astype(np.float64) * header.tick_s, counts.reshape(len(markers), PARTS, -1)
     )
@@ -90,7 +87,7 @@ def count_live(folder: Path, report: Report = SILENT) -> LiveCounts:
 
 
 def _find_gates(
-    header: PhotonSource, scenes: tuple[ShownScene, ...], acquisition: Acquisition, report: Report
+    header: PhotonSource, scenes: tuple[ShownScene, ...], acquisition: Acquisition, report: Progress
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Markers, starts and stops of all gates, ticks, as the counter had them while it ran."""
     times, bits = read_markers(header.path, report)

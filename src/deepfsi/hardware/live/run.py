@@ -17,10 +17,14 @@ from pathlib import Path
 
 import numpy as np
 
-from deepfsi.base import interrupts, progress
-from deepfsi.base.errors import InputError, as_input_error
-from deepfsi.base.files import GrowingFile
-from deepfsi.base.progress import Report
+from deepfsi.base import (
+    GrowingFile,
+    InputError,
+    Progress,
+    as_input_error,
+    note_saved_work,
+    progress_bar,
+)
 from deepfsi.camera.dead_time import NO_DEAD_TIME, DeadTime
 from deepfsi.camera.stop_rule import MARGIN_NS, Live, StopRule, margin_ns
 from deepfsi.hardware.counting.acquisition import (
@@ -215,7 +219,7 @@ def _look(
         clock_s=clock_s,
     )
     record.write(f"{finished.model_dump_json()}\n".encode())
-    interrupts.keep("finished scenes are kept")
+    note_saved_work("finished scenes are kept")
     answer = LiveScene.of(scene, last, observer.looks, clock_s)
     yield Decided(place, last, clock_s, answer)
 
@@ -313,7 +317,7 @@ def record_run(
     patterns_folder: Path,
     acquisition: Acquisition,
     setup: Setup[PassProjector],
-    report: Report | None = None,
+    report: Progress | None = None,
 ) -> Generator[RecordedScene]:
     """Show and record scene after scene; gives each when its pass has ended.
 
@@ -347,7 +351,7 @@ def record_run(
     with ExitStack() as stack:
         stack.enter_context(setup.projector)
         stack.enter_context(setup.counter)
-        with progress.shown(report, "loading the frames") as loading:
+        with progress_bar(report, "loading the frames") as loading:
             setup.projector.load(patterns_folder, loading)
         prepared = prepare(folder, patterns_folder, acquisition)
         setup.counter.start(folder / "photons.ptu")
@@ -357,7 +361,7 @@ def record_run(
                 setup.display(place)
                 counted = show(scene)
                 done = place + 1
-                interrupts.keep("finished scenes are kept")
+                note_saved_work("finished scenes are kept")
                 yield counted
             setup.counter.stop()
         finally:

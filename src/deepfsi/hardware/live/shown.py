@@ -10,9 +10,7 @@ from pathlib import Path
 import numpy as np
 from pydantic import Field, ValidationError, model_validator
 
-from deepfsi.base.errors import InputError
-from deepfsi.base.files import read_regular
-from deepfsi.base.models import StrictModel
+from deepfsi.base import InputError, StrictModel, read_regular
 from deepfsi.hardware.light import Fault
 from deepfsi.hardware.live.looks import FrameList
 

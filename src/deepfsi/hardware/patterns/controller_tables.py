@@ -12,8 +12,7 @@ import csv
 import io
 from pathlib import Path
 
-from deepfsi.base.errors import InputError
-from deepfsi.base.files import read_regular
+from deepfsi.base import InputError, read_regular
 from deepfsi.hardware.patterns.frame_files import STREAMS, frame_file
 from deepfsi.hardware.patterns.planes import picture_file, place_frames
 from deepfsi.hardware.patterns.sequence import Manifest

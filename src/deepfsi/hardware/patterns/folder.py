@@ -18,9 +18,18 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from deepfsi.base.errors import InputError, as_input_error, check_known
-from deepfsi.base.files import check_room, check_unpacked, hash_file, new_folder, read_text
-from deepfsi.base.progress import SILENT, Report
+from deepfsi.base import (
+    SILENT,
+    InputError,
+    Progress,
+    as_input_error,
+    check_choice,
+    check_disk_space,
+    check_unpacked,
+    hash_file,
+    new_folder,
+    read_text,
+)
 from deepfsi.camera.detectors import DetectorMap
 from deepfsi.camera.layout import find_grid
 from deepfsi.camera.names import LIGHT_LAWS, LightLawName, Readout
@@ -59,7 +68,7 @@ class DesignRails:
     def __post_init__(self) -> None:
         rails = self.rails
         pixels = math.prod(self.image_shape) or rails.shape[-1]  # `find_grid` refuses none
-        check_known("light law", self.light, get_args(LightLawName))
+        check_choice("light law", self.light, get_args(LightLawName))
         if rails.shape != (self.rail_count, *rails.shape[1:2], pixels) or not rails.size:
             raise InputError(
                 f"rails of shape {rails.shape} are not allowed: give (2 or 1, masks, {pixels})"
@@ -102,7 +111,7 @@ def export_patterns(
     design: DesignRails,
     settings: sequence.FrameSettings,
     folder: str | os.PathLike[str],
-    report: Report = SILENT,
+    report: Progress = SILENT,
 ) -> sequence.Patterns:
     """Write what a device shows for a design, frame by frame, into a new folder."""
     # Where the shares of the exposure would sum to more than 1 (`column`), all are dimmed by the
@@ -121,7 +130,9 @@ def export_patterns(
     )
     ends = np.full_like(counted.on[0], grid.mirrors), np.zeros_like(counted.on[0])
     every = chain(ends, counted.on, ends)
-    check_room(folder, frame_files.size(total, settings), 'write `format="png"`, which is small')
+    check_disk_space(
+        folder, frame_files.size(total, settings), 'write `format="png"`, which is small'
+    )
     with new_folder(folder) as draft:
         frames = mirrors.make_frames(every, device, grid, settings.selection, settings.seed)
         hashes = frame_files.write_frames(draft, frames, total, settings, report)
@@ -248,7 +259,7 @@ def _load_frames(folder: Path, manifest: sequence.Manifest) -> Iterator[np.ndarr
         yield packed
 
 
-def check_patterns(folder: str | os.PathLike[str], report: Report = SILENT) -> sequence.Patterns:
+def check_patterns(folder: str | os.PathLike[str], report: Progress = SILENT) -> sequence.Patterns:
     """Read every frame of a folder and compare it with the manifest and the mirror counts."""
     folder = Path(folder)
     patterns = read_patterns(folder)

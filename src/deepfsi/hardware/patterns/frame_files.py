@@ -21,9 +21,7 @@ from PIL import Image, ImageFile
 from PIL.BmpImagePlugin import BmpImageFile
 from PIL.PngImagePlugin import PngImageFile
 
-from deepfsi.base.errors import InputError
-from deepfsi.base.files import open_regular
-from deepfsi.base.progress import SILENT, Report
+from deepfsi.base import SILENT, InputError, Progress, open_regular
 from deepfsi.hardware.patterns.planes import (
     load_planes,
     read_picture,
@@ -48,7 +46,7 @@ def write_frames(
     frames: Iterable[np.ndarray],
     total: int,
     settings: FrameSettings,
-    report: Report = SILENT,
+    report: Progress = SILENT,
 ) -> list[str]:
     """Write frames as they come, and give the SHA-256 of the packed bits of each."""
     # frames (rows, bytes of a row)

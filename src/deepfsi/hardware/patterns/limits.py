@@ -1,6 +1,6 @@
 """Limits of a device that a sequence of frames has to keep: how many frames, and for how long."""
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.camera.device import DEVICES, SOURCES, Device
 from deepfsi.hardware.patterns.sequence import Manifest
 

@@ -3,7 +3,7 @@
 import math
 from dataclasses import replace
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 from deepfsi.camera.device import Device
 from deepfsi.hardware.patterns.folder import SENTINELS, DesignRails, list_frames
 from deepfsi.hardware.patterns.mirrors import count_mirrors

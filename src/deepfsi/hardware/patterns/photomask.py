@@ -11,7 +11,7 @@ import numpy as np
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
-from deepfsi.base.errors import InputError
+from deepfsi.base import InputError
 
 
 class Rectangle(NamedTuple):

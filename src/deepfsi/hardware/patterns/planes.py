@@ -15,8 +15,7 @@ import numpy as np
 from PIL import Image, ImageFile
 from PIL.BmpImagePlugin import BmpImageFile
 
-from deepfsi.base.errors import InputError
-from deepfsi.base.files import open_regular
+from deepfsi.base import InputError, open_regular
 from deepfsi.camera.device import Device
 from deepfsi.hardware.patterns.sequence import Manifest
 

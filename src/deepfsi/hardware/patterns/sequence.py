@@ -23,9 +23,7 @@ from typing import Annotated, Any, Literal, get_args
 import numpy as np
 from pydantic import Field, model_validator
 
-from deepfsi.base.errors import InputError, check_known
-from deepfsi.base.models import StrictModel
-from deepfsi.base.quantities import time_text
+from deepfsi.base import InputError, StrictModel, check_choice, time_text
 from deepfsi.camera.detectors import SeveralDetectors
 from deepfsi.camera.device import LONGEST_PICTURE_S, Device
 from deepfsi.camera.layout import USUAL_LAYOUT, DmdGrid, DmdLayout, find_grid
@@ -75,10 +73,10 @@ class FrameSettings:
                 f"dwell {self.dwell_s!r} is not allowed: give seconds above 0, up to "
                 f"{LONGEST_PICTURE_S:g}"
             )
-        check_known("selection", self.selection, get_args(Selection))
+        check_choice("selection", self.selection, get_args(Selection))
         if self.seed < 0:
             raise InputError(f"seed {self.seed} is not allowed: give 0 or more")
-        check_known("format", self.format, get_args(Format))
+        check_choice("format", self.format, get_args(Format))
         if self.format == "planes" and not self.device.packed:
             raise InputError(
                 f"{self.device.name} takes no pictures of 24 bit-planes: use format "
@@ -231,7 +229,7 @@ class Manifest(StrictModel):
             raise ValueError("a frame shows a rail that does not exist")
         if sum(frame.share for frame in self.frames) > 1 + SHARES_SLACK:
             raise ValueError("the frames' shares of the exposure sum to more than 1")
-        check_known("light law", self.light, LIGHT_LAWS)
+        check_choice("light law", self.light, LIGHT_LAWS)
         if self.two_arm != (LIGHT_LAWS[self.light].arms == 2) or not rails:
             raise ValueError(f"the rails are not those of {self.light}")
         if self.looks and self.looks.dwells(self.masks) != len(self.looks.first):

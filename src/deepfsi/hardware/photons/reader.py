@@ -20,10 +20,7 @@ from typing import Protocol, Self
 
 import numpy as np
 
-from deepfsi.base.errors import InputError
-from deepfsi.base.files import open_regular
-from deepfsi.base.models import StrictModel
-from deepfsi.base.progress import SILENT, Report
+from deepfsi.base import SILENT, InputError, Progress, StrictModel, open_regular
 from deepfsi.hardware.photons import records
 from deepfsi.hardware.photons.ptu import GENERIC_T2, Header, parse_header, read_header
 from deepfsi.hardware.photons.records import EARLIEST_TICK, LATEST_TICK, Decoder, Part
@@ -58,7 +55,7 @@ class PhotonSource(Protocol):
     def problems(self) -> tuple[str, ...]:
         """Reasons why the recording may be incomplete."""
 
-    def parts(self, progress: Report = SILENT, ordered: bool = True) -> Iterator[Part]:
+    def parts(self, progress: Progress = SILENT, ordered: bool = True) -> Iterator[Part]:
         """Give the records, in parts that follow each other; none follows one with a `fault`.
 
         Parameters
@@ -108,7 +105,7 @@ class PtuFile(_PtuSource):
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.header = read_header(path)
 
-    def parts(self, progress: Report = SILENT, ordered: bool = True) -> Iterator[Part]:
+    def parts(self, progress: Progress = SILENT, ordered: bool = True) -> Iterator[Part]:
         """Give the records, as `PhotonSource` says. A part is valid until the next one."""
         header = self.header
         decoder = Decoder(header.kind, header.tick_s, ordered)
@@ -173,7 +170,7 @@ class PtuStream(_PtuSource):
             view = self._feed_header(view)
         self._arrived.append(view)
 
-    def parts(self, progress: Report = SILENT, ordered: bool = True) -> Iterator[Part]:
+    def parts(self, progress: Progress = SILENT, ordered: bool = True) -> Iterator[Part]:
         """Give the records that ended with the bytes that came since the last call.
 
         As of a file, none follows a part with a `fault`, and what follows the records that the
@@ -237,7 +234,7 @@ class PtuSummary(StrictModel):
     problems: tuple[str, ...]
 
 
-def summarise(photons: Photons, progress: Report = SILENT) -> PtuSummary:
+def summarise(photons: Photons, progress: Progress = SILENT) -> PtuSummary:
     """Count the photons, markers and other records of a file.
 
     Damaged records do not raise: `problems` names the first, and what stands before it is counted.
@@ -294,7 +291,7 @@ def summarise(photons: Photons, progress: Report = SILENT) -> PtuSummary:
     )
 
 
-def read_markers(photons: Photons, progress: Report = SILENT) -> tuple[np.ndarray, np.ndarray]:
+def read_markers(photons: Photons, progress: Progress = SILENT) -> tuple[np.ndarray, np.ndarray]:
     """Read the markers of a file, in its order.
 
     Those of a file that is cut are given as far as it goes: its `problems` say so. Whether times
@@ -337,7 +334,7 @@ def read_markers(photons: Photons, progress: Report = SILENT) -> tuple[np.ndarra
 
 
 def read_photons(
-    photons: Photons, number: int = 0, progress: Report = SILENT
+    photons: Photons, number: int = 0, progress: Progress = SILENT
 ) -> tuple[np.ndarray, float]:
     """Read the times of the photons on an input.
 
@@ -383,7 +380,7 @@ def count_windows(
     starts: np.ndarray,
     stops: np.ndarray,
     inputs: Sequence[int] = (0,),
-    progress: Report = SILENT,
+    progress: Progress = SILENT,
 ) -> np.ndarray:
     """Count the photons in each window of time.
 

@@ -13,8 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deepfsi.base.errors import InputError
-from deepfsi.base.progress import SILENT, Report
+from deepfsi.base import SILENT, InputError, Progress
 from deepfsi.hardware.photons.ptu import Header
 from deepfsi.hardware.photons.reader import PtuFile, count_windows, cut_windows, read_markers
 
@@ -99,7 +98,7 @@ def count_scan(
     markers: ScanMarkers,
     pixels: int = 1,
     inputs: Sequence[int] = (0,),
-    progress: Report = SILENT,
+    progress: Progress = SILENT,
 ) -> Scan:
     """Count the photons of each line of an image scan in so many equal pixels.
 
@@ -129,7 +128,7 @@ def count_scan(
     source = PtuFile(path)
     header = source.header
     markers = markers.of_header(header)
-    times, bits = read_markers(source, progress.part(0.0, 0.3))
+    times, bits = read_markers(source, progress.between(0.0, 0.3))
     lines, faults = _find_lines(times, bits, markers, header.tick_s)
     if not len(lines):
         raise InputError(
@@ -141,7 +140,7 @@ def count_scan(
     numbers = np.unique(numbers, return_inverse=True)[1]
     faults += _frame_faults(numbers, header)
     starts, ends = cut_windows(lines[:, 0], lines[:, 1], pixels)
-    counts = count_windows(source, starts, ends, inputs=inputs, progress=progress.part(0.3, 1.0))
+    counts = count_windows(source, starts, ends, inputs=inputs, progress=progress.between(0.3, 1.0))
     counts = counts.reshape(len(lines), pixels, len(inputs))
     if header.tags.get("ImgHdr_BiDirect"):  # every second line of a frame runs back
         back = (np.arange(len(lines)) - np.searchsorted(numbers, numbers)) % 2 == 1

@@ -17,9 +17,14 @@ from typing import Protocol
 
 import numpy as np
 
-from deepfsi.base.arrays import HDF5, list_variables, read_variable
-from deepfsi.base.errors import InputError
-from deepfsi.base.tables import as_whole, read_whole
+from deepfsi.base import (
+    HDF5_ENDINGS,
+    InputError,
+    list_variables,
+    read_variable,
+    read_whole_numbers,
+    whole_numbers,
+)
 from deepfsi.hardware.photons.ptu import TICKS_S, PtuWriter, refuse_foreign
 
 MOST_EVENTS_READ = 2**28
@@ -186,7 +191,7 @@ class PhotonHdf5:
 
     def matches(self, path: Path) -> bool:
         """By the end of the name."""
-        return path.suffix.lower() in HDF5
+        return path.suffix.lower() in HDF5_ENDINGS
 
     def read(self, path: Path, unit_s: float | None) -> Timestamps:
         """As of `EventFormat`."""
@@ -195,7 +200,7 @@ class PhotonHdf5:
         shapes = list_variables(path, (0, 1))
 
         def read_whole_numbers(name: str) -> np.ndarray:
-            return as_whole(
+            return whole_numbers(
                 read_variable(path, name, shapes[name], MOST_EVENTS_READ), f"{path}: {name}"
             )
 
@@ -222,7 +227,7 @@ class EventTable:
         """As of `EventFormat`."""
         refuse_foreign(path)
         columns = _EventColumns(path)
-        times, channels = read_whole(path, columns.choose).T
+        times, channels = read_whole_numbers(path, columns.choose).T
         named_s = columns.unit_s
         if not named_s and len(np.unique(channels)) > MOST_CHANNELS:
             swapped = len(np.unique(times)) <= MOST_CHANNELS

@@ -19,7 +19,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from deepfsi.base.errors import InputError, check_known
+from deepfsi.base import InputError, check_choice
 from deepfsi.hardware.light import FALSE_ALARMS
 
 CUTS = 20
@@ -395,7 +395,7 @@ def split_rails(values: np.ndarray, layout: str | None, masks: int | None, name:
         If the table does not hold these values, or may be read in two ways.
     """
     if layout is not None:
-        check_known("`rails`", layout, LAYOUTS)
+        check_choice("`rails`", layout, LAYOUTS)
     shape = f"{name} has {values.shape[0]} rows and {values.shape[1]} columns"
     upright = values if values.shape[0] >= values.shape[1] else values.T
     wide = upright.shape[1]

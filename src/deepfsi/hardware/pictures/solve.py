@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from deepfsi.base.errors import InputError, closest
+from deepfsi.base import InputError, closest_choice
 from deepfsi.camera.detectors import DetectorMap
 from deepfsi.hardware.counting.acquisition import read_acquisition
 from deepfsi.hardware.counting.counts import check_photons, load_counts
@@ -103,7 +103,7 @@ def wavelet_of(name: str) -> tuple[str, int] | None:
     wavelet = WAVELETS.get(parts[1], parts[1])
     known = [*WAVELETS, *pywt.wavelist(kind="discrete")]
     if wavelet not in known:
-        raise InputError(f"unknown wavelet {parts[1]!r}: {closest(parts[1], known)}")
+        raise InputError(f"unknown wavelet {parts[1]!r}: {closest_choice(parts[1], known)}")
     return wavelet, int(parts[2])
 
 

@@ -23,9 +23,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field, field_validator
 
-from deepfsi.base.errors import InputError
-from deepfsi.base.files import check_room, new_folder
-from deepfsi.base.progress import SILENT, Report
+from deepfsi.base import SILENT, InputError, Progress, check_disk_space, new_folder
 from deepfsi.camera.detectors import DetectorRows, check_rows, mirrors_of_detectors
 from deepfsi.camera.device import Device
 from deepfsi.camera.layout import DmdGrid
@@ -260,7 +258,7 @@ def arrival_rates(
     scenes: np.ndarray,
     camera: VirtualCamera,
     flux: float,
-    report: Report = SILENT,
+    report: Progress = SILENT,
 ) -> np.ndarray:
     """Arrivals/s (S, F, inputs) at each detector while each frame is shown, before dead time."""
     # scenes (S, h, w), or (S, N)
@@ -329,7 +327,7 @@ def record_scenes(
     labels: Sequence[str] | None,
     out: str | os.PathLike[str],
     settings: RecordingSettings,
-    report: Report = SILENT,
+    report: Progress = SILENT,
     hashes: Sequence[str] | None = None,
 ) -> Acquisition:
     """Write the folder of an acquisition in which the virtual camera looks at scenes in turn."""
@@ -361,17 +359,17 @@ def record_scenes(
     )
     with new_folder(target) as draft:
         acquisition = prepare(draft, patterns_folder, wanted)
-        flow = arrival_rates(patterns_folder, scenes, camera, settings.flux, report.part(0, 0.5))
+        flow = arrival_rates(patterns_folder, scenes, camera, settings.flux, report.between(0, 0.5))
         if not camera.gates:
             events = float(np.einsum("sfd,f->", camera.registered(flow), manifest.picture_s))
-            check_room(target, 4 * events, "give less `flux` or a shorter `exposure`")
+            check_disk_space(target, 4 * events, "give less `flux` or a shorter `exposure`")
         rng = np.random.default_rng(settings.seed)
         path = draft / "photons.ptu"
         clicks = None
         if camera.gates:
             clicks = ClickGates.of(manifest, gates_of(acquisition, manifest), camera.gates)
         write_photons(
-            path, manifest, flow, camera, rng, acquisition.inputs, report.part(0.5, 1), clicks
+            path, manifest, flow, camera, rng, acquisition.inputs, report.between(0.5, 1), clicks
         )
     return acquisition
 
@@ -392,7 +390,7 @@ def write_photons(
     camera: VirtualCamera,
     rng: np.random.Generator,
     inputs: Sequence[int] | None = None,
-    report: Report = SILENT,
+    report: Progress = SILENT,
     gates: ClickGates | None = None,
 ) -> None:
     """Write the photons and markers of one pass for each scene, one right after another."""

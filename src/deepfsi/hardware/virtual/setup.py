@@ -15,9 +15,7 @@ from pathlib import Path
 import numpy as np
 from pydantic import Field
 
-from deepfsi.base.errors import InputError
-from deepfsi.base.models import StrictModel
-from deepfsi.base.progress import SILENT, Report
+from deepfsi.base import SILENT, InputError, Progress, StrictModel
 from deepfsi.hardware.counting.acquisition import Acquisition
 from deepfsi.hardware.counting.streaming import FrameCounts, FrameGates, StreamCounter
 from deepfsi.hardware.drivers import Setup
@@ -167,7 +165,7 @@ class VirtualProjector(AbstractContextManager["VirtualProjector"]):
     def __exit__(self, *error: object) -> None:
         """Do nothing: there is nothing to close."""
 
-    def load(self, folder: Path, report: Report = SILENT) -> None:
+    def load(self, folder: Path, report: Progress = SILENT) -> None:
         """Check every frame of a pattern folder, as a real device must read them."""
         self._times_s = check_patterns(folder, report).manifest.picture_s
         self._optics.now_s += len(self._times_s) * self._optics.latencies.load
@@ -245,7 +243,7 @@ def virtual_setup(
     scenes: np.ndarray,
     acquisition: Acquisition,
     latencies: Latencies,
-    report: Report = SILENT,
+    report: Progress = SILENT,
     *,
     decision_s: float | None = None,
 ) -> Setup[VirtualProjector]:

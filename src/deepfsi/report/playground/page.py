@@ -7,7 +7,7 @@ from pathlib import Path
 
 from markupsafe import Markup
 
-from deepfsi.base.files import write_atomically
+from deepfsi.base import write_atomically
 from deepfsi.report.playground.words import Payload, detectors_text, facts_of, lead_text, masks_text
 from deepfsi.report.rendering import render
 
