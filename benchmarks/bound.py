@@ -17,7 +17,7 @@ from torch.nn import functional
 
 from deepfsi import load_dataset
 from deepfsi.base import wilson
-from deepfsi.camera.light import photons_per_pixel, summed_reflectance
+from deepfsi.camera import photons_per_pixel, summed_reflectance
 
 
 def network(side: int, classes: int) -> nn.Sequential:

@@ -25,7 +25,7 @@ from deepfsi.design.adaptive.design import AdaptiveDesign
 from deepfsi.design.confidence import chance_error, confidence_error, logits_at_stops
 from deepfsi.design.evaluation import scanner_for
 from deepfsi.design.temperatures import stop_temperatures
-from deepfsi.jobs.job import Job
+from deepfsi.jobs import Job
 from deepfsi.training.characterisation import find_temperatures
 
 KINDS: dict[str, dict[str, Any]] = {

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.linalg import lstsq
 
 from deepfsi.base import InputError
-from deepfsi.camera.device import Device
+from deepfsi.camera import Device
 from deepfsi.hardware.calibration import SCAN_NAMES, fit_calibration, scan_rails, spot_scenes
 from deepfsi.hardware.counting.calibration_file import Calibration
 from deepfsi.hardware.patterns.folder import export_patterns

@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from deepfsi.camera.light import summed_reflectance
+from deepfsi.camera import summed_reflectance
 from deepfsi.datasets import Dataset, ambient, jitter, load_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate

@@ -17,8 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deepfsi.base import InputError, Table
-from deepfsi.camera.dead_time import DeadTime
-from deepfsi.camera.device import find_device
+from deepfsi.camera import DeadTime, find_device
 from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.hardware.counting.tables import TableSettings, count_table

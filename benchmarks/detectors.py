@@ -16,7 +16,7 @@ from collections.abc import Callable
 
 import torch
 
-from deepfsi.camera.detectors import DetectorMap
+from deepfsi.camera import DetectorMap
 from deepfsi.optics.detection import Detection
 from deepfsi.optics.scanner import measure
 

@@ -33,12 +33,11 @@ import numpy as np
 from skimage.transform import resize
 from sklearn.datasets import load_sample_image
 
-from deepfsi.camera.device import DEVICES
-from deepfsi.camera.layout import DmdLayout, find_grid
+from deepfsi.camera import DEVICES, DmdLayout, find_grid
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.mirrors import count_mirrors, make_frames, order_mirrors
 from deepfsi.hardware.patterns.sequence import Format, FrameSettings
-from deepfsi.jobs import designs as codes
+from deepfsi.jobs import hadamard_masks
 
 DEVICE = DEVICES["dlp7000"]
 SHAPE = (32, 32)
@@ -50,7 +49,7 @@ ORDER = order_mirrors(GRID.height, GRID.width)
 def signed(name: str, masks: int) -> np.ndarray:
     """Rails (2, masks, N) that one device can show for equal times."""
     if name == "hadamard":
-        matrix = codes.hadamard_masks(SHAPE, masks)
+        matrix = hadamard_masks(SHAPE, masks)
     else:
         matrix = np.random.default_rng(0).uniform(-1, 1, (masks, SHAPE[0] * SHAPE[1]))
     return np.stack([matrix.clip(0), (-matrix).clip(0)]) / (2 * masks)

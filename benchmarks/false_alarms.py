@@ -17,8 +17,7 @@ import typer
 from scipy.stats import binomtest
 
 import deepfsi
-from deepfsi.camera.detectors import DetectorMap
-from deepfsi.camera.device import DEVICES
+from deepfsi.camera import DEVICES, DetectorMap
 from deepfsi.design.adaptive.exposures import look_at
 from deepfsi.design.adaptive.misfit import squared_distance
 from deepfsi.design.adaptive.posterior import AdaptivePosterior, LookOptics

@@ -30,8 +30,7 @@ from deepfsi.datasets import load_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.design.classifiers import Mlp
 from deepfsi.design.evaluation import evaluate
-from deepfsi.jobs.job import Job
-from deepfsi.jobs.training import Training
+from deepfsi.jobs import Job, Training
 from deepfsi.optics import constraints
 from deepfsi.optics.detection import Detection
 from deepfsi.optics.masks import LearnedMasks

@@ -38,7 +38,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deepfsi.camera.device import find_device
+from deepfsi.camera import find_device
 from deepfsi.designfile import DesignFile, MaskHeader, loop_bytes
 from deepfsi.hardware.counting.acquisition import Scene
 from deepfsi.hardware.counting.streaming import FrameCounts, FrameGates, StreamCounter

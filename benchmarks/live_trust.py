@@ -21,7 +21,7 @@ import numpy as np
 
 from deepfsi import Looks, Training, learn, load_dataset
 from deepfsi.base import InputError
-from deepfsi.camera.device import find_device
+from deepfsi.camera import find_device
 from deepfsi.datasets import Dataset
 from deepfsi.hardware.counting.acquisition import Scene
 from deepfsi.hardware.drivers import Setup

@@ -16,12 +16,10 @@ from contextlib import contextmanager
 import torch
 
 from deepfsi.base import Moments
-from deepfsi.camera.camera import Camera
+from deepfsi.camera import Camera
 from deepfsi.datasets import load_dataset
 from deepfsi.design.evaluation import evaluate
-from deepfsi.jobs.exposures import Fixed, Looks
-from deepfsi.jobs.job import Job
-from deepfsi.jobs.training import Training
+from deepfsi.jobs import Fixed, Job, Looks, Training
 from deepfsi.training import precision as rules
 from deepfsi.training.learning import train
 from deepfsi.training.training_set import TrainingSet

@@ -24,9 +24,7 @@ from deepfsi.base import Moments, Progress
 from deepfsi.datasets import Dataset, from_arrays
 from deepfsi.design.classifiers import Vit
 from deepfsi.design.exposure.kinds import begin
-from deepfsi.jobs.exposures import Patches
-from deepfsi.jobs.job import Job
-from deepfsi.jobs.tiles import sensing_matrix
+from deepfsi.jobs import Job, Patches, sensing_matrix
 from deepfsi.training.learning import train
 from deepfsi.training.precision import network_dtype
 from deepfsi.training.training_set import TrainingSet

@@ -37,8 +37,7 @@ import numpy as np
 import torch
 
 from deepfsi.base import wilson
-from deepfsi.camera.light import summed_reflectance
-from deepfsi.camera.names import LightLawName
+from deepfsi.camera import LightLawName, summed_reflectance
 from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate, scanner_for

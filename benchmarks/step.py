@@ -15,8 +15,7 @@ import torch
 from torch.profiler import ProfilerActivity, profile
 
 from deepfsi.datasets import load_dataset
-from deepfsi.jobs.job import Job
-from deepfsi.jobs.training import Precision, Training
+from deepfsi.jobs import Job, Precision, Training
 from deepfsi.training.learning import train
 from deepfsi.training.training_set import TrainingSet
 

@@ -28,8 +28,7 @@ from deepfsi.base import Moments
 from deepfsi.datasets import Dataset, from_arrays, load_dataset
 from deepfsi.design.classifiers import Mlp, Replicas
 from deepfsi.design.evaluation import evaluate
-from deepfsi.jobs.job import Job
-from deepfsi.jobs.training import Training
+from deepfsi.jobs import Job, Training
 from deepfsi.sweeps.context import SweepContext
 from deepfsi.sweeps.queue import run_trials
 from deepfsi.sweeps.recipe import PAPER_RATIOS, Recipe

@@ -22,8 +22,7 @@ from torch.utils.data import DataLoader, TensorDataset
 from deepfsi.base import Moments
 from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.design.evaluation import evaluate
-from deepfsi.jobs.job import Job
-from deepfsi.jobs.training import Training
+from deepfsi.jobs import Job, Training
 from deepfsi.training.learning import train
 from deepfsi.training.training_set import TrainingSet
 

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 import deepfsi
-from deepfsi.camera.device import find_device
+from deepfsi.camera import find_device
 from deepfsi.hardware.counting.acquisition import Scene
 from deepfsi.hardware.counting.tables import TableSettings
 from deepfsi.hardware.live.run import plan_live, run_live

@@ -19,8 +19,7 @@ from torch import Tensor
 
 from deepfsi.datasets import Dataset, from_arrays, load_dataset
 from deepfsi.design.artifact import Design
-from deepfsi.jobs import designs as codes
-from deepfsi.jobs import tiles
+from deepfsi.jobs import DESIGNS, count_allowed
 from deepfsi.optics import constraints
 from deepfsi.optics.rails import Rails
 from shared.jobs import learn
@@ -30,7 +29,7 @@ PHOTONS = 1e4
 FLOAT32 = 2e-6
 """Relative error of a sum of some tens of float32 numbers."""
 
-FIXED = [name for name, code in codes.DESIGNS.items() if code.make is not None]
+FIXED = [name for name, code in DESIGNS.items() if code.make is not None]
 """The designs that `coding.sensing_matrix` knows."""
 
 RECIPE = {
@@ -54,7 +53,7 @@ OPTICS = [
 
 
 def _possible(design: str, light: str, rails: str) -> bool:
-    single = codes.DESIGNS[design].single_rail
+    single = DESIGNS[design].single_rail
     if design == "hadamard":
         return rails == "dual"
     if single and rails == "single":
@@ -64,7 +63,7 @@ def _possible(design: str, light: str, rails: str) -> bool:
 
 CASES = [
     pytest.param(design, light, rails, id=f"{design}-{light}-{rails}")
-    for design, code in codes.DESIGNS.items()
+    for design, code in DESIGNS.items()
     if not code.adaptive
     for light, rails in OPTICS
     if _possible(design, light, rails)
@@ -101,7 +100,7 @@ def own_matrix(masks: int, pixels: int, light: str, rails: str) -> np.ndarray:
 def quick(data: Dataset, design: str = "deepfsi", masks: int | None = None, **settings) -> Design:
     """Train for a moment, in float32 on the processor."""
     if masks is None:
-        low, high = tiles.count_allowed(design, data)
+        low, high = count_allowed(design, data)
         masks = min(max(low, 7), high)
     if design == "custom":
         light, rails = settings.get("light", "column"), settings.get("rails", "dual")

@@ -14,8 +14,7 @@ from conftest import generator, quick
 from deepfsi.design.classifiers import Mlp
 from deepfsi.design.exposure.kinds import begin
 from deepfsi.hardware.patterns.mirrors import recount, unpack
-from deepfsi.jobs.job import Job
-from deepfsi.jobs.training import Training
+from deepfsi.jobs import Job, Training
 from deepfsi.optics.noise import attach_gradient
 from deepfsi.training.learning import train
 from deepfsi.training.training_set import TrainingSet
@@ -207,7 +206,7 @@ def test_both_trainings_of_ovit_do_the_same_work(capsys):
     """They start from one set of masks, and see the same patches in the same light."""
     from deepfsi.datasets import from_arrays
     from deepfsi.design.exposure.trained import cut
-    from deepfsi.jobs.exposures import Patches
+    from deepfsi.jobs import Patches
     from deepfsi.training.masks import initial_masks
 
     ovit = benchmark("ovit")

@@ -9,7 +9,7 @@ import torch
 
 import deepfsi
 from deepfsi.hardware.photons import PtuWriter, read_markers, summarise
-from deepfsi.jobs import designs as codes
+from deepfsi.jobs import DESIGNS
 from deepfsi.optics import constraints
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.run import compare
@@ -31,10 +31,10 @@ def check(design, digits, photons=1e5):
 
 @pytest.mark.parametrize(
     "name",
-    [name for name, code in codes.DESIGNS.items() if not (code.is_custom or code.adaptive)],
+    [name for name, code in DESIGNS.items() if not (code.is_custom or code.adaptive)],
 )
 def test_each_design_learns_digits_and_counts_no_more_light_than_there_is(digits, name):
-    code = codes.DESIGNS[name]
+    code = DESIGNS[name]
     masks = code.counts(digits.image_shape, 10)[1] if code.fixed_count else 8
     check(
         deepfsi.learn(digits, design=name, masks=masks, photons=1e5, camera="paper", training=FEW),

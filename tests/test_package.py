@@ -13,8 +13,8 @@ import deepfsi
 from conftest import RECIPE, quick, same
 from deepfsi.base import Progress, progress_bar
 from deepfsi.cli import as_options
-from deepfsi.jobs.job import Job
-from deepfsi.jobs.training import TUNED, Training
+from deepfsi.jobs import Job, Training
+from deepfsi.jobs.training import TUNED
 from shared.jobs import learn
 
 BRIEF = {**RECIPE, "photons": 1e4, "masks": 5, "device": "cpu"}

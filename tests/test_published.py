@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from deepfsi.camera.light import summed_reflectance
+from deepfsi.camera import summed_reflectance
 from deepfsi.datasets import load_dataset
 from deepfsi.design.evaluation import evaluate
 from deepfsi.optics import constraints

@@ -19,7 +19,7 @@ import torch
 from torch import Tensor, nn
 
 from conftest import generator
-from deepfsi.camera.device import Device
+from deepfsi.camera import Device
 from deepfsi.hardware.counting.acquisition import read_acquisition
 from deepfsi.hardware.counting.counting import count
 from deepfsi.hardware.counting.counts import read_counts

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from deepfsi.base import InputError as InputError
-    from deepfsi.camera.camera import Camera as Camera
-    from deepfsi.camera.light import photons_per_pixel as photons_per_pixel
+    from deepfsi.camera import Camera as Camera
+    from deepfsi.camera import photons_per_pixel as photons_per_pixel
     from deepfsi.datasets import Dataset as Dataset
     from deepfsi.datasets import from_arrays as from_arrays
     from deepfsi.datasets import load_dataset as load_dataset
@@ -27,14 +27,14 @@ if TYPE_CHECKING:
     from deepfsi.design.own import OwnClassifier as OwnClassifier
     from deepfsi.design.posterior import IdealObserver as IdealObserver
     from deepfsi.design.posterior import ideal_observer as ideal_observer
-    from deepfsi.jobs.exposures import Fixed as Fixed
-    from deepfsi.jobs.exposures import Looks as Looks
-    from deepfsi.jobs.exposures import Nested as Nested
-    from deepfsi.jobs.exposures import Passing as Passing
-    from deepfsi.jobs.exposures import Patches as Patches
-    from deepfsi.jobs.exposures import Range as Range
-    from deepfsi.jobs.job import Job as Job
-    from deepfsi.jobs.training import Training as Training
+    from deepfsi.jobs import Fixed as Fixed
+    from deepfsi.jobs import Job as Job
+    from deepfsi.jobs import Looks as Looks
+    from deepfsi.jobs import Nested as Nested
+    from deepfsi.jobs import Passing as Passing
+    from deepfsi.jobs import Patches as Patches
+    from deepfsi.jobs import Range as Range
+    from deepfsi.jobs import Training as Training
     from deepfsi.lab.classify import classify_run as classify_run
     from deepfsi.lab.classify import classify_table as classify_table
     from deepfsi.lab.prediction import predict as predict
@@ -47,23 +47,23 @@ if "GOMP_SPINCOUNT" not in os.environ:
 
 _HOMES = {
     "AdaptiveDesign": "design.adaptive.design",
-    "Camera": "camera.camera",
+    "Camera": "camera",
     "Dataset": "datasets",
     "Design": "design.artifact",
-    "Fixed": "jobs.exposures",
+    "Fixed": "jobs",
     "IdealObserver": "design.posterior",
     "InputError": "base.errors",
-    "Job": "jobs.job",
-    "Looks": "jobs.exposures",
+    "Job": "jobs",
+    "Looks": "jobs",
     "Mlp": "design.classifiers",
-    "Nested": "jobs.exposures",
+    "Nested": "jobs",
     "OwnClassifier": "design.own",
-    "Passing": "jobs.exposures",
-    "Patches": "jobs.exposures",
-    "Range": "jobs.exposures",
+    "Passing": "jobs",
+    "Patches": "jobs",
+    "Range": "jobs",
     "Result": "design.evaluation",
     "Scanner": "optics.scanner",
-    "Training": "jobs.training",
+    "Training": "jobs",
     "classify_run": "lab.classify",
     "classify_table": "lab.classify",
     "design_of": "training.assembly",
@@ -73,7 +73,7 @@ _HOMES = {
     "learn": "training.learning",
     "load_dataset": "datasets",
     "load_design": "design.adaptive.design",
-    "photons_per_pixel": "camera.light",
+    "photons_per_pixel": "camera",
     "predict": "lab.prediction",
 }
 

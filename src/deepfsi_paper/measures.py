@@ -11,7 +11,7 @@ import scipy.linalg
 import scipy.special
 
 from deepfsi.base import InputError
-from deepfsi.camera.light import check_budget
+from deepfsi.camera import check_budget
 
 
 def throughput(matrix: np.ndarray, mean_scene: np.ndarray) -> float:

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from deepfsi.base import InputError, seconds
-from deepfsi.camera.camera import GUARD_S, PRESETS, Camera
-from deepfsi.camera.detectors import DetectorMap
-from deepfsi.camera.device import DEVICES
+from deepfsi.camera import DEVICES, PRESETS, Camera, DetectorMap
+from deepfsi.camera.camera import GUARD_S
 from deepfsi.cli.camera import CAMERA_EXAMPLES, camera_template
 from shared.noises import saturating
 

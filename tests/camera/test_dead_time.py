@@ -5,7 +5,8 @@ import pytest
 from pydantic import ValidationError
 
 from deepfsi.base import InputError, Table
-from deepfsi.camera.dead_time import MOST_BLIND, DeadTime
+from deepfsi.camera import DeadTime
+from deepfsi.camera.dead_time import MOST_BLIND
 from deepfsi.hardware.counting.calibration_file import Calibration, save_calibration
 from deepfsi.hardware.counting.counting import count
 from deepfsi.hardware.counting.counts import read_counts

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from deepfsi.base import InputError
-from deepfsi.camera.device import DEVICES, SOURCES, Device, find_device
+from deepfsi.camera import DEVICE_SOURCES, DEVICES, Device, find_device
 
 DIAGONAL_INCHES = {
     "dlp7000": 0.7, "dlp9500": 0.95, "dlp650lnir": 0.65, "dlp6500": 0.65, "dlp9000": 0.9,
@@ -42,9 +42,9 @@ def test_each_number_has_a_source_or_is_said_to_be_assumed(name):
     numbers = {"columns", "rows", "pitch_um", "shortest_us", "settle_us"}
     numbers |= {key for key, value in device if value != getattr(usual, key)}
     numbers |= {"planes"} if device.packed else set()
-    assert numbers - {"name", "controller"} == {*SOURCES[name]}
+    assert numbers - {"name", "controller"} == {*DEVICE_SOURCES[name]}
     document = r"\bDLP[SU]\d{3}|thread \d+|data sheet|clocks at 400 MHz|DLPC900REF-SW|assumed"
-    assert all(re.search(document, source) for source in SOURCES[name].values())
+    assert all(re.search(document, source) for source in DEVICE_SOURCES[name].values())
 
 
 def test_limits_of_the_dlpc900_are_those_of_its_documents():

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from deepfsi.base import InputError
-from deepfsi.camera.device import DEVICES, Device, find_device
-from deepfsi.camera.layout import DmdLayout, find_grid
+from deepfsi.camera import DEVICES, Device, DmdLayout, find_device, find_grid
 from deepfsi.hardware.patterns.folder import check_patterns, read_frames, read_patterns
 from deepfsi.hardware.patterns.mirrors import unpack
 from hardware.patterns.pattern_samples import SMALL, export

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from deepfsi.base import InputError
-from deepfsi.camera.light import brightness, check_budget, photons_per_pixel, summed_reflectance
+from deepfsi.camera import brightness, check_budget, photons_per_pixel, summed_reflectance
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deepfsi.camera.stop_rule import StopRule
+from deepfsi.camera import StopRule
 from deepfsi.design.stopping import StoppingRule
 
 

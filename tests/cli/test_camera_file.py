@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from safetensors.numpy import load_file
 
-from deepfsi.camera.camera import Camera
+from deepfsi.camera import Camera
 from deepfsi.cli.camera import camera_template
 from deepfsi.datasets import write_pictures
 

@@ -13,7 +13,7 @@ import pytest
 from typer.testing import CliRunner
 
 from conftest import quick
-from deepfsi.camera.stop_rule import StopRule
+from deepfsi.camera import StopRule
 from deepfsi.cli import app
 from deepfsi.datasets import write_pictures
 from deepfsi.design.artifact import Design

@@ -7,12 +7,10 @@ import pytest
 import typer
 from pydantic import BaseModel, Field
 
-from deepfsi.camera.camera import Camera
+from deepfsi.camera import Camera
 from deepfsi.cli import app
 from deepfsi.cli.settings import NO_OPTIONS, SettingsCommand, with_settings
-from deepfsi.jobs.exposures import KINDS
-from deepfsi.jobs.job import ALIASES, Job
-from deepfsi.jobs.training import Training
+from deepfsi.jobs import EXPOSURE_KINDS, SETTING_ALIASES, Job, Training
 
 OWN = {"design", "masks", "photons", "camera", "seed"}
 RANGED = {"span"}  # a range of budgets is given as --photons LOW:HIGH
@@ -21,10 +19,12 @@ OF_COMMANDS = {"design": set(), "compare": {"design", "seed"}, "plan": {"design"
 
 def declared() -> dict[str, str]:
     """Name of the option and text of every field of a job."""
-    names = {place: name for name, place in ALIASES.items()}
+    names = {place: name for name, place in SETTING_ALIASES.items()}
     tables = {"camera": Camera.model_fields, "training": Training.model_fields}
     found = {name: Job.model_fields[name].description for name in OWN}
-    found |= {n: kind.model_fields[n].description for n, kind in KINDS.items() if n not in RANGED}
+    found |= {
+        n: kind.model_fields[n].description for n, kind in EXPOSURE_KINDS.items() if n not in RANGED
+    }
     for table, fields in tables.items():
         for name, field in fields.items():
             if name not in NO_OPTIONS:

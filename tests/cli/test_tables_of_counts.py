@@ -14,7 +14,7 @@ import pytest
 from scipy.io import savemat
 
 from conftest import quick
-from deepfsi.camera.device import find_device
+from deepfsi.camera import find_device
 from deepfsi.datasets import write_pictures
 from deepfsi.hardware.counting.tables import column_names
 from deepfsi.hardware.patterns.folder import export_patterns, read_patterns

@@ -7,7 +7,7 @@ import pytest
 
 from conftest import quick, synthetic
 from deepfsi.base import InputError
-from deepfsi.camera.light import photons_per_pixel, summed_reflectance
+from deepfsi.camera import photons_per_pixel, summed_reflectance
 from deepfsi.datasets import ambient, jitter
 
 

@@ -10,7 +10,7 @@ from deepfsi import AdaptiveDesign, evaluate, learn
 from deepfsi.base import InputError
 from deepfsi.design.adaptive.posterior import AdaptivePosterior, LookOptics
 from deepfsi.design.adaptive.prior import ScenePrior
-from deepfsi.jobs.job import Job
+from deepfsi.jobs import Job
 
 PIXELS, SIZES = 8, (30, 60, 90)
 PHOTONS = 1e3

@@ -16,7 +16,7 @@ from deepfsi.design.adaptive.posterior import AdaptivePosterior, LookOptics
 from deepfsi.design.adaptive.prior import ScenePrior
 from deepfsi.design.evaluation import Result, evaluate
 from deepfsi.design.posterior import IdealObserver
-from deepfsi.jobs.exposures import AdaptiveMasks
+from deepfsi.jobs import AdaptiveMasks
 
 PIXELS, SCENES, CLASSES = 8, 40, 3
 QUARTERS = torch.arange(PIXELS) // 2

@@ -9,12 +9,12 @@ import torch
 
 from conftest import every_optics, generator, once, quick
 from deepfsi.base import InputError
-from deepfsi.camera.light import photons_per_pixel
+from deepfsi.camera import photons_per_pixel
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate
 from deepfsi.design.exposure.conditioned import ConditionedExposure
 from deepfsi.design.temperatures import stop_temperatures
-from deepfsi.jobs.job import Job
+from deepfsi.jobs import Job
 from deepfsi.optics import constraints
 from deepfsi.optics.features import mean_over_exposures
 from deepfsi.optics.scanner import measure

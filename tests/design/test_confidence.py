@@ -22,7 +22,7 @@ from deepfsi.design.confidence import (
 from deepfsi.design.evaluation import evaluate
 from deepfsi.design.temperatures import stop_temperatures
 from deepfsi.designfile import Temperatures, calibration_budgets
-from deepfsi.jobs.job import Job
+from deepfsi.jobs import Job
 from deepfsi.training.characterisation import find_temperatures
 
 PHOTONS = 1e4

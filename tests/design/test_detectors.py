@@ -8,7 +8,7 @@ import torch
 
 from conftest import RECIPE, generator, once
 from deepfsi.base import InputError
-from deepfsi.camera.detectors import DetectorMap
+from deepfsi.camera import DetectorMap
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate
 from deepfsi.design.onnx_graph import to_onnx

@@ -11,7 +11,8 @@ from deepfsi.design.exposure.kinds import begin
 from deepfsi.design.exposure.looks import LooksExposure
 from deepfsi.design.exposure.passing import PassingExposure
 from deepfsi.design.exposure.trained import FixedExposure, PatchExposure
-from deepfsi.jobs.exposures import AnyExposure, find_exposure
+from deepfsi.jobs import find_exposure
+from deepfsi.jobs.exposures import AnyExposure
 from shared.jobs import job
 
 pytestmark = pytest.mark.core

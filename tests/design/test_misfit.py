@@ -9,7 +9,7 @@ from deepfsi.design.adaptive.choice import next_masks
 from deepfsi.design.adaptive.misfit import BUDGETS, UsualMisfit, measure, squared_distance
 from deepfsi.design.adaptive.posterior import AdaptivePosterior, LookOptics
 from deepfsi.design.adaptive.prior import ScenePrior
-from deepfsi.jobs.exposures import AdaptiveMasks
+from deepfsi.jobs import AdaptiveMasks
 from deepfsi.optics.noise import poisson
 
 PIXELS, SCENES, CLASSES, DRAWS, LOOKS = 12, 60, 3, 600, 4

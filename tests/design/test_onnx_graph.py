@@ -13,7 +13,7 @@ from torch import nn
 
 from conftest import PHOTONS, every_design, every_optics, quick
 from deepfsi.base import InputError
-from deepfsi.camera.light import photons_per_pixel
+from deepfsi.camera import photons_per_pixel
 from deepfsi.design.artifact import Design
 from deepfsi.design.exposure.conditioned import ConditionedExposure
 from deepfsi.design.onnx_graph import SCHEMA, to_onnx

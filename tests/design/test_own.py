@@ -11,7 +11,7 @@ from torch import nn
 import deepfsi
 from conftest import PHOTONS, RECIPE, generator, light_on, same
 from deepfsi.base import InputError
-from deepfsi.camera.detectors import DetectorMap
+from deepfsi.camera import DetectorMap
 from deepfsi.design import own
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate

@@ -8,7 +8,7 @@ import torch
 
 from conftest import generator, quick
 from deepfsi.base import InputError
-from deepfsi.camera.stop_rule import StopRule
+from deepfsi.camera import StopRule
 from deepfsi.design import stopping
 from deepfsi.design.evaluation import evaluate
 from deepfsi.design.stopping import stop

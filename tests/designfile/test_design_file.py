@@ -9,7 +9,7 @@ import pytest
 
 from conftest import quick
 from deepfsi.base import InputError
-from deepfsi.camera.stop_rule import StopRule
+from deepfsi.camera import StopRule
 from deepfsi.design.artifact import Design
 from deepfsi.designfile import DesignFile, find_design
 from shared.design_files import file_of

@@ -9,7 +9,7 @@ from safetensors.numpy import load_file, save_file
 
 from conftest import quick
 from deepfsi.base import InputError
-from deepfsi.camera.stop_rule import StopRule
+from deepfsi.camera import StopRule
 from deepfsi.designfile import loop_bytes, read_loop
 from shared.design_files import file_of
 

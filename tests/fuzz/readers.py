@@ -136,7 +136,7 @@ def read_scenes(path: Path) -> None:
 
 
 def read_camera(path: Path) -> None:
-    from deepfsi.camera.camera import Camera
+    from deepfsi.camera import Camera
 
     repr(Camera.load(path))
 
@@ -306,7 +306,7 @@ PATCHES |= {"classifier": "vit", "precision": "float32"}
 def _designs(folder: Path) -> None:
     from conftest import quick
     from deepfsi import from_arrays
-    from deepfsi.camera.device import find_device
+    from deepfsi.camera import find_device
     from deepfsi.hardware.patterns.folder import export_patterns
     from deepfsi.hardware.patterns.sequence import FrameSettings
     from deepfsi.lab.rails import design_rails

@@ -10,10 +10,23 @@ import torch
 
 from conftest import FIXED, FLOAT32, synthetic
 from deepfsi.base import InputError
-from deepfsi.jobs import designs as codes
-from deepfsi.jobs import tiles
-from deepfsi.jobs.designs import hadamard_masks, mask_count
-from deepfsi.jobs.tiles import sensing_matrix
+from deepfsi.jobs import (
+    DESIGNS,
+    check_count,
+    check_design,
+    count_allowed,
+    designs,
+    hadamard_masks,
+    mask_count,
+    sensing_matrix,
+)
+from deepfsi.jobs.designs import (
+    padded_shape,
+    principal_components,
+    s_matrix,
+    s_matrix_order,
+    sequency_hadamard,
+)
 from deepfsi.optics import constraints
 from deepfsi.training.training_set import TrainingSet
 
@@ -30,7 +43,7 @@ def test_impulse_and_raster_are_the_identity_and_its_nth(digits):
 
 
 def test_walsh_functions_change_sign_as_often_as_their_number():
-    rows = codes.sequency_hadamard(32)
+    rows = sequency_hadamard(32)
     assert (rows @ rows.T == 32 * np.eye(32)).all()
     assert ((np.diff(rows, axis=1) != 0).sum(axis=1) == np.arange(32)).all()
 
@@ -58,19 +71,19 @@ def test_at_most_one_truncated_hadamard_mask_lacks_its_transpose():
 
 
 def test_truncated_hadamard_is_not_the_flattened_ordering():
-    flat = codes.sequency_hadamard(64)[:8]
+    flat = sequency_hadamard(64)[:8]
     masks = hadamard_masks((8, 8), 8)
     assert not all((mask == flat).all(axis=1).any() for mask in masks)
 
 
 def test_spectra_take_one_dimensional_sequencies():
-    assert (hadamard_masks((16,), 5) == codes.sequency_hadamard(16)[:5]).all()
+    assert (hadamard_masks((16,), 5) == sequency_hadamard(16)[:5]).all()
 
 
 @pytest.mark.parametrize("shape", [(12, 10), (3, 8), (5, 1)])
 def test_padded_hadamard_is_the_whole_basis_seen_through_the_scene(shape):
     padded = tuple(2 ** math.ceil(math.log2(side)) for side in shape)
-    assert codes.padded_shape(shape) == padded
+    assert padded_shape(shape) == padded
     order = math.prod(padded)
     whole = hadamard_masks(padded, order).reshape(-1, *padded)
     seen = whole[:, : shape[0], : shape[1]].reshape(order, -1)
@@ -80,7 +93,7 @@ def test_padded_hadamard_is_the_whole_basis_seen_through_the_scene(shape):
 @pytest.mark.parametrize("shape", [(8, 8), (12, 10)])
 def test_hadamard_under_column_is_plus_or_minus_one_over_its_order(shape):
     data = synthetic(shape)
-    order = math.prod(codes.padded_shape(shape))
+    order = math.prod(padded_shape(shape))
     rails = constraints.fit(torch.from_numpy(sensing_matrix("hadamard", order, data)), "column")
     assert (rails.sum(dim=0) == 1 / order).all()
 
@@ -94,7 +107,7 @@ def test_truncated_hadamard_under_column_is_plus_or_minus_one_over_m(digits, mas
 @pytest.mark.parametrize("pixels", [3, 7, 11, 59])
 def test_s_matrix_identity(pixels):
     """S Sᵀ = (p + 1)/4 (I + J), with (p + 1)/2 ones in every row."""
-    s = codes.s_matrix(pixels)
+    s = s_matrix(pixels)
     quarter = (pixels + 1) // 4
     assert (s @ s.T == quarter * (np.eye(pixels) + 1)).all()
     assert (s.sum(axis=1) == 2 * quarter).all()
@@ -103,11 +116,11 @@ def test_s_matrix_identity(pixels):
 
 @pytest.mark.parametrize(("pixels", "order"), [(1, 3), (4, 7), (8, 11), (64, 67)])
 def test_s_matrix_pads_to_a_prime_three_above_a_multiple_of_four(pixels, order):
-    assert codes.s_matrix_order(pixels) == order
-    s = codes.s_matrix(pixels)
+    assert s_matrix_order(pixels) == order
+    s = s_matrix(pixels)
     assert s.shape == (order, pixels)
     assert np.linalg.matrix_rank(s) == pixels
-    assert codes.s_matrix_order(1024) == 1031
+    assert s_matrix_order(1024) == 1031
 
 
 def test_principal_components_are_orthonormal_and_ordered(digits):
@@ -139,12 +152,12 @@ def test_fewer_principal_components_are_the_first_ones(digits, masks):
 @pytest.mark.parametrize("scenes", [1, 2, 5])
 def test_principal_components_are_completed_where_data_has_too_few(scenes):
     x = np.random.default_rng(0).random((scenes, 12)).astype(np.float32)
-    rows = codes.principal_components(x, 12)
+    rows = principal_components(x, 12)
     assert np.allclose(rows @ rows.T, np.eye(12), atol=1e-10)
     centred = x - x.mean(axis=0)
     assert np.allclose(rows[max(scenes - 1, 0) :] @ centred.T, 0, atol=1e-6)
-    assert (rows == codes.principal_components(x, 12)).all()
-    assert np.allclose(codes.principal_components(x, 7), rows[:7])
+    assert (rows == principal_components(x, 12)).all()
+    assert np.allclose(principal_components(x, 7), rows[:7])
 
 
 def test_discriminants_separate_classes_better_than_components(digits):
@@ -211,27 +224,27 @@ def test_mask_count_refuses_a_bad_ratio(ratio):
 )
 def test_a_design_refuses_a_count_that_it_cannot_have(digits, design, masks):
     with pytest.raises(InputError, match=f"masks are not allowed for {design} on digits: give"):
-        tiles.check_count(design, masks, digits)
+        check_count(design, masks, digits)
 
 
 def test_a_whole_count_may_be_a_float(digits):
-    assert tiles.sensing_matrix("truncated-hadamard", 7.0, digits).shape == (7, 64)
+    assert sensing_matrix("truncated-hadamard", 7.0, digits).shape == (7, 64)
 
 
 def test_few_components_of_large_scenes_need_no_matrix_of_all_pixels(digits, monkeypatch):
     """They are those of all components, and take memory by the pixels, not by their square."""
-    whole = codes.principal_components(digits.x_train, 64)
-    monkeypatch.setattr(codes, "FULL_BASIS_PIXELS", 16)
-    few = codes.principal_components(digits.x_train, 6)
+    whole = principal_components(digits.x_train, 64)
+    monkeypatch.setattr(designs, "FULL_BASIS_PIXELS", 16)
+    few = principal_components(digits.x_train, 6)
     np.testing.assert_allclose(few, whole[:6], atol=FLOAT32 * 5)
     training_set = TrainingSet(digits, "cpu")
     np.testing.assert_allclose(training_set.matrix("pca", 3, 0), whole[:3], atol=FLOAT32 * 5)
     assert {matrix.shape for matrix in training_set.matrices.values()} == {(3, 64)}
-    monkeypatch.setattr(codes, "FULL_BASIS_PIXELS", 2048)
+    monkeypatch.setattr(designs, "FULL_BASIS_PIXELS", 2048)
     x = np.random.default_rng(0).random((40, 64 * 64), dtype=np.float32)
     tracemalloc.start()
     try:
-        rows = codes.principal_components(x, 4)
+        rows = principal_components(x, 4)
         most = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
@@ -241,13 +254,13 @@ def test_few_components_of_large_scenes_need_no_matrix_of_all_pixels(digits, mon
 
 @pytest.mark.parametrize("design", FIXED)
 def test_every_allowed_count_gives_that_many_masks(design, digits):
-    for masks in tiles.count_allowed(design, digits):
+    for masks in count_allowed(design, digits):
         matrix = sensing_matrix(design, masks, digits)
         assert matrix.shape == (masks, 64)
         assert np.isfinite(matrix).all()
-        assert not codes.DESIGNS[design].single_rail or matrix.min() >= 0
+        assert not DESIGNS[design].single_rail or matrix.min() >= 0
 
 
 def test_an_unknown_design_names_the_closest():
     with pytest.raises(InputError, match="did you mean 'hadamard'"):
-        codes.check_design("hadamrad")
+        check_design("hadamrad")

@@ -5,7 +5,7 @@ import pytest
 from scipy.linalg import hadamard
 
 from deepfsi.base import InputError
-from deepfsi.jobs.designs import FORMULAS, formula_masks, hadamard_masks
+from deepfsi.jobs import FORMULAS, formula_masks, hadamard_masks
 
 
 @pytest.mark.parametrize("name", FORMULAS)

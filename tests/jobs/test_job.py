@@ -11,10 +11,16 @@ from conftest import PHOTONS, RECIPE, quick, same
 from deepfsi import Camera, Looks, Range
 from deepfsi.base import InputError, Progress
 from deepfsi.design.evaluation import evaluate
-from deepfsi.jobs import designs as codes
-from deepfsi.jobs import tiles
-from deepfsi.jobs.job import Job, find_job, find_table, sorted_settings
-from deepfsi.jobs.training import TUNED, Training
+from deepfsi.jobs import (
+    DESIGNS,
+    Job,
+    Training,
+    find_job,
+    find_table,
+    sensing_matrix,
+    sorted_settings,
+)
+from deepfsi.jobs.training import TUNED
 from deepfsi.optics import constraints
 from deepfsi.optics.rails import Rails
 from deepfsi.training.learning import companions, train
@@ -173,7 +179,7 @@ def test_networks_are_in_bfloat16_where_they_are_wide_and_not_a_users_own(fast_p
 
 def rounding(digits, masks: int, photons: float) -> float:
     """RMS error of bfloat16 products over photon noise, for the worst mask."""
-    matrix = torch.from_numpy(tiles.sensing_matrix("pca", masks, digits)).float()
+    matrix = torch.from_numpy(sensing_matrix("pca", masks, digits)).float()
     rails = Rails.of(constraints.fit(matrix, "column"))
     difference, total = rails.difference, rails.total
     x = torch.from_numpy(digits.x_train)
@@ -196,7 +202,7 @@ def test_training_in_bfloat16_reads_as_well(digits):
     assert accuracy[0] == pytest.approx(accuracy[1], abs=0.05)
 
 
-@pytest.mark.parametrize("design", codes.DESIGNS)
+@pytest.mark.parametrize("design", DESIGNS)
 def test_settings_that_are_not_given_are_those_tuned_for_the_design(design):
     made = Job(design=design, masks=6, photons=1e3).training
     usual = Training(**TUNED.get(design, {}))

@@ -8,7 +8,7 @@ from scipy.ndimage import gaussian_filter
 
 from deepfsi.base import InputError
 from deepfsi.hardware.pictures import solve_masks, solve_wavelets
-from deepfsi.jobs.designs import formula_masks
+from deepfsi.jobs import formula_masks
 from deepfsi.lab.table_pictures import TableMasks, compare_picture, read_pictures
 
 SCENE = np.random.default_rng(0).integers(0, 50, (8, 4)).astype(float)

@@ -9,7 +9,7 @@ import torch
 
 from conftest import generator
 from deepfsi.base import InputError
-from deepfsi.camera.camera import Camera
+from deepfsi.camera import Camera
 from deepfsi.optics.features import FeatureNoise
 from deepfsi.optics.noise import Click, check_noise, noise_of, resolve, try_own
 from deepfsi.optics.scanner import Scanner

@@ -12,7 +12,6 @@ from torch import Tensor
 
 from conftest import FIXED, FLOAT32, OPTICS, every_optics, generator, quick, two_valued
 from deepfsi.base import InputError
-from deepfsi.jobs import tiles
 from deepfsi.optics import constraints
 from deepfsi.optics.constraints import SLACK, check, excess, fit, frames
 from deepfsi.optics.grey_levels import quantise
@@ -25,8 +24,8 @@ def rails_of(masks: torch.nn.Module, rails: str) -> Tensor:
 
 
 def fixed_matrix(design: str, digits) -> Tensor:
-    low, high = tiles.count_allowed(design, digits)
-    return torch.from_numpy(tiles.sensing_matrix(design, min(max(low, 9), high), digits)).float()
+    low, high = count_allowed(design, digits)
+    return torch.from_numpy(sensing_matrix(design, min(max(low, 9), high), digits)).float()
 
 
 def limits(rails: Tensor, light: str) -> Tensor:

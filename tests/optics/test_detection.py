@@ -6,8 +6,7 @@ import torch
 
 from conftest import FLOAT32, every_optics, generator
 from deepfsi.base import InputError
-from deepfsi.camera.detectors import DetectorMap
-from deepfsi.jobs import tiles
+from deepfsi.camera import DetectorMap
 from deepfsi.optics import constraints
 from deepfsi.optics.constraints import expand, fit
 from deepfsi.optics.detection import ONE, Detection
@@ -172,8 +171,8 @@ def test_dark_counts_are_those_of_each_detector(light):
 @pytest.mark.parametrize("design", ["raster", "hadamard", "truncated-hadamard", "pca", "s-matrix"])
 def test_each_part_has_the_masks_of_the_design(digits, design):
     tiles_of = DetectorMap.of("2x4", digits.image_shape)
-    _, high = tiles.count_allowed(design, digits, tiles_of)
-    matrix = tiles.sensing_matrix(design, high, digits, detectors=tiles_of)
+    _, high = count_allowed(design, digits, tiles_of)
+    matrix = sensing_matrix(design, high, digits, detectors=tiles_of)
     part = matrix.reshape(high, 2, 4, 4, 2).transpose(1, 3, 0, 2, 4).reshape(8, high, 8)
     assert high == (11 if design == "s-matrix" else 8)
     if design in ("raster", "hadamard", "truncated-hadamard", "s-matrix"):
@@ -185,7 +184,7 @@ def test_each_part_has_the_masks_of_the_design(digits, design):
         assert matrix.sum() == pytest.approx(64 / 8)
         assert float(matrix.max(axis=1).sum()) == 1  # frames of equal time
     with pytest.raises(InputError, match=f"{high + 1} masks .* with 8 detectors"):
-        tiles.check_count(design, high + 1, digits, tiles_of)
+        check_count(design, high + 1, digits, tiles_of)
 
 
 @pytest.mark.parametrize(

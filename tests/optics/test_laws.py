@@ -21,7 +21,7 @@ from conftest import (
 )
 from deepfsi.datasets import load_dataset
 from deepfsi.design.evaluation import evaluate
-from deepfsi.jobs import tiles
+from deepfsi.jobs import sensing_matrix
 from deepfsi.optics import constraints
 from deepfsi.optics.detection import ONE
 from deepfsi.optics.noise import variance
@@ -85,7 +85,7 @@ def test_every_constraint_implies_the_flux_bound(made, design, light, rails):
 
 def scan(design: str, digits) -> Tensor:
     """Rails of all N masks, float64."""
-    matrix = torch.from_numpy(tiles.sensing_matrix(design, N, digits))
+    matrix = torch.from_numpy(sensing_matrix(design, N, digits))
     if design == "raster":
         return matrix.unsqueeze(0)
     return constraints.fit(matrix, "column")
@@ -143,7 +143,7 @@ def test_photon_noise_hadamard_equals_raster(digits, name, noise):
 @pytest.mark.parametrize("name", SCENES)
 def test_hadamard_on_one_device(digits, name):
     """Its 2N − 1 frames share the time of one detector; two arms show two of them at once."""
-    matrix = torch.from_numpy(tiles.sensing_matrix("hadamard", N, digits))
+    matrix = torch.from_numpy(sensing_matrix("hadamard", N, digits))
     raster, photons, frames = scan("raster", digits), scene(name, digits), 2 * N - 1
     for light, photon_noise, read_noise in (
         ("free-dwell", frames / N, frames**3 / N**4),

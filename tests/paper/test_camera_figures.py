@@ -7,9 +7,7 @@ import pytest
 from matplotlib.collections import QuadMesh
 
 from deepfsi.base import InputError
-from deepfsi.camera.device import Device, find_device
-from deepfsi.camera.layout import DmdLayout, find_grid
-from deepfsi.jobs import designs as codes
+from deepfsi.camera import Device, DmdLayout, find_device, find_grid
 from deepfsi.report import style
 from deepfsi_paper.camera import figures
 from deepfsi_paper.camera.figures import Accuracy
@@ -23,7 +21,7 @@ DESIGNS = {
     "raster": ("RS", False),
     "hadamard": ("HB", False),
 }
-TITLES = {design: code.title for design, code in codes.DESIGNS.items()}
+TITLES = {design: code.title for design, code in CODES.items()}
 TITLES["deepfsi"] = "DeepFSI, equal dwell"
 EXPOSURES = (1e-4, 1e-3, 1e-2, 1e-1)
 DIGITS = [str(digit) for digit in range(10)]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from matplotlib.collections import PathCollection, QuadMesh
 
-from deepfsi.jobs import designs as codes
+from deepfsi.jobs import mask_count
 from deepfsi.report.style import svg
 from deepfsi_paper.report import maps
 from deepfsi_paper.report.scales import ON_DARK, ON_LIGHT, SEQUENTIAL
@@ -17,7 +17,7 @@ from shared.results import a_point
 
 BUDGETS = [1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8]
 
-RATIOS = [codes.mask_count((k / 10) ** 2, 1024) / 1024 for k in range(1, 11)]
+RATIOS = [mask_count((k / 10) ** 2, 1024) / 1024 for k in range(1, 11)]
 
 
 def accuracies(seed=0, budgets=BUDGETS, ratios=RATIOS):

@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from deepfsi.base import InputError
-from deepfsi.camera.light import photons_per_pixel, summed_reflectance
-from deepfsi.jobs.tiles import sensing_matrix
+from deepfsi.camera import photons_per_pixel, summed_reflectance
+from deepfsi.jobs import sensing_matrix
 from deepfsi.optics.noise import readout
 from deepfsi_paper.measures import (
     effective_directions,

@@ -10,7 +10,6 @@ import pytest
 from matplotlib.text import Annotation
 
 from deepfsi.base import InputError
-from deepfsi.jobs import designs as codes
 from deepfsi.report.style import COLOURS, svg
 from deepfsi_paper.measures import impulse_imaging_error
 from deepfsi_paper.mnist import figures
@@ -20,7 +19,7 @@ from shared.results import a_point, some_results
 
 BUDGETS = [1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8]
 
-RATIOS = [codes.mask_count((k / 10) ** 2, 1024) / 1024 for k in range(1, 11)]
+RATIOS = [mask_count((k / 10) ** 2, 1024) / 1024 for k in range(1, 11)]
 
 DESIGNS = ("impulse", "raster", "hadamard", "truncated-hadamard", "pca", "deepfsi", "control")
 
@@ -28,7 +27,7 @@ DESIGNS = ("impulse", "raster", "hadamard", "truncated-hadamard", "pca", "deepfs
 def results_of(noises=("poisson", "gaussian"), budgets=BUDGETS, designs=DESIGNS, ratios=RATIOS):
     points = []
     for noise, (place, design), photons in itertools.product(noises, enumerate(designs), budgets):
-        code = codes.DESIGNS[design]
+        code = CODES[design]
         own = [1.0] if code.fixed_count else ratios
         for ratio in own:
             middle = 3 + 0.3 * place + (noise == "gaussian")

@@ -18,7 +18,7 @@ from deepfsi.design.adaptive.posterior import AdaptivePosterior, LookOptics
 from deepfsi.design.evaluation import evaluate
 from deepfsi.design.payload import few_tests, of_page, playable
 from deepfsi.design.stopping import StoppingRule, with_rule
-from deepfsi.jobs.exposures import AdaptiveMasks
+from deepfsi.jobs import AdaptiveMasks
 from deepfsi.report.playground.page import write_page
 from shared.playground import ask, open_playground
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from conftest import quick
-from deepfsi.camera.device import find_device
+from deepfsi.camera import find_device
 from deepfsi.hardware.counting.acquisition import Scene
 from deepfsi.hardware.drivers import Setup
 from deepfsi.hardware.live.known import read_looks

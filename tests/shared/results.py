@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from deepfsi.designfile import DesignFile, MaskHeader
-from deepfsi.jobs.exposures import FixedEntry
+from deepfsi.jobs import FixedEntry
 from deepfsi.sweeps.results import SCHEMA, Data, Point, Provenance, Results, write_results
 
 DESIGNS = {

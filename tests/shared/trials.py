@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from deepfsi.datasets import Dataset
-from deepfsi.jobs.job import find_table
+from deepfsi.jobs import find_table
 from deepfsi.sweeps.context import SweepContext
 from deepfsi.sweeps.queue import run_trials
 from deepfsi.sweeps.recipe import Recipe

@@ -24,8 +24,7 @@ from conftest import (
 from deepfsi.base import InputError
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate
-from deepfsi.jobs import designs as codes
-from deepfsi.jobs import tiles
+from deepfsi.jobs import DESIGNS, sensing_matrix
 from deepfsi.optics import constraints
 from deepfsi.training.learning import train
 from deepfsi.training.training_set import TrainingSet
@@ -50,8 +49,8 @@ def test_fixed_designs_keep_their_masks(made, digits, design):
     if design == "raster":
         assert torch.equal(found[0], torch.eye(64) / 64)
         return
-    matrix = torch.from_numpy(tiles.sensing_matrix(design, found.shape[1], digits, 0)).float()
-    single = codes.DESIGNS[design].single_rail
+    matrix = torch.from_numpy(sensing_matrix(design, found.shape[1], digits, 0)).float()
+    single = DESIGNS[design].single_rail
     wanted = constraints.fit(matrix, "column", "single" if single else "dual")
     assert torch.allclose(found, wanted, atol=1e-8)
 

@@ -6,7 +6,7 @@ from torch.nn import functional
 
 from deepfsi.base import InputError
 from deepfsi.design.evaluation import evaluate
-from deepfsi.jobs.training import Training
+from deepfsi.jobs import Training
 from deepfsi.training import losses
 from deepfsi.training.learning import learn
 from shared.values import placed_digits

@@ -7,14 +7,14 @@ import torch
 from conftest import FLOAT32, assert_moments, generator, same, synthetic
 from deepfsi import Patches
 from deepfsi.base import InputError
-from deepfsi.camera.light import photons_per_pixel
+from deepfsi.camera import photons_per_pixel
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate
 from deepfsi.design.exposure.kinds import begin
 from deepfsi.design.exposure.trained import cut
 from deepfsi.design.onnx_graph import to_onnx
 from deepfsi.design.stopping import stop
-from deepfsi.jobs import designs as codes
+from deepfsi.jobs import DESIGNS as CODES
 from deepfsi.optics.features import FeatureNoise
 from deepfsi.optics.masks import FixedMasks, LearnedMasks
 from deepfsi.optics.scanner import Scanner
@@ -122,7 +122,7 @@ def test_all_readouts_together_count_at_most_the_images_light(patches, design):
     assert (counted <= light * (1 + FLOAT32)).all()
     assert light.mean() == pytest.approx(BUDGET, rel=1e-5)
     whole = 1 / 16 if design == "raster" else 1.0
-    if not codes.DESIGNS[design].specific:
+    if not CODES[design].specific:
         assert torch.allclose(counted, whole * light, rtol=1e-5)
 
 

@@ -13,7 +13,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import deepfsi
-from deepfsi.camera.device import find_device
+from deepfsi.camera import find_device
 from deepfsi.hardware.counting.counting import count
 from deepfsi.hardware.patterns.folder import export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings

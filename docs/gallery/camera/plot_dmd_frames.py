@@ -12,7 +12,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 
 import deepfsi
-from deepfsi.camera.device import find_device
+from deepfsi.camera import find_device
 from deepfsi.hardware.patterns.folder import export_patterns, read_frames
 from deepfsi.hardware.patterns.mirrors import unpack
 from deepfsi.hardware.patterns.sequence import FrameSettings

@@ -24,7 +24,7 @@ LONGEST_PICTURE_S = 1e3
 LONGEST_PICTURE_US = 10**9
 """The same in microseconds."""
 
-PLANES = 24
+BIT_PLANES = 24
 """Bit-planes of a picture of 24 bits a pixel."""
 
 Lattice = Literal["square", "diamond"]
@@ -110,9 +110,9 @@ class Device(BaseModel):
     def packed_frames(self, total: int) -> int:
         """Frames in each 24-bit picture of a sequence."""
         if self.video_us is None:
-            return PLANES
+            return BIT_PLANES
         # all pictures have as many, so that no bit-plane without a frame is shown
-        return max(size for size in range(1, PLANES + 1) if total % size == 0)
+        return max(size for size in range(1, BIT_PLANES + 1) if total % size == 0)
 
     def timed(self, shortest_s: float | None = None, settle_s: float | None = None) -> "Device":
         """The device with another shortest picture time or time to settle, seconds."""
@@ -141,7 +141,7 @@ def _read_devices() -> tuple[dict[str, Device], dict[str, dict[str, str]]]:
     return {name: Device(name=name, **fields) for name, fields in content.items()}, sources
 
 
-DEVICES, SOURCES = _read_devices()
+DEVICES, DEVICE_SOURCES = _read_devices()
 """Devices by name, and where each of their numbers is from."""
 
 

@@ -34,7 +34,7 @@ class StopRule(StrictModel):
         return near and confidence > self.threshold
 
 
-class Live(StrictModel):
+class LiveSettings(StrictModel):
     """Settings of a live run."""
 
     shortest_ns: int = Field(ge=1)  # Shortest gate; frames whose dwells are shorter are not shown

@@ -72,7 +72,7 @@ CAMERA_EXAMPLES = {
 
 def camera_template() -> str:
     """A camera file with a comment on each field, as a laboratory may fill it in."""
-    from deepfsi.camera.camera import Camera
+    from deepfsi.camera import Camera
 
     lines = ["# A camera: leave out what you do not know, or what follows from the rest.", ""]
     usual = {"light": '"free-dwell"'}
@@ -105,7 +105,7 @@ def camera_describe(
 
     Example: deepfsi camera describe --template my-lab.toml
     """
-    from deepfsi.camera.camera import PRESETS, Camera
+    from deepfsi.camera import PRESETS, Camera
     from deepfsi.lab.camera import camera_of
 
     if template is not None:

@@ -229,7 +229,7 @@ def size(made: "AnyDesign") -> str:
 
 def detectors_text(design: str, detectors: str) -> str:
     """Detectors in a table, also of a design that has one for each pixel."""
-    from deepfsi.jobs.designs import EVERY_PIXEL
+    from deepfsi.jobs import EVERY_PIXEL
 
     return "each pixel" if design in EVERY_PIXEL else detectors
 

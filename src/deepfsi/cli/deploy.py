@@ -131,7 +131,7 @@ PLANNED: dict[str, Any] = {
 
 
 def _print_needs(plan: Mapping[str, Any], axes: list[str]) -> None:
-    from deepfsi.jobs.designs import DESIGNS
+    from deepfsi.jobs import DESIGNS
 
     def two_digits(photons: float) -> str:
         return common.budget(float(f"{photons:.1e}"))

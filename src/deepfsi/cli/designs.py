@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from deepfsi.design.artifact import Design
     from deepfsi.design.evaluation import Result
     from deepfsi.design.stopping import Stopped
-    from deepfsi.jobs.job import Job
+    from deepfsi.jobs import Job
 
 
 @with_settings(job_fields)
@@ -70,7 +70,7 @@ def design(
     )  # one of the same settings may be replaced
     common.check_data(data, view)
     from deepfsi.design.evaluation import evaluate as test
-    from deepfsi.jobs.job import find_job
+    from deepfsi.jobs import find_job
     from deepfsi.training.learning import learn
 
     own = common.read_matrix(matrix)

@@ -11,8 +11,7 @@ from deepfsi.cli.groups import Group
 from deepfsi.cli.settings import SettingsCommand, laboratory_fields, with_settings
 
 if TYPE_CHECKING:
-    from deepfsi.camera.device import Device
-    from deepfsi.camera.layout import DmdGrid, DmdLayout
+    from deepfsi.camera import Device, DmdGrid, DmdLayout
     from deepfsi.hardware.patterns.folder import DesignRails
     from deepfsi.hardware.patterns.sequence import Manifest, Patterns
     from deepfsi.hardware.patterns.timing import Cost
@@ -98,7 +97,7 @@ def dmd_export(
     Example: deepfsi dmd export one-dmd.safetensors --device dlp7000 --exposure 10ms -o patterns
     """
     paths.check_new_folder(out)
-    from deepfsi.camera.device import find_device
+    from deepfsi.camera import find_device
     from deepfsi.hardware.calibration import SCAN_NAMES, write_reference
     from deepfsi.hardware.patterns.folder import export_patterns
     from deepfsi.hardware.patterns.sequence import FrameSettings
@@ -133,7 +132,7 @@ def dmd_export(
 def _layout(known: "DmdLayout", **options: Any) -> "DmdLayout":
     """Layout of a camera, with the orientation of options."""
     from deepfsi.base import as_input_error
-    from deepfsi.camera.layout import DmdLayout
+    from deepfsi.camera import DmdLayout
 
     with as_input_error():
         return DmdLayout.model_validate(known.model_dump() | options)
@@ -178,13 +177,17 @@ def dmd_devices(as_json: options.Json = False) -> None:
 
     Example: deepfsi dmd devices
     """
-    from deepfsi.camera.device import DEVICES, SOURCES
+    from deepfsi.camera import DEVICE_SOURCES, DEVICES
 
     every = list(DEVICES.values())
     if as_json:
         common.print_json(
             "dmd.devices",
-            {"devices": [{**one.model_dump(), "sources": SOURCES[one.name]} for one in every]},
+            {
+                "devices": [
+                    {**one.model_dump(), "sources": DEVICE_SOURCES[one.name]} for one in every
+                ]
+            },
         )
         return
     rows = [
@@ -260,7 +263,7 @@ def _print_patterns(command: str, patterns: "Patterns", folder: Path, as_json: b
 
 def _allowed(device: "Device") -> str:
     """Times of pictures that a device allows, µs."""
-    from deepfsi.camera.device import LONGEST_PICTURE_US
+    from deepfsi.camera import LONGEST_PICTURE_US
 
     if device.longest_us == LONGEST_PICTURE_US:
         return f"{device.shortest_us} or more"

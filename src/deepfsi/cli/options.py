@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from deepfsi.datasets import Dataset
-    from deepfsi.jobs.job import Job
+    from deepfsi.jobs import Job
 
 MOST_PIXELS = 10_000
 """Pixels of a side of an image."""
@@ -280,7 +280,7 @@ def budget_range(text: str) -> tuple[float, float]:
 
 def check_sigma(given: Mapping[str, Any], noises: Iterable[str]) -> None:
     """Raise `InputError` if read noise is given and none of these noises has any."""
-    from deepfsi.camera.names import find_noise
+    from deepfsi.camera import find_noise
 
     named = [noise for noise in dict.fromkeys(noises) if noise != "ml_gauss"]  # of photons
     if "sigma" in given and not any(find_noise(noise).read_noise for noise in named):
@@ -305,8 +305,8 @@ def job_settings(
     """Fields of a job of the options of `design`, for `learn`."""
     # The data decides how many masks a design of a fixed number has; the matrix, (m, N), is the
     # user's own
-    from deepfsi.camera.camera import Camera
-    from deepfsi.jobs.job import sorted_settings
+    from deepfsi.camera import Camera
+    from deepfsi.jobs import sorted_settings
 
     settings = dict(given)
     if "photons" in settings:
@@ -329,22 +329,20 @@ def job_settings(
 
 def _fixed_count(job: Mapping[str, Any], data: "Dataset") -> int:
     """Number of masks of a design that has no choice, or `InputError`."""
-    from deepfsi.camera.detectors import ONE_DETECTOR
-    from deepfsi.jobs import designs as codes
-    from deepfsi.jobs import tiles
-    from deepfsi.jobs.exposures import find_exposure
+    from deepfsi.camera import ONE_DETECTOR
+    from deepfsi.jobs import DESIGNS, check_design, count_allowed, find_exposure
 
     exposure = find_exposure(job.get("exposure", {}))
     if exposure.fixed_mask_count:
         return exposure.fixed_mask_count
-    design = codes.check_design(job.get("design", "deepfsi"))
-    code = codes.DESIGNS[design]
+    design = check_design(job.get("design", "deepfsi"))
+    code = DESIGNS[design]
     if not code.fixed_count:
         raise InputError(f"{design} needs a number of masks: add --masks, for instance --masks 10")
     scene = exposure.scene(data)
     camera = job["camera"]
     detectors = ONE_DETECTOR if code.every_pixel else camera.detector_map(scene.image_shape)
-    return tiles.count_allowed(design, scene, detectors)[1]
+    return count_allowed(design, scene, detectors)[1]
 
 
 def recipe_fields(
@@ -376,8 +374,8 @@ def recipe_settings(
     """Settings of the recipe that the options of `compare` or `plan` ask for."""
     # Options of a job are axes, as text; `own` are fields of the recipe, None where one is not
     # given; settings of `base` hold where no option overrides them
-    from deepfsi.camera.camera import Camera
-    from deepfsi.jobs.job import find_table
+    from deepfsi.camera import Camera
+    from deepfsi.jobs import find_table
 
     fields = {name: value for name, value in own.items() if value is not None}
     if "masks" in given and "ratios" in fields:

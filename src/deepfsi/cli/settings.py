@@ -42,21 +42,21 @@ FIRST = "Options"
 
 def job_fields() -> Fields:
     """Help panel and field of each option of a job."""
-    from deepfsi.camera.camera import Camera
-    from deepfsi.jobs.exposures import EXPOSURE_FIELDS, KINDS
-    from deepfsi.jobs.job import Job
-    from deepfsi.jobs.training import Training
+    from deepfsi.camera import Camera
+    from deepfsi.jobs import EXPOSURE_FIELDS, EXPOSURE_KINDS, Job, Training
 
     found: Fields = {name: (FIRST, Job.model_fields[name]) for name in JOB_FIELDS}
     found |= _named("camera", "Camera", Camera.model_fields)
-    found |= {name: ("Exposure", KINDS[name].model_fields[name]) for name in EXPOSURE_FIELDS}
+    found |= {
+        name: ("Exposure", EXPOSURE_KINDS[name].model_fields[name]) for name in EXPOSURE_FIELDS
+    }
     return found | _named("training", "Training", Training.model_fields)
 
 
 def _named(table: str, panel: str, fields: "Mapping[str, FieldInfo]") -> Fields:
-    from deepfsi.jobs.job import ALIASES
+    from deepfsi.jobs import SETTING_ALIASES
 
-    names = {place: name for name, place in ALIASES.items()}
+    names = {place: name for name, place in SETTING_ALIASES.items()}
     return {
         names.get((table, name), name): (panel, field)
         for name, field in fields.items()
@@ -66,8 +66,8 @@ def _named(table: str, panel: str, fields: "Mapping[str, FieldInfo]") -> Fields:
 
 def laboratory_fields(*names: str) -> Fields:
     """Help panel and field of the options of a run: its camera, and fields of that; all if none."""
-    from deepfsi.camera.camera import Camera
-    from deepfsi.jobs.job import Job
+    from deepfsi.camera import Camera
+    from deepfsi.jobs import Job
 
     fields = {"camera": Job.model_fields["camera"]}
     fields |= {name: Camera.model_fields[name] for name in names or Camera.model_fields}

@@ -19,9 +19,7 @@ from deepfsi.base import (
     mask_picture,
     write_atomically,
 )
-from deepfsi.camera.camera import Camera
-from deepfsi.camera.light import check_budget
-from deepfsi.camera.names import LightLawName
+from deepfsi.camera import Camera, LightLawName, check_budget
 from deepfsi.design import artifact_file, clicks, readings
 from deepfsi.design.exposure.looks import Dwells, LooksExposure
 from deepfsi.design.exposure.trained import FixedExposure, Observation, TrainedExposure

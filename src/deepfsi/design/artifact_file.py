@@ -9,8 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from deepfsi.base import InputError
-from deepfsi.camera.detectors import DetectorMap
-from deepfsi.camera.names import check_light
+from deepfsi.camera import DetectorMap, check_light
 from deepfsi.design.classifiers import Mlp, Vit, restored
 from deepfsi.design.exposure.conditioned import ConditionedExposure
 from deepfsi.design.exposure.looks import LooksExposure

@@ -22,7 +22,7 @@ import torch
 from torch import Tensor
 
 from deepfsi.base import InputError
-from deepfsi.camera.light import check_budget
+from deepfsi.camera import check_budget
 from deepfsi.datasets import Dataset
 from deepfsi.design.artifact import Design
 from deepfsi.optics.scanner import Scanner

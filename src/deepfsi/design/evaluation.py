@@ -23,9 +23,7 @@ from deepfsi.base import (
     worst_class,
 )
 from deepfsi.base import accuracy_interval as accuracy_of
-from deepfsi.camera.camera import Camera, CameraSource
-from deepfsi.camera.light import check_budget
-from deepfsi.camera.names import NoiseName
+from deepfsi.camera import Camera, CameraSource, NoiseName, check_budget
 from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.design.confidence import confidence_error

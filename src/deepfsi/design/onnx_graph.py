@@ -17,7 +17,7 @@ from torch.onnx import symbolic_opset11
 from torch.onnx.utils import register_custom_op_symbolic, unregister_custom_op_symbolic
 
 from deepfsi.base import InputError
-from deepfsi.camera.light import share_out
+from deepfsi.camera import share_out
 from deepfsi.design.artifact import Design
 from deepfsi.design.classifiers import Mlp
 from deepfsi.design.exposure.looks import LooksExposure

@@ -17,7 +17,7 @@ import torch
 from torch import Tensor, nn
 
 from deepfsi.base import UNNAMED_PLUGIN, InputError, load_plugin
-from deepfsi.jobs.training import describe_classifier
+from deepfsi.jobs import describe_classifier
 
 Factory = Callable[..., nn.Module]
 """Makes a module of the number of features and, if it takes two numbers, that of classes."""

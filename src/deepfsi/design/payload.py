@@ -27,7 +27,7 @@ from deepfsi.design.evaluation import check_data, evaluate, scanner_for
 from deepfsi.design.stopping import rule_of, stop
 from deepfsi.design.values import check_classes
 from deepfsi.designfile import Temperatures, check_masks, new_scenes, trained_on
-from deepfsi.jobs.exposures import LARGEST_SCORE
+from deepfsi.jobs import LARGEST_SCORE
 from deepfsi.optics import constraints
 from deepfsi.optics.surroundings import library_defaults
 

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from deepfsi.base import InputError, Progress, check_memory, free_memory, progress_bar
-from deepfsi.camera.light import check_budget, summed_reflectance
+from deepfsi.camera import check_budget, summed_reflectance
 from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import Guess, Result, check_data, check_draws, test_scenes

@@ -19,7 +19,7 @@ from pydantic import TypeAdapter
 from scipy.special import log_softmax
 
 from deepfsi.base import InputError, accuracy_interval, as_input_error
-from deepfsi.camera.light import check_budget
+from deepfsi.camera import check_budget
 from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.adaptive.design import AdaptiveDesign, AnyDesign
 from deepfsi.design.artifact import Design

@@ -11,10 +11,8 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
 from deepfsi.base import IMPORT_PATH, StrictModel
-from deepfsi.camera.names import LightLawName, Readout, SummedReflectance
-from deepfsi.jobs.designs import check_design
-from deepfsi.jobs.exposures import AdaptiveMasks, ExposureEntry
-from deepfsi.jobs.training import MOST_LAYERS, Widths
+from deepfsi.camera import LightLawName, Readout, SummedReflectance
+from deepfsi.jobs import MOST_LAYERS, AdaptiveMasks, ExposureEntry, Widths, check_design
 
 DESIGN_SCHEMA: Literal[1] = 1
 """Number of the design file's schema."""

@@ -12,11 +12,10 @@ from pydantic import Field
 from safetensors.numpy import save
 
 from deepfsi.base import DamagedError, InputError, StrictModel, as_input_error, read_tensors
-from deepfsi.camera.names import Readout
-from deepfsi.camera.stop_rule import StopRule
+from deepfsi.camera import Readout, StopRule
 from deepfsi.designfile.design_file import DAMAGED, DesignFile
 from deepfsi.designfile.header import MaskHeader, MlpEntry
-from deepfsi.jobs.exposures import LARGEST_SCORE, LooksEntry
+from deepfsi.jobs import LARGEST_SCORE, LooksEntry
 
 LOOP_KEY = "deepfsi-loop"
 """Key of the header in the file's metadata."""

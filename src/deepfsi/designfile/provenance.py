@@ -15,9 +15,9 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from deepfsi.base import InputError, as_input_error
-from deepfsi.camera.camera import Camera
+from deepfsi.camera import Camera
 from deepfsi.datasets import Dataset, Origin
-from deepfsi.jobs.exposures import ExposureEntry
+from deepfsi.jobs import ExposureEntry
 
 HASH_BYTES = 4
 """Bytes of the hash of a scene. A scene that is new is taken for one of n with n / 2³²."""

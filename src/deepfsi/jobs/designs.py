@@ -72,6 +72,10 @@ class Code:
         """True if its masks are learned, at once or before its classifier."""
         return self.learned or self.learned_under is not None
 
+    def is_made_whole(self, pixels: int) -> bool:
+        """True if all masks are made at once, of which a training takes the first."""
+        return self.shared and pixels <= FULL_BASIS_PIXELS
+
     def counts(self, image_shape: Shape, classes: int) -> tuple[int, int]:
         """Smallest and largest number of masks for one detector."""
         most = self.most(image_shape, classes)

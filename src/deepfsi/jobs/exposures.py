@@ -22,8 +22,7 @@ import numpy as np
 from pydantic import BeforeValidator, ConfigDict, Field, SerializeAsAny
 
 from deepfsi.base import InputError, StrictModel, UserModel, as_input_error
-from deepfsi.camera.camera import Camera
-from deepfsi.camera.names import LIGHT_LAWS, find_noise
+from deepfsi.camera import LIGHT_LAWS, Camera, find_noise
 from deepfsi.datasets import Dataset
 from deepfsi.jobs.training import VIT, Widths
 
@@ -628,7 +627,7 @@ class AdaptiveMasks(UserModel):
             )
 
 
-KINDS: dict[str, type[Exposure]] = {
+EXPOSURE_KINDS: dict[str, type[Exposure]] = {
     "looks": Looks,
     "patch": Patches,
     "nested": Nested,
@@ -657,7 +656,7 @@ def find_exposure(given: Any) -> Any:
         for name, value in given.items()
         if str(value).removesuffix(".0") != NEUTRAL.get(name)
     }
-    for name, kind in KINDS.items():
+    for name, kind in EXPOSURE_KINDS.items():
         if name not in asked:
             continue
         if strange := asked.keys() - kind.model_fields.keys():
@@ -668,7 +667,8 @@ def find_exposure(given: Any) -> Any:
             return kind(**asked)
     if asked:
         raise InputError(
-            f"an exposure has no setting {', '.join(asked)}: give one of {', '.join(KINDS)}"
+            f"an exposure has no setting {', '.join(asked)}: give one of "
+            f"{', '.join(EXPOSURE_KINDS)}"
         )
     return Fixed()
 

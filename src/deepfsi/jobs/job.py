@@ -12,13 +12,21 @@ import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from deepfsi.base import UNNAMED_PLUGIN, InputError, UserModel, closest_choice
-from deepfsi.camera.camera import Camera
-from deepfsi.camera.light import BUDGETS, check_budget, check_one_budget
-from deepfsi.camera.names import LIGHT_LAWS, NOISES, check_light, find_noise, noise_name
+from deepfsi.camera import (
+    BUDGETS,
+    LIGHT_LAWS,
+    NOISES,
+    Camera,
+    check_budget,
+    check_light,
+    check_one_budget,
+    find_noise,
+    noise_name,
+)
 from deepfsi.datasets import Dataset
 from deepfsi.jobs.designs import DESIGNS, Code, check_design, check_matrix
 from deepfsi.jobs.exposures import (
-    KINDS,
+    EXPOSURE_KINDS,
     AdaptiveMasks,
     AnyExposure,
     Exposure,
@@ -325,7 +333,7 @@ def _is_size(given: Any) -> bool:
     return isinstance(given, int) and not isinstance(given, bool) and given >= 1
 
 
-ALIASES = {"dmd": ("camera", "device"), "train_noise": ("training", "noise")}
+SETTING_ALIASES = {"dmd": ("camera", "device"), "train_noise": ("training", "noise")}
 """Table and field of single settings whose field's name is taken by another."""
 
 
@@ -333,11 +341,11 @@ def find_table(setting: str) -> tuple[str, str]:
     """Table of a job that holds a setting, "" for its own fields, and the setting's name there."""
     # Three names have two owners. As single settings `dmd` is the camera's device, `train_noise`
     # the noise of the training, and `exposure` the camera's time
-    if setting in ALIASES:
-        return ALIASES[setting]
+    if setting in SETTING_ALIASES:
+        return SETTING_ALIASES[setting]
     tables: dict[str, Collection[str]] = {
         "camera": Camera.model_fields,
-        "exposure": KINDS,
+        "exposure": EXPOSURE_KINDS,
         "training": Training.model_fields,
     }
     return next((table for table, fields in tables.items() if setting in fields), ""), setting

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deepfsi.base import InputError
-from deepfsi.camera.detectors import ONE_DETECTOR, DetectorMap
+from deepfsi.camera import ONE_DETECTOR, DetectorMap
 from deepfsi.datasets import Dataset
 from deepfsi.jobs.designs import DESIGNS
 

@@ -19,7 +19,7 @@ from pydantic import (
 )
 
 from deepfsi.base import IMPORT_PATH, UNNAMED_PLUGIN, InputError, UserModel, import_path
-from deepfsi.camera.names import NoiseSetting
+from deepfsi.camera import NoiseSetting
 from deepfsi.jobs.designs import DESIGNS, check_design
 
 MLP, VIT = "mlp", "vit"

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from deepfsi.base import LARGEST_TENSORS, as_input_error, read_regular
-from deepfsi.camera.stop_rule import StopRule
+from deepfsi.camera import StopRule
 from deepfsi.design.adaptive.choice import next_masks
 from deepfsi.design.adaptive.design import AdaptiveDesign
 from deepfsi.design.adaptive.misfit import squared_distance

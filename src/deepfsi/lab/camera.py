@@ -9,10 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from deepfsi.base import InputError
-from deepfsi.camera.camera import Camera
-from deepfsi.camera.dead_time import DeadTime
-from deepfsi.camera.device import Device
-from deepfsi.camera.names import LIGHT_LAWS
+from deepfsi.camera import LIGHT_LAWS, Camera, DeadTime, Device
 from deepfsi.designfile import DesignFile
 from deepfsi.hardware.patterns.folder import DESIGN, DesignRails
 from deepfsi.hardware.virtual import VirtualCamera

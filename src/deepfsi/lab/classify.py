@@ -14,9 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from deepfsi.base import InputError, hash_file, read_table, require_torch
-from deepfsi.camera.dead_time import NO_DEAD_TIME
-from deepfsi.camera.light import check_budget
-from deepfsi.camera.names import LIGHT_LAWS
+from deepfsi.camera import LIGHT_LAWS, NO_DEAD_TIME, check_budget
 from deepfsi.design.readouts import classify_readouts
 from deepfsi.design.values import check_classes
 from deepfsi.designfile import (

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from deepfsi.camera.light import TOO_DIM
+from deepfsi.camera import TOO_DIM
 from deepfsi.hardware.light import Fault
 
 if TYPE_CHECKING:

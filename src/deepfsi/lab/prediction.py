@@ -12,8 +12,7 @@ import numpy as np
 import torch
 
 from deepfsi.base import InputError
-from deepfsi.camera.camera import Camera, CameraSource
-from deepfsi.camera.light import check_budget
+from deepfsi.camera import Camera, CameraSource, check_budget
 from deepfsi.design.artifact import Design
 from deepfsi.design.clicks import full_gates
 from deepfsi.design.evaluation import camera_for, check_draws, scanner_for

@@ -16,14 +16,12 @@ from deepfsi.base import (
     read_regular,
     require_torch,
 )
-from deepfsi.camera.detectors import DetectorMap
-from deepfsi.camera.device import find_device
+from deepfsi.camera import DetectorMap, find_device
 from deepfsi.designfile import AdaptiveHeader, DesignFile, check_masks, loop_bytes
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.looks import Looks
 from deepfsi.hardware.patterns.sequence import Brightness, FrameSettings
-from deepfsi.jobs.designs import EVERY_PIXEL
-from deepfsi.jobs.exposures import STATIC
+from deepfsi.jobs import EVERY_PIXEL, STATIC
 
 
 def design_rails(file: str | os.PathLike[str]) -> DesignRails:

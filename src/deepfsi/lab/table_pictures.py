@@ -22,7 +22,7 @@ from deepfsi.hardware.pictures import (
     split_rails,
     wavelet_of,
 )
-from deepfsi.jobs.designs import FORMULAS, formula_masks
+from deepfsi.jobs import FORMULAS, formula_masks
 from deepfsi.optics.mask_files import read_matrix
 
 MEDIAN_OF_NORMAL = 0.6745

@@ -23,7 +23,7 @@ import torch
 from scipy.stats import poisson
 
 from deepfsi.base import SILENT, InputError, Progress, time_text
-from deepfsi.camera.light import check_budget
+from deepfsi.camera import check_budget
 from deepfsi.design.artifact import Design
 from deepfsi.design.exposure.passing import PassingExposure
 from deepfsi.design.values import check_classes

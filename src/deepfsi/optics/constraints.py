@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from deepfsi.base import InputError
-from deepfsi.camera.names import LightLawName, RailsKind, check_light
+from deepfsi.camera import LightLawName, RailsKind, check_light
 from deepfsi.optics.rails import Rails
 
 SLACK = 1e-5

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from deepfsi.jobs.training import Scale
+from deepfsi.jobs import Scale
 from deepfsi.optics.detection import Detection, Readouts
 from deepfsi.optics.masks import FixedMasks, LearnedMasks
 from deepfsi.optics.noise import Click, OwnNoise, attach_gradient, readout, root, variance

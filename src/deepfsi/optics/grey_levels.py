@@ -4,7 +4,7 @@ import torch
 from torch import Tensor
 
 from deepfsi.base import InputError
-from deepfsi.camera.names import LightLawName
+from deepfsi.camera import LightLawName
 from deepfsi.optics.constraints import peak
 
 

@@ -6,8 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from deepfsi.base import InputError
-from deepfsi.camera.light import share_out
-from deepfsi.camera.names import LightLawName, RailsKind, check_light
+from deepfsi.camera import LightLawName, RailsKind, check_light, share_out
 from deepfsi.optics.constraints import peak
 from deepfsi.optics.grey_levels import quantise
 from deepfsi.optics.rails import Rails

@@ -31,8 +31,7 @@ import torch
 from torch import Tensor
 
 from deepfsi.base import UNNAMED_PLUGIN, InputError, check_choice, import_path, load_plugin
-from deepfsi.camera.camera import Camera
-from deepfsi.camera.names import NoiseName, check_noise
+from deepfsi.camera import Camera, NoiseName, check_noise
 
 OwnNoise = Callable[[Tensor, torch.Generator | None], Tensor]
 """A user's own noise: counts of expected counts (..., m), drawn with a generator."""

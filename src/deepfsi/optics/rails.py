@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from deepfsi.base import InputError
-from deepfsi.camera.names import RailsKind
+from deepfsi.camera import RailsKind
 
 
 @dataclass(frozen=True, eq=False)

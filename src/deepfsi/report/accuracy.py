@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, MultipleLocator, NullLocator
 
-from deepfsi.camera.names import noise_text
+from deepfsi.camera import noise_text
 from deepfsi.report import style
 from deepfsi.report.measures import WORDS
 from deepfsi.sweeps.results import Results

@@ -10,9 +10,9 @@ import numpy as np
 from markupsafe import Markup
 
 from deepfsi.base import InputError, accuracy_difference, confusion_table, write_atomically
-from deepfsi.camera.names import LIGHT_LAWS, noise_text
+from deepfsi.camera import LIGHT_LAWS, noise_text
 from deepfsi.designfile import DesignFile
-from deepfsi.jobs.designs import ADAPTIVE
+from deepfsi.jobs import ADAPTIVE
 from deepfsi.report import accuracy
 from deepfsi.report.figures import Figures
 from deepfsi.report.masks import lit_masks, masks_figure, peak, signed, values_figure

@@ -6,7 +6,7 @@ from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from deepfsi.camera.names import noise_text
+from deepfsi.camera import noise_text
 from deepfsi.report.style import COLOURS, DARK_COLOURS, photons_text
 from deepfsi.report.terms import LAWS, WORDS, Terms
 

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from deepfsi.base import Crossing, accuracy_difference, find_crossing
-from deepfsi.camera.names import noise_text
-from deepfsi.jobs.designs import DESIGNS
+from deepfsi.camera import noise_text
+from deepfsi.jobs import DESIGNS
 from deepfsi.report import accuracy
 from deepfsi.report.measures import WORDS
 from deepfsi.report.rendering import capital, share_text

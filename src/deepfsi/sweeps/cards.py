@@ -10,7 +10,7 @@ from deepfsi.datasets import Dataset
 from deepfsi.design.adaptive.design import AnyDesign
 from deepfsi.design.evaluation import Result
 from deepfsi.designfile import trained_on
-from deepfsi.jobs.job import Job
+from deepfsi.jobs import Job
 
 if TYPE_CHECKING:
     from deepfsi.sweeps.collection import DataTerms, DesignRecipe

@@ -29,7 +29,7 @@ from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.design.evaluation import Result, evaluate
 from deepfsi.design.values import check_classes
 from deepfsi.designfile import INDEX_NAME, CollectionIndex, DesignName, PublishedDesign, ShortText
-from deepfsi.jobs.job import REVISION, Job, find_job, sorted_settings
+from deepfsi.jobs import REVISION, Job, find_job, sorted_settings
 from deepfsi.sweeps.cards import card
 from deepfsi.training.learning import learn
 

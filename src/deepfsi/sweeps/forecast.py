@@ -14,7 +14,7 @@ import torch
 from deepfsi.base import SILENT, Moments, Progress
 from deepfsi.datasets import Dataset
 from deepfsi.design.evaluation import evaluate
-from deepfsi.jobs.job import Job
+from deepfsi.jobs import Job
 from deepfsi.sweeps.context import Batch, SweepContext
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.records import Records

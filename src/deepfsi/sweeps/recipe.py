@@ -15,16 +15,19 @@ from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from deepfsi.base import InputError, as_input_error, closest_choice
-from deepfsi.camera.camera import Camera, Levels
-from deepfsi.camera.detectors import ONE_DETECTOR, DetectorMap
-from deepfsi.camera.light import BUDGETS
-from deepfsi.camera.names import check_noise
+from deepfsi.camera import BUDGETS, ONE_DETECTOR, Camera, DetectorMap, Levels, check_noise
 from deepfsi.datasets import Dataset
 from deepfsi.design.evaluation import MOST_DRAWS
-from deepfsi.jobs import designs as codes
-from deepfsi.jobs import tiles
-from deepfsi.jobs.exposures import Exposure, find_exposure
-from deepfsi.jobs.training import MLP, Training
+from deepfsi.jobs import (
+    DESIGNS,
+    MLP,
+    Exposure,
+    Training,
+    check_design,
+    count_allowed,
+    find_exposure,
+    mask_count,
+)
 from deepfsi.sweeps.workers import Resources
 
 PAPER_RATIOS = tuple((k / 10) ** 2 for k in range(1, 11))
@@ -139,7 +142,7 @@ def _tuned(given: Any) -> dict[str, dict[str, tuple[Any, ...]]]:
     axes, faults = {}, []
     for design, own in given.items() if isinstance(given, Mapping) else ():
         try:
-            axes[codes.check_design(design)] = _training(own)
+            axes[check_design(design)] = _training(own)
         except (InputError, ValueError) as error:
             faults.append(f"{design}: {error}")
     if faults:
@@ -147,7 +150,7 @@ def _tuned(given: Any) -> dict[str, dict[str, tuple[Any, ...]]]:
     return axes
 
 
-Name = Annotated[str, AfterValidator(codes.check_design)]
+Name = Annotated[str, AfterValidator(check_design)]
 Budget = Annotated[float, Field(ge=BUDGETS[0], le=BUDGETS[1])]
 Ratio = Annotated[float, Field(gt=0, le=1)]
 Count = Annotated[int, Field(ge=1)]
@@ -258,7 +261,7 @@ class Recipe(BaseModel):
     def training_axes(self, design: str) -> dict[str, tuple[Any, ...]]:
         """Values of each setting of the training of a design."""
         axes = {**self.training, **self.tuned.get(design, {})}
-        if not codes.DESIGNS[design].learns_masks:
+        if not DESIGNS[design].learns_masks:
             axes = {name: axes[name] for name in axes if name not in MASK_SETTINGS}
         return axes
 
@@ -292,13 +295,13 @@ class Recipe(BaseModel):
         # a ratio is that of readouts, m · D / N, so that it means as much under several detectors.
         # Of adaptive masks, which share the light among their looks, ratios ask for one count: more
         # looks tell more
-        low, high = tiles.count_allowed(design, data, detectors)
+        low, high = count_allowed(design, data, detectors)
         asked = self.masks or [
-            codes.mask_count(ratio, data.pixels / detectors.count)
+            mask_count(ratio, data.pixels / detectors.count)
             for ratio in self.ratios or PAPER_RATIOS
         ]
         counts = sorted({count for count in asked if low <= count <= high}) or [high]
-        if codes.DESIGNS[design].adaptive and not self.masks:
+        if DESIGNS[design].adaptive and not self.masks:
             return [max((c for c in counts if c <= MOST_LOOKS), default=counts[0])]
         return counts
 

@@ -8,9 +8,9 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat, model_validator
 
 from deepfsi.base import as_input_error, read_text, unpack_values, write_atomically
-from deepfsi.camera.names import find_noise
+from deepfsi.camera import find_noise
 from deepfsi.datasets.dataset import Measure
-from deepfsi.jobs.designs import EVERY_PIXEL
+from deepfsi.jobs import EVERY_PIXEL
 
 SCHEMA = 5
 """Schema of results and of records, the only one; tests of records of another are run anew."""

@@ -21,15 +21,13 @@ from deepfsi.base import (
     unpack_values,
     worst_class,
 )
-from deepfsi.camera.detectors import DetectorMap
-from deepfsi.camera.names import noise_text
+from deepfsi.camera import DetectorMap, noise_text
 from deepfsi.datasets import Dataset
 from deepfsi.datasets.dataset import Measure
 from deepfsi.design.estimation import Estimates
 from deepfsi.design.evaluation import Result
 from deepfsi.designfile import TrainingScenes, new_scenes
-from deepfsi.jobs import designs as codes
-from deepfsi.jobs.exposures import find_exposure
+from deepfsi.jobs import DESIGNS, find_exposure
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.results import SCHEMA, Data, Point, Provenance, Results
 
@@ -183,7 +181,7 @@ def point(
     trials = _Trials.of(tests, data)
     score = MEASURES[measure][0]
     validated = [record["validation"][index] for record, index in members if record["validation"]]
-    code = codes.DESIGNS[axes["design"]]
+    code = DESIGNS[axes["design"]]
     return Point(
         **axes,
         label=code.label,

@@ -12,13 +12,9 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from deepfsi.base import InputError, source_hash
-from deepfsi.camera.camera import Camera
-from deepfsi.camera.detectors import ONE_DETECTOR
-from deepfsi.camera.names import LIGHT_LAWS
+from deepfsi.camera import LIGHT_LAWS, ONE_DETECTOR, Camera
 from deepfsi.datasets import Dataset
-from deepfsi.jobs import designs as codes
-from deepfsi.jobs.exposures import Exposure
-from deepfsi.jobs.job import REVISION, Job, custom_parts
+from deepfsi.jobs import DESIGNS, REVISION, Code, Exposure, Job, custom_parts
 from deepfsi.sweeps.recipe import NamedCamera, Recipe, TestNoise
 
 MOST_TRIALS = 100_000
@@ -175,11 +171,11 @@ def _kinds(recipe: Recipe, data: Dataset) -> Iterator[tuple[str, NamedCamera]]:
     """Yield every design with every camera that it can have."""
     for named, design in product(recipe.cameras(), recipe.designs):
         count = named.camera.detector_map(data.image_shape).count
-        if _possible(codes.DESIGNS[design], named.camera, count):
+        if _possible(DESIGNS[design], named.camera, count):
             yield design, named
 
 
-def _possible(code: codes.Code, camera: Camera, detectors: int) -> bool:
+def _possible(code: Code, camera: Camera, detectors: int) -> bool:
     law, one_rail = LIGHT_LAWS[camera.light], code.single_rail and not code.every_pixel
     return not (
         (code.learned_under is not None and camera.noise_name != "poisson")
@@ -199,7 +195,7 @@ def _counts(
     matrix: np.ndarray | None,
 ) -> Sequence[int]:
     """Mask counts of a design for scenes as its masks see them."""
-    code, scene = codes.DESIGNS[design], exposure.scene(data)
+    code, scene = DESIGNS[design], exposure.scene(data)
     if exposure.fixed_mask_count:
         return [exposure.fixed_mask_count]
     if code.is_custom and matrix is not None:

@@ -23,8 +23,7 @@ from deepfsi.design.adaptive.posterior import LookOptics
 from deepfsi.design.adaptive.prior import ScenePrior
 from deepfsi.design.confidence import CalibrationScenes, Exposed
 from deepfsi.designfile import CALIBRATION_REACH, Temperatures
-from deepfsi.jobs.exposures import AdaptiveMasks
-from deepfsi.jobs.job import Job
+from deepfsi.jobs import AdaptiveMasks, Job
 from deepfsi.training.folds import DOUBT, calibrated, folds_of
 from deepfsi.training.info import provenance
 from deepfsi.training.training_set import TrainingSet

@@ -6,15 +6,13 @@ import torch
 from torch import Tensor, nn
 
 from deepfsi.base import InputError
-from deepfsi.camera.camera import Camera
-from deepfsi.camera.light import check_budget, summed_reflectance
-from deepfsi.camera.names import LightLawName, check_light
+from deepfsi.camera import Camera, LightLawName, check_budget, check_light, summed_reflectance
 from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.design.own import OwnClassifier, make
 from deepfsi.design.values import Values
 from deepfsi.designfile import TrainingScenes
-from deepfsi.jobs.job import Job
+from deepfsi.jobs import Job
 from deepfsi.optics import constraints
 from deepfsi.optics.detection import Detection
 from deepfsi.optics.masks import LearnedMasks

@@ -18,7 +18,7 @@ from deepfsi.design.confidence import (
 from deepfsi.design.evaluation import scanner_for
 from deepfsi.design.readout_fit import sample_scenes
 from deepfsi.designfile import ReadoutDistribution, SceneModel, Temperatures, calibration_budgets
-from deepfsi.jobs.job import Job
+from deepfsi.jobs import Job
 from deepfsi.optics.features import CHUNK
 from deepfsi.training.folds import DOUBT, LEFT_OUT, calibrated, draws_of
 from deepfsi.training.training_set import TrainingSet

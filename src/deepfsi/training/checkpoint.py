@@ -32,7 +32,7 @@ from deepfsi.base import (
     source_hash,
     write_atomically,
 )
-from deepfsi.jobs.job import REVISION, Job, custom_parts
+from deepfsi.jobs import REVISION, Job, custom_parts
 from deepfsi.training.draws import SeedStream
 from deepfsi.training.few_counts import CountsCost
 from deepfsi.training.training_set import TrainingSet

@@ -10,14 +10,13 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from deepfsi.camera.names import LightLawName
+from deepfsi.camera import LightLawName
 from deepfsi.design.classifiers import Replicas
 from deepfsi.design.exposure.conditioned import ConditionedExposure, first
 from deepfsi.design.exposure.looks import LooksExposure
 from deepfsi.design.exposure.passing import PassingExposure
 from deepfsi.design.exposure.trained import FixedExposure, PatchExposure, TrainedExposure
-from deepfsi.jobs.job import Job
-from deepfsi.jobs.training import Scale
+from deepfsi.jobs import Job, Scale
 from deepfsi.optics import constraints
 from deepfsi.optics.detection import Detection
 from deepfsi.optics.features import (

@@ -6,7 +6,7 @@ from typing import Any
 import torch
 from pydantic import BaseModel
 
-from deepfsi.camera.light import brightness
+from deepfsi.camera import brightness
 from deepfsi.datasets import Dataset
 from deepfsi.designfile import TrainedOn
 

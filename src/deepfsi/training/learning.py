@@ -9,13 +9,13 @@ import numpy as np
 import torch
 
 from deepfsi.base import SILENT, InputError, Progress, progress_bar
-from deepfsi.camera.light import check_budget, detector_shares
+from deepfsi.camera import check_budget, detector_shares
 from deepfsi.datasets import Source, as_dataset
 from deepfsi.design.adaptive.design import AnyDesign
 from deepfsi.design.artifact import Design
 from deepfsi.design.exposure.kinds import begin
 from deepfsi.design.exposure.trained import TrainedExposure
-from deepfsi.jobs.job import Job, find_job
+from deepfsi.jobs import Job, find_job
 from deepfsi.optics import constraints
 from deepfsi.optics.detection import Detection
 from deepfsi.optics.features import FeatureNoise, feature_statistics

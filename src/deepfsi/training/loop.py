@@ -22,8 +22,7 @@ from deepfsi.datasets import Dataset
 from deepfsi.design.classifiers import Mlp, Replicas, Vit
 from deepfsi.design.exposure.trained import TrainedExposure
 from deepfsi.design.own import OwnClassifier, make, seeded
-from deepfsi.jobs.job import Job
-from deepfsi.jobs.training import VIT, Training
+from deepfsi.jobs import VIT, Job, Training
 from deepfsi.optics.features import FeatureNoise
 from deepfsi.optics.masks import FixedMasks, LearnedMasks
 from deepfsi.training.batches import batch_of

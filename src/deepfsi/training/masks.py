@@ -7,12 +7,10 @@ import torch
 from torch import Tensor
 
 from deepfsi.base import InputError
-from deepfsi.camera.camera import Camera
+from deepfsi.camera import Camera
 from deepfsi.design.exposure.passing import PassingExposure
 from deepfsi.design.exposure.trained import TrainedExposure
-from deepfsi.jobs import designs as codes
-from deepfsi.jobs import tiles
-from deepfsi.jobs.job import Job
+from deepfsi.jobs import DESIGNS, Code, Job, count_allowed
 from deepfsi.optics import constraints
 from deepfsi.optics.detection import Detection
 from deepfsi.optics.grey_levels import quantise
@@ -51,11 +49,11 @@ def initial_masks(
 def matrix_seeds(jobs: Sequence[Job]) -> list[int]:
     """Seed of each matrix that jobs trained together are drawn from; one where all share it."""
     seeds = [job.seed for job in jobs]
-    drawn = codes.DESIGNS[jobs[0].start_matrix].seeded
+    drawn = DESIGNS[jobs[0].start_matrix].seeded
     return seeds if drawn and len(set(seeds)) > 1 else seeds[:1]
 
 
-def _fitted(signed: Tensor, code: codes.Code, camera: Camera) -> Tensor:
+def _fitted(signed: Tensor, code: Code, camera: Camera) -> Tensor:
     """Rails (R, 2 or 1, m, N) of matrices (R, m, N), with all the light that the law allows."""
     if code.scaled:
         return signed.unsqueeze(1)
@@ -89,7 +87,7 @@ def _matrix(seen: TrainingSet, job: Job, seed: int) -> Tensor:
     both_arms = job.code.learned and camera.light == "two-arm" and camera.readout == "both"
     if job.code.single_rail or (camera.rails == "dual" and not both_arms):
         return torch.from_numpy(seen.matrix(name, count, seed, detectors)).float()
-    least, most = tiles.count_allowed(name, seen.data, detectors)
+    least, most = count_allowed(name, seen.data, detectors)
     for masks in range(min(max(-(-count // 2), least), most), most + 1):
         signed = torch.from_numpy(seen.matrix(name, masks, seed, detectors)).float()
         frames = constraints.frames(constraints.expand(signed, "column"))

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from deepfsi.jobs.training import Scale
+from deepfsi.jobs import Scale
 from deepfsi.optics.features import CHUNK, FeatureNoise, deviation, standardise
 from deepfsi.optics.scanner import project
 from deepfsi.optics.transit import FixedPattern, LearnedPattern, Transit, in_levels

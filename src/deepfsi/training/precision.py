@@ -2,7 +2,7 @@
 
 import torch
 
-from deepfsi.jobs.job import Job
+from deepfsi.jobs import Job
 
 BFLOAT16_COUNTS = 2.0**14
 """Largest share of the budget a readout may have for bfloat16 products in training, Φ / readouts.

@@ -7,15 +7,17 @@ import torch
 from torch import Tensor
 
 from deepfsi.base import InputError
-from deepfsi.camera.detectors import ONE_DETECTOR, DetectorMap
-from deepfsi.camera.light import summed_reflectance
-from deepfsi.camera.names import LightLawName
+from deepfsi.camera import ONE_DETECTOR, DetectorMap, LightLawName, summed_reflectance
 from deepfsi.datasets import Dataset
 from deepfsi.design.values import Values
 from deepfsi.designfile import TrainingScenes
-from deepfsi.jobs import designs as codes
-from deepfsi.jobs import tiles
-from deepfsi.jobs.exposures import Exposure
+from deepfsi.jobs import (
+    DESIGNS,
+    Exposure,
+    check_count,
+    count_allowed,
+    sensing_matrix,
+)
 from deepfsi.optics.detection import Detection
 
 Matrices = dict[tuple[str, int, int, tuple[int, ...] | None], np.ndarray]
@@ -93,21 +95,21 @@ class TrainingSet:
 
     def prepare(self, name: str) -> None:
         """Compute what the trainings of a design share, so that processes need not each do it."""
-        if codes.DESIGNS[name].shared and self.data.pixels <= codes.FULL_BASIS_PIXELS:
+        if DESIGNS[name].is_made_whole(self.data.pixels):
             self.matrix(name, 1, 0)
 
     def matrix(
         self, name: str, masks: int, seed: int, detectors: DetectorMap = ONE_DETECTOR
     ) -> np.ndarray:
         """Sensing matrix of a fixed design; principal components are computed once for all m."""
-        # Parameters as for `tiles.sensing_matrix`
-        tiles.check_count(name, masks, self.data, detectors)
-        _, most = tiles.count_allowed(name, self.data, detectors)
-        code = codes.DESIGNS[name]
-        whole = most if code.shared and most <= codes.FULL_BASIS_PIXELS else masks
+        # Parameters as for `sensing_matrix`
+        check_count(name, masks, self.data, detectors)
+        _, most = count_allowed(name, self.data, detectors)
+        code = DESIGNS[name]
+        whole = most if code.is_made_whole(most) else masks
         key = (name, whole, seed if code.seeded else 0, detectors.cells)
         if key not in self.matrices:
-            self.matrices[key] = tiles.sensing_matrix(name, whole, self.data, seed, detectors)
+            self.matrices[key] = sensing_matrix(name, whole, self.data, seed, detectors)
         return self.matrices[key][:masks]
 
 

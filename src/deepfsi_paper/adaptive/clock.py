@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from deepfsi.base import Progress
-from deepfsi.camera.device import DEVICES
+from deepfsi.camera import DEVICES
 from deepfsi.datasets import Dataset
 from deepfsi.design.adaptive.design import AdaptiveDesign
 from deepfsi.design.adaptive.exposures import look_at

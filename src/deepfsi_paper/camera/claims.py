@@ -8,9 +8,9 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from deepfsi.base import Difference, all_above, mean_of_trials
-from deepfsi.camera.layout import DmdGrid, find_grid
+from deepfsi.camera import DmdGrid, find_grid
 from deepfsi.hardware.patterns.mirrors import recount, unpack
-from deepfsi.jobs.designs import DESIGNS
+from deepfsi.jobs import DESIGNS
 from deepfsi.report.style import photons_text
 from deepfsi.sweeps.results import Results
 from deepfsi_paper.bootstrap import (

@@ -19,8 +19,7 @@ from typing import Any
 import numpy as np
 
 from deepfsi.base import Difference, Progress, mean_of_trials
-from deepfsi.camera.device import find_device
-from deepfsi.camera.layout import DmdLayout, find_grid
+from deepfsi.camera import DmdLayout, find_device, find_grid
 from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.hardware.calibration import expected_background, fit, scan_rails, view_dataset

@@ -12,7 +12,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.patches import ConnectionPatch, Rectangle
 
 from deepfsi.base import InputError
-from deepfsi.camera.layout import DmdGrid
+from deepfsi.camera import DmdGrid
 from deepfsi.report.style import COLOURS, GREYS, GRID, PAGE_WIDTH, plain_bar, styled
 
 MARGIN = 1.5

@@ -18,8 +18,8 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocator
 
 from deepfsi.base import InputError
-from deepfsi.camera.names import noise_text
-from deepfsi.jobs.designs import DESIGNS
+from deepfsi.camera import noise_text
+from deepfsi.jobs import DESIGNS
 from deepfsi.report import style
 from deepfsi.report.accuracy import accuracy_axes, marker_key, noises, series_axes
 from deepfsi.report.masks import brightest, mask_axes, peak, signed

@@ -11,7 +11,7 @@ from pydantic import TypeAdapter
 from deepfsi.base import Difference, Progress, all_above, mean_of_trials
 from deepfsi.datasets import Dataset
 from deepfsi.designfile import DesignFile
-from deepfsi.jobs.tiles import sensing_matrix
+from deepfsi.jobs import sensing_matrix
 from deepfsi.report.style import photons_text
 from deepfsi.sweeps.results import Results
 from deepfsi_paper.experiment import Experiment, Finding

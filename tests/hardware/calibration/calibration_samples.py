@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from deepfsi.camera.device import find_device
-from deepfsi.camera.layout import DmdLayout, find_grid
+from deepfsi.camera import DmdLayout, find_device, find_grid
 from deepfsi.hardware.calibration import camera_view
 from deepfsi.hardware.counting.calibration_file import Calibration
 

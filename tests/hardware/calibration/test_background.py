@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from deepfsi.camera.device import Device
+from deepfsi.camera import Device
 from deepfsi.hardware.calibration import expected_background
 from deepfsi.hardware.patterns.sequence import Frame, Manifest, Patterns
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from deepfsi.base import InputError
-from deepfsi.camera.device import Device
+from deepfsi.camera import Device
 from deepfsi.hardware.calibration import (
     SCAN_NAMES,
     find_detectors,

@@ -5,8 +5,7 @@ import pytest
 from calibration_samples import GRID, IDENTITY, VIEW, apply, calibration_of, pictures_of, vignette
 
 from deepfsi.base import InputError
-from deepfsi.camera.device import Device
-from deepfsi.camera.layout import DmdLayout, find_grid
+from deepfsi.camera import Device, DmdLayout, find_grid
 from deepfsi.hardware.calibration import camera_view, fit
 from deepfsi.hardware.calibration.view import view_matrix
 from deepfsi.hardware.counting.calibration_file import load_calibration, save_calibration

@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 
 from deepfsi.base import InputError
-from deepfsi.camera.detectors import DetectorMap
-from deepfsi.camera.device import Device
-from deepfsi.camera.light import detector_shares
+from deepfsi.camera import DetectorMap, Device, detector_shares
 from deepfsi.hardware.calibration import find_gains
 from deepfsi.hardware.counting.counting import count
 from deepfsi.hardware.counting.counts import read_counts

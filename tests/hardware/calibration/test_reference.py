@@ -8,8 +8,7 @@ from PIL import Image
 from scipy import ndimage
 
 from deepfsi.base import InputError
-from deepfsi.camera.device import Device
-from deepfsi.camera.layout import DmdLayout
+from deepfsi.camera import Device, DmdLayout
 from deepfsi.datasets import read_display
 from deepfsi.hardware.calibration import find_reference, write_reference
 from deepfsi.hardware.calibration.reference import EXPECTED, REFERENCE, reference_picture

@@ -9,8 +9,7 @@ from calibration_samples import IDENTITY, VIEW, apply, calibration_of, vignette
 from scipy import ndimage
 
 from deepfsi.base import InputError
-from deepfsi.camera.device import Device, find_device
-from deepfsi.camera.layout import DmdLayout, find_grid
+from deepfsi.camera import Device, DmdLayout, find_device, find_grid
 from deepfsi.datasets import load_dataset
 from deepfsi.hardware.calibration import camera_view, view_dataset
 from deepfsi.hardware.calibration.view import view_matrix

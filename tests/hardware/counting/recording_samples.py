@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 
 from deepfsi.base import InputError
-from deepfsi.camera.device import DEVICES, find_device
+from deepfsi.camera import DEVICES, find_device
 from deepfsi.hardware.counting.acquisition import Acquisition, Scene, prepare
 from deepfsi.hardware.counting.alignment import Counter
 from deepfsi.hardware.counting.counting import count

@@ -5,8 +5,7 @@ import pytest
 from recording_samples import schedule
 
 from deepfsi.base import InputError, Table
-from deepfsi.camera.detectors import DetectorMap
-from deepfsi.camera.device import Device
+from deepfsi.camera import DetectorMap, Device
 from deepfsi.hardware.counting.ambient import Ambient
 from deepfsi.hardware.counting.counting import count
 from deepfsi.hardware.counting.counts import read_counts
@@ -97,7 +96,7 @@ def test_dead_time_is_corrected_in_the_background_too(tmp_path):
     patterns(tmp_path / "patterns", "single")
     x = np.concatenate([np.repeat(STEADY[None], SCENES, axis=0), np.zeros((1, *SHAPE))])
     x = x.astype(np.float32)
-    from deepfsi.camera.dead_time import DeadTime
+    from deepfsi.camera import DeadTime
 
     lost = recorded(tmp_path / "lost", tmp_path / "patterns", x, FLUX, dead=20e-9)
     sound = recorded(tmp_path / "sound", tmp_path / "patterns", x, FLUX)

@@ -8,9 +8,7 @@ import torch
 from recording_samples import patterns_of
 
 from deepfsi.base import InputError, Table
-from deepfsi.camera.dead_time import DeadTime
-from deepfsi.camera.detectors import DetectorMap
-from deepfsi.camera.device import Device
+from deepfsi.camera import DeadTime, DetectorMap, Device
 from deepfsi.hardware.counting.tables import TableSettings, column_names, count_table
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.nominal import nominal_manifest

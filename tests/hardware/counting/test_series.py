@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from deepfsi.base import InputError, read_table
-from deepfsi.camera.detectors import DetectorMap
-from deepfsi.camera.device import Device
+from deepfsi.camera import DetectorMap, Device
 from deepfsi.hardware.counting.series import ROLL_OVER, of_bins, of_cumulative
 from deepfsi.hardware.counting.tables import TableSettings, column_names, count_table
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns, read_patterns

@@ -9,7 +9,7 @@ from dlpc900_fake import decode, install
 from driver_samples import make_patterns
 
 from deepfsi.base import InputError, Progress
-from deepfsi.camera.device import DEVICES, Device
+from deepfsi.camera import DEVICES, Device
 from deepfsi.hardware.drivers import dlpc900
 from deepfsi.hardware.drivers.dlpc900 import encode_picture
 from deepfsi.hardware.patterns.folder import (

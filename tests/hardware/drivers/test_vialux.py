@@ -8,7 +8,7 @@ from driver_samples import make_patterns
 from vialux_fake import DEVICE, install
 
 from deepfsi.base import InputError, Progress
-from deepfsi.camera.device import Device
+from deepfsi.camera import Device
 from deepfsi.hardware.drivers import vialux
 from deepfsi.hardware.patterns.folder import (
     read_frames,

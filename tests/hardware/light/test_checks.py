@@ -11,7 +11,7 @@ from light_faults import FAULTS, Lit, patterns_of, steady
 from scipy.stats import binom
 
 from deepfsi.base import InputError
-from deepfsi.camera.detectors import DetectorMap
+from deepfsi.camera import DetectorMap
 from deepfsi.hardware.counting.counting import count
 from deepfsi.hardware.counting.counts import Counts
 from deepfsi.hardware.light import FALSE_ALARMS

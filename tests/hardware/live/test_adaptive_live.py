@@ -10,7 +10,7 @@ import torch
 
 from deepfsi import learn
 from deepfsi.base import InputError
-from deepfsi.camera.device import find_device
+from deepfsi.camera import find_device
 from deepfsi.hardware.live.known import read_looks
 from deepfsi.hardware.live.replay import count_live, read_live_counts
 from deepfsi.hardware.live.run import plan_live, run_live

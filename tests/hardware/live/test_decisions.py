@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from deepfsi.base import InputError
-from deepfsi.camera.dead_time import DeadTime
+from deepfsi.camera import DeadTime
 from deepfsi.design.artifact import Design
 from deepfsi.hardware.counting.acquisition import Scene
 from deepfsi.hardware.counting.streaming import FrameCounts

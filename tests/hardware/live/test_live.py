@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from deepfsi.base import InputError
-from deepfsi.camera.device import find_device
+from deepfsi.camera import find_device
 from deepfsi.hardware.counting.acquisition import read_acquisition
 from deepfsi.hardware.live import run as runs
 from deepfsi.hardware.live.replay import count_live, read_live_counts

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from deepfsi.base import InputError
-from deepfsi.camera.device import DEVICES, find_device
+from deepfsi.camera import DEVICES, find_device
 from deepfsi.datasets import write_pictures
 from deepfsi.hardware.calibration import scan_rails
 from deepfsi.hardware.counting.acquisition import Scene, plan_acquisition, read_acquisition

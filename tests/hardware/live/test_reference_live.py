@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import deepfsi
-from deepfsi.camera.device import find_device
+from deepfsi.camera import find_device
 from deepfsi.hardware.calibration.reference import TARGET
 from deepfsi.hardware.counting.acquisition import Scene
 from deepfsi.hardware.live.replay import count_live

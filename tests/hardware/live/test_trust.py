@@ -8,8 +8,7 @@ import pytest
 
 from conftest import quick
 from deepfsi.base import InputError
-from deepfsi.camera.dead_time import DeadTime
-from deepfsi.camera.device import find_device
+from deepfsi.camera import DeadTime, find_device
 from deepfsi.hardware.drivers import Setup
 from deepfsi.hardware.live.replay import count_live
 from deepfsi.hardware.live.run import plan_live, run_live

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from deepfsi.base import SILENT
-from deepfsi.camera.device import find_device
-from deepfsi.camera.layout import DmdLayout
+from deepfsi.camera import DmdLayout, find_device
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 

@@ -19,7 +19,7 @@ from scipy.linalg import hadamard
 
 from conftest import CASES, FLOAT32
 from deepfsi.base import InputError, Progress
-from deepfsi.camera.device import DEVICES, Device, find_device
+from deepfsi.camera import DEVICES, Device, find_device
 from deepfsi.hardware.patterns.folder import (
     check_patterns,
     hash_mirrors,

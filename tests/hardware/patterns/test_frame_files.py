@@ -10,7 +10,7 @@ from PIL import Image
 from vendor_readers import read_one_bit
 
 from deepfsi.base import InputError
-from deepfsi.camera.device import DEVICES, find_device
+from deepfsi.camera import DEVICES, find_device
 from deepfsi.hardware.patterns import folder
 from deepfsi.hardware.patterns.folder import check_patterns, read_frames
 from deepfsi.hardware.patterns.sequence import Format

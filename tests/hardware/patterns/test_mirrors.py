@@ -9,8 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pattern_samples import SMALL
 
-from deepfsi.camera.device import Device
-from deepfsi.camera.layout import DmdLayout, find_grid
+from deepfsi.camera import Device, DmdLayout, find_grid
 from deepfsi.hardware.patterns.mirrors import make_frames, order_mirrors, recount, unpack
 
 

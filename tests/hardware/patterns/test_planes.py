@@ -17,7 +17,7 @@ from vendor_readers import (
 )
 
 from deepfsi.base import InputError
-from deepfsi.camera.device import DEVICES, Device
+from deepfsi.camera import DEVICES, Device
 from deepfsi.hardware.patterns.folder import check_patterns, read_frames
 from deepfsi.hardware.patterns.sequence import Format
 

@@ -8,7 +8,7 @@ from deepfsi.base import InputError
 from deepfsi.hardware.light import FALSE_ALARMS
 from deepfsi.hardware.pictures import check_rail_sums, fineness, split_rails
 from deepfsi.hardware.pictures.rail_sums import LAYOUTS, LEAST_PAIRS, find_causes
-from deepfsi.jobs.designs import formula_masks, hadamard_masks
+from deepfsi.jobs import formula_masks, hadamard_masks
 
 SHAPE = (16, 16)
 FINE = fineness(formula_masks("hadamard-natural", SHAPE), SHAPE)[1:]

@@ -10,8 +10,7 @@ from pydantic import ValidationError
 from virtual_samples import DEVICE, SHAPE, SUMMED_REFLECTANCE, into, patterns, scenes
 
 from deepfsi.base import SILENT, InputError, Progress
-from deepfsi.camera.device import Device
-from deepfsi.camera.layout import DmdLayout, find_grid
+from deepfsi.camera import Device, DmdLayout, find_grid
 from deepfsi.hardware.counting.acquisition import read_acquisition
 from deepfsi.hardware.counting.counting import count
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns

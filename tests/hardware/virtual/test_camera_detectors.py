@@ -9,8 +9,7 @@ import torch
 from virtual_samples import DEVICE, SHAPE, SUMMED_REFLECTANCE, scenes
 
 from deepfsi.base import InputError
-from deepfsi.camera.detectors import DetectorMap
-from deepfsi.camera.device import Device
+from deepfsi.camera import DetectorMap, Device
 from deepfsi.hardware.counting.counting import count
 from deepfsi.hardware.counting.counts import Counts, read_counts
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns, read_patterns

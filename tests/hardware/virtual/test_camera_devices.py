@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from deepfsi.camera.device import DEVICES
-from deepfsi.camera.layout import DmdLayout, find_grid
+from deepfsi.camera import DEVICES, DmdLayout, find_grid
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.virtual import CAMERAS, VirtualCamera, arrival_rates

@@ -6,7 +6,7 @@ import torch
 from virtual_samples import SUMMED_REFLECTANCE, patterns, scenes
 
 from deepfsi.base import InputError
-from deepfsi.camera.dead_time import DeadTime
+from deepfsi.camera import DeadTime
 from deepfsi.hardware.counting.clicks import light_of_clicks
 from deepfsi.hardware.counting.counting import count
 from deepfsi.hardware.counting.counts import read_counts

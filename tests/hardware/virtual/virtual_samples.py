@@ -6,8 +6,7 @@ import numpy as np
 import torch
 
 from deepfsi.base import Progress
-from deepfsi.camera.device import Device
-from deepfsi.camera.layout import DmdLayout
+from deepfsi.camera import Device, DmdLayout
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.optics import constraints

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from deepfsi.base import DESIGN_ENDINGS, InputError, check_ending, write_atomically
-from deepfsi.camera.camera import Camera
+from deepfsi.camera import Camera
 from deepfsi.design.adaptive.exposures import AT_ONCE, expose, look_at
 from deepfsi.design.adaptive.misfit import UsualMisfit
 from deepfsi.design.adaptive.posterior import LEAST_WEIGHT, AdaptivePosterior, LookOptics
@@ -31,7 +31,7 @@ from deepfsi.designfile import (
     trained_budgets,
     trained_camera,
 )
-from deepfsi.jobs.exposures import AdaptiveMasks
+from deepfsi.jobs import AdaptiveMasks
 from deepfsi.optics.detection import Detection
 from deepfsi.optics.surroundings import library_defaults
 

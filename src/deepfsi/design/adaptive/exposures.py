@@ -10,7 +10,7 @@ from deepfsi.datasets import Dataset
 from deepfsi.design.adaptive.choice import next_masks
 from deepfsi.design.adaptive.posterior import AdaptivePosterior
 from deepfsi.design.adaptive.prior import ScenePrior
-from deepfsi.jobs.exposures import AdaptiveMasks
+from deepfsi.jobs import AdaptiveMasks
 from deepfsi.optics.noise import poisson
 
 AT_ONCE = 2**22

@@ -18,7 +18,7 @@ from torch import Tensor
 from deepfsi.design.adaptive.exposures import look_at
 from deepfsi.design.adaptive.posterior import AdaptivePosterior, LookOptics
 from deepfsi.design.adaptive.prior import ScenePrior
-from deepfsi.jobs.exposures import AdaptiveMasks
+from deepfsi.jobs import AdaptiveMasks
 
 BUDGETS = (0.1, 1.0, 10.0)
 """Budgets of the measurement, over that of the training."""

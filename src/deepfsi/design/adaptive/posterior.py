@@ -13,12 +13,11 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from deepfsi.camera.camera import Camera
-from deepfsi.camera.names import LIGHT_LAWS
+from deepfsi.camera import LIGHT_LAWS, Camera
 from deepfsi.design.adaptive.prior import ScenePrior
 from deepfsi.design.posterior import class_chances
 from deepfsi.design.temperatures import temperatures_at
-from deepfsi.jobs.exposures import AdaptiveMasks
+from deepfsi.jobs import AdaptiveMasks
 
 DIMMEST = 1e-6
 """Least light of a scene through a mask, over that of the whole mean scene."""

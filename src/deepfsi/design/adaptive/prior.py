@@ -8,7 +8,7 @@ import torch
 from threadpoolctl import threadpool_limits
 from torch import Tensor
 
-from deepfsi.camera.light import summed_reflectance
+from deepfsi.camera import summed_reflectance
 from deepfsi.designfile import FEWEST_MODELLED, FEWEST_MODELLED_OF_A_CLASS, SceneModel, Temperatures
 
 NEIGHBOURS = 3000

@@ -18,10 +18,9 @@ from torch import Tensor
 from torch.nn import functional
 
 from deepfsi.base import InputError
-from deepfsi.camera.names import LightLawName
+from deepfsi.camera import LightLawName
 from deepfsi.design.exposure.trained import TrainedExposure
-from deepfsi.jobs.exposures import ConditionedEntry
-from deepfsi.jobs.job import Job
+from deepfsi.jobs import ConditionedEntry, Job
 from deepfsi.optics import constraints
 from deepfsi.optics.features import mean_over_exposures
 from deepfsi.optics.rails import Rails

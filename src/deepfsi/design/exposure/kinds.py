@@ -6,8 +6,7 @@ from deepfsi.design.exposure.conditioned import ConditionedExposure
 from deepfsi.design.exposure.looks import LooksExposure
 from deepfsi.design.exposure.passing import PassingExposure
 from deepfsi.design.exposure.trained import FixedExposure, PatchExposure, TrainedExposure
-from deepfsi.jobs.exposures import Exposure, Fixed, Looks, Nested, Passing, Patches, Range
-from deepfsi.jobs.job import Job
+from deepfsi.jobs import Exposure, Fixed, Job, Looks, Nested, Passing, Patches, Range
 
 TRAINED_KINDS: dict[type[Exposure], type[TrainedExposure]] = {
     Fixed: FixedExposure,

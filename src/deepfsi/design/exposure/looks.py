@@ -19,15 +19,12 @@ import torch
 from torch import Tensor
 
 from deepfsi.base import InputError
-from deepfsi.camera.camera import Camera
-from deepfsi.camera.light import Shares, share_out
-from deepfsi.camera.names import LIGHT_LAWS, LightLawName
+from deepfsi.camera import LIGHT_LAWS, Camera, LightLawName, Shares, share_out
 from deepfsi.design.classifiers import Mlp, restored
 from deepfsi.design.exposure.trained import Observation, Read, Show, TrainedExposure
 from deepfsi.design.readout_fit import find_distribution
 from deepfsi.designfile import ReadoutDistribution
-from deepfsi.jobs.exposures import LARGEST_SCORE, ExposureEntry, Looks, LooksEntry
-from deepfsi.jobs.job import Job
+from deepfsi.jobs import LARGEST_SCORE, ExposureEntry, Job, Looks, LooksEntry
 from deepfsi.optics import constraints
 from deepfsi.optics.detection import Detection
 from deepfsi.optics.masks import LearnedMasks, through

@@ -8,10 +8,9 @@ import torch
 from torch import Tensor, nn
 
 from deepfsi.base import InputError
-from deepfsi.camera.names import LightLawName
+from deepfsi.camera import LightLawName
 from deepfsi.design.exposure.trained import Observation, TrainedExposure
-from deepfsi.jobs.exposures import STATIC, ExposureEntry, Passing, PassingEntry
-from deepfsi.jobs.job import Job
+from deepfsi.jobs import STATIC, ExposureEntry, Job, Passing, PassingEntry
 from deepfsi.optics.grey_levels import check_levels
 from deepfsi.optics.rails import Rails
 from deepfsi.optics.scanner import Scanner, project

@@ -14,13 +14,11 @@ import torch
 from torch import Tensor, nn
 
 from deepfsi.base import InputError
-from deepfsi.camera.camera import Camera
-from deepfsi.camera.names import LightLawName
+from deepfsi.camera import Camera, LightLawName
 from deepfsi.design.classifiers import Mlp
 from deepfsi.design.readout_fit import find_distribution
 from deepfsi.designfile import ReadoutDistribution
-from deepfsi.jobs.exposures import ExposureEntry, FixedEntry, Patches, PatchesEntry
-from deepfsi.jobs.job import Job
+from deepfsi.jobs import ExposureEntry, FixedEntry, Job, Patches, PatchesEntry
 from deepfsi.optics import constraints
 from deepfsi.optics.detection import Detection
 from deepfsi.optics.grey_levels import quantise

@@ -20,7 +20,7 @@ import numpy as np
 from scipy import ndimage, optimize, special
 
 from deepfsi.base import InputError
-from deepfsi.camera.layout import DmdGrid
+from deepfsi.camera import DmdGrid
 from deepfsi.datasets import write_pictures
 from deepfsi.hardware.calibration.view import geometry_matrix
 from deepfsi.hardware.counting.calibration_file import Calibration

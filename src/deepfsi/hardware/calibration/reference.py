@@ -15,7 +15,7 @@ from PIL import Image
 from scipy import optimize
 
 from deepfsi.base import SILENT, InputError, Progress, write_atomically
-from deepfsi.camera.layout import DmdLayout
+from deepfsi.camera import DmdLayout
 from deepfsi.hardware.calibration.fit import DisplayedScenes
 from deepfsi.hardware.counting.counts import Counts
 from deepfsi.hardware.patterns.sequence import Manifest, Patterns

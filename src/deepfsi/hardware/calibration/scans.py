@@ -9,7 +9,7 @@ import numpy as np
 from scipy.linalg import hadamard, solve
 
 from deepfsi.base import InputError, check_choice, write_atomically
-from deepfsi.camera.detectors import DetectorMap
+from deepfsi.camera import DetectorMap
 from deepfsi.hardware.counting.counts import Counts
 from deepfsi.hardware.light import SPOILING
 from deepfsi.hardware.patterns.folder import DesignRails

@@ -29,7 +29,7 @@ from deepfsi.base import (
     time_text,
     write_atomically,
 )
-from deepfsi.camera.stop_rule import Live
+from deepfsi.camera import LiveSettings
 from deepfsi.hardware.patterns.folder import companions, read_patterns
 from deepfsi.hardware.patterns.sequence import Manifest, Patterns
 from deepfsi.hardware.patterns.timing import (
@@ -99,7 +99,7 @@ class Acquisition(StrictModel):
     camera: dict[str, Any] | None = None  # Settings of a virtual camera
     seed: int | None = None  # Of a virtual recording
     # Of a run whose dwells were chosen from counts; `shown.jsonl` then says what was shown
-    live: Live | None = None
+    live: LiveSettings | None = None
     # Of the bytes of patterns/manifest.json; `prepare` fills it in
     manifest_sha256: str | None = Field(None, pattern=r"^[0-9a-f]{64}$")
 

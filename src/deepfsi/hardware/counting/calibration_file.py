@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import Field, FiniteFloat, model_validator
 
 from deepfsi.base import StrictModel, as_input_error, read_text, write_atomically
-from deepfsi.camera.dead_time import DeadTime
+from deepfsi.camera import DeadTime
 
 LEAST_SPOTS = 16
 """Spots that a calibration should rest on, or all that were shown."""

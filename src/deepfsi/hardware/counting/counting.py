@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from deepfsi.base import SILENT, InputError, Progress, time_text
-from deepfsi.camera.dead_time import NO_DEAD_TIME, Correction, DeadTime
+from deepfsi.camera import NO_DEAD_TIME, DeadTime, DeadTimeFactors
 from deepfsi.hardware.counting.acquisition import (
     Acquisition,
     check_fixed,
@@ -46,7 +46,7 @@ from deepfsi.hardware.photons import PhotonSource, PtuFile, summarise
 LEAST_GATE_TICKS = 10
 """Ticks of the counter that a gate must have at least."""
 
-Correct = Callable[[np.ndarray], Correction]
+Correct = Callable[[np.ndarray], DeadTimeFactors]
 """Corrections of counts, at their rates."""
 
 SHIFTED = (
@@ -96,7 +96,7 @@ def count(
         return counts
     dead, shares = _find_dead_time(Path(folder), dead_time), _check_gains(gains, manifest)
 
-    def correct(rates: np.ndarray) -> Correction:
+    def correct(rates: np.ndarray) -> DeadTimeFactors:
         return dead.correction(rates).divided(shares)
 
     names = [scene.name for scene in acquisition.scenes]
@@ -407,7 +407,7 @@ def _by_scene(
     gated: np.ndarray,
     rates: np.ndarray,
     light: Light,
-    factors: Correction,
+    factors: DeadTimeFactors,
 ) -> dict[str, np.ndarray]:
     """Readouts of gates (P, R, f, inputs) and rates of frames (P, F, inputs), of all scenes."""
 

@@ -19,7 +19,7 @@ import numpy as np
 from pydantic import Field
 
 from deepfsi.base import InputError, StrictModel, hash_file, read_regular, write_atomically
-from deepfsi.camera.dead_time import NO_DEAD_TIME, DeadTime
+from deepfsi.camera import NO_DEAD_TIME, DeadTime
 from deepfsi.hardware.counting.acquisition import (
     MOST_READOUTS,
     Acquisition,

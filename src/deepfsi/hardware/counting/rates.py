@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from deepfsi.base import InputError
-from deepfsi.camera.dead_time import DeadTime
+from deepfsi.camera import DeadTime
 from deepfsi.hardware.patterns.sequence import Frame
 
 

@@ -15,7 +15,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from deepfsi.base import InputError, Table, check_choice, closest_choice, time_text
-from deepfsi.camera.dead_time import NO_DEAD_TIME, DeadTime
+from deepfsi.camera import NO_DEAD_TIME, DeadTime
 from deepfsi.hardware.counting.acquisition import MOST_READOUTS, Scene
 from deepfsi.hardware.counting.ambient import Ambient
 from deepfsi.hardware.counting.clicks import (

@@ -34,7 +34,7 @@ from typing import Any, Self
 import numpy as np
 
 from deepfsi.base import SILENT, InputError, Progress
-from deepfsi.camera.device import DEVICES, PLANES, Device
+from deepfsi.camera import BIT_PLANES, DEVICES, Device
 from deepfsi.hardware.drivers.device_errors import let_go, refusals
 from deepfsi.hardware.patterns.controller_tables import (
     DISPLAY_MODE,
@@ -281,7 +281,7 @@ def _encoded(
     for picture in pack_planes(read_frames(folder), total, device):
         halves = (picture[:, k * width : (k + 1) * width] for k in range(controllers))
         out.append(tuple(encode_picture(half) for half in halves))
-        report(min(len(out) * PLANES / total, 1.0))
+        report(min(len(out) * BIT_PLANES / total, 1.0))
     return out
 
 

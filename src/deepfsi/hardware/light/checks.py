@@ -24,7 +24,7 @@ from typing import ClassVar, Literal, Self
 import numpy as np
 
 from deepfsi.base import StrictModel
-from deepfsi.camera.detectors import DetectorMap
+from deepfsi.camera import DetectorMap
 from deepfsi.hardware.light.curves import (
     CERTAIN_SIGMAS,
     EXCESS,

@@ -24,7 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from deepfsi.base import InputError
-from deepfsi.camera.stop_rule import MARGIN_NS
+from deepfsi.camera import MARGIN_NS
 from deepfsi.designfile import SceneReadouts, ViewResult, ViewTest
 from deepfsi.hardware.counting.acquisition import Acquisition
 from deepfsi.hardware.light import SPOILING, Arrivals, Fault, LightMonitor

@@ -6,7 +6,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from deepfsi.camera.stop_rule import StopRule
+from deepfsi.camera import StopRule
 from deepfsi.designfile import SceneModel, TrainingScenes
 from deepfsi.hardware.counting.streaming import FrameCounts
 from deepfsi.hardware.light import Arrivals

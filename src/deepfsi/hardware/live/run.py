@@ -25,8 +25,7 @@ from deepfsi.base import (
     note_saved_work,
     progress_bar,
 )
-from deepfsi.camera.dead_time import NO_DEAD_TIME, DeadTime
-from deepfsi.camera.stop_rule import MARGIN_NS, Live, StopRule, margin_ns
+from deepfsi.camera import MARGIN_NS, NO_DEAD_TIME, DeadTime, LiveSettings, StopRule, margin_ns
 from deepfsi.hardware.counting.acquisition import (
     Acquisition,
     Scene,
@@ -101,7 +100,7 @@ def plan_live(
             exposure_s=exposure_s,
             settle_s=manifest.device.settle_us * 1e-6,
             repeats=1,
-            live=Live(
+            live=LiveSettings(
                 shortest_ns=shortest_ns,
                 photons=photons,
                 rule=rule,

@@ -4,7 +4,7 @@ from collections import deque
 
 from scipy.special import bdtrc
 
-from deepfsi.camera.light import TOO_DIM
+from deepfsi.camera import TOO_DIM
 from deepfsi.designfile import REFUSED, UNSURE
 from deepfsi.hardware.counting.acquisition import Acquisition
 from deepfsi.hardware.light import Fault, LightMonitor

@@ -30,9 +30,7 @@ from deepfsi.base import (
     new_folder,
     read_text,
 )
-from deepfsi.camera.detectors import DetectorMap
-from deepfsi.camera.layout import find_grid
-from deepfsi.camera.names import LIGHT_LAWS, LightLawName, Readout
+from deepfsi.camera import LIGHT_LAWS, DetectorMap, LightLawName, Readout, find_grid
 from deepfsi.hardware.patterns import controller_tables, frame_files, mirrors, sequence
 from deepfsi.hardware.patterns.limits import check_limits, check_stored
 from deepfsi.hardware.patterns.looks import Looks

@@ -1,7 +1,7 @@
 """Limits of a device that a sequence of frames has to keep: how many frames, and for how long."""
 
 from deepfsi.base import InputError
-from deepfsi.camera.device import DEVICES, SOURCES, Device
+from deepfsi.camera import DEVICE_SOURCES, DEVICES, Device
 from deepfsi.hardware.patterns.sequence import Manifest
 
 
@@ -53,5 +53,6 @@ def departures(device: Device) -> list[str]:
         return []
     return [
         f"shortest picture {device.shortest_us} µs, and {device.name} needs {known.shortest_us} "
-        f"({SOURCES[device.name]['shortest_us']}): export without --shortest unless you know why"
+        f"({DEVICE_SOURCES[device.name]['shortest_us']}): export without --shortest unless you "
+        "know why"
     ]

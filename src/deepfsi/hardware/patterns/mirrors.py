@@ -15,9 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deepfsi.camera.device import Device
-from deepfsi.camera.layout import DmdGrid
-from deepfsi.camera.names import LIGHT_LAWS, LightLawName
+from deepfsi.camera import LIGHT_LAWS, Device, DmdGrid, LightLawName
 from deepfsi.hardware.patterns.sequence import Rail, Selection
 
 SMALLEST_STEP = float(np.finfo(np.float64).tiny)

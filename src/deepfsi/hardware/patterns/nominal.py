@@ -4,7 +4,7 @@ import math
 from dataclasses import replace
 
 from deepfsi.base import InputError
-from deepfsi.camera.device import Device
+from deepfsi.camera import Device
 from deepfsi.hardware.patterns.folder import SENTINELS, DesignRails, list_frames
 from deepfsi.hardware.patterns.mirrors import count_mirrors
 from deepfsi.hardware.patterns.sequence import Manifest

@@ -16,7 +16,7 @@ from PIL import Image, ImageFile
 from PIL.BmpImagePlugin import BmpImageFile
 
 from deepfsi.base import InputError, open_regular
-from deepfsi.camera.device import Device
+from deepfsi.camera import Device
 from deepfsi.hardware.patterns.sequence import Manifest
 
 LARGEST_PICTURE = 2**31

@@ -24,10 +24,19 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from deepfsi.base import InputError, StrictModel, check_choice, time_text
-from deepfsi.camera.detectors import SeveralDetectors
-from deepfsi.camera.device import LONGEST_PICTURE_S, Device
-from deepfsi.camera.layout import USUAL_LAYOUT, DmdGrid, DmdLayout, find_grid
-from deepfsi.camera.names import LIGHT_LAWS, LightLawName, Readout, SummedReflectance
+from deepfsi.camera import (
+    LIGHT_LAWS,
+    LONGEST_PICTURE_S,
+    USUAL_LAYOUT,
+    Device,
+    DmdGrid,
+    DmdLayout,
+    LightLawName,
+    Readout,
+    SeveralDetectors,
+    SummedReflectance,
+    find_grid,
+)
 from deepfsi.hardware.patterns.looks import Looks
 
 MOST_FRAMES = 2**20

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from deepfsi.base import InputError, closest_choice
-from deepfsi.camera.detectors import DetectorMap
+from deepfsi.camera import DetectorMap
 from deepfsi.hardware.counting.acquisition import read_acquisition
 from deepfsi.hardware.counting.counts import check_photons, load_counts
 

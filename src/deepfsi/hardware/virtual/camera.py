@@ -24,9 +24,7 @@ import numpy as np
 from pydantic import Field, field_validator
 
 from deepfsi.base import SILENT, InputError, Progress, check_disk_space, new_folder
-from deepfsi.camera.detectors import DetectorRows, check_rows, mirrors_of_detectors
-from deepfsi.camera.device import Device
-from deepfsi.camera.layout import DmdGrid
+from deepfsi.camera import DetectorRows, Device, DmdGrid, check_rows, mirrors_of_detectors
 from deepfsi.hardware.counting.acquisition import (
     Acquisition,
     Scene,

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from deepfsi.camera.names import LIGHT_LAWS
+from deepfsi.camera import LIGHT_LAWS
 from deepfsi.report.style import photons_text
 from deepfsi.report.terms import LAWS
 
