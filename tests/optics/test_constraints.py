@@ -12,6 +12,7 @@ from torch import Tensor
 
 from conftest import FIXED, FLOAT32, OPTICS, every_optics, generator, quick, two_valued
 from deepfsi.base import InputError
+from deepfsi.jobs import count_allowed, sensing_matrix
 from deepfsi.optics import constraints
 from deepfsi.optics.constraints import SLACK, check, excess, fit, frames
 from deepfsi.optics.grey_levels import quantise

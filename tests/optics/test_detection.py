@@ -7,6 +7,7 @@ import torch
 from conftest import FLOAT32, every_optics, generator
 from deepfsi.base import InputError
 from deepfsi.camera import DetectorMap
+from deepfsi.jobs import check_count, count_allowed, sensing_matrix
 from deepfsi.optics import constraints
 from deepfsi.optics.constraints import expand, fit
 from deepfsi.optics.detection import ONE, Detection

@@ -8,6 +8,7 @@ from matplotlib.collections import QuadMesh
 
 from deepfsi.base import InputError
 from deepfsi.camera import Device, DmdLayout, find_device, find_grid
+from deepfsi.jobs import DESIGNS as CODES
 from deepfsi.report import style
 from deepfsi_paper.camera import figures
 from deepfsi_paper.camera.figures import Accuracy

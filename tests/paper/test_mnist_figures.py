@@ -10,6 +10,8 @@ import pytest
 from matplotlib.text import Annotation
 
 from deepfsi.base import InputError
+from deepfsi.jobs import DESIGNS as CODES
+from deepfsi.jobs import mask_count
 from deepfsi.report.style import COLOURS, svg
 from deepfsi_paper.measures import impulse_imaging_error
 from deepfsi_paper.mnist import figures
