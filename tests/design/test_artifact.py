@@ -20,13 +20,16 @@ import deepfsi
 from conftest import PHOTONS, RECIPE, every_design, every_optics, generator, light_on, quick
 from deepfsi import Camera
 from deepfsi.base import InputError
+from deepfsi.camera.light import share_out
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import camera_for, evaluate
+from deepfsi.design.exposure.trained import Observation
 from deepfsi.design.temperatures import stop_temperatures
 from deepfsi.designfile.header import DESIGN_SCHEMA
 from deepfsi.optics.detection import Detection
 from deepfsi.training.learning import train
 from deepfsi.training.training_set import TrainingSet
+from shared import vectors
 from shared.design_files import header_of, refused, rewrite
 from shared.jobs import job
 
@@ -407,3 +410,31 @@ def test_dimmer_patterns_are_classified_as_the_design_classifies(digits, made, l
     photons = light_on(design, digits.x_test[:50]).float()
     wanted, found = (each.logits(each.scanner("none")(photons), PHOTONS) for each in (design, dim))
     torch.testing.assert_close(found, wanted, rtol=1e-3, atol=1e-3)
+
+
+@pytest.mark.parametrize("kind", vectors.KINDS)
+def test_it_answers_the_vectors(kind, tmp_path):
+    """Which the file in NumPy and the page in JavaScript answer alike."""
+    content, matrix, expected = vectors.read_vectors(kind)
+    path = tmp_path / "design.safetensors"
+    path.write_bytes(content)
+    design = Design.load(path)
+    np.testing.assert_allclose(design.matrix, matrix, atol=1e-7)
+    for vector in expected:
+        part = design if vector.masks == design.masks else design.first(vector.masks)
+        counts = vector.counts[:, : vector.masks].reshape(part.counts_shape)
+        photons = vector.photons * part.exposure.used / design.exposure.used
+        dwell = None
+        if vector.dwell is not None:
+            dwell = design.exposure.dwells.by_rail(vector.dwell)
+        chances = part.classify(counts, photons, dwell)
+        np.testing.assert_allclose(chances, vector.chances, atol=vectors.AGREES)
+        if vector.look is not None:
+            exposure = design.exposure
+            features = design.features_of(torch.from_numpy(counts).float()) / vector.photons
+            seen = Observation(features, torch.from_numpy(vector.dwell).float())
+            left = torch.tensor([1 - vector.look / exposure.looks])
+            inputs = seen.inputs(design.mean, design.std)
+            dwell = exposure.next_dwell(exposure.network, inputs, left).double().detach().numpy()
+            dwell = share_out(dwell, exposure.shortest)
+            np.testing.assert_allclose(dwell, vector.next_dwell, atol=vectors.AGREES)

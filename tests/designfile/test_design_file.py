@@ -13,6 +13,7 @@ from deepfsi.camera import StopRule
 from deepfsi.design.artifact import Design
 from deepfsi.designfile import DesignFile, find_design
 from shared.design_files import file_of
+from shared.vectors import AGREES, KINDS, read_vectors
 
 OPTICS = {
     "single": {"light": "free-dwell", "rails": "single"},
@@ -52,6 +53,25 @@ def test_it_says_and_chooses_what_the_design_does(design):
     np.testing.assert_allclose(file.chances(inputs, photons), wanted, atol=1e-5)
     assert file.chances(inputs, 1e-3 * photons).max() < 0.5 < 5 * wanted.max()  # calibrated
     np.testing.assert_allclose(file.first_dwell, asked[0], rtol=1e-4)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_it_answers_the_vectors(kind, tmp_path):
+    content, matrix, vectors = read_vectors(kind)
+    path = tmp_path / "design.safetensors"
+    path.write_bytes(content)
+    file = DesignFile.read(path)
+    assert file.to_bytes() == content
+    signed = file.rails[0] - (file.rails[1] if file.rail_count == 2 else 0)
+    np.testing.assert_allclose(signed, matrix, atol=1e-7)
+    for vector in vectors:
+        features = file.features(vector.counts[:, : vector.masks]) / vector.photons
+        inputs = file.inputs(features, vector.dwell)
+        chances = file.chances(inputs, vector.photons)
+        np.testing.assert_allclose(chances, vector.chances, atol=AGREES)
+        if vector.look is not None:
+            dwell = file.next_dwell(inputs, vector.look)
+            np.testing.assert_allclose(dwell, vector.next_dwell, atol=AGREES)
 
 
 @pytest.mark.parametrize("name", ["dmd-mnist", "adaptive-mnist"])

@@ -10,9 +10,10 @@ from selenium.webdriver import ActionChains, Keys
 from selenium.webdriver.common.by import By
 
 from conftest import quick, synthetic
+from deepfsi.design.artifact import Design
 from deepfsi.design.payload import playable
 from deepfsi.report.playground.page import write_page
-from shared.design_files import file_of
+from shared import vectors
 from shared.playground import (
     KINDS,
     VECTORS,
@@ -86,28 +87,39 @@ def test_classes_and_rates_are_those_of_the_design(opened, designs, digits, kind
     assert np.ptp(wanted, axis=0).max() > 0.1  # answers differ
 
 
-@pytest.mark.parametrize("kind", ["looks", "looks-both"])
-def test_dwells_are_those_of_a_live_run(opened, designs, digits, kind):
-    design, browser = designs[kind], opened(kind)
-    file = file_of(design)
-    _, photons, _, counts = read_counts(design, digits, kind)
-    rng = np.random.default_rng(2)
-    dwell = rng.dirichlet(np.ones(file.frames), VECTORS)
-    looks = rng.integers(0, file.looks.looks, VECTORS)
-    shape = (file.rail_count, file.masks, 1)
-    wanted = [
-        file.next_dwell(file.inputs(file.features(c.reshape(shape)) / phi, d), look)
-        for c, phi, d, look in zip(counts, photons, dwell, looks, strict=True)
+@pytest.mark.parametrize("kind", vectors.KINDS)
+def test_the_page_answers_the_vectors(browser, kind, tmp_path):
+    """Of designs whose files NumPy and torch answer alike."""
+    content, matrix, expected = vectors.read_vectors(kind)
+    (tmp_path / "design.safetensors").write_bytes(content)
+    design = Design.load(tmp_path / "design.safetensors")
+    page = write_page(tmp_path / "page.html", playable(design, vectors.scenes()))
+    given = [
+        {
+            "counts": vector.counts.ravel().tolist(),
+            "photons": vector.photons,
+            "masks": vector.masks,
+            "look": vector.look,
+            "dwell": None if vector.dwell is None else vector.dwell.tolist(),
+        }
+        for vector in expected
     ]
-    found = ask(
-        browser,
-        "return given.counts.map((c, i) => "
-        "model.choose(c, given.photons[i], given.looks[i], given.dwell[i]))",
-        counts=counts.tolist(), photons=photons.tolist(), dwell=dwell.tolist(),
-        looks=looks.tolist(),
-    )  # fmt: skip
-    np.testing.assert_allclose(found, wanted, atol=AGREES, rtol=0)
-    assert (np.ptp(wanted, axis=0) > 1e-3).all()  # they depend on the counts
+    masks, answers = ask(
+        open_playground(browser, page.as_uri()),
+        "const minus = (m, i) => model.rails > 1 ? model.entry(1, m, i) : 0;"
+        "const of = (count, f) => Array.from({ length: count }, (_, i) => f(i));"
+        "const masks = of(model.masks, m => of(model.pixels, i =>"
+        "  model.entry(0, m, i) - minus(m, i)));"
+        "return [masks, given.vectors.map(v => ["
+        "[...model.classify(v.counts, v.photons, v.masks, v.dwell)],"
+        "v.look && [...model.choose(v.counts, v.photons, v.look, v.dwell)]])]",
+        vectors=given,
+    )
+    np.testing.assert_allclose(masks, matrix, atol=1e-6)
+    for vector, (chances, dwell) in zip(expected, answers, strict=True):
+        np.testing.assert_allclose(chances, vector.chances, atol=vectors.AGREES)
+        if vector.look is not None:
+            np.testing.assert_allclose(dwell, vector.next_dwell, atol=vectors.AGREES)
 
 
 @pytest.mark.parametrize("kind", ["looks", "looks-both"])

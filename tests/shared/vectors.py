@@ -1,0 +1,155 @@
+"""Test vectors: counts of small designs, and what every reader of their files must make of them.
+
+`vectors.json` holds files of designs and their answers, of torch. The tests of `Design`, of
+`DesignFile` and of the page's JavaScript read it. ``python -m shared.vectors`` in this folder's
+parent writes it anew, which is to be done only where an answer has changed on purpose.
+"""
+
+import base64
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from conftest import synthetic
+from deepfsi.camera.light import share_out
+from deepfsi.datasets import Dataset
+from deepfsi.design.artifact import Design
+from deepfsi.design.exposure.trained import Observation
+from shared.jobs import learn
+
+PATH = Path(__file__).with_name("vectors.json")
+
+AGREES = 1e-5
+"""Difference of probabilities and dwells of two readers, at most: they compute in 32 bits."""
+
+ONE_ARM = {"light": "free-dwell", "rails": "single"}
+KINDS: dict[str, dict[str, Any]] = {
+    "fixed": {"masks": 4, **ONE_ARM},
+    "fixed dual": {"masks": 4, "light": "column"},
+    "fixed both": {"masks": 3, "light": "free-dwell", "readout": "both"},
+    "fixed detectors": {"masks": 3, "light": "two-arm", "readout": "both", "detectors": "2x2"},
+    "range": {"masks": 4, "span": 1e3, "photons": 1e2, **ONE_ARM},
+    "nested": {"masks": 5, "nested": 2, "span": 1e3, "photons": 1e2, **ONE_ARM},
+    "nested both": {"masks": 4, "nested": 2, "light": "free-dwell", "readout": "both"},
+    "looks": {"masks": 4, "looks": 3, "shortest_dwell": 0.03, **ONE_ARM},
+    "looks both": {"masks": 3, "looks": 4, "light": "free-dwell", "readout": "both"},
+    "looks arms": {"masks": 4, "looks": 2, "light": "two-arm"},
+}
+"""Settings of the designs."""
+
+CASES = 6
+"""Exposures of each design, at budgets from far below those of its calibration to far above."""
+
+
+@dataclass(frozen=True)
+class Vector:
+    """Counts of one exposure so far, and the answers to them.
+
+    Attributes
+    ----------
+    counts : array, shape (rails, m, D)
+        Of several looks, all so far together.
+    photons : float
+        Budget of the whole exposure.
+    masks : int
+        First masks that were shown; all but of nested ones.
+    chances : array, shape (C,)
+    dwell : array, shape (q,), or None
+        Share of the exposure that each frame had so far, where dwells are chosen.
+    look : int or None
+        The next look, from 0, if there is one.
+    next_dwell : array, shape (q,), or None
+        Its dwells.
+    """
+
+    counts: np.ndarray
+    photons: float
+    masks: int
+    chances: np.ndarray
+    dwell: np.ndarray | None = None
+    look: int | None = None
+    next_dwell: np.ndarray | None = None
+
+
+def read_vectors(kind: str) -> tuple[bytes, np.ndarray, list[Vector]]:
+    """File of a design, its sensing matrix (m, N), and its vectors."""
+    entry = json.loads(PATH.read_text())[kind]
+    arrays = ("counts", "chances", "dwell", "next_dwell")
+    vectors = []
+    for fields in entry["vectors"]:
+        fields |= {name: np.array(fields[name]) for name in arrays if name in fields}
+        vectors.append(Vector(**fields))
+    return base64.b64decode(entry["file"]), np.array(entry["matrix"]), vectors
+
+
+def scenes() -> Dataset:
+    """Scenes that the designs were learned on."""
+    return synthetic((4, 4), scenes=360)
+
+
+def main() -> None:
+    """Learn the designs and write their vectors."""
+    rng = np.random.default_rng(0)
+    entries = {}
+    for kind, settings in KINDS.items():
+        job = {"photons": 1e3, "epochs": 8, "lr": 2e-2, "hidden": (5, 4), **settings}
+        learned = learn(scenes(), device="cpu", **job)
+        design = replace(
+            learned,
+            info={"job": learned.info["job"]},
+            distribution=None,
+            scene_model=None,
+            training_scenes=None,
+        )
+        answer = answer_look if design.exposure.looks > 1 else answer_masks
+        budgets = np.geomspace(3, 3e6, CASES).tolist()
+        entries[kind] = {
+            "file": base64.b64encode(design.to_bytes()).decode(),
+            "matrix": design.matrix.tolist(),
+            "vectors": [answer(design, photons, rng) for photons in budgets],
+        }
+    PATH.write_text(json.dumps(entries, indent=0) + "\n")
+
+
+def drawn(design: Design, photons: float, rng: np.random.Generator) -> dict[str, Any]:
+    """Counts (rails, m, D) of an exposure, and its budget."""
+    mean = photons * float(design.shares.mean()) / design.detection.width(design.rails.count)
+    shape = (design.rails.count, design.masks, design.detection.count)
+    counts = rng.poisson(mean * rng.uniform(0.5, 1.5, shape))
+    return {"counts": counts.tolist(), "photons": photons, "masks": design.masks}
+
+
+def answer_masks(design: Design, photons: float, rng: np.random.Generator) -> dict[str, Any]:
+    """Vector of the first masks of a design of fixed dwells; all unless they are nested."""
+    fields = drawn(design, photons, rng)
+    first = int(rng.integers(design.fewest_masks, design.masks + 1))
+    part = design.first(first) if first < design.masks else design
+    counts = np.array(fields["counts"])[:, :first].reshape(part.counts_shape)
+    chances = part.classify(counts, photons * part.exposure.used / design.exposure.used)
+    return fields | {"masks": first, "chances": chances.tolist()}
+
+
+@torch.no_grad()
+def answer_look(design: Design, photons: float, rng: np.random.Generator) -> dict[str, Any]:
+    """Vector of an exposure after one of its looks."""
+    fields, exposure = drawn(design, photons, rng), design.exposure
+    look = int(rng.integers(1, exposure.looks + 1))
+    dwell = rng.dirichlet(np.ones(exposure.dwells.count)) * look / exposure.looks
+    counts = torch.tensor(fields["counts"]).float().reshape(design.counts_shape)
+    features = design.features_of(counts) / photons
+    seen = Observation(features, torch.from_numpy(dwell).float())
+    fields |= {"chances": design.chances(seen, photons).tolist(), "dwell": dwell.tolist()}
+    if look == exposure.looks:
+        return fields
+    left = torch.full((1,), 1 - look / exposure.looks)
+    chosen = exposure.next_dwell(exposure.network, seen.inputs(design.mean, design.std), left)
+    shared = share_out(chosen.double().numpy(), exposure.shortest)
+    return fields | {"look": look, "next_dwell": shared.tolist()}
+
+
+if __name__ == "__main__":
+    main()
