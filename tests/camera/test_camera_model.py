@@ -135,7 +135,7 @@ def test_noise_follows_from_dark_counts_and_read_noise_from_it(given, noise, sig
 
 def test_what_was_not_given_follows_from_an_override():
     one = Camera.load("two-arm", dark=5.0)
-    assert one.given == {"light": "two-arm", "dark": 5.0}
+    assert one.given_fields == {"light": "two-arm", "dark": 5.0}
     other = Camera.load(one, light="free-dwell", dark=0.0)
     assert (other.rails, other.readout, other.noise) == ("single", "difference", "poisson")
     kept = Camera.load(Camera(rails="dual"), light="equal-dwell")
@@ -163,7 +163,7 @@ def test_a_camera_comes_back_from_json(given):
     camera = Camera(**given)
     fields = json.loads(camera.model_dump_json())
     assert Camera.model_validate(fields) == Camera.restored(fields) == camera
-    assert set(Camera.restored(fields).given) <= set(camera.given)
+    assert set(Camera.restored(fields).given_fields) <= set(camera.given_fields)
     louder = {"dark": 70.0, "noise": "camera"}
     assert Camera.load(Camera.restored(fields), **louder) == Camera.load(camera, **louder)
 
@@ -199,7 +199,7 @@ def test_the_template_is_a_camera_file(tmp_path):
     whole = "\n".join(line for line in lines if line.partition(" = ")[0] in every)
     file.write_text(whole, "utf-8")
     camera = Camera.load(file)
-    assert set(camera.given) == set(tomllib.loads(whole)) == every
+    assert set(camera.given_fields) == set(tomllib.loads(whole)) == every
     assert (camera.device.name, camera.exposure, camera.dark_counts) == ("dlp7000", 0.01, 2.0)
     assert Camera.load(file, exposure="20ms").budget == 2e4
 

@@ -333,16 +333,17 @@ class Camera(UserModel):
         if "stretch" not in fields:  # of a version that knew no other cells than stretched ones
             fields = {**fields, "stretch": fields.get("device") is not None}
         whole = cls.model_validate(fields)
-        known, given = dict[str, Any](), dict[str, Any]()
+        every: dict[str, Any] = {}
+        special: dict[str, Any] = {}
         for name, field in cls.model_fields.items():
-            usual = field.get_default(call_default_factory=True, validated_data=known)
-            known[name] = getattr(whole, name)
-            if known[name] != usual:
-                given[name] = known[name]
-        return cls.model_validate(given)
+            usual = field.get_default(call_default_factory=True, validated_data=every)
+            every[name] = getattr(whole, name)
+            if every[name] != usual:
+                special[name] = every[name]
+        return cls.model_validate(special)
 
     @property
-    def given(self) -> dict[str, Any]:
+    def given_fields(self) -> dict[str, Any]:
         """Fields that were given, from which the others follow."""
         return {name: getattr(self, name) for name in self.model_fields_set}
 
@@ -410,7 +411,8 @@ class Camera(UserModel):
 
     def describe(self) -> str:
         """The camera in a few lines: its optics, what it can show, its light."""
-        law, noise = LIGHT_LAWS[self.light], find_noise(self.noise)
+        law = LIGHT_LAWS[self.light]
+        noise = find_noise(self.noise)
         masks = {"single": "non-negative masks", "dual": "signed masks of two rails"}[self.rails]
         lines = [f"{law.optics} (light law {self.light}); {masks}"]
         if law.one_device:
@@ -450,7 +452,7 @@ CameraSource = str | os.PathLike[str] | Mapping[str, Any] | Camera | None
 
 def _fields(source: CameraSource) -> dict[str, Any]:
     if isinstance(source, Camera):
-        return source.given
+        return source.given_fields
     if isinstance(source, Mapping):
         return dict(source)
     if not isinstance(source, str | os.PathLike | None):

@@ -64,10 +64,18 @@ class DeadTime(StrictModel):
 
 @dataclass(frozen=True)
 class DeadTimeFactors:
-    """Factors of registered counts."""
+    """Factors of registered counts.
 
-    arrivals: np.ndarray  # arrivals for each count
-    variance: np.ndarray  # variance of the arrivals for each count
+    Attributes
+    ----------
+    arrivals : array
+        Arrivals for each count, in the shape of the rates.
+    variance : array
+        Variance of the arrivals for each count, of the same shape.
+    """
+
+    arrivals: np.ndarray
+    variance: np.ndarray
 
     def divided(self, gains: np.ndarray) -> "DeadTimeFactors":
         """Factors of inputs (inputs,) that count so many times as much of the light as usual."""

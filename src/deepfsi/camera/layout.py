@@ -68,15 +68,29 @@ USUAL_LAYOUT = DmdLayout()
 
 @dataclass(frozen=True)
 class DmdGrid:
-    """Cells of a mask on a device: as large as fit, centred; mirrors beyond them are OFF."""
+    """Cells of a mask on a device: as large as fit, centred; mirrors beyond them are OFF.
 
-    down: int  # cells
+    Attributes
+    ----------
+    down, across : int
+        Cells.
+    height, width : int
+        Rows and columns of mirrors of a cell.
+    top, left : int
+        Rows and columns of mirrors before the first cell.
+    diamond : bool
+        True where odd rows lie half a column to the right.
+    layout : DmdLayout
+        Place and orientation of the cells, as they were asked for.
+    """
+
+    down: int
     across: int
-    height: int  # rows and columns of mirrors of a cell
+    height: int
     width: int
-    top: int  # rows and columns of mirrors before the first cell
+    top: int
     left: int
-    diamond: bool = False  # true where odd rows lie half a column to the right
+    diamond: bool = False
     layout: DmdLayout = USUAL_LAYOUT
 
     @property
@@ -131,7 +145,21 @@ class DmdGrid:
 def find_grid(
     device: Device, image_shape: tuple[int, ...], layout: DmdLayout = USUAL_LAYOUT
 ) -> DmdGrid:
-    """Grid of a mask's cells; a mask of one axis (a spectrum) lies across the device."""
+    """Grid of a mask's cells; a mask of one axis (a spectrum) lies across the device.
+
+    Parameters
+    ----------
+    device : Device
+    image_shape : tuple of int
+        Rows and columns of a mask, or values of a spectrum.
+    layout : DmdLayout
+        Region that holds the cells, and how they lie in it.
+
+    Raises
+    ------
+    InputError
+        If the cells do not fit the device.
+    """
     # Cells are square unless the layout stretches them, or the mask has one axis: a spectrum's are
     # as tall as the region
     if len(image_shape) not in (1, 2) or min(image_shape) < 1:
@@ -142,7 +170,8 @@ def find_grid(
         down, across = across, down
     diamond = device.lattice == "diamond"
     together = 2 if diamond else 1  # rows that are as high as a column is wide
-    height, width = rows // (down * together) * together, columns // across
+    height = rows // (down * together) * together
+    width = columns // across
     if not (height and width):
         where = device.name if layout.region is None else f"the region {layout.region}"
         raise InputError(
@@ -154,7 +183,16 @@ def find_grid(
         height = width * together
     top += (rows - down * height) // 2
     left += (columns - across * width) // 2
-    return DmdGrid(down, across, height, width, top - top % together, left, diamond, layout)
+    return DmdGrid(
+        down=down,
+        across=across,
+        height=height,
+        width=width,
+        top=top - top % together,
+        left=left,
+        diamond=diamond,
+        layout=layout,
+    )
 
 
 def _find_region(device: Device, region: Region | None) -> tuple[int, int, int, int]:

@@ -9,14 +9,11 @@ with x the reflectance in [0, 1] and λ the expected photons of each pixel.
 """
 
 import math
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
 from deepfsi.base import InputError
-
-if TYPE_CHECKING:
-    import numpy as np
 
 Array = TypeVar("Array")
 """A numpy array or a tensor."""
@@ -53,7 +50,18 @@ def _checked(value: Any, what: str, example: str) -> float:
 
 
 def check_one_budget(photons: float | None, counts: float | None) -> float:
-    """Return what is given of a budget of photons and one of counts, or raise `InputError`."""
+    """Return the budget, told as photons or as counts.
+
+    Parameters
+    ----------
+    photons, counts : float or None
+        Budget Φ on the device, or mean counts of an exposure; one of them is None.
+
+    Raises
+    ------
+    InputError
+        If both or none are told, or a number is beyond `BUDGETS`.
+    """
     if photons is not None and counts is None:
         return check_budget(photons)
     if counts is None or photons is not None:
@@ -64,15 +72,28 @@ def check_one_budget(photons: float | None, counts: float | None) -> float:
     return _checked(counts, f"{counts!r} counts are", "30")
 
 
-def summed_reflectance(x: "np.ndarray") -> float:
+def summed_reflectance(x: np.ndarray) -> float:
     """Mean over scenes (n, N) of their summed reflectance, s, in fully reflecting pixels."""
     return float(x.sum(axis=1, dtype="float64").mean())
 
 
-def brightness(x: "np.ndarray", labels: "np.ndarray") -> dict[str, float] | None:
-    """By how much scenes (n, N) of some classes differ in summed reflectance."""
-    import numpy as np
+def brightness(x: np.ndarray, labels: np.ndarray) -> dict[str, float] | None:
+    """By how much scenes differ in summed reflectance; None where a class is all dark.
 
+    Parameters
+    ----------
+    x : array, shape (n, N)
+        Scenes, in [0, 1].
+    labels : array, shape (n,)
+        Class of each.
+
+    Returns
+    -------
+    dict
+        `low` and `high`, the dimmest and the brightest scene over the mean one; `between`, the
+        brightest class over the dimmest; `within`, the largest standard deviation of a class over
+        its mean.
+    """
     sums = x.sum(axis=1, dtype=np.float64)
     groups = [sums[labels == label] for label in np.unique(labels)]
     means = np.array([group.mean() for group in groups])
@@ -87,24 +108,38 @@ def brightness(x: "np.ndarray", labels: "np.ndarray") -> dict[str, float] | None
 
 
 def detector_shares(
-    x: "np.ndarray", labels: "np.ndarray", detectors: "np.ndarray"
+    x: np.ndarray, labels: np.ndarray, detectors: np.ndarray
 ) -> dict[str, list[Any]] | None:
-    """Share of each detector in the light of scenes (n, N) of each class, and its spread."""
-    # detectors (N,): of each pixel. Spread of single scenes, in the class where it is largest
-    import numpy as np
+    """Share of each detector in the light of each class; None where a class is all dark.
 
+    Parameters
+    ----------
+    x : array, shape (n, N)
+        Scenes, in [0, 1].
+    labels : array, shape (n,)
+        Class of each.
+    detectors : array of int, shape (N,)
+        Detector of each pixel, 0 .. D-1.
+
+    Returns
+    -------
+    dict
+        `shares` of classes (C, D), and `spread` (D,), the standard deviation of single scenes
+        about them, in the class where it is largest.
+    """
     light = np.stack(
         [x[:, detectors == d].sum(axis=1, dtype=np.float64) for d in range(detectors.max() + 1)], 1
     )
-    shares, spread = [], []
+    shares = []
+    spread = []
     for label in np.unique(labels):
-        own = light[labels == label]
-        whole = own.sum(axis=1, keepdims=True)
+        of_class = light[labels == label]
+        whole = of_class.sum(axis=1, keepdims=True)
         if not whole.mean() > 0:
             return None
-        share = own.sum(axis=0) / whole.sum()
+        share = of_class.sum(axis=0) / whole.sum()
         shares.append(share.tolist())
-        spread.append(((own - share * whole) / whole.mean()).std(axis=0))
+        spread.append(((of_class - share * whole) / whole.mean()).std(axis=0))
     return {"shares": shares, "spread": np.max(spread, axis=0).tolist()}
 
 
@@ -142,12 +177,25 @@ ROUNDING = 1e-6
 
 
 def share_out(dwell: Shares, shortest: float | Shares) -> Shares:
-    """Leave out the frames that are too short, and give their time to those that are shown."""
-    # The shortest frames are left out one after another, until the time of a look, shared out among
-    # the others in proportion to their dwells, leaves none of them below the shortest dwell. So as
-    # many frames are shown as can be, and the longest one always is. What is left can be
-    # differentiated: the choice of the frames is fixed, their times are not. dwell (..., q);
-    # shortest, or (..., 1)
+    """Leave out the frames that are too short, and give their time to those that are shown.
+
+    The shortest frames are left out one after another, until the time of a look, shared out among
+    the others in proportion to their dwells, leaves none of them below the shortest dwell. So as
+    many frames are shown as can be, and the longest one always is.
+
+    Parameters
+    ----------
+    dwell : array or tensor, shape (..., q)
+        Share of the exposure of each frame. It can be differentiated: the choice of the frames is
+        fixed, their times are not.
+    shortest : float, or array or tensor, shape (..., 1)
+        Shortest dwell of a frame that is shown, a share of the exposure.
+
+    Returns
+    -------
+    array or tensor, shape (..., q)
+        Dwells of the same sum, 0 of the frames that are left out.
+    """
     order, longest_first = _longest_first(dwell)
     total = dwell.sum(-1)[..., None]
     enough = longest_first * total >= shortest * (1 - ROUNDING) * longest_first.cumsum(-1)

@@ -77,7 +77,15 @@ LIGHT_LAWS: dict[str, LightLawFacts] = {
 
 
 def check_light(light: str, rails: str) -> None:
-    """Raise `InputError` unless the light law exists and can be had with these rails."""
+    """Raise `InputError` unless a light law exists and can be had with these rails.
+
+    Parameters
+    ----------
+    light : str
+        A light law, one of `LIGHT_LAWS`.
+    rails : {"dual", "single"}
+        Rails of each mask.
+    """
     check_choice("light law", light, LIGHT_LAWS)
     check_choice("rails", rails, get_args(RailsKind))
     if LIGHT_LAWS[light].arms == 2 and rails == "single":

@@ -382,7 +382,7 @@ def recipe_settings(
         raise InputError("--masks and --ratios are two ways to say one thing: give one, not both")
     tables: dict[str, dict[str, Any]] = {"camera": {}, "exposure": {}, "training": {}}
     if "camera" in given:
-        tables["camera"] = Camera.load(given["camera"]).given
+        tables["camera"] = Camera.load(given["camera"]).given_fields
     for name, text in given.items():
         table, key = find_table(name)
         if name != "camera":

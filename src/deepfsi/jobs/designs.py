@@ -43,28 +43,59 @@ def _residues(shape: Shape, classes: int) -> int:
 
 @dataclass(frozen=True)
 class Code:
-    """All that the name of a design implies; nobody else compares names."""
+    """All that the name of a design implies; nobody else compares names.
 
-    label: str  # the paper's abbreviation
-    title: str  # for tables and figures
-    make: Make | None = None  # its matrix; None of one that is learned, or a user's own
+    Attributes
+    ----------
+    label, title : str
+        The paper's abbreviation, and a name for tables and figures.
+    make : callable or None
+        Its matrix; None of one that is learned, or a user's own.
+    most : callable
+        Largest number of masks, of a scene's shape and the number of classes.
+    specific : bool
+        Feature-specific, that is, made from training data (drawn as a circle, others as a square).
+    learned : bool
+        Masks are optimised together with the classifier.
+    learned_under : str or None
+        Noise under which its masks are learned first, before a classifier of theirs alone.
+    fixed_count : bool
+        It has the largest number of masks, and no other.
+    single_rail, signed : bool
+        It has no negative entries by definition, or needs them.
+    every_pixel : bool
+        It has a detector for each pixel: light law `column`, and no device.
+    scaled : bool
+        Its scale is what defines it, so that no light law changes it.
+    seeded : bool
+        Its matrix is drawn from the seed.
+    shared : bool
+        The matrix of few masks is the first of that of many: made once.
+    is_custom : bool
+        Its matrix is the user's.
+    of_classes : bool
+        It is made of the classes of scenes, which those with values have not.
+    adaptive : bool
+        Each next mask is made from the counts so far: it has no matrix before, and shows one mask
+        a look.
+    """
+
+    label: str
+    title: str
+    make: Make | None = None
     most: Most = _pixels
-    # Feature-specific, that is, made from training data (drawn as a circle, others as a square)
     specific: bool = False
-    learned: bool = False  # masks are optimised together with the classifier
-    # Noise under which its masks are learned first, before a classifier of theirs alone
+    learned: bool = False
     learned_under: str | None = None
-    fixed_count: bool = False  # it has the largest number of masks, and no other
-    single_rail: bool = False  # has no negative entries by definition
-    signed: bool = False  # needs them
-    every_pixel: bool = False  # has a detector for each pixel: light law `column`, and no device
-    scaled: bool = False  # its scale is what defines it, so that no light law changes it
-    seeded: bool = False  # its matrix is drawn from the seed
-    shared: bool = False  # the matrix of few masks is the first of that of many: made once
-    is_custom: bool = False  # its matrix is the user's
-    of_classes: bool = False  # made of the classes of scenes, which those with values have not
-    # Each next mask is made from the counts so far: it has no matrix before, and shows one mask a
-    # look
+    fixed_count: bool = False
+    single_rail: bool = False
+    signed: bool = False
+    every_pixel: bool = False
+    scaled: bool = False
+    seeded: bool = False
+    shared: bool = False
+    is_custom: bool = False
+    of_classes: bool = False
     adaptive: bool = False
 
     @property
@@ -170,10 +201,15 @@ def check_design(name: str) -> str:
 
 
 def mask_count(ratio: float, pixels: float) -> int:
-    """Number of masks at a compression ratio m / N above 0 and at most 1, max(1, round(ratio · N)).
+    """Number of masks at a compression ratio m / N, max(1, round(ratio · N)).
 
-    Pixels N are the scene's own, before any Hadamard padding; under several detectors those that
-    each sees, N / D.
+    Parameters
+    ----------
+    ratio : float
+        Above 0 and at most 1.
+    pixels : float
+        N of the scene, before any Hadamard padding; under several detectors those that each sees,
+        N / D.
     """
     if not 0 < ratio <= 1:
         raise InputError(f"compression ratio {ratio!r} is not allowed: give 0 < ratio ≤ 1")
@@ -225,6 +261,13 @@ def formula_masks(name: str, image_shape: tuple[int, ...]) -> np.ndarray:
     its rows by their sign changes, and "hadamard" is that of `hadamard_masks`. A row of the matrix
     is a mask, its pixels row by row.
 
+    Parameters
+    ----------
+    name : str
+        One of `FORMULAS`.
+    image_shape : tuple of int
+        Rows and columns of a mask, or values of a spectrum.
+
     Raises
     ------
     InputError
@@ -251,10 +294,19 @@ def formula_masks(name: str, image_shape: tuple[int, ...]) -> np.ndarray:
 
 
 def hadamard_masks(image_shape: tuple[int, ...], masks: int) -> np.ndarray:
-    """The `masks` lowest sequencies of the Hadamard basis, ±1, (masks, N)."""
-    # For images these are 2-D sequencies (i, j) in the order of (i + j, max(i, j), i), so that at
-    # most one mask lacks its transpose; for spectra 1-D sequencies. Sides that are no power of two
-    # are padded; the padding is dark and carries no light
+    """Lowest sequencies of the Hadamard basis, ±1, float64 (masks, N).
+
+    For images these are 2-D sequencies (i, j) in the order of (i + j, max(i, j), i), so that at
+    most one mask lacks its transpose; for spectra 1-D sequencies.
+
+    Parameters
+    ----------
+    image_shape : tuple of int
+        Shape of a scene. Sides that are no power of two are padded; the padding is dark and carries
+        no light.
+    masks : int
+        How many.
+    """
     padded = padded_shape(image_shape)
     axes = [sequency_hadamard(side)[:, :own] for side, own in zip(padded, image_shape, strict=True)]
     if len(axes) == 1:
@@ -338,7 +390,9 @@ def class_pairs(x: np.ndarray, y: np.ndarray, masks: int) -> np.ndarray:
     first, second = np.triu_indices(len(means), k=1)
     pairs = means[first] - means[second]
     length = np.linalg.norm(pairs, axis=1)
-    pairs, length = pairs[length > 0], length[length > 0]
+    differ = length > 0
+    pairs = pairs[differ]
+    length = length[differ]
     order = np.argsort(length, kind="stable")[:masks]
     rows = pairs[order] / length[order, None]
     if len(rows) == masks:

@@ -195,13 +195,13 @@ class Nested(Conditioned):
 
     def faults(self, job: "Job") -> list[str]:
         """Those of all conditioned ones, or more nested masks than there are."""
-        found = super().faults(job)
+        faults = super().faults(job)
         if self.nested > job.masks:
-            found.append(
+            faults.append(
                 f"the first {self.nested} of {job.masks} masks cannot be nested: give at most "
                 f"{job.masks}"
             )
-        return found
+        return faults
 
 
 class ConditionedEntry(_Entry):
@@ -276,30 +276,31 @@ class Looks(Exposure):
 
     def faults(self, job: "Job") -> list[str]:
         """Designs and optics whose dwells cannot be chosen, and looks that are too short."""
-        found, camera = list[str](), job.optics
+        faults = list[str]()
+        camera = job.optics
         law = LIGHT_LAWS[camera.light]
         if job.code.every_pixel or job.code.learned_under or job.code.is_custom:
-            found.append(
+            faults.append(
                 f"{job.design} has one look only: several looks are for deepfsi and for named "
                 "designs that one device shows"
             )
         if not law.looks:
-            found.append(
+            faults.append(
                 f"several looks choose how long one device shows each frame, not {camera.light}: "
                 '`light="free-dwell"` or "two-arm" goes with them'
             )
         elif law.arms == 1 and (camera.rails, camera.readout) == ("dual", "difference"):
-            found.append(
+            faults.append(
                 "several looks show each rail for a time of its own, whose counts are to be read "
                 'by themselves: use `readout="both"`, or `rails="single"`'
             )
-        found += self.test_faults([job.noise])
+        faults += self.test_faults([job.noise])
         if camera.shortest_share * self.looks > 1:
-            found.append(
+            faults.append(
                 f"a frame lasts {camera.shortest_share:g} of the exposure at least, and a look "
                 f"{1 / self.looks:g}: give fewer looks, or a longer exposure"
             )
-        return found
+        return faults
 
     def test_faults(self, noises: Sequence[str]) -> list[str]:
         """Noise other than that of photons."""
@@ -381,16 +382,17 @@ class Patches(Exposure):
 
     def faults(self, job: "Job") -> list[str]:
         """Optics that no patch has, and noise that was not tried."""
-        found, camera = list[str](), job.optics
+        faults = list[str]()
+        camera = job.optics
         if LIGHT_LAWS[camera.light].one_device:
-            found.append("a patch has a detector for each readout: give the light law column")
+            faults.append("a patch has a detector for each readout: give the light law column")
         if job.code.seeded or job.code.learned_under or job.code.is_custom:
-            found.append(f"{job.design} is not for patches: give deepfsi or a named design")
+            faults.append(f"{job.design} is not for patches: give deepfsi or a named design")
         if job.noise != "ml_gauss" or camera.mask_levels((self.patch, self.patch)):
-            found.append("patches are trained under photon noise, with continuous masks")
+            faults.append("patches are trained under photon noise, with continuous masks")
         if job.training.classifier != VIT:
-            found.append("patches are classified by a transformer: give classifier vit")
-        return found
+            faults.append("patches are classified by a transformer: give classifier vit")
+        return faults
 
 
 def _cut(scenes: np.ndarray, image_shape: tuple[int, ...], side: int) -> np.ndarray:
@@ -507,25 +509,26 @@ class Passing(Exposure):
 
     def faults(self, job: "Job") -> list[str]:
         """Designs that are no one pattern, and optics other than one detector behind it."""
-        found, camera = list[str](), job.optics
+        faults = list[str]()
+        camera = job.optics
         if job.design not in ("deepfsi", "random"):
-            found.append(
+            faults.append(
                 f"{job.design} is a set of masks, and scenes pass one pattern: give `deepfsi`, "
                 "which learns it, or `random`"
             )
         elif job.code.learned and job.training.start != "random":
-            found.append("a pattern that scenes pass starts at random: leave `start` out")
+            faults.append("a pattern that scenes pass starts at random: leave `start` out")
         one = camera.rails == "single" and camera.one_detector
         if not one or camera.device is not None or camera.shortest_dwell:
-            found.append(
+            faults.append(
                 "scenes pass a static pattern before one detector: give single rails, no "
                 "`detectors`, no `device` and no `shortest_dwell`"
             )
         if job.masks != self.bins:
-            found.append(
+            faults.append(
                 f"{job.masks} masks and {self.bins} bins are one number: leave `masks` out"
             )
-        return found
+        return faults
 
 
 class PassingEntry(_Entry):

@@ -103,7 +103,8 @@ class Job(UserModel):
                 else closest_choice(name, cls.model_fields)
             )
             raise InputError(f"a job has no setting {name!r}: {where}")
-        camera, photons = Camera.load(given.get("camera")), given.get("photons")
+        camera = Camera.load(given.get("camera"))
+        photons = given.get("photons")
         if photons is None:
             photons = check_one_budget(camera.budget, None)
         given = {**given, "camera": camera, "photons": photons}
@@ -239,7 +240,8 @@ class Job(UserModel):
 
     def _classifier_faults(self) -> list[str]:
         faults = list[str]()
-        mine, usual = self.training, Training()
+        mine = self.training
+        usual = Training()
         if mine.classifier != MLP and (mine.hidden, mine.dropout) != (usual.hidden, usual.dropout):
             faults.append(
                 "`hidden` and `dropout` are of the usual classifier: give them to a classifier of "
@@ -364,8 +366,21 @@ def sorted_settings(flat: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def find_job(settings: Mapping[str, Any], counts: float | None = None) -> Job:
-    """Job of its fields, or `InputError`: its light is a budget, its camera's, or counts."""
-    # Of counts alone the budget of the job is these, until a training says what it is
+    """Job of its fields: its light is a budget, that of its camera, or counts.
+
+    Parameters
+    ----------
+    settings : mapping
+        Fields of `Job`.
+    counts : float, optional
+        Mean counts of an exposure: with `photons` masks learn to count no more of them; without,
+        they stand for the budget of the job, until a training says what it is.
+
+    Raises
+    ------
+    InputError
+        In one line that names the field which cannot be used.
+    """
     within = counts is not None and settings.get("photons") is not None
     if within:
         settings = {**settings, "training": {**_training_of(settings), "counts": counts}}

@@ -39,14 +39,27 @@ def divide_scene(image_shape: tuple[int, ...], detectors: DetectorMap) -> Iterat
 def count_allowed(
     name: str, data: Dataset, detectors: DetectorMap = ONE_DETECTOR
 ) -> tuple[int, int]:
-    """Smallest and largest number of masks that a design can have, that of the largest part."""
+    """Smallest and largest number of masks that a design can have, that of the largest tile.
+
+    Parameters
+    ----------
+    name : str
+        One of `DESIGNS`.
+    data : Dataset
+        Scenes as the masks see them.
+    detectors : DetectorMap
+        Which detector sees each pixel.
+    """
     shapes = {tile.shape for tile in divide_scene(data.image_shape, detectors)}
     ranges = [DESIGNS[name].counts(shape, len(data.classes)) for shape in shapes]
     return max(low for low, _ in ranges), max(high for _, high in ranges)
 
 
 def check_count(name: str, masks: int, data: Dataset, detectors: DetectorMap = ONE_DETECTOR) -> int:
-    """Return a mask count, or raise `InputError` if the design cannot have it on this data."""
+    """Return a mask count, or raise `InputError` if the design cannot have it on this data.
+
+    Parameters as of `count_allowed`.
+    """
     low, high = count_allowed(name, data, detectors)
     whole = not isinstance(masks, bool) and float(masks).is_integer()
     if not whole or not low <= masks <= high:

@@ -22,8 +22,11 @@ from deepfsi.base import IMPORT_PATH, UNNAMED_PLUGIN, InputError, UserModel, imp
 from deepfsi.camera import NoiseSetting
 from deepfsi.jobs.designs import DESIGNS, check_design
 
-MLP, VIT = "mlp", "vit"
-"""Names of the paper's classifier, and of the transformer of patches, in settings."""
+MLP = "mlp"
+"""Name of the paper's classifier in settings."""
+
+VIT = "vit"
+"""Name of the transformer of patches in settings."""
 
 VIT_SIZES = ("width", "depth", "heads", "hidden")
 """Arguments of that transformer."""

@@ -104,7 +104,7 @@ def _number(read: Any, given: Any) -> Any:
 
 def _camera(given: Any) -> dict[str, tuple[Any, ...]]:
     if not isinstance(given, Mapping):
-        given = Camera.load(given).given
+        given = Camera.load(given).given_fields
     axes = _table_of_axes(given, lambda one: Camera.load(one))
     _cameras(axes)
     return axes
