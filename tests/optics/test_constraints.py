@@ -318,11 +318,11 @@ def test_two_arms_get_what_the_other_does_not():
 
 def test_an_unknown_constraint_names_the_closest():
     with pytest.raises(InputError, match="did you mean 'column'"):
-        constraints.check_light("colum", "dual")
+        constraints.check_light_law("colum", "dual")
     with pytest.raises(InputError, match="did you mean 'dual'"):
-        constraints.check_light("column", "duel")
+        constraints.check_light_law("column", "duel")
 
 
 def test_two_arms_are_two_rails():
     with pytest.raises(InputError, match="two-arm with a single rail"):
-        constraints.check_light("two-arm", "single")
+        constraints.check_light_law("two-arm", "single")

@@ -76,7 +76,7 @@ LIGHT_LAWS: dict[str, LightLawFacts] = {
 """Facts of each light law, by its name."""
 
 
-def check_light(light: str, rails: str) -> None:
+def check_light_law(light: str, rails: str) -> None:
     """Raise `InputError` unless a light law exists and can be had with these rails.
 
     Parameters

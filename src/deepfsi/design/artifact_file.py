@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from deepfsi.base import InputError
-from deepfsi.camera import DetectorMap, check_light
+from deepfsi.camera import DetectorMap, check_light_law
 from deepfsi.design.classifiers import Mlp, Vit, restored
 from deepfsi.design.exposure.conditioned import ConditionedExposure
 from deepfsi.design.exposure.looks import LooksExposure
@@ -110,7 +110,7 @@ def _fields(file: DesignFile, header: MaskHeader) -> dict[str, Any]:
     if file.arrays.get("detectors") is not None:
         detectors = DetectorMap.of(file.arrays["detectors"], header.image_shape)
         detection = Detection.of(detectors, header.readout)
-    check_light(header.light, rails.kind)
+    check_light_law(header.light, rails.kind)
     constraints.check(rails.stacked, header.light)
     weights = {name: torch.from_numpy(array) for name, array in file.arrays_of("exposure").items()}
     exposure = KINDS[header.exposure.kind].restored(

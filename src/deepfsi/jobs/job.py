@@ -18,7 +18,7 @@ from deepfsi.camera import (
     NOISES,
     Camera,
     check_budget,
-    check_light,
+    check_light_law,
     check_one_budget,
     find_noise,
     noise_name,
@@ -225,7 +225,7 @@ class Job(UserModel):
     def _matrix_faults(self, data: Dataset, matrix: np.ndarray | None) -> list[str]:
         camera = self.optics
         try:
-            check_light(camera.light, camera.rails)
+            check_light_law(camera.light, camera.rails)
             scene = self.exposure.scene(data)
             camera.mask_levels(scene.image_shape)
             if self.code.adaptive:

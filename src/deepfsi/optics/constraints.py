@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from deepfsi.base import InputError
-from deepfsi.camera import LightLawName, RailsKind, check_light
+from deepfsi.camera import LightLawName, RailsKind, check_light_law
 from deepfsi.optics.rails import Rails
 
 SLACK = 1e-5
@@ -48,7 +48,7 @@ def fit(matrix: Tensor, light: LightLawName, rails: RailsKind = "dual") -> Tenso
     """Rails (2 or 1, m, N) of a matrix at a light law, using as much light as it allows."""
     # `column` and `free-dwell` take one common factor, `equal-dwell` each frame's own peak, and
     # `two-arm` each mask's own peak. matrix (m, N)
-    check_light(light, rails)
+    check_light_law(light, rails)
     if light == "two-arm":
         return expand(matrix / (peak(matrix.abs()) * len(matrix)), light)
     parts = expand(matrix, light, rails)

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from deepfsi.base import InputError
-from deepfsi.camera import LightLawName, RailsKind, check_light, share_out
+from deepfsi.camera import LightLawName, RailsKind, check_light_law, share_out
 from deepfsi.optics.constraints import peak
 from deepfsi.optics.grey_levels import quantise
 from deepfsi.optics.rails import Rails
@@ -55,7 +55,7 @@ class LearnedMasks(nn.Module):
         shortest: float = 0.0,
     ) -> None:
         super().__init__()
-        check_light(light, rails)
+        check_light_law(light, rails)
         _check_tensor(start, "a start", 2, "(masks, pixels)")
         if rails == "single" and bool((start < 0).any()):
             raise InputError("a start of a single rail has negative entries: give 0 or more")

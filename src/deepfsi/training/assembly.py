@@ -6,7 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from deepfsi.base import InputError
-from deepfsi.camera import Camera, LightLawName, check_budget, check_light, summed_reflectance
+from deepfsi.camera import Camera, LightLawName, check_budget, check_light_law, summed_reflectance
 from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.design.own import OwnClassifier, make
@@ -115,7 +115,7 @@ def _rails(scanner: Scanner, data: Dataset, light: LightLawName) -> Rails:
         raise InputError(
             f"masks of shape {shape} do not fit {data.name}: give (masks, {data.pixels})"
         )
-    check_light(light, rails.kind)
+    check_light_law(light, rails.kind)
     constraints.check(rails.stacked, light)
     return rails
 
