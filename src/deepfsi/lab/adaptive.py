@@ -42,6 +42,11 @@ class AdaptiveLooks:
         until = design.settings.until
         self.rule = None if until == 1 else StopRule(threshold=until)
 
+    @classmethod
+    def of_file(cls, path: Path, manifest: Manifest) -> "AdaptiveLooks":
+        """Looks of a design file, of which the manifest's frames are the first mask."""
+        return cls(AdaptiveDesign.load(path), manifest)
+
     def expose(self, scene: int, conditions: Conditions) -> "AdaptiveExposure":
         """Begin an exposure of a scene."""
         return AdaptiveExposure(self, scene, conditions)

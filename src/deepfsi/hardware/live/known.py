@@ -31,14 +31,13 @@ def read_looks(folder: Path, manifest: Manifest) -> LiveLooks:
         )
         return KnownMasks(design, patterns)
     with require_torch():
-        from deepfsi.design.adaptive.design import AdaptiveDesign
         from deepfsi.lab.adaptive import AdaptiveLooks
     if hash_file(folder / DESIGN) != manifest.design_sha256:
         raise InputError(
             f"{folder / DESIGN} is not the design whose first mask is beside it: export the "
             "patterns again"
         )
-    return AdaptiveLooks(AdaptiveDesign.load(folder / DESIGN), manifest)
+    return AdaptiveLooks.of_file(folder / DESIGN, manifest)
 
 
 DECISION_S = 0.4e-3
