@@ -20,7 +20,7 @@ from scipy.linalg import lstsq
 from deepfsi.base import InputError
 from deepfsi.camera import Device
 from deepfsi.hardware.calibration import SCAN_NAMES, fit_calibration, scan_rails, spot_scenes
-from deepfsi.hardware.counting.calibration_file import Calibration
+from deepfsi.hardware.counting import Calibration
 from deepfsi.hardware.patterns.folder import export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings, Patterns
 from deepfsi.hardware.patterns.timing import find_gates

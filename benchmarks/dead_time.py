@@ -20,7 +20,7 @@ from deepfsi.base import InputError, Table
 from deepfsi.camera import DeadTime, find_device
 from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.design.artifact import Design
-from deepfsi.hardware.counting.tables import TableSettings, count_table
+from deepfsi.hardware.counting import TableSettings, count_table
 from deepfsi.hardware.patterns.folder import export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings, Patterns
 from deepfsi.hardware.virtual import Detector

@@ -14,7 +14,7 @@ A T2 file of 1 ps ticks is written, one marker at the start of each frame and Po
 along at 1e7 a second. Each frame has a gate, and all counts must agree. What is timed is file to
 counts:
 
-- stream: `StreamCounter`, fed with the file's bytes block after block; all gates are told first.
+- stream: `FrameCounter`, fed with the file's bytes block after block; all gates are told first.
 - whole file: `read_markers`, then `count_gates`.
 - numpy: the whole file in memory, times from a cumulative sum of the overflows, markers and
   photons selected from them, `searchsorted` of the gates' edges.
@@ -40,8 +40,7 @@ import numpy as np
 
 from deepfsi.camera import find_device
 from deepfsi.designfile import DesignFile, MaskHeader, loop_bytes
-from deepfsi.hardware.counting.acquisition import Scene
-from deepfsi.hardware.counting.streaming import FrameCounts, FrameGates, StreamCounter
+from deepfsi.hardware.counting import FrameCounter, FrameCounts, FrameGates, Scene
 from deepfsi.hardware.drivers import Setup
 from deepfsi.hardware.live.decisions import FrameList, Observer
 from deepfsi.hardware.live.known import KnownMasks
@@ -86,7 +85,7 @@ def record(path: Path, records: float, frame_s: float, inputs: int) -> int:
 
 def stream(path: Path, frames: int, frame_s: float, inputs: int, block: int) -> np.ndarray:
     """Counts, shape (frames, inputs)."""
-    counter, found = StreamCounter(range(inputs), name=path), []
+    counter, found = FrameCounter(range(inputs), stream=path), []
     counter.expect(FrameGates.of(SETTLE_S, np.full(frames, GATE * (frame_s - SETTLE_S))))
     with path.open("rb", buffering=0) as file:
         while data := file.read(block):
@@ -286,7 +285,7 @@ class _Replayed:
         words = np.frombuffer(self.content, "<u4", offset=header.offset)
         markers = np.flatnonzero((words >> 31 != 0) & (words >> 25 & 63 != 63))
         self.ends = header.offset + 4 * (markers + 1)  # bytes up to each marker's
-        self.counter, self.block = StreamCounter((0,), 1, path), block
+        self.counter, self.block = FrameCounter((0,), 1, path), block
         self.seconds: list[np.ndarray] = []
         self.began: np.ndarray | None = None
         self.at = self.markers = self.rests = 0

@@ -23,7 +23,7 @@ from deepfsi import Looks, Training, learn, load_dataset
 from deepfsi.base import InputError
 from deepfsi.camera import find_device
 from deepfsi.datasets import Dataset
-from deepfsi.hardware.counting.acquisition import Scene
+from deepfsi.hardware.counting import Scene
 from deepfsi.hardware.drivers import Setup
 from deepfsi.hardware.live.known import read_looks
 from deepfsi.hardware.live.replay import count_live, replay_run

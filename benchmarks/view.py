@@ -19,8 +19,7 @@ import numpy as np
 
 import deepfsi
 from deepfsi.camera import find_device
-from deepfsi.hardware.counting.acquisition import Scene
-from deepfsi.hardware.counting.tables import TableSettings
+from deepfsi.hardware.counting import Scene, TableSettings
 from deepfsi.hardware.live.run import plan_live, run_live
 from deepfsi.hardware.patterns.folder import export_patterns, read_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings

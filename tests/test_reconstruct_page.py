@@ -20,9 +20,7 @@ from torch import Tensor, nn
 
 from conftest import generator
 from deepfsi.camera import Device
-from deepfsi.hardware.counting.acquisition import read_acquisition
-from deepfsi.hardware.counting.counting import count
-from deepfsi.hardware.counting.counts import read_counts
+from deepfsi.hardware.counting import count_run, read_counts, read_run
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.virtual import RecordingSettings, VirtualCamera, record_scenes
@@ -149,7 +147,7 @@ def runs(tmp_path_factory):
         settings = RecordingSettings(VirtualCamera(dark=DARK), FLUX, EXPOSURE, repeats=2)
         names = ("a", "b", "c")
         record_scenes(folder / "patterns", SCENES, names, None, folder / "run", settings)
-        count(folder / "run")
+        count_run(folder / "run")
         made[light] = folder / "run"
     return made
 
@@ -178,7 +176,8 @@ def test_counts_are_poisson_with_the_mean_of_the_matrix(runs, light):
 def test_without_a_flux_the_scenes_are_taken_as_bright_as_the_training(runs):
     """To 1 %, several times the noise of their all-ON frames."""
     names = names_of(READ)
-    acquisition, patterns = read_acquisition(runs["equal-dwell"])
+    recorded_run = read_run(runs["equal-dwell"])
+    acquisition, patterns = recorded_run.acquisition, recorded_run.patterns
     unknown = acquisition.model_copy(update={"flux": None})
     names["read_acquisition"] = lambda folder: (unknown, patterns)
     run = names["read"](runs["equal-dwell"])

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from deepfsi.base import intervals as differences
-from deepfsi.base.intervals import (
+from deepfsi.base import (
     Difference,
     accuracy_difference,
     accuracy_interval,
@@ -18,6 +17,7 @@ from deepfsi.base.intervals import (
     paired_difference,
     unpack_values,
 )
+from deepfsi.base import intervals as differences
 from shared.results import a_point
 
 

@@ -7,10 +7,10 @@ import sys
 
 import pytest
 
-from deepfsi.base.errors import InputError
-from deepfsi.base.files import (
+from deepfsi.base import (
     WINDOWS_ENCODING,
     GrowingFile,
+    InputError,
     check_disk_space,
     check_readable_name,
     content_of,

@@ -5,16 +5,15 @@ import pytest
 from scipy import stats
 from scipy.stats import binom, binomtest
 
-from deepfsi.base.intervals import (
+from deepfsi.base import (
     accuracy_interval,
     balanced_interval,
-    balanced_terms,
     image_interval,
-    seeds_error,
     student,
     wilson,
     worst_class,
 )
+from deepfsi.base.intervals import balanced_terms, seeds_error
 
 
 @pytest.mark.parametrize("images", [1, 2, 7, 500])

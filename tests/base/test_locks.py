@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from deepfsi.base import locks
-from deepfsi.base.locks import Locks, this_process
+from deepfsi.base import Locks, locks
+from deepfsi.base.locks import this_process
 from shared.waiting import until
 
 ELSEWHERE = "0123456789ab-1-1-00000000"

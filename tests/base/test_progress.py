@@ -9,8 +9,8 @@ import time
 
 import pytest
 
-from deepfsi.base import progress
-from deepfsi.base.progress import Moments, duration_text, progress_text, terminal_bar
+from deepfsi.base import Moments, duration_text, progress, terminal_bar
+from deepfsi.base.progress import progress_text
 from shared.waiting import until
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deepfsi.base.quantities import count_text, seconds, time_text
+from deepfsi.base import count_text, seconds, time_text
 
 
 @pytest.mark.parametrize(

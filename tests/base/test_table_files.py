@@ -15,10 +15,16 @@ import pytest
 from scipy import sparse
 from scipy.io import savemat
 
+from deepfsi.base import (
+    InputError,
+    is_table,
+    parse_number,
+    read_npy,
+    read_npz,
+    read_table,
+    read_whole_numbers,
+)
 from deepfsi.base import tables as table_files
-from deepfsi.base.arrays import read_npy, read_npz
-from deepfsi.base.errors import InputError
-from deepfsi.base.tables import is_table, parse_number, read_table, read_whole_numbers
 
 VALUES = np.random.default_rng(2).integers(0, 1000, (3, 5))
 NAMES = tuple("abcde")

@@ -7,10 +7,14 @@ from pydantic import ValidationError
 from deepfsi.base import InputError, Table
 from deepfsi.camera import DeadTime
 from deepfsi.camera.dead_time import MOST_BLIND
-from deepfsi.hardware.counting.calibration_file import Calibration, save_calibration
-from deepfsi.hardware.counting.counting import count
-from deepfsi.hardware.counting.counts import read_counts
-from deepfsi.hardware.counting.tables import TableSettings, count_table
+from deepfsi.hardware.counting import (
+    Calibration,
+    CountSettings,
+    TableSettings,
+    count_run,
+    count_table,
+    read_counts,
+)
 from deepfsi.hardware.virtual import (
     Detector,
     RecordingSettings,
@@ -94,7 +98,7 @@ def off_by(counts, shown, rates) -> np.ndarray:
 
 def test_a_recording_is_corrected_gate_by_gate_with_its_budget(run):
     folder, shown, rates, dead = run
-    bare, counts = count(folder), count(folder, dead_time=dead)
+    bare, counts = count_run(folder), count_run(folder, CountSettings(dead_time=dead))
     assert counts.faults == ()
     assert np.array_equal(bare.counts, counts.counts)
     assert np.array_equal(bare.arrivals, bare.counts)
@@ -119,10 +123,10 @@ def test_the_calibration_in_the_folder_knows_the_dead_time(run):
         homography=((1, 0, 0), (0, 1, 0), (0, 0, 1)), residual=0, error=0, spots=25, shown=25,
         dead_time=dead,
     )  # fmt: skip
-    path = save_calibration(known, folder / "calibration")
-    wanted = count(folder, dead_time=dead)
-    assert np.array_equal(count(folder).arrivals, wanted.arrivals)
-    none = count(folder, dead_time=DeadTime(seconds=0))
+    path = known.save(folder / "calibration")
+    wanted = count_run(folder, CountSettings(dead_time=dead))
+    assert np.array_equal(count_run(folder).arrivals, wanted.arrivals)
+    none = count_run(folder, CountSettings(dead_time=DeadTime(seconds=0)))
     assert np.array_equal(none.arrivals, none.counts)
     path.unlink()
 
@@ -158,20 +162,8 @@ def test_a_counter_near_saturation_is_named(run):
     with pytest.raises(
         InputError, match=r"counts/s on input 1 in all ON, .* dim the light"
     ) as said:
-        count(folder, dead_time=slow)
+        count_run(folder, CountSettings(dead_time=slow))
     assert "\n" not in str(said.value)
     values = np.rint(rates * shown.manifest.picture_s)
     with pytest.raises(InputError, match="all ON"):
         count_table(Table(values), shown.manifest, TableSettings(dead_time=slow))
-
-
-@pytest.mark.parametrize("gain", [0.5, 3.0])
-def test_law_counts_divided_by_a_gain_have_their_variance(gain):
-    """Of μ photons gμ are counted: arrivals have the mean μ and the variance μ / g."""
-    mean, draws = 2000.0, 20_000
-    factors = DeadTime(seconds=0).correction(np.zeros(1)).divided(np.array([gain]))
-    seen = np.random.default_rng(4).poisson(gain * mean, draws)
-    found = seen * factors.arrivals
-    assert abs(found.mean() - mean) < 5 * found.std() / draws**0.5
-    spread = float((seen * factors.variance).mean())
-    assert spread == pytest.approx(found.var(), rel=5 * (2 / draws) ** 0.5)

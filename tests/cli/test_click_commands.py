@@ -7,7 +7,7 @@ import pytest
 from typer.testing import CliRunner
 
 from deepfsi.cli import app
-from deepfsi.hardware.counting.counting import count
+from deepfsi.hardware.counting import count_run
 from deepfsi.hardware.patterns.folder import read_patterns
 
 SCENES = 200
@@ -103,7 +103,7 @@ def test_a_recording_of_virtual_devices_is_counted_in_clicks(done, lab, tmp_path
 
 def test_photon_counts_are_not_taken_for_clicks(done, refuse, lab, tmp_path):
     done(*simulate(lab, "--virtual", "ideal"), "-o", tmp_path / "free")
-    count(tmp_path / "free")
+    count_run(tmp_path / "free")
     words = ["camera", "classify", lab / "patterns", tmp_path / "free"]
     assert f"counted in photons, and this design reads clicks of {GATES}" in refuse(*words)
 

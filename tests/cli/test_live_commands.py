@@ -17,7 +17,7 @@ from deepfsi.camera import StopRule
 from deepfsi.cli import app
 from deepfsi.datasets import write_pictures
 from deepfsi.design.artifact import Design
-from deepfsi.hardware.counting.acquisition import read_acquisition
+from deepfsi.hardware.counting import read_run
 
 LIGHT = ["--flux", "1e7", "--exposure", "10ms", "--virtual", "ideal"]
 
@@ -78,7 +78,7 @@ def test_in_json(done, lab, tmp_path):
     words = ["--scene", lab / "images", *LIGHT, "--until", 0.2, "--dead-time", "1ns"]
     words += ["-o", tmp_path / "run", "--json"]
     live = json.loads(done("camera", "live", lab / "patterns", *words))["scenes"]
-    assert read_acquisition(tmp_path / "run")[0].live.dead_time.seconds == 1e-9
+    assert read_run(tmp_path / "run").acquisition.live.dead_time.seconds == 1e-9
     counted = json.loads(done("camera", "count", tmp_path / "run", "--json"))
     assert [len(each) - 2 for each in counted["counts"]] == [each["looks"] for each in live]
     words = ["camera", "classify", lab / "looks.safetensors", tmp_path / "run", "--json"]
@@ -90,7 +90,7 @@ def test_in_json(done, lab, tmp_path):
 def test_a_design_file_is_exported_for_the_moment(done, lab, tmp_path):
     words = ["--scene", lab / "images" / sorted(os.listdir(lab / "images"))[0], *LIGHT]
     done("camera", "live", lab / "looks.safetensors", *words, "-o", tmp_path / "run")
-    _, patterns = read_acquisition(tmp_path / "run")
+    patterns = read_run(tmp_path / "run").patterns
     assert patterns.manifest.device.name == "dlp7000"
     assert [path.name for path in tmp_path.iterdir()] == ["run"]
 
@@ -105,7 +105,7 @@ def test_the_rule_of_the_design_stops_its_exposures(done, lab, tmp_path):
     done("dmd", "export", sure, "--device", "64x48", "-o", tmp_path / "p")
     words = ["--scene", lab / "many", *LIGHT]
     done("camera", "live", tmp_path / "p", *words, "-o", tmp_path / "run")
-    live = read_acquisition(tmp_path / "run")[0].live
+    live = read_run(tmp_path / "run").acquisition.live
     assert live.rule == rule
     done("camera", "count", tmp_path / "run")
     told = json.loads(done("camera", "classify", sure, tmp_path / "run", "--json"))["scenes"]

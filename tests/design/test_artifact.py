@@ -20,7 +20,7 @@ import deepfsi
 from conftest import PHOTONS, RECIPE, every_design, every_optics, generator, light_on, quick
 from deepfsi import Camera
 from deepfsi.base import InputError
-from deepfsi.camera.light import share_out
+from deepfsi.camera import share_out
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import camera_for, evaluate
 from deepfsi.design.exposure.trained import Observation

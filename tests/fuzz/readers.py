@@ -101,10 +101,9 @@ def check_patterns(path: Path) -> None:
 
 
 def read_run(path: Path) -> None:
-    from deepfsi.hardware.counting.acquisition import read_acquisition
-    from deepfsi.hardware.counting.counts import read_counts
+    from deepfsi.hardware.counting import read_counts, read_run
 
-    read_acquisition(path.parent)
+    read_run(path.parent)
     read_counts(path.parent).signal()
 
 
@@ -124,9 +123,9 @@ def read_live(path: Path) -> None:
 
 
 def read_calibration(path: Path) -> None:
-    from deepfsi.hardware.counting.calibration_file import load_calibration
+    from deepfsi.hardware.counting import Calibration
 
-    _ = load_calibration(path.parent).doubts
+    _ = Calibration.load(path.parent).doubts
 
 
 def read_scenes(path: Path) -> None:
@@ -332,8 +331,7 @@ def _designs(folder: Path) -> None:
 
 
 def _recordings(folder: Path) -> None:
-    from deepfsi.hardware.counting.acquisition import Scene
-    from deepfsi.hardware.counting.counting import count
+    from deepfsi.hardware.counting import Scene, count_run
     from deepfsi.hardware.drivers import Setup
     from deepfsi.hardware.live.replay import count_live
     from deepfsi.hardware.live.run import plan_live, run_live
@@ -351,7 +349,7 @@ def _recordings(folder: Path) -> None:
     scenes = np.random.default_rng(2).random((3, 4, 4))
     settings = RecordingSettings(CAMERAS["ideal"], 1e5, 5e-3)
     record_scenes(folder / "npy", scenes, ["a", "b", "c"], None, folder / "run", settings)
-    count(folder / "run")
+    count_run(folder / "run")
     rates = arrival_rates(folder / "looks", scenes, CAMERAS["ideal"], 1e6)
     setup = VirtualOptics(rates, CAMERAS["ideal"], Latencies(), 0)
     bench = Setup(VirtualProjector(setup), VirtualCounter(setup, (0,)), setup.display,

@@ -10,10 +10,8 @@ import pytest
 import deepfsi
 from conftest import quick
 from deepfsi.datasets import read_display, write_pictures
-from deepfsi.hardware.counting.acquisition import VERDICT, Verdict, read_acquisition
-from deepfsi.hardware.counting.counting import count
-from deepfsi.hardware.counting.counts import read_counts
-from deepfsi.hardware.counting.tables import TableSettings
+from deepfsi.hardware.counting import TableSettings, Verdict, count_run, read_counts, read_run
+from deepfsi.hardware.counting.acquisition import VERDICT
 from deepfsi.hardware.live.replay import count_live
 from deepfsi.hardware.patterns.folder import read_patterns
 from deepfsi.hardware.virtual import (
@@ -67,7 +65,7 @@ def test_a_run_has_the_classes_of_the_command_line(done, lab):
 
 
 def test_classes_are_those_of_the_design_as_it_was_shown(lab):
-    _, patterns = read_acquisition(lab / RUN)
+    patterns = read_run(lab / RUN).patterns
     shown = deepfsi.Design.load(lab / DESIGN).as_shown(*patterns.realised)
     counts = read_counts(lab / RUN)
     wanted = shown.classify(shown.readouts(counts.signal()), counts.photons[:, None])
@@ -136,7 +134,7 @@ def test_the_error_of_a_background_is_in_the_test_of_the_counts(lab, monkeypatch
     n = counts.valid.sum(axis=1)[0]
     for ambient_variance in (0 * counts.ambient, counts.ambient + 7.0):
         changed = replace(counts, ambient_variance=ambient_variance)
-        monkeypatch.setattr(classify, "load_counts", lambda *given, held=changed: held)
+        monkeypatch.setattr(classify, "read_counts", lambda *given, held=changed: held)
         deepfsi.classify_run(lab / DESIGN, lab / RUN, force=True)
     np.testing.assert_allclose(told[1] - told[0], 7.0 * n**2)
 
@@ -147,7 +145,7 @@ def test_a_run_with_far_less_light_than_the_training_is_refused_unless_forced(la
     shown = read_display(lab / "images")
     settings = RecordingSettings(CAMERAS["ideal"], flux=share * 1e7, exposure_s=10e-3)
     record_scenes(lab / "frames", shown.x, shown.names, shown.labels, tmp_path / "run", settings)
-    count(tmp_path / "run")
+    count_run(tmp_path / "run")
     with pytest.raises(deepfsi.InputError, match=r"too little light for this design.*`force`"):
         deepfsi.classify_run(lab / DESIGN, tmp_path / "run")
     found = deepfsi.classify_run(lab / DESIGN, tmp_path / "run", force=True)
@@ -180,7 +178,7 @@ def forty(lab, digits):
         camera = VirtualCamera.model_validate(optics or {})
         recording = RecordingSettings(camera, flux=1e7, exposure_s=10e-3)
         record_scenes(lab / "frames", x[:scenes], names[:scenes], None, folder, recording)
-        count(folder)
+        count_run(folder)
         return deepfsi.classify_run(lab / DESIGN, folder, **settings)
 
     return classified

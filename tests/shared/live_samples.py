@@ -6,7 +6,7 @@ import numpy as np
 
 from conftest import quick
 from deepfsi.camera import find_device
-from deepfsi.hardware.counting.acquisition import Scene
+from deepfsi.hardware.counting import Scene
 from deepfsi.hardware.drivers import Setup
 from deepfsi.hardware.live.known import read_looks
 from deepfsi.hardware.live.replay import Replayed, read_live_counts, replay_run

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 
 from conftest import synthetic
-from deepfsi.camera.light import share_out
+from deepfsi.camera import share_out
 from deepfsi.datasets import Dataset
 from deepfsi.design.artifact import Design
 from deepfsi.design.exposure.trained import Observation

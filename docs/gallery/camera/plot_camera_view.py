@@ -14,7 +14,7 @@ import numpy as np
 
 import deepfsi
 from deepfsi.camera import find_device
-from deepfsi.hardware.counting.counting import count
+from deepfsi.hardware.counting import count_run
 from deepfsi.hardware.patterns.folder import export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.pictures import reconstruct
@@ -44,7 +44,7 @@ with tempfile.TemporaryDirectory() as folder:
     record_scenes(
         frames, scenes.reshape(-1, 8, 8), [f"digit {k}" for k in labels], None, run, camera
     )
-    counts = count(run)
+    counts = count_run(run)
     pictures = reconstruct(run)
 
 # %%

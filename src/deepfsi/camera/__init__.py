@@ -1,7 +1,7 @@
 """The apparatus as a user describes it: optics, device, detectors, noise, light (no torch)."""
 
 from deepfsi.camera.camera import PRESETS, Camera, CameraSource, Levels
-from deepfsi.camera.dead_time import NO_DEAD_TIME, DeadTime, DeadTimeFactors
+from deepfsi.camera.dead_time import NO_DEAD_TIME, CorrectionFactors, DeadTime
 from deepfsi.camera.detectors import (
     ONE_DETECTOR,
     DetectorMap,
@@ -66,8 +66,8 @@ __all__ = [
     "USUAL_LAYOUT",
     "Camera",
     "CameraSource",
+    "CorrectionFactors",
     "DeadTime",
-    "DeadTimeFactors",
     "DetectorMap",
     "DetectorRows",
     "Device",

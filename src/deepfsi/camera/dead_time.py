@@ -49,22 +49,22 @@ class DeadTime(StrictModel):
         lost = np.exp(-most) if self.paralysable else 1 / (1 + most)
         return float(most * lost / self.seconds) if self.seconds else np.inf
 
-    def correction(self, registered: np.ndarray) -> "DeadTimeFactors":
+    def correction(self, registered: np.ndarray) -> "CorrectionFactors":
         """Factors for counts at registered rates, counts/s, up to `most_registered`; NaN is 0."""
         rate = np.nan_to_num(np.asarray(registered, np.float64)) * self.seconds
         if not self.paralysable:
             gain = 1 / (1 - rate)
-            return DeadTimeFactors(gain, gain**2)
+            return CorrectionFactors(gain, gain**2)
         from scipy.special import lambertw
 
         blind = -lambertw(-rate).real
         gain = np.exp(blind)
-        return DeadTimeFactors(gain, (1 - 2 * rate) * gain**2 / (1 - blind) ** 2)
+        return CorrectionFactors(gain, (1 - 2 * rate) * gain**2 / (1 - blind) ** 2)
 
 
 @dataclass(frozen=True)
-class DeadTimeFactors:
-    """Factors of registered counts.
+class CorrectionFactors:
+    """Factors of registered counts, of which arrivals are estimated.
 
     Attributes
     ----------
@@ -76,10 +76,6 @@ class DeadTimeFactors:
 
     arrivals: np.ndarray
     variance: np.ndarray
-
-    def divided(self, gains: np.ndarray) -> "DeadTimeFactors":
-        """Factors of inputs (inputs,) that count so many times as much of the light as usual."""
-        return DeadTimeFactors(self.arrivals / gains, self.variance / gains**2)
 
 
 NO_DEAD_TIME = DeadTime(seconds=0.0)

@@ -39,14 +39,14 @@ def camera_prepare(
     """
     paths.check_there(patterns, "a folder of patterns")
     paths.check_new_folder(out)
-    from deepfsi.hardware.counting.acquisition import plan_acquisition, prepare
+    from deepfsi.hardware.counting import Acquisition, prepare_run
     from deepfsi.hardware.light import name_inputs
     from deepfsi.hardware.patterns.folder import read_patterns
     from deepfsi.lab.camera import camera_of
     from deepfsi.lab.scenes import listed
 
     manifest, known = read_patterns(patterns).manifest, camera_of(patterns, **settings)
-    planned = plan_acquisition(
+    planned = Acquisition.plan(
         manifest,
         listed(scenes, patterns),
         exposure_s=known.exposure,
@@ -55,7 +55,7 @@ def camera_prepare(
         flux=known.flux,
         **options.wiring(inputs, marker),
     )
-    made = prepare(out, patterns, planned)
+    made = prepare_run(out, patterns, planned)
     if as_json:
         common.print_json(
             "camera.prepare", {"folder": str(out), "acquisition": made.model_dump(mode="json")}
@@ -176,15 +176,12 @@ def _import_series(
     if patterns is None:
         raise InputError(f"{_SERIES} need the patterns that were shown: give --patterns")
     from deepfsi.base import read_table, write_atomically
-    from deepfsi.hardware.counting.series import of_bins, of_cumulative
+    from deepfsi.hardware.counting import table_of_series
     from deepfsi.hardware.patterns.folder import read_patterns
 
     manifest, values = read_patterns(patterns).manifest, read_table(source).values
     width = options.optional_seconds("bins", bins)
-    if width is None:
-        rows, names = of_cumulative(values, manifest, passes, str(source))
-    else:
-        rows, names = of_bins(values, manifest, width, passes, str(source))
+    rows, names = table_of_series(values, manifest, bin_s=width, passes=passes, name=str(source))
     lines = [",".join(names), *(",".join(map(str, row)) for row in rows.tolist())]
     write_atomically(out, "\n".join([*lines, ""]).encode())
     settle = [] if bins is None else ["--settle", bins]

@@ -92,7 +92,7 @@ def camera_check(
     Example: deepfsi camera check run_reference
     """
     paths.check_there(folder, "an acquisition folder, with photons.ptu in it")
-    from deepfsi.hardware.counting.acquisition import Verdict
+    from deepfsi.hardware.counting import Verdict
     from deepfsi.lab.calibration import check_view
 
     with common.progress("reference", quiet=as_json) as report:

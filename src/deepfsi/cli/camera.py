@@ -23,7 +23,7 @@ from deepfsi.cli.settings import laboratory_fields, with_settings
 if TYPE_CHECKING:
     import numpy as np
 
-    from deepfsi.hardware.counting.counts import Counts
+    from deepfsi.hardware.counting import Counts
     from deepfsi.hardware.live.replay import LiveCounts
     from deepfsi.hardware.photons import PtuSummary
     from deepfsi.hardware.virtual import VirtualCamera
@@ -233,7 +233,7 @@ def camera_count(
 
     Example: deepfsi camera count run_0001 --exposure 1ms
     """
-    from deepfsi.hardware.counting.counting import count
+    from deepfsi.hardware.counting import CountSettings, count_run
     from deepfsi.hardware.live.replay import check_as_it_was, count_live, is_live
     from deepfsi.lab.calibration import gains_of
     from deepfsi.lab.camera import camera_of, clicks_of, dead_time_of
@@ -250,18 +250,20 @@ def camera_count(
             _print_live_counts(count_live(folder, report), folder, as_json)
         return
     with common.progress("counting", quiet=as_json) as report:
-        counts = count(
+        counts = count_run(
             folder,
-            exposure_s=options.optional_seconds("exposure", exposure),
-            settle_s=options.optional_seconds("settle", settle),
-            repeats=repeats,
-            tolerance_s=options.optional_seconds("tolerance", tolerance),
-            **options.wiring(inputs, marker),
-            dead_time=dead_time_of(camera_of(folder, **settings), settings),
-            background=background,
-            gains=() if flat is None else gains_of(flat),
-            clicks=clicks_of(folder),
-            report=report,
+            CountSettings(
+                exposure_s=options.optional_seconds("exposure", exposure),
+                settle_s=options.optional_seconds("settle", settle),
+                repeats=repeats,
+                tolerance_s=options.optional_seconds("tolerance", tolerance),
+                **options.wiring(inputs, marker),
+                dead_time=dead_time_of(camera_of(folder, **settings), settings),
+                background=background,
+                gains=() if flat is None else gains_of(flat),
+                clicks=clicks_of(folder),
+            ),
+            progress=report,
         )
     print_counts(counts, folder, as_json)
 
@@ -270,10 +272,10 @@ def print_counts(
     counts: "Counts", folder: Path, as_json: bool, command: str = "camera.count"
 ) -> None:
     """Print what was counted, and every fault."""
-    from deepfsi.hardware.counting.acquisition import read_acquisition
+    from deepfsi.hardware.counting import read_run
     from deepfsi.hardware.photons import PtuFile
 
-    run = read_acquisition(folder)[0]
+    run = read_run(folder).acquisition
     names = [scene.name for scene in run.scenes]
     problems = PtuFile(folder / "photons.ptu").problems
     summary: dict[str, Any] = {
@@ -382,11 +384,11 @@ def camera_image(
     if out is not None:
         paths.check_file(out, paths.PICTURES, force)
     paths.check_there(folder, "an acquisition folder, with photons.ptu in it")
-    from deepfsi.hardware.counting.acquisition import read_acquisition
+    from deepfsi.hardware.counting import read_run
     from deepfsi.hardware.pictures import reconstruct
     from deepfsi.report.pictures import pictures_figure
 
-    acquisition, _ = read_acquisition(folder)
+    acquisition = read_run(folder).acquisition
     figure = pictures_figure(reconstruct(folder), [scene.name for scene in acquisition.scenes])
     common.draw("camera.image", figure, target, as_json)
 

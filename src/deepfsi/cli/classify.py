@@ -95,10 +95,14 @@ def camera_classify(
                 count_live(counted, report)
         found = classify_run(file, counted, photons=photons, force=force, trust=trust)
     elif is_table(counted):
-        from deepfsi.hardware.counting.tables import WORDS, TableSettings
+        from deepfsi.hardware.counting import TableSettings
 
         settle_s = options.optional_seconds("settle", settle) or 0.0
-        dark = read_table(background, WORDS) if background and is_table(background) else None
+        dark = (
+            read_table(background, TableSettings.WORDS)
+            if background and is_table(background)
+            else None
+        )
         counts = None if background is None or dark else options.number("background", background)
         table = TableSettings(
             *(photons, counts, settle_s, exposures, repeats, gain, read_noise), dark=dark

@@ -16,7 +16,7 @@ from deepfsi.cli.settings import laboratory_fields, with_settings
 
 if TYPE_CHECKING:
     from deepfsi.designfile import ViewResult
-    from deepfsi.hardware.counting.acquisition import Acquisition
+    from deepfsi.hardware.counting import Acquisition
     from deepfsi.hardware.virtual import Latencies
     from deepfsi.lab.results import LiveScene
 

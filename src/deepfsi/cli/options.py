@@ -242,11 +242,12 @@ Budget = Annotated[
 
 def wiring(inputs: list[int] | None, marker: int | None) -> dict[str, Any]:
     """Settings of an acquisition that say which inputs of the counter are used, as far as given."""
-    from deepfsi.hardware.counting.acquisition import MOST_INPUTS
+    from deepfsi.hardware.counting import Acquisition
 
+    most = Acquisition.MOST_INPUTS
     for each in inputs or ():
-        if not 1 <= each <= MOST_INPUTS:
-            raise InputError(f"--input {each} is not allowed: give 1 to {MOST_INPUTS}")
+        if not 1 <= each <= most:
+            raise InputError(f"--input {each} is not allowed: give 1 to {most}")
     given = {
         "inputs": tuple(each - 1 for each in inputs) if inputs else None,
         "marker_bit": None if marker is None else 1 << marker,

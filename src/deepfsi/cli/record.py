@@ -51,8 +51,7 @@ def camera_record(
         paths.check_there(counter_config, "counter configuration")
     times = live.latencies_of(latency or [])
     from deepfsi.base import SILENT
-    from deepfsi.hardware.counting.acquisition import plan_acquisition
-    from deepfsi.hardware.counting.counting import count
+    from deepfsi.hardware.counting import Acquisition, CountSettings, count_run
     from deepfsi.hardware.drivers import (
         DeviceSettings,
         PassProjector,
@@ -74,7 +73,7 @@ def camera_record(
         told |= {"seed": seed, "camera": seen.model_dump(mode="json")}
         if not yes:
             camera.ask_for_room(expected_events(shown, images.x, seen, known.flux or 0.0))
-    acquisition = plan_acquisition(
+    acquisition = Acquisition.plan(
         shown.manifest,
         scenes_of(images, scene, patterns) if simulated else listed(scene, patterns),
         exposure_s=known.exposure,
@@ -114,7 +113,9 @@ def camera_record(
         live.ask("end the recording in the counter's software")
     dead = dead_time_of(known, settings)
     with common.progress("counting", quiet=as_json) as report:
-        counts = count(out, dead_time=dead, clicks=clicks_of(patterns), report=report)
+        counts = count_run(
+            out, CountSettings(dead_time=dead, clicks=clicks_of(patterns)), progress=report
+        )
     camera.print_counts(counts, out, as_json, "camera.record")
     if not as_json:
         print(f"run: {out}; then: deepfsi camera classify {patterns} {out}")

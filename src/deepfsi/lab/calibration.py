@@ -14,9 +14,7 @@ from deepfsi.hardware.calibration import (
     find_reference_of_masks,
     save_detectors,
 )
-from deepfsi.hardware.counting.acquisition import read_acquisition
-from deepfsi.hardware.counting.calibration_file import Calibration, save_calibration
-from deepfsi.hardware.counting.counts import Counts, check_photons, read_counts
+from deepfsi.hardware.counting import Calibration, Counts, read_counts, read_run
 from deepfsi.hardware.live.known import read_looks
 from deepfsi.hardware.live.replay import is_live, read_live_counts, replay_run
 from deepfsi.hardware.pictures import reconstruct
@@ -25,25 +23,25 @@ from deepfsi.hardware.pictures import reconstruct
 def calibrate(folder: Path, spots: Path, out: Path) -> tuple[Calibration, Path, Path | None]:
     """Fit the camera's view to a counted run of the spots, and write it to a folder."""
     # Gives it with its file, and the file of the cells that each detector sees, of several
-    acquisition, patterns = read_acquisition(folder)
+    run = read_run(folder)
     shown, counts = read_display(spots), _photons(folder)
     found = calibrate_run(
         dict(zip(shown.names, shown.x, strict=True)),
-        [scene.name for scene in acquisition.scenes],
+        [scene.name for scene in run.acquisition.scenes],
         reconstruct(folder),
         counts,
-        patterns,
+        run.patterns,
     )
-    several = patterns.manifest.detectors
-    labels = find_detectors(counts, patterns) if several and several.cells is None else None
-    file = save_calibration(found, out)
+    several = run.patterns.manifest.detectors
+    labels = find_detectors(counts, run.patterns) if several and several.cells is None else None
+    file = found.save(out)
     return found, file, None if labels is None else save_detectors(labels, out)
 
 
 def check_view(folder: Path, report: Progress = SILENT) -> ReferenceFit:
     """Place of scenes on the device, from a counted run of the reference target."""
     if not is_live(folder):
-        return find_reference(_photons(folder), read_acquisition(folder)[1], report)
+        return find_reference(_photons(folder), read_run(folder).patterns, report)
     run = read_live_counts(folder)
     replayed = replay_run(run, read_looks(folder / "patterns", run.manifest))
     seen = [each.rows for each in replayed if each.rows is not None]
@@ -56,9 +54,9 @@ def check_view(folder: Path, report: Progress = SILENT) -> ReferenceFit:
 
 def gains_of(flat: Path) -> tuple[float, ...]:
     """Relative efficiency of each detector, from a counted run of a uniform white scene."""
-    return find_gains(_photons(flat), read_acquisition(flat)[1])
+    return find_gains(_photons(flat), read_run(flat).patterns)
 
 
 def _photons(folder: Path) -> Counts:
     """Counts of a run, or `InputError` if they are clicks."""
-    return check_photons(read_counts(folder), folder)
+    return read_counts(folder).check_photons(folder)

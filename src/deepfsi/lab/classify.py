@@ -25,10 +25,15 @@ from deepfsi.designfile import (
     scene_hashes,
     was_trained_on,
 )
-from deepfsi.hardware.counting.acquisition import Scene, Verdict, read_acquisition
-from deepfsi.hardware.counting.clicks import check_budget_of_clicks
-from deepfsi.hardware.counting.counts import Counts, load_counts
-from deepfsi.hardware.counting.tables import LABEL, SCENE, WORDS, TableSettings, count_table
+from deepfsi.hardware.counting import (
+    Counts,
+    Scene,
+    TableSettings,
+    Verdict,
+    count_table,
+    read_counts,
+    read_run,
+)
 from deepfsi.hardware.live.known import read_looks
 from deepfsi.hardware.live.replay import check_as_it_was, is_live, read_live_counts, replay_run
 from deepfsi.hardware.patterns.folder import DESIGN, read_patterns
@@ -115,10 +120,11 @@ def classify_run(
         return _replayed(design, path, photons)
     if photons is not None:
         check_budget(photons)
-    acquisition, patterns = read_acquisition(path)
-    counts = load_counts(path, acquisition, patterns.manifest)
-    made = _opened(design, patterns, trust)
-    run = _classified(made, counts, acquisition.scenes, photons, force, str(folder))
+    recorded = read_run(path)
+    counts = read_counts(recorded)
+    made = _opened(design, recorded.patterns, trust)
+    scenes = recorded.acquisition.scenes
+    run = _classified(made, counts, scenes, photons, force, str(folder))
     return run if verdict is None else replace(run, remarks=(*run.remarks, verdict.words))
 
 
@@ -171,7 +177,7 @@ def classify_table(
     Examples
     --------
     >>> import deepfsi, numpy, tempfile, torch
-    >>> from deepfsi.hardware.counting.tables import TableSettings
+    >>> from deepfsi.hardware.counting import TableSettings
     >>> digits = deepfsi.load_dataset("digits")
     >>> few = deepfsi.Training(epochs=1)
     >>> design = deepfsi.learn(digits, camera="dmd", photons=1e4, masks=6, training=few)
@@ -192,7 +198,9 @@ def classify_table(
         dead = dead_time_of(camera_of(made.camera, **camera), camera)
         settings = replace(settings, dead_time=dead or NO_DEAD_TIME)
     manifest = _nominal(design, settings) if patterns is None else patterns.manifest
-    counts, scenes = count_table(read_table(Path(table), WORDS), manifest, settings, str(table))
+    counts, scenes = count_table(
+        read_table(Path(table), TableSettings.WORDS), manifest, settings, str(table)
+    )
     return _classified(made, counts, scenes, settings.photons, force, str(table))
 
 
@@ -209,13 +217,13 @@ def _classified_readouts(
             "measured readouts are classified as they are: leave out all options of a table but "
             "`exposures`"
         )
-    table = read_table(source, WORDS)
+    table = read_table(source, TableSettings.WORDS)
     rows, columns = table.values.shape
     turned = along == "columns" or (along is None and columns != design.masks == rows)
     answers = classify_readouts(design, table.values.T if turned else table.values)
     count = len(answers.chances)
-    names = table.words.get(SCENE, tuple(str(row + 1) for row in range(count)))
-    labels = table.words.get(LABEL, ("",) * count)
+    names = table.words.get(TableSettings.SCENE, tuple(str(row + 1) for row in range(count)))
+    labels = table.words.get(TableSettings.LABEL, ("",) * count)
     hashes = scene_hashes(answers.scenes, design.image_shape)
     scenes = tuple(
         ClassifiedScene(
@@ -381,7 +389,7 @@ def _check_clicks(design: "Design", counts: Counts, photons: float | None, sourc
             "`deepfsi camera count`"
         )
     if counts.gates is not None and photons is None:
-        check_budget_of_clicks(counts.flux, source)
+        counts.check_budget(source)
 
 
 def _view(

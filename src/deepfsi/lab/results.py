@@ -10,7 +10,7 @@ from deepfsi.lab.score import Score
 
 if TYPE_CHECKING:
     from deepfsi.designfile import ConsistencyResult, ViewResult
-    from deepfsi.hardware.counting.acquisition import Scene
+    from deepfsi.hardware.counting import Scene
     from deepfsi.hardware.live.decisions import Decision
     from deepfsi.hardware.live.looks import LiveLooks
 

@@ -10,8 +10,7 @@ from deepfsi.datasets import prepared, read_display
 from deepfsi.datasets.display import Display
 from deepfsi.designfile import DesignFile, DesignHeader, scene_hashes, trained_on
 from deepfsi.hardware.calibration import camera_view
-from deepfsi.hardware.counting.acquisition import Scene
-from deepfsi.hardware.counting.calibration_file import load_calibration
+from deepfsi.hardware.counting import Calibration, Scene
 from deepfsi.hardware.patterns.folder import DESIGN, read_patterns
 
 
@@ -52,7 +51,7 @@ def design_scenes(
         )
     if known.origin.view is None:
         return shown
-    calibration = load_calibration(Path(known.origin.view))
+    calibration = Calibration.load(Path(known.origin.view))
     x = camera_view(shown.x.reshape(len(shown.x), -1), image_shape, calibration)
     return shown._replace(x=x, preprocessing=f"{shown.preprocessing}, then as the camera sees it")
 

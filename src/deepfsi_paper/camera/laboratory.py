@@ -23,9 +23,7 @@ from deepfsi.camera import DmdLayout, find_device, find_grid
 from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.hardware.calibration import expected_background, fit, scan_rails, view_dataset
-from deepfsi.hardware.counting.acquisition import read_acquisition
-from deepfsi.hardware.counting.calibration_file import Calibration
-from deepfsi.hardware.counting.counting import count
+from deepfsi.hardware.counting import Calibration, count_run, read_run
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.mirrors import make_frames
 from deepfsi.hardware.patterns.sequence import FrameSettings, Patterns
@@ -488,8 +486,8 @@ def run_time(design: Design, scene: np.ndarray) -> tuple[float, int, int]:
         settings = RecordingSettings(LAB, FLUX, max(EXPOSURES), repeats=1)
         record_scenes(patterns, scene, ["scene"], None, run, settings)
         began = time.perf_counter()
-        counts = count(run)
-        shown = design.as_shown(*read_acquisition(run)[1].realised)
+        counts = count_run(run)
+        shown = design.as_shown(*read_run(run).patterns.realised)
         shown.classify(shown.readouts(counts.signal()), counts.photons[:, None])
         seconds = time.perf_counter() - began
         return seconds, int(counts.counts.sum()), (run / "photons.ptu").stat().st_size

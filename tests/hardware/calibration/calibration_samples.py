@@ -4,7 +4,7 @@ import numpy as np
 
 from deepfsi.camera import DmdLayout, find_device, find_grid
 from deepfsi.hardware.calibration import camera_view
-from deepfsi.hardware.counting.calibration_file import Calibration
+from deepfsi.hardware.counting import Calibration
 
 VIEW = np.array([[0.9, 0.05, 0.02], [-0.04, 0.88, 0.06], [0.05, -0.06, 1]])
 IDENTITY = np.eye(3)

@@ -12,8 +12,7 @@ from deepfsi.hardware.calibration import (
     scan_rails,
     spot_scenes,
 )
-from deepfsi.hardware.counting.counting import count
-from deepfsi.hardware.counting.counts import Counts
+from deepfsi.hardware.counting import Counts, count_run
 from deepfsi.hardware.patterns.folder import export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings, Patterns
 from deepfsi.hardware.virtual import RecordingSettings, VirtualCamera, record_scenes
@@ -36,7 +35,7 @@ def scanned(folder, scan="hadamard", camera=EYES, flux=1e7, detectors=4) -> tupl
     inputs = (6, 1, 4, 3, 9)[: shown.manifest.inputs]
     settings = RecordingSettings(camera, flux, 0.02, inputs=inputs)
     record_scenes(folder / "patterns", scenes, names, None, folder / "run", settings)
-    return count(folder / "run"), shown
+    return count_run(folder / "run"), shown
 
 
 @pytest.mark.parametrize("scan", SCAN_NAMES)

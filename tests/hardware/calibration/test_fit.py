@@ -8,8 +8,7 @@ from deepfsi.base import InputError
 from deepfsi.camera import Device, DmdLayout, find_grid
 from deepfsi.hardware.calibration import camera_view, fit
 from deepfsi.hardware.calibration.view import view_matrix
-from deepfsi.hardware.counting.calibration_file import load_calibration, save_calibration
-from deepfsi.hardware.counting.counting import count
+from deepfsi.hardware.counting import Calibration, count_run
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.virtual import camera
@@ -257,15 +256,15 @@ def test_a_recorded_run_is_calibrated_end_to_end(tmp_path):
     names = [f"scene {k}" for k in range(len(scenes))]
     settings = camera.RecordingSettings(eyes, flux=2e7, exposure_s=1.0)
     camera.record_scenes(tmp_path / "patterns", scenes, names, None, tmp_path / "run", settings)
-    counts = count(tmp_path / "run")
+    counts = count_run(tmp_path / "run")
     pictures = counts.counts[:, 0, 0].reshape(-1, *shape)  # of a raster
     dark, ambient = black_rates(counts.on_rate[-1:], counts.off_rate[-1:])
     assert dark == pytest.approx(1e3, abs=6 * np.sqrt(1e3 / 8e-3))
     assert ambient == pytest.approx(2e4, abs=6 * np.sqrt(2e4 / 8e-3))
     uniform = {"white": pictures[-2], "black": pictures[-1]}
     found = fit.fit_calibration(spots, pictures[:-2], grid, **uniform, dark=dark, ambient=ambient)
-    save_calibration(found, tmp_path / "run" / "calibration")
-    found = load_calibration(tmp_path / "run" / "calibration")
+    found.save(tmp_path / "run" / "calibration")
+    found = Calibration.load(tmp_path / "run" / "calibration")
     scene = np.random.default_rng(0).random((4, 8, 8)).repeat(4, axis=1).repeat(4, axis=2)
     mirrors = camera.irradiance(scene, eyes, device, grid)
     truth = mirrors.reshape(4, 16, 8, 16, 8).sum(axis=(2, 4))

@@ -6,8 +6,7 @@ import pytest
 from deepfsi.base import InputError
 from deepfsi.camera import DetectorMap, Device, detector_shares
 from deepfsi.hardware.calibration import find_gains
-from deepfsi.hardware.counting.counting import count
-from deepfsi.hardware.counting.counts import read_counts
+from deepfsi.hardware.counting import CountSettings, count_run, read_counts
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.virtual import RecordingSettings, VirtualCamera, record_scenes
@@ -40,7 +39,7 @@ def export(folder, light="equal-dwell", known=True):
 def run(folder, x, camera_gains=None, name="run", **settings):
     camera, names = VirtualCamera(gains=camera_gains, dark=500.0), [str(k) for k in range(len(x))]
     record_scenes(folder / "p", x, names, None, folder / name, RecordingSettings(camera, 1e7, 0.01))
-    return count(folder / name, **settings)
+    return count_run(folder / name, CountSettings(**settings))
 
 
 def kinds(counts) -> set[str]:
@@ -96,7 +95,7 @@ def test_what_is_no_flat_field_is_refused(tmp_path):
     with pytest.raises(InputError, match="or it was corrected itself"):
         find_gains(run(tmp_path, np.ones((12, 4, 4)), HALF, "again", gains=gains), shown)
     with pytest.raises(InputError, match="the flat field is of 2 detectors"):
-        count(tmp_path / "white", gains=(1.0, 1.0))
+        count_run(tmp_path / "white", CountSettings(gains=(1.0, 1.0)))
     with pytest.raises(InputError, match="the camera has 2 gains, and the patterns are for 4"):
         run(tmp_path, np.ones((1, 4, 4)), (1.0, 1.0), "two")
 

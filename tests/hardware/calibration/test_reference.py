@@ -12,7 +12,7 @@ from deepfsi.camera import Device, DmdLayout
 from deepfsi.datasets import read_display
 from deepfsi.hardware.calibration import find_reference, write_reference
 from deepfsi.hardware.calibration.reference import EXPECTED, REFERENCE, reference_picture
-from deepfsi.hardware.counting.counting import count
+from deepfsi.hardware.counting import count_run
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.virtual import (
@@ -27,12 +27,12 @@ DEVICE = Device(name="d", columns=256, rows=192, shortest_us=10, settle_us=2)
 PLAIN = DmdLayout()
 
 
-def masks(count: int = 16, seed: int = 0) -> np.ndarray:
+def masks(count_run: int = 16, seed: int = 0) -> np.ndarray:
     """Smooth grey masks (1, m, 64), as learned ones are."""
-    grey = ndimage.gaussian_filter(np.random.default_rng(seed).random((count, 8, 8)), (0, 1, 1))
+    grey = ndimage.gaussian_filter(np.random.default_rng(seed).random((count_run, 8, 8)), (0, 1, 1))
     grey -= grey.min(axis=(1, 2), keepdims=True)
     grey /= grey.max(axis=(1, 2), keepdims=True)
-    return grey.reshape(1, count, 64) / count
+    return grey.reshape(1, count_run, 64) / count_run
 
 
 def export(folder, layout=PLAIN, rails=None, **settings):
@@ -55,7 +55,7 @@ def found(tmp_path, shown, camera, flux=3e8, picture=None, exposure=0.01):
     x = read_display(tmp_path / "p" / REFERENCE).x if picture is None else picture
     settings = RecordingSettings(camera, flux, exposure)
     record_scenes(tmp_path / "p", x, ["reference"], None, tmp_path / "run", settings)
-    return find_reference(count(tmp_path / "run"), shown)
+    return find_reference(count_run(tmp_path / "run"), shown)
 
 
 @pytest.mark.parametrize(
@@ -131,7 +131,7 @@ def test_few_masks_and_spectra_are_refused(tmp_path):
     spectra = DesignRails(masks(), "equal-dwell", (64,), 20.0)
     shown = export_patterns(spectra, FrameSettings(DEVICE, 1e-3), tmp_path / "s")
     assert write_reference(shown, tmp_path / "s") == []
-    counted = count(tmp_path / "run")
+    counted = count_run(tmp_path / "run")
     with pytest.raises(InputError, match="masks of one axis have no orientation"):
         find_reference(counted, shown)
 

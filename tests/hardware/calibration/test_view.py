@@ -13,7 +13,7 @@ from deepfsi.camera import Device, DmdLayout, find_device, find_grid
 from deepfsi.datasets import load_dataset
 from deepfsi.hardware.calibration import camera_view, view_dataset
 from deepfsi.hardware.calibration.view import view_matrix
-from deepfsi.hardware.counting.calibration_file import load_calibration, save_calibration
+from deepfsi.hardware.counting import Calibration
 from deepfsi.hardware.virtual import camera
 
 
@@ -140,9 +140,9 @@ def test_the_virtual_camera_and_the_operator_agree(device, shape, tolerance, blu
 
 def test_saved_and_loaded(tmp_path):
     calibration = calibration_of(flat=vignette((3, 4)), dark=1.5)
-    path = save_calibration(calibration, tmp_path / "calibration")
+    path = calibration.save(tmp_path / "calibration")
     assert path.name == "calibration.json"
-    assert load_calibration(tmp_path / "calibration") == calibration
+    assert Calibration.load(tmp_path / "calibration") == calibration
 
 
 @pytest.mark.parametrize(
@@ -159,16 +159,16 @@ def test_saved_and_loaded(tmp_path):
     ],
 )
 def test_a_damaged_file_is_named(tmp_path, change, words):
-    path = save_calibration(calibration_of(), tmp_path)
+    path = calibration_of().save(tmp_path)
     path.write_text(json.dumps(json.loads(path.read_text()) | change))
     with pytest.raises(InputError, match=words) as caught:
-        load_calibration(tmp_path)
+        Calibration.load(tmp_path)
     assert "\n" not in str(caught.value)
 
 
 def test_a_missing_or_broken_file_is_named(tmp_path):
     with pytest.raises(InputError, match="is missing: calibrate"):
-        load_calibration(tmp_path)
+        Calibration.load(tmp_path)
     (tmp_path / "calibration.json").write_bytes(b"{\xff")
     with pytest.raises(InputError, match=r"calibration.json holds text of another encoding"):
-        load_calibration(tmp_path)
+        Calibration.load(tmp_path)

@@ -14,9 +14,8 @@ from hypothesis import strategies as st
 
 from deepfsi.base import InputError
 from deepfsi.camera import DEVICES, find_device
-from deepfsi.hardware.counting.acquisition import Acquisition, Scene, prepare
-from deepfsi.hardware.counting.alignment import Counter
-from deepfsi.hardware.counting.counting import count
+from deepfsi.hardware.counting import Acquisition, CountSettings, Scene, count_run, prepare_run
+from deepfsi.hardware.counting.markers import Counter
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.sequence import Frame, FrameSettings, Manifest, Patterns
 from deepfsi.hardware.photons import PtuWriter
@@ -228,7 +227,7 @@ class Run:
 
     def refused(self, match: str, **settings) -> None:
         with pytest.raises(InputError, match=match) as error:
-            count(self.folder, **settings)
+            count_run(self.folder, CountSettings(**settings))
         assert "\n" not in str(error.value)
 
 
@@ -236,7 +235,7 @@ def made(tmp: Path, light: str = "equal-dwell", scenes: int = 3, **settings) -> 
     patterns = patterns_of(tmp / "patterns", light)
     arms = 2 if light == "two-arm" else 1
     given = {"inputs": (2, 1)[:arms], "marker_bit": 4, **settings}
-    prepare(tmp / "run", tmp / "patterns", named(scenes, **given))
+    prepare_run(tmp / "run", tmp / "patterns", named(scenes, **given))
     starts = train(patterns.manifest, scenes, 1.5e-4)
     run = Run(tmp / "run", patterns, starts, shining(patterns, scenes, arms))
     run.record(starts, starts.ravel(), run.photons)
@@ -247,7 +246,7 @@ def made(tmp: Path, light: str = "equal-dwell", scenes: int = 3, **settings) -> 
 def whole(tmp_path_factory) -> Run:
     """A recording of three scenes on one arm, counted: do not change it."""
     run = made(tmp_path_factory.mktemp("whole"), exposure_s=DWELL * 11 * 0.97)
-    count(run.folder)
+    count_run(run.folder)
     return run
 
 

@@ -12,10 +12,14 @@ from hypothesis import strategies as st
 from recording_samples import made, many, named, patterns_of
 
 from deepfsi.base import InputError
-from deepfsi.hardware.counting import acquisition
-from deepfsi.hardware.counting.acquisition import Scene, plan_acquisition, prepare
-from deepfsi.hardware.counting.counting import count
-from deepfsi.hardware.counting.counts import read_counts
+from deepfsi.hardware.counting import (
+    Acquisition,
+    Scene,
+    acquisition,
+    count_run,
+    prepare_run,
+    read_counts,
+)
 from deepfsi.hardware.patterns.timing import usual_tolerance
 from deepfsi.hardware.pictures import reconstruct
 
@@ -72,16 +76,16 @@ def test_a_folder_is_prepared_once_and_of_one_export(run, tmp_path, monkeypatch)
     assert (run.folder / "patterns" / "design.safetensors").read_bytes() == b"not read"
     source = run.folder / "patterns"
     with pytest.raises(InputError, match="exists already"):
-        prepare(run.folder, source, named(1))
+        prepare_run(run.folder, source, named(1))
     with pytest.raises(InputError, match="of other patterns"):
-        prepare(tmp_path / "other", source, named(1, manifest_sha256="0" * 64))
+        prepare_run(tmp_path / "other", source, named(1, manifest_sha256="0" * 64))
     with pytest.raises(InputError, match="2 inputs"):
-        prepare(tmp_path / "other", source, named(1, inputs=(0, 1)))
+        prepare_run(tmp_path / "other", source, named(1, inputs=(0, 1)))
     with pytest.raises(InputError, match=r"manifest\.json is missing: make patterns"):
-        prepare(tmp_path / "other", tmp_path / "none", named(1))
+        prepare_run(tmp_path / "other", tmp_path / "none", named(1))
     monkeypatch.setattr(acquisition, "MOST_FRAMES", 30)
     with pytest.raises(InputError, match=r"4 scenes of .* at most 30 frames are allowed: split it"):
-        prepare(tmp_path / "other", source, named(4))
+        prepare_run(tmp_path / "other", source, named(4))
     assert not (tmp_path / "other").exists()
     assert list(tmp_path.iterdir()) == [run.folder]
 
@@ -90,7 +94,7 @@ def test_changed_mirror_counts_are_refused(run):
     """Rows in another order would give wrong pictures and classes without a word."""
     path = run.folder / "patterns" / "mirrors.npy"
     np.save(path, np.load(path)[::-1])
-    for read in (count, read_counts, reconstruct):
+    for read in (count_run, read_counts, reconstruct):
         with pytest.raises(InputError, match=r"mirrors\.npy was changed after it was written"):
             read(run.folder)
 
@@ -139,7 +143,7 @@ def mutate(content: bytes, changes: list[tuple[int, int, bytes]], json_: bool) -
 @given(mutation=mutations())
 def test_changed_folders_are_read_or_refused(victim, mutation):
     if not (victim / "counts.npz").exists():
-        count(victim)
+        count_run(victim)
     name, changes, rehash = mutation
     held = {each: (victim / each).read_bytes() for each in FILES}
     changed = mutate(held[name], changes, name.endswith("json"))
@@ -147,7 +151,7 @@ def test_changed_folders_are_read_or_refused(victim, mutation):
         (victim / name).write_bytes(changed)
         if name == "patterns/manifest.json" and rehash != "n":
             sign(victim)
-        for work in (read_counts, count, reconstruct):
+        for work in (read_counts, count_run, reconstruct):
             try:
                 work(victim)
             except InputError as error:
@@ -179,7 +183,7 @@ def test_gates_of_the_usual_exposure_end_before_a_late_marker_could_cut_one(
 ):
     """In the frame with the least room they leave just the usual tolerance, in none less."""
     manifest = patterns_of(tmp_path / "p", light).manifest
-    found = plan_acquisition(manifest, (Scene(name="a"),), settle_s=1e-5, repeats=repeats)
+    found = Acquisition.plan(manifest, (Scene(name="a"),), settle_s=1e-5, repeats=repeats)
     assert found.repeats == (repeats or 1)
     opened = 1e-5 + manifest.shares * found.exposure_s * found.repeats
     left = manifest.picture_s[manifest.shown] - opened

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from recording_samples import JITTER, lamp, many, schedule, train, troubles, unseen
 
 from deepfsi.base import InputError
-from deepfsi.hardware.counting.alignment import align, find_steps
+from deepfsi.hardware.counting.markers import align, find_steps
 
 EQUAL = schedule([1000] * 16)
 FREE = schedule([400, 900, 1300, 2100, 700, 3000, 1500, 800, 600, 1100, 2500, 1900])

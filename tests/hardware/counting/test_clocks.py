@@ -8,10 +8,8 @@ from hypothesis import strategies as st
 from recording_samples import DWELL, JITTER, made, many, schedule, train, troubles, unseen
 
 from deepfsi.base import InputError
-from deepfsi.hardware.counting.alignment import align
-from deepfsi.hardware.counting.clocks import measure_clock
-from deepfsi.hardware.counting.counting import count
-from deepfsi.hardware.counting.counts import read_counts
+from deepfsi.hardware.counting import CountSettings, count_run, read_counts
+from deepfsi.hardware.counting.markers import align, measure_clock
 
 run, whole = recording_samples.run, recording_samples.whole
 
@@ -82,7 +80,7 @@ def test_a_tolerance_lets_markers_be_off():
 def test_frames_of_another_length_are_counted_and_the_drift_is_said(run, rate):
     starts = train(run.patterns.manifest, 3, rate)
     run.record(starts, starts.ravel(), run.photons)
-    counts = count(run.folder, exposure_s=11 * DWELL * 0.9)
+    counts = count_run(run.folder, CountSettings(exposure_s=11 * DWELL * 0.9))
     assert counts.valid.all()
     assert counts.drift == pytest.approx(rate, abs=1e-5)
     assert read_counts(run.folder).drift == counts.drift
@@ -101,7 +99,7 @@ def test_gates_that_do_not_fit_frames_as_they_were_are_refused(run):
     run.refused(
         "1.00% shorter than planned.*--exposure 0.01067 or less", exposure_s=11 * DWELL * 0.972
     )
-    assert count(run.folder, exposure_s=11 * DWELL * 0.97).valid.all()
+    assert count_run(run.folder, CountSettings(exposure_s=11 * DWELL * 0.97)).valid.all()
 
 
 @many
@@ -140,4 +138,4 @@ def test_made_recordings_have_no_drift(tmp_path):
     run = made(tmp_path)
     starts = train(run.patterns.manifest, 3)
     run.record(starts, starts.ravel(), run.photons)
-    assert abs(count(run.folder).drift) < 2 * JITTER / (14 * DWELL)
+    assert abs(count_run(run.folder).drift) < 2 * JITTER / (14 * DWELL)

@@ -9,7 +9,8 @@ from recording_samples import patterns_of
 
 from deepfsi.base import InputError, Table
 from deepfsi.camera import DeadTime, DetectorMap, Device
-from deepfsi.hardware.counting.tables import TableSettings, column_names, count_table
+from deepfsi.hardware.counting import TableSettings, count_table
+from deepfsi.hardware.counting.tables import column_names
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.nominal import nominal_manifest
 from deepfsi.hardware.patterns.sequence import FrameSettings

@@ -10,10 +10,14 @@ from hypothesis import strategies as st
 from recording_samples import DWELL, TICK, made, many, named, patterns_of, train, troubles, unseen
 
 from deepfsi.base import InputError, Progress
-from deepfsi.hardware.counting import acquisition
-from deepfsi.hardware.counting.acquisition import prepare, read_acquisition
-from deepfsi.hardware.counting.counting import count
-from deepfsi.hardware.counting.counts import read_counts
+from deepfsi.hardware.counting import (
+    CountSettings,
+    acquisition,
+    count_run,
+    prepare_run,
+    read_counts,
+    read_run,
+)
 from deepfsi.hardware.photons import PtuWriter
 from deepfsi.hardware.pictures import reconstruct
 
@@ -21,7 +25,7 @@ run, whole = recording_samples.run, recording_samples.whole
 
 
 def test_every_photon_of_a_frame_is_counted_for_its_readout(run):
-    counts = count(run.folder)
+    counts = count_run(run.folder)
     manifest = run.patterns.manifest
     assert counts.counts.shape == (3, 1, 2, 6)
     assert counts.counts.dtype == np.int64
@@ -46,7 +50,7 @@ def test_every_photon_of_a_frame_is_counted_for_its_readout(run):
 
 def test_gates_of_one_frame_are_exposures_of_their_own(run):
     """Photons come evenly, so each of equal gates counts its part, and edges one more or less."""
-    counts = count(run.folder, exposure_s=11e-4, settle_s=1e-4, repeats=8)
+    counts = count_run(run.folder, CountSettings(exposure_s=11e-4, settle_s=1e-4, repeats=8))
     manifest = run.patterns.manifest
     assert counts.counts.shape == (3, 8, 2, 6)
     assert counts.counts[:, :, 1, 0].sum() == 0
@@ -57,15 +61,20 @@ def test_gates_of_one_frame_are_exposures_of_their_own(run):
         assert (np.abs(here - wanted[:, None]) < 1.5).all()
         full = run.photons[:, place, 0] * 8 * gate / (DWELL - 4e-5)
         assert (np.abs(here.sum(axis=1) - full) < 1.5).all()
-    assert count(run.folder, exposure_s=11e-4, settle_s=1e-4).counts.shape[1] == 8 + 1
-    assert count(run.folder, exposure_s=11e-4, settle_s=6e-4).counts.shape[1] == 4
-    assert count(run.folder).counts.shape[1] == 1
+    assert (
+        count_run(run.folder, CountSettings(exposure_s=11e-4, settle_s=1e-4)).counts.shape[1]
+        == 8 + 1
+    )
+    assert (
+        count_run(run.folder, CountSettings(exposure_s=11e-4, settle_s=6e-4)).counts.shape[1] == 4
+    )
+    assert count_run(run.folder).counts.shape[1] == 1
 
 
 def test_gates_open_and_close_when_they_should(tmp_path):
     """One photon a microsecond: which of them are counted tells the gate's edges."""
     patterns = patterns_of(tmp_path / "patterns")
-    prepare(tmp_path / "run", tmp_path / "patterns", named(1))
+    prepare_run(tmp_path / "run", tmp_path / "patterns", named(1))
     starts = train(patterns.manifest, 1)
     ticks = np.arange(0, round((starts[0, -1] + 2e-3) * 1e6)) * 10**6
     times = np.concatenate([np.rint(starts[0] / TICK).astype(np.int64), ticks])
@@ -76,7 +85,9 @@ def test_gates_open_and_close_when_they_should(tmp_path):
     with PtuWriter(tmp_path / "run" / "photons.ptu", TICK) as writer:
         writer.write(times[order], codes[order])
     # All frames but OFF are equally bright, so none is shown to be wrong.
-    counts = count(tmp_path / "run", exposure_s=11 * 37e-6, settle_s=5e-5, repeats=3)
+    counts = count_run(
+        tmp_path / "run", CountSettings(exposure_s=11 * 37e-6, settle_s=5e-5, repeats=3)
+    )
     for place in patterns.manifest.shown:
         frame = patterns.manifest.frames[place]
         for gate in range(3):
@@ -91,16 +102,21 @@ def test_gates_that_fill_their_frames_do_not_overlap(run, drift):
     starts = train(run.patterns.manifest, 3, drift)
     wanted = read_counts(run.folder).counts
     run.record(starts, starts.ravel(), run.photons)
-    counts = count(run.folder, exposure_s=11 * DWELL, settle_s=0.0)
+    counts = count_run(run.folder, CountSettings(exposure_s=11 * DWELL, settle_s=0.0))
     assert (counts.counts == wanted).all()
-    assert count(run.folder, exposure_s=11 * DWELL / 8, settle_s=0.0).counts.shape[1] == 8
+    assert (
+        count_run(run.folder, CountSettings(exposure_s=11 * DWELL / 8, settle_s=0.0)).counts.shape[
+            1
+        ]
+        == 8
+    )
 
 
 @pytest.mark.parametrize(("missing", "counted"), [(1, True), (2, False)])
 def test_a_pass_is_whole_if_a_marker_came_after_its_last_mask(run, missing, counted):
     """Else nothing tells that its light was shown, and recorded, up to its end."""
     run.record(run.starts, run.starts.ravel()[:-missing], run.photons)
-    counts = count(run.folder)
+    counts = count_run(run.folder)
     assert counts.valid[:2].all()
     assert counts.valid[2].all() == counts.valid[2].any() == counted
 
@@ -108,7 +124,7 @@ def test_a_pass_is_whole_if_a_marker_came_after_its_last_mask(run, missing, coun
 @pytest.mark.parametrize("light", ["free-dwell", "two-arm"])
 def test_every_light_constraint_is_counted(tmp_path, light):
     run = made(tmp_path, light, exposure_s=1e-3, repeats=2)
-    counts = count(run.folder)
+    counts = count_run(run.folder)
     manifest = run.patterns.manifest
     arms = 2 if light == "two-arm" else 1
     assert counts.counts.shape == (3, 2, arms, 6)
@@ -127,9 +143,9 @@ def test_a_scene_with_faults_is_counted_or_given_up(whole, tmp_path):
     """Frames are told by their photons, so a shifted one would be seen."""
     markers = np.delete(whole.starts.ravel(), [7, whole.starts.shape[1]])
     markers[20] += 2e-4
-    prepare(tmp_path / "run", whole.folder / "patterns", read_acquisition(whole.folder)[0])
+    prepare_run(tmp_path / "run", whole.folder / "patterns", read_run(whole.folder).acquisition)
     replace(whole, folder=tmp_path / "run").record(whole.starts, markers, whole.photons)
-    counts, wanted = count(tmp_path / "run"), read_counts(whole.folder)
+    counts, wanted = count_run(tmp_path / "run"), read_counts(whole.folder)
     assert counts.valid.all()
     assert np.abs(counts.counts - wanted.counts).max() <= 1
     assert [(f.kind, f.scene, f.frame) for f in counts.faults] == [
@@ -164,12 +180,12 @@ def test_a_valid_exposure_holds_the_photons_of_its_frames(
     markers = np.unique(markers)
     assume(len(markers) and not unseen(markers, starts))
     if not folder.exists():
-        prepare(folder, whole.folder / "patterns", read_acquisition(whole.folder)[0])
+        prepare_run(folder, whole.folder / "patterns", read_run(whole.folder).acquisition)
     replace(whole, folder=folder).record(starts, markers, whole.photons)
     content = (folder / "photons.ptu").read_bytes()
     (folder / "photons.ptu").write_bytes(content[: max(round(held * len(content)), 1000)])
     try:
-        counts = count(folder)
+        counts = count_run(folder)
     except InputError as error:
         assert str(error).startswith(str(folder / "photons.ptu"))  # noqa: PT017
         return
@@ -185,7 +201,7 @@ def test_a_recording_of_other_patterns_is_refused(run):
     photons = np.roll(run.photons, 3, axis=1)  # not where ON and OFF should be
     run.record(run.starts, run.starts.ravel(), photons)
     with pytest.raises(InputError, match="bright and a dark frame"):
-        count(run.folder)
+        count_run(run.folder)
 
 
 def test_a_file_cut_while_recording_keeps_whole_exposures(run):
@@ -193,7 +209,7 @@ def test_a_file_cut_while_recording_keeps_whole_exposures(run):
     content = path.read_bytes()
     wanted = read_counts(run.folder).counts
     path.write_bytes(content[: len(content) * 5 // 6 // 4 * 4])
-    counts = count(run.folder)
+    counts = count_run(run.folder)
     assert counts.valid[:, 0].tolist() == [True, True, False]
     assert (counts.counts[:2] == wanted[:2]).all()
     assert (counts.counts[2] == 0).all()
@@ -204,7 +220,7 @@ def test_a_file_cut_while_recording_keeps_whole_exposures(run):
 
 def test_progress_rises_to_one(run):
     shares: list[float] = []
-    count(run.folder, report=Progress(lambda share, what: shares.append(share)))
+    count_run(run.folder, progress=Progress(lambda share, what: shares.append(share)))
     assert shares == sorted(shares)
     assert shares[-1] == pytest.approx(1)
 
@@ -218,5 +234,5 @@ def test_gates_that_do_not_fit_are_refused(run):
 
 def test_repeats_are_as_many_as_can_be_counted(run, monkeypatch):
     monkeypatch.setattr(acquisition, "MOST_READOUTS", 3 * 12 * 5)
-    assert count(run.folder, exposure_s=1e-3).counts.shape[1] == 5
+    assert count_run(run.folder, CountSettings(exposure_s=1e-3)).counts.shape[1] == 5
     run.refused("give at most 5", exposure_s=1e-3, repeats=6)

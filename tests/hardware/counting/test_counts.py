@@ -9,15 +9,14 @@ import recording_samples
 from recording_samples import Run
 
 from deepfsi.base import InputError
-from deepfsi.hardware.counting.counting import count
-from deepfsi.hardware.counting.counts import read_counts
+from deepfsi.hardware.counting import count_run, read_counts
 from deepfsi.hardware.pictures import reconstruct
 
 run, whole = recording_samples.run, recording_samples.whole
 
 
 def test_counts_are_read_as_they_were_written(run):
-    counts, again = count(run.folder), read_counts(run.folder)
+    counts, again = count_run(run.folder), read_counts(run.folder)
     for name in ("counts", "valid", "gate_s", "on_rate", "off_rate", "dark_rate", "lengths_s"):
         assert np.array_equal(getattr(counts, name), getattr(again, name))
         assert getattr(counts, name).dtype == getattr(again, name).dtype
@@ -30,7 +29,7 @@ def test_counts_of_another_acquisition_are_refused(run):
     run.edit(settle_s=1e-5)
     with pytest.raises(InputError, match=r"counts\.npz is of another acquisition"):
         read_counts(run.folder)
-    count(run.folder)
+    count_run(run.folder)
     read_counts(run.folder)
 
 
@@ -98,7 +97,7 @@ def test_compressed_or_cut_counts_are_refused(run):
     rewrite(run, zipfile.ZIP_DEFLATED)
     with pytest.raises(InputError, match=r"counts\.npz is not a whole file"):
         read_counts(run.folder)
-    count(run.folder)
+    count_run(run.folder)
     path = run.folder / "counts.npz"
     path.write_bytes(path.read_bytes()[:-100])
     with pytest.raises(InputError, match=r"counts\.npz is not a whole file"):

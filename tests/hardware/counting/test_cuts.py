@@ -6,8 +6,8 @@ import recording_samples
 from recording_samples import Run, lamp, schedule, train
 
 from deepfsi.base import InputError
-from deepfsi.hardware.counting.alignment import align
-from deepfsi.hardware.counting.counting import count
+from deepfsi.hardware.counting import count_run
+from deepfsi.hardware.counting.markers import align
 from deepfsi.hardware.photons import PtuFile, read_markers
 
 run, whole = recording_samples.run, recording_samples.whole
@@ -29,7 +29,7 @@ def test_whole_passes_of_a_cut_file_are_counted(run, pause, rate):
     starts = train(run.patterns.manifest, 3, rate, pauses=pause)
     run.record(starts, starts.ravel(), run.photons)
     content = (run.folder / "photons.ptu").read_bytes()
-    wanted, frames = count(run.folder).counts, starts.shape[1]
+    wanted, frames = count_run(run.folder).counts, starts.shape[1]
     held = [frames - 1, frames, frames + 1, frames + 2, frames + 4]
     held += [2 * frames - 2, 2 * frames - 1, 2 * frames, 2 * frames + 1, 3 * frames - 1]
     for markers in held:
@@ -39,7 +39,7 @@ def test_whole_passes_of_a_cut_file_are_counted(run, pause, rate):
             if not kept:
                 run.refused("photons.ptu has no whole exposure")
             else:
-                counts = count(run.folder)
+                counts = count_run(run.folder)
                 assert counts.valid[:, 0].tolist() == [scene < kept for scene in range(3)]
                 assert (counts.counts[:kept] == wanted[:kept]).all()
                 assert {fault.scene for fault in counts.faults} == set(range(kept, 3))

@@ -7,8 +7,8 @@ import pytest
 
 from deepfsi.base import InputError, read_table
 from deepfsi.camera import DetectorMap, Device
-from deepfsi.hardware.counting.series import ROLL_OVER, of_bins, of_cumulative
-from deepfsi.hardware.counting.tables import TableSettings, column_names, count_table
+from deepfsi.hardware.counting import TableSettings, count_table, table_of_series
+from deepfsi.hardware.counting.tables import ROLL_OVER, column_names
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns, read_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.virtual import VirtualCamera, arrival_rates
@@ -54,7 +54,7 @@ def in_bins(manifest, rates: np.ndarray, seed: int):
 def test_passes_in_bins_are_found_where_they_are(shown, seed):
     _, manifest, rates = shown
     counts, starts = in_bins(manifest, rates, seed)
-    rows, names = of_bins(counts.astype(float), manifest, BIN_US * 1e-6)
+    rows, names = table_of_series(counts.astype(float), manifest, bin_s=BIN_US * 1e-6)
     assert names == column_names(manifest)
     frames = 10 * np.arange(MASKS + 4)
     for row, start in zip(rows, starts, strict=True):
@@ -90,18 +90,18 @@ def test_bins_that_do_not_tell_are_refused(shown):
     counts, _ = in_bins(manifest, rates, 1)
     given = counts.astype(float)
     with pytest.raises(InputError, match=r"5 passes .* and 6 are asked for"):
-        of_bins(given, manifest, BIN_US * 1e-6, 6)
+        table_of_series(given, manifest, bin_s=BIN_US * 1e-6, passes=6)
     with pytest.raises(InputError, match="not whole numbers of bins of 30 µs"):
-        of_bins(given, manifest, 30e-6)
+        table_of_series(given, manifest, bin_s=30e-6)
     with pytest.raises(InputError, match="0 passes"):
-        of_bins(np.ones_like(given), manifest, BIN_US * 1e-6)
+        table_of_series(np.ones_like(given), manifest, bin_s=BIN_US * 1e-6)
     with pytest.raises(InputError, match="no count"):
-        of_bins(given - 0.5, manifest, BIN_US * 1e-6)
+        table_of_series(given - 0.5, manifest, bin_s=BIN_US * 1e-6)
     with pytest.raises(InputError, match="a column for each"):
-        of_bins(given[:, [0, 0, 0]], manifest, BIN_US * 1e-6)
+        table_of_series(given[:, [0, 0, 0]], manifest, bin_s=BIN_US * 1e-6)
     alike = np.tile(np.repeat([1000.0, 0.0], 10), 3 * len(manifest.frames) // 2)[:, None]
     with pytest.raises(InputError, match="counts do not tell"):  # masks that are all ON or all OFF
-        of_bins(np.repeat(alike, counts.shape[1], axis=1), manifest, BIN_US * 1e-6)
+        table_of_series(np.repeat(alike, counts.shape[1], axis=1), manifest, bin_s=BIN_US * 1e-6)
 
 
 @pytest.mark.parametrize("first", [0, ROLL_OVER - 1000])
@@ -113,11 +113,11 @@ def test_cumulative_counts_become_those_of_frames(shown, first):
     pauses = rng.poisson(50, (len(rates), 1, inputs))
     steps = np.concatenate([pauses, counts], axis=1)  # from the trigger before each latch
     latched = (first + steps.reshape(-1, inputs).cumsum(axis=0)) % ROLL_OVER
-    rows, names = of_cumulative(latched.astype(float), manifest)
+    rows, names = table_of_series(latched.astype(float), manifest)
     assert names == column_names(manifest)
     np.testing.assert_array_equal(rows, counts.reshape(len(rates), -1))
     starts = latched.reshape(len(rates), -1, inputs)[:, :-1]  # no trigger at the end of a pass
-    rows, names = of_cumulative(starts.reshape(-1, inputs).astype(float), manifest)
+    rows, names = table_of_series(starts.reshape(-1, inputs).astype(float), manifest)
     assert names == column_names(manifest)[2 * inputs : -2 * inputs]
     np.testing.assert_array_equal(rows, counts[:, 2:-2].reshape(len(rates), -1))
 
@@ -127,13 +127,13 @@ def test_latches_that_are_not_of_whole_passes_are_refused(shown, refuse, tmp_pat
     frames, inputs = len(manifest.frames), rates.shape[2]
     rising = np.arange(frames * (frames + 1) * inputs, dtype=float).reshape(-1, inputs)
     with pytest.raises(InputError, match="how many `passes`"):
-        of_cumulative(rising, manifest)
-    assert len(of_cumulative(rising, manifest, frames)[0]) == frames
-    assert len(of_cumulative(rising, manifest, frames + 1)[0]) == frames + 1
+        table_of_series(rising, manifest)
+    assert len(table_of_series(rising, manifest, passes=frames)[0]) == frames
+    assert len(table_of_series(rising, manifest, passes=frames + 1)[0]) == frames + 1
     with pytest.raises(InputError, match="whole passes"):
-        of_cumulative(rising[:-1], manifest)
+        table_of_series(rising[:-1], manifest)
     with pytest.raises(InputError, match="fall within a pass"):
-        of_cumulative(rising[::-1], manifest, frames)
+        table_of_series(rising[::-1], manifest, passes=frames)
     np.savetxt(tmp_path / "n.txt", rising, fmt="%d")
     words = ("camera", "import", tmp_path / "n.txt", "-o", tmp_path / "t.csv")
     assert "--patterns" in refuse(*words, "--cumulative")

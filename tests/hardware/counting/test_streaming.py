@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from deepfsi.base import InputError
-from deepfsi.hardware.counting.streaming import FrameGates, StreamCounter
+from deepfsi.hardware.counting import FrameCounter, FrameGates
 from deepfsi.hardware.photons import (
     PtuFile,
     PtuWriter,
@@ -68,7 +68,7 @@ def test_frames_are_counted_as_when_the_recording_has_ended(tmp_path, rate, size
     offsets, lengths = (np.rint(s / TICK_S).astype(int) for s in (gates.offsets_s, gates.lengths_s))
     wanted = count_windows(path, starts + offsets, starts + offsets + lengths, (1, 0))
 
-    counter, content = StreamCounter((1, 0), marker_bit=2), path.read_bytes()
+    counter, content = FrameCounter((1, 0), marker_bit=2), path.read_bytes()
     counter.expect(gates)
     found, found_s, _ = feed(counter, content, [size] * (len(content) // size + 1))
     assert np.array_equal(found, wanted)
@@ -103,7 +103,7 @@ def test_frames_of_all_types_of_records_are_counted_alike(tmp_path, kind, seed):
     opens = starts[first] + offsets
     wanted = count_windows(path, opens, opens + lengths, (1, 0, 2))
 
-    counter, content = StreamCounter((1, 0, 2), bit), path.read_bytes()
+    counter, content = FrameCounter((1, 0, 2), bit), path.read_bytes()
     counter.expect(FrameGates(offsets * header.tick_s, lengths * header.tick_s, markers))
     cuts = rng.integers(0, 2 ** rng.integers(1, 14), len(content))
     found, found_s, _ = feed(counter, content, [*cuts, len(content)])
@@ -117,11 +117,11 @@ def test_a_look_may_be_told_after_the_counts_of_the_last(tmp_path):
     dwells = np.random.default_rng(4).uniform(44e-6, 90e-6, 12)
     path, gates = record(tmp_path / "a.ptu", dwells, 3e6), gates_of(dwells)
     content = path.read_bytes()
-    at_once = StreamCounter((0, 1), marker_bit=2)
+    at_once = FrameCounter((0, 1), marker_bit=2)
     at_once.expect(gates)
     wanted = at_once.feed(content).counts
 
-    counter, found, told, most = StreamCounter((0, 1), marker_bit=2), [], 0, 0
+    counter, found, told, most = FrameCounter((0, 1), marker_bit=2), [], 0, 0
     for first in range(0, len(content), 16):
         if len(found) == told and told < 12:
             counter.expect(gates_of(dwells[told : told + 4]))
@@ -135,7 +135,7 @@ def test_a_look_may_be_told_after_the_counts_of_the_last(tmp_path):
 def test_counts_come_with_the_first_record_after_the_gate(tmp_path):
     """The last frame of a look has no marker after it: a photon ends its gate, or an overflow."""
     path = record(tmp_path / "a.ptu", [100e-6], 1e6, end_s=3e-4)
-    counter, content = StreamCounter((0,), marker_bit=2), path.read_bytes()
+    counter, content = FrameCounter((0,), marker_bit=2), path.read_bytes()
     counter.expect(FrameGates.of(SETTLE, [80e-6]))
     offset = PtuFile(path).header.offset
     _, (start,), (when,) = feed(counter, content, [offset] + [4] * (len(content) // 4))
@@ -153,7 +153,7 @@ def test_a_frame_of_several_pictures_begins_with_its_first_marker(tmp_path):
     starts = times[bits == 2][[0, 3, 4]]
     pictures = np.array([3, 1, 5])
     gates = FrameGates(np.full(3, SETTLE), 44e-6 * pictures - 1.5 * SETTLE, pictures)
-    counter = StreamCounter((0,), marker_bit=2)
+    counter = FrameCounter((0,), marker_bit=2)
     counter.expect(gates)
     opens = starts + round(SETTLE / TICK_S)
     closes = opens + np.rint(gates.lengths_s / TICK_S).astype(int)
@@ -188,7 +188,7 @@ def looks(pictures_s, lost=None, doubled=None, off_s=0.0):
 
 
 def see(content, shown_s, pictures_s):
-    counter = StreamCounter((0,), name="it")
+    counter = FrameCounter((0,), stream="it")
     gates = FrameGates(np.full(8, SETTLE), shown_s - 15e-6, np.ones(8, int), pictures_s)
     counter.expect(gates)
     counter.expect(FrameGates.of(SETTLE, []))
@@ -212,10 +212,10 @@ def test_a_marker_that_is_missing_or_doubled_shifts_no_frame(place, shown_s):
 def test_a_list_that_lacks_a_marker_is_never_counted_to_its_end(place):
     """A loop that waits for the last mask's counts, before the all-OFF frame, waits in vain."""
     content = looks(EVEN)
-    last = StreamCounter((0,))
+    last = FrameCounter((0,))
     last.expect(FrameGates.of(SETTLE, EVEN - 15e-6))
     assert len(last.feed(content[: len(content) // 2]).counts) == 8
-    counter = StreamCounter((0,))
+    counter = FrameCounter((0,))
     counter.expect(FrameGates.of(SETTLE, EVEN - 15e-6))
     lost = looks(EVEN, lost=place)
     assert len(counter.feed(lost[: len(lost) // 2]).counts) == 6
@@ -241,7 +241,7 @@ def test_markers_that_are_a_little_off_and_clocks_that_differ_are_no_fault(shown
 )
 def test_markers_and_gates_that_do_not_fit_are_refused(tmp_path, told, message):
     path = record(tmp_path / "a.ptu", [44e-6] * 3, 1e6)
-    counter = StreamCounter((0,), marker_bit=2, name=path)
+    counter = FrameCounter((0,), marker_bit=2, stream=path)
     with pytest.raises(InputError, match=message) as error:  # noqa: PT012
         for offset, lengths in told:
             counter.expect(FrameGates.of(offset, lengths))
@@ -256,7 +256,7 @@ def test_damage_is_named_as_when_a_whole_file_is_read(tmp_path):
     path.write_bytes(content)
     with pytest.raises(InputError) as wanted:
         count_windows(path, np.array([0]), np.array([1]))
-    counter = StreamCounter((0,), marker_bit=4, name=path)
+    counter = FrameCounter((0,), marker_bit=4, stream=path)
     with pytest.raises(InputError) as error:
         counter.feed(bytes(content))
     assert str(error.value) == str(wanted.value)
@@ -264,12 +264,12 @@ def test_damage_is_named_as_when_a_whole_file_is_read(tmp_path):
 
 def test_the_lines_of_the_page_run(tmp_path, monkeypatch, capsys):
     page = (Path(__file__).parents[3] / "docs/do/stream.md").read_text()
-    (lines,) = re.findall(r"^```python\n(.*?StreamCounter.*?)^```", page, re.M | re.S)
+    (lines,) = re.findall(r"^```python\n(.*?FrameCounter.*?)^```", page, re.M | re.S)
     record(tmp_path / "photons.ptu", [54e-6, 110e-6], 1e6)
     content = (tmp_path / "photons.ptu").read_bytes()
     monkeypatch.chdir(tmp_path)
     exec(lines.replace("marker_bit=1", "marker_bit=2"), {})
-    counter = StreamCounter((0,), 2)
+    counter = FrameCounter((0,), 2)
     counter.expect(FrameGates.of(SETTLE, [34e-6, 90e-6]))
     found = counter.feed(content)
     assert len(found.counts) == 2

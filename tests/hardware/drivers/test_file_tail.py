@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from deepfsi.base import InputError
-from deepfsi.hardware.counting.streaming import FrameGates, StreamCounter
+from deepfsi.hardware.counting import FrameCounter, FrameGates
 from deepfsi.hardware.drivers import FollowedCounter, StreamingCounter
 from deepfsi.hardware.drivers import file_tail as followed
 from deepfsi.hardware.photons import PtuWriter
@@ -34,7 +34,7 @@ def collect(counter: StreamingCounter, frames: int) -> np.ndarray:
 
 @pytest.mark.parametrize("make", [Path.touch, os.mkfifo], ids=["file", "pipe"])
 def test_a_growing_file_gives_the_counts_of_the_whole_one(tmp_path, content, make):
-    path, whole = tmp_path / "photons.ptu", StreamCounter((0,))
+    path, whole = tmp_path / "photons.ptu", FrameCounter((0,))
     whole.expect(GATES)
     wanted = whole.feed(content).counts
     assert len(wanted) == 20

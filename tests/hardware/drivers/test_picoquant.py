@@ -11,7 +11,7 @@ import pytest
 from driver_samples import check_refused_before_a_recording
 
 from deepfsi.base import InputError
-from deepfsi.hardware.counting.streaming import FrameGates
+from deepfsi.hardware.counting import FrameGates
 from deepfsi.hardware.drivers import StreamingCounter, picoquant
 from deepfsi.hardware.drivers.picoquant import SnapiCounter
 from deepfsi.hardware.photons import PtuFile, PtuWriter, count_windows, read_markers

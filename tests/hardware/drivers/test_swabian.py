@@ -9,7 +9,7 @@ import pytest
 from driver_samples import check_refused_before_a_recording
 
 from deepfsi.base import InputError
-from deepfsi.hardware.counting.streaming import FrameGates
+from deepfsi.hardware.counting import FrameGates
 from deepfsi.hardware.drivers import StreamingCounter, swabian
 from deepfsi.hardware.drivers.swabian import TaggerCounter, TaggerSettings
 from deepfsi.hardware.photons import count_windows, read_markers

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deepfsi.hardware.counting.acquisition import prepare
-from deepfsi.hardware.counting.counts import Counts
+from deepfsi.hardware.counting import Counts, prepare_run
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.sequence import Brightness, FrameSettings, Patterns
 from deepfsi.hardware.photons import PtuWriter
@@ -93,7 +92,7 @@ class Lit:
         arms = rates.shape[2]
         inputs = ARM_INPUTS[:arms]
         given = {"exposure_s": 0.9 * DWELL * len(self.patterns.manifest.shown), "settle_s": SETTLE}
-        prepare(
+        prepare_run(
             folder,
             patterns_folder,
             named(self.scenes, inputs=inputs, marker_bit=MARKER, **given),

@@ -12,8 +12,7 @@ from scipy.stats import binom
 
 from deepfsi.base import InputError
 from deepfsi.camera import DetectorMap
-from deepfsi.hardware.counting.counting import count
-from deepfsi.hardware.counting.counts import Counts
+from deepfsi.hardware.counting import Counts, count_run
 from deepfsi.hardware.light import FALSE_ALARMS
 from deepfsi.hardware.light.checks import PassLight, find_unequal_gains
 from deepfsi.hardware.light.curves import LightCurve
@@ -53,7 +52,7 @@ def counted(shown, tmp_path):
         run = tmp_path / f"{fault}-{seed}"
         lit.record(run, folder)
         try:
-            return lit, count(run)
+            return lit, count_run(run)
         except InputError:
             return lit, None
 
@@ -119,7 +118,7 @@ def test_no_light_on_the_input_is_an_error_that_says_where_light_is(shown, tmp_p
     lit.record(tmp_path / "run", folder)
     where = r"3, \d+ photons on input 8" if fault == "wrong_input" else "3: "
     with pytest.raises(InputError, match=rf"no light on input 3: .*on input {where}.*lamp"):
-        count(tmp_path / "run")
+        count_run(tmp_path / "run")
 
 
 def test_the_light_of_a_scene_is_that_of_its_part_of_the_recording(shown, tmp_path):
@@ -129,7 +128,7 @@ def test_the_light_of_a_scene_is_that_of_its_part_of_the_recording(shown, tmp_pa
     half = lit.scenes // 2
     lit.lamp = lambda t: np.where(t >= half * lit.pass_s, 0.5, 1.0)
     lit.record(tmp_path / "run", folder)
-    counts = count(tmp_path / "run")
+    counts = count_run(tmp_path / "run")
     assert [(fault.kind, fault.scene) for fault in counts.faults] == [("level", half)]
     assert np.ptp(counts.photons[:half]) == np.ptp(counts.photons[half:]) == 0
     assert counts.photons[-1] / counts.photons[0] == pytest.approx(0.5, rel=0.06)
@@ -142,7 +141,7 @@ def test_dark_counts_alone_are_no_light(shown, tmp_path):
     lit.lamp, lit.stray = steady(0.0), steady(3e4)
     lit.record(tmp_path / "run", folder)
     with pytest.raises(InputError, match="no all-ON frame is brighter than the all-OFF ones"):
-        count(tmp_path / "run")
+        count_run(tmp_path / "run")
 
 
 def test_a_mask_that_is_brighter_than_all_mirrors_on_spoils_its_scene(shown, tmp_path):
@@ -153,7 +152,7 @@ def test_a_mask_that_is_brighter_than_all_mirrors_on_spoils_its_scene(shown, tmp
     end = lit.starts()[2, place + 1]
     lit.stray = lambda t: np.where((t >= begin) & (t < end), 1.5 * lit.flux, dark)
     lit.record(tmp_path / "run", folder)
-    counts = count(tmp_path / "run")
+    counts = count_run(tmp_path / "run")
     assert [(each.kind, each.scene, each.frame) for each in counts.faults] == [
         ("brighter", 2, place)
     ]

@@ -6,8 +6,7 @@ import pytest
 from deepfsi.base import InputError
 from deepfsi.camera import DeadTime
 from deepfsi.design.artifact import Design
-from deepfsi.hardware.counting.acquisition import Scene
-from deepfsi.hardware.counting.streaming import FrameCounts
+from deepfsi.hardware.counting import FrameCounts, Scene
 from deepfsi.hardware.light import PARTS
 from deepfsi.hardware.live.decisions import SENTINELS, Observer
 from deepfsi.hardware.live.known import read_looks

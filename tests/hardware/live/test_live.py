@@ -10,7 +10,7 @@ import pytest
 
 from deepfsi.base import InputError
 from deepfsi.camera import find_device
-from deepfsi.hardware.counting.acquisition import read_acquisition
+from deepfsi.hardware.counting import read_run
 from deepfsi.hardware.live import run as runs
 from deepfsi.hardware.live.replay import count_live, read_live_counts
 from deepfsi.hardware.live.shown import DARK, NAME, read_shown
@@ -361,13 +361,12 @@ def test_devices_that_cannot_show_a_look_are_refused(digits, tmp_path, limits, w
 
 
 def test_a_live_run_is_none_of_fixed_frames(run):
-    from deepfsi.hardware.counting.counting import count
-    from deepfsi.hardware.counting.counts import read_counts
+    from deepfsi.hardware.counting import count_run, read_counts
 
-    for read in (count, read_counts):
+    for read in (count_run, read_counts):
         with pytest.raises(InputError, match="a live run"):
             read(run)
-    assert read_acquisition(run)[0].live is not None
+    assert read_run(run).acquisition.live is not None
 
 
 def test_counts_that_do_not_come_are_missed(digits, patterns, tmp_path, monkeypatch):

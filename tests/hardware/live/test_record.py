@@ -13,9 +13,7 @@ from deepfsi.base import InputError
 from deepfsi.camera import DEVICES, find_device
 from deepfsi.datasets import write_pictures
 from deepfsi.hardware.calibration import scan_rails
-from deepfsi.hardware.counting.acquisition import Scene, plan_acquisition, read_acquisition
-from deepfsi.hardware.counting.counting import count
-from deepfsi.hardware.counting.counts import read_counts
+from deepfsi.hardware.counting import Acquisition, Scene, count_run, read_counts, read_run
 from deepfsi.hardware.drivers import Dlpc900Projector
 from deepfsi.hardware.drivers.swabian import TaggerCounter
 from deepfsi.hardware.live import run as record
@@ -43,7 +41,7 @@ def planned(lab: Path, scenes: np.ndarray, **settings):
     shown = tuple(Scene(name=str(k)) for k in range(len(scenes)))
     told = {"flux": FLUX, "camera": CAMERAS["ideal"].model_dump(mode="json"), "seed": 1}
     manifest = read_patterns(lab / "patterns").manifest
-    acquisition = plan_acquisition(manifest, shown, exposure_s=EXPOSURE, repeats=1, **told)
+    acquisition = Acquisition.plan(manifest, shown, exposure_s=EXPOSURE, repeats=1, **told)
     acquisition = acquisition.model_copy(update=settings)
     return acquisition, virtual_setup(lab / "patterns", scenes, acquisition, Latencies())
 
@@ -55,7 +53,7 @@ def test_one_command_records_counts_and_names(done, lab, tmp_path):
     assert len(lines) == SCENES
     assert not any("NO LIGHT" in line for line in lines)
     assert "of them whole" in out
-    acquisition, _ = read_acquisition(tmp_path / "run")
+    acquisition = read_run(tmp_path / "run").acquisition
     assert [scene.label for scene in acquisition.scenes] == sorted(
         scene.label for scene in acquisition.scenes
     )
@@ -74,7 +72,7 @@ def test_counts_are_those_that_the_light_says(lab, digits, tmp_path):
     acquisition, bench = planned(lab, scenes)
     recorded = list(record.record_run(tmp_path / "run", lab / "patterns", acquisition, bench))
     assert all(each.lit for each in recorded)
-    counts = count(tmp_path / "run")
+    counts = count_run(tmp_path / "run")
     manifest = read_patterns(lab / "patterns").manifest
     rates = arrival_rates(lab / "patterns", scenes, CAMERAS["ideal"], FLUX)
     wanted = (rates[:, manifest.shown, 0] * counts.gate_s).sum(axis=0)
@@ -109,8 +107,8 @@ def test_a_run_that_is_stopped_keeps_its_finished_scenes(lab, digits, tmp_path, 
     with pytest.raises(KeyboardInterrupt):
         list(told)
     bench.projector.run = run
-    assert [scene.name for scene in read_acquisition(tmp_path / "run")[0].scenes] == ["0", "1"]
-    assert count(tmp_path / "run").valid.tolist() == [[True], [True]]
+    assert [scene.name for scene in read_run(tmp_path / "run").acquisition.scenes] == ["0", "1"]
+    assert count_run(tmp_path / "run").valid.tolist() == [[True], [True]]
 
 
 def tagged(lab: Path, scenes: np.ndarray, monkeypatch):
@@ -130,9 +128,9 @@ def test_a_time_tagger_records_what_the_virtual_counter_does(lab, digits, tmp_pa
     device, *settings = tagged(lab, scenes, monkeypatch)
     told = list(record.record_run(tmp_path / "run", lab / "patterns", *settings))
     assert told == usual
-    counts = count(tmp_path / "run")
+    counts = count_run(tmp_path / "run")
     assert counts.valid.all()
-    assert np.array_equal(counts.counts, count(tmp_path / "usual").counts)
+    assert np.array_equal(counts.counts, count_run(tmp_path / "usual").counts)
     assert device.steps[-2:] == ["stop", "freeTimeTagger"]
 
 
@@ -157,8 +155,8 @@ def test_ctrl_c_or_a_loss_lets_go_of_the_time_tagger_and_keeps_scenes(
         list(told)
     assert ("overflowed" in str(end.value)) == loss
     assert device.steps[-2:] == ["stop", "freeTimeTagger"]
-    assert [scene.name for scene in read_acquisition(tmp_path / "run")[0].scenes] == ["0", "1"]
-    assert count(tmp_path / "run").valid.tolist() == [[True], [True]]
+    assert [scene.name for scene in read_run(tmp_path / "run").acquisition.scenes] == ["0", "1"]
+    assert count_run(tmp_path / "run").valid.tolist() == [[True], [True]]
 
 
 def test_a_scene_without_light_and_a_missing_trigger_are_said_at_once(
@@ -200,7 +198,7 @@ def test_a_dlpc900_shows_the_frames_of_a_recorded_run(lab, digits, tmp_path, mon
     assert [each.lit for each in told] == [True] * 3
     assert len(board.shown) == 3
     assert not board.opened
-    counts = count(tmp_path / "run")
+    counts = count_run(tmp_path / "run")
     assert counts.valid.all()
     manifest = read_patterns(lab / "patterns").manifest
     rates = arrival_rates(lab / "patterns", scenes, CAMERAS["ideal"], FLUX)

@@ -6,7 +6,7 @@ import pytest
 import deepfsi
 from deepfsi.camera import find_device
 from deepfsi.hardware.calibration.reference import TARGET
-from deepfsi.hardware.counting.acquisition import Scene
+from deepfsi.hardware.counting import Scene
 from deepfsi.hardware.live.replay import count_live
 from deepfsi.hardware.live.run import plan_live, run_live
 from deepfsi.hardware.patterns.folder import export_patterns

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from deepfsi.hardware.counting.acquisition import prepare
-from deepfsi.hardware.counting.counting import count
+from deepfsi.hardware.counting import count_run, prepare_run
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.pictures import reconstruct
@@ -26,13 +25,13 @@ def test_a_picture_is_the_scene(tmp_path, light):
     arms = 2 if light == "two-arm" else 1
     flux, exposure = 2e9, 0.9 * DWELL * len(patterns.manifest.shown)
     given = {"inputs": (2, 1)[:arms], "marker_bit": 4, "exposure_s": exposure, "settle_s": 3e-5}
-    prepare(tmp_path / "run", tmp_path / "patterns", named(2, flux=flux, **given))
+    prepare_run(tmp_path / "run", tmp_path / "patterns", named(2, flux=flux, **given))
     scenes = np.array([[0.1, 0.9, 0.5, 0.3, 0.0, 0.2], [0.6, 0.1, 0.4, 0.5, 1.0, 0.4]])
     photons = split(patterns, scenes * flux / 2.0, arms) * (DWELL - 4e-5) * 1e-2
     starts = train(patterns.manifest, 2)
     run = Run(tmp_path / "run", patterns, starts, np.rint(photons).astype(int))
     run.record(starts, starts.ravel(), run.photons)
-    count(tmp_path / "run")
+    count_run(tmp_path / "run")
     found = reconstruct(tmp_path / "run")
     assert found.shape == (2, *SHAPE)
     # A hundredth of the photons, as from a detector of that efficiency.

@@ -11,8 +11,7 @@ from virtual_samples import DEVICE, SHAPE, SUMMED_REFLECTANCE, into, patterns, s
 
 from deepfsi.base import SILENT, InputError, Progress
 from deepfsi.camera import Device, DmdLayout, find_grid
-from deepfsi.hardware.counting.acquisition import read_acquisition
-from deepfsi.hardware.counting.counting import count
+from deepfsi.hardware.counting import count_run, read_run
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings, Patterns
 from deepfsi.hardware.patterns.timing import Gates, find_gates
@@ -311,7 +310,7 @@ def test_law_counts_from_a_file_are_poisson_with_the_scanners_mean(tmp_path, lig
     shown = patterns(tmp_path / "p", light, rails, dwell=2e-2)
     exposure, flux, x = 2e-4, 5e6, scenes()
     shoot(tmp_path, exposure_s=exposure, flux=flux)
-    counted = count(tmp_path / "run")
+    counted = count_run(tmp_path / "run")
     assert counted.valid.all()
     assert counted.faults == ()
     mean = scanner_rates(shown, x, flux * exposure)
@@ -326,7 +325,7 @@ def test_counts_from_a_file_are_as_in_memory(tmp_path, name):
     camera = CAMERAS[name].model_copy(update={"ambient": 2e5, "blur": 1.5, "vignetting": 0.2})
     flux, exposure = 2e7, 2e-4
     acquisition = shoot(tmp_path, camera=camera, flux=flux, exposure_s=exposure)
-    counted = count(tmp_path / "run").counts
+    counted = count_run(tmp_path / "run").counts
     flow = arrival_rates(tmp_path / "p", scenes(), camera, flux)
     gates = Gates(0.0, shown.manifest.shares * exposure, 4000)
     drawn = draw_counts(flow, shown.manifest, gates, camera, np.random.default_rng(0))
@@ -349,7 +348,7 @@ def test_the_file_has_a_marker_at_the_start_of_each_frame_and_the_budget(tmp_pat
     starts = manifest.starts_s + manifest.pass_s * np.arange(3)[:, None]
     assert times * 1e-12 == pytest.approx(starts.ravel(), abs=1e-12)
     assert (bits == 1).all()
-    counted = count(tmp_path / "run")
+    counted = count_run(tmp_path / "run")
     whole = 5e6 * scenes().sum(axis=(1, 2)) / SUMMED_REFLECTANCE
     seconds = manifest.picture_s[[frame.role == "on" for frame in manifest.frames]].sum()
     assert np.all(abs(counted.on_rate - whole) <= 6 * np.sqrt(whole / seconds))
@@ -360,7 +359,7 @@ def test_dark_and_ambient_rates_are_found_in_the_sentinels(tmp_path):
     shown = patterns(tmp_path / "p", dwell=0.05)
     camera = VirtualCamera(dark=5e4, ambient=3e5, efficiency=0.5)
     shoot(tmp_path, camera=camera, flux=0.0)
-    counted = count(tmp_path / "run")
+    counted = count_run(tmp_path / "run")
     manifest = shown.manifest
     seconds = manifest.picture_s[[frame.role == "on" for frame in manifest.frames]].sum()
     for rate, expected in ((counted.off_rate, 5e4), (counted.on_rate, 5e4 + 0.5 * 3e5 * 24 / 26)):
@@ -382,7 +381,8 @@ def test_the_acquisition_says_how_it_was_made(tmp_path):
     done: list[float] = []
     labels = ["0", "1", "0"]
     given = shoot(tmp_path, labels=labels, camera=camera, flux=1e6, seed=3, report=into(done))
-    read, patterns_read = read_acquisition(tmp_path / "run")
+    recorded_run = read_run(tmp_path / "run")
+    read, patterns_read = recorded_run.acquisition, recorded_run.patterns
     assert read == given
     assert [(scene.name, scene.label) for scene in read.scenes] == [
         *zip("abc", labels, strict=True)
@@ -436,7 +436,7 @@ def test_no_more_repeats_are_noted_than_can_be_counted(tmp_path):
     shown = patterns(tmp_path / "p", dwell=0.05)
     acquisition = shoot(tmp_path, flux=1e3, exposure_s=3e-6)
     assert acquisition.repeats < find_gates(shown.manifest, 3e-6).repeats
-    assert count(tmp_path / "run").counts.shape[1] == acquisition.repeats
+    assert count_run(tmp_path / "run").counts.shape[1] == acquisition.repeats
 
 
 def test_memory_does_not_grow_with_the_duration(tmp_path, monkeypatch):

@@ -10,8 +10,7 @@ from virtual_samples import DEVICE, SHAPE, SUMMED_REFLECTANCE, scenes
 
 from deepfsi.base import InputError
 from deepfsi.camera import DetectorMap, Device
-from deepfsi.hardware.counting.counting import count
-from deepfsi.hardware.counting.counts import Counts, read_counts
+from deepfsi.hardware.counting import Counts, CountSettings, count_run, read_counts
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns, read_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.patterns.timing import Gates, find_gates
@@ -133,7 +132,7 @@ def test_a_recording_is_counted_input_by_input(tmp_path, light, rails):
     settings = RecordingSettings(camera, FLUX, EXPOSURE, repeats=1, seed=2, inputs=inputs)
     made = record_scenes(tmp_path / "p", x, list("abcd"), None, tmp_path / "run", settings)
     assert made.inputs == inputs
-    counts = count(tmp_path / "run")
+    counts = count_run(tmp_path / "run")
     assert counts.faults == ()
     assert counts.inputs == inputs
     mean = expected(shown, x, FLUX * EXPOSURE)
@@ -155,7 +154,7 @@ def test_a_picture_is_each_detectors_of_its_own_cells(tmp_path):
     shown, x, flux = patterns(tmp_path / "p", "free-dwell", "single"), scenes(2), 1e9
     settings = RecordingSettings(CAMERAS["ideal"], flux, EXPOSURE, repeats=1)
     record_scenes(tmp_path / "p", x, list("ab"), None, tmp_path / "run", settings)
-    count(tmp_path / "run")
+    count_run(tmp_path / "run")
     mean, noise = expected(shown, x, flux * EXPOSURE)[:, 0], np.empty((2, 12))
     for each in range(D):
         own = np.array(CELLS) == each
@@ -179,7 +178,7 @@ def disturbed(tmp_path):
         change(rates)
         path, rng = tmp_path / "run" / "photons.ptu", np.random.default_rng(5)
         write_photons(path, manifest, rates, CAMERAS["ideal"], rng)
-        return count(tmp_path / "run")
+        return count_run(tmp_path / "run")
 
     return make
 
@@ -238,7 +237,7 @@ def test_a_detector_without_light_is_named(tmp_path):
     patterns(tmp_path / "p")
     settings = RecordingSettings(CAMERAS["ideal"], FLUX, EXPOSURE, repeats=1)
     record_scenes(tmp_path / "p", scenes(), list("abc"), None, tmp_path / "run", settings)
-    counts = count(tmp_path / "run", inputs=(0, 1, 8, 3))
+    counts = count_run(tmp_path / "run", CountSettings(inputs=(0, 1, 8, 3)))
     assert [each.kind for each in counts.faults] == ["blind"]
     assert "almost no light on input 9" in str(counts.faults[0])
     assert not counts.spoilt.any()
@@ -250,7 +249,7 @@ def test_a_tile_that_one_scene_leaves_dark_is_no_fault(tmp_path):
     x[1].ravel()[np.array(CELLS) == 2] = 0
     settings = RecordingSettings(CAMERAS["pmt"], FLUX, EXPOSURE, repeats=1)
     record_scenes(tmp_path / "p", x, list("abc"), None, tmp_path / "run", settings)
-    assert count(tmp_path / "run").faults == ()
+    assert count_run(tmp_path / "run").faults == ()
 
 
 def test_more_detectors_than_inputs_are_refused(tmp_path):
@@ -275,7 +274,7 @@ def test_a_counter_with_too_few_inputs_is_refused(tmp_path):
     kinds = [struct.pack("<q", kind.code) for kind in (GENERIC_T2, PICOHARP_T2)]
     path.write_bytes(path.read_bytes().replace(*kinds, 1))
     with pytest.raises(InputError, match=r"PicoHarp 300 T2.* has up to 5 inputs, .* need 8"):
-        count(tmp_path / "run")
+        count_run(tmp_path / "run")
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from virtual_samples import patterns, scenes
 
-from deepfsi.hardware.counting.counting import count
+from deepfsi.hardware.counting import count_run
 from deepfsi.hardware.photons import PtuWriter
 from deepfsi.hardware.virtual import (
     DETECTOR_TICK_S,
@@ -55,7 +55,7 @@ def recorded(folder, fluctuation: float, number: int = 300) -> np.ndarray:
     settings = RecordingSettings(camera, 2e6, 1e-3, seed=7)
     x = np.repeat(scenes(1), number, axis=0)
     record_scenes(folder / "p", x, [f"s{k}" for k in range(number)], None, folder / "run", settings)
-    found = count(folder / "run")
+    found = count_run(folder / "run")
     return found.counts[found.valid.all(axis=1)].sum(axis=1)
 
 

@@ -7,9 +7,8 @@ from virtual_samples import SUMMED_REFLECTANCE, patterns, scenes
 
 from deepfsi.base import InputError
 from deepfsi.camera import DeadTime
-from deepfsi.hardware.counting.clicks import light_of_clicks
-from deepfsi.hardware.counting.counting import count
-from deepfsi.hardware.counting.counts import read_counts
+from deepfsi.hardware.counting import CountSettings, count_run, read_counts
+from deepfsi.hardware.counting.corrections import light_of_clicks
 from deepfsi.hardware.patterns.sequence import Patterns
 from deepfsi.hardware.pictures import reconstruct
 from deepfsi.hardware.virtual import RecordingSettings, VirtualCamera, record_scenes
@@ -45,7 +44,7 @@ def test_clicks_of_each_readout_are_binomial(tmp_path, light, rails):
     """Mean and variance of all exposures of two scenes, to five standard errors."""
     shown, x = patterns(tmp_path / "p", light, rails), scenes(2)
     gated = recorded(tmp_path, "run", VirtualCamera(gates=GATES), x.repeat(150, axis=0))
-    counts = count(gated, clicks=GATES)
+    counts = count_run(gated, CountSettings(clicks=GATES))
     assert counts.valid.all()
     assert counts.gates == read_counts(gated).gates == GATES
     found = counts.signal().reshape(2, -1, *counts.counts.shape[2:])
@@ -69,8 +68,8 @@ def test_a_gated_and_a_free_detector_give_the_same_clicks(tmp_path, light, rails
         recorded(tmp_path, name, VirtualCamera(gates=gates), scenes(20), seed=3, repeats=1)
         for name, gates in (("gated", GATES), ("free", None))
     ]
-    gated, free = (count(run, clicks=GATES) for run in runs)
-    photons = count(runs[1])
+    gated, free = (count_run(run, CountSettings(clicks=GATES)) for run in runs)
+    photons = count_run(runs[1])
     assert np.array_equal(gated.counts, free.counts)
     assert gated.counts.max() == GATES
     assert photons.counts.max() > GATES
@@ -83,7 +82,7 @@ def test_each_exposure_of_a_frame_has_its_own_gates(tmp_path):
     shown = patterns(tmp_path / "p", "free-dwell", "single")
     x = scenes(1).repeat(200, axis=0)
     run = recorded(tmp_path, "run", VirtualCamera(), x)
-    counts = count(run, clicks=GATES, exposure_s=EXPOSURE / 2)
+    counts = count_run(run, CountSettings(clicks=GATES, exposure_s=EXPOSURE / 2))
     repeats = counts.counts.shape[1]
     assert repeats >= 2
     p = -np.expm1(-expected(shown, x[:1])[0] / 2 / GATES)
@@ -98,7 +97,7 @@ def test_all_on_frames_tell_the_budget_by_clicks_or_by_photons(tmp_path, gates, 
     patterns(tmp_path / "p", "equal-dwell", "dual")
     x = scenes(1).repeat(40, axis=0)
     run = recorded(tmp_path, "run", VirtualCamera(gates=gates), x, flux, repeats=1)
-    counts, number = count(run, clicks=gates or GATES), 80 * (gates or GATES)
+    counts, number = count_run(run, CountSettings(clicks=gates or GATES)), 80 * (gates or GATES)
     wanted = flux * float(x[0].sum()) / SUMMED_REFLECTANCE
     mean = wanted * 2e-3 / (gates or GATES)  # photons in a gate, about
     variance = mean if mean > 1 else np.expm1(mean)
@@ -110,7 +109,7 @@ def test_all_on_frames_tell_the_budget_by_clicks_or_by_photons(tmp_path, gates, 
 def test_where_all_gates_click_the_stated_flux_is_taken(tmp_path):
     patterns(tmp_path / "p", "equal-dwell", "dual")
     run = recorded(tmp_path, "run", VirtualCamera(gates=2), scenes(), 100 * FLUX, repeats=1)
-    counts = count(run, clicks=2)
+    counts = count_run(run, CountSettings(clicks=2))
     assert (counts.counts[counts.counts > 0] == 2).mean() > 0.9
     assert (counts.flux == 100 * FLUX).all()
 
@@ -125,12 +124,12 @@ def test_what_is_of_photons_refuses_clicks(tmp_path):
         ({"exposure_s": EXPOSURE / 2}, "first photons alone of 4 gates"),
     ]:
         with pytest.raises(InputError, match=match):
-            count(gated, clicks=GATES, **settings)
+            count_run(gated, CountSettings(clicks=GATES, **settings))
     for clicks in (None, 2):
         with pytest.raises(InputError, match="first photons alone of 4 gates"):
-            count(gated, clicks=clicks)
+            count_run(gated, CountSettings(clicks=clicks))
     assert not (gated / "counts.npz").exists()
-    count(gated, clicks=GATES)
+    count_run(gated, CountSettings(clicks=GATES))
     for use in (reconstruct, check_view, gains_of):
         with pytest.raises(InputError, match="was counted in clicks, which are not in proportion"):
             use(gated)
@@ -140,9 +139,9 @@ def test_too_many_gates_and_too_short_ones_are_refused(tmp_path):
     patterns(tmp_path / "p", "equal-dwell", "dual")
     run = recorded(tmp_path, "run", VirtualCamera(), scenes(), repeats=1)
     with pytest.raises(InputError, match="gates of 3 scenes are more than 2097152"):
-        count(run, clicks=100_000)
+        count_run(run, CountSettings(clicks=100_000))
     with pytest.raises(InputError, match="too coarse for gates of"):
-        count(run, clicks=10**9)
+        count_run(run, CountSettings(clicks=10**9))
 
 
 @pytest.mark.parametrize(("unfired", "told"), [(24, False), (25, True), (400, True), (1000, False)])
@@ -151,6 +150,6 @@ def test_few_gates_without_a_click_tell_no_budget(tmp_path, unfired, told):
     manifest = patterns(tmp_path / "p", "equal-dwell", "dual").manifest
     clicks = np.array([[500, 0, 500, 0]])[..., None] - np.array([[unfired, 0, 0, 0]])[..., None]
     ends = clicks, clicks, np.full((1, 4, 1), 500)
-    light = light_of_clicks(ends, 1e-3, 2, manifest)
+    light = light_of_clicks(*ends, width_s=1e-3, scenes=2, manifest=manifest)
     wanted = -np.log(unfired / 1000) / 1e-3 if told else np.nan
-    assert light["flux"] == pytest.approx(np.full(2, wanted), nan_ok=True)
+    assert light.flux == pytest.approx(np.full(2, wanted), nan_ok=True)

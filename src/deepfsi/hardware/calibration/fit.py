@@ -23,8 +23,7 @@ from deepfsi.base import InputError
 from deepfsi.camera import DmdGrid
 from deepfsi.datasets import write_pictures
 from deepfsi.hardware.calibration.view import geometry_matrix
-from deepfsi.hardware.counting.calibration_file import Calibration
-from deepfsi.hardware.counting.counts import Counts
+from deepfsi.hardware.counting import Calibration, Counts
 from deepfsi.hardware.patterns.sequence import Patterns
 
 WHITE, BLACK = "white.png", "black.png"

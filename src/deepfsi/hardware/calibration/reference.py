@@ -17,7 +17,7 @@ from scipy import optimize
 from deepfsi.base import SILENT, InputError, Progress, write_atomically
 from deepfsi.camera import DmdLayout
 from deepfsi.hardware.calibration.fit import DisplayedScenes
-from deepfsi.hardware.counting.counts import Counts
+from deepfsi.hardware.counting import Counts
 from deepfsi.hardware.patterns.sequence import Manifest, Patterns
 
 REFERENCE, EXPECTED = "reference.png", "reference.csv"

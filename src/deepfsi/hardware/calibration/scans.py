@@ -10,7 +10,7 @@ from scipy.linalg import hadamard, solve
 
 from deepfsi.base import InputError, check_choice, write_atomically
 from deepfsi.camera import DetectorMap
-from deepfsi.hardware.counting.counts import Counts
+from deepfsi.hardware.counting import Counts
 from deepfsi.hardware.light import SPOILING
 from deepfsi.hardware.patterns.folder import DesignRails
 from deepfsi.hardware.patterns.sequence import Patterns

@@ -18,7 +18,7 @@ from scipy import ndimage, sparse
 
 from deepfsi.base import InputError
 from deepfsi.datasets import Dataset
-from deepfsi.hardware.counting.calibration_file import Calibration, load_calibration
+from deepfsi.hardware.counting import Calibration
 
 POINTS_PER_CELL = 24, 32
 """Points of a cell's average, down and across: a DLP7000's mirrors of 32 x 32 cells."""
@@ -95,7 +95,7 @@ def view_dataset(data: Dataset, camera: Calibration | Path) -> Dataset:
     InputError
         If the scenes are no images, no cell looks at the display, or the folder has no calibration.
     """
-    calibration = load_calibration(camera) if isinstance(camera, Path) else camera
+    calibration = Calibration.load(camera) if isinstance(camera, Path) else camera
     origin = None
     if isinstance(camera, Path) and data.origin is not None:
         origin = data.origin.model_copy(update={"view": str(camera.absolute())})

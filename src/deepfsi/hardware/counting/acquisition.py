@@ -12,11 +12,20 @@ follow each other in a frame as there are repeats.
 """
 
 import os
+from dataclasses import dataclass, replace
 from hashlib import sha256
+from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
+import numpy as np
+from pydantic import (
+    Field,
+    FiniteFloat,
+    SerializerFunctionWrapHandler,
+    model_serializer,
+    model_validator,
+)
 
 from deepfsi.base import (
     InputError,
@@ -29,7 +38,7 @@ from deepfsi.base import (
     time_text,
     write_atomically,
 )
-from deepfsi.camera import LiveSettings
+from deepfsi.camera import DeadTime, LiveSettings
 from deepfsi.hardware.patterns.folder import companions, read_patterns
 from deepfsi.hardware.patterns.sequence import Manifest, Patterns
 from deepfsi.hardware.patterns.timing import (
@@ -38,15 +47,13 @@ from deepfsi.hardware.patterns.timing import (
     longest_exposure,
     usual_tolerance,
 )
+from deepfsi.hardware.photons import PtuFile
 
 MOST_READOUTS = 2**21
 """Gates, and readouts, that are counted at once, at most."""
 
 MOST_FRAMES = 2**20
 """Frames of all passes together, times the detectors of an arm, at most."""
-
-MOST_INPUTS = 64
-"""Inputs of a photon counter at most."""
 
 LARGEST_JSON = 2**24
 """Bytes of acquisition.json at most."""
@@ -80,6 +87,8 @@ class Scene(StrictModel):
 class Acquisition(StrictModel):
     """Settings of a recording: one pass over the patterns for each scene, one after another."""
 
+    MOST_INPUTS: ClassVar[int] = 64  # of a photon counter
+
     schema_version: Literal[1] = 1
     # In the order of their passes
     scenes: tuple[Scene, ...] = Field(min_length=1, max_length=2**16)
@@ -91,8 +100,8 @@ class Acquisition(StrictModel):
     marker_bit: Literal[1, 2, 4, 8] = 1
     # Of the counter, 0 for input 1: one for each detector; on two arms first those that see mirrors
     # ON, then those that see mirrors OFF
-    inputs: tuple[Annotated[int, Field(ge=0, lt=MOST_INPUTS)], ...] = Field(
-        (0,), min_length=1, max_length=MOST_INPUTS
+    inputs: tuple[Annotated[int, Field(ge=0, lt=64)], ...] = Field(
+        (0,), min_length=1, max_length=64
     )
     # Photons/s on the device for the training scenes' mean, where known
     flux: Positive | None = None
@@ -121,10 +130,103 @@ class Acquisition(StrictModel):
         with as_input_error():
             return type(self).model_validate(self.model_dump() | changes)
 
+    @classmethod
+    def plan(
+        cls,
+        manifest: Manifest,
+        scenes: tuple[Scene, ...],
+        *,
+        exposure_s: float | None = None,
+        settle_s: float | None = None,
+        repeats: int | None = None,
+        **others: Any,
+    ) -> Self:
+        """Plan a recording of patterns: what is not given is what the device and the frames allow.
+
+        Parameters
+        ----------
+        manifest : Manifest
+            Patterns that are shown.
+        scenes : tuple of Scene
+            In the order of their passes.
+        exposure_s, settle_s, repeats : optional
+            As of the fields. The longest exposure that fits the frames, the device's time to
+            settle, and as many gates as fit, unless given.
+        **others
+            Other fields.
+
+        Raises
+        ------
+        InputError
+            If gates do not fit the frames, or a field is not allowed.
+        """
+        others = {"inputs": tuple(range(manifest.inputs)), **others}
+        settle = manifest.device.settle_us * 1e-6 if settle_s is None else settle_s
+        exposure = exposure_s
+        if exposure is None:
+            longest = longest_exposure(manifest, settle + usual_tolerance(manifest))
+            exposure = max(longest, 0) / (repeats or 1)
+        gates = find_gates(manifest, exposure, settle, repeats)
+        readouts = len(scenes) * manifest.readouts
+        countable = max(MOST_READOUTS // max(readouts, 1), 1)
+        check_inputs(manifest, cls.MOST_INPUTS, "a counter")
+        with as_input_error():
+            return cls(
+                scenes=scenes,
+                exposure_s=exposure,
+                settle_s=settle,
+                repeats=repeats or min(gates.repeats, countable),
+                **others,
+            )
+
+    def gates(
+        self,
+        manifest: Manifest,
+        exposure_s: float | None = None,
+        settle_s: float | None = None,
+        repeats: int | None = None,
+    ) -> Gates:
+        """Gates to count it with, for its exposure or another, or `InputError`."""
+        same = exposure_s is None and settle_s is None
+        wanted = self.repeats if repeats is None and same else repeats
+        exposure = self.exposure_s if exposure_s is None else exposure_s
+        settle = self.settle_s if settle_s is None else settle_s
+        gates = find_gates(manifest, exposure, settle, wanted)
+        shortest = min(manifest.picture_s[[0, 1, -2, -1]]) - usual_tolerance(manifest)
+        if settle >= shortest:
+            raise InputError(
+                f"a settle time of {time_text(settle)} leaves nothing of the all-ON and all-OFF "
+                f"frames: give less than {shortest:g}"
+            )
+        most = MOST_READOUTS // (len(self.scenes) * manifest.readouts)
+        if most < 1:
+            raise InputError(
+                f"{len(self.scenes)} scenes of {manifest.masks} masks are more than "
+                f"{MOST_READOUTS} readouts: split the acquisition"
+            )
+        if gates.repeats <= most:
+            return gates
+        if wanted is not None:
+            raise InputError(f"{wanted} repeats are too many to count at once: give at most {most}")
+        return replace(gates, repeats=most)
+
     @property
     def digest(self) -> str:
         """Hash of the settings."""
         return sha256(self.model_dump_json().encode()).hexdigest()
+
+    def check_fixed(self, folder: str | os.PathLike[str]) -> None:
+        """Raise `InputError` if it is a live run, of other frames for each scene."""
+        if self.live:
+            raise InputError(
+                f"{folder} is a live run, in which each scene had frames of its own: use `deepfsi "
+                "camera count` and `classify`"
+            )
+
+    def keep_first(self, folder: Path, count: int) -> None:
+        """Write to the folder of a run that was stopped that it has its first scenes alone."""
+        kept = self.model_copy(update={"scenes": self.scenes[:count]})
+        write_atomically(folder / "acquisition.json", kept.model_dump_json(indent=1).encode())
 
 
 class Verdict(StrictModel):
@@ -136,7 +238,7 @@ class Verdict(StrictModel):
 
     def keep(self, run: str | os.PathLike[str]) -> Path:
         """Write it to the folder of a run of scenes of the same patterns."""
-        digests = [read_acquisition(each)[0].manifest_sha256 for each in (self.reference, run)]
+        digests = [read_run(path).acquisition.manifest_sha256 for path in (self.reference, run)]
         if len(set(digests)) > 1:
             raise InputError(
                 f"{run} was recorded with other patterns than {self.reference}: record the "
@@ -164,42 +266,32 @@ class Verdict(StrictModel):
         )
 
 
-def plan_acquisition(
-    manifest: Manifest,
-    scenes: tuple[Scene, ...],
-    *,
-    exposure_s: float | None = None,
-    settle_s: float | None = None,
-    repeats: int | None = None,
-    **others: Any,
-) -> Acquisition:
-    """Settings for a recording of patterns."""
-    others = {"inputs": tuple(range(manifest.inputs)), **others}
-    settle = manifest.device.settle_us * 1e-6 if settle_s is None else settle_s
-    exposure = exposure_s
-    if exposure is None:
-        longest = longest_exposure(manifest, settle + usual_tolerance(manifest))
-        exposure = max(longest, 0) / (repeats or 1)
-    gates = find_gates(manifest, exposure, settle, repeats)
-    readouts = len(scenes) * manifest.readouts
-    countable = max(MOST_READOUTS // max(readouts, 1), 1)
-    check_inputs(manifest, MOST_INPUTS, "a counter")
-    with as_input_error():
-        return Acquisition(
-            scenes=scenes,
-            exposure_s=exposure,
-            settle_s=settle,
-            repeats=repeats or min(gates.repeats, countable),
-            **others,
-        )
-
-
-def prepare(
+def prepare_run(
     folder: str | os.PathLike[str],
     patterns_folder: str | os.PathLike[str],
     acquisition: Acquisition,
 ) -> Acquisition:
-    """Make the folder of a recording, to which photons.ptu is then added."""
+    """Make the folder of a recording, to which photons.ptu is then added.
+
+    Parameters
+    ----------
+    folder : str or path
+        Folder to make.
+    patterns_folder : str or path
+        Patterns that will be shown; all but their frames are copied.
+    acquisition : Acquisition
+        Settings of the recording.
+
+    Returns
+    -------
+    Acquisition
+        As it was written: with the hash of the patterns.
+
+    Raises
+    ------
+    InputError
+        If the folder exists, or the settings do not fit the patterns.
+    """
     source = Path(patterns_folder)
     patterns = read_patterns(source)
     names = ["manifest.json", "mirrors.npy", *companions(patterns.manifest)]
@@ -215,19 +307,38 @@ def prepare(
     with new_folder(folder) as draft:
         (draft / "calibration").mkdir()
         (draft / "patterns").mkdir()
-        for name, held in content.items():
-            (draft / "patterns" / name).write_bytes(held)
+        for name, data in content.items():
+            (draft / "patterns" / name).write_bytes(data)
         (draft / "acquisition.json").write_bytes(acquisition.model_dump_json(indent=1).encode())
     return acquisition
 
 
-def keep_first(folder: Path, acquisition: Acquisition, count: int) -> None:
-    """Write to the folder of a run that was stopped that it has its first scenes alone."""
-    kept = acquisition.model_copy(update={"scenes": acquisition.scenes[:count]})
-    write_atomically(folder / "acquisition.json", kept.model_dump_json(indent=1).encode())
+@dataclass(frozen=True)
+class Run:
+    """Folder of a recording: its settings, and the patterns that were shown."""
+
+    folder: Path
+    acquisition: Acquisition
+    patterns: Patterns
+
+    @property
+    def manifest(self) -> Manifest:
+        """Frames in the order in which they were shown."""
+        return self.patterns.manifest
+
+    @property
+    def photons(self) -> Path:
+        """File of the photons and markers."""
+        return self.folder / "photons.ptu"
+
+    def open_photons(self) -> PtuFile:
+        """Photons of a counter with enough inputs for the detectors, or `InputError`."""
+        source = PtuFile(self.photons)
+        check_inputs(self.manifest, source.inputs, f"{source.path} ({source.record_type})")
+        return source
 
 
-def read_acquisition(folder: str | os.PathLike[str]) -> tuple[Acquisition, Patterns]:
+def read_run(folder: str | os.PathLike[str]) -> Run:
     """Settings and patterns of a recording, checked for consistency."""
     path = Path(folder) / "acquisition.json"
     hint = "make the folder with `deepfsi camera prepare` or `simulate`"
@@ -247,7 +358,7 @@ def read_acquisition(folder: str | os.PathLike[str]) -> tuple[Acquisition, Patte
             "shown"
         )
     _check_fit(acquisition, patterns.manifest, str(path))
-    return acquisition, patterns
+    return Run(Path(folder), acquisition, patterns)
 
 
 def _check_fit(acquisition: Acquisition, manifest: Manifest, name: str) -> None:
@@ -280,52 +391,9 @@ def _check_fit(acquisition: Acquisition, manifest: Manifest, name: str) -> None:
             "`deepfsi camera live`"
         )
     try:
-        gates_of(acquisition, manifest)
+        acquisition.gates(manifest)
     except InputError as error:
         raise InputError(f"{name}: {error}") from None
-
-
-def check_fixed(acquisition: Acquisition, folder: str | os.PathLike[str]) -> None:
-    """Raise `InputError` if the recording in a folder is a live run, of other frames each scene."""
-    if acquisition.live:
-        raise InputError(
-            f"{folder} is a live run, in which each scene had frames of its own: use `deepfsi "
-            "camera count` and `classify`"
-        )
-
-
-def gates_of(
-    acquisition: Acquisition,
-    manifest: Manifest,
-    exposure_s: float | None = None,
-    settle_s: float | None = None,
-    repeats: int | None = None,
-) -> Gates:
-    """Gates to count an acquisition of a manifest's patterns with. Parameters as of `count`."""
-    same = exposure_s is None and settle_s is None
-    wanted = acquisition.repeats if repeats is None and same else repeats
-    exposure = acquisition.exposure_s if exposure_s is None else exposure_s
-    settle = acquisition.settle_s if settle_s is None else settle_s
-    gates = find_gates(manifest, exposure, settle, wanted)
-    shortest = min(manifest.picture_s[[0, 1, -2, -1]]) - usual_tolerance(manifest)
-    if settle >= shortest:
-        raise InputError(
-            f"a settle time of {time_text(settle)} leaves nothing of the all-ON and all-OFF "
-            "frames: give "
-            f"less than {shortest:g}"
-        )
-    each = len(acquisition.scenes) * manifest.readouts
-    most = MOST_READOUTS // each
-    if most < 1:
-        raise InputError(
-            f"{len(acquisition.scenes)} scenes of {manifest.masks} masks are more than "
-            f"{MOST_READOUTS} readouts: split the acquisition"
-        )
-    if gates.repeats <= most:
-        return gates
-    if wanted is not None:
-        raise InputError(f"{wanted} repeats are too many to count at once: give at most {most}")
-    return Gates(gates.settle_s, gates.length_s, most)
 
 
 def check_inputs(manifest: Manifest, most: int, name: str) -> None:
@@ -335,3 +403,96 @@ def check_inputs(manifest: Manifest, most: int, name: str) -> None:
             f"{name} has up to {most} inputs, and these patterns need {manifest.inputs}, one for "
             "each detector: use a counter with more, or a design with fewer `detectors`"
         )
+
+
+LEAST_SPOTS = 16
+"""Spots that a calibration should rest on, or all that were shown."""
+
+LARGEST_RESIDUAL_CELLS = 0.25
+"""Distance of the spots from the fit above which a calibration is doubted, cells."""
+
+LARGEST_ERROR_CELLS = 0.1
+"""Standard error of the view above which a calibration is doubted, cells."""
+
+LARGEST_CALIBRATION = 2**26
+"""Bytes of a calibration's file at most."""
+
+Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
+"""Number from 0 to 1."""
+
+Rate = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+"""Finite number from 0 on."""
+
+Row = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
+"""Row of a homography."""
+
+
+class Calibration(StrictModel):
+    """View of one display through one camera, and the counts that come from neither.
+
+    It stands beside the recordings made with it, as `calibration.json`. Places on the display and
+    on the device are (across, down) in a *unit square* each: the displayed image, and the area of
+    the device that the cells of a mask fill. So a calibration made with a few large cells serves
+    masks with many small ones.
+    """
+
+    schema_version: Literal[1] = 1
+    deepfsi: str = version("deepfsi")  # Version of the package that wrote it
+    homography: tuple[Row, Row, Row]  # Display → device, unit squares, (across, down, 1)
+    residual: Rate  # Root mean square distance of the spots from it, cells
+    error: Rate  # Standard error of the place of the display's worst corner, cells
+    spots: int = Field(ge=4)  # Spots that it rests on
+    shown: int = Field(ge=4)  # Spots that were shown
+    # Standard deviation of a Gaussian, down and across, in the device's unit square
+    blur: tuple[Share, Share] = (0.0, 0.0)
+    # (down, across): Light of each cell relative to the brightest, for a uniform scene that fills
+    # the view
+    flat: tuple[tuple[Share, ...], ...] = Field(((1.0,),), min_length=1)
+    dark: Rate = 0.0  # Counts/s with all mirrors OFF and the display black
+    ambient: Rate = 0.0  # Counts/s that all mirrors ON add to it, the display black
+    dead_time: DeadTime | None = None  # Of the counter, for which the run of spots was corrected
+
+    @model_validator(mode="after")
+    def _usable(self) -> Self:
+        if len({len(row) for row in self.flat}) != 1 or not self.flat[0]:
+            raise ValueError("the rows of the flat field differ in length")
+        if not any(map(any, self.flat)):
+            raise ValueError("the flat field is dark everywhere")
+        if abs(np.linalg.det(np.array(self.homography))) < 1e-9:
+            raise ValueError("the homography cannot be inverted")
+        return self
+
+    @property
+    def doubts(self) -> list[str]:
+        """Why not to trust it, one line each; none where all is well."""
+        said = []
+        if self.spots < min(LEAST_SPOTS, self.shown):
+            said.append(
+                f"only {self.spots} of {self.shown} spots are seen, and {LEAST_SPOTS} or more are "
+                "wanted: expose longer, show larger spots (--side) or aim the camera"
+            )
+        if self.residual > LARGEST_RESIDUAL_CELLS:
+            said.append(
+                f"the spots lie {self.residual:.2f} cells from one perspective, and up to "
+                f"{LARGEST_RESIDUAL_CELLS:g} are well: the lens bends lines, something moved, or "
+                "there is too little light"
+            )
+        if self.error > LARGEST_ERROR_CELLS:
+            said.append(
+                f"the view is known to {self.error:.2f} cells, and {LARGEST_ERROR_CELLS:g} are "
+                f"wanted: give {(self.error / LARGEST_ERROR_CELLS) ** 2:.2g} times the light"
+            )
+        return said
+
+    def save(self, folder: Path) -> Path:
+        """Write `calibration.json` into a folder, which is made if need be."""
+        path = folder / "calibration.json"
+        return write_atomically(path, self.model_dump_json(indent=1).encode())
+
+    @classmethod
+    def load(cls, folder: Path) -> Self:
+        """Read `calibration.json` of a folder."""
+        path = Path(folder) / "calibration.json"
+        content = read_text(path, LARGEST_CALIBRATION, "calibrate the camera")
+        with as_input_error(f"'{path}'", "calibrate the camera again", content):
+            return cls.model_validate_json(content)

@@ -12,8 +12,7 @@ import struct
 import zipfile
 from dataclasses import dataclass
 from hashlib import sha256
-from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from pydantic import Field
@@ -22,17 +21,18 @@ from deepfsi.base import InputError, StrictModel, hash_file, read_regular, write
 from deepfsi.camera import NO_DEAD_TIME, DeadTime
 from deepfsi.hardware.counting.acquisition import (
     MOST_READOUTS,
-    Acquisition,
     Positive,
-    check_fixed,
-    read_acquisition,
+    Run,
+    read_run,
 )
 from deepfsi.hardware.light import SPOILING, Fault
 from deepfsi.hardware.patterns.frame_files import npy_header
-from deepfsi.hardware.patterns.sequence import Manifest
 
 LARGEST_COUNTS = 2**27
 """Bytes of counts.npz at most."""
+
+LEAST_UNFIRED = 25
+"""Gates of all ON without a click that tell the light, at least: to 1 / 5 of a photon in each."""
 
 NPY_HEADER = 128
 """Bytes of the header of a vector in numpy's format."""
@@ -50,44 +50,81 @@ _UNREADABLE = (
 
 
 @dataclass(frozen=True)
-class Counts:
-    """Photon counts of each readout; the axis D is there only of several detectors."""
+class SceneLight:
+    """Light of each scene, as `Counts` has it, and the faults of all."""
 
-    # (S, R, rails, m[, D]): Registered counts, int64, or the values of a table. 0 for a rail that
-    # is dark and for an exposure that is not valid
+    on_rate: np.ndarray  # (S,)
+    off_rate: np.ndarray  # (S,)
+    flux: np.ndarray  # (S,)
+    dark_rate: np.ndarray  # (S, rails[, D])
+    faults: tuple[Fault, ...] = ()
+
+
+@dataclass(frozen=True)
+class Counts:
+    """Photon counts of each readout; the axis D is there only of several detectors.
+
+    Attributes
+    ----------
+    counts : array (S, R, rails, m[, D])
+        Registered counts, int64, or the values of a table. 0 for a rail that is dark and for an
+        exposure that is not valid.
+    arrivals, variance : array (S, R, rails, m[, D])
+        Counts of the light and the dark in each gate by themselves, estimated from what was
+        registered, and the variance of their noise. Both are the counts where nothing was lost.
+    valid : array (S, R), bool
+        Whether all readouts of an exposure were recorded.
+    gate_s : array (f,)
+        For how long each mask's frame is counted, seconds.
+    on_rate, off_rate : array (S,)
+        Counts/s in all-ON and all-OFF frames of the detectors that see mirrors ON, together; NaN
+        where a scene is not valid.
+    flux : array (S,)
+        Counts/s of the scenes' light with all mirrors ON: mean over the scenes between two changes
+        of the lamp; NaN where a scene is not valid.
+    dark_rate : array (S, rails[, D])
+        Counts/s of the input that reads each rail, when no mirror sends it light: of all-OFF
+        frames, or of all-ON ones for the second arm, of a scene and the neighbours that agree.
+    ambient, ambient_variance : array (rails, m[, D])
+        Counts of each readout, of light that does not come from the scene, as a pass with the scene
+        dark measured them, and their variance; 0 where none was.
+    exposure_s, settle_s : float
+        Total exposure, and time before the first gate of each frame, seconds.
+    lengths_s : array (rails, m)
+        For how long each readout is counted, seconds; 0 for a rail that is dark.
+    drift : float
+        By how much passes lasted longer than planned on the counter's clock, a share.
+    inputs : tuple of int
+        Of the counter, 0 for input 1: those whose photons were counted.
+    faults : tuple of Fault
+        Of the recording.
+    dead_time : DeadTime
+        For which the arrivals and all rates are corrected.
+    gains : tuple of float
+        Relative efficiency of each detector, corrected too; empty where none was measured.
+    gates : int or None
+        G of clicks, the first photons of the gates of a frame's exposure; None of photon counts.
+    """
+
     counts: np.ndarray
-    # (S, R, rails, m[, D]): Counts of the light and the dark in each gate by themselves, estimated
-    # from what was registered, and the variance of their noise. Both are the counts where nothing
-    # was lost
     arrivals: np.ndarray
     variance: np.ndarray
-    valid: np.ndarray  # (S, R): bool; whether all readouts of an exposure were recorded
-    gate_s: np.ndarray  # (f,): For how long each mask's frame is counted, seconds
-    # (S,): Counts/s in all-ON and all-OFF frames of the detectors that see mirrors ON, together;
-    # NaN where a scene is not valid
+    valid: np.ndarray
+    gate_s: np.ndarray
     on_rate: np.ndarray
     off_rate: np.ndarray
-    # (S,): Counts/s of the scenes' light with all mirrors ON: mean over the scenes between two
-    # changes of the lamp; NaN where a scene is not valid
     flux: np.ndarray
-    # (S, rails[, D]): Counts/s of the input that reads each rail, when no mirror sends it light: of
-    # all-OFF frames, or of all-ON ones for the second arm, of a scene and the neighbours that agree
     dark_rate: np.ndarray
-    # (rails, m[, D]): Counts of each readout, of light that does not come from the scene, as a pass
-    # with the scene dark measured them, and their variance; 0 where none was
     ambient: np.ndarray
     ambient_variance: np.ndarray
-    exposure_s: float  # total, seconds
-    settle_s: float  # time before the first gate of each frame, seconds
-    # (rails, m): For how long each readout is counted, seconds; 0 for a rail that is dark
+    exposure_s: float
+    settle_s: float
     lengths_s: np.ndarray
-    drift: float  # by how much passes lasted longer than planned on the counter's clock, a share
-    inputs: tuple[int, ...]  # of the counter, 0 for input 1: those whose photons were counted
-    faults: tuple[Fault, ...]  # of the recording
-    dead_time: DeadTime = NO_DEAD_TIME  # for which the arrivals and all rates are corrected
-    # Relative efficiency of each detector, corrected too; empty where none was measured
+    drift: float
+    inputs: tuple[int, ...]
+    faults: tuple[Fault, ...]
+    dead_time: DeadTime = NO_DEAD_TIME
     gains: tuple[float, ...] = ()
-    # G of clicks, the first photons of the gates of a frame's exposure; None of photon counts
     gates: int | None = None
 
     @property
@@ -130,67 +167,74 @@ class Counts:
                 out[slice(None) if fault.scene is None else fault.scene] = True
         return out
 
-    def save(self, folder: Path, acquisition: Acquisition) -> None:
-        """Write counts.npz to the folder of the acquisition that was counted."""
-        held = vars(self)
+    def check_photons(self, folder: str | os.PathLike[str]) -> Self:
+        """Counts of photons as they are; `InputError` if they are clicks."""
+        if self.gates is not None:
+            raise InputError(
+                f"{folder} was counted in clicks, which are not in proportion to the light: record "
+                "it with the patterns of a design or a scan for photon counts"
+            )
+        return self
+
+    def check_budget(self, source: str) -> None:
+        """Raise `InputError` where clicks do not tell the flux of any scene."""
+        if not np.isfinite(self.flux).any():
+            raise InputError(
+                f"{source} does not tell its budget: all-ON frames leave less than "
+                f"{LEAST_UNFIRED} gates without a click, or click no more often than all-OFF ones; "
+                "give `photons`, or look at the order of frames"
+            )
+
+    def save(self, run: Run) -> None:
+        """Write counts.npz to the folder of the run that was counted."""
+        fields = vars(self)
         arrays: dict[str, Any] = {
-            name: each for name, each in held.items() if isinstance(each, np.ndarray)
+            name: value for name, value in fields.items() if isinstance(value, np.ndarray)
         }
         provenance = _Provenance(
-            acquisition=acquisition.digest,
-            photons_sha256=hash_file(folder / "photons.ptu"),
+            acquisition=run.acquisition.digest,
+            photons_sha256=hash_file(run.photons),
             repeats=self.counts.shape[1],
-            **{name: each for name, each in held.items() if name not in arrays},
+            **{name: value for name, value in fields.items() if name not in arrays},
         )
         arrays["about"] = np.frombuffer(provenance.model_dump_json().encode(), np.uint8)
         file = io.BytesIO()
         np.savez(file, sha256=_hash_arrays(arrays), **arrays)
-        write_atomically(folder / "counts.npz", file.getvalue())
+        write_atomically(run.folder / "counts.npz", file.getvalue())
 
 
-def read_counts(folder: str | os.PathLike[str]) -> Counts:
-    """Counts of a folder as `count` wrote them."""
-    acquisition, patterns = read_acquisition(folder)
-    return load_counts(Path(folder), acquisition, patterns.manifest)
-
-
-def check_photons(counts: Counts, folder: str | os.PathLike[str]) -> Counts:
-    """Counts of photons as they are; `InputError` if they are clicks."""
-    if counts.gates is not None:
-        raise InputError(
-            f"{folder} was counted in clicks, which are not in proportion to the light: record it "
-            "with the patterns of a design or a scan for photon counts"
-        )
-    return counts
-
-
-def load_counts(folder: Path, acquisition: Acquisition, manifest: Manifest) -> Counts:
-    """Counts in the folder of an acquisition of a manifest's patterns."""
-    check_fixed(acquisition, folder)
-    path, photons = folder / "counts.npz", folder / "photons.ptu"
+def read_counts(run: str | os.PathLike[str] | Run) -> Counts:
+    """Counts of a run, or of its folder, as `count_run` wrote them, or `InputError`."""
+    if not isinstance(run, Run):
+        run = read_run(run)
+    acquisition, manifest = run.acquisition, run.manifest
+    acquisition.check_fixed(run.folder)
+    path = run.folder / "counts.npz"
     content = read_regular(path, LARGEST_COUNTS, "make it with `deepfsi camera count`")
     again = "count again with `deepfsi camera count`"
+    scenes, masks = (len(acquisition.scenes),), (manifest.rails, manifest.masks)
+    several = manifest.several
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             text = _member(archive, "about", "|u1", None)
             provenance = _Provenance.model_validate_json(text.tobytes())
             if provenance.acquisition != acquisition.digest:
                 raise InputError(f"{path} is of another acquisition than acquisition.json: {again}")
-            scenes, rails, masks = len(acquisition.scenes), manifest.rails, manifest.masks
-            each = scenes, provenance.repeats, rails, masks, *manifest.several
+            exposures = (*scenes, provenance.repeats)
+            readouts = (*exposures, *masks, *several)
             kinds: dict[str, tuple[str, tuple[int, ...]]] = {
-                "counts": ("<i8", each),
-                "arrivals": ("<f8", each),
-                "variance": ("<f8", each),
-                "valid": ("|b1", (scenes, provenance.repeats)),
+                "counts": ("<i8", readouts),
+                "arrivals": ("<f8", readouts),
+                "variance": ("<f8", readouts),
+                "valid": ("|b1", exposures),
                 "gate_s": ("<f8", (len(manifest.shown),)),
-                "on_rate": ("<f8", (scenes,)),
-                "off_rate": ("<f8", (scenes,)),
-                "flux": ("<f8", (scenes,)),
-                "dark_rate": ("<f8", (scenes, rails, *manifest.several)),
-                "ambient": ("<f8", (rails, masks, *manifest.several)),
-                "ambient_variance": ("<f8", (rails, masks, *manifest.several)),
-                "lengths_s": ("<f8", (rails, masks)),
+                "on_rate": ("<f8", scenes),
+                "off_rate": ("<f8", scenes),
+                "flux": ("<f8", scenes),
+                "dark_rate": ("<f8", (*scenes, manifest.rails, *several)),
+                "ambient": ("<f8", (*masks, *several)),
+                "ambient_variance": ("<f8", (*masks, *several)),
+                "lengths_s": ("<f8", masks),
             }
             arrays: dict[str, Any] = {
                 name: _member(archive, name, *kind) for name, kind in kinds.items()
@@ -204,10 +248,10 @@ def load_counts(folder: Path, acquisition: Acquisition, manifest: Manifest) -> C
         ) from None
     if not np.array_equal(digest, _hash_arrays({**arrays, "about": text})):
         raise InputError(f"{path} was changed after it was written: {again}")
-    if photons.is_file() and hash_file(photons) != provenance.photons_sha256:
-        raise InputError(f"{path} is of another {photons.name} than the one beside it: {again}")
+    if run.photons.is_file() and hash_file(run.photons) != provenance.photons_sha256:
+        raise InputError(f"{path} is of another {run.photons.name} than the one beside it: {again}")
     fields = {field.name for field in dataclasses.fields(Counts)}
-    return Counts(**arrays, **{name: held for name, held in provenance if name in fields})
+    return Counts(**arrays, **{name: value for name, value in provenance if name in fields})
 
 
 def _hash_arrays(arrays: dict[str, np.ndarray]) -> np.ndarray:

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deepfsi.base import InputError, time_text
-from deepfsi.hardware.counting.clocks import MOST_EXTRA, MOST_RATE
+from deepfsi.hardware.counting.markers import MOST_EXTRA, MOST_RATE
 from deepfsi.hardware.light import PARTS
 from deepfsi.hardware.photons import (
     Part,
@@ -33,21 +33,28 @@ BEFORE_ALL = -(2**62)
 
 @dataclass(frozen=True)
 class FrameGates:
-    """Gates of frames in the order in which they are shown, one each."""
+    """Gates of frames in the order in which they are shown, one each.
 
-    # (F,): When a gate begins after the marker of its frame, and for how long it is open, seconds
+    Attributes
+    ----------
+    offsets_s, lengths_s : array (F,)
+        When a gate begins after the marker of its frame, and for how long it is open, seconds.
+    markers : array (F,)
+        Markers that a frame gives: more than one where it is shown as several pictures in a row.
+        Its gate begins after the first.
+    pictures_s : array (F,), optional
+        Time from each of its markers to the next one, seconds. The next list of frames may begin
+        at any time after the last. None where it is not known, and then not checked.
+    """
+
     offsets_s: np.ndarray
-    lengths_s: np.ndarray  # (F,)
-    # (F,): Markers that a frame gives: more than one where it is shown as several pictures in a
-    # row. Its gate begins after the first
+    lengths_s: np.ndarray
     markers: np.ndarray
-    # (F,): Time from each of its markers to the next one, seconds. The next list of frames may
-    # begin at any time after the last. None where it is not known, and then not checked
     pictures_s: np.ndarray | None = None
 
     def __post_init__(self) -> None:
-        given = (self.offsets_s, self.lengths_s, self.markers, self.pictures_s)
-        shapes = {each.shape for each in given if each is not None}
+        arrays = (self.offsets_s, self.lengths_s, self.markers, self.pictures_s)
+        shapes = {array.shape for array in arrays if array is not None}
         if len(shapes) > 1 or self.offsets_s.ndim != 1:
             raise InputError(f"gates of shapes {sorted(shapes)}: give one for each frame")
         if not (np.isfinite(self.lengths_s).all() and (self.lengths_s >= 0).all()):
@@ -67,11 +74,18 @@ class FrameGates:
 
 @dataclass(frozen=True)
 class FrameCounts:
-    """Counts of some frames that follow each other."""
+    """Counts of some frames that follow each other.
 
-    starts_s: np.ndarray  # (F,): Times of their markers on the counter's clock, seconds
-    # (F, K, inputs): Photons in equal parts of their gates, `PARTS`; 1 of a counter that knows no
-    # more than whole gates
+    Attributes
+    ----------
+    starts_s : array (F,)
+        Times of their markers on the counter's clock, seconds.
+    parts : array (F, K, inputs)
+        Photons in equal parts of their gates, `PARTS` of the checks of the light; 1 of a counter
+        that knows no more than whole gates.
+    """
+
+    starts_s: np.ndarray
     parts: np.ndarray
 
     @property
@@ -85,9 +99,9 @@ class FrameCounts:
     @classmethod
     def join(cls, parts: "Sequence[FrameCounts]", inputs: int) -> "FrameCounts":
         """Frames of parts that follow each other, of which there may be none."""
-        starts = [np.zeros(0), *(each.starts_s for each in parts)]
-        found = [each.parts for each in parts] or [np.zeros((0, PARTS, inputs), np.int64)]
-        return cls(np.concatenate(starts), np.concatenate(found))
+        starts = [np.zeros(0), *(counts.starts_s for counts in parts)]
+        photons = [counts.parts for counts in parts] or [np.zeros((0, PARTS, inputs), np.int64)]
+        return cls(np.concatenate(starts), np.concatenate(photons))
 
 
 class _DueFrame(NamedTuple):
@@ -101,8 +115,8 @@ class _DueFrame(NamedTuple):
     follows: bool  # whether it comes as soon as the frame before ends
 
 
-class FrameCounter:
-    """Counter of photons frame by frame."""
+class _RecordCounter:
+    """Counter of photons frame by frame, of the records of a source."""
 
     def __init__(
         self,
@@ -227,37 +241,50 @@ class FrameCounter:
         return f"{self._name} has a marker at {time * self._tick_s:.9g} s"
 
 
-class StreamCounter:
-    """Counter of photons frame by frame in a PTU file whose bytes arrive in any cuts."""
+class FrameCounter:
+    """Counter of photons frame by frame in a PTU file whose bytes arrive in any cuts.
+
+    Parameters
+    ----------
+    inputs : sequence of int
+        Inputs of the counter whose photons are counted, from 0.
+    marker_bit : int
+        1, 2, 4 or 8: the marker input of the device's trigger.
+    stream : str, path or PtuStream
+        Where the bytes come from, or what errors call it.
+    """
 
     def __init__(
         self,
         inputs: Sequence[int],
         marker_bit: int = 1,
-        name: str | os.PathLike[str] = "the stream",
+        stream: str | os.PathLike[str] | PtuStream = "the stream",
     ) -> None:
-        self._wiring = tuple(inputs), marker_bit
-        self._stream = PtuStream(name)
-        self._frames: FrameCounter | None = None
-        self._early: list[FrameGates] = []  # told before the header has arrived
+        self._inputs = tuple(inputs)
+        self._bit = marker_bit
+        self._stream = stream if isinstance(stream, PtuStream) else PtuStream(stream)
+        self._counter: _RecordCounter | None = None  # is made when the header has arrived
+        self._early: list[FrameGates] = []  # told before
 
     def expect(self, gates: FrameGates) -> None:
-        """Count frames that are shown after those before. As of `FrameCounter`."""
-        if self._frames is None:
+        """Count frames that are shown after those before. To be told before they are shown."""
+        if self._counter is None and self._stream.begun:
+            self._begin()
+        if self._counter is None:
             self._early.append(gates)
         else:
-            self._frames.expect(gates)
+            self._counter.expect(gates)
 
     def feed(self, data: bytes | bytearray | memoryview) -> FrameCounts:
         """Read the next bytes; give the frames whose gates ended, in order."""
         self._stream.feed(data)
-        found = [self._counter().add(part) for part in self._stream.parts()]
-        return FrameCounts.join(found, len(self._wiring[0]))
+        counts = []
+        for part in self._stream.parts():
+            counts.append((self._counter or self._begin()).add(part))
+        return FrameCounts.join(counts, len(self._inputs))
 
-    def _counter(self) -> FrameCounter:
-        """Counter of frames, which is made when the header has arrived."""
-        if self._frames is None:
-            self._frames = FrameCounter(self._stream, *self._wiring)
-            for gates in self._early:
-                self._frames.expect(gates)
-        return self._frames
+    def _begin(self) -> _RecordCounter:
+        self._counter = _RecordCounter(self._stream, self._inputs, self._bit)
+        for gates in self._early:
+            self._counter.expect(gates)
+        return self._counter

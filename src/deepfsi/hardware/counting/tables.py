@@ -7,32 +7,51 @@ the time T_f, becomes that of its gate,
     value · share_f · E / T_f,      E = Σ T_f / Σ share_f  over the masks' frames,
 
 and the budget is the flux times E: all the light of these frames.
+
+Counters that give no events give cumulative counts at triggers, or counts in even time bins: both
+become such a table, a row for each pass and a value for each frame and input. Bins have no marker,
+so passes are found by their light: all ON, then all OFF, at both ends, and no frame brighter. Of
+the places s that fit it is the one at which counts are most likely to be constant within each
+frame, by the logarithm of the likelihood
+
+    G(s) = Σ_f [S_f log(S_f / n_f) − Σ_b k_b log k_b],    S_f the counts k_b of the n_f bins of f.
+
+The first bin of each frame may hold light of the frame before and is left out: a frame is counted
+one bin less than it is shown.
 """
 
-from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import ClassVar, Literal, Self, get_args
 
 import numpy as np
 
 from deepfsi.base import InputError, Table, check_choice, closest_choice, time_text
 from deepfsi.camera import NO_DEAD_TIME, DeadTime
 from deepfsi.hardware.counting.acquisition import MOST_READOUTS, Scene
-from deepfsi.hardware.counting.ambient import Ambient
-from deepfsi.hardware.counting.clicks import (
+from deepfsi.hardware.counting.corrections import (
     ENDS,
-    check_budget_of_clicks,
+    Ambient,
+    CounterEffects,
+    Estimate,
     check_clicks,
+    correct,
+    corrections_of,
     light_of_clicks,
-    variance_of,
+    variance_of_clicks,
 )
-from deepfsi.hardware.counting.counts import Counts
-from deepfsi.hardware.counting.rates import check_rates
-from deepfsi.hardware.light import Arrivals, Fault, check_light
+from deepfsi.hardware.counting.counts import Counts, SceneLight
+from deepfsi.hardware.light import CERTAIN_SIGMAS, Arrivals, Fault, check_light
 from deepfsi.hardware.patterns.sequence import Manifest
 
-SCENE, LABEL = "scene", "label"
-WORDS = (SCENE, LABEL)
-"""Names of the columns of words."""
+ROLL_OVER = 2**32
+"""Counts after which a cumulative counter begins again."""
+
+CERTAIN_GAIN = 10.0
+"""Logarithm of the odds by which one place of a pass is likelier than any other."""
+
+LEAST_BINS = 2
+"""Bins that a frame is shown for at least, one of which is left out."""
 
 Along = Literal["rows", "columns"]
 """Exposures are the rows of a table, or its columns."""
@@ -40,21 +59,46 @@ Along = Literal["rows", "columns"]
 
 @dataclass(frozen=True)
 class TableSettings:
-    """Settings with which a table is read; `InputError` if one of them is not allowed."""
+    """Settings with which a table is read; `InputError` if one of them is not allowed.
 
-    photons: float | None = None  # budget of an exposure; that of the all-ON frames unless given
-    # Counts that an input has in the masks' frames of one exposure together without light; those of
-    # the all-OFF frames unless given, and none without such frames
+    Attributes
+    ----------
+    photons : float, optional
+        Budget of an exposure, counts; that of the all-ON frames unless given.
+    background : float, optional
+        Counts that an input has in the masks' frames of one exposure together without light; those
+        of the all-OFF frames unless given, and none without such frames.
+    settle_s : float
+        Time after each marker that was not counted, seconds.
+    exposures : "rows" or "columns", optional
+        As the shape says unless given.
+    repeats : int
+        Exposures of each scene, one after another, where the table names no scenes.
+    gain : float, optional
+        Counts for a unit of the table, of an analogue detector.
+    read_noise : float, optional
+        Of each value of an analogue detector, counts rms.
+    dead_time : DeadTime
+        Of a photon counter, to be corrected for.
+    dark : Table, optional
+        Exposures with the scene dark, whose counts are subtracted; a table as that of the others.
+    clicks : int, optional
+        Gates of a frame, of tables of clicks: values from 0 to this.
+    """
+
+    SCENE: ClassVar[str] = "scene"
+    LABEL: ClassVar[str] = "label"
+    WORDS: ClassVar[tuple[str, ...]] = (SCENE, LABEL)  # names of the columns of words
+
+    photons: float | None = None
     background: float | None = None
-    settle_s: float = 0.0  # time after each marker that was not counted, seconds
-    exposures: str | None = None  # "rows" or "columns"; as the shape says unless given
-    repeats: int = 1  # exposures of each scene, one after another, where the table names no scenes
-    gain: float | None = None  # counts for a unit of the table, of an analogue detector
-    read_noise: float | None = None  # of each value of an analogue detector, counts rms
-    dead_time: DeadTime = NO_DEAD_TIME  # of a photon counter, to be corrected for
-    # Exposures with the scene dark, whose counts are subtracted; a table as that of the others
+    settle_s: float = 0.0
+    exposures: str | None = None
+    repeats: int = 1
+    gain: float | None = None
+    read_noise: float | None = None
+    dead_time: DeadTime = NO_DEAD_TIME
     dark: Table | None = None
-    # Gates of a frame, of tables of clicks: values from 0 to this
     clicks: int | None = None
 
     def __post_init__(self) -> None:
@@ -91,59 +135,74 @@ def column_names(manifest: Manifest) -> list[str]:
     """Names of the values of an exposure: frame by frame, and in each frame input by input."""
     # `on`, `off`, then `mask0` (of a single rail, or two arms) or `mask0+` and `mask0-`, last `on2`
     # and `off2`; of several inputs `mask0+/1`, `mask0+/2` and so on
-    names, named = [], set()
+    names: list[str] = []
     for frame in manifest.frames:
-        name = frame.role
+        name: str = frame.role
         if frame.role == "mask":
             sign = "" if manifest.rails == 1 or frame.rail == "both" else "+-"[frame.rail != "plus"]
-            names.append(f"mask{frame.mask}{sign}")
-        else:
-            names.append(f"{name}2" if name in named else name)
-            named.add(name)
-    inputs = manifest.inputs
-    if inputs == 1:
+            name = f"mask{frame.mask}{sign}"
+        names.append(f"{name}2" if name in names else name)
+    if manifest.inputs == 1:
         return names
-    return [f"{name}/{each}" for name in names for each in range(1, inputs + 1)]
+    return [f"{name}/{number}" for name in names for number in range(1, manifest.inputs + 1)]
 
 
 def count_table(
     table: Table, manifest: Manifest, settings: TableSettings, name: str = "the table"
 ) -> tuple[Counts, tuple[Scene, ...]]:
-    """Counts of the exposures in a table, and their scenes."""
-    read, sentinels = _find_values(table, manifest, settings, name)
-    scenes, place = _find_scenes(table, len(read), settings.repeats, name)
-    _check_values(read, manifest, settings, name)
-    times, shown = _find_times(manifest, settings.settle_s), manifest.shown
-    exposure = float(times[shown].sum() / manifest.shares.sum())
-    lengths = manifest.shares * exposure
-    mean, variance = _correct(read, times, manifest, settings, name)
-    light = _find_light(mean, variance, sentinels, place, times, exposure, manifest, settings)
+    """Counts of the exposures in a table, and their scenes.
+
+    Parameters
+    ----------
+    table : Table
+        A value for each frame and input: an exposure a row or a column.
+    manifest : Manifest
+        Patterns that were shown.
+    settings : TableSettings
+    name : str
+        What errors call the table.
+
+    Returns
+    -------
+    counts : Counts
+    scenes : tuple of Scene
+        Exposures of one scene follow each other.
+
+    Raises
+    ------
+    InputError
+        If it is no table of these patterns, or nothing tells the budget.
+    """
+    exposures = _Exposures.read(table, manifest, settings, name)
+    scenes, scene_of = _find_scenes(table, len(exposures.values), settings, name)
+    frames = exposures.correct()
+    light = _find_light(exposures, frames, scene_of)
     ambient = Ambient.none(manifest)
     if settings.dark is not None:
-        ambient = _find_ambient(settings.dark, sentinels, times, lengths, manifest, settings)
-        light["flux"] = ambient.of_flux(light["flux"], name)
-    _check_budget(light, settings, name)
-    repeats = np.bincount(place)
+        dark = _Exposures.read(settings.dark, manifest, settings, "the table of the background")
+        ambient = dark.as_ambient(exposures.sentinels)
+        light = replace(light, flux=ambient.of_flux(light.flux, name))
+    repeats = np.bincount(scene_of)
     valid = np.arange(repeats.max()) < repeats[:, None]
-    scale = (lengths / times[shown])[:, None] if settings.clicks is None else 1.0
 
-    def by_scene(frames: np.ndarray) -> np.ndarray:
+    def by_scene(of_frames: np.ndarray) -> np.ndarray:
         """Readouts (S, R, rails, m[, D]) from those of masks' frames (E, f, inputs)."""
-        readouts = manifest.by_readout(frames)
+        readouts = manifest.by_readout(of_frames)
         out = np.zeros((*valid.shape, *readouts.shape[1:]))
         out[valid] = readouts
         return out
 
+    gated = exposures.in_gates(frames)
     counts = Counts(
-        **light,
-        counts=by_scene(read[:, shown]),
-        arrivals=by_scene(mean[:, shown] * scale),
-        variance=by_scene(variance[:, shown] * scale**2),
+        **vars(light),
+        counts=by_scene(exposures.values[:, manifest.shown]),
+        arrivals=by_scene(gated.arrivals),
+        variance=by_scene(gated.variance),
         valid=valid,
-        gate_s=lengths,
-        exposure_s=exposure,
+        gate_s=exposures.lengths_s,
+        exposure_s=exposures.exposure_s,
         settle_s=settings.settle_s,
-        lengths_s=manifest.lengths_by_readout(lengths),
+        lengths_s=manifest.lengths_by_readout(exposures.lengths_s),
         drift=0.0,
         ambient=ambient.counts,
         ambient_variance=ambient.variance,
@@ -151,54 +210,83 @@ def count_table(
         dead_time=settings.dead_time,
         gates=settings.clicks,
     )
+    if settings.photons is None:
+        _check_budget(counts, name)
     return counts, scenes
 
 
-def _find_ambient(
-    dark: Table,
-    sentinels: bool,
-    times: np.ndarray,
-    lengths_s: np.ndarray,
-    manifest: Manifest,
-    settings: TableSettings,
-) -> Ambient:
-    """Background in a table of exposures with the scene dark."""
-    # sentinels: whether the table of the scenes has all-ON and all-OFF frames; times (F,)
-    name, shown = "the table of the background", manifest.shown
-    read, known = _find_values(dark, manifest, settings, name)
-    if known != sentinels:
-        raise InputError(f"{name} must have all-ON and all-OFF frames if the other has, or none")
-    _check_values(read, manifest, settings, name)
-    mean, variance = _correct(read, times, manifest, settings, name)
-    scale = (lengths_s / times[shown])[:, None]
-    gates = mean[:, shown] * scale, variance[:, shown] * scale**2
-    return Ambient.of(manifest, gates, (mean.sum(axis=0), times * len(read) * known), lengths_s)
+@dataclass(frozen=True)
+class _Exposures:
+    """Frames of the exposures in a table, each counted as one window."""
 
+    values: np.ndarray  # (E, F, inputs): Counts; 0 in all-ON and all-OFF frames that are not there
+    sentinels: bool  # whether these are there
+    seconds: np.ndarray  # (F,): For how long each frame was counted
+    manifest: Manifest
+    settings: TableSettings
+    name: str
 
-def _correct(
-    read: np.ndarray, times: np.ndarray, manifest: Manifest, settings: TableSettings, name: str
-) -> tuple[np.ndarray, np.ndarray]:
-    """Arrivals and their variance in all frames, of what was read (E, F, inputs) in times (F,)."""
-    if settings.clicks is not None:
-        return read, variance_of(read, settings.clicks)
-    if settings.analogue:
-        found = read * (settings.gain or 1.0)
-        return found, found.clip(min=0) + (settings.read_noise or 0.0) ** 2
-    rates, dead = read / times[:, None], settings.dead_time
-    check_rates(dead, rates, manifest.frames, range(manifest.inputs), name)
-    factors = dead.correction(rates)
-    return read * factors.arrivals, read * factors.variance
+    @classmethod
+    def read(cls, table: Table, manifest: Manifest, settings: TableSettings, name: str) -> Self:
+        """Exposures of a table, or `InputError` if it does not hold them."""
+        values, sentinels = _find_values(table, manifest, settings, name)
+        _check_values(values, manifest, settings, name)
+        seconds = np.asarray(manifest.picture_s - settings.settle_s)
+        if seconds.min() <= 0:
+            raise InputError(
+                f"`settle` {time_text(settings.settle_s)} leaves nothing of the shortest frame: "
+                f"give less than {manifest.picture_s.min():g}"
+            )
+        return cls(values, sentinels, seconds, manifest=manifest, settings=settings, name=name)
 
+    @property
+    def exposure_s(self) -> float:
+        """Total exposure: all the light of the masks' frames is counted."""
+        return float(self.seconds[self.manifest.shown].sum() / self.manifest.shares.sum())
 
-def _find_times(manifest: Manifest, settle_s: float) -> np.ndarray:
-    """For how long each frame is counted, seconds (F,), or `InputError` if one is not."""
-    times = np.asarray(manifest.picture_s - settle_s)
-    if times.min() <= 0:
-        raise InputError(
-            f"`settle` {time_text(settle_s)} leaves nothing of the shortest frame: give less than "
-            f"{manifest.picture_s.min():g}"
+    @property
+    def lengths_s(self) -> np.ndarray:
+        """Gates (f,) that have the masks' shares of the exposure."""
+        return self.manifest.shares * self.exposure_s
+
+    def correct(self) -> Estimate:
+        """Arrivals (E, F, inputs) in all frames."""
+        values, settings = self.values, self.settings
+        if settings.clicks is not None:
+            return Estimate(values, variance_of_clicks(values, settings.clicks))
+        if settings.analogue:
+            counts = values * (settings.gain or 1.0)
+            return Estimate(counts, counts.clip(min=0) + (settings.read_noise or 0.0) ** 2)
+        rates = values / self.seconds[:, None]
+        corrections = corrections_of(CounterEffects(settings.dead_time), self.manifest)
+        for correction in corrections:
+            inputs = range(self.manifest.inputs)
+            correction.check(rates, self.manifest.frames, inputs, self.name)
+        factors = correct(rates, corrections)
+        return Estimate(values * factors.arrivals, values * factors.variance)
+
+    def in_gates(self, frames: Estimate) -> Estimate:
+        """Arrivals (E, f, inputs) of the masks' frames in their gates; clicks as they are."""
+        shown = self.manifest.shown
+        scale = (self.lengths_s / self.seconds[shown])[:, None]
+        if self.settings.clicks is not None:
+            scale = np.ones_like(scale)
+        return Estimate(frames.arrivals[:, shown] * scale, frames.variance[:, shown] * scale**2)
+
+    def as_ambient(self, sentinels: bool) -> Ambient:
+        """Background that they measured with the scene dark, of scenes with sentinels or none."""
+        if self.sentinels != sentinels:
+            raise InputError(
+                f"{self.name} must have all-ON and all-OFF frames if the other has, or none"
+            )
+        frames = self.correct()
+        return Ambient.of(
+            self.manifest,
+            self.in_gates(frames),
+            self.lengths_s,
+            frames=frames.arrivals.sum(axis=0),
+            frames_s=self.seconds * len(self.values) * sentinels,
         )
-    return times
 
 
 def _find_values(
@@ -232,7 +320,7 @@ def _check_names(
     if other:
         raise InputError(
             f"{name} has a column {other[0]!r} that is no frame: "
-            f"{closest_choice(other[0], names)}, and {SCENE} and {LABEL}"
+            f"{closest_choice(other[0], names)}, and {' and '.join(TableSettings.WORDS)}"
         )
     missing = [each for each in names if each not in known]
     sentinels = {*names[:ends], *names[-ends:]}
@@ -271,25 +359,27 @@ def _find_direction(
 
 
 def _find_scenes(
-    table: Table, exposures: int, repeats: int, name: str
+    table: Table, exposures: int, settings: TableSettings, name: str
 ) -> tuple[tuple[Scene, ...], np.ndarray]:
     """Scenes, and which of them each exposure (E,) is of: those of one scene follow each other."""
-    names, labels = table.words.get(SCENE), table.words.get(LABEL)
+    names = table.words.get(settings.SCENE)
+    labels = table.words.get(settings.LABEL)
+    repeats = settings.repeats
     if names is None:
         if exposures % repeats:
             raise InputError(f"{name} has {exposures} exposures, no multiple of {repeats} repeats")
-        place = np.arange(exposures) // repeats
-        names = tuple(str(k + 1) for k in place.tolist())
+        scene_of = np.arange(exposures) // repeats
+        names = tuple(str(k + 1) for k in scene_of.tolist())
     else:
         if repeats > 1:
             raise InputError(f"{name} names its scenes: leave `repeats` out")
         changes = [a != b for a, b in zip(names[1:], names, strict=False)]
-        place = np.cumsum([0, *changes])
-        if len(set(names)) <= place[-1]:
+        scene_of = np.cumsum([0, *changes])
+        if len(set(names)) <= scene_of[-1]:
             raise InputError(f"{name} has a scene twice, with others between: sort its rows")
-    firsts = np.searchsorted(place, np.arange(place[-1] + 1)).tolist()
+    firsts = np.searchsorted(scene_of, np.arange(scene_of[-1] + 1)).tolist()
     scenes = (Scene(name=names[k], label=(labels[k] or None) if labels else None) for k in firsts)
-    return tuple(scenes), place
+    return tuple(scenes), scene_of
 
 
 def _check_values(read: np.ndarray, manifest: Manifest, settings: TableSettings, name: str) -> None:
@@ -312,83 +402,247 @@ def _check_values(read: np.ndarray, manifest: Manifest, settings: TableSettings,
         )
 
 
-def _find_light(
-    mean: np.ndarray,
-    variance: np.ndarray,
-    sentinels: bool,
-    place: np.ndarray,
-    times: np.ndarray,
-    exposure_s: float,
-    manifest: Manifest,
-    settings: TableSettings,
-) -> dict[str, Any]:
-    """Light of each scene as of `Counts`, all exposures of one together, from all frames."""
-    # place (E,), the scene of each exposure; times (F,)
-    scenes, arm = int(place[-1]) + 1, slice(0, manifest.detector_count)
-    given = None if settings.background is None else settings.background / exposure_s
-    dark = np.full((scenes, manifest.inputs), given or 0.0)
-    if not sentinels:
-        return {
-            "on_rate": np.full(scenes, np.nan),
-            "off_rate": np.full(scenes, np.nan),
-            "flux": np.full(scenes, (settings.photons or np.nan) / exposure_s),
-            "dark_rate": manifest.by_rail(dark),
-            "faults": (),
-        }
+def _find_light(exposures: _Exposures, frames: Estimate, scene_of: np.ndarray) -> SceneLight:
+    """Light of each scene, all exposures of one together, from what arrived in all frames."""
+    # scene_of (E,): scene of each exposure
+    manifest, settings, seconds = exposures.manifest, exposures.settings, exposures.seconds
+    scenes = int(scene_of[-1]) + 1
+    arm = slice(0, manifest.detector_count)
+    exposure_s = exposures.exposure_s
+    stated = None if settings.background is None else settings.background / exposure_s
+    dark = np.full((scenes, manifest.inputs), stated or 0.0)
+    if not exposures.sentinels:
+        return SceneLight(
+            on_rate=np.full(scenes, np.nan),
+            off_rate=np.full(scenes, np.nan),
+            flux=np.full(scenes, (settings.photons or np.nan) / exposure_s),
+            dark_rate=manifest.by_rail(dark),
+        )
     if settings.clicks is not None:
-        width = float(times[0]) / settings.clicks
-        ends, gates = mean[:, ENDS], np.full((len(mean), len(ENDS), 1), settings.clicks)
-        return light_of_clicks((ends, ends, gates), width, scenes, manifest)
-    found, noise = np.zeros((2, scenes, *mean.shape[1:]))
-    np.add.at(found, place, mean)
-    np.add.at(noise, place, variance)
-    seconds = np.bincount(place)[:, None] * times
+        clicks = frames.arrivals[:, ENDS]
+        gates = np.full((len(clicks), len(ENDS), 1), settings.clicks)
+        width = float(seconds[0]) / settings.clicks
+        return light_of_clicks(
+            clicks, clicks, gates, width_s=width, scenes=scenes, manifest=manifest
+        )
+    photons, variance = np.zeros((2, scenes, *frames.arrivals.shape[1:]))
+    np.add.at(photons, scene_of, frames.arrivals)
+    np.add.at(variance, scene_of, frames.variance)
+    spent = np.bincount(scene_of)[:, None] * seconds
     on, off = (
-        found[:, frames].sum(axis=1) / seconds[:, frames].sum(axis=1, keepdims=True)
-        for frames in ([0, -2], [1, -1])
+        photons[:, ends].sum(axis=1) / spent[:, ends].sum(axis=1, keepdims=True)
+        for ends in ([0, -2], [1, -1])
     )
-    faults: tuple[Fault, ...] = ()
     if settings.analogue:
-        flux = np.full(scenes, (on - off)[:, arm].sum(axis=1).mean())
         measured = off.copy()
         measured[:, arm.stop :] = on[:, arm.stop :]  # the second arm is dark when all are ON
         measured[:] = measured.mean(axis=0)
+        flux = np.full(scenes, (on - off)[:, arm].sum(axis=1).mean())
+        faults: tuple[Fault, ...] = ()
     else:
-        middles = (np.cumsum(times) - times / 2)[:, None]
+        arrivals = Arrivals(
+            manifest.frames,
+            photons=photons[:, :, None],
+            variance=variance[:, :, None],
+            seconds=spent[..., None],
+            middles=(np.cumsum(seconds) - seconds / 2)[:, None],
+        )
         light = check_light(
-            Arrivals(
-                manifest.frames, found[:, :, None], noise[:, :, None], seconds[..., None], middles
-            ),
+            arrivals,
             manifest,
             range(manifest.inputs),
             scenes=np.arange(scenes),
             lost=np.empty(0, np.int64),
         )
-        flux, measured, faults = light.flux, light.dark_rate, light.faults
-    if given is None:
+        measured, flux, faults = light.dark_rate, light.flux, light.faults
+    if stated is None:
         dark = measured
-    return {
-        "on_rate": on[:, arm].sum(axis=1),
-        "off_rate": off[:, arm].sum(axis=1),
-        "flux": flux + (measured - dark)[:, arm].sum(axis=1),
-        "dark_rate": manifest.by_rail(dark),
-        "faults": faults,
-    }
+    return SceneLight(
+        on_rate=on[:, arm].sum(axis=1),
+        off_rate=off[:, arm].sum(axis=1),
+        flux=flux + (measured - dark)[:, arm].sum(axis=1),
+        dark_rate=manifest.by_rail(dark),
+        faults=faults,
+    )
 
 
-def _check_budget(light: dict[str, Any], settings: TableSettings, name: str) -> None:
+def _check_budget(counts: Counts, name: str) -> None:
     """Raise `InputError` if nothing tells the budget."""
-    if settings.photons is not None:
-        return
-    flux = light["flux"]
-    if np.isnan(light["on_rate"]).all():
+    if np.isnan(counts.on_rate).all():
         raise InputError(
             f"{name} has no all-ON and all-OFF frames, which tell the budget: give `photons`"
         )
-    if settings.clicks is not None:
-        check_budget_of_clicks(flux, name)
-    if not (flux > 0).any():
+    if counts.gates is not None:
+        counts.check_budget(name)
+    if not (counts.flux > 0).any():
         raise InputError(
             f"{name} has no light: its all-ON frames are not brighter than the all-OFF ones; look "
             "at the order of frames, or give `photons`"
         )
+
+
+def table_of_series(
+    values: np.ndarray,
+    manifest: Manifest,
+    *,
+    bin_s: float | None = None,
+    passes: int | None = None,
+    name: str = "the file",
+) -> tuple[np.ndarray, list[str]]:
+    """Table of a counter that gives no events: cumulative counts at triggers, or even time bins.
+
+    Parameters
+    ----------
+    values : array (n, inputs)
+        Counts that a trigger latched at the start of each frame, or those of bins.
+    manifest : Manifest
+        Patterns that were shown.
+    bin_s : float, optional
+        Length of a bin, seconds; cumulative counts unless given.
+    passes : int, optional
+        Passes that were recorded, where the counts do not say.
+    name : str
+        What errors call the values.
+
+    Returns
+    -------
+    rows : array (passes, values), int64
+    names : list of str
+        Of the columns.
+
+    Raises
+    ------
+    InputError
+        If the counts are none, or do not fit the patterns.
+    """
+    counts = _columns(values, manifest.inputs, name)
+    if bin_s is None:
+        return _of_cumulative(counts, manifest, passes, name)
+    return _of_bins(counts, manifest, bin_s, passes=passes, name=name)
+
+
+def _of_cumulative(
+    counts: np.ndarray, manifest: Manifest, passes: int | None, name: str
+) -> tuple[np.ndarray, list[str]]:
+    """Rows of a table, and its columns, of counts (n, inputs) that a trigger latched."""
+    # One latch at the start of each frame. With one more at the end of a pass the last frame has an
+    # end and is counted; else the all-ON and all-OFF frames are left out
+    frames = len(manifest.frames)
+    names = column_names(manifest)
+    fits = [
+        latches
+        for latches in (frames + 1, frames)
+        if passes in (None, len(counts) / latches) and len(counts) % latches == 0
+    ]
+    if len(fits) != 1:
+        raise InputError(
+            f"{name} has {len(counts)} cumulative counts, and a pass has {frames} frames, whose "
+            f"trigger gives as many, or one more at its end: "
+            f"{'say how many `passes` there are' if fits else 'give those of whole passes'}"
+        )
+    steps = np.diff(counts.reshape(-1, fits[0], manifest.inputs), axis=1) % ROLL_OVER
+    if (steps > ROLL_OVER / 2).any():
+        raise InputError(
+            f"{name} has counts that fall within a pass: give cumulative ones, in the order of "
+            "their triggers"
+        )
+    if fits[0] > frames:
+        return steps.reshape(len(steps), -1), names
+    return steps[:, 2 : frames - 2].reshape(len(steps), -1), names[
+        2 * manifest.inputs : -2 * manifest.inputs
+    ]
+
+
+def _of_bins(
+    counts: np.ndarray, manifest: Manifest, bin_s: float, *, passes: int | None, name: str
+) -> tuple[np.ndarray, list[str]]:
+    """Rows of a table, and its columns, of counts (n, inputs) in even time bins."""
+    lengths = manifest.picture_s / bin_s
+    bins = np.rint(lengths).astype(np.int64)
+    if abs(lengths - bins).max() > 1e-6 * max(lengths.max(), 1) or bins.min() < LEAST_BINS:
+        times = sorted({round(each * 1e6) for each in manifest.picture_s.tolist()})
+        raise InputError(
+            f"pictures of {times[0]} to {times[-1]} µs are not whole numbers of bins of "
+            f"{bin_s * 1e6:g} µs, {LEAST_BINS} or more: export an equal-dwell design or a scan "
+            "with such a --dwell, or record in other bins"
+        )
+    total = np.concatenate([np.zeros((1, manifest.inputs), np.int64), counts.cumsum(axis=0)])
+    places = np.array(sorted(_find_passes(total, bins, manifest, passes)), np.int64)
+    if not len(places) or len(places) != (passes or len(places)):
+        raise InputError(
+            f"{name} has {len(places)} passes that begin and end with a bright and a dark frame"
+            f"{'' if passes is None else f', and {passes} are asked for'}: give the patterns that "
+            "were shown, and the length of the bins"
+        )
+    ends = places[:, None] + np.cumsum(bins)
+    rows = total[ends] - total[ends - bins + 1]
+    return rows.reshape(len(rows), -1), column_names(manifest)
+
+
+def _columns(values: np.ndarray, inputs: int, name: str) -> np.ndarray:
+    """Whole numbers (n, inputs) of a table."""
+    columns = values.T if values.shape[1] != inputs and values.shape[0] == inputs else values
+    if columns.shape[1] != inputs:
+        raise InputError(
+            f"{name} has {values.shape[1]} columns, and these patterns have {inputs} inputs: give "
+            "a column for each"
+        )
+    if (columns < 0).any() or (columns % 1 != 0).any() or columns.max() > 2.0**53:
+        raise InputError(f"{name} holds what is no count: give whole numbers, 0 or more")
+    return columns.astype(np.int64)
+
+
+def _find_passes(
+    total: np.ndarray, bins: np.ndarray, manifest: Manifest, passes: int | None
+) -> Iterator[int]:
+    """First bins of passes, the surest first; `InputError` where a place is not certain."""
+    # total (n + 1, inputs): counts before each bin
+    length = int(bins.sum())
+    starts = len(total) - length
+    if starts < 1:
+        return
+    gain = _gains(total, bins, manifest.detector_count)
+    while passes is None or passes > 0:
+        best = int(np.argmax(gain))
+        if gain[best] == -np.inf:
+            return
+        near = slice(max(best - length + 1, 0), best + length)
+        rivals = gain[near].copy()
+        rivals[max(best - 1, 0) - near.start : best + 2 - near.start] = -np.inf
+        if rivals.max() > gain[best] - CERTAIN_GAIN:
+            raise InputError(
+                f"a pass begins at bin {best} or {near.start + int(np.argmax(rivals))}, and the "
+                "counts do not tell: use more light, or longer pictures"
+            )
+        gain[near] = -np.inf
+        passes = None if passes is None else passes - 1
+        yield best
+
+
+def _gains(total: np.ndarray, bins: np.ndarray, arm: int) -> np.ndarray:
+    """G (starts,) of a pass that begins at each bin; -inf where it cannot."""
+    from scipy.special import xlogy
+
+    starts, ends = len(total) - int(bins.sum()), np.cumsum(bins)
+    gain = np.zeros(starts)
+    own_bins = np.diff(total, axis=0)
+    saturated = np.concatenate([[0.0], xlogy(own_bins, own_bins).sum(axis=1).cumsum()])
+    seen: dict[int, tuple[np.ndarray, int]] = {}
+    brightest = np.zeros(starts)
+    last = len(bins) - 1
+    for frame, (stop, width) in enumerate(zip(ends.tolist(), (bins - 1).tolist(), strict=True)):
+        found = total[stop : stop + starts] - total[stop - width : stop - width + starts]
+        gain += xlogy(found, found / width).sum(axis=1)
+        gain -= saturated[stop : stop + starts] - saturated[stop - width : stop - width + starts]
+        own = found[:, :arm].sum(axis=1)
+        if frame in (0, 1, last - 1, last):
+            seen[frame] = own, width
+        else:
+            brightest = np.maximum(brightest, own / width - CERTAIN_SIGMAS * np.sqrt(own) / width)
+    fits = np.ones(starts, bool)
+    for bright, dark in ((0, 1), (last - 1, last)):
+        (on, on_bins), (off, off_bins) = seen[bright], seen[dark]
+        noise = np.sqrt(on / on_bins**2 + off / off_bins**2)
+        fits &= on / on_bins - off / off_bins > CERTAIN_SIGMAS * noise
+        fits &= on / on_bins + CERTAIN_SIGMAS * np.sqrt(on) / on_bins >= brightest
+    return np.where(fits, gain, -np.inf)

@@ -12,7 +12,7 @@ from io import FileIO
 from pathlib import Path
 
 from deepfsi.base import InputError
-from deepfsi.hardware.counting.streaming import FrameCounts, FrameGates, StreamCounter
+from deepfsi.hardware.counting import FrameCounter, FrameCounts, FrameGates
 
 BYTES_AT_ONCE = 2**21
 """Bytes read at once."""
@@ -35,7 +35,7 @@ class FollowedCounter(AbstractContextManager["FollowedCounter"]):
         self._waits = waits
         self._buffer = memoryview(bytearray(BYTES_AT_ONCE))
         self._file: FileIO | None = None
-        self._frames: StreamCounter | None = None
+        self._frames: FrameCounter | None = None
 
     def __exit__(self, *error: object) -> None:
         self.stop()
@@ -58,7 +58,7 @@ class FollowedCounter(AbstractContextManager["FollowedCounter"]):
         except OSError as error:
             raise InputError(f"{path} cannot be read: {error.strerror}") from None
         self._path = path
-        self._frames = StreamCounter(self._inputs, self._bit, path)
+        self._frames = FrameCounter(self._inputs, self._bit, path)
 
     def expect(self, gates: FrameGates) -> None:
         """Tell the gates of the frames that are shown next, before they are shown."""
@@ -97,7 +97,7 @@ class FollowedCounter(AbstractContextManager["FollowedCounter"]):
             self._file.close()
         self._file = self._frames = None
 
-    def _counting(self) -> tuple[FileIO, StreamCounter]:
+    def _counting(self) -> tuple[FileIO, FrameCounter]:
         if self._file is None or self._frames is None:
             raise InputError("no recording is followed: start one first")
         return self._file, self._frames

@@ -17,10 +17,8 @@ import threading
 from pathlib import Path
 from typing import Any, Self
 
-import numpy as np
-
 from deepfsi.base import InputError
-from deepfsi.hardware.counting.streaming import FrameCounter, FrameCounts, FrameGates
+from deepfsi.hardware.counting import FrameCounter, FrameCounts, FrameGates
 from deepfsi.hardware.photons import PtuStream
 
 LONGEST_MS = 360_000_000
@@ -96,9 +94,9 @@ class SnapiCounter:
         self._accept(self._api.raw.startBlock(LONGEST_MS, self.buffer, True), "start to record")
         tick_s = self._api.deviceConfig["BaseResolution"] * 1e-12
         stream = PtuStream.without_header(path, tick_s)
-        self._frames = FrameCounter(stream, self.inputs, self.marker_bit)
+        self._frames = FrameCounter(self.inputs, self.marker_bit, stream)
         self._found, self._ending = queue.Queue(), threading.Event()
-        arguments = (self._frames, stream)
+        arguments = (self._frames, path)
         self._thread = threading.Thread(target=self._read, args=arguments, daemon=True)
         self._thread.start()
 
@@ -130,7 +128,7 @@ class SnapiCounter:
             self._thread = self._frames = None
             self._api.raw.stopMeasure()
 
-    def _read(self, frames: FrameCounter, stream: PtuStream) -> None:
+    def _read(self, frames: FrameCounter, path: Path) -> None:
         """Count all records until the end; what is found, or goes wrong, is for the other side."""
         try:
             while not self._ending.is_set():
@@ -138,27 +136,22 @@ class SnapiCounter:
                 words = self._api.raw.getBlock()  # a view, until the next call
                 if len(words) >= self.buffer:
                     raise InputError(
-                        f"{stream.path}: more records came than the {self.buffer} that may wait, "
+                        f"{path}: more records came than the {self.buffer} that may wait, "
                         "and some were lost: give a larger `buffer`, or less light"
                     )
-                self._count(words, frames, stream)
+                with self._lock:
+                    counts = frames.feed(words.data)
+                if len(counts.counts):
+                    self._found.put(counts)
                 if finished:
                     raise InputError(
-                        f"{stream.path}: the PicoQuant device stopped by itself; look into "
+                        f"{path}: the PicoQuant device stopped by itself; look into "
                         "snAPI's log, and for less light if its buffer ran over"
                     )
                 if not len(words):
                     self._ending.wait(POLL_S)
         except Exception as error:
             self._found.put(error)
-
-    def _count(self, words: np.ndarray, frames: FrameCounter, stream: PtuStream) -> None:
-        stream.feed(words.data)
-        for part in stream.parts():
-            with self._lock:
-                counts = frames.add(part)
-            if len(counts.counts):
-                self._found.put(counts)
 
     def _close(self) -> None:
         api, self._api = self._api, None

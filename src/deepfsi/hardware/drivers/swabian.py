@@ -24,7 +24,7 @@ import numpy as np
 from pydantic import FiniteFloat
 
 from deepfsi.base import InputError, UserModel, as_input_error, read_toml
-from deepfsi.hardware.counting.streaming import FrameCounts, FrameGates
+from deepfsi.hardware.counting import FrameCounts, FrameGates
 from deepfsi.hardware.drivers.device_errors import refusals
 from deepfsi.hardware.drivers.file_tail import FollowedCounter
 from deepfsi.hardware.photons import PtuWriter

@@ -1,6 +1,6 @@
 """The light of a run, checked against what it should be."""
 
-from deepfsi.hardware.light.checks import SPOILING, Fault, Light, check_light
+from deepfsi.hardware.light.checks import SPOILING, Fault, check_light
 from deepfsi.hardware.light.curves import (
     CERTAIN_SIGMAS,
     FALSE_ALARMS,
@@ -19,7 +19,6 @@ __all__ = [
     "SPOILING",
     "Arrivals",
     "Fault",
-    "Light",
     "LightMonitor",
     "check_light",
     "excess_chance",

@@ -26,7 +26,7 @@ import numpy as np
 from deepfsi.base import InputError
 from deepfsi.camera import MARGIN_NS
 from deepfsi.designfile import SceneReadouts, ViewResult, ViewTest
-from deepfsi.hardware.counting.acquisition import Acquisition
+from deepfsi.hardware.counting import Acquisition
 from deepfsi.hardware.light import SPOILING, Arrivals, Fault, LightMonitor
 from deepfsi.hardware.live.looks import AllOn, Conditions, Count, FrameList, LiveLooks
 from deepfsi.hardware.live.trust import Trust

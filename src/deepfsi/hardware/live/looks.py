@@ -8,7 +8,7 @@ import numpy as np
 
 from deepfsi.camera import StopRule
 from deepfsi.designfile import SceneModel, TrainingScenes
-from deepfsi.hardware.counting.streaming import FrameCounts
+from deepfsi.hardware.counting import FrameCounts
 from deepfsi.hardware.light import Arrivals
 
 

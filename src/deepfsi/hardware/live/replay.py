@@ -16,8 +16,7 @@ import numpy as np
 
 from deepfsi.base import SILENT, InputError, Progress, hash_file, read_npz, write_atomically
 from deepfsi.designfile import SceneReadouts
-from deepfsi.hardware.counting.acquisition import Acquisition, check_inputs, read_acquisition
-from deepfsi.hardware.counting.streaming import FrameCounts
+from deepfsi.hardware.counting import Acquisition, FrameCounts, read_run
 from deepfsi.hardware.light import PARTS
 from deepfsi.hardware.live import shown
 from deepfsi.hardware.live.decisions import Decision, Observer
@@ -26,7 +25,6 @@ from deepfsi.hardware.live.shown import DARK, ShownList, ShownScene, read_shown
 from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.hardware.photons import (
     PhotonSource,
-    PtuFile,
     count_windows,
     cut_windows,
     read_markers,
@@ -68,9 +66,8 @@ class LiveCounts:
 
 def count_live(folder: Path, report: Progress = SILENT) -> LiveCounts:
     """Count the photons of a live run and write counts.npz."""
-    acquisition, patterns = read_acquisition(folder)
-    manifest, scenes, header = patterns.manifest, read_shown(folder), PtuFile(folder / PHOTONS)
-    check_inputs(manifest, header.inputs, f"{header.path} ({header.record_type})")
+    run, scenes = read_run(folder), read_shown(folder)
+    acquisition, header = run.acquisition, run.open_photons()
     markers, starts, stops = _find_gates(header, scenes, acquisition, report.between(0.0, 0.4))
     parts = cut_windows(starts, stops, PARTS)
     counts = count_windows(header.path, *parts, acquisition.inputs, report.between(0.4, 1.0))
@@ -83,7 +80,7 @@ def count_live(folder: Path, report: Progress = SILENT) -> LiveCounts:
         file, counts=found.parts, starts_s=found.starts_s, about=np.frombuffer(about, np.uint8)
     )
     write_atomically(folder / COUNTS, file.getvalue())
-    return LiveCounts(acquisition, manifest, scenes, found)
+    return LiveCounts(acquisition, run.manifest, scenes, found)
 
 
 def _find_gates(
@@ -108,7 +105,8 @@ def read_live_counts(folder: Path) -> LiveCounts:
     """Counts of a live run as `count_live` wrote them."""
     path, again = folder / COUNTS, "count again with `deepfsi camera count`"
     scenes = read_shown(folder)
-    acquisition, patterns = read_acquisition(folder)
+    run = read_run(folder)
+    acquisition, patterns = run.acquisition, run.patterns
     held = read_npz(path, again)
     try:
         counts, starts = held["counts"], held["starts_s"]

@@ -26,14 +26,7 @@ from deepfsi.base import (
     progress_bar,
 )
 from deepfsi.camera import MARGIN_NS, NO_DEAD_TIME, DeadTime, LiveSettings, StopRule, margin_ns
-from deepfsi.hardware.counting.acquisition import (
-    Acquisition,
-    Scene,
-    check_fixed,
-    keep_first,
-    prepare,
-)
-from deepfsi.hardware.counting.streaming import FrameCounts, FrameGates
+from deepfsi.hardware.counting import Acquisition, FrameCounts, FrameGates, Scene, prepare_run
 from deepfsi.hardware.drivers import (
     PATIENCE_S,
     PassProjector,
@@ -164,7 +157,7 @@ def run_live(
         stack.enter_context(setup.projector)
         stack.enter_context(setup.counter)
         setup.projector.load(patterns_folder)
-        prepare(folder, patterns_folder, acquisition)
+        prepare_run(folder, patterns_folder, acquisition)
         setup.counter.start(folder / "photons.ptu")
         show = _Sequencer(setup, patterns.manifest, acquisition)
         record = stack.enter_context(GrowingFile(folder / shown.NAME))
@@ -344,7 +337,7 @@ def record_run(
     InputError
         If the patterns choose their dwells, or a device fails.
     """
-    check_fixed(acquisition, folder)
+    acquisition.check_fixed(folder)
     manifest = read_patterns(patterns_folder).manifest
     done = 0
     with ExitStack() as stack:
@@ -352,7 +345,7 @@ def record_run(
         stack.enter_context(setup.counter)
         with progress_bar(report, "loading the frames") as loading:
             setup.projector.load(patterns_folder, loading)
-        prepared = prepare(folder, patterns_folder, acquisition)
+        prepared = prepare_run(folder, patterns_folder, acquisition)
         setup.counter.start(folder / "photons.ptu")
         show = _Passes(setup.projector, setup.counter, manifest, acquisition.settle_s)
         try:
@@ -365,7 +358,7 @@ def record_run(
             setup.counter.stop()
         finally:
             if 0 < done < len(acquisition.scenes):
-                keep_first(folder, prepared, done)
+                prepared.keep_first(folder, done)
 
 
 class _Passes:

@@ -6,7 +6,7 @@ from scipy.special import bdtrc
 
 from deepfsi.camera import TOO_DIM
 from deepfsi.designfile import REFUSED, UNSURE
-from deepfsi.hardware.counting.acquisition import Acquisition
+from deepfsi.hardware.counting import Acquisition
 from deepfsi.hardware.light import Fault, LightMonitor
 from deepfsi.hardware.live.looks import AllOn, Likeness
 

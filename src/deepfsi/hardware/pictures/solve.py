@@ -2,15 +2,13 @@
 
 import os
 import re
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from deepfsi.base import InputError, closest_choice
 from deepfsi.camera import DetectorMap
-from deepfsi.hardware.counting.acquisition import read_acquisition
-from deepfsi.hardware.counting.counts import check_photons, load_counts
+from deepfsi.hardware.counting import read_counts, read_run
 
 LEAST_SINGULAR_VALUE = 1e-3
 """Least singular value that a picture is made from, of the sensing matrix's largest."""
@@ -20,9 +18,11 @@ def reconstruct(folder: str | os.PathLike[str]) -> np.ndarray:
     """Least-squares picture of each scene from its counts, less background."""
     # The mean of all valid exposures, and of all pictures that explain it the one of smallest norm.
     # Directions that the masks hardly see are left out (singular values below 1e-3 of the largest)
-    acquisition, patterns = read_acquisition(folder)
-    counts = check_photons(load_counts(Path(folder), acquisition, patterns.manifest), folder)
-    flux = np.nanmean(counts.flux) if acquisition.flux is None else acquisition.flux
+    run = read_run(folder)
+    patterns = run.patterns
+    counts = read_counts(run).check_photons(folder)
+    stated = run.acquisition.flux
+    flux = np.nanmean(counts.flux) if stated is None else stated
     budget = float(flux * counts.exposure_s)
     if not budget > 0:
         raise InputError(f"{folder} has no light: its all-ON frames are not brighter than the dark")

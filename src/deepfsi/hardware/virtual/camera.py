@@ -21,18 +21,11 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from pydantic import Field, field_validator
+from pydantic import Field, FiniteFloat, field_validator
 
 from deepfsi.base import SILENT, InputError, Progress, check_disk_space, new_folder
 from deepfsi.camera import DetectorRows, Device, DmdGrid, check_rows, mirrors_of_detectors
-from deepfsi.hardware.counting.acquisition import (
-    Acquisition,
-    Scene,
-    gates_of,
-    plan_acquisition,
-    prepare,
-)
-from deepfsi.hardware.counting.calibration_file import Row
+from deepfsi.hardware.counting import Acquisition, Scene, prepare_run
 from deepfsi.hardware.patterns.folder import read_frames, read_patterns
 from deepfsi.hardware.patterns.mirrors import unpack
 from deepfsi.hardware.patterns.sequence import Manifest, Patterns
@@ -46,6 +39,9 @@ from deepfsi.hardware.virtual.detector import (
     Stream,
     divide,
 )
+
+Row = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
+"""Row of a homography."""
 
 MARKER = 1
 """Bits of the marker at the start of each frame."""
@@ -343,7 +339,7 @@ def record_scenes(
     given: Sequence[str | None] = labels or [None] * len(names)
     known: Sequence[str | None] = hashes or [None] * len(names)
     shown = (Scene(name=n, label=x, hash=h) for n, x, h in zip(names, given, known, strict=True))
-    wanted = plan_acquisition(
+    wanted = Acquisition.plan(
         manifest,
         tuple(shown),
         exposure_s=settings.exposure_s,
@@ -356,7 +352,7 @@ def record_scenes(
         seed=settings.seed,
     )
     with new_folder(target) as draft:
-        acquisition = prepare(draft, patterns_folder, wanted)
+        acquisition = prepare_run(draft, patterns_folder, wanted)
         flow = arrival_rates(patterns_folder, scenes, camera, settings.flux, report.between(0, 0.5))
         if not camera.gates:
             events = float(np.einsum("sfd,f->", camera.registered(flow), manifest.picture_s))
@@ -365,7 +361,7 @@ def record_scenes(
         path = draft / "photons.ptu"
         clicks = None
         if camera.gates:
-            clicks = ClickGates.of(manifest, gates_of(acquisition, manifest), camera.gates)
+            clicks = ClickGates.of(manifest, acquisition.gates(manifest), camera.gates)
         write_photons(
             path, manifest, flow, camera, rng, acquisition.inputs, report.between(0.5, 1), clicks
         )

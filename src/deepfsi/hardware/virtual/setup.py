@@ -16,8 +16,7 @@ import numpy as np
 from pydantic import Field
 
 from deepfsi.base import SILENT, InputError, Progress, StrictModel
-from deepfsi.hardware.counting.acquisition import Acquisition
-from deepfsi.hardware.counting.streaming import FrameCounts, FrameGates, StreamCounter
+from deepfsi.hardware.counting import Acquisition, FrameCounter, FrameCounts, FrameGates
 from deepfsi.hardware.drivers import Setup
 from deepfsi.hardware.patterns.folder import check_patterns, read_patterns
 from deepfsi.hardware.photons import PtuWriter
@@ -215,7 +214,7 @@ class VirtualCounter(AbstractContextManager["VirtualCounter"]):
         self._optics.wiring = self._inputs, self._bit
         self._optics.written = PtuWriter(path, DETECTOR_TICK_S, growing=True).__enter__()
         self._file = FileIO(path)
-        self._counter = StreamCounter(self._inputs, self._bit, path)
+        self._counter = FrameCounter(self._inputs, self._bit, path)
 
     def expect(self, gates: FrameGates) -> None:
         """Tell the gates of the frames that are shown next."""

@@ -1,4 +1,4 @@
-"""The masks' own background: measured in one pass with the scene dark, and subtracted."""
+"""Corrections: the masks' background, measured with the scene dark, and unequal detectors."""
 
 import numpy as np
 import pytest
@@ -6,10 +6,14 @@ from recording_samples import schedule
 
 from deepfsi.base import InputError, Table
 from deepfsi.camera import DetectorMap, Device
-from deepfsi.hardware.counting.ambient import Ambient
-from deepfsi.hardware.counting.counting import count
-from deepfsi.hardware.counting.counts import read_counts
-from deepfsi.hardware.counting.tables import TableSettings, count_table
+from deepfsi.hardware.counting import (
+    CountSettings,
+    TableSettings,
+    count_run,
+    count_table,
+    read_counts,
+)
+from deepfsi.hardware.counting.corrections import Ambient, Estimate, GainCorrection, correct
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns, read_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.virtual import (
@@ -62,9 +66,9 @@ def test_scenes_are_rid_of_ambient_light_as_strong_as_they(tmp_path, law, where)
     if where == "run":
         dark = recorded(tmp_path / "dark", tmp_path / "patterns", black, FLUX, seed=1)
         background = str(dark)
-    counts = count(run, background=background)
+    counts = count_run(run, CountSettings(background=background))
     wanted = arrival_rates(tmp_path / "patterns", lit[:1], VirtualCamera(), FLUX)[0]
-    raw = count(run)
+    raw = count_run(run)
     read = counts.lengths_s > 0
     manifest = shown.manifest
     rail, mask, column, arm = manifest.read
@@ -87,7 +91,7 @@ def test_scenes_are_rid_of_ambient_light_as_strong_as_they(tmp_path, law, where)
     if where == "scene":
         assert not counts.valid[SCENES].any()
         assert [fault.scene for fault in counts.faults if "subtracted" in fault.detail] == [SCENES]
-    again = read_counts(run) if count(run, background=background) else None
+    again = read_counts(run) if count_run(run, CountSettings(background=background)) else None
     np.testing.assert_array_equal(again.ambient, counts.ambient)
     np.testing.assert_array_equal(again.ambient_variance, counts.ambient_variance)
 
@@ -100,8 +104,10 @@ def test_dead_time_is_corrected_in_the_background_too(tmp_path):
 
     lost = recorded(tmp_path / "lost", tmp_path / "patterns", x, FLUX, dead=20e-9)
     sound = recorded(tmp_path / "sound", tmp_path / "patterns", x, FLUX)
-    with_dead = count(lost, background="black", dead_time=DeadTime(seconds=20e-9)).ambient
-    without = count(sound, background="black")
+    with_dead = count_run(
+        lost, CountSettings(background="black", dead_time=DeadTime(seconds=20e-9))
+    ).ambient
+    without = count_run(sound, CountSettings(background="black"))
     assert with_dead.sum() == pytest.approx(
         without.ambient.sum(), abs=5 * np.sqrt(3 * without.ambient_variance.sum())
     )
@@ -152,10 +158,24 @@ def test_law_the_variance_that_is_stated_is_that_of_draws(exposures):
     for _ in range(draws):
         gates = rng.poisson(rates * lengths, (exposures, 4))[..., None].astype(float)
         frames = rng.poisson(means * seconds)[:, None].astype(float)
-        each = Ambient.of(manifest, (gates, gates), (frames, seconds), lengths)
+        each = Ambient.of(
+            manifest, Estimate(gates, gates), lengths, frames=frames, frames_s=seconds
+        )
         found.append((each.counts.ravel(), each.variance.ravel()))
     counts, variance = np.array(found).swapaxes(0, 1)
     wanted = (rates - dark) * lengths
     spread = counts.std(axis=0)
     assert (abs(counts.mean(axis=0) - wanted) < 5 * spread / draws**0.5).all()
     np.testing.assert_allclose(variance.mean(axis=0), spread**2, rtol=5 * (2 / draws) ** 0.5)
+
+
+@pytest.mark.parametrize("gain", [0.5, 3.0])
+def test_law_counts_divided_by_a_gain_have_their_variance(gain):
+    """Of μ photons gμ are counted: arrivals have the mean μ and the variance μ / g."""
+    mean, draws = 2000.0, 20_000
+    factors = correct(np.zeros(1), [GainCorrection(np.array([gain]))])
+    seen = np.random.default_rng(4).poisson(gain * mean, draws)
+    found = seen * factors.arrivals
+    assert abs(found.mean() - mean) < 5 * found.std() / draws**0.5
+    spread = float((seen * factors.variance).mean())
+    assert spread == pytest.approx(found.var(), rel=5 * (2 / draws) ** 0.5)

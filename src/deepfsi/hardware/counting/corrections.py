@@ -1,0 +1,285 @@
+"""Corrections of counts: dead time, unequal detectors, ambient light, and clicks.
+
+A counter registers more or less than arrives, and in proportion to what it counts. Each such effect
+is a `Correction`, and `CORRECTIONS` lists them in the order in which they are undone.
+
+Ambient light on the device is counted through each mask, and is no factor. A pass with the scene
+dark measures it, readout by readout, beyond the dark counts that all-OFF frames have; it is then
+subtracted from all scenes, and what all-ON frames hold of it from the flux. Its variance is that of
+the photons by which it was measured, and is the same error in all scenes.
+
+Clicks are corrected for nothing, as they are not in proportion to the light: of the photons in each
+of the G equal gates of a frame's exposure the first alone. A detector that fires at most once in a
+gate makes them, or `count_run` of the photons of any other. Of r expected photons a frame has
+
+    k ~ Binomial(G, 1 - exp(-r / G))
+
+clicks. Their budget comes from the all-ON and all-OFF frames of a whole run: a gate in which a
+detector fires with the probability p has -log(1 - p) photons in the mean. Where gates hold more
+than one photon in the mean, a detector is not gated, and the photons themselves tell it.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import reduce
+from typing import Self
+
+import numpy as np
+
+from deepfsi.base import InputError
+from deepfsi.camera import NO_DEAD_TIME, CorrectionFactors, DeadTime
+from deepfsi.hardware.counting.counts import LEAST_UNFIRED, SceneLight
+from deepfsi.hardware.patterns.sequence import Frame, Manifest
+
+
+@dataclass(frozen=True)
+class CounterEffects:
+    """Effects of a counter on the light that arrives, for which counts are corrected."""
+
+    dead_time: DeadTime = NO_DEAD_TIME
+    gains: tuple[float, ...] = ()  # relative efficiency of each detector; empty for equal ones
+
+
+class Correction(ABC):
+    """One effect of a counter that is undone by factors of its counts."""
+
+    @classmethod
+    @abstractmethod
+    def of(cls, effects: CounterEffects, manifest: Manifest) -> Self:
+        """Correction of an effect on the inputs of a manifest, or `InputError`."""
+
+    @abstractmethod
+    def apply(self, factors: CorrectionFactors, rates: np.ndarray) -> CorrectionFactors:
+        """Factors (S, F, inputs) with this effect undone, at registered rates, counts/s."""
+
+    def check(  # noqa: B027 - most effects can be undone at any rate
+        self, rates: np.ndarray, frames: Sequence[Frame], inputs: Sequence[int], name: str
+    ) -> None:
+        """Raise `InputError` if rates (S, F, inputs) are too high to be corrected."""
+
+
+@dataclass(frozen=True)
+class DeadTimeCorrection(Correction):
+    """Photons that arrived while the counter was blind."""
+
+    dead_time: DeadTime
+
+    @classmethod
+    def of(cls, effects: CounterEffects, manifest: Manifest) -> Self:
+        """Correction for the dead time of all inputs."""
+        return cls(effects.dead_time)
+
+    def apply(self, factors: CorrectionFactors, rates: np.ndarray) -> CorrectionFactors:
+        """Factors of `DeadTime.correction`."""
+        lost = self.dead_time.correction(rates)
+        return CorrectionFactors(factors.arrivals * lost.arrivals, factors.variance * lost.variance)
+
+    def check(
+        self, rates: np.ndarray, frames: Sequence[Frame], inputs: Sequence[int], name: str
+    ) -> None:
+        """Raise `InputError` where the counter is too near its saturation."""
+        most = self.dead_time.most_registered
+        if not (rates > most).any():
+            return
+        worst = _, frame, column = np.unravel_index(np.nanargmax(rates), rates.shape)
+        raise InputError(
+            f"{name} has {rates[worst]:.3g} counts/s on input {inputs[int(column)] + 1} in "
+            f"{frames[int(frame)]}, and a dead time of {self.dead_time}, is corrected up to "
+            f"{most:.3g}: dim the light, or give the counter's own dead time"
+        )
+
+
+@dataclass(frozen=True)
+class GainCorrection(Correction):
+    """Detectors that count so many times as much of the light as usual."""
+
+    gains: np.ndarray  # (inputs,)
+
+    @classmethod
+    def of(cls, effects: CounterEffects, manifest: Manifest) -> Self:
+        """Correction for the gains of all detectors, 1 where none are given."""
+        gains = effects.gains
+        if gains and len(gains) != manifest.inputs:
+            raise InputError(
+                f"the flat field is of {len(gains)} detectors, and these patterns are for "
+                f"{manifest.inputs}: record it with the same detectors"
+            )
+        return cls(np.array(gains or (1.0,) * manifest.inputs))
+
+    def apply(self, factors: CorrectionFactors, rates: np.ndarray) -> CorrectionFactors:
+        """Factors over the gains."""
+        return CorrectionFactors(factors.arrivals / self.gains, factors.variance / self.gains**2)
+
+
+CORRECTIONS: tuple[type[Correction], ...] = (DeadTimeCorrection, GainCorrection)
+"""Effects of a counter, in the order in which they are undone."""
+
+
+def corrections_of(effects: CounterEffects, manifest: Manifest) -> tuple[Correction, ...]:
+    """Corrections for the effects of a counter, in their order."""
+    return tuple(kind.of(effects, manifest) for kind in CORRECTIONS)
+
+
+def correct(rates: np.ndarray, corrections: Sequence[Correction]) -> CorrectionFactors:
+    """Factors (S, F, inputs) of the counts of frames with these registered rates, counts/s."""
+    ones = np.ones_like(rates, np.float64)
+    start = CorrectionFactors(ones, ones)
+    return reduce(lambda factors, one: one.apply(factors, rates), corrections, start)
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Numbers of arrivals, as estimated from counts."""
+
+    arrivals: np.ndarray
+    variance: np.ndarray  # of their noise, of the same shape
+
+
+@dataclass(frozen=True)
+class Ambient:
+    """Light of one exposure that does not come from the scene."""
+
+    counts: np.ndarray  # (rails, m[, D]): Counts of each readout beyond its dark counts
+    variance: np.ndarray  # (rails, m[, D]): Of these as they were measured
+    flux: float  # Counts/s of all-ON frames beyond all-OFF ones
+
+    @classmethod
+    def none(cls, manifest: Manifest) -> Self:
+        """No such light: it was not measured, and is not subtracted."""
+        empty = np.zeros((manifest.rails, manifest.masks, *manifest.several))
+        return cls(empty, empty, 0.0)
+
+    @classmethod
+    def of(
+        cls,
+        manifest: Manifest,
+        gated: Estimate,
+        lengths_s: np.ndarray,
+        frames: np.ndarray,
+        frames_s: np.ndarray,
+    ) -> Self:
+        """Light of exposures (E) with the scene dark.
+
+        Parameters
+        ----------
+        manifest : Manifest
+        gated : Estimate of (E, f, inputs)
+            Arrivals in the gates of the masks' frames.
+        lengths_s : array (f,)
+            Lengths of these gates.
+        frames : array (F, inputs)
+            Arrivals in whole frames, all passes together.
+        frames_s : array (F,)
+            How long these were counted. No sentinel needs to be, and dark counts are then part of
+            the light.
+        """
+        exposures = len(gated.arrivals)
+        rate, noise = np.zeros((2, manifest.inputs))
+        flux = 0.0
+        on = _rate(frames, frames_s, [0, -2])
+        off = _rate(frames, frames_s, [1, -1])
+        if on is not None and off is not None:
+            rate = manifest.dark_inputs(on.arrivals, off.arrivals)
+            noise = manifest.dark_inputs(on.variance, off.variance)
+            flux = float((on.arrivals - rate)[: manifest.detector_count].sum())
+        mean = gated.arrivals.mean(axis=0)
+        variance = gated.variance.sum(axis=0) / exposures**2
+        lengths = manifest.lengths_by_readout(lengths_s)
+        lengths = np.expand_dims(lengths, tuple(range(2, 2 + len(manifest.several))))
+        dark = manifest.by_rail(rate)[:, None]
+        dark_noise = manifest.by_rail(noise)[:, None]
+        return cls(
+            manifest.by_readout(mean) - dark * lengths,
+            manifest.by_readout(variance) + dark_noise * lengths**2,
+            flux,
+        )
+
+    def of_flux(self, flux: np.ndarray, source: str) -> np.ndarray:
+        """Flux of scenes without this light, or `InputError` if nothing is left."""
+        rest = flux - self.flux
+        if np.isfinite(rest).any() and not (rest > 0).any():
+            raise InputError(
+                f"{source} has no light beyond its background: all-ON frames of the scenes are not "
+                "brighter than those of the dark scene; give the pass with the scene dark"
+            )
+        return rest
+
+
+def _rate(photons: np.ndarray, seconds: np.ndarray, frames: list[int]) -> Estimate | None:
+    """Counts/s (inputs,) in some frames; None where they were not counted."""
+    spent = seconds[frames].sum()
+    if not spent:
+        return None
+    total = photons[frames].sum(axis=0)
+    return Estimate(total / spent, total.clip(min=0) / spent**2)
+
+
+ENDS = [0, 1, -2, -1]
+"""Frames of a pass that are all ON, all OFF, all ON and all OFF."""
+
+
+def variance_of_clicks(clicks: np.ndarray, gates: int) -> np.ndarray:
+    """Variance of clicks of so many gates, as they tell it."""
+    return clicks * (1 - clicks / gates)
+
+
+def light_of_clicks(
+    photons: np.ndarray,
+    fired: np.ndarray,
+    gates: np.ndarray,
+    *,
+    width_s: float,
+    scenes: int,
+    manifest: Manifest,
+) -> SceneLight:
+    """Light of all scenes together, from the frames of `ENDS`.
+
+    Parameters
+    ----------
+    photons, fired : array (P, 4, inputs)
+        Photons and clicks of each pass in these frames.
+    gates : array (P, 4, 1)
+        Open gates.
+    width_s : float
+        Length of a gate.
+    scenes : int
+        Number of the scenes.
+    manifest : Manifest
+
+    Returns
+    -------
+    SceneLight
+        One value for all. The flux is NaN where they do not tell it: an input fired in nearly all
+        gates of all ON, or not more often than with all OFF.
+    """
+    arm = slice(0, manifest.detector_count)
+    photons, fired, gates = (
+        counts.reshape(-1, 2, 2, counts.shape[-1]).sum(axis=(0, 1))
+        for counts in (photons, fired, gates)
+    )  # (on and off, inputs)
+    mean = photons / np.maximum(gates, 1)
+    share = fired / np.maximum(gates, 1)
+    with np.errstate(divide="ignore"):
+        rate = np.where(mean > 1, mean, -np.log1p(-share)) / width_s
+    dark = manifest.dark_inputs(rate[0], rate[1])
+    certain = ((mean > 1) | (gates - fired >= LEAST_UNFIRED))[0, arm].all()
+    flux = float((rate[0] - dark)[arm].sum()) if certain else np.nan
+    on, off = share[:, arm].sum(axis=1) / width_s
+    return SceneLight(
+        on_rate=np.full(scenes, on),
+        off_rate=np.full(scenes, off),
+        flux=np.full(scenes, flux if flux > 0 else np.nan),
+        dark_rate=manifest.by_rail(np.tile(dark, (scenes, 1))),
+    )
+
+
+def check_clicks(clicks: int, refused: dict[str, bool]) -> None:
+    """Raise `InputError` where what is of photon counts is asked for with clicks."""
+    # refused: whether it was given, by its name
+    for name, asked in refused.items():
+        if asked:
+            raise InputError(
+                f"{name} is of photon counts, and this design reads clicks, of up to {clicks} "
+                "gates a frame, as they are: leave it out"
+            )

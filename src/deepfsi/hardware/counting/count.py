@@ -1,0 +1,500 @@
+"""A run counted: from its photons to the counts of each readout.
+
+Markers say when frames start; photons are counted in windows of these; the counts are corrected for
+what the counter does, and the light is checked. All of it can be done again for another exposure.
+"""
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+
+from deepfsi.base import SILENT, InputError, Progress, time_text
+from deepfsi.camera import NO_DEAD_TIME, DeadTime
+from deepfsi.hardware.counting.acquisition import Acquisition, Calibration, Run, read_run
+from deepfsi.hardware.counting.corrections import (
+    ENDS,
+    Ambient,
+    Correction,
+    CounterEffects,
+    Estimate,
+    check_clicks,
+    correct,
+    corrections_of,
+    light_of_clicks,
+    variance_of_clicks,
+)
+from deepfsi.hardware.counting.counts import Counts
+from deepfsi.hardware.counting.markers import MOST_DRIFT, find_frames, find_steps
+from deepfsi.hardware.counting.windows import (
+    FrameStarts,
+    WindowCounts,
+    Windows,
+    count_in_windows,
+    find_lateness,
+    sum_exposures,
+)
+from deepfsi.hardware.light import PARTS, Arrivals, Fault, check_light, name_inputs
+from deepfsi.hardware.patterns.sequence import Manifest
+from deepfsi.hardware.patterns.timing import ClickGates, Gates
+from deepfsi.hardware.photons import PhotonSource, summarise
+
+LEAST_GATE_TICKS = 10
+"""Ticks of the counter that a gate must have at least."""
+
+SHIFTED = (
+    "its first and last frames are not the brightest and darkest: stray light in others, or the "
+    "pass is shifted"
+)
+"""Why a scene is given up whose sentinels are not where they should be."""
+
+
+@dataclass(frozen=True)
+class CountSettings:
+    """Settings with which a run is counted; what is not given is as it was recorded.
+
+    Attributes
+    ----------
+    exposure_s, settle_s : float, optional
+        Exposure, and time before the first gate of each frame, seconds.
+    repeats : int, optional
+        Gates in each frame.
+    tolerance_s : float, optional
+        By how much a marker may be off, seconds.
+    inputs : tuple of int, optional
+        Inputs of the counter, from 0, one for each detector.
+    marker_bit : int, optional
+        1, 2, 4 or 8: the marker input of the device's trigger.
+    dead_time : DeadTime, optional
+        To be corrected for; that of the calibration in the run's folder unless given.
+    background : str, optional
+        Name of the scene that was dark, or folder of a run with the scene dark, of the same
+        patterns and wiring.
+    gains : tuple of float
+        Relative efficiency of each detector, as `find_gains` of a calibration gives them.
+    clicks : int, optional
+        Gates of a frame's exposure, of each of which the first photon alone counts.
+    """
+
+    exposure_s: float | None = None
+    settle_s: float | None = None
+    repeats: int | None = None
+    tolerance_s: float | None = None
+    inputs: tuple[int, ...] | None = None
+    marker_bit: int | None = None
+    dead_time: DeadTime | None = None
+    background: str | None = None
+    gains: tuple[float, ...] = ()
+    clicks: int | None = None
+
+
+def count_run(
+    folder: str | os.PathLike[str],
+    settings: CountSettings | None = None,
+    *,
+    progress: Progress = SILENT,
+) -> Counts:
+    """Count the photons of each readout and write counts.npz.
+
+    Parameters
+    ----------
+    folder : str or path
+        Of the run.
+    settings : CountSettings, optional
+        As it was recorded unless given.
+    progress : Progress
+
+    Returns
+    -------
+    Counts
+
+    Raises
+    ------
+    InputError
+        If files are missing or damaged, gates do not fit the frames, markers do not follow the
+        schedule, or no pass has light.
+    """
+    settings = settings or CountSettings()
+    run = read_run(folder)
+    run.acquisition.check_fixed(folder)
+    acquisition = run.acquisition.rewired(settings.inputs, settings.marker_bit)
+    gates = acquisition.gates(
+        run.manifest, settings.exposure_s, settings.settle_s, settings.repeats
+    )
+    _check_gated(acquisition, run.manifest, gates, settings.clicks, folder)
+    recorded = Run(run.folder, acquisition, run.patterns)
+    if settings.clicks is None:
+        counts = _count_photons(recorded, gates, settings, progress)
+    else:
+        counts = _count_clicks(recorded, gates, settings, progress)
+    counts.save(run)
+    return counts
+
+
+@dataclass(frozen=True)
+class _Recording:
+    """Photons of a run, with its frames found, and the gates in which they are counted."""
+
+    run: Run
+    source: PhotonSource
+    gates: Gates
+    starts: FrameStarts
+
+    @classmethod
+    def open(
+        cls,
+        run: Run,
+        gates: Gates,
+        shortest_s: float,
+        tolerance_s: float | None = None,
+        progress: Progress = SILENT,
+        by_light: bool = True,
+    ) -> Self:
+        """Find the frames of a run, whose counter must resolve the shortest gate."""
+        source = run.open_photons()
+        if shortest_s < LEAST_GATE_TICKS * source.tick_s:
+            raise InputError(
+                f"{source.path} has times in steps of {time_text(source.tick_s)}, too coarse for "
+                f"gates of {time_text(shortest_s)}: give a longer exposure"
+            )
+        starts = find_frames(
+            source,
+            run.acquisition,
+            run.manifest,
+            tolerance_s,
+            progress=progress,
+            by_light=by_light,
+        )
+        return cls(run, source, gates, starts)
+
+    @property
+    def arm(self) -> slice:
+        """Inputs of the detectors that see mirrors ON."""
+        return slice(0, self.run.manifest.detector_count)
+
+    @property
+    def room_s(self) -> np.ndarray:
+        """Time (f,) from the last gate of each mask's frame to the next frame."""
+        pictures = self.starts.pictures_s[self.run.manifest.shown]
+        return np.asarray(pictures - self._gated_s)
+
+    @property
+    def _gated_s(self) -> np.ndarray:
+        return np.asarray(self.gates.settle_s + self.gates.repeats * self.gates.length_s)
+
+    def check_gates(self) -> None:
+        """Raise `InputError` if frames were so much shorter than planned that gates do not fit."""
+        manifest, gates = self.run.manifest, self.gates
+        pictures = self.starts.pictures_s[manifest.shown]
+        room = pictures - gates.settle_s
+        over = gates.repeats * gates.length_s - room - MOST_DRIFT * pictures
+        if over.max() > 0:
+            exposure = float((room / manifest.shares).min()) / gates.repeats
+            raise InputError(
+                f"{self.source.path} has frames {-self.starts.drift:.2%} shorter than planned, and "
+                f"{gates.repeats} exposures do not fit: give --exposure {exposure:.4g} or less, or "
+                "fewer --repeats"
+            )
+
+    def count_in(self, *sets: Windows, progress: Progress = SILENT) -> list[WindowCounts]:
+        """Photons of the passes that were recorded whole, in sets of windows."""
+        inputs = self.run.acquisition.inputs
+        return count_in_windows(self.source, self.starts, sets, inputs, progress)
+
+    def counts(self, passes: np.ndarray, values: dict[str, Any], **others: Any) -> Counts:
+        """Counts of all scenes, with what the run and its gates say.
+
+        Parameters
+        ----------
+        passes : array (P,)
+            Scenes that were recorded.
+        values : dict
+            Fields of them, (P, ...): the value that others get, and the values.
+        **others
+            Other fields.
+        """
+        scenes = len(self.run.acquisition.scenes)
+        fields: dict[str, Any] = {}
+        for name, (lost, some) in values.items():
+            fields[name] = np.full((scenes, *some.shape[1:]), lost, some.dtype)
+            fields[name][passes] = some
+        valid = np.isin(np.arange(scenes), passes)
+        return Counts(
+            **fields,
+            **others,
+            valid=np.repeat(valid[:, None], self.gates.repeats, axis=1),
+            gate_s=self.gates.length_s,
+            settle_s=self.gates.settle_s,
+            lengths_s=self.run.manifest.lengths_by_readout(self.gates.length_s),
+            drift=self.starts.drift,
+            inputs=self.run.acquisition.inputs,
+        )
+
+
+def _count_photons(run: Run, gates: Gates, settings: CountSettings, progress: Progress) -> Counts:
+    """Photons of each readout, and what arrived, corrected and less no background yet."""
+    manifest, acquisition = run.manifest, run.acquisition
+    dead_time = settings.dead_time or _known_dead_time(run.folder)
+    effects = CounterEffects(dead_time, settings.gains)
+    corrections = corrections_of(effects, manifest)
+    names = [scene.name for scene in acquisition.scenes]
+    dark = names.index(settings.background) if settings.background in names else None
+    ambient = Ambient.none(manifest)
+    if settings.background is not None and dark is None:
+        ambient = _read_ambient(Path(settings.background), run, gates, corrections)
+    recording = _Recording.open(
+        run,
+        gates,
+        gates.length_s.min(),
+        tolerance_s=settings.tolerance_s,
+        progress=progress.between(0.0, 0.4),
+    )
+    recording.check_gates()
+    starts, source = recording.starts, str(recording.source.path)
+    gated, parted = recording.count_in(
+        Windows.of_gates(manifest, gates, starts),
+        Windows.of_parts(starts, gates.settle_s, PARTS),
+        progress=progress.between(0.4, 1.0),
+    )
+    passes = np.flatnonzero(starts.complete)
+    faults = list(starts.faults)
+    of_dark = []
+    if dark is not None:
+        kept = passes != dark
+        if kept.all():
+            raise InputError(
+                f"scene {settings.background} was not recorded whole: give another background"
+            )
+        ambient = _find_ambient(gated.select(~kept), corrections, manifest, gates)
+        gated, parted, passes = gated.select(kept), parted.select(kept), passes[kept]
+        detail = "it was dark, and its counts are subtracted from those of the others"
+        of_dark.append(Fault(kind="background", scene=dark, detail=detail))
+    fits = _show_ends(recording, gated)
+    lost = passes[~fits]
+    faults += (Fault(kind="lost", scene=scene, detail=SHIFTED) for scene in lost.tolist())
+    gated, parted, passes = gated.select(fits), parted.select(fits), passes[fits]
+    faults += find_lateness(gated, recording.arm, float(recording.room_s.min()))
+    photons, spent = gated.per_frame()
+    rates = photons / np.where(spent > 0, spent, np.nan)[..., None]
+    for correction in corrections:
+        correction.check(rates, manifest.frames, acquisition.inputs, source)
+    factors = correct(rates, corrections)
+    middles = parted.windows.middles_s(starts.pictures_s)
+    parts = parted.photons.reshape(len(passes), *middles.shape, -1)
+    arrivals = Arrivals(
+        manifest.frames,
+        photons=parts * factors.arrivals[:, :, None],
+        variance=parts * factors.variance[:, :, None],
+        seconds=parted.open_s.reshape(len(passes), *middles.shape),
+        middles=middles,
+    )
+    light = check_light(arrivals, manifest, acquisition.inputs, scenes=passes, lost=lost)
+    _check_lit(recording.source, acquisition, bool(light.lit.any()))
+    counts = gated.gates(gates.repeats)
+    by_gate = (slice(None), None, manifest.shown)
+    on, off = (
+        np.nanmean((rates * factors.arrivals)[:, frames], axis=1)[:, recording.arm].sum(axis=1)
+        for frames in ([0, -2], [1, -1])
+    )
+    return recording.counts(
+        passes,
+        {
+            "counts": (0, manifest.by_readout(counts)),
+            "arrivals": (0, manifest.by_readout(counts * factors.arrivals[by_gate])),
+            "variance": (0, manifest.by_readout(counts * factors.variance[by_gate])),
+            "on_rate": (np.nan, on),
+            "off_rate": (np.nan, off),
+            "flux": (np.nan, ambient.of_flux(light.flux, source)),
+            "dark_rate": (0, manifest.by_rail(light.dark_rate)),
+        },
+        exposure_s=_exposure(acquisition, settings),
+        faults=(*faults, *light.faults, *of_dark),
+        ambient=ambient.counts,
+        ambient_variance=ambient.variance,
+        dead_time=effects.dead_time,
+        gains=effects.gains,
+    )
+
+
+def _count_clicks(run: Run, gates: Gates, settings: CountSettings, progress: Progress) -> Counts:
+    """Clicks of each readout: of every gate of an exposure one photon at most."""
+    manifest, acquisition = run.manifest, run.acquisition
+    assert settings.clicks is not None
+    of_photons = {
+        "dead time": settings.dead_time is not None,
+        "a background": settings.background is not None,
+        "a flat field": bool(settings.gains),
+    }
+    check_clicks(settings.clicks, of_photons)
+    clicking = ClickGates.of(manifest, gates, settings.clicks)
+    # Clicks saturate, so that they do not tell which frames are the brightest
+    recording = _Recording.open(
+        run,
+        gates,
+        clicking.width_s.min(),
+        tolerance_s=settings.tolerance_s,
+        progress=progress.between(0.0, 0.4),
+        by_light=False,
+    )
+    recording.check_gates()
+    starts = recording.starts
+    gated, parted = recording.count_in(
+        Windows.of_gates(manifest, gates, starts),
+        Windows.of_clicks(clicking, len(acquisition.scenes)),
+        progress=progress.between(0.4, 1.0),
+    )
+    _check_lit(recording.source, acquisition, bool(gated.photons.any()))
+    late = find_lateness(gated, recording.arm, float(recording.room_s.min()))
+    fired = np.minimum(parted.photons, 1)
+    opened = (parted.open_s > 0)[..., None]
+    clicks = manifest.by_readout(sum_exposures(fired, clicking, manifest.shown, gates.repeats))
+    ends = [
+        sum_exposures(values, clicking, np.array(ENDS), 1)[:, 0]
+        for values in (parted.photons, fired, opened)
+    ]
+    passes = np.flatnonzero(starts.complete)
+    light = light_of_clicks(
+        *ends, width_s=float(clicking.width_s[0]), scenes=len(passes), manifest=manifest
+    )
+    # Where clicks do not tell the flux, it is the one that was stated
+    flux = np.where(np.isfinite(light.flux), light.flux, acquisition.flux or np.nan)
+    ambient = Ambient.none(manifest)
+    return recording.counts(
+        passes,
+        {
+            "counts": (0, clicks),
+            "arrivals": (0, clicks.astype(float)),
+            "variance": (0, variance_of_clicks(clicks, clicking.number)),
+            "on_rate": (np.nan, light.on_rate),
+            "off_rate": (np.nan, light.off_rate),
+            "flux": (np.nan, flux),
+            "dark_rate": (0, light.dark_rate),
+        },
+        exposure_s=_exposure(acquisition, settings),
+        faults=(*starts.faults, *late),
+        ambient=ambient.counts,
+        ambient_variance=ambient.variance,
+        gates=clicking.number,
+    )
+
+
+def _exposure(acquisition: Acquisition, settings: CountSettings) -> float:
+    return acquisition.exposure_s if settings.exposure_s is None else settings.exposure_s
+
+
+def _known_dead_time(folder: Path) -> DeadTime:
+    """Dead time that the calibration in a folder knows; none without it."""
+    # This is why `Calibration` is of this room: it corrects counts
+    if not (folder / "calibration" / "calibration.json").is_file():
+        return NO_DEAD_TIME
+    return Calibration.load(folder / "calibration").dead_time or NO_DEAD_TIME
+
+
+def _read_ambient(
+    folder: Path, run: Run, gates: Gates, corrections: Sequence[Correction]
+) -> Ambient:
+    """Background that a run with the scene dark has, in the gates of another."""
+    if not folder.is_dir():
+        raise InputError(
+            f"there is no scene and no folder {folder}: give the name of a scene that was dark, "
+            "or the folder of a run with the scene dark"
+        )
+    dark = read_run(folder)
+    acquisition = run.acquisition
+    if dark.acquisition.manifest_sha256 != acquisition.manifest_sha256:
+        raise InputError(
+            f"{folder} was recorded with other patterns: record the dark scene as the others"
+        )
+    rewired = dark.acquisition.rewired(acquisition.inputs, acquisition.marker_bit)
+    rewired_run = Run(folder, rewired, run.patterns)
+    recording = _Recording.open(rewired_run, gates, gates.length_s.min())
+    (counts,) = recording.count_in(Windows.of_gates(run.manifest, gates, recording.starts))
+    return _find_ambient(counts, corrections, run.manifest, gates)
+
+
+def _find_ambient(
+    counts: WindowCounts, corrections: Sequence[Correction], manifest: Manifest, gates: Gates
+) -> Ambient:
+    """Background of passes with the scene dark."""
+    photons, spent = counts.per_frame()
+    factors = correct(photons / np.where(spent > 0, spent, np.inf)[..., None], corrections)
+    gated = counts.gates(gates.repeats)
+    by_gate = (slice(None), None, manifest.shown)
+    arrivals, variance = (
+        (gated * factor[by_gate]).reshape(-1, *gated.shape[2:])
+        for factor in (factors.arrivals, factors.variance)
+    )
+    return Ambient.of(
+        manifest,
+        Estimate(arrivals, variance),
+        gates.length_s,
+        frames=(photons * factors.arrivals).sum(axis=0),
+        frames_s=spent.sum(axis=0),
+    )
+
+
+def _check_lit(source: PhotonSource, acquisition: Acquisition, lit: bool) -> None:
+    """Raise `InputError` if no pass has light, saying which inputs have photons."""
+    if lit:
+        return
+    photons = sorted(summarise(source.path).photons.items())
+    there = ", ".join(f"{number} photons on input {k + 1}" for k, number in photons)
+    raise InputError(
+        f"{source.path} has no light on input {name_inputs(acquisition.inputs)}: no all-ON frame "
+        f"is brighter than the all-OFF ones. The file holds {there or 'no photons'}: give the "
+        "input that the detector is wired to, or switch on the lamp"
+    )
+
+
+def _check_gated(
+    acquisition: Acquisition,
+    manifest: Manifest,
+    gates: Gates,
+    clicks: int | None,
+    folder: object,
+) -> None:
+    """Raise `InputError` if a gated detector made a file whose gates are not those counted."""
+    recorded = (acquisition.camera or {}).get("gates")
+    if recorded is None:
+        return
+    planned = acquisition.gates(manifest)
+    same = np.array_equal(gates.length_s, planned.length_s) and gates.settle_s == planned.settle_s
+    if recorded != clicks or not same:
+        raise InputError(
+            f"{folder} holds the first photons alone of {recorded} gates in "
+            f"{time_text(acquisition.exposure_s)}: count these gates, of that exposure and settle "
+            "time, or record again"
+        )
+
+
+def _show_ends(recording: _Recording, counts: WindowCounts) -> np.ndarray:
+    """Passes (P,) whose first and last two frames are all ON and all OFF, as photons tell."""
+    # At least one of each must have been recorded
+    photons, seconds = counts.per_frame()
+    photons = photons[..., recording.arm].sum(axis=-1)
+    fits = np.array(
+        [
+            spent[[0, -2]].any()
+            and spent[[1, -1]].any()
+            and find_steps(frames, spent)[0][[0, -1]].all()
+            for frames, spent in zip(photons, seconds, strict=True)
+        ]
+    )
+    if not fits.any():
+        path = recording.source.path
+        with np.errstate(invalid="ignore"):
+            rates = np.nanmean(np.where(seconds > 0, photons / seconds, np.nan), axis=0)
+        if min(rates[[1, -1]]) > 2 * max(rates[[0, -2]]):
+            raise InputError(
+                f"{path} has bright all-OFF frames and dark all-ON ones: the mirrors are "
+                "inverted; export the patterns again with --invert, or give the inputs of the arms "
+                "in the other order"
+            )
+        raise InputError(
+            f"{path} has no pass that begins and ends with a bright and a dark frame: give "
+            "the patterns that were shown, and the input that the detector is wired to"
+        )
+    return fits

@@ -1,0 +1,261 @@
+"""Windows of time in which photons are counted, after the start of each frame.
+
+A marker may come late, and what is counted up to the next one then holds some light of the next
+frame: a microsecond of 1e7 photons/s looks like thousands of dark counts/s in an all-OFF frame. So
+windows other than gates end a *guard*, the tolerance of the markers, before the next frame. The
+guard of the all-OFF frames is counted by itself: light in it tells by how much markers are late.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Self
+
+import numpy as np
+
+from deepfsi.base import SILENT, InputError, Progress
+from deepfsi.hardware.counting.acquisition import MOST_READOUTS
+from deepfsi.hardware.light import CERTAIN_SIGMAS, Fault
+from deepfsi.hardware.patterns.sequence import Manifest
+from deepfsi.hardware.patterns.timing import ClickGates, Gates
+from deepfsi.hardware.photons import PhotonSource, count_windows
+
+GUARD_SHARE = 0.5
+"""Share of a frame after settling that a guard takes at most, where it is cut in parts."""
+
+
+class Role(IntEnum):
+    """Purpose of a window."""
+
+    GATE = 0  # a readout of a mask's frame
+    REST = 1  # what gates leave of a frame between settling and guard
+    GUARD = 2  # the end of an all-OFF frame, in which the next may have begun
+    PART = 3  # an equal part of a frame, for the checks of the light
+    CLICK = 4  # a gate of a detector that fires once
+
+
+@dataclass(frozen=True)
+class FrameStarts:
+    """Frames of a recording, as its markers say when they start."""
+
+    starts_s: np.ndarray  # (S, F): Seconds on the counter's clock; NaN where it is not known
+    complete: np.ndarray  # (S,): bool; scenes whose masks' frames were all recorded
+    pictures_s: np.ndarray  # (F,): Picture times on the counter's clock
+    tolerance_s: float  # by how much a marker may be off
+    drift: float  # by how much passes last longer than planned, as a share: their median
+    until_s: float  # up to when all photons are in the file, seconds; infinite unless it is cut
+    faults: tuple[Fault, ...]  # of the markers
+
+
+@dataclass(frozen=True)
+class Windows:
+    """Windows of a pass, in their order."""
+
+    frame: np.ndarray  # (g,): Of each window
+    offset_s: np.ndarray  # (g,): When it opens after the start of its frame
+    length_s: np.ndarray  # (g,)
+    role: np.ndarray  # (g,): As of `Role`
+    frames: int  # of a pass, F
+
+    @classmethod
+    def of_gates(cls, manifest: Manifest, gates: Gates, starts: FrameStarts) -> Self:
+        """Gates of the frames of a manifest, as they were found, and what gates leave of them."""
+        dark = np.flatnonzero([frame.role == "off" for frame in manifest.frames])
+        count = np.ones(len(manifest.frames), np.int64)
+        count[manifest.shown] += gates.repeats
+        count[dark] += 1
+        frame = np.repeat(np.arange(len(count)), count)
+        first = np.cumsum(count) - count
+        gated = first[manifest.shown][:, None] + np.arange(gates.repeats)  # (f, R)
+        guards = first[dark] + 1
+        role = np.full(len(frame), Role.REST)
+        role[gated] = Role.GATE
+        role[guards] = Role.GUARD
+        ends = starts.pictures_s - starts.tolerance_s
+        offset = np.full(len(frame), gates.settle_s)
+        offset[gated] = gates.starts_s
+        offset[gated[:, -1] + 1] = gates.settle_s + gates.repeats * gates.length_s
+        offset[guards] = ends[dark]
+        length = np.maximum(ends[frame] - offset, 0.0)
+        length[gated] = gates.length_s[:, None]
+        length[guards] = starts.tolerance_s
+        return cls(frame, offset, length, role, len(count))
+
+    @classmethod
+    def of_parts(cls, starts: FrameStarts, settle_s: float, number: int) -> Self:
+        """So many equal parts of each frame, between settling and guard."""
+        rest = starts.pictures_s - settle_s
+        guard = np.minimum(starts.tolerance_s, GUARD_SHARE * rest)
+        length = np.maximum(rest - guard, 0.0) / number
+        offset = settle_s + length[:, None] * np.arange(number)
+        frames = len(rest)
+        return cls(
+            frame=np.repeat(np.arange(frames), number),
+            offset_s=offset.ravel(),
+            length_s=np.repeat(length, number),
+            role=np.full(offset.size, Role.PART),
+            frames=frames,
+        )
+
+    @classmethod
+    def of_clicks(cls, gates: ClickGates, scenes: int) -> Self:
+        """Gates of clicks, or `InputError` if those of so many scenes are too many."""
+        count = gates.number * gates.exposures
+        if scenes * count.sum() > MOST_READOUTS:
+            raise InputError(
+                f"{scenes * count.sum()} gates of {scenes} scenes are more than {MOST_READOUTS}: "
+                "count fewer --repeats, or split the acquisition"
+            )
+        frame = np.repeat(np.arange(len(count)), count)
+        order = np.arange(len(frame)) - (np.cumsum(count) - count)[frame]
+        width = gates.width_s[frame]
+        return cls(
+            frame=frame,
+            offset_s=gates.offset_s + order * width,
+            length_s=width,
+            role=np.full(len(frame), Role.CLICK),
+            frames=len(count),
+        )
+
+    def middles_s(self, pictures_s: np.ndarray) -> np.ndarray:
+        """Middles (F, K) after the start of the pass, of K windows in each frame."""
+        starts = np.cumsum(pictures_s) - pictures_s
+        middles = starts[self.frame] + self.offset_s + self.length_s / 2
+        return middles.reshape(self.frames, -1)
+
+
+@dataclass(frozen=True)
+class WindowCounts:
+    """Photons in the windows of passes."""
+
+    photons: np.ndarray  # (P, g, inputs), int64
+    open_s: np.ndarray  # (P, g): How long each window was open
+    windows: Windows
+
+    def select(self, passes: np.ndarray) -> Self:
+        """Some of the passes, a mask (P,) of bools."""
+        return type(self)(self.photons[passes], self.open_s[passes], self.windows)
+
+    def per_frame(self) -> tuple[np.ndarray, np.ndarray]:
+        """Photons (P, F, inputs) of whole frames but guards, and how long they were counted."""
+        return self._sum_frames(self.photons), self._sum_frames(self.open_s)
+
+    def _sum_frames(self, values: np.ndarray) -> np.ndarray:
+        kept = values.copy()
+        kept[:, self.windows.role == Role.GUARD] = 0
+        first = np.searchsorted(self.windows.frame, np.arange(self.windows.frames))
+        return np.add.reduceat(kept, first, axis=1)
+
+    def gates(self, repeats: int) -> np.ndarray:
+        """Photons (P, R, f, inputs) in the gates of the masks' frames."""
+        gated = self.photons[:, self.windows.role == Role.GATE]
+        return gated.reshape(len(gated), -1, repeats, gated.shape[-1]).swapaxes(1, 2)
+
+
+def count_in_windows(
+    source: PhotonSource,
+    starts: FrameStarts,
+    sets: Sequence[Windows],
+    inputs: Sequence[int],
+    progress: Progress = SILENT,
+) -> list[WindowCounts]:
+    """Photons of the complete passes of a recording in sets of windows, all read at once.
+
+    Where two clocks and a marker's jitter make a window reach into the next of its set, it ends
+    there. One whose frame's start is not known is not open, and none after the end of the photons.
+    """
+    tick_s = source.tick_s
+    frames_s = starts.starts_s[starts.complete]
+    edges, counted = [], []
+    for windows in sets:
+        opens = frames_s[:, windows.frame] + windows.offset_s
+        closes = np.minimum(opens + windows.length_s, starts.until_s)
+        timed = np.isfinite(opens)
+        begins = in_ticks(opens[timed], tick_s)
+        ends = in_ticks(closes[timed], tick_s)
+        begins = np.minimum(np.minimum.accumulate(begins[::-1])[::-1], ends.max(initial=0))
+        ends[:-1] = np.minimum(ends[:-1], begins[1:])
+        edges.append(np.stack([begins, ends]))
+        counted.append(timed)
+    every = np.concatenate(edges, axis=1)
+    photons = np.split(
+        count_overlapping(source, every[0], every[1], inputs, progress),
+        np.cumsum([one.shape[1] for one in edges])[:-1],
+    )
+    out = []
+    for windows, timed, (begins, ends), some in zip(sets, counted, edges, photons, strict=True):
+        counts = np.zeros((*timed.shape, len(inputs)), np.int64)
+        open_s = np.zeros(timed.shape)
+        counts[timed] = some
+        open_s[timed] = (ends - begins) * tick_s
+        out.append(WindowCounts(counts, open_s, windows))
+    return out
+
+
+def sum_exposures(
+    values: np.ndarray, gates: ClickGates, frames: np.ndarray, repeats: int
+) -> np.ndarray:
+    """Sums (P, R, f, inputs) over the gates of R exposures of frames (f,).
+
+    Of values (P, g, inputs) in the windows of clicks.
+    """
+    first = (np.cumsum(gates.exposures) - gates.exposures)[frames]
+    sums = values.reshape(len(values), -1, gates.number, values.shape[-1]).sum(axis=2)
+    return np.asarray(sums[:, first + np.arange(repeats)[:, None]])
+
+
+def find_lateness(counts: WindowCounts, arm: slice, room_s: float) -> tuple[Fault, ...]:
+    """Name markers that all come late: light of the first mask is in the guard before it.
+
+    Parameters
+    ----------
+    counts : WindowCounts
+        Of windows of gates.
+    arm : slice
+        Inputs of the detectors that see mirrors ON.
+    room_s : float
+        Least time from the last gate of a frame to the next frame.
+    """
+    photons, spent = counts.per_frame()
+    (dark, light), (dark_s, light_s) = photons[:, 1:3, arm].sum(axis=-1).T, spent[:, 1:3].T
+    first = int(np.flatnonzero(counts.windows.role == Role.GUARD)[0])
+    guard, guard_s = counts.photons[:, first, arm].sum(axis=-1), counts.open_s[:, first]
+    used = (dark_s > 0) & (light_s > 0)
+    if np.count_nonzero(used) > 1:  # a burst of stray light in one of them is another fault
+        used[np.argmax(np.where(used, guard, -1))] = False
+    share = guard_s[used] / dark_s[used]
+    excess = float((guard[used] - dark[used] * share).sum())
+    noise = float(np.sqrt((dark[used] * share * (1 + share)).sum() + 1))
+    rate = float((light[used] / light_s[used] - dark[used] / dark_s[used]).sum())
+    if excess <= CERTAIN_SIGMAS * noise or rate <= 0:
+        return ()
+    late = excess / rate
+    detail = (
+        f"all markers, by {late * 1e6:.1f} µs: the light of each frame begins before its marker"
+    )
+    if room_s < late:
+        detail += (
+            f", and gates end {max(room_s, 0) * 1e6:.1f} µs before the next marker: mend the "
+            "trigger, or count a shorter --exposure"
+        )
+    return (Fault(kind="late", detail=detail),)
+
+
+def count_overlapping(
+    source: PhotonSource,
+    starts: np.ndarray,
+    stops: np.ndarray,
+    inputs: Sequence[int],
+    progress: Progress = SILENT,
+) -> np.ndarray:
+    """Photons (n, inputs) in windows, starts and stops (n,), that may overlap, in any order."""
+    edges = np.stack([starts, stops])
+    unique, places = np.unique(edges, return_inverse=True)
+    counts = count_windows(source, unique[:-1], unique[1:], inputs, progress)
+    before = np.pad(np.cumsum(counts, axis=0), ((1, 0), (0, 0)))[places.reshape(edges.shape)]
+    return np.asarray(before[1] - before[0])
+
+
+def in_ticks(seconds: np.ndarray, tick_s: float) -> np.ndarray:
+    """Times in ticks, rounded."""
+    return np.rint(seconds / tick_s).astype(np.int64)
