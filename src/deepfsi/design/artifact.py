@@ -20,7 +20,7 @@ from deepfsi.base import (
     write_atomically,
 )
 from deepfsi.camera import Camera, LightLawName, check_budget
-from deepfsi.design import artifact_file, clicks, readings
+from deepfsi.design import artifact_file, check_counts, clicks
 from deepfsi.design.exposure.looks import Dwells, LooksExposure
 from deepfsi.design.exposure.trained import FixedExposure, Observation, TrainedExposure
 from deepfsi.design.own import Given, OwnClassifier, rebuilt
@@ -270,7 +270,7 @@ class Design:
         def show(dwell: Tensor) -> tuple[Tensor, Tensor]:
             nonlocal counted
             asked = self._dwells.by_rail(dwell.cpu().numpy())
-            counts, shown = readings.check_look(read, asked, self.counts_shape)
+            counts, shown = check_counts.check_look(read, asked, self.counts_shape)
             features = self.features_of(torch.from_numpy(counts).to(dwell))
             counted = counted + features
             return features / budget, torch.from_numpy(self._dwells.by_mask(shown)).to(dwell)
@@ -322,8 +322,8 @@ class Design:
         """Exposures and their budgets, checked; parameters of `classify`."""
         self.exposure.check_dwell(dwell is not None)
         shapes = self.counts_shape, None if dwell is None else self._dwells.shape
-        read, budget, shown = readings.check_readouts(counts, photons, dwell, *shapes)
-        readings.check_clicks(read, self.gates)
+        read, budget, shown = check_counts.check_readouts(counts, photons, dwell, *shapes)
+        check_counts.check_clicks(read, self.gates)
         budget = budget.to(device := self.rails.device)
         dwells = None if shown is None else self._dwells.by_mask(shown).to(device)
         return Observation(self.features_of(read.to(device)) / self.scale(budget), dwells), budget
@@ -361,7 +361,7 @@ class Design:
         self.exposure.check_alone()
         if self.distribution is None:
             raise InputError("no distribution is held: it takes photons, 100 scenes, 50 a class")
-        read, budget, _ = readings.check_readouts(counts, photons, None, self.counts_shape)
+        read, budget, _ = check_counts.check_readouts(counts, photons, None, self.counts_shape)
         if not read.numel():
             raise InputError("there are no exposures to test: give one or more")
         dark = np.broadcast_to(np.asarray(background, dtype=float), read.shape)
@@ -436,9 +436,9 @@ class Design:
             If the patterns are of a design of another shape, or this one is of patches.
         """
         self.exposure.check_device()
-        readings.check_dimmed(dimmed, self.gates)
+        check_counts.check_dimmed(dimmed, self.gates)
         own = tuple(self.rails.stacked.shape), self.image_shape
-        readings.check_patterns((rails.shape, image_shape), own)
+        check_counts.check_patterns((rails.shape, image_shape), own)
         return replace(
             self,
             rails=Rails.of(torch.from_numpy(rails).to(self.rails.difference)),

@@ -1,4 +1,4 @@
-"""Counts, budgets and dwells as users hand them over, checked."""
+"""Checks of counts, budgets and dwells as users give them."""
 
 from collections.abc import Callable
 from typing import Any
