@@ -176,10 +176,9 @@ def test_counts_are_poisson_with_the_mean_of_the_matrix(runs, light):
 def test_without_a_flux_the_scenes_are_taken_as_bright_as_the_training(runs):
     """To 1 %, several times the noise of their all-ON frames."""
     names = names_of(READ)
-    recorded_run = read_run(runs["equal-dwell"])
-    acquisition, patterns = recorded_run.acquisition, recorded_run.patterns
-    unknown = acquisition.model_copy(update={"flux": None})
-    names["read_acquisition"] = lambda folder: (unknown, patterns)
+    recorded = read_run(runs["equal-dwell"])
+    unknown = recorded.acquisition.model_copy(update={"flux": None})
+    names["read_run"] = lambda folder: replace(recorded, acquisition=unknown)
     run = names["read"](runs["equal-dwell"])
     brightness = SCENES.sum(axis=(1, 2)).mean() / SUMMED
     photons = 2 * FLUX * EXPOSURE * brightness
@@ -194,7 +193,7 @@ def test_an_exposure_that_was_lost_is_left_out(runs):
     kept = counts.by_readout(valid)
     lost = {"valid": valid, "counts": counts.counts * kept, "arrivals": counts.arrivals * kept}
     ambient = np.full_like(counts.ambient_variance, 7.0)
-    names["read_counts"] = lambda folder: replace(
+    names["read_counts"] = lambda run: replace(
         counts, variance=counts.variance * kept, ambient_variance=ambient, **lost
     )
     run = names["read"](runs["two-arm"])

@@ -306,8 +306,9 @@ def test_a_camera_is_calibrated_by_files_alone(done, tmp_path):
 
 def lose_passes(run, found, spots):
     """Passes of spots that were not counted add noise only; the white one is needed."""
-    recorded, patterns = acquisition.read_acquisition(run)
-    names = [scene.name for scene in recorded.scenes]
+    recorded = read_run(run)
+    patterns = recorded.patterns
+    names = [scene.name for scene in recorded.acquisition.scenes]
     shown, counts, pictures = read_display(spots), read_counts(run), reconstruct(run)
     lost = [place for place, name in enumerate(names) if name.startswith("spot")][:7]
     counts.valid[lost], counts.dark_rate[lost], pictures[lost] = False, 0, np.nan
