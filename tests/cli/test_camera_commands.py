@@ -19,7 +19,7 @@ from deepfsi.datasets import read_display, write_pictures
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate
 from deepfsi.hardware.calibration import calibrate_run
-from deepfsi.hardware.counting import acquisition, read_counts
+from deepfsi.hardware.counting import acquisition, read_counts, read_run
 from deepfsi.hardware.patterns.folder import read_patterns
 from deepfsi.hardware.pictures import reconstruct
 
