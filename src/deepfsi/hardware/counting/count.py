@@ -124,7 +124,7 @@ def count_run(
     gates = acquisition.gates(
         run.manifest, settings.exposure_s, settings.settle_s, settings.repeats
     )
-    _check_gated(acquisition, run.manifest, gates, settings.clicks, folder)
+    _check_gated(acquisition, run.manifest, gates, settings.clicks, folder=folder)
     recorded = Run(run.folder, acquisition, run.patterns)
     if settings.clicks is None:
         counts = _count_photons(recorded, gates, settings, progress)
@@ -187,7 +187,8 @@ class _Recording:
 
     def check_gates(self) -> None:
         """Raise `InputError` if frames were so much shorter than planned that gates do not fit."""
-        manifest, gates = self.run.manifest, self.gates
+        manifest = self.run.manifest
+        gates = self.gates
         pictures = self.starts.pictures_s[manifest.shown]
         room = pictures - gates.settle_s
         over = gates.repeats * gates.length_s - room - MOST_DRIFT * pictures
@@ -202,7 +203,7 @@ class _Recording:
     def count_in(self, *sets: Windows, progress: Progress = SILENT) -> list[WindowCounts]:
         """Photons of the passes that were recorded whole, in sets of windows."""
         inputs = self.run.acquisition.inputs
-        return count_in_windows(self.source, self.starts, sets, inputs, progress)
+        return count_in_windows(self.source, self.starts, sets, inputs, progress=progress)
 
     def counts(self, passes: np.ndarray, values: dict[str, Any], **others: Any) -> Counts:
         """Counts of all scenes, with what the run and its gates say.
@@ -236,7 +237,8 @@ class _Recording:
 
 def _count_photons(run: Run, gates: Gates, settings: CountSettings, progress: Progress) -> Counts:
     """Photons of each readout, and what arrived, corrected and less no background yet."""
-    manifest, acquisition = run.manifest, run.acquisition
+    manifest = run.manifest
+    acquisition = run.acquisition
     dead_time = settings.dead_time or _known_dead_time(run.folder)
     effects = CounterEffects(dead_time, settings.gains)
     corrections = corrections_of(effects, manifest)
@@ -253,7 +255,8 @@ def _count_photons(run: Run, gates: Gates, settings: CountSettings, progress: Pr
         progress=progress.between(0.0, 0.4),
     )
     recording.check_gates()
-    starts, source = recording.starts, str(recording.source.path)
+    starts = recording.starts
+    source = str(recording.source.path)
     gated, parted = recording.count_in(
         Windows.of_gates(manifest, gates, starts),
         Windows.of_parts(starts, gates.settle_s, PARTS),
@@ -269,13 +272,17 @@ def _count_photons(run: Run, gates: Gates, settings: CountSettings, progress: Pr
                 f"scene {settings.background} was not recorded whole: give another background"
             )
         ambient = _find_ambient(gated.select(~kept), corrections, manifest, gates)
-        gated, parted, passes = gated.select(kept), parted.select(kept), passes[kept]
+        gated = gated.select(kept)
+        parted = parted.select(kept)
+        passes = passes[kept]
         detail = "it was dark, and its counts are subtracted from those of the others"
         of_dark.append(Fault(kind="background", scene=dark, detail=detail))
     fits = _show_ends(recording, gated)
     lost = passes[~fits]
     faults += (Fault(kind="lost", scene=scene, detail=SHIFTED) for scene in lost.tolist())
-    gated, parted, passes = gated.select(fits), parted.select(fits), passes[fits]
+    gated = gated.select(fits)
+    parted = parted.select(fits)
+    passes = passes[fits]
     faults += find_lateness(gated, recording.arm, float(recording.room_s.min()))
     photons, spent = gated.per_frame()
     rates = photons / np.where(spent > 0, spent, np.nan)[..., None]
@@ -321,7 +328,8 @@ def _count_photons(run: Run, gates: Gates, settings: CountSettings, progress: Pr
 
 def _count_clicks(run: Run, gates: Gates, settings: CountSettings, progress: Progress) -> Counts:
     """Clicks of each readout: of every gate of an exposure one photon at most."""
-    manifest, acquisition = run.manifest, run.acquisition
+    manifest = run.manifest
+    acquisition = run.acquisition
     assert settings.clicks is not None
     of_photons = {
         "dead time": settings.dead_time is not None,

@@ -207,12 +207,14 @@ def read_counts(run: str | os.PathLike[str] | Run) -> Counts:
     """Counts of a run, or of its folder, as `count_run` wrote them, or `InputError`."""
     if not isinstance(run, Run):
         run = read_run(run)
-    acquisition, manifest = run.acquisition, run.manifest
+    acquisition = run.acquisition
+    manifest = run.manifest
     acquisition.check_fixed(run.folder)
     path = run.folder / "counts.npz"
     content = read_regular(path, LARGEST_COUNTS, "make it with `deepfsi camera count`")
     again = "count again with `deepfsi camera count`"
-    scenes, masks = (len(acquisition.scenes),), (manifest.rails, manifest.masks)
+    scenes = (len(acquisition.scenes),)
+    masks = (manifest.rails, manifest.masks)
     several = manifest.several
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:

@@ -297,7 +297,8 @@ def align(
 
 def _follow(markers: Markers, counter: Counter | None) -> tuple[np.ndarray, tuple[Fault, ...]]:
     """Starts of frames (S, F) and faults, pass by pass; photons decide where times do not."""
-    schedule, passes = markers.schedule, _follow_passes(markers)
+    schedule = markers.schedule
+    passes = _follow_passes(markers)
     doubtful = _find_doubts(passes, markers)
     shifts = _find_shifts(passes, doubtful, schedule, counter)
     for place, shift in shifts.items():
@@ -398,8 +399,10 @@ def find_steps(
     # counts, seconds (n,)
     known = seconds > 0
     length = np.where(known, seconds, 1.0)
-    rates, variances = counts / length, (counts + 1) / length**2
-    steps, variance = rates[:-1] - rates[1:], variances[:-1] + variances[1:]
+    rates = counts / length
+    variances = (counts + 1) / length**2
+    steps = rates[:-1] - rates[1:]
+    variance = variances[:-1] + variances[1:]
     usable = known[:-1] & known[1:]
     steepest = int(np.argmax(np.where(usable, steps, -np.inf)))
     if not usable[steepest]:
@@ -420,8 +423,10 @@ def measure_clock(times: np.ndarray, pictures: np.ndarray, tolerance: float) -> 
     planned = np.lib.stride_tricks.sliding_window_view(pictures[:-1], size)[:MOST_PLACES]
     steps = np.lib.stride_tricks.sliding_window_view(np.diff(times), size)
     places = np.unique((np.arange(MOST_BLOCKS) * GOLDEN % 1 * len(steps)).astype(np.int64))
-    total, shortest = planned.sum(axis=1), float(pictures.min())
-    rates, extras = [], []
+    total = planned.sum(axis=1)
+    shortest = float(pictures.min())
+    rates = []
+    extras = []
     for block in steps[places]:
         rate = block.sum() / total - 1
         extra = (block.sum() - total) / size
@@ -457,14 +462,17 @@ def _agree(found: list[tuple[float, float]], most: float) -> tuple[float, float]
 
 def _take_whole(markers: Markers) -> np.ndarray | None:
     """Starts (S, F) if each marker is where it should be, else None."""
-    times, schedule, scenes = markers.times, markers.schedule, markers.scenes
+    times = markers.times
+    schedule = markers.schedule
+    scenes = markers.scenes
     if len(times) != scenes * schedule.frames:
         return None
     starts = times.reshape(scenes, schedule.frames)
     nominal = schedule.starts[-1]
     span = starts[:, -1] - starts[:, 0]
     rate = span / nominal if nominal else np.ones(scenes)
-    steps, wanted = np.diff(starts), np.diff(schedule.starts)
+    steps = np.diff(starts)
+    wanted = np.diff(schedule.starts)
     off = np.abs(steps - wanted * rate[:, None]).max(initial=0)
     drift = np.abs(span - nominal).max() - MOST_DRIFT * nominal
     ends = starts[:-1, -1] + schedule.pictures[-1] * (1 - MOST_DRIFT)
@@ -476,13 +484,15 @@ def _take_whole(markers: Markers) -> np.ndarray | None:
 
 def _follow_passes(markers: Markers) -> list[Pass]:
     """Passes one after another, each from the first marker that those before leave."""
-    times, scenes = markers.times, markers.scenes
+    times = markers.times
+    scenes = markers.scenes
     passes: list[Pass] = []
     first = extra = 0
     while first < len(times) and len(passes) < scenes:
         found = _next_pass(markers, first)
         if found is None:
-            first, extra = first + 1, extra + 1
+            first = first + 1
+            extra = extra + 1
             if extra > 100 + scenes:
                 raise InputError(
                     f"markers do not follow the schedule, first at {times[first - extra]:.6f} s "
@@ -491,7 +501,8 @@ def _follow_passes(markers: Markers) -> list[Pass]:
                 )
             continue
         passes.append(found)
-        first, extra = found.last + 1, 0
+        first = found.last + 1
+        extra = 0
     if not passes:
         raise InputError(
             f"none of {len(times)} markers follow the schedule ({markers.pace}): give the patterns "
@@ -508,8 +519,10 @@ def _follow_passes(markers: Markers) -> list[Pass]:
 
 def _next_pass(markers: Markers, first: int) -> Pass | None:
     """Pass that begins at a marker or soon after, whose own first markers may be missing."""
-    times, schedule = markers.times, markers.schedule
-    best, most = None, 0
+    times = markers.times
+    schedule = markers.schedule
+    best = None
+    most = 0
     tries = range(MOST_SHIFT + 1)
     for skipped, absent in sorted(((i, j) for i in tries for j in tries), key=sum):
         if first + skipped >= len(times) or absent >= schedule.frames:
@@ -517,7 +530,8 @@ def _next_pass(markers: Markers, first: int) -> Pass | None:
         start = times[first + skipped] - schedule.starts[absent]
         found = _walk(markers, start, first + skipped)
         if found.matched - skipped > most:
-            best, most = found, found.matched - skipped
+            best = found
+            most = found.matched - skipped
         if found.matched == schedule.frames:
             break
     if best is None:
@@ -529,11 +543,19 @@ def _next_pass(markers: Markers, first: int) -> Pass | None:
 
 def _walk(markers: Markers, start: float, first: int = 0) -> Pass:
     """Follow the schedule from a time of frame 0, with the clock's drift as markers show it."""
-    times, schedule = markers.times, markers.schedule
-    frames, starts, tolerance = schedule.frames, schedule.starts, schedule.tolerance
+    times = markers.times
+    schedule = markers.schedule
+    frames = schedule.frames
+    starts = schedule.starts
+    tolerance = schedule.tolerance
     widest = 0.4 * float(schedule.pictures.min())
-    expected, places = np.empty(frames), np.full(frames, -1)
-    offset, drift, slack, known, done = start, 0.0, MOST_DRIFT, 0.0, 0
+    expected = np.empty(frames)
+    places = np.full(frames, -1)
+    offset = start
+    drift = 0.0
+    slack = MOST_DRIFT
+    known = 0.0
+    done = 0
     while done < frames:
         sure = int(np.searchsorted(starts, known + tolerance / slack, side="right"))
         stop = min(max(done + 1, min(sure, done + FRAMES_AT_ONCE)), frames)
@@ -544,7 +566,8 @@ def _walk(markers: Markers, start: float, first: int = 0) -> Pass:
         places[new] = np.where(distance <= window, near, -1)
         recent = np.flatnonzero(places[:stop] >= 0)[-2 * FRAMES_AT_ONCE :]
         if len(recent) > 1:
-            at, came = starts[recent], times[places[recent]]
+            at = starts[recent]
+            came = times[places[recent]]
             half = len(recent) // 2
             apart = np.median(at[half:]) - np.median(at[:half])
             off = came - at
@@ -595,7 +618,9 @@ def _name_faults(
 ) -> tuple[np.ndarray, tuple[Fault, ...]]:
     """Starts of frames (S, F), and every fault of their markers, extra ones last."""
     # Starts are in seconds, NaN where they are not known
-    times, schedule, scenes = markers.times, markers.schedule, markers.scenes
+    times = markers.times
+    schedule = markers.schedule
+    scenes = markers.scenes
     spare = _spare_times(passes, times)
     _check_certain(passes, markers, spare)
     unknown = unknown | _overlapping(passes, schedule)
@@ -629,7 +654,9 @@ def _name_faults(
 
 def _check_certain(passes: list[Pass], markers: Markers, spare: np.ndarray) -> None:
     """Raise `InputError` unless it is certain which pass is of which scene."""
-    times, schedule, scenes = markers.times, markers.schedule, markers.scenes
+    times = markers.times
+    schedule = markers.schedule
+    scenes = markers.scenes
     if len(spare) > min(MOST_FAULTS, len(times) / 2):
         raise InputError(
             f"{len(spare)} of {len(times)} markers do not follow the schedule: give the patterns "

@@ -199,7 +199,8 @@ class _RecordCounter:
         self._shown = frame = self._due.popleft()
         if frame.follows and frame.picture is not None and not self._followed:
             self._check_last(time)
-        start, self._skipped = time + frame.offset, frame.markers - 1
+        start = time + frame.offset
+        self._skipped = frame.markers - 1
         if start < self._stop:
             raise InputError(
                 f"{self._describe(time)}, before the gate of the frame before has ended: show "
@@ -224,7 +225,8 @@ class _RecordCounter:
     def _check_step(self, time: int, follows: bool) -> None:
         """Raise `InputError` if a marker does not come when the picture before it ends."""
         # The first one of a list may come later
-        shown, step = self._shown, time - self._last
+        shown = self._shown
+        step = time - self._last
         if shown is None or shown.picture is None:
             return
         late = step - shown.picture

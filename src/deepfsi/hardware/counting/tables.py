@@ -251,7 +251,8 @@ class _Exposures:
 
     def correct(self) -> Estimate:
         """Arrivals (E, F, inputs) in all frames."""
-        values, settings = self.values, self.settings
+        values = self.values
+        settings = self.settings
         if settings.clicks is not None:
             return Estimate(values, variance_of_clicks(values, settings.clicks))
         if settings.analogue:
@@ -293,17 +294,19 @@ def _find_values(
     table: Table, manifest: Manifest, settings: TableSettings, name: str
 ) -> tuple[np.ndarray, bool]:
     """Values of all frames (E, F, inputs), and whether the table has sentinels; 0 where not."""
-    names, inputs = column_names(manifest), manifest.inputs
+    names = column_names(manifest)
+    inputs = manifest.inputs
     ends = 2 * inputs
-    values, given = table.values, [each.lower() for each in table.names]
+    values = table.values
+    given = [each.lower() for each in table.names]
     known = [each for each in given if each in names]
     if known:
-        _check_names(known, table.names, names, ends, name)
+        _check_names(known, table.names, names, ends, name=name)
         wanted = names if len(known) == len(names) else names[ends:-ends]
         values = values[:, [given.index(each) for each in wanted]]
         along = "rows"
     else:
-        along = _find_direction(table, names, inputs, settings, name)
+        along = _find_direction(table, names, inputs, settings, name=name)
     if along == "columns":
         values = values.T
     split = values.reshape(len(values), -1, inputs)
@@ -405,7 +408,9 @@ def _check_values(read: np.ndarray, manifest: Manifest, settings: TableSettings,
 def _find_light(exposures: _Exposures, frames: Estimate, scene_of: np.ndarray) -> SceneLight:
     """Light of each scene, all exposures of one together, from what arrived in all frames."""
     # scene_of (E,): scene of each exposure
-    manifest, settings, seconds = exposures.manifest, exposures.settings, exposures.seconds
+    manifest = exposures.manifest
+    settings = exposures.settings
+    seconds = exposures.seconds
     scenes = int(scene_of[-1]) + 1
     arm = slice(0, manifest.detector_count)
     exposure_s = exposures.exposure_s
@@ -454,7 +459,9 @@ def _find_light(exposures: _Exposures, frames: Estimate, scene_of: np.ndarray) -
             scenes=np.arange(scenes),
             lost=np.empty(0, np.int64),
         )
-        measured, flux, faults = light.dark_rate, light.flux, light.faults
+        measured = light.dark_rate
+        flux = light.flux
+        faults = light.faults
     if stated is None:
         dark = measured
     return SceneLight(
@@ -623,7 +630,8 @@ def _gains(total: np.ndarray, bins: np.ndarray, arm: int) -> np.ndarray:
     """G (starts,) of a pass that begins at each bin; -inf where it cannot."""
     from scipy.special import xlogy
 
-    starts, ends = len(total) - int(bins.sum()), np.cumsum(bins)
+    starts = len(total) - int(bins.sum())
+    ends = np.cumsum(bins)
     gain = np.zeros(starts)
     own_bins = np.diff(total, axis=0)
     saturated = np.concatenate([[0.0], xlogy(own_bins, own_bins).sum(axis=1).cumsum()])
@@ -641,7 +649,8 @@ def _gains(total: np.ndarray, bins: np.ndarray, arm: int) -> np.ndarray:
             brightest = np.maximum(brightest, own / width - CERTAIN_SIGMAS * np.sqrt(own) / width)
     fits = np.ones(starts, bool)
     for bright, dark in ((0, 1), (last - 1, last)):
-        (on, on_bins), (off, off_bins) = seen[bright], seen[dark]
+        (on, on_bins) = seen[bright]
+        (off, off_bins) = seen[dark]
         noise = np.sqrt(on / on_bins**2 + off / off_bins**2)
         fits &= on / on_bins - off / off_bins > CERTAIN_SIGMAS * noise
         fits &= on / on_bins + CERTAIN_SIGMAS * np.sqrt(on) / on_bins >= brightest

@@ -166,7 +166,8 @@ def count_in_windows(
     """
     tick_s = source.tick_s
     frames_s = starts.starts_s[starts.complete]
-    edges, counted = [], []
+    edges = []
+    counted = []
     for windows in sets:
         opens = frames_s[:, windows.frame] + windows.offset_s
         closes = np.minimum(opens + windows.length_s, starts.until_s)
@@ -179,7 +180,7 @@ def count_in_windows(
         counted.append(timed)
     every = np.concatenate(edges, axis=1)
     photons = np.split(
-        count_overlapping(source, every[0], every[1], inputs, progress),
+        count_overlapping(source, every[0], every[1], inputs, progress=progress),
         np.cumsum([one.shape[1] for one in edges])[:-1],
     )
     out = []
@@ -217,9 +218,11 @@ def find_lateness(counts: WindowCounts, arm: slice, room_s: float) -> tuple[Faul
         Least time from the last gate of a frame to the next frame.
     """
     photons, spent = counts.per_frame()
-    (dark, light), (dark_s, light_s) = photons[:, 1:3, arm].sum(axis=-1).T, spent[:, 1:3].T
+    (dark, light) = photons[:, 1:3, arm].sum(axis=-1).T
+    (dark_s, light_s) = spent[:, 1:3].T
     first = int(np.flatnonzero(counts.windows.role == Role.GUARD)[0])
-    guard, guard_s = counts.photons[:, first, arm].sum(axis=-1), counts.open_s[:, first]
+    guard = counts.photons[:, first, arm].sum(axis=-1)
+    guard_s = counts.open_s[:, first]
     used = (dark_s > 0) & (light_s > 0)
     if np.count_nonzero(used) > 1:  # a burst of stray light in one of them is another fault
         used[np.argmax(np.where(used, guard, -1))] = False
@@ -251,7 +254,7 @@ def count_overlapping(
     """Photons (n, inputs) in windows, starts and stops (n,), that may overlap, in any order."""
     edges = np.stack([starts, stops])
     unique, places = np.unique(edges, return_inverse=True)
-    counts = count_windows(source, unique[:-1], unique[1:], inputs, progress)
+    counts = count_windows(source, unique[:-1], unique[1:], inputs, progress=progress)
     before = np.pad(np.cumsum(counts, axis=0), ((1, 0), (0, 0)))[places.reshape(edges.shape)]
     return np.asarray(before[1] - before[0])
 
