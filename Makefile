@@ -27,7 +27,7 @@ pytest-test:
 	OMP_NUM_THREADS=1 $(BIN)/pytest -n logical --dist worksteal
 
 pytest-quick:
-	OMP_NUM_THREADS=1 $(BIN)/pytest -m core -n logical --dist worksteal tests
+	OMP_NUM_THREADS=1 $(BIN)/pytest -n logical --dist worksteal tests/golden tests/test_house.py
 
 docs: $(VENV)/docs
 	$(BIN)/sphinx-build --fail-on-warning --keep-going --jobs auto docs docs/_build/html

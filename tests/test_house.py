@@ -15,8 +15,6 @@ import pytest
 import deepfsi
 from shared.house import Function, House
 
-pytestmark = pytest.mark.core
-
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src"
 TREES = {path: ast.parse(path.read_text()) for path in sorted(SOURCE.rglob("*.py"))}

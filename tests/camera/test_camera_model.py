@@ -12,8 +12,6 @@ from deepfsi.camera.camera import GUARD_S
 from deepfsi.cli.camera import CAMERA_EXAMPLES, camera_template
 from shared.noises import saturating
 
-pytestmark = pytest.mark.core
-
 
 @pytest.mark.parametrize(
     ("time", "wanted"),

@@ -15,8 +15,6 @@ from deepfsi.jobs import find_exposure
 from deepfsi.jobs.exposures import AnyExposure
 from shared.jobs import job
 
-pytestmark = pytest.mark.core
-
 KINDS = [
     ({}, Fixed()),
     ({"span": 10.0}, Range(span=10.0)),

@@ -78,6 +78,7 @@ def tested(design: Any, data: deepfsi.Dataset, *photons: float, **camera: Any) -
     out = []
     for one in deepfsi.evaluate(design, data, photons or (BUDGET,), draws=2, seed=3, **camera):
         numbers = one.as_dict()
+        assert numbers.get("throughput", 0) <= 1 + 1e-5  # no more light than there is
         if "confusion" in numbers:  # counts of answers that follow the last bits of a network
             numbers["confusion"] = np.array(numbers["confusion"], float)
         out.append({**numbers, "right": getattr(one, "right", None)})

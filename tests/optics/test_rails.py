@@ -9,8 +9,6 @@ from deepfsi.optics.masks import FixedMasks
 from deepfsi.optics.rails import Rails
 from deepfsi.optics.scanner import project, project_rails
 
-pytestmark = pytest.mark.core
-
 FLOAT64 = 1e-15
 
 
