@@ -29,7 +29,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
 from deepfsi import Dataset, Design, learn, load_dataset
-from deepfsi.base import wilson, write_atomically
+from deepfsi.base import write_atomically
+from deepfsi.base.numeric import wilson
 from deepfsi.design.exposure.trained import Observation
 from deepfsi.optics.constraints import frames
 from deepfsi.report.style import COLOURS, photons_text, styled

@@ -16,7 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deepfsi.base import InputError, Table
+from deepfsi.base import InputError
+from deepfsi.base.numeric import Table
 from deepfsi.camera import DeadTime, find_device
 from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.design.artifact import Design

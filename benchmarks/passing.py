@@ -25,7 +25,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from deepfsi import Camera, Passing, Training, evaluate, learn, load_dataset
-from deepfsi.base import SILENT, wilson
+from deepfsi.base import SILENT
+from deepfsi.base.numeric import wilson
 from deepfsi.datasets import Dataset
 from deepfsi.lab.transits import classify_transits, simulate_transits
 

@@ -36,7 +36,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from deepfsi.base import wilson
+from deepfsi.base.numeric import wilson
 from deepfsi.camera import LightLawName, summed_reflectance
 from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.design.artifact import Design

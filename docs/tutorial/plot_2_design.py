@@ -127,7 +127,7 @@ plt.show()
 # .. dropdown:: Answer
 #
 #    Compare the two picture by picture: ``Result.right`` of `evaluate` has the share of right draws
-#    of each, and ``deepfsi.base.paired_difference`` gives their mean difference with its
+#    of each, and ``deepfsi.base.numeric.paired_difference`` gives their mean difference with its
 #    interval. If that contains 0, 360 pictures do not decide. On one device a single rail can be
 #    better. Each frame is then a feature of its own, and the network can subtract by itself. A mask
 #    of two rails needs two frames for one number.

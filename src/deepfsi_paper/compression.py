@@ -4,7 +4,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from deepfsi.base import Difference, accuracy_difference, all_above, mean_of_trials
+from deepfsi.base.numeric import Difference, accuracy_difference, all_above, mean_of_trials
 from deepfsi.report.style import photons_text
 from deepfsi.sweeps.results import Point, Results
 from deepfsi_paper.experiment import Experiment, Finding, budgets, points

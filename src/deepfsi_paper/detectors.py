@@ -10,7 +10,7 @@ from functools import partial
 from itertools import pairwise
 from math import prod
 
-from deepfsi.base import Difference, accuracy_difference, all_above
+from deepfsi.base.numeric import Difference, accuracy_difference, all_above
 from deepfsi.report.style import BUDGET_AXIS, COLOURS, PAPER, photons_text
 from deepfsi.sweeps.results import Point, Results
 from deepfsi_paper.experiment import Experiment, Finding, budgets, cifar10_here

@@ -11,16 +11,8 @@ from typing import Any
 
 import polars
 
-from deepfsi.base import (
-    SILENT,
-    Difference,
-    InputError,
-    Progress,
-    accuracy_difference,
-    all_above,
-    as_input_error,
-    write_atomically,
-)
+from deepfsi.base import SILENT, InputError, Progress, as_input_error, write_atomically
+from deepfsi.base.numeric import Difference, accuracy_difference, all_above
 from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.datasets.cifar import where
 from deepfsi.report.comparison_page import listed

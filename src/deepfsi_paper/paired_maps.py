@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.figure import Figure
 
-from deepfsi.base import Difference, accuracy_difference
+from deepfsi.base.numeric import Difference, accuracy_difference
 from deepfsi.report.style import photons_text
 from deepfsi.sweeps.results import Point
 from deepfsi_paper.experiment import budgets

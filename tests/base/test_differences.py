@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from deepfsi.base import (
+from deepfsi.base.numeric import (
     Difference,
     accuracy_difference,
     accuracy_interval,
@@ -17,7 +17,7 @@ from deepfsi.base import (
     paired_difference,
     unpack_values,
 )
-from deepfsi.base import intervals as differences
+from deepfsi.base.numeric import intervals as differences
 from shared.results import a_point
 
 

@@ -12,7 +12,12 @@ from PIL import Image
 
 import deepfsi
 from deepfsi import InputError, evaluate
-from deepfsi.base import confusion_shares, confusion_table, frequent_confusions, mask_picture
+from deepfsi.base.numeric import (
+    confusion_shares,
+    confusion_table,
+    frequent_confusions,
+    mask_picture,
+)
 
 CONFUSION = [[8, 2, 0], [0, 10, 0], [5, 0, 15]]
 

@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 from scipy.stats import binom, binomtest
 
-from deepfsi.base import (
+from deepfsi.base.numeric import (
     accuracy_interval,
     balanced_interval,
     image_interval,
@@ -13,7 +13,7 @@ from deepfsi.base import (
     wilson,
     worst_class,
 )
-from deepfsi.base.intervals import balanced_terms, seeds_error
+from deepfsi.base.numeric.intervals import balanced_terms, seeds_error
 
 
 @pytest.mark.parametrize("images", [1, 2, 7, 500])

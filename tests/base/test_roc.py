@@ -5,8 +5,8 @@ import pytest
 from scipy import stats
 from sklearn.metrics import roc_auc_score
 
-from deepfsi.base import auc as auc_of
-from deepfsi.base import auc_terms
+from deepfsi.base.numeric import auc as auc_of
+from deepfsi.base.numeric import auc_terms
 
 
 def auc(scores, positive):

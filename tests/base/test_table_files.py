@@ -15,8 +15,8 @@ import pytest
 from scipy import sparse
 from scipy.io import savemat
 
-from deepfsi.base import (
-    InputError,
+from deepfsi.base import InputError
+from deepfsi.base.numeric import (
     is_table,
     parse_number,
     read_npy,
@@ -24,7 +24,7 @@ from deepfsi.base import (
     read_table,
     read_whole_numbers,
 )
-from deepfsi.base import tables as table_files
+from deepfsi.base.numeric import tables as table_files
 
 VALUES = np.random.default_rng(2).integers(0, 1000, (3, 5))
 NAMES = tuple("abcde")
@@ -141,7 +141,7 @@ def test_a_wide_table_costs_little_more_than_its_numbers(tmp_path):
     path.write_text("\n".join([",".join(["123"] * columns)] * 6))
     read_table(path)  # what is imported once
     code = (
-        "import resource, sys; from deepfsi.base.tables import read_table\n"
+        "import resource, sys; from deepfsi.base.numeric.tables import read_table\n"
         "import polars\n"
         "def peak(): return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss\n"
         "before = peak(); print(read_table(sys.argv[1]).values.shape, peak() - before)"

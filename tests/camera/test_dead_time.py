@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from deepfsi.base import InputError, Table
+from deepfsi.base import InputError
+from deepfsi.base.numeric import Table
 from deepfsi.camera import DeadTime
 from deepfsi.camera.dead_time import MOST_BLIND
 from deepfsi.hardware.counting import (

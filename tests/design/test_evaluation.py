@@ -9,7 +9,8 @@ import pytest
 import torch
 
 from conftest import PHOTONS, every_design, generator, light_on, quick, synthetic
-from deepfsi.base import SILENT, InputError, balanced_interval
+from deepfsi.base import SILENT, InputError
+from deepfsi.base.numeric import balanced_interval
 from deepfsi.datasets import from_arrays
 from deepfsi.design.evaluation import evaluate
 from deepfsi.design.evaluation import test_scenes as run_test

@@ -196,7 +196,7 @@ def read_masks(path: Path) -> None:
 
 
 def read_table(path: Path) -> None:
-    from deepfsi.base import read_table
+    from deepfsi.base.numeric import read_table
 
     read_table(path, ("scene", "label"))
 

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from conftest import synthetic
-from deepfsi.base import InputError, accuracy_interval, unpack_values
+from deepfsi.base import InputError
+from deepfsi.base.numeric import accuracy_interval, unpack_values
 from deepfsi.datasets import from_arrays, load_dataset
 from deepfsi.design.adaptive.design import load_design
 from deepfsi.design.evaluation import evaluate

@@ -5,7 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from deepfsi.base import Crossing, InputError, find_crossing
+from deepfsi.base import InputError
+from deepfsi.base.numeric import Crossing, find_crossing
 from deepfsi.sweeps import planning
 from deepfsi.sweeps.planning import check_plan, next_budget, photons_needed
 from deepfsi.sweeps.recipe import Recipe

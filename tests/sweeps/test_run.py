@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deepfsi.base import unpack_values
+from deepfsi.base.numeric import unpack_values
 from deepfsi.cli.recipes import shipped
 from deepfsi.sweeps.recipe import Recipe, parts
 from deepfsi.sweeps.records import rows

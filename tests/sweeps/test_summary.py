@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from deepfsi.base import accuracy_interval, balanced_interval, pack_values, student, unpack_values
+from deepfsi.base.numeric import (
+    accuracy_interval,
+    balanced_interval,
+    pack_values,
+    student,
+    unpack_values,
+)
 from deepfsi.sweeps.summary import mean_lit_masks, summarise
 from shared.trials import small
 

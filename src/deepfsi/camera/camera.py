@@ -23,8 +23,6 @@ from pydantic import (
 
 from deepfsi.base import (
     InputError,
-    Seconds,
-    UserModel,
     as_input_error,
     check_choice,
     closest_choice,
@@ -32,6 +30,7 @@ from deepfsi.base import (
     read_toml,
     time_text,
 )
+from deepfsi.base.models import Seconds, UserModel
 from deepfsi.camera.dead_time import LONGEST_DEAD_TIME_S, DeadTime
 from deepfsi.camera.detectors import DetectorMap, detector_setting
 from deepfsi.camera.device import Device, find_device

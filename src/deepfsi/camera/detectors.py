@@ -8,7 +8,9 @@ from typing import Annotated, Any, Self
 import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
-from deepfsi.base import InputError, StrictModel, read_npy
+from deepfsi.base import InputError
+from deepfsi.base.models import StrictModel
+from deepfsi.base.numeric import read_npy
 from deepfsi.camera.layout import DmdGrid
 
 MOST_DETECTORS = 2**16

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from pydantic import Field
 
-from deepfsi.base import StrictModel
+from deepfsi.base.models import StrictModel
 from deepfsi.camera.dead_time import NO_DEAD_TIME, DeadTime
 
 MARGIN_NS = 2000

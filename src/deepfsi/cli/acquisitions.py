@@ -175,7 +175,8 @@ def _import_series(
     """Write cumulative counts, or counts in bins, as a table."""
     if patterns is None:
         raise InputError(f"{_SERIES} need the patterns that were shown: give --patterns")
-    from deepfsi.base import read_table, write_atomically
+    from deepfsi.base import write_atomically
+    from deepfsi.base.numeric import read_table
     from deepfsi.hardware.counting import table_of_series
     from deepfsi.hardware.patterns.folder import read_patterns
 

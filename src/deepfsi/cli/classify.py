@@ -80,7 +80,7 @@ def camera_classify(
         "read-noise": read_noise, "repeats": None if repeats == 1 else repeats,
         **{name.replace("_", "-"): value for name, value in settings.items()},
     }  # fmt: skip
-    from deepfsi.base import TABLE_ENDINGS, is_table, read_table
+    from deepfsi.base.numeric import TABLE_ENDINGS, is_table, read_table
     from deepfsi.hardware.live.replay import COUNTS, count_live, is_live
     from deepfsi.lab.classify import classify_run, classify_table
     from deepfsi.lab.results import ClassifiedRun

@@ -156,7 +156,7 @@ def _print_covered(result: "Result | Estimates", meaning: str) -> None:
 
 def _print_confusion(result: "Result", classes: Sequence[str]) -> None:
     """Print which classes are taken for which; of many, the most frequent mistakes."""
-    from deepfsi.base import MOST_CLASSES, confusion_shares, frequent_confusions
+    from deepfsi.base.numeric import MOST_CLASSES, confusion_shares, frequent_confusions
 
     where = f"at {common.budget(result.photons)} photons, % of the true class"
     if len(classes) > MOST_CLASSES:

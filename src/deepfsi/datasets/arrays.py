@@ -9,14 +9,8 @@ from unicodedata import category, normalize
 import numpy as np
 import numpy.typing as npt
 
-from deepfsi.base import (
-    InputError,
-    check_memory,
-    free_memory,
-    is_whole_number,
-    normal_name,
-    read_npz,
-)
+from deepfsi.base import InputError
+from deepfsi.base.numeric import check_memory, free_memory, is_whole_number, normal_name, read_npz
 from deepfsi.datasets.dataset import Dataset, Labels, Reflectance, Truth
 from deepfsi.datasets.values import Values, grey, measure, reflectance
 

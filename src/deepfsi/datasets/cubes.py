@@ -10,14 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from deepfsi.base import (
-    WINDOWS_ENCODING,
-    InputError,
-    open_regular,
-    parse_number,
-    read_array,
-    read_text,
-)
+from deepfsi.base import WINDOWS_ENCODING, InputError, open_regular, read_text
+from deepfsi.base.numeric import parse_number, read_array
 from deepfsi.datasets.spectra import Mask, SpectralImage
 
 SUFFIXES = (".mat", ".npy", ".hdr")

@@ -9,10 +9,10 @@ from typing import TypeAlias
 
 import numpy as np
 
-from deepfsi.base import (
+from deepfsi.base import InputError
+from deepfsi.base.numeric import (
     LABEL_HEADS,
     WITHOUT_VALUE,
-    InputError,
     TextRows,
     has_decimal_commas,
     is_whole_number,

@@ -20,15 +20,8 @@ from typing import IO, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from deepfsi.base import (
-    InputError,
-    check_unpacked,
-    normal_name,
-    open_zip,
-    read_regular,
-    read_zip_entry,
-    readable_name,
-)
+from deepfsi.base import InputError, check_unpacked, read_regular, readable_name
+from deepfsi.base.numeric import normal_name, open_zip, read_zip_entry
 from deepfsi.datasets.arrays import (
     Names,
     Options,

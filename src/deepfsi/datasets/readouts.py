@@ -15,11 +15,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from deepfsi.base import (
+from deepfsi.base import InputError, check_choice
+from deepfsi.base.numeric import (
     TEXT_ENDINGS,
     VARIABLE_ENDINGS,
-    InputError,
-    check_choice,
     list_variables,
     normal_name,
     read_columns,

@@ -11,14 +11,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from deepfsi.base import (
-    DESIGN_ENDINGS,
-    InputError,
-    as_input_error,
-    check_ending,
-    mask_picture,
-    write_atomically,
-)
+from deepfsi.base import DESIGN_ENDINGS, InputError, as_input_error, check_ending, write_atomically
+from deepfsi.base.numeric import mask_picture
 from deepfsi.camera import Camera, LightLawName, check_budget
 from deepfsi.design import artifact_file, check_counts, clicks
 from deepfsi.design.exposure.looks import Dwells, LooksExposure

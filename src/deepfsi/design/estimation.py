@@ -8,7 +8,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepfsi.base import Z_95, Progress, image_interval
+from deepfsi.base import Progress
+from deepfsi.base.numeric import Z_95, image_interval
 from deepfsi.datasets import Dataset
 from deepfsi.design.artifact import Design
 from deepfsi.design.bounds import linear_bound

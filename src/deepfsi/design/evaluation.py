@@ -11,18 +11,16 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepfsi.base import (
-    InputError,
-    Progress,
+from deepfsi.base import InputError, Progress, progress_bar
+from deepfsi.base.numeric import (
     accuracy_curve,
     auc,
     auc_terms,
     balanced_interval,
     confusion_table,
-    progress_bar,
     worst_class,
 )
-from deepfsi.base import accuracy_interval as accuracy_of
+from deepfsi.base.numeric import accuracy_interval as accuracy_of
 from deepfsi.camera import Camera, CameraSource, NoiseName, check_budget
 from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.artifact import Design

@@ -12,7 +12,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepfsi.base import InputError, Progress, check_memory, free_memory, progress_bar
+from deepfsi.base import InputError, Progress, progress_bar
+from deepfsi.base.numeric import check_memory, free_memory
 from deepfsi.camera import check_budget, summed_reflectance
 from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.artifact import Design

@@ -18,7 +18,8 @@ from numpy.typing import ArrayLike
 from pydantic import TypeAdapter
 from scipy.special import log_softmax
 
-from deepfsi.base import InputError, accuracy_interval, as_input_error
+from deepfsi.base import InputError, as_input_error
+from deepfsi.base.numeric import accuracy_interval
 from deepfsi.camera import check_budget
 from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.adaptive.design import AdaptiveDesign, AnyDesign

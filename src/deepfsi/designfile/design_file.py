@@ -17,7 +17,8 @@ import numpy as np
 from pydantic import TypeAdapter
 from safetensors.numpy import save
 
-from deepfsi.base import DamagedError, InputError, as_input_error, other_version, read_tensors
+from deepfsi.base import InputError, as_input_error, other_version
+from deepfsi.base.numeric import DamagedError, read_tensors
 from deepfsi.camera import LIGHT_LAWS, Camera, DetectorMap, StopRule, share_out
 from deepfsi.designfile.distribution import ReadoutDistribution
 from deepfsi.designfile.header import DESIGN_SCHEMA, AdaptiveHeader, DesignHeader, MaskHeader

@@ -10,7 +10,8 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
-from deepfsi.base import IMPORT_PATH, StrictModel
+from deepfsi.base import IMPORT_PATH
+from deepfsi.base.models import StrictModel
 from deepfsi.camera import LightLawName, Readout, SummedReflectance
 from deepfsi.jobs import MOST_LAYERS, AdaptiveMasks, ExposureEntry, Widths, check_design
 

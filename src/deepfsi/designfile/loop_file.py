@@ -11,7 +11,9 @@ import numpy as np
 from pydantic import Field
 from safetensors.numpy import save
 
-from deepfsi.base import DamagedError, InputError, StrictModel, as_input_error, read_tensors
+from deepfsi.base import InputError, as_input_error
+from deepfsi.base.models import StrictModel
+from deepfsi.base.numeric import DamagedError, read_tensors
 from deepfsi.camera import Readout, StopRule
 from deepfsi.designfile.design_file import DAMAGED, DesignFile
 from deepfsi.designfile.header import MaskHeader, MlpEntry

@@ -16,14 +16,8 @@ from urllib.request import url2pathname
 
 from pydantic import Field
 
-from deepfsi.base import (
-    InputError,
-    StrictModel,
-    as_input_error,
-    closest_choice,
-    hash_file,
-    read_text,
-)
+from deepfsi.base import InputError, as_input_error, closest_choice, hash_file, read_text
+from deepfsi.base.models import StrictModel
 from deepfsi.datasets.store import cache, fetch
 
 DESIGNS_VARIABLE = "DEEPFSI_DESIGNS"

@@ -21,7 +21,8 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import BeforeValidator, ConfigDict, Field, SerializeAsAny
 
-from deepfsi.base import InputError, StrictModel, UserModel, as_input_error
+from deepfsi.base import InputError, as_input_error
+from deepfsi.base.models import StrictModel, UserModel
 from deepfsi.camera import LIGHT_LAWS, Camera, find_noise
 from deepfsi.datasets import Dataset
 from deepfsi.jobs.training import VIT, Widths

@@ -11,7 +11,8 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from deepfsi.base import UNNAMED_PLUGIN, InputError, UserModel, closest_choice
+from deepfsi.base import UNNAMED_PLUGIN, InputError, closest_choice
+from deepfsi.base.models import UserModel
 from deepfsi.camera import (
     BUDGETS,
     LIGHT_LAWS,

@@ -18,7 +18,8 @@ from pydantic import (
     model_validator,
 )
 
-from deepfsi.base import IMPORT_PATH, UNNAMED_PLUGIN, InputError, UserModel, import_path
+from deepfsi.base import IMPORT_PATH, UNNAMED_PLUGIN, InputError, import_path
+from deepfsi.base.models import UserModel
 from deepfsi.camera import NoiseSetting
 from deepfsi.jobs.designs import DESIGNS, check_design
 

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from deepfsi.base import LARGEST_TENSORS, as_input_error, read_regular
+from deepfsi.base import as_input_error, read_regular
+from deepfsi.base.numeric import LARGEST_TENSORS
 from deepfsi.camera import StopRule
 from deepfsi.design.adaptive.choice import next_masks
 from deepfsi.design.adaptive.design import AdaptiveDesign

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from deepfsi.base import InputError, hash_file, read_table, require_torch
+from deepfsi.base import InputError, hash_file, require_torch
+from deepfsi.base.numeric import read_table
 from deepfsi.camera import LIGHT_LAWS, NO_DEAD_TIME, check_budget
 from deepfsi.design.readouts import classify_readouts
 from deepfsi.design.values import check_classes

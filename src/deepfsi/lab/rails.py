@@ -7,15 +7,8 @@ from contextlib import contextmanager
 from hashlib import sha256
 from pathlib import Path
 
-from deepfsi.base import (
-    LARGEST_TENSORS,
-    SILENT,
-    InputError,
-    Progress,
-    as_input_error,
-    read_regular,
-    require_torch,
-)
+from deepfsi.base import SILENT, InputError, Progress, as_input_error, read_regular, require_torch
+from deepfsi.base.numeric import LARGEST_TENSORS
 from deepfsi.camera import DetectorMap, find_device
 from deepfsi.designfile import AdaptiveHeader, DesignFile, check_masks, loop_bytes
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns

@@ -5,7 +5,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from deepfsi.base import LABEL_HEADS, InputError, as_input_error, normal_name, read_rows
+from deepfsi.base import InputError, as_input_error
+from deepfsi.base.numeric import LABEL_HEADS, normal_name, read_rows
 from deepfsi.datasets import prepared, read_display
 from deepfsi.datasets.display import Display
 from deepfsi.designfile import DesignFile, DesignHeader, scene_hashes, trained_on

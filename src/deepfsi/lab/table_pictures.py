@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from scipy.special import gammaincinv
 
-from deepfsi.base import InputError, read_table, split_variable
+from deepfsi.base import InputError
+from deepfsi.base.numeric import read_table, split_variable
 from deepfsi.hardware.pictures import (
     RailSums,
     check_rail_sums,

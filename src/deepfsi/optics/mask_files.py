@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from deepfsi.base import InputError, check_unpacked, open_regular, read_array, split_variable
+from deepfsi.base import InputError, check_unpacked, open_regular
+from deepfsi.base.numeric import read_array, split_variable
 from deepfsi.datasets.decoding import check_levels, unread_kind
 from deepfsi.datasets.deep_colours import is_deep
 

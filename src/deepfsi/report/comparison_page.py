@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from deepfsi.base import InputError, accuracy_difference, confusion_table, write_atomically
+from deepfsi.base import InputError, write_atomically
+from deepfsi.base.numeric import accuracy_difference, confusion_table
 from deepfsi.camera import LIGHT_LAWS, noise_text
 from deepfsi.designfile import DesignFile
 from deepfsi.jobs import ADAPTIVE

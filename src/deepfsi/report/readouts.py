@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from matplotlib.figure import Figure
 
-from deepfsi.base import Interval
+from deepfsi.base.numeric import Interval
 from deepfsi.report.style import COLOURS, GRID, MUTED, PAGE_WIDTH, styled
 
 Row = tuple[str, Interval | None, Interval | None]

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from deepfsi.base import Crossing, accuracy_difference, find_crossing
+from deepfsi.base.numeric import Crossing, accuracy_difference, find_crossing
 from deepfsi.camera import noise_text
 from deepfsi.jobs import DESIGNS
 from deepfsi.report import accuracy

@@ -17,7 +17,6 @@ from pydantic import Field, model_validator
 from deepfsi.base import (
     InputError,
     Progress,
-    StrictModel,
     as_input_error,
     check_choice,
     hash_file,
@@ -25,6 +24,7 @@ from deepfsi.base import (
     read_toml,
     write_atomically,
 )
+from deepfsi.base.models import StrictModel
 from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.design.evaluation import Result, evaluate
 from deepfsi.design.values import check_classes

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from deepfsi.base import pack_values, unpack_values
+from deepfsi.base.numeric import pack_values, unpack_values
 from deepfsi.datasets import Dataset
 
 Record = Mapping[str, Any]

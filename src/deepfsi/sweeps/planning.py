@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from deepfsi.base import SILENT, InputError, Progress, find_crossing
+from deepfsi.base import SILENT, InputError, Progress
+from deepfsi.base.numeric import find_crossing
 from deepfsi.datasets import Dataset
 from deepfsi.sweeps.context import SweepContext
 from deepfsi.sweeps.queue import run_trials

@@ -7,7 +7,8 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat, model_validator
 
-from deepfsi.base import as_input_error, read_text, unpack_values, write_atomically
+from deepfsi.base import as_input_error, read_text, write_atomically
+from deepfsi.base.numeric import unpack_values
 from deepfsi.camera import find_noise
 from deepfsi.datasets.dataset import Measure
 from deepfsi.jobs import EVERY_PIXEL

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from deepfsi.base import (
+from deepfsi.base.numeric import (
     Interval,
     accuracy_interval,
     auc,

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import torch
 
-from deepfsi.base import check_memory, free_memory
+from deepfsi.base.numeric import check_memory, free_memory
 from deepfsi.jobs import Job, Training
 from deepfsi.training.masks import matrix_seeds
 from deepfsi.training.training_set import TrainingSet

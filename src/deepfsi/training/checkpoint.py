@@ -23,15 +23,14 @@ from torch import Tensor, nn
 
 from deepfsi.base import (
     UNNAMED_PLUGIN,
-    DamagedError,
     InputError,
     PostponedSignals,
     note_saved_work,
     postpone_signals,
-    read_tensors,
     source_hash,
     write_atomically,
 )
+from deepfsi.base.numeric import DamagedError, read_tensors
 from deepfsi.jobs import REVISION, Job, custom_parts
 from deepfsi.training.draws import SeedStream
 from deepfsi.training.few_counts import CountsCost

@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from deepfsi.base import SILENT, Interval, Progress, accuracy_interval, student, wilson
+from deepfsi.base import SILENT, Progress
+from deepfsi.base.numeric import Interval, accuracy_interval, student, wilson
 from deepfsi.datasets.readouts import Readouts
 from deepfsi.design.artifact import Design
 from deepfsi.design.readouts import PHOTONS, TRAINING, classify_readouts

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Mapping
 import numpy as np
 from pydantic import TypeAdapter
 
-from deepfsi.base import Difference, accuracy_difference, all_above, signed_text
+from deepfsi.base.numeric import Difference, accuracy_difference, all_above, signed_text
 from deepfsi.report.style import BUDGET_AXIS, COLOURS, PAPER, photons_text
 from deepfsi.sweeps.results import Point, Results
 from deepfsi_paper.adaptive.clock import LEAST_LEFT, Measures, Rival, best_at, measure, rivals

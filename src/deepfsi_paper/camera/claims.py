@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from pydantic import TypeAdapter
 
-from deepfsi.base import Difference, all_above, mean_of_trials
+from deepfsi.base.numeric import Difference, all_above, mean_of_trials
 from deepfsi.camera import DmdGrid, find_grid
 from deepfsi.hardware.patterns.mirrors import recount, unpack
 from deepfsi.jobs import DESIGNS

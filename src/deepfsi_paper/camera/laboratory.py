@@ -18,7 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from deepfsi.base import Difference, Progress, mean_of_trials
+from deepfsi.base import Progress
+from deepfsi.base.numeric import Difference, mean_of_trials
 from deepfsi.camera import DmdLayout, find_device, find_grid
 from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.design.artifact import Design

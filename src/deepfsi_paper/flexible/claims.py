@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import TypeAdapter
 from scipy import stats
 
-from deepfsi.base import (
+from deepfsi.base.numeric import (
     CONFIDENCE,
     Difference,
     accuracy_difference,

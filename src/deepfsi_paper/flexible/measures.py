@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from deepfsi.base import SILENT, Progress, accuracy_interval
+from deepfsi.base import SILENT, Progress
+from deepfsi.base.numeric import accuracy_interval
 from deepfsi.datasets import Dataset
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate

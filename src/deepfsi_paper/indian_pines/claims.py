@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 from pydantic import TypeAdapter
 
-from deepfsi.base import Difference, accuracy_difference, all_above, mean_of_trials
+from deepfsi.base.numeric import Difference, accuracy_difference, all_above, mean_of_trials
 from deepfsi.report.accuracy import accuracy_figure
 from deepfsi.report.comparison_page import listed
 from deepfsi.report.style import INK, photons_text

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Any
 
-from deepfsi.base import Difference, all_above
+from deepfsi.base.numeric import Difference, all_above
 from deepfsi.report.accuracy import accuracy_figure
 from deepfsi.report.comparison_page import listed
 from deepfsi.report.style import photons_text

@@ -2,7 +2,7 @@
 
 import math
 
-from deepfsi.base import Difference, accuracy_difference, all_above
+from deepfsi.base.numeric import Difference, accuracy_difference, all_above
 from deepfsi.report.style import COLOURS, photons_text
 from deepfsi.sweeps.results import Point, Results
 from deepfsi_paper.experiment import Experiment, Finding, points

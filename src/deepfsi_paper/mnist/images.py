@@ -3,7 +3,7 @@
 from collections import defaultdict
 from collections.abc import Sequence
 
-from deepfsi.base import accuracy_difference, all_above
+from deepfsi.base.numeric import accuracy_difference, all_above
 from deepfsi.report.style import COLOURS, LINES, photons_text
 from deepfsi.sweeps.results import Point, Results
 from deepfsi_paper.experiment import Experiment, Finding

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from pydantic import TypeAdapter
 
-from deepfsi.base import Difference, Progress, all_above, mean_of_trials
+from deepfsi.base import Progress
+from deepfsi.base.numeric import Difference, all_above, mean_of_trials
 from deepfsi.datasets import Dataset
 from deepfsi.designfile import DesignFile
 from deepfsi.jobs import sensing_matrix

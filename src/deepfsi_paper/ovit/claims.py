@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 from pydantic import TypeAdapter
 
-from deepfsi.base import Difference, Progress, accuracy_difference, all_above, mean_of_trials
+from deepfsi.base import Progress
+from deepfsi.base.numeric import Difference, accuracy_difference, all_above, mean_of_trials
 from deepfsi.datasets import Dataset
 from deepfsi.design.artifact import Design
 from deepfsi.report.accuracy import accuracy_figure

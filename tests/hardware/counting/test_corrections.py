@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from recording_samples import schedule
 
-from deepfsi.base import InputError, Table
+from deepfsi.base import InputError
+from deepfsi.base.numeric import Table
 from deepfsi.camera import DetectorMap, Device
 from deepfsi.hardware.counting import (
     CountSettings,

@@ -7,7 +7,8 @@ import pytest
 import torch
 from recording_samples import patterns_of
 
-from deepfsi.base import InputError, Table
+from deepfsi.base import InputError
+from deepfsi.base.numeric import Table
 from deepfsi.camera import DeadTime, DetectorMap, Device
 from deepfsi.hardware.counting import TableSettings, count_table
 from deepfsi.hardware.counting.tables import column_names

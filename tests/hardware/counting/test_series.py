@@ -5,7 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from deepfsi.base import InputError, read_table
+from deepfsi.base import InputError
+from deepfsi.base.numeric import read_table
 from deepfsi.camera import DetectorMap, Device
 from deepfsi.hardware.counting import TableSettings, count_table, table_of_series
 from deepfsi.hardware.counting.tables import ROLL_OVER, column_names

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from deepfsi.base import check_memory, free_memory
+from deepfsi.base.numeric import check_memory, free_memory
 from deepfsi.datasets import Dataset
 from deepfsi.design.adaptive.choice import next_masks
 from deepfsi.design.adaptive.posterior import AdaptivePosterior

@@ -29,7 +29,6 @@ from pydantic import (
 
 from deepfsi.base import (
     InputError,
-    StrictModel,
     as_input_error,
     hash_file,
     new_folder,
@@ -38,6 +37,7 @@ from deepfsi.base import (
     time_text,
     write_atomically,
 )
+from deepfsi.base.models import StrictModel
 from deepfsi.camera import DeadTime, LiveSettings
 from deepfsi.hardware.patterns.folder import companions, read_patterns
 from deepfsi.hardware.patterns.sequence import Manifest, Patterns

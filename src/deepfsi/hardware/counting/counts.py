@@ -17,7 +17,8 @@ from typing import Any, Self
 import numpy as np
 from pydantic import Field
 
-from deepfsi.base import InputError, StrictModel, hash_file, read_regular, write_atomically
+from deepfsi.base import InputError, hash_file, read_regular, write_atomically
+from deepfsi.base.models import StrictModel
 from deepfsi.camera import NO_DEAD_TIME, DeadTime
 from deepfsi.hardware.counting.acquisition import (
     MOST_READOUTS,

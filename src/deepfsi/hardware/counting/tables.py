@@ -26,7 +26,8 @@ from typing import ClassVar, Literal, Self, get_args
 
 import numpy as np
 
-from deepfsi.base import InputError, Table, check_choice, closest_choice, time_text
+from deepfsi.base import InputError, check_choice, closest_choice, time_text
+from deepfsi.base.numeric import Table
 from deepfsi.camera import NO_DEAD_TIME, DeadTime
 from deepfsi.hardware.counting.acquisition import MOST_READOUTS, Scene
 from deepfsi.hardware.counting.corrections import (

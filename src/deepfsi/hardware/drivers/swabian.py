@@ -23,7 +23,8 @@ from typing import Any, Self
 import numpy as np
 from pydantic import FiniteFloat
 
-from deepfsi.base import InputError, UserModel, as_input_error, read_toml
+from deepfsi.base import InputError, as_input_error, read_toml
+from deepfsi.base.models import UserModel
 from deepfsi.hardware.counting import FrameCounts, FrameGates
 from deepfsi.hardware.drivers.device_errors import refusals
 from deepfsi.hardware.drivers.file_tail import FollowedCounter

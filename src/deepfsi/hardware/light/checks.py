@@ -23,7 +23,7 @@ from typing import ClassVar, Literal, Self
 
 import numpy as np
 
-from deepfsi.base import StrictModel
+from deepfsi.base.models import StrictModel
 from deepfsi.camera import DetectorMap
 from deepfsi.hardware.light.curves import (
     CERTAIN_SIGMAS,

@@ -14,7 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from deepfsi.base import SILENT, InputError, Progress, hash_file, read_npz, write_atomically
+from deepfsi.base import SILENT, InputError, Progress, hash_file, write_atomically
+from deepfsi.base.numeric import read_npz
 from deepfsi.designfile import SceneReadouts
 from deepfsi.hardware.counting import Acquisition, FrameCounts, read_run
 from deepfsi.hardware.light import PARTS

@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 from pydantic import Field, ValidationError, model_validator
 
-from deepfsi.base import InputError, StrictModel, read_regular
+from deepfsi.base import InputError, read_regular
+from deepfsi.base.models import StrictModel
 from deepfsi.hardware.light import Fault
 from deepfsi.hardware.live.looks import FrameList
 

@@ -6,7 +6,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field, model_validator
 
-from deepfsi.base import StrictModel
+from deepfsi.base.models import StrictModel
 
 SUM_SLACK = 1e-3
 """Share of a look by which the dwells of the first one may differ from it together."""

@@ -23,7 +23,8 @@ from typing import Annotated, Any, Literal, get_args
 import numpy as np
 from pydantic import Field, model_validator
 
-from deepfsi.base import InputError, StrictModel, check_choice, time_text
+from deepfsi.base import InputError, check_choice, time_text
+from deepfsi.base.models import StrictModel
 from deepfsi.camera import (
     LIGHT_LAWS,
     LONGEST_PICTURE_S,

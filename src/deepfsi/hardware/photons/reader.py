@@ -20,7 +20,8 @@ from typing import Protocol, Self
 
 import numpy as np
 
-from deepfsi.base import SILENT, InputError, Progress, StrictModel, open_regular
+from deepfsi.base import SILENT, InputError, Progress, open_regular
+from deepfsi.base.models import StrictModel
 from deepfsi.hardware.photons import records
 from deepfsi.hardware.photons.ptu import GENERIC_T2, Header, parse_header, read_header
 from deepfsi.hardware.photons.records import EARLIEST_TICK, LATEST_TICK, Decoder, Part

@@ -17,9 +17,9 @@ from typing import Protocol
 
 import numpy as np
 
-from deepfsi.base import (
+from deepfsi.base import InputError
+from deepfsi.base.numeric import (
     HDF5_ENDINGS,
-    InputError,
     list_variables,
     read_variable,
     read_whole_numbers,

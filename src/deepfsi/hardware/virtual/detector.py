@@ -24,7 +24,7 @@ from typing import Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from deepfsi.base import StrictModel
+from deepfsi.base.models import StrictModel
 from deepfsi.hardware.patterns.timing import ClickGates
 
 DETECTOR_TICK_S = 1e-12

@@ -15,7 +15,8 @@ from pathlib import Path
 import numpy as np
 from pydantic import Field
 
-from deepfsi.base import SILENT, InputError, Progress, StrictModel
+from deepfsi.base import SILENT, InputError, Progress
+from deepfsi.base.models import StrictModel
 from deepfsi.hardware.counting import Acquisition, FrameCounter, FrameCounts, FrameGates
 from deepfsi.hardware.drivers import Setup
 from deepfsi.hardware.patterns.folder import check_patterns, read_patterns

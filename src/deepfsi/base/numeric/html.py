@@ -8,7 +8,7 @@ from html import escape
 
 import numpy as np
 
-from deepfsi.base.intervals import MOST_CLASSES, confusion_shares, frequent_confusions
+from deepfsi.base.numeric.intervals import MOST_CLASSES, confusion_shares, frequent_confusions
 
 TINT = "0, 114, 178"
 """Red, green and blue of the cells of a confusion matrix."""

@@ -1,10 +1,10 @@
-"""Base of the models of settings and of what files hold."""
+"""Bases of the models of settings and of what files hold, and the types of their fields."""
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, BeforeValidator, ConfigDict
 
-from deepfsi.base.errors import as_input_error
+from deepfsi.base import as_input_error, seconds
 
 if TYPE_CHECKING:
     from pydantic._internal._model_construction import ModelMetaclass
@@ -28,3 +28,7 @@ class _InOneLine(ModelMetaclass):
 
 class UserModel(StrictModel, metaclass=_InOneLine):
     """Model of what a user writes in Python."""
+
+
+Seconds = Annotated[float, BeforeValidator(seconds)]
+"""Seconds, 0 or more, of a number or of a text with a unit."""
