@@ -71,7 +71,7 @@ class DesignFile:
     >>> from deepfsi.designfile import DesignFile, find_design
     >>> file = DesignFile.read(find_design("dmd-mnist"))
     >>> file.masks, file.header.classes[:3]
-    (64, ('0', '1', '2'))
+    (24, ('0', '1', '2'))
     """
 
     header: DesignHeader

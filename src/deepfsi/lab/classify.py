@@ -17,7 +17,6 @@ from deepfsi.base import InputError, hash_file, require_torch
 from deepfsi.base.numeric import read_table
 from deepfsi.camera import LIGHT_LAWS, NO_DEAD_TIME, check_budget
 from deepfsi.design.readouts import classify_readouts
-from deepfsi.design.values import check_classes
 from deepfsi.designfile import (
     READOUTS,
     SceneReadouts,
@@ -271,6 +270,7 @@ def _opened(design: str | os.PathLike[str], patterns: Patterns | None, trust: bo
     """Design of a file or a folder of patterns, of fixed dwells, as its patterns realise it."""
     with require_torch():
         from deepfsi.design.artifact import Design
+        from deepfsi.design.values import check_classes
 
     file = Path(design) if patterns is None else _file_shown(design, patterns.manifest)
     made = Design.load(file, trust=trust)
