@@ -182,7 +182,8 @@ def optics_text(point: Point) -> str:
 def following(results: Results, designs: Path, said: Verdict) -> Iterator[tuple[str, str]]:
     """Next steps, in words and as commands: to see an exposure, and to show masks on a device."""
     points = [p for p in results.points if p.best and not p.every_pixel]
-    shown = [p for p in points if LIGHT_LAWS[p.light].one_device]
+    # Of a law that this package does not know, as of a later one, a device is not ruled out
+    shown = [p for p in points if p.light not in LIGHT_LAWS or LIGHT_LAWS[p.light].one_device]
 
     def file(point: Point) -> str | None:
         name = f"{point.keys[0]}.safetensors"
