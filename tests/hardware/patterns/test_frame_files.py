@@ -49,7 +49,7 @@ def test_a_full_disk_leaves_no_patterns_whichever_file_it_cuts(tmp_path, form):
 def test_frames_ask_for_their_room(tmp_path, monkeypatch):
     """Of every format that has a size known before: at least that of its files of frames."""
     asked = []
-    monkeypatch.setattr(folder, "check_room", lambda path, size, advice: asked.append(size))
+    monkeypatch.setattr(folder, "check_disk_space", lambda path, size, advice: asked.append(size))
     for form in EVERY_FORMAT:
         export(tmp_path / form, device=BOARD, format=form)
         names = ("frames*", "frames/*", "images/*")
