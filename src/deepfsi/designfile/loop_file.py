@@ -108,8 +108,8 @@ def read_loop(path: Path, rails: np.ndarray, **facts: Any) -> DesignFile:
         network, _, rest = name.partition(".")
         turned = np.ascontiguousarray(array.T) if rest.endswith(".weight") else array
         arrays[f"{NETWORKS[network]}.{rest}" if network in NETWORKS else name] = turned
-    arrays["shares"] = np.zeros_like(arrays["mean"])  # which no look needs
     try:
+        arrays["shares"] = np.zeros_like(arrays["mean"])  # which no look needs
         header = MaskHeader(
             name="deepfsi",
             readout=loop.readout,
