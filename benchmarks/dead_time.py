@@ -25,7 +25,7 @@ from deepfsi.hardware.counting import TableSettings, count_table
 from deepfsi.hardware.patterns.folder import export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings, Patterns
 from deepfsi.hardware.virtual import Detector
-from deepfsi.lab.rails import design_rails
+from deepfsi.lab import design_rails
 from deepfsi.training.learning import learn
 from deepfsi_paper.camera.gate_counts import draw
 

@@ -42,9 +42,7 @@ from deepfsi.camera import find_device
 from deepfsi.designfile import DesignFile, MaskHeader, loop_bytes
 from deepfsi.hardware.counting import FrameCounter, FrameCounts, FrameGates, Scene
 from deepfsi.hardware.drivers import Setup
-from deepfsi.hardware.live.decisions import FrameList, Observer
-from deepfsi.hardware.live.known import KnownMasks
-from deepfsi.hardware.live.run import plan_live, run_live
+from deepfsi.hardware.live import FixedMaskLooks, FrameList, SceneObserver, plan_live, run_live
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns, read_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.photons import PtuFile, PtuWriter, count_windows, read_markers
@@ -269,7 +267,7 @@ def marker_to_decision(
     ]
     stream = _Replayed(folder / "run" / "photons.ptu", arguments.block)
     patterns = read_patterns(folder / "patterns")
-    observer = Observer(KnownMasks(design, patterns), patterns.manifest, acquisition)
+    observer = SceneObserver(FixedMaskLooks(design, patterns), patterns.manifest, acquisition)
     found = []
     for k in range(len(scenes)):
         found += [each.chances for each in observer.observe(k, stream)]
@@ -290,7 +288,7 @@ class _Replayed:
         self.began: np.ndarray | None = None
         self.at = self.markers = self.rests = 0
 
-    def __call__(self, asked: FrameList) -> FrameCounts:
+    def count(self, asked: FrameList) -> FrameCounts:
         gates = np.append(asked.gate_ns, 0) * 1e-9
         self.counter.expect(FrameGates.of(SETTLE_S, gates))
         if self.began is not None:  # all-ON frames follow the last look

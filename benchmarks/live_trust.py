@@ -25,9 +25,7 @@ from deepfsi.camera import find_device
 from deepfsi.datasets import Dataset
 from deepfsi.hardware.counting import Scene
 from deepfsi.hardware.drivers import Setup
-from deepfsi.hardware.live.known import read_looks
-from deepfsi.hardware.live.replay import count_live, replay_run
-from deepfsi.hardware.live.run import plan_live, run_live
+from deepfsi.hardware.live import LiveCounts, LiveScene, plan_live, replay_run, run_live
 from deepfsi.hardware.patterns.folder import export_patterns, read_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.virtual import (
@@ -40,8 +38,7 @@ from deepfsi.hardware.virtual import (
     arrival_rates,
 )
 from deepfsi.hardware.virtual.camera import MirrorLight
-from deepfsi.lab.rails import design_rails
-from deepfsi.lab.results import LiveScene
+from deepfsi.lab import design_rails, open_looks
 
 FLUX, EXPOSURE_S, PHOTONS = 1e7, 10e-3, 1e5
 SURE = 0.9
@@ -143,14 +140,19 @@ def run(
     counter = VirtualCounter(setup, (0,))
     bench = Setup(VirtualProjector(setup), counter, setup.display, lambda: setup.now_s)
     stated = None if case.stated is None else case.stated * FLUX * EXPOSURE_S
-    acquisition = plan_live(patterns, named, EXPOSURE_S, photons=stated, background=case.background)
+    looks = open_looks(patterns)
+    acquisition = plan_live(
+        patterns, named, EXPOSURE_S, looks=looks, photons=stated, background=case.background
+    )
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "run"
         found = [
-            each.answer for each in run_live(path, patterns, acquisition, bench) if each.answer
+            each.answer
+            for each in run_live(path, patterns, acquisition, bench, looks)
+            if each.answer
         ]
-        counted = count_live(path)
-        again = replay_run(counted, read_looks(patterns, counted.manifest))
+        counted = LiveCounts.count(path)
+        again = replay_run(counted, looks).scenes
     assert all(each.answer.agrees for each in again)
     return found
 

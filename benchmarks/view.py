@@ -20,11 +20,11 @@ import numpy as np
 import deepfsi
 from deepfsi.camera import find_device
 from deepfsi.hardware.counting import Scene, TableSettings
-from deepfsi.hardware.live.run import plan_live, run_live
+from deepfsi.hardware.live import plan_live, run_live
 from deepfsi.hardware.patterns.folder import export_patterns, read_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.virtual import Latencies, VirtualCamera, arrival_rates, virtual_setup
-from deepfsi.lab.rails import design_rails
+from deepfsi.lab import design_rails, open_looks
 
 SCENES, PHOTONS, EXPOSURE_S = 40, 1e4, 10e-3
 
@@ -118,14 +118,15 @@ def live(patterns: Path, camera: VirtualCamera, flux: float, seed: int, swapped:
     chosen = rng.permutation(len(data.x_test))[:SCENES]
     scenes = tuple(Scene(name=str(k), label=data.classes[data.y_test[k]]) for k in chosen)
     known = {"flux": flux, "seed": seed, "camera": camera.model_dump(mode="json")}
-    acquisition = plan_live(patterns, scenes, EXPOSURE_S, **known)
+    looks = open_looks(patterns)
+    acquisition = plan_live(patterns, scenes, EXPOSURE_S, looks=looks, **known)
     shown = data.x_test[chosen].reshape(-1, *data.image_shape)
     devices = virtual_setup(patterns, shown, acquisition, Latencies())
     if swapped:
         _exchange(devices.projector, read_patterns(patterns).manifest.shown[[2, 7]])
     views, right = [], 0
     with tempfile.TemporaryDirectory() as folder:
-        for each in run_live(Path(folder) / "run", patterns, acquisition, devices):
+        for each in run_live(Path(folder) / "run", patterns, acquisition, devices, looks):
             if each.answer is not None and each.decision is not None:
                 views.append(each.decision.view)
                 best = data.classes[each.decision.chances.argmax()]

@@ -24,6 +24,7 @@ ROOMS_DONE: set[str] = {
     "camera",
     "designfile",
     "hardware.light",
+    "hardware.live",
     "hardware.photons",
     "hardware.pictures",
     "jobs",

@@ -35,8 +35,8 @@ if TYPE_CHECKING:
     from deepfsi.jobs import Patches as Patches
     from deepfsi.jobs import Range as Range
     from deepfsi.jobs import Training as Training
-    from deepfsi.lab.classify import classify_run as classify_run
-    from deepfsi.lab.classify import classify_table as classify_table
+    from deepfsi.lab import classify_run as classify_run
+    from deepfsi.lab import classify_table as classify_table
     from deepfsi.lab.prediction import predict as predict
     from deepfsi.optics.scanner import Scanner as Scanner
     from deepfsi.training.assembly import design_of as design_of
@@ -64,8 +64,8 @@ _HOMES = {
     "Result": "design.evaluation",
     "Scanner": "optics.scanner",
     "Training": "jobs",
-    "classify_run": "lab.classify",
-    "classify_table": "lab.classify",
+    "classify_run": "lab",
+    "classify_table": "lab",
     "design_of": "training.assembly",
     "evaluate": "design.evaluation",
     "from_arrays": "datasets",

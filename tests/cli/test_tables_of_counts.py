@@ -20,7 +20,7 @@ from deepfsi.hardware.counting.tables import column_names
 from deepfsi.hardware.patterns.folder import export_patterns, read_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.virtual import VirtualCamera, arrival_rates
-from deepfsi.lab.rails import design_rails
+from deepfsi.lab import design_rails
 
 FLUX, SCENES, DWELL = 1e6, 60, 1e-3
 

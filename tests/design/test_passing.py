@@ -14,7 +14,7 @@ from deepfsi.design.evaluation import scanner_for
 from deepfsi.design.onnx_graph import to_onnx
 from deepfsi.design.payload import check_playable
 from deepfsi.design.stopping import stop
-from deepfsi.lab.rails import design_rails
+from deepfsi.lab import design_rails
 from deepfsi.optics.features import FeatureNoise
 from deepfsi.optics.transit import FixedPattern
 from deepfsi.sweeps.recipe import Recipe

@@ -67,7 +67,7 @@ def read_adaptive(path: Path) -> None:
 
 
 def read_shown_design(path: Path) -> None:
-    from deepfsi.lab.rails import design_rails
+    from deepfsi.lab import design_rails
 
     design_rails(path)
 
@@ -117,9 +117,9 @@ def read_ptu(path: Path) -> None:
 
 
 def read_live(path: Path) -> None:
-    from deepfsi.hardware.live.replay import read_live_counts
+    from deepfsi.hardware.live import LiveCounts
 
-    read_live_counts(path.parent)
+    LiveCounts.read(path.parent)
 
 
 def read_calibration(path: Path) -> None:
@@ -308,7 +308,7 @@ def _designs(folder: Path) -> None:
     from deepfsi.camera import find_device
     from deepfsi.hardware.patterns.folder import export_patterns
     from deepfsi.hardware.patterns.sequence import FrameSettings
-    from deepfsi.lab.rails import design_rails
+    from deepfsi.lab import design_rails
 
     rng = np.random.default_rng(1)
     labels = np.arange(200) % 2
@@ -333,8 +333,7 @@ def _designs(folder: Path) -> None:
 def _recordings(folder: Path) -> None:
     from deepfsi.hardware.counting import Scene, count_run
     from deepfsi.hardware.drivers import Setup
-    from deepfsi.hardware.live.replay import count_live
-    from deepfsi.hardware.live.run import plan_live, run_live
+    from deepfsi.hardware.live import LiveCounts, plan_live, run_live
     from deepfsi.hardware.virtual import (
         CAMERAS,
         Latencies,
@@ -357,7 +356,7 @@ def _recordings(folder: Path) -> None:
     named = tuple(Scene(name=str(k)) for k in range(3))
     planned = plan_live(folder / "looks", named, 10e-3)
     list(run_live(folder / "live", folder / "looks", planned, bench))
-    count_live(folder / "live")
+    LiveCounts.count(folder / "live")
     (folder / "calibration").mkdir()
     calibration = {
         "homography": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "residual": 0.1, "error": 0.01,

@@ -12,7 +12,7 @@ from conftest import quick
 from deepfsi.datasets import read_display, write_pictures
 from deepfsi.hardware.counting import TableSettings, Verdict, count_run, read_counts, read_run
 from deepfsi.hardware.counting.acquisition import VERDICT
-from deepfsi.hardware.live.replay import count_live
+from deepfsi.hardware.live import LiveCounts
 from deepfsi.hardware.patterns.folder import read_patterns
 from deepfsi.hardware.virtual import (
     CAMERAS,
@@ -98,7 +98,7 @@ def test_a_live_run_is_decided_as_it_was(done, digits, tmp_path):
     decided = live(tmp_path / "run", patterns, digits, count=3)
     with pytest.raises(deepfsi.InputError, match=r"counts\.npz is missing"):
         deepfsi.classify_run(tmp_path / "looks.safetensors", tmp_path / "run")
-    count_live(tmp_path / "run")
+    LiveCounts.count(tmp_path / "run")
     found = deepfsi.classify_run(tmp_path / "looks.safetensors", tmp_path / "run")
     answers = [each.answer for each in decided if each.answer]
     assert all(scene.agrees for scene in found.scenes)

@@ -12,7 +12,7 @@ from deepfsi.design.onnx_graph import to_onnx
 from deepfsi.design.payload import playable
 from deepfsi.design.stopping import stop
 from deepfsi.hardware.counting import TableSettings
-from deepfsi.lab.adaptive import adaptive_rails
+from deepfsi.lab.adaptive_looks import adaptive_rails
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.run import compare
 

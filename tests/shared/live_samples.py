@@ -8,9 +8,9 @@ from conftest import quick
 from deepfsi.camera import find_device
 from deepfsi.hardware.counting import Scene
 from deepfsi.hardware.drivers import Setup
-from deepfsi.hardware.live.known import read_looks
-from deepfsi.hardware.live.replay import Replayed, read_live_counts, replay_run
-from deepfsi.hardware.live.run import Decided, plan_live, run_live
+from deepfsi.hardware.live import LiveCounts, plan_live, replay_run, run_live
+from deepfsi.hardware.live.replay import ReplayedScene
+from deepfsi.hardware.live.run import LiveStep
 from deepfsi.hardware.patterns.folder import export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.virtual import (
@@ -22,7 +22,7 @@ from deepfsi.hardware.virtual import (
     VirtualProjector,
     arrival_rates,
 )
-from deepfsi.lab.rails import design_rails
+from deepfsi.lab import design_rails, open_looks
 
 LOOKS = 3
 OPTICS = {
@@ -67,19 +67,19 @@ def scenes_of(digits, count: int) -> tuple[np.ndarray, tuple[Scene, ...]]:
     return x, tuple(Scene(name=str(k), label=each) for k, each in enumerate(labels))
 
 
-def replay(folder: Path) -> tuple[Replayed, ...]:
+def replay(folder: Path) -> tuple[ReplayedScene, ...]:
     """Replay a run that was counted."""
-    run = read_live_counts(folder)
-    return replay_run(run, read_looks(folder / "patterns", run.manifest))
+    return replay_run(LiveCounts.read(folder), open_looks(folder / "patterns")).scenes
 
 
 def live(
     folder: Path, patterns: Path, digits, count: int = 5, flux: float = 1e6,
     exposure_s: float = 10e-3, camera: VirtualCamera = CAMERAS["ideal"],
     latencies: Latencies | None = None, **settings,
-) -> list[Decided]:  # fmt: skip
+) -> list[LiveStep]:  # fmt: skip
     """Run a few scenes."""
     x, scenes = scenes_of(digits, count)
-    acquisition = plan_live(patterns, scenes, exposure_s, **settings)
+    looks = open_looks(patterns)
+    acquisition = plan_live(patterns, scenes, exposure_s, looks=looks, **settings)
     devices = bench(patterns, x, flux, camera, latencies)
-    return list(run_live(folder, patterns, acquisition, devices))
+    return list(run_live(folder, patterns, acquisition, devices, looks))

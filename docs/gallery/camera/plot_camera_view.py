@@ -19,7 +19,7 @@ from deepfsi.hardware.patterns.folder import export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.pictures import reconstruct
 from deepfsi.hardware.virtual import CAMERAS, RecordingSettings, record_scenes
-from deepfsi.lab.rails import design_rails
+from deepfsi.lab import design_rails
 
 # %%
 # Twenty non-negative masks are learned for one device and one detector, which is the camera unless

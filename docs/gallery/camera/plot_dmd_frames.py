@@ -16,7 +16,7 @@ from deepfsi.camera import find_device
 from deepfsi.hardware.patterns.folder import export_patterns, read_frames
 from deepfsi.hardware.patterns.mirrors import unpack
 from deepfsi.hardware.patterns.sequence import FrameSettings
-from deepfsi.lab.rails import design_rails
+from deepfsi.lab import design_rails
 
 # %%
 # Four non-negative masks of 8 × 8 pixels become frames of a DLP7000 with 1024 × 768 mirrors. Each

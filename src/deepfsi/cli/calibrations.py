@@ -45,7 +45,7 @@ def camera_calibrate(
     """
     paths.check_folder(out)
     paths.check_free(out / "calibration.json", force)
-    from deepfsi.lab.calibration import calibrate
+    from deepfsi.lab import calibrate
 
     found, path, where = calibrate(folder, spots, out)
     if as_json:
@@ -93,7 +93,7 @@ def camera_check(
     """
     paths.check_there(folder, "an acquisition folder, with photons.ptu in it")
     from deepfsi.hardware.counting import Verdict
-    from deepfsi.lab.calibration import check_view
+    from deepfsi.lab import check_view
 
     with common.progress("reference", quiet=as_json) as report:
         found = check_view(folder, report)

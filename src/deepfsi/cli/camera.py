@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from deepfsi.hardware.counting import Counts
-    from deepfsi.hardware.live.replay import LiveCounts
+    from deepfsi.hardware.live import LiveCounts
     from deepfsi.hardware.photons import PtuSummary
     from deepfsi.hardware.virtual import VirtualCamera
 
@@ -234,8 +234,8 @@ def camera_count(
     Example: deepfsi camera count run_0001 --exposure 1ms
     """
     from deepfsi.hardware.counting import CountSettings, count_run
-    from deepfsi.hardware.live.replay import check_as_it_was, count_live, is_live
-    from deepfsi.lab.calibration import gains_of
+    from deepfsi.hardware.live import LiveCounts, is_live
+    from deepfsi.lab import gains_of
     from deepfsi.lab.camera import camera_of, clicks_of, dead_time_of
 
     if folder.suffix.lower() == ".ptu":
@@ -243,11 +243,10 @@ def camera_count(
             f"{folder} is a photon file without patterns: give the folder of an acquisition, or "
             "use `deepfsi camera transits` for scenes that pass a pattern"
         )
-    if is_live(folder):
-        given = exposure, settle, repeats, tolerance, background, inputs, marker, flat
-        check_as_it_was((*given, *settings.values()))
+    given = (exposure, settle, repeats, tolerance, background, inputs, marker, flat)
+    if is_live(folder, *given, *settings.values()):
         with common.progress("counting", quiet=as_json) as report:
-            _print_live_counts(count_live(folder, report), folder, as_json)
+            _print_live_counts(LiveCounts.count(folder, report), folder, as_json)
         return
     with common.progress("counting", quiet=as_json) as report:
         counts = count_run(
@@ -331,16 +330,17 @@ def print_counts(
 
 
 def _print_live_counts(counts: "LiveCounts", folder: Path, as_json: bool) -> None:
+    looks = [shown.look for scene in counts.log.scenes for shown in scene.lists]
     summary = {
-        "scenes": len(counts.scenes),
-        "looks": sum(each.looks for each in counts.scenes),
-        "frames": len(counts.found.starts_s),
-        "photons_counted": int(counts.found.parts.sum()),
+        "scenes": len(counts.log.scenes),
+        "looks": sum(look >= 0 for look in looks),
+        "frames": len(counts.frames.starts_s),
+        "photons_counted": int(counts.frames.parts.sum()),
     }
     if as_json:
         rows = [
-            [{"look": part.look, "frames": part.frames, "counts": found.counts.tolist()}
-             for part, found in zip(scene.lists, lists, strict=True)]
+            [{"look": shown.look, "frames": shown.frames, "counts": counted.counts.tolist()}
+             for shown, counted in zip(scene.lists, lists, strict=True)]
             for scene, lists in counts.by_scene
         ]  # fmt: skip
         common.print_json("camera.count", {**summary, "counts": rows})

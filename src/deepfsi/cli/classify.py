@@ -10,10 +10,8 @@ from deepfsi.cli import common, options, paths
 from deepfsi.cli.settings import laboratory_fields, with_settings
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from deepfsi.designfile import ViewResult
-    from deepfsi.lab.results import ClassifiedRun, ClassifiedScene, LiveScene, ReplayedRun
+    from deepfsi.hardware.live import LiveAnswers
+    from deepfsi.lab import ClassifiedRun, ClassifiedScene
 
 
 @with_settings(laboratory_fields, "dead_time", "dead_time_model")
@@ -81,18 +79,17 @@ def camera_classify(
         **{name.replace("_", "-"): value for name, value in settings.items()},
     }  # fmt: skip
     from deepfsi.base.numeric import TABLE_ENDINGS, is_table, read_table
-    from deepfsi.hardware.live.replay import COUNTS, count_live, is_live
-    from deepfsi.lab.classify import classify_run, classify_table
-    from deepfsi.lab.results import ClassifiedRun
+    from deepfsi.hardware.live import LiveCounts, is_live
+    from deepfsi.lab import ClassifiedRun, classify_run, classify_table
 
-    found: ClassifiedRun | ReplayedRun
+    found: ClassifiedRun | LiveAnswers
     if counted.is_dir():
         given = [name for name, value in options_of_tables.items() if value is not None]
         if given:
             raise InputError(f"--{given[0]} is for tables, and {counted} is a folder: leave it out")
-        if is_live(counted) and not (counted / COUNTS).exists():
+        if is_live(counted) and not (counted / LiveCounts.NAME).exists():
             with common.progress("counting", quiet=as_json) as report:
-                count_live(counted, report)
+                LiveCounts.count(counted, report)
         found = classify_run(file, counted, photons=photons, force=force, trust=trust)
     elif is_table(counted):
         from deepfsi.hardware.counting import TableSettings
@@ -159,7 +156,7 @@ def _agreeing(scene: "ClassifiedScene") -> str:
     return f"{scene.guesses.count(scene.predicted)} of {scene.exposures}"
 
 
-def _print_replay(found: "ReplayedRun") -> None:
+def _print_replay(found: "LiveAnswers") -> None:
     from deepfsi.cli import as_options
 
     heads = ("scene", "class", "confidence", "looks", "light", "labelled", "remarks")
@@ -179,26 +176,19 @@ def _print_replay(found: "ReplayedRun") -> None:
     names = [scene.name for scene in found.scenes]
     for fault in (fault for scene in found.scenes for fault in scene.faults):
         print(as_options(fault.words(names)))
-    print_right(found.scenes)
-    print_view(found.view)
+    print_right(found)
     agree = sum(bool(scene.agrees) for scene in found.scenes)
     print(f"as decided in the run, bit for bit: {agree} of {len(rows)} scenes")
 
 
-def print_view(view: "ViewResult | None") -> None:
-    """Say what the counts of a live run tell of how the camera saw its scenes."""
+def print_right(found: "LiveAnswers") -> None:
+    """Say how many scenes of a live run have no class, how many are right, and how it saw them."""
     from deepfsi.cli import as_options
 
-    if view is not None and view.remark:
-        print(as_options(view.remark))
-
-
-def print_right(scenes: "Sequence[LiveScene]") -> None:
-    """Say how many scenes of a live run have no class, and how many of the labelled are right."""
-    told = [scene for scene in scenes if scene.predicted is not None]
-    if none := len(scenes) - len(told):
-        print(f"no class: {none} of {len(scenes)} scenes")
-    from deepfsi.lab.results import score_of
-
-    for line in score_of(scenes).lines("scene"):
+    none = sum(scene.predicted is None for scene in found.scenes)
+    if none:
+        print(f"no class: {none} of {len(found.scenes)} scenes")
+    for line in found.score.lines("scene"):
         print(line)
+    if found.view is not None and found.view.remark:
+        print(as_options(found.view.remark))

@@ -150,7 +150,7 @@ def _rails(file: Path, size: str | None, detectors: int | None) -> "DesignRails"
                 f"--{option} is for {' and '.join(SCAN_NAMES)}: {file} has the {own} of its "
                 "design; leave it out"
             )
-    from deepfsi.lab.rails import design_rails
+    from deepfsi.lab import design_rails
 
     return design_rails(file)
 

@@ -11,14 +11,13 @@ import typer
 
 from deepfsi.base import InputError, as_input_error, check_choice
 from deepfsi.cli import camera, common, options, paths
-from deepfsi.cli.classify import print_right, print_view
+from deepfsi.cli.classify import print_right
 from deepfsi.cli.settings import laboratory_fields, with_settings
 
 if TYPE_CHECKING:
-    from deepfsi.designfile import ViewResult
     from deepfsi.hardware.counting import Acquisition
+    from deepfsi.hardware.live import LiveAnswers, LiveScene
     from deepfsi.hardware.virtual import Latencies
-    from deepfsi.lab.results import LiveScene
 
 VIRTUAL_SETTINGS = ("flux", "dark", "virtual", "latency", "seed", "yes")
 """Parameters that only virtual devices take."""
@@ -83,10 +82,9 @@ def camera_live(
         open_counter,
         open_list_projector,
     )
-    from deepfsi.hardware.live.known import read_looks
-    from deepfsi.hardware.live.run import plan_live, run_live
-    from deepfsi.hardware.patterns.folder import read_patterns
+    from deepfsi.hardware.live import LiveAnswers, plan_live, run_live
     from deepfsi.hardware.virtual import most_events, virtual_setup
+    from deepfsi.lab import open_looks
     from deepfsi.lab.camera import camera_of, dead_time_of, exposure_of, flux_of
     from deepfsi.lab.scenes import displayed, scenes_of
 
@@ -109,37 +107,41 @@ def camera_live(
         told |= {"seed": seed, "camera": seen.model_dump(mode="json")}
     with _patterns(source, as_json) as patterns:
         images = displayed(scene, patterns)
+        looks = open_looks(patterns)
         acquisition = plan_live(
             patterns,
             scenes_of(images, scene, patterns),
-            *(exposure_s, shortest_s, photons, until),
+            exposure_s,
+            shortest_s,
+            looks=looks,
+            photons=photons,
+            until=until,
             **told,
         )
         setup: Setup[StreamingProjector]
         if real is None:
             if not yes:
                 camera.ask_for_room(most_events(patterns, images.x, acquisition))
-            decision_s = read_looks(patterns, read_patterns(patterns).manifest).decision_s
             with common.progress("light of the scenes", quiet=as_json) as report:
                 setup = virtual_setup(
-                    patterns, images.x, acquisition, times, report, decision_s=decision_s
+                    patterns, images.x, acquisition, times, report, decision_s=looks.decision_s
                 )
         else:
             wired = replace(devices, inputs=acquisition.inputs, marker_bit=acquisition.marker_bit)
             setup = Setup(real, open_counter(counter, wired), ask_for_scenes(acquisition))
-        answers, view = [], None
-        with contextlib.closing(run_live(out, patterns, acquisition, setup)) as decided:
-            for each in decided:
-                if each.answer is None:
+        answers, decisions = [], []
+        with contextlib.closing(run_live(out, patterns, acquisition, setup, looks)) as steps:
+            for step in steps:
+                if step.answer is None:
                     continue
-                answers.append(each.answer)
-                view = (each.decision and each.decision.view) or view
+                answers.append(step.answer)
+                decisions.append(step.decision)
                 if not as_json:
-                    print(_line(each.answer, exposure_s), flush=True)
+                    print(_line(step.answer, exposure_s), flush=True)
         if counter == "followed":
             print("end the recording in the counter's software", file=sys.stderr)
     about = {"folder": str(out), "preprocessing": images.preprocessing, "exposure_s": exposure_s}
-    _print_run(answers, view, about, as_json)
+    _print_run(LiveAnswers.of(exposure_s, answers, decisions), about, as_json)
 
 
 def check_devices(
@@ -173,7 +175,7 @@ def _patterns(source: Path, as_json: bool) -> Iterator[Path]:
     if source.is_dir():
         yield source
         return
-    from deepfsi.lab.rails import patterns_for_now
+    from deepfsi.lab import patterns_for_now
 
     with common.progress("patterns", as_json) as report, patterns_for_now(source, report) as made:
         yield made
@@ -213,13 +215,9 @@ def ask(what: str) -> None:
         raise InputError("nobody is there to show the scenes: run this in a terminal")
 
 
-def _print_run(
-    scenes: "list[LiveScene]", view: "ViewResult | None", about: dict[str, Any], as_json: bool
-) -> None:
+def _print_run(answers: "LiveAnswers", about: dict[str, Any], as_json: bool) -> None:
     """Print the sum of all scenes, or all as JSON; `InputError` if none has light."""
-    from deepfsi.lab.results import score_of
-
-    folder, exposure_s = about["folder"], about["exposure_s"]
+    folder, scenes = about["folder"], answers.scenes
     if not any(scene.looks for scene in scenes):
         raise InputError(
             f"no scene of {folder} has light: no all-ON frame is brighter than the all-OFF "
@@ -232,20 +230,16 @@ def _print_run(
         first = next(fault for scene in scenes for fault in scene.faults)
         raise InputError(f"no scene of {folder} has a class: {as_options(str(first))}")
     if as_json:
-        known = {
-            "score": score_of(scenes).as_dict(),
-            "view": None if view is None else view.as_dict(),
-        }
-        answers = [each.as_dict() for each in scenes]
-        common.print_json("camera.live", {**about, **known, "scenes": answers})
+        content = answers.as_dict()
+        del content["live"]  # as every run of this command is
+        common.print_json("camera.live", {**about, **content})
         return
     print(f"scenes: {about['preprocessing']}")
-    print_right(scenes)
-    print_view(view)
+    print_right(answers)
     used = sum(scene.light_s for scene in scenes) / len(scenes)
     clock = sum(scene.clock_s for scene in scenes) / len(scenes)
     print(
-        f"light used {used / exposure_s:.1%} of the exposures, clock time "
+        f"light used {used / answers.exposure_s:.1%} of the exposures, clock time "
         f"{clock * 1e3:.4g} ms a scene\nrun: {folder}"
     )
 

@@ -20,7 +20,6 @@ from deepfsi.designfile.header import (
 )
 from deepfsi.designfile.loop_file import loop_bytes, read_loop
 from deepfsi.designfile.provenance import (
-    NO_MEASURE,
     READOUTS,
     TrainedOn,
     TrainingScenes,
@@ -43,6 +42,7 @@ from deepfsi.designfile.published import (
     find_design,
     read_indexes,
 )
+from deepfsi.designfile.score import Score
 from deepfsi.designfile.temperatures import (
     CALIBRATION_REACH,
     LOG_BOUNDS,
@@ -64,7 +64,6 @@ __all__ = [
     "FEWEST_MODELLED_OF_A_CLASS",
     "INDEX_NAME",
     "LOG_BOUNDS",
-    "NO_MEASURE",
     "READOUTS",
     "REFUSED",
     "SHIPPED_DESIGNS",
@@ -86,6 +85,7 @@ __all__ = [
     "ReadoutModel",
     "SceneModel",
     "SceneReadouts",
+    "Score",
     "ShortText",
     "Temperatures",
     "TrainedOn",

@@ -15,9 +15,9 @@ from deepfsi.hardware.calibration import (
     save_detectors,
 )
 from deepfsi.hardware.counting import Calibration, Counts, read_counts, read_run
-from deepfsi.hardware.live.known import read_looks
-from deepfsi.hardware.live.replay import is_live, read_live_counts, replay_run
+from deepfsi.hardware.live import LiveCounts, is_live, replay_run
 from deepfsi.hardware.pictures import reconstruct
+from deepfsi.lab.looks import open_looks
 
 
 def calibrate(folder: Path, spots: Path, out: Path) -> tuple[Calibration, Path, Path | None]:
@@ -42,14 +42,16 @@ def check_view(folder: Path, report: Progress = SILENT) -> ReferenceFit:
     """Place of scenes on the device, from a counted run of the reference target."""
     if not is_live(folder):
         return find_reference(_photons(folder), read_run(folder).patterns, report)
-    run = read_live_counts(folder)
-    replayed = replay_run(run, read_looks(folder / "patterns", run.manifest))
-    seen = [each.rows for each in replayed if each.rows is not None]
-    if not seen:
+    counts = LiveCounts.read(folder)
+    replayed = replay_run(counts, open_looks(folder / "patterns"))
+    lit = [scene.rows for scene in replayed.scenes if scene.rows is not None]
+    if not lit:
         raise InputError(f"no scene of {folder} had light: record the reference again")
-    rows = SceneReadouts.join(seen)
+    rows = SceneReadouts.join(lit)
     variance = rows.counts.clip(min=0) + rows.noise
-    return find_reference_of_masks(rows.masks, rows.counts, variance, run.manifest, report)
+    return find_reference_of_masks(
+        rows.masks, rows.counts, variance, counts.manifest, report=report
+    )
 
 
 def gains_of(flat: Path) -> tuple[float, ...]:

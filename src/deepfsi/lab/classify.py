@@ -7,9 +7,10 @@ is decided again, from its own counts, as it was.
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
@@ -34,14 +35,14 @@ from deepfsi.hardware.counting import (
     read_counts,
     read_run,
 )
-from deepfsi.hardware.live.known import read_looks
-from deepfsi.hardware.live.replay import check_as_it_was, is_live, read_live_counts, replay_run
+from deepfsi.hardware.live import LiveAnswers, LiveCounts, is_live, replay_run
 from deepfsi.hardware.patterns.folder import DESIGN, read_patterns
 from deepfsi.hardware.patterns.nominal import nominal_manifest
 from deepfsi.hardware.patterns.sequence import Manifest, Patterns
 from deepfsi.lab.camera import camera_of, dead_time_of
 from deepfsi.lab.light import dim_scenes
-from deepfsi.lab.results import ClassifiedRun, ClassifiedScene, ReplayedRun
+from deepfsi.lab.looks import open_looks
+from deepfsi.lab.results import ClassifiedRun, ClassifiedScene
 
 if TYPE_CHECKING:  # they import torch, which a live run does without
     from deepfsi.design.artifact import Design
@@ -76,7 +77,7 @@ def classify_run(
     photons: float | None = None,
     force: bool = False,
     trust: bool = False,
-) -> ClassifiedRun | ReplayedRun:
+) -> ClassifiedRun | LiveAnswers:
     """Classify each exposure of an acquisition that was counted.
 
     A live run, of a design of several looks, is decided again from its own counts.
@@ -96,7 +97,7 @@ def classify_run(
 
     Returns
     -------
-    ClassifiedRun or ReplayedRun
+    ClassifiedRun or LiveAnswers
         The second of a live run. Both have `scenes`, each with its `predicted` class.
 
     Raises
@@ -116,28 +117,18 @@ def classify_run(
     verdict = None if force else Verdict.of(path)
     if verdict is not None and not verdict.fits:
         raise InputError(f"{verdict.words}; `force` classifies them all the same")
-    if is_live(path):
-        return _replayed(design, path, photons)
+    if is_live(path, photons):
+        live = LiveCounts.read(path)
+        _check_design(design, live.manifest)
+        return replay_run(live, open_looks(path / "patterns")).answers
     if photons is not None:
         check_budget(photons)
     recorded = read_run(path)
     counts = read_counts(recorded)
     made = _opened(design, recorded.patterns, trust)
     scenes = recorded.acquisition.scenes
-    run = _classified(made, counts, scenes, photons, force, str(folder))
+    run = _CountedScenes(counts, scenes, str(folder)).classify(made, photons, force)
     return run if verdict is None else replace(run, remarks=(*run.remarks, verdict.words))
-
-
-def _replayed(design: str | os.PathLike[str], folder: Path, photons: float | None) -> ReplayedRun:
-    """Classes of a live run, decided again from its counts."""
-    check_as_it_was((photons,))
-    run = read_live_counts(folder)
-    _file_shown(design, run.manifest)
-    replayed = replay_run(run, read_looks(folder / "patterns", run.manifest))
-    views = [each.decisions[-1].view for each in replayed if each.decisions]
-    view = next((each for each in reversed(views) if each), None)
-    answers = tuple(each.answer for each in replayed)
-    return ReplayedRun(run.acquisition.exposure_s, answers, view)
 
 
 def classify_table(
@@ -201,7 +192,7 @@ def classify_table(
     counts, scenes = count_table(
         read_table(Path(table), TableSettings.WORDS), manifest, settings, str(table)
     )
-    return _classified(made, counts, scenes, settings.photons, force, str(table))
+    return _CountedScenes(counts, scenes, str(table)).classify(made, settings.photons, force)
 
 
 def _classified_readouts(
@@ -272,7 +263,7 @@ def _opened(design: str | os.PathLike[str], patterns: Patterns | None, trust: bo
         from deepfsi.design.artifact import Design
         from deepfsi.design.values import check_classes
 
-    file = Path(design) if patterns is None else _file_shown(design, patterns.manifest)
+    file = Path(design) if patterns is None else _check_design(design, patterns.manifest)
     made = Design.load(file, trust=trust)
     check_classes(made.values, "a classified run")
     if made.exposure.chooses:
@@ -280,7 +271,7 @@ def _opened(design: str | os.PathLike[str], patterns: Patterns | None, trust: bo
     return made if patterns is None else made.as_shown(*patterns.realised)
 
 
-def _file_shown(design: str | os.PathLike[str], manifest: Manifest) -> Path:
+def _check_design(design: str | os.PathLike[str], manifest: Manifest) -> Path:
     """Design file, or that in a folder of patterns; `InputError` if other patterns were shown."""
     path = Path(design)
     file, known = path / DESIGN if path.is_dir() else path, manifest.design_sha256
@@ -292,145 +283,175 @@ def _file_shown(design: str | os.PathLike[str], manifest: Manifest) -> Path:
     return file
 
 
-def _classified(
-    design: "Design",
-    counts: Counts,
-    scenes: Sequence[Scene],
-    photons: float | None,
-    force: bool,
-    source: str,
-) -> ClassifiedRun:
-    """Classes of counted scenes (S, R) of a design as it was shown."""
-    _check_clicks(design, counts, photons, source)
-    measured = np.isfinite(counts.photons)
-    known = measured if photons is None else counts.valid.any(axis=1)
-    budgets = np.where(known, counts.photons if photons is None else photons, 1.0)
-    dim = () if force else dim_scenes(design, np.where(known, budgets, np.nan))
-    counts = replace(counts, faults=(*dim, *counts.faults))
-    usable = counts.valid & ~counts.spoilt[:, None]
-    if not usable.any():
-        forced = "; `force` classifies them all the same" if dim else ""
-        raise InputError(
-            f"{source} has no exposure that can be classified ({counts.faults[0]}): record again"
-            f"{forced}"
-        )
-    found = _consistency(design, counts, usable, budgets)
-    some = usable.any(axis=1)
-    chance, unsure = np.full(len(some), np.nan), np.zeros(len(some), bool)
-    if found is not None:
-        chance[some], unsure[some] = found.exposures, found.unsure
-    view = _view(design, counts, usable, budgets)
-    for test in (found, view):
-        if test is not None and test.refused and not force:
-            raise InputError(f"{test.refusal}; `force` classifies them all the same")
-    chances = design.classify(design.readouts(counts.signal()), budgets[:, None])
-    classified = []
-    trained = was_trained_on(design.training_scenes, [scene.hash for scene in scenes])
-    for place, scene in enumerate(scenes):
-        own = chances[place][usable[place]]
-        mean = own.mean(axis=0) if len(own) else None
-        classified.append(
-            ClassifiedScene(
-                name=scene.name,
-                label=scene.label,
-                predicted=None if mean is None else design.classes[mean.argmax()],
-                probability=None if mean is None else float(mean.max()),
-                exposures=len(own),
-                guesses=tuple(design.classes[k] for k in own.argmax(axis=-1)),
-                photons=None if mean is None else float(budgets[place]),
-                faults=counts.faults_of(place),
-                consistency=None if np.isnan(chance[place]) else float(chance[place]),
-                unsure=None if found is None else bool(unsure[place]),
-                trained_on=trained[place],
+@dataclass(frozen=True)
+class _CountedScenes:
+    """Scenes of a run or a table, and their counts."""
+
+    counts: Counts
+    scenes: Sequence[Scene]
+    source: str  # run or table, as errors name it
+
+    def classify(self, design: "Design", photons: float | None, force: bool) -> ClassifiedRun:
+        """Classes of the scenes by a design as it was shown, at a budget if one is stated."""
+        _check_clicks(design, self, photons)
+        exposures = _SoundExposures.find(design, self, photons, force)
+        consistency = exposures.compare(design)
+        view = exposures.test_view(design)
+        for test in (consistency, view):
+            if test is not None and test.refused and not force:
+                raise InputError(f"{test.refusal}; `force` classifies them all the same")
+        counts = exposures.counts
+        chances = design.classify(design.readouts(counts.signal()), exposures.budgets[:, None])
+        trained = was_trained_on(design.training_scenes, [scene.hash for scene in self.scenes])
+        some = exposures.often > 0
+        chance = np.full(len(some), np.nan)
+        unsure = np.zeros(len(some), bool)
+        if consistency is not None:
+            chance[some] = consistency.exposures
+            unsure[some] = consistency.unsure
+        scenes = []
+        for index, scene in enumerate(self.scenes):
+            sound = chances[index][exposures.usable[index]]
+            mean = sound.mean(axis=0) if len(sound) else None
+            scenes.append(
+                ClassifiedScene(
+                    name=scene.name,
+                    label=scene.label,
+                    predicted=None if mean is None else design.classes[mean.argmax()],
+                    probability=None if mean is None else float(mean.max()),
+                    exposures=len(sound),
+                    guesses=tuple(design.classes[best] for best in sound.argmax(axis=-1)),
+                    photons=None if mean is None else float(exposures.budgets[index]),
+                    faults=counts.faults_of(index),
+                    consistency=None if np.isnan(chance[index]) else float(chance[index]),
+                    unsure=None if consistency is None else bool(unsure[index]),
+                    trained_on=trained[index],
+                )
             )
+        return ClassifiedRun(
+            design=design.name,
+            masks=design.masks,
+            classes=design.classes,
+            scenes=tuple(scenes),
+            faults=counts.faults,
+            consistency=consistency,
+            remarks=exposures.remarks(design, consistency, view),
+            view=view,
         )
-    photons = float(budgets[some].mean())
-    whole = counts.faults, found, _remarks(design, found, view, counts, usable, photons), view
-    return ClassifiedRun(design.name, design.masks, design.classes, tuple(classified), *whole)
 
 
-def _remarks(
-    design: "Design",
-    found: "ConsistencyResult | None",
-    view: ViewResult | None,
-    counts: Counts,
-    usable: np.ndarray,
-    photons: float,
-) -> tuple[str, ...]:
-    """Lines for a reader on the tests of the counts, of exposures (S, R) of a mean budget."""
-    if counts.gates is not None:
-        return _remarks_on_clicks(design, counts, usable, photons)
-    said = (UNTESTED,) if found is None else tuple(found.remarks)
-    if view is None:
-        return *said, NO_VIEW
-    return (*said, view.remark) if view.remark else said
+@dataclass(frozen=True)
+class _SoundExposures:
+    """Exposures of a run that can be classified, and the light of its scenes.
+
+    Shapes: S scenes, R exposures of each.
+    """
+
+    counts: Counts  # (S, R, ...), with the faults of scenes too dim for the design
+    usable: np.ndarray  # (S, R)
+    budgets: np.ndarray  # (S,): Counts of an exposure; 1 where it is not known
+
+    @classmethod
+    def find(
+        cls, design: "Design", counted: _CountedScenes, photons: float | None, force: bool
+    ) -> Self:
+        """Exposures without faults, or `InputError` if there are none."""
+        counts = counted.counts
+        known = np.isfinite(counts.photons) if photons is None else counts.valid.any(axis=1)
+        budgets = np.where(known, counts.photons if photons is None else photons, 1.0)
+        dim = () if force else dim_scenes(design, np.where(known, budgets, np.nan))
+        counts = replace(counts, faults=(*dim, *counts.faults))
+        usable = counts.valid & ~counts.spoilt[:, None]
+        if not usable.any():
+            forced = "; `force` classifies them all the same" if dim else ""
+            raise InputError(
+                f"{counted.source} has no exposure that can be classified ({counts.faults[0]}): "
+                f"record again{forced}"
+            )
+        return cls(counts, usable, budgets)
+
+    @property
+    def often(self) -> np.ndarray:
+        """Number of sound exposures of each scene, (S,)."""
+        return self.usable.sum(axis=1)
+
+    @cached_property
+    def sums(self) -> tuple[np.ndarray, np.ndarray]:
+        """Counts of the sound exposures of each scene, and their noise beyond Poisson's."""
+        counts = self.counts
+        exposures = counts.by_readout(self.usable)
+        number = exposures.sum(axis=1)
+        noise = counts.background.clip(min=0) * number + counts.ambient_variance * number**2
+        noise = noise + counts.excess.sum(axis=1, where=exposures)
+        return counts.signal().sum(axis=1, where=exposures), noise
+
+    def compare(self, design: "Design") -> "ConsistencyResult | None":
+        """Comparison with the training; the exposures of a scene count as one."""
+        if design.distribution is None:
+            return None
+        some = self.often > 0
+        signal, noise = self.sums
+        budget = (self.budgets * self.often)[some]
+        return design.consistency(
+            design.readouts(signal[some]), budget, design.readouts(noise[some])
+        )
+
+    def test_view(self, design: "Design") -> ViewResult | None:
+        """Test of how the camera saw the scenes; None where it cannot be made."""
+        if design.scene_model is None or self.counts.gates is not None:
+            return None
+        rails = design.rails.stacked.cpu().numpy().astype(float)[..., None, :]
+        labels = design.detection.labels
+        if labels is not None:
+            rails = rails * (labels.cpu().numpy() == np.arange(design.detection.count)[:, None])
+        shape = rails.shape[:-1]  # (rails, m, D)
+        two_arms = LIGHT_LAWS[design.light].arms == 2
+        arms = np.arange(shape[0]) if two_arms else np.zeros(shape[0], int)
+        inputs = np.broadcast_to(arms[:, None, None] * shape[2] + np.arange(shape[2]), shape)
+        signal, noise = self.sums
+        test = ViewTest(design.scene_model, design.image_shape)
+        for scene in np.flatnonzero(self.often).tolist():
+            gain = self.budgets[scene] * self.often[scene] / design.summed_reflectance
+            readouts = SceneReadouts(
+                masks=gain * rails.reshape(-1, rails.shape[-1]),
+                counts=signal[scene].ravel(),
+                noise=noise[scene].ravel(),
+                inputs=inputs.ravel(),
+            )
+            test.add(readouts)
+        return test.result
+
+    def remarks(
+        self, design: "Design", consistency: "ConsistencyResult | None", view: ViewResult | None
+    ) -> tuple[str, ...]:
+        """Lines for a reader on the tests of the counts."""
+        if self.counts.gates is not None:
+            return self._remarks_on_clicks(design, self.counts.gates)
+        lines = (UNTESTED,) if consistency is None else tuple(consistency.remarks)
+        if view is None:
+            return *lines, NO_VIEW
+        return (*lines, view.remark) if view.remark else lines
+
+    def _remarks_on_clicks(self, design: "Design", gates: int) -> tuple[str, ...]:
+        from deepfsi.design.clicks import full_gates
+
+        photons = float(self.budgets[self.often > 0].mean())
+        clicks = design.readouts(self.counts.signal())[self.usable]
+        full = full_gates(float(clicks.mean()) / gates, photons)
+        return CLICKS.format(photons, design.info["job"]["photons"]), *filter(None, [full])
 
 
-def _remarks_on_clicks(
-    design: "Design", counts: Counts, usable: np.ndarray, photons: float
-) -> tuple[str, ...]:
-    """Remarks on the clicks of exposures (S, R) of a mean budget."""
-    from deepfsi.design.clicks import full_gates
-
-    assert counts.gates is not None
-    clicks = design.readouts(counts.signal())[usable]
-    full = full_gates(float(clicks.mean()) / counts.gates, photons)
-    return CLICKS.format(photons, design.info["job"]["photons"]), *filter(None, [full])
-
-
-def _check_clicks(design: "Design", counts: Counts, photons: float | None, source: str) -> None:
+def _check_clicks(design: "Design", counted: _CountedScenes, photons: float | None) -> None:
     """Raise `InputError` unless counts are of the kind that a design reads, and of some budget."""
+    counts = counted.counts
     if counts.gates != design.gates:
-        counted, wanted = (
+        words = [
             "photons" if gates is None else f"clicks of {gates} gates a frame"
             for gates in (counts.gates, design.gates)
-        )
+        ]
         raise InputError(
-            f"{source} was counted in {counted}, and this design reads {wanted}: count again with "
-            "`deepfsi camera count`"
+            f"{counted.source} was counted in {words[0]}, and this design reads {words[1]}: count "
+            "again with `deepfsi camera count`"
         )
     if counts.gates is not None and photons is None:
-        counts.check_budget(source)
-
-
-def _view(
-    design: "Design", counts: Counts, usable: np.ndarray, budgets: np.ndarray
-) -> ViewResult | None:
-    """Test of how the camera saw scenes with usable exposures (S, R); None where it cannot be."""
-    if design.scene_model is None or counts.gates is not None:
-        return None
-    rails = design.rails.stacked.cpu().numpy().astype(float)[..., None, :]
-    labels = design.detection.labels
-    if labels is not None:
-        rails = rails * (labels.cpu().numpy() == np.arange(design.detection.count)[:, None])
-    shape = rails.shape[:-1]  # (rails, m, D)
-    arms = np.arange(shape[0]) if LIGHT_LAWS[design.light].arms == 2 else np.zeros(shape[0], int)
-    inputs = np.broadcast_to(arms[:, None, None] * shape[2] + np.arange(shape[2]), shape)
-    exposures, often = counts.by_readout(usable), usable.sum(axis=1)
-    signal = counts.signal().sum(axis=1, where=exposures)
-    number = exposures.sum(axis=1)
-    noise = counts.background.clip(min=0) * number + counts.ambient_variance * number**2
-    noise = noise + counts.excess.sum(axis=1, where=exposures)
-    test = ViewTest(design.scene_model, design.image_shape)
-    for place in np.flatnonzero(often).tolist():
-        gain = budgets[place] * often[place] / design.summed_reflectance
-        masks = gain * rails.reshape(-1, rails.shape[-1])
-        test.add(SceneReadouts(masks, signal[place].ravel(), noise[place].ravel(), inputs.ravel()))
-    return test.result
-
-
-def _consistency(
-    design: "Design", counts: Counts, usable: np.ndarray, budgets: np.ndarray
-) -> "ConsistencyResult | None":
-    """Consistency of scenes with usable exposures (S, R), as one of their budgets (S,) together."""
-    if design.distribution is None:
-        return None
-    often = usable.sum(axis=1)
-    some = often > 0
-    exposures = counts.by_readout(usable)
-    signal = counts.signal().sum(axis=1, where=exposures)[some]
-    number = exposures.sum(axis=1)
-    dark = counts.background.clip(min=0) * number + counts.ambient_variance * number**2
-    background = (dark + counts.excess.sum(axis=1, where=exposures))[some]
-    budget = (budgets * often)[some]
-    return design.consistency(design.readouts(signal), budget, design.readouts(background))
+        counts.check_budget(counted.source)

@@ -17,10 +17,9 @@ from deepfsi.design.artifact import Design
 from deepfsi.design.clicks import full_gates
 from deepfsi.design.evaluation import camera_for, check_draws, scanner_for
 from deepfsi.design.values import check_classes
-from deepfsi.designfile import scene_hashes, was_trained_on
+from deepfsi.designfile import Score, scene_hashes, was_trained_on
 from deepfsi.lab.light import dim_scenes
 from deepfsi.lab.scenes import design_scenes
-from deepfsi.lab.score import Score
 from deepfsi.optics.surroundings import library_defaults
 
 AT_ONCE = 1024

@@ -22,7 +22,7 @@ def design_rails(file: str | os.PathLike[str]) -> DesignRails:
     path = Path(file)
     if isinstance(DesignFile.read(path, ()).header, AdaptiveHeader):
         with require_torch():
-            from deepfsi.lab.adaptive import adaptive_rails
+            from deepfsi.lab.adaptive_looks import adaptive_rails
         return adaptive_rails(path)
     design = DesignFile.read(path)
     header = design.mask_header

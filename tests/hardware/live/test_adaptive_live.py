@@ -11,14 +11,12 @@ import torch
 from deepfsi import learn
 from deepfsi.base import InputError
 from deepfsi.camera import find_device
-from deepfsi.hardware.live.known import read_looks
-from deepfsi.hardware.live.replay import count_live, read_live_counts
-from deepfsi.hardware.live.run import plan_live, run_live
-from deepfsi.hardware.live.shown import read_shown
+from deepfsi.hardware.live import LiveCounts, plan_live, run_live
+from deepfsi.hardware.live.frame_log import FrameLog
 from deepfsi.hardware.patterns.folder import check_patterns, export_patterns, read_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.virtual import CAMERAS, Latencies, VirtualCamera, most_events, virtual_setup
-from deepfsi.lab.rails import design_rails
+from deepfsi.lab import design_rails, open_looks
 from shared.live_samples import replay, scenes_of
 
 LOOKS, FLUX, EXPOSURE_S, LOAD_S = 5, 1e7, 10e-3, 2e-3
@@ -53,12 +51,12 @@ def run(folder, patterns, data, count=6, camera=CAMERAS["ideal"], x=None, flux=F
     """Run scenes on the virtual bench; their decisions."""
     own, scenes = scenes_of(data, count)
     told = {"flux": flux, "camera": camera.model_dump(mode="json"), "seed": 0}
-    acquisition = plan_live(patterns, scenes, EXPOSURE_S, **settings, **told)
-    decision_s = read_looks(patterns, read_patterns(patterns).manifest).decision_s
+    looks = open_looks(patterns)
+    acquisition = plan_live(patterns, scenes, EXPOSURE_S, looks=looks, **settings, **told)
     devices = virtual_setup(
-        patterns, own if x is None else x, acquisition, Latencies(), decision_s=decision_s
+        patterns, own if x is None else x, acquisition, Latencies(), decision_s=looks.decision_s
     )
-    return list(run_live(folder, patterns, acquisition, devices))
+    return list(run_live(folder, patterns, acquisition, devices, looks))
 
 
 def masks_of(shown) -> np.ndarray:
@@ -72,7 +70,7 @@ def masks_of(shown) -> np.ndarray:
 def test_a_run_is_replayed_bit_for_bit(digits, tmp_path, optics, camera):
     patterns, folder = exported(tmp_path, digits, optics), tmp_path / "run"
     decided = run(folder, patterns, digits, camera=CAMERAS[camera])
-    count_live(folder)
+    LiveCounts.count(folder)
     replayed = replay(folder)
     assert [each.answer.agrees for each in replayed] == [True] * 6
     again = [one.chances for each in replayed for one in each.decisions]
@@ -85,10 +83,10 @@ def test_counts_are_those_of_the_masks_that_were_made(digits, tmp_path, optics):
     """Poisson, with the mean that the light through each mask has in its gate."""
     patterns, (x, _) = exported(tmp_path, digits, optics), scenes_of(digits, 12)
     run(tmp_path / "run", patterns, digits, count=12)
-    count_live(tmp_path / "run")
+    LiveCounts.count(tmp_path / "run")
     manifest, z = read_patterns(patterns).manifest, []
     cells = np.array(manifest.detectors.cells if manifest.detectors else [0] * 64)
-    for shown, lists in read_live_counts(tmp_path / "run").by_scene:
+    for shown, lists in LiveCounts.read(tmp_path / "run").by_scene:
         counted = np.array([found.counts[0] for found in lists[1:-1]])
         gates_s = np.array([each.gate_ns[0] for each in shown.lists[1:-1]]) * 1e-9
         light = masks_of(shown) * x[shown.scene].ravel()
@@ -124,9 +122,9 @@ def test_decisions_are_those_of_the_design(digits, patterns, tmp_path):
 
 def test_a_look_takes_the_time_to_load_its_mask(digits, patterns, tmp_path):
     run(tmp_path / "run", patterns, digits, count=2)
-    for shown in read_shown(tmp_path / "run"):
+    for shown in FrameLog.read(tmp_path / "run").scenes:
         assert len(shown.lists) == LOOKS + 2
-        decision_s = read_looks(patterns, read_patterns(patterns).manifest).decision_s
+        decision_s = open_looks(patterns).decision_s
         assert shown.clock_s > EXPOSURE_S + LOOKS * (LOAD_S + decision_s)
         assert shown.light_s == pytest.approx(EXPOSURE_S, rel=1e-6)
 
@@ -158,7 +156,7 @@ def test_an_exposure_stops_when_it_is_sure(digits, patterns, tmp_path):
         last = each.decision.look == LOOKS - 1
         assert each.decision.final == (last or each.decision.chances.max() > 0.9)
     assert min(each.decision.look for each in sure if each.decision.final) < LOOKS - 1
-    count_live(tmp_path / "run")
+    LiveCounts.count(tmp_path / "run")
     assert all(each.answer.agrees for each in replay(tmp_path / "run"))
 
 
@@ -166,7 +164,7 @@ def test_the_patterns_hold_the_design_and_the_first_mask(patterns):
     manifest = check_patterns(patterns).manifest
     assert manifest.looks.adaptive
     assert [frame.role for frame in manifest.frames] == ["on", "off", "mask", "on", "off"]
-    looks = read_looks(patterns, manifest)
+    looks = open_looks(patterns)
     assert len(looks.shares) == LOOKS
 
 
@@ -183,7 +181,7 @@ def test_another_design_beside_the_first_mask_is_refused(patterns, tmp_path):
     with (folder / "design.safetensors").open("ab") as file:
         file.write(b" ")
     with pytest.raises(InputError, match="is not the design whose first mask"):
-        read_looks(folder, read_patterns(folder).manifest)
+        open_looks(folder)
 
 
 @pytest.mark.parametrize("growth", [8.0, 1 / 8])
@@ -194,24 +192,30 @@ def test_the_shortest_look_must_not_be_shorter_than_the_device_allows(digits, tm
     replace(design, settings=uneven).save(tmp_path / "a.safetensors")
     patterns, scenes = shown_from(tmp_path / "a.safetensors"), scenes_of(digits, 1)[1]
     shortest_s = EXPOSURE_S * min(uneven.shares)
-    plan_live(patterns, scenes, EXPOSURE_S, shortest_s * 0.99)
+    plan_live(patterns, scenes, EXPOSURE_S, shortest_s * 0.99, looks=open_looks(patterns))
     with pytest.raises(InputError, match="shorter than the shortest dwell"):
-        plan_live(patterns, scenes, EXPOSURE_S, shortest_s * 1.01)
+        plan_live(patterns, scenes, EXPOSURE_S, shortest_s * 1.01, looks=open_looks(patterns))
 
 
 def test_a_background_is_refused(digits, patterns):
+    looks, (_, scenes) = open_looks(patterns), scenes_of(digits, 1)
     with pytest.raises(InputError, match="not known before"):
-        plan_live(patterns, scenes_of(digits, 1)[1], EXPOSURE_S, background=True)
+        plan_live(patterns, scenes, EXPOSURE_S, looks=looks, background=True)
+
+
+def test_the_looks_of_adaptive_masks_are_handed_in(digits, patterns):
+    with pytest.raises(InputError, match="give its `looks`"):
+        plan_live(patterns, scenes_of(digits, 1)[1], EXPOSURE_S)
 
 
 def test_a_changed_mask_is_found_in_the_replay(digits, patterns, tmp_path):
     folder = tmp_path / "run"
     run(folder, patterns, digits, count=1)
     (line,) = (folder / "shown.jsonl").read_text().splitlines()
-    mask = read_shown(folder)[0].lists[2].masks[0]
+    mask = FrameLog.read(folder).scenes[0].lists[2].masks[0]
     other = "AAAAAAAAAAA=" if mask[0] != "A" else "/////////w8="
     (folder / "shown.jsonl").write_text(line.replace(mask, other) + "\n")
-    count_live(folder)
+    LiveCounts.count(folder)
     with pytest.raises(InputError, match="not the one that follows from its counts"):
         replay(folder)
 
@@ -219,7 +223,8 @@ def test_a_changed_mask_is_found_in_the_replay(digits, patterns, tmp_path):
 def test_the_expected_size_of_the_recording_counts_its_masks(digits, patterns):
     x, scenes = scenes_of(digits, 3)
     ideal = CAMERAS["ideal"].model_dump(mode="json")
-    acquisition = plan_live(patterns, scenes, EXPOSURE_S, flux=FLUX, camera=ideal)
+    looks = open_looks(patterns)
+    acquisition = plan_live(patterns, scenes, EXPOSURE_S, looks=looks, flux=FLUX, camera=ideal)
     assert most_events(patterns, x, acquisition) > 3 * FLUX * EXPOSURE_S * 0.2
 
 

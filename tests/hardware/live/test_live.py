@@ -11,9 +11,9 @@ import pytest
 from deepfsi.base import InputError
 from deepfsi.camera import find_device
 from deepfsi.hardware.counting import read_run
+from deepfsi.hardware.live import LiveCounts
 from deepfsi.hardware.live import run as runs
-from deepfsi.hardware.live.replay import count_live, read_live_counts
-from deepfsi.hardware.live.shown import DARK, NAME, read_shown
+from deepfsi.hardware.live.frame_log import DARK_SCENE, FrameLog
 from deepfsi.hardware.patterns.folder import read_patterns
 from deepfsi.hardware.virtual import CAMERAS, Latencies, VirtualCamera, arrival_rates
 from shared.live_samples import LOOKS, OPTICS, bench, live, make_patterns, replay, scenes_of
@@ -32,7 +32,7 @@ def test_a_run_is_replayed_from_its_files_bit_for_bit(digits, tmp_path, optics, 
     patterns = make_patterns(tmp_path, digits, optics, epochs=1)
     folder = tmp_path / "run"
     decided = live(folder, patterns, digits, camera=CAMERAS[camera], flux=1e7)
-    count_live(folder)
+    LiveCounts.count(folder)
     replayed = replay(folder)
     assert [each.answer.agrees for each in replayed] == [True] * 5
     again = [one for each in replayed for one in each.decisions]
@@ -48,7 +48,7 @@ def run(digits, patterns, tmp_path_factory):
     """A run of twelve scenes, counted; do not change it."""
     folder = tmp_path_factory.mktemp("run") / "run"
     live(folder, patterns, digits, count=12)
-    count_live(folder)
+    LiveCounts.count(folder)
     return folder
 
 
@@ -60,7 +60,7 @@ def copied(run, tmp_path):
 def test_each_look_has_its_time_and_no_frame_is_too_short(run, patterns):
     manifest = read_patterns(patterns).manifest
     least = manifest.device.shortest_us - manifest.device.settle_us - 2
-    for scene in read_shown(run):
+    for scene in FrameLog.read(run).scenes:
         first, *looks, last = scene.lists
         assert first.frames == last.frames == (0, 1)
         assert len(looks) == LOOKS
@@ -75,7 +75,7 @@ def test_frames_are_held_as_long_as_the_device_needs(run, patterns):
 
     times = read_markers(run / "photons.ptu")[0] * 1e-12
     device = read_patterns(patterns).manifest.device
-    for scene in read_shown(run):
+    for scene in FrameLog.read(run).scenes:
         for each, first in zip(scene.lists, scene.first_markers, strict=True):
             held = np.diff(times[np.append(first, first[-1] + 1)])
             assert (held >= device.shortest_us * 1e-6 - 1e-9).all()
@@ -87,7 +87,7 @@ def counts_and_means(run, patterns, x):
     """Counts of the gates of a run at 1e6 photons/s, and what is expected of them."""
     rates = arrival_rates(patterns, x, CAMERAS["ideal"], 1e6)[:, :, 0]
     counts, expected = [], []
-    for scene, lists in read_live_counts(run).by_scene:
+    for scene, lists in LiveCounts.read(run).by_scene:
         for each, found in zip(scene.lists, lists, strict=True):
             counts.append(found.counts[:, 0])
             expected.append(rates[scene.scene, list(each.frames)] * np.array(each.gate_ns) * 1e-9)
@@ -111,7 +111,7 @@ def test_decisions_are_those_of_the_design(digits, patterns, run):
     design = Design.load(patterns.parent / "looks.safetensors")
     manifest = read_patterns(patterns).manifest
     masks = {int(at): manifest.frames[at].mask for at in manifest.shown}
-    for again, (scene, counts) in zip(replay(run), read_live_counts(run).by_scene, strict=True):
+    for again, (scene, counts) in zip(replay(run), LiveCounts.read(run).by_scene, strict=True):
         shown = iter(zip(scene.lists[1:-1], counts[1:-1], strict=True))
 
         def read(dwell, shown=shown):
@@ -134,7 +134,7 @@ def test_the_clock_adds_up(digits, patterns, tmp_path):
     times = {}
     for each in decided:
         times.setdefault(each.scene, []).append(each.clock_s)
-    for scene in read_shown(tmp_path / "run"):
+    for scene in FrameLog.read(tmp_path / "run").scenes:
         assert scene.clock_s == times[scene.scene][-1]
         assert np.diff(times[scene.scene]).min() >= slow.command
         lists = 2 + LOOKS
@@ -143,7 +143,7 @@ def test_the_clock_adds_up(digits, patterns, tmp_path):
     quick = Latencies(display=1e-3, command=0, block=1e-6, transfer=0, decision=0)
     decided = live(tmp_path / "quick", patterns, digits, count=3, latencies=quick)
     manifest = read_patterns(patterns).manifest
-    for scene in read_shown(tmp_path / "quick"):
+    for scene in FrameLog.read(tmp_path / "quick").scenes:
         gates = np.concatenate([each.gate_ns for each in scene.lists[1:-1]]) * 1e-9
         masks = np.ceil((gates * 1e6 + 12).round(6)) * 1e-6
         ends = 4 * manifest.frames[0].picture_us * 1e-6
@@ -160,17 +160,17 @@ def test_an_exposure_stops_when_it_is_sure(digits, patterns, tmp_path):
         last = each.decision.look == LOOKS - 1
         assert each.decision.final == (last or each.decision.chances.max() > 0.13)
     assert {each.decision.look for each in ends} != {LOOKS - 1}
-    count_live(tmp_path / "run")
+    LiveCounts.count(tmp_path / "run")
     assert all(each.answer.agrees for each in replay(tmp_path / "run"))
 
 
 def test_a_longer_shortest_dwell_shows_fewer_frames(digits, patterns, tmp_path):
     live(tmp_path / "run", patterns, digits, shortest_s=0.5e-3)
-    shown = read_shown(tmp_path / "run")
+    shown = FrameLog.read(tmp_path / "run").scenes
     gates = [each.gate_ns for scene in shown for each in scene.lists[1:-1]]
     assert min(map(min, gates)) >= 500_000
     assert max(map(len, gates)) < 6
-    count_live(tmp_path / "run")
+    LiveCounts.count(tmp_path / "run")
     assert all(each.answer.agrees for each in replay(tmp_path / "run"))
 
 
@@ -181,12 +181,12 @@ def test_a_background_is_measured_first_and_the_run_is_replayed_with_it(digits, 
     folder, words = tmp_path / "run", {"flux": 1e7, "camera": camera, "count": 8}
     decided = live(folder, patterns, digits, background=True, **words)
     sound = live(tmp_path / "sound", patterns, digits, flux=1e7, count=8)
-    (dark, *_) = read_shown(folder)
-    assert (dark.scene, len(dark.lists), dark.chances) == (DARK, 1, ())
+    (dark, *_) = FrameLog.read(folder).scenes
+    assert (dark.scene, len(dark.lists), dark.chances) == (DARK_SCENE, 1, ())
     budgets = [[one.decision.photons for one in each if one.answer] for each in (decided, sound)]
     on, measured = 1e7 * 1e-3, 1e7 * 10e-3 / LOOKS  # counts of an all-ON frame of either pass
     np.testing.assert_allclose(*budgets, rtol=5 * np.sqrt(3 / on + 2 / measured))
-    count_live(folder)
+    LiveCounts.count(folder)
     replayed = replay(folder)
     assert len(replayed) == 8
     assert all(each.answer.agrees for each in replayed)
@@ -197,7 +197,7 @@ def test_a_background_is_measured_first_and_the_run_is_replayed_with_it(digits, 
 def test_without_light_nothing_is_decided(digits, patterns, tmp_path):
     decided = live(tmp_path / "run", patterns, digits, count=2, flux=0.0)
     assert [each.decision for each in decided] == [None, None]
-    count_live(tmp_path / "run")
+    LiveCounts.count(tmp_path / "run")
     assert [each.decisions for each in replay(tmp_path / "run")] == [(), ()]
     known = live(tmp_path / "known", patterns, digits, count=2, flux=0.0, photons=1e4)
     assert [each.decision for each in known] == [None, None]
@@ -234,7 +234,7 @@ def test_a_device_that_repeats_frames_is_followed(digits, patterns, tmp_path):
     acquisition = runs.plan_live(patterns, scenes, EXPOSURE_S)
     decided = list(runs.run_live(tmp_path / "run", patterns, acquisition, devices))
     assert len(decided) == 3 * LOOKS
-    count_live(tmp_path / "run")
+    LiveCounts.count(tmp_path / "run")
     assert all(each.answer.agrees for each in replay(tmp_path / "run"))
     counts, expected = counts_and_means(tmp_path / "run", patterns, x)
     assert abs(counts.sum() - expected.sum()) < 5 * np.sqrt(expected.sum())
@@ -249,7 +249,11 @@ def test_long_gates_end_within_their_pictures_where_clocks_differ(digits, patter
     acquisition = runs.plan_live(patterns, scenes, 3.0 * LOOKS)
     decided = list(runs.run_live(tmp_path / "run", patterns, acquisition, devices))
     assert len(decided) == 2 * LOOKS
-    gates = [max(one.gate_ns) for each in read_shown(tmp_path / "run") for one in each.lists[1:-1]]
+    gates = [
+        max(one.gate_ns)
+        for each in FrameLog.read(tmp_path / "run").scenes
+        for one in each.lists[1:-1]
+    ]
     assert max(gates) > 0.2e9
 
 
@@ -269,28 +273,32 @@ def test_finished_scenes_are_kept_when_a_run_is_stopped(digits, patterns, tmp_pa
     with pytest.raises(type(stop) if isinstance(stop, Exception) else stop):  # noqa: PT012
         for each in runs.run_live(folder, patterns, acquisition, devices):
             done.append(each)
-    assert len(read_shown(folder)) == 2
-    count_live(folder)
+    assert len(FrameLog.read(folder).scenes) == 2
+    LiveCounts.count(folder)
     replayed = replay(folder)
     assert [each.answer.agrees for each in replayed] == [True, True]
     assert np.array_equal(replayed[1].decisions[-1].chances, done[2 * LOOKS - 1].decision.chances)
 
 
 def test_a_line_that_a_killed_run_left_is_no_scene(copied):
-    path = copied / NAME
+    path = copied / FrameLog.NAME
     path.write_bytes(path.read_bytes()[:-20])
-    assert len(read_shown(copied)) == 11
-    count_live(copied)
+    assert len(FrameLog.read(copied).scenes) == 11
+    LiveCounts.count(copied)
     assert all(each.answer.agrees for each in replay(copied))
 
 
 @pytest.mark.parametrize(
     ("file", "change", "words"),
     [
-        (NAME, lambda old: old.replace(b'"look":0', b'"look":1'), "not the one that follows"),
-        (NAME, lambda old: old.replace(b'"markers":[1,', b'"markers":[0,'), "is damaged"),
-        (NAME, lambda old: old[old.index(b"\n") + 1 :], "do not follow each other"),
-        (NAME, lambda old: b"", "no finished scene"),
+        (
+            FrameLog.NAME,
+            lambda old: old.replace(b'"look":0', b'"look":1'),
+            "not the one that follows",
+        ),
+        (FrameLog.NAME, lambda old: old.replace(b'"markers":[1,', b'"markers":[0,'), "is damaged"),
+        (FrameLog.NAME, lambda old: old[old.index(b"\n") + 1 :], "do not follow each other"),
+        (FrameLog.NAME, lambda old: b"", "no finished scene"),
         ("photons.ptu", lambda old: old[: len(old) // 2], "markers|lack records"),
         ("acquisition.json", lambda old: old.replace(b'"live"', b'"dead"'), "cannot be used"),
     ],
@@ -299,7 +307,7 @@ def test_files_that_were_changed_are_refused(copied, file, change, words):
     path = copied / file
     path.write_bytes(change(path.read_bytes()))
     with pytest.raises(InputError, match=words):  # noqa: PT012
-        count_live(copied)
+        LiveCounts.count(copied)
         replay(copied)
 
 
@@ -308,13 +316,13 @@ def test_counts_of_other_files_are_refused(copied):
     told["live"]["photons"] = 12345.0
     (copied / "acquisition.json").write_text(json.dumps(told))
     with pytest.raises(InputError, match="other files"):
-        read_live_counts(copied)
+        LiveCounts.read(copied)
     (copied / "counts.npz").write_bytes(b"x")
     with pytest.raises(InputError, match="File is not a zip file"):
-        read_live_counts(copied)
+        LiveCounts.read(copied)
     (copied / "counts.npz").unlink()
     with pytest.raises(InputError, match="is missing"):
-        read_live_counts(copied)
+        LiveCounts.read(copied)
 
 
 def test_other_counts_are_found_to_disagree(copied):

@@ -7,9 +7,8 @@ import pytest
 
 from deepfsi.hardware.drivers import FollowedCounter, Setup, VialuxLooks
 from deepfsi.hardware.drivers.swabian import TaggerCounter
-from deepfsi.hardware.live.replay import count_live
-from deepfsi.hardware.live.run import plan_live, run_live
-from deepfsi.hardware.live.shown import read_shown
+from deepfsi.hardware.live import LiveCounts, plan_live, run_live
+from deepfsi.hardware.live.frame_log import FrameLog
 from deepfsi.hardware.photons import PtuWriter
 from deepfsi.hardware.virtual import CAMERAS, arrival_rates
 from hardware.drivers import swabian_fake
@@ -65,7 +64,7 @@ def test_the_loop_runs_on_a_vialux_device_and_a_file_that_grows(
     assert library.calls.count("SeqAlloc") == 1
     assert not library.allocated
 
-    lists = [each for scene in read_shown(folder) for each in scene.lists]
+    lists = [each for scene in FrameLog.read(folder).scenes for each in scene.lists]
     assert len(library.lists) == len(lists) == SCENES * (LOOKS + 2)
     for (pictures, us), each in zip(library.lists, lists, strict=True):
         assert len(pictures) <= entries
@@ -75,7 +74,7 @@ def test_the_loop_runs_on_a_vialux_device_and_a_file_that_grows(
     assert (max(us for _, us in library.lists) > 44) == (entries == 100)
     assert max(max(each.markers) for each in lists) > 3
 
-    count_live(folder)
+    LiveCounts.count(folder)
     replayed = replay(folder)
     assert [each.answer.agrees for each in replayed] == [True] * SCENES
     again = [one.chances for each in replayed for one in each.decisions]
@@ -95,7 +94,7 @@ def test_the_loop_runs_on_a_time_tagger_as_on_the_virtual_counter(digits, tmp_pa
     assert len(decided) == SCENES * LOOKS
     assert device.steps[-2:] == ["stop", "freeTimeTagger"]
 
-    count_live(folder)
+    LiveCounts.count(folder)
     replayed = replay(folder)
     assert [each.answer.agrees for each in replayed] == [True] * SCENES
     chances = [each.decision.chances for each in decided]

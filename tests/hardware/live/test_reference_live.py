@@ -7,13 +7,11 @@ import deepfsi
 from deepfsi.camera import find_device
 from deepfsi.hardware.calibration.reference import TARGET
 from deepfsi.hardware.counting import Scene
-from deepfsi.hardware.live.replay import count_live
-from deepfsi.hardware.live.run import plan_live, run_live
+from deepfsi.hardware.live import LiveCounts, plan_live, run_live
 from deepfsi.hardware.patterns.folder import export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.virtual import Latencies, VirtualCamera, virtual_setup
-from deepfsi.lab.calibration import check_view
-from deepfsi.lab.rails import design_rails
+from deepfsi.lab import check_view, design_rails, open_looks
 from shared.live_samples import make_patterns
 
 
@@ -34,10 +32,11 @@ def test_the_reference_of_a_live_run_tells_how_scenes_lie(digits, tmp_path, adap
         camera = VirtualCamera.model_validate({} if view is None else {"view": view})
         scenes = tuple(Scene(name=str(k)) for k in range(2))
         seen = {"flux": 5e6, "camera": camera.model_dump(mode="json")}
-        acquisition = plan_live(tmp_path / "patterns", scenes, 0.1, **seen)
+        looks = open_looks(tmp_path / "patterns")
+        acquisition = plan_live(tmp_path / "patterns", scenes, 0.1, looks=looks, **seen)
         devices = virtual_setup(tmp_path / "patterns", target, acquisition, Latencies())
-        list(run_live(tmp_path / name, tmp_path / "patterns", acquisition, devices))
-        count_live(tmp_path / name)
+        list(run_live(tmp_path / name, tmp_path / "patterns", acquisition, devices, looks))
+        LiveCounts.count(tmp_path / name)
         places[name] = check_view(tmp_path / name)
     assert places["as exported"].layout == places["as exported"].exported
     assert places["turned"].layout.rotate == 180

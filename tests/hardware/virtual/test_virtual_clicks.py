@@ -12,7 +12,7 @@ from deepfsi.hardware.counting.corrections import light_of_clicks
 from deepfsi.hardware.patterns.sequence import Patterns
 from deepfsi.hardware.pictures import reconstruct
 from deepfsi.hardware.virtual import RecordingSettings, VirtualCamera, record_scenes
-from deepfsi.lab.calibration import check_view, gains_of
+from deepfsi.lab import check_view, gains_of
 from deepfsi.optics.scanner import Scanner
 
 GATES = 4

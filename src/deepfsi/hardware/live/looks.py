@@ -1,59 +1,135 @@
-"""Looks of a live run: the frames that one asks for, and what is to be known of a design."""
+"""Looks of a live run: which frames come next, and the classes that their counts tell.
 
-from collections.abc import Callable
+A design chooses its looks: with networks the dwells of masks that do not change (`FixedMaskLooks`),
+or each mask itself. A run hands counts to whatever keeps to `LookChooser`.
+"""
+
 from dataclasses import dataclass
+from pathlib import Path
 from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from deepfsi.base import InputError
 from deepfsi.camera import StopRule
-from deepfsi.designfile import SceneModel, TrainingScenes
+from deepfsi.designfile import DesignFile, SceneModel, TrainingScenes, read_loop
 from deepfsi.hardware.counting import FrameCounts
 from deepfsi.hardware.light import Arrivals
+from deepfsi.hardware.patterns.folder import DESIGN, LOOP, read_patterns
+from deepfsi.hardware.patterns.sequence import Manifest, Patterns
+
+DECISION_S = 0.4e-3
+"""Usual time from the counts to the class and the next dwells, seconds (`benchmarks/live.py`)."""
 
 
 @dataclass(frozen=True)
 class FrameList:
-    """Frames that are shown one after another, and counted."""
+    """Frames that are shown one after another, and counted.
 
-    look: int  # from 0; `SENTINELS` for the frames that begin and end a scene
-    frames: np.ndarray  # (F,): Places among the frames of the manifest
-    gate_ns: np.ndarray  # (F,): For how long each is counted
-    # (F, N): Pixels that are ON, bool, of frames made now, which are loaded in place of those of
-    # the folder; none where these are shown
+    Parameters
+    ----------
+    look : int
+        From 0; `SCENE_ENDS` for the frames that begin and end a scene.
+    frames : array (F,)
+        Places among the frames of the manifest.
+    gate_ns : array (F,)
+        For how long each is counted.
+    masks : array (F, N) of bool, optional
+        Pixels that are ON of frames that are made now and loaded in place of those of the folder.
+    """
+
+    look: int
+    frames: np.ndarray
+    gate_ns: np.ndarray
     masks: np.ndarray | None = None
 
 
-Count = Callable[[FrameList], FrameCounts]
-"""Counts of a list of frames."""
+class FrameSource(Protocol):
+    """Source of counts of frames: devices that show and count them, or the record of a run."""
+
+    def count(self, asked: FrameList) -> FrameCounts:
+        """Counts of the frames of a list."""
 
 
-class Conditions(NamedTuple):
-    """Conditions of an exposure; rates are counts/s that are no scene's."""
+class SceneSignal(NamedTuple):
+    """Counts of frames that are a scene's, and the variance beyond that of Poisson counts."""
 
-    photons: float  # budget
-    exposure_ns: int  # of all looks
-    shortest_ns: int  # gate
-    dark: np.ndarray  # (inputs,): Dark counts
-    # (2, f, inputs): What the masks' frames count beyond them with the scenes dark, and its
-    # variance
+    counts: np.ndarray  # (F, inputs)
+    noise: np.ndarray  # (F, inputs)
+
+
+@dataclass(frozen=True)
+class ExposureState:
+    """Conditions of one exposure, as far as they are measured when it begins.
+
+    Parameters
+    ----------
+    photons : float
+        Budget of all looks together, counts.
+    exposure_ns : int
+        Time of all looks together.
+    shortest_ns : int
+        Shortest gate.
+    dark : array (inputs,)
+        Dark counts, counts/s.
+    ambient : array (2, f, inputs)
+        Counts/s beyond the dark ones of each of the masks' frames while scenes are dark, and their
+        variance.
+    """
+
+    photons: float
+    exposure_ns: int
+    shortest_ns: int
+    dark: np.ndarray
     ambient: np.ndarray
 
+    def signal(self, asked: FrameList, rows: np.ndarray, arrivals: Arrivals) -> SceneSignal:
+        """Counts of a look less those that are no scene's, of frames at some of the masks' rows."""
+        ambient, its_noise = self.ambient[:, rows]
+        counts = arrivals.photons.sum(axis=1)
+        variance = arrivals.variance.sum(axis=1)
+        seconds = (asked.gate_ns * 1e-9)[:, None]
+        dark = (self.dark + ambient) * seconds
+        noise = dark.clip(min=0) + its_noise * seconds**2 + (variance - counts).clip(min=0)
+        return SceneSignal(counts - dark, noise)
 
-class AllOn(NamedTuple):
-    """Counts of the all-ON frames of a scene, all together."""
 
-    counts: float  # less what is no scene's
-    noise: float  # beyond the counts' own
+@dataclass(frozen=True)
+class AllOnCounts:
+    """Counts of the all-ON frames of a scene, all together.
+
+    Parameters
+    ----------
+    counts : float
+        Less what is no scene's.
+    noise : float
+        Variance beyond the counts' own.
+    seconds : float
+        Time of the frames.
+    """
+
+    counts: float
+    noise: float
     seconds: float
 
 
-class Likeness(NamedTuple):
-    """Comparison of a scene's counts with those of the training."""
+@dataclass(frozen=True)
+class SceneComparison:
+    """Comparison of a scene's counts with those of the training.
 
-    chance: float  # p-value
-    unsure: bool  # true if it is below that of a sound scene's false alarm
-    detail: str  # on what differs
+    Parameters
+    ----------
+    chance : float
+        p-value.
+    unsure : bool
+        True if it is below that of a sound scene's false alarm.
+    detail : str
+        On what differs.
+    """
+
+    chance: float
+    unsure: bool
+    detail: str
 
 
 class LiveExposure(Protocol):
@@ -62,14 +138,14 @@ class LiveExposure(Protocol):
     def ask(self, look: int) -> FrameList:
         """Frames of the next look."""
 
-    def take(self, asked: FrameList, found: Arrivals) -> np.ndarray:
+    def take(self, asked: FrameList, arrivals: Arrivals) -> np.ndarray:
         """Probabilities (C,) of the classes, from the photons of a look and those before."""
 
-    def compare(self, on: AllOn) -> Likeness | None:
+    def compare(self, on: AllOnCounts) -> SceneComparison | None:
         """Comparison of all counts with the training; none where nothing of it is known."""
 
 
-class LiveLooks(Protocol):
+class LookChooser(Protocol):
     """Looks of a design, as a live run needs them."""
 
     shares: tuple[float, ...]  # of the exposure that each look takes
@@ -81,8 +157,159 @@ class LiveLooks(Protocol):
     training_scenes: TrainingScenes | None  # hashes of the scenes that the design was made with
     scene_model: SceneModel | None  # of the training; none where runs are not tested against it
 
-    def expose(self, scene: int, conditions: Conditions) -> LiveExposure:
+    def expose(self, scene: int, state: ExposureState) -> LiveExposure:
         """Begin an exposure of a scene."""
 
     def lit(self, asked: FrameList) -> np.ndarray:
         """Share of each pixel's mirrors that are ON in frames of a look, (F, N)."""
+
+
+class FixedMaskLooks:
+    """Looks at masks that do not change, whose dwells networks choose.
+
+    Its attributes are those of `LookChooser`.
+
+    Parameters
+    ----------
+    design : DesignFile
+        Of several looks.
+    patterns : Patterns
+        Frames of its masks.
+    """
+
+    def __init__(self, design: DesignFile, patterns: Patterns) -> None:
+        manifest = patterns.manifest
+        looks = design.looks.looks
+        assert manifest.looks is not None
+        self.design = design
+        self.manifest = manifest
+        self.shares = (1 / looks,) * looks
+        self.classes = design.header.classes
+        self.photons = design.photons
+        self.rule = design.stop_rule
+        self.shortest = design.looks.shortest
+        self.decision_s = DECISION_S
+        self.training_scenes = design.training_scenes
+        self.scene_model = design.scene_model
+        masks = np.array([manifest.frames[at].mask for at in manifest.shown])
+        rails = np.array([manifest.frames[at].rail for at in manifest.shown])
+        self.dwell_of_frame = manifest.looks.places(masks, rails == "minus")
+        self._fractions = patterns.fractions
+
+    @classmethod
+    def read(cls, folder: Path) -> "FixedMaskLooks":
+        """Looks of a folder of patterns.
+
+        Parameters
+        ----------
+        folder : path
+            Patterns of a design of several looks, with its file, or in folders of earlier versions
+            with its networks alone.
+
+        Raises
+        ------
+        InputError
+            If the files are damaged, or of fixed dwells or adaptive masks.
+        """
+        patterns = read_patterns(folder)
+        manifest = patterns.manifest
+        if manifest.looks is None:
+            raise InputError(
+                f"{folder} has the patterns of a design of fixed dwells: learn one of several "
+                "`looks`, or record it with `deepfsi camera simulate` or `prepare`"
+            )
+        if manifest.looks.adaptive:
+            raise InputError(
+                f"{folder} has the first of adaptive masks alone, and the design makes the others: "
+                "give its `looks`"
+            )
+        if manifest.design_sha256 is not None:
+            return cls(DesignFile.read(folder / DESIGN), patterns)
+        rails, image_shape, _ = patterns.realised
+        detectors = manifest.detectors and manifest.detectors.cells
+        design = read_loop(
+            folder / LOOP,
+            rails,
+            image_shape=image_shape,
+            light=manifest.light,
+            summed_reflectance=manifest.summed_reflectance,
+            detectors=None if detectors is None else np.array(detectors),
+        )
+        return cls(design, patterns)
+
+    def expose(self, scene: int, state: ExposureState) -> "FixedMaskExposure":
+        """Begin an exposure of a scene."""
+        return FixedMaskExposure(self, state)
+
+    def lit(self, asked: FrameList) -> np.ndarray:
+        """Share of each pixel's mirrors that are ON in frames of a look, (F, N)."""
+        return self._fractions[rows_of(self.manifest, asked)]
+
+
+def rows_of(manifest: Manifest, asked: FrameList) -> np.ndarray:
+    """Places (F,) of a look's frames among those of the masks."""
+    return np.searchsorted(manifest.shown, asked.frames)
+
+
+class FixedMaskExposure:
+    """One exposure of a scene with masks that do not change."""
+
+    def __init__(self, looks: FixedMaskLooks, state: ExposureState) -> None:
+        design = looks.design
+        self._looks = looks
+        self._design = design
+        self._state = state
+        self._features = np.zeros(design.feature_count)
+        self._dwell = np.zeros(design.frames)
+        self._gates = np.zeros(design.frames, np.int64)  # of the present look
+        self._shape = design.rail_count, design.masks, design.detector_count
+        self._counts, self._noise = np.zeros((2, *self._shape))
+        self._look = 0
+
+    def ask(self, look: int) -> FrameList:
+        """Frames of the next look, for the dwells that the networks choose."""
+        exposure_ns = self._state.exposure_ns
+        inputs = self._design.inputs(self._features, self._dwell)
+        dwell = self._design.next_dwell(inputs, look, self._state.shortest_ns / exposure_ns)
+        self._gates = np.rint(dwell * exposure_ns).astype(np.int64)
+        self._look = look
+        gates = self._gates[self._looks.dwell_of_frame]
+        lit = gates > 0
+        return FrameList(look, self._looks.manifest.shown[lit], gates[lit])
+
+    def take(self, asked: FrameList, arrivals: Arrivals) -> np.ndarray:
+        """Probabilities (C,) of the classes, from the photons of a look and those before."""
+        counts, noise = self._by_rail(asked, arrivals)
+        self._counts = self._counts + counts
+        self._noise = self._noise + noise
+        photons = self._state.photons
+        self._features += self._design.features(counts) / photons
+        # The network is told the gates that were shown, not the dwells that it asked for
+        self._dwell += self._gates / self._state.exposure_ns
+        return self._design.chances(self._design.inputs(self._features, self._dwell), photons)
+
+    def compare(self, on: AllOnCounts) -> SceneComparison | None:
+        """Comparison of all counts with the training; none where nothing of it is known."""
+        design = self._design
+        distribution = design.distribution
+        if distribution is None:
+            return None
+        dwell = (self._dwell * design.frames).reshape(design.masks, -1).T[:, :, None]
+        dwell = np.broadcast_to(dwell, self._counts.shape).ravel()
+        on_dwell = on.seconds / (self._state.exposure_ns * 1e-9)
+        result = distribution.after(self._look).test(
+            np.append(self._counts, on.counts)[None, None],
+            np.array([self._state.photons]),
+            np.append(self._noise, on.noise)[None, None],
+            np.append(dwell, on_dwell)[None, None],
+        )
+        detail = f"{result.brightness:.2f} times the counts of its mean scene at this budget"
+        return SceneComparison(float(result.exposures[0]), bool(result.unsure[0]), detail)
+
+    def _by_rail(self, asked: FrameList, arrivals: Arrivals) -> np.ndarray:
+        """Counts of a look that are a scene's, and noise beyond their own: (2, rails, m, D)."""
+        manifest = self._looks.manifest
+        rows = rows_of(manifest, asked)
+        every = np.zeros((2, len(manifest.shown), manifest.inputs))
+        every[:, rows] = self._state.signal(asked, rows, arrivals)
+        return manifest.by_readout(every).reshape(2, *self._shape)

@@ -1,16 +1,17 @@
 """A live run replayed from its files: photons counted again, and the decisions that follow.
 
-The photon file and `shown.jsonl` hold all that the loop knew. `count_live` finds each frame by the
-number of its marker and counts its gate; `replay_run` hands the counts to the code that decided,
-asks of every list whether it is the one that was shown, and gives the decisions.
+The photon file and the frame log hold all that the run knew. `LiveCounts.count` finds each frame by
+the number of its marker and counts its gate; `replay_run` hands the counts to the observer that
+decided, asks of every list whether it is the one that was shown, and gives the decisions.
 """
 
 import io
 import json
-from collections.abc import Iterable, Iterator
+from collections import deque
+from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
+from typing import ClassVar, NamedTuple, Self
 
 import numpy as np
 
@@ -19,155 +20,278 @@ from deepfsi.base.numeric import read_npz
 from deepfsi.designfile import SceneReadouts
 from deepfsi.hardware.counting import Acquisition, FrameCounts, read_run
 from deepfsi.hardware.light import PARTS
-from deepfsi.hardware.live import shown
-from deepfsi.hardware.live.decisions import Decision, Observer
-from deepfsi.hardware.live.looks import FrameList, LiveLooks
-from deepfsi.hardware.live.shown import DARK, ShownList, ShownScene, read_shown
+from deepfsi.hardware.live.frame_log import DARK_SCENE, FrameLog, LoggedList, LoggedScene
+from deepfsi.hardware.live.looks import FrameList, LookChooser
+from deepfsi.hardware.live.observer import Decision, SceneObserver
+from deepfsi.hardware.live.results import LiveAnswers, LiveScene
 from deepfsi.hardware.patterns.sequence import Manifest
-from deepfsi.hardware.photons import (
-    PhotonSource,
-    count_windows,
-    cut_windows,
-    read_markers,
-)
-from deepfsi.lab.results import LiveScene
+from deepfsi.hardware.photons import PhotonSource, count_windows, cut_windows, read_markers
 
-PHOTONS, COUNTS = "photons.ptu", "counts.npz"
-"""Files of the recording and its counts."""
+PHOTONS = "photons.ptu"
+"""File of the recording."""
 
-COUNTED = ("acquisition.json", shown.NAME, PHOTONS)
+COUNTED = ("acquisition.json", FrameLog.NAME, PHOTONS)
 """Files whose hashes the counts hold."""
 
 
-def is_live(folder: Path) -> bool:
-    """True for the folder of a live run, which has a record of its frames."""
-    return (folder / shown.NAME).exists()
+def is_live(folder: Path, *settings: object) -> bool:
+    """True for the folder of a live run, which has a record of its frames.
 
+    Parameters
+    ----------
+    folder : path
+        Of a run.
+    *settings
+        Options of counting or classifying it, None where they are not given.
 
-@dataclass(frozen=True)
-class LiveCounts:
-    """Counts of the finished scenes of a live run."""
-
-    acquisition: Acquisition
-    manifest: Manifest
-    scenes: tuple[ShownScene, ...]  # with their frames and gates
-    found: FrameCounts  # scene by scene, list by list, frame by frame
-
-    @property
-    def by_scene(self) -> Iterator[tuple[ShownScene, list[FrameCounts]]]:
-        """Scenes with the counts of their lists."""
-        stop = 0
-        for scene in self.scenes:
-            lists = []
-            for each in scene.lists:
-                start, stop = stop, stop + len(each.frames)
-                lists.append(self.found[start:stop])
-            yield scene, lists
-
-
-def count_live(folder: Path, report: Progress = SILENT) -> LiveCounts:
-    """Count the photons of a live run and write counts.npz."""
-    run, scenes = read_run(folder), read_shown(folder)
-    acquisition, header = run.acquisition, run.open_photons()
-    markers, starts, stops = _find_gates(header, scenes, acquisition, report.between(0.0, 0.4))
-    parts = cut_windows(starts, stops, PARTS)
-    counts = count_windows(header.path, *parts, acquisition.inputs, report.between(0.4, 1.0))
-    found = FrameCounts(
-        markers.astype(np.float64) * header.tick_s, counts.reshape(len(markers), PARTS, -1)
-    )
-    about = json.dumps({name: hash_file(folder / name) for name in COUNTED}).encode()
-    file = io.BytesIO()
-    np.savez(
-        file, counts=found.parts, starts_s=found.starts_s, about=np.frombuffer(about, np.uint8)
-    )
-    write_atomically(folder / COUNTS, file.getvalue())
-    return LiveCounts(acquisition, run.manifest, scenes, found)
-
-
-def _find_gates(
-    header: PhotonSource, scenes: tuple[ShownScene, ...], acquisition: Acquisition, report: Progress
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Markers, starts and stops of all gates, ticks, as the counter had them while it ran."""
-    times, bits = read_markers(header.path, report)
-    times = times[bits & acquisition.marker_bit != 0]
-    places = np.concatenate([np.concatenate(each.first_markers) for each in scenes])
-    if places.max() >= len(times):
-        raise InputError(
-            f"{header.path} has {len(times)} frame markers, and {shown.NAME} says at least "
-            f"{places.max() + 1}: give the photon file of this run"
-        )
-    gate_ns = np.concatenate([part.gate_ns for each in scenes for part in each.lists])
-    starts = times[places] + round(acquisition.settle_s / header.tick_s)
-    lengths = np.rint(gate_ns * 1e-9 / header.tick_s).astype(np.int64)
-    return times[places], starts, starts + lengths
-
-
-def read_live_counts(folder: Path) -> LiveCounts:
-    """Counts of a live run as `count_live` wrote them."""
-    path, again = folder / COUNTS, "count again with `deepfsi camera count`"
-    scenes = read_shown(folder)
-    run = read_run(folder)
-    acquisition, patterns = run.acquisition, run.patterns
-    held = read_npz(path, again)
-    try:
-        counts, starts = held["counts"], held["starts_s"]
-        about = json.loads(held["about"].tobytes())
-    except (KeyError, ValueError, RecursionError):
-        raise InputError(f"{path} is not a whole file of counts: {again}") from None
-    frames = sum(len(each.frames) for scene in scenes for each in scene.lists)
-    wanted = frames, PARTS, len(acquisition.inputs)
-    hashes = {name: hash_file(folder / name) for name in COUNTED}
-    whole = counts.shape == wanted and counts.dtype == np.int64
-    whole &= starts.shape == (frames,) and starts.dtype == np.float64
-    if not whole or about != hashes:
-        raise InputError(f"{path} is of other files than those beside it: {again}")
-    return LiveCounts(acquisition, patterns.manifest, scenes, FrameCounts(starts, counts))
-
-
-@dataclass(frozen=True)
-class Replayed:
-    """A scene of a run replayed."""
-
-    shown: ShownScene  # as the run has it
-    decisions: tuple[Decision, ...]  # after each look, from its counts; none without light
-    answer: LiveScene
-    rows: SceneReadouts | None = None  # its counts behind its masks; none without light
-
-
-def replay_run(run: LiveCounts, looks: LiveLooks) -> tuple[Replayed, ...]:
-    """Decisions of a live run from its counts, or `InputError` where they lead to other looks."""
-    observer = Observer(looks, run.manifest, run.acquisition)
-    out = []
-    for scene, counts in run.by_scene:
-        left = list(zip(scene.lists, counts, strict=True))
-        if scene.scene == DARK:
-            observer.measure_background(partial(_recall, left))
-            continue
-        decisions = tuple(observer.observe(scene.scene, partial(_recall, left)))
-        last = decisions[-1] if decisions else None
-        found = () if last is None else tuple(last.chances.tolist())
-        faults = () if last is None else last.faults
-        agrees = not left and (found, faults) == (scene.chances, scene.faults)
-        named = run.acquisition.scenes[scene.scene]
-        answer = LiveScene.of(named, last, looks, scene.clock_s, agrees)
-        out.append(Replayed(scene, decisions, answer, observer.rows if decisions else None))
-    return tuple(out)
-
-
-def check_as_it_was(given: Iterable[object]) -> None:
-    """Raise `InputError` if a live run is to be counted or classified otherwise than it was."""
-    if any(each is not None for each in given):
+    Raises
+    ------
+    InputError
+        If it is a live run, which takes no options: it is counted and classified as it was.
+    """
+    live = (folder / FrameLog.NAME).exists()
+    if live and any(setting is not None for setting in settings):
         raise InputError(
             "a live run is counted and classified as it was: its looks followed from these counts; "
             "leave the options out"
         )
+    return live
 
 
-def _recall(left: list[tuple[ShownList, FrameCounts]], asked: FrameList) -> FrameCounts:
-    """Counts of the next list that was shown, in place of devices."""
-    if not left or not left[0][0].matches(asked):
-        raise InputError(
-            "a look of this run is not the one that follows from its counts: it was made with "
-            "another version of the design, of deepfsi or of NumPy"
+@dataclass(frozen=True)
+class LiveCounts:
+    """Counts of the finished scenes of a live run.
+
+    Parameters
+    ----------
+    acquisition : Acquisition
+        Settings of the run.
+    manifest : Manifest
+        Patterns that were shown.
+    log : FrameLog
+        Scenes with their frames and gates.
+    frames : FrameCounts
+        Scene by scene, list by list, frame by frame.
+    """
+
+    NAME: ClassVar = "counts.npz"
+    acquisition: Acquisition
+    manifest: Manifest
+    log: FrameLog
+    frames: FrameCounts
+
+    @classmethod
+    def count(cls, folder: Path, report: Progress = SILENT) -> Self:
+        """Count the photons of a live run, and write the counts to its folder.
+
+        Parameters
+        ----------
+        folder : path
+            Of the run.
+        report : Progress
+            Told of the share that is done.
+
+        Raises
+        ------
+        InputError
+            If files are missing or damaged, or the photon file is of another run.
+        """
+        run = read_run(folder)
+        log = FrameLog.read(folder)
+        photons = run.open_photons()
+        gates = _find_gates(photons, log, run.acquisition, report.between(0.0, 0.4))
+        starts, stops = cut_windows(gates.starts, gates.stops, PARTS)
+        counts = count_windows(
+            photons.path, starts, stops, run.acquisition.inputs, progress=report.between(0.4, 1.0)
         )
-    return left.pop(0)[1]
+        counts = counts.reshape(len(gates.markers), PARTS, -1)
+        frames = FrameCounts(gates.markers.astype(np.float64) * photons.tick_s, counts)
+        about = np.frombuffer(json.dumps(_hashes(folder)).encode(), np.uint8)
+        file = io.BytesIO()
+        np.savez(file, counts=frames.parts, starts_s=frames.starts_s, about=about)
+        write_atomically(folder / cls.NAME, file.getvalue())
+        return cls(run.acquisition, run.manifest, log, frames)
+
+    @classmethod
+    def read(cls, folder: Path) -> Self:
+        """Counts as `count` wrote them.
+
+        Parameters
+        ----------
+        folder : path
+            Of the run.
+
+        Raises
+        ------
+        InputError
+            If there are none, or they are of other files than those beside them.
+        """
+        path = folder / cls.NAME
+        again = "count again with `deepfsi camera count`"
+        log = FrameLog.read(folder)
+        run = read_run(folder)
+        manifest = run.patterns.manifest
+        content = read_npz(path, again)
+        try:
+            counts = content["counts"]
+            starts = content["starts_s"]
+            about = json.loads(content["about"].tobytes())
+        except (KeyError, ValueError, RecursionError):
+            raise InputError(f"{path} is not a whole file of counts: {again}") from None
+        frames = sum(len(shown.frames) for scene in log.scenes for shown in scene.lists)
+        wanted = frames, PARTS, len(run.acquisition.inputs)
+        fits = counts.shape == wanted and counts.dtype == np.int64
+        fits &= starts.shape == (frames,) and starts.dtype == np.float64
+        if not fits or about != _hashes(folder):
+            raise InputError(f"{path} is of other files than those beside it: {again}")
+        return cls(run.acquisition, manifest, log, FrameCounts(starts, counts))
+
+    @property
+    def by_scene(self) -> Iterator[tuple[LoggedScene, list[FrameCounts]]]:
+        """Scenes with the counts of their lists."""
+        stop = 0
+        for scene in self.log.scenes:
+            lists = []
+            for shown in scene.lists:
+                start = stop
+                stop += len(shown.frames)
+                lists.append(self.frames[start:stop])
+            yield scene, lists
+
+
+class _Gates(NamedTuple):
+    """Gates of all frames of a run, ticks (F,)."""
+
+    markers: np.ndarray
+    starts: np.ndarray
+    stops: np.ndarray
+
+
+def _find_gates(
+    photons: PhotonSource, log: FrameLog, acquisition: Acquisition, report: Progress
+) -> _Gates:
+    """Gates of all frames, as the counter had them while the run was made."""
+    times, bits = read_markers(photons.path, report)
+    times = times[bits & acquisition.marker_bit != 0]
+    numbers = np.concatenate([np.concatenate(scene.first_markers) for scene in log.scenes])
+    if numbers.max() >= len(times):
+        raise InputError(
+            f"{photons.path} has {len(times)} frame markers, and {log.NAME} says at least "
+            f"{numbers.max() + 1}: give the photon file of this run"
+        )
+    gate_ns = np.concatenate([shown.gate_ns for scene in log.scenes for shown in scene.lists])
+    markers = times[numbers]
+    starts = markers + round(acquisition.settle_s / photons.tick_s)
+    lengths = np.rint(gate_ns * 1e-9 / photons.tick_s).astype(np.int64)
+    return _Gates(markers, starts, starts + lengths)
+
+
+def _hashes(folder: Path) -> dict[str, str]:
+    """Hashes of the files that counts are of."""
+    return {name: hash_file(folder / name) for name in COUNTED}
+
+
+class LoggedFrames:
+    """Frames of one scene, whose counts are looked up in place of being counted by devices.
+
+    Parameters
+    ----------
+    scene : LoggedScene
+        Lists that were shown.
+    counts : list of FrameCounts
+        Of each list.
+    """
+
+    def __init__(self, scene: LoggedScene, counts: list[FrameCounts]) -> None:
+        self.left: deque[tuple[LoggedList, FrameCounts]] = deque(
+            zip(scene.lists, counts, strict=True)
+        )
+
+    def count(self, asked: FrameList) -> FrameCounts:
+        """Counts of the next list that was shown; `InputError` if another one is asked for."""
+        if not self.left or not self.left[0][0].matches(asked):
+            raise InputError(
+                "a look of this run is not the one that follows from its counts: it was made with "
+                "another version of the design, of deepfsi or of NumPy"
+            )
+        return self.left.popleft()[1]
+
+
+@dataclass(frozen=True)
+class ReplayedScene:
+    """A scene of a run replayed.
+
+    Parameters
+    ----------
+    logged : LoggedScene
+        As the run has it.
+    decisions : tuple of Decision
+        After each look, from its counts; none without light.
+    answer : LiveScene
+        Its class.
+    rows : SceneReadouts or None
+        Its counts behind its masks; None without light.
+    """
+
+    logged: LoggedScene
+    decisions: tuple[Decision, ...]
+    answer: LiveScene
+    rows: SceneReadouts | None = None
+
+
+@dataclass(frozen=True)
+class ReplayedRun:
+    """A live run decided again from its counts.
+
+    Parameters
+    ----------
+    exposure_s : float
+        Time of all looks, seconds.
+    scenes : tuple of ReplayedScene
+    """
+
+    exposure_s: float
+    scenes: tuple[ReplayedScene, ...]
+
+    @property
+    def answers(self) -> LiveAnswers:
+        """Classes of its scenes."""
+        last = [scene.decisions[-1] if scene.decisions else None for scene in self.scenes]
+        return LiveAnswers.of(self.exposure_s, (scene.answer for scene in self.scenes), last)
+
+
+def replay_run(counts: LiveCounts, looks: LookChooser) -> ReplayedRun:
+    """Decide again from the counts of a live run.
+
+    Parameters
+    ----------
+    counts : LiveCounts
+        Of the run.
+    looks : LookChooser
+        Of the design whose patterns were shown.
+
+    Raises
+    ------
+    InputError
+        If the counts lead to other looks than those that were shown.
+    """
+    observer = SceneObserver(looks, counts.manifest, counts.acquisition)
+    replayed = []
+    for scene, lists in counts.by_scene:
+        source = LoggedFrames(scene, lists)
+        if scene.scene == DARK_SCENE:
+            observer.measure_background(source)
+            continue
+        decisions = tuple(observer.observe(scene.scene, source))
+        last = decisions[-1] if decisions else None
+        again = (tuple(last.chances.tolist()), last.faults) if last else ((), ())
+        answer = LiveScene.of(
+            counts.acquisition.scenes[scene.scene],
+            last,
+            looks,
+            clock_s=scene.clock_s,
+            agrees=not source.left and again == (scene.chances, scene.faults),
+        )
+        rows = observer.rows if decisions else None
+        replayed.append(ReplayedScene(scene, decisions, answer, rows))
+    return ReplayedRun(counts.acquisition.exposure_s, tuple(replayed))

@@ -10,7 +10,7 @@ is said at once, and not when all scenes are shown.
 
 import math
 import time
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Generator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,24 +35,13 @@ from deepfsi.hardware.drivers import (
     StreamingProjector,
 )
 from deepfsi.hardware.light import NO_LIGHT, excess_chance
-from deepfsi.hardware.live import shown
-from deepfsi.hardware.live.decisions import OFF, Decision, Observer
-from deepfsi.hardware.live.known import read_looks
-from deepfsi.hardware.live.looks import FrameList
+from deepfsi.hardware.live.frame_log import DARK_SCENE, FrameLog, LoggedList, LoggedScene
+from deepfsi.hardware.live.looks import FixedMaskLooks, FrameList, LookChooser
+from deepfsi.hardware.live.observer import OFF, Decision, SceneObserver
+from deepfsi.hardware.live.results import LiveScene
 from deepfsi.hardware.patterns.folder import read_patterns
 from deepfsi.hardware.patterns.mirrors import make_frame
 from deepfsi.hardware.patterns.sequence import Manifest
-from deepfsi.lab.results import LiveScene
-
-
-@dataclass(frozen=True)
-class Decided:
-    """A decision, and when it fell."""
-
-    scene: int
-    decision: Decision | None  # none where a scene had no light
-    clock_s: float  # after the scene's first command, seconds
-    answer: LiveScene | None = None  # after the last look
 
 
 def plan_live(
@@ -60,29 +49,55 @@ def plan_live(
     scenes: tuple[Scene, ...],
     exposure_s: float,
     shortest_s: float | None = None,
+    *,
+    looks: LookChooser | None = None,
     photons: float | None = None,
     until: float | None = None,
     dead_time: DeadTime = NO_DEAD_TIME,
     background: bool = False,
     **others: object,
 ) -> Acquisition:
-    """Settings of a live run of the patterns in a folder."""
+    """Settings of a live run of the patterns in a folder.
+
+    Parameters
+    ----------
+    patterns_folder : path
+        Patterns of a design of several looks.
+    scenes : tuple of Scene
+        In their order.
+    exposure_s : float
+        Time of all looks at a scene, seconds.
+    shortest_s : float, optional
+        Shortest time for which a frame is counted, seconds; that of the device unless given.
+    looks : LookChooser, optional
+        Looks of the design; those of the folder unless given, which adaptive masks need.
+    photons : float, optional
+        Budget of an exposure, counts; measured by the all-ON frames unless given.
+    until : float, optional
+        Confidence above which an exposure stops; that of the design's rule unless given.
+    dead_time : DeadTime
+        To be corrected.
+    background : bool
+        First measure what the masks' frames count while the scenes are dark.
+    **others
+        Fields of the `Acquisition`.
+
+    Raises
+    ------
+    InputError
+        If the patterns are of no such design, or the device cannot show its looks so.
+    """
+    looks = looks or FixedMaskLooks.read(patterns_folder)
     manifest = read_patterns(patterns_folder).manifest
-    if manifest.looks is None:
-        raise InputError(
-            f"{patterns_folder} has the patterns of a design of fixed dwells: learn one of several "
-            "`looks`, or record it with `deepfsi camera simulate` or `prepare`"
-        )
     if not (math.isfinite(exposure_s) and exposure_s > 0):
         raise InputError(f"exposure {exposure_s!r} is not allowed: give seconds above 0")
     if photons is not None and not (math.isfinite(photons) and photons > 0):
         raise InputError(f"photons {photons!r} is not allowed: give a number above 0")
-    if background and manifest.looks.adaptive:
+    if background and manifest.looks and manifest.looks.adaptive:
         raise InputError(
             "adaptive masks are not known before, and a `background` is measured mask by mask: "
             "keep ambient light out, and leave it out"
         )
-    looks = read_looks(patterns_folder, manifest)
     rule = _find_rule(looks.rule, until)
     looks_s = exposure_s * np.array(looks.shares)
     shortest_ns = _shortest_gate(manifest, looks_s, shortest_s)
@@ -104,10 +119,10 @@ def plan_live(
         )
 
 
-def _find_rule(own: StopRule | None, until: float | None) -> StopRule | None:
-    """Rule of a run: the design's own, or one of a confidence, for any budget."""
+def _find_rule(of_design: StopRule | None, until: float | None) -> StopRule | None:
+    """Rule of a run: the design's, or one of a confidence, for any budget."""
     if until is None:
-        return own
+        return of_design
     if not 0 < until < 1:
         raise InputError(f"confidence {until!r} is not allowed: give `until` between 0 and 1")
     return StopRule(threshold=until)
@@ -121,7 +136,8 @@ def _shortest_gate(manifest: Manifest, looks_s: np.ndarray, shortest_s: float | 
             f"{device.name} shows all frames for one time, and looks choose theirs: export for a "
             "device that stores frames, such as dlp7000"
         )
-    look_s, look_ns = float(looks_s.min()), np.array(looks_s.max() * 1e9)
+    look_s = float(looks_s.min())
+    look_ns = np.array(looks_s.max() * 1e9)
     longest_us = float(look_ns + margin_ns(look_ns)) * 1e-3 + device.settle_us
     if longest_us > device.longest_us:
         raise InputError(
@@ -140,128 +156,157 @@ def _shortest_gate(manifest: Manifest, looks_s: np.ndarray, shortest_s: float | 
     return shortest_ns
 
 
+@dataclass(frozen=True)
+class LiveStep:
+    """A decision of a live run, and when it fell.
+
+    Parameters
+    ----------
+    scene : int
+        From 0.
+    decision : Decision or None
+        None where a scene had no light.
+    clock_s : float
+        After the scene's first command, seconds.
+    answer : LiveScene or None
+        Class of the scene, after its last look.
+    """
+
+    scene: int
+    decision: Decision | None
+    clock_s: float
+    answer: LiveScene | None = None
+
+
 def run_live(
-    folder: Path, patterns_folder: Path, acquisition: Acquisition, setup: Setup[StreamingProjector]
-) -> Generator[Decided]:
-    """Show, count and decide; gives each decision as it falls."""
-    # The folder, new or empty, is as that of any acquisition, with `shown.jsonl` in it. Scenes that
-    # are finished are kept whenever the run is stopped. The settings are those of `plan_live`; the
-    # devices are taken hold of, and let go at the end
+    folder: Path,
+    patterns_folder: Path,
+    acquisition: Acquisition,
+    setup: Setup[StreamingProjector],
+    looks: LookChooser | None = None,
+) -> Generator[LiveStep]:
+    """Show, count and decide; gives each decision as it falls.
+
+    Parameters
+    ----------
+    folder : path
+        Of the run, new. Scenes that are finished are kept whenever the run is stopped: their lines
+        are in its `shown.jsonl` before their last decision is given.
+    patterns_folder : path
+        Patterns that are shown.
+    acquisition : Acquisition
+        Settings of the run, as `plan_live` makes them.
+    setup : Setup
+        Devices; taken hold of, and let go at the end.
+    looks : LookChooser, optional
+        Looks of the design; those of the folder unless given, which adaptive masks need.
+
+    Yields
+    ------
+    LiveStep
+        After each look at a scene; the last one, or the only one of a scene without light, has its
+        `answer`.
+
+    Raises
+    ------
+    InputError
+        If files do not fit, or a device fails.
+    """
     assert acquisition.live is not None
     live = acquisition.live.model_copy(update={"latencies": setup.latencies})
     acquisition = acquisition.model_copy(update={"live": live})
-    patterns = read_patterns(patterns_folder)
-    looks = read_looks(patterns_folder, patterns.manifest)
-    observer = Observer(looks, patterns.manifest, acquisition)
+    manifest = read_patterns(patterns_folder).manifest
+    looks = looks or FixedMaskLooks.read(patterns_folder)
+    observer = SceneObserver(looks, manifest, acquisition)
     with ExitStack() as stack:
         stack.enter_context(setup.projector)
         stack.enter_context(setup.counter)
         setup.projector.load(patterns_folder)
         prepare_run(folder, patterns_folder, acquisition)
         setup.counter.start(folder / "photons.ptu")
-        show = _Sequencer(setup, patterns.manifest, acquisition)
-        record = stack.enter_context(GrowingFile(folder / shown.NAME))
+        log = stack.enter_context(GrowingFile(folder / FrameLog.NAME))
+        frames = _DeviceFrames(setup, manifest, acquisition.settle_s)
         if live.background:
-            setup.display(shown.DARK)
-            _measure(setup.clock, observer, show, record)
-        for place, scene in enumerate(acquisition.scenes):
-            setup.display(place)
-            yield from _look(place, scene, setup.clock, observer, show, record)
+            frames.begin(DARK_SCENE)
+            observer.measure_background(frames)
+            log.write(frames.logged(None).line)
+        for number, scene in enumerate(acquisition.scenes):
+            frames.begin(number)
+            decision: Decision | None = None
+            for decision in observer.observe(number, frames):
+                if not decision.final:
+                    yield LiveStep(number, decision, frames.clock_s)
+            logged = frames.logged(decision)
+            log.write(logged.line)
+            note_saved_work("finished scenes are kept")
+            answer = LiveScene.of(scene, decision, looks, clock_s=logged.clock_s)
+            yield LiveStep(number, decision, logged.clock_s, answer)
         setup.counter.stop()
 
 
-def _measure(
-    clock: Callable[[], float], observer: Observer, show: "_Sequencer", record: GrowingFile
-) -> None:
-    """Measure the masks' own background, and record what was shown for it."""
-    start = clock()
-    observer.measure_background(show)
-    line = shown.ShownScene(
-        scene=shown.DARK,
-        first_marker=0,
-        lists=tuple(show.lists),
-        chances=(),
-        light_s=0.0,
-        clock_s=clock() - start,
-    )
-    record.write(f"{line.model_dump_json()}\n".encode())
-
-
-def _look(
-    place: int,
-    scene: Scene,
-    clock: Callable[[], float],
-    observer: Observer,
-    show: "_Sequencer",
-    record: GrowingFile,
-) -> Iterator[Decided]:
-    """Decide on a scene; its line is in the record before the last decision is given."""
-    start, show.lists, first, last = clock(), [], show.markers, None
-    for last in observer.observe(place, show):
-        if not last.final:
-            yield Decided(place, last, clock() - start)
-    clock_s = clock() - start
-    finished = shown.ShownScene(
-        scene=place,
-        first_marker=first,
-        lists=tuple(show.lists),
-        chances=() if last is None else tuple(last.chances.tolist()),
-        faults=() if last is None else last.faults,
-        light_s=0.0 if last is None else last.light_s,
-        clock_s=clock_s,
-    )
-    record.write(f"{finished.model_dump_json()}\n".encode())
-    note_saved_work("finished scenes are kept")
-    answer = LiveScene.of(scene, last, observer.looks, clock_s)
-    yield Decided(place, last, clock_s, answer)
-
-
-class _Sequencer:
-    """Shows list after list of frames, and gives the counts of each."""
+class _DeviceFrames:
+    """Frames of a live run, shown and counted by devices list after list, scene after scene."""
 
     def __init__(
-        self, setup: Setup[StreamingProjector], manifest: Manifest, acquisition: Acquisition
+        self, setup: Setup[StreamingProjector], manifest: Manifest, settle_s: float
     ) -> None:
-        self._setup, self._manifest = setup, manifest
-        self._settle_s = acquisition.settle_s
+        self._setup = setup
+        self._manifest = manifest
+        self._settle_s = settle_s
         self._counted = _CountedFrames(setup.counter, manifest.inputs)
-        self.lists: list[shown.ShownList] = []
-        self.markers = 0
+        self._markers = 0  # of all lists so far
 
-    def __call__(self, asked: FrameList) -> FrameCounts:
-        projector, counter = self._setup.projector, self._setup.counter
+    def begin(self, scene: int) -> None:
+        """Show a scene: lists from here on are its own."""
+        self._setup.display(scene)
+        self._scene = scene
+        self._lists: list[LoggedList] = []
+        self._first_marker = self._markers
+        self._start_s = self._setup.clock()
+
+    @property
+    def clock_s(self) -> float:
+        """Time since the scene's first command, seconds."""
+        return self._setup.clock() - self._start_s
+
+    def logged(self, decision: Decision | None) -> LoggedScene:
+        """The scene as it was shown, and its last decision; none where it had no light."""
+        return LoggedScene(
+            scene=self._scene,
+            first_marker=self._first_marker,
+            lists=tuple(self._lists),
+            chances=tuple(decision.chances.tolist()) if decision else (),
+            faults=decision.faults if decision else (),
+            light_s=decision.light_s if decision else 0.0,
+            clock_s=self.clock_s,
+        )
+
+    def count(self, asked: FrameList) -> FrameCounts:
+        """Counts of the frames of a list, which are shown."""
+        projector = self._setup.projector
         if asked.masks is not None:
             manifest = self._manifest
-            for place, mask in zip(asked.frames, asked.masks, strict=True):
-                frame = make_frame(mask, manifest.device, manifest.grid)
-                projector.replace(int(place), frame)
-        gates_s = np.append(asked.gate_ns, 0) * 1e-9
+            for frame, mask in zip(asked.frames, asked.masks, strict=True):
+                projector.replace(int(frame), make_frame(mask, manifest.device, manifest.grid))
         frames = np.append(asked.frames, OFF)
-        pictures_s = self._pictures(asked)
-        markers, each_s = projector.pictures(pictures_s)
+        gates_s = np.append(asked.gate_ns, 0) * 1e-9
+        pictures_s = self._pictures_s(asked)
+        markers, markers_s = projector.pictures(pictures_s)
         offsets_s = np.full(len(frames), self._settle_s)
-        counter.expect(FrameGates(offsets_s, gates_s, markers, each_s))
+        self._setup.counter.expect(FrameGates(offsets_s, gates_s, markers, markers_s))
         projector.show(frames, pictures_s)
         limit_s = float(pictures_s.sum()) + PATIENCE_S
         counts = self._counted.take(len(asked.frames), limit_s)
-        self.lists.append(
-            shown.ShownList(
-                look=asked.look,
-                frames=tuple(asked.frames.tolist()),
-                gate_ns=tuple(asked.gate_ns.tolist()),
-                markers=tuple(markers.tolist()),
-                masks=shown.packed(asked.masks),
-            )
-        )
-        self.markers += int(markers.sum())
+        self._lists.append(LoggedList.of(asked, markers))
+        self._markers += int(markers.sum())
         return counts
 
-    def _pictures(self, asked: FrameList) -> np.ndarray:
+    def _pictures_s(self, asked: FrameList) -> np.ndarray:
         """Times for which frames, and the all-OFF one after them, are held, whole µs in seconds."""
         device = self._manifest.device
         us = np.ceil((asked.gate_ns + margin_ns(asked.gate_ns)) * 1e-3 + device.settle_us)
         if asked.look < 0:
-            us = np.array([self._manifest.frames[place].picture_us for place in asked.frames])
+            us = np.array([self._manifest.frames[index].picture_us for index in asked.frames])
         return np.append(np.maximum(us, device.shortest_us), device.shortest_us) * 1e-6
 
 
@@ -272,12 +317,15 @@ class _CountedFrames:
     """
 
     def __init__(self, counter: StreamingCounter, inputs: int) -> None:
-        self._counter, self._inputs = counter, inputs
+        self._counter = counter
+        self._inputs = inputs
         self._late = 0  # frames of earlier lists whose counts are still to come
 
     def take(self, wanted: int, limit_s: float, since: str = "") -> FrameCounts:
         """Counts of the next frames, within a time; `since` says in a fault when it begins."""
-        until, parts, count = time.monotonic() + limit_s, [], -self._late
+        until = time.monotonic() + limit_s
+        parts = []
+        count = -self._late
         while count < wanted:
             left = until - time.monotonic()
             if left <= 0:
@@ -295,13 +343,24 @@ class _CountedFrames:
 
 @dataclass(frozen=True)
 class RecordedScene:
-    """A scene as its pass was counted while it was recorded, counts/s."""
+    """A scene as its pass was counted while it was recorded, counts/s.
+
+    Parameters
+    ----------
+    scene : Scene
+    on_rate, off_rate : float
+        In the all-ON frames and the first all-OFF frame, of the detectors that see mirrors ON.
+    masks_rate : float
+        In the masks' frames, of all detectors.
+    lit : bool
+        True if all-ON frames are brighter than the all-OFF one, by more than chance.
+    """
 
     scene: Scene
-    on_rate: float  # in the all-ON frames, of the detectors that see mirrors ON
-    off_rate: float  # in the first all-OFF frame, of the same
-    masks_rate: float  # in the masks' frames, of all detectors
-    lit: bool  # whether all-ON frames are brighter than the all-OFF one, by more than chance
+    on_rate: float
+    off_rate: float
+    masks_rate: float
+    lit: bool
 
 
 def record_run(
@@ -371,7 +430,9 @@ class _Passes:
         manifest: Manifest,
         settle_s: float,
     ) -> None:
-        self._projector, self._counter, self._manifest = projector, counter, manifest
+        self._projector = projector
+        self._counter = counter
+        self._manifest = manifest
         self._frames = _CountedFrames(counter, manifest.inputs)
         room = manifest.picture_s - settle_s
         lengths = np.maximum(room - margin_ns(room * 1e9) * 1e-9, 0)
@@ -385,10 +446,13 @@ class _Passes:
         self._projector.run()
         self._projector.wait()
         counts = self._frames.take(len(self._gates) - 1, PATIENCE_S, " of their pass").counts
-        times, masks = self._gates.lengths_s[:-1], self._manifest.shown
+        times = self._gates.lengths_s[:-1]
+        masks = self._manifest.shown
         arm = counts[:, : self._manifest.detector_count]  # those that see mirrors ON
-        on, on_s = arm[[0, -1]].sum(), times[[0, -1]].sum()
-        off, off_s = arm[1].sum(), times[1]
+        on = arm[[0, -1]].sum()
+        on_s = times[[0, -1]].sum()
+        off = arm[1].sum()
+        off_s = times[1]
         return RecordedScene(
             scene=scene,
             on_rate=float(on / on_s),

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from deepfsi.base.numeric import wilson
-from deepfsi.designfile import NO_MEASURE
+from deepfsi.designfile.provenance import NO_MEASURE
 
 
 @dataclass(frozen=True)
-class Tally:
+class RightAnswers:
     """Right answers to some scenes."""
 
     right: int = 0
@@ -30,21 +30,30 @@ class Tally:
 
 @dataclass(frozen=True)
 class Score:
-    """Right answers to labelled scenes. Those to new ones alone measure the design."""
+    """Right answers to labelled scenes. Those to new ones alone measure the design.
 
-    new: Tally
-    trained_on: Tally
-    unknown: Tally  # of scenes of which it is not known whether the design was trained on them
+    Parameters
+    ----------
+    new, trained_on : RightAnswers
+        To scenes that the design was not trained on, and to those that it was.
+    unknown : RightAnswers
+        To scenes of which that is not known.
+    """
+
+    new: RightAnswers
+    trained_on: RightAnswers
+    unknown: RightAnswers
 
     @classmethod
     def of(cls, scenes: Iterable[tuple[bool | None, int, int]]) -> "Score":
         """Score of scenes: whether trained on, and numbers of right answers and of all."""
-        kinds: dict[bool | None, Tally] = {False: Tally(), True: Tally(), None: Tally()}
+        kinds: dict[bool | None, RightAnswers] = dict.fromkeys((False, True, None), RightAnswers())
         for trained, right, answers in scenes:
             if answers:
-                held = kinds[trained]
-                sums = held.right + right, held.answers + answers, held.scenes + 1
-                kinds[trained] = Tally(*sums)
+                before = kinds[trained]
+                kinds[trained] = RightAnswers(
+                    before.right + right, before.answers + answers, before.scenes + 1
+                )
         return cls(kinds[False], kinds[True], kinds[None])
 
     @property
@@ -54,7 +63,9 @@ class Score:
 
     def lines(self, noun: str) -> list[str]:
         """Score in words, new scenes first, with what an answer is to: a picture, an exposure."""
-        new, trained, unknown = self.new, self.trained_on, self.unknown
+        new = self.new
+        trained = self.trained_on
+        unknown = self.unknown
         lines = []
         if new.answers:
             also = f"new {noun}s" if trained.answers else f"{noun}s, none of them trained on"
@@ -81,10 +92,10 @@ class Score:
         return {name: each.as_dict() for name, each in vars(self).items()}
 
 
-def _share(tally: Tally) -> str:
+def _share(tally: RightAnswers) -> str:
     return f"{tally.right} of {tally.answers}"
 
 
-def _interval(tally: Tally) -> str:
+def _interval(tally: RightAnswers) -> str:
     low, high = tally.interval
     return f"({tally.right / tally.answers:.2f}, 95 % {low:.2f} to {high:.2f})"

@@ -10,8 +10,7 @@ from conftest import quick
 from deepfsi.base import InputError
 from deepfsi.camera import DeadTime, find_device
 from deepfsi.hardware.drivers import Setup
-from deepfsi.hardware.live.replay import count_live
-from deepfsi.hardware.live.run import plan_live, run_live
+from deepfsi.hardware.live import LiveCounts, plan_live, run_live
 from deepfsi.hardware.patterns.folder import export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.virtual import (
@@ -24,7 +23,7 @@ from deepfsi.hardware.virtual import (
     VirtualProjector,
     arrival_rates,
 )
-from deepfsi.lab.rails import design_rails
+from deepfsi.lab import design_rails
 from shared.live_samples import replay, scenes_of
 
 FLUX, EXPOSURE_S, SCENES = 1e7, 10e-3, 16
@@ -88,7 +87,7 @@ def answers(folder, patterns, digits, lab=Lab(), scenes=SCENES, change=None, **s
     found = [
         each.answer for each in run_live(folder, patterns, acquisition, devices) if each.answer
     ]
-    count_live(folder)
+    LiveCounts.count(folder)
     for one, again in zip(found, replay(folder), strict=True):
         assert again.answer.agrees
         assert replace(again.answer, agrees=None) == one

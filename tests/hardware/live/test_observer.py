@@ -1,5 +1,7 @@
 """Laws of the decisions of a live run: what they owe to dark counts, the budget and the dwells."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -8,11 +10,12 @@ from deepfsi.camera import DeadTime
 from deepfsi.design.artifact import Design
 from deepfsi.hardware.counting import FrameCounts, Scene
 from deepfsi.hardware.light import PARTS
-from deepfsi.hardware.live.decisions import SENTINELS, Observer
-from deepfsi.hardware.live.known import read_looks
+from deepfsi.hardware.live import SceneObserver
+from deepfsi.hardware.live.observer import SCENE_ENDS
 from deepfsi.hardware.live.run import plan_live
 from deepfsi.hardware.patterns.folder import read_patterns
 from deepfsi.hardware.virtual import CAMERAS, Detector, arrival_rates
+from deepfsi.lab import open_looks
 from shared.live_samples import LOOKS, OPTICS, make_patterns, scenes_of
 
 EXPOSURE_S, FLUX = 10e-3, 1e7
@@ -27,22 +30,22 @@ def observe(patterns, rates, scenes=1, background=None, **settings):
     """Decisions on scenes whose counts are their means, and the lists that were asked for."""
     acquisition = plan_live(patterns, (Scene(name="a"),), EXPOSURE_S, **settings)
     manifest = read_patterns(patterns).manifest
-    observer, asked = Observer(read_looks(patterns, manifest), manifest, acquisition), []
+    observer, asked = SceneObserver(open_looks(patterns), manifest, acquisition), []
     rates = rates if background is None else np.concatenate([rates, background[None]])
 
-    def count(scene):
+    def source(scene):
         def counts(lists):
             asked.append(lists)
             photons = rates[scene][lists.frames] * lists.gate_ns[:, None] * 1e-9
             starts_s = 0.1 * scene + 5e-3 * len(asked) + np.arange(len(photons)) * 1e-3
             return FrameCounts(starts_s, np.repeat(photons[:, None] / PARTS, PARTS, axis=1))
 
-        return counts
+        return SimpleNamespace(count=counts)
 
     if background is not None:
-        observer.measure_background(count(-1))
+        observer.measure_background(source(-1))
         asked.clear()
-    decided = [list(observer.observe(scene, count(scene))) for scene in range(scenes)]
+    decided = [list(observer.observe(scene, source(scene))) for scene in range(scenes)]
     return decided, asked
 
 
@@ -129,7 +132,7 @@ def test_a_scene_is_judged_by_the_light_of_all_so_far(digits, patterns):
         frames[-1] = 1  # the second all-ON frame of this scene follows its looks
         mean = flux[:k] @ frames / frames.sum()
         assert each[-1].photons == pytest.approx(mean * EXPOSURE_S, rel=1e-6)
-    assert [each.look for each in asked] == 3 * [SENTINELS, *range(LOOKS), SENTINELS]
+    assert [each.look for each in asked] == 3 * [SCENE_ENDS, *range(LOOKS), SCENE_ENDS]
 
 
 def test_a_scene_without_light_is_not_decided_upon_and_changes_no_budget(digits, patterns):
@@ -214,7 +217,7 @@ def test_a_mask_beyond_the_rate_that_is_sure_is_corrected_as_there(digits, patte
 def test_the_light_of_a_decision_is_that_of_all_looks_so_far(digits, patterns):
     rates = rates_of(patterns, digits, 2)
     decided, asked = observe(patterns, rates, 2)
-    looks = np.array([each.gate_ns.sum() for each in asked if each.look != SENTINELS])
+    looks = np.array([each.gate_ns.sum() for each in asked if each.look != SCENE_ENDS])
     for scene, own in zip(decided, looks.reshape(2, LOOKS), strict=True):
         assert [each.light_s for each in scene] == pytest.approx(np.cumsum(own) * 1e-9)
 
@@ -230,7 +233,7 @@ def test_law_all_on_frames_have_the_noise_of_what_is_subtracted_and_of_a_dead_ti
     registered = arrived / (1 + arrived * dead_s)
     manifest = read_patterns(patterns).manifest
     acquisition = plan_live(patterns, (Scene(name="a"),), EXPOSURE_S, dead_time=dead)
-    observer = Observer(Watched(read_looks(patterns, manifest), seen), manifest, acquisition)
+    observer = SceneObserver(Watched(open_looks(patterns), seen), manifest, acquisition)
     times = []
 
     def counts(lists):
@@ -239,7 +242,7 @@ def test_law_all_on_frames_have_the_noise_of_what_is_subtracted_and_of_a_dead_ti
         starts_s = 5e-3 * len(times) + np.arange(len(photons)) * 1e-3
         return FrameCounts(starts_s, np.repeat(photons[:, None] / PARTS, PARTS, axis=1))
 
-    list(observer.observe(0, counts))
+    list(observer.observe(0, SimpleNamespace(count=counts)))
     [on], arm = seen, slice(0, manifest.detector_count)
     seconds = sum(each.gate_ns[0] for each in (times[0], times[-1])) * 1e-9
     assert on.seconds == pytest.approx(seconds)
@@ -257,8 +260,8 @@ class Watched:
     def __getattr__(self, name):
         return getattr(self._looks, name)
 
-    def expose(self, scene, conditions):
-        exposure, seen = self._looks.expose(scene, conditions), self._seen
+    def expose(self, scene, state):
+        exposure, seen = self._looks.expose(scene, state), self._seen
 
         class Exposure:
             ask, take = exposure.ask, exposure.take

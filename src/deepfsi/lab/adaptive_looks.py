@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from deepfsi.base import as_input_error, read_regular
+from deepfsi.base import InputError, as_input_error, hash_file, read_regular
 from deepfsi.base.numeric import LARGEST_TENSORS
 from deepfsi.camera import StopRule
 from deepfsi.design.adaptive.choice import next_masks
@@ -16,8 +16,13 @@ from deepfsi.design.adaptive.misfit import squared_distance
 from deepfsi.design.adaptive.posterior import AdaptivePosterior, LookOptics
 from deepfsi.designfile import UNSURE
 from deepfsi.hardware.light import Arrivals
-from deepfsi.hardware.live.looks import AllOn, Conditions, FrameList, Likeness
-from deepfsi.hardware.patterns.folder import DesignRails
+from deepfsi.hardware.live import (
+    AllOnCounts,
+    ExposureState,
+    FrameList,
+    SceneComparison,
+)
+from deepfsi.hardware.patterns.folder import DESIGN, DesignRails, read_patterns
 from deepfsi.hardware.patterns.looks import Looks
 from deepfsi.hardware.patterns.sequence import Brightness, Manifest
 from deepfsi.optics.surroundings import library_defaults
@@ -30,27 +35,54 @@ Measured by `benchmarks/adaptive.py --latency` with 8192 and with 60 000 scenes.
 
 
 class AdaptiveLooks:
-    """Looks of a design of adaptive masks; attributes are those of `LiveLooks`."""
+    """Looks of a design of adaptive masks; attributes are those of `LookChooser`.
+
+    Parameters
+    ----------
+    design : AdaptiveDesign
+        Makes the masks.
+    manifest : Manifest
+        Patterns of its first mask, whose frame is loaded anew for each look.
+    """
 
     def __init__(self, design: AdaptiveDesign, manifest: Manifest) -> None:
-        self.design, self.frames = design, manifest.shown
-        self.training_scenes = design.training_scenes
-        self.classes, self.shortest = design.classes, 0.0
-        self.shares = tuple(design.settings.shares)
-        self.photons: float | None = design.info["job"].get("photons")
-        self.decision_s = DECISION_S + DECISION_A_SCENE_S * len(design.prior)
-        self.scene_model = design.scene_model
         until = design.settings.until
+        self.design = design
+        self.frames = manifest.shown
+        self.shares = tuple(design.settings.shares)
+        self.classes = design.classes
+        self.photons: float | None = design.info["job"].get("photons")
         self.rule = None if until == 1 else StopRule(threshold=until)
+        self.shortest = 0.0
+        self.decision_s = DECISION_S + DECISION_A_SCENE_S * len(design.prior)
+        self.training_scenes = design.training_scenes
+        self.scene_model = design.scene_model
 
     @classmethod
-    def of_file(cls, path: Path, manifest: Manifest) -> "AdaptiveLooks":
-        """Looks of a design file, of which the manifest's frames are the first mask."""
-        return cls(AdaptiveDesign.load(path), manifest)
+    def read(cls, folder: Path) -> "AdaptiveLooks":
+        """Looks of a folder of patterns of a first mask, which has the design's file.
 
-    def expose(self, scene: int, conditions: Conditions) -> "AdaptiveExposure":
+        Parameters
+        ----------
+        folder : path
+            Of the patterns.
+
+        Raises
+        ------
+        InputError
+            If files are damaged, or the design is not the one whose mask is beside it.
+        """
+        manifest = read_patterns(folder).manifest
+        if hash_file(folder / DESIGN) != manifest.design_sha256:
+            raise InputError(
+                f"{folder / DESIGN} is not the design whose first mask is beside it: export the "
+                "patterns again"
+            )
+        return cls(AdaptiveDesign.load(folder / DESIGN), manifest)
+
+    def expose(self, scene: int, state: ExposureState) -> "AdaptiveExposure":
         """Begin an exposure of a scene."""
-        return AdaptiveExposure(self, scene, conditions)
+        return AdaptiveExposure(self, scene, state)
 
     def lit(self, asked: FrameList) -> np.ndarray:
         """Pixels of the mask of a look that are ON, (1, N)."""
@@ -61,44 +93,48 @@ class AdaptiveLooks:
 class AdaptiveExposure:
     """One exposure of a scene with adaptive masks."""
 
-    def __init__(self, looks: AdaptiveLooks, scene: int, conditions: Conditions) -> None:
-        design, self._looks, self._conditions = looks.design, looks, conditions
-        dark = torch.from_numpy(conditions.dark.clip(min=0) * conditions.exposure_ns * 1e-9)
-        optics = LookOptics.of(design.camera, design.image_shape, conditions.photons)
-        self._state = AdaptivePosterior(design.prior, 1, replace(optics, dark=dark.float()))
+    def __init__(self, looks: AdaptiveLooks, scene: int, state: ExposureState) -> None:
+        design = looks.design
+        dark = torch.from_numpy(state.dark.clip(min=0) * state.exposure_ns * 1e-9)
+        optics = LookOptics.of(design.camera, design.image_shape, state.photons)
+        self._looks = looks
+        self._state = state
+        self._posterior = AdaptivePosterior(design.prior, 1, replace(optics, dark=dark.float()))
         self._generator = torch.Generator().manual_seed(scene)
-        self._usual, self._misfit, self._look = design.usual_misfit, 0.0, 0
+        self._usual = design.usual_misfit
+        self._misfit = 0.0
+        self._look = 0
 
     @torch.no_grad()
     @library_defaults()
     def ask(self, look: int) -> FrameList:
         """Frame of the mask that tells most of the class, as far as it is known."""
         share = self._looks.shares[look]
-        masks = next_masks(self._state, share, self._generator)
-        gate = np.array([round(share * self._conditions.exposure_ns)])
+        masks = next_masks(self._posterior, share, self._generator)
+        gate = np.array([round(share * self._state.exposure_ns)])
         return FrameList(look, self._looks.frames, gate, masks.bool().numpy())
 
     @torch.no_grad()
     @library_defaults()
-    def take(self, asked: FrameList, found: Arrivals) -> np.ndarray:
+    def take(self, asked: FrameList, arrivals: Arrivals) -> np.ndarray:
         """Probabilities (C,) of the classes, from the photons of a look and those before."""
         assert asked.masks is not None
-        counts = torch.from_numpy(found.photons.sum(axis=1)).float()
-        share = float(asked.gate_ns[0]) / self._conditions.exposure_ns
+        counts = torch.from_numpy(arrivals.photons.sum(axis=1)).float()
+        share = float(asked.gate_ns[0]) / self._state.exposure_ns
         masks = torch.from_numpy(asked.masks).float()
         self._look = asked.look
         if self._usual is not None:
-            self._misfit += float(squared_distance(self._state, masks, counts, share))
-        self._state.update(masks, counts, share)
-        return self._state.chances[0].double().numpy()
+            self._misfit += float(squared_distance(self._posterior, masks, counts, share))
+        self._posterior.update(masks, counts, share)
+        return self._posterior.chances[0].double().numpy()
 
-    def compare(self, on: AllOn) -> Likeness | None:
+    def compare(self, on: AllOnCounts) -> SceneComparison | None:
         """Misfit of all looks against that of training scenes; none where that is not known."""
         if self._usual is None:
             return None
-        chance = self._usual.chance(self._misfit, self._look, self._conditions.photons)
+        chance = self._usual.chance(self._misfit, self._look, self._state.photons)
         detail = f"a misfit of {self._misfit:.3g} in {self._look + 1} looks"
-        return Likeness(chance, chance < UNSURE, detail)
+        return SceneComparison(chance, chance < UNSURE, detail)
 
 
 @torch.no_grad()

@@ -1,0 +1,370 @@
+"""Decisions of a live run, from counts alone: the class of each scene, and what to show next.
+
+One code serves a run and its replay. It asks a source for the counts of a list of frames: devices
+show and count them, or the record of a run is looked up. So a replay that is given the same counts
+comes to the same decisions, bit by bit.
+
+Each scene begins and ends with an all-ON and an all-OFF frame. A scene whose first all-ON frame is
+no brighter than the all-OFF ones has no light, and gets no class. The budget is the flux of the
+all-ON frames of all lit scenes since the lamp changed, as scenes differ in brightness and a dim one
+is to stay dim; the dark counts are those of the all-OFF frames that agree. After the last look the
+light of the scene is tested as that of a recorded one (`LightMonitor`), and its counts against the
+training; a scene that fails has faults, and gets no class.
+
+Where the masks' own background was measured first, with the scenes dark, it is subtracted as the
+dark counts are, and what all-ON frames hold of it from the budget.
+
+Counts are corrected for dead time frame by frame, at the rate of each. An all-ON frame beyond the
+rate up to which that is sure ends the run; a short gate that is, by chance, is corrected as there.
+"""
+
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from deepfsi.base import InputError
+from deepfsi.camera import MARGIN_NS, TOO_DIM
+from deepfsi.designfile import REFUSED, UNSURE, SceneReadouts, ViewResult, ViewTest
+from deepfsi.hardware.counting import Acquisition
+from deepfsi.hardware.light import SPOILING, Arrivals, Fault, LightMonitor
+from deepfsi.hardware.live.looks import (
+    AllOnCounts,
+    ExposureState,
+    FrameList,
+    FrameSource,
+    LookChooser,
+    SceneComparison,
+    rows_of,
+)
+from deepfsi.hardware.patterns.sequence import Manifest
+from deepfsi.hardware.patterns.timing import usual_tolerance
+
+ON = 0
+"""Place of the all-ON frame among the frames of a manifest."""
+
+OFF = 1
+"""Place of the all-OFF frame there."""
+
+SCENE_ENDS = -1
+"""Number, in place of a look's, of the lists of frames that begin and end each scene."""
+
+WITHOUT_VIEW = set(SPOILING) - {"unsure", "unlike"}
+"""Faults of a scene whose counts tell nothing of how the camera sees scenes."""
+
+LOOKED_BACK = 20
+"""Scenes up to the present one among which the unsure ones are counted."""
+
+USUAL_DEAD_S = 3e-8
+"""Dead time that a counter with its detector may well have, seconds."""
+
+SATURATED = 0.05
+"""Share of the photons lost to it from which on saturation is named."""
+
+
+@dataclass(frozen=True)
+class Decision:
+    """Answer after a look at a scene."""
+
+    scene: int  # from 0
+    look: int
+    chances: np.ndarray  # (C,): Probabilities of the classes
+    photons: float  # budget of a whole exposure, in counts
+    light_s: float  # exposure so far, seconds
+    final: bool  # true if no look follows
+    faults: tuple[Fault, ...] = ()  # of the scene, after its last look
+    view: ViewResult | None = None  # of all scenes so far, likewise; none where it is not tested
+
+
+class SceneObserver:
+    """Decisions on scene after scene of a live run.
+
+    Parameters
+    ----------
+    looks : LookChooser
+        Of the design whose patterns are shown.
+    manifest : Manifest
+        Patterns that are shown.
+    acquisition : Acquisition
+        Settings of the run, as `plan_live` makes them.
+
+    Attributes
+    ----------
+    rows : SceneReadouts or None
+        Counts of the last scene that had light, behind its masks.
+
+    Raises
+    ------
+    InputError
+        If the acquisition is no live run, or all-ON and all-OFF frames are too short to be counted.
+    """
+
+    def __init__(self, looks: LookChooser, manifest: Manifest, acquisition: Acquisition) -> None:
+        if acquisition.live is None or manifest.looks is None:
+            raise InputError("this acquisition is no live run: make one with `deepfsi camera live`")
+        self.looks = looks
+        self.rows: SceneReadouts | None = None
+        self._manifest = manifest
+        self._settings = acquisition.live
+        self._exposure_ns = round(acquisition.exposure_s * 1e9)
+        self._settle_s = acquisition.settle_s
+        self._light = LightMonitor(manifest, acquisition.inputs, len(acquisition.scenes))
+        self._checks = SceneChecks(looks.photons, acquisition)
+        loaded = 0 if manifest.looks.adaptive else len(manifest.shown)
+        self._view = (
+            ViewTest(looks.scene_model, manifest.image_shape, loaded) if looks.scene_model else None
+        )
+        self._ends = _scene_ends(manifest, acquisition.settle_s)
+        self._ambient = np.zeros((2, len(manifest.shown), manifest.inputs))
+
+    def measure_background(self, source: FrameSource) -> None:
+        """Measure what frames count beyond the dark counts while the scenes are dark."""
+        manifest = self._manifest
+        frames = np.concatenate([[ON, OFF], manifest.shown])
+        gate = self._exposure_ns // len(self.looks.shares)
+        arrivals = self._arrivals(source, FrameList(0, frames, np.full(len(frames), gate)))
+        rates = arrivals.photons.sum(axis=1) / (gate * 1e-9)
+        noise = arrivals.variance.sum(axis=1) / (gate * 1e-9) ** 2
+        dark = manifest.dark_inputs(rates[ON], rates[OFF])
+        dark_noise = manifest.dark_inputs(noise[ON], noise[OFF])
+        self._ambient = np.stack([rates - dark, noise + dark_noise])[:, 2:]
+        self._light.ambient = float((rates[ON] - dark)[: manifest.detector_count].sum())
+
+    def observe(self, scene: int, source: FrameSource) -> Iterator[Decision]:
+        """Decisions after each look at the next scene.
+
+        Parameters
+        ----------
+        scene : int
+            From 0, in their order.
+        source : FrameSource
+            Of the counts of its frames.
+
+        Yields
+        ------
+        Decision
+            The last one with the faults of the scene. None of a scene without light.
+        """
+        begin = self._arrivals(source, self._ends)
+        lit, changes = self._light.begin(begin)
+        if not lit:
+            return
+        measured = self._light.flux * self._exposure_ns * 1e-9
+        state = ExposureState(
+            photons=self._settings.photons or measured,
+            exposure_ns=self._exposure_ns,
+            shortest_ns=self._settings.shortest_ns,
+            dark=self._light.dark,
+            ambient=self._ambient,
+        )
+        exposure = self.looks.expose(scene, state)
+        asked: list[FrameList] = []
+        arrivals: list[Arrivals] = []
+        light_ns = 0
+        last = len(self.looks.shares) - 1
+        rule = self._settings.rule
+        for look in range(last + 1):
+            asked.append(exposure.ask(look))
+            arrivals.append(self._arrivals(source, asked[-1]))
+            chances = exposure.take(asked[-1], arrivals[-1])
+            light_ns += int(asked[-1].gate_ns.sum())
+            decision = Decision(
+                scene=scene,
+                look=look,
+                chances=chances,
+                photons=float(state.photons),
+                light_s=light_ns * 1e-9,
+                final=False,
+            )
+            sure = rule is not None and rule.stops(float(chances.max()), state.photons)
+            if sure or look == last:
+                break
+            yield decision
+        end = self._arrivals(source, self._ends)
+        faults = self._light.end([begin, *arrivals, end])
+        on = self._all_on([begin, end])
+        doubts = self._checks.find_faults(
+            scene, SceneLight(state.photons, measured, on), exposure.compare(on), self._light
+        )
+        self.rows = self._readouts(state, asked, arrivals)
+        view = None
+        kinds = {fault.kind for fault in (*faults, *doubts)}
+        if self._view and not kinds & WITHOUT_VIEW:
+            self._view.add(self.rows)
+            view = self._view.result
+        if view is not None and view.refused:
+            faults += (Fault(kind="view", scene=scene, detail=view.refusal),)
+        yield replace(decision, final=True, faults=changes + faults + doubts, view=view)
+
+    def _arrivals(self, source: FrameSource, asked: FrameList) -> Arrivals:
+        """Photons that arrived in the gates of a list, of those that were counted."""
+        counts = source.count(asked)
+        dead = self._settings.dead_time
+        rates = counts.counts / (asked.gate_ns * 1e-9)[:, None]
+        most = dead.most_registered
+        if asked.look == SCENE_ENDS and rates.max() > most:
+            raise InputError(
+                f"an all-ON frame has {rates.max():.3g} counts/s, and a dead time of {dead}, is "
+                f"corrected up to {most:.3g}: dim the light, or give the counter's own dead time"
+            )
+        factors = dead.correction(np.minimum(rates, most))
+        parts = counts.parts.shape[1]
+        seconds = np.repeat((asked.gate_ns * 1e-9 / parts)[:, None], parts, axis=1)
+        opens_s = counts.starts_s[:, None] + self._settle_s
+        return Arrivals(
+            frames=tuple(self._manifest.frames[index] for index in asked.frames),
+            photons=counts.parts * factors.arrivals[:, None],
+            variance=counts.parts * factors.variance[:, None],
+            seconds=seconds,
+            middles=opens_s + seconds * (np.arange(parts) + 0.5),
+        )
+
+    def _all_on(self, ends: list[Arrivals]) -> AllOnCounts:
+        """Counts of a scene's all-ON frames."""
+        arm = slice(0, self._manifest.detector_count)
+        counts = sum(float(end.photons[ON, :, arm].sum()) for end in ends)
+        variance = sum(float(end.variance[ON, :, arm].sum()) for end in ends)
+        seconds = sum(float(end.seconds[ON].sum()) for end in ends)
+        dark = (float(self._light.dark[arm].sum()) + self._light.ambient) * seconds
+        return AllOnCounts(counts - dark, dark + max(variance - counts, 0.0), seconds)
+
+    def _readouts(
+        self, state: ExposureState, asked: list[FrameList], arrivals: list[Arrivals]
+    ) -> SceneReadouts:
+        """Counts of a scene, and what each of its looks showed."""
+        manifest = self._manifest
+        arms = manifest.inputs // manifest.detector_count
+        cells = manifest.detectors and manifest.detectors.cells
+        of_detector = np.equal.outer(np.arange(manifest.detector_count), np.array(cells or 0))
+        inputs = np.arange(manifest.inputs)
+        readouts = []
+        for look, arrived in zip(asked, arrivals, strict=True):
+            share = look.gate_ns / self._exposure_ns
+            lit = self.looks.lit(look)
+            both = (
+                np.stack([lit, 1 - lit][:arms], axis=1)[:, :, None] * of_detector
+            )  # F, arms, D, N
+            gain = state.photons * share / manifest.summed_reflectance
+            masks = gain[:, None] * both.reshape(-1, lit.shape[-1]).reshape(len(lit), -1)
+            rows = rows_of(manifest, look)
+            signal = state.signal(look, rows, arrived)
+            readouts.append(
+                SceneReadouts(
+                    masks=masks.reshape(-1, lit.shape[-1]),
+                    counts=signal.counts.ravel(),
+                    noise=signal.noise.ravel(),
+                    inputs=np.tile(inputs, len(lit)),
+                    frames=np.repeat(rows, len(inputs)),
+                    dwells=np.repeat(share, len(inputs)),
+                )
+            )
+        return SceneReadouts.join(readouts)
+
+
+def _scene_ends(manifest: Manifest, settle_s: float) -> FrameList:
+    """The all-ON and the all-OFF frame that begin and end a scene, counted as long as they last."""
+    rest_ns = round((settle_s + usual_tolerance(manifest)) * 1e9) + MARGIN_NS
+    pictures_us = [manifest.frames[index].picture_us for index in (ON, OFF)]
+    gates = np.array([us * 1000 - rest_ns for us in pictures_us])
+    if gates.min() < 1:
+        raise InputError(
+            f"all-ON and all-OFF frames of {manifest.frames[ON].picture_us} µs are too short "
+            "to be counted: export with a longer --exposure"
+        )
+    return FrameList(SCENE_ENDS, np.array([ON, OFF]), gates)
+
+
+@dataclass(frozen=True)
+class SceneLight:
+    """Light of a scene, in counts."""
+
+    photons: float  # budget of an exposure that is taken
+    measured: float  # budget by the all-ON frames of this scene and those before
+    all_on: AllOnCounts  # of this scene
+
+
+class SceneChecks:
+    """Checks of scene after scene: its budget, and its counts against those of the training.
+
+    Parameters
+    ----------
+    trained : float or None
+        Budget of the training, counts.
+    acquisition : Acquisition
+        Settings of the live run.
+    """
+
+    def __init__(self, trained: float | None, acquisition: Acquisition) -> None:
+        assert acquisition.live is not None
+        self._trained = trained
+        self._exposure_s = acquisition.exposure_s
+        self._live = acquisition.live
+        self._scenes = len(acquisition.scenes)
+        self._unsure: deque[bool] = deque(maxlen=LOOKED_BACK)
+
+    def find_faults(
+        self,
+        scene: int,
+        light: SceneLight,
+        comparison: SceneComparison | None,
+        monitor: LightMonitor,
+    ) -> tuple[Fault, ...]:
+        """Faults of a scene, from its light and the comparison of its counts."""
+        budget = self._check_budget(scene, light.measured, monitor)
+        hint = self._saturation(light.all_on)
+        unlikely = [] if comparison is None else self._check_counts(scene, comparison, hint)
+        return (*budget, *unlikely)
+
+    def _check_budget(self, scene: int, measured: float, monitor: LightMonitor) -> list[Fault]:
+        """Fault of a budget that is not the stated one, or too small for the design."""
+        stated = self._live.photons
+        trained = self._trained
+        if stated is not None and monitor.contradicts(stated / self._exposure_s):
+            since = monitor.since
+            some = f"scenes {since} to {scene}" if since < scene else "this scene"
+            detail = (
+                f"`photons` says {stated:.4g} counts an exposure, and the all-ON frames of {some} "
+                f"{measured:.4g}, further off than scenes differ: leave it out, or give that number"
+            )
+        elif trained is not None and measured * TOO_DIM < trained:
+            detail = (
+                f"all-ON frames give {measured:.4g} counts an exposure, and the design was "
+                f"trained at {trained:.4g}: too little light for it; expose for longer"
+            )
+        else:
+            return []
+        return [Fault(kind="budget", scene=scene, detail=detail)]
+
+    def _check_counts(self, scene: int, comparison: SceneComparison, hint: str) -> list[Fault]:
+        """Faults of counts that do not look like those of the training."""
+        from scipy.special import bdtrc
+
+        self._unsure.append(comparison.unsure)
+        faults = []
+        looked_at = len(self._unsure)
+        if comparison.unsure:
+            detail = (
+                f"its counts do not look like what this design was trained for (p = "
+                f"{comparison.chance:.1g}; {comparison.detail}){hint}"
+            )
+            faults.append(Fault(kind="unsure", scene=scene, detail=detail))
+        unsure = sum(self._unsure)
+        if bdtrc(unsure - 1, looked_at, 2 * UNSURE) * self._scenes < REFUSED:
+            detail = (
+                f"{unsure} of the last {looked_at} scenes do not look like those of the training: "
+                "look at the light, the design, the scenes and their scale, `photons` and "
+                f"`dead_time`{hint}"
+            )
+            faults.append(Fault(kind="unlike", scene=scene, detail=detail))
+        return faults
+
+    def _saturation(self, on: AllOnCounts) -> str:
+        """Words on a counter that loses photons to a dead time that was not told."""
+        rate = on.counts / on.seconds
+        if self._live.dead_time.seconds or rate * USUAL_DEAD_S < SATURATED:
+            return ""
+        return (
+            f"; at {rate:.3g} counts/s a counter with a dead time of {USUAL_DEAD_S * 1e9:.0f} ns "
+            f"is blind {rate * USUAL_DEAD_S:.0%} of the time: give `dead_time`, or dim the light"
+        )

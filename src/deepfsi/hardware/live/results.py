@@ -1,0 +1,128 @@
+"""Answers of a live run: the class of each scene, as the run and its replay give it."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any, Self
+
+from deepfsi.designfile import Score, ViewResult, was_trained_on
+from deepfsi.hardware.counting import Scene
+from deepfsi.hardware.light import SPOILING, Fault
+from deepfsi.hardware.live.looks import LookChooser
+from deepfsi.hardware.live.observer import Decision
+
+
+@dataclass(frozen=True)
+class LiveScene:
+    """Class of a scene of a live run, from its looks.
+
+    Parameters
+    ----------
+    name : str
+    label : str or None
+        Class that it is known to be of.
+    predicted, probability : str and float, or None
+        None without light, or with a fault that spoils it.
+    looks : int
+        That were shown.
+    photons : float or None
+        Budget of a whole exposure.
+    light_s : float
+        Exposure that was used, seconds.
+    clock_s : float
+        From the first command to the class, seconds.
+    agrees : bool or None
+        Of a replay: true if it decides as the run did, bit for bit.
+    faults : tuple of Fault
+        Of its light, its budget and its counts.
+    trained_on : bool or None
+        True if the design was; None where it is not known.
+    """
+
+    name: str
+    label: str | None
+    predicted: str | None
+    probability: float | None
+    looks: int
+    photons: float | None
+    light_s: float
+    clock_s: float
+    agrees: bool | None = None
+    faults: tuple[Fault, ...] = ()
+    trained_on: bool | None = None
+
+    @classmethod
+    def of(
+        cls, scene: Scene, decision: Decision | None, looks: LookChooser, *,
+        clock_s: float, agrees: bool | None = None,
+    ) -> Self:  # fmt: skip
+        """Class of a scene after its last decision; none is of a scene without light."""
+        [trained] = was_trained_on(looks.training_scenes, [scene.hash])
+        best = None
+        if decision and not any(fault.kind in SPOILING for fault in decision.faults):
+            best = int(decision.chances.argmax())
+        return cls(
+            name=scene.name,
+            label=scene.label,
+            predicted=None if best is None else looks.classes[best],
+            probability=None if decision is None or best is None else float(decision.chances[best]),
+            looks=decision.look + 1 if decision else 0,
+            photons=decision.photons if decision else None,
+            light_s=decision.light_s if decision else 0.0,
+            clock_s=clock_s,
+            agrees=agrees,
+            faults=decision.faults if decision else (),
+            trained_on=trained,
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON types only."""
+        names = {"name": "scene", "predicted": "class"}
+        content = {names.get(name, name): value for name, value in vars(self).items()}
+        content["faults"] = [str(fault) for fault in self.faults]
+        if self.agrees is None:
+            del content["agrees"]
+        return content
+
+
+@dataclass(frozen=True)
+class LiveAnswers:
+    """Classes of the scenes of a live run, as it was made or decided again from its counts.
+
+    Parameters
+    ----------
+    exposure_s : float
+        Time of all looks, seconds.
+    scenes : tuple of LiveScene
+    view : ViewResult or None
+        Of the camera; None where it was not tested.
+    """
+
+    exposure_s: float
+    scenes: tuple[LiveScene, ...]
+    view: ViewResult | None = None
+
+    @classmethod
+    def of(
+        cls, exposure_s: float, scenes: Iterable[LiveScene], decisions: Iterable[Decision | None]
+    ) -> Self:
+        """Answers of a run with its last decisions, the latest of which tells of the view."""
+        views = [decision.view for decision in decisions if decision and decision.view]
+        return cls(exposure_s, tuple(scenes), views[-1] if views else None)
+
+    @property
+    def score(self) -> Score:
+        """Right answers to the labelled scenes, of those that have a class."""
+        return Score.of(
+            (scene.trained_on, scene.predicted == scene.label, 1)
+            for scene in self.scenes
+            if scene.predicted is not None and scene.label is not None
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON types only."""
+        return {
+            "live": True,
+            "score": self.score.as_dict(),
+            "view": None if self.view is None else self.view.as_dict(),
+            "scenes": [scene.as_dict() for scene in self.scenes],
+        }
