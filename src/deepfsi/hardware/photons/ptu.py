@@ -9,7 +9,7 @@ A file is a header of tags and then records of 32 bits, as PicoQuant describes t
 
 import os
 import struct
-from collections.abc import Generator, Iterator
+from collections.abc import Callable, Generator, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
 from importlib.metadata import version
@@ -77,29 +77,31 @@ FOREIGN_ENDS = {
 }
 """What else counters write, by the ends of names."""
 
-_NUMBERS = {
-    0xFFFF0008: "Empty8",
-    0x00000008: "Bool8",
-    0x10000008: "Int8",
-    0x11000008: "BitSet64",
-    0x12000008: "Color8",
-    0x20000008: "Float8",
-    0x21000008: "TDateTime",
+_VALUES: dict[int, Callable[[bytes], Any]] = {
+    0xFFFF0008: lambda field: None,  # Empty8
+    0x00000008: any,  # Bool8
+    **dict.fromkeys(  # Int8, BitSet64, Color8
+        (0x10000008, 0x11000008, 0x12000008),
+        lambda field: int.from_bytes(field, "little", signed=True),
+    ),
+    **dict.fromkeys(  # Float8, TDateTime
+        (0x20000008, 0x21000008), lambda field: struct.unpack("<d", field)[0]
+    ),
 }
-"""Types of tags whose value is a number."""
+"""Value of a tag by its type, from its 8 bytes."""
 
-_SIZED = {
-    0x2001FFFF: "Float8Array",
-    0x4001FFFF: "AnsiString",
-    0x4002FFFF: "WideString",
-    0xFFFFFFFF: "BinaryBlob",
+_CONTENTS: dict[int, Callable[[bytes], Any]] = {
+    0x2001FFFF: lambda raw: np.frombuffer(raw[: len(raw) // 8 * 8], "<f8"),  # Float8Array
+    0x4001FFFF: lambda raw: raw.rstrip(b"\0").decode("windows-1252", "replace"),  # AnsiString
+    0x4002FFFF: lambda raw: raw.decode("utf-16-le", "replace").rstrip("\0"),  # WideString
+    0xFFFFFFFF: bytes,  # BinaryBlob
 }
-"""Types of tags whose value is the number of bytes that follow."""
+"""The same of types whose 8 bytes are the number of those that follow, from these."""
 
 
 @dataclass(frozen=True)
 class Kind:
-    """A type of record: 32 bits, of a channel field above a time field.
+    """A type of record: 32 bits, of a channel field above a time field; as Generic T2 unless given.
 
     Parameters
     ----------
@@ -123,13 +125,13 @@ class Kind:
 
     name: str
     code: int
-    mode: Literal["T2", "T3"]
-    shift: int
-    time_bits: int
-    wrap: int
-    counted: bool
-    first: int
-    inputs: int
+    mode: Literal["T2", "T3"] = "T2"
+    shift: int = 25
+    time_bits: int = 25
+    wrap: int = 1 << 25
+    counted: bool = True
+    first: int = 0
+    inputs: int = 64
 
     @property
     def time_mask(self) -> int:
@@ -140,39 +142,28 @@ class Kind:
 PICOHARP_T2 = Kind(
     name="PicoHarp 300 T2",
     code=0x00010203,
-    mode="T2",
     shift=28,
     time_bits=28,
     wrap=210_698_240,
     counted=False,
-    first=0,
     inputs=5,
 )
 """Record of a PicoHarp 300 in T2 mode."""
 
-PICOHARP_T3 = replace(
-    PICOHARP_T2,
+PICOHARP_T3 = Kind(
     name="PicoHarp 300 T3",
     code=0x00010303,
     mode="T3",
+    shift=28,
     time_bits=16,
     wrap=65_536,
+    counted=False,
     first=1,
     inputs=4,
 )
 """Record of a PicoHarp 300 in T3 mode."""
 
-GENERIC_T2 = Kind(
-    name="Generic T2",
-    code=0x00010207,
-    mode="T2",
-    shift=25,
-    time_bits=25,
-    wrap=1 << 25,
-    counted=True,
-    first=0,
-    inputs=64,
-)
+GENERIC_T2 = Kind("Generic T2", 0x00010207)
 """Record of a recent device in T2 mode, as files are written here."""
 
 
@@ -340,36 +331,17 @@ def _parse_tags(
         if name == "Header_End":
             return tags, offset
         key = name if index < 0 else f"{name}({index})"
-        if code in _NUMBERS:
-            tags[key] = _number(_NUMBERS[code], value)
-        elif code in _SIZED:
+        if code in _VALUES:
+            tags[key] = _VALUES[code](value)
+        elif code in _CONTENTS:
             (size,) = struct.unpack("<q", value)
             content = (yield size) if 0 < size <= LONGEST_HEADER else b""
             if len(content) != size:
                 raise InputError(f"{path} is damaged: its tag {key!r} is of {size} bytes")
             offset += size
-            tags[key] = _text(_SIZED[code], content)
+            tags[key] = _CONTENTS[code](content)
         else:
             raise InputError(f"{path} is damaged: its tag {key!r} is of unknown type {code:#010x}")
-
-
-def _number(kind: str, value: bytes) -> bool | int | float | None:
-    """Value of a tag that is a number."""
-    if kind == "Empty8":
-        return None
-    number: int | float = struct.unpack("<d" if kind in ("Float8", "TDateTime") else "<q", value)[0]
-    return bool(number) if kind == "Bool8" else number
-
-
-def _text(kind: str, content: bytes) -> str | bytes | np.ndarray:
-    """Value of a tag whose bytes follow it."""
-    if kind == "AnsiString":
-        return content.rstrip(b"\0").decode("windows-1252", "replace")
-    if kind == "WideString":
-        return content.decode("utf-16-le", "replace").rstrip("\0")
-    if kind == "Float8Array":
-        return np.frombuffer(content[: len(content) // 8 * 8], "<f8")
-    return content
 
 
 def _integer(

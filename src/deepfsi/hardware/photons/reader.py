@@ -14,9 +14,10 @@ them more coarsely.
 """
 
 import os
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Protocol, Self
+from typing import Self
 
 import numpy as np
 
@@ -33,29 +34,43 @@ MOST_MARKERS = 2**24
 """Markers of a file at most."""
 
 
-class PhotonSource(Protocol):
-    """Source of photons and markers with their times: a file, or a stream that grows."""
+class PhotonSource(ABC):
+    """Source of photons and markers with their times: a file, or a stream that grows.
+
+    Attributes
+    ----------
+    header : Header
+        Header of a PTU file, which other makes' files become when they are imported.
+    """
+
+    header: Header
 
     @property
     def path(self) -> Path:
         """File, or a name for a stream: messages say it."""
+        return self.header.path
 
     @property
     def record_type(self) -> str:
         """Device and mode in words."""
+        return self.header.kind.name
 
     @property
     def tick_s(self) -> float:
         """Seconds of a tick."""
+        return self.header.tick_s
 
     @property
     def inputs(self) -> int:
         """Number of inputs that there can be; they count from 0."""
+        return self.header.kind.inputs
 
     @property
     def problems(self) -> tuple[str, ...]:
         """Reasons why the recording may be incomplete."""
+        return self.header.problems
 
+    @abstractmethod
     def parts(self, progress: Progress = SILENT, ordered: bool = True) -> Iterator[Part]:
         """Give the records, in parts that follow each other; none follows one with a `fault`.
 
@@ -68,33 +83,7 @@ class PhotonSource(Protocol):
         """
 
 
-class _PtuSource:
-    """Facts that the header of a PTU file gives."""
-
-    header: Header
-
-    @property
-    def path(self) -> Path:
-        return self.header.path
-
-    @property
-    def record_type(self) -> str:
-        return self.header.kind.name
-
-    @property
-    def tick_s(self) -> float:
-        return self.header.tick_s
-
-    @property
-    def inputs(self) -> int:
-        return self.header.kind.inputs
-
-    @property
-    def problems(self) -> tuple[str, ...]:
-        return self.header.problems
-
-
-class PtuFile(_PtuSource):
+class PtuFile(PhotonSource):
     """PTU file that is there as a whole, or as far as it was recorded.
 
     Raises
@@ -126,7 +115,7 @@ class PtuFile(_PtuSource):
                 progress((start + len(words)) / header.records)
 
 
-class PtuStream(_PtuSource):
+class PtuStream(PhotonSource):
     """PTU file whose bytes arrive in any cuts: from a pipe, or a file that grows.
 
     The header's parser and the records' decoder are those of whole files, so that a stream is read
@@ -146,8 +135,7 @@ class PtuStream(_PtuSource):
     def without_header(cls, name: str | os.PathLike[str], tick_s: float) -> Self:
         """Stream of T2 records of type Generic alone, as a device gives them."""
         stream = cls(name)
-        header = Header(Path(name), {}, GENERIC_T2, offset=0, tick_s=tick_s, claimed=0)
-        stream._begin(header)
+        stream._begin(Header(Path(name), {}, GENERIC_T2, offset=0, tick_s=tick_s, claimed=0))
         return stream
 
     @property
@@ -167,8 +155,17 @@ class PtuStream(_PtuSource):
         if not view.nbytes:  # numpy's empty arrays cannot be cast
             return
         view = view.cast("B")
-        if self._decoder is None:
-            view = self._feed_header(view)
+        while self._decoder is None:  # these are bytes of the header
+            taken = self._needed - len(self._rest)
+            self._rest += view[:taken]
+            view = view[taken:]
+            if len(self._rest) < self._needed:
+                return
+            try:
+                self._needed = self._parser.send(bytes(self._rest))
+            except StopIteration as end:
+                self._begin(end.value)
+            self._rest.clear()
         self._arrived.append(view)
 
     def parts(self, progress: Progress = SILENT, ordered: bool = True) -> Iterator[Part]:
@@ -178,9 +175,9 @@ class PtuStream(_PtuSource):
         header gives is not read. A part holds on to the bytes. How much is to come is not known,
         and whether it is in order is always looked at, so `progress` and `ordered` change nothing.
         """
-        while self._arrived:
+        while self._arrived and self._decoder:
             view = self._arrived.pop(0)
-            if self._decoder is None or not self._records_left:
+            if not self._records_left:
                 continue
             if self._rest:
                 view = memoryview(bytes(self._rest) + view)
@@ -189,21 +186,6 @@ class PtuStream(_PtuSource):
             for part in self._decoder.parts(np.frombuffer(view, "<u4", count)):
                 self._records_left = 0 if part.fault else self._records_left - len(part.words)
                 yield part
-
-    def _feed_header(self, view: memoryview) -> memoryview:
-        """Parse bytes as far as the header goes, and give those that follow it."""
-        while self._decoder is None:
-            taken = self._needed - len(self._rest)
-            self._rest += view[:taken]
-            view = view[taken:]
-            if len(self._rest) < self._needed:
-                break
-            try:
-                self._needed = self._parser.send(bytes(self._rest))
-            except StopIteration as end:
-                self._begin(end.value)
-            self._rest.clear()
-        return view
 
     def _begin(self, header: Header) -> None:
         self.header = header
@@ -445,9 +427,18 @@ class WindowCounter:
 
     def expect(self, starts: np.ndarray, stops: np.ndarray) -> None:
         """Count windows that follow those before; shapes as of `count_windows`."""
-        edges = _join_edges(starts, stops)
-        if not len(edges):
+        starts = np.asarray(starts)
+        stops = np.asarray(stops)
+        if starts.ndim != 1 or starts.shape != stops.shape:
+            raise InputError(
+                f"{starts.shape} starts and {stops.shape} stops: give one for each gate"
+            )
+        if not len(starts):
             return
+        for ticks in (starts, stops):
+            if ticks.dtype.kind not in "iu":
+                raise InputError(f"gates in {ticks.dtype} are not allowed: give integer ticks")
+        edges = np.stack([starts, stops], axis=1).astype(np.int64).ravel()
         every = np.concatenate([self._edges, edges])
         if (every[1:] < every[:-1]).any():
             raise InputError(
@@ -536,15 +527,3 @@ def _check_inputs(source: PhotonSource, numbers: Sequence[int]) -> None:
                 f"input {number}, counted from 0, is not one of {source.record_type}: give 0 to "
                 f"{source.inputs - 1} (--input 1 to {source.inputs})"
             )
-
-
-def _join_edges(starts: np.ndarray, stops: np.ndarray) -> np.ndarray:
-    """Starts and stops in turn, int64 (2 · windows,)."""
-    starts = np.asarray(starts)
-    stops = np.asarray(stops)
-    if starts.ndim != 1 or starts.shape != stops.shape:
-        raise InputError(f"{starts.shape} starts and {stops.shape} stops: give one for each gate")
-    for edges in (starts, stops):
-        if len(edges) and edges.dtype.kind not in "iu":
-            raise InputError(f"gates in {edges.dtype} are not allowed: give integer ticks")
-    return np.stack([starts, stops], axis=1).astype(np.int64).ravel()

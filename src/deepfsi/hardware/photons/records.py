@@ -125,19 +125,6 @@ class Part:
         return times[words >> np.uint32(self.kind.shift) == self.kind.first + number]
 
 
-@dataclass(frozen=True)
-class _State:
-    """State of decoding after some records."""
-
-    wraps: int = 0  # overflows
-    latest: int = 0  # time of the last photon or sync event
-    after: int = 0  # the same, or earliest time that may follow a marker if that was last
-
-
-class _Damage(Exception):
-    """Place of the first damaged record, and its fault."""
-
-
 class Decoder:
     """Decoder of records that come in blocks, which may be of any length.
 
@@ -158,8 +145,10 @@ class Decoder:
         self._kind = kind
         self._ordered = ordered
         self._slack = round(marker_slack_s(tick_s) / tick_s)
-        self._state = _State()
         self._records = 0
+        self._wraps = 0  # overflows so far
+        self._latest = 0  # time of the last photon or sync event
+        self._after = 0  # the same, or earliest time that may follow a marker if that was last
 
     def parts(self, words: np.ndarray) -> Iterator[Part]:
         """Decode records, uint32 (n,), that follow those before, and hold on to them.
@@ -167,36 +156,23 @@ class Decoder:
         No part follows one with a `fault`.
         """
         for start in range(0, len(words), RECORDS_IN_MEMORY):
-            part = self._decode_or_stop(words[start : start + RECORDS_IN_MEMORY])
+            part = self._decode(words[start : start + RECORDS_IN_MEMORY])
             yield part
             if part.fault:
                 return
 
-    def _decode_or_stop(self, words: np.ndarray) -> Part:
+    def _decode(self, words: np.ndarray) -> Part:
         """Decode records up to the first that is damaged."""
-        try:
-            part, self._state = self._decode(words)
-        except _Damage as damage:
-            first, how = damage.args
-            part, self._state = self._decode(words[:first])
-            part.fault = f"record {self._records + first + 1} has {how}"
-        self._records += len(part.words)
-        return part
-
-    def _decode(self, words: np.ndarray) -> tuple[Part, _State]:
-        """Decode records, and give the state after them; `_Damage` at the first damaged one."""
         kind = self._kind
         places, back = _scan(kind, words, self._ordered)
         wraps, bits, sync, values = _specials(kind, words[places].astype(np.int64))
         damages = [(places[~((wraps > 0) | (bits > 0) | sync)], "no known meaning")]
 
-        total = self._state.wraps + np.cumsum(wraps)
+        total = self._wraps + np.cumsum(wraps)
         damages.append(
             (places[total > LATEST_TICK // kind.wrap], f"a time beyond {LATEST_TICK} ticks")
         )
-        bases = kind.wrap * np.minimum(
-            np.append(self._state.wraps, total), LATEST_TICK // kind.wrap
-        )
+        bases = kind.wrap * np.minimum(np.append(self._wraps, total), LATEST_TICK // kind.wrap)
         times = bases[1:] + values
 
         runs = Runs(*np.zeros((5, 0), np.int64))
@@ -208,15 +184,21 @@ class Decoder:
             )
             marked = times[bits > 0]
             loose = _merge(exact, (places[bits > 0], marked + self._slack, marked - self._slack))
-            late, latest = _follow(exact, self._state.latest)
-            later, after = _follow(loose, self._state.after)
+            late, latest = _follow(exact, self._latest)
+            later, after = _follow(loose, self._after)
             damages += [(back, RUNS_BACK), (late, RUNS_BACK), (later, RUNS_BACK)]
 
         starts = [(int(where[0]), how) for where, how in damages if len(where)]
         if starts:
-            raise _Damage(*min(starts))
-        reached = max(int(bases[-1]), latest, after)
-        part = Part(
+            first, how = min(starts)
+            part = self._decode(words[:first])
+            part.fault = f"record {self._records + 1} has {how}"
+            return part
+        self._records += len(words)
+        self._wraps = int(bases[-1]) // kind.wrap
+        self._latest = latest
+        self._after = after
+        return Part(
             kind=kind,
             words=words,
             places=places,
@@ -225,9 +207,8 @@ class Decoder:
             sync=sync,
             wraps=wraps,
             runs=runs,
-            reached=reached,
+            reached=max(int(bases[-1]), latest, after),
         )
-        return part, _State(int(bases[-1]) // kind.wrap, latest, after)
 
 
 def marker_slack_s(tick_s: float) -> float:

@@ -190,15 +190,20 @@ def _find_lines(
         (True, "end", markers.line_end),
         (False, "start", markers.line_start),
     ):
-        alone = np.flatnonzero(~paired & (starts == is_start))
-        faults += [
-            f"a line {'from' if is_start else 'to'} {times[index] * tick_s:.6g} s has no {lost}: a "
-            f"marker on {number} is lost, and the line is left out"
-            for index in alone[:MOST_NAMED_FAULTS]
+        alone = times[~paired & (starts == is_start)] * tick_s
+        lines = [
+            f"a line {'from' if is_start else 'to'} {time:.6g} s has no {lost}: a marker on "
+            f"{number} is lost, and the line is left out"
+            for time in alone[:MOST_NAMED_FAULTS]
         ]
-        if len(alone) > MOST_NAMED_FAULTS:
-            faults.append(f"{len(alone) - MOST_NAMED_FAULTS} more lines have no {lost}")
+        faults += [*lines, *_more_faults(len(alone), f"lines have no {lost}")]
     return np.stack([times[first], times[first + 1]], axis=1), faults
+
+
+def _more_faults(count: int, words: str) -> list[str]:
+    """Line that says how many of so many faults are not named, if any."""
+    more = count - MOST_NAMED_FAULTS
+    return [f"{more} more {words}"] if more > 0 else []
 
 
 def _commonest(sizes: np.ndarray) -> int:
@@ -212,10 +217,10 @@ def _frame_faults(frame: np.ndarray, header: Header) -> list[str]:
     usual = planned if isinstance(planned, int) and planned > 0 else _commonest(sizes)
     by = "the header says" if usual == planned else "most have"
     wrong = np.flatnonzero(sizes != usual)
-    faults = [
-        f"frame {number + 1} has {sizes[number]} lines, where {by} {usual}"
-        for number in wrong[:MOST_NAMED_FAULTS]
+    return [
+        *(
+            f"frame {number + 1} has {sizes[number]} lines, where {by} {usual}"
+            for number in wrong[:MOST_NAMED_FAULTS]
+        ),
+        *_more_faults(len(wrong), "frames have other numbers of lines"),
     ]
-    if len(wrong) > MOST_NAMED_FAULTS:
-        faults.append(f"{len(wrong) - MOST_NAMED_FAULTS} more frames have other numbers of lines")
-    return faults

@@ -198,17 +198,13 @@ class PhotonHdf5:
         if not path.is_file():
             raise InputError(f"there is no file {path}: give a Photon-HDF5 file")
         shapes = list_variables(path, (0, 1))
-
-        def read_whole_numbers(name: str) -> np.ndarray:
-            return whole_numbers(
-                read_variable(path, name, shapes[name], MOST_EVENTS_READ), f"{path}: {name}"
-            )
-
+        columns = []
         for name in (self.times, self.channels):
             if len(shapes.get(name, ())) != 1:
                 raise InputError(f"{path} is no Photon-HDF5 file of one spot: it lacks {name}")
-        times = read_whole_numbers(self.times)
-        channels = read_whole_numbers(self.channels)
+            values = read_variable(path, name, shapes[name], MOST_EVENTS_READ)
+            columns.append(whole_numbers(values, f"{path}: {name}"))
+        times, channels = columns
         if times.shape != channels.shape:
             raise InputError(f"{path} has {len(times)} times and {len(channels)} detectors of them")
         if unit_s is None and self.unit in shapes:
