@@ -190,7 +190,7 @@ def build_report(path: Path) -> None:
 
 
 def read_masks(path: Path) -> None:
-    from deepfsi.optics.mask_files import read_matrix
+    from deepfsi.jobs import read_matrix
 
     read_matrix(str(path))
 

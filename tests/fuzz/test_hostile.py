@@ -258,7 +258,7 @@ def test_a_matrix_of_usual_size_is_no_bomb(tmp_path):
     from scipy.io import savemat
     from scipy.linalg import hadamard
 
-    from deepfsi.optics.mask_files import read_matrix
+    from deepfsi.jobs import read_matrix
 
     matrix = hadamard(2048).astype(float)
     savemat(tmp_path / "x.mat", {"x": matrix}, do_compression=True)

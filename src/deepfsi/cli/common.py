@@ -112,9 +112,9 @@ def draw(command: str, figure: "Figure", path: Path, as_json: bool) -> None:
 
 def read_matrix(source: str | None) -> "np.ndarray | None":
     """A user's own sensing matrix (m, N)."""
-    from deepfsi.optics import mask_files
+    from deepfsi.jobs import read_matrix as read
 
-    return None if source is None else mask_files.read_matrix(source)
+    return None if source is None else read(source)
 
 
 def command_line() -> str:

@@ -9,8 +9,7 @@ import typer
 from deepfsi.cli import common, options, paths
 
 if TYPE_CHECKING:
-    from deepfsi.hardware.pictures import Excess, RailSums
-    from deepfsi.lab.table_pictures import Pictures
+    from deepfsi.hardware.pictures import Excess, RailSums, TablePictures
 
 
 def camera_picture(
@@ -66,7 +65,7 @@ def camera_picture(
     import numpy as np
 
     from deepfsi.base import new_folder
-    from deepfsi.lab.table_pictures import TableMasks, compare_picture, read_pictures
+    from deepfsi.hardware.pictures import TableMasks, compare_picture, read_pictures
     from deepfsi.report.pictures import pictures_figure
     from deepfsi.report.rail_light import rail_light_figure
 
@@ -107,7 +106,7 @@ def camera_picture(
     print(f"pictures: {out}")
 
 
-def _scales(found: "Pictures") -> Any:
+def _scales(found: "TablePictures") -> Any:
     """Divisors that bring pictures to one brightness: of counts at several exposures."""
     import numpy as np
 
@@ -115,7 +114,7 @@ def _scales(found: "Pictures") -> Any:
     return np.where(scale > 0, scale, 1.0) if len(scale) > 1 else 1.0
 
 
-def _names(found: "Pictures", times: list[str] | None) -> tuple[str, ...]:
+def _names(found: "TablePictures", times: list[str] | None) -> tuple[str, ...]:
     """Captions of pictures: exposures, if they differ, or the names of files."""
     if times is not None and len(set(times)) == len(times):
         return tuple(times)
@@ -131,7 +130,7 @@ def _plain(value: Any) -> Any:
     return None if isinstance(value, float) and value != value else value
 
 
-def _picture_lines(found: "Pictures") -> list[str]:
+def _picture_lines(found: "TablePictures") -> list[str]:
     shape = "x".join(map(str, found.pictures.shape[1:]))
     lines = [f"{common.several(len(found.names), 'picture')} of {shape}"]
     if found.correlations:
@@ -148,7 +147,7 @@ def _picture_lines(found: "Pictures") -> list[str]:
     return lines
 
 
-def _light_lines(found: "Pictures") -> list[str]:
+def _light_lines(found: "TablePictures") -> list[str]:
     lines = [f"note: {found.note}"] if found.note else []
     light = found.light
     if light is not None:

@@ -41,6 +41,7 @@ from deepfsi.jobs.job import (
     find_table,
     sorted_settings,
 )
+from deepfsi.jobs.mask_files import read_matrix
 from deepfsi.jobs.tiles import check_count, count_allowed, sensing_matrix
 from deepfsi.jobs.training import (
     MLP,
@@ -98,6 +99,7 @@ __all__ = [
     "formula_masks",
     "hadamard_masks",
     "mask_count",
+    "read_matrix",
     "sensing_matrix",
     "sorted_settings",
 ]

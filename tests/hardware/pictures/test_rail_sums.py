@@ -6,8 +6,14 @@ from scipy.stats import binom
 
 from deepfsi.base import InputError
 from deepfsi.hardware.light import FALSE_ALARMS
-from deepfsi.hardware.pictures import check_rail_sums, fineness, split_rails
-from deepfsi.hardware.pictures.rail_sums import LAYOUTS, LEAST_PAIRS, find_causes
+from deepfsi.hardware.pictures.rail_sums import (
+    LAYOUTS,
+    LEAST_PAIRS,
+    check_rail_sums,
+    find_causes,
+    fineness,
+    split_rails,
+)
 from deepfsi.jobs import formula_masks, hadamard_masks
 
 SHAPE = (16, 16)

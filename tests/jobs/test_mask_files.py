@@ -13,8 +13,8 @@ from scipy.io import savemat
 
 from conftest import OPTICS
 from deepfsi.base import InputError
+from deepfsi.jobs import read_matrix
 from deepfsi.optics import constraints
-from deepfsi.optics.mask_files import read_matrix
 
 SIGNED = np.linspace(-0.1, 0.2, 24).reshape(3, 8)
 GREY = np.random.default_rng(0).integers(0, 256, (3, 2, 4), dtype=np.uint8)
@@ -99,7 +99,7 @@ def test_grey_levels_obey_every_constraint(tmp_path, light, rails):
 
 
 def test_it_needs_no_torch():
-    script = "import sys; sys.modules['torch'] = None; import deepfsi.optics.mask_files"
+    script = "import sys; sys.modules['torch'] = None; import deepfsi.jobs.mask_files"
     subprocess.run([sys.executable, "-c", script], check=True, capture_output=True)
 
 
@@ -154,7 +154,7 @@ def test_what_holds_no_masks_is_refused_in_one_line(tmp_path, source, words):
 
 
 def test_a_small_file_of_a_large_matrix_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr("deepfsi.optics.mask_files.LARGEST", 20)
+    monkeypatch.setattr("deepfsi.jobs.mask_files.LARGEST", 20)
     savemat(tmp_path / "m.mat", {"own": SIGNED})
     pages = [Image.fromarray(page) for page in GREY]
     pages[0].save(tmp_path / "m.tif", save_all=True, append_images=pages[1:])

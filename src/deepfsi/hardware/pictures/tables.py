@@ -1,4 +1,4 @@
-"""Pictures and a verdict on the light from tables of counts behind masks that are known."""
+"""TablePictures and a verdict on the light from tables of counts behind masks that are known."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,23 +8,23 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.special import gammaincinv
 
 from deepfsi.base import InputError
 from deepfsi.base.numeric import read_table, split_variable
-from deepfsi.hardware.pictures import (
+from deepfsi.hardware.pictures.rail_sums import (
     RailSums,
     check_rail_sums,
-    coarse_light,
     fineness,
+    split_rails,
+)
+from deepfsi.hardware.pictures.solve import (
+    coarse_light,
     solve_masks,
     solve_wavelets,
     split_levels,
-    split_rails,
     wavelet_of,
 )
-from deepfsi.jobs import FORMULAS, formula_masks
-from deepfsi.optics.mask_files import read_matrix
+from deepfsi.jobs import FORMULAS, formula_masks, read_matrix
 
 MEDIAN_OF_NORMAL = 0.6745
 """Median of the size of a standard normal number."""
@@ -32,42 +32,84 @@ MEDIAN_OF_NORMAL = 0.6745
 
 @dataclass(frozen=True)
 class TableMasks:
-    """Masks that were shown, and the layout of tables of their counts."""
+    """Masks that were shown, and the layout of tables of their counts.
 
-    masks: str  # name of a formula or of wavelets, or a file
-    size: tuple[int, int] | None = None  # of a picture; a square unless given
-    rails: str | None = None  # one of `LAYOUTS`; as the shape of the table says unless given
-    exposures_s: tuple[float, ...] | None = None  # time of a picture, of each table
-    block: int | None = None  # pictures that were shown at a time
+    Parameters
+    ----------
+    masks : str
+        Name of a formula or of wavelets, or a file.
+    size : (int, int), optional
+        Of a picture; a square unless given.
+    rails : str, optional
+        One of `LAYOUTS`; as the shape of the table says unless given.
+    exposures_s : tuple of float, optional
+        Time of a picture, seconds, of each table.
+    block : int, optional
+        TablePictures that were shown at a time.
+    """
+
+    masks: str
+    size: tuple[int, int] | None = None
+    rails: str | None = None
+    exposures_s: tuple[float, ...] | None = None
+    block: int | None = None
 
 
 @dataclass(frozen=True)
-class Pictures:
-    """Pictures from tables of counts, and what the counts say of the light."""
+class TablePictures:
+    """TablePictures from tables of counts, and what the counts say of the light.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Of the tables.
+    pictures : array (tables, H, W)
+        Counts a pixel.
+    correlations : tuple of float
+        Of two pictures each.
+    light : RailSums, optional
+        Verdict on the light.
+    note : str
+        Why there is none.
+    sums : array (tables, m), optional
+        Rail sums, of pairs with an edge.
+    fine : array (m, axes), optional
+        Fineness of their masks.
+    rates, rate_errors : tuple of float, optional
+        Counts/s of the mean picture of each table, and the relative error of Poisson counts.
+    on : tuple of float, optional
+        Counts of all ON.
+    off : tuple of (float, float, float), optional
+        Counts of all OFF, with their 95 % interval.
+    uniform : tuple of float, optional
+        Light of all ON and OFF over that of other pairs.
+    wavelets : tuple of dict, optional
+        Scatter of each table's coefficients.
+    """
 
     names: tuple[str, ...]
-    pictures: np.ndarray  # (tables, H, W), counts a pixel
-    correlations: tuple[float, ...] = ()  # of two pictures each
+    pictures: np.ndarray
+    correlations: tuple[float, ...] = ()
     light: RailSums | None = None
-    note: str = ""  # why there is no verdict
-    sums: np.ndarray | None = None  # (tables, m): rail sums, of pairs with an edge
-    fine: np.ndarray | None = None  # (m, axes)
-    rates: tuple[float, ...] | None = None  # counts/s of the mean picture, of each table
-    rate_errors: tuple[float, ...] | None = None  # relative, of Poisson counts
-    on: tuple[float, ...] | None = None  # counts of all ON
-    off: tuple[tuple[float, float, float], ...] | None = None  # of all OFF, with its 95 % interval
-    uniform: tuple[float, ...] | None = None  # light of all ON and OFF over that of other pairs
+    note: str = ""
+    sums: np.ndarray | None = None
+    fine: np.ndarray | None = None
+    rates: tuple[float, ...] | None = None
+    rate_errors: tuple[float, ...] | None = None
+    on: tuple[float, ...] | None = None
+    off: tuple[tuple[float, float, float], ...] | None = None
+    uniform: tuple[float, ...] | None = None
     wavelets: tuple[dict[str, Any], ...] | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for JSON, without pictures."""
         left = ("pictures", "sums", "fine", "light")
-        held = {name: value for name, value in vars(self).items() if name not in left}
-        return held | {"light": None if self.light is None else self.light.as_dict()}
+        content = {name: value for name, value in vars(self).items() if name not in left}
+        return content | {"light": None if self.light is None else self.light.as_dict()}
 
 
-def read_pictures(sources: Sequence[str], settings: TableMasks) -> Pictures:
-    """Pictures of tables of counts, and the verdict on their light.
+def read_pictures(sources: Sequence[str], settings: TableMasks) -> TablePictures:
+    """TablePictures of tables of counts, and the verdict on their light.
 
     Parameters
     ----------
@@ -99,17 +141,12 @@ def read_pictures(sources: Sequence[str], settings: TableMasks) -> Pictures:
     )
     weights, readouts = _as_read(masks, runs)
     pictures = solve_masks(weights, readouts).reshape(-1, *shape)
-    totals = runs.sum(axis=(1, 2))
-    return Pictures(
-        names,
-        pictures,
-        _correlations(pictures),
-        rates=None
-        if times is None
-        else tuple((totals / (runs[0].size * np.array(times))).tolist()),
-        rate_errors=None if times is None else tuple((np.maximum(totals, 1) ** -0.5).tolist()),
-        **_find_light(runs, weights, shape, settings.block),
-    )
+    light = _find_light(runs, weights, shape, settings.block)
+    if times is not None:
+        totals = runs.sum(axis=(1, 2))
+        light["rates"] = tuple((totals / (runs[0].size * np.array(times))).tolist())
+        light["rate_errors"] = tuple((np.maximum(totals, 1) ** -0.5).tolist())
+    return TablePictures(names, pictures, _correlations(pictures), **light)
 
 
 def _find_masks(
@@ -176,7 +213,7 @@ def _two_valued(masks: np.ndarray) -> bool:
 def _find_light(
     runs: np.ndarray, masks: np.ndarray, shape: tuple[int, ...], block: int | None
 ) -> dict[str, Any]:
-    """Rail sums and their verdict as of `Pictures`."""
+    """Rail sums and their verdict as of `TablePictures`."""
     wrong = runs[(runs < 0) | (runs % 1 != 0)]
     if wrong.size:
         return {"note": f"values such as {wrong[0]:g} are no counts: nothing is said of the light"}
@@ -190,7 +227,8 @@ def _find_light(
     found: dict[str, Any] = {"sums": sums, "fine": fine[edged]}
     if (~edged).any():
         flat = runs[:, :, ~edged].sum(axis=2) / (~edged).sum()
-        on, off = flat.max(axis=1), flat.min(axis=1)
+        on = flat.max(axis=1)
+        off = flat.min(axis=1)
         found["on"] = tuple(on.tolist())
         found["off"] = tuple((float(one), *_poisson_interval(one)) for one in off)
         found["uniform"] = tuple(((on + off) / sums.mean(axis=1)).tolist())
@@ -203,6 +241,8 @@ def _find_light(
 
 def _poisson_interval(count: float) -> tuple[float, float]:
     """Exact 95 % interval of a Poisson mean from its count."""
+    from scipy.special import gammaincinv
+
     low = float(gammaincinv(count, 0.025)) if count > 0 else 0.0
     return low, float(gammaincinv(count + 1, 0.975))
 
@@ -214,12 +254,29 @@ def _correlations(pictures: np.ndarray) -> tuple[float, ...]:
 
 
 def compare_picture(
-    pictures: Pictures, source: str
+    pictures: TablePictures, source: str
 ) -> tuple[np.ndarray, tuple[dict[str, float], ...]]:
     """Picture of another camera in the unit of the first one, and the agreement of each with it.
 
-    The residual is the rms of a picture less the line of best fit in the reference, over the
-    reference's standard deviation in the unit of the picture.
+    Parameters
+    ----------
+    pictures : TablePictures
+        Of the first camera.
+    source : str
+        Picture of the other, FILE or FILE:VARIABLE.
+
+    Returns
+    -------
+    array (H, W)
+        The other picture, by the line of best fit to the first table's.
+    tuple of dict
+        Of each table the correlation, and the residual: the rms of its picture less that line, over
+        the reference's standard deviation in the unit of the picture.
+
+    Raises
+    ------
+    InputError
+        If the shapes differ.
     """
     reference = read_table(source).values
     if reference.shape != pictures.pictures.shape[1:]:
@@ -227,26 +284,30 @@ def compare_picture(
             f"{source} has shape {reference.shape}, and pictures have "
             f"{pictures.pictures.shape[1:]}: give a picture of the same shape"
         )
-    out, lines = [], []
+    lines = []
+    agreement = []
     for picture in pictures.pictures:
         slope, offset = np.polyfit(reference.ravel(), picture.ravel(), 1)
         lines.append(slope * reference + offset)
         rest = picture - lines[-1]
         r = float(np.corrcoef(picture.ravel(), reference.ravel())[0, 1])
-        out.append({"correlation": r, "residual": float(rest.std() / abs(slope) / reference.std())})
-    return lines[0], tuple(out)
+        agreement.append(
+            {"correlation": r, "residual": float(rest.std() / abs(slope) / reference.std())}
+        )
+    return lines[0], tuple(agreement)
 
 
 def _of_wavelets(
     sources: Sequence[str], names: tuple[str, ...], wavelet: str, levels: int
-) -> Pictures:
-    """Pictures of wavelet coefficients, and what these say of their noise."""
-    pictures, told = [], []
+) -> TablePictures:
+    """TablePictures of wavelet coefficients, and what these say of their noise."""
+    pictures = []
+    scatters = []
     for source in sources:
         values = read_table(source).values
         picture, reverse = solve_wavelets(values, wavelet, levels)
         pictures.append(picture)
-        told.append(_wavelet_noise(values, wavelet, levels) | {"reversed": reverse})
+        scatters.append(_wavelet_noise(values, wavelet, levels) | {"reversed": reverse})
     if len({picture.shape for picture in pictures}) > 1:
         raise InputError("tables of coefficients have several shapes: give those of one shape")
     every = np.stack(pictures)
@@ -254,7 +315,7 @@ def _of_wavelets(
         "only differences of two counts are in the table: their scatter is bounded from above, and "
         "whether the counts are Poisson cannot be said"
     )
-    return Pictures(names, every, _correlations(every), note=note, wavelets=tuple(told))
+    return TablePictures(names, every, _correlations(every), note=note, wavelets=tuple(scatters))
 
 
 def _wavelet_noise(values: np.ndarray, wavelet: str, levels: int) -> dict[str, Any]:
@@ -268,7 +329,8 @@ def _wavelet_noise(values: np.ndarray, wavelet: str, levels: int) -> dict[str, A
     if not measured:
         return found | {"level": None}
     level = measured[0]
-    light, details = coarse_light(parts[: levels - level + 1], wavelet).ravel(), parts[-level][2]
+    light = coarse_light(parts[: levels - level + 1], wavelet).ravel()
+    details = parts[-level][2]
     tenths = np.array_split(np.argsort(light), 10)
     scatter = [
         float(np.median(np.abs(details.ravel()[each])) / MEDIAN_OF_NORMAL) for each in tenths

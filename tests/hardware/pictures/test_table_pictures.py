@@ -7,9 +7,9 @@ from scipy.linalg import lstsq
 from scipy.ndimage import gaussian_filter
 
 from deepfsi.base import InputError
-from deepfsi.hardware.pictures import solve_masks, solve_wavelets
+from deepfsi.hardware.pictures import TableMasks, compare_picture, read_pictures
+from deepfsi.hardware.pictures.solve import solve_masks, solve_wavelets
 from deepfsi.jobs import formula_masks
-from deepfsi.lab.table_pictures import TableMasks, compare_picture, read_pictures
 
 SCENE = np.random.default_rng(0).integers(0, 50, (8, 4)).astype(float)
 
