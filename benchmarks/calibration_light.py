@@ -21,9 +21,7 @@ from deepfsi.base import InputError
 from deepfsi.camera import Device
 from deepfsi.hardware.calibration import SCAN_NAMES, fit_calibration, scan_rails, spot_scenes
 from deepfsi.hardware.counting import Calibration
-from deepfsi.hardware.patterns.folder import export_patterns
-from deepfsi.hardware.patterns.sequence import FrameSettings, Patterns
-from deepfsi.hardware.patterns.timing import find_gates
+from deepfsi.hardware.patterns import FrameSettings, GatePlan, Patterns, export_patterns
 from deepfsi.hardware.virtual import arrival_rates
 from deepfsi_paper.camera.gate_counts import draw_counts
 from deepfsi_paper.camera.laboratory import LAB
@@ -44,7 +42,7 @@ def pictures(
     patterns: Patterns, rates: np.ndarray, flux: float, rng: np.random.Generator
 ) -> np.ndarray:
     """Least-squares pictures of one exposure of each scene, less the dark counts."""
-    gates = find_gates(patterns.manifest, EXPOSURE_S, repeats=1)
+    gates = GatePlan.of(patterns.manifest, EXPOSURE_S, repeats=1)
     arrivals = flux * rates + LAB.dark
     counts = draw_counts(arrivals, patterns.manifest, gates, CAMERA, rng)[:, 0]
     lengths = patterns.rails.max(axis=-1) * EXPOSURE_S

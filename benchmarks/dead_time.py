@@ -22,8 +22,7 @@ from deepfsi.camera import DeadTime, find_device
 from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.hardware.counting import TableSettings, count_table
-from deepfsi.hardware.patterns.folder import export_patterns
-from deepfsi.hardware.patterns.sequence import FrameSettings, Patterns
+from deepfsi.hardware.patterns import FrameSettings, Patterns, export_patterns
 from deepfsi.hardware.virtual import Detector
 from deepfsi.lab import design_rails
 from deepfsi.training.learning import learn

@@ -5,7 +5,7 @@
 
 32 x 32 cells of 24 x 32 mirrors; a frame is 98 304 bytes. "hadamard" is 1024 signed masks, 2047
 frames of full and dark cells; "grey" is 92 signed masks, 184 frames with every grey level. Ours is
-`deepfsi.hardware.patterns.mirrors.make_frames`, one thread. Beside it, for each frame,
+`deepfsi.hardware.patterns.make_frames`, one thread. Beside it, for each frame,
 
     ordered    the mask enlarged by `numpy.kron`, compared with the order of the mirrors (made
                beforehand), and `numpy.packbits`; the frames are the same, bit by bit
@@ -34,16 +34,33 @@ from skimage.transform import resize
 from sklearn.datasets import load_sample_image
 
 from deepfsi.camera import DEVICES, DmdLayout, find_grid
-from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
-from deepfsi.hardware.patterns.mirrors import count_mirrors, make_frames, order_mirrors
-from deepfsi.hardware.patterns.sequence import Format, FrameSettings
+from deepfsi.hardware.patterns import (
+    DesignRails,
+    FrameSettings,
+    export_patterns,
+    make_frames,
+    unpack,
+)
 from deepfsi.jobs import hadamard_masks
 
 DEVICE = DEVICES["dlp7000"]
 SHAPE = (32, 32)
 LAYOUT = DmdLayout(stretch=True)
 GRID = find_grid(DEVICE, SHAPE, LAYOUT)
-ORDER = order_mirrors(GRID.height, GRID.width)
+
+
+def order_mirrors() -> np.ndarray:
+    """Number of each mirror of a cell in the order in which grey levels switch them ON."""
+    levels = np.arange(GRID.mirrors + 1)[:, None].repeat(SHAPE[0] * SHAPE[1], axis=1)
+    cell = GRID.top, GRID.left
+    off = np.zeros((GRID.height, GRID.width), int)
+    for frame in make_frames(levels, DEVICE, GRID):
+        window = unpack(frame, DEVICE)[cell[0] :, cell[1] :]
+        off += ~window[: GRID.height, : GRID.width]
+    return off - 1
+
+
+ORDER = order_mirrors()
 
 
 def signed(name: str, masks: int) -> np.ndarray:
@@ -53,6 +70,14 @@ def signed(name: str, masks: int) -> np.ndarray:
     else:
         matrix = np.random.default_rng(0).uniform(-1, 1, (masks, SHAPE[0] * SHAPE[1]))
     return np.stack([matrix.clip(0), (-matrix).clip(0)]) / (2 * masks)
+
+
+def count_mirrors(rails: np.ndarray) -> np.ndarray:
+    """Mirrors ON in each cell (f, N) of the frames of rails (2, masks, N), without dark ones."""
+    parts = rails.swapaxes(0, 1).reshape(-1, rails.shape[-1])
+    peaks = parts.max(axis=1, keepdims=True)
+    lit = peaks.ravel() > 0
+    return np.rint(parts[lit] / (peaks[lit] / GRID.mirrors)).astype(np.uint32)
 
 
 def plain_ordered(on: np.ndarray) -> Iterator[np.ndarray]:
@@ -91,7 +116,7 @@ def rate(make: Callable[[np.ndarray], Iterator[np.ndarray]], on: np.ndarray) -> 
     return frames / (time.perf_counter() - began)
 
 
-def export(rails: np.ndarray, form: Format) -> int:
+def export(rails: np.ndarray, form: str) -> int:
     """Write a folder; its number of frames."""
     with tempfile.TemporaryDirectory() as folder:
         patterns = export_patterns(
@@ -102,7 +127,7 @@ def export(rails: np.ndarray, form: Format) -> int:
     return len(patterns.manifest.frames)
 
 
-def export_rate(rails: np.ndarray, form: Format) -> float:
+def export_rate(rails: np.ndarray, form: str) -> float:
     """Frames per second."""
     began = time.perf_counter()
     frames = export(rails, form)
@@ -157,9 +182,7 @@ def main(given: Sequence[str] | None = None) -> None:
 
     works = dict(zip(("hadamard", "grey"), arguments.masks, strict=True))
     rails = {name: signed(name, masks) for name, masks in works.items()}
-    on = {
-        name: count_mirrors(given, "equal-dwell", GRID.mirrors).on for name, given in rails.items()
-    }
+    on = {name: count_mirrors(given) for name, given in rails.items()}
     rates: dict[tuple[str, ...], list[float]] = {}
     for _ in range(arguments.rounds):
         for name, counts in on.items():

@@ -31,8 +31,7 @@ from deepfsi.hardware.counting.windows import (
     find_lateness,
 )
 from deepfsi.hardware.light import FALSE_ALARMS, PARTS, Arrivals, LightMonitor, check_light
-from deepfsi.hardware.patterns.sequence import Brightness, Frame, Manifest
-from deepfsi.hardware.patterns.timing import Gates
+from deepfsi.hardware.patterns import Brightness, Frame, GatePlan, Manifest
 
 PASSES, MASKS, FRAME_S = 20, 10, 1e-3
 FLUX, DARK = 1e6, 1e3
@@ -176,7 +175,7 @@ def late(rng: np.random.Generator, faulty: bool) -> bool:
     found = FrameStarts(
         np.zeros((1, len(pictures))), np.ones(1, bool), pictures, 1e-5, 0.0, np.inf, ()
     )
-    windows = Windows.of_gates(manifest, Gates(2e-5, np.full(MASKS, 5e-4), 1), found)
+    windows = Windows.of_gates(manifest, GatePlan(2e-5, np.full(MASKS, 5e-4), 1), found)
     seconds = np.tile(windows.length_s, (PASSES, 1))
     rates = np.where(windows.frame == 1, DARK, FLUX)
     means = rates * seconds

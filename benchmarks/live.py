@@ -43,8 +43,7 @@ from deepfsi.designfile import DesignFile, MaskHeader, loop_bytes
 from deepfsi.hardware.counting import FrameCounter, FrameCounts, FrameGates, Scene
 from deepfsi.hardware.drivers import Setup
 from deepfsi.hardware.live import FixedMaskLooks, FrameList, SceneObserver, plan_live, run_live
-from deepfsi.hardware.patterns.folder import DesignRails, export_patterns, read_patterns
-from deepfsi.hardware.patterns.sequence import FrameSettings
+from deepfsi.hardware.patterns import DesignRails, FrameSettings, export_patterns, read_patterns
 from deepfsi.hardware.photons import PtuFile, PtuWriter, count_windows, read_markers
 from deepfsi.hardware.virtual import (
     Latencies,

@@ -26,8 +26,7 @@ from deepfsi.datasets import Dataset
 from deepfsi.hardware.counting import Scene
 from deepfsi.hardware.drivers import Setup
 from deepfsi.hardware.live import LiveCounts, LiveScene, plan_live, replay_run, run_live
-from deepfsi.hardware.patterns.folder import export_patterns, read_patterns
-from deepfsi.hardware.patterns.sequence import FrameSettings
+from deepfsi.hardware.patterns import FrameSettings, export_patterns, read_patterns
 from deepfsi.hardware.virtual import (
     DETECTOR_TICK_S,
     Latencies,

@@ -21,8 +21,7 @@ import deepfsi
 from deepfsi.camera import find_device
 from deepfsi.hardware.counting import Scene, TableSettings
 from deepfsi.hardware.live import plan_live, run_live
-from deepfsi.hardware.patterns.folder import export_patterns, read_patterns
-from deepfsi.hardware.patterns.sequence import FrameSettings
+from deepfsi.hardware.patterns import FrameSettings, export_patterns, read_patterns
 from deepfsi.hardware.virtual import Latencies, VirtualCamera, arrival_rates, virtual_setup
 from deepfsi.lab import design_rails, open_looks
 

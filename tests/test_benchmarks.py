@@ -13,7 +13,8 @@ from torch.nn import functional
 from conftest import generator, quick
 from deepfsi.design.classifiers import Mlp
 from deepfsi.design.exposure.kinds import begin
-from deepfsi.hardware.patterns.mirrors import recount, unpack
+from deepfsi.hardware.patterns import unpack
+from deepfsi.hardware.patterns.frames import recount
 from deepfsi.jobs import Job, Training
 from deepfsi.optics.noise import attach_gradient
 from deepfsi.training.learning import train
@@ -155,7 +156,7 @@ def test_the_comparison_of_gradients_runs(tmp_path, capsys):
 
 def test_frames_are_compared_on_the_same_work(capsys):
     frames = benchmark("dmd")
-    on = frames.count_mirrors(frames.signed("grey", 2), "equal-dwell", frames.GRID.mirrors).on
+    on = frames.count_mirrors(frames.signed("grey", 2))
     for ours, plain in zip(frames.our_ordered(on), frames.plain_ordered(on), strict=True):
         assert (ours == plain).all()
     for way in (frames.our_random, frames.plain_random):

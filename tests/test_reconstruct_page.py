@@ -21,8 +21,7 @@ from torch import Tensor, nn
 from conftest import generator
 from deepfsi.camera import Device
 from deepfsi.hardware.counting import count_run, read_counts, read_run
-from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
-from deepfsi.hardware.patterns.sequence import FrameSettings
+from deepfsi.hardware.patterns import DesignRails, FrameSettings, export_patterns
 from deepfsi.hardware.virtual import RecordingSettings, VirtualCamera, record_scenes
 from deepfsi.optics import constraints
 

@@ -14,8 +14,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from deepfsi.hardware.counting import read_counts
-from deepfsi.hardware.patterns.folder import read_frames, read_patterns
-from deepfsi.hardware.patterns.mirrors import unpack
+from deepfsi.hardware.patterns import read_frames, read_patterns, unpack
 
 # %%
 # Your camera

@@ -5,8 +5,7 @@ import pytest
 
 from deepfsi.base import InputError
 from deepfsi.camera import DEVICES, Device, DmdLayout, find_device, find_grid
-from deepfsi.hardware.patterns.folder import check_patterns, read_frames, read_patterns
-from deepfsi.hardware.patterns.mirrors import unpack
+from deepfsi.hardware.patterns import check_patterns, read_frames, read_patterns, unpack
 from hardware.patterns.pattern_samples import SMALL, export
 
 SHAPES = ((32, 32), (8, 8), (3, 5))

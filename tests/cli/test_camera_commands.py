@@ -20,7 +20,7 @@ from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate
 from deepfsi.hardware.calibration import calibrate_run
 from deepfsi.hardware.counting import acquisition, read_counts, read_run
-from deepfsi.hardware.patterns.folder import read_patterns
+from deepfsi.hardware.patterns import read_patterns
 from deepfsi.hardware.pictures import reconstruct
 
 

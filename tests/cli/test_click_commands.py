@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 
 from deepfsi.cli import app
 from deepfsi.hardware.counting import count_run
-from deepfsi.hardware.patterns.folder import read_patterns
+from deepfsi.hardware.patterns import read_patterns
 
 SCENES = 200
 PHOTONS = 1500.0

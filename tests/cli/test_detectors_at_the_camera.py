@@ -13,7 +13,7 @@ from deepfsi.cli import app
 from deepfsi.datasets import write_pictures
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate
-from deepfsi.hardware.patterns.folder import read_patterns
+from deepfsi.hardware.patterns import read_patterns
 
 PHOTONS = 1e4
 SCENES = 120

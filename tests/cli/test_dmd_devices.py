@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from deepfsi.hardware.patterns.folder import read_patterns
+from deepfsi.hardware.patterns import read_patterns
 
 SCAN = ("dmd", "export", "hadamard", "--size", "8x8")
 

@@ -17,8 +17,7 @@ from conftest import quick
 from deepfsi.camera import find_device
 from deepfsi.datasets import write_pictures
 from deepfsi.hardware.counting.tables import column_names
-from deepfsi.hardware.patterns.folder import export_patterns, read_patterns
-from deepfsi.hardware.patterns.sequence import FrameSettings
+from deepfsi.hardware.patterns import FrameSettings, export_patterns, read_patterns
 from deepfsi.hardware.virtual import VirtualCamera, arrival_rates
 from deepfsi.lab import design_rails
 

@@ -17,7 +17,7 @@ from deepfsi.camera import photons_per_pixel
 from deepfsi.design.artifact import Design
 from deepfsi.design.exposure.conditioned import ConditionedExposure
 from deepfsi.design.onnx_graph import SCHEMA, to_onnx
-from deepfsi.hardware.patterns.folder import check_patterns
+from deepfsi.hardware.patterns import check_patterns
 
 onnxruntime = pytest.importorskip("onnxruntime")
 

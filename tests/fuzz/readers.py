@@ -74,7 +74,7 @@ def read_shown_design(path: Path) -> None:
 
 def read_loop(path: Path) -> None:
     from deepfsi.designfile import read_loop
-    from deepfsi.hardware.patterns.folder import read_patterns
+    from deepfsi.hardware.patterns import read_patterns
 
     patterns = read_patterns(path.parent)
     rails, image_shape, _ = patterns.realised
@@ -86,7 +86,7 @@ def read_loop(path: Path) -> None:
 
 def read_patterns(path: Path) -> None:
     from deepfsi.hardware.counting.tables import column_names
-    from deepfsi.hardware.patterns.folder import read_patterns
+    from deepfsi.hardware.patterns import read_patterns
 
     patterns = read_patterns(path.parent)
     assert np.isfinite(patterns.rails).all()
@@ -94,7 +94,7 @@ def read_patterns(path: Path) -> None:
 
 
 def check_patterns(path: Path) -> None:
-    from deepfsi.hardware.patterns.folder import check_patterns
+    from deepfsi.hardware.patterns import check_patterns
 
     top = next(each for each in path.parents if (each / "manifest.json").is_file())
     check_patterns(top)
@@ -306,8 +306,7 @@ def _designs(folder: Path) -> None:
     from conftest import quick
     from deepfsi import from_arrays
     from deepfsi.camera import find_device
-    from deepfsi.hardware.patterns.folder import export_patterns
-    from deepfsi.hardware.patterns.sequence import FrameSettings
+    from deepfsi.hardware.patterns import FrameSettings, export_patterns
     from deepfsi.lab import design_rails
 
     rng = np.random.default_rng(1)

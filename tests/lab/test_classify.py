@@ -13,7 +13,7 @@ from deepfsi.datasets import read_display, write_pictures
 from deepfsi.hardware.counting import TableSettings, Verdict, count_run, read_counts, read_run
 from deepfsi.hardware.counting.acquisition import VERDICT
 from deepfsi.hardware.live import LiveCounts
-from deepfsi.hardware.patterns.folder import read_patterns
+from deepfsi.hardware.patterns import read_patterns
 from deepfsi.hardware.virtual import (
     CAMERAS,
     RecordingSettings,

@@ -11,8 +11,7 @@ from deepfsi.hardware.drivers import Setup
 from deepfsi.hardware.live import LiveCounts, plan_live, replay_run, run_live
 from deepfsi.hardware.live.replay import ReplayedScene
 from deepfsi.hardware.live.run import LiveStep
-from deepfsi.hardware.patterns.folder import export_patterns
-from deepfsi.hardware.patterns.sequence import FrameSettings
+from deepfsi.hardware.patterns import FrameSettings, export_patterns
 from deepfsi.hardware.virtual import (
     CAMERAS,
     Latencies,

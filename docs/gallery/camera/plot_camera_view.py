@@ -15,8 +15,7 @@ import numpy as np
 import deepfsi
 from deepfsi.camera import find_device
 from deepfsi.hardware.counting import count_run
-from deepfsi.hardware.patterns.folder import export_patterns
-from deepfsi.hardware.patterns.sequence import FrameSettings
+from deepfsi.hardware.patterns import FrameSettings, export_patterns
 from deepfsi.hardware.pictures import reconstruct
 from deepfsi.hardware.virtual import CAMERAS, RecordingSettings, record_scenes
 from deepfsi.lab import design_rails

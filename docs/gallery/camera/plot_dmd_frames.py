@@ -13,9 +13,7 @@ import matplotlib.pyplot as plt
 
 import deepfsi
 from deepfsi.camera import find_device
-from deepfsi.hardware.patterns.folder import export_patterns, read_frames
-from deepfsi.hardware.patterns.mirrors import unpack
-from deepfsi.hardware.patterns.sequence import FrameSettings
+from deepfsi.hardware.patterns import FrameSettings, export_patterns, read_frames, unpack
 from deepfsi.lab import design_rails
 
 # %%

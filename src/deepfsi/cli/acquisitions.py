@@ -41,7 +41,7 @@ def camera_prepare(
     paths.check_new_folder(out)
     from deepfsi.hardware.counting import Acquisition, prepare_run
     from deepfsi.hardware.light import name_inputs
-    from deepfsi.hardware.patterns.folder import read_patterns
+    from deepfsi.hardware.patterns import read_patterns
     from deepfsi.lab.camera import camera_of
     from deepfsi.lab.scenes import listed
 
@@ -178,7 +178,7 @@ def _import_series(
     from deepfsi.base import write_atomically
     from deepfsi.base.numeric import read_table
     from deepfsi.hardware.counting import table_of_series
-    from deepfsi.hardware.patterns.folder import read_patterns
+    from deepfsi.hardware.patterns import read_patterns
 
     manifest, values = read_patterns(patterns).manifest, read_table(source).values
     width = options.optional_seconds("bins", bins)

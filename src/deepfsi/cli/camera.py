@@ -148,7 +148,7 @@ def camera_simulate(
     Example: deepfsi camera simulate patterns --scene images --flux 1e7 --exposure 10ms -o run_0001
     """
     paths.check_new_folder(out)
-    from deepfsi.hardware.patterns.folder import read_patterns
+    from deepfsi.hardware.patterns import read_patterns
     from deepfsi.hardware.virtual import RecordingSettings, expected_events, record_scenes
     from deepfsi.lab.camera import camera_of, clicks_of, exposure_of, flux_of
     from deepfsi.lab.scenes import displayed, picture_hashes

@@ -82,7 +82,7 @@ def open_design(path: Path, trust: bool = False) -> "Design":
 
     if not path.is_dir():
         return Design.load(path, trust=trust)
-    from deepfsi.hardware.patterns.folder import check_patterns
+    from deepfsi.hardware.patterns import check_patterns
 
     made = Design.load(path / "design.safetensors", trust=trust)
     return made.as_shown(*check_patterns(path).realised)

@@ -12,9 +12,7 @@ from deepfsi.cli.settings import SettingsCommand, laboratory_fields, with_settin
 
 if TYPE_CHECKING:
     from deepfsi.camera import Device, DmdGrid, DmdLayout
-    from deepfsi.hardware.patterns.folder import DesignRails
-    from deepfsi.hardware.patterns.sequence import Manifest, Patterns
-    from deepfsi.hardware.patterns.timing import Cost
+    from deepfsi.hardware.patterns import DesignRails, GatePlan, Manifest, Patterns
 
 dmd = typer.Typer(
     cls=Group,
@@ -99,8 +97,7 @@ def dmd_export(
     paths.check_new_folder(out)
     from deepfsi.camera import find_device
     from deepfsi.hardware.calibration import SCAN_NAMES, write_reference
-    from deepfsi.hardware.patterns.folder import export_patterns
-    from deepfsi.hardware.patterns.sequence import FrameSettings
+    from deepfsi.hardware.patterns import FrameSettings, export_patterns
     from deepfsi.lab.camera import camera_of, picture_time
 
     file = file if str(file) in SCAN_NAMES else paths.check_design(file)
@@ -164,7 +161,7 @@ def dmd_check(
 
     Example: deepfsi dmd check patterns
     """
-    from deepfsi.hardware.patterns.folder import check_patterns
+    from deepfsi.hardware.patterns import check_patterns
 
     with common.progress("frames", quiet=as_json) as report:
         patterns = check_patterns(folder, report)
@@ -210,15 +207,14 @@ def dmd_devices(as_json: options.Json = False) -> None:
 def _print_patterns(command: str, patterns: "Patterns", folder: Path, as_json: bool) -> None:
     from dataclasses import asdict
 
-    from deepfsi.hardware.patterns.limits import departures
-    from deepfsi.hardware.patterns.timing import find_cost, find_gates, longest_exposure
+    from deepfsi.hardware.patterns import GatePlan
 
     manifest, device, grid = patterns.manifest, patterns.manifest.device, patterns.manifest.grid
     times = [frame.picture_us for frame in manifest.frames]
-    longest = cost = None
+    longest = gates = None
     if manifest.looks is None:
-        longest = longest_exposure(manifest, device.settle_us * 1e-6)
-        cost = find_cost(manifest, find_gates(manifest, longest))
+        longest = manifest.longest_exposure_s(device.settle_us * 1e-6)
+        gates = GatePlan.of(manifest, longest)
     if as_json:
         common.print_json(
             command,
@@ -229,7 +225,7 @@ def _print_patterns(command: str, patterns: "Patterns", folder: Path, as_json: b
                 "mean_picture_s": float(manifest.picture_s[manifest.shown].mean()),
                 "pass_s": manifest.pass_s,
                 "longest_exposure_s": longest,
-                "uncounted": None if cost is None else asdict(cost),
+                "uncounted": None if gates is None else asdict(gates.cost(manifest)),
                 "dimmed": manifest.dimmed,
                 "looks": manifest.looks.count if manifest.looks else 1,
                 "load_s": device.load_us and device.load_us * 1e-6,
@@ -240,17 +236,17 @@ def _print_patterns(command: str, patterns: "Patterns", folder: Path, as_json: b
                 "layout": manifest.layout.model_dump(),
                 "most_frames": device.patterns,
                 "picture_us": [min(times), max(times)],
-                "departures": departures(device),
+                "departures": manifest.departures,
             },
         )
         return
     print(
-        f"{_counted(manifest, longest, cost)}\n{_placed(manifest, grid)}\n"
+        f"{_counted(manifest, longest, gates)}\n{_placed(manifest, grid)}\n"
         f"limits of {device.name}: {len(manifest.frames)} frames"
         f"{'' if device.patterns is None else f' of {device.patterns}'}, pictures of "
         f"{min(times)} to {max(times)} µs ({_allowed(device)} allowed)"
     )
-    for departure in departures(device):
+    for departure in manifest.departures:
         print(f"beyond its documents: {departure}")
     if manifest.dimmed < 0.999:
         print(
@@ -287,7 +283,7 @@ def _placed(manifest: "Manifest", grid: "DmdGrid") -> str:
     )
 
 
-def _counted(manifest: "Manifest", longest: float | None, cost: "Cost | None") -> str:
+def _counted(manifest: "Manifest", longest: float | None, gates: "GatePlan | None") -> str:
     """Frames of a pass, its longest exposure and what it costs, in words."""
     sentinels = len(manifest.frames) - len(manifest.shown)
     shown = common.several(len(manifest.shown), "frame")
@@ -299,7 +295,7 @@ def _counted(manifest: "Manifest", longest: float | None, cost: "Cost | None") -
             f"before each look, {device.load_us} µs a frame on {device.name}, in which no photon "
             "is counted; show them with `deepfsi camera live`"
         )
-    if chosen or cost is None or longest is None:
+    if chosen or gates is None or longest is None:
         looks = chosen.count if chosen else 1
         return (
             f"{frames}, {looks} looks: the times written are of the first, those of the others "
@@ -308,6 +304,7 @@ def _counted(manifest: "Manifest", longest: float | None, cost: "Cost | None") -
     reason = f"no picture is shorter than {manifest.device.shortest_us} µs"
     if manifest.device.video_us:
         reason = "all pictures last as long as the longest"
+    cost = gates.cost(manifest)
     return (
         f"{frames}, {time_text(manifest.pass_s)} a pass, exposures up to {time_text(longest)}\n"
         f"cost in time: at that exposure {cost.total:.1%} of a pass is not counted: "

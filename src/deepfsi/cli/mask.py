@@ -27,10 +27,10 @@ def mask(
 
     Example: deepfsi mask passing.safetensors --pixel 5 -o pattern.svg
     """
-    from deepfsi.lab.static_pattern import ENDS, write_photomask
+    from deepfsi.hardware.patterns import write_photomask
 
     file = paths.check_design(file)
-    paths.check_file(out, ENDS, force)
+    paths.check_file(out, (".svg", ".png"), force)
     pattern = write_photomask(file, out, pixel)
     rows, columns = pattern.shape
     open_share = float(pattern.mean())

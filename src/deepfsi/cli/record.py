@@ -60,7 +60,7 @@ def camera_record(
         open_projector,
     )
     from deepfsi.hardware.live import record_run
-    from deepfsi.hardware.patterns.folder import read_patterns
+    from deepfsi.hardware.patterns import read_patterns
     from deepfsi.hardware.virtual import expected_events, virtual_setup
     from deepfsi.lab.camera import camera_of, clicks_of, dead_time_of, flux_of
     from deepfsi.lab.scenes import displayed, listed, scenes_of

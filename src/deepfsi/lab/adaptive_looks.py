@@ -22,9 +22,14 @@ from deepfsi.hardware.live import (
     FrameList,
     SceneComparison,
 )
-from deepfsi.hardware.patterns.folder import DESIGN, DesignRails, read_patterns
-from deepfsi.hardware.patterns.looks import Looks
-from deepfsi.hardware.patterns.sequence import Brightness, Manifest
+from deepfsi.hardware.patterns import (
+    Brightness,
+    DesignRails,
+    Looks,
+    Manifest,
+    Patterns,
+    read_patterns,
+)
 from deepfsi.optics.surroundings import library_defaults
 
 DECISION_S, DECISION_A_SCENE_S = 4e-3, 1.35e-7
@@ -73,12 +78,12 @@ class AdaptiveLooks:
             If files are damaged, or the design is not the one whose mask is beside it.
         """
         manifest = read_patterns(folder).manifest
-        if hash_file(folder / DESIGN) != manifest.design_sha256:
+        if hash_file(folder / Patterns.DESIGN) != manifest.design_sha256:
             raise InputError(
-                f"{folder / DESIGN} is not the design whose first mask is beside it: export the "
-                "patterns again"
+                f"{folder / Patterns.DESIGN} is not the design whose first mask is beside it: "
+                "export the patterns again"
             )
-        return cls(AdaptiveDesign.load(folder / DESIGN), manifest)
+        return cls(AdaptiveDesign.load(folder / Patterns.DESIGN), manifest)
 
     def expose(self, scene: int, state: ExposureState) -> "AdaptiveExposure":
         """Begin an exposure of a scene."""

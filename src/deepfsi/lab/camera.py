@@ -11,7 +11,7 @@ from typing import Any
 from deepfsi.base import InputError
 from deepfsi.camera import LIGHT_LAWS, Camera, DeadTime, Device
 from deepfsi.designfile import DesignFile
-from deepfsi.hardware.patterns.folder import DESIGN, DesignRails
+from deepfsi.hardware.patterns import DesignRails, Patterns
 from deepfsi.hardware.virtual import VirtualCamera
 
 SLACK = 1.01
@@ -37,7 +37,8 @@ def camera_of(source: Camera | str | os.PathLike[str], **settings: Any) -> Camer
 
 def _known(path: Path) -> Camera | None:
     folders = (path, path / "patterns") if path.is_dir() else ()
-    file = next((each / DESIGN for each in folders if (each / DESIGN).is_file()), path)
+    files = (folder / Patterns.DESIGN for folder in folders)
+    file = next((file for file in files if file.is_file()), path)
     if file.is_dir() or not file.is_file():
         return None
     try:

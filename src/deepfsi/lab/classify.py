@@ -36,9 +36,7 @@ from deepfsi.hardware.counting import (
     read_run,
 )
 from deepfsi.hardware.live import LiveAnswers, LiveCounts, is_live, replay_run
-from deepfsi.hardware.patterns.folder import DESIGN, read_patterns
-from deepfsi.hardware.patterns.nominal import nominal_manifest
-from deepfsi.hardware.patterns.sequence import Manifest, Patterns
+from deepfsi.hardware.patterns import Manifest, Patterns, read_patterns
 from deepfsi.lab.camera import camera_of, dead_time_of
 from deepfsi.lab.light import dim_scenes
 from deepfsi.lab.looks import open_looks
@@ -254,7 +252,7 @@ def _nominal(file: str | os.PathLike[str], settings: TableSettings) -> Manifest:
         )
     from deepfsi.lab.rails import design_rails
 
-    return nominal_manifest(design_rails(Path(file)))
+    return Manifest.from_design(design_rails(Path(file)))
 
 
 def _opened(design: str | os.PathLike[str], patterns: Patterns | None, trust: bool) -> "Design":
@@ -274,7 +272,7 @@ def _opened(design: str | os.PathLike[str], patterns: Patterns | None, trust: bo
 def _check_design(design: str | os.PathLike[str], manifest: Manifest) -> Path:
     """Design file, or that in a folder of patterns; `InputError` if other patterns were shown."""
     path = Path(design)
-    file, known = path / DESIGN if path.is_dir() else path, manifest.design_sha256
+    file, known = path / Patterns.DESIGN if path.is_dir() else path, manifest.design_sha256
     if (known or manifest.looks) and hash_file(file) != known:
         raise InputError(
             f"{file} is not the design whose patterns were shown: give the file that "

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from deepfsi.base import require_torch
 from deepfsi.hardware.live import FixedMaskLooks, LookChooser
-from deepfsi.hardware.patterns.folder import read_patterns
+from deepfsi.hardware.patterns import read_patterns
 
 
 def open_looks(folder: Path) -> LookChooser:

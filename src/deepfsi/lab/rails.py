@@ -11,9 +11,7 @@ from deepfsi.base import SILENT, InputError, Progress, as_input_error, read_regu
 from deepfsi.base.numeric import LARGEST_TENSORS
 from deepfsi.camera import DetectorMap, find_device
 from deepfsi.designfile import AdaptiveHeader, DesignFile, check_masks, loop_bytes
-from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
-from deepfsi.hardware.patterns.looks import Looks
-from deepfsi.hardware.patterns.sequence import Brightness, FrameSettings
+from deepfsi.hardware.patterns import Brightness, DesignRails, FrameSettings, Looks, export_patterns
 from deepfsi.jobs import EVERY_PIXEL, STATIC
 
 

@@ -12,14 +12,14 @@ from deepfsi.datasets.display import Display
 from deepfsi.designfile import DesignFile, DesignHeader, scene_hashes, trained_on
 from deepfsi.hardware.calibration import camera_view
 from deepfsi.hardware.counting import Calibration, Scene
-from deepfsi.hardware.patterns.folder import DESIGN, read_patterns
+from deepfsi.hardware.patterns import Patterns, read_patterns
 
 
 def _design_of(patterns: Path) -> DesignHeader | None:
     """Header of the design in a folder of patterns; None where it has none."""
     if read_patterns(patterns).manifest.design_sha256 is None:
         return None
-    return DesignFile.read(patterns / DESIGN, ()).header
+    return DesignFile.read(patterns / Patterns.DESIGN, ()).header
 
 
 def displayed(source: Path, patterns: Path) -> Display:

@@ -9,7 +9,7 @@ from pydantic import TypeAdapter
 
 from deepfsi.base.numeric import Difference, all_above, mean_of_trials
 from deepfsi.camera import DmdGrid, find_grid
-from deepfsi.hardware.patterns.mirrors import recount, unpack
+from deepfsi.hardware.patterns import unpack
 from deepfsi.jobs import DESIGNS
 from deepfsi.report.style import photons_text
 from deepfsi.sweeps.results import Results
@@ -305,7 +305,8 @@ def _optics_pictures(measures: Measures) -> tuple[Picture, Picture]:
 
 def _greyest(mirrors: np.ndarray, grid: DmdGrid, side: int = 3) -> tuple[int, int]:
     """First cell of the window of side x side cells that are farthest from dark and full."""
-    share = recount(mirrors, grid).reshape(grid.down, grid.across) / grid.mirrors
+    cells = mirrors[grid.window].reshape(grid.down, grid.height, grid.across, grid.width)
+    share = cells.sum(axis=(1, 3)) / grid.mirrors
     grey = np.minimum(share, 1 - share)
     windows = np.lib.stride_tricks.sliding_window_view(grey, (side, side)).sum(axis=(2, 3))
     down, across = np.unravel_index(windows.argmax(), windows.shape)

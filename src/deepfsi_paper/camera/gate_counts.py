@@ -3,8 +3,7 @@
 import numpy as np
 
 from deepfsi.base import InputError
-from deepfsi.hardware.patterns.sequence import Manifest
-from deepfsi.hardware.patterns.timing import Gates
+from deepfsi.hardware.patterns import GatePlan, Manifest
 from deepfsi.hardware.virtual import DETECTOR_TICK_S, Detector, Stream, VirtualCamera, divide
 
 GATES_AT_ONCE = 2**18
@@ -17,7 +16,7 @@ LEAST_DRAWN_VARIANCE = 20.0
 def draw_counts(
     rates: np.ndarray,
     manifest: Manifest,
-    gates: Gates,
+    gates: GatePlan,
     camera: VirtualCamera,
     rng: np.random.Generator,
 ) -> np.ndarray:

@@ -25,10 +25,14 @@ from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.hardware.calibration import expected_background, fit, scan_rails, view_dataset
 from deepfsi.hardware.counting import Calibration, count_run, read_run
-from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
-from deepfsi.hardware.patterns.mirrors import make_frames
-from deepfsi.hardware.patterns.sequence import FrameSettings, Patterns
-from deepfsi.hardware.patterns.timing import find_gates
+from deepfsi.hardware.patterns import (
+    DesignRails,
+    FrameSettings,
+    GatePlan,
+    Patterns,
+    export_patterns,
+    make_frames,
+)
 from deepfsi.hardware.virtual import (
     CAMERAS,
     RecordingSettings,
@@ -213,7 +217,7 @@ def calibrate() -> Calibration:
         )
         arrivals = arrival_rates(Path(folder) / "raster", scenes, LAB, FLUX)
     rng = np.random.default_rng(1)
-    gates = find_gates(patterns.manifest, exposure, repeats=1)
+    gates = GatePlan.of(patterns.manifest, exposure, repeats=1)
     counts = draw_counts(arrivals, patterns.manifest, gates, LAB, rng)
     pictures = counts[:, 0, 0].reshape(len(scenes), 32, 32)
     black = arrivals[-1, :2, 0]
@@ -327,7 +331,7 @@ def classify(
         Exposures R of each scene.
     """
     manifest = mounted.patterns.manifest
-    gates = find_gates(manifest, exposure_s, repeats=repeats)
+    gates = GatePlan.of(manifest, exposure_s, repeats=repeats)
     arrivals = mounted.arrivals(camera)
     counts = draw_counts(arrivals, manifest, gates, camera, rng)
     window = manifest.picture_s[:2] - gates.settle_s

@@ -4,7 +4,7 @@ import numpy as np
 
 from deepfsi.camera import Device
 from deepfsi.hardware.calibration import expected_background
-from deepfsi.hardware.patterns.sequence import Frame, Manifest, Patterns
+from deepfsi.hardware.patterns import Frame, Manifest, Patterns
 
 
 def patterns_of(frames, on, rails):

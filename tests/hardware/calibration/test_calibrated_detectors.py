@@ -13,8 +13,7 @@ from deepfsi.hardware.calibration import (
     spot_scenes,
 )
 from deepfsi.hardware.counting import Counts, count_run
-from deepfsi.hardware.patterns.folder import export_patterns
-from deepfsi.hardware.patterns.sequence import FrameSettings, Patterns
+from deepfsi.hardware.patterns import FrameSettings, Patterns, export_patterns
 from deepfsi.hardware.virtual import RecordingSettings, VirtualCamera, record_scenes
 
 DEVICE = Device(name="d", columns=48, rows=48)

@@ -9,8 +9,7 @@ from deepfsi.camera import Device, DmdLayout, find_grid
 from deepfsi.hardware.calibration import camera_view, fit
 from deepfsi.hardware.calibration.view import view_matrix
 from deepfsi.hardware.counting import Calibration, count_run
-from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
-from deepfsi.hardware.patterns.sequence import FrameSettings
+from deepfsi.hardware.patterns import DesignRails, FrameSettings, export_patterns
 from deepfsi.hardware.virtual import camera
 from deepfsi_paper.camera.gate_counts import black_rates
 

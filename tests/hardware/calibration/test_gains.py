@@ -7,8 +7,7 @@ from deepfsi.base import InputError
 from deepfsi.camera import DetectorMap, Device, detector_shares
 from deepfsi.hardware.calibration import find_gains
 from deepfsi.hardware.counting import CountSettings, count_run, read_counts
-from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
-from deepfsi.hardware.patterns.sequence import FrameSettings
+from deepfsi.hardware.patterns import DesignRails, FrameSettings, export_patterns
 from deepfsi.hardware.virtual import RecordingSettings, VirtualCamera, record_scenes
 
 DEVICE = Device(name="d", columns=64, rows=64, shortest_us=10, settle_us=2)

@@ -13,8 +13,7 @@ from deepfsi.datasets import read_display
 from deepfsi.hardware.calibration import find_reference, write_reference
 from deepfsi.hardware.calibration.reference import EXPECTED, REFERENCE, reference_picture
 from deepfsi.hardware.counting import count_run
-from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
-from deepfsi.hardware.patterns.sequence import FrameSettings
+from deepfsi.hardware.patterns import DesignRails, FrameSettings, export_patterns
 from deepfsi.hardware.virtual import (
     CAMERAS,
     RecordingSettings,

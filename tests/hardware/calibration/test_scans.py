@@ -6,8 +6,7 @@ import pytest
 from deepfsi.base import InputError
 from deepfsi.camera import Device
 from deepfsi.hardware.calibration import SCAN_NAMES, scan_rails
-from deepfsi.hardware.patterns.folder import check_patterns, export_patterns
-from deepfsi.hardware.patterns.sequence import FrameSettings
+from deepfsi.hardware.patterns import FrameSettings, check_patterns, export_patterns
 
 
 @pytest.mark.parametrize("name", SCAN_NAMES)

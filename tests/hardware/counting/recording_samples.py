@@ -16,8 +16,14 @@ from deepfsi.base import InputError
 from deepfsi.camera import DEVICES, find_device
 from deepfsi.hardware.counting import Acquisition, CountSettings, Scene, count_run, prepare_run
 from deepfsi.hardware.counting.markers import Counter
-from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
-from deepfsi.hardware.patterns.sequence import Frame, FrameSettings, Manifest, Patterns
+from deepfsi.hardware.patterns import (
+    DesignRails,
+    Frame,
+    FrameSettings,
+    Manifest,
+    Patterns,
+    export_patterns,
+)
 from deepfsi.hardware.photons import PtuWriter
 
 FUZZ = int(os.environ.get("DEEPFSI_FUZZ", "100"))

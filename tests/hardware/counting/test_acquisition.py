@@ -20,7 +20,6 @@ from deepfsi.hardware.counting import (
     prepare_run,
     read_counts,
 )
-from deepfsi.hardware.patterns.timing import usual_tolerance
 from deepfsi.hardware.pictures import reconstruct
 
 run, whole = recording_samples.run, recording_samples.whole
@@ -187,4 +186,4 @@ def test_gates_of_the_usual_exposure_end_before_a_late_marker_could_cut_one(
     assert found.repeats == (repeats or 1)
     opened = 1e-5 + manifest.shares * found.exposure_s * found.repeats
     left = manifest.picture_s[manifest.shown] - opened
-    assert left.min() == pytest.approx(usual_tolerance(manifest), rel=1e-6)
+    assert left.min() == pytest.approx(manifest.usual_tolerance_s, rel=1e-6)

@@ -15,8 +15,7 @@ from deepfsi.hardware.counting import (
     read_counts,
 )
 from deepfsi.hardware.counting.corrections import Ambient, Estimate, GainCorrection, correct
-from deepfsi.hardware.patterns.folder import DesignRails, export_patterns, read_patterns
-from deepfsi.hardware.patterns.sequence import FrameSettings
+from deepfsi.hardware.patterns import DesignRails, FrameSettings, export_patterns, read_patterns
 from deepfsi.hardware.virtual import (
     RecordingSettings,
     VirtualCamera,

@@ -12,9 +12,12 @@ from deepfsi.base.numeric import Table
 from deepfsi.camera import DeadTime, DetectorMap, Device
 from deepfsi.hardware.counting import TableSettings, count_table
 from deepfsi.hardware.counting.tables import column_names
-from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
-from deepfsi.hardware.patterns.nominal import nominal_manifest
-from deepfsi.hardware.patterns.sequence import FrameSettings
+from deepfsi.hardware.patterns import (
+    DesignRails,
+    FrameSettings,
+    Manifest,
+    export_patterns,
+)
 from deepfsi.hardware.virtual import VirtualCamera, arrival_rates
 from deepfsi.optics import constraints
 
@@ -93,7 +96,7 @@ def test_counts_between_markers_give_the_scanners_readouts(tmp_path, light, rail
 @every_count
 def test_a_design_file_has_the_order_of_its_patterns(tmp_path, light, rails, cells):
     design = design_of(light, rails, cells)
-    nominal, shown = nominal_manifest(design), exported(tmp_path / "p", light, rails, cells)
+    nominal, shown = Manifest.from_design(design), exported(tmp_path / "p", light, rails, cells)
     assert column_names(nominal) == column_names(shown.manifest)
     names = [(frame.role, frame.mask, frame.rail) for frame in nominal.frames]
     assert names == [(frame.role, frame.mask, frame.rail) for frame in shown.manifest.frames]
@@ -112,9 +115,9 @@ def test_a_design_file_has_the_order_of_its_patterns(tmp_path, light, rails, cel
 def test_a_column_design_is_shown_by_no_one_device():
     wild = np.ones((5, PIXELS)) / 5
     design = DesignRails(wild[None] * np.eye(5, PIXELS)[None].clip(min=0.1), "column", SHAPE, S_BAR)
-    nominal_manifest(design)  # dim enough
+    Manifest.from_design(design)  # dim enough
     with pytest.raises(InputError, match="give the folder of its patterns"):
-        nominal_manifest(DesignRails(np.eye(5, PIXELS)[None], "column", SHAPE, S_BAR))
+        Manifest.from_design(DesignRails(np.eye(5, PIXELS)[None], "column", SHAPE, S_BAR))
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from deepfsi.hardware.counting.windows import (
     Windows,
     find_lateness,
 )
-from deepfsi.hardware.patterns.timing import Gates, usual_tolerance
+from deepfsi.hardware.patterns import GatePlan
 from deepfsi.hardware.photons import PtuWriter
 
 FLUX = 1e7
@@ -80,7 +80,7 @@ def test_stray_light_alone_is_no_late_trigger():
     found = FrameStarts(
         np.zeros((1, 8)), np.ones(1, bool), manifest.picture_s, 1e-5, 0.0, np.inf, ()
     )
-    windows = Windows.of_gates(manifest, Gates(2e-5, np.full(4, 5e-4), 1), found)
+    windows = Windows.of_gates(manifest, GatePlan(2e-5, np.full(4, 5e-4), 1), found)
     seconds = np.tile(windows.length_s, (20, 1))
     rates = np.where(windows.frame == 1, 1e5, 1e6)
     rng = np.random.default_rng(2)
@@ -109,8 +109,8 @@ def test_a_flash_in_one_pass_is_no_late_trigger(lamp):
 
 
 def test_what_a_marker_may_be_off_follows_the_shortest_frame():
-    assert usual_tolerance(schedule([1000] * 4)) == 1e-5
-    assert usual_tolerance(schedule([1000, 44])) == pytest.approx(4.4e-6)
+    assert schedule([1000] * 4).usual_tolerance_s == 1e-5
+    assert schedule([1000, 44]).usual_tolerance_s == pytest.approx(4.4e-6)
 
 
 def test_settling_leaves_something_of_frames_before_their_guard():
@@ -129,7 +129,7 @@ def test_law_lateness_is_certain_at_six_standard_deviations_of_sound_draws(longe
     found = FrameStarts(
         np.zeros((1, 8)), np.ones(1, bool), manifest.picture_s, 1e-5, 0.0, np.inf, ()
     )
-    windows = Windows.of_gates(manifest, Gates(2e-5, np.full(4, 5e-4), 1), found)
+    windows = Windows.of_gates(manifest, GatePlan(2e-5, np.full(4, 5e-4), 1), found)
     scenes, guard = 400, int(np.argmax(windows.role == Role.GUARD))
     seconds = np.tile(windows.length_s, (scenes, 1))
     seconds[:, guard] *= longer

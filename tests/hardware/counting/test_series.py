@@ -10,8 +10,7 @@ from deepfsi.base.numeric import read_table
 from deepfsi.camera import DetectorMap, Device
 from deepfsi.hardware.counting import TableSettings, count_table, table_of_series
 from deepfsi.hardware.counting.tables import ROLL_OVER, column_names
-from deepfsi.hardware.patterns.folder import DesignRails, export_patterns, read_patterns
-from deepfsi.hardware.patterns.sequence import FrameSettings
+from deepfsi.hardware.patterns import DesignRails, FrameSettings, export_patterns, read_patterns
 from deepfsi.hardware.virtual import VirtualCamera, arrival_rates
 
 DEVICE = Device(name="small", columns=36, rows=26, shortest_us=10, settle_us=2)

@@ -12,10 +12,7 @@ from deepfsi.base import InputError, Progress
 from deepfsi.camera import DEVICES, Device
 from deepfsi.hardware.drivers import dlpc900
 from deepfsi.hardware.drivers.dlpc900 import encode_picture
-from deepfsi.hardware.patterns.folder import (
-    read_frames,
-    read_patterns,
-)
+from deepfsi.hardware.patterns import read_frames, read_patterns
 
 SMALL = Device(name="small", columns=64, rows=24, shortest_us=105)
 

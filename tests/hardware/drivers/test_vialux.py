@@ -10,10 +10,7 @@ from vialux_fake import DEVICE, install
 from deepfsi.base import InputError, Progress
 from deepfsi.camera import Device
 from deepfsi.hardware.drivers import vialux
-from deepfsi.hardware.patterns.folder import (
-    read_frames,
-    read_patterns,
-)
+from deepfsi.hardware.patterns import read_frames, read_patterns
 
 
 @pytest.fixture

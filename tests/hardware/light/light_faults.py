@@ -7,8 +7,13 @@ from pathlib import Path
 import numpy as np
 
 from deepfsi.hardware.counting import Counts, prepare_run
-from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
-from deepfsi.hardware.patterns.sequence import Brightness, FrameSettings, Patterns
+from deepfsi.hardware.patterns import (
+    Brightness,
+    DesignRails,
+    FrameSettings,
+    Patterns,
+    export_patterns,
+)
 from deepfsi.hardware.photons import PtuWriter
 from hardware.counting.recording_samples import DEVICE, DWELL, SHAPE, TICK, named, split
 

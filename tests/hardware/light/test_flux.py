@@ -5,7 +5,7 @@ import pytest
 
 from deepfsi.hardware.light.curves import LightCurve
 from deepfsi.hardware.light.flux import Background, Flux
-from deepfsi.hardware.patterns.sequence import Brightness
+from deepfsi.hardware.patterns import Brightness
 
 
 @pytest.mark.parametrize("unit", [1.0, 0.05])

@@ -9,7 +9,7 @@ from deepfsi.hardware.light import FALSE_ALARMS, PARTS, Arrivals, LightMonitor
 from deepfsi.hardware.light.checks import CHECKS
 from deepfsi.hardware.light.curves import EXCESS
 from deepfsi.hardware.light.flux import HARMLESS
-from deepfsi.hardware.patterns.sequence import Brightness
+from deepfsi.hardware.patterns import Brightness
 from hardware.counting.recording_samples import schedule
 
 SCENES, SECONDS = 20, 1e-3

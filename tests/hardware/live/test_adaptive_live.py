@@ -13,8 +13,7 @@ from deepfsi.base import InputError
 from deepfsi.camera import find_device
 from deepfsi.hardware.live import LiveCounts, plan_live, run_live
 from deepfsi.hardware.live.frame_log import FrameLog
-from deepfsi.hardware.patterns.folder import check_patterns, export_patterns, read_patterns
-from deepfsi.hardware.patterns.sequence import FrameSettings
+from deepfsi.hardware.patterns import FrameSettings, check_patterns, export_patterns, read_patterns
 from deepfsi.hardware.virtual import CAMERAS, Latencies, VirtualCamera, most_events, virtual_setup
 from deepfsi.lab import design_rails, open_looks
 from shared.live_samples import replay, scenes_of

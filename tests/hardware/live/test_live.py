@@ -14,7 +14,7 @@ from deepfsi.hardware.counting import read_run
 from deepfsi.hardware.live import LiveCounts
 from deepfsi.hardware.live import run as runs
 from deepfsi.hardware.live.frame_log import DARK_SCENE, FrameLog
-from deepfsi.hardware.patterns.folder import read_patterns
+from deepfsi.hardware.patterns import read_patterns
 from deepfsi.hardware.virtual import CAMERAS, Latencies, VirtualCamera, arrival_rates
 from shared.live_samples import LOOKS, OPTICS, bench, live, make_patterns, replay, scenes_of
 

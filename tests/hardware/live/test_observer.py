@@ -13,7 +13,7 @@ from deepfsi.hardware.light import PARTS
 from deepfsi.hardware.live import SceneObserver
 from deepfsi.hardware.live.observer import SCENE_ENDS
 from deepfsi.hardware.live.run import plan_live
-from deepfsi.hardware.patterns.folder import read_patterns
+from deepfsi.hardware.patterns import read_patterns
 from deepfsi.hardware.virtual import CAMERAS, Detector, arrival_rates
 from deepfsi.lab import open_looks
 from shared.live_samples import LOOKS, OPTICS, make_patterns, scenes_of

@@ -17,8 +17,7 @@ from deepfsi.hardware.counting import Acquisition, Scene, count_run, read_counts
 from deepfsi.hardware.drivers import Dlpc900Projector
 from deepfsi.hardware.drivers.swabian import TaggerCounter
 from deepfsi.hardware.live import run as record
-from deepfsi.hardware.patterns.folder import export_patterns, read_frames, read_patterns
-from deepfsi.hardware.patterns.sequence import FrameSettings
+from deepfsi.hardware.patterns import FrameSettings, export_patterns, read_frames, read_patterns
 from deepfsi.hardware.virtual import CAMERAS, Latencies, arrival_rates, virtual_setup
 from hardware.drivers import dlpc900_fake, swabian_fake
 

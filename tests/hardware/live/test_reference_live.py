@@ -8,8 +8,7 @@ from deepfsi.camera import find_device
 from deepfsi.hardware.calibration.reference import TARGET
 from deepfsi.hardware.counting import Scene
 from deepfsi.hardware.live import LiveCounts, plan_live, run_live
-from deepfsi.hardware.patterns.folder import export_patterns
-from deepfsi.hardware.patterns.sequence import FrameSettings
+from deepfsi.hardware.patterns import FrameSettings, export_patterns
 from deepfsi.hardware.virtual import Latencies, VirtualCamera, virtual_setup
 from deepfsi.lab import check_view, design_rails, open_looks
 from shared.live_samples import make_patterns

@@ -11,8 +11,7 @@ from deepfsi.base import InputError
 from deepfsi.camera import DeadTime, find_device
 from deepfsi.hardware.drivers import Setup
 from deepfsi.hardware.live import LiveCounts, plan_live, run_live
-from deepfsi.hardware.patterns.folder import export_patterns
-from deepfsi.hardware.patterns.sequence import FrameSettings
+from deepfsi.hardware.patterns import FrameSettings, export_patterns
 from deepfsi.hardware.virtual import (
     CAMERAS,
     DETECTOR_TICK_S,

@@ -7,8 +7,7 @@ import pytest
 
 from deepfsi.base import SILENT
 from deepfsi.camera import DmdLayout, find_device
-from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
-from deepfsi.hardware.patterns.sequence import FrameSettings
+from deepfsi.hardware.patterns import DesignRails, FrameSettings, export_patterns
 
 FORMATS = ("npy", "png", "bmp", "raw")
 

@@ -20,13 +20,14 @@ from scipy.linalg import hadamard
 from conftest import CASES, FLOAT32
 from deepfsi.base import InputError, Progress
 from deepfsi.camera import DEVICES, Device, find_device
-from deepfsi.hardware.patterns.folder import (
+from deepfsi.hardware.patterns import (
     check_patterns,
-    hash_mirrors,
+    make_frames,
     read_frames,
     read_patterns,
+    unpack,
 )
-from deepfsi.hardware.patterns.mirrors import make_frames, unpack
+from deepfsi.hardware.patterns.folder import hash_mirrors
 from deepfsi.optics import constraints
 from deepfsi.optics.grey_levels import quantise
 

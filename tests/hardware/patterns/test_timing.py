@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 from pattern_samples import UNEQUAL, export
 
-from deepfsi.hardware.patterns.timing import find_cost, find_gates
+from deepfsi.hardware.patterns import GatePlan
 
 
 @pytest.mark.parametrize("exposure", [1e-3, 4e-3, 0.017])
 @pytest.mark.parametrize("light", ["free-dwell", "equal-dwell"])
 def test_the_cost_is_the_clock_less_what_gates_are_open(tmp_path, exposure, light):
     manifest = export(tmp_path / "p", light=light, dwell_s=5e-3).manifest
-    cost = find_cost(manifest, find_gates(manifest, exposure))
-    gates = find_gates(manifest, exposure)
+    cost = GatePlan.of(manifest, exposure).cost(manifest)
+    gates = GatePlan.of(manifest, exposure)
     clock = np.zeros(round(manifest.pass_s * 1e7), dtype=bool)  # steps of 0.1 µs
     for place, opens, length in zip(manifest.shown, gates.starts_s, gates.length_s, strict=True):
         for begin in manifest.starts_s[place] + opens:
@@ -22,11 +22,11 @@ def test_the_cost_is_the_clock_less_what_gates_are_open(tmp_path, exposure, ligh
     assert cost.sentinels * manifest.pass_s == pytest.approx(4 * 5e-3)
     assert cost.settling * manifest.pass_s == pytest.approx(10 * 10e-6)
     assert cost.idle >= 0
-    assert find_cost(manifest, find_gates(manifest, exposure, repeats=1)).idle >= cost.idle
+    assert GatePlan.of(manifest, exposure, repeats=1).cost(manifest).idle >= cost.idle
 
 
 def test_a_short_share_costs_time(tmp_path):
     manifest = export(tmp_path / "p", UNEQUAL, dwell_s=1e-3).manifest
     assert [manifest.frames[place].picture_us for place in manifest.shown] == [1989, 44]
-    cost = find_cost(manifest, find_gates(manifest, 1.98e-3))
+    cost = GatePlan.of(manifest, 1.98e-3).cost(manifest)
     assert cost.idle * manifest.pass_s == pytest.approx(1e-6 * (1989 + 44 - 20 - 1980))

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from deepfsi.hardware.counting import count_run, prepare_run
-from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
-from deepfsi.hardware.patterns.sequence import FrameSettings
+from deepfsi.hardware.patterns import DesignRails, FrameSettings, export_patterns
 from deepfsi.hardware.pictures import reconstruct
 from hardware.counting.recording_samples import DEVICE, DWELL, SHAPE, Run, named, split, train
 

@@ -12,9 +12,13 @@ from virtual_samples import DEVICE, SHAPE, SUMMED_REFLECTANCE, into, patterns, s
 from deepfsi.base import SILENT, InputError, Progress
 from deepfsi.camera import Device, DmdLayout, find_grid
 from deepfsi.hardware.counting import count_run, read_run
-from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
-from deepfsi.hardware.patterns.sequence import FrameSettings, Patterns
-from deepfsi.hardware.patterns.timing import Gates, find_gates
+from deepfsi.hardware.patterns import (
+    DesignRails,
+    FrameSettings,
+    GatePlan,
+    Patterns,
+    export_patterns,
+)
 from deepfsi.hardware.photons import read_markers, summarise
 from deepfsi.hardware.virtual import (
     CAMERAS,
@@ -273,7 +277,7 @@ def test_cameras_survive_json(name):
 @every_optics
 def test_law_ideal_counts_are_poisson_with_the_scanners_mean(tmp_path, light, rails):
     shown, x, flux, exposure = patterns(tmp_path / "p", light, rails), scenes(), 2e6, 1e-3
-    gates = Gates(0.0, shown.manifest.shares * exposure, 20_000)
+    gates = GatePlan(0.0, shown.manifest.shares * exposure, 20_000)
     flow = arrival_rates(tmp_path / "p", x, IDEAL, flux)
     counts = draw_counts(flow, shown.manifest, gates, IDEAL, np.random.default_rng(0))
     mean = scanner_rates(shown, x, flux * exposure)
@@ -285,7 +289,7 @@ def test_law_ideal_counts_are_poisson_with_the_scanners_mean(tmp_path, light, ra
 def test_counts_of_an_imperfect_detector_have_its_mean(tmp_path):
     shown = patterns(tmp_path / "p", "two-arm")
     flow = arrival_rates(tmp_path / "p", scenes(), CAMERAS["spad"], 1e7)
-    gates = Gates(0.0, shown.manifest.shares * 1e-3, 5_000)
+    gates = GatePlan(0.0, shown.manifest.shares * 1e-3, 5_000)
     counts = draw_counts(flow, shown.manifest, gates, CAMERAS["spad"], np.random.default_rng(0))
     n = flow[:, shown.manifest.shown].transpose(0, 2, 1)
     mean = n / (1 + n * 28.5e-9) * 1.01 * gates.length_s
@@ -327,7 +331,7 @@ def test_counts_from_a_file_are_as_in_memory(tmp_path, name):
     acquisition = shoot(tmp_path, camera=camera, flux=flux, exposure_s=exposure)
     counted = count_run(tmp_path / "run").counts
     flow = arrival_rates(tmp_path / "p", scenes(), camera, flux)
-    gates = Gates(0.0, shown.manifest.shares * exposure, 4000)
+    gates = GatePlan(0.0, shown.manifest.shares * exposure, 4000)
     drawn = draw_counts(flow, shown.manifest, gates, camera, np.random.default_rng(0))
     lit = drawn.any(axis=1)
     one, other = (np.moveaxis(c, 1, 0)[:, lit].astype(float) for c in (counted, drawn))
@@ -389,7 +393,7 @@ def test_the_acquisition_says_how_it_was_made(tmp_path):
     ]
     assert VirtualCamera.model_validate(read.camera) == camera
     assert (read.flux, read.seed, read.inputs) == (1e6, 3, (0, 1))
-    assert read.repeats == find_gates(shown.manifest, 1e-3).repeats
+    assert read.repeats == GatePlan.of(shown.manifest, 1e-3).repeats
     assert np.array_equal(patterns_read.on, shown.on)
     assert done == sorted(done)
     assert done[-1] == 1
@@ -435,7 +439,7 @@ def test_what_cannot_be_recorded_is_refused_before_any_work(tmp_path, given, mes
 def test_no_more_repeats_are_noted_than_can_be_counted(tmp_path):
     shown = patterns(tmp_path / "p", dwell=0.05)
     acquisition = shoot(tmp_path, flux=1e3, exposure_s=3e-6)
-    assert acquisition.repeats < find_gates(shown.manifest, 3e-6).repeats
+    assert acquisition.repeats < GatePlan.of(shown.manifest, 3e-6).repeats
     assert count_run(tmp_path / "run").counts.shape[1] == acquisition.repeats
 
 

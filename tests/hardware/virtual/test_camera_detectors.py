@@ -11,9 +11,13 @@ from virtual_samples import DEVICE, SHAPE, SUMMED_REFLECTANCE, scenes
 from deepfsi.base import InputError
 from deepfsi.camera import DetectorMap, Device
 from deepfsi.hardware.counting import Counts, CountSettings, count_run, read_counts
-from deepfsi.hardware.patterns.folder import DesignRails, export_patterns, read_patterns
-from deepfsi.hardware.patterns.sequence import FrameSettings
-from deepfsi.hardware.patterns.timing import Gates, find_gates
+from deepfsi.hardware.patterns import (
+    DesignRails,
+    FrameSettings,
+    GatePlan,
+    export_patterns,
+    read_patterns,
+)
 from deepfsi.hardware.photons.ptu import GENERIC_T2, PICOHARP_T2
 from deepfsi.hardware.pictures import reconstruct
 from deepfsi.hardware.virtual import (
@@ -91,8 +95,8 @@ def test_detectors_divide_the_light_of_one(tmp_path, light, rails):
 def test_counts_of_each_detector_are_poisson_with_the_scanners_mean(tmp_path, light, rails):
     shown, x = patterns(tmp_path, light, rails), scenes(1)
     rates = arrival_rates(tmp_path, x, CAMERAS["ideal"], FLUX)
-    once, times = find_gates(shown.manifest, EXPOSURE, repeats=1), 4000
-    gates = Gates(once.settle_s, once.length_s, times)
+    once, times = GatePlan.of(shown.manifest, EXPOSURE, repeats=1), 4000
+    gates = GatePlan(once.settle_s, once.length_s, times)
     counts = draw_counts(rates, shown.manifest, gates, CAMERAS["ideal"], np.random.default_rng(1))
     mean = expected(shown, x, FLUX * EXPOSURE)[0]
     assert counts.shape == (1, times, *mean.shape)
@@ -111,9 +115,9 @@ def test_each_detector_has_a_dead_time_of_its_own(tmp_path):
     totals = []
     for folder, cells in ((tmp_path / "one", None), (tmp_path / "several", CELLS)):
         manifest = patterns(folder, "free-dwell", "single", cells).manifest
-        once = find_gates(manifest, EXPOSURE, repeats=1)
+        once = GatePlan.of(manifest, EXPOSURE, repeats=1)
         rates = arrival_rates(folder, x, slow, FLUX)
-        gates = Gates(once.settle_s, once.length_s, 2000)
+        gates = GatePlan(once.settle_s, once.length_s, 2000)
         counts = draw_counts(rates, manifest, gates, slow, np.random.default_rng(1))
         counted = counts.reshape(2000, manifest.masks, -1).mean(axis=0)
         arriving = rates[0, manifest.shown] * once.length_s[:, None]

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from deepfsi.camera import DEVICES, DmdLayout, find_grid
-from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
-from deepfsi.hardware.patterns.sequence import FrameSettings
+from deepfsi.hardware.patterns import DesignRails, FrameSettings, export_patterns
 from deepfsi.hardware.virtual import CAMERAS, VirtualCamera, arrival_rates
 from deepfsi.hardware.virtual.camera import irradiance
 

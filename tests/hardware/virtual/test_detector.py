@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from deepfsi.hardware.patterns.timing import ClickGates
+from deepfsi.hardware.patterns import GatePlan
 from deepfsi.hardware.virtual import DETECTOR_TICK_S, Detector, Stream, divide
 from deepfsi.hardware.virtual import detector as module
 from deepfsi.hardware.virtual.detector import Shutter, arrivals, thin
@@ -122,7 +122,14 @@ def test_chunks_are_the_course_in_pieces(monkeypatch):
 
 # A gated detector
 
-GATES = ClickGates(4, 1e-6, np.array([2e-6, 0.5e-6]), np.array([2, 1]))
+GATES = GatePlan(
+    settle_s=1e-6,
+    length_s=np.array([8e-6]),
+    repeats=2,
+    clicks=4,
+    click_width_s=np.array([2e-6, 0.5e-6]),
+    click_exposures=np.array([2, 1]),
+)
 """Four gates in each of two exposures of a frame, and in one of another."""
 
 
@@ -134,7 +141,10 @@ def test_a_gated_detector_registers_the_first_arrival_of_each_gate_alone(monkeyp
     starts, rates = np.cumsum(durations) - durations, np.tile([4e5, 1e6], 100)
     wanted, free = [], record(Detector(), durations, rates)
     for place, start in enumerate(starts):
-        width, number = GATES.width_s[place % 2] / DETECTOR_TICK_S, 4 * GATES.exposures[place % 2]
+        width, number = (
+            GATES.click_width_s[place % 2] / DETECTOR_TICK_S,
+            4 * GATES.click_exposures[place % 2],
+        )
         for gate in range(number):
             opens = start + 1e-6 / DETECTOR_TICK_S + gate * width
             wanted += free[(free >= opens) & (free < opens + width)][:1].tolist()

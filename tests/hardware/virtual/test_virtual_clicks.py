@@ -9,7 +9,7 @@ from deepfsi.base import InputError
 from deepfsi.camera import DeadTime
 from deepfsi.hardware.counting import CountSettings, count_run, read_counts
 from deepfsi.hardware.counting.corrections import light_of_clicks
-from deepfsi.hardware.patterns.sequence import Patterns
+from deepfsi.hardware.patterns import Patterns
 from deepfsi.hardware.pictures import reconstruct
 from deepfsi.hardware.virtual import RecordingSettings, VirtualCamera, record_scenes
 from deepfsi.lab import check_view, gains_of

@@ -7,8 +7,7 @@ import torch
 
 from deepfsi.base import Progress
 from deepfsi.camera import Device, DmdLayout
-from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
-from deepfsi.hardware.patterns.sequence import FrameSettings
+from deepfsi.hardware.patterns import DesignRails, FrameSettings, export_patterns
 from deepfsi.optics import constraints
 
 DEVICE = Device(name="small", columns=36, rows=26, shortest_us=10, settle_us=2)

@@ -402,3 +402,11 @@ def check_memory(needed: float, free: float, what: str, advice: str) -> None:
             f"{what} need {needed / 1e9:.3g} GB of memory, and {free / 1e9:.3g} GB are free: "
             f"{advice}"
         )
+
+
+def npy_header(kind: str, shape: tuple[int, ...]) -> bytes:
+    """Header of an array's .npy file, as `numpy.save` writes it."""
+    header = io.BytesIO()
+    content = {"descr": kind, "fortran_order": False, "shape": shape}
+    np.lib.format.write_array_header_1_0(header, content)
+    return header.getvalue()

@@ -24,7 +24,7 @@ from deepfsi.camera import DmdGrid
 from deepfsi.datasets import write_pictures
 from deepfsi.hardware.calibration.view import geometry_matrix
 from deepfsi.hardware.counting import Calibration, Counts
-from deepfsi.hardware.patterns.sequence import Patterns
+from deepfsi.hardware.patterns import Patterns
 
 WHITE, BLACK = "white.png", "black.png"
 """Names of the pictures of uniform white and black."""

@@ -18,7 +18,7 @@ from deepfsi.base import SILENT, InputError, Progress, write_atomically
 from deepfsi.camera import DmdLayout
 from deepfsi.hardware.calibration.fit import DisplayedScenes
 from deepfsi.hardware.counting import Counts
-from deepfsi.hardware.patterns.sequence import Manifest, Patterns
+from deepfsi.hardware.patterns import Manifest, Patterns
 
 REFERENCE, EXPECTED = "reference.png", "reference.csv"
 """Files of the target, and of what it is expected to count, in a folder of patterns."""

@@ -12,8 +12,7 @@ from deepfsi.base import InputError, check_choice, write_atomically
 from deepfsi.camera import DetectorMap
 from deepfsi.hardware.counting import Counts
 from deepfsi.hardware.light import SPOILING
-from deepfsi.hardware.patterns.folder import DesignRails
-from deepfsi.hardware.patterns.sequence import Patterns
+from deepfsi.hardware.patterns import DesignRails, Patterns
 
 Scan = Literal["raster", "hadamard"]
 """Patterns of a scan: one cell after another, or Hadamard masks of two frames each."""

@@ -39,14 +39,7 @@ from deepfsi.base import (
 )
 from deepfsi.base.models import StrictModel
 from deepfsi.camera import DeadTime, LiveSettings
-from deepfsi.hardware.patterns.folder import companions, read_patterns
-from deepfsi.hardware.patterns.sequence import Manifest, Patterns
-from deepfsi.hardware.patterns.timing import (
-    Gates,
-    find_gates,
-    longest_exposure,
-    usual_tolerance,
-)
+from deepfsi.hardware.patterns import GatePlan, Manifest, Patterns, read_patterns
 from deepfsi.hardware.photons import PtuFile
 
 MOST_READOUTS = 2**21
@@ -164,9 +157,9 @@ class Acquisition(StrictModel):
         settle = manifest.device.settle_us * 1e-6 if settle_s is None else settle_s
         exposure = exposure_s
         if exposure is None:
-            longest = longest_exposure(manifest, settle + usual_tolerance(manifest))
+            longest = manifest.longest_exposure_s(settle + manifest.usual_tolerance_s)
             exposure = max(longest, 0) / (repeats or 1)
-        gates = find_gates(manifest, exposure, settle, repeats)
+        gates = GatePlan.of(manifest, exposure, settle, repeats)
         readouts = len(scenes) * manifest.readouts
         countable = max(MOST_READOUTS // max(readouts, 1), 1)
         check_inputs(manifest, cls.MOST_INPUTS, "a counter")
@@ -185,14 +178,14 @@ class Acquisition(StrictModel):
         exposure_s: float | None = None,
         settle_s: float | None = None,
         repeats: int | None = None,
-    ) -> Gates:
+    ) -> GatePlan:
         """Gates to count it with, for its exposure or another, or `InputError`."""
         same = exposure_s is None and settle_s is None
         wanted = self.repeats if repeats is None and same else repeats
         exposure = self.exposure_s if exposure_s is None else exposure_s
         settle = self.settle_s if settle_s is None else settle_s
-        gates = find_gates(manifest, exposure, settle, wanted)
-        shortest = min(manifest.picture_s[[0, 1, -2, -1]]) - usual_tolerance(manifest)
+        gates = GatePlan.of(manifest, exposure, settle, wanted)
+        shortest = min(manifest.picture_s[[0, 1, -2, -1]]) - manifest.usual_tolerance_s
         if settle >= shortest:
             raise InputError(
                 f"a settle time of {time_text(settle)} leaves nothing of the all-ON and all-OFF "
@@ -294,7 +287,7 @@ def prepare_run(
     """
     source = Path(patterns_folder)
     patterns = read_patterns(source)
-    names = ["manifest.json", "mirrors.npy", *companions(patterns.manifest)]
+    names = ["manifest.json", "mirrors.npy", *patterns.manifest.companions]
     content = {
         name: read_regular(source / name, LARGEST_COMPANION, "export the patterns again")
         for name in names

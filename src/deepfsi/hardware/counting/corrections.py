@@ -30,7 +30,7 @@ import numpy as np
 from deepfsi.base import InputError
 from deepfsi.camera import NO_DEAD_TIME, CorrectionFactors, DeadTime
 from deepfsi.hardware.counting.counts import LEAST_UNFIRED, SceneLight
-from deepfsi.hardware.patterns.sequence import Frame, Manifest
+from deepfsi.hardware.patterns import Frame, Manifest
 
 
 @dataclass(frozen=True)

@@ -38,8 +38,7 @@ from deepfsi.hardware.counting.windows import (
     sum_exposures,
 )
 from deepfsi.hardware.light import PARTS, Arrivals, Fault, check_light, name_inputs
-from deepfsi.hardware.patterns.sequence import Manifest
-from deepfsi.hardware.patterns.timing import ClickGates, Gates
+from deepfsi.hardware.patterns import GatePlan, Manifest
 from deepfsi.hardware.photons import PhotonSource, summarise
 
 LEAST_GATE_TICKS = 10
@@ -140,14 +139,14 @@ class _Recording:
 
     run: Run
     source: PhotonSource
-    gates: Gates
+    gates: GatePlan
     starts: FrameStarts
 
     @classmethod
     def open(
         cls,
         run: Run,
-        gates: Gates,
+        gates: GatePlan,
         shortest_s: float,
         tolerance_s: float | None = None,
         progress: Progress = SILENT,
@@ -235,7 +234,9 @@ class _Recording:
         )
 
 
-def _count_photons(run: Run, gates: Gates, settings: CountSettings, progress: Progress) -> Counts:
+def _count_photons(
+    run: Run, gates: GatePlan, settings: CountSettings, progress: Progress
+) -> Counts:
     """Photons of each readout, and what arrived, corrected and less no background yet."""
     manifest = run.manifest
     acquisition = run.acquisition
@@ -326,7 +327,7 @@ def _count_photons(run: Run, gates: Gates, settings: CountSettings, progress: Pr
     )
 
 
-def _count_clicks(run: Run, gates: Gates, settings: CountSettings, progress: Progress) -> Counts:
+def _count_clicks(run: Run, gates: GatePlan, settings: CountSettings, progress: Progress) -> Counts:
     """Clicks of each readout: of every gate of an exposure one photon at most."""
     manifest = run.manifest
     acquisition = run.acquisition
@@ -337,12 +338,12 @@ def _count_clicks(run: Run, gates: Gates, settings: CountSettings, progress: Pro
         "a flat field": bool(settings.gains),
     }
     check_clicks(settings.clicks, of_photons)
-    clicking = ClickGates.of(manifest, gates, settings.clicks)
+    gates = gates.with_clicks(manifest, settings.clicks)
     # Clicks saturate, so that they do not tell which frames are the brightest
     recording = _Recording.open(
         run,
         gates,
-        clicking.width_s.min(),
+        gates.click_width_s.min(),
         tolerance_s=settings.tolerance_s,
         progress=progress.between(0.0, 0.4),
         by_light=False,
@@ -351,21 +352,21 @@ def _count_clicks(run: Run, gates: Gates, settings: CountSettings, progress: Pro
     starts = recording.starts
     gated, parted = recording.count_in(
         Windows.of_gates(manifest, gates, starts),
-        Windows.of_clicks(clicking, len(acquisition.scenes)),
+        Windows.of_clicks(gates, len(acquisition.scenes)),
         progress=progress.between(0.4, 1.0),
     )
     _check_lit(recording.source, acquisition, bool(gated.photons.any()))
     late = find_lateness(gated, recording.arm, float(recording.room_s.min()))
     fired = np.minimum(parted.photons, 1)
     opened = (parted.open_s > 0)[..., None]
-    clicks = manifest.by_readout(sum_exposures(fired, clicking, manifest.shown, gates.repeats))
+    clicks = manifest.by_readout(sum_exposures(fired, gates, manifest.shown, gates.repeats))
     ends = [
-        sum_exposures(values, clicking, np.array(ENDS), 1)[:, 0]
+        sum_exposures(values, gates, np.array(ENDS), 1)[:, 0]
         for values in (parted.photons, fired, opened)
     ]
     passes = np.flatnonzero(starts.complete)
     light = light_of_clicks(
-        *ends, width_s=float(clicking.width_s[0]), scenes=len(passes), manifest=manifest
+        *ends, width_s=float(gates.click_width_s[0]), scenes=len(passes), manifest=manifest
     )
     # Where clicks do not tell the flux, it is the one that was stated
     flux = np.where(np.isfinite(light.flux), light.flux, acquisition.flux or np.nan)
@@ -375,7 +376,7 @@ def _count_clicks(run: Run, gates: Gates, settings: CountSettings, progress: Pro
         {
             "counts": (0, clicks),
             "arrivals": (0, clicks.astype(float)),
-            "variance": (0, variance_of_clicks(clicks, clicking.number)),
+            "variance": (0, variance_of_clicks(clicks, gates.clicks)),
             "on_rate": (np.nan, light.on_rate),
             "off_rate": (np.nan, light.off_rate),
             "flux": (np.nan, flux),
@@ -385,7 +386,7 @@ def _count_clicks(run: Run, gates: Gates, settings: CountSettings, progress: Pro
         faults=(*starts.faults, *late),
         ambient=ambient.counts,
         ambient_variance=ambient.variance,
-        gates=clicking.number,
+        gates=gates.clicks,
     )
 
 
@@ -402,7 +403,7 @@ def _known_dead_time(folder: Path) -> DeadTime:
 
 
 def _read_ambient(
-    folder: Path, run: Run, gates: Gates, corrections: Sequence[Correction]
+    folder: Path, run: Run, gates: GatePlan, corrections: Sequence[Correction]
 ) -> Ambient:
     """Background that a run with the scene dark has, in the gates of another."""
     if not folder.is_dir():
@@ -424,7 +425,7 @@ def _read_ambient(
 
 
 def _find_ambient(
-    counts: WindowCounts, corrections: Sequence[Correction], manifest: Manifest, gates: Gates
+    counts: WindowCounts, corrections: Sequence[Correction], manifest: Manifest, gates: GatePlan
 ) -> Ambient:
     """Background of passes with the scene dark."""
     photons, spent = counts.per_frame()
@@ -460,7 +461,7 @@ def _check_lit(source: PhotonSource, acquisition: Acquisition, lit: bool) -> Non
 def _check_gated(
     acquisition: Acquisition,
     manifest: Manifest,
-    gates: Gates,
+    gates: GatePlan,
     clicks: int | None,
     folder: object,
 ) -> None:

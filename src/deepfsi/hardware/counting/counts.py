@@ -19,6 +19,7 @@ from pydantic import Field
 
 from deepfsi.base import InputError, hash_file, read_regular, write_atomically
 from deepfsi.base.models import StrictModel
+from deepfsi.base.numeric import npy_header
 from deepfsi.camera import NO_DEAD_TIME, DeadTime
 from deepfsi.hardware.counting.acquisition import (
     MOST_READOUTS,
@@ -27,7 +28,6 @@ from deepfsi.hardware.counting.acquisition import (
     read_run,
 )
 from deepfsi.hardware.light import SPOILING, Fault
-from deepfsi.hardware.patterns.frame_files import npy_header
 
 LARGEST_COUNTS = 2**27
 """Bytes of counts.npz at most."""

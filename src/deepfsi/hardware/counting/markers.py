@@ -30,8 +30,7 @@ from deepfsi.base import SILENT, InputError, Progress, time_text
 from deepfsi.hardware.counting.acquisition import Acquisition
 from deepfsi.hardware.counting.windows import FrameStarts, count_overlapping, in_ticks
 from deepfsi.hardware.light import CERTAIN_SIGMAS, Fault
-from deepfsi.hardware.patterns.sequence import Manifest
-from deepfsi.hardware.patterns.timing import usual_tolerance
+from deepfsi.hardware.patterns import Manifest
 from deepfsi.hardware.photons import PhotonSource, marker_slack_s, read_markers
 
 MOST_RESTORED = 3
@@ -105,7 +104,7 @@ class Schedule:
     def of(cls, manifest: Manifest, tolerance_s: float | None) -> "Schedule":
         """Schedule of a manifest; a marker may be off as usual unless a tolerance is given."""
         shortest = float(manifest.picture_s.min())
-        given = usual_tolerance(manifest) if tolerance_s is None else tolerance_s
+        given = manifest.usual_tolerance_s if tolerance_s is None else tolerance_s
         if not 0 < given <= 0.2 * shortest:
             raise InputError(
                 f"a tolerance of {given!r} s is not allowed: give more than 0, up to a fifth of "

@@ -43,7 +43,7 @@ from deepfsi.hardware.counting.corrections import (
 )
 from deepfsi.hardware.counting.counts import Counts, SceneLight
 from deepfsi.hardware.light import CERTAIN_SIGMAS, Arrivals, Fault, check_light
-from deepfsi.hardware.patterns.sequence import Manifest
+from deepfsi.hardware.patterns import Manifest
 
 ROLL_OVER = 2**32
 """Counts after which a cumulative counter begins again."""

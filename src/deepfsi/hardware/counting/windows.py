@@ -16,8 +16,7 @@ import numpy as np
 from deepfsi.base import SILENT, InputError, Progress
 from deepfsi.hardware.counting.acquisition import MOST_READOUTS
 from deepfsi.hardware.light import CERTAIN_SIGMAS, Fault
-from deepfsi.hardware.patterns.sequence import Manifest
-from deepfsi.hardware.patterns.timing import ClickGates, Gates
+from deepfsi.hardware.patterns import GatePlan, Manifest
 from deepfsi.hardware.photons import PhotonSource, count_windows
 
 GUARD_SHARE = 0.5
@@ -58,7 +57,7 @@ class Windows:
     frames: int  # of a pass, F
 
     @classmethod
-    def of_gates(cls, manifest: Manifest, gates: Gates, starts: FrameStarts) -> Self:
+    def of_gates(cls, manifest: Manifest, gates: GatePlan, starts: FrameStarts) -> Self:
         """Gates of the frames of a manifest, as they were found, and what gates leave of them."""
         dark = np.flatnonzero([frame.role == "off" for frame in manifest.frames])
         count = np.ones(len(manifest.frames), np.int64)
@@ -98,9 +97,9 @@ class Windows:
         )
 
     @classmethod
-    def of_clicks(cls, gates: ClickGates, scenes: int) -> Self:
+    def of_clicks(cls, gates: GatePlan, scenes: int) -> Self:
         """Gates of clicks, or `InputError` if those of so many scenes are too many."""
-        count = gates.number * gates.exposures
+        count = gates.clicks * gates.click_exposures
         if scenes * count.sum() > MOST_READOUTS:
             raise InputError(
                 f"{scenes * count.sum()} gates of {scenes} scenes are more than {MOST_READOUTS}: "
@@ -108,10 +107,10 @@ class Windows:
             )
         frame = np.repeat(np.arange(len(count)), count)
         order = np.arange(len(frame)) - (np.cumsum(count) - count)[frame]
-        width = gates.width_s[frame]
+        width = gates.click_width_s[frame]
         return cls(
             frame=frame,
-            offset_s=gates.offset_s + order * width,
+            offset_s=gates.settle_s + order * width,
             length_s=width,
             role=np.full(len(frame), Role.CLICK),
             frames=len(count),
@@ -194,14 +193,14 @@ def count_in_windows(
 
 
 def sum_exposures(
-    values: np.ndarray, gates: ClickGates, frames: np.ndarray, repeats: int
+    values: np.ndarray, gates: GatePlan, frames: np.ndarray, repeats: int
 ) -> np.ndarray:
     """Sums (P, R, f, inputs) over the gates of R exposures of frames (f,).
 
     Of values (P, g, inputs) in the windows of clicks.
     """
-    first = (np.cumsum(gates.exposures) - gates.exposures)[frames]
-    sums = values.reshape(len(values), -1, gates.number, values.shape[-1]).sum(axis=2)
+    first = (np.cumsum(gates.click_exposures) - gates.click_exposures)[frames]
+    sums = values.reshape(len(values), -1, gates.clicks, values.shape[-1]).sum(axis=2)
     return np.asarray(sums[:, first + np.arange(repeats)[:, None]])
 
 

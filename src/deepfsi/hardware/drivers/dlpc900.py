@@ -36,15 +36,7 @@ import numpy as np
 from deepfsi.base import SILENT, InputError, Progress
 from deepfsi.camera import BIT_PLANES, DEVICES, Device
 from deepfsi.hardware.drivers.device_errors import let_go, refusals
-from deepfsi.hardware.patterns.controller_tables import (
-    DISPLAY_MODE,
-    ON_THE_FLY,
-    dlpc900_commands,
-)
-from deepfsi.hardware.patterns.folder import read_frames, read_patterns
-from deepfsi.hardware.patterns.limits import check_limits
-from deepfsi.hardware.patterns.planes import pack_planes
-from deepfsi.hardware.patterns.sequence import Manifest
+from deepfsi.hardware.patterns import Dlpc900, Manifest, read_frames, read_patterns
 
 VENDOR, PRODUCT = 0x0451, 0xC900
 
@@ -198,9 +190,9 @@ class Dlpc900Projector:
         self._pass_s = 0.0
         pictures = _encoded(folder, manifest, controllers, report.between(0.0, ENCODING))
         with _refusals("load frames"):
-            for command, data in dlpc900_commands(manifest):
+            for command, data in Dlpc900.commands(manifest):
                 link.write(command, data)
-                if command == DISPLAY_MODE:
+                if command == Dlpc900.DISPLAY_MODE:
                     _wait_for_mode(link)
             _load(link, pictures, report.between(ENCODING, 1.0))
         self._pass_s = manifest.pass_s
@@ -268,7 +260,7 @@ def _for_board(manifest: Manifest, folder: Path, device: Device) -> Manifest:
             f"{device.name} has {device.columns} x {device.rows}: export for that device"
         )
     manifest = manifest.model_copy(update={"device": device})
-    check_limits(manifest)
+    manifest.check_limits()
     return manifest
 
 
@@ -276,9 +268,9 @@ def _encoded(
     folder: Path, manifest: Manifest, controllers: int, report: Progress
 ) -> list[tuple[bytes, ...]]:
     """Pictures of a folder, each in as many halves, left first, as a board has controllers."""
-    total, device = len(manifest.frames), manifest.device
-    width, out = device.columns // controllers, []
-    for picture in pack_planes(read_frames(folder), total, device):
+    total = len(manifest.frames)
+    width, out = manifest.device.columns // controllers, []
+    for picture in Dlpc900.pictures(read_frames(folder), manifest):
         halves = (picture[:, k * width : (k + 1) * width] for k in range(controllers))
         out.append(tuple(encode_picture(half) for half in halves))
         report(min(len(out) * BIT_PLANES / total, 1.0))
@@ -303,7 +295,7 @@ def _load(link: _Link, pictures: list[tuple[bytes, ...]], report: Progress) -> N
 def _wait_for_mode(link: _Link) -> None:
     """Return when the board loads patterns on the fly."""
     until = time.monotonic() + GRACE_S
-    while link.read(DISPLAY_MODE) & 3 != ON_THE_FLY:
+    while link.read(Dlpc900.DISPLAY_MODE) & 3 != Dlpc900.ON_THE_FLY:
         if time.monotonic() > until:
             raise InputError("the DLPC900 does not load patterns on the fly: update its firmware")
         time.sleep(POLL_S)

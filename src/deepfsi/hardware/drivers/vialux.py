@@ -32,8 +32,7 @@ import numpy as np
 
 from deepfsi.base import SILENT, InputError, Progress
 from deepfsi.hardware.drivers.device_errors import let_go, refusals
-from deepfsi.hardware.patterns.folder import read_frames, read_patterns
-from deepfsi.hardware.patterns.sequence import Manifest
+from deepfsi.hardware.patterns import Manifest, read_frames, read_patterns
 
 USUAL_VERSION = "4.3"
 """Version of the ALP interface."""

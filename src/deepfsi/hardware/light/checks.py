@@ -36,7 +36,7 @@ from deepfsi.hardware.light.curves import (
     excess_chance,
 )
 from deepfsi.hardware.light.flux import HARMLESS, HARMLESS_DARK, Background, Flux
-from deepfsi.hardware.patterns.sequence import Brightness, Manifest
+from deepfsi.hardware.patterns import Brightness, Manifest
 
 MARKER_FAULTS = ("missing", "extra", "late", "lost")
 """Faults of the markers; the others are of the light."""

@@ -11,7 +11,7 @@ from typing import Self
 
 import numpy as np
 
-from deepfsi.hardware.patterns.sequence import Frame
+from deepfsi.hardware.patterns import Frame
 
 PARTS = 8
 """Parts of each frame that are counted by themselves."""

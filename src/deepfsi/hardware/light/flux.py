@@ -17,7 +17,7 @@ from typing import Self
 import numpy as np
 
 from deepfsi.hardware.light.curves import LightCurve, excess_chance
-from deepfsi.hardware.patterns.sequence import Brightness
+from deepfsi.hardware.patterns import Brightness
 
 HARMLESS = 0.05
 """Change of a light that is left alone, as a share of it."""

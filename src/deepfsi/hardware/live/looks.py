@@ -15,8 +15,7 @@ from deepfsi.camera import StopRule
 from deepfsi.designfile import DesignFile, SceneModel, TrainingScenes, read_loop
 from deepfsi.hardware.counting import FrameCounts
 from deepfsi.hardware.light import Arrivals
-from deepfsi.hardware.patterns.folder import DESIGN, LOOP, read_patterns
-from deepfsi.hardware.patterns.sequence import Manifest, Patterns
+from deepfsi.hardware.patterns import Manifest, Patterns, read_patterns
 
 DECISION_S = 0.4e-3
 """Usual time from the counts to the class and the next dwells, seconds (`benchmarks/live.py`)."""
@@ -224,11 +223,11 @@ class FixedMaskLooks:
                 "give its `looks`"
             )
         if manifest.design_sha256 is not None:
-            return cls(DesignFile.read(folder / DESIGN), patterns)
+            return cls(DesignFile.read(folder / Patterns.DESIGN), patterns)
         rails, image_shape, _ = patterns.realised
         detectors = manifest.detectors and manifest.detectors.cells
         design = read_loop(
-            folder / LOOP,
+            folder / Patterns.LOOP,
             rails,
             image_shape=image_shape,
             light=manifest.light,

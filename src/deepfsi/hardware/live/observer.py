@@ -38,8 +38,7 @@ from deepfsi.hardware.live.looks import (
     SceneComparison,
     rows_of,
 )
-from deepfsi.hardware.patterns.sequence import Manifest
-from deepfsi.hardware.patterns.timing import usual_tolerance
+from deepfsi.hardware.patterns import Manifest
 
 ON = 0
 """Place of the all-ON frame among the frames of a manifest."""
@@ -264,7 +263,7 @@ class SceneObserver:
 
 def _scene_ends(manifest: Manifest, settle_s: float) -> FrameList:
     """The all-ON and the all-OFF frame that begin and end a scene, counted as long as they last."""
-    rest_ns = round((settle_s + usual_tolerance(manifest)) * 1e9) + MARGIN_NS
+    rest_ns = round((settle_s + manifest.usual_tolerance_s) * 1e9) + MARGIN_NS
     pictures_us = [manifest.frames[index].picture_us for index in (ON, OFF)]
     gates = np.array([us * 1000 - rest_ns for us in pictures_us])
     if gates.min() < 1:

@@ -24,7 +24,7 @@ from deepfsi.hardware.live.frame_log import DARK_SCENE, FrameLog, LoggedList, Lo
 from deepfsi.hardware.live.looks import FrameList, LookChooser
 from deepfsi.hardware.live.observer import Decision, SceneObserver
 from deepfsi.hardware.live.results import LiveAnswers, LiveScene
-from deepfsi.hardware.patterns.sequence import Manifest
+from deepfsi.hardware.patterns import Manifest
 from deepfsi.hardware.photons import PhotonSource, count_windows, cut_windows, read_markers
 
 PHOTONS = "photons.ptu"

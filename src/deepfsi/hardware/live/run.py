@@ -39,9 +39,7 @@ from deepfsi.hardware.live.frame_log import DARK_SCENE, FrameLog, LoggedList, Lo
 from deepfsi.hardware.live.looks import FixedMaskLooks, FrameList, LookChooser
 from deepfsi.hardware.live.observer import OFF, Decision, SceneObserver
 from deepfsi.hardware.live.results import LiveScene
-from deepfsi.hardware.patterns.folder import read_patterns
-from deepfsi.hardware.patterns.mirrors import make_frame
-from deepfsi.hardware.patterns.sequence import Manifest
+from deepfsi.hardware.patterns import Manifest, read_patterns
 
 
 def plan_live(
@@ -287,7 +285,7 @@ class _DeviceFrames:
         if asked.masks is not None:
             manifest = self._manifest
             for frame, mask in zip(asked.frames, asked.masks, strict=True):
-                projector.replace(int(frame), make_frame(mask, manifest.device, manifest.grid))
+                projector.replace(int(frame), manifest.lit_frame(mask))
         frames = np.append(asked.frames, OFF)
         gates_s = np.append(asked.gate_ns, 0) * 1e-9
         pictures_s = self._pictures_s(asked)

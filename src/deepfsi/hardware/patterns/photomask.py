@@ -1,20 +1,27 @@
-"""Files of a static pattern for a photomask: polygons of what is open, or a picture, with a scale.
+"""The static pattern of a design as a photomask's file: polygons of what is open, or a picture.
 
 svg    polygons in micrometres: open pixels as rectangles, merged along rows and then along columns
 png    one dot a pixel, open white, with the dots of a metre; grey levels are kept
 """
 
 import io
+import os
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from PIL import Image
-from PIL.PngImagePlugin import PngInfo
 
-from deepfsi.base import InputError
+from deepfsi.base import InputError, check_ending, write_atomically
+from deepfsi.designfile import DesignFile, damaged_design
+
+PHOTOMASK_ENDS = (".svg", ".png")
+"""Ends of the names of files of a photomask."""
+
+LARGEST_UM = 1e5
+"""Largest pixel of a photomask, micrometres: a hand's width."""
 
 
-class Rectangle(NamedTuple):
+class OpenRectangle(NamedTuple):
     """Open pixels, from the first row and column to before the last."""
 
     top: int
@@ -23,18 +30,18 @@ class Rectangle(NamedTuple):
     right: int
 
 
-def rectangles(pattern: np.ndarray) -> list[Rectangle]:
+def rectangles(pattern: np.ndarray) -> list[OpenRectangle]:
     """Rectangles of the open pixels of a pattern (H, P) of 0 and 1, each pixel in one of them."""
     # runs of a row that the row above has, too, lengthen its rectangle
-    done: list[Rectangle] = []
+    done: list[OpenRectangle] = []
     going: dict[tuple[int, int], int] = {}
     for row, line in enumerate(pattern):
         ends = np.flatnonzero(np.diff(line, prepend=0, append=0)).reshape(-1, 2).tolist()
         runs = {(left, right) for left, right in ends}
         closed = [run for run in going if run not in runs]
-        done += [Rectangle(going.pop(run), run[0], row, run[1]) for run in closed]
+        done += [OpenRectangle(going.pop(run), run[0], row, run[1]) for run in closed]
         going |= {run: row for run in sorted(runs) if run not in going}
-    done += [Rectangle(top, left, len(pattern), right) for (left, right), top in going.items()]
+    done += [OpenRectangle(top, left, len(pattern), right) for (left, right), top in going.items()]
     return sorted(done)
 
 
@@ -51,8 +58,8 @@ def as_svg(pattern: np.ndarray, pixel_um: float, about: str) -> bytes:
         f'height="{height / 1e3:.10g}mm" viewBox="0 0 {width:.10g} {height:.10g}">',
         f"<desc>{about}</desc>",
     ]
-    for each in rectangles(pattern):
-        top, left, bottom, right = (f"{side * pixel_um:.10g}" for side in each)
+    for rectangle in rectangles(pattern):
+        top, left, bottom, right = (f"{side * pixel_um:.10g}" for side in rectangle)
         corners = f"{left},{top} {right},{top} {right},{bottom} {left},{bottom}"
         lines.append(f'<polygon points="{corners}"/>')
     return "\n".join([*lines, "</svg>", ""]).encode()
@@ -60,13 +67,76 @@ def as_svg(pattern: np.ndarray, pixel_um: float, about: str) -> bytes:
 
 def as_png(pattern: np.ndarray, pixel_um: float, about: str) -> bytes:
     """PNG of a pattern (H, P) in 0 .. 1, a dot a pixel."""
+    from PIL import Image
+    from PIL.PngImagePlugin import PngInfo
+
     binary = np.isin(pattern, (0, 1)).all()
     picture = Image.fromarray(np.rint(pattern * 255).astype(np.uint8))
-    told = PngInfo()
-    told.add_text("Description", about)
+    description = PngInfo()
+    description.add_text("Description", about)
     written = io.BytesIO()
     dots = 25_400 / pixel_um  # of an inch
     (picture.convert("1", dither=Image.Dither.NONE) if binary else picture).save(
-        written, "png", dpi=(dots, dots), pnginfo=told
+        written, "png", dpi=(dots, dots), pnginfo=description
     )
     return written.getvalue()
+
+
+def read_static_pattern(file: str | os.PathLike[str]) -> np.ndarray:
+    """Pattern (H, P) of a design file, dark 0 to open 1, that scenes pass.
+
+    Raises
+    ------
+    InputError
+        If the file is no design, or one of another exposure.
+    """
+    design = DesignFile.read(file)
+    if design.mask_header.exposure.kind != "passing":
+        raise InputError(
+            f"{file} has masks that a device shows one after the other, and a photomask is one "
+            "pattern that scenes pass: learn one with `bins`, or use `deepfsi dmd export`"
+        )
+    pattern = design.arrays.get("exposure.pattern", np.zeros(0))
+    if pattern.ndim != 2 or not ((pattern >= 0) & (pattern <= 1)).all():
+        raise damaged_design(file)
+    return pattern
+
+
+def write_photomask(
+    file: str | os.PathLike[str], out: str | os.PathLike[str], pixel_um: float
+) -> np.ndarray:
+    """Write the pattern of a design for a photomask, and return it.
+
+    Parameters
+    ----------
+    file : str or path
+        Design file of scenes that pass a pattern.
+    out : str or path
+        ``.svg``: polygons of what is open, binary patterns alone. ``.png``: a picture.
+    pixel_um : float
+        Side of a pixel on the mask, micrometres: a scene's pixel there, times nothing else.
+
+    Returns
+    -------
+    array, shape (H, P)
+
+    Raises
+    ------
+    InputError
+        If the design has no such pattern, or a grey one for polygons; then nothing is written.
+    """
+    check_ending(out, PHOTOMASK_ENDS)
+    if not 0 < pixel_um <= LARGEST_UM:
+        raise InputError(
+            f"a pixel of {pixel_um:g} µm is not allowed: give above 0 and up to {LARGEST_UM:g}"
+        )
+    pattern = read_static_pattern(file)
+    rows, columns = pattern.shape
+    about = (
+        f"{rows} x {columns} pixels of {pixel_um:g} um, {rows * pixel_um:g} x "
+        f"{columns * pixel_um:g} um; open is {'filled' if str(out).endswith('.svg') else 'white'}; "
+        "the image of a scene, which is not mirrored, passes from left to right"
+    )
+    encode = as_svg if Path(out).suffix == ".svg" else as_png
+    write_atomically(out, encode(pattern, pixel_um, about))
+    return pattern

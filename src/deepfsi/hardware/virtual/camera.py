@@ -26,10 +26,14 @@ from pydantic import Field, FiniteFloat, field_validator
 from deepfsi.base import SILENT, InputError, Progress, check_disk_space, new_folder
 from deepfsi.camera import DetectorRows, Device, DmdGrid, check_rows, mirrors_of_detectors
 from deepfsi.hardware.counting import Acquisition, Scene, prepare_run
-from deepfsi.hardware.patterns.folder import read_frames, read_patterns
-from deepfsi.hardware.patterns.mirrors import unpack
-from deepfsi.hardware.patterns.sequence import Manifest, Patterns
-from deepfsi.hardware.patterns.timing import ClickGates
+from deepfsi.hardware.patterns import (
+    GatePlan,
+    Manifest,
+    Patterns,
+    read_frames,
+    read_patterns,
+    unpack,
+)
 from deepfsi.hardware.photons import PtuWriter
 from deepfsi.hardware.virtual.detector import (
     DETECTOR_TICK_S,
@@ -361,7 +365,7 @@ def record_scenes(
         path = draft / "photons.ptu"
         clicks = None
         if camera.gates:
-            clicks = ClickGates.of(manifest, acquisition.gates(manifest), camera.gates)
+            clicks = acquisition.gates(manifest).with_clicks(manifest, camera.gates)
         write_photons(
             path, manifest, flow, camera, rng, acquisition.inputs, report.between(0.5, 1), clicks
         )
@@ -385,7 +389,7 @@ def write_photons(
     rng: np.random.Generator,
     inputs: Sequence[int] | None = None,
     report: Progress = SILENT,
-    gates: ClickGates | None = None,
+    gates: GatePlan | None = None,
 ) -> None:
     """Write the photons and markers of one pass for each scene, one right after another."""
     # rates (S, F, inputs); gates: of a detector that is gated

@@ -25,7 +25,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from deepfsi.base.models import StrictModel
-from deepfsi.hardware.patterns.timing import ClickGates
+from deepfsi.hardware.patterns import GatePlan
 
 DETECTOR_TICK_S = 1e-12
 """Unit of event times, seconds."""
@@ -115,19 +115,18 @@ class Shutter:
     """
 
     starts: np.ndarray  # (n,): Of all frames, rising
-    gates: ClickGates  # of a pass of F frames, which n is a multiple of
+    gates: GatePlan  # of a pass of F frames, which n is a multiple of
     _fired: int = field(default=-1, init=False)  # the last gate in which it did
 
     def first(self, times: np.ndarray) -> np.ndarray:
         """Those of arrivals (a,), which follow all before, that are the first of their gate."""
-        gates, frames = self.gates, len(self.gates.width_s)
+        gates, frames = self.gates, len(self.gates.click_width_s)
         frame = np.searchsorted(self.starts, times, side="right") - 1
-        since = times - self.starts[frame] - self.gates.offset_s / DETECTOR_TICK_S
+        since = times - self.starts[frame] - self.gates.settle_s / DETECTOR_TICK_S
         # Edges of gates are whole ticks, to which they are rounded
-        gate = np.floor((since + 0.5) / (gates.width_s[frame % frames] / DETECTOR_TICK_S)).astype(
-            np.int64
-        )
-        most = gates.number * gates.exposures
+        width = gates.click_width_s[frame % frames] / DETECTOR_TICK_S
+        gate = np.floor((since + 0.5) / width).astype(np.int64)
+        most = gates.clicks * gates.click_exposures
         inside = (frame >= 0) & (gate >= 0) & (gate < most[frame % frames])
         times, which = times[inside], (frame * most.max() + gate)[inside]
         fires = np.diff(which, prepend=self._fired) > 0

@@ -19,7 +19,7 @@ from deepfsi.base import SILENT, InputError, Progress
 from deepfsi.base.models import StrictModel
 from deepfsi.hardware.counting import Acquisition, FrameCounter, FrameCounts, FrameGates
 from deepfsi.hardware.drivers import Setup
-from deepfsi.hardware.patterns.folder import check_patterns, read_patterns
+from deepfsi.hardware.patterns import check_patterns, read_patterns
 from deepfsi.hardware.photons import PtuWriter
 from deepfsi.hardware.virtual.camera import (
     MARKER,

@@ -18,8 +18,8 @@ from vendor_readers import (
 
 from deepfsi.base import InputError
 from deepfsi.camera import DEVICES, Device
-from deepfsi.hardware.patterns.folder import check_patterns, read_frames
-from deepfsi.hardware.patterns.sequence import Format
+from deepfsi.hardware.patterns import check_patterns, read_frames
+from deepfsi.hardware.patterns.frames import Format
 
 SIZE = {"columns": 37, "rows": 26}
 """Rows of no whole bytes, and of no whole 4 bytes of a bitmap."""

@@ -1,16 +1,42 @@
-"""Laws of the patterns of a design of several looks: shown once, with what a loop needs."""
+"""Manifest: times of pictures as asked and as the device can; several looks, shown once."""
 
 import json
 
 import numpy as np
 import pytest
+from pattern_samples import export, grey
 
 from conftest import quick
 from deepfsi.base import InputError
 from deepfsi.design.artifact import Design
 from deepfsi.designfile import loop_bytes
-from deepfsi.hardware.patterns.folder import check_patterns, read_patterns
+from deepfsi.hardware.patterns import GatePlan, check_patterns, read_patterns
 from shared.design_files import file_of
+
+
+@pytest.mark.parametrize(
+    ("dwell", "us"), [(7e-4, 700), (123e-6, 123), (70.01e-6, 71), (1.001e-3, 1001), (1e-6, 44)]
+)
+def test_equal_dwell_holds_every_frame_for_whole_microseconds_that_the_device_can(
+    tmp_path, dwell, us
+):
+    """Rounded up, but not by floating point."""
+    manifest = export(tmp_path / "p", grey() / 20, "equal-dwell", dwell_s=dwell).manifest
+    assert {frame.picture_us for frame in manifest.frames} == {us}
+
+
+def test_pictures_share_out_what_is_left_beyond_settling(tmp_path):
+    manifest = export(tmp_path / "p", dwell_s=5e-3).manifest
+    pictures = np.array([frame.picture_us for frame in manifest.frames])
+    shown = pictures[manifest.shown]
+    wanted = 10 + (5000 - 10) * 10 * manifest.shares / manifest.shares.sum()
+    assert (shown >= np.maximum(wanted, 44) - 1e-6).all()
+    assert (shown < np.maximum(wanted, 44) + 1).all()
+    assert {*pictures[[0, 1, -2, -1]]} == {5000}
+    # so all frames allow one exposure, all that is left of their clock
+    longest = (5000e-6 - 10e-6) * 10 / manifest.shares.sum()
+    assert GatePlan.of(manifest, longest).repeats == 1
+
 
 LOOKS = 3
 OPTICS = {
@@ -83,7 +109,7 @@ def test_they_realise_the_design(patterns):
 
 
 def test_a_first_look_of_other_masks_is_refused(patterns):
-    from deepfsi.hardware.patterns.sequence import Manifest
+    from deepfsi.hardware.patterns import Manifest
 
     told = json.loads((patterns / "patterns/manifest.json").read_text())
     told["looks"]["first"] = [*told["looks"]["first"][:-2], sum(told["looks"]["first"][-2:])]
