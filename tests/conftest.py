@@ -230,6 +230,17 @@ def uncharacterised(monkeypatch):
     monkeypatch.setattr(learning, "characterise", lambda *_: None)
 
 
+@pytest.fixture(scope="module")
+def trained_once():
+    """Train designs of few scenes once, in a whole module.
+
+    Folds that are left out of ten trainings more have a module of their own.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("deepfsi.training.learning.folds_of", lambda data: [])
+        yield
+
+
 @pytest.fixture
 def undrawn(monkeypatch):
     """Leave figures empty when they are saved, which takes most of the time of a page."""

@@ -10,6 +10,8 @@ from deepfsi.datasets import from_arrays
 from deepfsi.design.evaluation import evaluate
 from deepfsi.training.training_set import TrainingSet
 
+pytestmark = pytest.mark.usefixtures("trained_once")
+
 LOOKS = {"looks": 2, "light": "free-dwell", "rails": "single", "noise": "poisson", "batch": 30}
 
 

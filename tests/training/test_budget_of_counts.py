@@ -17,6 +17,7 @@ def counted(design) -> float:
     return design.info["job"]["photons"] * float(design.shares.sum())
 
 
+@pytest.mark.usefixtures("uncharacterised")
 @every_design
 def test_counts_in_the_mean_are_those_asked_for(digits, design, light, rails):
     masks = {"impulse": 64, "raster": 64, "hadamard": 64, "s-matrix": 67}.get(design, 6)

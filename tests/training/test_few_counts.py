@@ -19,6 +19,7 @@ def few(digits):
     return learn(digits, counts=6.0, noise="click", light="column", rails="single", **BRIEF)
 
 
+@pytest.mark.usefixtures("uncharacterised")
 @pytest.mark.parametrize(
     ("noise", "light", "rails"),
     [

@@ -275,6 +275,7 @@ def test_the_control_group_is_refused_what_its_masks_cannot_be_learned_for(digit
         quick(digits, "control", nested=2)
 
 
+@pytest.mark.usefixtures("trained_once")
 @pytest.mark.parametrize("shape", [(12, 10), (10,), (3, 8)])
 @pytest.mark.parametrize("design", ["deepfsi", "truncated-hadamard", "hadamard", "s-matrix", "pca"])
 def test_scenes_may_have_any_shape(shape, design):

@@ -20,6 +20,8 @@ from deepfsi.training.precision import BFLOAT16_WIDTH
 from deepfsi.training.training_set import TrainingSet
 from shared.jobs import job as job_of
 
+pytestmark = pytest.mark.usefixtures("trained_once")
+
 SETTINGS = {**RECIPE, "epochs": 3, "dropout": 0.1}
 LONGER = {**SETTINGS, "epochs": 10}
 """As many steps of `few` scenes."""

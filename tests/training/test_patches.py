@@ -39,6 +39,7 @@ SMALL = {
 }
 
 every_design = pytest.mark.parametrize("design", DESIGNS)
+pytestmark = pytest.mark.usefixtures("trained_once")
 
 
 @pytest.fixture(scope="module")
