@@ -41,7 +41,12 @@ def two(one, tmp_path_factory):
 
 @pytest.fixture(params=["one", "two"])
 def done(request):
-    """Folder in which all experiments have been run, with one trial and with two."""
+    """Folder in which all experiments have been run, with one trial and with two.
+
+    Figures of one trial are made and not drawn.
+    """
+    if request.param == "one":
+        request.getfixturevalue("undrawn")
     return request.getfixturevalue(request.param)
 
 
@@ -62,7 +67,7 @@ def test_every_experiment_ends_in_a_section(done):
     page = studies.page(done).read_text()
     for each, section in sections_of(done).items():
         for number in range(1, len(section.pictures) + 1):
-            assert (done / f"figures/{each.name}-{number}.png").read_bytes().startswith(b"\x89PNG")
+            assert (done / f"figures/{each.name}-{number}.png").is_file()
         assert section.title in page
         assert section.pictures
         assert section.claims

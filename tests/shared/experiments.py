@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from deepfsi.sweeps.recipe import Recipe
+from deepfsi.training import learning
 from deepfsi_paper import experiment, studies
 from deepfsi_paper.camera import laboratory, rate_simulations
 from deepfsi_paper.experiment import Experiment
@@ -63,11 +64,13 @@ def run_all(folder: Path, trials: int, chosen: list[Experiment] = EVERY) -> Path
     """Run experiments on digits into a folder, which may hold some of their trials."""
     recipes = {each.name: tiny(each, trials) for each in chosen}
     with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(learning, "characterise", lambda *_: None)
         patch.setattr(experiment.Experiment, "recipes", lambda self, *_: recipes[self.name])
         patch.setattr(laboratory, "DRAWS", 2)
         patch.setattr(laboratory, "processes", here)
         patch.setattr(rate_simulations, "processes", here)
-        patch.setattr(rate_simulations, "SETTINGS_A_BUDGET", 3)
+        patch.setattr(rate_simulations, "SETTINGS_A_BUDGET", 2)
+        patch.setattr(rate_simulations, "PICTURES", 2)
         patch.setattr(rate_simulations, "TABLES", 2)
         for each in chosen:
             each.run(folder, command=f"deepfsi reproduce {each.name}")
