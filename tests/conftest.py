@@ -230,15 +230,16 @@ def uncharacterised(monkeypatch):
     monkeypatch.setattr(learning, "characterise", lambda *_: None)
 
 
-@pytest.fixture(scope="module")
-def trained_once():
-    """Train designs of few scenes once, in a whole module.
-
-    Folds that are left out of ten trainings more have a module of their own.
-    """
+def _trained_once():
+    """Train designs of few scenes once: not ten times more, with a part of them left out."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("deepfsi.training.learning.folds_of", lambda data: [])
         yield
+
+
+trained_once = pytest.fixture(_trained_once)
+all_trained_once = pytest.fixture(_trained_once, scope="module")
+"""Also in fixtures of the module."""
 
 
 @pytest.fixture
@@ -250,6 +251,22 @@ def undrawn(monkeypatch):
         file.write('<svg viewBox="0 0 1 1"></svg>' if isinstance(file, io.StringIO) else b"")
 
     monkeypatch.setattr(Figure, "savefig", blank)
+
+
+@pytest.fixture
+def drawn_once(monkeypatch):
+    """Draw figures for their page alone, and leave the three files beside it empty."""
+    from matplotlib.figure import Figure
+
+    usual = Figure.savefig
+
+    def save(figure, file, **options):
+        if isinstance(file, io.StringIO):
+            usual(figure, file, **options)
+        else:
+            file.write(b"")
+
+    monkeypatch.setattr(Figure, "savefig", save)
 
 
 @pytest.fixture

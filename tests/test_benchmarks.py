@@ -363,6 +363,7 @@ def test_networks_of_both_types_are_timed_and_compared(capsys, monkeypatch):
         bench.main(["--data", "digits"])
 
 
+@pytest.mark.usefixtures("trained_once")
 def test_shares_of_a_step_are_of_its_operations(capfd, monkeypatch, digits):
     """All are shown, as a busy machine decides which are the largest of a small training."""
     step = benchmark("step")

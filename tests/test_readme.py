@@ -39,8 +39,9 @@ BRIEFLY = {
     "compare": "--epochs 1 --trials 1 --designs pca,deepfsi",
     "design": "--epochs 1",
     "plan": "--epochs 1 --trials 1 --masks 3 --designs pca,deepfsi",
+    "data": "--per-class 6",
 }
-"""Options that make a training take a moment."""
+"""Options that make a command take a moment."""
 
 
 def lines(page: str) -> list[str]:
@@ -116,7 +117,7 @@ def test_commands_and_files_that_a_page_names_exist(page):
 
 
 @pytest.fixture
-def run(tmp_path, monkeypatch, done, digits):
+def run(tmp_path, monkeypatch, done, digits, trained_once):
     """Give a function that runs a page's lines in one folder and returns what each printed.
 
     MNIST is small there, what trains on it is told to be brief, and its study is the shortest
@@ -151,6 +152,7 @@ def run(tmp_path, monkeypatch, done, digits):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_readme(run, tmp_path):
     rng = np.random.default_rng(0)
     for name in ("oak", "yew"):
@@ -207,6 +209,7 @@ def test_the_page_of_passing_scenes_finds_and_reads_them(done, tmp_path, monkeyp
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_the_page_of_values_runs(run, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     text, names = (ROOT / "docs/do/values.md").read_text(), {}
@@ -222,7 +225,7 @@ def test_the_page_of_values_runs(run, tmp_path, monkeypatch):
 def test_the_live_page_replays_bit_for_bit(run):
     printed = run("docs/do/live")
     found = [line for line in printed["camera live"].splitlines() if ".png: " in line]
-    assert len(found) == 200
+    assert len(found) == 60
     unsure = [line for line in found if "confidence" not in line]
-    assert len(unsure) <= stats.binom.ppf(1 - 1e-4, 200, 0.018)
-    assert "bit for bit: 200 of 200 scenes" in printed["camera classify"]
+    assert len(unsure) <= stats.binom.ppf(1 - 1e-4, 60, 0.018)
+    assert "bit for bit: 60 of 60 scenes" in printed["camera classify"]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from deepfsi import Design, from_arrays, learn
+from deepfsi import Design, from_arrays, learn, load_design
 
 
 def save_pictures(folder, counts, side=8, seed=0):
@@ -40,14 +40,14 @@ def test_a_design_says_where_its_probabilities_only_guess(done, tmp_path):
         for shift in (0, 2500):
             words = ("design", "--data", tmp_path / f"{shift}.npz", "--design", design, *settings)
             told.append("no better than guessing (log loss" in done(*words))
-            few.append(json.loads(done(*words, "--json"))["info"]["left_out"])
+            few.append(load_design(file).info["left_out"])
         assert told == [True, False] == [each["guesses"] for each in few]
         assert few[0]["scenes"] == 32
         assert few[0]["guessing"] == pytest.approx(np.log(2))
 
 
 @pytest.fixture
-def pictures(tmp_path):
+def pictures(tmp_path, trained_once):
     return save_pictures(tmp_path / "leaves", {"ash": 30, "oak": 30, "yew": 30})
 
 
@@ -241,6 +241,7 @@ def test_a_design_of_arrays_asks_for_data(refuse, done, tmp_path):
     assert "is not the data that the design was trained on" in done(*words, "--data", npz)
 
 
+@pytest.mark.usefixtures("trained_once", "undrawn")
 def test_unbalanced_data_shows_its_worst_class(done, tmp_path):
     """At `design`, `evaluate`, `compare` and on its page; --balance is a setting of them."""
     folder = save_pictures(tmp_path / "leaves", {"ash": 90, "oak": 8, "yew": 8})
@@ -286,6 +287,7 @@ def of_docs(page, begin, end="```"):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("trained_once", "undrawn")
 def test_a_new_user_goes_from_pictures_to_counted_classes(done, refuse, tmp_path, monkeypatch):
     """By the lines of docs/do/data.md: 16 bits, unequal classes, a network of one's own."""
     monkeypatch.chdir(tmp_path)

@@ -11,7 +11,7 @@ import pytest
 import torch
 from torch import nn
 
-from conftest import PHOTONS, every_design, every_optics, quick
+from conftest import PHOTONS, every_optics, once, quick
 from deepfsi.base import InputError
 from deepfsi.camera import photons_per_pixel
 from deepfsi.design.artifact import Design
@@ -65,15 +65,15 @@ def assert_same(design: Design, x: np.ndarray, photons: np.ndarray) -> None:
     assert (np.abs(found - wanted) <= bound * np.maximum(wanted, 1e-30) + 1e-7).all()
 
 
-@every_design
-def test_every_design_as_torch_has_it(digits, made, light, rails, design):
+@every_optics
+def test_every_optics_as_torch_has_it(digits, made, light, rails):
     budgets = np.geomspace(10, 1e6, 40).astype(np.float32)
-    assert_same(made(design, light, rails), digits.x_test[:40], budgets)
+    assert_same(made("deepfsi", light, rails), digits.x_test[:40], budgets)
 
 
 @every_optics
 def test_conditioning_is_inside(digits, light, rails):
-    design = quick(digits, light=light, rails=rails, masks=8, photons=1e3, span=100.0, nested=3)
+    design = once(digits, light=light, rails=rails, masks=8, photons=1e3, span=100.0, nested=3)
     budgets = np.geomspace(1e3, 1e5, 40).astype(np.float32)
     for masks in (8, 5, 3):
         assert_same(design.first(masks), digits.x_test[:40], budgets)

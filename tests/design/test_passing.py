@@ -24,7 +24,7 @@ from deepfsi.training.passing import passing_statistics
 from deepfsi.training.training_set import TrainingSet
 from shared.design_files import refused, rewrite
 
-pytestmark = pytest.mark.usefixtures("trained_once")
+pytestmark = pytest.mark.usefixtures("all_trained_once")
 
 PASSING = {"bins": 6, "speed": 1.5, "jitter": 1.0, "speed_jitter": 0.05}
 

@@ -200,6 +200,7 @@ def test_a_comparison_of_patches_has_a_page_with_their_masks(tmp_path):
     assert "all 16 masks" in page or "of 16 masks" in page
 
 
+@pytest.mark.usefixtures("trained_once")
 def test_pixels_of_a_patch_that_never_vary_stay_dark():
     """Those of the first column of every patch."""
     data = synthetic((8, 8))

@@ -67,6 +67,7 @@ def test_claims_are_counted(tmp_path):
     assert "claim" not in quiet.lower()
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_headings_are_in_order_and_abbreviations_explained(tmp_path):
     words = "PN: DFSI is above FSI and HB (AGN, RMSE 0.1); CGs and USERS are no such words"
     claim = Claim(words, True, "II − RS", "TH")
@@ -81,6 +82,7 @@ def test_headings_are_in_order_and_abbreviations_explained(tmp_path):
     assert page.index("This page tests how well") < page.index("<h2") < page.index('class="sketch"')
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_markup_is_text(tmp_path):
     page = page_of(tmp_path, [*example(tmp_path), section(title=SCRIPT, command=SCRIPT)])
     assert SCRIPT not in page

@@ -304,6 +304,7 @@ def test_each_noise_has_a_panel_and_each_light_a_series(tmp_path):
     assert "DeepFSI free-dwell, Gaussian read noise" in text
 
 
+@pytest.mark.usefixtures("drawn_once")
 @pytest.mark.parametrize(
     "case",
     [
@@ -337,6 +338,7 @@ def test_designs_that_were_not_kept_are_said_to_be_missing(tmp_path):
     assert "design files of this comparison are not in its folder" in page_of(tmp_path)
 
 
+@pytest.mark.usefixtures("drawn_once")
 def test_markup_in_names_is_text(tmp_path):
     bad = "<script>alert('x')</script>"
     results = make_results(tmp_path, title=bad, command=f"deepfsi compare --data '{bad}'")

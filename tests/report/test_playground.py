@@ -32,7 +32,7 @@ CLOSE = 1e-7
 
 
 @pytest.fixture(scope="module")
-def designs(digits):
+def designs(digits, all_trained_once):
     """Give the designs, trained until they know something."""
     few = {"epochs": 15, "lr": 2e-2}
     kept, spectra = digits.hold_out(237), synthetic((24,))

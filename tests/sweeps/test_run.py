@@ -31,8 +31,6 @@ COARSE = {
 }
 
 
-
-
 def tiny(settings):
     """Settings of a recipe that trains each of its designs for a moment on digits."""
     camera, exposure = settings.get("camera", {}), settings.get("exposure", {})

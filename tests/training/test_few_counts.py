@@ -24,9 +24,7 @@ def few(digits):
     ("noise", "light", "rails"),
     [
         ("click", "free-dwell", "single"),
-        ("click", "column", "dual"),
-        ("camera", "column", "single"),
-        ("poisson", "free-dwell", "dual"),
+        ("camera", "column", "dual"),
     ],
 )
 def test_a_training_counts_what_was_asked_for_within_its_light_law(digits, noise, light, rails):

@@ -239,28 +239,6 @@ def test_a_common_scale_is_the_same_for_all_features(digits):
     assert torch.equal(each.mean, common.mean)
 
 
-@pytest.mark.parametrize(
-    ("noise", "scale"),
-    [
-        ("ml_gauss", "each"),
-        ("ml_gauss", "common"),
-        ("poisson", "each"),
-        ("gaussian", "common"),
-        ("none", "each"),
-    ],
-)
-@pytest.mark.parametrize("design", ["deepfsi", "pca", "control"])
-def test_every_noise_and_scale_trains(digits, design, noise, scale):
-    one = quick(digits, design, noise=noise, scale=scale, epochs=6)
-    assert evaluate(one, digits, 1e7)[0].accuracy > 0.3
-
-
-@pytest.mark.parametrize("design", FIXED)
-def test_every_design_reads_digits_in_bright_light(digits, design):
-    one = quick(digits, design, photons=1e8, epochs=8, hidden=(40, 128))
-    assert evaluate(one, digits, 1e8)[0].accuracy > 0.6
-
-
 def test_designs_that_do_not_learn_have_no_start(digits):
     with pytest.raises(InputError, match="pca has its own: leave it out"):
         quick(digits, "pca", start="random")

@@ -39,11 +39,11 @@ def varies(few):
     return torch.from_numpy(few.x_train.std(axis=0) > 0.01)
 
 
-@pytest.mark.parametrize("design", ["deepfsi", "pca", "random", "control"])
+@pytest.mark.usefixtures("uncharacterised")
 @pytest.mark.parametrize("precision", ["float32", "bfloat16"])
-def test_the_same_seed_repeats_exactly(digits, design, precision):
+def test_the_same_seed_repeats_exactly(digits, precision):
     first, again, other = (
-        quick(digits, design, seed=seed, dropout=0.1, precision=precision) for seed in (3, 3, 4)
+        quick(digits, seed=seed, dropout=0.1, precision=precision) for seed in (3, 3, 4)
     )
     assert same(first, again)
     assert not same(first, other)

@@ -39,7 +39,7 @@ SMALL = {
 }
 
 every_design = pytest.mark.parametrize("design", DESIGNS)
-pytestmark = pytest.mark.usefixtures("trained_once")
+pytestmark = pytest.mark.usefixtures("all_trained_once")
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,7 @@ from pattern_samples import SMALL, UNEQUAL, every_format, every_selection, expor
 from PIL import Image
 from scipy.linalg import hadamard
 
-from conftest import CASES, FLOAT32
+from conftest import FLOAT32, OPTICS
 from deepfsi.base import InputError, Progress
 from deepfsi.camera import DEVICES, Device, find_device
 from deepfsi.hardware.patterns import (
@@ -32,8 +32,16 @@ from deepfsi.optics import constraints
 from deepfsi.optics.grey_levels import quantise
 
 every_shown = pytest.mark.parametrize(
-    ("design", "light", "rails"), [case for case in CASES if case.values[0] != "impulse"]
+    ("design", "light", "rails"),
+    [
+        *(("deepfsi", light, rails) for light, rails in OPTICS),
+        ("hadamard", "column", "dual"),
+        ("raster", "free-dwell", "dual"),
+        ("s-matrix", "equal-dwell", "dual"),
+        ("random", "two-arm", "dual"),
+    ],
 )
+"""Masks that are learned, have three levels, one lit pixel, two levels, and are drawn."""
 
 
 def hadamard_rails(order: int) -> np.ndarray:
