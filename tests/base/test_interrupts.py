@@ -95,7 +95,7 @@ def test_a_signal_at_any_moment_says_one_line_and_leaves_at_once(tmp_path):
     span, chance = time.monotonic() - began, random.Random(5)
     moments = [chance.uniform(0, 1.2 * span) for _ in range(STOPS)]
     seconds = [stopped(process)]
-    for place, moment in enumerate([0.0, 0.0, *moments, *moments]):
+    for place, moment in enumerate([0.0, *moments, *moments]):
         shutil.rmtree(tmp_path / "out", ignore_errors=True)
         process = start(tmp_path)
         time.sleep(moment)

@@ -31,7 +31,7 @@ def lab(tmp_path_factory, digits):
     quick(kept, masks=12, looks=3, photons=1e5, epochs=8, **optics).save(
         folder / "looks.safetensors"
     )
-    for count, name in ((3, "images"), (150, "many")):
+    for count, name in ((3, "images"), (40, "some"), (150, "many")):
         pictures = {
             f"{digits.y_test[k]}/{k}.png": digits.x_test[k].reshape(8, 8) for k in range(count)
         }
@@ -103,7 +103,7 @@ def test_the_rule_of_the_design_stops_its_exposures(done, lab, tmp_path):
     assert rule.threshold == 0.5
     assert rule.photons == 1e5
     done("dmd", "export", sure, "--device", "64x48", "-o", tmp_path / "p")
-    words = ["--scene", lab / "many", *LIGHT]
+    words = ["--scene", lab / "some", *LIGHT]
     done("camera", "live", tmp_path / "p", *words, "-o", tmp_path / "run")
     live = read_run(tmp_path / "run").acquisition.live
     assert live.rule == rule

@@ -218,6 +218,7 @@ def test_more_light_classifies_better(digits, design):
 
 
 @real_mnist
+@pytest.mark.usefixtures("uncharacterised")
 def test_mnist_photon_noise_orders_designs_as_the_paper():
     whole = load_dataset("mnist")
     data = replace(

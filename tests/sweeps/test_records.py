@@ -48,15 +48,16 @@ def test_records_of_another_schema_are_tested_anew_and_not_trained(digits, tmp_p
         {"info": {}},
         {"validation": [None]},
         {"design": None},
+        {"key": "0" * 24},
     ],
 )
-def test_a_record_without_its_numbers_is_none(digits, tmp_path, damage):
+def test_a_record_without_its_numbers_or_of_another_trial_is_none(digits, tmp_path, damage):
     trials = plan(small(designs="pca", masks=3, photons=1e3), digits)
     [first] = train_trials(trials, digits, tmp_path)
     [path] = (tmp_path / "trials").iterdir()
     path.write_text(json.dumps({**first, **damage}))
     [again] = train_trials(trials, digits, tmp_path)
-    assert again["test"] == first["test"]
+    assert (again["key"], again["test"]) == (first["key"], first["test"])
 
 
 @pytest.mark.parametrize(

@@ -104,18 +104,18 @@ def test_decisions_are_those_of_the_design(digits, patterns, tmp_path):
     """Accuracy of the virtual camera, and of the design's own exposures of the same scenes."""
     from deepfsi import evaluate, load_design
 
-    decided = run(tmp_path / "run", patterns, digits, count=200)
+    decided = run(tmp_path / "run", patterns, digits, count=100)
     last = [each.answer for each in decided if each.answer]
     right = np.mean([each.predicted == each.label for each in last if each.predicted])
-    few = replace(digits, x_test=digits.x_test[:200], y_test=digits.y_test[:200])
+    few = replace(digits, x_test=digits.x_test[:100], y_test=digits.y_test[:100])
     design = load_design(patterns.parent / "a.safetensors")
     [wanted] = evaluate(design, few, FLUX * EXPOSURE_S, draws=2)
     # of the same scenes, with counts of their own: at most each wrong answer is another one
-    spread = np.sqrt(2 * wanted.accuracy * (1 - wanted.accuracy) / 200)
+    spread = np.sqrt(2 * wanted.accuracy * (1 - wanted.accuracy) / 100)
     assert abs(right - wanted.accuracy) < 5 * spread
     faults = [fault.kind for each in last for fault in each.faults]
     assert set(faults) <= {"unsure"}
-    assert len(faults) <= 18  # 0.04 of 200 at most, at a chance of 1 in 1000
+    assert len(faults) <= 11  # 0.04 of 100 at most, at a chance of 1 in 1000
 
 
 def test_a_look_takes_the_time_to_load_its_mask(digits, patterns, tmp_path):

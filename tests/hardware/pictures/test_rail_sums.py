@@ -19,7 +19,7 @@ from deepfsi.jobs import formula_masks, hadamard_masks
 SHAPE = (16, 16)
 FINE = fineness(formula_masks("hadamard-natural", SHAPE), SHAPE)[1:]
 PAIRS = len(FINE)
-TRIALS = 300
+TRIALS = 200
 
 
 def counts(light: np.ndarray, mean: float, rng: np.random.Generator) -> np.ndarray:
@@ -51,7 +51,7 @@ def test_an_excess_that_was_put_in_is_measured():
     rng, spread = np.random.default_rng(2), 0.06
     found = [
         check_rail_sums(counts(lognormal(spread, (1, PAIRS), rng), 600, rng), FINE)
-        for _ in range(60)
+        for _ in range(30)
     ]
     assert not any(one.poisson for one in found)
     excess = np.array([one.runs[0].excess.variance for one in found])
@@ -64,7 +64,7 @@ def test_an_excess_that_was_put_in_is_measured():
 def test_what_runs_share_is_told_from_what_each_has_of_its_own():
     rng, own = np.random.default_rng(3), np.array([0.05, 0.02, 0.0])
     common, each = [], []
-    for _ in range(40):
+    for _ in range(20):
         shared = lognormal(0.1, (PAIRS,), rng)
         light = shared * np.stack([lognormal(one, (PAIRS,), rng) for one in own])
         found = check_rail_sums(counts(light, 2000, rng), FINE)
@@ -82,7 +82,7 @@ def test_law_the_excess_of_single_pictures_is_that_of_the_virtual_camera(own):
     rng, spread = np.random.default_rng(10), np.array(own)
     share, times = rng.uniform(0.4, 0.6, PAIRS), np.array([300, 600, 1200])[: len(own)]
     measured, sums = [], []
-    for _ in range(40):
+    for _ in range(20):
         light = np.stack([lognormal(one, (2, PAIRS), rng) for one in own])
         mean = times[:, None, None] * np.stack([share, 1 - share]) * light
         found = check_rail_sums(rng.poisson(mean).astype(float), FINE)
