@@ -17,8 +17,8 @@ import pytest
 import torch
 from torch import Tensor
 
+from deepfsi import Design
 from deepfsi.datasets import Dataset, from_arrays, load_dataset
-from deepfsi.design.artifact import Design
 from deepfsi.jobs import DESIGNS, count_allowed
 from deepfsi.optics import constraints
 from deepfsi.optics.rails import Rails
@@ -232,8 +232,10 @@ def uncharacterised(monkeypatch):
 
 def _trained_once():
     """Train designs of few scenes once: not ten times more, with a part of them left out."""
+    from deepfsi.training import learning  # by its path it is not found after it was left out
+
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("deepfsi.training.learning.folds_of", lambda data: [])
+        patch.setattr(learning, "folds_of", lambda data: [])
         yield
 
 
@@ -253,8 +255,7 @@ def undrawn(monkeypatch):
     monkeypatch.setattr(Figure, "savefig", blank)
 
 
-@pytest.fixture
-def drawn_once(monkeypatch):
+def _drawn_once():
     """Draw figures for their page alone, and leave the three files beside it empty."""
     from matplotlib.figure import Figure
 
@@ -266,7 +267,14 @@ def drawn_once(monkeypatch):
         else:
             file.write(b"")
 
-    monkeypatch.setattr(Figure, "savefig", save)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Figure, "savefig", save)
+        yield
+
+
+drawn_once = pytest.fixture(_drawn_once)
+all_drawn_once = pytest.fixture(_drawn_once, scope="module")
+"""Also in fixtures of the module."""
 
 
 @pytest.fixture

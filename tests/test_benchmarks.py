@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from conftest import generator, quick
-from deepfsi.design.classifiers import Mlp
+from deepfsi import Mlp
 from deepfsi.design.exposure.kinds import begin
 from deepfsi.hardware.patterns import unpack
 from deepfsi.hardware.patterns.frames import recount

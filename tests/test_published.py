@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 import torch
 
+from deepfsi import evaluate, learn
 from deepfsi.camera import summed_reflectance
 from deepfsi.datasets import load_dataset
-from deepfsi.design.evaluation import evaluate
 from deepfsi.optics import constraints
-from deepfsi.training.learning import learn
 from shared.benchmarks import HERE, benchmark
 
 

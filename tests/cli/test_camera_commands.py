@@ -13,11 +13,10 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from conftest import quick
+from deepfsi import Design, evaluate
 from deepfsi.base import InputError
 from deepfsi.cli import app
 from deepfsi.datasets import read_display, write_pictures
-from deepfsi.design.artifact import Design
-from deepfsi.design.evaluation import evaluate
 from deepfsi.hardware.calibration import calibrate_run
 from deepfsi.hardware.counting import acquisition, read_counts, read_run
 from deepfsi.hardware.patterns import read_patterns

@@ -11,8 +11,8 @@ import pytest
 import typer
 from PIL import Image
 
+from deepfsi import Design
 from deepfsi.cli import app
-from deepfsi.design.artifact import Design
 
 COMMANDS = [
     *("compare", "sweep", "reproduce", "report", "plan"),

@@ -9,10 +9,9 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from conftest import quick
+from deepfsi import Design, evaluate
 from deepfsi.cli import app
 from deepfsi.datasets import write_pictures
-from deepfsi.design.artifact import Design
-from deepfsi.design.evaluation import evaluate
 from deepfsi.hardware.patterns import read_patterns
 
 PHOTONS = 1e4

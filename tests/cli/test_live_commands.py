@@ -13,10 +13,10 @@ import pytest
 from typer.testing import CliRunner
 
 from conftest import quick
+from deepfsi import Design
 from deepfsi.camera import StopRule
 from deepfsi.cli import app
 from deepfsi.datasets import write_pictures
-from deepfsi.design.artifact import Design
 from deepfsi.hardware.counting import read_run
 
 LIGHT = ["--flux", "1e7", "--exposure", "10ms", "--virtual", "ideal"]

@@ -8,11 +8,10 @@ import pytest
 import torch
 
 from conftest import RECIPE
+from deepfsi import Design, Mlp, evaluate
 from deepfsi.base import InputError
 from deepfsi.datasets import Dataset, from_arrays
-from deepfsi.design.artifact import Design
-from deepfsi.design.classifiers import Mlp, Replicas
-from deepfsi.design.evaluation import evaluate
+from deepfsi.design.classifiers import Replicas
 from deepfsi.design.exposure.looks import Dwells, LooksExposure
 from deepfsi.design.stopping import StoppingRule
 from deepfsi.optics import constraints

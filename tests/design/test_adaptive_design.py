@@ -6,11 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from deepfsi import Camera, Job, learn
+from deepfsi import AdaptiveDesign, Camera, Design, Job, evaluate, learn, load_design
 from deepfsi.base import InputError
-from deepfsi.design.adaptive.design import AdaptiveDesign, load_design
-from deepfsi.design.artifact import Design
-from deepfsi.design.evaluation import evaluate
 from deepfsi.design.stopping import stop
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.trial import plan

@@ -7,15 +7,13 @@ from scipy.special import logsumexp, xlogy
 from scipy.stats import multivariate_normal, poisson, spearmanr
 
 from conftest import generator
+from deepfsi import AdaptiveDesign, IdealObserver, Result, evaluate
 from deepfsi.base import InputError
 from deepfsi.datasets import Dataset, from_arrays
 from deepfsi.design.adaptive.choice import brightest, information, next_masks
-from deepfsi.design.adaptive.design import AdaptiveDesign
 from deepfsi.design.adaptive.exposures import prior_of
 from deepfsi.design.adaptive.posterior import AdaptivePosterior, LookOptics
 from deepfsi.design.adaptive.prior import ScenePrior
-from deepfsi.design.evaluation import Result, evaluate
-from deepfsi.design.posterior import IdealObserver
 from deepfsi.jobs import AdaptiveMasks
 
 PIXELS, SCENES, CLASSES = 8, 40, 3

@@ -18,11 +18,10 @@ from torch import nn
 
 import deepfsi
 from conftest import PHOTONS, RECIPE, every_optics, generator, light_on, quick
-from deepfsi import Camera
+from deepfsi import Camera, Design, evaluate
 from deepfsi.base import InputError
 from deepfsi.camera import share_out
-from deepfsi.design.artifact import Design
-from deepfsi.design.evaluation import camera_for, evaluate
+from deepfsi.design.evaluation import camera_for
 from deepfsi.design.exposure.trained import Observation
 from deepfsi.design.temperatures import stop_temperatures
 from deepfsi.designfile.header import DESIGN_SCHEMA

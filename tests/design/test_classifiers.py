@@ -7,8 +7,9 @@ import torch
 from torch import Tensor, nn
 
 from conftest import generator
+from deepfsi import Mlp
 from deepfsi.base import InputError
-from deepfsi.design.classifiers import Mlp, Replicas, Vit
+from deepfsi.design.classifiers import Replicas, Vit
 
 
 def probe(units: int, dropout: float, seed: int = 0) -> Mlp:

@@ -5,11 +5,9 @@ import pytest
 import torch
 
 from conftest import PHOTONS, quick, same
-from deepfsi import Camera
+from deepfsi import Camera, Design, evaluate
 from deepfsi.base import InputError
-from deepfsi.design.artifact import Design
 from deepfsi.design.clicks import to_training_light
-from deepfsi.design.evaluation import evaluate
 from deepfsi.optics.noise import noise_of
 from deepfsi.sweeps.recipe import Recipe
 

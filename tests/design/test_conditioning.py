@@ -8,10 +8,9 @@ import pytest
 import torch
 
 from conftest import every_optics, generator, once, quick
+from deepfsi import Design, evaluate
 from deepfsi.base import InputError
 from deepfsi.camera import photons_per_pixel
-from deepfsi.design.artifact import Design
-from deepfsi.design.evaluation import evaluate
 from deepfsi.design.exposure.conditioned import ConditionedExposure
 from deepfsi.design.temperatures import stop_temperatures
 from deepfsi.jobs import Job

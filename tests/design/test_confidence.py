@@ -8,8 +8,8 @@ import torch
 from scipy.special import softmax
 
 from conftest import quick
+from deepfsi import Design, evaluate
 from deepfsi.base import InputError
-from deepfsi.design.artifact import Design
 from deepfsi.design.confidence import (
     BINS,
     CalibrationScenes,
@@ -19,7 +19,6 @@ from deepfsi.design.confidence import (
     fit_temperatures,
     logits_at_stops,
 )
-from deepfsi.design.evaluation import evaluate
 from deepfsi.design.temperatures import stop_temperatures
 from deepfsi.designfile import Temperatures, calibration_budgets
 from deepfsi.jobs import Job

@@ -7,10 +7,9 @@ import pytest
 import torch
 
 from conftest import RECIPE, generator, once
+from deepfsi import Design, evaluate
 from deepfsi.base import InputError
 from deepfsi.camera import DetectorMap
-from deepfsi.design.artifact import Design
-from deepfsi.design.evaluation import evaluate
 from deepfsi.design.onnx_graph import to_onnx
 from deepfsi.design.stopping import stop
 from deepfsi.design.temperatures import stop_temperatures

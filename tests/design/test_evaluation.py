@@ -9,10 +9,10 @@ import pytest
 import torch
 
 from conftest import PHOTONS, every_optics, generator, light_on, quick, synthetic
+from deepfsi import evaluate
 from deepfsi.base import SILENT, InputError
 from deepfsi.base.numeric import balanced_interval
 from deepfsi.datasets import from_arrays
-from deepfsi.design.evaluation import evaluate
 from deepfsi.design.evaluation import test_scenes as run_test
 
 

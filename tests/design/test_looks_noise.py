@@ -12,13 +12,12 @@ import torch
 from torch import Tensor
 
 from conftest import generator, once, quick
+from deepfsi import Scanner, evaluate
 from deepfsi.datasets import from_arrays
 from deepfsi.design.classifiers import Replicas
-from deepfsi.design.evaluation import evaluate
 from deepfsi.design.exposure.kinds import begin
 from deepfsi.optics.detection import Detection
 from deepfsi.optics.features import FeatureNoise
-from deepfsi.optics.scanner import Scanner
 from deepfsi.training.draws import seed_streams
 from deepfsi.training.features import features_of
 from deepfsi.training.masks import initial_masks

@@ -12,9 +12,9 @@ import torch
 from torch import nn
 
 from conftest import PHOTONS, every_optics, once, quick
+from deepfsi import Design
 from deepfsi.base import InputError
 from deepfsi.camera import photons_per_pixel
-from deepfsi.design.artifact import Design
 from deepfsi.design.exposure.conditioned import ConditionedExposure
 from deepfsi.design.onnx_graph import SCHEMA, to_onnx
 from deepfsi.hardware.patterns import check_patterns

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from conftest import quick
+from deepfsi import Design
 from deepfsi.camera import share_out
-from deepfsi.design.artifact import Design
 from deepfsi.design.onnx_graph import to_onnx
 from shared.design_files import file_of
 

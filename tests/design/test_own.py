@@ -10,11 +10,10 @@ from torch import nn
 
 import deepfsi
 from conftest import PHOTONS, RECIPE, generator, light_on, same
+from deepfsi import Design, evaluate
 from deepfsi.base import InputError
 from deepfsi.camera import DetectorMap
 from deepfsi.design import own
-from deepfsi.design.artifact import Design
-from deepfsi.design.evaluation import evaluate
 from deepfsi.design.onnx_graph import to_onnx
 from deepfsi.design.temperatures import stop_temperatures
 from deepfsi.optics.detection import Detection

@@ -8,8 +8,8 @@ import torch
 
 import deepfsi
 from conftest import RECIPE, assert_moments, generator, same, synthetic
+from deepfsi import Design
 from deepfsi.base import InputError
-from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import scanner_for
 from deepfsi.design.onnx_graph import to_onnx
 from deepfsi.design.payload import check_playable

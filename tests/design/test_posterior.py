@@ -11,10 +11,9 @@ from scipy.stats import poisson
 from torch import Tensor
 
 from conftest import every_optics, generator, quick, real_mnist
-from deepfsi import IdealObserver, ideal_observer
+from deepfsi import IdealObserver, evaluate, ideal_observer
 from deepfsi.base import InputError
 from deepfsi.datasets import Dataset, from_arrays, load_dataset
-from deepfsi.design.evaluation import evaluate
 
 
 def exact(rates: np.ndarray, labels: np.ndarray, counts: np.ndarray, photons: float) -> np.ndarray:

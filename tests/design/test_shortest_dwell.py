@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from conftest import RECIPE, quick, same
+from deepfsi import Design
 from deepfsi.base import InputError
-from deepfsi.design.artifact import Design
 from deepfsi.optics import constraints
 from deepfsi.optics.masks import LearnedMasks
 from shared.jobs import job, learn

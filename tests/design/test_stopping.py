@@ -7,10 +7,10 @@ import pytest
 import torch
 
 from conftest import generator, quick
+from deepfsi import evaluate
 from deepfsi.base import InputError
 from deepfsi.camera import StopRule
 from deepfsi.design import stopping
-from deepfsi.design.evaluation import evaluate
 from deepfsi.design.stopping import stop
 from deepfsi.optics.detection import ONE
 

@@ -6,18 +6,14 @@ import numpy as np
 import pytest
 import torch
 
+from deepfsi import Design, Scanner, evaluate, ideal_observer, learn, predict
 from deepfsi.base import InputError
-from deepfsi.design.artifact import Design
 from deepfsi.design.bounds import cramer_rao, linear_bound
-from deepfsi.design.evaluation import evaluate, scanner_for
+from deepfsi.design.evaluation import scanner_for
 from deepfsi.design.onnx_graph import to_onnx
 from deepfsi.design.payload import check_playable
-from deepfsi.design.posterior import ideal_observer
 from deepfsi.design.stopping import stop
-from deepfsi.lab.prediction import predict
 from deepfsi.optics.noise import Click
-from deepfsi.optics.scanner import Scanner
-from deepfsi.training.learning import learn
 from shared.values import SLOPES, SPREAD, linear_scenes, placed_digits
 
 SIGMA = 4.0

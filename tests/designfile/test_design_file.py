@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from conftest import quick
+from deepfsi import Design
 from deepfsi.base import InputError
 from deepfsi.camera import StopRule
-from deepfsi.design.artifact import Design
 from deepfsi.designfile import DesignFile, find_design
 from shared.design_files import file_of
 from shared.vectors import AGREES, KINDS, read_vectors

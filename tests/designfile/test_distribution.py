@@ -7,9 +7,9 @@ import pytest
 import torch
 
 from conftest import quick
+from deepfsi import Design
 from deepfsi.base import InputError
 from deepfsi.datasets import Dataset, from_arrays
-from deepfsi.design.artifact import Design
 from deepfsi.design.readout_fit import (
     FEWEST_OF_A_CLASS,
     MOST_SCENES,

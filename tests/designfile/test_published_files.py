@@ -13,10 +13,8 @@ import pooch
 import pytest
 
 from conftest import real_mnist
-from deepfsi import load_dataset
+from deepfsi import evaluate, load_dataset, load_design
 from deepfsi.base import InputError
-from deepfsi.design.adaptive.design import load_design
-from deepfsi.design.evaluation import evaluate
 from deepfsi.designfile import (
     INDEX_NAME,
     SHIPPED_DESIGNS,

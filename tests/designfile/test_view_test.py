@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from conftest import quick
-from deepfsi.design.artifact import Design
+from deepfsi import Design
 from deepfsi.designfile import SceneModel, SceneReadouts, ViewTest, view_test
 from deepfsi.designfile.view_test import FALSE_ALARM, orientation_faults, view_faults
 

@@ -36,7 +36,7 @@ class Reader:
 
 
 def read_design(path: Path) -> None:
-    from deepfsi.design.artifact import Design
+    from deepfsi import Design
     from deepfsi.design.stopping import rule_of
     from deepfsi.designfile import trained_on
     from deepfsi.lab.camera import camera_of
@@ -56,7 +56,7 @@ def read_design(path: Path) -> None:
 
 
 def read_adaptive(path: Path) -> None:
-    from deepfsi.design.adaptive.design import load_design
+    from deepfsi import load_design
     from deepfsi.designfile import trained_on
 
     design = load_design(path)

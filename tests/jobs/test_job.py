@@ -8,9 +8,8 @@ import torch
 
 import deepfsi
 from conftest import PHOTONS, RECIPE, quick, same
-from deepfsi import Camera, Looks, Range
+from deepfsi import Camera, Looks, Range, evaluate
 from deepfsi.base import InputError, Progress
-from deepfsi.design.evaluation import evaluate
 from deepfsi.jobs import (
     DESIGNS,
     Job,

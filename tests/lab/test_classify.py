@@ -126,7 +126,7 @@ def test_the_error_of_a_background_is_in_the_test_of_the_counts(lab, monkeypatch
     """It is the same in all exposures of a scene, so that of n together has n² its variance."""
     from dataclasses import replace
 
-    from deepfsi.design.artifact import Design
+    from deepfsi import Design
     from deepfsi.lab import classify
 
     counts, told = read_counts(lab / RUN), []

@@ -7,13 +7,13 @@ import torch
 from torch import Tensor
 
 from conftest import OPTICS, assert_moments, generator, quick
+from deepfsi import Scanner
 from deepfsi.base import InputError
 from deepfsi.optics import constraints, noise
 from deepfsi.optics.detection import ONE
 from deepfsi.optics.features import FeatureNoise
 from deepfsi.optics.masks import LearnedMasks
 from deepfsi.optics.rails import Rails
-from deepfsi.optics.scanner import Scanner
 from shared.noises import exact, photons, saturating
 
 DRAWS = 50_000

@@ -8,11 +8,11 @@ import pytest
 import torch
 
 from conftest import generator
+from deepfsi import Scanner
 from deepfsi.base import InputError
 from deepfsi.camera import Camera
 from deepfsi.optics.features import FeatureNoise
 from deepfsi.optics.noise import Click, check_noise, noise_of, resolve, try_own
-from deepfsi.optics.scanner import Scanner
 
 DRAWS = 200_000
 

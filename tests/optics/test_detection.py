@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from conftest import FLOAT32, every_optics, generator
+from deepfsi import Scanner
 from deepfsi.base import InputError
 from deepfsi.camera import DetectorMap
 from deepfsi.jobs import check_count, count_allowed, sensing_matrix
@@ -13,7 +14,7 @@ from deepfsi.optics.constraints import expand, fit
 from deepfsi.optics.detection import ONE, Detection
 from deepfsi.optics.masks import FixedMasks, LearnedMasks
 from deepfsi.optics.noise import root
-from deepfsi.optics.scanner import Scanner, measure, project, project_rails
+from deepfsi.optics.scanner import measure, project, project_rails
 
 SHAPE = (6, 8)
 MAPS = [

@@ -19,14 +19,13 @@ from conftest import (
     real_mnist,
     synthetic,
 )
+from deepfsi import Scanner, evaluate
 from deepfsi.datasets import load_dataset
-from deepfsi.design.evaluation import evaluate
 from deepfsi.jobs import sensing_matrix
 from deepfsi.optics import constraints
 from deepfsi.optics.detection import ONE
 from deepfsi.optics.noise import variance
 from deepfsi.optics.rails import Rails
-from deepfsi.optics.scanner import Scanner
 from deepfsi.training.learning import train
 from deepfsi.training.training_set import TrainingSet
 from shared.jobs import job as job_of

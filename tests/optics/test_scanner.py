@@ -7,13 +7,14 @@ import torch
 from torch import Tensor, nn
 
 from conftest import assert_moments, every_design, every_optics, generator, light_on
+from deepfsi import Scanner
 from deepfsi.base import InputError
 from deepfsi.optics.constraints import fit
 from deepfsi.optics.detection import ONE
 from deepfsi.optics.masks import FixedMasks, LearnedMasks
 from deepfsi.optics.noise import root
 from deepfsi.optics.rails import Rails
-from deepfsi.optics.scanner import Scanner, measure, project, project_rails
+from deepfsi.optics.scanner import measure, project, project_rails
 
 DRAWS = 50_000
 RATES = [1e-3, 1.0, 1e3, 1e6, 1.001e6, 1e8, 1e10]

@@ -45,8 +45,7 @@ def done(request):
 
     Figures of one trial are made and not drawn.
     """
-    if request.param == "one":
-        request.getfixturevalue("undrawn")
+    request.getfixturevalue("undrawn" if request.param == "one" else "drawn_once")
     return request.getfixturevalue(request.param)
 
 

@@ -74,7 +74,7 @@ def run(folder, patch, **grid):
 
 
 @pytest.fixture(scope="module")
-def study(tmp_path_factory):
+def study(tmp_path_factory, all_drawn_once):
     """Run the study on made-up spectra: (folder, results, section)."""
     root = tmp_path_factory.mktemp("pines")
     with pytest.MonkeyPatch.context() as patch:

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from conftest import synthetic
+from deepfsi import Design, learn
 from deepfsi.base import InputError
-from deepfsi.design.artifact import Design
 from deepfsi.report.accuracy import accuracy_figure
 from deepfsi.report.comparison_page import page_text
 from deepfsi.report.figures import Figures
@@ -19,7 +19,7 @@ from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.run import compare
 from deepfsi.sweeps.trial import plan
 from deepfsi.sweeps.workers import Workers
-from deepfsi.training.learning import Diverged, learn
+from deepfsi.training.learning import Diverged
 from deepfsi_paper import experiment, studies
 from deepfsi_paper.ovit import claims as ovit
 from deepfsi_paper.ovit.claims import EXPERIMENT, IMAGES

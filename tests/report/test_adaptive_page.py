@@ -10,12 +10,11 @@ import torch
 from selenium.webdriver.common.by import By
 
 from conftest import generator, synthetic
-from deepfsi import Camera, learn
+from deepfsi import Camera, evaluate, learn
 from deepfsi.design import payload
 from deepfsi.design.adaptive import choice
 from deepfsi.design.adaptive.exposures import prior_of
 from deepfsi.design.adaptive.posterior import AdaptivePosterior, LookOptics
-from deepfsi.design.evaluation import evaluate
 from deepfsi.design.payload import few_tests, of_page, playable
 from deepfsi.design.stopping import StoppingRule, with_rule
 from deepfsi.jobs import AdaptiveMasks

@@ -31,7 +31,7 @@ A4_WIDTH = 680  # CSS pixels between the margins
 
 
 @pytest.fixture(scope="module")
-def pages(tmp_path_factory):
+def pages(tmp_path_factory, all_drawn_once):
     """Give the address of a page of each kind."""
     home = tmp_path_factory.mktemp("pages")
     results = make_results(home / "comparison", noises=("poisson", "gaussian"))

@@ -10,7 +10,7 @@ from selenium.webdriver import ActionChains, Keys
 from selenium.webdriver.common.by import By
 
 from conftest import quick, synthetic
-from deepfsi.design.artifact import Design
+from deepfsi import Design
 from deepfsi.design.payload import playable
 from deepfsi.report.playground.page import write_page
 from shared import vectors

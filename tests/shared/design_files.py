@@ -11,8 +11,8 @@ import torch
 from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
+from deepfsi import Design
 from deepfsi.base import InputError
-from deepfsi.design.artifact import Design
 from deepfsi.designfile import DesignFile
 
 

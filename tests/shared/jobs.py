@@ -6,8 +6,8 @@ Light law and rails are the paper's unless others, or a camera, are given.
 
 from typing import Any
 
+from deepfsi import learn as learned
 from deepfsi.jobs import Job, sorted_settings
-from deepfsi.training.learning import learn as learned
 
 OF_LEARN = ("counts", "matrix", "device", "report", "checkpoint")
 

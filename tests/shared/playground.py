@@ -8,9 +8,8 @@ from scipy import stats
 from selenium.webdriver.common.by import By
 
 from conftest import generator, synthetic
+from deepfsi import Design, Mlp
 from deepfsi.datasets import Dataset
-from deepfsi.design.artifact import Design
-from deepfsi.design.classifiers import Mlp
 from deepfsi.optics import constraints
 from deepfsi.optics.detection import Detection
 from deepfsi.optics.rails import Rails

@@ -15,9 +15,9 @@ import numpy as np
 import torch
 
 from conftest import synthetic
+from deepfsi import Design
 from deepfsi.camera import share_out
 from deepfsi.datasets import Dataset
-from deepfsi.design.artifact import Design
 from deepfsi.design.exposure.trained import Observation
 from shared.jobs import learn
 

@@ -9,8 +9,8 @@ from functools import cache
 import numpy as np
 import pytest
 
+from deepfsi import AdaptiveDesign, load_design
 from deepfsi.datasets import from_arrays, idx
-from deepfsi.design.adaptive.design import AdaptiveDesign, load_design
 from deepfsi.designfile.published import DESIGNS_VARIABLE
 from deepfsi.sweeps import collection
 from deepfsi.sweeps.collection import Collection

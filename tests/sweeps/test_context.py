@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
+from deepfsi import Design
 from deepfsi.base import InputError
-from deepfsi.design.artifact import Design
 from deepfsi.sweeps import context
 from deepfsi.sweeps.context import SweepContext
 from deepfsi.sweeps.trial import plan

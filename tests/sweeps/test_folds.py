@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 
 from conftest import synthetic
+from deepfsi import evaluate, load_design
 from deepfsi.base import InputError
 from deepfsi.base.numeric import accuracy_interval, unpack_values
 from deepfsi.datasets import from_arrays, load_dataset
-from deepfsi.design.adaptive.design import load_design
-from deepfsi.design.evaluation import evaluate
 from deepfsi.designfile import trained_on
 from deepfsi.lab.data import data_of
 from deepfsi.sweeps.forecast import forecast_cost

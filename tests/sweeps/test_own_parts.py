@@ -3,8 +3,8 @@
 import pytest
 
 from conftest import same
+from deepfsi import Design
 from deepfsi.base import InputError
-from deepfsi.design.artifact import Design
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.records import rows
 from deepfsi.sweeps.trial import plan

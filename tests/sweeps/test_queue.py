@@ -7,9 +7,8 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
+from deepfsi import Design, evaluate
 from deepfsi.base import InputError
-from deepfsi.design.artifact import Design
-from deepfsi.design.evaluation import evaluate
 from deepfsi.sweeps import context
 from deepfsi.sweeps.trial import plan
 from shared.trials import small, train_trials

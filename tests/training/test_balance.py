@@ -6,8 +6,8 @@ import torch
 from torch.nn import functional
 
 from conftest import PHOTONS, quick, same
+from deepfsi import evaluate
 from deepfsi.datasets import from_arrays
-from deepfsi.design.evaluation import evaluate
 from deepfsi.training.training_set import TrainingSet
 
 pytestmark = pytest.mark.usefixtures("trained_once")

@@ -21,9 +21,8 @@ from conftest import (
     synthetic,
     two_valued,
 )
+from deepfsi import Design, evaluate
 from deepfsi.base import InputError
-from deepfsi.design.artifact import Design
-from deepfsi.design.evaluation import evaluate
 from deepfsi.jobs import DESIGNS, sensing_matrix
 from deepfsi.optics import constraints
 from deepfsi.training.learning import train

@@ -8,13 +8,12 @@ import pytest
 import torch
 from scipy.special import softmax
 
-from deepfsi import learn
+from deepfsi import AdaptiveDesign, evaluate, learn
 from deepfsi.base import InputError
 from deepfsi.design.adaptive.choice import next_masks
-from deepfsi.design.adaptive.design import AdaptiveDesign
 from deepfsi.design.adaptive.posterior import AdaptivePosterior, LookOptics
 from deepfsi.design.confidence import fit_temperatures, logits_at_stops
-from deepfsi.design.evaluation import evaluate, scanner_for
+from deepfsi.design.evaluation import scanner_for
 from deepfsi.design.temperatures import stop_temperatures
 from deepfsi.designfile import Temperatures
 from deepfsi.training.folds import FEW_SCENES, FOLDS, folds_of

@@ -10,10 +10,9 @@ import pytest
 import torch
 
 from conftest import RECIPE, every_optics, quick, same, synthetic
+from deepfsi import Design, Mlp, evaluate
 from deepfsi.base import Progress
-from deepfsi.design.artifact import Design
-from deepfsi.design.classifiers import Mlp, Replicas
-from deepfsi.design.evaluation import evaluate
+from deepfsi.design.classifiers import Replicas
 from deepfsi.training import loop, masks
 from deepfsi.training.learning import train
 from deepfsi.training.precision import BFLOAT16_WIDTH

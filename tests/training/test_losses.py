@@ -4,11 +4,10 @@ import pytest
 import torch
 from torch.nn import functional
 
+from deepfsi import evaluate, learn
 from deepfsi.base import InputError
-from deepfsi.design.evaluation import evaluate
 from deepfsi.jobs import Training
 from deepfsi.training import losses
-from deepfsi.training.learning import learn
 from shared.values import placed_digits
 
 

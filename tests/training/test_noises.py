@@ -5,9 +5,8 @@ import math
 import pytest
 
 from conftest import PHOTONS, generator, light_on, quick, same
+from deepfsi import Design, evaluate
 from deepfsi.base import InputError
-from deepfsi.design.artifact import Design
-from deepfsi.design.evaluation import evaluate
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.trial import plan
 from shared.noises import exact, offset, photons, saturating

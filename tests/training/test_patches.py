@@ -5,11 +5,9 @@ import pytest
 import torch
 
 from conftest import FLOAT32, assert_moments, generator, same, synthetic
-from deepfsi import Patches
+from deepfsi import Design, Patches, Scanner, evaluate
 from deepfsi.base import InputError
 from deepfsi.camera import photons_per_pixel
-from deepfsi.design.artifact import Design
-from deepfsi.design.evaluation import evaluate
 from deepfsi.design.exposure.kinds import begin
 from deepfsi.design.exposure.trained import cut
 from deepfsi.design.onnx_graph import to_onnx
@@ -17,7 +15,6 @@ from deepfsi.design.stopping import stop
 from deepfsi.jobs import DESIGNS as CODES
 from deepfsi.optics.features import FeatureNoise
 from deepfsi.optics.masks import FixedMasks, LearnedMasks
-from deepfsi.optics.scanner import Scanner
 from deepfsi.training.draws import SeedStream
 from deepfsi.training.features import PatchFeatures
 from deepfsi.training.learning import train

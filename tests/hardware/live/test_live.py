@@ -105,7 +105,7 @@ def test_counts_are_those_of_the_light(digits, patterns, run):
 
 def test_decisions_are_those_of_the_design(digits, patterns, run):
     """`Design.classify_live`, in torch, asks for the same dwells and says the same."""
-    from deepfsi.design.artifact import Design
+    from deepfsi import Design
 
     design = Design.load(patterns.parent / "looks.safetensors")
     manifest = read_patterns(patterns).manifest

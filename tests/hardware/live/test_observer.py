@@ -5,9 +5,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from deepfsi import Design
 from deepfsi.base import InputError
 from deepfsi.camera import DeadTime
-from deepfsi.design.artifact import Design
 from deepfsi.hardware.counting import FrameCounts, Scene
 from deepfsi.hardware.light import PARTS
 from deepfsi.hardware.live import SceneObserver

@@ -7,8 +7,8 @@ import pytest
 from pattern_samples import export, grey
 
 from conftest import quick
+from deepfsi import Design
 from deepfsi.base import InputError
-from deepfsi.design.artifact import Design
 from deepfsi.designfile import loop_bytes
 from deepfsi.hardware.patterns import GatePlan, check_patterns, read_patterns
 from shared.design_files import file_of

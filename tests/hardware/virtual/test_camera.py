@@ -9,6 +9,7 @@ import torch
 from pydantic import ValidationError
 from virtual_samples import DEVICE, SHAPE, SUMMED_REFLECTANCE, into, patterns, scenes
 
+from deepfsi import Scanner
 from deepfsi.base import SILENT, InputError, Progress
 from deepfsi.camera import Device, DmdLayout, find_grid
 from deepfsi.hardware.counting import count_run, read_run
@@ -31,7 +32,6 @@ from deepfsi.hardware.virtual import (
 )
 from deepfsi.hardware.virtual import camera as module
 from deepfsi.hardware.virtual.camera import irradiance
-from deepfsi.optics.scanner import Scanner
 from deepfsi_paper.camera.gate_counts import draw_counts
 
 GRID = find_grid(DEVICE, SHAPE, DmdLayout(stretch=True))

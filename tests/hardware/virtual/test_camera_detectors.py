@@ -8,6 +8,7 @@ import pytest
 import torch
 from virtual_samples import DEVICE, SHAPE, SUMMED_REFLECTANCE, scenes
 
+from deepfsi import Scanner
 from deepfsi.base import InputError
 from deepfsi.camera import DetectorMap, Device
 from deepfsi.hardware.counting import Counts, CountSettings, count_run, read_counts
@@ -30,7 +31,6 @@ from deepfsi.hardware.virtual import (
 from deepfsi.hardware.virtual.camera import write_photons
 from deepfsi.optics import constraints
 from deepfsi.optics.detection import Detection
-from deepfsi.optics.scanner import Scanner
 from deepfsi_paper.camera.gate_counts import draw_counts
 
 CELLS = (0, 0, 1, 2, 0, 0, 1, 2, 3, 3, 3, 2)

@@ -5,6 +5,7 @@ import pytest
 import torch
 from virtual_samples import SUMMED_REFLECTANCE, patterns, scenes
 
+from deepfsi import Scanner
 from deepfsi.base import InputError
 from deepfsi.camera import DeadTime
 from deepfsi.hardware.counting import CountSettings, count_run, read_counts
@@ -13,7 +14,6 @@ from deepfsi.hardware.patterns import Patterns
 from deepfsi.hardware.pictures import reconstruct
 from deepfsi.hardware.virtual import RecordingSettings, VirtualCamera, record_scenes
 from deepfsi.lab import check_view, gains_of
-from deepfsi.optics.scanner import Scanner
 
 GATES = 4
 EXPOSURE = 4e-3
