@@ -6,6 +6,8 @@ import json
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 LIGHT = "--light free-dwell --rails single"
 DESIGN = f"design --photons 1e4 --masks 3 --epochs 1 {LIGHT}"
 

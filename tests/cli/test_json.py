@@ -11,6 +11,8 @@ from deepfsi.cli import app
 from deepfsi.cli.common import JSON_SCHEMA
 from shared.experiments import EVERY, tiny
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 TINY = "--designs pca --photons 1e3 --masks 3 --epochs 1 --trials 1 --workers 1"
 STEPS = {
     "design": "--photons 1e4 --masks 4 --light free-dwell --rails single --epochs 1 "

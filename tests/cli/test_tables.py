@@ -8,6 +8,8 @@ import pytest
 
 from deepfsi.cli import common
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 WIDTH = 80
 
 

@@ -8,8 +8,8 @@ import pytest
 import deepfsi
 from deepfsi import Design, InputError, load_dataset, load_design
 from deepfsi.datasets import write_pictures
-from deepfsi.designfile import NO_MEASURE, TrainingScenes, new_scenes, scene_hashes
-from deepfsi.designfile.provenance import SCENE_HASHES
+from deepfsi.designfile import TrainingScenes, new_scenes, scene_hashes
+from deepfsi.designfile.provenance import NO_MEASURE, SCENE_HASHES
 from shared.design_files import rewrite
 from shared.jobs import learn
 from shared.pictures import save_images

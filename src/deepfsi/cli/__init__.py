@@ -1,6 +1,7 @@
 """The command line: parses, calls, prints. Heavy imports happen in the command that needs them."""
 
 import contextlib
+import functools
 import io
 import os
 import re
@@ -143,14 +144,19 @@ def _check_here() -> None:
 
 def as_options(message: str) -> str:
     """A message with the settings of Python in it, in backticks, as options: `size` → --size."""
-    known = _names(typer.main.get_command(app))
 
     def option(setting: re.Match[str]) -> str:
         name = f"--{setting[1].replace('_', '-')}"
         value = f" {setting[2]}" if setting[2] else ""
-        return f"{name}{value}" if name in known else setting[0]
+        return f"{name}{value}" if name in _all_options() else setting[0]
 
     return re.sub(r"`([a-z_]+)(?:=\"?([^`\"]+)\"?)?`", option, message)
+
+
+@functools.cache
+def _all_options() -> set[str]:
+    """Options of all commands, which take longer to make than most errors to find."""
+    return _names(typer.main.get_command(app))
 
 
 def _names(command: Any) -> set[str]:
