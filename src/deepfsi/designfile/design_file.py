@@ -144,20 +144,18 @@ class DesignFile:
             if whole:
                 _check_prior(self.header, self.arrays)
             return
-        if whole or "rails" in self.arrays:
-            rails, _, pixels = self.arrays["rails"].shape
-            if rails not in (1, 2) or pixels != math.prod(self.header.mask_shape):
-                raise ValueError("rails are not of the masks of these scenes")
-        if whole:
-            self._check_masks(self.header)
-
-    def _check_masks(self, header: MaskHeader) -> None:
-        pixels = self.arrays["rails"].shape[2]
+        if not whole and "rails" not in self.arrays:
+            return
+        rails, _, pixels = self.arrays["rails"].shape
+        if rails not in (1, 2) or pixels != math.prod(self.header.mask_shape):
+            raise ValueError("rails are not of the masks of these scenes")
+        if not whole:
+            return
         if {self.arrays[name].shape for name in STATISTICS} != {(self.feature_count,)}:
             raise ValueError("statistics are not those of the masks")
         if not (self.arrays["std"] > 0).all():
             raise ValueError("standard deviations are not above 0")
-        if math.prod(header.image_shape) != pixels * header.classifier.patches:
+        if math.prod(self.header.image_shape) != pixels * self.header.classifier.patches:
             raise ValueError("images have other pixels than masks on all patches")
         _ = self.distribution, self.scene_model, self.temperatures
 

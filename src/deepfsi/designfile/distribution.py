@@ -295,8 +295,6 @@ class ReadoutDistribution:
         }
         if {name: array.shape for name, array in arrays.items()} != shapes:
             raise ValueError("the distribution of the readouts is not of these masks")
-        if not all(np.isfinite(array).all() for array in arrays.values()):
-            raise ValueError("the distribution of the readouts is not finite")
         least = min(float(arrays[name].min()) for name in ("mean", "spread", "rest"))
         shares = [arrays[name] for name in ("mean", "directions", "rest") if arrays[name].size]
         most = max(float(np.abs(share).max()) for share in shares)

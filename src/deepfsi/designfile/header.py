@@ -8,7 +8,7 @@ import math
 from importlib.metadata import version
 from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import AfterValidator, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from deepfsi.base import IMPORT_PATH
 from deepfsi.base.models import StrictModel
@@ -34,13 +34,7 @@ DesignInfo = Annotated[dict[str, Any], AfterValidator(_check_info)]
 """Provenance of a design: job and data of its training, and what was measured of it."""
 
 
-class _Classifier(StrictModel):
-    """Entry of the header for a classifier: no further fields, and no conversions."""
-
-    model_config = ConfigDict(strict=True)
-
-
-class MlpEntry(_Classifier):
+class MlpEntry(StrictModel, strict=True):
     """Entry of the header for an `Mlp`: its parameters of the same names.
 
     Attributes
@@ -57,7 +51,7 @@ class MlpEntry(_Classifier):
     patches: ClassVar = 1
 
 
-class VitEntry(_Classifier):
+class VitEntry(StrictModel, strict=True):
     """Entry of the header for a `Vit`: its parameters of the same names.
 
     Attributes
@@ -82,7 +76,7 @@ class VitEntry(_Classifier):
     hidden: PositiveCount
 
 
-class CustomEntry(_Classifier):
+class CustomEntry(StrictModel, strict=True):
     """Entry of the header for an `OwnClassifier`: its parameters of the same names.
 
     Attributes
@@ -99,7 +93,7 @@ class CustomEntry(_Classifier):
     patches: ClassVar = 1
 
 
-class MaskHeader(StrictModel):
+class MaskHeader(StrictModel, strict=True, populate_by_name=True):
     """Header of a design whose masks are known before an exposure.
 
     Attributes
@@ -127,8 +121,6 @@ class MaskHeader(StrictModel):
     exposure, classifier
         Kind and sizes: what rebuilds them, with the tensors.
     """
-
-    model_config = ConfigDict(strict=True, populate_by_name=True)
 
     schema_number: Literal[1] = Field(DESIGN_SCHEMA, alias="schema")
     deepfsi: str = version("deepfsi")
@@ -159,7 +151,7 @@ class MaskHeader(StrictModel):
         return self.image_shape
 
 
-class AdaptiveHeader(StrictModel):
+class AdaptiveHeader(StrictModel, populate_by_name=True):
     """Header of a design that makes each mask while the camera looks.
 
     Attributes
@@ -167,8 +159,6 @@ class AdaptiveHeader(StrictModel):
     settings : AdaptiveMasks
         Looks, and the share of the exposure that each takes.
     """
-
-    model_config = ConfigDict(populate_by_name=True)
 
     schema_number: Literal[1] = Field(DESIGN_SCHEMA, alias="schema")
     deepfsi: str = version("deepfsi")

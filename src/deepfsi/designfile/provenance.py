@@ -12,9 +12,9 @@ from hashlib import blake2b
 from typing import Any, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
 
 from deepfsi.base import InputError, as_input_error
+from deepfsi.base.models import StrictModel
 from deepfsi.camera import Camera
 from deepfsi.datasets import Dataset, Origin
 from deepfsi.jobs import ExposureEntry
@@ -35,10 +35,8 @@ READOUTS = "readouts"
 """Entry of `info`, of designs of measured readouts: the offset and the gain of each readout."""
 
 
-class TrainedOn(BaseModel):
+class TrainedOn(StrictModel):
     """Data of a training, an entry of `Design.info`."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     name: str  # of the data set without the scenes that were left out
     hash: str
@@ -104,7 +102,8 @@ class TrainingScenes:
     def of(cls, data: Dataset) -> Self:
         """Those of a data set: its training part, and the held-out part that thresholds are of."""
         parts = [data.x_train, *([data.x_test] if data.held_out else [])]
-        return cls(_numbers(h for part in parts for h in scene_hashes(part, data.image_shape)))
+        hashes = (h for part in parts for h in scene_hashes(part, data.image_shape))
+        return cls(np.unique(_numbers(hashes)))
 
     @classmethod
     def restored(cls, arrays: Mapping[str, np.ndarray]) -> Self | None:
@@ -124,13 +123,12 @@ class TrainingScenes:
 
     def contains(self, hashes: Iterable[str]) -> np.ndarray:
         """True (n,) for each hash that is of a scene that the design was made with."""
-        return np.isin(_numbers(hashes, unique=False), self.hashes)
+        return np.isin(_numbers(hashes), self.hashes)
 
 
-def _numbers(hashes: Iterable[str], unique: bool = True) -> np.ndarray:
-    """Hashes (n,) as int32, in order and each once if they are a set."""
-    numbers = np.frombuffer(bytes.fromhex("".join(hashes)), ">i4").astype(np.int32)
-    return np.unique(numbers) if unique else numbers
+def _numbers(hashes: Iterable[str]) -> np.ndarray:
+    """Hashes (n,) as int32."""
+    return np.frombuffer(bytes.fromhex("".join(hashes)), ">i4").astype(np.int32)
 
 
 def was_trained_on(

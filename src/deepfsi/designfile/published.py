@@ -131,7 +131,9 @@ def find_design(given: str | os.PathLike[str]) -> Path:
     folder = _folder(where)
     sha256 = collections[where][name].sha256
     if folder is None:
-        return _from_address(name, sha256, where)
+        path = cache("designs") / f"{name}-{sha256[:12]}.safetensors"
+        _fetch(f"{where}/{name}.safetensors", path, f"sha256:{sha256}")
+        return path
     path = folder / f"{name}.safetensors"
     if hash_file(path) != sha256:
         raise InputError(
@@ -157,9 +159,7 @@ def _read_index(where: str) -> dict[str, PublishedDesign]:
     if folder is not None:
         return CollectionIndex.read(folder).designs
     with TemporaryDirectory() as there:
-        _check_fetched(
-            f"{where}/{INDEX_NAME}", fetch(f"{where}/{INDEX_NAME}", None, Path(there, INDEX_NAME))
-        )
+        _fetch(f"{where}/{INDEX_NAME}", Path(there, INDEX_NAME))
         return CollectionIndex.read(Path(there)).designs
 
 
@@ -177,16 +177,9 @@ def _folder(where: str) -> Path | None:
     return None
 
 
-def _from_address(name: str, sha256: str, address: str) -> Path:
-    """A published design in the cache, downloaded unless it is there whole."""
-    path = cache("designs") / f"{name}-{sha256[:12]}.safetensors"
-    url = f"{address}/{name}.safetensors"
-    _check_fetched(url, fetch(url, f"sha256:{sha256}", path))
-    return path
-
-
-def _check_fetched(url: str, failure: str) -> None:
-    if failure:
+def _fetch(url: str, path: Path, expected: str | None = None) -> None:
+    """Download a file with a hash, unless it is there whole."""
+    if failure := fetch(url, expected, path):
         raise InputError(
             f"cannot download {url} ({failure}), and nothing of it was kept: try again, or set "
             f"{DESIGNS_VARIABLE} to another address or to a folder"

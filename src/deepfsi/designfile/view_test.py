@@ -14,7 +14,7 @@ the model holds. Each scene must be another one. Where one scene, shown again an
 the counts as well, the fault is named and the run is not refused.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, fields
 from itertools import combinations
 from math import log
@@ -83,7 +83,7 @@ class ViewFault:
 
 def view_faults(
     image_shape: tuple[int, ...], sizes: FaultSizes = FAULTY_SIZES
-) -> tuple[ViewFault, ...]:
+) -> Iterator[ViewFault]:
     """Faults that are looked for in scenes of a shape; masks of one axis are images of one row."""
     height, width = _rows(image_shape)
     flat = height == 1
@@ -92,59 +92,42 @@ def view_faults(
     )
     down = down[:, None]
     radius = (across**2 + down**2) / (1 if flat else 2)
-    sides = {"right": (0, 1), "left": (0, -1), "bottom": (1, 0), "top": (-1, 0)}
-    return (
-        *[
-            ViewFault(f"blurred by about {cells:g} cells (standard deviation)", _blur(cells, flat))
-            for cells in sizes.blurs
-        ],
-        *[
-            ViewFault(
-                f"mixed with stray light of about {share:g} of the scenes'", lambda x: x, share
-            )
-            for share in sizes.stray
-        ],
-        *[
-            ViewFault(f"darker at its corners, to about {1 - lost:g}", _times(1 - lost * radius))
-            for lost in sizes.corners
-        ],
-        *[
-            ViewFault(
-                f"lit unevenly, brighter at the {side}",
-                _times(1 + tilt * (dy * down + dx * across)),
-            )
-            for tilt in sizes.tilts
-            for side, (dy, dx) in sides.items()
-            if dx or not flat
-        ],
-        *[
-            ViewFault(f"shifted to the {side}", _shift(dy * share * height, dx * share * width))
-            for share in sizes.shifts
-            for side, (dy, dx) in sides.items()
-            if dx or not flat
-        ],
-    )
+    sides = {"right": (0, 1), "left": (0, -1)}
+    if not flat:
+        sides |= {"bottom": (1, 0), "top": (-1, 0)}
+    for cells in sizes.blurs:
+        words = f"blurred by about {cells:g} cells (standard deviation)"
+        yield ViewFault(words, _blur(cells, flat))
+    for share in sizes.stray:
+        words = f"mixed with stray light of about {share:g} of the scenes'"
+        yield ViewFault(words, lambda x: x, share)
+    for lost in sizes.corners:
+        light = 1 - lost * radius
+        yield ViewFault(f"darker at its corners, to about {1 - lost:g}", _times(light))
+    for tilt in sizes.tilts:
+        for side, (dy, dx) in sides.items():
+            light = 1 + tilt * (dy * down + dx * across)
+            yield ViewFault(f"lit unevenly, brighter at the {side}", _times(light))
+    for share in sizes.shifts:
+        for side, (dy, dx) in sides.items():
+            see = _shift(dy * share * height, dx * share * width)
+            yield ViewFault(f"shifted to the {side}", see)
 
 
-def orientation_faults(image_shape: tuple[int, ...]) -> tuple[ViewFault, ...]:
+def orientation_faults(image_shape: tuple[int, ...]) -> Iterator[ViewFault]:
     """Orientations, other than that of the training, in which scenes may lie."""
     height, width = _rows(image_shape)
-    faults = [ViewFault("mirrored left to right", lambda x: x[..., ::-1])]
+    yield ViewFault("mirrored left to right", lambda x: x[..., ::-1])
     if height > 1:
-        faults += [
-            ViewFault("mirrored top to bottom", lambda x: x[..., ::-1, :]),
-            ViewFault("turned by 180 degrees", lambda x: x[..., ::-1, ::-1]),
-        ]
+        yield ViewFault("mirrored top to bottom", lambda x: x[..., ::-1, :])
+        yield ViewFault("turned by 180 degrees", lambda x: x[..., ::-1, ::-1])
     if height == width:
-        faults += [
-            ViewFault("turned by 90 degrees", lambda x: x[..., ::-1, :].swapaxes(-1, -2)),
-            ViewFault("turned by 270 degrees", lambda x: x.swapaxes(-1, -2)[..., ::-1, :]),
-            ViewFault("mirrored at its falling diagonal", lambda x: x.swapaxes(-1, -2)),
-            ViewFault(
-                "mirrored at its rising diagonal", lambda x: x[..., ::-1, ::-1].swapaxes(-1, -2)
-            ),
-        ]
-    return tuple(faults)
+        turned = "turned by {} degrees"
+        yield ViewFault(turned.format(90), lambda x: x[..., ::-1, :].swapaxes(-1, -2))
+        yield ViewFault(turned.format(270), lambda x: x.swapaxes(-1, -2)[..., ::-1, :])
+        mirrored = "mirrored at its {} diagonal"
+        yield ViewFault(mirrored.format("falling"), lambda x: x.swapaxes(-1, -2))
+        yield ViewFault(mirrored.format("rising"), lambda x: x[..., ::-1, ::-1].swapaxes(-1, -2))
 
 
 def _rows(image_shape: tuple[int, ...]) -> tuple[int, int]:
@@ -240,8 +223,6 @@ class SceneModel:
         shapes["axes"] = (len(arrays["axes"]), pixels)
         if {name: array.shape for name, array in arrays.items()} != shapes:
             raise ValueError("the model of the scenes is not of these masks")
-        if not all(np.isfinite(array).all() for array in arrays.values()):
-            raise ValueError("the model of the scenes is not finite")
         if min(arrays["rest"].min(), arrays["shares"].min()) < 0 or not arrays["means"].any():
             raise ValueError("the model of the scenes is none")
         return cls(**arrays)
@@ -396,7 +377,7 @@ class ViewTest:
 
     def __init__(self, model: SceneModel, image_shape: tuple[int, ...], frames: int = 0) -> None:
         faults = (*orientation_faults(image_shape), *view_faults(image_shape))
-        harmless = view_faults(image_shape, HARMLESS_SIZES)
+        harmless = tuple(view_faults(image_shape, HARMLESS_SIZES))
         means = np.asarray(model.means, float)
         shares = np.asarray(model.shares, float)
         self._shares = shares / shares.sum()

@@ -33,6 +33,7 @@ from deepfsi.hardware.light.curves import (
     Arrivals,
     Curves,
     LightCurve,
+    change_chance,
     excess_chance,
 )
 from deepfsi.hardware.light.flux import HARMLESS, HARMLESS_DARK, Background, Flux
@@ -330,7 +331,7 @@ class UnsteadyFrame(LightCheck):
         rate = (total + 1) / np.where(total_s > 0, total_s, np.inf)
         harmless = HARMLESS_DARK * light.bright_rate[:, None] / np.maximum(rate, 1e-300)
         ratio = np.where(total_s > 0, 1 + np.maximum(HARMLESS, harmless), 1.0)
-        tests = 2 * len(self.SPLITS) * total.size
+        tests = len(self.SPLITS) * total.size
         for split in self.SPLITS:
             some = curve.photons @ split
             some_s = curve.seconds @ split
@@ -339,9 +340,7 @@ class UnsteadyFrame(LightCheck):
             far = np.abs(some - total * share) > self.LOOKED_AT_SIGMAS * noise
             inside = some[far], some_s[far]
             outside = (total - some)[far], (total_s - some_s)[far]
-            more = excess_chance(*inside, *outside, ratio=ratio[far])
-            less = excess_chance(*outside, *inside, ratio=ratio[far])
-            restless[far] |= np.minimum(more, less) * tests <= chance
+            restless[far] |= change_chance(*inside, *outside, ratio=ratio[far]) * tests <= chance
         return restless
 
 
@@ -377,9 +376,8 @@ class Drift(LightCheck):
         photons, seconds = curve.of(frames)
         (one, other) = photons.T
         (one_s, other_s) = seconds.T
-        more = excess_chance(one, one_s, other, other_s, ratio=ratio)
-        less = excess_chance(other, other_s, one, one_s, ratio=ratio)
-        return np.asarray(np.minimum(more, less) * 2 * len(photons) <= chance)
+        chances = change_chance(one, one_s, other, other_s, ratio=ratio)
+        return np.asarray(chances * len(photons) <= chance)
 
 
 class BackgroundChange(LightCheck):

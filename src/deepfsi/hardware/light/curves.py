@@ -7,7 +7,7 @@ few photons are as sound a base as many.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import ClassVar, Self
 
 import numpy as np
 
@@ -45,6 +45,8 @@ class Arrivals:
         Middles of the parts, seconds, on the counter's clock or from the start of a pass on.
     """
 
+    ARRAYS: ClassVar = ("photons", "variance", "seconds", "middles")
+
     frames: tuple[Frame, ...]
     photons: np.ndarray
     variance: np.ndarray
@@ -54,13 +56,8 @@ class Arrivals:
     @classmethod
     def join(cls, lists: Sequence[Self]) -> Self:
         """Frames of lists that were shown one after another."""
-        return cls(
-            tuple(frame for one in lists for frame in one.frames),
-            np.concatenate([one.photons for one in lists]),
-            np.concatenate([one.variance for one in lists]),
-            np.concatenate([one.seconds for one in lists]),
-            np.concatenate([one.middles for one in lists]),
-        )
+        joined = (np.concatenate([getattr(one, name) for one in lists]) for name in cls.ARRAYS)
+        return cls(tuple(frame for one in lists for frame in one.frames), *joined)
 
     @classmethod
     def stack(cls, passes: Sequence[Self]) -> Self:
@@ -75,13 +72,8 @@ class Arrivals:
     def select(self, indices: Sequence[int]) -> Self:
         """Some frames of a list."""
         which = list(indices)
-        return type(self)(
-            tuple(self.frames[index] for index in which),
-            self.photons[which],
-            self.variance[which],
-            self.seconds[which],
-            self.middles[which],
-        )
+        selected = (getattr(self, name)[which] for name in self.ARRAYS)
+        return type(self)(tuple(self.frames[index] for index in which), *selected)
 
 
 @dataclass(frozen=True)
@@ -226,3 +218,19 @@ def excess_chance(
     share = open_s / (open_s + others_s[which])
     out[which] = betainc(photons[which] / EXCESS, others[which] / EXCESS + 1, share)
     return out
+
+
+def change_chance(
+    photons: np.ndarray,
+    seconds: np.ndarray,
+    others: np.ndarray,
+    others_s: np.ndarray,
+    ratio: np.ndarray | float,
+) -> np.ndarray:
+    """Chance that one of two windows holds so many photons more; parameters as of `excess_chance`.
+
+    `ratio` is allowed either way, and the chance is twice that of the less likely side.
+    """
+    more = excess_chance(photons, seconds, others, others_s, ratio=ratio)
+    less = excess_chance(others, others_s, photons, seconds, ratio=ratio)
+    return np.minimum(1.0, 2 * np.minimum(more, less))

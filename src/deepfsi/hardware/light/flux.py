@@ -16,7 +16,7 @@ from typing import Self
 
 import numpy as np
 
-from deepfsi.hardware.light.curves import LightCurve, excess_chance
+from deepfsi.hardware.light.curves import LightCurve, change_chance
 from deepfsi.hardware.patterns import Brightness
 
 HARMLESS = 0.05
@@ -46,11 +46,6 @@ class PassRates:
     variances: np.ndarray  # (P,): of the counts
     seconds: np.ndarray  # (P,)
 
-    def sums(self) -> np.ndarray:
-        """Sums of counts, variances and seconds over the first 0 … P passes, (3, P + 1)."""
-        rows = np.stack([self.counts, self.variances, self.seconds]).astype(np.float64)
-        return np.pad(np.cumsum(rows, axis=1), ((0, 0), (1, 0)))
-
     def mean(self, segment: slice) -> float:
         """Rate of passes together, counts/s."""
         return float(self.counts[segment].sum() / self.seconds[segment].sum())
@@ -69,7 +64,10 @@ def find_segments(rates: PassRates, allowed: AllowedRatio, chance: float) -> lis
     """
     segments = []
     todo = [(0, len(rates.counts))]
-    sums = rates.sums()
+    rows = np.stack([rates.counts, rates.variances, rates.seconds]).astype(np.float64)
+    sums = np.pad(
+        np.cumsum(rows, axis=1), ((0, 0), (1, 0))
+    )  # of the first 0 … P passes, (3, P + 1)
     while todo:
         start, stop = todo.pop()
         cut = _find_cut(sums[:, start : stop + 1], allowed, chance)
@@ -127,11 +125,9 @@ def _compare(
     (one, one_s) = _as_photons(inner)
     (other, other_s) = _as_photons(outer)
     ratio = allowed(stop - start, passes - (stop - start))
-    more = excess_chance(one, one_s, other, other_s, ratio=ratio)
-    less = excess_chance(other, other_s, one, one_s, ratio=ratio)
     apart = np.abs(np.log((one + 0.5) / one_s) - np.log((other + 0.5) / other_s)) - np.log(ratio)
     clearness = apart / np.sqrt(1 / (one + 0.5) + 1 / (other + 0.5))
-    return clearness, np.minimum(1.0, 2 * np.minimum(more, less))
+    return clearness, change_chance(one, one_s, other, other_s, ratio=ratio)
 
 
 def _as_photons(sums: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

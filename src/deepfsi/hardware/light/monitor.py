@@ -92,10 +92,11 @@ class LightMonitor:
             seconds=0 * first.seconds,
         )
         self._ends.append(Arrivals.join([first, unknown]))
-        curves = self._find_backgrounds()
-        arm = curves.every[0]
+        self._look_back()
+        arm = self._history.every[0]
         dark = self._backgrounds[0]
-        self.dark = np.array([one.rate[-1] for one in self._backgrounds[-len(self.dark) :]])
+        of_inputs = self._backgrounds[-len(self.dark) :]
+        self.dark = np.array([one.rate[-1] for one in of_inputs])
         on, on_s = arm.together(arm.bright)
         unlit = dark.photons[-1] + self.ambient * dark.seconds[-1]
         chance = excess_chance(on[-1], on_s[-1], unlit, dark.seconds[-1])
@@ -103,8 +104,7 @@ class LightMonitor:
         self._lit.append(lit)
         self._sound.append(lit)
         changes = []
-        of_inputs = self._backgrounds[-len(self.dark) :]
-        for curve, background in zip(curves.inputs, of_inputs, strict=True):
+        for curve, background in zip(self._history.inputs, of_inputs, strict=True):
             changes += run_checks(self._so_far(curve, background), "inputs", self._chance)
         if lit:
             light = self._so_far(arm, dark)
@@ -122,7 +122,7 @@ class LightMonitor:
         last = len(self._ends) - 1
         frames = len(scene.frames)
         self._ends[-1] = scene.select([0, 1, frames - 2, frames - 1])
-        history = self._find_backgrounds()
+        self._look_back()
         faults: list[Fault] = []
         of_arms: set[str] = set()
         curves = Curves.of(Arrivals.stack([scene]), np.array([last]), self._wired)
@@ -133,7 +133,7 @@ class LightMonitor:
                 curve,
                 self._backgrounds[index].last,
                 self._chance,
-                ends=history.every[index],
+                ends=self._history.every[index],
                 rhythms=rhythms,
             )
             of_curve = run_checks(light, "all", self._chance)
@@ -155,7 +155,7 @@ class LightMonitor:
         brightness = self._manifest.brightness
         if brightness is None:
             return False
-        curve = self._curves_of_ends().every[0]
+        curve = self._history.every[0]
         used = np.flatnonzero(self._lit)
         used = used[used >= self.since]
         on, on_s = curve.together(curve.bright)
@@ -179,12 +179,8 @@ class LightMonitor:
             sound=np.array(self._sound),
         )
 
-    def _curves_of_ends(self) -> Curves:
-        """Curves of the all-ON and all-OFF frames of all scenes."""
-        return Curves.of(Arrivals.stack(self._ends), np.arange(len(self._ends)), self._wired)
-
-    def _find_backgrounds(self) -> Curves:
-        """Curves of the all-ON and all-OFF frames of all scenes, whose backgrounds are kept."""
-        curves = self._curves_of_ends()
-        self._backgrounds = [Background.of(curve, self._chance) for curve in curves.every]
-        return curves
+    def _look_back(self) -> None:
+        """Find the curves of the all-ON and all-OFF frames of all scenes, and their backgrounds."""
+        ends = Arrivals.stack(self._ends)
+        self._history = Curves.of(ends, np.arange(len(self._ends)), self._wired)
+        self._backgrounds = [Background.of(c, self._chance) for c in self._history.every]
