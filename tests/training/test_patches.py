@@ -278,6 +278,10 @@ def test_what_patches_cannot_do_is_refused(data, learned):
             lambda: learned.as_shown(learned.rails.stacked.numpy(), learned.image_shape, 1.0),
             "patches",
         ),
+        (
+            lambda: learned.classify(np.ones((5, *learned.counts_shape)), BUDGET),
+            r"counts of shape \(5, .* do not fit this design: give \(\.\.\., 8, ",
+        ),
         (lambda: learned.classify_live(lambda dwell: dwell, BUDGET), "`looks`"),
         (lambda: learned.first(3), "`nested`"),
         (lambda: stop(learned, data, BUDGET), "`nested`"),

@@ -286,7 +286,8 @@ class Design:
         ----------
         counts : array, shape (..., 2, m) for dual-rail designs, (..., m) for single-rail ones
             Counts of each readout, first the positive rails, then the negative ones. A dark rail
-            reads 0. Of D detectors there are D for each, (..., 2, m, D) or (..., m, D).
+            reads 0. Of D detectors there are D for each, (..., 2, m, D) or (..., m, D). Of images
+            in P patches the axis before is theirs, (..., P, 2, m) or (..., P, m).
         photons : float or array, shape (...)
             Budget Φ of each exposure, or an estimate of it (an all-ON frame gives one).
         dwell : array, shape (..., m), optional
@@ -315,8 +316,11 @@ class Design:
     def _observed(self, counts: Any, photons: Any, dwell: Any) -> tuple[Observation, Tensor]:
         """Exposures and their budgets, checked; parameters of `classify`."""
         self.exposure.check_dwell(dwell is not None)
-        shapes = self.counts_shape, None if dwell is None else self._dwells.shape
-        read, budget, shown = check_counts.check_readouts(counts, photons, dwell, *shapes)
+        patches = self.exposure.patch_axis(self.image_shape)
+        frames = None if dwell is None else self._dwells.shape
+        read, budget, shown = check_counts.check_readouts(
+            counts, photons, dwell, wanted=self.counts_shape, frames=frames, patches=patches
+        )
         check_counts.check_clicks(read, self.gates)
         budget = budget.to(device := self.rails.device)
         dwells = None if shown is None else self._dwells.by_mask(shown).to(device)

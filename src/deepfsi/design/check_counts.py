@@ -22,8 +22,9 @@ def check_readouts(
     dwell: Any,
     wanted: tuple[int, ...],
     frames: tuple[int, ...] | None = None,
+    patches: tuple[int, ...] = (),
 ) -> tuple[Tensor, Tensor, Tensor | None]:
-    """Counts (..., *wanted), budgets (..., 1) and dwells as counts, of exposures, checked."""
+    """Counts (..., *patches, *wanted), budgets (..., 1) and dwells as counts, checked."""
 
     def tensor(values: Any) -> Tensor:
         return torch.from_numpy(np.asarray(values, dtype=np.float32).copy())
@@ -33,10 +34,11 @@ def check_readouts(
         shown = None if dwell is None else tensor(dwell)
     except (TypeError, ValueError):
         raise InputError("counts, photons and dwell must be arrays of numbers") from None
-    if tuple(read.shape[-len(wanted) :]) != wanted:
+    shape = (*patches, *wanted)
+    if tuple(read.shape[-len(shape) :]) != shape:
         raise InputError(
             f"counts of shape {tuple(read.shape)} do not fit this design: give (..., "
-            f"{', '.join(map(str, wanted))})"
+            f"{', '.join(map(str, shape))})"
         )
     if not bool(torch.isfinite(read).all()):
         raise InputError("counts hold NaN or infinity: give finite counts")

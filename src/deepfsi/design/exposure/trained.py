@@ -158,6 +158,10 @@ class TrainedExposure:
         """Number of parts of an image that are exposed by themselves."""
         return prod(image_shape) // prod(self.mask_shape(image_shape))
 
+    def patch_axis(self, image_shape: tuple[int, ...]) -> tuple[int, ...]:
+        """Axis (P,) of counts that comes before those of a patch; none of whole images."""
+        return ()
+
     def mask_shape(self, image_shape: tuple[int, ...]) -> tuple[int, ...]:
         """Shape of a mask for images of a shape."""
         return image_shape
@@ -320,6 +324,10 @@ class PatchExposure(TrainedExposure):
     def mask_shape(self, image_shape: tuple[int, ...]) -> tuple[int, ...]:
         """Shape of a mask, that of a patch."""
         return self.side, self.side
+
+    def patch_axis(self, image_shape: tuple[int, ...]) -> tuple[int, ...]:
+        """Axis (P,) of counts, in which patches follow row by row."""
+        return (self.tokens(image_shape),)
 
     def cut(self, scenes: Tensor, image_shape: tuple[int, ...]) -> Tensor:
         """Patches (..., P, N) of images (..., H · W), as the masks see them."""
