@@ -87,8 +87,8 @@ def _pages(file: Path) -> Iterator[np.ndarray]:
             opened = open_regular(file, LARGEST_FILE, "replace it")
             with opened as stream, Image.open(stream) as image:
                 pages = getattr(image, "n_frames", 1)
-                size, pixels = file.stat().st_size, image.width * image.height * pages
-                check_unpacked(pixels, size, str(file), "replace it")
+                pixels = image.width * image.height * pages
+                check_unpacked(pixels, file.stat().st_size, str(file), "replace it")
                 for page in ImageSequence.Iterator(image):
                     check_levels(page, str(file))
                     grey = page.mode in ("F", "I") or page.mode.startswith("I;16")
