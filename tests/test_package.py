@@ -2,23 +2,34 @@
 
 import ast
 import inspect
+import re
+import string
 from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+import typer
 
 import deepfsi
 from conftest import RECIPE, quick, same
 from deepfsi.base import Progress, progress_bar
-from deepfsi.cli import as_options
+from deepfsi.cli import app
 from deepfsi.jobs import Job, Training
 from deepfsi.jobs.training import TUNED
 from shared.jobs import learn
 
 BRIEF = {**RECIPE, "photons": 1e4, "masks": 5, "device": "cpu"}
 SOURCE = Path(deepfsi.__file__).parent
+
+
+def options(command: typer.core.TyperCommand | typer.core.TyperGroup) -> set[str]:
+    own = {name for parameter in command.params for name in parameter.opts}
+    return own.union(*map(options, getattr(command, "commands", {}).values()))
+
+
+OPTIONS = options(typer.main.get_command(app))
 
 
 def test_learn_takes_the_fields_of_a_job_and_its_words_name_each():
@@ -132,19 +143,64 @@ def test_errors_of_the_library_name_no_option_of_the_command_line(folder):
     assert not found
 
 
-@pytest.mark.parametrize(
-    ("said", "shown_as"),
-    [
-        ("give `size`, or `hold_out=200`", "give --size, or --hold-out 200"),
-        (
-            'use `light="free-dwell"` and `rails="single"`',
-            "use --light free-dwell and --rails single",
-        ),
-        ("use `classify_live`, `deepfsi dmd` or `Design.load`", None),
-    ],
-)
-def test_the_command_line_says_settings_as_options(said, shown_as):
-    assert as_options(said) == (shown_as or said)
+def templates() -> list[tuple[str, ast.Call]]:
+    """Messages and errors of the package that name settings, each with its module."""
+    found = []
+    for path in sorted(SOURCE.rglob("*.py")):
+        calls = [
+            node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Call)
+        ]
+        found += [
+            (path.name, call)
+            for call in calls
+            if ast.unparse(call.func) in ("InputError", "Message")
+            and (path.name != "errors.py" and call.keywords)
+        ]
+    return found
+
+
+def test_each_field_of_a_template_is_a_setting_or_a_value():
+    """And a template is no f-string, in which braces of a path would be fields."""
+    for module, call in templates():
+        said = f"{module}:{call.lineno}"
+        given = {keyword.arg: keyword.value for keyword in call.keywords}
+        texts = [part for part in ast.walk(call.args[0]) if isinstance(part, ast.Constant)]
+        assert not any(isinstance(part, ast.JoinedStr) for part in ast.walk(call.args[0])), said
+        fields = set()
+        for text in (part.value for part in texts if isinstance(part.value, str)):
+            for _, field, spec, _ in string.Formatter().parse(text):
+                fields |= {field} if field else set()
+                fields |= {
+                    inner for _, inner, _, _ in string.Formatter().parse(spec or "") if inner
+                }
+        setting = given.pop("setting", ast.Constant(()))
+        if isinstance(setting, ast.Name):  # a variable
+            settings = {"setting"}
+        else:
+            value = ast.literal_eval(setting)
+            settings = {value} if isinstance(value, str) else set(value)
+            assert {f"--{name.replace('_', '-')}" for name in settings} <= OPTIONS, said
+        assert fields == settings | set(given), said
+
+
+def test_settings_are_named_in_templates_alone():
+    """Not in backticks: the command line would show them so."""
+    found = []
+    for path in sorted(SOURCE.rglob("*.py")):
+        tree = ast.parse(path.read_text())
+        docs = {id(n.value) for n in ast.walk(tree) if isinstance(n, ast.Expr)}
+        helps = [
+            node
+            for node in ast.walk(tree)
+            if isinstance(node, ast.Call)
+            and ast.unparse(node.func) in ("typer.Option", "typer.Argument", "Field")
+        ]
+        docs |= {id(n) for each in helps for n in ast.walk(each)}
+        texts = [n for n in ast.walk(tree) if isinstance(n, ast.Constant) and id(n) not in docs]
+        for text in texts:
+            names = re.findall(r"`([a-z_]+)`", text.value) if isinstance(text.value, str) else ()
+            found += [name for name in names if f"--{name.replace('_', '-')}" in OPTIONS]
+    assert not found
 
 
 def test_settings_are_options_in_an_error_of_a_command(made, refuse, tmp_path_factory):

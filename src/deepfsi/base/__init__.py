@@ -2,10 +2,13 @@
 
 from deepfsi.base.errors import (
     InputError,
+    Message,
     as_input_error,
     check_choice,
     closest_choice,
     field_errors,
+    join_messages,
+    one_line,
     other_version,
 )
 from deepfsi.base.files import (
@@ -70,6 +73,7 @@ __all__ = [
     "GrowingFile",
     "InputError",
     "Locks",
+    "Message",
     "Moments",
     "PostponedSignals",
     "Progress",
@@ -89,11 +93,13 @@ __all__ = [
     "hash_file",
     "import_path",
     "install_handler",
+    "join_messages",
     "kind_of_content",
     "list_folder",
     "load_plugin",
     "new_folder",
     "note_saved_work",
+    "one_line",
     "open_atomically",
     "open_regular",
     "other_version",

@@ -2,10 +2,11 @@
 
 import json
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from difflib import get_close_matches
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from pydantic import ValidationError
@@ -24,11 +25,91 @@ LONGEST_MESSAGE = 4000
 """Characters of a message at most; one that repeats more is cut in its middle."""
 
 
+class Message(str):
+    r"""Text that names settings: in Python as `bins`, on the command line as --bins.
+
+    Parameters
+    ----------
+    template : str
+        Text with a field, in braces, for each setting and each value. A setting may have a value
+        after a colon: ``{light:free-dwell}`` is ``light="free-dwell"``, or ``--light free-dwell``.
+        Without settings and values the template is the text.
+    setting : str or tuple of str
+        Settings it names, as Python does. If there is one, ``{setting}`` is that one, too.
+    values
+        Values of the other fields. Settings that a message or an error among them names are named
+        in the same way.
+
+    Examples
+    --------
+    >>> text = Message("{given} bins leave it: give fewer {bins}", setting="bins", given=64)
+    >>> print(text, text.write(lambda name, value: f"--{name}"), sep="\n")
+    64 bins leave it: give fewer `bins`
+    64 bins leave it: give fewer --bins
+    """
+
+    template: str
+    settings: tuple[str, ...]
+    values: dict[str, Any]
+
+    def __new__(
+        cls, template: str, /, *, setting: str | tuple[str, ...] = (), **values: Any
+    ) -> "Message":
+        """Write the text as Python names settings."""
+        settings = (setting,) if isinstance(setting, str) else setting
+        self = super().__new__(cls, _written(template, settings, values, _in_python))
+        self.template, self.settings, self.values = template, settings, values
+        return self
+
+    def write(self, name: Callable[[str, str], str]) -> str:
+        """Text with settings as a function names them, of a setting and the value it is to have."""
+        return _written(self.template, self.settings, self.values, name)
+
+
+@dataclass
+class _Setting:
+    setting: str
+    name: Callable[[str, str], str]
+
+    def __format__(self, value: str) -> str:
+        return self.name(self.setting, value)
+
+
+def _in_python(setting: str, value: str) -> str:
+    if not value:
+        return f"`{setting}`"
+    return f"`{setting}={value}`" if value.isdecimal() else f'`{setting}="{value}"`'
+
+
+def _written(
+    template: str,
+    settings: tuple[str, ...],
+    values: Mapping[str, Any],
+    name: Callable[[str, str], str],
+) -> str:
+    if not settings and not values:
+        return template
+    fields: dict[str, Any] = {setting: _Setting(setting, name) for setting in settings}
+    if len(settings) == 1:
+        fields["setting"] = fields[settings[0]]
+    for field, value in values.items():
+        message = value.message if isinstance(value, InputError) else value
+        fields[field] = message.write(name) if isinstance(message, Message) else value
+    return template.format_map(fields)
+
+
 class InputError(ValueError):
     """Input that cannot be used.
 
     The message is one line that says what was given, what is allowed and what to do.
     The command line prints it and ends with exit code 2.
+
+    Parameters
+    ----------
+    template : str
+        The message, or its template, as of `Message`.
+    setting, values
+        Of the template.
 
     Examples
     --------
@@ -40,12 +121,34 @@ class InputError(ValueError):
     unknown data set 'mnits': did you mean 'mnist'?
     """
 
+    def __init__(
+        self, template: str = "", /, *, setting: str | tuple[str, ...] = (), **values: Any
+    ) -> None:
+        filled = Message(template, setting=setting, **values) if setting or values else template
+        super().__init__(filled)
+
+    @property
+    def message(self) -> str:
+        """The message, a `Message` if it names settings."""
+        return self.args[0]
+
     def __str__(self) -> str:
         """The message, without what a terminal would take for a command."""
-        words = "".join(each if each.isprintable() else " " for each in super().__str__())
-        if len(words) <= LONGEST_MESSAGE:
-            return words
-        return f"{words[: LONGEST_MESSAGE // 2]} ... {words[-LONGEST_MESSAGE // 2 :]}"
+        return one_line(self.message)
+
+
+def one_line(text: str) -> str:
+    """Text of a message without what a terminal would take for a command, and not too long."""
+    words = "".join(letter if letter.isprintable() else " " for letter in text)
+    if len(words) <= LONGEST_MESSAGE:
+        return words
+    return f"{words[: LONGEST_MESSAGE // 2]} ... {words[-LONGEST_MESSAGE // 2 :]}"
+
+
+def join_messages(messages: Iterable[str]) -> Message:
+    """Messages in one line, which name settings as each of them does."""
+    values = {f"message_{number}": message for number, message in enumerate(messages)}
+    return Message("; ".join(f"{{{field}}}" for field in values), **values)
 
 
 def closest_choice(name: str, allowed: Iterable[str]) -> str:
@@ -62,7 +165,8 @@ def closest_choice(name: str, allowed: Iterable[str]) -> str:
 def check_choice(what: str, name: str, known: Iterable[str]) -> None:
     """Raise `InputError` with the closest known name unless a name is known."""
     if name not in (known := list(known)):
-        raise InputError(f"unknown {what} {name!r}: {closest_choice(name, known)}")
+        advice = closest_choice(name, known)
+        raise InputError("unknown {what} {name!r}: {advice}", what=what, name=name, advice=advice)
 
 
 def other_version(content: str | bytes, schema: int, again: str = "make it again") -> str:
@@ -117,32 +221,44 @@ def as_input_error(
         if words := other_version(content, schema, advice or "make it again"):
             raise InputError(f"{file} {words}") from None
         if not file:
-            raise InputError("; ".join(field_errors(error))) from None
+            raise InputError(join_messages(field_errors(error))) from None
         fault = error.errors()[0]
-        at, end = fault["loc"] and f" at {_place(fault)}", advice and f"; {advice}"
-        raise InputError(f"{file} cannot be used{at or ''}: {_words(fault)}{end}") from None
+        raise InputError(
+            "{file} cannot be used{at}: {words}{end}",
+            file=file,
+            at=f" at {_field(fault)}" if fault["loc"] else "",
+            words=_words(fault),
+            end=advice and f"; {advice}",
+        ) from None
 
 
 def field_errors(error: "ValidationError") -> list[str]:
     """Every bad field of pydantic's error, with what was given."""
     return [
-        (f"{_place(fault)}{_given(fault)}: " if fault["loc"] else "") + _words(fault)
+        Message("{field}{words}", field=_given(fault), words=_words(fault))
         for fault in error.errors()
         if fault["type"] != "default_factory_not_called"  # what follows from a bad field
     ]
 
 
-def _place(fault: "ErrorDetails") -> str:
+def _field(fault: "ErrorDetails") -> str:
     return ".".join(map(str, fault["loc"]))
 
 
 def _given(fault: "ErrorDetails") -> str:
-    """Value of a field in words; none of a table, whose faults name their own fields."""
-    if isinstance(fault["input"], dict):
+    """A field with its value; that of a table is left out, as its faults name their own fields."""
+    if not fault["loc"]:
         return ""
+    if isinstance(fault["input"], dict):
+        return f"{_field(fault)}: "
     text = " ".join(repr(fault["input"]).split())
-    return " = " + (text if len(text) <= LONGEST_GIVEN else f"{text[:LONGEST_GIVEN]} ...")
+    text = text if len(text) <= LONGEST_GIVEN else f"{text[:LONGEST_GIVEN]} ..."
+    return f"{_field(fault)} = {text}: "
 
 
 def _words(fault: "ErrorDetails") -> str:
+    """What pydantic says, or the message of an error that a model's own check raised."""
+    error = fault.get("ctx", {}).get("error")
+    if isinstance(error, InputError):
+        return error.message
     return f"{fault['msg'][0].lower()}{fault['msg'][1:]}".removeprefix("value error, ")

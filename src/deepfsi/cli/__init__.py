@@ -1,18 +1,16 @@
 """The command line: parses, calls, prints. Heavy imports happen in the command that needs them."""
 
 import contextlib
-import functools
 import io
 import os
-import re
 import sys
 from collections.abc import Callable
-from typing import Annotated, Any, NoReturn
+from typing import Annotated, NoReturn
 
 import typer
 
 import deepfsi
-from deepfsi.base import STOPPED_EXIT_CODE, InputError, require_torch, say_stopped
+from deepfsi.base import STOPPED_EXIT_CODE, InputError, one_line, require_torch, say_stopped
 from deepfsi.cli import (
     acquisitions,
     calibrations,
@@ -118,7 +116,7 @@ def main() -> NoReturn:
     except (KeyboardInterrupt, typer.Abort):
         code = STOPPED_EXIT_CODE
     except InputError as error:
-        _fail(as_options(str(error)))
+        _fail(one_line(common.as_options(error.message)))
     except typer.TyperException as error:
         said = getattr(error, "format_message", error.__str__)()
         context = getattr(error, "ctx", None)  # of an error in the words of the command
@@ -140,29 +138,6 @@ def _check_here() -> None:
         os.getcwd()
     except FileNotFoundError:
         raise InputError("the current folder is no longer there: go to another one") from None
-
-
-def as_options(message: str) -> str:
-    """A message with the settings of Python in it, in backticks, as options: `size` → --size."""
-
-    def option(setting: re.Match[str]) -> str:
-        name = f"--{setting[1].replace('_', '-')}"
-        value = f" {setting[2]}" if setting[2] else ""
-        return f"{name}{value}" if name in _all_options() else setting[0]
-
-    return re.sub(r"`([a-z_]+)(?:=\"?([^`\"]+)\"?)?`", option, message)
-
-
-@functools.cache
-def _all_options() -> set[str]:
-    """Options of all commands, which take longer to make than most errors to find."""
-    return _names(typer.main.get_command(app))
-
-
-def _names(command: Any) -> set[str]:
-    """Options of a command and of those in its group."""
-    own = {name for parameter in command.params for name in parameter.opts}
-    return own.union(*(_names(each) for each in getattr(command, "commands", {}).values()))
 
 
 def _fail(message: str) -> NoReturn:

@@ -119,8 +119,6 @@ def camera_classify(
 
 
 def _print_classes(found: "ClassifiedRun") -> None:
-    from deepfsi.cli import as_options
-
     several = any(scene.exposures > 1 for scene in found.scenes)
     rows = [
         (
@@ -141,7 +139,7 @@ def _print_classes(found: "ClassifiedRun") -> None:
     for fault in found.faults:
         print(fault.line([scene.name for scene in found.scenes]))
     for remark in found.remarks:
-        print(as_options(remark))
+        print(common.as_options(remark))
     labelled = sum(len(scene.guesses) for scene in found.scenes if scene.label)
     if foreign := labelled - found.score.answers:
         print(f"{foreign} exposures have labels that are none of the design's classes: left out")
@@ -157,8 +155,6 @@ def _agreeing(scene: "ClassifiedScene") -> str:
 
 
 def _print_replay(found: "LiveAnswers") -> None:
-    from deepfsi.cli import as_options
-
     heads = ("scene", "class", "confidence", "looks", "light", "labelled", "remarks")
     rows = [
         (
@@ -175,7 +171,7 @@ def _print_replay(found: "LiveAnswers") -> None:
     common.print_table("a live run, replayed from its counts", heads, rows)
     names = [scene.name for scene in found.scenes]
     for fault in (fault for scene in found.scenes for fault in scene.faults):
-        print(as_options(fault.words(names)))
+        print(common.as_options(fault.words(names)))
     print_right(found)
     agree = sum(bool(scene.agrees) for scene in found.scenes)
     print(f"as decided in the run, bit for bit: {agree} of {len(rows)} scenes")
@@ -183,12 +179,10 @@ def _print_replay(found: "LiveAnswers") -> None:
 
 def print_right(found: "LiveAnswers") -> None:
     """Say how many scenes of a live run have no class, how many are right, and how it saw them."""
-    from deepfsi.cli import as_options
-
     none = sum(scene.predicted is None for scene in found.scenes)
     if none:
         print(f"no class: {none} of {len(found.scenes)} scenes")
     for line in found.score.lines("scene"):
         print(line)
     if found.view is not None and found.view.remark:
-        print(as_options(found.view.remark))
+        print(common.as_options(found.view.remark))

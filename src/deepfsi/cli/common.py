@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from deepfsi.base import Progress, count_text, readable_name, terminal_bar
+from deepfsi.base import Message, Progress, count_text, readable_name, terminal_bar
 from deepfsi.cli import paths
 
 if TYPE_CHECKING:
@@ -24,6 +24,15 @@ if TYPE_CHECKING:
     from deepfsi.design.estimation import Estimates
     from deepfsi.design.evaluation import Result
     from deepfsi.sweeps.results import Data, Point
+
+
+def as_options(text: str) -> str:
+    """A message with the settings that it names as options: `size` is --size."""
+    return text.write(_as_option) if isinstance(text, Message) else text
+
+
+def _as_option(setting: str, value: str) -> str:
+    return f"--{setting.replace('_', '-')} {value}".rstrip()
 
 
 def is_given(context: typer.Context, parameter: str) -> bool:

@@ -225,10 +225,10 @@ def _print_run(answers: "LiveAnswers", about: dict[str, Any], as_json: bool) -> 
             "with a longer --exposure"
         )
     if all(scene.predicted is None for scene in scenes):
-        from deepfsi.cli import as_options
-
         first = next(fault for scene in scenes for fault in scene.faults)
-        raise InputError(f"no scene of {folder} has a class: {as_options(str(first))}")
+        raise InputError(
+            "no scene of {folder} has a class: {fault}", folder=folder, fault=first.words()
+        )
     if as_json:
         content = answers.as_dict()
         del content["live"]  # as every run of this command is
@@ -246,11 +246,9 @@ def _print_run(answers: "LiveAnswers", about: dict[str, Any], as_json: bool) -> 
 
 def _line(scene: "LiveScene", exposure_s: float) -> str:
     """Answer for a scene in one line, and one more for each of its faults."""
-    from deepfsi.cli import as_options
-
     if not scene.looks:
         return f"{scene.name}: no light"
-    faults = "".join(f"\n  {as_options(str(fault))}" for fault in scene.faults)
+    faults = "".join(f"\n  {common.as_options(fault.words())}" for fault in scene.faults)
     if scene.predicted is None:
         return f"{scene.name}: no class{faults}"
     looks = f"{scene.looks} look{'s' if scene.looks > 1 else ''}"

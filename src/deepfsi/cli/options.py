@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from deepfsi.base import InputError
+from deepfsi.base import InputError, join_messages
 from deepfsi.cli.settings import values
 
 if TYPE_CHECKING:
@@ -297,7 +297,7 @@ def check_test(job: "Job") -> None:
 
     resolve(job.camera.noise)
     if faults := job.exposure.test_faults((job.camera.noise_name,)):
-        raise InputError("; ".join(faults))
+        raise InputError(join_messages(faults))
 
 
 def job_settings(

@@ -50,7 +50,6 @@ def predict(
     if out is not None:
         paths.check_file(out, (".csv",), force)
     from deepfsi.base import write_atomically
-    from deepfsi.cli import as_options
     from deepfsi.design.evaluation import camera_for
     from deepfsi.lab.prediction import predict as run
     from deepfsi.training.training_set import find_device
@@ -80,7 +79,7 @@ def predict(
     if foreign := labelled - found.score.answers:
         print(f"{foreign} pictures have labels that are none of the design's classes: left out")
     for remark in found.remarks:
-        print(f"note: {as_options(remark)}")
+        print(f"note: {common.as_options(remark)}")
     for line in found.score.lines("picture"):
         print(line)
     if out is not None:

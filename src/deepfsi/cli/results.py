@@ -50,7 +50,6 @@ def counts_text(result: "Result") -> str:
 
 def print_full_gates(made: "AnyDesign", results: "Sequence[Result | Estimates]") -> None:
     """Say at which budgets nearly all gates click, so that clicks tell little of a scene."""
-    from deepfsi.cli import as_options
     from deepfsi.design.artifact import Design
     from deepfsi.design.clicks import full_gates
 
@@ -59,7 +58,7 @@ def print_full_gates(made: "AnyDesign", results: "Sequence[Result | Estimates]")
     gates = math.prod(made.counts_shape) * made.gates
     for result in results:
         if result.clicks and (remark := full_gates(result.counts / gates, result.photons)):
-            print(f"note: {as_options(remark)}")
+            print(f"note: {common.as_options(remark)}")
 
 
 def print_guesses(made: "AnyDesign") -> None:

@@ -49,11 +49,16 @@ def one_class(data: Dataset, normal: str, seed: int = 0) -> Dataset:
         If there is no such class, or it is the only one, or scenes have values.
     """
     if not data.classes:
-        raise InputError(f"{data.name} has values and no classes: leave `normal` out")
+        raise InputError(
+            "{name} has values and no classes: leave {normal} out", setting="normal", name=data.name
+        )
     if normal not in data.classes:
         raise InputError(
-            f"{data.name} has no class {normal!r}: {closest_choice(normal, data.classes)}, as "
-            "`normal`"
+            "{name} has no class {given!r}: {advice}, as {normal}",
+            setting="normal",
+            name=data.name,
+            given=normal,
+            advice=closest_choice(normal, data.classes),
         )
     own = data.classes.index(normal)
     rng = np.random.default_rng(seed)

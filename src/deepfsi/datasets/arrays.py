@@ -9,7 +9,7 @@ from unicodedata import category, normalize
 import numpy as np
 import numpy.typing as npt
 
-from deepfsi.base import InputError
+from deepfsi.base import InputError, Message
 from deepfsi.base.numeric import check_memory, free_memory, is_whole_number, normal_name, read_npz
 from deepfsi.datasets.dataset import Dataset, Labels, Reflectance, Truth
 from deepfsi.datasets.values import Values, grey, measure, reflectance
@@ -187,7 +187,11 @@ def _values(
 ) -> Answers:
     """Values of scenes, which are floats."""
     if names.classes is not None:
-        raise InputError(f"{name}: names of classes go with labels; y is of floats, give `values`")
+        raise InputError(
+            "{name}: names of classes go with labels; y is of floats, give {values}",
+            setting="values",
+            name=name,
+        )
     parts = [given] if test is None else [given, test]
     found = []
     for part, count, what in zip(parts, scenes, (f"{name}: y", f"{name}: y_test"), strict=False):
@@ -221,7 +225,7 @@ def check_no_classes(
     values: npt.NDArray[Any],
     what: str,
     for_classes: str = "give integers (`y.astype(int)`) or strings",
-    for_values: str = "name them with `values`",
+    for_values: str = Message("name them with {values}", setting="values"),
 ) -> None:
     """Raise `InputError` for values (n, q) that are classes as other programs save them.
 
@@ -240,7 +244,11 @@ def check_no_classes(
     else:
         return
     raise InputError(
-        f"{what} holds {said}: if they are classes, {for_classes}; if they are values, {for_values}"
+        "{what} holds {said}: if they are classes, {for_classes}; if they are values, {for_values}",
+        what=what,
+        said=said,
+        for_classes=for_classes,
+        for_values=for_values,
     )
 
 

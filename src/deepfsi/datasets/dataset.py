@@ -207,8 +207,10 @@ class Dataset:
         """
         if not self.drawn:
             raise InputError(
-                f"{self.name} has a test part of its own, or anomalies: it has no folds, leave "
-                "`folds` out or give 1"
+                "{name} has a test part of its own, or anomalies: it has no folds, leave {folds} "
+                "out or give 1",
+                setting="folds",
+                name=self.name,
             )
         x = np.concatenate([self.x_train, self.x_test])
         y = np.concatenate([self.y_train, self.y_test])

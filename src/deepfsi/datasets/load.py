@@ -7,7 +7,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from deepfsi.base import InputError, check_readable_name, closest_choice, content_of
+from deepfsi.base import InputError, Message, check_readable_name, closest_choice, content_of
 from deepfsi.datasets import cifar, idx, indian_pines, pictures
 from deepfsi.datasets.anomalies import one_class
 from deepfsi.datasets.arrays import Options, Range, load_npz, split_arrays
@@ -34,7 +34,10 @@ TAKERS = {
     "images": ("a number of images", "a folder, a zip file, CIFAR-10 or MNIST takes"),
     "split": ("a split", "a hyperspectral image takes"),
     "white": ("a white", "a folder, zip file or .csv file of images or arrays take"),
-    "skip_bad": ("`skip_bad`", "a folder, zip file or .csv file of images takes"),
+    "skip_bad": (
+        Message("{skip_bad}", setting="skip_bad"),
+        "a folder, zip file or .csv file of images takes",
+    ),
 }
 """For messages, each option that only some sources take, and the sources."""
 
@@ -248,4 +251,9 @@ def _refuse(options: Options, name: str, taken: tuple[str, ...]) -> None:
     """Raise `InputError` for an option that is given but not among those that a source takes."""
     for option, (what, who) in TAKERS.items():
         if option not in taken and getattr(options, option) not in (None, False):
-            raise InputError(f"{name}: {what} was given; only {who} one, leave it out")
+            raise InputError(
+                "{name}: {what} was given; only {who} one, leave it out",
+                name=name,
+                what=what,
+                who=who,
+            )

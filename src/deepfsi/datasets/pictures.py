@@ -20,7 +20,7 @@ from typing import IO, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from deepfsi.base import InputError, check_unpacked, read_regular, readable_name
+from deepfsi.base import InputError, Message, check_unpacked, read_regular, readable_name
 from deepfsi.base.numeric import normal_name, open_zip, read_zip_entry
 from deepfsi.datasets.arrays import (
     Names,
@@ -346,8 +346,12 @@ def _bad_text(bad: list[tuple[str, str]], may_skip: bool) -> str:
     if len(set(reasons)) == 1:
         named = f"{listed(wheres)} ({reasons[0]})"
     what, them = ("the image", "it") if len(bad) == 1 else (f"{len(bad)} images:", "them")
-    advice = f", or leave {them} out with `skip_bad`" if may_skip else ""
-    return f"cannot read {what} {named}; replace or remove {them}{advice}"
+    text = f"cannot read {what} {named}; replace or remove {them}"
+    if not may_skip:
+        return text
+    return Message(
+        "{text}, or leave {them} out with {skip_bad}", setting="skip_bad", text=text, them=them
+    )
 
 
 def _read(picture: Picture, tally: Tally, shape: Shape | None, bilinear: bool) -> npt.NDArray[Any]:

@@ -224,7 +224,11 @@ def _files(source: Path) -> list[Path]:
 def _read(path: Path, variables: Variables, alone: bool) -> _Block:
     """Recordings of a file, of which each readout, order and monitor is a finite number."""
     if alone and variables.label is None:
-        raise InputError(f"{path} is one file: give `label`, the variable of the classes")
+        raise InputError(
+            "{path} is one file: give {label}, the variable of the classes",
+            setting="label",
+            path=path,
+        )
     read = _of_table if path.suffix.lower() in TABLES else _of_arrays
     block = read(path, variables)
     numbers = {"readouts": block.values, "order": block.order, **block.monitors}
@@ -314,8 +318,10 @@ def _missing(path: Path, name: str, there: Sequence[str] | Mapping[str, Any]) ->
 def _only(path: Path, names: list[str]) -> str:
     if len(names) != 1:
         raise InputError(
-            f"{path} has {', '.join(names) or 'no array of rows and columns'}: give `values`, the "
-            "variable of the readouts"
+            "{path} has {arrays}: give {values}, the variable of the readouts",
+            setting="values",
+            path=path,
+            arrays=", ".join(names) or "no array of rows and columns",
         )
     return names[0]
 

@@ -392,12 +392,15 @@ class Design:
         after these has taken `used` of its budget, and is one of this design at that budget. Raises
         `InputError` if the design was not trained for so few.
         """
-        fewest = self.fewest_masks
-        if not fewest <= masks <= self.masks:
+        fewest, most = self.fewest_masks, self.masks
+        if not fewest <= masks <= most:
             raise InputError(
-                f"the first {masks} masks of this design cannot be classified alone: give "
-                f"{fewest} to {self.masks}"
-                + ("" if fewest < self.masks else ", or learn nested ones with `nested`")
+                "the first {masks} masks of this design cannot be classified alone: give "
+                "{fewest} to {most}" + ", or learn nested ones with {nested}" * (fewest == most),
+                setting="nested",
+                masks=masks,
+                fewest=fewest,
+                most=most,
             )
         used = constraints.used(self.rails.stacked, self.light)
         share = float(used[masks - 1] / used[-1])

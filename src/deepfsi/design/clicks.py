@@ -17,6 +17,8 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
+from deepfsi.base import Message
+
 if TYPE_CHECKING:
     from deepfsi.design.artifact import Design
     from deepfsi.design.exposure.trained import Observation
@@ -36,9 +38,12 @@ def full_gates(share: float, photons: float) -> str | None:
     """Remark on clicks of a budget in nearly all gates; None where the share is not so high."""
     if share <= MOST_CLICKS:
         return None
-    return (
-        f"at {photons:.3g} photons {share:.0%} of the gates click, which tells little of a scene: "
-        "give more `gates`, or a lower `photons`"
+    return Message(
+        "at {given:.3g} photons {share:.0%} of the gates click, which tells little of a "
+        "scene: give more {gates}, or a lower {photons}",
+        setting=("gates", "photons"),
+        given=photons,
+        share=share,
     )
 
 

@@ -298,8 +298,10 @@ def camera_for(design: Tested, camera: CameraSource = None, **settings: Any) -> 
     found = design.camera if camera is None else Camera.load(camera)
     if "noise" not in settings and camera is None and found.noise_name not in get_args(NoiseName):
         raise InputError(
-            f"this design is for {found.noise_name} noise, code of its maker's that a file does "
-            "not run: give `noise`, it or another"
+            "this design is for {noise_name} noise, code of its maker's that a file does not run: "
+            "give {noise}, it or another",
+            setting="noise",
+            noise_name=found.noise_name,
         )
     return Camera.load(found, **settings)
 
@@ -366,8 +368,12 @@ def check_data(design: Tested, data: Dataset) -> None:
     pixels = prod(design.image_shape)
     if data.pixels != pixels:
         raise InputError(
-            f"{data.name} has {data.pixels} pixels and the design {pixels}: use the data "
-            "(and `size`) that it was made for"
+            "{name} has {pixels} pixels and the design {expected}: use the data (and {size}) that "
+            "it was made for",
+            setting="size",
+            name=data.name,
+            pixels=data.pixels,
+            expected=pixels,
         )
     values = design.values.names if design.values else ()
     if data.values != values:

@@ -89,9 +89,10 @@ class OwnClassifier(nn.Module):
         """Logits (..., C) of features (..., inputs)."""
         if self.module is None:
             raise InputError(
-                f"the classifier of this design is {self.factory or 'a module of its maker'}, "
-                "whose code was not run: load it with `trust` if you trust its file, or give the "
-                "code to Design.load"
+                "the classifier of this design is {code}, whose code was not run: load it with "
+                "{trust} if you trust its file, or give the code to Design.load",
+                setting="trust",
+                code=self.factory or "a module of its maker",
             )
         rows = features if features.ndim == 2 else features.reshape(-1, features.shape[-1])
         try:
@@ -186,7 +187,8 @@ def rebuilt(
         raise InputError("this design has a classifier of the package's own: give none")
     if not classifier:
         raise InputError(
-            "this design does not say where its classifier is imported from: give `classifier`"
+            "this design does not say where its classifier is imported from: give {classifier}",
+            setting="classifier",
         )
     arguments = {} if isinstance(classifier, nn.Module) else known.arguments
     return restored(make(classifier, arguments, inputs, classes), known.weights)

@@ -131,7 +131,8 @@ def _classifier(design: Design) -> Mlp:
     if not isinstance(design.classifier, Mlp):
         raise InputError(
             "a page has no classifier of your own in it: give a design with the package's own, "
-            "which `classifier` mlp learns"
+            "which {classifier} mlp learns",
+            setting="classifier",
         )
     camera = design.camera
     if camera.noise_name == "camera" and camera.sigma:

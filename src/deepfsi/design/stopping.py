@@ -98,7 +98,9 @@ class StoppingRule:
 def looks_of(design: Design) -> LooksExposure:
     """Exposure of a design of several looks, or `InputError` where it is of one."""
     if not isinstance(design.exposure, LooksExposure):
-        raise InputError("this design has one look: learn one of several with `looks`")
+        raise InputError(
+            "this design has one look: learn one of several with {looks}", setting="looks"
+        )
     return design.exposure
 
 
@@ -265,9 +267,11 @@ def _held_out(design: AnyDesign, data: Dataset, count: int | None) -> Dataset:
     kept = data.hold_out(count)
     if known is None or kept.hash != known.hash:
         raise InputError(
-            f"this design was not trained on {data.name} without its last {len(kept.y_test)} "
-            "training scenes, which calibrate its confidence: learn it with "
-            f"`hold_out={len(kept.y_test)}`"
+            "this design was not trained on {name} without its last {count} training scenes, "
+            "which calibrate its confidence: learn it with {hold_out:{count}}",
+            setting="hold_out",
+            name=data.name,
+            count=len(kept.y_test),
         )
     return kept
 

@@ -242,7 +242,9 @@ class DesignFile:
         """Entry of several looks, or `InputError` where the exposure has one."""
         entry = self.mask_header.exposure
         if not isinstance(entry, LooksEntry):
-            raise InputError("this design has one look: learn one of several `looks`")
+            raise InputError(
+                "this design has one look: learn one of several {looks}", setting="looks"
+            )
         return entry
 
     @cached_property

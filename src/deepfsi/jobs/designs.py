@@ -11,7 +11,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from deepfsi.base import InputError, check_choice
+from deepfsi.base import InputError, Message, check_choice
 from deepfsi.datasets import Dataset
 
 FULL_BASIS_PIXELS = 2048
@@ -274,7 +274,7 @@ def formula_masks(name: str, image_shape: tuple[int, ...]) -> np.ndarray:
         For another name, more than `MOST_FORMULA_PIXELS`, or pixels (of "hadamard", sides) that are
         no power of two.
     """
-    check_choice("`masks`", name, FORMULAS)
+    check_choice(Message("{masks}", setting="masks"), name, FORMULAS)
     pixels = int(np.prod(image_shape))
     size = "x".join(map(str, image_shape))
     if pixels > MOST_FORMULA_PIXELS:

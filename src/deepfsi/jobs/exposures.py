@@ -13,7 +13,7 @@ field's name, order or default may change, as files are read again by them. What
 does with its masks is in `design.exposure`.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from math import ceil
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import BeforeValidator, ConfigDict, Field, SerializeAsAny
 
-from deepfsi.base import InputError, as_input_error
+from deepfsi.base import InputError, Message, as_input_error
 from deepfsi.base.models import StrictModel, UserModel
 from deepfsi.camera import LIGHT_LAWS, Camera, find_noise
 from deepfsi.datasets import Dataset
@@ -101,9 +101,9 @@ class Exposure(UserModel):
         """One training scene as the masks see it: its shape, and the classes."""
         return self.view(replace(data, x_train=data.x_train[:1], y_train=data.y_train[:1]))
 
-    def faults(self, job: "Job") -> list[str]:
+    def faults(self, job: "Job") -> Iterator[str]:
         """Everything that a job asks of this exposure and that cannot be had."""
-        return []
+        yield from ()
 
     def test_faults(self, noises: Sequence[str]) -> list[str]:
         """Everything in noises of tests that cannot be had."""
@@ -146,15 +146,15 @@ class Conditioned(Exposure):
         """The other end of the range."""
         return photons * self.span
 
-    def faults(self, job: "Job") -> list[str]:
+    def faults(self, job: "Job") -> Iterator[str]:
         """Another training noise than MLGauss, or masks that learn under one."""
         if job.code.learned_under:
             left = f"{job.design}, whose masks learn under {job.code.learned_under} noise"
         elif job.noise != "ml_gauss":
             left = f"{job.noise} noise, or train under ml_gauss"
         else:
-            return []
-        return [f"a range of budgets and nested masks are trained under ml_gauss: leave out {left}"]
+            return
+        yield f"a range of budgets and nested masks are trained under ml_gauss: leave out {left}"
 
 
 class Range(Conditioned):
@@ -194,15 +194,14 @@ class Nested(Conditioned):
         """Those that are shown at least."""
         return self.nested
 
-    def faults(self, job: "Job") -> list[str]:
+    def faults(self, job: "Job") -> Iterator[str]:
         """Those of all conditioned ones, or more nested masks than there are."""
-        faults = super().faults(job)
+        yield from super().faults(job)
         if self.nested > job.masks:
-            faults.append(
+            yield (
                 f"the first {self.nested} of {job.masks} masks cannot be nested: give at most "
                 f"{job.masks}"
             )
-        return faults
 
 
 class ConditionedEntry(_Entry):
@@ -275,33 +274,34 @@ class Looks(Exposure):
         """One: a look may show nothing else."""
         return 1
 
-    def faults(self, job: "Job") -> list[str]:
+    def faults(self, job: "Job") -> Iterator[str]:
         """Designs and optics whose dwells cannot be chosen, and looks that are too short."""
-        faults = list[str]()
         camera = job.optics
         law = LIGHT_LAWS[camera.light]
         if job.code.every_pixel or job.code.learned_under or job.code.is_custom:
-            faults.append(
+            yield (
                 f"{job.design} has one look only: several looks are for deepfsi and for named "
                 "designs that one device shows"
             )
         if not law.looks:
-            faults.append(
-                f"several looks choose how long one device shows each frame, not {camera.light}: "
-                '`light="free-dwell"` or "two-arm" goes with them'
+            yield Message(
+                "several looks choose how long one device shows each frame, not {given}: "
+                '{light:free-dwell} or "two-arm" goes with them',
+                setting="light",
+                given=camera.light,
             )
         elif law.arms == 1 and (camera.rails, camera.readout) == ("dual", "difference"):
-            faults.append(
-                "several looks show each rail for a time of its own, whose counts are to be read "
-                'by themselves: use `readout="both"`, or `rails="single"`'
+            yield Message(
+                "several looks show each rail for a time of its own, whose counts are to be "
+                "read by themselves: use {readout:both}, or {rails:single}",
+                setting=("readout", "rails"),
             )
-        faults += self.test_faults([job.noise])
+        yield from self.test_faults([job.noise])
         if camera.shortest_share * self.looks > 1:
-            faults.append(
+            yield (
                 f"a frame lasts {camera.shortest_share:g} of the exposure at least, and a look "
                 f"{1 / self.looks:g}: give fewer looks, or a longer exposure"
             )
-        return faults
 
     def test_faults(self, noises: Sequence[str]) -> list[str]:
         """Noise other than that of photons."""
@@ -381,19 +381,17 @@ class Patches(Exposure):
         """True on a GPU: a processor is slower with it at a transformer's size."""
         return device == "cuda"
 
-    def faults(self, job: "Job") -> list[str]:
+    def faults(self, job: "Job") -> Iterator[str]:
         """Optics that no patch has, and noise that was not tried."""
-        faults = list[str]()
         camera = job.optics
         if LIGHT_LAWS[camera.light].one_device:
-            faults.append("a patch has a detector for each readout: give the light law column")
+            yield "a patch has a detector for each readout: give the light law column"
         if job.code.seeded or job.code.learned_under or job.code.is_custom:
-            faults.append(f"{job.design} is not for patches: give deepfsi or a named design")
+            yield f"{job.design} is not for patches: give deepfsi or a named design"
         if job.noise != "ml_gauss" or camera.mask_levels((self.patch, self.patch)):
-            faults.append("patches are trained under photon noise, with continuous masks")
+            yield "patches are trained under photon noise, with continuous masks"
         if job.training.classifier != VIT:
-            faults.append("patches are classified by a transformer: give classifier vit")
-        return faults
+            yield "patches are classified by a transformer: give classifier vit"
 
 
 def _cut(scenes: np.ndarray, image_shape: tuple[int, ...], side: int) -> np.ndarray:
@@ -497,9 +495,16 @@ class Passing(Exposure):
         width = self.pattern_width or scene + ceil(self.bins * self.speed)
         if self.bins * self.speed > width + scene:
             raise InputError(
-                f"scenes of {scene} columns pass a pattern of {width} in {width + scene} pixels, "
-                f"and {self.bins} bins at {self.speed:g} are {self.bins * self.speed:g}: give "
-                "fewer `bins`, a lower `speed` or a larger `pattern_width`"
+                "scenes of {scene} columns pass a pattern of {width} in {total} pixels, and "
+                "{given} bins at {each:g} are {length:g}: give fewer {bins}, a lower {speed} or a "
+                "larger {pattern_width}",
+                setting=("bins", "speed", "pattern_width"),
+                scene=scene,
+                width=width,
+                total=width + scene,
+                given=self.bins,
+                each=self.speed,
+                length=self.bins * self.speed,
             )
         return width
 
@@ -508,28 +513,32 @@ class Passing(Exposure):
         self.columns(data.image_shape)
         return data
 
-    def faults(self, job: "Job") -> list[str]:
+    def faults(self, job: "Job") -> Iterator[str]:
         """Designs that are no one pattern, and optics other than one detector behind it."""
-        faults = list[str]()
         camera = job.optics
         if job.design not in ("deepfsi", "random"):
-            faults.append(
+            yield (
                 f"{job.design} is a set of masks, and scenes pass one pattern: give `deepfsi`, "
                 "which learns it, or `random`"
             )
         elif job.code.learned and job.training.start != "random":
-            faults.append("a pattern that scenes pass starts at random: leave `start` out")
+            yield Message(
+                "a pattern that scenes pass starts at random: leave {start} out", setting="start"
+            )
         one = camera.rails == "single" and camera.one_detector
         if not one or camera.device is not None or camera.shortest_dwell:
-            faults.append(
+            yield Message(
                 "scenes pass a static pattern before one detector: give single rails, no "
-                "`detectors`, no `device` and no `shortest_dwell`"
+                "{detectors}, no {device} and no {shortest_dwell}",
+                setting=("detectors", "device", "shortest_dwell"),
             )
         if job.masks != self.bins:
-            faults.append(
-                f"{job.masks} masks and {self.bins} bins are one number: leave `masks` out"
+            yield Message(
+                "{count} masks and {bins} bins are one number: leave {masks} out",
+                setting="masks",
+                count=job.masks,
+                bins=self.bins,
             )
-        return faults
 
 
 class PassingEntry(_Entry):

@@ -5,13 +5,13 @@ helps to choose it. Options of the command line, keywords of `learn`, axes of re
 tables of the documents are made from these fields.
 """
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from typing import Annotated, Any
 
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from deepfsi.base import UNNAMED_PLUGIN, InputError, closest_choice
+from deepfsi.base import UNNAMED_PLUGIN, InputError, Message, closest_choice, join_messages
 from deepfsi.base.models import UserModel
 from deepfsi.camera import (
     BUDGETS,
@@ -185,7 +185,7 @@ class Job(UserModel):
     def check(self, data: Dataset, matrix: np.ndarray | None = None) -> None:
         """Raise `InputError` for whatever the job asks that cannot be had on this data."""
         if faults := self.faults(data, matrix):
-            raise InputError("; ".join(faults))
+            raise InputError(join_messages(faults))
 
     def faults(self, data: Dataset, matrix: np.ndarray | None = None) -> list[str]:
         """Everything that the job asks and that cannot be had on this data, in words.
@@ -206,20 +206,30 @@ class Job(UserModel):
             if self.code.of_classes:  # it has no masks of such data, whose number could be told
                 return faults
         if self.training.balance and self.training.loss is not None:
-            faults.append("`balance` weighs the usual loss: leave it out, or `loss`")
+            faults.append(
+                Message(
+                    "{balance} weighs the usual loss: leave it out, or {loss}",
+                    setting=("balance", "loss"),
+                )
+            )
         if self.code.signed and self.camera.rails == "single":
             faults.append(f"{self.design} is signed: use dual rails, or the s-matrix")
         noises = [find_noise(noise) for noise in (self.noise, self.mask_job().noise)]
         if any(noise.read_noise and not noise.counting for noise in noises) and (
             not self.camera.sigma
         ):
-            faults.append("gaussian noise is read noise: give `sigma` above 0")
+            faults.append(
+                Message("gaussian noise is read noise: give {sigma} above 0", setting="sigma")
+            )
         if self.code.adaptive:
             faults += self._adaptive_faults(data)
         if (matrix is not None) != self.code.is_custom:
             faults.append(
-                'a matrix goes with the custom design, and only with it: give `design="custom"` '
-                "and `matrix`, or neither"
+                Message(
+                    "a matrix goes with the custom design, and only with it: give {design:custom} "
+                    "and {matrix}, or neither",
+                    setting=("design", "matrix"),
+                )
             )
         return [*faults, *self._matrix_faults(data, matrix)]
 
@@ -236,30 +246,35 @@ class Job(UserModel):
             else:
                 check_matrix(np.asarray(matrix), (self.masks, data.pixels))
         except InputError as error:
-            return [str(error)]
+            return [error.message]
         return []
 
-    def _classifier_faults(self) -> list[str]:
-        faults = list[str]()
+    def _classifier_faults(self) -> Iterator[str]:
         mine = self.training
         usual = Training()
         if mine.classifier != MLP and (mine.hidden, mine.dropout) != (usual.hidden, usual.dropout):
-            faults.append(
-                "`hidden` and `dropout` are of the usual classifier: give them to a classifier of "
-                "your own as its arguments"
+            yield Message(
+                "{hidden} and {dropout} are of the usual classifier: give them to a "
+                "classifier of your own as its arguments",
+                setting=("hidden", "dropout"),
             )
         if mine.classifier == VIT:
             if not isinstance(self.exposure, Patches):
-                faults.append("vit reads patches, and nothing else does: give `patch`, or mlp")
+                yield Message(
+                    "vit reads patches, and nothing else does: give {patch}, or mlp",
+                    setting="patch",
+                )
             sizes = mine.classifier_arguments.items()
             if any(name not in VIT_SIZES or not _is_size(size) for name, size in sizes):
-                faults.append(
+                yield (
                     f"vit cannot have {mine.classifier_arguments}: give whole numbers of "
                     f"{', '.join(VIT_SIZES)}"
                 )
         if mine.classifier_arguments and mine.classifier == MLP:
-            faults.append("arguments of a classifier go with one of your own: give `classifier`")
-        return faults
+            yield Message(
+                "arguments of a classifier go with one of your own: give {classifier}",
+                setting="classifier",
+            )
 
     def _few_counts_faults(self, image_shape: tuple[int, ...]) -> list[str]:
         """Everything in a job of few counts within its budget that cannot be had."""
@@ -267,9 +282,12 @@ class Job(UserModel):
         counts = self.training.counts or 0.0
         if not self.code.learned or not isinstance(self.exposure, Fixed):
             return [
-                "counts within a budget are of learned masks that are shown once each: leave "
-                '`counts` or `photons` out, or give `design="deepfsi"` without looks, nested, span '
-                "or patch"
+                Message(
+                    "counts within a budget are of learned masks that are shown once each: "
+                    "leave {counts} or {photons} out, or give {design:deepfsi} without looks, "
+                    "nested, span or patch",
+                    setting=("counts", "photons", "design"),
+                )
             ]
         noise = find_noise(self.noise)
         if not noise.counting:
@@ -288,48 +306,57 @@ class Job(UserModel):
             return []
         return [f"{counts:g} counts are not fewer than {most:g}, {limit}: give fewer"]
 
-    def _value_faults(self) -> list[str]:
+    def _value_faults(self) -> Iterator[str]:
         """Everything in a job on scenes with values that is of classes alone."""
-        faults = []
         if self.code.of_classes:
-            faults.append(
+            yield (
                 f"{self.design} is made of classes, and these scenes have values: give another "
                 "design"
             )
         elif self.code.learns_masks and DESIGNS[self.training.start].of_classes:
-            faults.append(
-                f"masks cannot start from {self.training.start}, which is made of classes, where "
-                'scenes have values: give `start="pca"`'
+            yield Message(
+                "masks cannot start from {given}, which is made of classes, where scenes have "
+                "values: give {start:pca}",
+                setting="start",
+                given=self.training.start,
             )
         if self.exposure.of_classes:
-            faults.append(
-                "several looks are decided by the probabilities of classes, and these scenes have "
-                "values: leave `looks` out"
+            yield Message(
+                "several looks are decided by the probabilities of classes, and these scenes "
+                "have values: leave {looks} out",
+                setting="looks",
             )
         if self.training.balance:
-            faults.append("`balance` is of classes, and these scenes have values: leave it out")
-        return faults
+            yield Message(
+                "{balance} is of classes, and these scenes have values: leave it out",
+                setting="balance",
+            )
 
-    def _adaptive_faults(self, data: Dataset) -> list[str]:
+    def _adaptive_faults(self, data: Dataset) -> Iterator[str]:
         """Everything in a job of adaptive masks that cannot be had."""
-        faults = []
         fewest = int(np.bincount(data.y_train, minlength=len(data.classes)).min())
         if (self.training.clusters or 0) > fewest // 2:
-            faults.append(
-                f"{self.training.clusters} clusters of each class are too many where one has "
-                f"{fewest} scenes: give at most {fewest // 2}, or leave `clusters` out"
+            yield Message(
+                "{count} clusters of each class are too many where one has {fewest} scenes: "
+                "give at most {most}, or leave {clusters} out",
+                setting="clusters",
+                count=self.training.clusters,
+                fewest=fewest,
+                most=fewest // 2,
             )
         if not isinstance(self.exposure, Fixed):
-            faults.append("adaptive masks have a look each: give no looks, nested, span or patch")
+            yield "adaptive masks have a look each: give no looks, nested, span or patch"
         if self.training.classifier != MLP:
-            faults.append("adaptive masks are read by their posterior: leave `classifier` out")
+            yield Message(
+                "adaptive masks are read by their posterior: leave {classifier} out",
+                setting="classifier",
+            )
         shortest = self.camera.shortest_share
         if shortest * self.masks > 1:
-            faults.append(
+            yield (
                 f"{self.masks} looks are shorter than {shortest:.3g} of the exposure, the shortest "
                 f"picture of the camera: give at most {int(1 / shortest)} masks"
             )
-        return faults
 
 
 def _is_size(given: Any) -> bool:
@@ -391,18 +418,22 @@ def find_job(settings: Mapping[str, Any], counts: float | None = None) -> Job:
     if counts is not None and not within and job.camera.clicks is not None:
         raise InputError(
             "clicks are not in proportion to the light, so that they tell no budget: give "
-            "`photons`, too"
+            "{photons}, too",
+            setting="photons",
         )
     if counts is not None and job.exposure.highest(1.0) != 1.0:
         raise InputError("counts are of one budget: leave the range of budgets, `span`, out")
     if job.training.clusters and not job.code.adaptive:
         raise InputError(
-            '`clusters` are of adaptive masks: leave it out, or give `design="adaptive"`'
+            "{clusters} are of adaptive masks: leave it out, or give {design:adaptive}",
+            setting=("clusters", "design"),
         )
     if "start" in _training_of(settings) and not job.code.learns_masks:
         raise InputError(
-            f"`start` is of learned masks, and {job.design} has its own: leave it out, or give "
-            '`design="deepfsi"`'
+            "{start} is of learned masks, and {given} has its own: leave it out, or give "
+            "{design:deepfsi}",
+            setting=("start", "design"),
+            given=job.design,
         )
     return job
 

@@ -56,7 +56,10 @@ def clicks_of(source: Path) -> int | None:
 def exposure_of(camera: Camera) -> float:
     """Time of a whole exposure in seconds, or `InputError` where the camera has none."""
     if camera.exposure is None:
-        raise InputError("an exposure needs a time: give `exposure`, such as 10ms, or a camera")
+        raise InputError(
+            "an exposure needs a time: give {exposure}, such as 10ms, or a camera",
+            setting="exposure",
+        )
     return camera.exposure
 
 
@@ -73,7 +76,10 @@ def picture_time(rails: DesignRails, device: Device, camera: Camera) -> float:
 def flux_of(camera: Camera) -> float:
     """Flux in counts/s, or `InputError` where the camera has none."""
     if camera.flux is None:
-        raise InputError("a virtual camera needs its light: give `flux`, such as 1e6, or a camera")
+        raise InputError(
+            "a virtual camera needs its light: give {flux}, such as 1e6, or a camera",
+            setting="flux",
+        )
     return camera.flux
 
 
@@ -81,7 +87,10 @@ def dead_time_of(camera: Camera, told: Container[str] = ()) -> DeadTime | None:
     """Dead time to be corrected; None where the camera has none, and its model is not told."""
     if not camera.dead_time:
         if "dead_time_model" in told:
-            raise InputError("`dead_time_model` is of a dead time: give `dead_time`, such as 20ns")
+            raise InputError(
+                "{dead_time_model} is of a dead time: give {dead_time}, such as 20ns",
+                setting=("dead_time_model", "dead_time"),
+            )
         return None
     return camera.counter_dead_time
 

@@ -114,7 +114,9 @@ def classify_run(
     path = Path(folder)
     verdict = None if force else Verdict.of(path)
     if verdict is not None and not verdict.fits:
-        raise InputError(f"{verdict.words}; `force` classifies them all the same")
+        raise InputError(
+            "{words}; {force} classifies them all the same", setting="force", words=verdict.words
+        )
     if is_live(path, photons):
         live = LiveCounts.read(path)
         _check_design(design, live.manifest)
@@ -204,7 +206,8 @@ def _classified_readouts(
     if camera or settings not in (None, TableSettings(exposures=along)):
         raise InputError(
             "measured readouts are classified as they are: leave out all options of a table but "
-            "`exposures`"
+            "{exposures}",
+            setting="exposures",
         )
     table = read_table(source, TableSettings.WORDS)
     rows, columns = table.values.shape
@@ -247,8 +250,10 @@ def _nominal(file: str | os.PathLike[str], settings: TableSettings) -> Manifest:
     """Frames of a design file without patterns, or `InputError` if settings need their times."""
     if settings.settle_s or settings.dead_time.seconds:
         raise InputError(
-            f"`settle` and `dead_time` need the times of the frames, and {file} has none: give the "
-            "folder of its patterns"
+            "{settle} and {dead_time} need the times of the frames, and {file} has none: give the "
+            "folder of its patterns",
+            setting=("settle", "dead_time"),
+            file=file,
         )
     from deepfsi.lab.rails import design_rails
 
@@ -297,7 +302,11 @@ class _CountedScenes:
         view = exposures.test_view(design)
         for test in (consistency, view):
             if test is not None and test.refused and not force:
-                raise InputError(f"{test.refusal}; `force` classifies them all the same")
+                raise InputError(
+                    "{refusal}; {force} classifies them all the same",
+                    setting="force",
+                    refusal=test.refusal,
+                )
         counts = exposures.counts
         chances = design.classify(design.readouts(counts.signal()), exposures.budgets[:, None])
         trained = was_trained_on(design.training_scenes, [scene.hash for scene in self.scenes])
@@ -361,10 +370,12 @@ class _SoundExposures:
         counts = replace(counts, faults=(*dim, *counts.faults))
         usable = counts.valid & ~counts.spoilt[:, None]
         if not usable.any():
-            forced = "; `force` classifies them all the same" if dim else ""
             raise InputError(
-                f"{counted.source} has no exposure that can be classified ({counts.faults[0]}): "
-                f"record again{forced}"
+                "{source} has no exposure that can be classified ({fault}): record again"
+                + "; {force} classifies them all the same" * bool(dim),
+                setting="force",
+                source=counted.source,
+                fault=counts.faults[0],
             )
         return cls(counts, usable, budgets)
 

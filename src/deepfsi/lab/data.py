@@ -34,8 +34,9 @@ def data_of(
     known = training.origin if training else None
     if data is None and known is None:
         raise InputError(
-            "this design was trained on data that no file or name holds, such as arrays in memory: "
-            "give the data to test it on, `data`"
+            "this design was trained on data that no file or name holds, such as arrays in "
+            "memory: give the data to test it on, {data}",
+            setting="data",
         )
     asked = _asked(known, data, size, view)
     try:
@@ -43,8 +44,10 @@ def data_of(
     except InputError as error:
         if data is None:
             raise InputError(
-                f"the data that this design was trained on cannot be loaded ({error}): give "
-                "the data to test it on, `data`"
+                "the data that this design was trained on cannot be loaded ({error}): give the "
+                "data to test it on, {data}",
+                setting="data",
+                error=error,
             ) from error
         raise
     notes = _notes(training, asked, loaded)

@@ -171,6 +171,9 @@ def _budget(design: Design, camera: Camera) -> float:
     """Budget of the camera's exposure if the training had it, else the lowest of the training."""
     trained = design.trained_budgets
     if trained is None:
-        raise InputError("this design does not say what light it was trained for: give `photons`")
+        raise InputError(
+            "this design does not say what light it was trained for: give {photons}",
+            setting="photons",
+        )
     low, high = trained
     return camera.budget if camera.budget and low <= camera.budget <= high else low

@@ -45,10 +45,12 @@ def design_scenes(
         )
     shown = prepared(pictures, known.origin, skip_bad)
     if shown.x.shape[1:] != image_shape:
-        sides = ("x".join(map(str, shape)) for shape in (shown.x.shape[1:], image_shape))
         raise InputError(
-            "the pictures are of {} pixels and the design's scenes of {}: bring them to its "
-            "size, or learn a design with `size`".format(*sides)
+            "the pictures are of {pixels} pixels and the design's scenes of {scene}: bring them to "
+            "its size, or learn a design with {size}",
+            setting="size",
+            pixels="x".join(map(str, shown.x.shape[1:])),
+            scene="x".join(map(str, image_shape)),
         )
     if known.origin.view is None:
         return shown

@@ -106,8 +106,10 @@ def find_background(times: np.ndarray, window: float, duration: float, allowed: 
         left = duration - float(np.diff(spans, axis=1).sum())
         if left < LEAST_WINDOWS * window:
             raise InputError(
-                f"less than {LEAST_WINDOWS} transits of this record's time is without any, too "
-                "little to know the background from: give `background`"
+                "less than {least_windows} transits of this record's time is without any, too "
+                "little to know the background from: give {background}",
+                setting="background",
+                least_windows=LEAST_WINDOWS,
             )
         inside = np.diff(np.searchsorted(times, spans), axis=1).sum()
         if (found := len(times) - int(inside)) == kept:
@@ -246,9 +248,14 @@ def classify_transits(
     window = path.bins * bin_s
     if not len(times) or seconds <= window:
         raise InputError(
-            f"{file} holds {len(times)} photons on input {counter_input + 1} in "
-            f"{time_text(seconds)}, and "
-            f"a transit lasts {time_text(window)}: give another `input`, or shorter bins"
+            "{file} holds {count} photons on input {number} in {record}, and a transit lasts "
+            "{transit}: give another {input}, or shorter bins",
+            setting="input",
+            file=file,
+            count=len(times),
+            number=counter_input + 1,
+            record=time_text(seconds),
+            transit=time_text(window),
         )
     if background is None:
         background = find_background(times, window, seconds, false_alarms)
@@ -277,7 +284,8 @@ def passing_of(design: Design) -> PassingExposure:
     if not isinstance(design.exposure, PassingExposure):
         raise InputError(
             "this design has masks that a device shows one after the other: learn one of scenes "
-            "that pass a pattern, with `bins`"
+            "that pass a pattern, with {bins}",
+            setting="bins",
         )
     return design.exposure
 

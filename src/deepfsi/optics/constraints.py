@@ -100,7 +100,8 @@ def check(rails: Tensor, light: LightLawName) -> Tensor:
         raise InputError("the matrix holds NaN or infinity: give finite numbers")
     if float(rails.min()) < 0:
         raise InputError(
-            'the matrix has negative entries: use `rails="dual"`, or give frames of 0 or more'
+            "the matrix has negative entries: use {rails:dual}, or give frames of 0 or more",
+            setting="rails",
         )
     if float(rails.max()) > BRIGHTEST:
         raise InputError(
@@ -109,8 +110,12 @@ def check(rails: Tensor, light: LightLawName) -> Tensor:
     factor = 1 + excess(rails, light)
     if factor > 1 + SLACK:
         raise InputError(
-            f"the matrix is {factor:.4g} times as bright as {light} allows, and breaks the {light} "
-            f"constraint: divide it by {_above(factor):.4g}, or choose another with `light`"
+            "the matrix is {factor:.4g} times as bright as {given} allows, and breaks the {given} "
+            "constraint: divide it by {above:.4g}, or choose another with {light}",
+            setting="light",
+            factor=factor,
+            given=light,
+            above=_above(factor),
         )
     return rails
 

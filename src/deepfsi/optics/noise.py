@@ -83,7 +83,11 @@ def check_dark(dark: object, noise: str) -> float:
     if not (isinstance(dark, int | float) and math.isfinite(dark) and dark >= 0):
         raise InputError(f"{dark!r} dark counts are not allowed: give 0 or more for an exposure")
     if dark and noise != "camera":
-        raise InputError(f'dark counts are not of {noise} noise: give `noise="camera"` with them')
+        raise InputError(
+            "dark counts are not of {given} noise: give {noise:camera} with them",
+            setting="noise",
+            given=noise,
+        )
     return dark
 
 

@@ -122,7 +122,7 @@ class Collection(StrictModel):
             try:
                 recipe.job  # noqa: B018 - it raises
             except InputError as error:
-                raise ValueError(f"settings of {name}: {error}") from None
+                raise InputError("settings of {name}: {error}", name=name, error=error) from None
         return self
 
     @classmethod

@@ -157,7 +157,9 @@ class SweepContext:
         except torch.OutOfMemoryError:
             if len(batch) == 1:
                 raise InputError(
-                    f'{self.title(batch)} do not fit the memory of this GPU: use `device="cpu"`'
+                    "{title} do not fit the memory of this GPU: use {device:cpu}",
+                    setting="device",
+                    title=self.title(batch),
                 ) from None
             again = [batch[: len(batch) // 2], batch[len(batch) // 2 :]]
         else:

@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
-from deepfsi.base import InputError, as_input_error, closest_choice
+from deepfsi.base import InputError, Message, as_input_error, closest_choice, join_messages
 from deepfsi.camera import BUDGETS, ONE_DETECTOR, Camera, DetectorMap, Levels, check_noise
 from deepfsi.datasets import Dataset
 from deepfsi.design.evaluation import MOST_DRAWS
@@ -89,10 +89,10 @@ def _table_of_axes(given: Any, make: Callable[[Settings], Any]) -> dict[str, tup
                 with as_input_error():
                     read.append(_number(getattr(make({name: value}), name, value), value))
             except InputError as error:
-                faults.append(str(error))
+                faults.append(error.message)
         axes[name] = tuple(read)
     if faults:
-        raise ValueError("; ".join(faults))
+        raise InputError(join_messages(faults))
     return axes
 
 
@@ -128,7 +128,7 @@ def _cameras(axes: Mapping[str, tuple[Any, ...]]) -> list[NamedCamera]:
             camera, detectors = Camera.load(fields), str(fields.get("detectors", "1x1"))
             found.append(NamedCamera(camera, detectors, variant))
         except InputError as error:
-            faults.append(str(error))
+            faults.append(error.message)
     if not found:
         raise InputError(faults[0])
     return found
@@ -144,9 +144,9 @@ def _tuned(given: Any) -> dict[str, dict[str, tuple[Any, ...]]]:
         try:
             axes[check_design(design)] = _training(own)
         except (InputError, ValueError) as error:
-            faults.append(f"{design}: {error}")
+            faults.append(Message("{design}: {error}", design=design, error=error))
     if faults:
-        raise ValueError("; ".join(faults))
+        raise InputError(join_messages(faults))
     return axes
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from deepfsi.base import InputError, field_errors
+from deepfsi.base import InputError, field_errors, join_messages
 from deepfsi.datasets import Dataset
 from deepfsi.sweeps.recipe import RATIOS_OR_MASKS, Recipe, Settings, axis
 from deepfsi.sweeps.trial import count_trials, mask_faults, trial_faults
@@ -40,7 +40,7 @@ def check_recipe(
         found += _fold_faults(recipe, data)
         found += [] if lost & OPTICS else trial_faults(recipe, data, matrix)
     if found or data is None:
-        raise InputError("; ".join(found))
+        raise InputError(join_messages(found))
     return recipe, data
 
 
@@ -67,7 +67,7 @@ def _fold_faults(recipe: Recipe, data: Dataset) -> list[str]:
     try:
         each = [mask_faults(recipe, part) for part in recipe.parts(data)]
     except InputError as error:
-        return [str(error), *mask_faults(recipe, data)]
+        return [error.message, *mask_faults(recipe, data)]
     return next((faults for faults in each if faults), [])
 
 
@@ -76,7 +76,7 @@ def _loaded(recipe: Recipe, load: Callable[[Recipe], Dataset], found: list[str])
     try:
         return load(recipe)
     except InputError as error:
-        found.append(str(error))
+        found.append(error.message)
     if recipe.size is None and recipe.split is None:
         return None
     try:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from deepfsi.base import InputError, source_hash
+from deepfsi.base import InputError, join_messages, source_hash
 from deepfsi.camera import LIGHT_LAWS, ONE_DETECTOR, Camera
 from deepfsi.datasets import Dataset
 from deepfsi.jobs import DESIGNS, REVISION, Code, Exposure, Job, custom_parts
@@ -71,7 +71,7 @@ def plan(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None) -> lis
     # where there is none; designs of one rail on two arms; the signed Hadamard basis on a single
     # rail; several detectors under the law of other optics, `column`. matrix (m, N)
     if faults := [*mask_faults(recipe, data), *trial_faults(recipe, data, matrix)]:
-        raise InputError("; ".join(faults))
+        raise InputError(join_messages(faults))
     trials: dict[str, Trial] = {}
     hashed = functools.cache(source_hash)
     for named, variant, job in _jobs(recipe, data, matrix):
@@ -106,7 +106,7 @@ def mask_faults(recipe: Recipe, data: Dataset) -> list[str]:
         try:
             data.hold_out(recipe.held_out(data))
         except InputError as error:
-            faults.append(str(error))
+            faults.append(error.message)
     return faults
 
 
@@ -116,7 +116,7 @@ def trial_faults(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None
     try:
         count = count_trials(recipe, data, matrix)
     except InputError as error:  # scenes that an exposure cannot see so
-        return [str(error)]
+        return [error.message]
     if count > MOST_TRIALS:
         return [f"{count} trials are not allowed: a recipe has at most {MOST_TRIALS}; take less"]
     if not count:
@@ -139,7 +139,7 @@ def trial_faults(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None
         try:
             source_hash(name)
         except InputError as error:
-            found[str(error)] = None
+            found[error.message] = None
     return list(found)
 
 
@@ -150,7 +150,7 @@ def _light_faults(matrix: np.ndarray, camera: Camera) -> list[str]:
     try:
         own_rails(matrix, camera.light, camera.rails)
     except InputError as error:
-        return [str(error)]
+        return [error.message]
     return []
 
 

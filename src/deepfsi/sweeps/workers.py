@@ -87,8 +87,11 @@ def processes(
         yield from _worked_off(pool, work, tasks, shares, running, watch)
     except BrokenProcessPool:
         raise InputError(
-            f"one of {workers} worker processes was killed, perhaps for want of memory: run again "
-            f"with fewer `workers`{saved_work_text()}"
+            "one of {given} worker processes was killed, perhaps for want of memory: run again "
+            "with fewer {workers}{saved_work_text}",
+            setting="workers",
+            given=workers,
+            saved_work_text=saved_work_text(),
         ) from None
     finally:
         if running:

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import torch
 
+from deepfsi.base import Message
 from deepfsi.base.numeric import check_memory, free_memory
 from deepfsi.jobs import Job, Training
 from deepfsi.training.masks import matrix_seeds
@@ -35,7 +36,10 @@ def check_fits(training_set: TrainingSet, jobs: Sequence[Job], processes: int = 
         footprint(training_set, jobs) * processes - held,
         memory_for(training_set.device),
         f"{scenes} scenes of {pixels} pixels, {jobs[0].masks} masks and {processes} processes",
-        "give fewer or smaller scenes (`size`), fewer `masks` or fewer `workers`",
+        Message(
+            "give fewer or smaller scenes ({size}), fewer {masks} or fewer {workers}",
+            setting=("size", "masks", "workers"),
+        ),
     )
 
 

@@ -118,5 +118,5 @@ def find_device(name: str) -> torch.device:
     if name not in ("auto", "cpu", "cuda"):
         raise InputError(f"unknown device {name!r}: choose auto, cpu or cuda")
     if name == "cuda" and not torch.cuda.is_available():
-        raise InputError('device cuda is not here: use `device="cpu"` or auto')
+        raise InputError("device cuda is not here: use {device:cpu} or auto", setting="device")
     return torch.device("cuda" if name != "cpu" and torch.cuda.is_available() else "cpu")

@@ -2,9 +2,15 @@
 
 from typing import TYPE_CHECKING, Annotated, Any
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    ValidatorFunctionWrapHandler,
+    WrapValidator,
+)
 
-from deepfsi.base import as_input_error, seconds
+from deepfsi.base import Message, as_input_error, seconds
 
 if TYPE_CHECKING:
     from pydantic._internal._model_construction import ModelMetaclass
@@ -32,3 +38,12 @@ class UserModel(StrictModel, metaclass=_InOneLine):
 
 Seconds = Annotated[float, BeforeValidator(seconds)]
 """Seconds, 0 or more, of a number or of a text with a unit."""
+
+
+def _as_message(text: Any, read: ValidatorFunctionWrapHandler) -> Any:
+    """A message as it is: pydantic would copy its text alone."""
+    return text if isinstance(text, Message) else read(text)
+
+
+MessageText = Annotated[str, WrapValidator(_as_message)]
+"""Text of a message, which may name settings."""

@@ -399,8 +399,11 @@ def check_memory(needed: float, free: float, what: str, advice: str) -> None:
     """Raise `InputError` where something would not fit."""
     if needed > free:
         raise InputError(
-            f"{what} need {needed / 1e9:.3g} GB of memory, and {free / 1e9:.3g} GB are free: "
-            f"{advice}"
+            "{what} need {needed_gb:.3g} GB of memory, and {free_gb:.3g} GB are free: {advice}",
+            what=what,
+            needed_gb=needed / 1e9,
+            free_gb=free / 1e9,
+            advice=advice,
         )
 
 

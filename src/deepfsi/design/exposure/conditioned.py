@@ -118,7 +118,8 @@ class ConditionedExposure(TrainedExposure):
         if light == "column":
             raise InputError(
                 "under the column constraint all masks see light at once, so that stopping saves "
-                'nothing: use a design for one device, `light="free-dwell"` or equal-dwell'
+                "nothing: use a design for one device, {light:free-dwell} or equal-dwell",
+                setting="light",
             )
         used = constraints.used(rails.stacked, light)[fewest - 1 :]
         return tuple(range(fewest, masks + 1)), (used / used[-1]).double().cpu().numpy()

@@ -193,8 +193,9 @@ class TrainedExposure:
         """Exposures after each look at a camera, or `InputError` if dwells are fixed."""
         # Parameters as for `expose`
         raise InputError(
-            "the dwells of this design are fixed: show all masks and use `classify`, or learn "
-            "a design with `looks`"
+            "the dwells of this design are fixed: show all masks and use `classify`, or learn a "
+            "design with {looks}",
+            setting="looks",
         )
 
     def compared(self, rails: int, readouts: int) -> tuple[tuple[int, int], int]:
@@ -241,8 +242,9 @@ class TrainedExposure:
         """Numbers of masks or looks after which an exposure may stop, and the share taken then."""
         # Raises `InputError` if it may stop nowhere before its end, or that saves nothing
         raise InputError(
-            "this design needs all its masks for an answer: learn nested ones with `nested`, or "
-            "several looks with `looks`"
+            "this design needs all its masks for an answer: learn nested ones with {nested}, or "
+            "several looks with {looks}",
+            setting=("nested", "looks"),
         )
 
     @property

@@ -20,7 +20,7 @@ than one photon in the mean, a detector is not gated, and the photons themselves
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import reduce
 from typing import Self
@@ -274,12 +274,14 @@ def light_of_clicks(
     )
 
 
-def check_clicks(clicks: int, refused: dict[str, bool]) -> None:
+def check_clicks(clicks: int, refused: Mapping[str, bool]) -> None:
     """Raise `InputError` where what is of photon counts is asked for with clicks."""
     # refused: whether it was given, by its name
     for name, asked in refused.items():
         if asked:
             raise InputError(
-                f"{name} is of photon counts, and this design reads clicks, of up to {clicks} "
-                "gates a frame, as they are: leave it out"
+                "{name} is of photon counts, and this design reads clicks, of up to {clicks} "
+                "gates a frame, as they are: leave it out",
+                name=name,
+                clicks=clicks,
             )

@@ -181,9 +181,12 @@ class Counts:
         """Raise `InputError` where clicks do not tell the flux of any scene."""
         if not np.isfinite(self.flux).any():
             raise InputError(
-                f"{source} does not tell its budget: all-ON frames leave less than "
-                f"{LEAST_UNFIRED} gates without a click, or click no more often than all-OFF ones; "
-                "give `photons`, or look at the order of frames"
+                "{source} does not tell its budget: all-ON frames leave less than {least_unfired} "
+                "gates without a click, or click no more often than all-OFF ones; give {photons}, "
+                "or look at the order of frames",
+                setting="photons",
+                source=source,
+                least_unfired=LEAST_UNFIRED,
             )
 
     def save(self, run: Run) -> None:

@@ -26,7 +26,7 @@ from typing import ClassVar, Literal, Self, get_args
 
 import numpy as np
 
-from deepfsi.base import InputError, check_choice, closest_choice, time_text
+from deepfsi.base import InputError, Message, check_choice, closest_choice, time_text
 from deepfsi.base.numeric import Table
 from deepfsi.camera import NO_DEAD_TIME, DeadTime
 from deepfsi.hardware.counting.acquisition import MOST_READOUTS, Scene
@@ -104,25 +104,42 @@ class TableSettings:
 
     def __post_init__(self) -> None:
         if self.exposures is not None:
-            check_choice("`exposures`", self.exposures, get_args(Along))
+            check_choice(
+                Message("{exposures}", setting="exposures"), self.exposures, get_args(Along)
+            )
         for name, value in (("photons", self.photons), ("gain", self.gain)):
             if value is not None and not 0 < value < np.inf:
-                raise InputError(f"`{name}` {value:g} is not allowed: give a number above 0")
+                raise InputError(
+                    "{setting} {value:g} is not allowed: give a number above 0",
+                    setting=name,
+                    value=value,
+                )
         for name, value in (("background", self.background), ("read_noise", self.read_noise)):
             if value is not None and not 0 <= value < np.inf:
-                raise InputError(f"`{name}` {value:g} is not allowed: give counts, 0 or more")
+                raise InputError(
+                    "{setting} {value:g} is not allowed: give counts, 0 or more",
+                    setting=name,
+                    value=value,
+                )
         if self.analogue and self.dead_time.seconds:
             raise InputError(
-                "an analogue detector counts no photons: leave `dead_time` out, or `gain` and "
-                "`read_noise`"
+                "an analogue detector counts no photons: leave {dead_time} out, or {gain} and "
+                "{read_noise}",
+                setting=("dead_time", "gain", "read_noise"),
             )
         if self.repeats < 1:
-            raise InputError(f"`repeats` {self.repeats} is not allowed: give 1 or more")
+            raise InputError(
+                "{repeats} {given} is not allowed: give 1 or more",
+                setting="repeats",
+                given=self.repeats,
+            )
         if self.clicks is not None:
-            of_photons = {
-                "`background`": self.background is not None or self.dark is not None,
-                "`dead_time`": bool(self.dead_time.seconds),
-                "`gain` or `read_noise`": self.analogue,
+            of_photons: dict[str, bool] = {
+                Message("{background}", setting="background"): (
+                    self.background is not None or self.dark is not None
+                ),
+                Message("{dead_time}", setting="dead_time"): bool(self.dead_time.seconds),
+                Message("{gain} or {read_noise}", setting=("gain", "read_noise")): self.analogue,
             }
             check_clicks(self.clicks, of_photons)
 
@@ -235,8 +252,11 @@ class _Exposures:
         seconds = np.asarray(manifest.picture_s - settings.settle_s)
         if seconds.min() <= 0:
             raise InputError(
-                f"`settle` {time_text(settings.settle_s)} leaves nothing of the shortest frame: "
-                f"give less than {manifest.picture_s.min():g}"
+                "{settle} {given} leaves nothing of the shortest frame: give less than "
+                "{shortest_s:g}",
+                setting="settle",
+                given=time_text(settings.settle_s),
+                shortest_s=manifest.picture_s.min(),
             )
         return cls(values, sentinels, seconds, manifest=manifest, settings=settings, name=name)
 
@@ -347,8 +367,12 @@ def _find_direction(
     along = settings.exposures
     if along is None and all(fits.values()):
         raise InputError(
-            f"{name} has {rows} rows and {columns} columns, and either may be exposures: say "
-            "`exposures` rows or columns"
+            "{name} has {rows} rows and {columns} columns, and either may be exposures: say "
+            "{exposures} rows or columns",
+            setting="exposures",
+            name=name,
+            rows=rows,
+            columns=columns,
         )
     chosen = along or next((each for each, fit in fits.items() if fit), None)
     if chosen is None or not fits[chosen]:
@@ -376,7 +400,9 @@ def _find_scenes(
         names = tuple(str(k + 1) for k in scene_of.tolist())
     else:
         if repeats > 1:
-            raise InputError(f"{name} names its scenes: leave `repeats` out")
+            raise InputError(
+                "{name} names its scenes: leave {repeats} out", setting="repeats", name=name
+            )
         changes = [a != b for a, b in zip(names[1:], names, strict=False)]
         scene_of = np.cumsum([0, *changes])
         if len(set(names)) <= scene_of[-1]:
@@ -478,14 +504,18 @@ def _check_budget(counts: Counts, name: str) -> None:
     """Raise `InputError` if nothing tells the budget."""
     if np.isnan(counts.on_rate).all():
         raise InputError(
-            f"{name} has no all-ON and all-OFF frames, which tell the budget: give `photons`"
+            "{name} has no all-ON and all-OFF frames, which tell the budget: give {photons}",
+            setting="photons",
+            name=name,
         )
     if counts.gates is not None:
         counts.check_budget(name)
     if not (counts.flux > 0).any():
         raise InputError(
-            f"{name} has no light: its all-ON frames are not brighter than the all-OFF ones; look "
-            "at the order of frames, or give `photons`"
+            "{name} has no light: its all-ON frames are not brighter than the all-OFF ones; look "
+            "at the order of frames, or give {photons}",
+            setting="photons",
+            name=name,
         )
 
 
@@ -544,9 +574,13 @@ def _of_cumulative(
     ]
     if len(fits) != 1:
         raise InputError(
-            f"{name} has {len(counts)} cumulative counts, and a pass has {frames} frames, whose "
-            f"trigger gives as many, or one more at its end: "
-            f"{'say how many `passes` there are' if fits else 'give those of whole passes'}"
+            "{name} has {count} cumulative counts, and a pass has {frames} frames, whose trigger "
+            "gives as many, or one more at its end: "
+            + ("say how many {passes} there are" if fits else "give those of whole passes"),
+            setting="passes",
+            name=name,
+            count=len(counts),
+            frames=frames,
         )
     steps = np.diff(counts.reshape(-1, fits[0], manifest.inputs), axis=1) % ROLL_OVER
     if (steps > ROLL_OVER / 2).any():

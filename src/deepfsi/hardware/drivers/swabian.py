@@ -66,7 +66,10 @@ def open_tagger(
 ) -> "TaggerCounter":
     """Time Tagger with the channel of the trigger, and the settings of a TOML file."""
     if trigger is None:
-        raise InputError("counter swabian needs `marker_channel`, that of the trigger: such as 8")
+        raise InputError(
+            "counter swabian needs {marker_channel}, that of the trigger: such as 8",
+            setting="marker_channel",
+        )
     settings = None
     if config is not None:
         with as_input_error(str(config)):

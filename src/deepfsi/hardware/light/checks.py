@@ -23,7 +23,8 @@ from typing import ClassVar, Literal, Self
 
 import numpy as np
 
-from deepfsi.base.models import StrictModel
+from deepfsi.base import Message
+from deepfsi.base.models import MessageText, StrictModel
 from deepfsi.camera import DetectorMap
 from deepfsi.hardware.light.curves import (
     CERTAIN_SIGMAS,
@@ -68,7 +69,7 @@ class Fault(StrictModel):
     kind: FaultKind
     scene: int | None = None  # Which, from 0; None where no pass is meant
     frame: int | None = None  # Which, from 0; None where no one frame is meant
-    detail: str  # What was seen and when
+    detail: MessageText  # What was seen and when
 
     def __str__(self) -> str:
         return self.words()
@@ -80,7 +81,8 @@ class Fault(StrictModel):
             where += [f" scene {self.scene}", *(f" {name}" for name in names[self.scene :][:1])]
         if self.frame is not None:
             where.append(f" frame {self.frame}")
-        return f"{self.kind}{','.join(where)}: {self.detail}"
+        start = f"{self.kind}{','.join(where)}"
+        return Message("{start}: {detail}", start=start, detail=self.detail)
 
     def line(self, names: Sequence[str] = ()) -> str:
         """The fault in one line that also says if it is of markers or light; as of `words`."""

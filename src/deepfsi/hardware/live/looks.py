@@ -214,13 +214,17 @@ class FixedMaskLooks:
         manifest = patterns.manifest
         if manifest.looks is None:
             raise InputError(
-                f"{folder} has the patterns of a design of fixed dwells: learn one of several "
-                "`looks`, or record it with `deepfsi camera simulate` or `prepare`"
+                "{folder} has the patterns of a design of fixed dwells: learn one of several "
+                "{looks}, or record it with `deepfsi camera simulate` or `prepare`",
+                setting="looks",
+                folder=folder,
             )
         if manifest.looks.adaptive:
             raise InputError(
-                f"{folder} has the first of adaptive masks alone, and the design makes the others: "
-                "give its `looks`"
+                "{folder} has the first of adaptive masks alone, and the design makes the others: "
+                "give its {looks}",
+                setting="looks",
+                folder=folder,
             )
         if manifest.design_sha256 is not None:
             return cls(DesignFile.read(folder / Patterns.DESIGN), patterns)

@@ -24,7 +24,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from deepfsi.base import InputError
+from deepfsi.base import InputError, Message
 from deepfsi.camera import MARGIN_NS, TOO_DIM
 from deepfsi.designfile import REFUSED, UNSURE, SceneReadouts, ViewResult, ViewTest
 from deepfsi.hardware.counting import Acquisition
@@ -322,9 +322,14 @@ class SceneChecks:
         if stated is not None and monitor.contradicts(stated / self._exposure_s):
             since = monitor.since
             some = f"scenes {since} to {scene}" if since < scene else "this scene"
-            detail = (
-                f"`photons` says {stated:.4g} counts an exposure, and the all-ON frames of {some} "
-                f"{measured:.4g}, further off than scenes differ: leave it out, or give that number"
+            detail: str = Message(
+                "{photons} says {stated:.4g} counts an exposure, and the all-ON frames of "
+                "{some} {measured:.4g}, further off than scenes differ: leave it out, or give "
+                "that number",
+                setting="photons",
+                stated=stated,
+                some=some,
+                measured=measured,
             )
         elif trained is not None and measured * TOO_DIM < trained:
             detail = (
@@ -350,10 +355,14 @@ class SceneChecks:
             faults.append(Fault(kind="unsure", scene=scene, detail=detail))
         unsure = sum(self._unsure)
         if bdtrc(unsure - 1, looked_at, 2 * UNSURE) * self._scenes < REFUSED:
-            detail = (
-                f"{unsure} of the last {looked_at} scenes do not look like those of the training: "
-                "look at the light, the design, the scenes and their scale, `photons` and "
-                f"`dead_time`{hint}"
+            detail = Message(
+                "{unsure} of the last {looked_at} scenes do not look like those of the "
+                "training: look at the light, the design, the scenes and their scale, "
+                "{photons} and {dead_time}{hint}",
+                setting=("photons", "dead_time"),
+                unsure=unsure,
+                looked_at=looked_at,
+                hint=hint,
             )
             faults.append(Fault(kind="unlike", scene=scene, detail=detail))
         return faults
@@ -363,7 +372,11 @@ class SceneChecks:
         rate = on.counts / on.seconds
         if self._live.dead_time.seconds or rate * USUAL_DEAD_S < SATURATED:
             return ""
-        return (
-            f"; at {rate:.3g} counts/s a counter with a dead time of {USUAL_DEAD_S * 1e9:.0f} ns "
-            f"is blind {rate * USUAL_DEAD_S:.0%} of the time: give `dead_time`, or dim the light"
+        return Message(
+            "; at {rate:.3g} counts/s a counter with a dead time of {dead_ns:.0f} ns is blind "
+            "{share:.0%} of the time: give {dead_time}, or dim the light",
+            setting="dead_time",
+            rate=rate,
+            dead_ns=USUAL_DEAD_S * 1e9,
+            share=rate * USUAL_DEAD_S,
         )

@@ -20,6 +20,7 @@ import numpy as np
 from deepfsi.base import (
     SILENT,
     InputError,
+    Message,
     Progress,
     as_input_error,
     check_choice,
@@ -216,7 +217,8 @@ def export_patterns(
         design.first_dwells(counted), "free-dwell" if design.looks else design.light
     )
     size = FRAME_FORMATS[settings.format].size(total, device)
-    check_disk_space(folder, size, 'write `format="png"`, which is small')
+    small = Message("write {format:png}, which is small", setting="format")
+    check_disk_space(folder, size, small)
     ends = np.full_like(counted.on[0], grid.mirrors), np.zeros_like(counted.on[0])
     on = chain(ends, counted.on, ends)
     with new_folder(folder) as draft:

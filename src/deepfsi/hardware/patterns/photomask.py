@@ -50,7 +50,8 @@ def as_svg(pattern: np.ndarray, pixel_um: float, about: str) -> bytes:
     if not np.isin(pattern, (0, 1)).all():
         raise InputError(
             "polygons are open or dark, and this pattern has grey levels: learn it with "
-            "`levels=2`, or write a .png"
+            "{levels:2}, or write a .png",
+            setting="levels",
         )
     height, width = (side * pixel_um for side in pattern.shape)
     lines = [
@@ -93,8 +94,10 @@ def read_static_pattern(file: str | os.PathLike[str]) -> np.ndarray:
     design = DesignFile.read(file)
     if design.mask_header.exposure.kind != "passing":
         raise InputError(
-            f"{file} has masks that a device shows one after the other, and a photomask is one "
-            "pattern that scenes pass: learn one with `bins`, or use `deepfsi dmd export`"
+            "{file} has masks that a device shows one after the other, and a photomask is one "
+            "pattern that scenes pass: learn one with {bins}, or use `deepfsi dmd export`",
+            setting="bins",
+            file=file,
         )
     pattern = design.arrays.get("exposure.pattern", np.zeros(0))
     if pattern.ndim != 2 or not ((pattern >= 0) & (pattern <= 1)).all():

@@ -50,8 +50,11 @@ class ScanMarkers:
         for name in ("line_start", "line_end"):
             if inputs[name] is None:
                 raise InputError(
-                    f"{header.path} does not say on which marker input the {name[5:]} of a line "
-                    f"is: give `{name}`, 0 to 3"
+                    "{path} does not say on which marker input the {end} of a line is: give "
+                    "{setting}, 0 to 3",
+                    setting=name,
+                    path=header.path,
+                    end=name[5:],
                 )
         numbers = [number for number in inputs.values() if number is not None]
         if any(not 0 <= number <= 3 for number in numbers) or len(set(numbers)) < len(numbers):

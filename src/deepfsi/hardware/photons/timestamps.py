@@ -17,7 +17,7 @@ from typing import Protocol
 
 import numpy as np
 
-from deepfsi.base import InputError
+from deepfsi.base import InputError, Message
 from deepfsi.base.numeric import (
     HDF5_ENDINGS,
     list_variables,
@@ -43,7 +43,9 @@ CHANNEL_NAMES |= {"inputs", "detector", "detectors", "det", "event", "eventid", 
 MOST_CHANNELS = 64
 """Different channels of a table whose columns have no names, at most."""
 
-NO_EVENTS = "of counts, not events, give `cumulative` or `bins`"
+NO_EVENTS = Message(
+    "of counts, not events, give {cumulative} or {bins}", setting=("cumulative", "bins")
+)
 """What to do with a table of counts."""
 
 MOST_NAMED_CHANNELS = 20
@@ -228,14 +230,22 @@ class EventTable:
         if not named_s and len(np.unique(channels)) > MOST_CHANNELS:
             swapped = len(np.unique(times)) <= MOST_CHANNELS
             raise InputError(
-                f"{path} has {len(np.unique(channels))} different numbers in its column of channels"
-                f"{', and few in that of times' if swapped else ''}: give the time first and the "
-                f"channel second, or name the columns 'time' and 'channel'; {NO_EVENTS}"
+                "{path} has {count} different numbers in its column of channels{also}: give the "
+                "time first and the channel second, or name the columns 'time' and 'channel'; "
+                "{otherwise}",
+                path=path,
+                count=len(np.unique(channels)),
+                also=", and few in that of times" if swapped else "",
+                otherwise=NO_EVENTS,
             )
         if named_s and unit_s and not math.isclose(named_s, unit_s):
             raise InputError(
-                f"{path} names its times as in units of {named_s:g} s, and `unit` is {unit_s:g} s: "
-                "leave `unit` out, or correct one of them"
+                "{path} names its times as in units of {named_s:g} s, and {unit} is {unit_s:g} s: "
+                "leave {unit} out, or correct one of them",
+                setting="unit",
+                path=path,
+                named_s=named_s,
+                unit_s=unit_s,
             )
         return Timestamps(times, channels, _check_unit(unit_s or named_s, path))
 
@@ -290,8 +300,12 @@ class _EventColumns:
         if width != 2 or times or channels:
             named = f" ({', '.join(names[:MOST_NAMED_CHANNELS])})" if names else ""
             raise InputError(
-                f"{self.path} has {width} columns{named}: give two, the time and the channel of "
-                f"each event, or name those two 'time' and 'channel'; {NO_EVENTS}"
+                "{path} has {width} columns{named}: give two, the time and the channel of each "
+                "event, or name those two 'time' and 'channel'; {otherwise}",
+                path=self.path,
+                width=width,
+                named=named,
+                otherwise=NO_EVENTS,
             )
         return 0, 1
 
@@ -309,5 +323,10 @@ def _check_unit(unit_s: float | None, path: Path) -> float:
     """Seconds of a tick; `InputError` where nothing says it, or it is none."""
     if unit_s is None or not TICKS_S[0] <= unit_s <= TICKS_S[1]:
         given = "no unit of its times" if unit_s is None else f"times in units of {unit_s:g} s"
-        raise InputError(f"{path} has {given}: give `unit`, 1e-15 to 1 s, such as 1ps")
+        raise InputError(
+            "{path} has {given}: give {unit}, 1e-15 to 1 s, such as 1ps",
+            setting="unit",
+            path=path,
+            given=given,
+        )
     return unit_s

@@ -19,7 +19,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from deepfsi.base import InputError, check_choice
+from deepfsi.base import InputError, Message, check_choice
 from deepfsi.hardware.light import FALSE_ALARMS
 
 CUTS = 20
@@ -395,7 +395,7 @@ def split_rails(values: np.ndarray, layout: str | None, masks: int | None, name:
         If the table does not hold these values, or may be read in two ways.
     """
     if layout is not None:
-        check_choice("`rails`", layout, LAYOUTS)
+        check_choice(Message("{rails}", setting="rails"), layout, LAYOUTS)
     shape = f"{name} has {values.shape[0]} rows and {values.shape[1]} columns"
     upright = values if values.shape[0] >= values.shape[1] else values.T
     wide = upright.shape[1]
@@ -413,20 +413,33 @@ def split_rails(values: np.ndarray, layout: str | None, masks: int | None, name:
     elif wide == 1 and layout is None:
         if masks not in (len(upright), len(upright) / 2):
             raise InputError(
-                f"{shape}, in which masks and inverses may stand in several ways: say `rails` "
-                "turns, halves or single"
+                "{shape}, in which masks and inverses may stand in several ways: say {rails} "
+                "turns, halves or single",
+                setting="rails",
+                shape=shape,
             )
         if masks != len(upright):
-            raise InputError(f"{shape}, for {masks} masks: say `rails` turns or halves")
+            raise InputError(
+                "{shape}, for {masks} masks: say {rails} turns or halves",
+                setting="rails",
+                shape=shape,
+                masks=masks,
+            )
         rails = upright[:, 0][None]
     else:
         raise InputError(
-            f"{shape}: give a column of masks and one of inverses (`rails` columns), or all in one "
-            "column (`rails` turns, halves or single)"
+            "{shape}: give a column of masks and one of inverses ({rails} columns), or all in one "
+            "column ({rails} turns, halves or single)",
+            setting="rails",
+            shape=shape,
         )
     if masks is not None and rails.shape[1] != masks:
         raise InputError(
-            f"{shape}, which are {rails.shape[1]} masks, and {masks} are needed: give the masks "
-            "that were shown, or another layout of `rails`"
+            "{shape}, which are {count} masks, and {masks} are needed: give the masks that were "
+            "shown, or another layout of {rails}",
+            setting="rails",
+            shape=shape,
+            count=rails.shape[1],
+            masks=masks,
         )
     return np.ascontiguousarray(rails)

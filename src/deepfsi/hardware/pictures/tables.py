@@ -125,7 +125,10 @@ def read_pictures(sources: Sequence[str], settings: TableMasks) -> TablePictures
     times = settings.exposures_s
     if times is not None and len(times) != len(sources):
         raise InputError(
-            f"{len(sources)} tables and {len(times)} `exposures`: give one time for each table"
+            "{tables} tables and {count} {exposures}: give one time for each table",
+            setting="exposures",
+            tables=len(sources),
+            count=len(times),
         )
     names = tuple(Path(source).name for source in sources)
     wavelet = wavelet_of(settings.masks)
@@ -182,8 +185,11 @@ def _square(pixels: int, name: str) -> tuple[int, int]:
     side = isqrt(pixels)
     if side**2 != pixels:
         raise InputError(
-            f"{name} is of {pixels} pixels, which are no square: give `size` HEIGHTxWIDTH, and "
-            "`rails` of a table in one column"
+            "{name} is of {pixels} pixels, which are no square: give {size} HEIGHTxWIDTH, and "
+            "{rails} of a table in one column",
+            setting=("size", "rails"),
+            name=name,
+            pixels=pixels,
         )
     return side, side
 

@@ -23,7 +23,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field, FiniteFloat, field_validator
 
-from deepfsi.base import SILENT, InputError, Progress, check_disk_space, new_folder
+from deepfsi.base import SILENT, InputError, Message, Progress, check_disk_space, new_folder
 from deepfsi.camera import DetectorRows, Device, DmdGrid, check_rows, mirrors_of_detectors
 from deepfsi.hardware.counting import Acquisition, Scene, prepare_run
 from deepfsi.hardware.patterns import (
@@ -199,8 +199,10 @@ def mirrors_of_arm(manifest: Manifest, rows: DetectorRows | None) -> list[np.nda
         labels = cells[manifest.grid.pixels]
     else:
         raise InputError(
-            f"these patterns are for {count} detectors, and nothing says which part of the device "
-            "each sees: give a `camera` with them, such as detectors = [[0, 1], [2, 3]]"
+            "these patterns are for {count} detectors, and nothing says which part of the device "
+            "each sees: give a {camera} with them, such as detectors = [[0, 1], [2, 3]]",
+            setting="camera",
+            count=count,
         )
     if labels.max() + 1 != count:
         raise InputError(
@@ -360,7 +362,11 @@ def record_scenes(
         flow = arrival_rates(patterns_folder, scenes, camera, settings.flux, report.between(0, 0.5))
         if not camera.gates:
             events = float(np.einsum("sfd,f->", camera.registered(flow), manifest.picture_s))
-            check_disk_space(target, 4 * events, "give less `flux` or a shorter `exposure`")
+            check_disk_space(
+                target,
+                4 * events,
+                Message("give less {flux} or a shorter {exposure}", setting=("flux", "exposure")),
+            )
         rng = np.random.default_rng(settings.seed)
         path = draft / "photons.ptu"
         clicks = None
@@ -376,8 +382,12 @@ def check_file_inputs(inputs: Sequence[int]) -> None:
     """Raise `InputError` if the file of a virtual recording has no such inputs."""
     if max(inputs) >= PtuWriter.inputs:
         raise InputError(
-            f"input {max(inputs) + 1} is none of a {PtuWriter.record_type} file, which has "
-            f"{PtuWriter.inputs}: use fewer `detectors`"
+            "input {number} is none of a {record_type} file, which has {inputs}: use fewer "
+            "{detectors}",
+            setting="detectors",
+            number=max(inputs) + 1,
+            record_type=PtuWriter.record_type,
+            inputs=PtuWriter.inputs,
         )
 
 
