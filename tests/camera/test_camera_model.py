@@ -39,22 +39,6 @@ def test_what_is_no_time_is_told(time):
         seconds(time)
 
 
-@pytest.mark.parametrize("exposure", ["1ms", "10ms", 0.5])
-def test_rates_become_counts_of_an_exposure_and_times_its_shares(exposure):
-    """The same light and the same frames are as many more counts, and as many shorter shares."""
-    camera = Camera(exposure=exposure, flux=2e6, dark=300, shortest_dwell="40us")
-    time = seconds(exposure)
-    assert camera.budget == pytest.approx(2e6 * time)
-    assert camera.dark_counts == pytest.approx(300 * time)
-    assert camera.shortest_share == pytest.approx(40e-6 / time)
-
-
-def test_without_an_exposure_it_lasts_a_second_and_rates_are_counts():
-    camera = Camera(flux=1e5, dark=7)
-    assert (camera.budget, camera.dark_counts, camera.shortest_share) == (1e5, 7, 0)
-    assert Camera().budget is None
-
-
 @pytest.mark.parametrize("name", DEVICES)
 def test_a_frame_of_a_device_is_counted_once_its_mirrors_have_settled(name):
     device = DEVICES[name]
@@ -91,54 +75,6 @@ def test_a_camera_of_an_older_file_keeps_its_stretched_cells_and_levels():
     plain = Camera().model_dump(mode="json")
     del plain["region"], plain["stretch"]
     assert not Camera.restored(plain).stretch  # no device, no levels: exports are square
-
-
-@pytest.mark.parametrize(
-    ("name", "light", "rails", "detectors", "readout"),
-    [
-        ("dmd", "free-dwell", "single", 1, "difference"),
-        ("dmd-2x2", "free-dwell", "single", 4, "difference"),
-        ("dmd-4x4", "free-dwell", "single", 16, "difference"),
-        ("two-arm", "two-arm", "dual", 1, "both"),
-        ("paper", "column", "dual", 1, "difference"),
-    ],
-)
-def test_presets_are_cameras(name, light, rails, detectors, readout):
-    camera = Camera.load(name)
-    assert (camera.light, camera.rails, camera.readout) == (light, rails, readout)
-    assert camera.detector_map((8, 8)).count == detectors
-    assert camera.noise == "poisson"
-    assert set(PRESETS) >= {name}
-
-
-def test_the_usual_camera_is_one_dmd_with_one_detector():
-    assert Camera.load() == Camera.load("dmd") == Camera()
-
-
-@pytest.mark.parametrize(
-    ("given", "noise", "sigma"),
-    [
-        ({}, "poisson", 1.0),
-        ({"dark": 5}, "camera", 0.0),
-        ({"noise": "camera"}, "camera", 0.0),
-        ({"noise": "gaussian"}, "gaussian", 1.0),
-        ({"dark": 5, "sigma": 2}, "camera", 2.0),
-        ({"noise": "gaussian", "sigma": 3}, "gaussian", 3.0),
-    ],
-)
-def test_noise_follows_from_dark_counts_and_read_noise_from_it(given, noise, sigma):
-    camera = Camera(**given)
-    assert (camera.noise, camera.sigma) == (noise, sigma)
-
-
-def test_what_was_not_given_follows_from_an_override():
-    one = Camera.load("two-arm", dark=5.0)
-    assert one.given_fields == {"light": "two-arm", "dark": 5.0}
-    other = Camera.load(one, light="free-dwell", dark=0.0)
-    assert (other.rails, other.readout, other.noise) == ("single", "difference", "poisson")
-    kept = Camera.load(Camera(rails="dual"), light="equal-dwell")
-    assert kept.rails == "dual"
-    assert Camera.load("dmd", device="dlp7000").shortest_dwell == 32e-6
 
 
 FULL = {

@@ -29,24 +29,6 @@ def prepared(done, lab, *words, patterns="patterns"):
     return run, content
 
 
-def test_a_folder_is_prepared_for_a_real_lab(done, lab):
-    run, content = prepared(done, lab, "--input", 2, "--marker", 3, "--exposure", "2ms")
-    assert content["scenes"] == [
-        {"name": "first", "label": "cat"},
-        {"name": "second", "label": "dog"},
-        {"name": "third", "label": None},
-    ]
-    assert (content["inputs"], content["marker_bit"]) == ([1], 8)
-    assert (content["flux"], content["camera"], content["seed"]) == (None, None, None)
-    assert (content["exposure_s"], content["repeats"]) == (2e-3, 5)
-    assert content["settle_s"] == pytest.approx(1e-5)
-    assert sorted(path.name for path in (run / "patterns").iterdir()) == [
-        "design.safetensors",
-        "manifest.json",
-        "mirrors.npy",
-    ]
-
-
 def test_the_longest_exposure_ends_before_the_next_marker_may_come(done, lab):
     run, content = prepared(done, lab)
     assert content["exposure_s"] == pytest.approx(11 * (DWELL - 1e-5 - 1e-5))
@@ -74,12 +56,6 @@ def test_pictures_are_a_list_of_scenes_too(done, lab):
     patterns_of(lab / "masks", file=None)  # no design that could see the pictures
     _, content = prepared(done, lab, patterns="masks")
     assert [scene["label"] for scene in content["scenes"]] == [str(k) for k in range(10)]
-
-
-def test_a_list_that_is_not_there_is_no_missing_picture(refuse, lab):
-    words = ["--scenes", lab / "nosuch.csv", "-o", lab / "other"]
-    said = refuse("camera", "prepare", lab / "patterns", *words)
-    assert "nosuch.csv: give a list of scenes" in said
 
 
 def record(run) -> Run:
@@ -129,19 +105,3 @@ def test_wrong_wiring_is_put_right_when_counting(done, refuse, lab):
     assert "--input 0 is not allowed: give 1 to 64" in refuse("camera", "count", run, "--input", 0)
     assert "2 inputs are given" in refuse("camera", "count", run, "--input", 1, "--input", 2)
     assert "--input 65" in refuse("camera", "count", run, "--input", 65)
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["--scenes", "none.txt"], "none.txt"),
-        (["--input", "0"], "give 1 to 64"),
-        (["--marker", "4"], "--marker"),
-        (["--exposure", "1"], "does not fit"),
-        (["--settle", "2ms"], "exposure"),
-        (["--flux", "-1"], "flux"),
-    ],
-)
-def test_what_cannot_be_prepared_leaves_nothing(refuse, lab, words, said):
-    usual = ["--scenes", lab / "scenes.csv", "-o", lab / "run"]
-    assert said in refuse("camera", "prepare", lab / "patterns", *usual, *words)

@@ -38,44 +38,10 @@ def test_clusters_stand_for_the_scenes(done, refuse, tmp_path):
     assert not (tmp_path / "many.safetensors").exists()
 
 
-def test_it_is_evaluated_with_its_looks(done, file):
-    told = json.loads(done("evaluate", file, "--photons", "1e4", "--draws", 1, "--json"))
-    [result] = told["results"]
-    assert len(result["photons_per_mask"]) == 3
-    assert 0.3 < result["accuracy"] < 1
-    assert (told["detectors"], told["readout"]) == (1, "difference")
-
-
 def test_one_exposure_is_drawn(done, file, tmp_path):
     out = tmp_path / "looks.png"
     done("show", file, "-o", out)
     assert out.read_bytes().startswith(b"\x89PNG")
-
-
-def test_a_camera_runs_with_it_and_replays_its_run(done, file, tmp_path):
-    told = json.loads(done("dmd", "export", file, "-o", tmp_path / "patterns", "--json"))
-    assert (told["looks"], told["mask_frames"], told["load_s"]) == (3, 1, 3.3e-3)
-    done("data", "export", "digits", "--per-class", 1, "-o", tmp_path / "scenes")
-    shown = ("--scene", tmp_path / "scenes", "--exposure", "10ms", "--flux", "1e6")
-    done("camera", "live", tmp_path / "patterns", *shown, "-o", tmp_path / "run")
-    again = json.loads(done("camera", "classify", file, tmp_path / "run", "--json"))
-    assert [each["agrees"] for each in again["scenes"]] == [True] * 10
-    assert {each["looks"] for each in again["scenes"]} == {3}
-
-
-def test_a_page_is_written(done, refuse, file, tmp_path):
-    out = tmp_path / "a.html"
-    told = json.loads(done("page", file, "-o", out, "--json"))
-    assert [point["photons"] for point in told["curve"]] == [10.0**power for power in range(1, 8)]
-    assert told["test"]["images"] == 300
-    assert told["rules"] == []
-    assert "knows the 537 training scenes" in out.read_text()
-    assert "end the name in .html" in refuse("page", file, "-o", tmp_path / "a")
-
-
-def test_it_stops_early(done, file):
-    told = json.loads(done("stop", file, "--photons", "1e4", "--draws", 1, "--json"))
-    assert told["rule"]["after"] == [1, 2, 3]
 
 
 @pytest.mark.parametrize(

@@ -55,16 +55,6 @@ def run(done, lab, patterns, tmp_path):
     return tmp_path / "run"
 
 
-def test_patterns_are_exported_and_checked(refuse, done, lab, tmp_path):
-    said = json.loads(done(*export(lab, "-o", tmp_path / "p", "--json")))
-    assert said["mask_frames"] + 4 == said["frames"]
-    done("dmd", "check", tmp_path / "p")
-    frames = bytearray((tmp_path / "p" / "frames.npy").read_bytes())
-    frames[-1000] ^= 1
-    (tmp_path / "p" / "frames.npy").write_bytes(frames)
-    assert "frame" in refuse("dmd", "check", tmp_path / "p")
-
-
 def test_patterns_are_evaluated_as_they_are_realised(done, lab, patterns, digits):
     out = done("evaluate", patterns, "--photons", "1e4", "--json")
     design = Design.load(lab / "design.safetensors").as_shown(*read_patterns(patterns).realised)
@@ -89,46 +79,6 @@ def test_a_dimmed_design_reads_its_own_counts(made, tmp_path, done):
     )
     light = [each.rails.total.sum() for each in (shown, column)]
     np.testing.assert_allclose(light[0], dimmed * light[1], rtol=0.01)
-
-
-def test_from_photons_to_classes(done, lab, patterns, tmp_path):
-    run = tmp_path / "run"
-    out = done(
-        "camera", "simulate", patterns, "--scene", lab / "images", "--flux", 1e7,
-        "--exposure", "5ms", "--virtual", "ideal", "-o", run, "--json",
-    )  # fmt: skip
-    assert len(json.loads(out)["acquisition"]["scenes"]) == 3
-    out = done("camera", "count", run, "--exposure", "1ms", "--json")
-    counted = json.loads(out)
-    assert np.shape(counted["counts"])[0] == 3
-    assert counted["faults"] == []
-    assert counted["photons"] == pytest.approx([1e4] * 3, rel=0.1)
-    out = done("camera", "classify", lab / "design.safetensors", run, "--json")
-    scenes = json.loads(out)["scenes"]
-    assert [scene["label"] for scene in scenes] == ["0", "3", "7"]
-    assert all(scene["exposures"] == np.shape(counted["counts"])[1] for scene in scenes)
-    done("camera", "image", run)
-    with Image.open(run / "picture.png") as picture:
-        assert picture.width > 200
-    out = done("camera", "inspect", run / "photons.ptu", "--json")
-    contents = json.loads(out)
-    assert contents["markers"]["0"] == 3 * len(read_patterns(patterns).manifest.frames)
-
-
-@pytest.mark.parametrize("words", [[], ["--json"]])
-def test_a_cut_file_is_inspected_as_far_as_it_goes_and_ends_in_2(call, run, words):
-    path = run / "photons.ptu"
-    path.write_bytes(path.read_bytes()[:-400])
-    code, out, errors = call("camera", "inspect", path, *words)
-    assert code == 2
-    assert "records" in out
-    assert errors.count("\n") == 1
-    assert "100 of" in errors
-
-
-def test_another_design_is_not_taken_for_the_one_that_was_shown(refuse, run, tmp_path, digits):
-    quick(digits, light="equal-dwell", seed=1).save(tmp_path / "other.safetensors")
-    assert "not the design" in refuse("camera", "classify", tmp_path / "other.safetensors", run)
 
 
 @pytest.fixture
@@ -161,13 +111,6 @@ def test_a_wrong_budget_is_refused(refuse, done, lab, run):
     budget = json.loads(done(*words, "--json"))["scenes"][0]["photons"]
     assert "0.25 times the counts" in refuse(*words, "--photons", 4 * budget)
     assert "photon budget 0.0 is not allowed" in refuse(*words, "--photons", 0)
-
-
-def test_sound_counts_are_classified_with_their_consistency(done, lab, run):
-    said = json.loads(done("camera", "classify", lab / "design.safetensors", run, "--json"))
-    assert said["consistency"]["whole"] > said["consistency"]["false_alarms"]
-    for scene in said["scenes"]:
-        assert scene["unsure"] == (scene["consistency"] < 0.01)
 
 
 def test_labels_that_the_design_does_not_know_are_left_out(done, lab, run):
@@ -203,13 +146,6 @@ def test_a_design_without_a_distribution_is_not_tested(done, lab, run):
     assert json.loads(done(*words, "--json"))["consistency"] is None
 
 
-def test_a_looks_design_is_not_the_one_whose_patterns_a_run_showed(refuse, run, tmp_path, digits):
-    looks = quick(digits, masks=4, light="free-dwell", rails="single", looks=2)
-    looks.save(tmp_path / "looks.safetensors")
-    words = ["camera", "classify", tmp_path / "looks.safetensors", run]
-    assert "whose patterns were shown" in refuse(*words)
-
-
 def test_patterns_are_read_once(done, lab, run, monkeypatch):
     read, times = acquisition.read_patterns, []
     monkeypatch.setattr(
@@ -217,53 +153,6 @@ def test_patterns_are_read_once(done, lab, run, monkeypatch):
     )
     done("camera", "classify", lab / "design.safetensors", run)
     assert len(times) == 1
-
-
-def test_the_cost_in_time_is_stated(done, lab, tmp_path):
-    words = export(lab, "-o", tmp_path / "p", "--dwell", "44us", "--json")
-    said = json.loads(done(*words))
-    manifest = read_patterns(tmp_path / "p").manifest
-    counted = said["longest_exposure_s"] * manifest.shares.sum() / said["pass_s"]
-    assert sum(said["uncounted"].values()) == pytest.approx(1 - counted)
-    assert said["uncounted"]["settling"] == pytest.approx(
-        10e-6 * said["mask_frames"] / said["pass_s"]
-    )
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["dmd", "export", "{design}", "-o", "x", "--device", "dlp70"], "dlp7000"),
-        (["dmd", "export", "{design}", "-o", "x", "--dwell", "soon"], "--dwell"),
-        (["dmd", "export", "{design}", "-o", "x", "--selection", "some"], "some"),
-        (["dmd", "export", "{design}", "-o", "x", "--format", "jpg"], "jpg"),
-        (["dmd", "export", "{design}", "-o", "x", "--device", "4x4"], "4"),
-        (["dmd", "check", "nowhere"], "nowhere"),
-        (["camera", "count", "nowhere"], "nowhere"),
-        (["camera", "classify", "{design}", "nowhere"], "nowhere"),
-        (["camera", "image", "nowhere", "-o", "x.txt"], "x.txt"),
-        (["camera", "inspect", "{design}"], "PTU"),
-        (["data", "export", "digits", "-o", "x", "--per-class", "5000"], "5000"),
-        (["evaluate", ".", "--photons", "1e3"], "design"),
-    ],
-)
-def test_bad_input_is_one_line(refuse, lab, tmp_path, monkeypatch, words, said):
-    monkeypatch.chdir(tmp_path)
-    assert said in refuse(*(word.format(design=lab / "design.safetensors") for word in words))
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["--exposure", "10s"], "longer --exposure"),
-        (["--exposure", "1ms", "--flux", "-1"], "flux"),
-        (["--exposure", "1ms", "--virtual", "eye"], "pmt"),
-        (["--exposure", "1ms", "--scene", "nothing.png"], "nothing.png"),
-    ],
-)
-def test_a_recording_that_cannot_be_leaves_nothing(refuse, lab, patterns, tmp_path, words, said):
-    usual = ["--flux", 1e6, "--scene", lab / "images", "-o", tmp_path / "run"]
-    assert said in refuse("camera", "simulate", patterns, *usual, *words)
 
 
 def test_a_camera_is_calibrated_by_files_alone(done, tmp_path):

@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 from safetensors.numpy import load_file
 
-from deepfsi.camera import Camera
-from deepfsi.cli.camera import camera_template
 from deepfsi.datasets import write_pictures
 
 FILE = """
@@ -81,21 +79,6 @@ def test_a_camera_file_drives_a_live_run_as_its_options_do(done, lab, tmp_path):
         again = json.loads(done("camera", "classify", design, run, "--json"))
         answers.append((files_of(run), again))
     assert answers[0] == answers[1]
-
-
-def test_the_template_is_a_camera_file_and_says_every_field(done, tmp_path):
-    done("camera", "describe", "--template", tmp_path / "mine.toml")
-    assert Camera.load(tmp_path / "mine.toml") == Camera()
-    assert all(f"{name} = " in camera_template() for name in Camera.model_fields)
-
-
-def test_a_camera_is_described_in_words(done, lab):
-    said = done("camera", "describe", lab / "my-lab.toml")
-    for part in ("one DMD", "dlp7000", "10000 counts", "2 dark counts", "up to 312", "20 ns"):
-        assert part in said
-    told = json.loads(done("camera", "describe", "two-arm", "--exposure", "10ms", "--json"))
-    assert told["camera"]["rails"] == "dual"
-    assert told["camera"]["readout"] == "both"
 
 
 @pytest.mark.parametrize(

@@ -94,13 +94,6 @@ def test_a_free_detector_gives_clicks_and_its_budget(done, refuse, lab, tmp_path
     assert said["scenes"][0]["exposures"] == 2 * EXPOSURES
 
 
-def test_a_recording_of_virtual_devices_is_counted_in_clicks(done, lab, tmp_path):
-    pictures = lab / "images" / "0"
-    words = ["--exposure", "25ms", "--flux", PHOTONS / 25e-3, "-o", tmp_path / "run"]
-    done("camera", "record", lab / "patterns", "--scene", pictures, *words)
-    assert json.loads(done("camera", "count", tmp_path / "run", "--json"))["gates"] == GATES
-
-
 def test_photon_counts_are_not_taken_for_clicks(done, refuse, lab, tmp_path):
     done(*simulate(lab, "--virtual", "ideal"), "-o", tmp_path / "free")
     count_run(tmp_path / "free")

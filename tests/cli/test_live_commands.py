@@ -74,19 +74,6 @@ def test_patterns_of_looks_are_not_recorded_as_a_sequence(refuse, lab, tmp_path)
     assert not (tmp_path / "run").exists()
 
 
-def test_in_json(done, lab, tmp_path):
-    words = ["--scene", lab / "images", *LIGHT, "--until", 0.2, "--dead-time", "1ns"]
-    words += ["-o", tmp_path / "run", "--json"]
-    live = json.loads(done("camera", "live", lab / "patterns", *words))["scenes"]
-    assert read_run(tmp_path / "run").acquisition.live.dead_time.seconds == 1e-9
-    counted = json.loads(done("camera", "count", tmp_path / "run", "--json"))
-    assert [len(each) - 2 for each in counted["counts"]] == [each["looks"] for each in live]
-    words = ["camera", "classify", lab / "looks.safetensors", tmp_path / "run", "--json"]
-    for each, again in zip(live, json.loads(done(*words))["scenes"], strict=True):
-        assert again.pop("agrees")
-        assert again == each
-
-
 def test_a_design_file_is_exported_for_the_moment(done, lab, tmp_path):
     words = ["--scene", lab / "images" / sorted(os.listdir(lab / "images"))[0], *LIGHT]
     done("camera", "live", lab / "looks.safetensors", *words, "-o", tmp_path / "run")

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
 from scipy.linalg import hadamard
 
 REAL = Path(os.environ.get("DEEPFSI_DATA") or ".")
@@ -21,36 +20,6 @@ needs_wavelet = pytest.mark.skipif(
 )
 
 
-@pytest.fixture
-def steady(tmp_path) -> Path:
-    """Poisson counts of a constant light, 256 masks and their inverses in turn."""
-    rng = np.random.default_rng(0)
-    scene = np.zeros((16, 16))
-    scene[4:12, 6:10] = 40.0
-    masks = hadamard(256)
-    mean = np.stack([(masks > 0) @ scene.ravel(), (masks < 0) @ scene.ravel()], axis=1)
-    np.savetxt(tmp_path / "counts.csv", rng.poisson(mean).reshape(-1), fmt="%d")
-    return tmp_path / "counts.csv"
-
-
-def test_a_table_gives_pictures_and_a_verdict(done, steady, tmp_path):
-    words = ["camera", "picture", steady, "--masks", "hadamard-natural", "--rails", "turns"]
-    folder = tmp_path / "p"
-    assert "these counts are Poisson, as far as they tell" in done(*words, "-o", folder)
-    assert {file.name for file in folder.iterdir()} == {
-        *("picture.png", "light.png", "pictures.npy", "verdict.json")
-    }
-    assert np.load(folder / "pictures.npy").shape == (1, 16, 16)
-    with Image.open(folder / "light.png") as light:
-        assert light.width > 500
-    told = json.loads((folder / "verdict.json").read_text())
-    assert told["light"]["poisson"] is True
-    printed = json.loads(done(*words, "-o", tmp_path / "q", "--json"))
-    assert printed.pop("schema") == "deepfsi.camera.picture/1"
-    assert printed.pop("folder") == str(tmp_path / "q")
-    assert printed == told
-
-
 def test_an_excess_of_one_run_and_of_two_is_said(done, tmp_path):
     rng, masks = np.random.default_rng(1), hadamard(256)
     for name in "ab":
@@ -62,19 +31,6 @@ def test_an_excess_of_one_run_and_of_two_is_said(done, tmp_path):
     said = done("camera", "picture", *files, *words, "-o", tmp_path / "p")
     assert "THESE COUNTS ARE NOT POISSON" in said
     assert "of each table by itself: 10." in said or "of each table by itself: 9." in said
-
-
-@pytest.mark.parametrize(
-    ("words", "named"),
-    [
-        (["--masks", "hadamard-natural", "--size", "16x16"], "--rails"),
-        (["--masks", "hadamrd"], "hadamard-natural"),
-        (["--masks", "hadamard-natural", "--rails", "turns", "--exposures", "1ms,2ms"], "1 table"),
-        (["--masks", "hadamard-natural", "--rails", "turns", "--compare", "no.npy"], "no.npy"),
-    ],
-)
-def test_a_wrong_table_leaves_nothing(refuse, steady, tmp_path, words, named):
-    assert named in refuse("camera", "picture", steady, *words, "-o", tmp_path / "p")
 
 
 @needs_counter
@@ -102,17 +58,6 @@ def test_three_exposures_of_a_photon_counter(done, tmp_path):
     assert [off[0] for off in told["off"]] == [4, 9, 9]
     assert told["on"] == [1283, 2571, 5306]
     assert np.ptp(told["rates"]) / np.mean(told["rates"]) < 0.01
-
-
-@needs_counter
-def test_one_column_of_masks_and_inverses_in_turn(done, tmp_path):
-    file = COUNTER / "240324_14_256_1000_0.npy"
-    words = ["--masks", "hadamard-natural", "--rails", "turns", "--block", "64"]
-    told = json.loads(done("camera", "picture", file, *words, "-o", tmp_path / "o", "--json"))
-    assert np.load(tmp_path / "o" / "pictures.npy").shape == (1, 16, 16)
-    assert (told["on"], told["off"][0][0]) == ([821], 10)
-    assert not told["light"]["poisson"]
-    assert told["light"]["causes"]["fineness"]["share"] == pytest.approx(0.834, abs=5e-4)
 
 
 @needs_wavelet

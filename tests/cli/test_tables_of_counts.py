@@ -66,34 +66,6 @@ def guesses(said: str) -> list[str]:
     return [scene["class"] for scene in json.loads(said)["scenes"]]
 
 
-def test_a_table_is_classified_whatever_its_file(done, lab):
-    words = ["camera", "classify", lab.patterns]
-    text = done(*words, lab.folder / "counts.csv", "--json")
-    said = json.loads(text)
-    assert said["consistency"]["whole"] > said["consistency"]["false_alarms"]
-    assert [scene["scene"] for scene in said["scenes"][:2]] == ["s0", "s1"]
-    budgets = {scene["photons"] for scene in said["scenes"]}
-    assert len(budgets) == 1
-    right = np.mean([scene["class"] == scene["label"] for scene in said["scenes"]])
-    assert right > 0.6  # ten classes
-    for name in ("counts.npy", "counts.mat"):
-        assert guesses(done(*words, lab.folder / name, "--json")) == guesses(text)
-    printed = done(*words, lab.folder / "counts.csv")
-    assert f"right: {round(right * SCENES)} of {SCENES} exposures" in printed
-
-
-def test_a_design_file_does_without_patterns(done, lab):
-    """Pictures of whole microseconds after settling are nearly in proportion to their shares."""
-    table = lab.folder / "counts.npy"
-    by_patterns = guesses(done("camera", "classify", lab.patterns, table, "--json"))
-    by_design = guesses(done("camera", "classify", lab.design, table, "--json"))
-    assert np.mean([a == b for a, b in zip(by_patterns, by_design, strict=True)]) > 0.9
-    np.save(lab.folder / "bare.npy", lab.values[:, 2:-2])
-    words = ["--photons", FLUX * 8 * DWELL, "--background", 8, "--json"]
-    again = guesses(done("camera", "classify", lab.design, lab.folder / "bare.npy", *words))
-    assert np.mean([a == b for a, b in zip(by_design, again, strict=True)]) > 0.9
-
-
 def test_counts_in_a_wrong_order_are_refused(refuse, done, lab):
     backwards = lab.values.copy()
     backwards[:, 2:-2] = backwards[:, -3:1:-1]
@@ -213,21 +185,3 @@ def test_dead_time_of_a_table_is_corrected(done, refuse, lab):
     assert "paralysable" in refuse(*words, "--dead-time", "1ns", "--dead-time-model", "some")
     assert "less than or equal to 0.00001" in refuse(*words, "--dead-time", "1ms")
     assert "dim the light" in refuse(*words, "--dead-time", "1us")
-
-
-def test_the_dead_time_of_a_recording_is_corrected_and_said(done, lab, tmp_path):
-    camera = tmp_path / "slow.toml"
-    camera.write_text("dead_time_s = 1e-7\nparalysable = true\n")
-    write_pictures({"a.png": np.full((8, 8), 0.5)}, tmp_path / "images")
-    words = ["--scene", tmp_path / "images", "--flux", 3 * FLUX, "--exposure", "5ms", "-o"]
-    done("camera", "simulate", lab.patterns, "--virtual", camera, *words, tmp_path / "run")
-    bare = json.loads(done("camera", "count", tmp_path / "run", "--json"))
-    words = ["--dead-time", "100ns", "--dead-time-model", "paralysable"]
-    found = json.loads(done("camera", "count", tmp_path / "run", *words, "--json"))
-    assert (bare["dead_time_s"], bare["paralysable"]) == (0, False)
-    assert (found["dead_time_s"], found["paralysable"]) == (pytest.approx(1e-7), True)
-    assert bare["arrivals"] == bare["photons_counted"] == found["photons_counted"]
-    assert found["arrivals"] > 1.02 * bare["arrivals"]
-    assert found["photons"][0] > 1.05 * bare["photons"][0]
-    said = done("camera", "count", tmp_path / "run", *words)
-    assert "dead time of 100 ns, paralysable: " in said

@@ -8,19 +8,13 @@ import pytest
 import torch
 
 from conftest import RECIPE
-from deepfsi import Design, Mlp, evaluate
+from deepfsi import Design, evaluate
 from deepfsi.base import InputError
 from deepfsi.datasets import Dataset, from_arrays
-from deepfsi.design.classifiers import Replicas
 from deepfsi.design.exposure.looks import Dwells, LooksExposure
 from deepfsi.design.stopping import StoppingRule
 from deepfsi.optics import constraints
-from deepfsi.optics.detection import ONE
-from deepfsi.optics.features import FeatureNoise
-from deepfsi.optics.masks import LearnedMasks
 from deepfsi.optics.rails import Rails
-from deepfsi.training.draws import SeedStream
-from deepfsi.training.features import LooksFeatures
 from deepfsi.training.learning import train
 from deepfsi.training.training_set import TrainingSet
 from shared.design_files import refused, rewrite
@@ -183,40 +177,6 @@ def test_gradients_through_all_looks_are_those_of_finite_differences():
     assert torch.autograd.gradcheck(exposed, (weight, light))
 
 
-def test_gradients_of_masks_in_a_step_are_those_of_finite_differences(digits):
-    """Through the looks, the standardisation and the peaks, in the step that training takes."""
-    one = job(photons=1e4, masks=3, looks=2, noise="ml_gauss", **RECIPE, **ONE_DMD)
-    scenes = TrainingSet(digits, "cpu")
-    scenes.full = scenes.full.double()
-    start = torch.from_numpy(scenes.matrix("class-pairs", 3, 0)).abs()[None]
-    masks = LearnedMasks(start[..., scenes.varying], "equal-dwell", "single").double()
-    network = Mlp(7, 3, (5,), generator=torch.Generator().manual_seed(0)).double()
-    choose, weight = Replicas([network], stacked=False), torch.randn(6).double()
-    x, gain = scenes.centred("free-dwell", torch.float32, ONE), 1e4 / scenes.summed_reflectance
-
-    def loss():
-        noise = FeatureNoise.of(one.noise, [gain], [1.0], [0], scenes.device)
-        stream = SeedStream(0, slice(0, 1), noise, scenes.labels, 200)
-        stream.shuffle()
-        exposure = LooksExposure(Dwells(3, each_rail=False), network, 2)
-        features = LooksFeatures(
-            [stream], masks, x, choose, exposure, noise.gain, RECIPE["scale"], ONE
-        )
-        normal = torch.Generator().manual_seed(5)
-        stream.normal = lambda m: torch.randn(200, 1, m, generator=normal, dtype=torch.float64)
-        stream.noise.unit = stream.noise.unit.double()
-        return (features.at(0) @ weight).sigmoid().sum()
-
-    (found,) = torch.autograd.grad(loss(), [masks.weight])
-    place = tuple(int(k) for k in torch.unravel_index(found.abs().argmax(), found.shape))
-    with torch.no_grad():
-        ends = []
-        for change in (3e-3, -6e-3):
-            masks.weight[place] += change
-            ends.append(float(loss()))
-    assert (ends[0] - ends[1]) / 6e-3 == pytest.approx(float(found[place]), rel=3e-3)
-
-
 def test_two_looks_tell_what_one_cannot():
     """One of 4 doors is lit and says which of 4 windows to look at; who cannot look again sees all.
 
@@ -273,14 +233,6 @@ def test_masks_dwells_and_classifier_all_learn(digits, noise):
     assert not all(torch.allclose(one, other) for one, other in pairs)
 
 
-def test_a_file_keeps_everything(digits, design, tmp_path):
-    path = design.save(tmp_path / "looks.safetensors")
-    loaded = Design.load(path)
-    first, second = (evaluate(each, digits, 1e3)[0] for each in (design, loaded))
-    assert first == second
-    assert loaded.exposure.looks == LOOKS
-
-
 @pytest.mark.parametrize(
     "damage",
     [
@@ -298,35 +250,11 @@ def test_damaged_looks_are_refused(design, tmp_path, damage):
     refused(path)
 
 
-def test_the_same_seed_repeats(digits, design):
-    assert torch.equal(seeing(digits).rails.stacked, design.rails.stacked)
-    assert not torch.equal(seeing(digits, seed=1).rails.stacked, design.rails.stacked)
-
-
 def test_the_light_that_is_counted_is_measured(digits, design):
     train = replace(digits, x_test=digits.x_train, y_test=digits.y_train)
     counted = exposures(design, train, 1e3, draws=2).features.double()
     error = counted.std(dim=0) / len(counted) ** 0.5
     assert ((counted.mean(dim=0) - design.shares).abs() < 5 * error * 2**0.5 + 1e-6).all()
-
-
-@pytest.mark.parametrize(
-    ("settings", "words"),
-    [
-        ({"light": "column"}, "free-dwell"),
-        ({"light": "equal-dwell"}, "free-dwell"),
-        ({"rails": "dual"}, 'use `readout="both"`'),
-        ({"nested": 2}, "nested and looks are of different exposures"),
-        ({"span": 10.0}, "span and looks are of different exposures"),
-        ({"noise": "gaussian"}, "photon noise"),
-        ({"design": "control"}, "one look only"),
-        ({"design": "impulse", "masks": 64}, "one look only"),
-        ({"looks": 0}, "looks"),
-    ],
-)
-def test_what_cannot_look_again_is_refused(digits, settings, words):
-    with pytest.raises(InputError, match=words):
-        seeing(digits, **settings)
 
 
 def test_what_a_fixed_sequence_is_for_is_refused(digits, design):
@@ -372,15 +300,3 @@ def test_at_the_command_line(call, tmp_path):
     assert code == 0
     assert json.loads(out)["rule"]["after"] == [1, 2, 3]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["looks.safetensors"]
-
-
-@pytest.mark.parametrize("before", [(), (5,), (5, 2)])
-def test_the_dwells_of_two_rails_follow_one_another(before):
-    """Of one exposure, of several, and of the looks of several."""
-    dwells = Dwells(masks=3, each_rail=True)
-    given = np.arange(np.prod((*before, 6))).reshape(*before, 6)
-    apart = dwells.by_rail(given)
-    assert apart.shape == (*before, *dwells.shape)
-    assert (apart[..., 0, :] == given[..., ::2]).all()
-    assert (apart[..., 1, :] == given[..., 1::2]).all()
-    assert (dwells.by_mask(apart) == given).all()

@@ -6,7 +6,7 @@ import torch
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
-from deepfsi import AdaptiveDesign, evaluate, learn
+from deepfsi import evaluate, learn
 from deepfsi.base import InputError
 from deepfsi.design.adaptive.posterior import AdaptivePosterior, LookOptics
 from deepfsi.design.adaptive.prior import ScenePrior
@@ -81,19 +81,6 @@ def test_one_centre_a_class_is_a_normal_law_of_each_class():
     exact = np.exp(logs - logsumexp(logs, axis=1)[:, None])
     np.testing.assert_allclose(state.chances, exact, atol=0.05)
     assert (exact.max(axis=1) < 0.9).any(), "some classes are not told apart"
-
-
-def test_a_file_keeps_the_centres_and_what_they_stand_for(digits, tmp_path):
-    design, whole, again = (learn(digits, **settings(count)) for count in (8, None, 8))
-    path = design.save(tmp_path / "c.safetensors")
-    back = AdaptiveDesign.load(path)
-    assert len(back.prior) == 80
-    assert torch.equal(back.prior.members, design.prior.members)
-    assert len(design.to_bytes()) < len(whole.to_bytes()) / 2
-    assert back.to_bytes() == path.read_bytes()
-    for name, held in design.prior.arrays.items():
-        assert np.array_equal(held, again.prior.arrays[name]), name
-    assert evaluate(back, digits, PHOTONS) == evaluate(AdaptiveDesign.load(path), digits, PHOTONS)
 
 
 def test_centres_answer_as_the_scenes_do_and_more_of_them_better(digits):

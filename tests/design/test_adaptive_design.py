@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from deepfsi import AdaptiveDesign, Camera, Design, Job, evaluate, learn, load_design
+from deepfsi import AdaptiveDesign, Camera, evaluate, learn, load_design
 from deepfsi.base import InputError
 from deepfsi.design.stopping import stop
-from deepfsi.sweeps.recipe import Recipe
-from deepfsi.sweeps.trial import plan
 from shared.design_files import header_of, rewrite
 
 LOOKS, PHOTONS, HELD_OUT = 6, 1e4, 200
@@ -45,11 +43,6 @@ def test_a_file_gives_the_design_back(adaptive, few, tmp_path):
     # scenes are kept in 8 bits: some answers may change, of the same noise and few of them
     assert found.accuracy == pytest.approx(wanted.accuracy, abs=0.05)
     assert evaluate(back, few, PHOTONS) == evaluate(same, few, PHOTONS)
-
-
-def test_a_design_file_of_known_masks_is_opened_too(good, tmp_path):
-    path = good.save(tmp_path / "d.safetensors")
-    assert isinstance(load_design(path), Design)
 
 
 def shorter(header, tensors):
@@ -168,30 +161,10 @@ def test_noise_that_is_not_of_photons_is_refused_in_a_test(adaptive, few):
         evaluate(adaptive, few, PHOTONS, noise="gaussian", sigma=2.0)
 
 
-def test_comparisons_have_them_where_a_device_can_show_them(few):
-    recipe = Recipe(
-        data="digits", designs=["pca", "adaptive"], masks=[4], photons=[1e4], trials=1,
-        camera={"light": ["free-dwell", "equal-dwell", "column"], "rails": "dual"},
-    )  # fmt: skip
-    lights = {
-        (trial.job.design, trial.job.camera.light, trial.job.camera.rails)
-        for trial in plan(recipe, few)
-    }
-    assert {each for each in lights if each[0] == "adaptive"} == {
-        ("adaptive", "free-dwell", "single")
-    }
-    assert len([each for each in lights if each[0] == "pca"]) == 3
-
-
 def test_counts_of_a_training_are_reached(kept):
     made = learn(kept, design="adaptive", masks=2, counts=1000.0)
     photons = made.info["job"]["photons"]
     assert photons * float(made.shares.sum()) == pytest.approx(1000, rel=0.02)
-
-
-def test_a_job_keeps_its_camera(adaptive):
-    assert adaptive.camera == Job.model_validate(adaptive.info["job"]).camera
-    assert adaptive.quantised(2) is adaptive
 
 
 def test_the_header_holds_no_scene(adaptive, tmp_path):

@@ -259,13 +259,6 @@ def test_each_mask_is_of_what_its_own_exposure_counted():
     assert torch.equal(next_masks(kept, 0.5, generator()), second[1:])
 
 
-@pytest.mark.parametrize("growth", [0.1, 1.0, 5.0])
-def test_looks_share_the_exposure_out(growth):
-    settings = AdaptiveMasks(looks=7, growth=growth)
-    assert sum(settings.shares) == pytest.approx(1)
-    assert settings.shares[-1] / settings.shares[0] == pytest.approx(growth)
-
-
 @pytest.mark.parametrize("light", ["free-dwell", "two-arm"])
 def test_photons_are_conserved(light):
     """Both arms count all photons, one no more than its open mirrors; dark counts are no light."""

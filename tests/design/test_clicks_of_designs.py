@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 import torch
 
-from conftest import PHOTONS, quick, same
-from deepfsi import Camera, Design, evaluate
+from conftest import quick
+from deepfsi import evaluate
 from deepfsi.base import InputError
 from deepfsi.design.clicks import to_training_light
 from deepfsi.optics.noise import noise_of
-from deepfsi.sweeps.recipe import Recipe
 
 FEW = 60.0
 
@@ -30,14 +29,6 @@ def test_counts_of_a_result_are_clicks_and_it_says_what_arrives(clicking, digits
     assert result.counts < result.arriving
     [photons] = evaluate(clicking, digits, FEW, noise="poisson", draws=1)
     assert photons.counts == photons.arriving == pytest.approx(result.arriving, rel=1e-6)
-
-
-def test_clicks_are_read_as_they_are_at_the_light_of_the_training(clicking):
-    gain, offset = to_training_light(
-        torch.ones(1), clicking.mean * FEW, clicking.shares * FEW, clicking.gates
-    )
-    assert torch.equal(gain, torch.ones_like(gain))
-    assert torch.equal(offset, torch.zeros_like(offset))
 
 
 @pytest.mark.parametrize("gates", [1, 3])
@@ -96,12 +87,6 @@ def test_clicks_train_features_of_mean_0_and_variance_1(clicking, digits):
     assert scaled.mean(dim=0).abs().max() <= 5 * share**0.5
 
 
-def test_a_file_keeps_the_gates(clicking, tmp_path):
-    restored = Design.load(clicking.save(tmp_path / "clicks.safetensors"))
-    assert restored.gates == restored.camera.gates == 2
-    assert same(restored, clicking)
-
-
 def test_more_counts_than_gates_are_no_clicks(clicking):
     photons = np.full((3, clicking.masks), 7)
     with pytest.raises(InputError, match="at most 2 times in a frame, and a readout has 7 counts"):
@@ -112,24 +97,3 @@ def test_more_counts_than_gates_are_no_clicks(clicking):
 def test_no_distribution_is_known_of_clicks(clicking):
     with pytest.raises(InputError, match="it takes photons, 100 scenes"):
         clicking.consistency(np.ones((3, clicking.masks)), FEW)
-
-
-@pytest.mark.parametrize(
-    ("settings", "match"),
-    [
-        ({"looks": 2, "camera": "dmd"}, "several looks are for photon noise: leave click"),
-        ({"span": 10.0}, "trained under ml_gauss: leave out click noise"),
-        ({"design": "adaptive", "camera": "dmd"}, "adaptive masks are for photon counts"),
-    ],
-)
-def test_what_is_of_photons_refuses_clicks(digits, settings, match):
-    with pytest.raises(InputError, match=match):
-        quick(digits, noise="click", photons=PHOTONS, **settings)
-
-
-def test_gates_are_of_detectors_that_click_in_a_recipe_too():
-    assert Camera(gates=4).noise_name == "click"
-    [named] = Recipe(camera={"gates": 4, "light": "column"}, photons=1e3, masks=4).cameras()
-    assert (named.camera.gates, named.camera.noise_name) == (4, "click")
-    with pytest.raises(InputError, match="poisson noise has no gates: give noise click"):
-        Camera(gates=4, noise="poisson")

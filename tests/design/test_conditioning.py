@@ -8,17 +8,14 @@ import pytest
 import torch
 
 from conftest import every_optics, generator, once, quick
-from deepfsi import Design, evaluate
+from deepfsi import evaluate
 from deepfsi.base import InputError
 from deepfsi.camera import photons_per_pixel
 from deepfsi.design.exposure.conditioned import ConditionedExposure
 from deepfsi.design.temperatures import stop_temperatures
-from deepfsi.jobs import Job
 from deepfsi.optics import constraints
 from deepfsi.optics.features import mean_over_exposures
-from deepfsi.optics.scanner import measure
 from deepfsi.training.learning import train
-from deepfsi.training.precision import BFLOAT16_COUNTS, product_dtype
 from deepfsi.training.training_set import TrainingSet
 from shared.design_files import refused, rewrite
 from shared.jobs import job
@@ -65,24 +62,6 @@ def test_an_exposure_that_stops_is_one_of_the_first_masks_at_the_budget_so_far(
         np.testing.assert_allclose(chance, by_hand.numpy(), atol=2e-5)
 
 
-def test_conditioning_inputs_are_written_out():
-    conditioning = ConditionedExposure(photons=10.0, span=100.0, masks=4)
-    scaled = torch.tensor([[1.0, 2.0, 3.0]])
-    inputs = conditioning.inputs(scaled, torch.tensor(100.0), torch.tensor(2))
-    assert inputs.tolist() == [[1.0, 2.0, 0.0, 0.0, 1.0, 0.5]]
-    low = conditioning.inputs(scaled, torch.tensor(1.0), torch.tensor(3))
-    assert low.tolist() == [[1.0, 2.0, 3.0, 0.0, -1.0, 0.75]]
-
-
-def test_chances_are_of_the_fewest_masks_and_more():
-    found = {
-        fewest: ConditionedExposure(1.0, 1.0, 4, fewest).chances.tolist() for fewest in (0, 2, 4)
-    }
-    assert found[0] == found[4] == [0, 0, 0, 1]
-    few = [0.75 * part / 13 for part in (0, 6, 4, 3)]
-    assert found[2] == pytest.approx([*few[:3], few[3] + 0.25])
-
-
 @pytest.mark.parametrize("scale", ["each", "common"])
 @pytest.mark.parametrize(("span", "nested"), [(50.0, 0), (1.0, 2), (50.0, 2)])
 def test_features_have_unit_spread_in_the_mean_of_the_training(digits, scale, span, nested):
@@ -108,21 +87,6 @@ def test_features_have_unit_spread_in_the_mean_of_the_training(digits, scale, sp
     power = np.nanmean(every, axis=axis)
     error = np.nanstd(every, axis=axis) / np.sqrt((~np.isnan(every)).sum(axis=axis) / 6)
     assert (np.abs(power - 1) < 5 * error + 1e-3).all()
-
-
-def test_what_fewer_masks_gain_in_light_has_its_gradient():
-    """Against finite differences, in the noise of the draws and in the masks."""
-    draw = generator(3)
-    scenes = torch.rand(5, 6, generator=draw, dtype=torch.float64) + 0.5
-    masks = torch.rand(2, 3, 6, generator=draw, dtype=torch.float64, requires_grad=True)
-    epsilon = torch.randn(4, 3, generator=draw, dtype=torch.float64)
-
-    def features(rails: torch.Tensor) -> torch.Tensor:
-        used = constraints.used(rails, "free-dwell")
-        pair = torch.stack([rails[0] - rails[1], rails[0] + rails[1]])
-        return measure(scenes, pair, epsilon * used[:3].sqrt(), False)
-
-    assert torch.autograd.gradcheck(features, (masks,))
 
 
 @every_optics
@@ -173,21 +137,6 @@ def test_designs_of_two_lowest_budgets_train_together_as_alone(digits):
         assert design.exposure == alone.exposure == ConditionedExposure(each.photons, 30.0, 5, 2)
 
 
-@pytest.mark.parametrize("design", ["pca", "raster", "random"])
-def test_fixed_masks_can_be_conditioned_too(digits, design):
-    made = quick(digits, design, span=100.0)
-    assert evaluate(made, digits, [1e4, 1e6])[1].accuracy > 0.1
-
-
-def test_the_file_keeps_the_conditioning(digits, tmp_path):
-    design = once(digits, **TRAINED).first(5)
-    again = Design.load(design.save(tmp_path / "d.safetensors"))
-    assert again.exposure == design.exposure
-    assert 0 < again.exposure.used < 1
-    counts = np.full((3, 2, 5), 40.0)
-    assert np.array_equal(again.classify(counts, 1e3), design.classify(counts, 1e3))
-
-
 @pytest.mark.parametrize(
     "damage",
     [{"masks": 4}, {"masks": 9}, {"photons": 0.0}, {"span": 0.5}, {"used": -1.0}, {"nested": 2.5}],
@@ -196,29 +145,6 @@ def test_damaged_conditioning_is_refused(digits, tmp_path, damage):
     path = once(digits, **TRAINED).save(tmp_path / "d.safetensors")
     rewrite(path, lambda header, _: header["exposure"].update(damage))
     refused(path)
-
-
-def test_products_are_rounded_by_the_largest_budget():
-    def of(span: float) -> Job:
-        return job(masks=1, photons=BFLOAT16_COUNTS, span=span)
-
-    if product_dtype(of(1.0), torch.device("cpu")) is torch.float32:
-        pytest.skip("this processor has no bfloat16")
-    assert product_dtype(of(4.0), torch.device("cpu")) is torch.float32
-
-
-@pytest.mark.parametrize(
-    ("settings", "words"),
-    [
-        ({"span": 0.5}, "greater than 1"),
-        ({"nested": 9, "masks": 8}, "9 of 8 masks"),
-        ({"span": 10.0, "noise": "poisson"}, "ml_gauss"),
-        ({"nested": 2, "noise": "gaussian"}, "ml_gauss"),
-    ],
-)
-def test_what_cannot_be_is_refused(digits, settings, words):
-    with pytest.raises(InputError, match=words):
-        quick(digits, **settings)
 
 
 def test_a_plain_design_has_no_first_masks(digits):

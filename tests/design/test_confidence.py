@@ -194,11 +194,6 @@ def test_a_design_file_holds_them(design, tmp_path):
     assert older.temperatures is None
 
 
-def test_a_tenth_of_the_training_is_the_least_light(fixed):
-    assert fixed.temperatures.dimmest == pytest.approx(PHOTONS / 10)
-    assert fixed.temperatures.scaled(2.0).dimmest == pytest.approx(PHOTONS / 5)
-
-
 def test_one_scene_alone_is_a_scene(digits):
     """Of a fold of few scenes, or the last of 1025."""
     design, one = (

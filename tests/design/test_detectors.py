@@ -11,7 +11,6 @@ from deepfsi import Design, evaluate
 from deepfsi.base import InputError
 from deepfsi.camera import DetectorMap
 from deepfsi.design.onnx_graph import to_onnx
-from deepfsi.design.stopping import stop
 from deepfsi.design.temperatures import stop_temperatures
 from deepfsi.optics import constraints
 from deepfsi.optics.detection import Detection
@@ -141,13 +140,6 @@ def test_a_graph_reads_every_detector(digits, kind, light, rails, readout):
     session = onnxruntime.InferenceSession(to_onnx(design), providers=["CPUExecutionProvider"])
     [found] = session.run(None, {"counts": counts.numpy(), "photons": photons})
     np.testing.assert_allclose(found, design.classify(counts, photons), atol=1e-4)
-
-
-def test_nested_masks_stop_for_all_detectors(digits):
-    kept = digits.hold_out(300)
-    design = trained(kept, "range", masks=6)
-    found = stop(design, digits, 1e4, held_out=300, draws=1)
-    assert found.rule.after == tuple(range(2, 7))
 
 
 @pytest.mark.parametrize(

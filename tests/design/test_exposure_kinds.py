@@ -3,14 +3,9 @@
 import pytest
 from pydantic import BaseModel, ValidationError
 
-from conftest import generator, synthetic
+from conftest import synthetic
 from deepfsi import Fixed, Looks, Nested, Passing, Patches, Range
 from deepfsi.base import InputError
-from deepfsi.design.exposure.conditioned import ConditionedExposure
-from deepfsi.design.exposure.kinds import begin
-from deepfsi.design.exposure.looks import LooksExposure
-from deepfsi.design.exposure.passing import PassingExposure
-from deepfsi.design.exposure.trained import FixedExposure, PatchExposure
 from deepfsi.jobs import find_exposure
 from deepfsi.jobs.exposures import AnyExposure
 from shared.jobs import job
@@ -138,47 +133,6 @@ def test_every_fault_of_an_exposure_is_told(settings, faults):
     for told, words in zip(found, faults, strict=True):
         assert words in told
         assert "\n" not in told
-
-
-@pytest.mark.parametrize(("settings", "wanted"), KINDS, ids=str)
-def test_tests_are_refused_the_noise_that_cannot_be_had(settings, wanted):
-    """Looks know counts of photons alone."""
-    found = wanted.test_faults(["poisson", "camera", "none", "gaussian", "shared.noises:photons"])
-    assert len(found) == (2 if isinstance(wanted, Looks) else 0)
-
-
-TRAINED = (
-    FixedExposure,
-    *3 * (ConditionedExposure,),
-    LooksExposure,
-    PatchExposure,
-    PassingExposure,
-)
-
-
-@pytest.mark.parametrize(
-    ("settings", "kind"),
-    [(settings, kind) for (settings, _), kind in zip(KINDS, TRAINED, strict=True)],
-    ids=str,
-)
-def test_each_kind_begins_the_exposure_of_a_design(settings, kind):
-    camera = "paper" if "patch" in settings else "dmd"
-    one = job(masks=6, photons=1e3, camera=camera, **settings)
-    found = begin(one, (16, 16), generator())
-    assert isinstance(found, kind)
-    assert found.entry() is not None
-    assert found.tokens((16, 16)) == (4 if "patch" in settings else 1)
-    if isinstance(found, ConditionedExposure):
-        assert (found.span, found.nested) == (settings.get("span", 1), settings.get("nested", 0))
-
-
-def test_the_training_noise_is_the_smooth_stand_in_but_for_looks():
-    for settings, wanted in KINDS:
-        camera = "paper" if "patch" in settings else "dmd"
-        noise = "poisson" if isinstance(wanted, Looks) else "ml_gauss"
-        assert job(masks=6, photons=1e3, camera=camera, **settings).noise == noise
-        for kept in ("camera", "gaussian", "none"):
-            assert wanted.training_noise(kept) == kept
 
 
 def test_patches_see_every_block_as_a_scene_of_its_own():

@@ -91,23 +91,6 @@ def test_the_module_given_stays_as_it_was(digits):
     assert not one.classifier.training
 
 
-def test_a_seed_repeats_and_the_global_state_is_left_alone(digits):
-    torch.manual_seed(3)
-    state = torch.get_rng_state()
-    first = learned(digits, Cnn)
-    assert torch.equal(torch.get_rng_state(), state)
-    torch.manual_seed(4)
-    assert same(first, learned(digits, Cnn))
-    assert not same(first, learned(digits, Cnn, seed=1))
-
-
-def test_counts_may_have_any_leading_axes(cnn):
-    counts = np.full((4, 3, 2, 6), 50)
-    assert cnn.classify(counts, PHOTONS).shape == (4, 3, 10)
-    assert cnn.classify(counts[0, 0], PHOTONS).shape == (10,)
-    assert np.allclose(cnn.classify(counts[0, 0], PHOTONS), cnn.classify(counts, PHOTONS)[0, 0])
-
-
 def leaving(inputs, classes):
     raise SystemExit(7)
 
@@ -219,13 +202,6 @@ def test_the_command_line_asks_for_trust(foreign, call, done, refuse, tmp_path):
     assert '"accuracy"' in done(*words, "--trust")
     done("show", foreign, "-o", tmp_path / "masks.png")
     done("export", foreign, "-o", tmp_path / "own.onnx", "--trust")
-
-
-def test_a_classifier_may_be_named_on_the_command_line(done, tmp_path):
-    out = tmp_path / "cnn.safetensors"
-    words = ("--photons", "1e4", "--masks", "6", "--epochs", "1", "-o", out)
-    done("design", "--classifier", "shared.networks:Cnn", *words)
-    assert header_of(out)["classifier"]["factory"] == "shared.networks:Cnn"
 
 
 def test_a_classifier_that_is_not_the_one_is_refused(cnn, digits, tmp_path):

@@ -7,18 +7,15 @@ import pytest
 import torch
 
 import deepfsi
-from conftest import RECIPE, assert_moments, generator, same, synthetic
+from conftest import RECIPE, assert_moments, generator, synthetic
 from deepfsi import Design
 from deepfsi.base import InputError
 from deepfsi.design.evaluation import scanner_for
-from deepfsi.design.onnx_graph import to_onnx
 from deepfsi.design.payload import check_playable
 from deepfsi.design.stopping import stop
 from deepfsi.lab import design_rails
 from deepfsi.optics.features import FeatureNoise
 from deepfsi.optics.transit import FixedPattern
-from deepfsi.sweeps.recipe import Recipe
-from deepfsi.sweeps.trial import plan
 from deepfsi.training.learning import train
 from deepfsi.training.passing import passing_statistics
 from deepfsi.training.training_set import TrainingSet
@@ -97,22 +94,6 @@ def test_without_jitter_counts_are_those_of_the_fixed_matrix(data):
         assert_moments(seen.features[:, t] * 1e4, rate, rate, poisson=True, rounding=1e-3)
 
 
-@pytest.mark.parametrize("design", ["deepfsi", "random"])
-@pytest.mark.parametrize("levels", [None, 2])
-def test_a_design_file_keeps_the_pattern(data, tmp_path, design, levels):
-    first = made(data, design, camera={"levels": levels} if levels else None)
-    again = Design.load(first.save(tmp_path / "one.safetensors"))
-    assert same(first, again)
-    assert torch.equal(first.exposure.pattern, again.exposure.pattern)
-    assert first.exposure.transit == again.exposure.transit
-    if levels or design == "random":
-        assert set(first.exposure.pattern.unique().tolist()) == {0.0, 1.0}
-    results = [deepfsi.evaluate(each, data, 1e4, draws=1)[0] for each in (first, again)]
-    assert results[0] == results[1]
-    counts = np.full((3, 6), 100)
-    assert np.array_equal(first.classify(counts, 1e4), again.classify(counts, 1e4))
-
-
 def test_damaged_files_are_refused(data, learned, tmp_path):
     def other(header, tensors):
         tensors["exposure.pattern"] = 1 - tensors["exposure.pattern"]
@@ -145,15 +126,6 @@ def test_statistics_are_those_of_the_exposures(data, learned):
     assert ((drawn.mean(dim=0) - mean[0]).abs() < error).all()
     assert torch.allclose(drawn.std(dim=0), std[0], rtol=0.1)
     assert torch.allclose(light, mean)
-
-
-@pytest.mark.parametrize("noise", ["ml_gauss", "poisson", "gaussian", "none"])
-def test_every_noise_trains_a_pattern(data, noise):
-    few = {"noise": noise, "epochs": 3, "batch": 32}
-    first = made(data, **few, mask_lr=0.2)
-    start = made(data, **few, mask_lr=1e-9)
-    moved = (first.exposure.pattern - start.exposure.pattern).abs()
-    assert 1e-2 < float(moved.max()) < 1
 
 
 def test_dark_counts_are_those_of_the_whole_transit(data):
@@ -225,25 +197,6 @@ def test_what_needs_masks_at_rest_refuses_in_one_line(data, learned, tmp_path):
         with pytest.raises(InputError, match=match) as error:
             ask()
         assert "\n" not in str(error.value)
-
-
-def test_a_graph_classifies_counts_of_bins_as_the_design_does(learned):
-    pytest.importorskip("onnxruntime")
-    assert to_onnx(learned)  # which compares the two before it is written
-
-
-def test_a_recipe_has_axes_of_passing_scenes(data):
-    recipe = Recipe(
-        designs=("deepfsi", "random"),
-        photons=(1e3, 1e4),
-        exposure={"bins": 6, "jitter": [0.0, 2.0]},
-        validation=30,
-    )
-    trials = plan(recipe, data)
-    assert len(trials) == 8
-    assert {trial.job.masks for trial in trials} == {6}
-    assert {trial.job.camera.light for trial in trials} == {"equal-dwell"}
-    assert {trial.variant for trial in trials} == {"jitter 0.0", "jitter 2.0"}
 
 
 @pytest.mark.parametrize("design", ["deepfsi", "random"])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from conftest import RECIPE, quick, same
+from conftest import RECIPE
 from deepfsi import Design
 from deepfsi.base import InputError
 from deepfsi.optics import constraints
@@ -78,20 +78,6 @@ def test_a_frame_that_is_left_out_may_come_back():
     assert (matrix.amax(dim=-1) > 0).tolist() == [[True, True, True, False]]
     matrix[..., 3, :].sum().backward()
     assert float(masks.dwell.grad[..., 3]) > 0
-
-
-def test_a_file_keeps_the_shortest_dwell(looking, tmp_path):
-    path = looking.save(tmp_path / "looks.safetensors")
-    assert Design.load(path).exposure.shortest == SHORTEST
-
-
-@pytest.mark.parametrize(
-    "settings",
-    [{"light": "column"}, {"light": "equal-dwell"}, {**ONE_DMD, "design": "pca"}],
-    ids=str,
-)
-def test_dwells_that_are_neither_learned_nor_chosen_stay_as_they_are(digits, settings):
-    assert same(quick(digits, **settings), quick(digits, shortest_dwell=SHORTEST, **settings))
 
 
 def test_a_look_is_longer_than_a_frame(digits):

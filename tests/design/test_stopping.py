@@ -141,12 +141,6 @@ def test_the_surest_answers_are_right_more_often(stopped):
         assert stopped.rejection[0][name] > all_of_them.mean
 
 
-def test_a_difference_is_that_of_its_means(stopped):
-    assert stopped.difference.mean == pytest.approx(stopped.stopped.mean - stopped.whole.mean)
-    assert stopped.difference.low < stopped.difference.mean < stopped.difference.high
-    assert stopped.as_dict()["rule"]["threshold"] == stopped.rule.threshold
-
-
 @pytest.fixture(scope="module")
 def looking(digits):
     """A design of several looks."""

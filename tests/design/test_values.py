@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from deepfsi import Design, Scanner, evaluate, ideal_observer, learn, predict
+from deepfsi import Scanner, evaluate, ideal_observer, learn, predict
 from deepfsi.base import InputError
 from deepfsi.design.bounds import cramer_rao, linear_bound
 from deepfsi.design.evaluation import scanner_for
@@ -129,17 +129,6 @@ def test_learned_masks_estimate_better_than_a_raster_scan(placed, design):
     assert learned.low > scanned.high
 
 
-def test_a_file_keeps_values_and_estimates_as_before(placed, design, tmp_path):
-    path = design.save(tmp_path / "d.safetensors")
-    back = Design.load(path)
-    assert back.values.names == ("row", "column")
-    assert back.to_bytes() == path.read_bytes()
-    counts = np.random.default_rng(0).poisson(50, (5, *design.counts_shape))
-    np.testing.assert_array_equal(back.estimate(counts, 1e4), design.estimate(counts, 1e4))
-    assert design.estimate(counts, 1e4).shape == (5, 2)
-    assert "row, column" in repr(back)
-
-
 def test_estimates_of_the_scanners_counts_are_those_of_the_test(placed, design):
     """By hand: counts of the scanner, `estimate`, and the errors; its interval holds both."""
     scenes = torch.from_numpy(placed.x_test) * (1e4 / placed.x_train.sum(axis=1).mean())
@@ -149,18 +138,6 @@ def test_estimates_of_the_scanners_counts_are_those_of_the_test(placed, design):
     for rmse, low, high in zip(np.sqrt((errors**2).mean(axis=0)), result.rmse_low,
                                result.rmse_high, strict=True):  # fmt: skip
         assert low - (high - low) < rmse < high + (high - low)
-
-
-def test_ranges_nested_masks_and_passing_scenes_estimate_values(placed):
-    few = {"epochs": 2}
-    nested = learn(placed, camera="dmd", photons=1e4, masks=8, exposure={"nested": 2},
-                   training=few)  # fmt: skip
-    [result] = evaluate(nested.first(4), placed, 1e5, draws=1)
-    assert result.bound is not None
-    passing = learn(placed, camera="dmd", photons=1e4, exposure={"bins": 12, "speed": 1.0},
-                    training=few)  # fmt: skip
-    [result] = evaluate(passing, placed, 1e4, draws=1)
-    assert result.bound is None
 
 
 def test_what_is_of_classes_is_refused_in_one_line(placed, design, digits, tmp_path):

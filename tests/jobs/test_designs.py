@@ -37,11 +37,6 @@ def sequencies(mask: np.ndarray) -> tuple[int, int]:
     return int(down.sum(axis=0).max()), int(across.sum(axis=1).max())
 
 
-def test_impulse_and_raster_are_the_identity_and_its_nth(digits):
-    assert (sensing_matrix("impulse", 64, digits) == np.eye(64)).all()
-    assert (sensing_matrix("raster", 64, digits) == np.eye(64) / 64).all()
-
-
 def test_walsh_functions_change_sign_as_often_as_their_number():
     rows = sequency_hadamard(32)
     assert (rows @ rows.T == 32 * np.eye(32)).all()
@@ -68,12 +63,6 @@ def test_at_most_one_truncated_hadamard_mask_lacks_its_transpose():
     for mask in hadamard_masks((8, 8), 64).reshape(-1, 8, 8):
         kept.add(sequencies(mask))
         assert sum((j, i) not in kept for i, j in kept) <= 1
-
-
-def test_truncated_hadamard_is_not_the_flattened_ordering():
-    flat = sequency_hadamard(64)[:8]
-    masks = hadamard_masks((8, 8), 8)
-    assert not all((mask == flat).all(axis=1).any() for mask in masks)
 
 
 def test_spectra_take_one_dimensional_sequencies():
@@ -225,10 +214,6 @@ def test_mask_count_refuses_a_bad_ratio(ratio):
 def test_a_design_refuses_a_count_that_it_cannot_have(digits, design, masks):
     with pytest.raises(InputError, match=f"masks are not allowed for {design} on digits: give"):
         check_count(design, masks, digits)
-
-
-def test_a_whole_count_may_be_a_float(digits):
-    assert sensing_matrix("truncated-hadamard", 7.0, digits).shape == (7, 64)
 
 
 def test_few_components_of_large_scenes_need_no_matrix_of_all_pixels(digits, monkeypatch):

@@ -11,15 +11,12 @@ from conftest import PHOTONS, RECIPE, quick, same
 from deepfsi import Camera, Looks, Range, evaluate
 from deepfsi.base import InputError, Progress
 from deepfsi.jobs import (
-    DESIGNS,
     Job,
     Training,
     find_job,
-    find_table,
     sensing_matrix,
     sorted_settings,
 )
-from deepfsi.jobs.training import TUNED
 from deepfsi.optics import constraints
 from deepfsi.optics.rails import Rails
 from deepfsi.training.learning import companions, train
@@ -157,12 +154,6 @@ def test_no_noise_or_no_fast_processor_means_float32(fast_processor, monkeypatch
     assert product_dtype(job_of(masks=10, photons=1e2), CPU) == torch.float32
 
 
-@pytest.mark.parametrize("precision", ["float32", "bfloat16"])
-def test_a_precision_asked_for_is_used(precision):
-    one = job_of(masks=2, photons=1e8, precision=precision)
-    assert product_dtype(one, CPU) == getattr(torch, precision)
-
-
 def test_networks_are_in_bfloat16_where_they_are_wide_and_not_a_users_own(fast_processor):
     def kind(photons=1e4, device=CPU, **settings) -> torch.dtype:
         settings = {"hidden": (BFLOAT16_WIDTH, 40), **settings}
@@ -201,31 +192,6 @@ def test_training_in_bfloat16_reads_as_well(digits):
     assert accuracy[0] == pytest.approx(accuracy[1], abs=0.05)
 
 
-@pytest.mark.parametrize("design", DESIGNS)
-def test_settings_that_are_not_given_are_those_tuned_for_the_design(design):
-    made = Job(design=design, masks=6, photons=1e3).training
-    usual = Training(**TUNED.get(design, {}))
-    assert made == usual
-    given = {"lr": 0.3, "scale": "each", "start": "random"}
-    told = Job(design=design, masks=6, photons=1e3, training=given).training
-    assert told == Job(design=design, masks=6, photons=1e3, training=Training(**given)).training
-    assert (told.lr, told.scale, told.start) == (0.3, "each", "random")
-    assert told.mask_lr == usual.mask_lr
-
-
-def test_settings_that_are_not_given_are_those_of_the_exposure():
-    def training(exposure, **given):
-        return Job(masks=6, photons=1e3, exposure=exposure, training=given).training
-
-    assert training({}).start == training({"span": 3.0}).start == "pca"
-    assert training({"looks": 2}).start == training(Looks(looks=2)).start == "class-pairs"
-    assert training({"looks": 2}, start="pca").start == "pca"
-    assert training({"patch": 4}).classifier == "vit"
-    assert training({"patch": 4}, epochs=3).epochs == 3
-    both = Job(design="raster", masks=4, photons=1e3, exposure={"patch": 2}).training
-    assert (both.lr, both.epochs) == (TUNED["raster"]["lr"], 15)  # the design's before those
-
-
 def test_a_job_comes_back_from_json():
     """So do the settings that were tuned, though they may be tuned otherwise by then."""
     job = job_of(
@@ -240,28 +206,6 @@ def test_a_job_comes_back_from_json():
     assert written.camera.noise == "shared.noises:saturating"
     assert written.training.classifier == "shared.networks:Cnn"
     assert mine == mine.model_copy() != written
-
-
-@pytest.mark.parametrize(
-    ("setting", "table", "name"),
-    [
-        ("design", "", "design"),
-        ("photons", "", "photons"),
-        ("light", "camera", "light"),
-        ("noise", "camera", "noise"),
-        ("exposure", "camera", "exposure"),
-        ("dmd", "camera", "device"),
-        ("looks", "exposure", "looks"),
-        ("nested", "exposure", "nested"),
-        ("span", "exposure", "span"),
-        ("patch", "exposure", "patch"),
-        ("epochs", "training", "epochs"),
-        ("train_noise", "training", "noise"),
-        ("something", "", "something"),
-    ],
-)
-def test_every_single_setting_has_an_owner(setting, table, name):
-    assert find_table(setting) == (table, name)
 
 
 def test_single_settings_are_sorted_into_the_tables_that_declare_them():

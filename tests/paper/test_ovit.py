@@ -1,7 +1,6 @@
 """The study of the vision transformer: its trials, what they leave on disk, and its claims."""
 
 import csv
-import json
 import re
 from dataclasses import replace
 
@@ -9,7 +8,7 @@ import numpy as np
 import pytest
 
 from conftest import synthetic
-from deepfsi import Design, learn
+from deepfsi import learn
 from deepfsi.base import InputError
 from deepfsi.report.accuracy import accuracy_figure
 from deepfsi.report.comparison_page import page_text
@@ -19,7 +18,6 @@ from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.run import compare
 from deepfsi.sweeps.trial import plan
 from deepfsi.sweeps.workers import Workers
-from deepfsi.training.learning import Diverged
 from deepfsi_paper import experiment, studies
 from deepfsi_paper.ovit import claims as ovit
 from deepfsi_paper.ovit.claims import EXPERIMENT, IMAGES
@@ -79,22 +77,6 @@ def test_a_study_ends_in_a_page_with_figures_and_claims(images, tmp_path):
     assert {row["data"] for row in table(tmp_path / "ovit-trials.csv")} == {"synthetic"}
 
 
-def test_points_are_means_over_seeds_of_what_the_trials_hold(images, tmp_path):
-    results = EXPERIMENT.run(tmp_path, command="deepfsi reproduce ovit", device="cpu")
-    rows = table(tmp_path / "ovit-trials.csv")
-    for point in results.points:
-        own = [
-            float(row["accuracy"])
-            for row in rows
-            if (row["design"], float(row["photons"])) == (point.design, point.photons)
-        ]
-        assert point.accuracies == pytest.approx(own)
-        assert point.accuracy == pytest.approx(np.mean(own))
-        assert point.trials == 2
-    learned = [point.label for point in results.points if point.design == "deepfsi"]
-    assert set(learned) == {"OViT"}
-
-
 def test_a_stopped_study_goes_on_where_it_was(images, tmp_path, monkeypatch):
     trained, most = [], 3
     train = context.train
@@ -118,20 +100,6 @@ def test_a_stopped_study_goes_on_where_it_was(images, tmp_path, monkeypatch):
     assert len(trained) == 30
 
 
-def test_a_trial_that_diverges_is_named_and_the_others_are_done(images, tmp_path, monkeypatch):
-    real = context.train
-
-    def train(training_set, jobs, *others):
-        if [(job.design, job.photons, job.seed) for job in jobs] == [("pca", 1e2, 0)]:
-            raise Diverged("training diverged")
-        return real(training_set, jobs, *others)
-
-    monkeypatch.setattr(context, "train", train)
-    with pytest.raises(InputError, match="diverged and the others are done: pca, 16 masks"):
-        EXPERIMENT.run(tmp_path, command="", trials=1, device="cpu")
-    assert len(list((tmp_path / "trials").glob("*.json"))) == 9
-
-
 def test_a_study_is_trained_by_the_processes_asked_for(images, tmp_path, monkeypatch):
     """That several train what one does is a law of `sweeps/test_queue.py`."""
     real, asked = experiment.compare, []
@@ -145,36 +113,10 @@ def test_a_study_is_trained_by_the_processes_asked_for(images, tmp_path, monkeyp
     assert asked == [Workers(2)]
 
 
-def test_a_record_names_a_design_that_can_be_read(images, tmp_path):
-    EXPERIMENT.run(tmp_path, command="", trials=1, device="cpu")
-    for path in (tmp_path / "trials").glob("*.json"):
-        record = json.loads(path.read_text())
-        design = Design.load(tmp_path / "designs" / f"{record['design']}.safetensors")
-        assert design.name == record["trial"]["job"]["design"]
-        assert design.info["data"]["name"] == "synthetic"
-        assert record["test"][0]["photons"] == record["trial"]["job"]["photons"]
-
-
 def test_damaged_results_are_one_clear_line(images, tmp_path):
     (tmp_path / "ovit.json").write_text("{}")
     with pytest.raises(InputError, match="run the experiment again"):
         studies.page(tmp_path)
-
-
-def test_everything_a_result_depends_on_is_in_its_name():
-    data = synthetic((8, 8))
-    keys = {trial.key for trial in plan(TINY, data)}
-    assert len(keys) == 20
-    for change in (
-        {"validation": 25},
-        {"draws": 2},
-        {"training": {**TINY.training, "lr": (1e-5,)}},
-        {"tuned": {design: {"scale": ("each",)} for design in TINY.designs}},
-    ):
-        assert not keys & {t.key for t in plan(TINY.model_copy(update=change), data)}
-    assert not keys & {trial.key for trial in plan(TINY, synthetic((8, 8), scenes=150))}
-    again = {t.design_key for t in plan(TINY.model_copy(update={"draws": 2}), data)}
-    assert again == {trial.design_key for trial in plan(TINY, data)}
 
 
 @pytest.mark.parametrize("quick", [False, True])
@@ -187,11 +129,6 @@ def test_every_design_has_as_many_masks_as_a_patch_has_pixels(each, quick):
     assert {trial.job.masks for trial in trials} == {64}
     assert {trial.job.camera.light for trial in trials} == {"column"}
     assert len(trials) == len(recipe.designs) * len(recipe.photons) * recipe.trials
-
-
-def test_points_have_the_share_of_the_masks_in_the_pixels_of_a_patch(images, tmp_path):
-    results = EXPERIMENT.run(tmp_path, command="", trials=1, device="cpu")
-    assert {(point.masks, point.ratio) for point in results.points} == {(16, 1.0)}
 
 
 def test_a_comparison_of_patches_has_a_page_with_their_masks(tmp_path):

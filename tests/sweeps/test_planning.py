@@ -215,19 +215,6 @@ def test_what_cannot_be_planned(digits, target, changed, words):
         check_plan(recipe, digits, target)
 
 
-def test_the_command(done, tmp_path):
-    words = ["--designs", "pca,raster", "--photons", "1e2,1e3,1e5", "--masks", "6", "--trials", "1"]
-    words += ["--epochs", "3", "-o", tmp_path / "p", "--workers", "1"]
-    printed = done("plan", "--target", "0.7", *words)
-    assert "raster scan" in printed
-    assert "interval: test images, and what lies between" in printed
-    plan = json.loads(done("plan", "--target", "0.7", *words, "--json"))
-    assert plan["target"] == 0.7
-    kept = json.loads((tmp_path / "p/plan.json").read_text())
-    assert plan == {**kept, "command": plan["command"], "schema": plan["schema"]}
-    assert json.loads((tmp_path / "p/results.json").read_text())["points"]
-
-
 def test_a_plan_has_a_curve_for_each_number_of_detectors(done, tmp_path):
     """Tiles need fewer photons, by masks of which each is read by all; the table says them."""
     words = ["plan", "--target", "0.75", "--designs", "pca,impulse", "--detectors", "1x1,2x2"]

@@ -8,7 +8,7 @@ import pytest
 from conftest import synthetic
 from deepfsi.base import InputError
 from deepfsi.datasets import from_arrays
-from deepfsi.sweeps.recipe import Recipe, only, parts
+from deepfsi.sweeps.recipe import Recipe, only
 from deepfsi.sweeps.recipe_check import ADAPTIVE_SCENES, check_recipe, with_adaptive
 
 FILE = {
@@ -21,19 +21,6 @@ FILE = {
     },
 }
 ONE = {"data": "mnist", "training": {"epochs": 40, "batch": 500, "decay": 2.0}}
-TWO = {"data": "digits", "training": {"epochs": 40, "batch": 500}}
-
-
-def test_parts_and_quick_tables_override_the_settings_of_all():
-    assert parts(FILE) == {"one": ONE, "two": TWO}
-    quick = parts(FILE, quick=True)
-    assert quick["one"] == {**ONE, "trials": 3, "training": {**ONE["training"], "epochs": 8}}
-    assert quick["two"] == {**TWO, "trials": 3, "training": {**TWO["training"], "epochs": 4}}
-
-
-def test_a_part_is_asked_for_by_name():
-    assert only(FILE, "two") == TWO
-    assert only(ONE) == ONE
 
 
 @pytest.mark.parametrize(

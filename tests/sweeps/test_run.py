@@ -23,12 +23,6 @@ RECIPES = {
     for name, file in FILES.items()
     for part, settings in parts(file).items()
 }
-COARSE = {
-    f"{name} {part}".strip(): settings
-    for name, file in FILES.items()
-    if "quick" in file
-    for part, settings in parts(file, quick=True).items()
-}
 
 
 def tiny(settings):
@@ -81,32 +75,6 @@ def test_levels_are_an_axis_and_a_column(digits, tmp_path):
     table = rows(train_trials(trials, digits, tmp_path))
     assert [row["training_levels"] for row in table] == levels
     assert {row["levels"] for row in table} == {0}
-
-
-def test_every_list_of_the_training_is_an_axis(digits, tmp_path):
-    recipe = small(
-        designs="deepfsi",
-        masks=3,
-        photons=1e3,
-        training={"epochs": 1, "start": ["pca", "random"], "hidden": [[8], [4, 4]]},
-    )
-    trials = plan(recipe, digits)
-    assert len({trial.key for trial in trials}) == 4
-    results, _ = compare(recipe, digits, tmp_path, command="deepfsi")
-    assert len({point.variant for point in results.points}) == 4
-    assert all(point.best for point in results.points)
-
-
-def test_noise_of_the_training_may_be_another_than_that_of_the_test(digits, tmp_path):
-    recipe = small(designs="deepfsi", masks=3, train_noise=("ml_gauss", "poisson", "gaussian"))
-    results, _ = compare(recipe, digits, tmp_path, command="deepfsi")
-    kinds = {(point.trained_under, point.noise) for point in results.points}
-    assert kinds == {(train, "poisson") for train in ("ml_gauss", "poisson", "gaussian")}
-
-
-@pytest.mark.parametrize("settings", COARSE.values(), ids=COARSE)
-def test_every_coarse_recipe_is_sound(settings):
-    assert Recipe(**settings)
 
 
 @pytest.mark.usefixtures("uncharacterised")

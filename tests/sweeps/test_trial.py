@@ -5,20 +5,9 @@ import pytest
 
 from deepfsi.base import InputError
 from deepfsi.datasets import load_dataset
-from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.recipe_check import check_recipe
 from deepfsi.sweeps.trial import plan
 from shared.trials import small
-
-
-def test_plan_holds_every_point_once(digits):
-    trials = plan(small(trials=2), digits)
-    assert len({trial.key for trial in trials}) == len(trials) == 2 * 2 * 2 * 2
-
-
-def test_designs_without_a_choice_of_masks_appear_once(digits):
-    trials = plan(small(designs=("impulse", "raster", "hadamard"), photons=1e3), digits)
-    assert [trial.job.masks for trial in trials] == [64, 64, 64]
 
 
 def test_a_count_that_a_design_cannot_have_is_replaced_by_its_most(digits):
@@ -30,11 +19,6 @@ def test_a_control_group_that_cannot_be_trained_is_refused_before_any_work(digit
     recipe = small(designs=("deepfsi", "control"), **change)
     with pytest.raises(InputError, match="leave out control"):
         plan(recipe, digits)
-
-
-def test_paper_ratios_are_the_default(digits):
-    counts = Recipe(designs="pca").mask_counts("pca", digits)
-    assert counts == [1, 3, 6, 10, 16, 23, 31, 41, 52, 64]
 
 
 @pytest.mark.parametrize(
@@ -64,25 +48,6 @@ def test_other_data_changes_the_key(digits):
     assert not keys[0] & keys[1]
 
 
-def test_all_mistakes_of_a_recipe_are_reported():
-    with pytest.raises(ValueError, match="photons") as error:
-        Recipe(photons=(-1.0,), trials=0, camera={"light": "colum"})
-    assert {fault["loc"][0] for fault in error.value.errors()} == {"photons", "trials", "camera"}
-    assert "light = 'colum'" in str(error.value)
-
-
-def test_gaussian_noise_may_have_budgets_of_its_own(digits):
-    both = small(noise=("poisson", "gaussian"), photons=1e3, gaussian_photons=(30, 300))
-    budgets = {(trial.job.noise, trial.job.photons) for trial in plan(both, digits)}
-    assert budgets == {("ml_gauss", 1e3), ("gaussian", 30), ("gaussian", 300)}
-
-
-def test_settings_of_masks_do_not_multiply_fixed_designs(digits):
-    recipe = small(masks=3, photons=1e3, training={"epochs": 1, "start": ["pca", "random"]})
-    designs = [trial.job.design for trial in plan(recipe, digits)]
-    assert sorted(designs) == ["deepfsi", "deepfsi", "pca"]
-
-
 @pytest.mark.parametrize(
     ("settings", "parts"),
     [
@@ -99,11 +64,6 @@ def test_mistakes_in_axes_are_all_told(settings, parts):
 
 def test_repeated_values_of_an_axis_count_once(digits):
     assert len(plan(small(designs="pca", masks=(3, 3), photons=(1e3, 1e3)), digits)) == 1
-
-
-def test_impulse_imaging_is_one_reference_for_every_constraint(digits):
-    recipe = small(designs="impulse", light=("column", "free-dwell"), rails=("dual", "single"))
-    assert len(plan(recipe, digits)) == len(recipe.photons)
 
 
 def test_designs_that_a_constraint_rules_out_are_left_out(digits):
@@ -138,15 +98,6 @@ TILES = {"light": "free-dwell", "rails": "single", "photons": 1e3}
 """Light that several detectors can have."""
 
 
-def test_detectors_and_readout_are_axes_with_keys_of_their_own(digits):
-    trials = plan(small(**TILES, detectors=("1x1", "2x2")), digits)
-    assert [trial.detectors for trial in trials] == ["1x1"] * 4 + ["2x2"] * 4
-    assert len({trial.key for trial in trials}) == 8
-    dual = {**TILES, "rails": "dual", "readout": ("both", "difference"), "masks": 3}
-    found = [(trial.job.design, trial.job.camera.readout) for trial in plan(small(**dual), digits)]
-    assert found == [(d, r) for r in ("both", "difference") for d in ("pca", "deepfsi")]
-
-
 def test_readout_is_that_in_force(digits):
     """A single rail has none, and to name the usual one makes no other trial."""
     single = [plan(small(**TILES, **each), digits) for each in ({}, {"readout": "both"})]
@@ -156,12 +107,6 @@ def test_readout_is_that_in_force(digits):
     )
     assert [each.key for each in usual] == [each.key for each in told]
     assert {each.job.camera.readout for each in told} == {"both"}
-
-
-def test_the_precision_asked_for_is_that_of_every_design(digits):
-    trials = plan(small(training={"precision": "float32"}), digits)
-    found = {(each.job.design, each.job.training.precision) for each in trials}
-    assert found == {("pca", "float32"), ("deepfsi", "float32")}
 
 
 def test_mask_counts_are_those_of_a_part(digits):
@@ -204,10 +149,3 @@ def test_detectors_that_cannot_be_had_are_all_told(digits, settings, told):
     with pytest.raises(InputError) as error:
         check_recipe({"camera": settings}, lambda recipe: digits)
     assert all(part in str(error.value) for part in told)
-
-
-def test_several_detectors_are_left_out_where_light_is_that_of_other_optics(digits):
-    settings = {**TILES, "light": ("column", "free-dwell"), "detectors": ("1x1", "2x2")}
-    trials = plan(small(designs="pca", masks=3, **settings), digits)
-    found = [(trial.job.camera.light, trial.detectors) for trial in trials]
-    assert found == [("column", "1x1"), ("free-dwell", "1x1"), ("free-dwell", "2x2")]

@@ -31,15 +31,6 @@ def unbalanced(counts=(300, 6, 5)):
     return from_arrays(x, y, *scenes([60] * len(counts)), name="unbalanced")
 
 
-def test_all_classes_together_weigh_alike_and_scenes_one_in_the_mean():
-    data = unbalanced((40, 7, 3))
-    training = TrainingSet(data, "cpu")
-    weights = training.class_weights
-    each = torch.bincount(training.labels) * weights
-    assert each.tolist() == pytest.approx([len(training.labels) / 3] * 3)
-    assert weights[training.labels].mean() == pytest.approx(1)
-
-
 def test_the_weighted_loss_is_that_of_scenes_repeated():
     """Scenes of two rare classes, shown two and four times: what weights 1, 2 and 4 are for."""
     labels = torch.tensor([0] * 8 + [1] * 4 + [2] * 2)

@@ -8,22 +8,19 @@ import pytest
 import torch
 
 from conftest import (
-    FIXED,
     FLOAT32,
     PHOTONS,
     RECIPE,
     every_optics,
     generator,
     light_on,
-    own_matrix,
     quick,
     same,
     synthetic,
     two_valued,
 )
-from deepfsi import Design, evaluate
+from deepfsi import evaluate
 from deepfsi.base import InputError
-from deepfsi.jobs import DESIGNS, sensing_matrix
 from deepfsi.optics import constraints
 from deepfsi.training.learning import train
 from deepfsi.training.training_set import TrainingSet
@@ -40,24 +37,6 @@ def test_learned_masks_are_dark_where_no_scene_varies(digits, made, light, rails
     rails_there = made("deepfsi", light, rails).rails.stacked[..., constant]
     assert constant.any()
     assert (rails_there > 0).all() if light == "two-arm" else not rails_there.any()
-
-
-@pytest.mark.parametrize("design", FIXED)
-def test_fixed_designs_keep_their_masks(made, digits, design):
-    found = made(design, "column", "dual").rails.stacked
-    if design == "raster":
-        assert torch.equal(found[0], torch.eye(64) / 64)
-        return
-    matrix = torch.from_numpy(sensing_matrix(design, found.shape[1], digits, 0)).float()
-    single = DESIGNS[design].single_rail
-    wanted = constraints.fit(matrix, "column", "single" if single else "dual")
-    assert torch.allclose(found, wanted, atol=1e-8)
-
-
-@every_optics
-def test_learned_masks_change_from_their_start(made, light, rails):
-    short, longer = made("deepfsi", light, rails), made("pca", light, rails)
-    assert not torch.allclose(short.rails.stacked, longer.rails.stacked, atol=1e-4)
 
 
 @pytest.mark.usefixtures("uncharacterised")
@@ -92,22 +71,6 @@ def test_masks_may_start_from_any_design(digits, start, light, rails):
 @pytest.mark.parametrize("start", ["impulse", "raster", "hadamard"])
 def test_masks_may_start_from_a_design_of_all_pixels(digits, start, rails):
     assert quick(digits, masks=64, start=start, rails=rails).masks == 64
-
-
-@pytest.mark.usefixtures("uncharacterised")
-@pytest.mark.parametrize("light", ["column", "equal-dwell", "free-dwell", "two-arm"])
-def test_impulse_imaging_is_column_whatever_else_is_compared(digits, light):
-    one = quick(digits, "impulse", light=light)
-    assert one.light == "column"
-    assert torch.equal(one.rails.plus, torch.eye(64))
-
-
-@pytest.mark.usefixtures("uncharacterised")
-@every_optics
-def test_a_matrix_of_your_own_is_used_as_it_is(digits, light, rails):
-    matrix = own_matrix(5, 64, light, rails)
-    one = quick(digits, "custom", 5, light=light, rails=rails)
-    assert one.matrix == pytest.approx(matrix, abs=1e-7)
 
 
 @every_optics
@@ -197,13 +160,6 @@ def test_learning_two_levels_beats_rounding_to_them(digits, light, rails):
     trials = draws * len(digits.x_test)
     variance = (trained * (1 - trained) + rounded * (1 - rounded)) / trials
     assert trained - rounded > 5 * variance**0.5
-
-
-def test_levels_survive_the_design_file(digits, tmp_path):
-    one = quick(digits, light="free-dwell", levels=2)
-    again = Design.load(one.save(tmp_path / "one.safetensors"))
-    assert torch.equal(again.rails.stacked, one.rails.stacked)
-    assert again.camera.levels == 2
 
 
 def test_scenes_that_are_all_alike_can_still_be_trained_on():

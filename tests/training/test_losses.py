@@ -16,22 +16,6 @@ def absolute(outputs, truth):
     return (outputs - truth).abs().mean(dim=-1)
 
 
-def test_cross_entropy_is_torchs_in_both_orders():
-    logits, labels = torch.randn(40, 3, generator=torch.Generator().manual_seed(0)), None
-    labels = torch.arange(40) % 3
-    weights = torch.tensor([0.5, 1.0, 2.0])
-    for rows in (True, False):
-        found = losses.cross_entropy(logits, labels, weights, rows)
-        expected = functional.cross_entropy(logits, labels, weights, reduction="none")
-        torch.testing.assert_close(found, expected)
-
-
-def test_answers_of_early_looks_count_less():
-    outputs = torch.tensor([[[1.0]], [[2.0]], [[5.0]]])  # three answers to one scene
-    total = losses.total(losses.squared_error, outputs, torch.zeros(1, 1, 1))
-    assert total == pytest.approx(25 + losses.EARLY_LOOKS_WEIGHT * (1 + 4) / 2)
-
-
 def test_a_loss_of_ones_own_that_is_the_usual_one_trains_the_same_design():
     data, few = placed_digits(), {"camera": "dmd", "photons": 1e4, "masks": 4}
     usual = learn(data, **few, training={"epochs": 2})

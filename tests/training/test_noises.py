@@ -6,7 +6,6 @@ import pytest
 
 from conftest import PHOTONS, generator, light_on, quick, same
 from deepfsi import Design, evaluate
-from deepfsi.base import InputError
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.trial import plan
 from shared.noises import exact, offset, photons, saturating
@@ -92,21 +91,6 @@ def test_an_offset_of_the_counts_is_no_feature(digits, design, scale):
 def test_a_seed_repeats(digits):
     assert same(quick(digits, **CAMERA), quick(digits, **CAMERA))
     assert same(quick(digits, noise=photons), quick(digits, noise="shared.noises:photons"))
-
-
-@pytest.mark.parametrize(
-    ("settings", "match"),
-    [
-        ({"camera": {"noise": "poisson", "dark": 3.0}}, "poisson noise has no dark counts"),
-        ({"noise": "camera", "span": 10.0}, "trained under ml_gauss"),
-        ({"noise": photons, "nested": 3}, "trained under ml_gauss"),
-        ({"noise": photons, "looks": 2, "camera": "dmd"}, "several looks are for photon noise"),
-        ({"noise": "camera", "dark": -1.0}, "dark = -1.0: .* greater than or equal to 0"),
-    ],
-)
-def test_what_goes_not_together_is_refused(digits, settings, match):
-    with pytest.raises(InputError, match=match):
-        quick(digits, **settings)
 
 
 def test_recipes_have_camera_noise_and_ones_own(digits, tmp_path):

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from conftest import FLOAT32, assert_moments, generator, same, synthetic
-from deepfsi import Design, Patches, Scanner, evaluate
+from conftest import FLOAT32, assert_moments, generator, synthetic
+from deepfsi import Patches, Scanner
 from deepfsi.base import InputError
 from deepfsi.camera import photons_per_pixel
 from deepfsi.design.exposure.kinds import begin
@@ -13,10 +13,7 @@ from deepfsi.design.exposure.trained import cut
 from deepfsi.design.onnx_graph import to_onnx
 from deepfsi.design.stopping import stop
 from deepfsi.jobs import DESIGNS as CODES
-from deepfsi.optics.features import FeatureNoise
 from deepfsi.optics.masks import FixedMasks, LearnedMasks
-from deepfsi.training.draws import SeedStream
-from deepfsi.training.features import PatchFeatures
 from deepfsi.training.learning import train
 from deepfsi.training.masks import initial_masks
 from deepfsi.training.training_set import TrainingSet
@@ -76,15 +73,6 @@ def learned(data):
 def test_spectra_have_no_patches():
     with pytest.raises(InputError, match="no images"):
         learn(synthetic((16,)), **SMALL)
-
-
-def test_a_training_on_patches_has_settings_of_its_own(data):
-    one = job(camera="paper", patch=4, masks=16, photons=BUDGET)
-    assert one.exposure == Patches(patch=4)
-    assert (one.training.classifier, one.training.epochs, one.training.batch) == ("vit", 15, 100)
-    assert one.training.lr == 2e-3
-    assert job(camera="paper", patch=4, masks=16, photons=BUDGET, lr=1e-3).training.lr == 1e-3
-    one.check(data)
 
 
 @pytest.mark.parametrize(
@@ -151,23 +139,6 @@ def test_noise_of_a_patchs_readout_is_its_light(patches, design, noise):
         )
 
 
-def test_masks_follow_the_gradient_of_the_loss(patches):
-    masks = patches.masks("deepfsi")
-    assert isinstance(masks, LearnedMasks)
-    x = photons_per_pixel(patches.x, BUDGET, patches.summed_reflectance)
-    Scanner(masks, "ml_gauss")(x, generator()).square().mean().backward()
-    slope = masks.weight.grad
-    assert torch.isfinite(slope).all()
-    assert (slope != 0).float().mean() > 0.9
-
-
-def test_learned_masks_start_from_the_principal_components_and_leave_them(patches, learned):
-    start, fixed = (patches.masks(design)().difference[0] for design in ("deepfsi", "pca"))
-    assert torch.allclose(start, fixed, atol=1e-6)
-    moved = (torch.from_numpy(learned.matrix) - start.detach()).norm() / start.norm()
-    assert moved > 0.01
-
-
 def test_principal_components_are_those_of_the_patches(data, patches):
     blocks = data.x_train.reshape(-1, 4, 4, 2, 4).transpose(0, 1, 3, 2, 4).reshape(-1, 16)
     _, _, axes = np.linalg.svd(blocks - blocks.mean(axis=0), full_matrices=False)
@@ -186,28 +157,6 @@ def test_features_are_standardised_as_they_were_in_training(data, patches, desig
     assert float(scaled.square().mean()) == pytest.approx(1, abs=0.05)
 
 
-@pytest.mark.parametrize("scale", ["each", "common"])
-def test_features_of_a_step_are_standardised_over_its_images_and_patches(patches, scale):
-    labels = patches.training_set.labels
-    noise = FeatureNoise.of("ml_gauss", [BUDGET], [1.0], [0], labels.device)
-    stream = SeedStream(0, slice(0, 1), noise, labels, batch=30)
-    stream.shuffle()
-    features = PatchFeatures([stream], patches.masks("pca"), patches.x, scale).at(0)
-    assert features.shape == (30, 1, *patches.x.shape[1:2], 16)
-    power = features.detach().square().mean(dim=(0, 1, 2))
-    assert float(power.mean()) == pytest.approx(1, rel=1e-4)
-    assert torch.allclose(power, torch.ones(16), rtol=1e-4) == (scale == "each")
-
-
-@pytest.mark.parametrize("design", ["raster", "deepfsi"])
-def test_a_seed_gives_the_same_design_again(data, design):
-    first, again = (learn(data, **SMALL, design=design, seed=3) for _ in range(2))
-    torch.manual_seed(99)
-    other = learn(data, **SMALL, design=design, seed=4)
-    assert same(first, again)
-    assert not torch.equal(first.classifier.head.weight, other.classifier.head.weight)
-
-
 def test_jobs_of_patches_train_one_by_one(patches):
     """Their transformers are not stacked: jobs of two budgets are no companions."""
     jobs = [job(**{**SMALL, "photons": photons}) for photons in (BUDGET, 2 * BUDGET)]
@@ -215,43 +164,11 @@ def test_jobs_of_patches_train_one_by_one(patches):
         train(patches.training_set, jobs)
 
 
-def test_the_global_generator_is_left_alone(data):
-    before = torch.get_rng_state()
-    learn(data, **SMALL)
-    assert torch.equal(before, torch.get_rng_state())
-
-
-def test_it_learns_in_bright_light(data):
-    made = learn(data, **{**SMALL, "photons": 1e6, "epochs": 15, "lr": 5e-3})
-    result = evaluate(made, data, 1e6, draws=1)[0]
-    assert result.accuracy > 0.8
-    assert 0 < result.throughput <= 1 + FLOAT32
-
-
 def test_the_throughput_is_what_is_counted(data, patches, learned):
     light = photons_per_pixel(torch.from_numpy(data.x_train), 1.0, learned.summed_reflectance)
     rates = learned.scanner().rates(cut(light, data.image_shape, 4))
     counted = rates.sum(dim=(1, 2, 3)).mean()
     assert float(learned.shares.sum()) == pytest.approx(float(counted), rel=1e-4)
-
-
-def test_a_design_comes_back_from_its_file(data, learned, tmp_path):
-    again = Design.load(learned.save(tmp_path / "made.safetensors"))
-    assert again.mask_shape == (4, 4)
-    x = cut(torch.from_numpy(data.x_test), data.image_shape, 4)
-    assert torch.equal(learned.logits(x, BUDGET), again.logits(x, BUDGET))
-    fields = ("name", "light", "summed_reflectance", "image_shape", "classes", "exposure", "info")
-    for name in fields:
-        assert getattr(again, name) == getattr(learned, name)
-    assert torch.equal(again.rails.stacked, learned.rails.stacked)
-
-
-def test_probabilities_of_one_exposure(data, learned):
-    light = photons_per_pixel(torch.from_numpy(data.x_test[:5]), 1e4, learned.summed_reflectance)
-    counts = learned.scanner().counts(cut(light, data.image_shape, 4), generator())
-    chances = learned.classify(counts.numpy(), photons=BUDGET)
-    assert chances.shape == (5, 3)
-    assert np.allclose(chances.sum(axis=1), 1, atol=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -290,14 +207,6 @@ def test_what_patches_cannot_do_is_refused(data, learned):
     for attempt, words in refused:
         with pytest.raises(InputError, match=words):
             attempt()
-
-
-def test_fixed_masks_stay_as_they_are(data, patches):
-    masks = patches.masks("hadamard")
-    assert isinstance(masks, FixedMasks)
-    assert torch.allclose(masks().difference.abs(), torch.tensor(1 / 16))
-    made = learn(data, **SMALL, design="hadamard")
-    assert np.array_equal(made.matrix, masks().difference[0].numpy())
 
 
 def test_a_hadamard_basis_is_whole():
