@@ -270,7 +270,11 @@ def test_what_a_fixed_sequence_is_for_is_refused(digits, design):
     with pytest.raises(InputError, match="was to take"):
         design.classify_live(lambda dwell: (np.zeros(6), 2 * dwell), 1e3)
     with pytest.raises(InputError, match="not judged after 1: this rule is for 3 to 4"):
-        design.classify_live(lambda dwell: np.zeros(6), 1e3, StoppingRule((3, 4), 0.5, 1e3).decide)
+        design.classify_live(
+            lambda dwell: np.zeros(6),
+            1e3,
+            StoppingRule(after=(3, 4), threshold=0.5, photons=1e3).decide,
+        )
     with pytest.raises(InputError, match="finite"):
         design.classify_live(lambda dwell: np.full(6, np.nan), 1e3)
     fixed = seeing(digits, looks=1)

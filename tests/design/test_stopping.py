@@ -123,7 +123,7 @@ def test_an_older_rule_is_refused(looking):
     with pytest.raises(InputError, match="make it again with `deepfsi stop`"):
         stopping.rule_of(replace(looking, info={**looking.info, "stopping": held}))
     assert stopping.rule_of(looking) is None
-    rule = stopping.StoppingRule((1, 2, 3, 4), 0.9, 2e4)
+    rule = stopping.StoppingRule(after=(1, 2, 3, 4), threshold=0.9, photons=2e4)
     assert stopping.rule_of(stopping.with_rule(looking, rule)) == rule
 
 

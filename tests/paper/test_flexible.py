@@ -28,7 +28,7 @@ def stopped_trials(used, lost):
     return [
         Stopped(
             photons=1e5,
-            rule=StoppingRule((1, 2), 0.9, 1e5),
+            rule=StoppingRule(after=(1, 2), threshold=0.9, photons=1e5),
             used=rate(used + change),
             whole=rate(0.9),
             stopped=rate(0.9 - lost),

@@ -51,7 +51,7 @@ def designs(digits):
         made[kind] = learn(data, design="adaptive", masks=LOOKS, photons=PHOTONS, **settings)
     known = AdaptiveMasks(looks=LOOKS, spread=0.0)
     made["among"] = replace(made["among"], prior=prior_of(few, known), settings=known)
-    rule = StoppingRule(tuple(range(1, LOOKS + 1)), SURE, PHOTONS)
+    rule = StoppingRule(after=tuple(range(1, LOOKS + 1)), threshold=SURE, photons=PHOTONS)
     made["one"] = with_rule(made["one"], rule)
     return made
 

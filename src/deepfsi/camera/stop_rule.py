@@ -21,7 +21,7 @@ def margin_ns(gate_ns: np.ndarray) -> np.ndarray:
 
 
 class StopRule(StrictModel):
-    """When an exposure stops, as `design.stopping.StoppingRule` has it."""
+    """When an exposure stops."""
 
     # Confidence above which the exposure stops; 1 for never before the last look
     threshold: float = Field(ge=0, le=1)

@@ -10,7 +10,7 @@ in 16 bits, and coefficients of those of a prior in 8.
 
 import base64
 import zlib
-from dataclasses import asdict, replace
+from dataclasses import replace
 from importlib.metadata import version
 from typing import Any
 
@@ -240,7 +240,7 @@ def _rules(design: AnyDesign, data: Dataset, seed: int, report: Progress) -> lis
         return []
     held = rule_of(design)
     if held is not None:
-        return [asdict(held)]
+        return [held.as_dict()]
     if isinstance(design, AdaptiveDesign):
         return []
     known, trained = trained_on(design.info), design.trained_budgets
@@ -251,7 +251,7 @@ def _rules(design: AnyDesign, data: Dataset, seed: int, report: Progress) -> lis
     rules = []
     for place, budget in enumerate(budgets):
         found = stop(design, data, budget, draws=1, seed=seed)
-        rules.append(asdict(found.rule))
+        rules.append(found.rule.as_dict())
         report((place + 1) / len(budgets))
     return rules
 

@@ -15,12 +15,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import TypeAdapter
+from pydantic import model_serializer
 from scipy.special import log_softmax
 
 from deepfsi.base import InputError, as_input_error
 from deepfsi.base.numeric import accuracy_interval
-from deepfsi.camera import check_budget
+from deepfsi.camera import StopRule, check_budget
 from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.adaptive.design import AdaptiveDesign, AnyDesign
 from deepfsi.design.artifact import Design
@@ -40,9 +40,6 @@ from deepfsi.optics.surroundings import library_defaults
 THRESHOLDS = 1 - np.geomspace(0.5, 1e-7, 135)
 """Confidences that are tried, and 1, which none is above."""
 
-NEAR = 10**0.5
-"""Largest ratio of a budget and the one that a threshold was chosen at, where it still holds."""
-
 ACCEPTED_SHARES = tuple(k / 20 for k in range(10, 21))
 """Shares of accepted answers at which rejection is shown."""
 
@@ -58,14 +55,16 @@ class Estimate:
     high: float
 
 
-@dataclass(frozen=True)
-class StoppingRule:
-    """When an exposure stops."""
+class StoppingRule(StopRule):
+    """When an exposure stops, and where it may."""
 
     # Numbers of masks, or of looks, after which it may, rising; the last is all
     after: tuple[int, ...]
-    threshold: float  # confidence above which it stops; 1 for never before the end
-    photons: float  # budget that the threshold was chosen at: it holds within a factor of `NEAR`
+
+    @model_serializer
+    def as_dict(self) -> dict[str, Any]:
+        """JSON types only, in the order that files and pages have."""
+        return {"after": list(self.after), "threshold": self.threshold, "photons": self.photons}
 
     def classify(
         self, design: Design, counts: ArrayLike, photons: float
@@ -91,8 +90,7 @@ class StoppingRule:
                 f"an exposure is not judged after {shown}: this rule is for {self.after[0]} to "
                 f"{self.after[-1]} masks or looks"
             )
-        near = 1 / NEAR <= photons / self.photons <= NEAR
-        return shown == self.after[-1] or bool(near and chances.max() > self.threshold)
+        return shown == self.after[-1] or bool(self.stops(chances.max(), photons))
 
 
 def looks_of(design: Design) -> LooksExposure:
@@ -106,8 +104,7 @@ def looks_of(design: Design) -> LooksExposure:
 
 def with_rule(design: AnyDesign, rule: StoppingRule) -> AnyDesign:
     """The design with a rule of when an exposure stops, or `InputError` if it is of one look."""
-    held = {"threshold": rule.threshold, "photons": rule.photons}
-    info = {**design.info, "stopping": held}
+    info = {**design.info, "stopping": rule.model_dump(exclude={"after"})}
     if isinstance(design, AdaptiveDesign):
         stopped = design.settings.model_copy(update={"until": rule.threshold})
         return replace(design, settings=stopped, info=info)
@@ -122,7 +119,7 @@ def rule_of(design: AnyDesign) -> StoppingRule | None:
         return None
     after, _ = stops_of(design)
     with as_input_error("the design's stopping rule", "make it again with `deepfsi stop`"):
-        return TypeAdapter(StoppingRule).validate_python({"after": after, **held})
+        return StoppingRule.model_validate({"after": after, **held})
 
 
 @dataclass(frozen=True)
@@ -158,7 +155,7 @@ class Stopped:
 
     def as_dict(self) -> dict[str, Any]:
         """JSON types only."""
-        return asdict(self)
+        return asdict(self) | {"rule": self.rule.as_dict()}
 
 
 class _Answers:
@@ -252,7 +249,7 @@ def stop(
     choice = _Answers(logits, kept.y_test, temperatures)
     if threshold is None:
         threshold = choice.least_threshold(used)
-    rule = StoppingRule(after, float(threshold), budget)
+    rule = StoppingRule(after=after, threshold=float(threshold), photons=budget)
     new, left = new_scenes(design.training_scenes, scenes)
     tested = logits_at_stops(design, scanner, new.x_test, budget, draws, seed)
     found = _stopped(rule, _Answers(tested, new.y_test, temperatures), choice, used, budget)

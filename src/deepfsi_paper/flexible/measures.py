@@ -4,11 +4,12 @@ The first masks of nested designs, and exposures that stop early.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import TypeAdapter
 
 from deepfsi.base import SILENT, Progress
 from deepfsi.base.numeric import accuracy_interval
@@ -75,7 +76,7 @@ def measure(
         prefixes += _prefixes(results, recipe, data, designs)
     report(0.5, "stopping")
     stopped, looked = (_stopped(results, recipe, data, designs) for recipe in ("stop", "looks"))
-    return asdict(Measures(prefixes, stopped, looked))
+    return TypeAdapter(Measures).dump_python(Measures(prefixes, stopped, looked))
 
 
 def _prefixes(results: Results, recipe: str, data: Dataset, folder: Path) -> Iterator[Prefix]:
