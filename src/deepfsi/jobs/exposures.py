@@ -19,7 +19,7 @@ from math import ceil
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import BeforeValidator, ConfigDict, Field, SerializeAsAny
+from pydantic import BeforeValidator, Field, SerializeAsAny
 
 from deepfsi.base import InputError, Message, as_input_error
 from deepfsi.base.models import StrictModel, UserModel
@@ -110,10 +110,8 @@ class Exposure(UserModel):
         return []
 
 
-class _Entry(StrictModel):
+class _Entry(StrictModel, strict=True):
     """Entry of a design file's header: no further fields, and no conversions."""
-
-    model_config = ConfigDict(strict=True)
 
     def count_stops(self, masks: int) -> int:
         """K, numbers of masks, of m, or of looks, after which an exposure can be classified."""
@@ -645,11 +643,7 @@ EXPOSURE_KINDS: dict[str, type[Exposure]] = {
     "patch": Patches,
     "nested": Nested,
     "span": Range,
-    "bins": Passing,
-    "speed": Passing,
-    "jitter": Passing,
-    "speed_jitter": Passing,
-    "pattern_width": Passing,
+    **dict.fromkeys(Passing.model_fields, Passing),
 }
 """Kind of exposure by the setting that asks for it; the first that is given counts."""
 

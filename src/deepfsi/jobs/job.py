@@ -265,7 +265,7 @@ class Job(UserModel):
                     setting="patch",
                 )
             sizes = mine.classifier_arguments.items()
-            if any(name not in VIT_SIZES or not _is_size(size) for name, size in sizes):
+            if any(n not in VIT_SIZES or type(size) is not int or size < 1 for n, size in sizes):
                 yield (
                     f"vit cannot have {mine.classifier_arguments}: give whole numbers of "
                     f"{', '.join(VIT_SIZES)}"
@@ -357,10 +357,6 @@ class Job(UserModel):
                 f"{self.masks} looks are shorter than {shortest:.3g} of the exposure, the shortest "
                 f"picture of the camera: give at most {int(1 / shortest)} masks"
             )
-
-
-def _is_size(given: Any) -> bool:
-    return isinstance(given, int) and not isinstance(given, bool) and given >= 1
 
 
 SETTING_ALIASES = {"dmd": ("camera", "device"), "train_noise": ("training", "noise")}

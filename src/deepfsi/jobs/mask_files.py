@@ -86,8 +86,7 @@ def _pages(file: Path) -> Iterator[np.ndarray]:
             warnings.simplefilter("error", Image.DecompressionBombWarning)
             opened = open_regular(file, LARGEST_FILE, "replace it")
             with opened as stream, Image.open(stream) as image:
-                pages = getattr(image, "n_frames", 1)
-                pixels = image.width * image.height * pages
+                pixels = image.width * image.height * getattr(image, "n_frames", 1)
                 check_unpacked(pixels, file.stat().st_size, str(file), "replace it")
                 for page in ImageSequence.Iterator(image):
                     check_levels(page, str(file))

@@ -156,7 +156,6 @@ def check_rail_sums(
     fine: np.ndarray,
     order: np.ndarray | None = None,
     block: int | None = None,
-    seed: int = 0,
 ) -> RailSums | None:
     """Test whether rail sums scatter as Poisson counts of a constant light do.
 
@@ -171,8 +170,6 @@ def check_rail_sums(
         Place of each pair in the sequence; 0 to m - 1 unless given.
     block : int, optional
         Pictures that were uploaded and shown at a time.
-    seed : int
-        Of the random orders.
 
     Returns
     -------
@@ -194,9 +191,7 @@ def check_rail_sums(
         tests.append(several["chance_counts"])
     poisson = min(tests) * len(tests) > FALSE_ALARMS
     place = np.arange(pairs) if order is None else order
-    causes = (
-        {} if poisson else find_causes(relative.mean(axis=0), fine, place, block=block, seed=seed)
-    )
+    causes = {} if poisson else find_causes(relative.mean(axis=0), fine, place, block)
     return RailSums(pairs, poisson, scatter, causes, **several)
 
 
@@ -291,29 +286,29 @@ def _own(different: np.ndarray) -> np.ndarray:
 
 
 def find_causes(
-    sums: np.ndarray, fine: np.ndarray, place: np.ndarray, block: int | None, seed: int
+    sums: np.ndarray, fine: np.ndarray, place: np.ndarray, block: int | None
 ) -> dict[str, Cause]:
     """Shares of the scatter of rail sums (m,) that each place of a pair predicts."""
     from scipy.spatial import cKDTree
 
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     pairs = len(sums)
     nearest = cKDTree(fine).query(fine, min(ALIKE + 1, pairs))[1]
-    by_time: dict[str, Callable[[np.ndarray], np.ndarray]] = {"sequence": _neighbours}
-    if block:
-        many = max(block // 2, 1)
-        by_time["block"] = lambda row: _others(row, place // many)
-        by_time["place in block"] = lambda row: _others(row, place % many)
 
     def like(row: np.ndarray) -> np.ndarray:
-        held = np.where(nearest == np.arange(pairs)[:, None], np.nan, row[nearest])
-        return np.asarray(np.nanmean(held, axis=1))
+        others = np.where(nearest == np.arange(pairs)[:, None], np.nan, row[nearest])
+        return np.asarray(np.nanmean(others, axis=1))
 
-    every = {"fineness": like, **by_time}
+    predictors: dict[str, Callable[[np.ndarray], np.ndarray]] = {}
+    predictors |= {"fineness": like, "sequence": _neighbours}
+    if block:
+        many = max(block // 2, 1)
+        predictors["block"] = lambda row: _others(row, place // many)
+        predictors["place in block"] = lambda row: _others(row, place % many)
     orders = [rng.permutation(pairs) for _ in range(ORDERS)]
     rest = sums - like(sums)
     causes = {}
-    for name, predict in every.items():
+    for name, predict in predictors.items():
         share = _share(sums, predict(sums))
         by_chance = [_share(sums[order], predict(sums[order])) for order in orders]
         chance = (1 + sum(found >= share for found in by_chance)) / (1 + ORDERS)
@@ -399,18 +394,7 @@ def split_rails(values: np.ndarray, layout: str | None, masks: int | None, name:
     shape = f"{name} has {values.shape[0]} rows and {values.shape[1]} columns"
     upright = values if values.shape[0] >= values.shape[1] else values.T
     wide = upright.shape[1]
-    if wide == 2 and layout in (None, "columns"):
-        rails = upright.T
-    elif wide == 1 and layout not in (None, "columns"):
-        row = upright[:, 0]
-        if layout != "single" and len(row) % 2:
-            raise InputError(f"{shape}: masks and their inverses are an even number of values")
-        rails = {
-            "turns": row.reshape(-1, 2).T,
-            "halves": row.reshape(2, -1),
-            "single": row[None],
-        }[str(layout)]
-    elif wide == 1 and layout is None:
+    if wide == 1 and layout is None:
         if masks not in (len(upright), len(upright) / 2):
             raise InputError(
                 "{shape}, in which masks and inverses may stand in several ways: say {rails} "
@@ -425,7 +409,14 @@ def split_rails(values: np.ndarray, layout: str | None, masks: int | None, name:
                 shape=shape,
                 masks=masks,
             )
-        rails = upright[:, 0][None]
+        layout = "single"
+    if wide == 2 and layout in (None, "columns"):
+        rails = upright.T
+    elif wide == 1 and layout != "columns":
+        if layout != "single" and len(upright) % 2:
+            raise InputError(f"{shape}: masks and their inverses are an even number of values")
+        turns = upright.reshape(-1, 1 if layout == "single" else 2).T
+        rails = upright.reshape(2, -1) if layout == "halves" else turns
     else:
         raise InputError(
             "{shape}: give a column of masks and one of inverses ({rails} columns), or all in one "

@@ -1,4 +1,4 @@
-"""TablePictures and a verdict on the light from tables of counts behind masks that are known."""
+"""Pictures and a verdict on the light from tables of counts behind masks that are known."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -45,7 +45,7 @@ class TableMasks:
     exposures_s : tuple of float, optional
         Time of a picture, seconds, of each table.
     block : int, optional
-        TablePictures that were shown at a time.
+        Pictures that were shown at a time.
     """
 
     masks: str
@@ -57,7 +57,7 @@ class TableMasks:
 
 @dataclass(frozen=True)
 class TablePictures:
-    """TablePictures from tables of counts, and what the counts say of the light.
+    """Pictures from tables of counts, and what the counts say of the light.
 
     Attributes
     ----------
@@ -109,7 +109,7 @@ class TablePictures:
 
 
 def read_pictures(sources: Sequence[str], settings: TableMasks) -> TablePictures:
-    """TablePictures of tables of counts, and the verdict on their light.
+    """Pictures of tables of counts, and the verdict on their light.
 
     Parameters
     ----------
@@ -306,7 +306,7 @@ def compare_picture(
 def _of_wavelets(
     sources: Sequence[str], names: tuple[str, ...], wavelet: str, levels: int
 ) -> TablePictures:
-    """TablePictures of wavelet coefficients, and what these say of their noise."""
+    """Pictures of wavelet coefficients, and what these say of their noise."""
     pictures = []
     scatters = []
     for source in sources:
