@@ -4,7 +4,6 @@ import json
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any
 
@@ -58,7 +57,9 @@ class Message(str):
         """Write the text as Python names settings."""
         settings = (setting,) if isinstance(setting, str) else setting
         self = super().__new__(cls, _written(template, settings, values, _in_python))
-        self.template, self.settings, self.values = template, settings, values
+        self.template = template
+        self.settings = settings
+        self.values = values
         return self
 
     def write(self, name: Callable[[str, str], str]) -> str:
@@ -66,10 +67,10 @@ class Message(str):
         return _written(self.template, self.settings, self.values, name)
 
 
-@dataclass
 class _Setting:
-    setting: str
-    name: Callable[[str, str], str]
+    def __init__(self, setting: str, name: Callable[[str, str], str]) -> None:
+        self.setting = setting
+        self.name = name
 
     def __format__(self, value: str) -> str:
         return self.name(self.setting, value)
@@ -152,7 +153,15 @@ def join_messages(messages: Iterable[str]) -> Message:
 
 
 def closest_choice(name: str, allowed: Iterable[str]) -> str:
-    """Say what to write instead of an unknown name, as the end of an error message."""
+    """Say what to write instead of an unknown name, as the end of an error message.
+
+    Parameters
+    ----------
+    name : str
+        Unknown.
+    allowed : iterable of str
+        Names that there are.
+    """
     allowed = list(allowed)
     by_lower_case = {known.lower(): known for known in allowed}
     matches = get_close_matches(name.lower(), by_lower_case, n=1)
@@ -163,14 +172,33 @@ def closest_choice(name: str, allowed: Iterable[str]) -> str:
 
 
 def check_choice(what: str, name: str, known: Iterable[str]) -> None:
-    """Raise `InputError` with the closest known name unless a name is known."""
+    """Raise `InputError` with the closest known name unless a name is known.
+
+    Parameters
+    ----------
+    what : str
+        Kind of thing that the name is of, in a message.
+    name : str
+    known : iterable of str
+        Names that there are.
+    """
     if name not in (known := list(known)):
         advice = closest_choice(name, known)
         raise InputError("unknown {what} {name!r}: {advice}", what=what, name=name, advice=advice)
 
 
 def other_version(content: str | bytes, schema: int, again: str = "make it again") -> str:
-    """Say that an older or a newer package wrote a file, as its JSON has it, and what to do."""
+    """Say that an older or a newer package wrote a file, as its JSON has it, and what to do.
+
+    Parameters
+    ----------
+    content : str or bytes
+        JSON of the file. Where it says nothing of a version the answer is empty.
+    schema : int
+        Number of the file's schema in this version.
+    again : str
+        What to do with a file that is too old.
+    """
     from importlib.metadata import version
 
     try:
@@ -257,7 +285,7 @@ def _given(fault: "ErrorDetails") -> str:
 
 
 def _words(fault: "ErrorDetails") -> str:
-    """What pydantic says, or the message of an error that a model's own check raised."""
+    """Words of pydantic, or the message of an error that a model's own check raised."""
     error = fault.get("ctx", {}).get("error")
     if isinstance(error, InputError):
         return error.message

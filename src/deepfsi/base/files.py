@@ -17,11 +17,9 @@ import shutil
 import stat
 import sys
 import time
-import tomllib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
-from hashlib import file_digest
 from io import BufferedReader, FileIO
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -83,8 +81,11 @@ MOST_DOTS = 500
 LONGEST_NAME = 255
 """Bytes of a file's name at most."""
 
-UNPACKED_SPARE, UNPACKED_RATIO = 2**24, 32
-"""Values, or bytes, that any file may unpack to, and those for each of its bytes beyond."""
+UNPACKED_SPARE = 2**24
+"""Values, or bytes, that any file may unpack to."""
+
+UNPACKED_RATIO = 32
+"""Values, or bytes, that a file may unpack to beyond that, for each of its bytes."""
 
 
 @contextmanager
@@ -94,7 +95,18 @@ def open_regular(
     advice: str = "give a file that can be read",
     buffering: int = -1,
 ) -> Iterator[BufferedReader]:
-    """Open a regular file of so many bytes at most to read; `InputError` for anything else."""
+    """Open a regular file of so many bytes at most to read; `InputError` for anything else.
+
+    Parameters
+    ----------
+    path : path
+    largest : int
+        Bytes of the file at most.
+    advice : str
+        What to do instead, as the end of a message.
+    buffering : int
+        As of `open`.
+    """
     try:
         file = open(path, "rb", buffering, opener=_open_at_once)  # noqa: SIM115 - errors of what follows are not ours
     except FileNotFoundError:
@@ -117,7 +129,13 @@ def _open_at_once(path: str, flags: int) -> int:
 
 
 def read_regular(path: str | os.PathLike[str], largest: int, advice: str) -> bytes:
-    """Content of a file, by the rules of `open_regular`."""
+    """Content of a file, by the rules of `open_regular`.
+
+    Parameters
+    ----------
+    path, largest, advice
+        As of `open_regular`.
+    """
     with open_regular(path, largest, advice) as file:
         return file.read()
 
@@ -144,8 +162,15 @@ def read_text(
 ) -> str:
     """Text of a file of any editor, its lines ended by line feeds alone.
 
-    A byte order mark says which of UTF-8, UTF-16 and UTF-32 it is. Text without one is UTF-8, or
-    where it is none and `other` is given, that encoding: `WINDOWS`, in which Excel saves tables.
+    A byte order mark says which of UTF-8, UTF-16 and UTF-32 it is. Text without one is UTF-8.
+
+    Parameters
+    ----------
+    path, largest, advice
+        As of `open_regular`.
+    other : str, optional
+        Encoding of text without a mark that is no UTF-8: `WINDOWS_ENCODING`, in which Excel saves
+        tables.
     """
     content = read_regular(path, largest, advice)
     found = next((mark for mark in BYTE_ORDER_MARKS if content.startswith(mark)), b"")
@@ -166,6 +191,8 @@ def read_text(
 
 def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
     """Tables of a TOML file."""
+    import tomllib
+
     content = read_text(path, LARGEST_TOML, "give a TOML file")
     if max(part.count(".") for part in re.split(r"[\n,={}\[\]]", content)) > MOST_DOTS:
         raise InputError(f"{path} has a key of more than {MOST_DOTS} dots: break it up")
@@ -176,7 +203,17 @@ def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
 
 
 def check_unpacked(unpacked: float, packed: int, what: str, advice: str) -> None:
-    """Raise `InputError` for far more values, or bytes, than a file of so many bytes explains."""
+    """Raise `InputError` for far more values, or bytes, than a file of so many bytes explains.
+
+    Parameters
+    ----------
+    unpacked : float
+        Values or bytes that a file would unpack to.
+    packed : int
+        Bytes of the file.
+    what, advice : str
+        What is read, and what to do instead, for a message.
+    """
     limit = UNPACKED_SPARE + UNPACKED_RATIO * packed
     if unpacked > limit:
         raise InputError(
@@ -186,14 +223,33 @@ def check_unpacked(unpacked: float, packed: int, what: str, advice: str) -> None
 
 
 def write_atomically(path: str | os.PathLike[str], content: bytes) -> Path:
-    """Write a file so that it is either whole or not there; parent folders are made."""
+    """Write a file so that it is either whole or not there; parent folders are made.
+
+    Parameters
+    ----------
+    path : path
+    content : bytes
+
+    Returns
+    -------
+    Path
+        That of the file.
+    """
     with open_atomically(path) as file:
         file.write(content)
     return Path(path)
 
 
 def check_ending(path: str | os.PathLike[str], ends: Sequence[str]) -> None:
-    """Raise `InputError` unless a name ends as files of its kind do."""
+    """Raise `InputError` unless a name ends as files of its kind do.
+
+    Parameters
+    ----------
+    path : path
+        File to be written.
+    ends : sequence of str
+        Ends that are allowed, such as ``.csv``.
+    """
     if Path(path).suffix.lower() not in ends:
         raise InputError(f"cannot write to {path}: end the name in {' or '.join(ends)}")
 
@@ -212,6 +268,8 @@ def check_readable_name(path: str) -> str:
 
 def hash_file(path: Path) -> str:
     """SHA-256 of a file's content."""
+    from hashlib import file_digest
+
     with open_regular(path) as file:
         return file_digest(file, "sha256").hexdigest()
 
@@ -245,7 +303,8 @@ class GrowingFile(FileIO):
 
     def write(self, part: bytes, /) -> int:  # type: ignore[override]
         """Write all of a part; `InputError` if the disk does not take it, and then none of it."""
-        size, left = os.fstat(self.fileno()).st_size, memoryview(part)
+        size = os.fstat(self.fileno()).st_size
+        left = memoryview(part)
         try:
             while left:
                 taken = os.write(self.fileno(), left)
@@ -262,7 +321,17 @@ class GrowingFile(FileIO):
 
 
 def check_disk_space(path: str | os.PathLike[str], size: float, advice: str) -> None:
-    """Raise `InputError` where the disk of a file to be has no room for so many bytes."""
+    """Raise `InputError` where the disk of a file to be has no room for so many bytes.
+
+    Parameters
+    ----------
+    path : path
+        File or folder to be written.
+    size : float
+        Its bytes.
+    advice : str
+        What else to do, as the end of a message.
+    """
     above = next((each for each in Path(path).absolute().parents if each.exists()), None)
     free = shutil.disk_usage(above).free if above else math.inf
     if size > free:

@@ -6,7 +6,6 @@ this host still runs can be asked; of one elsewhere only its files' changes tell
 """
 
 import contextlib
-import hashlib
 import os
 import platform
 import re
@@ -17,8 +16,6 @@ from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
-
-import psutil
 
 START_TOLERANCE = 60.0
 """Seconds by which the start of one process may seem to move, where the clock is set."""
@@ -52,6 +49,8 @@ class ProcessId(NamedTuple):
         """True if the process was here and runs no more."""
         if not self.is_here:
             return False
+        import psutil
+
         try:
             return abs(_start_of(self.number) - self.start_s) > START_TOLERANCE
         except psutil.NoSuchProcess:
@@ -76,6 +75,8 @@ def parse_process(name: str) -> ProcessId | None:
 @cache
 def host_id() -> str:
     """Name of this host, since it was started, as this process's namespace sees it."""
+    import hashlib
+
     facts = [platform.node()]
     for source in ("/proc/sys/kernel/random/boot_id", "/proc/self/ns/pid"):
         path = Path(source)
@@ -93,6 +94,8 @@ def _this_start(number: int) -> int:
 
 def _start_of(number: int) -> float:
     """Seconds from the host's start to a process's; psutil's error if it does not run."""
+    import psutil
+
     process = psutil.Process(number)
     if process.status() == psutil.STATUS_ZOMBIE:
         raise psutil.ZombieProcess(number)

@@ -63,7 +63,8 @@ def load_plugin(path: str) -> Any:
 
 def import_path(part: Any) -> str | None:
     """Where a part can be imported from again, or None, as for what a script itself defines."""
-    module, name = getattr(part, "__module__", None), getattr(part, "__qualname__", None)
+    module = getattr(part, "__module__", None)
+    name = getattr(part, "__qualname__", None)
     if not module or not name or module == "__main__" or "<" in name:
         return None
     found = sys.modules.get(module)

@@ -15,7 +15,15 @@ def _nothing(share: float, what: str) -> None:
 
 @dataclass(frozen=True)
 class Progress:
-    """Where a task says how far it is."""
+    """Where a task says how far it is.
+
+    Parameters
+    ----------
+    show : callable
+        Is told the share that is done, 0 to 1, and what is being done.
+    begin, end : float
+        Shares of the whole that `show` sees at the begin and the end of this task.
+    """
 
     show: Callable[[float, str], None] = _nothing
     begin: float = 0.0
@@ -71,7 +79,15 @@ WHOLE_TASK = 1e7
 
 @contextmanager
 def terminal_bar(what: str, hidden: bool = False) -> Iterator[Progress]:
-    """Progress with the time left on standard error: a bar on a terminal, else a line at times."""
+    """Progress with the time left on standard error: a bar on a terminal, else a line at times.
+
+    Parameters
+    ----------
+    what : str
+        What is being done.
+    hidden : bool
+        True to show nothing.
+    """
     from rich.console import Console
     from rich.progress import BarColumn, SpinnerColumn, TextColumn, TimeElapsedColumn
     from rich.progress import Progress as Bar
@@ -98,8 +114,10 @@ def terminal_bar(what: str, hidden: bool = False) -> Iterator[Progress]:
 def _lines(what: str) -> Iterator[Progress]:
     """Say at times how far a task is, from the second second on."""
     # The pace is that since the first share above 0: what starts a task is not of it
-    began, ended = time.monotonic(), threading.Event()
-    share, first = 0.0, (0.0, began)
+    began = time.monotonic()
+    ended = threading.Event()
+    share = 0.0
+    first = (0.0, began)
 
     def note(now: float, _: str) -> None:
         nonlocal share, first
@@ -110,7 +128,8 @@ def _lines(what: str) -> Iterator[Progress]:
     def say() -> None:
         pause = FIRST_LINE_SECONDS
         while not ended.wait(pause):
-            now, (before, since) = time.monotonic(), first
+            now = time.monotonic()
+            before, since = first
             pace = (share - before) / max(now - since, 1e-9)
             left = (1 - share) / pace if share - before >= LEAST_SHARE else None
             print(f"{what}: {progress_text(share, now - began, left)}", file=sys.stderr)
@@ -138,7 +157,15 @@ def duration_text(seconds: float) -> str:
 
 @contextmanager
 def progress_bar(report: Progress | None, what: str) -> Iterator[Progress]:
-    """The report of a task that was given one, else a bar where a terminal is attached."""
+    """The report of a task that was given one, else a bar where a terminal is attached.
+
+    Parameters
+    ----------
+    report : Progress, optional
+        Report that the task was given.
+    what : str
+        What is being done.
+    """
     if report is not None:
         yield report
         return

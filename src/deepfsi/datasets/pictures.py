@@ -252,7 +252,9 @@ def _safe_names(info: zipfile.ZipInfo, path: Path) -> tuple[str, ...]:
 
 
 def _open_entry(archive: zipfile.ZipFile, info: zipfile.ZipInfo, where: str) -> IO[bytes]:
-    return io.BytesIO(read_zip_entry(archive, info, where, MAX_FILE, "remove it"))
+    return io.BytesIO(
+        read_zip_entry(archive, info, where=where, largest=MAX_FILE, advice="remove it")
+    )
 
 
 def _group(entries: Iterable[_Entry], where: str) -> list[Picture]:

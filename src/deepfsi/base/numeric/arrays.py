@@ -42,17 +42,29 @@ LARGEST_ZIP_ENTRY = 2**33
 MATLAB_HDF5 = b"MATLAB 7.3"
 """Beginning of a ``.mat`` file that is an HDF5 file."""
 
-MAT_HEADER, MAT_PLAIN, MAT_DEFLATED = 128, 14, 15
-"""Bytes of the header of a ``.mat`` file before 7.3, and types of its variables."""
+MAT_HEADER = 128
+"""Bytes of the header of a ``.mat`` file before 7.3."""
 
-MAT_TAG, MAT_PARTS = 8, {*range(1, 8), 9, *range(12, 19)}
-"""Bytes of a tag in a ``.mat`` file, which holds type and length, and the types that there are."""
+MAT_PLAIN = 14
+"""Type of a variable in a ``.mat`` file."""
+
+MAT_DEFLATED = 15
+"""Type of a variable in a ``.mat`` file that is compressed."""
+
+MAT_TAG = 8
+"""Bytes of a tag in a ``.mat`` file, which holds type and length."""
+
+MAT_PARTS = {*range(1, 8), 9, *range(12, 19)}
+"""Types of the parts of a variable in a ``.mat`` file."""
 
 MAT_OPAQUE = 17
 """Class of variables in a ``.mat`` file that are strings, tables and the like."""
 
-DOUBLE, INFLATED_AT_ONCE = 8, 2**20
-"""Bytes of a number, and those that are inflated at once to be counted."""
+DOUBLE = 8
+"""Bytes of a number."""
+
+INFLATED_AT_ONCE = 2**20
+"""Bytes that are inflated at once to be counted."""
 
 UNCOMPRESSED = "save it uncompressed, or as a .npy file"
 
@@ -75,8 +87,27 @@ def read_array(
     usual: str = "",
     advice: str = "",
 ) -> npt.NDArray[Any]:
-    """Array of a ``.npy`` file, or a variable of so many dimensions of a ``.mat`` or HDF5 file."""
-    # Of several it is the one of the name `variable`, or else `usual`
+    """Array of a ``.npy`` file, or a variable of a ``.mat`` or HDF5 file.
+
+    Parameters
+    ----------
+    path : Path
+    dimensions : sequence of int
+        Numbers of dimensions that a variable may have.
+    variable : str
+        Its name; empty for the only one, or of several for the one of the name `usual`.
+    largest : int
+        Values of the array at most.
+    usual : str
+        Name that is taken where none is given.
+    advice : str
+        What to do where there is no such variable; to name one unless given.
+
+    Returns
+    -------
+    array
+        Real numbers.
+    """
     if path.suffix.lower() not in VARIABLE_ENDINGS:
         return read_npy(path, largest)
     found = list_variables(path, dimensions)
@@ -95,7 +126,14 @@ def read_array(
 def read_npz(
     path: Path, advice: str = "write plain arrays of numbers or strings with numpy.savez"
 ) -> dict[str, npt.NDArray[Any]]:
-    """Arrays of a ``.npz`` file by their names, all of them in memory."""
+    """Arrays of a ``.npz`` file by their names, all of them in memory.
+
+    Parameters
+    ----------
+    path : Path
+    advice : str
+        What to do instead, as the end of a message.
+    """
     with open_zip(path, advice) as archive:
         entries = archive.infolist()
         size = sum(entry.file_size for entry in entries)
@@ -103,14 +141,17 @@ def read_npz(
         arrays = {}
         for entry in entries:
             where = f"{path}/{entry.filename}"
-            content = read_zip_entry(archive, entry, where, LARGEST_ZIP_ENTRY, advice)
+            content = read_zip_entry(
+                archive, entry, where=where, largest=LARGEST_ZIP_ENTRY, advice=advice
+            )
             arrays[entry.filename.removesuffix(".npy")] = _of_npy(content, where, advice)
         return arrays
 
 
 def _of_npy(content: bytes, where: str, advice: str) -> npt.NDArray[Any]:
     """Array of the content of a ``.npy`` file, whose header may say anything."""
-    stream, form = io.BytesIO(content), np.lib.format
+    stream = io.BytesIO(content)
+    form = np.lib.format
     try:
         readers = {(1, 0): form.read_array_header_1_0, (2, 0): form.read_array_header_2_0}
         shape, fortran, dtype = readers[form.read_magic(stream)](stream)
@@ -127,7 +168,14 @@ def _of_npy(content: bytes, where: str, advice: str) -> npt.NDArray[Any]:
 
 
 def read_npy(path: Path, largest: int = 2**30) -> npt.NDArray[Any]:
-    """Array of a ``.npy`` file, or `InputError` if it holds something else than real numbers."""
+    """Array of a ``.npy`` file, or `InputError` if it holds something else than real numbers.
+
+    Parameters
+    ----------
+    path : Path
+    largest : int
+        Values of the array at most.
+    """
     with open_regular(path, LARGEST_ARRAY_FILE, "give a .npy file"):
         try:
             # mapped, so that no more is read than the file holds
@@ -157,9 +205,20 @@ def _check_values(what: object, shape: tuple[int, ...], largest: int) -> None:
 
 
 def list_variables(path: Path, dimensions: Sequence[int]) -> dict[str, tuple[int, ...]]:
-    """Shapes of the numeric variables in a file that have so many dimensions, by name."""
-    # Of a ``.mat`` file, or of an HDF5 file, in which a name is a path such as ``run/counts``.
-    # Raises `InputError` if the file is damaged, or an HDF5 file and h5py is not installed
+    """Shapes of the numeric variables in a file, by name.
+
+    Parameters
+    ----------
+    path : Path
+        ``.mat`` file, or HDF5 file, in which a name is a path such as ``run/counts``.
+    dimensions : sequence of int
+        Numbers of dimensions that the variables have.
+
+    Raises
+    ------
+    InputError
+        If the file is damaged, or an HDF5 file and h5py is not installed.
+    """
     if _in_hdf5(path):
         with _open_hdf5(path) as found:
             shapes = {name: _matlab_shape(path, held.shape) for name, held in found.items()}
@@ -188,7 +247,18 @@ def _others(path: Path) -> str:
 
 
 def read_variable(path: Path, name: str, shape: tuple[int, ...], largest: int) -> npt.NDArray[Any]:
-    """Variable of a ``.mat`` or HDF5 file."""
+    """Variable of a ``.mat`` or HDF5 file.
+
+    Parameters
+    ----------
+    path : Path
+    name : str
+        Of the variable.
+    shape : tuple of int
+        As `list_variables` gives it.
+    largest : int
+        Values of the variable at most.
+    """
     from scipy.io import loadmat
 
     _check_values(f"{path}: {name}", shape, largest)
@@ -272,7 +342,8 @@ def _check_mat(file: IO[bytes], path: Path) -> IO[bytes]:
     # these are left out
     header = file.read(MAT_HEADER)
     order = {b"IM": "<", b"MI": ">"}.get(header[-2:], "")
-    found, size = 0, path.stat().st_size
+    found = 0
+    size = path.stat().st_size
     kept: list[tuple[int, int]] = []
     while order and len(tag := file.read(MAT_TAG)) == MAT_TAG:
         kind, length = struct.unpack(f"{order}II", tag)
@@ -281,7 +352,8 @@ def _check_mat(file: IO[bytes], path: Path) -> IO[bytes]:
             opaque = _is_opaque(file, order)
             _check_parts(file, order, min(start + length, size))
         elif kind == MAT_DEFLATED:
-            inflate, left = zlib.decompressobj(), file.read(min(length, size))
+            inflate = zlib.decompressobj()
+            left = file.read(min(length, size))
             inflated = io.BytesIO()
             while left and not inflate.eof:
                 found += inflated.write(inflate.decompress(left, INFLATED_AT_ONCE))
@@ -331,7 +403,14 @@ ZIP_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
 @contextmanager
 def open_zip(path: Path, advice: str) -> Iterator[zipfile.ZipFile]:
-    """Open a zip file, or raise `InputError` if it is none or a bomb."""
+    """Open a zip file, or raise `InputError` if it is none or a bomb.
+
+    Parameters
+    ----------
+    path : Path
+    advice : str
+        What to do instead, as the end of a message.
+    """
     with open_regular(path, LARGEST_ARRAY_FILE, advice) as file:
         try:
             archive = zipfile.ZipFile(file)
@@ -348,9 +427,20 @@ def open_zip(path: Path, advice: str) -> Iterator[zipfile.ZipFile]:
 
 
 def read_zip_entry(
-    archive: zipfile.ZipFile, info: zipfile.ZipInfo, where: str, largest: int, advice: str
+    archive: zipfile.ZipFile, info: zipfile.ZipInfo, *, where: str, largest: int, advice: str
 ) -> bytes:
-    """Content of an entry of so many bytes at most."""
+    """Content of an entry of a zip file.
+
+    Parameters
+    ----------
+    archive : ZipFile
+    info : ZipInfo
+        The entry.
+    where, advice : str
+        What is read, and what to do instead, for a message.
+    largest : int
+        Bytes of the entry at most.
+    """
     if info.flag_bits & 1:
         raise InputError(f"{where} is encrypted; pack it again without a password")
     if info.compress_type not in ZIP_METHODS:
@@ -379,7 +469,18 @@ class DamagedError(Exception):
 def read_tensors(
     path: str | os.PathLike[str], key: str, advice: str, wanted: Container[str] | None = None
 ) -> tuple[str, dict[str, np.ndarray]]:
-    """Text of a key in a file's header and its tensors, all or those wanted."""
+    """Text of a key in a file's header and its tensors, all or those wanted.
+
+    Parameters
+    ----------
+    path : path
+    key : str
+        Of the text in the header.
+    advice : str
+        What to do instead, as the end of a message.
+    wanted : container of str, optional
+        Names of the tensors that are read; all unless given.
+    """
     with open_regular(path, LARGEST_TENSORS, advice):
         try:
             with safe_open(Path(path), framework="numpy") as file:
@@ -396,7 +497,15 @@ def free_memory() -> float:
 
 
 def check_memory(needed: float, free: float, what: str, advice: str) -> None:
-    """Raise `InputError` where something would not fit."""
+    """Raise `InputError` where something would not fit.
+
+    Parameters
+    ----------
+    needed, free : float
+        Bytes.
+    what, advice : str
+        What needs them, and what to do instead, for a message.
+    """
     if needed > free:
         raise InputError(
             "{what} need {needed_gb:.3g} GB of memory, and {free_gb:.3g} GB are free: {advice}",
@@ -408,7 +517,14 @@ def check_memory(needed: float, free: float, what: str, advice: str) -> None:
 
 
 def npy_header(kind: str, shape: tuple[int, ...]) -> bytes:
-    """Header of an array's .npy file, as `numpy.save` writes it."""
+    """Header of an array's .npy file, as `numpy.save` writes it.
+
+    Parameters
+    ----------
+    kind : str
+        Type of the values, such as ``<f4``.
+    shape : tuple of int
+    """
     header = io.BytesIO()
     content = {"descr": kind, "fortran_order": False, "shape": shape}
     np.lib.format.write_array_header_1_0(header, content)

@@ -13,18 +13,43 @@ from deepfsi.base.numeric.intervals import MOST_CLASSES, confusion_shares, frequ
 TINT = "0, 114, 178"
 """Red, green and blue of the cells of a confusion matrix."""
 
-NEGATIVE, POSITIVE = (33, 102, 172), (178, 24, 43)
-"""Colours of the ends of a mask's values; 0 is white."""
+NEGATIVE = (33, 102, 172)
+"""Colour of the lowest values of a mask; 0 is white."""
 
-MOST_MASKS, ACROSS, SIDE = 12, 6, 96
-"""Masks of a picture and of a row of it, and pixels of a mask on the screen."""
+POSITIVE = (178, 24, 43)
+"""Colour of the highest values of a mask."""
 
-WIDTH, HEIGHT, LEFT, FOOT = 420, 240, 44, 36
-"""Size of a curve and the room for its numbers, pixels."""
+MOST_MASKS = 12
+"""Masks of a picture."""
+
+ACROSS = 6
+"""Masks of a row of a picture."""
+
+SIDE = 96
+"""Pixels of a mask on the screen."""
+
+WIDTH = 420
+"""Width of a curve, pixels."""
+
+HEIGHT = 240
+"""Height of a curve, pixels."""
+
+LEFT = 44
+"""Room for the numbers on the left of a curve, pixels."""
+
+FOOT = 36
+"""Room for the numbers below a curve, pixels."""
 
 
 def confusion_table(confusion: Sequence[Sequence[int]], classes: Sequence[str]) -> str:
-    """Table of the share of each answer for each true class; of many, of the frequent mistakes."""
+    """Table of the share of each answer for each true class; of many, of the frequent mistakes.
+
+    Parameters
+    ----------
+    confusion : sequence of sequence of int, shape (C, C)
+        Scenes of each true class with each answer.
+    classes : sequence of str
+    """
     names = [escape(name) for name in classes]
     if len(names) > MOST_CLASSES:
         rows = [
@@ -51,18 +76,28 @@ def _percent(share: float) -> str:
 
 
 def mask_picture(matrix: np.ndarray, shape: tuple[int, ...]) -> str:
-    """Picture of the first masks (m, N) of images, or of all bands of masks of spectra."""
+    """Picture of the first masks (m, N) of images, or of all bands of masks of spectra.
+
+    Parameters
+    ----------
+    matrix : array, shape (m, N)
+    shape : tuple of int
+        Of a scene, (H, W), or (N,) of a spectrum.
+    """
     from PIL import Image
 
     shown = matrix[:MOST_MASKS].reshape(-1, *shape)
     if len(shape) == 1:
-        grid, rows, columns = shown, len(shown) / 6, ACROSS
+        grid = shown
+        rows = len(shown) / 6
+        columns = ACROSS
     else:
         framed = np.pad(shown, ((0, -len(shown) % min(ACROSS, len(shown))), (0, 1), (0, 1)))
         columns = min(ACROSS, len(shown))
         height, width = framed.shape[1:]
         tiles = framed.reshape(-1, columns, height, width).swapaxes(1, 2)
-        grid, rows = tiles.reshape(-1, columns * width), len(framed) // columns
+        grid = tiles.reshape(-1, columns * width)
+        rows = len(framed) // columns
     level = grid / (np.abs(grid).max() or 1.0)
     end = np.where(level[..., None] < 0, NEGATIVE, POSITIVE)
     colours = np.rint(255 + (end - 255) * np.abs(level)[..., None]).astype(np.uint8)
@@ -77,8 +112,8 @@ def mask_picture(matrix: np.ndarray, shape: tuple[int, ...]) -> str:
 def accuracy_curve(points: Sequence[tuple[float, float, float, float]]) -> str:
     """Curve of accuracy against budget: photons, accuracy, and both ends of its interval."""
     ordered = sorted(points)
-    first, last = math.log10(ordered[0][0]), math.log10(ordered[-1][0])
-    span = last - first or 1.0
+    first = math.log10(ordered[0][0])
+    span = math.log10(ordered[-1][0]) - first or 1.0
 
     def x(photons: float) -> float:
         return LEFT + 20 + (math.log10(photons) - first) / span * (WIDTH - LEFT - 40)

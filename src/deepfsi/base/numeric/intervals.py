@@ -28,7 +28,12 @@ wrong do: among few images with an error the true spread may not show."""
 
 
 class Interval(NamedTuple):
-    """A mean and its 95 % interval."""
+    """A mean and its 95 % interval.
+
+    Attributes
+    ----------
+    mean, low, high : float
+    """
 
     mean: float
     low: float
@@ -104,7 +109,8 @@ def image_interval(values: np.ndarray) -> Interval:
 
     rows = np.atleast_2d(values)
     each = rows.mean(axis=0)
-    mean, count = float(each.mean()), len(each)
+    mean = float(each.mean())
+    count = len(each)
     if count < 2:
         return Interval(mean, mean, mean)
     half = float(stats.t.ppf(0.975, count - 1)) * float(stats.sem(each))
@@ -118,11 +124,12 @@ def widen_by_seeds(
     # terms (S, n), whose mean is what is measured
     from scipy import stats
 
-    mean, low, high = found
+    mean = found.mean
     reach = 0.0
     if len(terms) > 1:
         reach = float(stats.t.ppf(0.975, len(terms) - 1)) * seeds_error(terms)
-    low, high = mean - math.hypot(mean - low, reach), mean + math.hypot(high - mean, reach)
+    low = mean - math.hypot(mean - found.low, reach)
+    high = mean + math.hypot(found.high - mean, reach)
     return Interval(mean, max(low, bounds[0]), min(high, bounds[1]))
 
 
@@ -142,7 +149,14 @@ def seeds_error(terms: np.ndarray, off: float = 1.0) -> float:
 
 
 def wilson(accuracy: float, images: int) -> tuple[float, float]:
-    """95 % interval of a mean over images, each of which counts as one trial."""
+    """95 % interval of a mean over images, each of which counts as one trial.
+
+    Parameters
+    ----------
+    accuracy : float
+        The mean.
+    images : int
+    """
     # in closed form: scipy's binomtest, which gives it too, tests a hypothesis first
     return _wilson(round(accuracy * images) / images, images)
 
@@ -156,7 +170,8 @@ def _wilson(rate: float, images: float) -> tuple[float, float]:
 
 def _score(values: np.ndarray) -> Interval:
     """Mean of values (n,) in [0, 1], with Wilson's interval at their effective number."""
-    mean, count = float(values.mean()), len(values)
+    mean = float(values.mean())
+    count = len(values)
     squares = float(np.square(values - mean).sum())
     share = (squares + PRIOR_SQUARES) / (count * mean * (1 - mean) + PRIOR_SQUARES)
     return Interval(mean, *_wilson(mean, count / share))
@@ -255,7 +270,14 @@ class Difference:
 
 
 def signed_text(value: float, digits: int = 3) -> str:
-    """Number with its sign, the minus as wide as the plus."""
+    """Number with its sign, the minus as wide as the plus.
+
+    Parameters
+    ----------
+    value : float
+    digits : int
+        After the point.
+    """
     return f"{value:+.{digits}f}".replace("-", "−")
 
 
@@ -263,10 +285,10 @@ def mean_of_trials(values: Sequence[float]) -> Difference:
     """Mean of one value for each trial, with its error over trials, if there are several."""
     from scipy import stats
 
-    mean, count = float(np.mean(values)), len(values)
-    if count < 2:
+    mean = float(np.mean(values))
+    if len(values) < 2:
         return Difference(mean, math.inf)
-    return Difference(mean, float(stats.sem(values)), count - 1)
+    return Difference(mean, float(stats.sem(values)), len(values) - 1)
 
 
 def paired_difference(first: np.ndarray, second: np.ndarray) -> Difference:
@@ -286,21 +308,16 @@ def paired_difference(first: np.ndarray, second: np.ndarray) -> Difference:
     six do, as in the sign test.
     """
     each = first.mean(axis=0) - second.mean(axis=0)
-    mean, count = float(each.mean()), len(each)
+    mean = float(each.mean())
+    freedom = max(len(each) - 1, 1)
     squares = float(np.square(each - mean).sum() + 2 * np.square(each).max())
-    error = math.sqrt(squares / max(count - 1, 1) / count)
-    freedom = max(count - 1, 1)
+    images = Difference(mean, math.sqrt(squares / freedom / len(each)), freedom)
     if len(first) == len(second):
-        return Difference(
-            mean,
-            error,
-            freedom,
-            seeds_error(first - second, SHARE_TAKEN_OFF),
-            max(len(first) - 1, 1),
-        )
-    errors = seeds_error(first, SHARE_TAKEN_OFF), seeds_error(second, SHARE_TAKEN_OFF)
-    fewest = min(len(part) for part in (first, second) if len(part) > 1)
-    return Difference(mean, error, freedom, math.hypot(*errors), fewest - 1)
+        error = seeds_error(first - second, SHARE_TAKEN_OFF)
+        return replace(images, seeds_error=error, seeds_freedom=max(len(first) - 1, 1))
+    error = math.hypot(*(seeds_error(values, SHARE_TAKEN_OFF) for values in (first, second)))
+    fewest = min(len(values) for values in (first, second) if len(values) > 1)
+    return replace(images, seeds_error=error, seeds_freedom=fewest - 1)
 
 
 def accuracy_difference(first: AccuracyTrials, second: AccuracyTrials) -> Difference:
@@ -309,6 +326,10 @@ def accuracy_difference(first: AccuracyTrials, second: AccuracyTrials) -> Differ
     Of trials that keep no values of images those of one seed are paired, and the error is that over
     seeds; of a single such trial it combines the two intervals over images as if these were
     independent.
+
+    Parameters
+    ----------
+    first, second : AccuracyTrials
     """
     if first.terms and second.terms:
         rows = [
@@ -324,9 +345,19 @@ def accuracy_difference(first: AccuracyTrials, second: AccuracyTrials) -> Differ
 
 
 def all_above(differences: Iterable[Difference], limit: float = 0.0) -> bool | None:
-    """Test that all differences are above a limit."""
-    # Yes if every 95 % interval is. No if one lies below it, by an interval widened for as many
-    # comparisons as there are differences (Bonferroni). Else open
+    """Test that all differences are above a limit.
+
+    Parameters
+    ----------
+    differences : iterable of Difference
+    limit : float
+
+    Returns
+    -------
+    bool or None
+        True if every 95 % interval is. False if one lies below it, by an interval widened for as
+        many comparisons as there are differences (Bonferroni). Else None.
+    """
     every = list(differences)
     wide = 1 - (1 - CONFIDENCE) / max(len(every), 1)
     if any(each.interval(wide)[1] < limit for each in every):
@@ -363,13 +394,27 @@ class Crossing:
 def find_crossing(
     photons: Sequence[float], accuracies: Sequence[Sequence[float]], images: int, target: float
 ) -> Crossing:
-    """Photons at which the accuracy reaches a target."""
-    # Accuracy does not fall with more photons, so that the tried ones are brought to order
-    # (isotonic regression) and joined by a monotone cubic over the logarithm of the budget. The
-    # interval holds all budgets at which the curve's own one holds the target: that of the test
-    # images (Wilson) and of training seeds (Student, with one variance for all budgets; none where
-    # each has one trial), added in squares, about any shape that the curve may plausibly have
-    # between tried budgets
+    """Photons at which the accuracy reaches a target.
+
+    Parameters
+    ----------
+    photons : sequence of float, shape (B,)
+        Budgets that were tried, rising.
+    accuracies : sequence of sequence of float
+        Of the trials at each budget.
+    images : int
+        Test images of a trial.
+    target : float
+        Accuracy.
+
+    Notes
+    -----
+    Accuracy does not fall with more photons, so that the tried ones are brought to order (isotonic
+    regression) and joined by a monotone cubic over the logarithm of the budget. The interval holds
+    all budgets at which the curve's own one holds the target: that of the test images (Wilson) and
+    of training seeds (Student, with one variance for all budgets; none where each has one trial),
+    added in squares, about any shape that the curve may plausibly have between tried budgets.
+    """
     from scipy.interpolate import PchipInterpolator
     from sklearn.isotonic import IsotonicRegression
 
@@ -388,13 +433,16 @@ def find_crossing(
         short = np.flatnonzero(accuracy < target)
         return int(short[-1]) + 1 if len(short) else 0
 
-    place, low, high = reached(curve), reached(upper), reached(lower)
-    budgets, last = 10**budgets, len(budgets) - 1
+    best = reached(curve)
+    low = reached(upper)
+    high = reached(lower)
+    budgets = 10**budgets
+    last = len(budgets) - 1
     return Crossing(
-        photons=float(budgets[place]) if 0 < place <= last else None,
+        photons=float(budgets[best]) if 0 < best <= last else None,
         low=float(budgets[min(low, last)]) if low else None,
         high=float(budgets[high]) if high <= last else None,
-        found="below" if place == 0 else "beyond" if place > last else "within",
+        found="below" if best == 0 else "beyond" if best > last else "within",
     )
 
 
@@ -405,7 +453,8 @@ def _shapes(x: np.ndarray, y: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, n
     # the upper one, and at a point its own value
     slopes = np.diff(y) / np.diff(x)
     gap = np.clip(np.searchsorted(x, at, side="right") - 1, 0, len(slopes) - 1)
-    before, after = np.append(0.0, slopes)[gap], np.append(slopes, 0.0)[gap + 1]
+    before = np.append(0.0, slopes)[gap]
+    after = np.append(slopes, 0.0)[gap + 1]
     lines = np.stack(
         [
             y[gap] + slopes[gap] * (at - x[gap]),
@@ -475,6 +524,13 @@ def auc(terms: np.ndarray, positive: np.ndarray) -> Interval:
 
     Over images the interval is symmetric in log(A / (1 − A)). Of an area of 1 or 0 it ends where
     three images in a hundred of the rarer kind would be, at 3 / n (the rule of three).
+
+    Parameters
+    ----------
+    terms : array, shape (S, n) or (n,)
+        As `auc_terms` gives them, of each training.
+    positive : array, shape (n,), bool
+        Which images are positive.
     """
     rows = np.atleast_2d(terms)
     each = rows.mean(axis=0)
@@ -483,11 +539,13 @@ def auc(terms: np.ndarray, positive: np.ndarray) -> Interval:
     if min(area, 1 - area) < 1e-12:
         area = float(round(area))
         reach = min(3 / min(int(positive.sum()), int((~positive).sum())), 1.0)
-        low, high = area - reach, area + reach
+        interval = Interval(area, area - reach, area + reach)
     else:
-        middle, half = math.log(area / (1 - area)), Z_95 * error / (area * (1 - area))
+        middle = math.log(area / (1 - area))
+        half = Z_95 * error / (area * (1 - area))
         low, high = (1 / (1 + math.exp(-(middle + off))) for off in (-half, half))
-    return widen_by_seeds(Interval(area, low, high), rows, (0.0, 1.0))
+        interval = Interval(area, low, high)
+    return widen_by_seeds(interval, rows, (0.0, 1.0))
 
 
 LARGEST_TERMS = 2**27
