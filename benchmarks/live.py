@@ -39,7 +39,7 @@ from pathlib import Path
 import numpy as np
 
 from deepfsi.camera import find_device
-from deepfsi.designfile import DesignFile, MaskHeader, loop_bytes
+from deepfsi.designfile import DesignFile, MaskHeader
 from deepfsi.hardware.counting import FrameCounter, FrameCounts, FrameGates, Scene
 from deepfsi.hardware.drivers import Setup
 from deepfsi.hardware.live import FixedMaskLooks, FrameList, SceneObserver, plan_live, run_live
@@ -53,7 +53,6 @@ from deepfsi.hardware.virtual import (
     VirtualProjector,
     arrival_rates,
 )
-from deepfsi.lab.rails import looks_of
 
 FLUX, TICK_S, SETTLE_S = 1e7, 1e-12, 1e-5
 GATE = 0.8
@@ -249,10 +248,7 @@ def marker_to_decision(
     the last block is part of the time, and so are counts, class, dwells and gates.
     """
     design = made_design(MASKS, hidden)
-    rails = DesignRails(
-        design.rails, "free-dwell", (8, 8), 32.0, design.to_bytes(),
-        looks=looks_of(design), loop=loop_bytes(design),
-    )  # fmt: skip
+    rails = DesignRails.of(design, design.to_bytes())
     export_patterns(rails, FrameSettings(find_device("64x48"), 1e-3), folder / "patterns")
     x = np.random.default_rng(3).random((arguments.scenes, 8, 8))
     rates = arrival_rates(folder / "patterns", x, VirtualCamera(), flux)

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from deepfsi.jobs import Training as Training
     from deepfsi.lab import classify_run as classify_run
     from deepfsi.lab import classify_table as classify_table
-    from deepfsi.lab.prediction import predict as predict
+    from deepfsi.lab import predict as predict
     from deepfsi.optics.scanner import Scanner as Scanner
     from deepfsi.training.assembly import design_of as design_of
     from deepfsi.training.learning import learn as learn
@@ -74,7 +74,7 @@ _HOMES = {
     "load_dataset": "datasets",
     "load_design": "design.adaptive.design",
     "photons_per_pixel": "camera",
-    "predict": "lab.prediction",
+    "predict": "lab",
 }
 
 __all__ = [

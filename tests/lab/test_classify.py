@@ -9,6 +9,7 @@ import pytest
 
 import deepfsi
 from conftest import quick
+from deepfsi.cli.scenes import listed, scenes_of
 from deepfsi.datasets import read_display, write_pictures
 from deepfsi.hardware.counting import TableSettings, Verdict, count_run, read_counts, read_run
 from deepfsi.hardware.counting.acquisition import VERDICT
@@ -21,7 +22,6 @@ from deepfsi.hardware.virtual import (
     arrival_rates,
     record_scenes,
 )
-from deepfsi.lab.scenes import listed, scenes_of
 from shared.live_samples import live, make_patterns
 
 PAGE = Path(__file__).parents[2] / "docs/do/camera.md"

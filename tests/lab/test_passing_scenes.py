@@ -9,7 +9,8 @@ import deepfsi
 from conftest import once, synthetic
 from deepfsi.base import InputError
 from deepfsi.hardware.photons import PtuWriter, read_photons
-from deepfsi.lab.transits import classify_transits, count_bins, simulate_transits
+from deepfsi.lab import classify_transits, simulate_transits
+from deepfsi.lab.transits import count_bins
 
 BIN_S, PHOTONS, BACKGROUND = 1e-3, 1e4, 200.0
 

@@ -5,7 +5,6 @@ import pytest
 
 from deepfsi.base import InputError
 from deepfsi.hardware.photons import PtuWriter, read_photons, summarise
-from deepfsi.hardware.virtual.transits import write_transits
 from deepfsi.lab.transits import (
     align_transits,
     count_bins,
@@ -13,6 +12,7 @@ from deepfsi.lab.transits import (
     find_background,
     find_threshold,
     find_transits,
+    write_transits,
 )
 
 BACKGROUND, WINDOW, DURATION = 40.0, 0.1, 20.0
@@ -77,8 +77,11 @@ def recorded(tmp_path):
     trace = np.repeat([2.0, 9, 4, 12, 1, 8], 8)
     starts = 0.3 + 0.35 * np.arange(40) + 0.1 * rng.random(40)
     path = tmp_path / "photons.ptu"
-    step = WINDOW / 48
-    write_transits(path, np.tile(trace / 8, (40, 1)), starts, step, BACKGROUND, 15.0, rng)
+    traces = np.tile(trace / 8, (40, 1))
+    step_s = WINDOW / 48
+    write_transits(
+        path, traces, starts, step_s=step_s, background=BACKGROUND, seconds=15.0, rng=rng
+    )
     return path, trace[::8], starts
 
 

@@ -9,7 +9,7 @@ from deepfsi.base import InputError
 from deepfsi.base.numeric import accuracy_interval, unpack_values
 from deepfsi.datasets import from_arrays, load_dataset
 from deepfsi.designfile import trained_on
-from deepfsi.lab.data import data_of
+from deepfsi.lab import data_of
 from deepfsi.sweeps.forecast import forecast_cost
 from deepfsi.sweeps.recipe_check import check_recipe
 from deepfsi.sweeps.results import write_results

@@ -9,7 +9,7 @@ no exposure is given it lasts one second, so that a rate is the counts of an exp
 
 import os
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Container, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -327,6 +327,26 @@ class Camera(UserModel):
             return cls.model_validate(fields)
 
     @classmethod
+    def of_run(
+        cls, source: "CameraSource", *, camera: "CameraSource" = None, **settings: Any
+    ) -> "Camera":
+        """Camera of a run of a design: what one device cannot show is shown with less light.
+
+        Parameters
+        ----------
+        source
+            Camera of the design, as for `load`.
+        camera
+            Another one in its place.
+        settings
+            Fields that override those of either.
+        """
+        known = cls.load(source if camera is None else camera)
+        if "device" in settings and not LIGHT_LAWS[known.light].one_device:
+            known = cls.load(known, light="free-dwell")
+        return cls.load(known, **settings)
+
+    @classmethod
     def restored(cls, fields: Mapping[str, Any]) -> "Camera":
         """Camera of all its fields, as a file has them, of which some follow from others again."""
         if "stretch" not in fields:  # of a version that knew no other cells than stretched ones
@@ -407,6 +427,17 @@ class Camera(UserModel):
     def counter_dead_time(self) -> DeadTime:
         """Dead time of the counter."""
         return DeadTime(seconds=self.dead_time, paralysable=self.dead_time_model == "paralysable")
+
+    def corrected_dead_time(self, settings: Container[str] = ()) -> DeadTime | None:
+        """Dead time to be corrected; None where there is none, and none of `settings` is its model."""
+        if self.dead_time:
+            return self.counter_dead_time
+        if "dead_time_model" in settings:
+            raise InputError(
+                "{dead_time_model} is of a dead time: give {dead_time}, such as 20ns",
+                setting=("dead_time_model", "dead_time"),
+            )
+        return None
 
     def describe(self) -> str:
         """The camera in a few lines: its optics, what it can show, its light."""

@@ -7,6 +7,7 @@ import typer
 
 from deepfsi.base import InputError, time_text
 from deepfsi.cli import common, options, paths
+from deepfsi.cli.camera import camera_of
 from deepfsi.cli.settings import laboratory_fields, with_settings
 
 _SERIES = "--cumulative or --bins"
@@ -39,13 +40,13 @@ def camera_prepare(
     """
     paths.check_there(patterns, "a folder of patterns")
     paths.check_new_folder(out)
+    from deepfsi.cli.scenes import listed
     from deepfsi.hardware.counting import Acquisition, prepare_run
     from deepfsi.hardware.light import name_inputs
     from deepfsi.hardware.patterns import read_patterns
-    from deepfsi.lab.camera import camera_of
-    from deepfsi.lab.scenes import listed
 
-    manifest, known = read_patterns(patterns).manifest, camera_of(patterns, **settings)
+    manifest = read_patterns(patterns).manifest
+    known = camera_of(patterns, settings)
     planned = Acquisition.plan(
         manifest,
         listed(scenes, patterns),

@@ -1,8 +1,11 @@
 """Commands of the camera: virtual and real acquisitions, photon files, calibration."""
 
+import contextlib
 import math
 import sys
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -23,6 +26,7 @@ from deepfsi.cli.settings import laboratory_fields, with_settings
 if TYPE_CHECKING:
     import numpy as np
 
+    from deepfsi.camera import Camera
     from deepfsi.hardware.counting import Counts
     from deepfsi.hardware.live import LiveCounts
     from deepfsi.hardware.photons import PtuSummary
@@ -106,7 +110,6 @@ def camera_describe(
     Example: deepfsi camera describe --template my-lab.toml
     """
     from deepfsi.camera import PRESETS, Camera
-    from deepfsi.lab.camera import camera_of
 
     if template is not None:
         paths.check_file(template, (".toml",), force)
@@ -117,7 +120,7 @@ def camera_describe(
     if name in PRESETS or name.lower().endswith(".toml") or not Path(name).exists():
         found = Camera.load(name, **settings)
     else:
-        found = camera_of(name, **settings)
+        found = camera_of(Path(name), settings)
     if as_json:
         held = found.model_dump(mode="json")
         counted = {"budget": found.budget, "dark_counts": found.dark_counts}
@@ -150,12 +153,12 @@ def camera_simulate(
     paths.check_new_folder(out)
     from deepfsi.hardware.patterns import read_patterns
     from deepfsi.hardware.virtual import RecordingSettings, expected_events, record_scenes
-    from deepfsi.lab.camera import camera_of, clicks_of, exposure_of, flux_of
-    from deepfsi.lab.scenes import displayed, picture_hashes
+    from deepfsi.lab import displayed, picture_hashes
 
-    known, seen = camera_of(patterns, **settings), find_camera(virtual, patterns, settings)
+    known = camera_of(patterns, settings)
+    seen = find_camera(virtual, patterns, settings)
     if virtual is None:
-        seen = seen.model_copy(update={"gates": clicks_of(patterns)})
+        seen = seen.model_copy(update={"gates": camera_of(patterns).clicks})
     recording = RecordingSettings(
         seen,
         flux_of(known),
@@ -236,7 +239,6 @@ def camera_count(
     from deepfsi.hardware.counting import CountSettings, count_run
     from deepfsi.hardware.live import LiveCounts, is_live
     from deepfsi.lab import gains_of
-    from deepfsi.lab.camera import camera_of, clicks_of, dead_time_of
 
     if folder.suffix.lower() == ".ptu":
         raise InputError(
@@ -257,10 +259,10 @@ def camera_count(
                 repeats=repeats,
                 tolerance_s=options.optional_seconds("tolerance", tolerance),
                 **options.wiring(inputs, marker),
-                dead_time=dead_time_of(camera_of(folder, **settings), settings),
+                dead_time=camera_of(folder, settings).corrected_dead_time(settings),
                 background=background,
                 gains=() if flat is None else gains_of(flat),
-                clicks=clicks_of(folder),
+                clicks=camera_of(folder).clicks,
             ),
             progress=report,
         )
@@ -447,6 +449,45 @@ def ask_for_room(events: float) -> None:
     )
 
 
+def camera_of(source: Path, settings: Mapping[str, Any] = MappingProxyType({})) -> "Camera":
+    """Camera of a design file, its patterns or a run, with other settings.
+
+    It is the preset `dmd` where none is known. `camera` among the settings names another.
+    """
+    from deepfsi.camera import Camera
+    from deepfsi.designfile import DesignFile
+    from deepfsi.hardware.patterns import Patterns
+
+    folders = (source, source / "patterns") if source.is_dir() else ()
+    files = (folder / Patterns.DESIGN for folder in folders)
+    file = next((file for file in files if file.is_file()), source)
+    known = None
+    if file.is_file():
+        with contextlib.suppress(InputError):  # whoever opens the design says what is wrong with it
+            known = DesignFile.read(file, ()).camera
+    return Camera.of_run(known, **settings)
+
+
+def exposure_of(known: "Camera") -> float:
+    """Time of a whole exposure in seconds, or `InputError` where the camera has none."""
+    if known.exposure is None:
+        raise InputError(
+            "an exposure needs a time: give {exposure}, such as 10ms, or a camera",
+            setting="exposure",
+        )
+    return known.exposure
+
+
+def flux_of(known: "Camera") -> float:
+    """Flux in counts/s, or `InputError` where the camera has none."""
+    if known.flux is None:
+        raise InputError(
+            "a virtual camera needs its light: give {flux}, such as 1e6, or a camera",
+            setting="flux",
+        )
+    return known.flux
+
+
 def find_camera(name: str | None, source: Path, settings: dict[str, Any]) -> "VirtualCamera":
     """Virtual camera of a name or a TOML file, else as the design's camera is described.
 
@@ -454,12 +495,11 @@ def find_camera(name: str | None, source: Path, settings: dict[str, Any]) -> "Vi
     is taken.
     """
     from deepfsi.hardware.virtual import CAMERAS, VirtualCamera
-    from deepfsi.lab.camera import camera_of, virtual_of
 
     if name is None:
-        known = camera_of(source, camera=settings.get("camera"))
+        known = camera_of(source, {"camera": settings.get("camera")})
         described = known.exposure is not None or known.clicks is not None
-        return virtual_of(camera_of(source, **settings)) if described else CAMERAS["pmt"]
+        return VirtualCamera.of(camera_of(source, settings)) if described else CAMERAS["pmt"]
     if name in CAMERAS:
         return CAMERAS[name]
     if not name.lower().endswith(".toml"):

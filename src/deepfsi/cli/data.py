@@ -105,7 +105,7 @@ def data_export(
 
     shown = options.size_of(size)
     if name.endswith(".safetensors"):
-        from deepfsi.lab.data import data_of_file
+        from deepfsi.lab import data_of_file
 
         scenes = data_of_file(paths.check_design(Path(name)), shown)
     else:

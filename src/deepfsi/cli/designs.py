@@ -175,7 +175,7 @@ def evaluate(
     from deepfsi.design.evaluation import camera_for
     from deepfsi.design.evaluation import evaluate as test
     from deepfsi.design.posterior import ideal_observer
-    from deepfsi.lab.data import data_of
+    from deepfsi.lab import data_of
     from deepfsi.training.training_set import find_device
 
     budgets = options.numbers("photons", photons) or []
@@ -263,7 +263,7 @@ def stop(
     from deepfsi.design.artifact import Design
     from deepfsi.design.stopping import looks_of, with_rule
     from deepfsi.design.stopping import stop as run
-    from deepfsi.lab.data import data_of
+    from deepfsi.lab import data_of
     from deepfsi.training.training_set import find_device
 
     budget = options.number("photons", photons)
@@ -351,7 +351,7 @@ def show(
     from deepfsi.design.adaptive.design import load_design
     from deepfsi.design.artifact import Design
     from deepfsi.designfile import check_masks, trained_on
-    from deepfsi.lab.data import data_of
+    from deepfsi.lab import data_of
     from deepfsi.report.masks import masks_figure
 
     if count < 1:
@@ -437,7 +437,7 @@ def page(
     paths.check_file(out, (".html",), force)
     common.check_data(data)
     from deepfsi.design.payload import check_playable, playable
-    from deepfsi.lab.data import data_of
+    from deepfsi.lab import data_of
     from deepfsi.report.playground.page import write_page
 
     made = common.open_any(file)

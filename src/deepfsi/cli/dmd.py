@@ -7,12 +7,19 @@ import typer
 
 from deepfsi.base import InputError, time_text
 from deepfsi.cli import common, options, paths
+from deepfsi.cli.camera import camera_of
 from deepfsi.cli.groups import Group
 from deepfsi.cli.settings import SettingsCommand, laboratory_fields, with_settings
 
 if TYPE_CHECKING:
-    from deepfsi.camera import Device, DmdGrid, DmdLayout
+    from deepfsi.camera import Camera, Device, DmdGrid, DmdLayout
     from deepfsi.hardware.patterns import DesignRails, GatePlan, Manifest, Patterns
+
+SLACK = 1.01
+"""Time of pictures over what the gates of an exposure take: pictures are of whole microseconds."""
+
+SENTINEL_SHARE = 0.1
+"""Time of an all-ON frame of several looks, as a share of the exposure: it measures their light."""
 
 dmd = typer.Typer(
     cls=Group,
@@ -98,18 +105,17 @@ def dmd_export(
     from deepfsi.camera import find_device
     from deepfsi.hardware.calibration import SCAN_NAMES, write_reference
     from deepfsi.hardware.patterns import FrameSettings, export_patterns
-    from deepfsi.lab.camera import camera_of, picture_time
 
     file = file if str(file) in SCAN_NAMES else paths.check_design(file)
     rails = _rails(file, size, detectors)
-    known = camera_of(file, **settings)
+    known = camera_of(file, settings)
     shown_by = (known.device or find_device("dlp7000")).timed(
         options.optional_seconds("shortest", shortest), options.optional_seconds("settle", settle)
     )
     asked = options.optional_seconds("dwell", dwell)
     frames = FrameSettings(
         shown_by,
-        picture_time(rails, shown_by, known) if asked is None else asked,
+        _picture_time(rails, shown_by, known) if asked is None else asked,
         selection,  # type: ignore[arg-type]
         seed,
         kind or ("planes" if shown_by.packed else "npy"),  # type: ignore[arg-type]
@@ -124,6 +130,16 @@ def dmd_export(
             f"{frames.device.name} shows no shorter picture (--shortest)"
         )
     _print_patterns("dmd.export", patterns, out, as_json)
+
+
+def _picture_time(rails: "DesignRails", device: "Device", camera: "Camera") -> float:
+    """Mean picture time of a frame in seconds: what the camera's exposure takes, or 1 ms."""
+    if camera.exposure is None:
+        return 1e-3
+    if rails.looks is not None:  # a live run times the masks itself
+        return max(SENTINEL_SHARE * camera.exposure, device.shortest_us * 1e-6)
+    frames = int((rails.rails.max(axis=-1) > 0).sum())
+    return SLACK * camera.exposure / frames + device.settle_us * 1e-6
 
 
 def _layout(known: "DmdLayout", **options: Any) -> "DmdLayout":

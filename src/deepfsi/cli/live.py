@@ -2,6 +2,7 @@
 
 import contextlib
 import sys
+import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -75,6 +76,7 @@ def camera_live(
     if counter_config is not None:
         paths.check_there(counter_config, "counter configuration")
     times, source = latencies_of(latency or []), paths.check_design(source)
+    from deepfsi.cli.scenes import scenes_of
     from deepfsi.hardware.drivers import (
         DeviceSettings,
         Setup,
@@ -84,9 +86,7 @@ def camera_live(
     )
     from deepfsi.hardware.live import LiveAnswers, plan_live, run_live
     from deepfsi.hardware.virtual import most_events, virtual_setup
-    from deepfsi.lab import open_looks
-    from deepfsi.lab.camera import camera_of, dead_time_of, exposure_of, flux_of
-    from deepfsi.lab.scenes import displayed, scenes_of
+    from deepfsi.lab import displayed, open_looks
 
     devices = DeviceSettings(
         counter_config=counter_config,
@@ -95,14 +95,14 @@ def camera_live(
         ask_to_record=ask_to_record,
     )
     real = None if simulated else open_list_projector(projector, devices)
-    known = camera_of(source, **settings)
-    exposure_s, shortest_s = exposure_of(known), known.shortest_dwell or None
+    known = camera.camera_of(source, settings)
+    exposure_s = camera.exposure_of(known)
     told: dict[str, Any] = {"flux": known.flux, "background": background}
     told |= options.wiring(inputs, marker)
-    if dead := dead_time_of(known, settings):
+    if dead := known.corrected_dead_time(settings):
         told["dead_time"] = dead
     if simulated:
-        flux_of(known)
+        camera.flux_of(known)
         seen = camera.find_camera(virtual, source, settings)
         told |= {"seed": seed, "camera": seen.model_dump(mode="json")}
     with _patterns(source, as_json) as patterns:
@@ -112,7 +112,7 @@ def camera_live(
             patterns,
             scenes_of(images, scene, patterns),
             exposure_s,
-            shortest_s,
+            known.shortest_dwell or None,
             looks=looks,
             photons=photons,
             until=until,
@@ -175,10 +175,16 @@ def _patterns(source: Path, as_json: bool) -> Iterator[Path]:
     if source.is_dir():
         yield source
         return
-    from deepfsi.lab import patterns_for_now
+    from deepfsi.camera import find_device
+    from deepfsi.hardware.patterns import FrameSettings, export_patterns
+    from deepfsi.lab import design_rails
 
-    with common.progress("patterns", as_json) as report, patterns_for_now(source, report) as made:
-        yield made
+    with tempfile.TemporaryDirectory() as folder:
+        patterns = Path(folder) / "patterns"
+        with common.progress("patterns", as_json) as report:
+            frames = FrameSettings(find_device("dlp7000"), 1e-3)
+            export_patterns(design_rails(source), frames, patterns, report)
+        yield patterns
 
 
 def latencies_of(given: list[str]) -> "Latencies":

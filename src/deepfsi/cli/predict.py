@@ -51,7 +51,7 @@ def predict(
         paths.check_file(out, (".csv",), force)
     from deepfsi.base import write_atomically
     from deepfsi.design.evaluation import camera_for
-    from deepfsi.lab.prediction import predict as run
+    from deepfsi.lab import predict as run
     from deepfsi.training.training_set import find_device
 
     budget = None if photons is None else options.number("photons", photons)

@@ -51,6 +51,7 @@ def camera_record(
         paths.check_there(counter_config, "counter configuration")
     times = live.latencies_of(latency or [])
     from deepfsi.base import SILENT
+    from deepfsi.cli.scenes import listed, scenes_of
     from deepfsi.hardware.counting import Acquisition, CountSettings, count_run
     from deepfsi.hardware.drivers import (
         DeviceSettings,
@@ -62,17 +63,17 @@ def camera_record(
     from deepfsi.hardware.live import record_run
     from deepfsi.hardware.patterns import read_patterns
     from deepfsi.hardware.virtual import expected_events, virtual_setup
-    from deepfsi.lab.camera import camera_of, clicks_of, dead_time_of, flux_of
-    from deepfsi.lab.scenes import displayed, listed, scenes_of
+    from deepfsi.lab import displayed
 
-    shown, known = read_patterns(patterns), camera_of(patterns, **settings)
+    shown = read_patterns(patterns)
+    known = camera.camera_of(patterns, settings)
     told = {"flux": known.flux, **options.wiring(inputs, marker)}
     if simulated:
-        flux_of(known)
+        flux = camera.flux_of(known)
         images, seen = displayed(scene, patterns), camera.find_camera(virtual, patterns, settings)
         told |= {"seed": seed, "camera": seen.model_dump(mode="json")}
         if not yes:
-            camera.ask_for_room(expected_events(shown, images.x, seen, known.flux or 0.0))
+            camera.ask_for_room(expected_events(shown, images.x, seen, flux))
     acquisition = Acquisition.plan(
         shown.manifest,
         scenes_of(images, scene, patterns) if simulated else listed(scene, patterns),
@@ -111,11 +112,10 @@ def camera_record(
                 )
     if counter == "followed":
         live.ask("end the recording in the counter's software")
-    dead = dead_time_of(known, settings)
+    dead = known.corrected_dead_time(settings)
+    clicks = camera.camera_of(patterns).clicks
     with common.progress("counting", quiet=as_json) as report:
-        counts = count_run(
-            out, CountSettings(dead_time=dead, clicks=clicks_of(patterns)), progress=report
-        )
+        counts = count_run(out, CountSettings(dead_time=dead, clicks=clicks), progress=report)
     camera.print_counts(counts, out, as_json, "camera.record")
     if not as_json:
         print(f"run: {out}; then: deepfsi camera classify {patterns} {out}")

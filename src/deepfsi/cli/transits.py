@@ -47,7 +47,7 @@ def camera_transits(
         paths.check_file(out, (".csv",), force)
     from deepfsi.base import write_atomically
     from deepfsi.design.artifact import Design
-    from deepfsi.lab.transits import classify_transits
+    from deepfsi.lab import classify_transits
 
     made = common.open_any(design, trust)
     if not isinstance(made, Design):

@@ -1,10 +1,11 @@
-"""Design and camera together: counts to classes, scenes of a run, calibration, looks."""
+"""Design and camera together: counts to classes, data of a design, calibration, looks."""
 
 from deepfsi.lab.calibration import calibrate, check_view, gains_of
-from deepfsi.lab.classify import classify_run, classify_table
-from deepfsi.lab.looks import open_looks
-from deepfsi.lab.rails import design_rails, patterns_for_now
-from deepfsi.lab.results import ClassifiedRun, ClassifiedScene
+from deepfsi.lab.classify import ClassifiedRun, ClassifiedScene, classify_run, classify_table
+from deepfsi.lab.looks import design_rails, open_looks
+from deepfsi.lab.prediction import predict
+from deepfsi.lab.test_data import data_of, data_of_file, displayed, picture_hashes
+from deepfsi.lab.transits import classify_transits, simulate_transits
 
 __all__ = [
     "ClassifiedRun",
@@ -13,8 +14,14 @@ __all__ = [
     "check_view",
     "classify_run",
     "classify_table",
+    "classify_transits",
+    "data_of",
+    "data_of_file",
     "design_rails",
+    "displayed",
     "gains_of",
     "open_looks",
-    "patterns_for_now",
+    "picture_hashes",
+    "predict",
+    "simulate_transits",
 ]

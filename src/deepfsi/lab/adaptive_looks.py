@@ -32,11 +32,11 @@ from deepfsi.hardware.patterns import (
 )
 from deepfsi.optics.surroundings import library_defaults
 
-DECISION_S, DECISION_A_SCENE_S = 4e-3, 1.35e-7
-"""Usual time of a decision, seconds, and what each scene of the prior adds.
+ADAPTIVE_DECISION_S = 4e-3
+"""Usual time of a decision, seconds, by `benchmarks/adaptive.py --latency` with 8192 scenes."""
 
-Measured by `benchmarks/adaptive.py --latency` with 8192 and with 60 000 scenes.
-"""
+DECISION_A_SCENE_S = 1.35e-7
+"""Time that each scene of the prior adds to it, seconds, by the same with 60 000 scenes."""
 
 
 class AdaptiveLooks:
@@ -59,7 +59,7 @@ class AdaptiveLooks:
         self.photons: float | None = design.info["job"].get("photons")
         self.rule = None if until == 1 else StopRule(threshold=until)
         self.shortest = 0.0
-        self.decision_s = DECISION_S + DECISION_A_SCENE_S * len(design.prior)
+        self.decision_s = ADAPTIVE_DECISION_S + DECISION_A_SCENE_S * len(design.prior)
         self.training_scenes = design.training_scenes
         self.scene_model = design.scene_model
 
@@ -147,8 +147,8 @@ class AdaptiveExposure:
 def adaptive_rails(path: str | os.PathLike[str]) -> DesignRails:
     """Mask of the first look of a design file, at the budget of its training, as rails."""
     design = AdaptiveDesign.load(path)
-    file = read_regular(Path(path), LARGEST_TENSORS, "give a design")
-    camera, share = design.camera, design.settings.shares[0]
+    camera = design.camera
+    share = design.settings.shares[0]
     optics = LookOptics.of(camera, design.image_shape, float(design.info["job"]["photons"]))
     state = AdaptivePosterior(design.prior, 1, optics)
     mask = next_masks(state, share, torch.Generator().manual_seed(0))
@@ -157,13 +157,13 @@ def adaptive_rails(path: str | os.PathLike[str]) -> DesignRails:
     with as_input_error(str(path)):
         brightness = Brightness.of(design.info)
     return DesignRails(
-        (rails * share).numpy(),
-        camera.light,
-        design.image_shape,
-        design.prior.summed_reflectance,
-        file,
-        brightness,
-        detectors if detectors.count > 1 else None,
+        rails=(rails * share).numpy(),
+        light=camera.light,
+        image_shape=design.image_shape,
+        summed_reflectance=design.prior.summed_reflectance,
+        file=read_regular(Path(path), LARGEST_TENSORS, "give a design"),
+        brightness=brightness,
+        detectors=detectors if detectors.count > 1 else None,
         looks=Looks(
             count=design.masks, each_rail=False, first=(share,), shortest=0, loop_sha256=None
         ),

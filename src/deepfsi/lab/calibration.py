@@ -21,25 +21,61 @@ from deepfsi.lab.looks import open_looks
 
 
 def calibrate(folder: Path, spots: Path, out: Path) -> tuple[Calibration, Path, Path | None]:
-    """Fit the camera's view to a counted run of the spots, and write it to a folder."""
-    # Gives it with its file, and the file of the cells that each detector sees, of several
+    """Fit the camera's view to a counted run of the spots, and write it to a folder.
+
+    Parameters
+    ----------
+    folder : path
+        Of the run.
+    spots : path
+        Pictures that were shown.
+    out : path
+        Folder of the calibration.
+
+    Returns
+    -------
+    Calibration
+    path
+        Its file.
+    path or None
+        File of the cells that each detector sees, of several.
+
+    Raises
+    ------
+    InputError
+        If files do not fit, or the counts tell no view.
+    """
     run = read_run(folder)
-    shown, counts = read_display(spots), _photons(folder)
-    found = calibrate_run(
-        dict(zip(shown.names, shown.x, strict=True)),
+    display = read_display(spots)
+    counts = _photons(folder)
+    fitted = calibrate_run(
+        dict(zip(display.names, display.x, strict=True)),
         [scene.name for scene in run.acquisition.scenes],
-        reconstruct(folder),
-        counts,
-        run.patterns,
+        pictures=reconstruct(folder),
+        counts=counts,
+        patterns=run.patterns,
     )
     several = run.patterns.manifest.detectors
     labels = find_detectors(counts, run.patterns) if several and several.cells is None else None
-    file = found.save(out)
-    return found, file, None if labels is None else save_detectors(labels, out)
+    file = fitted.save(out)
+    return fitted, file, None if labels is None else save_detectors(labels, out)
 
 
 def check_view(folder: Path, report: Progress = SILENT) -> ReferenceFit:
-    """Place of scenes on the device, from a counted run of the reference target."""
+    """Place of scenes on the device, from a counted run of the reference target.
+
+    Parameters
+    ----------
+    folder : path
+        Of the run, recorded or live.
+    report : Progress
+        Told of the share that is done.
+
+    Raises
+    ------
+    InputError
+        If files do not fit, or no scene had light.
+    """
     if not is_live(folder):
         return find_reference(_photons(folder), read_run(folder).patterns, report)
     counts = LiveCounts.read(folder)

@@ -16,11 +16,13 @@ import numpy as np
 
 from deepfsi.base import InputError, hash_file, require_torch
 from deepfsi.base.numeric import read_table
-from deepfsi.camera import LIGHT_LAWS, NO_DEAD_TIME, check_budget
+from deepfsi.camera import LIGHT_LAWS, NO_DEAD_TIME, TOO_DIM, Camera, check_budget
 from deepfsi.design.readouts import classify_readouts
 from deepfsi.designfile import (
     READOUTS,
+    ConsistencyResult,
     SceneReadouts,
+    Score,
     ViewResult,
     ViewTest,
     scene_hashes,
@@ -35,23 +37,19 @@ from deepfsi.hardware.counting import (
     read_counts,
     read_run,
 )
+from deepfsi.hardware.light import Fault
 from deepfsi.hardware.live import LiveAnswers, LiveCounts, is_live, replay_run
 from deepfsi.hardware.patterns import Manifest, Patterns, read_patterns
-from deepfsi.lab.camera import camera_of, dead_time_of
-from deepfsi.lab.light import dim_scenes
-from deepfsi.lab.looks import open_looks
-from deepfsi.lab.results import ClassifiedRun, ClassifiedScene
+from deepfsi.lab.looks import design_rails, open_looks
 
 if TYPE_CHECKING:  # they import torch, which a live run does without
     from deepfsi.design.artifact import Design
-    from deepfsi.designfile import ConsistencyResult
 
 UNTESTED = (
     "these counts were not compared with those of the training, which takes 50 training scenes of "
     "each class: a scene of something else gets a class, too"
 )
 """Remark on counts of a design without a distribution."""
-
 
 NO_VIEW = (
     "not tested for how the camera sees the scenes (mirrored, blurred, with stray light), which "
@@ -60,12 +58,109 @@ NO_VIEW = (
 )
 """Remark on a run of a design without a model of its scenes."""
 
-
 CLICKS = (
     "these clicks were not compared with those of the training: the test is of photon counts. "
     "They are read for the stated budget: this is {:.3g} photons, that of the training was {:.3g}"
 )
 """Remark on clicks, with their budget and that of the training."""
+
+
+@dataclass(frozen=True)
+class ClassifiedScene:
+    """Class of a scene from its exposures.
+
+    Parameters
+    ----------
+    name : str
+    label : str or None
+        Class that it is known to be of.
+    predicted, probability : str and float, or None
+        Class of the mean probabilities of its exposures, and that mean; None without a sound one.
+    exposures : int
+        That are sound.
+    guesses : tuple of str
+        Class of each.
+    photons : float or None
+        Budget of an exposure.
+    faults : tuple of Fault
+        Of the scene, and of the whole recording.
+    consistency : float or None
+        p-value of its counts; None where they were not tested.
+    unsure : bool or None
+        True if they do not look like those of the training.
+    trained_on : bool or None
+        True if the design was; None where it is not known.
+    """
+
+    name: str
+    label: str | None = None
+    predicted: str | None = None
+    probability: float | None = None
+    exposures: int = 0
+    guesses: tuple[str, ...] = ()
+    photons: float | None = None
+    faults: tuple[Fault, ...] = ()
+    consistency: float | None = None
+    unsure: bool | None = None
+    trained_on: bool | None = None
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON types only."""
+        names = {"name": "scene", "predicted": "class"}
+        content = {names.get(name, name): value for name, value in vars(self).items()}
+        return content | {"faults": [str(fault) for fault in self.faults]}
+
+
+@dataclass(frozen=True)
+class ClassifiedRun:
+    """Classes of the scenes of a run or a table.
+
+    Parameters
+    ----------
+    design : str
+        Its name.
+    masks : int
+        Their number.
+    classes : tuple of str
+        Those that the design tells apart.
+    scenes : tuple of ClassifiedScene
+    remarks : tuple of str
+        On the tests of the counts, for a reader.
+    faults : tuple of Fault
+        Of the markers and the light.
+    consistency : ConsistencyResult or None
+        With the training; None where it was not tested.
+    view : ViewResult or None
+        Of the camera; None where it was not tested.
+    """
+
+    design: str
+    masks: int
+    classes: tuple[str, ...]
+    scenes: tuple[ClassifiedScene, ...]
+    remarks: tuple[str, ...]
+    faults: tuple[Fault, ...] = ()
+    consistency: ConsistencyResult | None = None
+    view: ViewResult | None = None
+
+    @property
+    def score(self) -> Score:
+        """Right answers to exposures of scenes whose label is a class of the design."""
+        return Score.of(
+            (scene.trained_on, scene.guesses.count(scene.label), len(scene.guesses))
+            for scene in self.scenes
+            if scene.label in self.classes
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON types only."""
+        return {
+            "score": self.score.as_dict(),
+            "consistency": None if self.consistency is None else self.consistency.as_dict(),
+            "view": None if self.view is None else self.view.as_dict(),
+            "remarks": list(self.remarks),
+            "scenes": [scene.as_dict() for scene in self.scenes],
+        }
 
 
 def classify_run(
@@ -125,9 +220,15 @@ def classify_run(
         check_budget(photons)
     recorded = read_run(path)
     counts = read_counts(recorded)
-    made = _opened(design, recorded.patterns, trust)
-    scenes = recorded.acquisition.scenes
-    run = _CountedScenes(counts, scenes, str(folder)).classify(made, photons, force)
+    counted = _CountedScenes.of(
+        _opened(design, recorded.patterns, trust),
+        counts,
+        recorded.acquisition.scenes,
+        source=str(folder),
+        photons=photons,
+        force=force,
+    )
+    run = counted.classify()
     return run if verdict is None else replace(run, remarks=(*run.remarks, verdict.words))
 
 
@@ -186,13 +287,26 @@ def classify_table(
         return _classified_readouts(made, str(table), settings, camera)
     settings = replace(settings or TableSettings(), clicks=made.gates)
     if camera:
-        dead = dead_time_of(camera_of(made.camera, **camera), camera)
+        dead = Camera.of_run(made.camera, **camera).corrected_dead_time(camera)
         settings = replace(settings, dead_time=dead or NO_DEAD_TIME)
-    manifest = _nominal(design, settings) if patterns is None else patterns.manifest
+    if patterns is not None:
+        manifest = patterns.manifest
+    elif settings.settle_s or settings.dead_time.seconds:
+        raise InputError(
+            "{settle} and {dead_time} need the times of the frames, and {file} has none: give the "
+            "folder of its patterns",
+            setting=("settle", "dead_time"),
+            file=design,
+        )
+    else:
+        manifest = Manifest.from_design(design_rails(design))
     counts, scenes = count_table(
         read_table(Path(table), TableSettings.WORDS), manifest, settings, str(table)
     )
-    return _CountedScenes(counts, scenes, str(table)).classify(made, settings.photons, force)
+    counted = _CountedScenes.of(
+        made, counts, scenes, source=str(table), photons=settings.photons, force=force
+    )
+    return counted.classify()
 
 
 def _classified_readouts(
@@ -217,47 +331,32 @@ def _classified_readouts(
     names = table.words.get(TableSettings.SCENE, tuple(str(row + 1) for row in range(count)))
     labels = table.words.get(TableSettings.LABEL, ("",) * count)
     hashes = scene_hashes(answers.scenes, design.image_shape)
-    scenes = tuple(
-        ClassifiedScene(
-            name=name,
-            label=label or None,
-            predicted=(best := design.classes[own.argmax()]),
-            probability=float(own.max()),
-            exposures=1,
-            guesses=(best,),
-            photons=None,
-            faults=(),
-            consistency=None,
-            unsure=None,
-            trained_on=trained,
+    trained = was_trained_on(design.training_scenes, hashes)
+    scenes = []
+    for index, chances in enumerate(answers.chances):
+        best = design.classes[chances.argmax()]
+        scenes.append(
+            ClassifiedScene(
+                name=names[index],
+                label=labels[index] or None,
+                predicted=best,
+                probability=float(chances.max()),
+                exposures=1,
+                guesses=(best,),
+                trained_on=trained[index],
+            )
         )
-        for name, label, own, trained in zip(
-            names,
-            labels,
-            answers.chances,
-            was_trained_on(design.training_scenes, hashes),
-            strict=True,
-        )
-    )
     remark = (
         f"{answers.outside:.1%} of the readouts of {source} lie outside of the span of those of "
         "the training's table; nothing else was tested"
     )
-    return ClassifiedRun(design.name, design.masks, design.classes, scenes, (), None, (remark,))
-
-
-def _nominal(file: str | os.PathLike[str], settings: TableSettings) -> Manifest:
-    """Frames of a design file without patterns, or `InputError` if settings need their times."""
-    if settings.settle_s or settings.dead_time.seconds:
-        raise InputError(
-            "{settle} and {dead_time} need the times of the frames, and {file} has none: give the "
-            "folder of its patterns",
-            setting=("settle", "dead_time"),
-            file=file,
-        )
-    from deepfsi.lab.rails import design_rails
-
-    return Manifest.from_design(design_rails(Path(file)))
+    return ClassifiedRun(
+        design=design.name,
+        masks=design.masks,
+        classes=design.classes,
+        scenes=tuple(scenes),
+        remarks=(remark,),
+    )
 
 
 def _opened(design: str | os.PathLike[str], patterns: Patterns | None, trust: bool) -> "Design":
@@ -277,7 +376,8 @@ def _opened(design: str | os.PathLike[str], patterns: Patterns | None, trust: bo
 def _check_design(design: str | os.PathLike[str], manifest: Manifest) -> Path:
     """Design file, or that in a folder of patterns; `InputError` if other patterns were shown."""
     path = Path(design)
-    file, known = path / Patterns.DESIGN if path.is_dir() else path, manifest.design_sha256
+    file = path / Patterns.DESIGN if path.is_dir() else path
+    known = manifest.design_sha256
     if (known or manifest.looks) and hash_file(file) != known:
         raise InputError(
             f"{file} is not the design whose patterns were shown: give the file that "
@@ -288,82 +388,38 @@ def _check_design(design: str | os.PathLike[str], manifest: Manifest) -> Path:
 
 @dataclass(frozen=True)
 class _CountedScenes:
-    """Scenes of a run or a table, and their counts."""
-
-    counts: Counts
-    scenes: Sequence[Scene]
-    source: str  # run or table, as errors name it
-
-    def classify(self, design: "Design", photons: float | None, force: bool) -> ClassifiedRun:
-        """Classes of the scenes by a design as it was shown, at a budget if one is stated."""
-        _check_clicks(design, self, photons)
-        exposures = _SoundExposures.find(design, self, photons, force)
-        consistency = exposures.compare(design)
-        view = exposures.test_view(design)
-        for test in (consistency, view):
-            if test is not None and test.refused and not force:
-                raise InputError(
-                    "{refusal}; {force} classifies them all the same",
-                    setting="force",
-                    refusal=test.refusal,
-                )
-        counts = exposures.counts
-        chances = design.classify(design.readouts(counts.signal()), exposures.budgets[:, None])
-        trained = was_trained_on(design.training_scenes, [scene.hash for scene in self.scenes])
-        some = exposures.often > 0
-        chance = np.full(len(some), np.nan)
-        unsure = np.zeros(len(some), bool)
-        if consistency is not None:
-            chance[some] = consistency.exposures
-            unsure[some] = consistency.unsure
-        scenes = []
-        for index, scene in enumerate(self.scenes):
-            sound = chances[index][exposures.usable[index]]
-            mean = sound.mean(axis=0) if len(sound) else None
-            scenes.append(
-                ClassifiedScene(
-                    name=scene.name,
-                    label=scene.label,
-                    predicted=None if mean is None else design.classes[mean.argmax()],
-                    probability=None if mean is None else float(mean.max()),
-                    exposures=len(sound),
-                    guesses=tuple(design.classes[best] for best in sound.argmax(axis=-1)),
-                    photons=None if mean is None else float(exposures.budgets[index]),
-                    faults=counts.faults_of(index),
-                    consistency=None if np.isnan(chance[index]) else float(chance[index]),
-                    unsure=None if consistency is None else bool(unsure[index]),
-                    trained_on=trained[index],
-                )
-            )
-        return ClassifiedRun(
-            design=design.name,
-            masks=design.masks,
-            classes=design.classes,
-            scenes=tuple(scenes),
-            faults=counts.faults,
-            consistency=consistency,
-            remarks=exposures.remarks(design, consistency, view),
-            view=view,
-        )
-
-
-@dataclass(frozen=True)
-class _SoundExposures:
-    """Exposures of a run that can be classified, and the light of its scenes.
+    """Scenes of a run or a table that can be classified by a design as it was shown.
 
     Shapes: S scenes, R exposures of each.
     """
 
+    design: "Design"
     counts: Counts  # (S, R, ...), with the faults of scenes too dim for the design
-    usable: np.ndarray  # (S, R)
-    budgets: np.ndarray  # (S,): Counts of an exposure; 1 where it is not known
+    scenes: Sequence[Scene]
+    usable: np.ndarray  # (S, R): exposures without faults
+    budgets: np.ndarray  # (S,): counts of an exposure; 1 where it is not known
+    force: bool
 
     @classmethod
-    def find(
-        cls, design: "Design", counted: _CountedScenes, photons: float | None, force: bool
-    ) -> Self:
-        """Exposures without faults, or `InputError` if there are none."""
-        counts = counted.counts
+    def of(
+        cls, design: "Design", counts: Counts, scenes: Sequence[Scene], *,
+        source: str, photons: float | None, force: bool,
+    ) -> Self:  # fmt: skip
+        """Scenes of a source, at a budget if one is stated; `InputError` if none can be classified.
+
+        Counts must be of the kind that the design reads, and of some budget.
+        """
+        if counts.gates != design.gates:
+            words = [
+                "photons" if gates is None else f"clicks of {gates} gates a frame"
+                for gates in (counts.gates, design.gates)
+            ]
+            raise InputError(
+                f"{source} was counted in {words[0]}, and this design reads {words[1]}: count "
+                "again with `deepfsi camera count`"
+            )
+        if counts.gates is not None and photons is None:
+            counts.check_budget(source)
         known = np.isfinite(counts.photons) if photons is None else counts.valid.any(axis=1)
         budgets = np.where(known, counts.photons if photons is None else photons, 1.0)
         dim = () if force else dim_scenes(design, np.where(known, budgets, np.nan))
@@ -374,18 +430,72 @@ class _SoundExposures:
                 "{source} has no exposure that can be classified ({fault}): record again"
                 + "; {force} classifies them all the same" * bool(dim),
                 setting="force",
-                source=counted.source,
+                source=source,
                 fault=counts.faults[0],
             )
-        return cls(counts, usable, budgets)
+        return cls(design, counts, scenes, usable=usable, budgets=budgets, force=force)
+
+    def classify(self) -> ClassifiedRun:
+        """Classes of the scenes; `InputError` if their counts do not look like the training's."""
+        design = self.design
+        counts = self.counts
+        consistency = self._compare()
+        view = self._test_view()
+        for test in (consistency, view):
+            if test is not None and test.refused and not self.force:
+                raise InputError(
+                    "{refusal}; {force} classifies them all the same",
+                    setting="force",
+                    refusal=test.refusal,
+                )
+        chances = design.classify(design.readouts(counts.signal()), self.budgets[:, None])
+        trained = was_trained_on(design.training_scenes, [scene.hash for scene in self.scenes])
+        tested = np.cumsum(self._often > 0) - 1  # scenes in the order of the consistency
+        scenes = []
+        for index, scene in enumerate(self.scenes):
+            answer = ClassifiedScene(
+                name=scene.name,
+                label=scene.label,
+                faults=counts.faults_of(index),
+                unsure=None if consistency is None else False,
+                trained_on=trained[index],
+            )
+            sound = chances[index][self.usable[index]]
+            if len(sound):
+                mean = sound.mean(axis=0)
+                answer = replace(
+                    answer,
+                    predicted=design.classes[mean.argmax()],
+                    probability=float(mean.max()),
+                    exposures=len(sound),
+                    guesses=tuple(design.classes[best] for best in sound.argmax(axis=-1)),
+                    photons=float(self.budgets[index]),
+                )
+                if consistency is not None:
+                    answer = replace(
+                        answer,
+                        consistency=float(consistency.exposures[tested[index]]),
+                        unsure=bool(consistency.unsure[tested[index]]),
+                    )
+            scenes.append(answer)
+        return ClassifiedRun(
+            design=design.name,
+            masks=design.masks,
+            classes=design.classes,
+            scenes=tuple(scenes),
+            remarks=self._remarks(consistency, view),
+            faults=counts.faults,
+            consistency=consistency,
+            view=view,
+        )
 
     @property
-    def often(self) -> np.ndarray:
+    def _often(self) -> np.ndarray:
         """Number of sound exposures of each scene, (S,)."""
         return self.usable.sum(axis=1)
 
     @cached_property
-    def sums(self) -> tuple[np.ndarray, np.ndarray]:
+    def _sums(self) -> tuple[np.ndarray, np.ndarray]:
         """Counts of the sound exposures of each scene, and their noise beyond Poisson's."""
         counts = self.counts
         exposures = counts.by_readout(self.usable)
@@ -394,19 +504,21 @@ class _SoundExposures:
         noise = noise + counts.excess.sum(axis=1, where=exposures)
         return counts.signal().sum(axis=1, where=exposures), noise
 
-    def compare(self, design: "Design") -> "ConsistencyResult | None":
+    def _compare(self) -> ConsistencyResult | None:
         """Comparison with the training; the exposures of a scene count as one."""
+        design = self.design
         if design.distribution is None:
             return None
-        some = self.often > 0
-        signal, noise = self.sums
-        budget = (self.budgets * self.often)[some]
+        some = self._often > 0
+        signal, noise = self._sums
+        budget = (self.budgets * self._often)[some]
         return design.consistency(
             design.readouts(signal[some]), budget, design.readouts(noise[some])
         )
 
-    def test_view(self, design: "Design") -> ViewResult | None:
+    def _test_view(self) -> ViewResult | None:
         """Test of how the camera saw the scenes; None where it cannot be made."""
+        design = self.design
         if design.scene_model is None or self.counts.gates is not None:
             return None
         rails = design.rails.stacked.cpu().numpy().astype(float)[..., None, :]
@@ -417,10 +529,10 @@ class _SoundExposures:
         two_arms = LIGHT_LAWS[design.light].arms == 2
         arms = np.arange(shape[0]) if two_arms else np.zeros(shape[0], int)
         inputs = np.broadcast_to(arms[:, None, None] * shape[2] + np.arange(shape[2]), shape)
-        signal, noise = self.sums
+        signal, noise = self._sums
         test = ViewTest(design.scene_model, design.image_shape)
-        for scene in np.flatnonzero(self.often).tolist():
-            gain = self.budgets[scene] * self.often[scene] / design.summed_reflectance
+        for scene in np.flatnonzero(self._often).tolist():
+            gain = self.budgets[scene] * self._often[scene] / design.summed_reflectance
             readouts = SceneReadouts(
                 masks=gain * rails.reshape(-1, rails.shape[-1]),
                 counts=signal[scene].ravel(),
@@ -430,37 +542,36 @@ class _SoundExposures:
             test.add(readouts)
         return test.result
 
-    def remarks(
-        self, design: "Design", consistency: "ConsistencyResult | None", view: ViewResult | None
+    def _remarks(
+        self, consistency: ConsistencyResult | None, view: ViewResult | None
     ) -> tuple[str, ...]:
         """Lines for a reader on the tests of the counts."""
-        if self.counts.gates is not None:
-            return self._remarks_on_clicks(design, self.counts.gates)
-        lines = (UNTESTED,) if consistency is None else tuple(consistency.remarks)
-        if view is None:
-            return *lines, NO_VIEW
-        return (*lines, view.remark) if view.remark else lines
-
-    def _remarks_on_clicks(self, design: "Design", gates: int) -> tuple[str, ...]:
+        gates = self.counts.gates
+        if gates is None:
+            lines = (UNTESTED,) if consistency is None else tuple(consistency.remarks)
+            if view is None:
+                return *lines, NO_VIEW
+            return (*lines, view.remark) if view.remark else lines
         from deepfsi.design.clicks import full_gates
 
-        photons = float(self.budgets[self.often > 0].mean())
+        design = self.design
+        photons = float(self.budgets[self._often > 0].mean())
         clicks = design.readouts(self.counts.signal())[self.usable]
         full = full_gates(float(clicks.mean()) / gates, photons)
         return CLICKS.format(photons, design.info["job"]["photons"]), *filter(None, [full])
 
 
-def _check_clicks(design: "Design", counted: _CountedScenes, photons: float | None) -> None:
-    """Raise `InputError` unless counts are of the kind that a design reads, and of some budget."""
-    counts = counted.counts
-    if counts.gates != design.gates:
-        words = [
-            "photons" if gates is None else f"clicks of {gates} gates a frame"
-            for gates in (counts.gates, design.gates)
-        ]
-        raise InputError(
-            f"{counted.source} was counted in {words[0]}, and this design reads {words[1]}: count "
-            "again with `deepfsi camera count`"
+def dim_scenes(design: "Design", budgets: np.ndarray) -> list[Fault]:
+    """Scenes whose budgets (S,) are far below those that a design was trained for."""
+    trained = design.info.get("job", {}).get("photons")
+    if trained is None:
+        return []
+    return [
+        Fault(
+            kind="budget",
+            scene=scene,
+            detail=f"{budgets[scene]:.3g} photons are too little light for this design, which was "
+            f"trained for {trained:g}: give more light, or a longer exposure",
         )
-    if counts.gates is not None and photons is None:
-        counts.check_budget(counted.source)
+        for scene in np.flatnonzero(budgets * TOO_DIM < trained).tolist()
+    ]

@@ -1,10 +1,25 @@
-"""Looks of a folder of patterns: of masks that do not change, or of a design that makes them."""
+"""Rails and looks of a design, of masks that do not change or of a design that makes them."""
 
+import os
 from pathlib import Path
 
-from deepfsi.base import require_torch
+from deepfsi.base import read_regular, require_torch
+from deepfsi.base.numeric import LARGEST_TENSORS
+from deepfsi.designfile import AdaptiveHeader, DesignFile
 from deepfsi.hardware.live import FixedMaskLooks, LookChooser
-from deepfsi.hardware.patterns import read_patterns
+from deepfsi.hardware.patterns import DesignRails, read_patterns
+
+
+def design_rails(file: str | os.PathLike[str]) -> DesignRails:
+    """Rails of a design file, as `export_patterns` takes them; only adaptive masks need torch."""
+    path = Path(file)
+    if isinstance(DesignFile.read(path, ()).header, AdaptiveHeader):
+        with require_torch():
+            from deepfsi.lab.adaptive_looks import adaptive_rails
+        return adaptive_rails(path)
+    return DesignRails.of(
+        DesignFile.read(path), read_regular(path, LARGEST_TENSORS, "give a design file")
+    )
 
 
 def open_looks(folder: Path) -> LookChooser:

@@ -6,21 +6,18 @@ import os
 from dataclasses import dataclass
 from math import prod
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import torch
 
 from deepfsi.base import InputError
 from deepfsi.camera import Camera, CameraSource, check_budget
-from deepfsi.design.artifact import Design
-from deepfsi.design.clicks import full_gates
-from deepfsi.design.evaluation import camera_for, check_draws, scanner_for
-from deepfsi.design.values import check_classes
 from deepfsi.designfile import Score, scene_hashes, was_trained_on
-from deepfsi.lab.light import dim_scenes
-from deepfsi.lab.scenes import design_scenes
-from deepfsi.optics.surroundings import library_defaults
+from deepfsi.lab.classify import dim_scenes
+from deepfsi.lab.test_data import design_scenes
+
+if TYPE_CHECKING:  # it imports torch, which those who predict nothing do without
+    from deepfsi.design.artifact import Design
 
 AT_ONCE = 1024
 """Pictures that are exposed together."""
@@ -44,24 +41,41 @@ class Predicted:
 
 @dataclass(frozen=True)
 class Predictions:
-    """Classes of pictures, each from one exposure that was simulated."""
+    """Classes of pictures, each from one exposure that was simulated.
 
-    photons: float  # budget
+    Parameters
+    ----------
+    photons : float
+        Budget.
+    noise : str
+    preprocessing : str
+        What was done to the pictures, in words.
+    remarks : tuple of str
+        On the budget, where it is too little for the design.
+    classes : tuple of str
+        Those that the design tells apart.
+    pictures : tuple of Predicted
+    """
+
+    photons: float
     noise: str
-    preprocessing: str  # what was done to the pictures, in words
-    remarks: tuple[str, ...]  # on the budget, where it is too little for the design
-    classes: tuple[str, ...]  # those that the design tells apart
+    preprocessing: str
+    remarks: tuple[str, ...]
+    classes: tuple[str, ...]
     pictures: tuple[Predicted, ...]
 
     @property
     def score(self) -> Score:
         """Right answers to pictures whose label is a class of the design."""
-        known = [each for each in self.pictures if each.label in self.classes]
-        return Score.of((each.trained_on, each.predicted == each.label, 1) for each in known)
+        return Score.of(
+            (picture.trained_on, picture.predicted == picture.label, 1)
+            for picture in self.pictures
+            if picture.label in self.classes
+        )
 
     def as_dict(self) -> dict[str, Any]:
         """JSON types only."""
-        pictures = [each.as_dict() for each in self.pictures]
+        pictures = [picture.as_dict() for picture in self.pictures]
         return vars(self) | {"score": self.score.as_dict(), "pictures": pictures}
 
     def as_csv(self) -> str:
@@ -69,13 +83,12 @@ class Predictions:
         text = io.StringIO()
         table = csv.DictWriter(text, ("picture", "class", "confidence", "label", "trained_on"))
         table.writeheader()
-        table.writerows(each.as_dict() for each in self.pictures)
+        table.writerows(picture.as_dict() for picture in self.pictures)
         return text.getvalue()
 
 
-@library_defaults()
 def predict(
-    design: Design,
+    design: "Design",
     pictures: str | os.PathLike[str],
     photons: float | None = None,
     *,
@@ -129,45 +142,73 @@ def predict(
     >>> found.pictures[3].label, len(found.pictures)
     ('3', 10)
     """
+    from deepfsi.optics.surroundings import library_defaults
+
+    run = library_defaults(grad=False)(_predict)
+    tested = {"camera": camera, **settings}
+    source = Path(pictures).expanduser()
+    return run(design, source, photons, tested, seed=seed, skip_bad=skip_bad)
+
+
+def _predict(
+    design: "Design",
+    source: Path,
+    photons: float | None,
+    tested: dict[str, Any],
+    *,
+    seed: int,
+    skip_bad: bool,
+) -> Predictions:
+    """Classes of pictures; parameters as of `predict`, with the camera's fields in `tested`."""
+    import torch
+
+    from deepfsi.design.clicks import full_gates
+    from deepfsi.design.evaluation import camera_for, check_draws, scanner_for
+    from deepfsi.design.values import check_classes
+
     check_classes(design.values, "predict")
     check_draws(1, seed)
-    tested = camera_for(design, camera, **settings)
-    budget = check_budget(_budget(design, tested) if photons is None else photons)
-    scanner = scanner_for(design, tested)
-    source = Path(pictures).expanduser()
+    camera = camera_for(design, **tested)
+    budget = check_budget(_budget(design, camera) if photons is None else photons)
+    scanner = scanner_for(design, camera)
     shown = design_scenes(design.info, design.image_shape, source, skip_bad)
     generator = torch.Generator(design.mean.device).manual_seed(seed)
     scenes = torch.from_numpy(np.ascontiguousarray(shown.x.reshape(len(shown.x), -1)))
-    chances, clicks = [], 0.0
-    with torch.no_grad():
-        for some in scenes.split(AT_ONCE):
-            rates = design.rates(scanner, some)
-            *_, seen = design.expose(scanner, rates, generator, budget)
-            chances.append(design.chances(seen, budget).cpu())
-            if design.gates is not None:
-                clicks += float(scanner.expected(budget * rates).sum())
-    surest, places = torch.cat(chances).max(dim=-1)
-    hashes = scene_hashes(shown.x, design.image_shape)
-    found = tuple(
-        Predicted(name, label, design.classes[place], confidence, trained)
-        for name, label, place, confidence, trained in zip(
-            shown.names,
-            shown.labels or [None] * len(shown.names),
-            places.tolist(),
-            surest.tolist(),
-            was_trained_on(design.training_scenes, hashes),
-            strict=True,
-        )
-    )
+    chances = []
+    clicks = 0.0
+    for some in scenes.split(AT_ONCE):
+        rates = design.rates(scanner, some)
+        *_, seen = design.expose(scanner, rates, generator, budget)
+        chances.append(design.chances(seen, budget).cpu())
+        if design.gates is not None:
+            clicks += float(scanner.expected(budget * rates).sum())
+    confidence, best = torch.cat(chances).max(dim=-1)
     remarks = [fault.detail for fault in dim_scenes(design, np.array([budget]))]
     if design.gates is not None:
         share = clicks / (len(scenes) * prod(design.counts_shape) * design.gates)
         remarks += filter(None, [full_gates(share, budget)])
-    said = shown.preprocessing
-    return Predictions(budget, tested.noise_name, said, tuple(remarks), design.classes, found)
+    labels = shown.labels or [None] * len(shown.names)
+    trained = was_trained_on(design.training_scenes, scene_hashes(shown.x, design.image_shape))
+    return Predictions(
+        photons=budget,
+        noise=camera.noise_name,
+        preprocessing=shown.preprocessing,
+        remarks=tuple(remarks),
+        classes=design.classes,
+        pictures=tuple(
+            Predicted(
+                name=name,
+                label=labels[index],
+                predicted=design.classes[best[index]],
+                confidence=float(confidence[index]),
+                trained_on=trained[index],
+            )
+            for index, name in enumerate(shown.names)
+        ),
+    )
 
 
-def _budget(design: Design, camera: Camera) -> float:
+def _budget(design: "Design", camera: Camera) -> float:
     """Budget of the camera's exposure if the training had it, else the lowest of the training."""
     trained = design.trained_budgets
     if trained is None:

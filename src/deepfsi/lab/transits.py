@@ -16,24 +16,23 @@ import io
 import math
 import os
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import torch
-from scipy.stats import poisson
 
 from deepfsi.base import SILENT, InputError, Progress, time_text
 from deepfsi.camera import check_budget
-from deepfsi.design.artifact import Design
-from deepfsi.design.exposure.passing import PassingExposure
-from deepfsi.design.values import check_classes
-from deepfsi.hardware.photons import read_photons
-from deepfsi.hardware.virtual.transits import write_transits
-from deepfsi.optics.surroundings import library_defaults
+from deepfsi.hardware.photons import PtuWriter, read_photons
 
-FALSE_ALARMS = 0.01
-"""Expected false alarms of a record unless another number is asked for."""
+if TYPE_CHECKING:  # they import torch, which those who look for no transits do without
+    from deepfsi.design.artifact import Design
+    from deepfsi.design.exposure.passing import PassingExposure
 
+FALSE_TRANSITS = 0.01
+"""Expected transits of background alone in a record unless another number is asked for."""
+
+TRANSIT_TICK_S = 1e-9
+"""Tick of a simulated file, seconds."""
 
 FINE = 8
 """Steps of a bin in which the place of a transit is sought."""
@@ -58,6 +57,8 @@ class Threshold:
 
 def false_alarms(level: int, background: float, window: float, duration: float) -> float:
     """Expected number of windows that background alone fills to a level in a record."""
+    from scipy.stats import poisson
+
     mean = background * window
     rises = background * duration * poisson.pmf(level - 1, mean)
     return float(rises + poisson.sf(level - 1, mean))
@@ -66,41 +67,41 @@ def false_alarms(level: int, background: float, window: float, duration: float) 
 def find_threshold(background: float, window: float, duration: float, allowed: float) -> Threshold:
     """Least level whose false alarms in a record are so many at most, and not below the mean."""
     level = max(int(background * window) + 1, 2)  # below the mean rises are rare, too
-    while (found := false_alarms(level, background, window, duration)) > allowed:
+    while false_alarms(level, background, window, duration) > allowed:
         level += max(1, int(math.sqrt(level) / 8))
-    while level > 2 and level > background * window + 1:
-        less = false_alarms(level - 1, background, window, duration)
-        if less > allowed:
-            break
-        level, found = level - 1, less
-    return Threshold(level, found)
+    while (
+        level > 2
+        and level > background * window + 1
+        and false_alarms(level - 1, background, window, duration) <= allowed
+    ):
+        level -= 1
+    return Threshold(level, false_alarms(level, background, window, duration))
 
 
 def find_transits(times: np.ndarray, window: float, level: int) -> np.ndarray:
     """Starts (n,) of the windows that hold most photons, of each transit in rising times."""
     low = np.searchsorted(times, times - window, side="right")
     bright = np.flatnonzero(np.arange(len(times)) - low + 1 >= level)
-    starts, first = list[float](), 0
-    while True:
-        # photons of a transit are not counted again in the next one
-        place = np.searchsorted(bright, first + level - 1)
-        if place == len(bright):
-            return np.array(starts, float)
-        risen = int(bright[place])
+    starts: list[float] = []
+    first = 0
+    # photons of a transit are not counted again in the next one
+    while (rise := np.searchsorted(bright, first + level - 1)) < len(bright):
+        risen = int(bright[rise])
         until = np.searchsorted(times, times[risen] + window, side="right")
         near = np.arange(risen, until)
         last = int(near[np.argmax(near - np.maximum(low[near], first))])
         starts.append(times[last] - window)
         first = last + 1
+    return np.array(starts, float)
 
 
 def find_background(times: np.ndarray, window: float, duration: float, allowed: float) -> float:
     """Rate of the background, from the record without its transits and a window on each side."""
     # One photon is added, so that none in a short stretch is not taken for none at all
-    kept, left = len(times), duration
+    count = len(times)
+    left = duration
     for _ in range(ROUNDS):
-        rate = kept / left
-        level = find_threshold(rate, window, duration, allowed).photons
+        level = find_threshold(count / left, window, duration, allowed).photons
         starts = find_transits(times, window, level)
         spans = _joined(starts - window, starts + 2 * window, duration)
         left = duration - float(np.diff(spans, axis=1).sum())
@@ -111,16 +112,17 @@ def find_background(times: np.ndarray, window: float, duration: float, allowed: 
                 setting="background",
                 least_windows=LEAST_WINDOWS,
             )
-        inside = np.diff(np.searchsorted(times, spans), axis=1).sum()
-        if (found := len(times) - int(inside)) == kept:
+        before = count
+        count = len(times) - int(np.diff(np.searchsorted(times, spans), axis=1).sum())
+        if count == before:
             break
-        kept = found
-    return (kept + 1) / left
+    return (count + 1) / left
 
 
 def _joined(starts: np.ndarray, stops: np.ndarray, duration: float) -> np.ndarray:
     """Spans (m, 2) that cover some that rise and may overlap, within a record."""
-    starts, stops = starts.clip(0, duration), stops.clip(0, duration)
+    starts = starts.clip(0, duration)
+    stops = stops.clip(0, duration)
     if not len(starts):
         return np.zeros((0, 2))
     apart = starts[1:] > stops[:-1]
@@ -179,8 +181,8 @@ class ClassifiedTransits:
 
     def as_dict(self) -> dict[str, Any]:
         """JSON types only."""
-        found = vars(self) | {"threshold": vars(self.threshold)}
-        return found | {"transits": [vars(each) for each in self.transits]}
+        content = vars(self) | {"threshold": vars(self.threshold)}
+        return content | {"transits": [vars(transit) for transit in self.transits]}
 
     def as_csv(self) -> str:
         """Table with a line for each transit: start, class, confidence, counts of the bins."""
@@ -188,20 +190,20 @@ class ClassifiedTransits:
         table = csv.writer(text)
         bins = len(self.transits[0].counts) if self.transits else 0
         table.writerow(["start_s", "class", "confidence", *(f"bin{k + 1}" for k in range(bins))])
-        for each in self.transits:
-            table.writerow([each.start_s, each.predicted, each.confidence, *each.counts])
+        for transit in self.transits:
+            answer = [transit.start_s, transit.predicted, transit.confidence]
+            table.writerow([*answer, *transit.counts])
         return text.getvalue()
 
 
-@library_defaults()
 def classify_transits(
-    design: Design,
+    design: "Design",
     file: str | os.PathLike[str],
     bin_s: float,
     *,
     photons: float | None = None,
     background: float | None = None,
-    false_alarms: float = FALSE_ALARMS,
+    false_alarms: float = FALSE_TRANSITS,
     counter_input: int = 0,
     report: Progress = SILENT,
 ) -> ClassifiedTransits:
@@ -234,11 +236,12 @@ def classify_transits(
         If the design is of another exposure, the file is damaged, or it does not tell its
         background.
     """
+    from deepfsi.design.values import check_classes
+    from deepfsi.optics.surroundings import library_defaults
+
     check_classes(design.values, "a transit's answer")
-    path, budget = (
-        passing_of(design).transit,
-        check_budget(photons or design.info["job"]["photons"]),
-    )
+    path = passing_of(design).transit
+    budget = check_budget(photons or design.info["job"]["photons"])
     for name, value in (("bin_s", bin_s), ("false_alarms", false_alarms)):
         if not 0 < value < np.inf:
             raise InputError(f"{name} {value!r} is not allowed: give a number above 0")
@@ -257,30 +260,41 @@ def classify_transits(
             record=time_text(seconds),
             transit=time_text(window),
         )
-    if background is None:
-        background = find_background(times, window, seconds, false_alarms)
-    threshold = find_threshold(background, window, seconds, false_alarms)
-    rough = find_transits(times, window, threshold.photons)
-    trace = design.shares.cpu().double().numpy() * budget
-    starts = align_transits(times, rough, bin_s, trace, background)
-    counts = count_bins(times, starts, bin_s, path.bins)
-    found = _classified(design, starts, counts, background * bin_s, budget)
-    return ClassifiedTransits(found, background, threshold, seconds, budget)
+
+    @library_defaults()
+    def classify() -> ClassifiedTransits:
+        rate = background
+        if rate is None:
+            rate = find_background(times, window, seconds, false_alarms)
+        threshold = find_threshold(rate, window, seconds, false_alarms)
+        trace = design.shares.cpu().double().numpy() * budget
+        starts = align_transits(
+            times,
+            find_transits(times, window, threshold.photons),
+            bin_s,
+            trace=trace,
+            background=rate,
+        )
+        counts = count_bins(times, starts, bin_s, path.bins)
+        chances = design.classify((counts - rate * bin_s).astype(np.float32), budget)
+        transits = tuple(
+            Transit(
+                start_s=start,
+                counts=tuple(counts[index].tolist()),
+                predicted=design.classes[int(np.argmax(chances[index]))],
+                confidence=float(chances[index].max()),
+            )
+            for index, start in enumerate(starts.tolist())
+        )
+        return ClassifiedTransits(transits, rate, threshold, seconds=seconds, photons=budget)
+
+    return classify()
 
 
-def _classified(
-    design: Design, starts: np.ndarray, counts: np.ndarray, dark: float, budget: float
-) -> tuple[Transit, ...]:
-    """Transits of starts (n,) and counts (n, T), with so many of the background in a bin."""
-    chances = design.classify((counts - dark).astype(np.float32), budget)
-    return tuple(
-        Transit(start, tuple(own), design.classes[int(np.argmax(each))], float(each.max()))
-        for start, own, each in zip(starts.tolist(), counts.tolist(), chances, strict=True)
-    )
-
-
-def passing_of(design: Design) -> PassingExposure:
+def passing_of(design: "Design") -> "PassingExposure":
     """Exposure of a design of passing scenes, or `InputError`."""
+    from deepfsi.design.exposure.passing import PassingExposure
+
     if not isinstance(design.exposure, PassingExposure):
         raise InputError(
             "this design has masks that a device shows one after the other: learn one of scenes "
@@ -290,9 +304,8 @@ def passing_of(design: Design) -> PassingExposure:
     return design.exposure
 
 
-@library_defaults()
 def simulate_transits(
-    design: Design,
+    design: "Design",
     scenes: np.ndarray,
     file: str | os.PathLike[str],
     bin_s: float,
@@ -325,18 +338,54 @@ def simulate_transits(
         Least and most time between transits, in transits.
     seed : int
     """
+    import torch
+
+    from deepfsi.optics.surroundings import library_defaults
+
     path = passing_of(design).transit
-    x = torch.from_numpy(np.ascontiguousarray(scenes, dtype=np.float32))
     step = path.speed / FINE  # pixels
     steps = int(np.ceil((path.shifts - 1) / step))
-    edges = (path.shifts - 1) / 2 + step * (torch.arange(steps + 1) - steps / 2)
-    with torch.no_grad():
+
+    @library_defaults(grad=False)
+    def expect() -> np.ndarray:
+        x = torch.from_numpy(np.ascontiguousarray(scenes, dtype=np.float32))
+        edges = (path.shifts - 1) / 2 + step * (torch.arange(steps + 1) - steps / 2)
         rates = passing_of(design).rates(design.scanner(), x / design.summed_reflectance)
-        traces = path.means(rates[:, 0], edges).double().numpy() * photons / FINE
-    rng, passage = np.random.default_rng(seed), steps / FINE * bin_s
+        traces = path.means(rates[:, 0], edges).double().numpy()
+        return np.asarray(traces * photons / FINE)
+
+    rng = np.random.default_rng(seed)
+    passage = steps / FINE * bin_s
     window = path.bins * bin_s
-    between = rng.uniform(*gaps, size=len(x)) * window
+    between = rng.uniform(*gaps, size=len(scenes)) * window
     enters = np.cumsum(between + passage) - passage
     seconds = float(enters[-1] + passage + gaps[1] * window)
-    write_transits(file, traces, enters, bin_s / FINE, background, seconds, rng)
+    write_transits(
+        file,
+        expect(),
+        enters,
+        step_s=bin_s / FINE,
+        background=background,
+        seconds=seconds,
+        rng=rng,
+    )
     return enters + (passage - window) / 2
+
+
+def write_transits(
+    path: str | os.PathLike[str], traces: np.ndarray, starts_s: np.ndarray, *,
+    step_s: float, background: float, seconds: float, rng: np.random.Generator,
+) -> None:  # fmt: skip
+    """Write photons of some transits and of the background, counts/s, in a record of some seconds.
+
+    Shapes: traces (n, S), expected counts in each step; starts (n,) of the first step.
+    """
+    counts = rng.poisson(traces)
+    at = starts_s[:, None] + step_s * np.arange(traces.shape[1])
+    passing = np.repeat(at.ravel(), counts.ravel())
+    passing = passing + step_s * rng.random(len(passing))
+    dark = seconds * rng.random(rng.poisson(background * seconds))
+    times = np.sort(np.concatenate([passing, dark]))
+    ticks = np.rint(times[(times >= 0) & (times < seconds)] / TRANSIT_TICK_S).astype(np.int64)
+    with PtuWriter(path, TRANSIT_TICK_S) as writer:
+        writer.write(ticks, np.zeros(len(ticks), np.int64))

@@ -26,7 +26,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self, get_args
 import numpy as np
 from pydantic import Field, model_validator
 
-from deepfsi.base import InputError, check_choice
+from deepfsi.base import InputError, as_input_error, check_choice
 from deepfsi.base.models import StrictModel
 from deepfsi.camera import (
     DEVICE_SOURCES,
@@ -42,7 +42,9 @@ from deepfsi.camera import (
     SummedReflectance,
     find_grid,
 )
+from deepfsi.designfile import DesignFile, check_masks, loop_bytes
 from deepfsi.hardware.patterns.frames import Format, Selection, make_frame
+from deepfsi.jobs import EVERY_PIXEL, STATIC
 
 MOST_FRAMES = 2**20
 """Frames of one pass at most, sentinels among them."""
@@ -148,6 +150,19 @@ class Looks(StrictModel):
     # which the design beside it makes, and the one frame of a mask is that of the first look
     loop_sha256: str | None = Field(pattern=r"^[0-9a-f]{64}$")
 
+    @classmethod
+    def of(cls, design: DesignFile) -> "Looks | None":
+        """Looks of a design with networks of the package that choose dwells; None of fixed ones."""
+        if design.mask_header.exposure.kind != "adaptive":
+            return None
+        return cls(
+            count=design.looks.looks,
+            each_rail=design.each_rail,
+            first=tuple(design.first_dwell.tolist()),
+            shortest=design.looks.shortest,
+            loop_sha256=hashlib.sha256(loop_bytes(design)).hexdigest(),
+        )
+
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         equal = math.isclose(sum(self.first) * self.count, 1, abs_tol=LOOK_SLACK)
@@ -212,6 +227,53 @@ class DesignRails:
     readout: Readout = "difference"
     looks: Looks | None = None
     loop: bytes | None = None
+
+    @classmethod
+    def of(cls, design: DesignFile, file: bytes) -> Self:
+        """Rails of a design file that was read, and its content.
+
+        Raises
+        ------
+        InputError
+            If it has no masks that one device can show.
+        """
+        header = design.mask_header
+        check_masks(header.info, "a device")
+        if header.name in EVERY_PIXEL:
+            raise InputError(
+                "impulse imaging has a detector for each pixel: no one device can show it"
+            )
+        if header.exposure.kind == "patches":
+            raise InputError(
+                "this design is of image patches, each with a detector of its own, which frames of "
+                "one device cannot show: use Design.classify"
+            )
+        if header.exposure.kind == "passing":
+            raise InputError(STATIC)
+        detectors = None
+        with as_input_error(str(design.path)):
+            brightness = Brightness.of(header.info)
+            if design.detectors is not None:
+                detectors = DetectorMap.model_validate(
+                    {
+                        "count": design.detector_count,
+                        "cells": tuple(design.detectors.tolist()),
+                        **(header.info.get("detector_light") or {}),
+                    }
+                )
+        looks = Looks.of(design)
+        return cls(
+            rails=design.rails,
+            light=header.light,
+            image_shape=header.image_shape,
+            summed_reflectance=header.summed_reflectance,
+            file=file,
+            brightness=brightness,
+            detectors=detectors,
+            readout=header.readout,
+            looks=looks,
+            loop=loop_bytes(design) if looks else None,
+        )
 
     def __post_init__(self) -> None:
         rails = self.rails

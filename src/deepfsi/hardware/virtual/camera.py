@@ -24,7 +24,7 @@ import numpy as np
 from pydantic import Field, FiniteFloat, field_validator
 
 from deepfsi.base import SILENT, InputError, Message, Progress, check_disk_space, new_folder
-from deepfsi.camera import DetectorRows, Device, DmdGrid, check_rows, mirrors_of_detectors
+from deepfsi.camera import Camera, DetectorRows, Device, DmdGrid, check_rows, mirrors_of_detectors
 from deepfsi.hardware.counting import Acquisition, Scene, prepare_run
 from deepfsi.hardware.patterns import (
     GatePlan,
@@ -92,6 +92,13 @@ class VirtualCamera(Detector):
         return view
 
     _detector_rows = field_validator("detectors")(check_rows)
+
+    @classmethod
+    def of(cls, camera: Camera) -> "VirtualCamera":
+        """One with the dark counts and the dead time of a camera that a laboratory describes."""
+        # Its flux is of counts: the efficiency of the detector is in it
+        dead = camera.counter_dead_time
+        return cls(dark=camera.dark, dead_time_s=dead.seconds, paralysable=dead.paralysable)
 
     def fluctuate(
         self, rates: np.ndarray, starts_s: np.ndarray, light: Fluctuation | None
@@ -362,11 +369,8 @@ def record_scenes(
         flow = arrival_rates(patterns_folder, scenes, camera, settings.flux, report.between(0, 0.5))
         if not camera.gates:
             events = float(np.einsum("sfd,f->", camera.registered(flow), manifest.picture_s))
-            check_disk_space(
-                target,
-                4 * events,
-                Message("give less {flux} or a shorter {exposure}", setting=("flux", "exposure")),
-            )
+            hint = Message("give less {flux} or a shorter {exposure}", setting=("flux", "exposure"))
+            check_disk_space(target, 4 * events, hint)
         rng = np.random.default_rng(settings.seed)
         path = draft / "photons.ptu"
         clicks = None

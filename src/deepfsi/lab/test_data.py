@@ -1,0 +1,230 @@
+"""Data as a design knows them: those that it is tested on, and pictures as it sees them.
+
+A camera's calibration may view them. Where they are not what the design was trained on, that is
+noted.
+"""
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from deepfsi.base import InputError
+from deepfsi.datasets import (
+    Dataset,
+    Origin,
+    absolute,
+    load_dataset,
+    prepared,
+    read_display,
+    takes,
+)
+from deepfsi.designfile import (
+    DesignFile,
+    DesignHeader,
+    TrainedOn,
+    new_scenes,
+    scene_hashes,
+    trained_on,
+)
+from deepfsi.hardware.calibration import camera_view, view_dataset
+from deepfsi.hardware.counting import Calibration
+from deepfsi.hardware.patterns import Patterns, read_patterns
+
+if TYPE_CHECKING:
+    from deepfsi.datasets.display import Display
+    from deepfsi.design.evaluation import Tested
+
+
+class TestData(NamedTuple):
+    """Data that a design is tested on, and notes on where it is not what it was trained on."""
+
+    data: Dataset
+    notes: tuple[str, ...]
+
+
+def data_of(
+    design: "Tested",
+    data: str | None = None,
+    size: tuple[int, int] | None = None,
+    view: Path | None = None,
+) -> TestData:
+    """Load the data to test a design on: what is given, else what it was trained on.
+
+    Parameters
+    ----------
+    design : Design or AdaptiveDesign
+    data : str, optional
+        Name or path of other data.
+    size : (int, int), optional
+        Of their images; that of the training unless given.
+    view : path, optional
+        Folder of a calibration, as whose camera sees them.
+
+    Raises
+    ------
+    InputError
+        If the design remembers no data, or they cannot be loaded.
+    """
+    training = trained_on(design.info)
+    known = training.origin if training else None
+    if data is None and known is None:
+        raise InputError(
+            "this design was trained on data that no file or name holds, such as arrays in "
+            "memory: give the data to test it on, {data}",
+            setting="data",
+        )
+    asked = _asked(known, data, size, view)
+    try:
+        loaded = _load(asked)
+    except InputError as error:
+        if data is None:
+            raise InputError(
+                "the data that this design was trained on cannot be loaded ({error}): give the "
+                "data to test it on, {data}",
+                setting="data",
+                error=error,
+            ) from error
+        raise
+    notes = _notes(training, asked, loaded)
+    _, left = new_scenes(design.training_scenes, loaded)
+    if design.training_scenes is None and notes:
+        left = "test scenes may be among those it was trained on, which its file does not hold"
+    return TestData(loaded, tuple(notes if left is None else [*notes, left]))
+
+
+def data_of_file(file: Path, size: tuple[int, int] | None = None) -> Dataset:
+    """Data that a design file was trained on, without torch.
+
+    Parameters
+    ----------
+    file : path
+    size : (int, int), optional
+        Of their images; that of the training unless given.
+
+    Raises
+    ------
+    InputError
+        If the design remembers no data, or they cannot be loaded.
+    """
+    training = trained_on(DesignFile.read(file, ()).header.info)
+    if training is None or training.origin is None:
+        raise InputError(
+            f"{file} was trained on data that no file or name holds, such as arrays in memory: "
+            "give a folder of pictures"
+        )
+    return _load(_asked(training.origin, None, size, None))
+
+
+def _asked(
+    known: Origin | None, data: str | None, size: tuple[int, int] | None, view: Path | None
+) -> Origin:
+    """Source that is told, the rest of it as the design remembers."""
+    name = known.data if data is None and known else absolute(str(data))
+    told = {"size": size, "view": absolute(str(view)) if view else None}
+    told = {option: value for option, value in told.items() if value is not None}
+    if known is None or name == known.data:
+        return (known or Origin(data=name)).model_copy(update=told)
+    allowed = takes(name)
+    same = [
+        "rescale",
+        "view",
+        "normal",
+        *(option for option in ("size", "white", "skip_bad") if option in allowed),
+    ]
+    kept = {option: getattr(known, option) for option in same}
+    return Origin(data=name).model_copy(update=kept | told)
+
+
+def _load(origin: Origin) -> Dataset:
+    options = origin.model_dump(exclude={"data", "view", "fold"})
+    scenes = load_dataset(origin.data, **options)
+    if origin.fold is not None:
+        place, count = origin.fold
+        scenes = scenes.folds(count)[place]
+    return scenes if origin.view is None else view_dataset(scenes, Path(origin.view))
+
+
+def _notes(training: TrainedOn | None, asked: Origin, data: Dataset) -> list[str]:
+    known = training.origin if training else None
+    if training is None or training.is_of(data):
+        return []
+    if known is None:
+        return [f"this is not the data that the design was trained on, {training.name}"]
+    if known == asked:
+        return [f"{known.words} has changed since the design was trained on it"]
+    return [f"the design was trained on {known.words}; this is {asked.words}"]
+
+
+def _design_of(patterns: Path) -> DesignHeader | None:
+    """Header of the design in a folder of patterns; None where it has none."""
+    if read_patterns(patterns).manifest.design_sha256 is None:
+        return None
+    return DesignFile.read(patterns / Patterns.DESIGN, ()).header
+
+
+def displayed(source: Path, patterns: Path) -> "Display":
+    """Pictures of scenes, with the white of the patterns' design where their type has none.
+
+    Parameters
+    ----------
+    source : path
+        The pictures.
+    patterns : path
+        Folder of the patterns.
+    """
+    images = read_display(source)
+    if not images.levels.chosen or (design := _design_of(patterns)) is None:
+        return images
+    known = trained_on(design.info)
+    white = known.origin.white if known and known.origin else None
+    return images if white is None else read_display(source, white)
+
+
+def design_scenes(
+    info: Mapping[str, Any], image_shape: tuple[int, ...], pictures: Path, skip_bad: bool = False
+) -> "Display":
+    """Pictures as a design with that provenance sees them, prepared as the data that it knows."""
+    known = trained_on(info)
+    if known is None or known.origin is None:
+        raise InputError(
+            "this design was trained on data that no file or name holds, such as arrays in memory, "
+            "and does not know what to do to pictures: learn it from pictures, or `evaluate` it on "
+            "arrays with labels"
+        )
+    shown = prepared(pictures, known.origin, skip_bad)
+    if shown.x.shape[1:] != image_shape:
+        raise InputError(
+            "the pictures are of {pixels} pixels and the design's scenes of {scene}: bring them to "
+            "its size, or learn a design with {size}",
+            setting="size",
+            pixels="x".join(map(str, shown.x.shape[1:])),
+            scene="x".join(map(str, image_shape)),
+        )
+    if known.origin.view is None:
+        return shown
+    calibration = Calibration.load(Path(known.origin.view))
+    x = camera_view(shown.x.reshape(len(shown.x), -1), image_shape, calibration)
+    return shown._replace(x=x, preprocessing=f"{shown.preprocessing}, then as the camera sees it")
+
+
+def picture_hashes(
+    source: str | os.PathLike[str], patterns: str | os.PathLike[str]
+) -> tuple[str, ...] | None:
+    """Hashes of pictures as the patterns' design sees them; None where it cannot see them.
+
+    Parameters
+    ----------
+    source : str or path
+        The pictures.
+    patterns : str or path
+        Folder of the patterns.
+    """
+    design = _design_of(Path(patterns))
+    if design is None:
+        return None
+    try:
+        shown = design_scenes(design.info, design.image_shape, Path(source))
+    except InputError:  # it was made of arrays, or of pictures of another size
+        return None
+    return scene_hashes(shown.x, design.image_shape)
