@@ -31,10 +31,13 @@ ROOMS_DONE: set[str] = {
     "hardware.photons",
     "hardware.pictures",
     "jobs",
+    "lab",
 }
 """Rooms that keep every rule. A finished room is added here, and never goes again."""
 
 LONELY: dict[str, str] = {
+    "deepfsi.lab.adaptive_looks": "it loads torch, which only adaptive masks need",
+    "deepfsi.lab.transits": "scenes that pass a pattern are no run, and have a command of their own",
     "deepfsi.hardware.pictures.tables": "tables of counts without a run, which one command reads",
     "deepfsi.hardware.photons.scan": "a microscope's scan is no run, and has markers of its own",
     "deepfsi.hardware.photons.timestamps": "a new make's file is a class and a line in it",

@@ -429,7 +429,7 @@ class Camera(UserModel):
         return DeadTime(seconds=self.dead_time, paralysable=self.dead_time_model == "paralysable")
 
     def corrected_dead_time(self, settings: Container[str] = ()) -> DeadTime | None:
-        """Dead time to be corrected; None where there is none, and none of `settings` is its model."""
+        """Dead time to be corrected; None where there is none and no setting is its model."""
         if self.dead_time:
             return self.counter_dead_time
         if "dead_time_model" in settings:
