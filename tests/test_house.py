@@ -37,7 +37,7 @@ ROOMS_DONE: set[str] = {
 
 LONELY: dict[str, str] = {
     "deepfsi.lab.adaptive_looks": "it loads torch, which only adaptive masks need",
-    "deepfsi.lab.transits": "scenes that pass a pattern are no run, and have a command of their own",
+    "deepfsi.lab.transits": "scenes that pass a pattern are no run, and have their own command",
     "deepfsi.hardware.pictures.tables": "tables of counts without a run, which one command reads",
     "deepfsi.hardware.photons.scan": "a microscope's scan is no run, and has markers of its own",
     "deepfsi.hardware.photons.timestamps": "a new make's file is a class and a line in it",
