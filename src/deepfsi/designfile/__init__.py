@@ -50,8 +50,6 @@ from deepfsi.designfile.temperatures import (
     calibration_budgets,
 )
 from deepfsi.designfile.view_test import (
-    FEWEST_MODELLED,
-    FEWEST_MODELLED_OF_A_CLASS,
     SceneModel,
     SceneReadouts,
     ViewResult,
@@ -60,8 +58,6 @@ from deepfsi.designfile.view_test import (
 
 __all__ = [
     "CALIBRATION_REACH",
-    "FEWEST_MODELLED",
-    "FEWEST_MODELLED_OF_A_CLASS",
     "INDEX_NAME",
     "LOG_BOUNDS",
     "READOUTS",

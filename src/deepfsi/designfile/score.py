@@ -21,6 +21,12 @@ class RightAnswers:
         """95 % interval of the share that is right, over scenes as the trials (Wilson)."""
         return wilson(self.right / self.answers, self.scenes)
 
+    def line(self, what: str) -> str:
+        """Right answers to some pictures or exposures, which words name, and their interval."""
+        low, high = self.interval
+        share = f"{self.right / self.answers:.2f}, 95 % {low:.2f} to {high:.2f}"
+        return f"right: {self.right} of {self.answers} {what} ({share})"
+
     def as_dict(self) -> dict[str, Any]:
         """JSON types only."""
         low, high = self.interval if self.answers else (None, None)
@@ -69,7 +75,7 @@ class Score:
         lines = []
         if new.answers:
             also = f"new {noun}s" if trained.answers else f"{noun}s, none of them trained on"
-            lines.append(f"right: {_share(new)} {also} {_interval(new)}")
+            lines.append(new.line(also))
         if trained.answers and new.answers:
             lines.append(
                 f"{trained.answers} of these {new.answers + trained.answers} {noun}s were trained "
@@ -82,20 +88,10 @@ class Score:
             )
         if unknown.answers:
             lines.append(
-                f"right: {_share(unknown)} {noun}s {_interval(unknown)}; whether the design was "
-                "trained on them is not known"
+                f"{unknown.line(noun + 's')}; whether the design was trained on them is not known"
             )
         return lines
 
     def as_dict(self) -> dict[str, Any]:
         """JSON types only."""
         return {name: each.as_dict() for name, each in vars(self).items()}
-
-
-def _share(tally: RightAnswers) -> str:
-    return f"{tally.right} of {tally.answers}"
-
-
-def _interval(tally: RightAnswers) -> str:
-    low, high = tally.interval
-    return f"({tally.right / tally.answers:.2f}, 95 % {low:.2f} to {high:.2f})"

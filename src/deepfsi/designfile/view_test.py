@@ -179,11 +179,16 @@ class SceneModel:
     rest: np.ndarray
     shares: np.ndarray
 
+    @staticmethod
+    def are_enough(sizes: np.ndarray) -> bool:
+        """True if runs can be tested with so many training scenes of each class, (C,)."""
+        return bool(sizes.sum() >= FEWEST_MODELLED and sizes.min() >= FEWEST_MODELLED_OF_A_CLASS)
+
     @classmethod
     def fit(cls, x: np.ndarray, labels: np.ndarray, classes: int) -> "SceneModel | None":
         """Model of scenes (n, N) of classes (n,), or None where there are too few."""
         sizes = np.bincount(labels, minlength=classes)
-        if len(x) < FEWEST_MODELLED or sizes.min() < FEWEST_MODELLED_OF_A_CLASS:
+        if not cls.are_enough(sizes):
             return None
         means = np.stack([x[labels == k].mean(axis=0, dtype=float) for k in range(classes)])
         away = np.asarray(x, float) - means[labels]

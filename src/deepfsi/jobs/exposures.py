@@ -165,7 +165,6 @@ class Range(Conditioned):
     1000000.0
     """
 
-    # Highest budget over the lowest, `photons`; those of the training are log-uniform between
     span: float = Field(gt=1, le=1e12, description="highest budget over the lowest, `photons`")
 
 
@@ -179,13 +178,11 @@ class Nested(Conditioned):
     1.0
     """
 
-    # Smallest number of first masks from which the network must classify
     nested: int = Field(
         ge=1,
         description="nested masks: smallest number of first masks from which the network must "
         "classify",
     )
-    # Highest budget over the lowest; 1 for one budget
     span: float = Field(1.0, ge=1, le=1e12, description="highest budget over the lowest")
 
     def min_lit_masks(self, masks: int) -> int:
@@ -357,8 +354,6 @@ class Patches(Exposure):
     side_by_side: ClassVar[bool] = False
     allow_bf16: ClassVar[bool] = False
 
-    # Side of a patch, pixels. A patch has a detector for each mask, and a budget is of the whole
-    # image, which the patches share as they share its light
     patch: int = Field(ge=2, description="side of a patch, pixels, of an image seen by patches")
 
     def view(self, data: Dataset) -> Dataset:

@@ -9,7 +9,7 @@ from threadpoolctl import threadpool_limits
 from torch import Tensor
 
 from deepfsi.camera import summed_reflectance
-from deepfsi.designfile import FEWEST_MODELLED, FEWEST_MODELLED_OF_A_CLASS, SceneModel, Temperatures
+from deepfsi.designfile import SceneModel, Temperatures
 
 NEIGHBOURS = 3000
 """Scenes whose nearest neighbours tell how far scenes lie from those of the prior, at most."""
@@ -126,7 +126,7 @@ class ScenePrior:
         members = self.members.numpy().astype(float)
         labels = self.labels.numpy()
         often = np.bincount(labels, members, minlength=self.classes)
-        if often.sum() < FEWEST_MODELLED or often.min() < FEWEST_MODELLED_OF_A_CLASS:
+        if not SceneModel.are_enough(often):
             return None
         own = self.coefficients.numpy().astype(float)
         centres = np.stack([
