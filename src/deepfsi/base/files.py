@@ -13,7 +13,6 @@ import errno
 import math
 import os
 import re
-import shutil
 import stat
 import sys
 import time
@@ -332,6 +331,8 @@ def check_disk_space(path: str | os.PathLike[str], size: float, advice: str) -> 
     advice : str
         What else to do, as the end of a message.
     """
+    import shutil
+
     above = next((each for each in Path(path).absolute().parents if each.exists()), None)
     free = shutil.disk_usage(above).free if above else math.inf
     if size > free:
@@ -348,6 +349,8 @@ def check_disk_space(path: str | os.PathLike[str], size: float, advice: str) -> 
 @contextmanager
 def new_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Make a folder that takes an empty one's place, or none's, when the block ends well."""
+    import shutil
+
     target = Path(path)
     if target.exists() and (not target.is_dir() or any(target.iterdir())):
         raise InputError(f"{target} exists already: give a new folder")
@@ -383,6 +386,8 @@ def _beside(path: Path, target: Path) -> bool:
 
 def remove_drafts(folder: Path) -> None:
     """Remove the drafts in a folder that processes left which are gone."""
+    import shutil
+
     if not folder.is_dir():
         return
     with os.scandir(folder) as entries:

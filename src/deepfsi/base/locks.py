@@ -7,11 +7,9 @@ this host still runs can be asked; of one elsewhere only its files' changes tell
 
 import contextlib
 import os
-import platform
 import re
 import threading
 import time
-import uuid
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -61,7 +59,7 @@ class ProcessId(NamedTuple):
 
 def this_process() -> ProcessId:
     """Name of this process for something new that it makes."""
-    return ProcessId(host_id(), os.getpid(), _this_start(os.getpid()), uuid.uuid4().hex[:8])
+    return ProcessId(host_id(), os.getpid(), _this_start(os.getpid()), os.urandom(4).hex())
 
 
 def parse_process(name: str) -> ProcessId | None:
@@ -76,6 +74,7 @@ def parse_process(name: str) -> ProcessId | None:
 def host_id() -> str:
     """Name of this host, since it was started, as this process's namespace sees it."""
     import hashlib
+    import platform
 
     facts = [platform.node()]
     for source in ("/proc/sys/kernel/random/boot_id", "/proc/self/ns/pid"):

@@ -6,9 +6,7 @@ a design file that the user says to trust.
 """
 
 import contextlib
-import hashlib
 import importlib
-import inspect
 import os
 import sys
 from collections.abc import Iterator
@@ -75,6 +73,9 @@ def import_path(part: Any) -> str | None:
 
 def source_hash(path: str) -> str:
     """SHA-256 in hex of the file that defines a part, so that records of an older one expire."""
+    import hashlib
+    import inspect
+
     try:
         file = inspect.getsourcefile(load_plugin(path))
     except TypeError:
