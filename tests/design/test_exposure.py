@@ -4,13 +4,13 @@ import pytest
 import torch
 
 from deepfsi.base import InputError
-from deepfsi.design.exposure.trained import cut
+from deepfsi.jobs import cut_patches
 from deepfsi.optics import constraints
 
 
 def test_an_image_that_cannot_be_cut_so_is_refused():
     with pytest.raises(InputError, match="divides both"):
-        cut(torch.zeros(1, 48), (6, 8), 4)
+        cut_patches(torch.zeros(1, 48), (6, 8), 4)
 
 
 @pytest.mark.parametrize(

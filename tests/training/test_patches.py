@@ -9,10 +9,10 @@ from deepfsi import Patches, Scanner
 from deepfsi.base import InputError
 from deepfsi.camera import photons_per_pixel
 from deepfsi.design.exposure.kinds import begin
-from deepfsi.design.exposure.trained import cut
 from deepfsi.design.onnx_graph import to_onnx
 from deepfsi.design.stopping import stop
 from deepfsi.jobs import DESIGNS as CODES
+from deepfsi.jobs import cut_patches
 from deepfsi.optics.masks import FixedMasks, LearnedMasks
 from deepfsi.training.learning import train
 from deepfsi.training.masks import initial_masks
@@ -47,7 +47,7 @@ class Cut:
     def __init__(self, data) -> None:
         self.training_set = TrainingSet(data, "cpu")
         self.summed_reflectance = self.training_set.summed_reflectance
-        self.x = cut(self.training_set.full, data.image_shape, 4)
+        self.x = cut_patches(self.training_set.full, data.image_shape, 4)
 
     def masks(self, design: str) -> FixedMasks | LearnedMasks:
         one = job(**SMALL, design=design)
@@ -166,7 +166,7 @@ def test_jobs_of_patches_train_one_by_one(patches):
 
 def test_the_throughput_is_what_is_counted(data, patches, learned):
     light = photons_per_pixel(torch.from_numpy(data.x_train), 1.0, learned.summed_reflectance)
-    rates = learned.scanner().rates(cut(light, data.image_shape, 4))
+    rates = learned.scanner().rates(cut_patches(light, data.image_shape, 4))
     counted = rates.sum(dim=(1, 2, 3)).mean()
     assert float(learned.shares.sum()) == pytest.approx(float(counted), rel=1e-4)
 

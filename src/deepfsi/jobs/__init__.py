@@ -30,6 +30,7 @@ from deepfsi.jobs.exposures import (
     Patches,
     PatchesEntry,
     Range,
+    cut_patches,
     find_exposure,
 )
 from deepfsi.jobs.job import (
@@ -92,6 +93,7 @@ __all__ = [
     "check_design",
     "count_allowed",
     "custom_parts",
+    "cut_patches",
     "describe_classifier",
     "find_exposure",
     "find_job",

@@ -360,7 +360,7 @@ class Patches(Exposure):
         """Every patch of the training images as a scene of its own; no test scenes."""
         if len(data.image_shape) != 2:
             raise InputError(f"{data.name} holds no images: patches need two sides")
-        patches = _cut(data.x_train, data.image_shape, self.patch)
+        patches = cut_patches(data.x_train, data.image_shape, self.patch)
         return replace(
             data,
             x_train=patches.reshape(-1, self.patch**2),
@@ -387,16 +387,35 @@ class Patches(Exposure):
             yield "patches are classified by a transformer: give classifier vit"
 
 
-def _cut(scenes: np.ndarray, image_shape: tuple[int, ...], side: int) -> np.ndarray:
-    """Patches (n, P, side²) of images (n, H · W), row by row; `InputError` if a rest stays."""
+def cut_patches(scenes: Any, image_shape: tuple[int, ...], side: int) -> Any:
+    """Patches of images, row by row.
+
+    Parameters
+    ----------
+    scenes : array or tensor, shape (..., H · W)
+    image_shape : tuple of int
+        H and W.
+    side : int
+        Of a patch, pixels.
+
+    Returns
+    -------
+    array or tensor, shape (..., P, side²)
+
+    Raises
+    ------
+    InputError
+        If a rest stays.
+    """
     height, width = image_shape
     if height % side or width % side:
         raise InputError(
             f"images of {height}x{width} pixels cannot be cut in patches of {side}x{side}: give a "
             "side that divides both"
         )
-    blocks = scenes.reshape(len(scenes), height // side, side, width // side, side)
-    return blocks.swapaxes(-3, -2).reshape(len(scenes), -1, side * side)
+    images = scenes.shape[:-1]
+    blocks = scenes.reshape(*images, height // side, side, width // side, side)
+    return blocks.swapaxes(-3, -2).reshape(*images, -1, side * side)
 
 
 class PatchesEntry(_Entry):

@@ -18,7 +18,7 @@ from deepfsi.camera import Camera, LightLawName
 from deepfsi.design.classifiers import Mlp
 from deepfsi.design.readout_fit import find_distribution
 from deepfsi.designfile import ReadoutDistribution
-from deepfsi.jobs import ExposureEntry, FixedEntry, Job, Patches, PatchesEntry
+from deepfsi.jobs import ExposureEntry, FixedEntry, Job, Patches, PatchesEntry, cut_patches
 from deepfsi.optics import constraints
 from deepfsi.optics.detection import Detection
 from deepfsi.optics.grey_levels import quantise
@@ -333,7 +333,7 @@ class PatchExposure(TrainedExposure):
 
     def cut(self, scenes: Tensor, image_shape: tuple[int, ...]) -> Tensor:
         """Patches (..., P, N) of images (..., H · W), as the masks see them."""
-        return cut(scenes, image_shape, self.side)
+        return cut_patches(scenes, image_shape, self.side)
 
     def budget(self, photons: Tensor) -> Tensor:
         """Budget (..., 1) of an image: every patch has it."""
@@ -345,16 +345,3 @@ class PatchExposure(TrainedExposure):
             "this design is of image patches, each with a detector of its own, which frames of "
             "one device or one graph cannot: use Design.classify"
         )
-
-
-def cut(scenes: Tensor, image_shape: tuple[int, ...], side: int) -> Tensor:
-    """Patches (..., P, side²) of images (..., H · W), row by row; `InputError` if a rest stays."""
-    # scenes (..., H · W)
-    height, width = image_shape
-    if height % side or width % side:
-        raise InputError(
-            f"images of {height}x{width} pixels cannot be cut in patches of {side}x{side}: give a "
-            "side that divides both"
-        )
-    blocks = scenes.unflatten(-1, (height // side, side, width // side, side))
-    return blocks.transpose(-3, -2).reshape(*scenes.shape[:-1], -1, side * side)
