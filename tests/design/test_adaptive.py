@@ -304,3 +304,15 @@ def test_at_the_command_line(call, tmp_path):
     assert code == 0
     assert json.loads(out)["rule"]["after"] == [1, 2, 3]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["looks.safetensors"]
+
+
+@pytest.mark.parametrize("before", [(), (5,), (5, 2)])
+def test_the_dwells_of_two_rails_follow_one_another(before):
+    """Of one exposure, of several, and of the looks of several."""
+    dwells = Dwells(masks=3, each_rail=True)
+    given = np.arange(np.prod((*before, 6))).reshape(*before, 6)
+    apart = dwells.by_rail(given)
+    assert apart.shape == (*before, *dwells.shape)
+    assert (apart[..., 0, :] == given[..., ::2]).all()
+    assert (apart[..., 1, :] == given[..., 1::2]).all()
+    assert (dwells.by_mask(apart) == given).all()
