@@ -128,7 +128,7 @@ ONE_DMD = {"camera": "dmd"}
 )
 def test_every_fault_of_an_exposure_is_told(settings, faults):
     one = job(masks=6, photons=1e3, **settings)
-    found = one.exposure.faults(one)
+    found = list(one.exposure.faults(one))
     assert len(found) == len(faults), found
     for told, words in zip(found, faults, strict=True):
         assert words in told
