@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
 from deepfsi.base import InputError
-from deepfsi.base.models import StrictModel
+from deepfsi.base.models import Amount, Share, StrictModel, WholeNumber
 from deepfsi.base.numeric import read_npy
 from deepfsi.camera.layout import DmdGrid
 
@@ -19,7 +19,7 @@ MOST_DETECTORS = 2**16
 DetectorSetting = str | Sequence[int] | np.ndarray
 """ROWSxCOLUMNS, bands of a spectrum as one number, or the detector of each pixel."""
 
-DetectorRows = tuple[tuple[Annotated[int, Field(ge=0)], ...], ...]
+DetectorRows = tuple[tuple[WholeNumber, ...], ...]
 """Detector of each part of an area that these rows, equally long, divide evenly."""
 
 
@@ -41,9 +41,9 @@ class DetectorMap(StrictModel):
     """
 
     count: int = Field(ge=1, le=MOST_DETECTORS)
-    cells: tuple[Annotated[int, Field(ge=0)], ...] | None = None
-    shares: tuple[tuple[Annotated[float, Field(ge=0, le=1)], ...], ...] | None = None
-    spread: tuple[Annotated[float, Field(ge=0, allow_inf_nan=False)], ...] = ()
+    cells: tuple[WholeNumber, ...] | None = None
+    shares: tuple[tuple[Share, ...], ...] | None = None
+    spread: tuple[Amount, ...] = ()
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

@@ -11,6 +11,7 @@ from typing import Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from deepfsi.base import InputError, closest_choice
+from deepfsi.base.models import Count, Positive
 
 MOST_MIRRORS = 2**14
 """Mirrors of a device in each direction at most."""
@@ -74,11 +75,11 @@ class Device(BaseModel):
     shortest_us: int = Field(44, ge=1, le=LONGEST_PICTURE_US)
     longest_us: int = Field(LONGEST_PICTURE_US, ge=1, le=LONGEST_PICTURE_US)
     settle_us: float = Field(10.0, ge=0, allow_inf_nan=False)
-    patterns: int | None = Field(None, ge=1)
+    patterns: Count | None = None
     video_us: int | None = Field(None, ge=1, le=LONGEST_PICTURE_US)
     load_us: int | None = Field(None, ge=1, le=LONGEST_PICTURE_US)
     lattice: Lattice = "square"
-    pitch_um: float | None = Field(None, gt=0, allow_inf_nan=False)
+    pitch_um: Positive | None = None
     controller: Controller = "any"
     planes: str = "BGR"
 

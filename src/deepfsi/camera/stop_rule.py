@@ -3,9 +3,8 @@
 import math
 
 import numpy as np
-from pydantic import Field
 
-from deepfsi.base.models import StrictModel
+from deepfsi.base.models import Count, Positive, Share, StrictModel
 from deepfsi.camera.dead_time import NO_DEAD_TIME, DeadTime
 
 MARGIN_NS = 2000
@@ -24,9 +23,9 @@ class StopRule(StrictModel):
     """When an exposure stops."""
 
     # Confidence above which the exposure stops; 1 for never before the last look
-    threshold: float = Field(ge=0, le=1)
+    threshold: Share
     # Budget that it was chosen at, and within a factor of √10 of which it holds; any if None
-    photons: float | None = Field(None, gt=0, allow_inf_nan=False)
+    photons: Positive | None = None
 
     def stops(self, confidence: float, photons: float) -> bool:
         """True if an exposure of a budget may stop at a confidence."""
@@ -37,9 +36,9 @@ class StopRule(StrictModel):
 class LiveSettings(StrictModel):
     """Settings of a live run."""
 
-    shortest_ns: int = Field(ge=1)  # Shortest gate; frames whose dwells are shorter are not shown
+    shortest_ns: Count  # Shortest gate; frames whose dwells are shorter are not shown
     # Budget of an exposure where it is known; that of the all-ON frames so far if None
-    photons: float | None = Field(None, gt=0, allow_inf_nan=False)
+    photons: Positive | None = None
     rule: StopRule | None = None  # When an exposure stops; never before its last look if None
     dead_time: DeadTime = NO_DEAD_TIME  # Of the counter, to be corrected for
     background: bool = False  # True if a pass with the scenes dark comes first

@@ -11,14 +11,12 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import AfterValidator, Field, model_validator
 
 from deepfsi.base import IMPORT_PATH
-from deepfsi.base.models import StrictModel
+from deepfsi.base.models import Count, StrictModel
 from deepfsi.camera import LightLawName, Readout, SummedReflectance
 from deepfsi.jobs import MOST_LAYERS, AdaptiveMasks, ExposureEntry, Widths, check_design
 
 DESIGN_SCHEMA: Literal[1] = 1
 """Number of the design file's schema."""
-
-PositiveCount = Annotated[int, Field(ge=1)]
 
 
 def _check_info(info: dict[str, Any]) -> dict[str, Any]:
@@ -69,11 +67,11 @@ class VitEntry(StrictModel, strict=True):
     """
 
     kind: Literal["vit"]
-    patches: PositiveCount
-    width: PositiveCount
+    patches: Count
+    width: Count
     depth: int = Field(ge=1, le=MOST_LAYERS)
-    heads: PositiveCount
-    hidden: PositiveCount
+    heads: Count
+    hidden: Count
 
 
 class CustomEntry(StrictModel, strict=True):
@@ -128,7 +126,7 @@ class MaskHeader(StrictModel, strict=True, populate_by_name=True):
     light: LightLawName
     readout: Readout
     summed_reflectance: SummedReflectance
-    image_shape: tuple[PositiveCount, ...]
+    image_shape: tuple[Count, ...]
     classes: tuple[str, ...]
     values: tuple[str, ...] = ()
     exposure: ExposureEntry
@@ -164,7 +162,7 @@ class AdaptiveHeader(StrictModel, populate_by_name=True):
     deepfsi: str = version("deepfsi")
     name: Literal["adaptive"] = "adaptive"
     settings: AdaptiveMasks
-    image_shape: tuple[PositiveCount, ...]
+    image_shape: tuple[Count, ...]
     classes: tuple[str, ...]
     info: DesignInfo
 

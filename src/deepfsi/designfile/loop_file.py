@@ -12,7 +12,7 @@ from pydantic import Field
 from safetensors.numpy import save
 
 from deepfsi.base import InputError, as_input_error
-from deepfsi.base.models import StrictModel
+from deepfsi.base.models import Count, Positive, StrictModel
 from deepfsi.base.numeric import DamagedError, read_tensors
 from deepfsi.camera import Readout, StopRule
 from deepfsi.designfile.design_file import DAMAGED, DesignFile
@@ -31,9 +31,9 @@ class LoopHeader(StrictModel):
 
     schema_version: Literal[2] = 2
     looks: int = Field(ge=2, le=64)  # K, each 1 / K of the exposure
-    masks: int = Field(ge=1)  # m, 2 or 1, and D
+    masks: Count  # m, 2 or 1, and D
     rails: Literal[1, 2]
-    detectors: int = Field(ge=1)
+    detectors: Count
     each_rail: bool  # whether the two rails of a mask are frames with dwells of their own
     readout: Readout  # what is read of two rails
     classes: tuple[str, ...] = Field(min_length=1)
@@ -42,7 +42,7 @@ class LoopHeader(StrictModel):
     shortest: float = Field(ge=0, lt=1)
     rule: StopRule | None = None  # of the design, where it has one
     # Budget that the design was trained at, counts of an exposure; none where that is not known
-    photons: float | None = Field(None, gt=0, allow_inf_nan=False)
+    photons: Positive | None = None
 
 
 def loop_bytes(design: DesignFile) -> bytes:

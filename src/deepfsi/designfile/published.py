@@ -17,7 +17,7 @@ from urllib.request import url2pathname
 from pydantic import Field
 
 from deepfsi.base import InputError, as_input_error, closest_choice, hash_file, read_text
-from deepfsi.base.models import StrictModel
+from deepfsi.base.models import Positive, Share, StrictModel
 from deepfsi.datasets.store import cache, fetch
 
 DESIGNS_VARIABLE = "DEEPFSI_DESIGNS"
@@ -38,7 +38,6 @@ NAME_PATTERN = r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}"
 DesignName = Annotated[str, Field(pattern=f"^{NAME_PATTERN}$")]
 _Hash = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
 ShortText = Annotated[str, Field(max_length=200, pattern="^[^\x00-\x1f\x7f-\x9f]*$")]
-_Share = Annotated[float, Field(ge=0, le=1)]
 
 
 class PublishedDesign(StrictModel):
@@ -63,10 +62,10 @@ class PublishedDesign(StrictModel):
     sha256: _Hash
     recognises: ShortText
     data: ShortText
-    photons: Annotated[float, Field(gt=0, allow_inf_nan=False)]
-    accuracy: _Share
-    low: _Share
-    high: _Share
+    photons: Positive
+    accuracy: Share
+    low: Share
+    high: Share
     recipe: _Hash
 
 

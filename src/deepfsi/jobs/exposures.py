@@ -22,7 +22,7 @@ import numpy as np
 from pydantic import BeforeValidator, Field, SerializeAsAny
 
 from deepfsi.base import InputError, Message, as_input_error
-from deepfsi.base.models import StrictModel, UserModel
+from deepfsi.base.models import Amount, Count, Positive, StrictModel, UserModel, WholeNumber
 from deepfsi.camera import LIGHT_LAWS, Camera, find_noise
 from deepfsi.datasets import Dataset
 from deepfsi.jobs.training import VIT, Widths
@@ -218,12 +218,12 @@ class ConditionedEntry(_Entry):
         Share of the light law that the masks take within the whole sequence.
     """
 
-    photons: Annotated[float, Field(gt=0, allow_inf_nan=False)]
+    photons: Positive
     span: Annotated[float, Field(ge=1, allow_inf_nan=False)]
-    masks: Annotated[int, Field(ge=1)]
-    nested: Annotated[int, Field(ge=0)] = 0
-    width: Annotated[int, Field(ge=1)] = 1
-    used: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 1.0
+    masks: Count
+    nested: WholeNumber = 0
+    width: Count = 1
+    used: Positive = 1.0
     kind: Literal["conditioned"] = "conditioned"
 
     def count_stops(self, masks: int) -> int:
@@ -427,7 +427,7 @@ class PatchesEntry(_Entry):
         Of a patch, pixels.
     """
 
-    side: Annotated[int, Field(ge=1)]
+    side: Count
     kind: Literal["patches"] = "patches"
 
 
@@ -570,11 +570,11 @@ class PassingEntry(_Entry):
         Standard deviation of its speed over the mean one.
     """
 
-    shape: tuple[Annotated[int, Field(ge=1)], Annotated[int, Field(ge=1)]]
-    bins: Annotated[int, Field(ge=1)]
-    speed: Annotated[float, Field(gt=0, allow_inf_nan=False)]
-    jitter: Annotated[float, Field(ge=0, allow_inf_nan=False)]
-    speed_jitter: Annotated[float, Field(ge=0, allow_inf_nan=False)]
+    shape: tuple[Count, Count]
+    bins: Count
+    speed: Positive
+    jitter: Amount
+    speed_jitter: Amount
     kind: Literal["passing"] = "passing"
 
 

@@ -19,7 +19,7 @@ from pydantic import (
 )
 
 from deepfsi.base import IMPORT_PATH, UNNAMED_PLUGIN, InputError, import_path
-from deepfsi.base.models import UserModel
+from deepfsi.base.models import Count, Positive, UserModel
 from deepfsi.camera import NoiseSetting
 from deepfsi.jobs.designs import DESIGNS, check_design
 
@@ -38,7 +38,7 @@ MOST_LAYERS = 64
 MOST_EPOCHS = 100_000
 """Epochs of one training: far more than any has needed, and fewer than never end."""
 
-Widths = Annotated[tuple[Annotated[int, Field(ge=1)], ...], Field(max_length=MOST_LAYERS)]
+Widths = Annotated[tuple[Count, ...], Field(max_length=MOST_LAYERS)]
 """Widths of the hidden layers of a network."""
 
 Scale = Literal["each", "common"]
@@ -46,9 +46,6 @@ Scale = Literal["each", "common"]
 
 Precision = Literal["auto", "float32", "bfloat16"]
 """Type of the products of training; "auto" is bfloat16 where its rounding is under the noise."""
-
-LearningRate = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-"""Above 0, finite."""
 
 
 def describe_classifier(
@@ -154,12 +151,12 @@ class Training(UserModel):
     batch: int | None = Field(
         None, ge=2, description="scenes of a step; a hundredth of all, 32 to 500, unless given"
     )
-    lr: LearningRate = Field(
+    lr: Positive = Field(
         1e-2,
         description="peak learning rate of a one-cycle schedule; the default holds where none was "
         "tuned for the design",
     )
-    mask_lr: LearningRate = Field(
+    mask_lr: Positive = Field(
         1e-1, description="peak learning rate of the masks, relative to their rms"
     )
     hidden: Annotated[Widths, BeforeValidator(_widths)] = Field(

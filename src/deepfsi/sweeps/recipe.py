@@ -15,6 +15,7 @@ from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from deepfsi.base import InputError, Message, as_input_error, closest_choice, join_messages
+from deepfsi.base.models import Count
 from deepfsi.camera import BUDGETS, ONE_DETECTOR, Camera, DetectorMap, Levels, check_noise
 from deepfsi.datasets import Dataset
 from deepfsi.design.evaluation import MOST_DRAWS
@@ -153,7 +154,6 @@ def _tuned(given: Any) -> dict[str, dict[str, tuple[Any, ...]]]:
 Name = Annotated[str, AfterValidator(check_design)]
 Budget = Annotated[float, Field(ge=BUDGETS[0], le=BUDGETS[1])]
 Ratio = Annotated[float, Field(gt=0, le=1)]
-Count = Annotated[int, Field(ge=1)]
 TestNoise = Annotated[str, AfterValidator(check_noise)]
 Axes = dict[str, Any]
 Value = TypeVar("Value")

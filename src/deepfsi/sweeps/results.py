@@ -8,6 +8,7 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat, model_validator
 
 from deepfsi.base import as_input_error, read_text, write_atomically
+from deepfsi.base.models import Positive, Share
 from deepfsi.base.numeric import unpack_values
 from deepfsi.camera import find_noise
 from deepfsi.datasets.dataset import Measure
@@ -33,16 +34,10 @@ def _some(points: tuple["Point", ...]) -> tuple["Point", ...]:
     return points
 
 
-Share = Annotated[float, Field(ge=0, le=1)]
-"""Number from 0 to 1."""
-
 Score = Annotated[float, Field(le=1, allow_inf_nan=False)]
 """Accuracy, area under a ROC curve, or R², which a bad guess takes below 0."""
 
-Budget = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-"""Finite number above 0."""
-
-Count = Annotated[int, Field(ge=0, le=2**53)]
+StoredCount = Annotated[int, Field(ge=0, le=2**53)]
 """Number of things, which JSON and floats hold."""
 
 Key = Annotated[str, Field(pattern=r"^[^/\\\x00.][^/\\\x00]*$")]
@@ -85,12 +80,14 @@ class Point(Frozen):
         description="what the network reads of two rails, difference or both; empty of a single one"
     )
     design: str = Field(description="name of the design")
-    trained_at: Budget = Field(description="budget of the training")
+    trained_at: Positive = Field(description="budget of the training")
     variant: str = Field(description="which of several training settings, in words")
     noise: str = Field(description="noise of the test")
-    photons: Budget = Field(description="budget of the test")
-    levels: Count = Field(description="grey levels of the masks in the test; 0 for continuous ones")
-    masks: Count = Field(description="number of masks, m")
+    photons: Positive = Field(description="budget of the test")
+    levels: StoredCount = Field(
+        description="grey levels of the masks in the test; 0 for continuous ones"
+    )
+    masks: StoredCount = Field(description="number of masks, m")
     lit: FiniteFloat | None = Field(
         None,
         description="how many of the masks have light, in the mean over trials; the others have no "
@@ -101,7 +98,7 @@ class Point(Frozen):
     specific: bool = Field(description="whether the design depends on the task")
     learned: bool = Field(description="whether its masks are trained")
     ratio: FiniteFloat = Field(description="m · D / N, readouts of a rail over pixels")
-    trials: Count = Field(description="trainings with different seeds that are averaged")
+    trials: StoredCount = Field(description="trainings with different seeds that are averaged")
     validation: Score | None = Field(
         description="mean measure on validation data, if any was held out; balanced accuracy "
         "where a recipe balances its training"
@@ -123,7 +120,9 @@ class Point(Frozen):
     worst: Score = Field(
         description="lowest accuracy of a class, or R² of a value, in the mean over trials"
     )
-    worst_class: Count = Field(description="place of that class or value among those of the data")
+    worst_class: StoredCount = Field(
+        description="place of that class or value among those of the data"
+    )
     rmse: tuple[FiniteFloat, ...] = Field(
         (), description="root mean squared error of each value, in the mean over trials"
     )
@@ -160,7 +159,7 @@ class Point(Frozen):
     best: bool = Field(
         description="whether its mask count was chosen on validation data, or nothing was chosen"
     )
-    confusion: tuple[tuple[Count, ...], ...] = Field(
+    confusion: tuple[tuple[StoredCount, ...], ...] = Field(
         (),
         description="at a chosen mask count: rows true classes, columns answers, over all trials "
         "and noise draws",
@@ -185,7 +184,7 @@ class Data(Frozen):
 
     name: str = Field(description="name")
     hash: str = Field(description="content hash of scenes and labels")
-    image_shape: tuple[Count, ...] = Field(
+    image_shape: tuple[StoredCount, ...] = Field(
         min_length=1, description="rows and columns of a scene, or bands of a spectrum"
     )
     classes: tuple[str, ...] = Field(description="names of the classes; none where it has values")
@@ -195,10 +194,10 @@ class Data(Frozen):
     measure: Measure = Field(
         "accuracy", description="what `accuracy` of a point is: accuracy, AUC or R²"
     )
-    train: Count = Field(description="scenes trained on")
-    validation: Count = Field(description="scenes held out")
-    test: Count = Field(description="scenes tested on")
-    folds: Count = Field(
+    train: StoredCount = Field(description="scenes trained on")
+    validation: StoredCount = Field(description="scenes held out")
+    test: StoredCount = Field(description="scenes tested on")
+    folds: StoredCount = Field(
         1,
         description="parts of the scenes, each tested by designs that were trained on the others; "
         "1 where there is one test part",

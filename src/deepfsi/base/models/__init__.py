@@ -1,10 +1,25 @@
 """Bases of models of settings and of what files hold, with pydantic."""
 
-from deepfsi.base.models.strict import MessageText, Seconds, StrictModel, UserModel
+from deepfsi.base.models.strict import (
+    Amount,
+    Count,
+    MessageText,
+    Positive,
+    Seconds,
+    Share,
+    StrictModel,
+    UserModel,
+    WholeNumber,
+)
 
 __all__ = [
+    "Amount",
+    "Count",
     "MessageText",
+    "Positive",
     "Seconds",
+    "Share",
     "StrictModel",
     "UserModel",
+    "WholeNumber",
 ]

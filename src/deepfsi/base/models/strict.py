@@ -6,6 +6,7 @@ from pydantic import (
     BaseModel,
     BeforeValidator,
     ConfigDict,
+    Field,
     ValidatorFunctionWrapHandler,
     WrapValidator,
 )
@@ -38,6 +39,22 @@ class UserModel(StrictModel, metaclass=_InOneLine):
 
 Seconds = Annotated[float, BeforeValidator(seconds)]
 """Seconds, 0 or more, of a number or of a text with a unit."""
+
+
+Count = Annotated[int, Field(ge=1)]
+"""Number of things of which there is one at least."""
+
+WholeNumber = Annotated[int, Field(ge=0)]
+"""Number of things of which there may be none, or the place of one among others."""
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+"""Number above 0."""
+
+Amount = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+"""Number, 0 or more."""
+
+Share = Annotated[float, Field(ge=0, le=1)]
+"""Part of a whole, 0 to 1."""
 
 
 def _as_message(text: Any, read: ValidatorFunctionWrapHandler) -> Any:

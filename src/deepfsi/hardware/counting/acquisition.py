@@ -37,7 +37,7 @@ from deepfsi.base import (
     time_text,
     write_atomically,
 )
-from deepfsi.base.models import StrictModel
+from deepfsi.base.models import Amount, Positive, Share, StrictModel
 from deepfsi.camera import DeadTime, LiveSettings
 from deepfsi.hardware.patterns import GatePlan, Manifest, Patterns, read_patterns
 from deepfsi.hardware.photons import PtuFile
@@ -56,9 +56,6 @@ LARGEST_COMPANION = 2**32
 
 VERDICT = "reference.json"
 """File of what the reference target showed, in the folder of a run of scenes."""
-
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-"""Finite number above 0."""
 
 
 class Scene(StrictModel):
@@ -87,7 +84,7 @@ class Acquisition(StrictModel):
     scenes: tuple[Scene, ...] = Field(min_length=1, max_length=2**16)
     exposure_s: Positive  # Total exposure over the masks' frames, seconds
     # Time before the first gate of each frame, seconds
-    settle_s: float = Field(ge=0, allow_inf_nan=False)
+    settle_s: Amount
     repeats: int = Field(ge=1, le=MOST_READOUTS)  # Gates in each frame
     # Which of the counter's marker inputs the device's trigger is wired to
     marker_bit: Literal[1, 2, 4, 8] = 1
@@ -414,12 +411,6 @@ LARGEST_ERROR_CELLS = 0.1
 LARGEST_CALIBRATION = 2**26
 """Bytes of a calibration's file at most."""
 
-Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
-"""Number from 0 to 1."""
-
-Rate = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-"""Finite number from 0 on."""
-
 Row = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 """Row of a homography."""
 
@@ -436,8 +427,8 @@ class Calibration(StrictModel):
     schema_version: Literal[1] = 1
     deepfsi: str = version("deepfsi")  # Version of the package that wrote it
     homography: tuple[Row, Row, Row]  # Display → device, unit squares, (across, down, 1)
-    residual: Rate  # Root mean square distance of the spots from it, cells
-    error: Rate  # Standard error of the place of the display's worst corner, cells
+    residual: Amount  # Root mean square distance of the spots from it, cells
+    error: Amount  # Standard error of the place of the display's worst corner, cells
     spots: int = Field(ge=4)  # Spots that it rests on
     shown: int = Field(ge=4)  # Spots that were shown
     # Standard deviation of a Gaussian, down and across, in the device's unit square
@@ -445,8 +436,8 @@ class Calibration(StrictModel):
     # (down, across): Light of each cell relative to the brightest, for a uniform scene that fills
     # the view
     flat: tuple[tuple[Share, ...], ...] = Field(((1.0,),), min_length=1)
-    dark: Rate = 0.0  # Counts/s with all mirrors OFF and the display black
-    ambient: Rate = 0.0  # Counts/s that all mirrors ON add to it, the display black
+    dark: Amount = 0.0  # Counts/s with all mirrors OFF and the display black
+    ambient: Amount = 0.0  # Counts/s that all mirrors ON add to it, the display black
     dead_time: DeadTime | None = None  # Of the counter, for which the run of spots was corrected
 
     @model_validator(mode="after")

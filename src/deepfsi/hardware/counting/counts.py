@@ -18,12 +18,11 @@ import numpy as np
 from pydantic import Field
 
 from deepfsi.base import InputError, hash_file, read_regular, write_atomically
-from deepfsi.base.models import StrictModel
+from deepfsi.base.models import Amount, Count, Positive, StrictModel
 from deepfsi.base.numeric import npy_header
 from deepfsi.camera import NO_DEAD_TIME, DeadTime
 from deepfsi.hardware.counting.acquisition import (
     MOST_READOUTS,
-    Positive,
     Run,
     read_run,
 )
@@ -276,13 +275,13 @@ class _Provenance(StrictModel):
     photons_sha256: str
     repeats: int = Field(ge=1, le=MOST_READOUTS)
     exposure_s: Positive
-    settle_s: float = Field(ge=0, allow_inf_nan=False)
+    settle_s: Amount
     drift: float
     inputs: tuple[int, ...]
     faults: tuple[Fault, ...]
     dead_time: DeadTime
     gains: tuple[Positive, ...] = ()
-    gates: int | None = Field(None, ge=1)
+    gates: Count | None = None
 
 
 def _member(

@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import Field, ValidationError, model_validator
 
 from deepfsi.base import InputError, read_regular
-from deepfsi.base.models import StrictModel
+from deepfsi.base.models import StrictModel, WholeNumber
 from deepfsi.hardware.light import Fault
 from deepfsi.hardware.live.looks import FrameList
 
@@ -75,7 +75,7 @@ class LoggedScene(StrictModel):
     """A scene as it was shown, and what was decided."""
 
     scene: int = Field(ge=DARK_SCENE)  # From 0; -1 for the pass before, with the scenes dark
-    first_marker: int = Field(ge=0)  # Markers before those of this scene
+    first_marker: WholeNumber  # Markers before those of this scene
     lists: tuple[LoggedList, ...]  # In their order
     chances: tuple[float, ...]  # Probabilities of the classes; none if there was no light
     faults: tuple[Fault, ...] = ()  # Of the scene

@@ -21,13 +21,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib.metadata import version
-from typing import Annotated, Any, ClassVar, Literal, Self, get_args
+from typing import Any, ClassVar, Literal, Self, get_args
 
 import numpy as np
 from pydantic import Field, model_validator
 
 from deepfsi.base import InputError, as_input_error, check_choice
-from deepfsi.base.models import StrictModel
+from deepfsi.base.models import Amount, Count, Share, StrictModel
 from deepfsi.camera import (
     DEVICE_SOURCES,
     DEVICES,
@@ -122,11 +122,11 @@ class Frame(StrictModel):
 class Brightness(StrictModel):
     """Summed reflectance of the training scenes, as a share of its mean."""
 
-    low: float = Field(ge=0, le=1, allow_inf_nan=False)  # Of the dimmest scene
+    low: Share  # Of the dimmest scene
     high: float = Field(ge=1, allow_inf_nan=False)  # Of the brightest scene
     between: float = Field(ge=1)  # Mean of the brightest class over that of the dimmest
     # Largest standard deviation within a class, as a share of the class's mean
-    within: float = Field(ge=0, allow_inf_nan=False)
+    within: Amount
 
     @classmethod
     def of(cls, info: dict[str, Any]) -> "Brightness | None":
@@ -143,7 +143,7 @@ class Looks(StrictModel):
     # Dwells of the first look, shares of the exposure; 0 for frames that it does not show. Those of
     # later ones are chosen from the counts so far: mask by mask, and those of a mask's two rails
     # follow one another
-    first: tuple[Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)], ...]
+    first: tuple[Share, ...]
     # Shortest dwell that the design was learned for, a share of the exposure
     shortest: float = Field(ge=0, lt=1)
     # Of `loop.safetensors`, the networks that choose them; none where each look takes one new mask,
@@ -384,7 +384,7 @@ class Manifest(StrictModel):
     deepfsi: str  # Version of the package that wrote it
     device: Device  # That shows the frames
     # Rows and columns of the masks, or values of a spectrum
-    image_shape: tuple[Annotated[int, Field(ge=1)], ...] = Field(min_length=1, max_length=2)
+    image_shape: tuple[Count, ...] = Field(min_length=1, max_length=2)
     masks: int = Field(ge=1, le=MOST_FRAMES)  # number of masks, m
     rails: Literal[1, 2]  # 2 for signed masks, or 1
     light: str  # Light law of the design
