@@ -229,6 +229,21 @@ def compared() -> dict[str, Any]:
     }
 
 
+def reported_of_another_law() -> dict[str, Any]:
+    """The page of results whose light law the package does not know, as of a later version."""
+    say(
+        *"compare --designs pca --photons 1e3 --masks 3 --trials 1 --epochs 1 --workers 1".split(),
+        *("-o", "c"),
+    )
+    path = Path("c/results.json")
+    content = json.loads(path.read_text())
+    for point in content["points"]:
+        point["light"] = "daylight"
+    path.write_text(json.dumps(content))
+    Path("c/report.html").unlink()
+    return {"report": answer("report", "c"), "page": Path("c/report.html").exists()}
+
+
 TESTED = {
     "evaluate": "evaluate dual --photons 1e3,1e4 --draws 1",
     "evaluate, camera noise": "evaluate quad --photons 1e4 --dark 100 --sigma 2 --noise camera "
@@ -388,6 +403,7 @@ CASES: dict[str, Case] = {
             described,
             devices_and_data,
             compared,
+            reported_of_another_law,
             tested,
             readouts,
             refused,

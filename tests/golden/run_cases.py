@@ -4,7 +4,10 @@ A case is a function without parameters that works in the current folder, which 
 empty, and gives facts as `facts.parts` takes them.
 """
 
+import json
 import os
+import subprocess
+import sys
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -23,6 +26,7 @@ from golden.facts import (
     recording,
     say,
     without_paths,
+    without_words,
 )
 
 DESIGNS = {
@@ -111,6 +115,36 @@ def replayed(name: str) -> dict[str, Any]:
         "decisions": answer("camera", "classify", file_of(design), run),
         "other design": answer("camera", "classify", file_of("looks-quad"), run),
     }
+
+
+WITHOUT_TORCH = """
+import runpy, sys
+sys.modules["torch"] = None
+sys.argv[0] = "deepfsi"
+runpy.run_module("deepfsi", run_name="__main__")
+"""
+
+
+def without_torch() -> dict[str, Any]:
+    """Commands of a camera's computer that has no torch: a live run, counted and classified."""
+    run = recording("live", "looks")
+    looks = file_of("looks")
+    lines = {
+        "export": f"dmd export {looks} --device 64x48 --exposure 10ms -o p",
+        "count": f"camera count {run}",
+        "classify": f"camera classify {looks} {run}",
+        "classify by patterns": f"camera classify {run}/patterns {run}",
+        "live": f"camera live p --scene {INPUTS / 'few'} --exposure 10ms --virtual ideal "
+        "--flux 8e5 -o lived",
+    }
+    out = {}
+    for name, line in lines.items():
+        words = [sys.executable, "-c", WITHOUT_TORCH, *line.split(), "--json"]
+        said = subprocess.run(words, capture_output=True, text=True, check=False)
+        out[name] = without_words(without_paths(json.loads(said.stdout or "{}"))) | {
+            "code": said.returncode
+        }
+    return out
 
 
 def with_a_flat() -> dict[str, Any]:
@@ -545,6 +579,7 @@ CASES: dict[str, Case] = {
     **{
         case.__name__.replace("_", " "): case
         for case in (
+            without_torch,
             with_a_flat,
             with_a_dark_run,
             inspected,
