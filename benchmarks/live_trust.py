@@ -30,13 +30,13 @@ from deepfsi.hardware.patterns import FrameSettings, export_patterns, read_patte
 from deepfsi.hardware.virtual import (
     DETECTOR_TICK_S,
     Latencies,
+    MirrorLight,
     VirtualCamera,
     VirtualCounter,
     VirtualOptics,
     VirtualProjector,
     arrival_rates,
 )
-from deepfsi.hardware.virtual.camera import MirrorLight
 from deepfsi.lab import design_rails, open_looks
 
 FLUX, EXPOSURE_S, PHOTONS = 1e7, 10e-3, 1e5

@@ -26,16 +26,23 @@ ROOMS_DONE: set[str] = {
     "base.numeric",
     "camera",
     "designfile",
+    "hardware.calibration",
+    "hardware.drivers",
     "hardware.light",
     "hardware.live",
     "hardware.photons",
     "hardware.pictures",
+    "hardware.virtual",
     "jobs",
     "lab",
 }
 """Rooms that keep every rule. A finished room is added here, and never goes again."""
 
 LONELY: dict[str, str] = {
+    "deepfsi.hardware.drivers.dlpc900": "a device is its driver and a line of the catalogue",
+    "deepfsi.hardware.drivers.picoquant": "a device is its driver and a line of the catalogue",
+    "deepfsi.hardware.drivers.swabian": "a device is its driver and a line of the catalogue",
+    "deepfsi.hardware.drivers.vialux": "a device is its driver and a line of the catalogue",
     "deepfsi.lab.adaptive_looks": "it loads torch, which only adaptive masks need",
     "deepfsi.lab.transits": "scenes that pass a pattern are no run, and have their own command",
     "deepfsi.hardware.pictures.tables": "tables of counts without a run, which one command reads",

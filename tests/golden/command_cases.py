@@ -231,10 +231,8 @@ def compared() -> dict[str, Any]:
 
 def reported_of_another_law() -> dict[str, Any]:
     """The page of results whose light law the package does not know, as of a later version."""
-    say(
-        *"compare --designs pca --photons 1e3 --masks 3 --trials 1 --epochs 1 --workers 1".split(),
-        *("-o", "c"),
-    )
+    words = "--designs pca --photons 1e3 --masks 3 --trials 1 --epochs 1 --workers 1"
+    say("compare", *words.split(), "-o", "c")
     path = Path("c/results.json")
     content = json.loads(path.read_text())
     for point in content["points"]:

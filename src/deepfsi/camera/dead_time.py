@@ -49,6 +49,12 @@ class DeadTime(StrictModel):
         lost = np.exp(-most) if self.paralysable else 1 / (1 + most)
         return float(most * lost / self.seconds) if self.seconds else np.inf
 
+    def registered(self, rate: np.ndarray) -> np.ndarray:
+        """Counts/s at steady rates of arrivals."""
+        if self.paralysable:
+            return rate * np.exp(-rate * self.seconds)
+        return rate / (1 + rate * self.seconds)
+
     def correction(self, registered: np.ndarray) -> "CorrectionFactors":
         """Factors for counts at registered rates, counts/s, up to `most_registered`; NaN is 0."""
         rate = np.nan_to_num(np.asarray(registered, np.float64)) * self.seconds

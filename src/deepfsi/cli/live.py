@@ -85,7 +85,8 @@ def camera_live(
         open_list_projector,
     )
     from deepfsi.hardware.live import LiveAnswers, plan_live, run_live
-    from deepfsi.hardware.virtual import most_events, virtual_setup
+    from deepfsi.hardware.patterns import read_patterns
+    from deepfsi.hardware.virtual import expected_events, virtual_setup
     from deepfsi.lab import displayed, open_looks
 
     devices = DeviceSettings(
@@ -121,7 +122,10 @@ def camera_live(
         setup: Setup[StreamingProjector]
         if real is None:
             if not yes:
-                camera.ask_for_room(most_events(patterns, images.x, acquisition))
+                shown = read_patterns(patterns)
+                passes = exposure_s / shown.manifest.pass_s + 1  # at most
+                events = expected_events(shown, images.x, seen, known.flux or 0.0)
+                camera.ask_for_room(events * passes)
             with common.progress("light of the scenes", quiet=as_json) as report:
                 setup = virtual_setup(
                     patterns, images.x, acquisition, times, report, decision_s=looks.decision_s

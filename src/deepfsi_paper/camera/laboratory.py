@@ -23,7 +23,13 @@ from deepfsi.base.numeric import Difference, mean_of_trials
 from deepfsi.camera import DmdLayout, find_device, find_grid
 from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.design.artifact import Design
-from deepfsi.hardware.calibration import expected_background, fit, scan_rails, view_dataset
+from deepfsi.hardware.calibration import (
+    expected_background,
+    fit_calibration,
+    scan_rails,
+    spot_scenes,
+    view_dataset,
+)
 from deepfsi.hardware.counting import Calibration, count_run, read_run
 from deepfsi.hardware.patterns import (
     DesignRails,
@@ -205,7 +211,7 @@ class Measures:
 def calibrate() -> Calibration:
     """Calibration of the laboratory by spots, a white and a black display, as in a real one."""
     grid = find_grid(DEVICE, (32, 32), LAYOUT)
-    spots = fit.spot_scenes((32, 32))
+    spots = spot_scenes((32, 32))
     scenes = np.concatenate([spots, np.ones((1, 32, 32)), np.zeros((1, 32, 32))])
     exposure = 10.0
     raster = scan_rails("raster", (32, 32))
@@ -222,7 +228,7 @@ def calibrate() -> Calibration:
     pictures = counts[:, 0, 0].reshape(len(scenes), 32, 32)
     black = arrivals[-1, :2, 0]
     dark, ambient = black_rates(black[:1], black[1:])
-    return fit.fit_calibration(
+    return fit_calibration(
         spots, pictures[:-2], grid, white=pictures[-2], black=pictures[-1],
         dark=dark, ambient=ambient,
     )  # fmt: skip

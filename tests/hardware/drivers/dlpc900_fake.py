@@ -250,5 +250,5 @@ def install(monkeypatch) -> Controller:
     monkeypatch.setitem(sys.modules, "hid", module)
     known = DEVICES["dlp6500"].model_copy(update={"columns": 64, "rows": 24})
     monkeypatch.setitem(DEVICES, "dlp6500", known)
-    monkeypatch.setattr(dlpc900, "POLL_S", 1e-3)
+    monkeypatch.setattr(dlpc900, "DLPC900_POLL_S", 1e-3)
     return fake

@@ -135,5 +135,5 @@ def install(monkeypatch, trigger=8) -> Device:
     module.createTimeTagger, module.freeTimeTagger = device.create, device.free
     monkeypatch.setitem(sys.modules, "Swabian", types.ModuleType("Swabian"))
     monkeypatch.setitem(sys.modules, "Swabian.TimeTagger", module)
-    monkeypatch.setattr(swabian, "POLL_S", 0.0001)
+    monkeypatch.setattr(swabian, "TAGGER_POLL_S", 0.0001)
     return device

@@ -212,7 +212,7 @@ def test_a_board_that_is_unplugged_is_named(board, tmp_path):
 
 
 def test_a_pass_that_does_not_end_is_named(board, tmp_path, monkeypatch):
-    monkeypatch.setattr(dlpc900, "GRACE_S", 0.05)
+    monkeypatch.setattr(dlpc900, "LATEST_S", 0.05)
     board.stuck = True
     with pytest.raises(InputError, match="should have ended"):
         show(patterns(tmp_path / "patterns"))

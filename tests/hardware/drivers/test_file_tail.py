@@ -9,8 +9,9 @@ import pytest
 
 from deepfsi.base import InputError
 from deepfsi.hardware.counting import FrameCounter, FrameGates
-from deepfsi.hardware.drivers import FollowedCounter, StreamingCounter
+from deepfsi.hardware.drivers import StreamingCounter
 from deepfsi.hardware.drivers import file_tail as followed
+from deepfsi.hardware.drivers.file_tail import FollowedCounter
 from deepfsi.hardware.photons import PtuWriter
 
 GATES = FrameGates.of(10e-6, [60e-6] * 20)
@@ -75,7 +76,7 @@ def test_what_is_not_there_is_named(tmp_path, monkeypatch):
             counter.start(tmp_path / "absent.ptu")
         with pytest.raises(InputError, match="cannot be read: Is a directory"):
             counter.start(tmp_path)
-    assert followed.POLL_S < 1e-3
+    assert followed.FILE_POLL_S < 1e-3
 
 
 def test_frames_may_be_told_before_the_header_has_come(tmp_path, content):

@@ -134,7 +134,7 @@ def api(monkeypatch, tmp_path):
     module.snAPI, module.MeasMode = fake, MeasMode
     monkeypatch.setitem(sys.modules, "snAPI", types.ModuleType("snAPI"))
     monkeypatch.setitem(sys.modules, "snAPI.Main", module)
-    monkeypatch.setattr(picoquant, "POLL_S", 0)
+    monkeypatch.setattr(picoquant, "SNAPI_POLL_S", 0)
     return fake
 
 

@@ -51,7 +51,8 @@ def test_a_pass_shows_every_frame_for_its_time(library, tmp_path, light, format)
     assert len(shown) == (1 if light == "equal-dwell" else len(manifest.frames) - 2)
     for frame, wanted in zip(frames, read_frames(folder), strict=True):
         np.testing.assert_array_equal(frame, wanted.ravel())
-    assert all(s["controls"][vialux.BIN_MODE] == vialux.BIN_UNINTERRUPTED for s in loaded.values())
+    modes = {sequence["controls"][vialux.Alp.BIN_MODE] for sequence in loaded.values()}
+    assert modes == {vialux.Alp.BIN_UNINTERRUPTED}
     assert shares == sorted(shares)
     assert shares[-1] == 1
     assert not library.allocated
@@ -80,7 +81,7 @@ def test_numbers_that_the_device_is_told_are_those_of_its_header():
     told |= {"FLUT_MODE": 2118, "FLUT_9BIT": 1, "FLUT_18BIT": 2, "FLUT_ENTRIES9": 2120}
     told |= {"FLUT_WRITE_9BIT": 2325, "FLUT_WRITE_18BIT": 2326}
     for name, number in (asked | told).items():
-        assert getattr(vialux, name) == number, name
+        assert getattr(vialux.Alp, name) == number, name
 
 
 def test_library_output_stays_off_stdout(library, capsys):
@@ -228,7 +229,7 @@ def test_a_list_repeats_frames_that_were_loaded_once(library, tmp_path):
             assert (repeats * 44e-6 >= np.array(dwells) * (1 - 1e-9)).all()
             assert ((repeats - 1) * 44e-6 < np.array(dwells)).all()
         assert library.calls.count("SeqPut") == sent
-        assert library.mode == vialux.MASTER
+        assert library.mode == vialux.Alp.MASTER
     assert [len(shown) for shown, _ in library.lists] == [4, 13, 23]
     assert not library.allocated
 
@@ -274,7 +275,7 @@ def test_more_frames_than_nine_bits_name_take_entries_of_eighteen(library, tmp_p
 def test_a_trigger_gives_the_pictures_their_time(library, tmp_path):
     with vialux.VialuxLooks(trigger_s=50e-6) as projector:
         projector.load(patterns(tmp_path / "patterns", masks=2))
-        assert library.mode == vialux.SLAVE
+        assert library.mode == vialux.Alp.SLAVE
         repeats, each_s = projector.pictures(np.array([50e-6, 51e-6, 1e-3]))
         assert (repeats.tolist(), each_s.tolist()) == ([1, 2, 20], [50e-6] * 3)
         with pytest.raises(InputError, match="a list of 20000 pictures"):

@@ -25,7 +25,7 @@ class Library:
         self.calls, self.shown, self.sequences, self.lists = [], [], {}, []
         self.queue, self.busy, self.queue_mode = [], 0, None
         self.memory, self.places, self.stuck = 1000, 2, False
-        self.entries, self.table, self.mode = 4096, {}, vialux.MASTER
+        self.entries, self.table, self.mode = 4096, {}, vialux.Alp.MASTER
         self.allocated = False
         self.fail_at: dict[str, BaseException | int] = {}
         self.size = DEVICE.columns, DEVICE.rows
@@ -43,10 +43,10 @@ class Library:
     def note(self, number):
         """Note the list of frames that a sequence shows, and its picture time."""
         controls = self.sequences[number]["controls"]
-        wide = controls.get(vialux.FLUT_MODE) == vialux.FLUT_18BIT
-        if vialux.FLUT_MODE in controls:
-            frames = self.table[vialux.FLUT_WRITE_18BIT if wide else vialux.FLUT_WRITE_9BIT]
-            shown = frames[: controls[vialux.FLUT_ENTRIES9] // (1 + wide)]
+        wide = controls.get(vialux.Alp.FLUT_MODE) == vialux.Alp.FLUT_18BIT
+        if vialux.Alp.FLUT_MODE in controls:
+            frames = self.table[vialux.Alp.FLUT_WRITE_18BIT if wide else vialux.Alp.FLUT_WRITE_9BIT]
+            shown = frames[: controls[vialux.Alp.FLUT_ENTRIES9] // (1 + wide)]
             self.lists.append((shown, self.sequences[number]["us"]))
             self.on_list(*self.lists[-1])
 
@@ -59,9 +59,9 @@ class Library:
             self.shown.append(self.queue.pop(0))
             self.busy = BUSY
         answers = {
-            vialux.PROJ_STATE: vialux.PROJ_ACTIVE if self.busy else 1201,
-            vialux.QUEUE_AVAIL: self.places - len(self.queue),
-            vialux.FLUT_MAX_ENTRIES9: self.entries,
+            vialux.Alp.PROJ_STATE: vialux.Alp.PROJ_ACTIVE if self.busy else 1201,
+            vialux.Alp.QUEUE_AVAIL: self.places - len(self.queue),
+            vialux.Alp.FLUT_MAX_ENTRIES9: self.entries,
         }
         value._obj.value = answers[which.value]
         return 0
@@ -90,12 +90,12 @@ class ALP4:
 
     def ProjControl(self, kind, value):
         self._ALPLib.step("ProjControl")
-        if kind == vialux.QUEUE_MODE:
+        if kind == vialux.Alp.QUEUE_MODE:
             self._ALPLib.queue_mode = value
-        elif kind == vialux.PROJ_MODE:
+        elif kind == vialux.Alp.PROJ_MODE:
             self._ALPLib.mode = value
         else:
-            assert (kind, value) == (vialux.RESET_QUEUE, vialux.DEFAULT)
+            assert (kind, value) == (vialux.Alp.RESET_QUEUE, vialux.Alp.DEFAULT)
             self._ALPLib.queue.clear()
 
     def ProjControlEx(self, kind, pointer):
@@ -103,13 +103,13 @@ class ALP4:
         assert not self._ALPLib.busy, "the table is written while nothing is shown"
         table = pointer._obj
         assert table.nOffset == 0
-        wide = kind == vialux.FLUT_WRITE_18BIT
-        assert wide or kind == vialux.FLUT_WRITE_9BIT
+        wide = kind == vialux.Alp.FLUT_WRITE_18BIT
+        assert wide or kind == vialux.Alp.FLUT_WRITE_9BIT
         assert 0 < table.nSize <= self._ALPLib.entries // (1 + wide)
         self._ALPLib.table = {kind: list(table.FrameNumbers[: table.nSize])}
 
     def DevInquire(self, which):
-        assert which == vialux.AVAIL_MEMORY
+        assert which == vialux.Alp.AVAIL_MEMORY
         return self._ALPLib.memory - sum(s["count"] for s in self._ALPLib.sequences.values())
 
     def SeqAlloc(self, nbImg=1, bitDepth=1):
@@ -123,7 +123,7 @@ class ALP4:
         self._ALPLib.sequences[SequenceId.value]["controls"][kind] = value
 
     def SeqInquire(self, which, SequenceId):
-        return {vialux.MIN_PICTURE_TIME: 44, vialux.MAX_PICTURE_TIME: 10**7}[which]
+        return {vialux.Alp.MIN_PICTURE_TIME: 44, vialux.Alp.MAX_PICTURE_TIME: 10**7}[which]
 
     def SetTiming(self, SequenceId, pictureTime):
         self._ALPLib.sequences[SequenceId.value]["us"] = pictureTime
@@ -133,7 +133,7 @@ class ALP4:
         assert not self._ALPLib.busy, "frames are loaded while nothing is shown"
         sequence = self._ALPLib.sequences[SequenceId.value]
         assert (imgData.dtype, imgData.ndim) == (np.uint8, 1)
-        packed = sequence["controls"][vialux.DATA_FORMAT] == vialux.DATA_BINARY_TOPDOWN
+        packed = sequence["controls"][vialux.Alp.DATA_FORMAT] == vialux.Alp.DATA_BINARY_TOPDOWN
         rows = imgData.reshape(PicLoad, self.nSizeY, PACKED_ROW[self.nSizeX] if packed else -1)
         assert packed or rows.shape[-1] == self.nSizeX, "a byte for each mirror"
         bits = np.unpackbits(rows, axis=-1)[..., : self.nSizeX] if packed else rows >> 7
@@ -144,7 +144,7 @@ class ALP4:
     def Run(self, SequenceId, loop):
         self._ALPLib.step("Run")
         assert not loop
-        assert self._ALPLib.queue_mode == vialux.SEQUENCE_QUEUE
+        assert self._ALPLib.queue_mode == vialux.Alp.SEQUENCE_QUEUE
         assert len(self._ALPLib.queue) < self._ALPLib.places, "the queue is full"
         self._ALPLib.queue.append(SequenceId.value)
         self._ALPLib.note(SequenceId.value)
@@ -180,6 +180,6 @@ def install(monkeypatch) -> Library:
     module.ALP4 = type("ALP4", (ALP4,), {"library": fake})
     module.tFlutWrite = tFlutWrite
     monkeypatch.setitem(sys.modules, "ALP4", module)
-    monkeypatch.setattr(vialux, "POLL_S", 0)
+    monkeypatch.setattr(vialux, "VIALUX_POLL_S", 0)
     monkeypatch.setattr(vialux, "LIST_POLL_S", 0)
     return fake

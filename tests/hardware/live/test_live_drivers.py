@@ -5,8 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deepfsi.hardware.drivers import FollowedCounter, Setup, VialuxLooks
+from deepfsi.hardware.drivers import Setup
+from deepfsi.hardware.drivers.file_tail import FollowedCounter
 from deepfsi.hardware.drivers.swabian import TaggerCounter
+from deepfsi.hardware.drivers.vialux import VialuxLooks
 from deepfsi.hardware.live import LiveCounts, plan_live, run_live
 from deepfsi.hardware.live.frame_log import FrameLog
 from deepfsi.hardware.photons import PtuWriter

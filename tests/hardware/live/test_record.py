@@ -14,7 +14,7 @@ from deepfsi.camera import DEVICES, find_device
 from deepfsi.datasets import write_pictures
 from deepfsi.hardware.calibration import scan_rails
 from deepfsi.hardware.counting import Acquisition, Scene, count_run, read_counts, read_run
-from deepfsi.hardware.drivers import Dlpc900Projector
+from deepfsi.hardware.drivers.dlpc900 import Dlpc900Projector
 from deepfsi.hardware.drivers.swabian import TaggerCounter
 from deepfsi.hardware.live import run as record
 from deepfsi.hardware.patterns import FrameSettings, export_patterns, read_frames, read_patterns

@@ -26,7 +26,8 @@ from deepfsi.hardware.calibration.view import geometry_matrix
 from deepfsi.hardware.counting import Calibration, Counts
 from deepfsi.hardware.patterns import Patterns
 
-WHITE, BLACK = "white.png", "black.png"
+WHITE = "white.png"
+BLACK = "black.png"
 """Names of the pictures of uniform white and black."""
 
 WINDOW_CELLS = 1.5
@@ -153,13 +154,14 @@ def fit_calibration(
     InputError
         If shapes do not fit, or too few spots are seen.
     """
-    scenes, pictures = np.asarray(scenes, dtype=float), np.asarray(pictures, dtype=float)
+    scenes = np.asarray(scenes, dtype=float)
+    pictures = np.asarray(pictures, dtype=float)
     cells = (grid.down, grid.across)
     _check_shapes(scenes, pictures, {"white": white, "black": black}, cells)
     floor = 0.0 if black is None else np.asarray(black, dtype=float)
     pictures = pictures - floor
     first, agreed = find_homography(_centroids(scenes), find_spots(pictures), cells)
-    view = fit_view(scenes, pictures, grid, first, agreed)
+    view = fit_view(scenes, pictures, grid, matrix=first, agreed=agreed)
     flat = (
         None
         if white is None
@@ -239,7 +241,8 @@ def calibrate_run(
                 "that picture out of it"
             )
     spots = [name for name in names if name not in (WHITE, BLACK)]
-    dark, ambient = float(counts.dark_rate[counted].mean()), 0.0
+    dark = float(counts.dark_rate[counted].mean())
+    ambient = 0.0
     if BLACK in measured:
         place = list(names).index(BLACK)
         exposures = counts.signal()[place][counts.valid[place]]
@@ -293,7 +296,8 @@ def find_homography(
     # device (n, 2)
     found = np.isfinite(device).all(axis=1)
     scale = np.array(cells[::-1], dtype=float)
-    source, target = np.asarray(display)[found], np.asarray(device)[found] * scale
+    source = np.asarray(display)[found]
+    target = np.asarray(device)[found] * scale
     trouble = (
         f"{found.sum()} of {len(found)} spots are seen, or too few agree on one perspective: four "
         "that do not lie on a line are needed; show larger spots, expose longer or aim the camera"
@@ -369,7 +373,8 @@ def _centroids(scenes: np.ndarray) -> np.ndarray:
     if not (total > 0).all():
         raise InputError("a displayed scene is uniform: show one bright spot in each")
     places = [(np.arange(size) + 0.5) / size for size in scenes.shape[:0:-1]]
-    across, down = bright.sum(axis=1) @ places[0], bright.sum(axis=2) @ places[1]
+    across = bright.sum(axis=1) @ places[0]
+    down = bright.sum(axis=2) @ places[1]
     return np.stack([across, down], axis=1) / total[:, None]
 
 
@@ -428,7 +433,8 @@ def fit_view(
     """Fit homography and blur to pictures of spots, from a first homography."""
     # scenes (spots, h, w); pictures (spots, down, across); matrix (3, 3); agreed (spots,)
     spots = DisplayedScenes(scenes, grid)
-    used, view = agreed, np.append((matrix / matrix[2, 2]).ravel()[:8], 0.3)
+    used = agreed
+    view = np.append((matrix / matrix[2, 2]).ravel()[:8], 0.3)
     for _ in range(3):
         view, jacobian, noise = _solve(DisplayedScenes(scenes[used], grid), pictures[used], view)
         shifts, bright = _shifts(spots, pictures, view)
@@ -500,7 +506,8 @@ def _shifts(
         (spots.images(view, step) - spots.images(view, (-step[0], -step[1]))) / (2 * STEP_CELLS)
         for step in ((STEP_CELLS, 0.0), (0.0, STEP_CELLS))
     ]
-    shifts, bright = np.zeros((len(pictures), 2)), np.zeros(len(pictures), dtype=bool)
+    shifts = np.zeros((len(pictures), 2))
+    bright = np.zeros(len(pictures), dtype=bool)
     for k, picture in enumerate(pictures):
         power = (centre[k] ** 2).sum()
         if not (np.isfinite(picture).all() and power > 1e-12):
@@ -555,7 +562,8 @@ def expected_background(
     manifest = patterns.manifest
     dark, ambient = (np.broadcast_to(rate, manifest.rails) for rate in (dark, ambient))
     opened = patterns.fractions.mean(axis=1)
-    lit, gates = np.stack([opened, 1 - opened]), manifest.shares * exposure_s
+    lit = np.stack([opened, 1 - opened])
+    gates = manifest.shares * exposure_s
     rail, mask, column, arm = manifest.read
     out = np.zeros((manifest.rails, manifest.masks))
     out[rail, mask] = gates[column] * (dark[rail] + ambient[rail] * lit[arm, column])

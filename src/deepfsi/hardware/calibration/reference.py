@@ -20,7 +20,8 @@ from deepfsi.hardware.calibration.fit import DisplayedScenes
 from deepfsi.hardware.counting import Counts
 from deepfsi.hardware.patterns import Manifest, Patterns
 
-REFERENCE, EXPECTED = "reference.png", "reference.csv"
+REFERENCE = "reference.png"
+EXPECTED = "reference.csv"
 """Files of the target, and of what it is expected to count, in a folder of patterns."""
 
 TARGET = np.array(
@@ -67,12 +68,18 @@ TRIED = 2
 MOST_STEPS = 50
 """Steps of a fit at most: a right one takes some twenty, and only wrong ones creep on."""
 
-MOST_SCALE, MOST_SHIFT, MOST_ROTATION, MOST_BLUR = 0.05, 0.02, 3.0, 0.5
-"""Departures that are well: a share of 1, a share of the region's side, degrees, cells.
 
-On validation digits (20 masks at 1e5 photons; MNIST, 16 masks at 1e4) each costs 1 to 4 points of
-accuracy, and twice as much 3 to 15.
-"""
+class WellPlaced:
+    """Departures that are well.
+
+    On validation digits (20 masks at 1e5 photons; MNIST, 16 masks at 1e4) each costs 1 to 4 points
+    of accuracy, and twice as much 3 to 15.
+    """
+
+    SCALE = 0.05  # share of 1
+    SHIFT = 0.02  # share of the region's side
+    ROTATION = 3.0  # degrees
+    BLUR = 0.5  # cells
 
 
 def reference_picture(image_shape: tuple[int, ...]) -> np.ndarray:
@@ -125,18 +132,39 @@ def has_reference(manifest: Manifest) -> bool:
 
 @dataclass(frozen=True)
 class ReferenceFit:
-    """Place of the reference target on the device, as a camera shows it."""
+    """Place of the reference target on the device, as a camera shows it.
+
+    Attributes
+    ----------
+    exported : DmdLayout
+    layout : DmdLayout
+        That masks need to lie on the device as scenes do.
+    scale : float
+        Of the target's image, over that of the region.
+    shift : (float, float)
+        Of its middle, down and across, shares of the region's sides.
+    rotation : float
+        Beyond the orientation's, degrees clockwise.
+    blur, blur_error : float
+        Of the target's image, standard deviation in cells, and its standard error.
+    errors : tuple of float
+        Standard errors of scale, shifts and rotation.
+    chance : float
+        Of a misfit as large.
+    clear : float
+        Difference of the squared misfits from the next best orientation.
+    """
 
     exported: DmdLayout
-    layout: DmdLayout  # that masks need to lie on the device as scenes do
-    scale: float  # of the target's image, over that of the region
-    shift: tuple[float, float]  # of its middle, down and across, shares of the region's sides
-    rotation: float  # beyond the orientation's, degrees clockwise
-    blur: float  # of the target's image, standard deviation in cells
-    blur_error: float  # its standard error
-    errors: tuple[float, float, float, float]  # standard errors of scale, shifts and rotation
-    chance: float  # of a misfit as large
-    clear: float  # difference of the squared misfits from the next best orientation
+    layout: DmdLayout
+    scale: float
+    shift: tuple[float, float]
+    rotation: float
+    blur: float
+    blur_error: float
+    errors: tuple[float, float, float, float]
+    chance: float
+    clear: float
 
     @property
     def doubt(self) -> str | None:
@@ -146,7 +174,8 @@ class ReferenceFit:
                 "no place of the reference explains these counts: show it alone, on black, and "
                 "give the patterns that were shown"
             )
-        limits = MOST_SCALE, MOST_SHIFT, MOST_SHIFT, MOST_ROTATION
+        well = WellPlaced
+        limits = well.SCALE, well.SHIFT, well.SHIFT, well.ROTATION
         more = max(error / most for error, most in zip(self.errors, limits, strict=True)) ** 2
         more = max(more, CLEAR / max(self.clear, 1e-3))
         if more <= 1:
@@ -179,22 +208,22 @@ class ReferenceFit:
         off = max(abs(each) for each in self.shift)
         return [
             ("orientation", words, turned),
-            ("scale", f"{self.scale:.3f} ± {scale:.3f}", abs(self.scale - 1) > MOST_SCALE),
+            ("scale", f"{self.scale:.3f} ± {scale:.3f}", abs(self.scale - 1) > WellPlaced.SCALE),
             (
                 "shift",
                 f"{self.shift[0]:+.1%} ± {down:.1%} down, {self.shift[1]:+.1%} ± {across:.1%} "
                 "across, of the region",
-                off > MOST_SHIFT,
+                off > WellPlaced.SHIFT,
             ),
             (
                 "rotation",
                 f"{self.rotation:+.1f} ± {turn:.1f} degrees clockwise",
-                abs(self.rotation) > MOST_ROTATION,
+                abs(self.rotation) > WellPlaced.ROTATION,
             ),
             (
                 "blur",
                 f"{self.blur:.2f} ± {self.blur_error:.2f} cells (standard deviation)",
-                self.blur - CERTAIN_ERRORS * self.blur_error > MOST_BLUR,
+                self.blur - CERTAIN_ERRORS * self.blur_error > WellPlaced.BLUR,
             ),
         ]
 
@@ -203,7 +232,8 @@ class _Model:
     """Light of the target on the cells of a mask."""
 
     def __init__(self, manifest: Manifest) -> None:
-        self.grid, self.exported = manifest.grid, manifest.layout
+        self.grid = manifest.grid
+        self.exported = manifest.layout
         self.scene = DisplayedScenes(TARGET[None], self.grid)
         self.wide = self.grid.across * self.grid.aspect / self.grid.down
 
@@ -364,7 +394,8 @@ def _fit_place(
 
 def _sound_readouts(counts: Counts, patterns: Patterns) -> ReferenceReadouts:
     """Readouts of sound exposures together, or `InputError` if they are too few."""
-    manifest, read = patterns.manifest, counts.lengths_s > 0
+    manifest = patterns.manifest
+    read = counts.lengths_s > 0
     _check_readouts(manifest, int(read.sum()))
     usable = counts.by_readout(counts.valid & ~counts.spoilt[:, None])
     if not usable.any():
@@ -372,5 +403,6 @@ def _sound_readouts(counts: Counts, patterns: Patterns) -> ReferenceReadouts:
     signal = counts.signal().sum(axis=(0, 1), where=usable)
     noise = counts.variance.sum(axis=(0, 1), where=usable)
     if manifest.several:
-        signal, noise = signal.sum(axis=-1), noise.sum(axis=-1)
+        signal = signal.sum(axis=-1)
+        noise = noise.sum(axis=-1)
     return ReferenceReadouts.of(patterns.rails[read], signal[read], noise[read])

@@ -3,7 +3,6 @@
 import io
 import math
 from pathlib import Path
-from typing import Literal, get_args
 
 import numpy as np
 from scipy.linalg import hadamard, solve
@@ -14,11 +13,8 @@ from deepfsi.hardware.counting import Counts
 from deepfsi.hardware.light import SPOILING
 from deepfsi.hardware.patterns import DesignRails, Patterns
 
-Scan = Literal["raster", "hadamard"]
-"""Patterns of a scan: one cell after another, or Hadamard masks of two frames each."""
-
-SCAN_NAMES = get_args(Scan)
-"""Names of the scans."""
+SCAN_NAMES = ("raster", "hadamard")
+"""Scans by name: one cell after another, or Hadamard masks of two frames each."""
 
 MOST_CELLS = 64 * 64
 """Cells of a scan at most: a calibration with larger cells serves masks with smaller ones."""
@@ -26,14 +22,28 @@ MOST_CELLS = 64 * 64
 CLEAR_SIGMAS = 5.0
 """Standard errors by which a detector must count more of a cell's light than any other does."""
 
-
 WORST_GAIN = 0.01
 """Standard error of a detector's efficiency at most, a share."""
 
 
 def scan_rails(name: str, cells: tuple[int, int], detectors: int = 1) -> DesignRails:
-    """Rails of a scan with equal dwells; its mean scene is one of uniform white."""
-    # Hadamard masks of sides that are no power of two are those of the next larger one, cut to size
+    """Rails of a scan with equal dwells; its mean scene is one of uniform white.
+
+    Hadamard masks of sides that are no power of two are those of the next larger one, cut to size.
+
+    Parameters
+    ----------
+    name : str
+        One of `SCAN_NAMES`.
+    cells : (int, int)
+        Down and across.
+    detectors : int
+
+    Raises
+    ------
+    InputError
+        For another name, or too many cells.
+    """
     check_choice("scan", name, SCAN_NAMES)
     down, across = cells
     pixels = down * across
@@ -53,8 +63,22 @@ def scan_rails(name: str, cells: tuple[int, int], detectors: int = 1) -> DesignR
 
 
 def find_detectors(counts: Counts, patterns: Patterns) -> np.ndarray:
-    """Detector of each cell: the one that counts most of its light, in all scenes together."""
-    shape, read = patterns.manifest.image_shape, counts.lengths_s > 0
+    """Detector of each cell: the one that counts most of its light, in all scenes together.
+
+    Parameters
+    ----------
+    counts : Counts
+        Of a run of white that fills the device.
+    patterns : Patterns
+        Of a scan.
+
+    Raises
+    ------
+    InputError
+        If a cell is seen clearly by no detector, or a detector sees none.
+    """
+    shape = patterns.manifest.image_shape
+    read = counts.lengths_s > 0
     usable = counts.by_readout(counts.valid & ~counts.spoilt[:, None])
     signal = counts.signal().sum(axis=(0, 1), where=usable)[read]
     background = (counts.background * usable.sum(axis=1)).sum(axis=0)[read]
@@ -89,10 +113,25 @@ def find_detectors(counts: Counts, patterns: Patterns) -> np.ndarray:
 
 
 def find_gains(counts: Counts, patterns: Patterns) -> tuple[float, ...]:
-    """Efficiency of each detector over their mean, from a run of a uniform white scene."""
-    # What each counts in all masks together, over what its cells of the masks send it
-    manifest, rails = patterns.manifest, patterns.rails
-    several, count = manifest.detectors, manifest.detector_count
+    """Efficiency of each detector over their mean, from a run of a uniform white scene.
+
+    It is what each counts in all masks together, over what its cells of the masks send it.
+
+    Parameters
+    ----------
+    counts : Counts
+    patterns : Patterns
+        That were shown.
+
+    Raises
+    ------
+    InputError
+        If there is one detector, the light is not sound, or tells too little.
+    """
+    manifest = patterns.manifest
+    rails = patterns.rails
+    several = manifest.detectors
+    count = manifest.detector_count
     spoilt = [each.kind for each in counts.faults if each.kind in SPOILING and each.kind != "gain"]
     if counts.gains or spoilt:
         raise InputError(
@@ -124,7 +163,14 @@ def find_gains(counts: Counts, patterns: Patterns) -> tuple[float, ...]:
 
 
 def save_detectors(labels: np.ndarray, folder: Path) -> Path:
-    """Write `detectors.npy` into a folder, which is made if need be."""
+    """Write `detectors.npy` into a folder, which is made if need be.
+
+    Parameters
+    ----------
+    labels : array (down, across)
+        Detector of each cell.
+    folder : path
+    """
     file = io.BytesIO()
     np.save(file, labels)
     return write_atomically(folder / "detectors.npy", file.getvalue())

@@ -23,7 +23,7 @@ from deepfsi.hardware.counting import Calibration
 POINTS_PER_CELL = 24, 32
 """Points of a cell's average, down and across: a DLP7000's mirrors of 32 x 32 cells."""
 
-SCENES_AT_ONCE = 4096
+VIEWED_AT_ONCE = 4096
 """Scenes that are viewed at once."""
 
 
@@ -74,9 +74,9 @@ def camera_view(
     if x.ndim != 2 or x.shape[1] != view.shape[1]:
         raise InputError(f"scenes of shape {x.shape} with images of {image_shape}: give (n, h * w)")
     out = np.empty((len(x), view.shape[0]), dtype=np.float32)
-    for first in range(0, len(x), SCENES_AT_ONCE):
-        block = x[first : first + SCENES_AT_ONCE]
-        out[first : first + SCENES_AT_ONCE] = (view @ np.ascontiguousarray(block.T)).T
+    for first in range(0, len(x), VIEWED_AT_ONCE):
+        block = x[first : first + VIEWED_AT_ONCE]
+        out[first : first + VIEWED_AT_ONCE] = (view @ np.ascontiguousarray(block.T)).T
     return np.clip(out, 0, 1, out=out)  # rounding
 
 
@@ -126,7 +126,8 @@ def geometry_matrix(
     """
     # The average over a cell of the blurred image is separable, so it is applied to the points'
     # pixels one axis after the other
-    (h, w), (down, across) = image_shape, cells_shape
+    h, w = image_shape
+    down, across = cells_shape
     average_down, tops = _axis_average(down, blur[0], POINTS_PER_CELL[0])
     average_across, lefts = _axis_average(across, blur[1], POINTS_PER_CELL[1])
     x, y = np.meshgrid(lefts, tops)
@@ -134,7 +135,8 @@ def geometry_matrix(
     u, v, scale = back @ np.stack([x.ravel(), y.ravel(), np.ones(x.size)])
     front = scale * np.sign(back[2] @ [0.5, 0.5, 1.0]) > 0  # not behind the camera
     with np.errstate(divide="ignore", invalid="ignore"):
-        u, v = u / scale, v / scale
+        u = u / scale
+        v = v / scale
     inside = np.flatnonzero(front & (u >= 0) & (u < 1) & (v >= 0) & (v < 1))
     pixel = (v[inside] * h).astype(int) * w + (u[inside] * w).astype(int)
     # rows: points down; columns: (point across, pixel)
@@ -142,7 +144,8 @@ def geometry_matrix(
     shape = (len(tops), len(lefts) * h * w)
     points = sparse.csr_array((np.ones(len(inside)), (row, column * h * w + pixel)), shape=shape)
     half = (average_down @ points).tocoo()
-    cell_row, (column, pixel) = half.row, np.divmod(half.col, h * w)
+    cell_row = half.row
+    column, pixel = np.divmod(half.col, h * w)
     half = sparse.csr_array(
         (half.data, (column, cell_row * h * w + pixel)), shape=(len(lefts), down * h * w)
     )

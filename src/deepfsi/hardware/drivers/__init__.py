@@ -8,8 +8,6 @@ from deepfsi.hardware.drivers.catalogue import (
     open_list_projector,
     open_projector,
 )
-from deepfsi.hardware.drivers.dlpc900 import Dlpc900Projector
-from deepfsi.hardware.drivers.file_tail import FollowedCounter
 from deepfsi.hardware.drivers.protocols import (
     PATIENCE_S,
     PassProjector,
@@ -17,20 +15,17 @@ from deepfsi.hardware.drivers.protocols import (
     StreamingCounter,
     StreamingProjector,
 )
-from deepfsi.hardware.drivers.vialux import VialuxLooks, VialuxProjector
+from deepfsi.hardware.drivers.vialux import VialuxProjector
 
 __all__ = [
     "COUNTERS",
     "PATIENCE_S",
     "PROJECTORS",
     "DeviceSettings",
-    "Dlpc900Projector",
-    "FollowedCounter",
     "PassProjector",
     "Setup",
     "StreamingCounter",
     "StreamingProjector",
-    "VialuxLooks",
     "VialuxProjector",
     "open_counter",
     "open_list_projector",

@@ -38,29 +38,53 @@ from deepfsi.camera import BIT_PLANES, DEVICES, Device
 from deepfsi.hardware.drivers.device_errors import let_go, refusals
 from deepfsi.hardware.patterns import Dlpc900, Manifest, read_frames, read_patterns
 
-VENDOR, PRODUCT = 0x0451, 0xC900
-
 DMDS = {1: "dlp6500", 2: "dlp9000", 3: "dlp670s", 4: "dlp500yx"}
 """Devices by the hardware type that a board reports."""
 
-# Commands
-ERROR_CODE, HARDWARE, HARDWARE_STATUS, MAIN_STATUS = 0x0100, 0x0206, 0x1A0A, 0x1A0C
-START_STOP, STOP, START = 0x1A24, b"\0", b"\2"
-LOADS = (0x1A2A, 0x1A2B), (0x1A2C, 0x1A2D)
-"""Beginning and data of a picture, for the first controller and the second."""
 
-# Bits of the hardware status and the main status
-READY, SECOND, FAULTS = 1 << 0, 1 << 4, 1 << 1 | 1 << 2 | 1 << 3 | 1 << 6 | 1 << 7
-RUNS = 1 << 1
+class Usb:
+    """Numbers of the board, of its reports, and bits of the byte of flags."""
 
-# Bits of the flag byte
-READ, REPLY, FAILED = 1 << 7, 1 << 6, 1 << 5
+    VENDOR = 0x0451
+    PRODUCT = 0xC900
+    REPORT_BYTES = 64
+    PACKET_BYTES = 504  # of a picture that one command holds
+    READ = 1 << 7
+    REPLY = 1 << 6
+    FAILED = 1 << 5
 
-REPORT_BYTES, PACKET_BYTES = 64, 504
-"""Bytes of a report, and of a picture that one command holds."""
 
-REPLY_S, GRACE_S, POLL_S = 2.0, 5.0, 0.002
-"""Time for an answer, for a mode or a pass to end late, and between two questions, seconds."""
+class Command:
+    """Commands, and what they are sent with."""
+
+    ERROR_CODE = 0x0100
+    HARDWARE = 0x0206
+    HARDWARE_STATUS = 0x1A0A
+    MAIN_STATUS = 0x1A0C
+    START_STOP = 0x1A24
+    STOP = b"\0"
+    START = b"\2"
+    # Beginning and data of a picture, for the first controller and the second
+    LOADS = (0x1A2A, 0x1A2B), (0x1A2C, 0x1A2D)
+
+
+class Status:
+    """Bits of the hardware status, and of the main status."""
+
+    READY = 1 << 0
+    SECOND = 1 << 4
+    FAULTS = 1 << 1 | 1 << 2 | 1 << 3 | 1 << 6 | 1 << 7
+    RUNS = 1 << 1  # of the main status
+
+
+REPLY_S = 2.0
+"""Time for an answer, seconds."""
+
+LATEST_S = 5.0
+"""Time by which a mode or a pass may end late, seconds."""
+
+DLPC900_POLL_S = 0.002
+"""Time between two questions, seconds."""
 
 ENCODING = 0.1
 """Share of the time to load that is for encoding; most is for USB."""
@@ -88,17 +112,18 @@ class _Link:
     """Commands to a DLPC900 as reports of a HID device, and its replies."""
 
     def __init__(self, device: Any) -> None:
-        self._device, self._sequence = device, 0
+        self._device = device
+        self._sequence = 0
 
     def write(self, command: int, data: bytes, reply: bool = True) -> None:
         """Send a command; with a reply, wait for it and raise what it refuses."""
-        self._send(REPLY if reply else 0, command, data)
+        self._send(Usb.REPLY if reply else 0, command, data)
         if reply:
             self._answer(command)
 
     def read(self, command: int) -> int:
         """First byte of what a command reads."""
-        self._send(READ | REPLY, command)
+        self._send(Usb.READ | Usb.REPLY, command)
         answer = self._answer(command)
         if not answer:
             raise InputError(f"the DLPC900's answer to command 0x{command:04X} is empty")
@@ -106,7 +131,7 @@ class _Link:
 
     def check(self, command: int) -> None:
         """Raise what the last command refused, if it did."""
-        if code := self.read(ERROR_CODE):
+        if code := self.read(Command.ERROR_CODE):
             reason = ERRORS.get(code, f"error {code}")
             raise InputError(f"the DLPC900 refused command 0x{command:04X}: {reason}")
 
@@ -114,7 +139,7 @@ class _Link:
         self._sequence = (self._sequence + 1) % 256
         message = bytes([flags, self._sequence]) + (2 + len(data)).to_bytes(2, "little")
         message += command.to_bytes(2, "little") + data
-        places = iter(range(0, len(message), REPORT_BYTES))
+        places = iter(range(0, len(message), Usb.REPORT_BYTES))
         try:
             self._reports(message, places)
         except KeyboardInterrupt:
@@ -123,7 +148,7 @@ class _Link:
 
     def _reports(self, message: bytes, places: Iterator[int]) -> None:
         for place in places:
-            report = message[place : place + REPORT_BYTES].ljust(REPORT_BYTES, b"\0")
+            report = message[place : place + Usb.REPORT_BYTES].ljust(Usb.REPORT_BYTES, b"\0")
             if self._device.write(b"\0" + report) < 0:  # the report's number comes first
                 raise OSError("a report was not sent")
 
@@ -131,15 +156,15 @@ class _Link:
         """Data of the reply to the last command; replies to earlier ones are passed over."""
         until = time.monotonic() + REPLY_S
         while (left := until - time.monotonic()) > 0:
-            reply = bytes(self._device.read(REPORT_BYTES, max(1, round(left * 1e3))))
+            reply = bytes(self._device.read(Usb.REPORT_BYTES, max(1, round(left * 1e3))))
             if reply[1:2] == bytes([self._sequence]):
                 break
         else:
             raise InputError(
                 f"the DLPC900 does not answer command 0x{command:04X}: switch the board off and on"
             )
-        if reply[0] & FAILED:
-            if command != ERROR_CODE:
+        if reply[0] & Usb.FAILED:
+            if command != Command.ERROR_CODE:
                 self.check(command)
             raise InputError(f"the DLPC900 refused command 0x{command:04X} and gives no reason")
         return reply[4 : 4 + int.from_bytes(reply[2:4], "little")]
@@ -162,20 +187,21 @@ class Dlpc900Projector:
                 "DLPC900 boards need hidapi, which is not installed: pip install hidapi"
             ) from None
         with _refusals("be opened"):
-            device.open(VENDOR, PRODUCT)
+            device.open(Usb.VENDOR, Usb.PRODUCT)
             try:
                 link = _Link(device)
-                kind = link.read(HARDWARE)
+                kind = link.read(Command.HARDWARE)
                 if kind not in DMDS:
                     raise InputError(
                         f"the DLPC900 has a device of hardware type {kind}, which is none of "
                         f"{', '.join(DMDS.values())}"
                     )
-                controllers = 2 if _healthy(link) & SECOND else 1
+                controllers = 2 if _healthy(link) & Status.SECOND else 1
             except BaseException:
                 device.close()
                 raise
-        self._device, self._board = device, (link, DEVICES[DMDS[kind]], controllers)
+        self._device = device
+        self._board = link, DEVICES[DMDS[kind]], controllers
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
@@ -203,10 +229,11 @@ class Dlpc900Projector:
         if not self._pass_s:
             raise InputError("no patterns on the DLPC900: load a pattern folder first")
         with _refusals("show patterns"):
-            if link.read(MAIN_STATUS) & RUNS:
+            if link.read(Command.MAIN_STATUS) & Status.RUNS:
                 raise InputError("the DLPC900 still shows a pass: wait for it or halt it")
-            link.write(START_STOP, STOP)  # so that a start begins with the first pattern
-            link.write(START_STOP, START)
+            # Stopped first, so that a start begins with the first pattern
+            link.write(Command.START_STOP, Command.STOP)
+            link.write(Command.START_STOP, Command.START)
         self._due = time.monotonic() + self._pass_s
 
     def wait(self) -> None:
@@ -214,20 +241,20 @@ class Dlpc900Projector:
         link, _, _ = self._open()
         with _refusals("show patterns"):
             # It may say that it stands before the first pattern is shown
-            while time.monotonic() < self._due or link.read(MAIN_STATUS) & RUNS:
-                if time.monotonic() > self._due + GRACE_S:
+            while time.monotonic() < self._due or link.read(Command.MAIN_STATUS) & Status.RUNS:
+                if time.monotonic() > self._due + LATEST_S:
                     raise InputError(
-                        f"the frames should have ended {GRACE_S:g} s ago and have not: check that "
+                        f"the frames should have ended {LATEST_S:g} s ago and have not: check that "
                         "no other program drives the DLPC900"
                     )
-                time.sleep(POLL_S)
+                time.sleep(DLPC900_POLL_S)
             _healthy(link)
 
     def halt(self) -> None:
         """Stop at once."""
         link, _, _ = self._open()
         with _refusals("be halted"):
-            link.write(START_STOP, STOP)
+            link.write(Command.START_STOP, Command.STOP)
 
     def _open(self) -> tuple[_Link, Device, int]:
         if self._board is None:
@@ -235,15 +262,16 @@ class Dlpc900Projector:
         return self._board
 
     def _close(self) -> None:
-        device, self._device, self._board = self._device, None, None
+        device = self._device
+        self._device = self._board = None
         self._pass_s = 0.0
         device.close()
 
 
 def _healthy(link: _Link) -> int:
     """Hardware status, if it has no fault."""
-    status = link.read(HARDWARE_STATUS)
-    if status & FAULTS or not status & READY:
+    status = link.read(Command.HARDWARE_STATUS)
+    if status & Status.FAULTS or not status & Status.READY:
         raise InputError(
             f"the DLPC900 reports a fault, hardware status 0x{status:02X}: check the board and its "
             "firmware, then switch it off and on"
@@ -269,7 +297,8 @@ def _encoded(
 ) -> list[tuple[bytes, ...]]:
     """Pictures of a folder, each in as many halves, left first, as a board has controllers."""
     total = len(manifest.frames)
-    width, out = manifest.device.columns // controllers, []
+    width = manifest.device.columns // controllers
+    out = []
     for picture in Dlpc900.pictures(read_frames(folder), manifest):
         halves = (picture[:, k * width : (k + 1) * width] for k in range(controllers))
         out.append(tuple(encode_picture(half) for half in halves))
@@ -282,10 +311,10 @@ def _load(link: _Link, pictures: list[tuple[bytes, ...]], report: Progress) -> N
     total = sum(len(half) for halves in pictures for half in halves)
     sent = 0
     for index, halves in reversed(list(enumerate(pictures))):
-        for content, (begin, fill) in zip(halves, LOADS, strict=False):
+        for content, (begin, fill) in zip(halves, Command.LOADS, strict=False):
             link.write(begin, index.to_bytes(2, "little") + len(content).to_bytes(4, "little"))
-            for place in range(0, len(content), PACKET_BYTES):
-                packet = content[place : place + PACKET_BYTES]
+            for place in range(0, len(content), Usb.PACKET_BYTES):
+                packet = content[place : place + Usb.PACKET_BYTES]
                 link.write(fill, len(packet).to_bytes(2, "little") + packet, reply=False)
                 sent += len(packet)
                 report(sent / total)
@@ -294,11 +323,11 @@ def _load(link: _Link, pictures: list[tuple[bytes, ...]], report: Progress) -> N
 
 def _wait_for_mode(link: _Link) -> None:
     """Return when the board loads patterns on the fly."""
-    until = time.monotonic() + GRACE_S
+    until = time.monotonic() + LATEST_S
     while link.read(Dlpc900.DISPLAY_MODE) & 3 != Dlpc900.ON_THE_FLY:
         if time.monotonic() > until:
             raise InputError("the DLPC900 does not load patterns on the fly: update its firmware")
-        time.sleep(POLL_S)
+        time.sleep(DLPC900_POLL_S)
 
 
 def _reason(error: Exception) -> str | None:
@@ -310,12 +339,16 @@ _refusals = partial(refusals, "the DLPC900", reason=_reason)
 
 
 IMAGE_SIGNATURE = bytes([0x53, 0x70, 0x6C, 0x64])
+"""First bytes of a picture."""
 
 ENHANCED = 2
 """Compression, as the header names it."""
 
-COPY, END = b"\0\1", b"\0\1\0"
-"""Bytes before the number of pixels that are as those above, and at the end of a picture."""
+COPY = b"\0\1"
+"""Bytes before the number of pixels that are as those above."""
+
+PICTURE_END = b"\0\1\0"
+"""Bytes at the end of a picture."""
 
 
 def encode_picture(picture: np.ndarray) -> bytes:
@@ -325,7 +358,7 @@ def encode_picture(picture: np.ndarray) -> bytes:
     above = np.zeros((rows, columns), bool)
     above[1:] = pixels[1:] == pixels[:-1]
     lines = zip(picture, pixels, above, strict=True)
-    body = b"".join(_encode_line(*line) for line in lines) + END
+    body = b"".join(_encode_line(*line) for line in lines) + PICTURE_END
     # Bytes that the guide calls reserved are as it gives them
     header = struct.pack(
         "<4sHHI8sIBBB21x",
@@ -341,7 +374,8 @@ def _encode_line(line: np.ndarray, pixels: np.ndarray, above: np.ndarray) -> byt
     starts = np.flatnonzero(np.append(True, changes))
     single = (np.diff(np.append(starts, len(pixels))) == 1) & ~above[starts]
     first = np.append(True, ~(single[1:] & single[:-1]))  # single pixels in a row are one run
-    starts, single = starts[first], single[first]
+    starts = starts[first]
+    single = single[first]
     ends = np.append(starts[1:], len(pixels))
     out = []
     for start, end, any_pixels in zip(starts.tolist(), ends.tolist(), single.tolist(), strict=True):

@@ -17,7 +17,7 @@ from deepfsi.hardware.counting import FrameCounter, FrameCounts, FrameGates
 BYTES_AT_ONCE = 2**21
 """Bytes read at once."""
 
-POLL_S = 0.0001
+FILE_POLL_S = 0.0001
 """Time between two looks at the file, seconds."""
 
 
@@ -31,7 +31,9 @@ class FollowedCounter(AbstractContextManager["FollowedCounter"]):
         appears_s: float = 60.0,
         waits: Callable[[Path, float], None] | None = None,
     ) -> None:
-        self._inputs, self._bit, self._appears_s = inputs, marker_bit, appears_s
+        self._inputs = inputs
+        self._bit = marker_bit
+        self._appears_s = appears_s
         self._waits = waits
         self._buffer = memoryview(bytearray(BYTES_AT_ONCE))
         self._file: FileIO | None = None
@@ -52,7 +54,7 @@ class FollowedCounter(AbstractContextManager["FollowedCounter"]):
                     f"{path} did not appear within {self._appears_s:g} s: start the recording into "
                     "it in the counter's software"
                 )
-            time.sleep(POLL_S)
+            time.sleep(FILE_POLL_S)
         try:
             self._file = open(path, "rb", buffering=0, opener=_open_at_once)  # noqa: SIM115
         except OSError as error:
@@ -76,7 +78,7 @@ class FollowedCounter(AbstractContextManager["FollowedCounter"]):
                 return FrameCounts.join([], len(self._inputs))
             if not size:
                 self._check_same(file)
-                time.sleep(POLL_S)
+                time.sleep(FILE_POLL_S)
 
     def _check_same(self, file: FileIO) -> None:
         """Raise `InputError` if the path no longer leads to the file that is followed."""

@@ -24,7 +24,7 @@ from deepfsi.hardware.photons import PtuStream
 LONGEST_MS = 360_000_000
 """Longest recording that the devices take, 100 hours, milliseconds."""
 
-POLL_S = 0.0002
+SNAPI_POLL_S = 0.0002
 """Time between two questions for records, seconds."""
 
 
@@ -39,12 +39,15 @@ class SnapiCounter:
         config: Path | None = None,
         buffer: int = 2**24,
     ) -> None:
-        self.inputs, self.marker_bit = inputs, marker_bit
-        self.serial, self.config, self.buffer = serial, config, buffer
+        self.inputs = inputs
+        self.marker_bit = marker_bit
+        self.serial = serial
+        self.config = config
+        self.buffer = buffer
         self._api: Any = None
         self._frames: FrameCounter | None = None
         self._lock = threading.Lock()  # of the frames
-        self._found: queue.Queue[FrameCounts | Exception] = queue.Queue()
+        self._counted: queue.Queue[FrameCounts | Exception] = queue.Queue()
         self._ending = threading.Event()
         self._thread: threading.Thread | None = None
 
@@ -95,7 +98,8 @@ class SnapiCounter:
         tick_s = self._api.deviceConfig["BaseResolution"] * 1e-12
         stream = PtuStream.without_header(path, tick_s)
         self._frames = FrameCounter(self.inputs, self.marker_bit, stream)
-        self._found, self._ending = queue.Queue(), threading.Event()
+        self._counted = queue.Queue()
+        self._ending = threading.Event()
         arguments = (self._frames, path)
         self._thread = threading.Thread(target=self._read, args=arguments, daemon=True)
         self._thread.start()
@@ -112,11 +116,11 @@ class SnapiCounter:
         if self._frames is None:
             raise InputError("nothing is recorded: start the counter first")
         try:
-            found = self._found.get(timeout=timeout_s)
+            found = self._counted.get(timeout=timeout_s)
         except queue.Empty:
             return FrameCounts.join([], len(self.inputs))
         if isinstance(found, Exception):
-            self._found.put(found)
+            self._counted.put(found)
             raise found
         return found
 
@@ -142,19 +146,20 @@ class SnapiCounter:
                 with self._lock:
                     counts = frames.feed(words.data)
                 if len(counts.counts):
-                    self._found.put(counts)
+                    self._counted.put(counts)
                 if finished:
                     raise InputError(
                         f"{path}: the PicoQuant device stopped by itself; look into "
                         "snAPI's log, and for less light if its buffer ran over"
                     )
                 if not len(words):
-                    self._ending.wait(POLL_S)
+                    self._ending.wait(SNAPI_POLL_S)
         except Exception as error:
-            self._found.put(error)
+            self._counted.put(error)
 
     def _close(self) -> None:
-        api, self._api = self._api, None
+        api = self._api
+        self._api = None
         if api is not None:
             api.closeDevice()
 

@@ -45,7 +45,7 @@ BLOCK = 2**17, 1
 SYNC_MS = 5000
 """Longest wait for the tags that the device still holds, milliseconds."""
 
-POLL_S = 0.0002
+TAGGER_POLL_S = 0.0002
 """Time between two questions for tags, seconds."""
 
 LOOK_S = 0.05
@@ -140,7 +140,8 @@ class TaggerCounter(AbstractContextManager["TaggerCounter"]):
             writer = stack.enter_context(PtuWriter(path, TICK_S, growing=True))
             self._followed.start(path)
             stack.callback(self._followed.stop)
-            tags, ending = _Tags(stream, writer, self._codes, path), threading.Event()
+            tags = _Tags(stream, writer, self._codes, path)
+            ending = threading.Event()
             thread = threading.Thread(target=self._read, args=(tags, ending), daemon=True)
             thread.start()
             stack.callback(thread.join)
@@ -165,7 +166,8 @@ class TaggerCounter(AbstractContextManager["TaggerCounter"]):
     def stop(self) -> None:
         """End the recording; its file is then whole. Without one, do nothing."""
         self._recording.close()
-        fault, self._fault = self._fault, None
+        fault = self._fault
+        self._fault = None
         if fault is not None:
             raise fault
 
@@ -173,7 +175,7 @@ class TaggerCounter(AbstractContextManager["TaggerCounter"]):
         """Write all tags until the end; what goes wrong is for the other side."""
         try:
             with _refusals("hand over its tags"):
-                while not ending.wait(POLL_S):
+                while not ending.wait(TAGGER_POLL_S):
                     tags.take()
                 self._sync()
                 tags.take()
@@ -188,7 +190,8 @@ class TaggerCounter(AbstractContextManager["TaggerCounter"]):
             )
 
     def _free(self) -> None:
-        tagger, self._tagger = self._tagger, None
+        tagger = self._tagger
+        self._tagger = None
         if tagger is not None:
             self._module.freeTimeTagger(tagger)
 
@@ -197,7 +200,10 @@ class _Tags:
     """Tags of a recording, from the device's stream to the file."""
 
     def __init__(self, stream: Any, writer: PtuWriter, codes: dict[int, int], path: Path) -> None:
-        self._stream, self._writer, self._codes, self._path = stream, writer, codes, path
+        self._stream = stream
+        self._writer = writer
+        self._codes = codes
+        self._path = path
         self._first: int | None = None  # time of the first tag, ps
 
     def take(self) -> None:
@@ -208,13 +214,15 @@ class _Tags:
         types = block.getEventTypes()
         lost = np.flatnonzero(types)
         whole = int(lost[0]) if len(lost) else block.size
-        times, channels = block.getTimestamps(), block.getChannels()
+        times = block.getTimestamps()
+        channels = block.getChannels()
         if self._first is None:
             self._first = int(times[0])
         times = times - self._first
         self._write(times[:whole], channels[:whole])
         if len(lost):
-            at_s, missed = times[whole] * TICK_S, int(block.getMissedEvents().sum())
+            at_s = times[whole] * TICK_S
+            missed = int(block.getMissedEvents().sum())
             raise InputError(f"{self._path}: {_describe(int(types[whole]), at_s, missed)}")
         if block.size >= MOST_TAGS:
             raise InputError(

@@ -43,13 +43,13 @@ FRAMES_OF_9BIT = 512
 LONGEST_LIST = 4096
 """Entries of a frame list at most: those of ALP4lib's structure."""
 
-FRAMES_AT_ONCE = 64
+FRAMES_A_PUT = 64
 """Frames sent at a time, 6 MB on a DLP7000."""
 
 ROW_BYTES = {1024: 128, 1920: 256}
 """Bytes of a row of packed mirrors by its length, as alp.h has them; other rows go unpacked."""
 
-POLL_S = 0.002
+VIALUX_POLL_S = 0.002
 """Time between two questions to the device, seconds."""
 
 LIST_POLL_S = 0.0001
@@ -58,18 +58,35 @@ LIST_POLL_S = 0.0001
 GRACE_S = 5.0
 """Time by which a pass may end later than planned, seconds."""
 
-# Constants of Vialux's alp.h
-AVAIL_MEMORY, QUEUE_AVAIL = 2003, 2317  # binary pictures and sequences that still fit
-BIN_MODE, BIN_UNINTERRUPTED = 2104, 2106
-FLUT_MODE, FLUT_9BIT, FLUT_18BIT = 2118, 1, 2
-FLUT_ENTRIES9, FLUT_MAX_ENTRIES9 = 2120, 2324  # entries of 9 bits; one of 18 counts as two
-FLUT_WRITE_9BIT, FLUT_WRITE_18BIT = 2325, 2326
-PROJ_MODE, MASTER, SLAVE = 2300, 2301, 2302
-DATA_FORMAT, DATA_MSB_ALIGN, DATA_BINARY_TOPDOWN = 2110, 0, 2
-MIN_PICTURE_TIME, MAX_PICTURE_TIME = 2211, 2213
-QUEUE_MODE, SEQUENCE_QUEUE = 2314, 1
-RESET_QUEUE, DEFAULT = 2319, 0
-PROJ_STATE, PROJ_ACTIVE = 2400, 1200
+
+class Alp:
+    """Constants of Vialux's alp.h."""
+
+    AVAIL_MEMORY = 2003  # binary pictures that still fit
+    QUEUE_AVAIL = 2317  # sequences that still fit
+    BIN_MODE = 2104
+    BIN_UNINTERRUPTED = 2106
+    FLUT_MODE = 2118
+    FLUT_9BIT = 1
+    FLUT_18BIT = 2
+    FLUT_ENTRIES9 = 2120  # of 9 bits; one of 18 counts as two
+    FLUT_MAX_ENTRIES9 = 2324
+    FLUT_WRITE_9BIT = 2325
+    FLUT_WRITE_18BIT = 2326
+    PROJ_MODE = 2300
+    MASTER = 2301
+    SLAVE = 2302
+    DATA_FORMAT = 2110
+    DATA_MSB_ALIGN = 0
+    DATA_BINARY_TOPDOWN = 2
+    MIN_PICTURE_TIME = 2211
+    MAX_PICTURE_TIME = 2213
+    QUEUE_MODE = 2314
+    SEQUENCE_QUEUE = 1
+    RESET_QUEUE = 2319
+    DEFAULT = 0
+    PROJ_STATE = 2400
+    PROJ_ACTIVE = 1200
 
 
 class _Board(ABC):
@@ -78,7 +95,9 @@ class _Board(ABC):
     def __init__(
         self, version: str | None = None, library: Path | None = None, serial: int | None = None
     ) -> None:
-        self.version, self.library, self.serial = version or USUAL_VERSION, library, serial
+        self.version = version or USUAL_VERSION
+        self.library = library
+        self.serial = serial
         self._alp: Any = None
         self._flut: Any = None  # structure of a frame list
         self._sequences: list[Any] = []
@@ -97,12 +116,13 @@ class _Board(ABC):
             alp = module.ALP4(version=self.version, libDir=folder)
             try:
                 alp.Initialize(self.serial)
-                alp.ProjControl(QUEUE_MODE, SEQUENCE_QUEUE)
+                alp.ProjControl(Alp.QUEUE_MODE, Alp.SEQUENCE_QUEUE)
             except BaseException:
                 with contextlib.suppress(Exception):
                     alp.Free()
                 raise
-        self._alp, self._flut = alp, module.tFlutWrite
+        self._alp = alp
+        self._flut = module.tFlutWrite
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
@@ -129,7 +149,7 @@ class _Board(ABC):
             raise InputError("the Vialux device is not open: use `with` to open it")
         with _refusals("be halted"), contextlib.ExitStack() as stack:
             stack.callback(self._alp.Halt)
-            self._alp.ProjControl(RESET_QUEUE, DEFAULT)
+            self._alp.ProjControl(Alp.RESET_QUEUE, Alp.DEFAULT)
 
     @abstractmethod
     def _send(self, manifest: Manifest, frames: Iterator[np.ndarray], report: Progress) -> None:
@@ -137,8 +157,8 @@ class _Board(ABC):
 
     def _put(self, sequence: Any, frames: Iterator[np.ndarray], count: int, sent: Progress) -> None:
         """Fill a sequence with the next frames."""
-        for first in range(0, count, FRAMES_AT_ONCE):
-            block = np.stack(list(itertools.islice(frames, min(FRAMES_AT_ONCE, count - first))))
+        for first in range(0, count, FRAMES_A_PUT):
+            block = np.stack(list(itertools.islice(frames, min(FRAMES_A_PUT, count - first))))
             self._alp.SeqPut(self._rows(block).ravel(), sequence, first, len(block))
             sent((first + len(block)) / count)
 
@@ -159,12 +179,11 @@ class _Board(ABC):
         self._sequences.append(sequence)
         packed = self._alp.nSizeX in ROW_BYTES
         self._alp.SeqControl(
-            DATA_FORMAT, DATA_BINARY_TOPDOWN if packed else DATA_MSB_ALIGN, sequence
+            Alp.DATA_FORMAT, Alp.DATA_BINARY_TOPDOWN if packed else Alp.DATA_MSB_ALIGN, sequence
         )
-        self._alp.SeqControl(BIN_MODE, BIN_UNINTERRUPTED, sequence)
-        shortest, longest = (
-            self._alp.SeqInquire(which, sequence) for which in (MIN_PICTURE_TIME, MAX_PICTURE_TIME)
-        )
+        self._alp.SeqControl(Alp.BIN_MODE, Alp.BIN_UNINTERRUPTED, sequence)
+        shortest = self._alp.SeqInquire(Alp.MIN_PICTURE_TIME, sequence)
+        longest = self._alp.SeqInquire(Alp.MAX_PICTURE_TIME, sequence)
         if not shortest <= picture_us <= longest:
             raise InputError(
                 f"a picture time of {picture_us} µs is not possible: the Vialux device keeps "
@@ -181,7 +200,7 @@ class _Board(ABC):
                 f"device has {self._alp.nSizeX} x {self._alp.nSizeY}: export for that device"
             )
         with _refusals("be asked for its memory"):
-            free = self._alp.DevInquire(AVAIL_MEMORY)
+            free = self._alp.DevInquire(Alp.AVAIL_MEMORY)
         if len(manifest.frames) > free:
             raise InputError(
                 f"{len(manifest.frames)} frames do not fit the Vialux controller, which has room "
@@ -195,7 +214,7 @@ class _Board(ABC):
                 self._sleep(poll_s)
 
     def _running(self) -> bool:
-        return self._ask(PROJ_STATE) == PROJ_ACTIVE
+        return self._ask(Alp.PROJ_STATE) == Alp.PROJ_ACTIVE
 
     def _ask(self, which: int) -> int:
         """AlpProjInquire of the library itself: ALP4lib 1.1 hands it one argument too many."""
@@ -216,7 +235,8 @@ class _Board(ABC):
         time.sleep(poll_s)
 
     def _free(self) -> None:
-        alp, self._alp = self._alp, None
+        alp = self._alp
+        self._alp = None
         self._sequences.clear()  # freed with the device
         with _refusals("be freed"):
             alp.Free()
@@ -236,20 +256,21 @@ class VialuxProjector(_Board):
                 raise InputError("the Vialux device still shows a pass: wait for it or halt it")
             self._end = time.monotonic() + self._pass_s + GRACE_S
             for sequence in self._sequences:
-                while self._ask(QUEUE_AVAIL) < 1:
-                    self._sleep(POLL_S)
+                while self._ask(Alp.QUEUE_AVAIL) < 1:
+                    self._sleep(VIALUX_POLL_S)
                 self._alp.Run(sequence, loop=False)
 
     def wait(self) -> None:
         """Return when the pass has ended; Ctrl-C is heard meanwhile."""
-        self._wait(POLL_S)
+        self._wait(VIALUX_POLL_S)
 
     def _send(self, manifest: Manifest, frames: Iterator[np.ndarray], report: Progress) -> None:
         sent = 0
+        total = len(manifest.frames)
         for picture_us, run in itertools.groupby(manifest.frames, lambda f: f.picture_us):
             count = len(list(run))
-            first, sent = sent, sent + count
-            share = report.between(first / len(manifest.frames), sent / len(manifest.frames))
+            share = report.between(sent / total, (sent + count) / total)
+            sent += count
             self._put(self._new_sequence(count, picture_us), frames, count, share)
         self._pass_s = manifest.pass_s
 
@@ -300,9 +321,9 @@ class VialuxLooks(_Board):
             wide = self._frames > FRAMES_OF_9BIT
             entries = (ctypes.c_ulong * LONGEST_LIST)(*places.tolist())
             table = self._flut(ctypes.c_long(0), ctypes.c_long(len(places)), entries)
-            write = FLUT_WRITE_18BIT if wide else FLUT_WRITE_9BIT
+            write = Alp.FLUT_WRITE_18BIT if wide else Alp.FLUT_WRITE_9BIT
             self._alp.ProjControlEx(write, ctypes.byref(table))
-            self._alp.SeqControl(FLUT_ENTRIES9, len(places) * (1 + wide), sequence)
+            self._alp.SeqControl(Alp.FLUT_ENTRIES9, len(places) * (1 + wide), sequence)
             if picture_us != self._picture_us:
                 self._alp.SetTiming(sequence, pictureTime=picture_us)
                 self._picture_us = picture_us
@@ -341,11 +362,11 @@ class VialuxLooks(_Board):
                 f"a trigger every {self.trigger_s:g} s is too fast: give a period above "
                 f"{self._shortest_us * 1e-6:g} s"
             )
-        self._alp.ProjControl(PROJ_MODE, MASTER if self.trigger_s is None else SLAVE)
+        self._alp.ProjControl(Alp.PROJ_MODE, Alp.MASTER if self.trigger_s is None else Alp.SLAVE)
         sequence = self._new_sequence(self._frames, self._shortest_us)
         wide = self._frames > FRAMES_OF_9BIT
-        self._alp.SeqControl(FLUT_MODE, FLUT_18BIT if wide else FLUT_9BIT, sequence)
-        self._entries = min(self._ask(FLUT_MAX_ENTRIES9) // (1 + wide), LONGEST_LIST)
+        self._alp.SeqControl(Alp.FLUT_MODE, Alp.FLUT_18BIT if wide else Alp.FLUT_9BIT, sequence)
+        self._entries = min(self._ask(Alp.FLUT_MAX_ENTRIES9) // (1 + wide), LONGEST_LIST)
         self._put(sequence, frames, self._frames, report)
 
 

@@ -2,6 +2,7 @@
 
 from deepfsi.hardware.virtual.camera import (
     CAMERAS,
+    MirrorLight,
     RecordingSettings,
     VirtualCamera,
     arrival_rates,
@@ -14,7 +15,6 @@ from deepfsi.hardware.virtual.setup import (
     VirtualCounter,
     VirtualOptics,
     VirtualProjector,
-    most_events,
     virtual_setup,
 )
 
@@ -23,6 +23,7 @@ __all__ = [
     "DETECTOR_TICK_S",
     "Detector",
     "Latencies",
+    "MirrorLight",
     "RecordingSettings",
     "Stream",
     "VirtualCamera",
@@ -32,7 +33,6 @@ __all__ = [
     "arrival_rates",
     "divide",
     "expected_events",
-    "most_events",
     "record_scenes",
     "virtual_setup",
 ]

@@ -167,7 +167,8 @@ def irradiance(
     across = (np.arange(-edge, width + edge) + 0.5) / width
     place, inside = _find_pixels(camera, down, across, scenes.shape[1:])
     kept = slice(edge, edge + height), slice(edge, edge + width)
-    x, y = across[kept[1]] - 0.5, down[kept[0]] - 0.5
+    x = across[kept[1]] - 0.5
+    y = down[kept[0]] - 0.5
     corner = 2 * (x**2 + y[:, None] ** 2)  # 1 in the corners
     share = ((1 - camera.vignetting * corner) / grid.mirrors).astype(np.float32)
     out = np.zeros((len(scenes), device.rows, device.columns), dtype=np.float32)
@@ -188,7 +189,8 @@ def _find_pixels(
     x, y, depth = (row[0] * across + row[1] * down[:, None] + row[2] for row in back)
     ahead = depth * np.sign(back[2] @ [0.5, 0.5, 1.0]) > 0  # of the camera, not behind it
     depth = np.where(ahead, depth, np.inf)
-    column, row = np.floor(x / depth * shape[1]), np.floor(y / depth * shape[0])
+    column = np.floor(x / depth * shape[1])
+    row = np.floor(y / depth * shape[0])
     inside = ahead & (column >= 0) & (column < shape[1]) & (row >= 0) & (row < shape[0])
     return np.where(inside, row * shape[1] + column, 0).astype(np.intp), inside
 
@@ -228,13 +230,24 @@ def mirrors_of_cells(manifest: Manifest) -> np.ndarray:
 
 
 class MirrorLight:
-    """Light of scenes (S, h, w) on the mirrors, and what a frame sends of it to the detectors."""
+    """Light of scenes on the mirrors, and what a frame sends of it to the detectors.
+
+    Parameters
+    ----------
+    manifest : Manifest
+    scenes : array (S, h, w)
+    camera : VirtualCamera
+    flux : float
+        Photons/s on the device, of a scene of mean brightness.
+    """
 
     def __init__(
         self, manifest: Manifest, scenes: np.ndarray, camera: VirtualCamera, flux: float
     ) -> None:
-        device, self._camera, self._arms = manifest.device, camera, 2 if manifest.two_arm else 1
-        self._device, self._mirrors = device, mirrors_of_arm(manifest, camera.detectors)
+        self._camera = camera
+        self._arms = 2 if manifest.two_arm else 1
+        self._device = device = manifest.device
+        self._mirrors = mirrors_of_arm(manifest, camera.detectors)
         image = irradiance(scenes, camera, device, manifest.grid).reshape(len(scenes), -1)
         self._light = [image[:, places] for places in self._mirrors]
         self._inside = mirrors_of_cells(manifest)
@@ -267,29 +280,49 @@ def arrival_rates(
     flux: float,
     report: Progress = SILENT,
 ) -> np.ndarray:
-    """Arrivals/s (S, F, inputs) at each detector while each frame is shown, before dead time."""
-    # scenes (S, h, w), or (S, N)
+    """Arrivals/s (S, F, inputs) at each detector while each frame is shown, before dead time.
+
+    Parameters
+    ----------
+    patterns_folder : str or path
+    scenes : array (S, h, w) or (S, N)
+    camera : VirtualCamera
+    flux : float
+        Photons/s on the device, of a scene of mean brightness.
+    report : Progress
+        Told of the share that is done.
+
+    Raises
+    ------
+    InputError
+        If the scenes are no images, or the camera does not fit the patterns.
+    """
     manifest = read_patterns(patterns_folder).manifest
-    images, frames = check_scenes(scenes, manifest, flux), len(manifest.frames)
+    images = check_scenes(scenes, manifest, flux)
+    frames = len(manifest.frames)
     out = np.empty((len(images), frames, manifest.inputs))
     for first in range(0, len(images), SCENES_AT_ONCE):
         part = images[first : first + SCENES_AT_ONCE]
         light = MirrorLight(manifest, part, camera, flux)
-        place, every = 0, read_frames(patterns_folder)
-        while some := list(islice(every, FRAMES_AT_ONCE)):
-            out[first : first + len(part), place : place + len(some)] = light.rates(some)
-            place += len(some)
-            report((first * frames + place * len(part)) / (len(images) * frames))
+        done = 0
+        unread = read_frames(patterns_folder)
+        while some := list(islice(unread, FRAMES_AT_ONCE)):
+            out[first : first + len(part), done : done + len(some)] = light.rates(some)
+            done += len(some)
+            report((first * frames + done * len(part)) / (len(images) * frames))
     return out
 
 
 def expected_events(
     patterns: Patterns, scenes: np.ndarray, camera: VirtualCamera, flux: float
 ) -> float:
-    """Photons and dark counts that a recording is expected to hold, at most, without dead time."""
-    # As if the camera saw each scene whole: in the frames of the masks and the sentinels, in gates
-    # and between them
-    manifest, grid = patterns.manifest, patterns.manifest.grid
+    """Photons and dark counts that a recording is expected to hold, at most, without dead time.
+
+    As if the camera saw each scene whole: in the frames of the masks and the sentinels, in gates
+    and between them. Parameters as of `arrival_rates`, but for the patterns, which were read.
+    """
+    manifest = patterns.manifest
+    grid = manifest.grid
     images = check_scenes(scenes, manifest, flux)
     opened = np.array([frame.role == "on" for frame in manifest.frames], dtype=float)
     opened[manifest.shown] = patterns.fractions.mean(axis=1)
@@ -316,7 +349,23 @@ def check_scenes(scenes: np.ndarray, manifest: Manifest, flux: float) -> np.ndar
 
 @dataclass(frozen=True)
 class RecordingSettings:
-    """Settings of a virtual recording."""
+    """Settings of a virtual recording.
+
+    Parameters
+    ----------
+    camera : VirtualCamera
+    flux : float
+        Photons/s on the device, of a scene of mean brightness.
+    exposure_s : float
+        Of a scene, seconds.
+    settle_s : float, optional
+        After which mirrors have settled, seconds; that of the device unless given.
+    repeats : int, optional
+        Exposures of a pass.
+    seed : int
+    inputs : tuple of int, optional
+        Of the counter, from 0.
+    """
 
     camera: VirtualCamera
     flux: float
@@ -337,9 +386,29 @@ def record_scenes(
     report: Progress = SILENT,
     hashes: Sequence[str] | None = None,
 ) -> Acquisition:
-    """Write the folder of an acquisition in which the virtual camera looks at scenes in turn."""
-    # scenes (S, h, w), or (S, N); hashes of their pictures as the design sees them
-    target, camera = Path(out), settings.camera
+    """Write the folder of an acquisition in which the virtual camera looks at scenes in turn.
+
+    Parameters
+    ----------
+    patterns_folder : str or path
+    scenes : array (S, h, w) or (S, N)
+    names, labels : sequences of str
+        Of the scenes; None where classes are not known.
+    out : str or path
+        Folder, new.
+    settings : RecordingSettings
+    report : Progress
+        Told of the share that is done.
+    hashes : sequence of str, optional
+        Of the scenes' pictures as the design sees them.
+
+    Raises
+    ------
+    InputError
+        If the scenes or the camera do not fit, or there is no room for the file.
+    """
+    target = Path(out)
+    camera = settings.camera
     manifest = read_patterns(patterns_folder).manifest
     scenes = check_scenes(scenes, manifest, settings.flux)
     if target.exists():
@@ -366,7 +435,9 @@ def record_scenes(
     )
     with new_folder(target) as draft:
         acquisition = prepare_run(draft, patterns_folder, wanted)
-        flow = arrival_rates(patterns_folder, scenes, camera, settings.flux, report.between(0, 0.5))
+        flow = arrival_rates(
+            patterns_folder, scenes, camera, settings.flux, report=report.between(0, 0.5)
+        )
         if not camera.gates:
             events = float(np.einsum("sfd,f->", camera.registered(flow), manifest.picture_s))
             hint = Message("give less {flux} or a shorter {exposure}", setting=("flux", "exposure"))
@@ -377,7 +448,14 @@ def record_scenes(
         if camera.gates:
             clicks = acquisition.gates(manifest).with_clicks(manifest, camera.gates)
         write_photons(
-            path, manifest, flow, camera, rng, acquisition.inputs, report.between(0.5, 1), clicks
+            path,
+            manifest,
+            flow,
+            camera,
+            rng=rng,
+            inputs=acquisition.inputs,
+            report=report.between(0.5, 1),
+            gates=clicks,
         )
     return acquisition
 
@@ -417,7 +495,8 @@ def write_photons(
         Stream(camera, rng, None if gates is None else Shutter(marks, gates))
         for _ in range(rates.shape[2])
     ]
-    times, codes = np.empty(0, np.int64), np.empty(0, np.int16)
+    times = np.empty(0, np.int64)
+    codes = np.empty(0, np.int16)
     start = 0
     every = camera.fluctuate(
         rates.reshape(len(durations), -1), marks * DETECTOR_TICK_S, camera.light(rng)
@@ -433,9 +512,12 @@ def write_photons(
             kinds += [np.full(len(some), each) for each, some in zip(wired, events, strict=True)]
             times = np.maximum(np.concatenate([marked, times, *events]), 0)
             order = np.argsort(times, kind="stable")
-            times, codes = times[order], np.concatenate(kinds).astype(np.int16)[order]
+            times = times[order]
+            codes = np.concatenate(kinds).astype(np.int16)[order]
             last = end == ends[-1]
             ready = np.searchsorted(times, end if last else end - streams[0].reach)
             writer.write(times[:ready], codes[:ready])
-            times, codes, start = times[ready:], codes[ready:], end
+            times = times[ready:]
+            codes = codes[ready:]
+            start = end
             report(end / int(ends[-1]))

@@ -25,6 +25,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from deepfsi.base.models import StrictModel
+from deepfsi.camera import DeadTime
 from deepfsi.hardware.patterns import GatePlan
 
 DETECTOR_TICK_S = 1e-12
@@ -61,17 +62,31 @@ class Detector(StrictModel):
             )
         return self
 
+    @property
+    def dead_time(self) -> DeadTime:
+        """Dead time of the detector, also one that is too long to be corrected."""
+        return DeadTime.model_construct(seconds=self.dead_time_s, paralysable=self.paralysable)
+
     def registered(self, rate: np.ndarray) -> np.ndarray:
         """Counts/s without afterpulses at steady arrival rates, shape of `rate`."""
-        if self.paralysable:
-            return rate * np.exp(-rate * self.dead_time_s)
-        return rate / (1 + rate * self.dead_time_s)
+        return self.dead_time.registered(rate)
 
 
 def divide(durations: np.ndarray, rates: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Cut a course of steady rates into chunks of about `EVENTS_AT_ONCE` events."""
-    # From durations in ticks, int64 (F,), and arrivals/s at each detector (F, A), to those of each
-    # chunk's pieces; what takes long is cut into several
+    """Cut a course of steady rates into chunks of about `EVENTS_AT_ONCE` events.
+
+    Parameters
+    ----------
+    durations : array (F,)
+        Ticks, int64.
+    rates : array (F, A)
+        Arrivals/s at each detector.
+
+    Yields
+    ------
+    durations, rates : arrays
+        Of each chunk's pieces; what takes long is cut into several.
+    """
     expected = rates.sum(axis=1) * (durations * DETECTOR_TICK_S)
     parts = np.maximum(np.ceil(expected / EVENTS_AT_ONCE), 1).astype(np.int64)
     source = np.repeat(np.arange(len(parts)), parts)
@@ -92,7 +107,9 @@ class Fluctuation:
     """
 
     def __init__(self, relative: float, seconds: float, rng: np.random.Generator) -> None:
-        self._sigma, self._seconds, self._rng = math.sqrt(math.log1p(relative**2)), seconds, rng
+        self._sigma = math.sqrt(math.log1p(relative**2))
+        self._seconds = seconds
+        self._rng = rng
         self._last: tuple[float, float] | None = None  # time and value of the last picture
 
     def factors(self, starts_s: np.ndarray) -> np.ndarray:
@@ -120,7 +137,8 @@ class Shutter:
 
     def first(self, times: np.ndarray) -> np.ndarray:
         """Those of arrivals (a,), which follow all before, that are the first of their gate."""
-        gates, frames = self.gates, len(self.gates.click_width_s)
+        gates = self.gates
+        frames = len(self.gates.click_width_s)
         frame = np.searchsorted(self.starts, times, side="right") - 1
         since = times - self.starts[frame] - self.gates.settle_s / DETECTOR_TICK_S
         # Edges of gates are whole ticks, to which they are rounded
@@ -128,19 +146,31 @@ class Shutter:
         gate = np.floor((since + 0.5) / width).astype(np.int64)
         most = gates.clicks * gates.click_exposures
         inside = (frame >= 0) & (gate >= 0) & (gate < most[frame % frames])
-        times, which = times[inside], (frame * most.max() + gate)[inside]
+        times = times[inside]
+        which = (frame * most.max() + gate)[inside]
         fires = np.diff(which, prepend=self._fired) > 0
         self._fired = int(which[-1]) if len(which) else self._fired
         return times[fires]
 
 
 class Stream:
-    """Events of one detector in order of time, from one chunk to the next."""
+    """Events of one detector in order of time, from one chunk to the next.
+
+    Parameters
+    ----------
+    detector : Detector
+    rng : Generator
+        That draws its events.
+    shutter : Shutter, optional
+        Gates, of a detector that has them.
+    """
 
     def __init__(
         self, detector: Detector, rng: np.random.Generator, shutter: Shutter | None = None
     ) -> None:
-        self.detector, self.rng, self._shutter = detector, rng, shutter
+        self.detector = detector
+        self.rng = rng
+        self._shutter = shutter
         self._dead = round(detector.dead_time_s / DETECTOR_TICK_S)
         self._last = -self._dead - 1
 
@@ -153,7 +183,8 @@ class Stream:
         """Events that follow from the arrivals of a chunk."""
         # durations, rates (p,)
         times = self._register(start + arrivals(durations, rates, self.rng))
-        detector, rng = self.detector, self.rng
+        detector = self.detector
+        rng = self.rng
         if detector.afterpulse_probability:
             parents = times[rng.random(len(times)) < detector.afterpulse_probability]
             delay = rng.exponential(detector.afterpulse_s / DETECTOR_TICK_S, len(parents))
@@ -199,10 +230,12 @@ def thin(times: np.ndarray, dead: int) -> np.ndarray:
     keep = np.zeros(len(times), dtype=bool)
     keep[heads] = True
     many = ends - heads > 1
-    at, ends = heads[many], ends[many]
+    at = heads[many]
+    ends = ends[many]
     while at.size:
         at = np.searchsorted(times, times[at] + dead)
         inside = at < ends
-        at, ends = at[inside], ends[inside]
+        at = at[inside]
+        ends = ends[inside]
         keep[at] = True
     return times[keep]

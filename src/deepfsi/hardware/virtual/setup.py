@@ -28,7 +28,6 @@ from deepfsi.hardware.virtual.camera import (
     arrival_rates,
     check_file_inputs,
     check_scenes,
-    expected_events,
 )
 from deepfsi.hardware.virtual.detector import DETECTOR_TICK_S, Stream, divide
 
@@ -57,7 +56,24 @@ class Latencies(StrictModel):
 
 
 class VirtualOptics:
-    """The parts that virtual devices share: clock, scene on the display, light and detectors."""
+    """The parts that virtual devices share: clock, scene on the display, light and detectors.
+
+    Parameters
+    ----------
+    rates : array (S, F, inputs)
+        Arrivals/s of each scene and frame.
+    camera : VirtualCamera
+    latencies : Latencies
+    seed : int
+    made : callable, optional
+        Arrivals/s (inputs,) of a frame that is made while the run goes on, by its scene and its
+        packed bits.
+
+    Raises
+    ------
+    InputError
+        If the camera has gates.
+    """
 
     def __init__(
         self,
@@ -67,21 +83,24 @@ class VirtualOptics:
         seed: int = 0,
         made: Callable[[int, np.ndarray], np.ndarray] | None = None,
     ) -> None:
-        # rates (S, F, inputs); of a frame that is made while the run goes on they are (inputs,),
-        # by its scene and its packed bits
         if camera.gates:
             raise InputError(
                 "virtual devices of a run have no gates: leave gates out of its camera"
             )
         self._made = made
-        self.latencies, self.now_s = latencies, START_S
-        self._rates, self._scene, self._frame = rates, 0, 1
+        self.latencies = latencies
+        self.now_s = START_S
+        self._rates = rates
+        self._scene = 0
+        self._frame = 1
         rng = np.random.default_rng(seed)
         self._streams = [Stream(camera, rng) for _ in range(rates.shape[2])]
         self._reach = self._streams[0].reach
-        self._camera, self._light = camera, camera.light(rng)
+        self._camera = camera
+        self._light = camera.light(rng)
         self._end = 0  # ticks up to which the detectors' light is known
-        self._times, self._codes = np.zeros(0, np.int64), np.zeros(0, np.int64)
+        self._times = np.zeros(0, np.int64)
+        self._codes = np.zeros(0, np.int64)
         self.written: PtuWriter | None = None  # of the counter that records
         # Its inputs, one for each detector, and the bits of its markers
         self.wiring: tuple[tuple[int, ...], int] = tuple(range(rates.shape[2])), MARKER
@@ -148,11 +167,13 @@ class VirtualOptics:
     def _write(self) -> None:
         """Write what no later event can come before."""
         order = np.argsort(self._times, kind="stable")
-        times, codes = self._times[order], self._codes[order]
+        times = self._times[order]
+        codes = self._codes[order]
         ready = int(np.searchsorted(times, self._end - self._reach))
         if self.written is not None and ready:
             self.written.write(times[:ready], codes[:ready])
-        self._times, self._codes = times[ready:], codes[ready:]
+        self._times = times[ready:]
+        self._codes = codes[ready:]
 
 
 class VirtualProjector(AbstractContextManager["VirtualProjector"]):
@@ -197,12 +218,24 @@ class VirtualProjector(AbstractContextManager["VirtualProjector"]):
 
 
 class VirtualCounter(AbstractContextManager["VirtualCounter"]):
-    """Counter of the photons of a virtual setup, which it records into a PTU file."""
+    """Counter of the photons of a virtual setup, which it records into a PTU file.
+
+    Parameters
+    ----------
+    optics : VirtualOptics
+        Where photons and markers come from.
+    inputs : tuple of int
+        Of the counter, one for each detector, from 0.
+    marker_bit : int
+        Bits of a frame's marker.
+    """
 
     def __init__(
         self, optics: VirtualOptics, inputs: tuple[int, ...], marker_bit: int = MARKER
     ) -> None:
-        self._optics, self._inputs, self._bit = optics, inputs, marker_bit
+        self._optics = optics
+        self._inputs = inputs
+        self._bit = marker_bit
         self._file: FileIO | None = None
 
     def __exit__(self, *error: object) -> None:
@@ -233,7 +266,8 @@ class VirtualCounter(AbstractContextManager["VirtualCounter"]):
             return
         self._file.close()
         self._file = None
-        writer, self._optics.written = self._optics.written, None
+        writer = self._optics.written
+        self._optics.written = None
         assert writer is not None
         writer.__exit__(None, None, None)
 
@@ -272,9 +306,10 @@ def virtual_setup(
     camera = VirtualCamera.model_validate(acquisition.camera)
     if acquisition.live is not None and acquisition.live.background:
         scenes = np.concatenate([scenes, np.zeros_like(scenes[:1])])  # the last: no scene
-    manifest, flux = read_patterns(patterns).manifest, acquisition.flux or 0.0
+    manifest = read_patterns(patterns).manifest
+    flux = acquisition.flux or 0.0
     images = check_scenes(scenes, manifest, flux)
-    rates = arrival_rates(patterns, scenes, camera, flux, report)
+    rates = arrival_rates(patterns, scenes, camera, flux, report=report)
     usual = {}
     if manifest.device.load_us:
         usual["load"] = manifest.device.load_us * 1e-6
@@ -290,20 +325,13 @@ def virtual_setup(
         rates,
         camera,
         latencies,
-        acquisition.seed or 0,
-        lambda scene, packed: light(scene).rates([packed])[0, 0],
+        seed=acquisition.seed or 0,
+        made=lambda scene, packed: light(scene).rates([packed])[0, 0],
     )
     return Setup(
         VirtualProjector(optics),
         VirtualCounter(optics, acquisition.inputs, acquisition.marker_bit),
         optics.display,
-        lambda: optics.now_s,
-        latencies.model_dump(),
+        clock=lambda: optics.now_s,
+        latencies=latencies.model_dump(),
     )
-
-
-def most_events(patterns: Path, scenes: np.ndarray, acquisition: Acquisition) -> float:
-    """Photons and dark counts that a virtual live run is expected to record, at most."""
-    camera, known = VirtualCamera.model_validate(acquisition.camera), read_patterns(patterns)
-    passes = acquisition.exposure_s / known.manifest.pass_s + 1
-    return expected_events(known, scenes, camera, acquisition.flux or 0.0) * passes
