@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from deepfsi.base import InputError
-from deepfsi.camera import brightness, check_budget, photons_per_pixel, summed_reflectance
+from deepfsi.camera import check_budget, photons_per_pixel, summed_reflectance
 
 
 @pytest.mark.parametrize(
@@ -47,11 +47,3 @@ def test_arrays_and_tensors_agree(digits):
     numbers = photons_per_pixel(digits.x_test, 1e5, light)
     tensor = photons_per_pixel(torch.from_numpy(digits.x_test), 1e5, light)
     assert np.allclose(numbers, tensor.numpy(), rtol=1e-6)
-
-
-def test_brightness_tells_scenes_from_classes():
-    """Scenes of 1, 3 and 8 pixels' light, classes of 2, 8 and 4 in the mean, all of 4."""
-    x = np.array([[1, 0], [2, 1], [4, 4], [1, 3]])
-    found = brightness(x, np.array([0, 0, 1, 2]))
-    assert found == pytest.approx({"low": 1 / 4, "high": 8 / 4, "between": 8 / 2, "within": 1 / 2})
-    assert brightness(np.array([[1.0], [0.0]]), np.array([0, 1])) is None

@@ -21,13 +21,11 @@ from deepfsi.camera.device import (
 )
 from deepfsi.camera.layout import USUAL_LAYOUT, DmdGrid, DmdLayout, find_grid
 from deepfsi.camera.light import (
-    BUDGETS,
     TOO_DIM,
+    PhotonBudget,
     Shares,
-    brightness,
     check_budget,
     check_one_budget,
-    detector_shares,
     photons_per_pixel,
     share_out,
     summed_reflectance,
@@ -47,17 +45,15 @@ from deepfsi.camera.names import (
     noise_name,
     noise_text,
 )
-from deepfsi.camera.stop_rule import MARGIN_NS, LiveSettings, StopRule, margin_ns
+from deepfsi.camera.stop_rule import LiveSettings, StopRule
 
 __all__ = [
     "BIT_PLANES",
-    "BUDGETS",
     "DEVICES",
     "DEVICE_SOURCES",
     "LIGHT_LAWS",
     "LONGEST_PICTURE_S",
     "LONGEST_PICTURE_US",
-    "MARGIN_NS",
     "NOISES",
     "NO_DEAD_TIME",
     "ONE_DETECTOR",
@@ -78,23 +74,21 @@ __all__ = [
     "LiveSettings",
     "NoiseName",
     "NoiseSetting",
+    "PhotonBudget",
     "RailsKind",
     "Readout",
     "SeveralDetectors",
     "Shares",
     "StopRule",
     "SummedReflectance",
-    "brightness",
     "check_budget",
     "check_light_law",
     "check_noise",
     "check_one_budget",
     "check_rows",
-    "detector_shares",
     "find_device",
     "find_grid",
     "find_noise",
-    "margin_ns",
     "mirrors_of_detectors",
     "noise_name",
     "noise_text",

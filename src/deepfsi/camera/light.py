@@ -9,9 +9,10 @@ with x the reflectance in [0, 1] and λ the expected photons of each pixel.
 """
 
 import math
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
+from pydantic import Field
 
 from deepfsi.base import InputError
 
@@ -21,6 +22,9 @@ Array = TypeVar("Array")
 
 BUDGETS = (1e-12, 1e15)
 """Smallest and largest photon budget; beyond the second float32 would overflow in squares."""
+
+PhotonBudget = Annotated[float, Field(ge=BUDGETS[0], le=BUDGETS[1])]
+"""Φ, photons that are expected on the coding device."""
 
 TOO_DIM = 10.0
 """Lowest budget of a training over that below which a design has too little light."""
@@ -76,72 +80,6 @@ def check_one_budget(photons: float | None, counts: float | None) -> float:
 def summed_reflectance(x: np.ndarray) -> float:
     """Mean over scenes (n, N) of their summed reflectance, s, in fully reflecting pixels."""
     return float(x.sum(axis=1, dtype="float64").mean())
-
-
-def brightness(x: np.ndarray, labels: np.ndarray) -> dict[str, float] | None:
-    """By how much scenes differ in summed reflectance; None where a class is all dark.
-
-    Parameters
-    ----------
-    x : array, shape (n, N)
-        Scenes, in [0, 1].
-    labels : array, shape (n,)
-        Class of each.
-
-    Returns
-    -------
-    dict
-        `low` and `high`, the dimmest and the brightest scene over the mean one; `between`, the
-        brightest class over the dimmest; `within`, the largest standard deviation of a class over
-        its mean.
-    """
-    sums = x.sum(axis=1, dtype=np.float64)
-    groups = [sums[labels == label] for label in np.unique(labels)]
-    means = np.array([group.mean() for group in groups])
-    if not means.min() > 0:
-        return None
-    return {
-        "low": float(sums.min() / sums.mean()),
-        "high": float(sums.max() / sums.mean()),
-        "between": float(means.max() / means.min()),
-        "within": max(float(g.std() / mean) for g, mean in zip(groups, means, strict=True)),
-    }
-
-
-def detector_shares(
-    x: np.ndarray, labels: np.ndarray, detectors: np.ndarray
-) -> dict[str, list[Any]] | None:
-    """Share of each detector in the light of each class; None where a class is all dark.
-
-    Parameters
-    ----------
-    x : array, shape (n, N)
-        Scenes, in [0, 1].
-    labels : array, shape (n,)
-        Class of each.
-    detectors : array of int, shape (N,)
-        Detector of each pixel, 0 .. D-1.
-
-    Returns
-    -------
-    dict
-        `shares` of classes (C, D), and `spread` (D,), the standard deviation of single scenes
-        about them, in the class where it is largest.
-    """
-    light = np.stack(
-        [x[:, detectors == d].sum(axis=1, dtype=np.float64) for d in range(detectors.max() + 1)], 1
-    )
-    shares = []
-    spread = []
-    for label in np.unique(labels):
-        of_class = light[labels == label]
-        whole = of_class.sum(axis=1, keepdims=True)
-        if not whole.mean() > 0:
-            return None
-        share = of_class.sum(axis=0) / whole.sum()
-        shares.append(share.tolist())
-        spread.append(((of_class - share * whole) / whole.mean()).std(axis=0))
-    return {"shares": shares, "spread": np.max(spread, axis=0).tolist()}
 
 
 def photons_per_pixel(x: Array, photons: float, summed_reflectance: float) -> Array:

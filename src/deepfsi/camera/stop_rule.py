@@ -2,21 +2,8 @@
 
 import math
 
-import numpy as np
-
 from deepfsi.base.models import Count, Positive, Share, StrictModel
 from deepfsi.camera.dead_time import NO_DEAD_TIME, DeadTime
-
-MARGIN_NS = 2000
-"""Time by which a picture outlasts its gate at least, so that markers may be off, ns."""
-
-CLOCKS_DIFFER = 2e-4
-"""Share of its gate by which a picture outlasts it at least, so that clocks may differ."""
-
-
-def margin_ns(gate_ns: np.ndarray) -> np.ndarray:
-    """Time by which pictures outlast their gates, ns."""
-    return np.maximum(MARGIN_NS, CLOCKS_DIFFER * gate_ns)
 
 
 class StopRule(StrictModel):

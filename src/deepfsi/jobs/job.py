@@ -14,10 +14,10 @@ from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 from deepfsi.base import UNNAMED_PLUGIN, InputError, Message, closest_choice, join_messages
 from deepfsi.base.models import UserModel
 from deepfsi.camera import (
-    BUDGETS,
     LIGHT_LAWS,
     NOISES,
     Camera,
+    PhotonBudget,
     check_budget,
     check_light_law,
     check_one_budget,
@@ -69,9 +69,7 @@ class Job(UserModel):
         "deepfsi", description="which design: deepfsi, pca, raster, hadamard, …"
     )
     masks: int = Field(ge=1, description="number of masks, m")
-    photons: Annotated[float, BeforeValidator(check_budget)] = Field(
-        ge=BUDGETS[0],
-        le=BUDGETS[1],
+    photons: Annotated[PhotonBudget, BeforeValidator(check_budget)] = Field(
         description="budget Φ: expected photons on the coding device, LOW:HIGH for a range of "
         "budgets; flux times exposure of the camera unless given",
     )

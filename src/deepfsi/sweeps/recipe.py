@@ -16,7 +16,14 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 
 from deepfsi.base import InputError, Message, as_input_error, closest_choice, join_messages
 from deepfsi.base.models import Count
-from deepfsi.camera import BUDGETS, ONE_DETECTOR, Camera, DetectorMap, Levels, check_noise
+from deepfsi.camera import (
+    ONE_DETECTOR,
+    Camera,
+    DetectorMap,
+    Levels,
+    PhotonBudget,
+    check_noise,
+)
 from deepfsi.datasets import Dataset
 from deepfsi.design.evaluation import MOST_DRAWS
 from deepfsi.jobs import (
@@ -152,7 +159,6 @@ def _tuned(given: Any) -> dict[str, dict[str, tuple[Any, ...]]]:
 
 
 Name = Annotated[str, AfterValidator(check_design)]
-Budget = Annotated[float, Field(ge=BUDGETS[0], le=BUDGETS[1])]
 Ratio = Annotated[float, Field(gt=0, le=1)]
 TestNoise = Annotated[str, AfterValidator(check_noise)]
 Axes = dict[str, Any]
@@ -190,10 +196,10 @@ class Recipe(BaseModel):
         ),
         description="names of designs",
     )
-    photons: Filled[Budget] = Field(
+    photons: Filled[PhotonBudget] = Field(
         (1e2, 1e3, 1e4, 1e5), description="budgets Φ: expected photons on the coding device"
     )
-    gaussian_photons: Axis[Budget] = Field(
+    gaussian_photons: Axis[PhotonBudget] = Field(
         (), description="budgets under gaussian noise, if others"
     )
     ratios: Axis[Ratio] = Field(
@@ -219,7 +225,7 @@ class Recipe(BaseModel):
         f"{FEW_IMAGES} scenes",
     )
     draws: int = Field(3, ge=1, le=MOST_DRAWS, description="noise draws of each test scene")
-    test_photons: Axis[Budget] = Field(
+    test_photons: Axis[PhotonBudget] = Field(
         (), description="budgets of the tests; that of the training unless given"
     )
     test_noise: Axis[TestNoise] = Field(

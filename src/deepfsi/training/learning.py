@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from deepfsi.base import SILENT, InputError, Progress, progress_bar
-from deepfsi.camera import check_budget, detector_shares
+from deepfsi.camera import check_budget
 from deepfsi.datasets import Source, as_dataset
 from deepfsi.design.adaptive.design import AnyDesign
 from deepfsi.design.artifact import Design
@@ -30,7 +30,7 @@ from deepfsi.training.characterisation import characterise
 from deepfsi.training.checkpoint import NO_CHECKPOINT, Checkpoint
 from deepfsi.training.counts import train_for_counts
 from deepfsi.training.folds import folds_of
-from deepfsi.training.info import provenance
+from deepfsi.training.info import detector_shares, provenance
 from deepfsi.training.loop import Classifier, optimise
 from deepfsi.training.masks import final_masks, initial_masks
 from deepfsi.training.passing import passing_statistics

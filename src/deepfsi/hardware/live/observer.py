@@ -25,7 +25,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from deepfsi.base import InputError, Message
-from deepfsi.camera import MARGIN_NS, TOO_DIM
+from deepfsi.camera import TOO_DIM
 from deepfsi.designfile import REFUSED, UNSURE, SceneReadouts, ViewResult, ViewTest
 from deepfsi.hardware.counting import Acquisition
 from deepfsi.hardware.light import SPOILING, Arrivals, Fault, LightMonitor
@@ -39,6 +39,18 @@ from deepfsi.hardware.live.looks import (
     rows_of,
 )
 from deepfsi.hardware.patterns import Manifest
+
+MARGIN_NS = 2000
+"""Time by which a picture outlasts its gate at least, so that markers may be off, ns."""
+
+CLOCKS_DIFFER = 2e-4
+"""Share of its gate by which a picture outlasts it at least, so that clocks may differ."""
+
+
+def margin_ns(gate_ns: np.ndarray) -> np.ndarray:
+    """Time by which pictures outlast their gates, ns."""
+    return np.maximum(MARGIN_NS, CLOCKS_DIFFER * gate_ns)
+
 
 ON = 0
 """Place of the all-ON frame among the frames of a manifest."""

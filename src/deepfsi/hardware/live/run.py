@@ -25,7 +25,7 @@ from deepfsi.base import (
     note_saved_work,
     progress_bar,
 )
-from deepfsi.camera import MARGIN_NS, NO_DEAD_TIME, DeadTime, LiveSettings, StopRule, margin_ns
+from deepfsi.camera import NO_DEAD_TIME, DeadTime, LiveSettings, StopRule
 from deepfsi.hardware.counting import Acquisition, FrameCounts, FrameGates, Scene, prepare_run
 from deepfsi.hardware.drivers import (
     PATIENCE_S,
@@ -37,7 +37,13 @@ from deepfsi.hardware.drivers import (
 from deepfsi.hardware.light import NO_LIGHT, excess_chance
 from deepfsi.hardware.live.frame_log import DARK_SCENE, FrameLog, LoggedList, LoggedScene
 from deepfsi.hardware.live.looks import FixedMaskLooks, FrameList, LookChooser
-from deepfsi.hardware.live.observer import OFF, Decision, SceneObserver
+from deepfsi.hardware.live.observer import (
+    MARGIN_NS,
+    OFF,
+    Decision,
+    SceneObserver,
+    margin_ns,
+)
 from deepfsi.hardware.live.results import LiveScene
 from deepfsi.hardware.patterns import Manifest, read_patterns
 
