@@ -104,7 +104,8 @@ def looks_of(design: Design) -> LooksExposure:
 
 def with_rule(design: AnyDesign, rule: StoppingRule) -> AnyDesign:
     """The design with a rule of when an exposure stops, or `InputError` if it is of one look."""
-    info = {**design.info, "stopping": rule.model_dump(exclude={"after"})}
+    held = {"threshold": rule.threshold, "photons": rule.photons}  # the design says after what
+    info = {**design.info, "stopping": held}
     if isinstance(design, AdaptiveDesign):
         stopped = design.settings.model_copy(update={"until": rule.threshold})
         return replace(design, settings=stopped, info=info)
