@@ -133,8 +133,13 @@ def test_messages_show_what_they_fill_in(tmp_path):
     (tmp_path / "a.py").write_text(
         'MOST = "at most 3"\nraise InputError(f"{path} has {len(x)} rows: give {MOST}, {self.b}")\n'
         "raise ValueError(name)\n"
+        'raise InputError("{n} are {said}: give {bins}" + " or {light:column}" * (n == 1), '
+        'setting=("bins", "light"), n=n, said=say(n))\n'
     )
-    found = ["‹path› has ‹…› rows: give at most 3, ‹b›"]
+    found = [
+        "‹path› has ‹…› rows: give at most 3, ‹b›",
+        '‹n› are ‹said›: give `bins` or `light="column"`',
+    ]
     assert messages.of_module(tmp_path / "a.py") == found
 
 

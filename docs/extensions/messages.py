@@ -46,7 +46,7 @@ def of_module(path):
         if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name)
     }
     found = [
-        filled(node.args[0], constants)
+        of_call(node, constants)
         for node in ast.walk(tree)
         if isinstance(node, ast.Call)
         and isinstance(node.func, ast.Name)
@@ -54,6 +54,29 @@ def of_module(path):
         and node.args
     ]
     return [text for text in dict.fromkeys(found) if re.search(r"\w", re.sub("‹.*?›", "", text))]
+
+
+def of_call(node, constants):
+    """Text of the message of a call; of a template with its settings in backticks."""
+    text = filled(node.args[0], constants)
+    values = {keyword.arg: keyword.value for keyword in node.keywords}
+    if not values:
+        return text
+    named = ast.unparse(values.pop("setting", ast.Constant(())))
+
+    def field(match):
+        name, value = match.groups()
+        if name in values:
+            return filled(values[name], constants).replace("…", name)
+        if repr(name) not in named:  # one of several settings
+            return f"‹{name}›"
+        if not value:
+            return f"`{name}`"
+        if value.startswith("{"):
+            return f"`{name}=‹{value[1:-1]}›`"
+        return f"`{name}={value}`" if value.isdecimal() else f'`{name}="{value}"`'
+
+    return re.sub(r"\{(\w+)(?:![rs])?(?::((?:[^{}]|\{\w+\})*))?\}", field, text)
 
 
 def filled(node, constants):
@@ -64,6 +87,8 @@ def filled(node, constants):
         return "".join(filled(each, constants) for each in node.values)
     if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Add):
         return filled(node.left, constants) + filled(node.right, constants)
+    if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Mult):  # what only some cases say
+        return filled(node.left, constants)
     if isinstance(node, ast.FormattedValue):
         return filled(node.value, constants)
     if isinstance(node, ast.Name) and isinstance(constants.get(node.id), ast.Constant):

@@ -5,10 +5,8 @@ from deepfsi.camera.dead_time import NO_DEAD_TIME, CorrectionFactors, DeadTime
 from deepfsi.camera.detectors import (
     ONE_DETECTOR,
     DetectorMap,
-    DetectorRows,
     SeveralDetectors,
-    check_rows,
-    mirrors_of_detectors,
+    count_detectors,
 )
 from deepfsi.camera.device import (
     BIT_PLANES,
@@ -65,7 +63,6 @@ __all__ = [
     "CorrectionFactors",
     "DeadTime",
     "DetectorMap",
-    "DetectorRows",
     "Device",
     "DmdGrid",
     "DmdLayout",
@@ -85,11 +82,10 @@ __all__ = [
     "check_light_law",
     "check_noise",
     "check_one_budget",
-    "check_rows",
+    "count_detectors",
     "find_device",
     "find_grid",
     "find_noise",
-    "mirrors_of_detectors",
     "noise_name",
     "noise_text",
     "photons_per_pixel",

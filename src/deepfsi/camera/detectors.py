@@ -11,16 +11,12 @@ from pydantic import AfterValidator, Field, model_validator
 from deepfsi.base import InputError
 from deepfsi.base.models import Amount, Share, StrictModel, WholeNumber
 from deepfsi.base.numeric import read_npy
-from deepfsi.camera.layout import DmdGrid
 
 MOST_DETECTORS = 2**16
 """Detectors of an arm at most."""
 
 DetectorSetting = str | Sequence[int] | np.ndarray
 """ROWSxCOLUMNS, bands of a spectrum as one number, or the detector of each pixel."""
-
-DetectorRows = tuple[tuple[WholeNumber, ...], ...]
-"""Detector of each part of an area that these rows, equally long, divide evenly."""
 
 
 class DetectorMap(StrictModel):
@@ -106,41 +102,6 @@ def count_detectors(labels: Sequence[int]) -> int | None:
     """D of the detector of each cell or part; None where numbers from 0 to D-1 leave a gap."""
     numbers = set(labels)
     return len(numbers) if max(numbers) == len(numbers) - 1 else None
-
-
-def check_rows(rows: DetectorRows | None) -> DetectorRows | None:
-    """Rows as they are; `ValueError` unless they are equally long and leave no detector out."""
-    if rows is None:
-        return None
-    if len({len(row) for row in rows}) != 1 or not rows[0]:
-        raise ValueError("the rows of the detectors differ in length")
-    if count_detectors([label for row in rows for label in row]) is None:
-        raise ValueError("the detectors are not numbered from 0 without a gap")
-    return rows
-
-
-def mirrors_of_detectors(
-    labels: np.ndarray, grid: DmdGrid, device_shape: tuple[int, int]
-) -> list[np.ndarray]:
-    """Mirrors that each detector sees, as places among all mirrors of the device in a row.
-
-    Parameters
-    ----------
-    labels : array of int, shape (rows, columns)
-        Detector of each of the parts that divide the area of the cells evenly.
-    grid : DmdGrid
-        The cells on the device.
-    device_shape : tuple of int
-        Rows and columns of the device's mirrors.
-    """
-    area = grid.down * grid.height, grid.across * grid.width
-    rows, columns = (
-        np.arange(mirrors) * parts // mirrors
-        for parts, mirrors in zip(labels.shape, area, strict=True)
-    )
-    of_mirrors = np.full(device_shape, -1)
-    of_mirrors[grid.window] = labels[np.ix_(rows, columns)]
-    return [np.flatnonzero(of_mirrors == detector) for detector in range(labels.max() + 1)]
 
 
 def read_detectors(name: str) -> str | tuple[int, ...]:

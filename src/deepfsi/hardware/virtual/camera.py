@@ -24,7 +24,8 @@ import numpy as np
 from pydantic import Field, FiniteFloat, field_validator
 
 from deepfsi.base import SILENT, InputError, Message, Progress, check_disk_space, new_folder
-from deepfsi.camera import Camera, DetectorRows, Device, DmdGrid, check_rows, mirrors_of_detectors
+from deepfsi.base.models import WholeNumber
+from deepfsi.camera import Camera, Device, DmdGrid, count_detectors
 from deepfsi.hardware.counting import Acquisition, Scene, prepare_run
 from deepfsi.hardware.patterns import (
     GatePlan,
@@ -60,6 +61,10 @@ FRAMES_AT_ONCE = 16
 """Frames that are unpacked in memory."""
 
 
+DetectorRows = tuple[tuple[WholeNumber, ...], ...]
+"""Detector of each part of an area that these rows, equally long, divide evenly."""
+
+
 class VirtualCamera(Detector):
     """Optics and detector; the default is ideal. The attributes of `Detector` are its too."""
 
@@ -91,7 +96,16 @@ class VirtualCamera(Detector):
             raise ValueError("the view cannot be inverted")
         return view
 
-    _detector_rows = field_validator("detectors")(check_rows)
+    @field_validator("detectors")
+    @classmethod
+    def _detector_rows(cls, rows: DetectorRows | None) -> DetectorRows | None:
+        if rows is None:
+            return None
+        if len({len(row) for row in rows}) != 1 or not rows[0]:
+            raise ValueError("the rows of the detectors differ in length")
+        if count_detectors([label for row in rows for label in row]) is None:
+            raise ValueError("the detectors are not numbered from 0 without a gap")
+        return rows
 
     @classmethod
     def of(cls, camera: Camera) -> "VirtualCamera":
@@ -218,8 +232,15 @@ def mirrors_of_arm(manifest: Manifest, rows: DetectorRows | None) -> list[np.nda
             f"the camera has {labels.max() + 1} detectors, and the patterns are for {count}: give "
             "one with as many, or export the patterns for it"
         )
-    device = manifest.device
-    return [*mirrors_of_detectors(labels, manifest.grid, (device.rows, device.columns))]
+    grid = manifest.grid
+    area = (grid.down * grid.height, grid.across * grid.width)
+    rows_at, columns_at = (
+        np.arange(mirrors) * parts // mirrors
+        for parts, mirrors in zip(labels.shape, area, strict=True)
+    )
+    of_mirrors = np.full((manifest.device.rows, manifest.device.columns), -1)
+    of_mirrors[grid.window] = labels[np.ix_(rows_at, columns_at)]
+    return [np.flatnonzero(of_mirrors == detector) for detector in range(count)]
 
 
 def mirrors_of_cells(manifest: Manifest) -> np.ndarray:
