@@ -196,7 +196,7 @@ class SceneObserver:
         faults = self._light.end([begin, *arrivals, end])
         on = self._all_on([begin, end])
         doubts = self._checks.find_faults(
-            scene, SceneLight(state.photons, measured, on), exposure.compare(on), self._light
+            scene, exposure.compare(on), self._light, measured=measured, on=on
         )
         self.rows = self._readouts(state, asked, arrivals)
         view = None
@@ -286,15 +286,6 @@ def _scene_ends(manifest: Manifest, settle_s: float) -> FrameList:
     return FrameList(SCENE_ENDS, np.array([ON, OFF]), gates)
 
 
-@dataclass(frozen=True)
-class SceneLight:
-    """Light of a scene, in counts."""
-
-    photons: float  # budget of an exposure that is taken
-    measured: float  # budget by the all-ON frames of this scene and those before
-    all_on: AllOnCounts  # of this scene
-
-
 class SceneChecks:
     """Checks of scene after scene: its budget, and its counts against those of the training.
 
@@ -317,13 +308,18 @@ class SceneChecks:
     def find_faults(
         self,
         scene: int,
-        light: SceneLight,
         comparison: SceneComparison | None,
         monitor: LightMonitor,
+        *,
+        measured: float,
+        on: AllOnCounts,
     ) -> tuple[Fault, ...]:
-        """Faults of a scene, from its light and the comparison of its counts."""
-        budget = self._check_budget(scene, light.measured, monitor)
-        hint = self._saturation(light.all_on)
+        """Faults of a scene, from the comparison of its counts and its light.
+
+        That is the budget by the all-ON frames of this scene and those before, and this scene's.
+        """
+        budget = self._check_budget(scene, measured, monitor)
+        hint = self._saturation(on)
         unlikely = [] if comparison is None else self._check_counts(scene, comparison, hint)
         return (*budget, *unlikely)
 

@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar, NamedTuple, Self
+from typing import ClassVar, Self
 
 import numpy as np
 
@@ -25,7 +25,7 @@ from deepfsi.hardware.live.looks import FrameList, LookChooser
 from deepfsi.hardware.live.observer import Decision, SceneObserver
 from deepfsi.hardware.live.results import LiveAnswers, LiveScene
 from deepfsi.hardware.patterns import Manifest
-from deepfsi.hardware.photons import PhotonSource, count_windows, cut_windows, read_markers
+from deepfsi.hardware.photons import count_windows, cut_windows, read_markers
 
 PHOTONS = "photons.ptu"
 """File of the recording."""
@@ -99,13 +99,24 @@ class LiveCounts:
         run = read_run(folder)
         log = FrameLog.read(folder)
         photons = run.open_photons()
-        gates = _find_gates(photons, log, run.acquisition, report.between(0.0, 0.4))
-        starts, stops = cut_windows(gates.starts, gates.stops, PARTS)
+        times, bits = read_markers(photons.path, report.between(0.0, 0.4))
+        times = times[bits & run.acquisition.marker_bit != 0]
+        numbers = np.concatenate([np.concatenate(scene.first_markers) for scene in log.scenes])
+        if numbers.max() >= len(times):
+            raise InputError(
+                f"{photons.path} has {len(times)} frame markers, and {log.NAME} says at least "
+                f"{numbers.max() + 1}: give the photon file of this run"
+            )
+        gate_ns = np.concatenate([shown.gate_ns for scene in log.scenes for shown in scene.lists])
+        markers = times[numbers]
+        starts = markers + round(run.acquisition.settle_s / photons.tick_s)
+        lengths = np.rint(gate_ns * 1e-9 / photons.tick_s).astype(np.int64)
+        starts, stops = cut_windows(starts, starts + lengths, PARTS)
         counts = count_windows(
             photons.path, starts, stops, run.acquisition.inputs, progress=report.between(0.4, 1.0)
         )
-        counts = counts.reshape(len(gates.markers), PARTS, -1)
-        frames = FrameCounts(gates.markers.astype(np.float64) * photons.tick_s, counts)
+        counts = counts.reshape(len(markers), PARTS, -1)
+        frames = FrameCounts(markers.astype(np.float64) * photons.tick_s, counts)
         about = np.frombuffer(json.dumps(_hashes(folder)).encode(), np.uint8)
         file = io.BytesIO()
         np.savez(file, counts=frames.parts, starts_s=frames.starts_s, about=about)
@@ -157,33 +168,6 @@ class LiveCounts:
                 stop += len(shown.frames)
                 lists.append(self.frames[start:stop])
             yield scene, lists
-
-
-class _Gates(NamedTuple):
-    """Gates of all frames of a run, ticks (F,)."""
-
-    markers: np.ndarray
-    starts: np.ndarray
-    stops: np.ndarray
-
-
-def _find_gates(
-    photons: PhotonSource, log: FrameLog, acquisition: Acquisition, report: Progress
-) -> _Gates:
-    """Gates of all frames, as the counter had them while the run was made."""
-    times, bits = read_markers(photons.path, report)
-    times = times[bits & acquisition.marker_bit != 0]
-    numbers = np.concatenate([np.concatenate(scene.first_markers) for scene in log.scenes])
-    if numbers.max() >= len(times):
-        raise InputError(
-            f"{photons.path} has {len(times)} frame markers, and {log.NAME} says at least "
-            f"{numbers.max() + 1}: give the photon file of this run"
-        )
-    gate_ns = np.concatenate([shown.gate_ns for scene in log.scenes for shown in scene.lists])
-    markers = times[numbers]
-    starts = markers + round(acquisition.settle_s / photons.tick_s)
-    lengths = np.rint(gate_ns * 1e-9 / photons.tick_s).astype(np.int64)
-    return _Gates(markers, starts, starts + lengths)
 
 
 def _hashes(folder: Path) -> dict[str, str]:

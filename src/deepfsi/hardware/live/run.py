@@ -14,6 +14,7 @@ from collections.abc import Generator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 
@@ -103,7 +104,15 @@ def plan_live(
             "keep ambient light out, and leave it out",
             setting="background",
         )
-    rule = _find_rule(looks.rule, until)
+    rule = looks.rule
+    if until is not None:
+        if not 0 < until < 1:
+            raise InputError(
+                "confidence {given!r} is not allowed: give {until} between 0 and 1",
+                setting="until",
+                given=until,
+            )
+        rule = StopRule(threshold=until)
     looks_s = exposure_s * np.array(looks.shares)
     shortest_ns = _shortest_gate(manifest, looks_s, shortest_s)
     shortest_ns = max(shortest_ns, round(looks.shortest * exposure_s * 1e9))
@@ -122,19 +131,6 @@ def plan_live(
             ),
             **{"inputs": tuple(range(manifest.inputs)), **others},
         )
-
-
-def _find_rule(of_design: StopRule | None, until: float | None) -> StopRule | None:
-    """Rule of a run: the design's, or one of a confidence, for any budget."""
-    if until is None:
-        return of_design
-    if not 0 < until < 1:
-        raise InputError(
-            "confidence {given!r} is not allowed: give {until} between 0 and 1",
-            setting="until",
-            given=until,
-        )
-    return StopRule(threshold=until)
 
 
 def _shortest_gate(manifest: Manifest, looks_s: np.ndarray, shortest_s: float | None) -> int:
@@ -378,6 +374,23 @@ class RecordedScene:
     masks_rate: float
     lit: bool
 
+    @classmethod
+    def of(cls, scene: Scene, counts: np.ndarray, times: np.ndarray, manifest: Manifest) -> Self:
+        """Scene by the counts (F, inputs) of its pass's frames but the last, and their times (F,)."""
+        arm = counts[:, : manifest.detector_count]  # those that see mirrors ON
+        on = arm[[0, -1]].sum()
+        on_s = times[[0, -1]].sum()
+        off = arm[OFF].sum()
+        off_s = times[OFF]
+        masks = manifest.shown
+        return cls(
+            scene=scene,
+            on_rate=float(on / on_s),
+            off_rate=float(off / off_s),
+            masks_rate=float(counts[masks].sum() / times[masks].sum()),
+            lit=bool(excess_chance(on, on_s, off, off_s) < NO_LIGHT),
+        )
+
 
 def record_run(
     folder: Path,
@@ -414,6 +427,15 @@ def record_run(
     """
     acquisition.check_fixed(folder)
     manifest = read_patterns(patterns_folder).manifest
+    room = manifest.picture_s - acquisition.settle_s
+    lengths = np.maximum(room - margin_ns(room * 1e9) * 1e-9, 0)
+    lengths[-1] = 0  # nothing ends the gate of the last frame before the next pass
+    gates = FrameGates(
+        np.full(len(lengths), acquisition.settle_s),
+        lengths,
+        np.ones(len(lengths), np.int64),
+        manifest.picture_s,
+    )
     done = 0
     with ExitStack() as stack:
         stack.enter_context(setup.projector)
@@ -422,57 +444,19 @@ def record_run(
             setup.projector.load(patterns_folder, loading)
         prepared = prepare_run(folder, patterns_folder, acquisition)
         setup.counter.start(folder / "photons.ptu")
-        show = _Passes(setup.projector, setup.counter, manifest, acquisition.settle_s)
+        frames = _CountedFrames(setup.counter, manifest.inputs)
         try:
-            for place, scene in enumerate(acquisition.scenes):
-                setup.display(place)
-                counted = show(scene)
-                done = place + 1
+            for index, scene in enumerate(acquisition.scenes):
+                setup.display(index)
+                setup.counter.expect(gates)
+                setup.projector.run()
+                setup.projector.wait()
+                counts = frames.take(len(gates) - 1, PATIENCE_S, " of their pass").counts
+                recorded = RecordedScene.of(scene, counts, gates.lengths_s[:-1], manifest)
+                done = index + 1
                 note_saved_work("finished scenes are kept")
-                yield counted
+                yield recorded
             setup.counter.stop()
         finally:
             if 0 < done < len(acquisition.scenes):
                 prepared.keep_first(folder, done)
-
-
-class _Passes:
-    """Shows one pass after another, and counts its frames."""
-
-    def __init__(
-        self,
-        projector: PassProjector,
-        counter: StreamingCounter,
-        manifest: Manifest,
-        settle_s: float,
-    ) -> None:
-        self._projector = projector
-        self._counter = counter
-        self._manifest = manifest
-        self._frames = _CountedFrames(counter, manifest.inputs)
-        room = manifest.picture_s - settle_s
-        lengths = np.maximum(room - margin_ns(room * 1e9) * 1e-9, 0)
-        lengths[-1] = 0  # nothing ends the gate of the last frame before the next pass
-        ones = np.ones(len(lengths), np.int64)
-        offsets = np.full(len(lengths), settle_s)
-        self._gates = FrameGates(offsets, lengths, ones, manifest.picture_s)
-
-    def __call__(self, scene: Scene) -> RecordedScene:
-        self._counter.expect(self._gates)
-        self._projector.run()
-        self._projector.wait()
-        counts = self._frames.take(len(self._gates) - 1, PATIENCE_S, " of their pass").counts
-        times = self._gates.lengths_s[:-1]
-        masks = self._manifest.shown
-        arm = counts[:, : self._manifest.detector_count]  # those that see mirrors ON
-        on = arm[[0, -1]].sum()
-        on_s = times[[0, -1]].sum()
-        off = arm[1].sum()
-        off_s = times[1]
-        return RecordedScene(
-            scene=scene,
-            on_rate=float(on / on_s),
-            off_rate=float(off / off_s),
-            masks_rate=float(counts[masks].sum() / times[masks].sum()),
-            lit=bool(excess_chance(on, on_s, off, off_s) < NO_LIGHT),
-        )

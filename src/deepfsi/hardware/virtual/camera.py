@@ -243,13 +243,6 @@ def mirrors_of_arm(manifest: Manifest, rows: DetectorRows | None) -> list[np.nda
     return [np.flatnonzero(of_mirrors == detector) for detector in range(count)]
 
 
-def mirrors_of_cells(manifest: Manifest) -> np.ndarray:
-    """Mirrors of a device, in a row, that are of a cell: float32, 1 or 0."""
-    out = np.zeros((manifest.device.rows, manifest.device.columns), np.float32)
-    out[manifest.grid.window] = 1
-    return out.ravel()
-
-
 class MirrorLight:
     """Light of scenes on the mirrors, and what a frame sends of it to the detectors.
 
@@ -271,7 +264,9 @@ class MirrorLight:
         self._mirrors = mirrors_of_arm(manifest, camera.detectors)
         image = irradiance(scenes, camera, device, manifest.grid).reshape(len(scenes), -1)
         self._light = [image[:, places] for places in self._mirrors]
-        self._inside = mirrors_of_cells(manifest)
+        cells = np.zeros((device.rows, device.columns), np.float32)
+        cells[manifest.grid.window] = 1
+        self._inside = cells.ravel()
         self._flux = flux / manifest.summed_reflectance
         self._stray = camera.ambient / (device.rows * device.columns)
         if camera.gains is not None and len(camera.gains) != manifest.inputs:
