@@ -376,7 +376,7 @@ class RecordedScene:
 
     @classmethod
     def of(cls, scene: Scene, counts: np.ndarray, times: np.ndarray, manifest: Manifest) -> Self:
-        """Scene by the counts (F, inputs) of its pass's frames but the last, and their times (F,)."""
+        """Scene by counts (F, inputs) of its pass's frames but the last, and their times (F,)."""
         arm = counts[:, : manifest.detector_count]  # those that see mirrors ON
         on = arm[[0, -1]].sum()
         on_s = times[[0, -1]].sum()
