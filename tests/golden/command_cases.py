@@ -275,6 +275,8 @@ def tested() -> dict[str, Any]:
         "-o", "sure.safetensors",
     )  # fmt: skip
     out["rule"] = without_times(without_paths(written))
+    shown = answer("dmd", "export", "sure.safetensors", "--device", "64x48", "-o", "patterns")
+    out["rule, shown"] = without_paths(shown)
     return out
 
 
