@@ -275,9 +275,9 @@ def _print_patterns(command: str, patterns: "Patterns", folder: Path, as_json: b
 
 def _allowed(device: "Device") -> str:
     """Times of pictures that a device allows, µs."""
-    from deepfsi.camera import LONGEST_PICTURE_US
+    from deepfsi.camera import LONGEST_PICTURE_S
 
-    if device.longest_us == LONGEST_PICTURE_US:
+    if device.longest_us == LONGEST_PICTURE_S * 1e6:
         return f"{device.shortest_us} or more"
     return f"{device.shortest_us} to {device.longest_us}"
 

@@ -12,14 +12,14 @@ The classifier is trained to answer after every look, so that an exposure may en
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from deepfsi.base import InputError
-from deepfsi.camera import LIGHT_LAWS, Camera, LightLawName, Shares, share_out
+from deepfsi.camera import LIGHT_LAWS, Camera, LightLawName, share_out
 from deepfsi.design.classifiers import Mlp, restored
 from deepfsi.design.exposure.trained import Observation, Read, Show, TrainedExposure
 from deepfsi.design.readout_fit import find_distribution
@@ -29,6 +29,8 @@ from deepfsi.optics import constraints
 from deepfsi.optics.detection import Detection
 from deepfsi.optics.masks import LearnedMasks, through
 from deepfsi.optics.rails import Rails
+
+_Dwell = TypeVar("_Dwell", bound=Any)  # array or tensor
 
 Choose = Callable[[Tensor], Tensor]
 """From inputs (..., k + q + 1) to the scores (..., q) of dwells."""
@@ -63,13 +65,13 @@ class Dwells:
         each = dwell.unflatten(-1, (self.masks, -1)).transpose(-2, -1) * self.count
         return rates * each.repeat_interleave(rates.shape[-1] // self.masks, dim=-1)
 
-    def by_rail(self, dwell: Shares) -> Shares:
+    def by_rail(self, dwell: _Dwell) -> _Dwell:
         """Dwells (..., [2,] m) of frames, as a camera takes them, of dwells (..., q)."""
         if not self.each_rail:
             return dwell
         return dwell.reshape(*dwell.shape[:-1], self.masks, 2).swapaxes(-2, -1)
 
-    def by_mask(self, dwell: Shares) -> Shares:
+    def by_mask(self, dwell: _Dwell) -> _Dwell:
         """Inverse of `by_rail`."""
         if not self.each_rail:
             return dwell

@@ -9,7 +9,7 @@ import json
 import math
 import os
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from hashlib import sha256
 from itertools import chain
 from pathlib import Path
@@ -35,7 +35,6 @@ from deepfsi.base.numeric import npy_header
 from deepfsi.camera import (
     LIGHT_LAWS,
     LONGEST_PICTURE_S,
-    USUAL_LAYOUT,
     Device,
     DmdLayout,
     LightLawName,
@@ -96,7 +95,7 @@ class FrameSettings:
     selection: Selection = "ordered"
     seed: int = 0
     format: Format = "npy"
-    layout: DmdLayout = USUAL_LAYOUT
+    layout: DmdLayout = field(default_factory=DmdLayout)
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.dwell_s) and 0 < self.dwell_s <= LONGEST_PICTURE_S):

@@ -25,7 +25,7 @@ from pydantic import Field, FiniteFloat, field_validator
 
 from deepfsi.base import SILENT, InputError, Message, Progress, check_disk_space, new_folder
 from deepfsi.base.models import WholeNumber
-from deepfsi.camera import Camera, Device, DmdGrid, count_detectors
+from deepfsi.camera import Camera, Device, DmdGrid
 from deepfsi.hardware.counting import Acquisition, Scene, prepare_run
 from deepfsi.hardware.patterns import (
     GatePlan,
@@ -103,7 +103,8 @@ class VirtualCamera(Detector):
             return None
         if len({len(row) for row in rows}) != 1 or not rows[0]:
             raise ValueError("the rows of the detectors differ in length")
-        if count_detectors([label for row in rows for label in row]) is None:
+        labels = {label for row in rows for label in row}
+        if labels != set(range(len(labels))):
             raise ValueError("the detectors are not numbered from 0 without a gap")
         return rows
 
