@@ -9,7 +9,7 @@ from recording_samples import DWELL, JITTER, made, many, schedule, train, troubl
 
 from deepfsi.base import InputError
 from deepfsi.hardware.counting import CountSettings, count_run, read_counts
-from deepfsi.hardware.counting.markers import align, measure_clock
+from deepfsi.hardware.counting.markers import align, measure_pictures
 
 run, whole = recording_samples.run, recording_samples.whole
 
@@ -54,10 +54,10 @@ def test_a_clock_is_measured_among_faults():
         true = train(manifest, 40, rate, extra=extra).ravel()
         kept = true[rng.random(len(true)) > 0.05]
         doubled = kept[rng.random(len(kept)) < 0.05] + 3e-5
-        clock = measure_clock(np.sort(np.append(kept, doubled)), manifest.picture_s, 1e-5)
-        assert clock is not None
+        measured = measure_pictures(np.sort(np.append(kept, doubled)), manifest.picture_s, 1e-5)
+        assert measured is not None
         wanted = (1 + rate) * manifest.picture_s + extra
-        np.testing.assert_allclose(clock.stretch(manifest.picture_s), wanted, rtol=2e-4)
+        np.testing.assert_allclose(measured, wanted, rtol=2e-4)
 
 
 @pytest.mark.parametrize("rate", [0.3, -0.05])

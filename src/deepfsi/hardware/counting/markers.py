@@ -19,7 +19,7 @@ Where they cannot decide, the pass is given up.
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -80,50 +80,200 @@ GOLDEN = 0.6180339887498949
 
 
 @dataclass(frozen=True)
-class Clock:
-    """Frames on the counter's clock: 1 + `rate` times the planned time, and `extra_s` seconds."""
+class Alignment:
+    """Start of each frame, and the faults of the markers.
 
-    rate: float = 0.0
-    extra_s: float = 0.0
+    Attributes
+    ----------
+    starts_s : array (S, F)
+        Seconds on the counter's clock; NaN where it is not known.
+    faults : tuple of Fault
+        Of the markers, extra ones last.
+    pictures_s : array (F,)
+        Picture times on that clock.
+    tolerance_s : float
+        By how much a marker may be off.
+    """
 
-    def stretch(self, pictures: np.ndarray) -> np.ndarray:
-        """Picture times on the counter's clock, from the planned ones, seconds."""
-        return (1 + self.rate) * pictures + self.extra_s
+    starts_s: np.ndarray
+    faults: tuple[Fault, ...]
+    pictures_s: np.ndarray
+    tolerance_s: float
+
+
+def find_frames(
+    source: PhotonSource,
+    acquisition: Acquisition,
+    manifest: Manifest,
+    tolerance_s: float | None = None,
+    *,
+    progress: Progress = SILENT,
+    by_light: bool = True,
+) -> FrameStarts:
+    """Frames of a recording by its markers, and by photons where markers leave a doubt.
+
+    Parameters
+    ----------
+    source : PhotonSource
+        Photons and markers.
+    acquisition, manifest
+        Scenes and wiring, and the frames that were shown for each scene.
+    tolerance_s : float, optional
+        By how much a marker may be off, seconds; as usual unless given.
+    progress : Progress
+        Of reading the markers.
+    by_light : bool
+        False where counts do not tell which frames are the brightest.
+
+    Raises
+    ------
+    InputError
+        If the markers do not follow the frames, or no scene was recorded whole.
+    """
+    tick_s = source.tick_s
+    times, bits = read_markers(source, progress)
+    wired = bits & acquisition.marker_bit != 0
+    if not wired.any():
+        advice = "wire the device's trigger to the counter"
+        others = [str(number) for number in range(4) if (bits & 1 << number).any()]
+        if others:
+            advice = f"there are some on {' and '.join(others)}: give --marker {others[0]}"
+        raise InputError(
+            f"{source.path} has 0 frame markers on marker input "
+            f"{acquisition.marker_bit.bit_length() - 1}; {advice}"
+        )
+    times = times[wired]
+    last = float(times.max()) * tick_s
+    # The file of a recording that was cut holds all photons up to the last marker
+    until = last - 2 * marker_slack_s(tick_s) if source.problems else np.inf
+    end = max(int(until / tick_s), 0) if source.problems else None
+
+    def count(starts: np.ndarray, stops: np.ndarray) -> np.ndarray:
+        edges = np.clip(in_ticks(np.stack([starts, stops]), tick_s), 0, end)
+        inputs = acquisition.inputs[: manifest.detector_count]
+        return count_overlapping(source, edges[0], edges[1], inputs).sum(axis=1)
+
+    try:
+        aligned = align(
+            times * tick_s,
+            manifest,
+            len(acquisition.scenes),
+            tolerance_s=tolerance_s,
+            counter=count if by_light else None,
+            cut=bool(source.problems),
+        )
+    except InputError as error:
+        raise InputError(f"{source.path} has {len(times)} frame markers: {error}") from None
+    starts = aligned.starts_s.copy()
+    if source.problems:
+        starts[starts >= last] = np.nan  # the frame that was being recorded when the file ended
+    masks = starts[:, manifest.shown]
+    # A mask's frame is complete if a marker came after it
+    complete = np.isfinite(masks).all(axis=1) & (masks[:, -1] < last)
+    if not complete.any():
+        why = aligned.faults[0] if aligned.faults else "it ends too early"
+        raise InputError(f"{source.path} has no whole exposure ({why}): record again")
+    drifts = [
+        np.ptp(row[timed]) / np.ptp(manifest.starts_s[timed]) - 1
+        for row, timed in zip(starts, np.isfinite(starts), strict=True)
+        if np.count_nonzero(timed) > 1
+    ]
+    return FrameStarts(
+        starts_s=starts,
+        complete=complete,
+        pictures_s=aligned.pictures_s,
+        tolerance_s=aligned.tolerance_s,
+        drift=float(np.median(drifts)),
+        until_s=until,
+        faults=aligned.faults,
+    )
+
+
+def align(
+    times_s: np.ndarray,
+    manifest: Manifest,
+    scenes: int,
+    *,
+    tolerance_s: float | None = None,
+    counter: Counter | None = None,
+    cut: bool = False,
+) -> Alignment:
+    """Find the frame that each marker starts.
+
+    Parameters
+    ----------
+    times_s : array (n,)
+        When markers came, seconds, in any order.
+    manifest : Manifest
+        Frames of a pass.
+    scenes : int
+        Passes that there should be, S.
+    tolerance_s : float, optional
+        By how much a marker may be off, seconds; as usual unless given.
+    counter : optional
+        Counts photons where times leave a doubt.
+    cut : bool
+        True if the file is known to end before the recording did: passes that lack are the last.
+
+    Raises
+    ------
+    InputError
+        If markers do not follow the frames of so many passes.
+    """
+    times = np.sort(np.asarray(times_s, dtype=np.float64))
+    schedule = Schedule.of(manifest, tolerance_s)
+    if not len(times):
+        raise InputError("no frame markers: choose the marker's bit, or wire the device's trigger")
+    markers = Markers(times, schedule, scenes, cut)
+    faults: tuple[Fault, ...] = ()
+    starts = markers.whole_passes
+    if starts is None:
+        markers = replace(markers, schedule=schedule.as_measured(times))
+        starts = markers.whole_passes
+    if starts is None:
+        starts, faults = markers.follow(counter)
+    schedule = markers.schedule
+    return Alignment(starts, faults, schedule.pictures, schedule.tolerance)
 
 
 @dataclass(frozen=True)
 class Schedule:
-    """Schedule of a pass, in seconds."""
+    """Schedule of a pass on the counter's clock, in seconds."""
 
-    starts: np.ndarray  # (F,): Start of each frame after the first, and its picture time
-    pictures: np.ndarray  # (F,)
+    pictures: np.ndarray  # (F,): Picture times
     settle: float
     tolerance: float  # by how much a marker may be off
 
     @classmethod
     def of(cls, manifest: Manifest, tolerance_s: float | None) -> "Schedule":
         """Schedule of a manifest; a marker may be off as usual unless a tolerance is given."""
-        shortest = float(manifest.picture_s.min())
-        given = manifest.usual_tolerance_s if tolerance_s is None else tolerance_s
-        if not 0 < given <= 0.2 * shortest:
+        tolerance = manifest.usual_tolerance_s if tolerance_s is None else tolerance_s
+        most = 0.2 * float(manifest.picture_s.min())
+        if not 0 < tolerance <= most:
             raise InputError(
-                f"a tolerance of {given!r} s is not allowed: give more than 0, up to a fifth of "
-                f"the shortest frame ({time_text(0.2 * shortest)})"
+                f"a tolerance of {tolerance!r} s is not allowed: give more than 0, up to a fifth "
+                f"of the shortest frame ({time_text(most)})"
             )
-        settle = manifest.device.settle_us * 1e-6
-        return cls(manifest.starts_s, manifest.picture_s, settle, given)
+        return cls(manifest.picture_s, manifest.device.settle_us * 1e-6, tolerance)
 
-    def stretched(self, clock: Clock) -> "Schedule":
-        """Schedule as a counter's clock shows it."""
-        pictures = clock.stretch(self.pictures)
-        return replace(self, starts=np.append(0.0, np.cumsum(pictures)[:-1]), pictures=pictures)
+    def as_measured(self, times: np.ndarray) -> "Schedule":
+        """Schedule as the clock of markers (n,) shows it, where that differs from the planned."""
+        pictures = measure_pictures(times, self.pictures, self.tolerance)
+        if pictures is None or abs(pictures.sum() / self.pictures.sum() - 1) <= MOST_DRIFT:
+            return self
+        return replace(self, pictures=pictures)
+
+    @cached_property
+    def starts(self) -> np.ndarray:
+        """Start of each frame after that of the first, (F,)."""
+        return np.append(0.0, np.cumsum(self.pictures)[:-1])
 
     @property
     def frames(self) -> int:
         """Frames of a pass, F."""
-        return len(self.starts)
+        return len(self.pictures)
 
-    @property
+    @cached_property
     def step(self) -> float:
         """Duration of a usual frame."""
         return float(np.median(self.pictures))
@@ -139,21 +289,56 @@ class Schedule:
         return True
 
 
-@dataclass(frozen=True)
-class Markers:
-    """Markers of a recording, and what they should follow."""
+def measure_pictures(
+    times: np.ndarray, pictures: np.ndarray, tolerance: float
+) -> np.ndarray | None:
+    """Picture times (F,) on the clock on which most markers in a row follow the schedule.
 
-    times: np.ndarray  # (n,): When they came, seconds, rising
-    schedule: Schedule
-    scenes: int  # S, passes that there should be
-    # True if the file is known to end before the recording did: passes that lack are the last
-    cut: bool = False
+    All frames are longer or shorter by a share of each, or by the same time, whichever fits better.
 
-    @property
-    def pace(self) -> str:
-        """Usual time between markers, and the planned one, for messages."""
-        came = float(np.median(np.diff(self.times))) if len(self.times) > 1 else math.nan
-        return f"one each {1e3 * came:.4g} ms, planned {1e3 * self.schedule.step:.4g} ms"
+    Parameters
+    ----------
+    times : array (n,)
+        When markers came, rising.
+    pictures : array (F,)
+        Picture times as planned.
+    tolerance : float
+        By how much a marker may be off.
+
+    Returns
+    -------
+    array or None
+        None where few markers follow the schedule on any such clock.
+    """
+    size = min(FRAMES_OF_BLOCK, len(pictures) // 2)
+    if len(times) <= size:
+        return None
+    planned = np.lib.stride_tricks.sliding_window_view(pictures[:-1], size)[:MOST_PLACES]
+    steps = np.lib.stride_tricks.sliding_window_view(np.diff(times), size)
+    places = np.unique((np.arange(MOST_BLOCKS) * GOLDEN % 1 * len(steps)).astype(np.int64))
+    total = planned.sum(axis=1)
+    shortest = float(pictures.min())
+    fits: dict[str, list[tuple[float, float]]] = {"rate": [], "extra": []}
+    for block in steps[places]:
+        rate = block.sum() / total - 1
+        extra = (block.sum() - total) / size
+        off_rate = np.abs(block - (1 + rate[:, None]) * planned).max(axis=1)
+        off_extra = np.abs(block - planned - extra[:, None]).max(axis=1)
+        off_rate[np.abs(rate) > MOST_RATE] = np.inf
+        off_extra[(extra > MOST_EXTRA * shortest) | (extra < -MOST_RATE * shortest)] = np.inf
+        for kind, values, off in (("rate", rate, off_rate), ("extra", extra, off_extra)):
+            best = int(np.argmin(off))
+            fits[kind].append((values[best], off[best]))
+    medians = {}
+    for kind, best_fits in fits.items():
+        close = [fit for fit in best_fits if fit[1] <= 2 * tolerance]
+        if len(close) >= len(best_fits) / 8:
+            medians[kind] = np.median(close, axis=0)
+    if not medians:
+        return None
+    kind = min(medians, key=lambda kind: float(medians[kind][1]))
+    value = float(medians[kind][0])
+    return (1 + value) * pictures if kind == "rate" else pictures + value
 
 
 @dataclass(frozen=True)
@@ -175,234 +360,372 @@ class Pass:
 
 
 @dataclass(frozen=True)
-class Alignment:
-    """Start of each frame, and the faults of the markers."""
+class Markers:
+    """Markers of a recording, and what they should follow."""
 
-    starts_s: np.ndarray  # (S, F): Seconds on the counter's clock; NaN where it is not known
-    faults: tuple[Fault, ...]
-    pictures_s: np.ndarray  # (F,): Picture times on that clock
-    tolerance_s: float  # by how much a marker may be off
+    times: np.ndarray  # (n,): When they came, seconds, rising
+    schedule: Schedule
+    scenes: int  # S, passes that there should be
+    cut: bool  # whether passes that lack are the last
 
+    @property
+    def whole_passes(self) -> np.ndarray | None:
+        """Starts (S, F) if each marker is where it should be, else None."""
+        schedule = self.schedule
+        if len(self.times) != self.scenes * schedule.frames:
+            return None
+        starts = self.times.reshape(self.scenes, schedule.frames)
+        nominal = schedule.starts[-1]
+        span = starts[:, -1] - starts[:, 0]
+        rate = span / nominal if nominal else np.ones(self.scenes)
+        off = np.abs(np.diff(starts) - np.diff(schedule.starts) * rate[:, None]).max(initial=0)
+        drift = np.abs(span - nominal).max() - MOST_DRIFT * nominal
+        ends = starts[:-1, -1] + schedule.pictures[-1] * (1 - MOST_DRIFT)
+        overlap = (ends - starts[1:, 0]).max(initial=-np.inf)
+        return None if max(off, drift, overlap) > schedule.tolerance else starts
 
-def find_frames(
-    source: PhotonSource,
-    acquisition: Acquisition,
-    manifest: Manifest,
-    tolerance_s: float | None = None,
-    *,
-    progress: Progress = SILENT,
-    by_light: bool = True,
-) -> FrameStarts:
-    """Frames of a recording by its markers, and by photons where markers leave a doubt."""
-    tick_s = source.tick_s
-    times, bits = read_markers(source, progress)
-    _check_markers(source, bits, acquisition.marker_bit)
-    times = times[bits & acquisition.marker_bit != 0]
-    last = float(times.max(initial=0)) * tick_s
-    # The file of a recording that was cut holds all photons up to the last marker.
-    until = last - 2 * marker_slack_s(tick_s) if source.problems else np.inf
-    inputs = acquisition.inputs[: manifest.detector_count]
-    try:
-        aligned = align(
-            times * tick_s,
-            manifest,
-            len(acquisition.scenes),
-            tolerance_s=tolerance_s,
-            counter=_photon_counter(source, inputs, until) if by_light else None,
-            cut=bool(source.problems),
+    def follow(self, counter: Counter | None) -> tuple[np.ndarray, tuple[Fault, ...]]:
+        """Starts of frames (S, F), NaN where they are not known, and every fault of the markers."""
+        passes = self._find_passes()
+        doubtful = self._find_doubts(passes)
+        shifts = self._find_shifts(passes, doubtful, counter)
+        for number, shift in shifts.items():
+            if shift:
+                start = passes[number].expected[0] + shift * self.schedule.step
+                passes[number] = self._walk(start)
+        if shifts and len(passes) - 1 in self._overlapping(passes):
+            passes.pop()  # made of markers that a shifted pass has now
+        self._check_certain(passes)
+        return self._name_faults(passes, (doubtful - set(shifts)) | self._overlapping(passes))
+
+    def _find_passes(self) -> list[Pass]:
+        """Passes one after another, each from the first marker that those before leave."""
+        # Usual time between markers, and the planned one
+        came = float(np.median(np.diff(self.times))) if len(self.times) > 1 else math.nan
+        pace = f"one each {1e3 * came:.4g} ms, planned {1e3 * self.schedule.step:.4g} ms"
+        passes: list[Pass] = []
+        first = extra = 0
+        while first < len(self.times) and len(passes) < self.scenes:
+            following = self._next_pass(first)
+            if following is not None:
+                passes.append(following)
+                first = following.last + 1
+                extra = 0
+                continue
+            first += 1
+            extra += 1
+            if extra > 100 + self.scenes:
+                raise InputError(
+                    "markers do not follow the schedule, first at "
+                    f"{self.times[first - extra]:.6f} s ({pace}): give the patterns that were "
+                    "shown, and one marker at the start of each frame"
+                )
+        if not passes:
+            raise InputError(
+                f"none of {len(self.times)} markers follow the schedule ({pace}): give the "
+                "patterns that were shown, or a larger --tolerance"
+            )
+        left = len(self.times) - first
+        if left > self.schedule.frames / 2:
+            raise InputError(
+                f"{left} markers follow the last of {self.scenes} passes: give as many scenes as "
+                "were recorded"
+            )
+        return passes
+
+    def _next_pass(self, first: int) -> Pass | None:
+        """Pass that begins at a marker or soon after, whose own first markers may be missing."""
+        best = None
+        most = 0
+        tries = range(MOST_SHIFT + 1)
+        for skipped, absent in sorted(((i, j) for i in tries for j in tries), key=sum):
+            if first + skipped >= len(self.times) or absent >= self.schedule.frames:
+                continue
+            start = self.times[first + skipped] - self.schedule.starts[absent]
+            tried = self._walk(start, first + skipped)
+            if tried.matched - skipped > most:
+                best = tried
+                most = tried.matched - skipped
+            if tried.matched == self.schedule.frames:
+                break
+        if best is None:
+            return None
+        until = best.expected[-1] + self.schedule.tolerance
+        inside = np.searchsorted(self.times, until, side="right") - first
+        return best if best.matched >= max(2, inside / 2) else None
+
+    def _walk(self, start: float, first: int = 0) -> Pass:
+        """Follow the schedule from a time of frame 0, with the clock's drift as markers show it."""
+        schedule = self.schedule
+        starts = schedule.starts
+        tolerance = schedule.tolerance
+        widest = 0.4 * float(schedule.pictures.min())
+        expected = np.empty(schedule.frames)
+        places = np.full(schedule.frames, -1)
+        offset = start
+        drift = 0.0
+        slack = MOST_DRIFT
+        anchor = 0.0  # start of the last frame that has a marker
+        done = 0
+        while done < schedule.frames:
+            sure = int(np.searchsorted(starts, anchor + tolerance / slack, side="right"))
+            stop = min(max(done + 1, min(sure, done + FRAMES_AT_ONCE)), schedule.frames)
+            new = slice(done, stop)
+            window = np.minimum(tolerance + slack * np.abs(starts[new] - anchor), widest)
+            near, distance = _nearest(self.times, offset + (1 + drift) * starts[new], first)
+            places[new] = np.where(distance <= window, near, -1)
+            recent = np.flatnonzero(places[:stop] >= 0)[-2 * FRAMES_AT_ONCE :]
+            at = starts[recent]
+            came = self.times[places[recent]]
+            if len(recent) > 1:
+                half = len(recent) // 2
+                apart = np.median(at[half:]) - np.median(at[:half])
+                off = came - at
+                change = float((np.median(off[half:]) - np.median(off[:half])) / apart)
+                drift = min(max(change, -MOST_DRIFT), MOST_DRIFT)
+                slack = min(MOST_DRIFT, max(MOST_DRIFT_CHANGE, tolerance / (at[-1] - at[0])))
+            if len(recent):
+                offset = float(np.median(came - (1 + drift) * at))
+                anchor = float(at[-1])
+            expected[new] = offset + (1 + drift) * starts[new]
+            near, distance = _nearest(self.times, expected[new], first)
+            places[new] = np.where(distance <= tolerance, near, -1)
+            done = stop
+        return Pass(expected, places)
+
+    def _find_doubts(self, passes: list[Pass]) -> set[int]:
+        """Passes that may be shifted by whole frames, as far as times tell."""
+        # These are passes that lack half of their markers, or the first or last, or have a marker
+        # beside them that could be of one of their frames, and all passes that follow or precede
+        # them without a pause that is long enough to tell. Of a cut file the last pass is one too:
+        # nothing says how many markers it should have, and they may be of two passes
+        schedule = self.schedule
+        spare = self._spare_times(passes)
+        beyond = np.arange(1, MOST_SHIFT + 1) * schedule.step
+        begins = np.array([one.expected[0] for one in passes])
+        ends = np.array([one.expected[-1] for one in passes]) + schedule.pictures[-1]
+        doubts = set()
+        for number, one in enumerate(passes):
+            if schedule.locks and one.matched >= 0.75 * schedule.frames:
+                continue
+            slots = np.concatenate([begins[number] - beyond, ends[number] + beyond - schedule.step])
+            beside = np.abs(spare[:, None] - slots) < 4 * schedule.tolerance
+            lacks = min(one.places[0], one.places[-1]) < 0 or one.matched <= schedule.frames / 2
+            if lacks or beside.any() or (self.cut and number == len(passes) - 1):
+                doubts.add(number)
+        pauses = begins[1:] - ends[:-1]
+        for number in np.flatnonzero(pauses < -0.5 * schedule.step).tolist():
+            doubts |= {number, number + 1}
+        if not schedule.locks:
+            reach = (MOST_SHIFT + 0.5) * schedule.step + schedule.tolerance
+            linked = np.flatnonzero(pauses < reach).tolist()
+            for number in (*linked, *reversed(linked)):
+                if {number, number + 1} & doubts:
+                    doubts |= {number, number + 1}
+        return doubts
+
+    def _find_shifts(
+        self, passes: list[Pass], doubtful: set[int], counter: Counter | None
+    ) -> dict[int, int]:
+        """Shift of each doubtful pass in frames, of those of which photons tell."""
+        # Those that lack half of their markers are left
+        schedule = self.schedule
+        order = [n for n in sorted(doubtful) if passes[n].matched > schedule.frames / 2]
+        if counter is None or not order:
+            return {}
+        beyond = np.arange(1, MOST_SHIFT + 1) * schedule.step
+        # What a clock that runs slow may take from a frame, and what markers may be off
+        lost = MOST_DRIFT * schedule.pictures + 2 * schedule.tolerance
+        length = np.pad(
+            np.maximum(schedule.pictures - schedule.settle - lost, 0), MOST_SHIFT, mode="median"
         )
-    except InputError as error:
-        raise InputError(f"{source.path} has {len(times)} frame markers: {error}") from None
-    starts = aligned.starts_s.copy()
-    if source.problems:
-        starts[starts >= last] = np.nan  # the frame that was being recorded when the file ended
-    masks = starts[:, manifest.shown]
-    # A mask's frame is complete if a marker came after it.
-    complete = np.isfinite(masks).all(axis=1) & (masks[:, -1] < last)
-    if not complete.any():
-        why = aligned.faults[0] if aligned.faults else "it ends too early"
-        raise InputError(f"{source.path} has no whole exposure ({why}): record again")
-    return FrameStarts(
-        starts_s=starts,
-        complete=complete,
-        pictures_s=aligned.pictures_s,
-        tolerance_s=aligned.tolerance_s,
-        drift=_find_drift(starts, manifest.starts_s),
-        until_s=until,
-        faults=aligned.faults,
-    )
+        begins = []
+        for expected in (passes[number].expected for number in order):
+            last = expected[-1] + schedule.pictures[-1] - schedule.step
+            begins += [expected[0] - beyond[::-1], expected, last + beyond]
+        starts = np.concatenate(begins) + schedule.settle + schedule.tolerance
+        counts = counter(starts, starts + np.tile(length, len(order)))
+        shifts = {}
+        for number, photons in zip(order, counts.reshape(len(order), -1), strict=True):
+            maybe, clear = find_steps(photons, length)
+            likely, _ = find_steps(photons, length, LIKELY_SIGMAS)
+            possible = [
+                first
+                for first in range(2 * MOST_SHIFT + 1)
+                if maybe[first] and maybe[first + schedule.frames - 2]
+            ]
+            if clear and len(possible) == 1:
+                within = likely[possible[0] : possible[0] + schedule.frames - 1]
+                if within[0] and within[-1] and not within[1:-1].any():
+                    shifts[number] = possible[0] - MOST_SHIFT
+        return shifts
 
+    def _overlapping(self, passes: list[Pass]) -> set[int]:
+        """Passes that begin before the one before has ended, and those before them."""
+        length = self.schedule.pictures[-1] * (1 - MOST_DRIFT) - 2 * self.schedule.tolerance
+        out = set()
+        for number, (one, other) in enumerate(pairwise(passes)):
+            if other.expected[0] < one.expected[-1] + length:
+                out |= {number, number + 1}
+        return out
 
-def _check_markers(source: PhotonSource, bits: np.ndarray, wanted: int) -> None:
-    """Raise `InputError`, with the marker inputs that have some, if a file has none of a bit."""
-    if (bits & wanted != 0).any():
-        return
-    others = [str(number) for number in range(4) if (bits & 1 << number != 0).any()]
-    advice = "wire the device's trigger to the counter"
-    if others:
-        advice = f"there are some on {' and '.join(others)}: give --marker {others[0]}"
-    raise InputError(
-        f"{source.path} has 0 frame markers on marker input {wanted.bit_length() - 1}; {advice}"
-    )
+    def _spare_times(self, passes: list[Pass]) -> np.ndarray:
+        """Times of the markers that start no frame of any pass."""
+        spare = np.ones(len(self.times), bool)
+        for one in passes:
+            spare[one.places[one.places >= 0]] = False
+        return self.times[spare]
 
+    def _check_certain(self, passes: list[Pass]) -> None:
+        """Raise `InputError` unless it is certain which pass is of which scene."""
+        times = self.times
+        schedule = self.schedule
+        spare = self._spare_times(passes)
+        if len(spare) > min(MOST_FAULTS, len(times) / 2):
+            raise InputError(
+                f"{len(spare)} of {len(times)} markers do not follow the schedule: give the "
+                "patterns that were shown, and one marker at the start of each frame"
+            )
+        few = len(passes) < self.scenes
+        lacking = np.count_nonzero(passes[-1].expected > times[-1] + schedule.tolerance)
+        if few and lacking <= MOST_RESTORED and not self.cut:
+            raise InputError(
+                f"markers of {len(passes)} whole passes, and there are {self.scenes} scenes: give "
+                "those that were recorded"
+            )
+        # Markers before and between all passes are perhaps of one that was not found
+        outside = times < passes[-1].expected[-1]
+        for one in passes:
+            until = one.expected[-1] + schedule.pictures[-1]
+            outside &= (times < one.expected[0] - schedule.tolerance) | (times >= until)
+        before = times[0] < passes[0].expected[0] - schedule.tolerance
+        ends = lacking > MOST_RESTORED or (lacking and before) or (self.cut and few)
+        if ends and outside.any():
+            raise InputError(
+                "the last pass is cut, and markers outside of all passes follow no schedule: which "
+                "pass is of which scene is not certain; record again"
+            )
 
-def _photon_counter(source: PhotonSource, inputs: tuple[int, ...], until: float) -> Counter:
-    """Count photons on some inputs in any windows, as far as all are in the file."""
-    end = max(int(until / source.tick_s), 0) if np.isfinite(until) else None
+    def _name_faults(
+        self, passes: list[Pass], unknown: set[int]
+    ) -> tuple[np.ndarray, tuple[Fault, ...]]:
+        """Starts of frames (S, F), NaN where they are not known, and every fault, extra last."""
+        times = self.times
+        end = times[-1] + self.schedule.tolerance
+        spare = self._spare_times(passes)
+        late = self._find_late(passes, spare)
+        starts = np.full((self.scenes, self.schedule.frames), np.nan)
+        faults: list[Fault] = []
+        for scene in range(self.scenes):
+            one = passes[scene] if scene < len(passes) else None
+            if one is None or scene in unknown:
+                detail = f"the recording has no markers after {times[-1]:.6f} s"
+                if one is not None and one.expected[-1] <= end:
+                    detail = (
+                        f"from {one.expected[0]:.6f} s, which frame its markers start is not "
+                        "certain, and the all-ON and all-OFF frames do not tell"
+                    )
+                faults.append(Fault(kind="lost", scene=scene, detail=detail))
+                continue
+            starts[scene] = np.where(one.places >= 0, times[one.places], one.expected)
+            missing = np.flatnonzero(one.places < 0)
+            for gap in np.split(missing, np.flatnonzero(np.diff(missing) > 1) + 1):
+                restored = self._name_gap(scene, gap.tolist(), one.expected, late)
+                faults += restored
+                if any(fault.kind == "lost" for fault in restored):
+                    starts[scene, gap] = np.nan
+        late_markers = {marker for marker, _ in late.values()}
+        until = passes[-1].expected[-1] if self.cut else np.inf  # after it, of a pass that was cut
+        for marker, time in enumerate(spare.tolist()):
+            if marker not in late_markers and time < until:
+                faults.append(self._name_extra(time, passes, unknown))
+        if len(faults) > MOST_FAULTS:
+            raise InputError(f"{len(faults)} markers are missing, late or extra: record again")
+        return starts, tuple(faults)
 
-    def counter(starts: np.ndarray, stops: np.ndarray) -> np.ndarray:
-        edges = np.clip(in_ticks(np.stack([starts, stops]), source.tick_s), 0, end)
-        return count_overlapping(source, edges[0], edges[1], inputs).sum(axis=1)
+    def _find_late(
+        self, passes: list[Pass], spare: np.ndarray
+    ) -> dict[tuple[int, int], tuple[int, float]]:
+        """Spare markers that came within half a frame of a frame that has none, and by how much."""
+        # From (scene, frame) to (place among the spare ones, seconds)
+        late: dict[tuple[int, int], tuple[int, float]] = {}
+        taken: set[int] = set()
+        for scene, one in enumerate(passes if len(spare) else []):
+            frames = np.flatnonzero(one.places < 0)
+            near, distance = _nearest(spare, one.expected[frames])
+            close = distance < 0.5 * self.schedule.step
+            for frame, marker in zip(frames[close].tolist(), near[close].tolist(), strict=True):
+                if marker not in taken:
+                    taken.add(marker)
+                    late[scene, frame] = (marker, float(spare[marker] - one.expected[frame]))
+        return late
 
-    return counter
+    def _name_gap(
+        self,
+        scene: int,
+        gap: list[int],
+        expected: np.ndarray,
+        late: dict[tuple[int, int], tuple[int, float]],
+    ) -> list[Fault]:
+        """Faults of frames in a row that have no marker: one if they are lost, else one of each."""
+        end = self.times[-1] + self.schedule.tolerance
+        alone = sum((scene, frame) not in late for frame in gap)
+        detail = ""
+        if gap and expected[gap[0]] > end:
+            detail = f"the recording has no markers after {end:.6f} s"
+        elif alone > MOST_RESTORED:
+            detail = f"{alone} markers are missing from {expected[gap[0]]:.6f} s"
+        if detail:
+            if len(gap) > 1:
+                detail = f"frames {gap[0]} to {gap[-1]}: {detail}"
+            return [Fault(kind="lost", scene=scene, frame=gap[0], detail=detail)]
+        faults = []
+        for frame in gap:
+            due = f"due at {expected[frame]:.6f} s"
+            if (scene, frame) not in late:
+                faults.append(Fault(kind="missing", scene=scene, frame=frame, detail=due))
+                continue
+            off = late[scene, frame][1] * 1e6
+            detail = f"{abs(off):.1f} µs {'late' if off > 0 else 'early'}, {due}"
+            faults.append(Fault(kind="late", scene=scene, frame=frame, detail=detail))
+        return faults
 
-
-def _find_drift(starts: np.ndarray, planned: np.ndarray) -> float:
-    """By how much passes (S, F) last longer than planned, as a share: their median."""
-    drifts = []
-    for times in starts:
-        timed = np.flatnonzero(np.isfinite(times))
-        if len(timed) > 1:
-            drifts.append(np.ptp(times[timed]) / np.ptp(planned[timed]) - 1)
-    return float(np.median(drifts))
-
-
-def align(
-    times_s: np.ndarray,
-    manifest: Manifest,
-    scenes: int,
-    *,
-    tolerance_s: float | None = None,
-    counter: Counter | None = None,
-    cut: bool = False,
-) -> Alignment:
-    """Find the frame that each marker starts."""
-    # times_s (n,)
-    schedule = Schedule.of(manifest, tolerance_s)
-    times = np.sort(np.asarray(times_s, dtype=np.float64))
-    if not len(times):
-        raise InputError("no frame markers: choose the marker's bit, or wire the device's trigger")
-    markers = Markers(times, schedule, scenes, cut)
-    whole = _take_whole(markers)
-    if whole is None:
-        markers = _measured(markers)
-        schedule = markers.schedule
-        whole = _take_whole(markers)
-    if whole is not None:
-        return Alignment(whole, (), schedule.pictures, schedule.tolerance)
-    starts, faults = _follow(markers, counter)
-    return Alignment(starts, faults, schedule.pictures, schedule.tolerance)
-
-
-def _follow(markers: Markers, counter: Counter | None) -> tuple[np.ndarray, tuple[Fault, ...]]:
-    """Starts of frames (S, F) and faults, pass by pass; photons decide where times do not."""
-    schedule = markers.schedule
-    passes = _follow_passes(markers)
-    doubtful = _find_doubts(passes, markers)
-    shifts = _find_shifts(passes, doubtful, schedule, counter)
-    for place, shift in shifts.items():
-        if shift:
-            start = passes[place].expected[0] + shift * schedule.step
-            passes[place] = _walk(markers, start)
-    if shifts and _overlapping(passes, schedule) >= {len(passes) - 1}:
-        passes.pop()  # made of markers that a shifted pass has now
-    return _name_faults(passes, doubtful - set(shifts), markers)
-
-
-def _measured(markers: Markers) -> Markers:
-    """Markers with their schedule as the clock shows it, where that differs from the planned."""
-    schedule = markers.schedule
-    clock = measure_clock(markers.times, schedule.pictures, schedule.tolerance)
-    if clock is None:
-        return markers
-    measured = schedule.stretched(clock)
-    if abs(measured.pictures.sum() / schedule.pictures.sum() - 1) <= MOST_DRIFT:
-        return markers
-    return replace(markers, schedule=measured)
-
-
-def _find_doubts(passes: list[Pass], markers: Markers) -> set[int]:
-    """Passes that may be shifted by whole frames, as far as times tell."""
-    # These are passes that lack half of their markers, or the first or last, or have a marker
-    # beside them that could be of one of their frames, and all passes that follow or precede them
-    # without a pause that is long enough to tell. Of a cut file the last pass is one too: nothing
-    # says how many markers it should have, and they may be of two passes
-    schedule = markers.schedule
-    spare = _spare_times(passes, markers.times)
-    reach = (MOST_SHIFT + 0.5) * schedule.step
-    beyond = np.arange(1, MOST_SHIFT + 1) * schedule.step
-    doubts = set()
-    begins = np.array([each.expected[0] for each in passes])
-    ends = np.array([each.expected[-1] for each in passes]) + schedule.pictures[-1]
-    for place, each in enumerate(passes):
-        slots = np.concatenate([begins[place] - beyond, ends[place] + beyond - schedule.step])
-        beside = np.abs(spare[:, None] - slots) < 4 * schedule.tolerance
-        whole = each.places[0] >= 0 and each.places[-1] >= 0 and each.matched > schedule.frames / 2
-        whole = whole and not (markers.cut and place == len(passes) - 1)
-        fits = schedule.locks and each.matched >= 0.75 * schedule.frames
-        if not fits and (beside.any() or not whole):
-            doubts.add(place)
-    pauses = begins[1:] - ends[:-1]
-    linked = pauses < reach + schedule.tolerance
-    overlap = pauses < -0.5 * schedule.step
-    for place in np.flatnonzero(overlap).tolist():
-        doubts |= {place, place + 1}
-    for way in (range(len(linked)), range(len(linked) - 1, -1, -1)):
-        for place in way:
-            if linked[place] and {place, place + 1} & doubts and not schedule.locks:
-                doubts |= {place, place + 1}
-    return doubts
-
-
-def _find_shifts(
-    passes: list[Pass], doubtful: set[int], schedule: Schedule, counter: Counter | None
-) -> dict[int, int]:
-    """Shift of each doubtful pass in frames, of those of which photons tell."""
-    # Those that lack half of their markers are left
-    order = sorted(place for place in doubtful if passes[place].matched > schedule.frames / 2)
-    if counter is None or not order:
-        return {}
-    beyond = np.arange(1, MOST_SHIFT + 1) * schedule.step
-    # What a clock that runs slow may take from a frame, and what markers may be off.
-    lost = MOST_DRIFT * schedule.pictures + 2 * schedule.tolerance
-    length = np.pad(
-        np.maximum(schedule.pictures - schedule.settle - lost, 0), MOST_SHIFT, mode="median"
-    )
-    begins = []
-    for place in order:
-        expected = passes[place].expected
-        last = expected[-1] + schedule.pictures[-1] - schedule.step
-        begins.append(np.concatenate([expected[0] - beyond[::-1], expected, last + beyond]))
-    starts = np.concatenate(begins) + schedule.settle + schedule.tolerance
-    counts = counter(starts, starts + np.tile(length, len(order)))
-    shifts = {}
-    for place, photons in zip(order, counts.reshape(len(order), -1), strict=True):
-        maybe, clear = find_steps(photons, length)
-        likely, _ = find_steps(photons, length, LIKELY_SIGMAS)
-        possible = [
-            first
-            for first in range(2 * MOST_SHIFT + 1)
-            if maybe[first] and maybe[first + schedule.frames - 2]
-        ]
-        if clear and len(possible) == 1:
-            within = likely[possible[0] : possible[0] + schedule.frames - 1]
-            if within[0] and within[-1] and not within[1:-1].any():
-                shifts[place] = possible[0] - MOST_SHIFT
-    return shifts
+    def _name_extra(self, time: float, passes: list[Pass], unknown: set[int]) -> Fault:
+        """An extra marker, with the frame in which it came."""
+        scene = frame = None
+        for number, one in enumerate(passes):
+            if one.expected[0] <= time < one.expected[-1] + self.schedule.pictures[-1]:
+                scene = number
+                if number not in unknown:
+                    frame = int(np.searchsorted(one.expected, time, side="right")) - 1
+        return Fault(kind="extra", scene=scene, frame=frame, detail=f"a marker at {time:.6f} s")
 
 
 def find_steps(
     counts: np.ndarray, seconds: np.ndarray, sigmas: float = CERTAIN_SIGMAS
 ) -> tuple[np.ndarray, bool]:
-    """Frames that may be all ON with the next all OFF, as far as photons tell."""
-    # counts, seconds (n,)
-    known = seconds > 0
-    length = np.where(known, seconds, 1.0)
+    """Frames that may be all ON with the next all OFF, as far as photons tell.
+
+    Parameters
+    ----------
+    counts, seconds : array (n,)
+        Photons of frames in a row, and how long each was counted.
+    sigmas : float
+        Standard errors by which a frame must differ to be excluded.
+
+    Returns
+    -------
+    maybe : array (n - 1,), bool
+    clear : bool
+        Whether any step is certain.
+    """
+    timed = seconds > 0
+    length = np.where(timed, seconds, 1.0)
     rates = counts / length
     variances = (counts + 1) / length**2
     steps = rates[:-1] - rates[1:]
     variance = variances[:-1] + variances[1:]
-    usable = known[:-1] & known[1:]
+    usable = timed[:-1] & timed[1:]
     steepest = int(np.argmax(np.where(usable, steps, -np.inf)))
     if not usable[steepest]:
         return np.ones(len(steps), bool), False
@@ -413,346 +736,11 @@ def find_steps(
     return ~usable | ~(less & clear | falls), clear
 
 
-def measure_clock(times: np.ndarray, pictures: np.ndarray, tolerance: float) -> Clock | None:
-    """Clock on which most markers in a row follow the schedule, None where there is none."""
-    # times (n,); pictures (F,)
-    size = min(FRAMES_OF_BLOCK, len(pictures) // 2)
-    if len(times) <= size:
-        return None
-    planned = np.lib.stride_tricks.sliding_window_view(pictures[:-1], size)[:MOST_PLACES]
-    steps = np.lib.stride_tricks.sliding_window_view(np.diff(times), size)
-    places = np.unique((np.arange(MOST_BLOCKS) * GOLDEN % 1 * len(steps)).astype(np.int64))
-    total = planned.sum(axis=1)
-    shortest = float(pictures.min())
-    rates = []
-    extras = []
-    for block in steps[places]:
-        rate = block.sum() / total - 1
-        extra = (block.sum() - total) / size
-        proportional = np.abs(block - (1 + rate[:, None]) * planned).max(axis=1)
-        constant = np.abs(block - planned - extra[:, None]).max(axis=1)
-        proportional[np.abs(rate) > MOST_RATE] = np.inf
-        constant[(extra > MOST_EXTRA * shortest) | (extra < -MOST_RATE * shortest)] = np.inf
-        rates.append(_best(rate, proportional))
-        extras.append(_best(extra, constant))
-    by_rate, by_extra = (_agree(found, 2 * tolerance) for found in (rates, extras))
-    if by_rate is None and by_extra is None:
-        return None
-    if by_extra is None or (by_rate is not None and by_rate[1] <= by_extra[1]):
-        assert by_rate is not None
-        return Clock(rate=by_rate[0])
-    return Clock(extra_s=by_extra[0])
-
-
-def _best(values: np.ndarray, off: np.ndarray) -> tuple[float, float]:
-    """Value that fits best, and by how much it is off."""
-    place = int(np.argmin(off))
-    return float(values[place]), float(off[place])
-
-
-def _agree(found: list[tuple[float, float]], most: float) -> tuple[float, float] | None:
-    """Middle value of those that fit and by how much they are off; None if few fit."""
-    fits = np.array([each for each in found if each[1] <= most])
-    if len(fits) < len(found) / 8:
-        return None
-    values, off = np.median(fits, axis=0)
-    return float(values), float(off)
-
-
-def _take_whole(markers: Markers) -> np.ndarray | None:
-    """Starts (S, F) if each marker is where it should be, else None."""
-    times = markers.times
-    schedule = markers.schedule
-    scenes = markers.scenes
-    if len(times) != scenes * schedule.frames:
-        return None
-    starts = times.reshape(scenes, schedule.frames)
-    nominal = schedule.starts[-1]
-    span = starts[:, -1] - starts[:, 0]
-    rate = span / nominal if nominal else np.ones(scenes)
-    steps = np.diff(starts)
-    wanted = np.diff(schedule.starts)
-    off = np.abs(steps - wanted * rate[:, None]).max(initial=0)
-    drift = np.abs(span - nominal).max() - MOST_DRIFT * nominal
-    ends = starts[:-1, -1] + schedule.pictures[-1] * (1 - MOST_DRIFT)
-    overlap = (ends - starts[1:, 0]).max(initial=-np.inf)
-    if max(off, drift, overlap) > schedule.tolerance:
-        return None
-    return starts
-
-
-def _follow_passes(markers: Markers) -> list[Pass]:
-    """Passes one after another, each from the first marker that those before leave."""
-    times = markers.times
-    scenes = markers.scenes
-    passes: list[Pass] = []
-    first = extra = 0
-    while first < len(times) and len(passes) < scenes:
-        found = _next_pass(markers, first)
-        if found is None:
-            first = first + 1
-            extra = extra + 1
-            if extra > 100 + scenes:
-                raise InputError(
-                    f"markers do not follow the schedule, first at {times[first - extra]:.6f} s "
-                    f"({markers.pace}): "
-                    "give the patterns that were shown, and one marker at the start of each frame"
-                )
-            continue
-        passes.append(found)
-        first = found.last + 1
-        extra = 0
-    if not passes:
-        raise InputError(
-            f"none of {len(times)} markers follow the schedule ({markers.pace}): give the patterns "
-            "that were shown, or a larger --tolerance"
-        )
-    left = len(times) - first
-    if left > markers.schedule.frames / 2:
-        raise InputError(
-            f"{left} markers follow the last of {scenes} passes: give as many scenes as were "
-            "recorded"
-        )
-    return passes
-
-
-def _next_pass(markers: Markers, first: int) -> Pass | None:
-    """Pass that begins at a marker or soon after, whose own first markers may be missing."""
-    times = markers.times
-    schedule = markers.schedule
-    best = None
-    most = 0
-    tries = range(MOST_SHIFT + 1)
-    for skipped, absent in sorted(((i, j) for i in tries for j in tries), key=sum):
-        if first + skipped >= len(times) or absent >= schedule.frames:
-            continue
-        start = times[first + skipped] - schedule.starts[absent]
-        found = _walk(markers, start, first + skipped)
-        if found.matched - skipped > most:
-            best = found
-            most = found.matched - skipped
-        if found.matched == schedule.frames:
-            break
-    if best is None:
-        return None
-    until = best.expected[-1] + schedule.tolerance
-    inside = np.searchsorted(times, until, side="right") - first
-    return best if best.matched >= max(2, inside / 2) else None
-
-
-def _walk(markers: Markers, start: float, first: int = 0) -> Pass:
-    """Follow the schedule from a time of frame 0, with the clock's drift as markers show it."""
-    times = markers.times
-    schedule = markers.schedule
-    frames = schedule.frames
-    starts = schedule.starts
-    tolerance = schedule.tolerance
-    widest = 0.4 * float(schedule.pictures.min())
-    expected = np.empty(frames)
-    places = np.full(frames, -1)
-    offset = start
-    drift = 0.0
-    slack = MOST_DRIFT
-    known = 0.0
-    done = 0
-    while done < frames:
-        sure = int(np.searchsorted(starts, known + tolerance / slack, side="right"))
-        stop = min(max(done + 1, min(sure, done + FRAMES_AT_ONCE)), frames)
-        new = slice(done, stop)
-        guess = offset + (1 + drift) * starts[new]
-        window = np.minimum(tolerance + slack * np.abs(starts[new] - known), widest)
-        near, distance = _nearest(times, guess, first)
-        places[new] = np.where(distance <= window, near, -1)
-        recent = np.flatnonzero(places[:stop] >= 0)[-2 * FRAMES_AT_ONCE :]
-        if len(recent) > 1:
-            at = starts[recent]
-            came = times[places[recent]]
-            half = len(recent) // 2
-            apart = np.median(at[half:]) - np.median(at[:half])
-            off = came - at
-            change = float((np.median(off[half:]) - np.median(off[:half])) / apart)
-            drift = min(max(change, -MOST_DRIFT), MOST_DRIFT)
-            offset = float(np.median(came - (1 + drift) * at))
-            known = float(at[-1])
-            slack = min(MOST_DRIFT, max(MOST_DRIFT_CHANGE, tolerance / (at[-1] - at[0])))
-        elif len(recent) == 1:
-            offset = float(times[places[recent[0]]] - (1 + drift) * starts[recent[0]])
-            known = float(starts[recent[0]])
-        expected[new] = offset + (1 + drift) * starts[new]
-        near, distance = _nearest(times, expected[new], first)
-        places[new] = np.where(distance <= tolerance, near, -1)
-        done = stop
-    return Pass(expected, places)
-
-
-def _nearest(times: np.ndarray, wanted: np.ndarray, first: int) -> tuple[np.ndarray, np.ndarray]:
-    """Marker _nearest to each wanted time, none before `first`, and its distance."""
-    # times (n,); wanted (k,)
+def _nearest(
+    times: np.ndarray, wanted: np.ndarray, first: int = 0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Marker nearest to each wanted time (k,), none before `first`, and its distance."""
     after = np.clip(np.searchsorted(times, wanted), first, len(times) - 1)
     before = np.maximum(after - 1, first)
     near = np.where(np.abs(times[before] - wanted) < np.abs(times[after] - wanted), before, after)
     return near, np.abs(times[near] - wanted)
-
-
-def _overlapping(passes: list[Pass], schedule: Schedule) -> set[int]:
-    """Passes that begin before the one before has ended."""
-    out = set()
-    length = schedule.pictures[-1] * (1 - MOST_DRIFT)
-    for place, (one, other) in enumerate(pairwise(passes)):
-        if other.expected[0] < one.expected[-1] + length - 2 * schedule.tolerance:
-            out |= {place, place + 1}
-    return out
-
-
-def _spare_times(passes: list[Pass], times: np.ndarray) -> np.ndarray:
-    """Times of the markers that start no frame of any pass."""
-    spare = np.ones(len(times), bool)
-    for each in passes:
-        spare[each.places[each.places >= 0]] = False
-    return times[spare]
-
-
-def _name_faults(
-    passes: list[Pass], unknown: set[int], markers: Markers
-) -> tuple[np.ndarray, tuple[Fault, ...]]:
-    """Starts of frames (S, F), and every fault of their markers, extra ones last."""
-    # Starts are in seconds, NaN where they are not known
-    times = markers.times
-    schedule = markers.schedule
-    scenes = markers.scenes
-    spare = _spare_times(passes, times)
-    _check_certain(passes, markers, spare)
-    unknown = unknown | _overlapping(passes, schedule)
-    end = times[-1] + schedule.tolerance
-    late = _find_late(passes, spare, schedule)
-    starts = np.full((scenes, schedule.frames), np.nan)
-    faults: list[Fault] = []
-    for scene in range(scenes):
-        each = passes[scene] if scene < len(passes) else None
-        if each is None or scene in unknown:
-            detail = f"the recording has no markers after {times[-1]:.6f} s"
-            if each is not None and each.expected[-1] <= end:
-                detail = (
-                    f"from {each.expected[0]:.6f} s, which frame its markers start is not "
-                    "certain, and the all-ON and all-OFF frames do not tell"
-                )
-            faults.append(Fault(kind="lost", scene=scene, detail=detail))
-            continue
-        starts[scene] = np.where(each.places >= 0, times[each.places], each.expected)
-        for frames in _runs(np.flatnonzero(each.places < 0)):
-            faults += _name(scene, frames, each, starts[scene], end, late)
-    explained = {marker for marker, _ in late.values()}
-    until = passes[-1].expected[-1] if markers.cut else np.inf
-    for place, time in enumerate(spare.tolist()):
-        if place not in explained and time < until:  # after it, of a pass that was cut
-            faults.append(_name_extra(time, passes, unknown, schedule))
-    if len(faults) > MOST_FAULTS:
-        raise InputError(f"{len(faults)} markers are missing, late or extra: record again")
-    return starts, tuple(faults)
-
-
-def _check_certain(passes: list[Pass], markers: Markers, spare: np.ndarray) -> None:
-    """Raise `InputError` unless it is certain which pass is of which scene."""
-    times = markers.times
-    schedule = markers.schedule
-    scenes = markers.scenes
-    if len(spare) > min(MOST_FAULTS, len(times) / 2):
-        raise InputError(
-            f"{len(spare)} of {len(times)} markers do not follow the schedule: give the patterns "
-            "that were shown, and one marker at the start of each frame"
-        )
-    lacking = np.count_nonzero(passes[-1].expected > times[-1] + schedule.tolerance)
-    if len(passes) < scenes and lacking <= MOST_RESTORED and not markers.cut:
-        raise InputError(
-            f"markers of {len(passes)} whole passes, and there are {scenes} scenes: give those "
-            "that were recorded"
-        )
-    before = times[0] < passes[0].expected[0] - schedule.tolerance
-    ends = lacking > MOST_RESTORED or (lacking and before) or (markers.cut and len(passes) < scenes)
-    if ends and _has_strays(passes, times, schedule):
-        raise InputError(
-            "the last pass is cut, and markers outside of all passes follow no schedule: which "
-            "pass is of which scene is not certain; record again"
-        )
-
-
-def _name(
-    scene: int,
-    frames: np.ndarray,
-    each: Pass,
-    starts: np.ndarray,
-    end: float,
-    late: dict[tuple[int, int], tuple[int, float]],
-) -> Iterator[Fault]:
-    """Faults of frames in a row that have no marker; those that cannot be restored become NaN."""
-    alone = [frame for frame in frames.tolist() if (scene, frame) not in late]
-    if starts[frames[0]] > end:
-        detail = f"the recording has no markers after {end:.6f} s"
-    elif len(alone) > MOST_RESTORED:
-        detail = f"{len(alone)} markers are missing from {starts[frames[0]]:.6f} s"
-    else:
-        for frame in frames.tolist():
-            due = f"due at {each.expected[frame]:.6f} s"
-            if (scene, frame) in late:
-                off = late[scene, frame][1] * 1e6
-                side = "late" if off > 0 else "early"
-                detail = f"{abs(off):.1f} µs {side}, {due}"
-                yield Fault(kind="late", scene=scene, frame=frame, detail=detail)
-            else:
-                yield Fault(kind="missing", scene=scene, frame=frame, detail=due)
-        return
-    starts[frames] = np.nan
-    last = f" to {frames[-1]}" if len(frames) > 1 else ""
-    yield Fault(
-        kind="lost",
-        scene=scene,
-        frame=int(frames[0]),
-        detail=f"frames {frames[0]}{last}: {detail}" if last else detail,
-    )
-
-
-def _name_extra(time: float, passes: list[Pass], unknown: set[int], schedule: Schedule) -> Fault:
-    """An extra marker, with the frame in which it came."""
-    scene = frame = None
-    for place, each in enumerate(passes):
-        if each.expected[0] <= time < each.expected[-1] + schedule.pictures[-1]:
-            scene = place
-            if place not in unknown:
-                frame = int(np.searchsorted(each.expected, time, side="right")) - 1
-    return Fault(kind="extra", scene=scene, frame=frame, detail=f"a marker at {time:.6f} s")
-
-
-def _find_late(
-    passes: list[Pass], spare: np.ndarray, schedule: Schedule
-) -> dict[tuple[int, int], tuple[int, float]]:
-    """Spare markers that came within half a frame of a frame that has none, and by how much."""
-    # From (scene, frame) to (place among the spare ones, seconds)
-    late: dict[tuple[int, int], tuple[int, float]] = {}
-    taken: set[int] = set()
-    if not len(spare):
-        return late
-    for scene, each in enumerate(passes):
-        frames = np.flatnonzero(each.places < 0)
-        near, distance = _nearest(spare, each.expected[frames], 0)
-        close = distance < 0.5 * schedule.step
-        for frame, marker in zip(frames[close].tolist(), near[close].tolist(), strict=True):
-            if marker not in taken:
-                taken.add(marker)
-                late[scene, frame] = (marker, float(spare[marker] - each.expected[frame]))
-    return late
-
-
-def _has_strays(passes: list[Pass], times: np.ndarray, schedule: Schedule) -> bool:
-    """True if markers came before and between all passes, perhaps of one that was not found."""
-    outside = times < passes[-1].expected[-1]
-    for each in passes:
-        until = each.expected[-1] + schedule.pictures[-1]
-        outside &= (times < each.expected[0] - schedule.tolerance) | (times >= until)
-    return bool(outside.any())
-
-
-def _runs(places: np.ndarray) -> list[np.ndarray]:
-    """Places that follow each other, in groups."""
-    if not len(places):
-        return []
-    return np.split(places, np.flatnonzero(np.diff(places) > 1) + 1)
