@@ -23,15 +23,15 @@ from deepfsi.design.adaptive.misfit import squared_distance
 from deepfsi.design.adaptive.posterior import AdaptivePosterior, LookOptics
 from deepfsi.design.readout_fit import find_distribution
 from deepfsi.designfile import REFUSED, UNSURE, ReadoutDistribution
-from deepfsi.hardware.counting.windows import (
-    FrameStarts,
-    Role,
-    WindowCounts,
-    Windows,
+from deepfsi.hardware.light import (
+    FALSE_ALARMS,
+    PARTS,
+    Arrivals,
+    LightMonitor,
+    check_light,
     find_lateness,
 )
-from deepfsi.hardware.light import FALSE_ALARMS, PARTS, Arrivals, LightMonitor, check_light
-from deepfsi.hardware.patterns import Brightness, Frame, GatePlan, Manifest
+from deepfsi.hardware.patterns import Brightness, Frame, Manifest
 
 PASSES, MASKS, FRAME_S = 20, 10, 1e-3
 FLUX, DARK = 1e6, 1e3
@@ -162,26 +162,13 @@ def gain(rng: np.random.Generator, faulty: bool) -> bool:
     return "gain" in kinds(rng, detectors=4, gains=gains)
 
 
-def lateness(windows: Windows, photons: np.ndarray, seconds: np.ndarray) -> tuple:
-    """Fault of counts (S, g) of one detector."""
-    counts = WindowCounts(photons[..., None], seconds, windows)
-    return find_lateness(counts, slice(0, 1), room_s=1.0)
-
-
 def late(rng: np.random.Generator, faulty: bool) -> bool:
     """Alarm of late markers; with the fault by 1 µs."""
-    manifest = manifest_of()
-    pictures = manifest.picture_s
-    found = FrameStarts(
-        np.zeros((1, len(pictures))), np.ones(1, bool), pictures, 1e-5, 0.0, np.inf, ()
-    )
-    windows = Windows.of_gates(manifest, GatePlan(2e-5, np.full(MASKS, 5e-4), 1), found)
-    seconds = np.tile(windows.length_s, (PASSES, 1))
-    rates = np.where(windows.frame == 1, DARK, FLUX)
-    means = rates * seconds
+    seconds = np.tile([[1e-5], [FRAME_S - 3e-5], [FRAME_S - 3e-5]], PASSES)
+    means = np.array([[DARK], [DARK], [FLUX]]) * seconds
     if faulty:
-        means[:, int(np.argmax(windows.role == Role.GUARD))] += 1e-6 * FLUX
-    return bool(lateness(windows, rng.poisson(means), seconds))
+        means[0] += 1e-6 * FLUX
+    return bool(find_lateness(rng.poisson(means), seconds, room_s=1.0))
 
 
 def live(rng: np.random.Generator, faulty: bool) -> bool:

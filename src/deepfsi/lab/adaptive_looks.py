@@ -25,7 +25,7 @@ from deepfsi.hardware.live import (
 from deepfsi.hardware.patterns import (
     Brightness,
     DesignRails,
-    Looks,
+    LookPlan,
     Manifest,
     Patterns,
     read_patterns,
@@ -164,7 +164,7 @@ def adaptive_rails(path: str | os.PathLike[str]) -> DesignRails:
         file=read_regular(Path(path), LARGEST_TENSORS, "give a design"),
         brightness=brightness,
         detectors=detectors if detectors.count > 1 else None,
-        looks=Looks(
+        looks=LookPlan(
             count=design.masks, each_rail=False, first=(share,), shortest=0, loop_sha256=None
         ),
     )

@@ -6,14 +6,6 @@ from recording_samples import DWELL, TICK, named, patterns_of, schedule, train
 
 from deepfsi.base import InputError
 from deepfsi.hardware.counting import CountSettings, count_run, prepare_run
-from deepfsi.hardware.counting.windows import (
-    FrameStarts,
-    Role,
-    WindowCounts,
-    Windows,
-    find_lateness,
-)
-from deepfsi.hardware.patterns import GatePlan
 from deepfsi.hardware.photons import PtuWriter
 
 FLUX = 1e7
@@ -68,32 +60,6 @@ def test_a_late_trigger_gives_no_dark_counts(lamp, late, rate):
         assert "--exposure" not in str(faults[0])  # gates end long before their frames
 
 
-def lateness(windows: Windows, photons: np.ndarray, seconds: np.ndarray) -> tuple:
-    """Fault of counts (S, g) of one detector."""
-    counts = WindowCounts(photons[..., None], seconds, windows)
-    return find_lateness(counts, slice(0, 1), room_s=1.0)
-
-
-def test_stray_light_alone_is_no_late_trigger():
-    """In none of 1000 recordings of 20 scenes, at 1e5 counts/s in the dark."""
-    manifest = schedule([1000] * 4)
-    found = FrameStarts(
-        np.zeros((1, 8)), np.ones(1, bool), manifest.picture_s, 1e-5, 0.0, np.inf, ()
-    )
-    windows = Windows.of_gates(manifest, GatePlan(2e-5, np.full(4, 5e-4), 1), found)
-    seconds = np.tile(windows.length_s, (20, 1))
-    rates = np.where(windows.frame == 1, 1e5, 1e6)
-    rng = np.random.default_rng(2)
-    for _ in range(1000):
-        assert not lateness(windows, rng.poisson(rates * seconds), seconds)
-    guard = int(np.argmax(windows.role == Role.GUARD))
-    rates[guard] += 1e5  # 1 µs of light: 19 photons more, 4 of their standard errors
-    late = [bool(lateness(windows, rng.poisson(rates * seconds), seconds)) for _ in range(50)]
-    assert sum(late) < 10
-    rates[guard] += 4e5
-    assert lateness(windows, rng.poisson(rates * seconds), seconds)
-
-
 def test_gates_that_hold_light_of_the_next_frame_are_said(lamp):
     folder, record = lamp
     record(5e-6)
@@ -120,34 +86,3 @@ def test_settling_leaves_something_of_frames_before_their_guard():
         InputError, match=r"leaves nothing of the all-ON .* give less than 0\.00099"
     ):
         named(1).gates(manifest, 4e-3, 9.95e-4)
-
-
-@pytest.mark.parametrize("longer", [1.0, 20.0])
-def test_law_lateness_is_certain_at_six_standard_deviations_of_sound_draws(longer):
-    """The guard is `longer` than usual; the counts of the dark frame err, too."""
-    manifest = schedule([1000] * 4)
-    found = FrameStarts(
-        np.zeros((1, 8)), np.ones(1, bool), manifest.picture_s, 1e-5, 0.0, np.inf, ()
-    )
-    windows = Windows.of_gates(manifest, GatePlan(2e-5, np.full(4, 5e-4), 1), found)
-    scenes, guard = 400, int(np.argmax(windows.role == Role.GUARD))
-    seconds = np.tile(windows.length_s, (scenes, 1))
-    seconds[:, guard] *= longer
-    dark = windows.frame == 1
-    rates = np.where(dark, 1e5, 1e6)
-    mean = np.rint(rates * seconds).astype(int)
-    share = seconds[0, guard] / seconds[0, dark & (np.arange(len(dark)) != guard)].sum()
-    draws = np.random.default_rng(3).poisson
-    guards = draws(mean[0, guard], (20_000,))
-    others = draws(mean[0, guard] / share, (20_000,))
-    spread = float((guards - share * others).std()) * (scenes - 1) ** 0.5
-
-    def named(excess: float) -> bool:
-        photons = mean.copy()
-        each, rest = divmod(round(excess), scenes)
-        photons[:, guard] += each
-        photons[:rest, guard] += 1
-        return bool(lateness(windows, photons, seconds))
-
-    assert not named(5.3 * spread)
-    assert named(6.7 * spread)

@@ -13,7 +13,7 @@ from scipy.stats import binom
 from deepfsi.base import InputError
 from deepfsi.camera import DetectorMap
 from deepfsi.hardware.counting import Counts, count_run
-from deepfsi.hardware.light import FALSE_ALARMS
+from deepfsi.hardware.light import FALSE_ALARMS, find_lateness
 from deepfsi.hardware.light.checks import PassLight, find_unequal_gains
 from deepfsi.hardware.light.curves import LightCurve
 from deepfsi.hardware.light.flux import Background
@@ -178,3 +178,39 @@ def test_law_few_photons_alone_are_no_gain(seconds):
 
     assert sum(bool(found(1.0, 20)) for _ in range(300)) == 0
     assert all(found(0.3, 2e3) for _ in range(20))
+
+
+def test_stray_light_alone_is_no_late_trigger():
+    """In none of 1000 recordings of 20 scenes, at 1e5 counts/s in the dark."""
+    seconds = np.tile([[1e-5], [9.7e-4], [9.7e-4]], 20)
+    rates = np.array([[1e5], [1e5], [1e6]])
+    rng = np.random.default_rng(2)
+    for _ in range(1000):
+        assert not find_lateness(rng.poisson(rates * seconds), seconds, room_s=1.0)
+    rates[0] += 1e5  # 1 µs of light: 19 photons more, 4 of their standard errors
+    late = [find_lateness(rng.poisson(rates * seconds), seconds, room_s=1.0) for _ in range(50)]
+    assert sum(map(bool, late)) < 10
+    rates[0] += 4e5
+    assert find_lateness(rng.poisson(rates * seconds), seconds, room_s=1.0)
+
+
+@pytest.mark.parametrize("longer", [1.0, 20.0])
+def test_law_lateness_is_certain_at_six_standard_deviations_of_sound_draws(longer):
+    """The guard is `longer` than usual; the counts of the dark frame err, too."""
+    scenes = 400
+    seconds = np.tile([[1e-5 * longer], [9.7e-4], [9.7e-4]], scenes)
+    mean = np.rint(np.array([[1e5], [1e5], [1e6]]) * seconds).astype(int)
+    share = seconds[0, 0] / seconds[1, 0]
+    draws = np.random.default_rng(3).poisson
+    guards = draws(mean[0, 0], (20_000,))
+    others = draws(mean[0, 0] / share, (20_000,))
+    spread = float((guards - share * others).std()) * (scenes - 1) ** 0.5
+
+    def named(excess: float) -> bool:
+        photons = mean.copy()
+        photons[0] += round(excess) // scenes
+        photons[0, : round(excess) % scenes] += 1
+        return bool(find_lateness(photons, seconds, room_s=1.0))
+
+    assert not named(5.3 * spread)
+    assert named(6.7 * spread)

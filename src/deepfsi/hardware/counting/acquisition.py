@@ -45,7 +45,7 @@ from deepfsi.hardware.photons import PtuFile
 MOST_READOUTS = 2**21
 """Gates, and readouts, that are counted at once, at most."""
 
-MOST_FRAMES = 2**20
+MOST_RUN_FRAMES = 2**20
 """Frames of all passes together, times the detectors of an arm, at most."""
 
 LARGEST_JSON = 2**24
@@ -317,6 +317,11 @@ class Run:
         return self.patterns.manifest
 
     @property
+    def arm(self) -> slice:
+        """Inputs of the detectors that see mirrors ON."""
+        return slice(0, self.manifest.detector_count)
+
+    @property
     def photons(self) -> Path:
         """File of the photons and markers."""
         return self.folder / "photons.ptu"
@@ -365,7 +370,7 @@ def _check_fit(acquisition: Acquisition, manifest: Manifest, name: str) -> None:
             f"{name} has {len(acquisition.inputs)} inputs, and its patterns need "
             f"{manifest.inputs}: give one for each detector"
         )
-    most = MOST_FRAMES // manifest.detector_count
+    most = MOST_RUN_FRAMES // manifest.detector_count
     if len(acquisition.scenes) * len(roles) > most:
         raise InputError(
             f"{name} has {len(acquisition.scenes)} scenes of {len(roles)} frames, and at most "

@@ -29,7 +29,7 @@ import numpy as np
 
 from deepfsi.base import InputError
 from deepfsi.camera import NO_DEAD_TIME, CorrectionFactors, DeadTime
-from deepfsi.hardware.counting.counts import LEAST_UNFIRED, SceneLight
+from deepfsi.hardware.counting.counts import LEAST_UNFIRED, RunLight
 from deepfsi.hardware.patterns import Frame, Manifest
 
 
@@ -135,6 +135,16 @@ class Estimate:
     arrivals: np.ndarray
     variance: np.ndarray  # of their noise, of the same shape
 
+    @classmethod
+    def of(cls, gated: np.ndarray, factors: CorrectionFactors, manifest: Manifest) -> Self:
+        """Of counts (P, R, f, inputs) of the masks' frames, from factors of all (P, F, inputs)."""
+        of_masks = (slice(None), None, manifest.shown)
+        return cls(gated * factors.arrivals[of_masks], gated * factors.variance[of_masks])
+
+    def by_readout(self, manifest: Manifest) -> Self:
+        """Those of readouts, from those of masks' frames."""
+        return type(self)(*map(manifest.by_readout, (self.arrivals, self.variance)))
+
 
 @dataclass(frozen=True)
 class Ambient:
@@ -232,7 +242,7 @@ def light_of_clicks(
     width_s: float,
     scenes: int,
     manifest: Manifest,
-) -> SceneLight:
+) -> RunLight:
     """Light of all scenes together, from the frames of `ENDS`.
 
     Parameters
@@ -266,7 +276,7 @@ def light_of_clicks(
     certain = ((mean > 1) | (gates - fired >= LEAST_UNFIRED))[0, arm].all()
     flux = float((rate[0] - dark)[arm].sum()) if certain else np.nan
     on, off = share[:, arm].sum(axis=1) / width_s
-    return SceneLight(
+    return RunLight(
         on_rate=np.full(scenes, on),
         off_rate=np.full(scenes, off),
         flux=np.full(scenes, flux if flux > 0 else np.nan),

@@ -6,7 +6,7 @@ what the counter does, and the light is checked. All of it can be done again for
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self
 
@@ -14,7 +14,7 @@ import numpy as np
 
 from deepfsi.base import SILENT, InputError, Progress, time_text
 from deepfsi.camera import NO_DEAD_TIME, DeadTime
-from deepfsi.hardware.counting.acquisition import Acquisition, Calibration, Run, read_run
+from deepfsi.hardware.counting.acquisition import Calibration, Run, read_run
 from deepfsi.hardware.counting.corrections import (
     ENDS,
     Ambient,
@@ -27,18 +27,17 @@ from deepfsi.hardware.counting.corrections import (
     light_of_clicks,
     variance_of_clicks,
 )
-from deepfsi.hardware.counting.counts import Counts
+from deepfsi.hardware.counting.counts import Counts, RunLight
 from deepfsi.hardware.counting.markers import MOST_DRIFT, find_frames, find_steps
 from deepfsi.hardware.counting.windows import (
     FrameStarts,
     WindowCounts,
     Windows,
     count_in_windows,
-    find_lateness,
     sum_exposures,
 )
-from deepfsi.hardware.light import PARTS, Arrivals, Fault, check_light, name_inputs
-from deepfsi.hardware.patterns import GatePlan, Manifest
+from deepfsi.hardware.light import PARTS, Arrivals, Fault, check_light, find_lateness, name_inputs
+from deepfsi.hardware.patterns import GatePlan
 from deepfsi.hardware.photons import PhotonSource, summarise
 
 LEAST_GATE_TICKS = 10
@@ -119,16 +118,30 @@ def count_run(
     settings = settings or CountSettings()
     run = read_run(folder)
     run.acquisition.check_fixed(folder)
-    acquisition = run.acquisition.rewired(settings.inputs, settings.marker_bit)
-    gates = acquisition.gates(
+    run = replace(run, acquisition=run.acquisition.rewired(settings.inputs, settings.marker_bit))
+    planned = run.acquisition.gates(run.manifest)
+    gates = run.acquisition.gates(
         run.manifest, settings.exposure_s, settings.settle_s, settings.repeats
     )
-    _check_gated(acquisition, run.manifest, gates, settings.clicks, folder=folder)
-    recorded = Run(run.folder, acquisition, run.patterns)
+    recorded = (run.acquisition.camera or {}).get("gates")  # of a gated detector
+    same = np.array_equal(gates.length_s, planned.length_s) and gates.settle_s == planned.settle_s
+    if recorded is not None and (recorded != settings.clicks or not same):
+        raise InputError(
+            f"{folder} holds the first photons alone of {recorded} gates in "
+            f"{time_text(run.acquisition.exposure_s)}: count these gates, of that exposure and "
+            "settle time, or record again"
+        )
     if settings.clicks is None:
-        counts = _count_photons(recorded, gates, settings, progress)
+        counts = _count_photons(run, gates, settings, progress)
     else:
-        counts = _count_clicks(recorded, gates, settings, progress)
+        of_photons = {
+            "dead time": settings.dead_time is not None,
+            "a background": settings.background is not None,
+            "a flat field": bool(settings.gains),
+        }
+        check_clicks(settings.clicks, of_photons)
+        gates = gates.with_clicks(run.manifest, settings.clicks)
+        counts = _count_clicks(run, gates, settings, progress)
     counts.save(run)
     return counts
 
@@ -147,17 +160,17 @@ class _Recording:
         cls,
         run: Run,
         gates: GatePlan,
-        shortest_s: float,
+        *,
         tolerance_s: float | None = None,
         progress: Progress = SILENT,
-        by_light: bool = True,
     ) -> Self:
         """Find the frames of a run, whose counter must resolve the shortest gate."""
         source = run.open_photons()
-        if shortest_s < LEAST_GATE_TICKS * source.tick_s:
+        shortest = (gates.click_width_s if gates.clicks else gates.length_s).min()
+        if shortest < LEAST_GATE_TICKS * source.tick_s:
             raise InputError(
                 f"{source.path} has times in steps of {time_text(source.tick_s)}, too coarse for "
-                f"gates of {time_text(shortest_s)}: give a longer exposure"
+                f"gates of {time_text(shortest)}: give a longer exposure"
             )
         starts = find_frames(
             source,
@@ -165,24 +178,9 @@ class _Recording:
             run.manifest,
             tolerance_s,
             progress=progress,
-            by_light=by_light,
+            by_light=not gates.clicks,  # they saturate, and do not tell the brightest frames
         )
         return cls(run, source, gates, starts)
-
-    @property
-    def arm(self) -> slice:
-        """Inputs of the detectors that see mirrors ON."""
-        return slice(0, self.run.manifest.detector_count)
-
-    @property
-    def room_s(self) -> np.ndarray:
-        """Time (f,) from the last gate of each mask's frame to the next frame."""
-        pictures = self.starts.pictures_s[self.run.manifest.shown]
-        return np.asarray(pictures - self._gated_s)
-
-    @property
-    def _gated_s(self) -> np.ndarray:
-        return np.asarray(self.gates.settle_s + self.gates.repeats * self.gates.length_s)
 
     def check_gates(self) -> None:
         """Raise `InputError` if frames were so much shorter than planned that gates do not fit."""
@@ -204,27 +202,67 @@ class _Recording:
         inputs = self.run.acquisition.inputs
         return count_in_windows(self.source, self.starts, sets, inputs, progress=progress)
 
-    def counts(self, passes: np.ndarray, values: dict[str, Any], **others: Any) -> Counts:
+    def find_late(self, gated: WindowCounts) -> tuple[Fault, ...]:
+        """Fault of markers that all come late."""
+        pictures = self.starts.pictures_s[self.run.manifest.shown]
+        ends = self.gates.settle_s + self.gates.repeats * self.gates.length_s
+        return find_lateness(
+            *gated.around_first_mask(self.run.arm), room_s=float((pictures - ends).min())
+        )
+
+    def check_lit(self, lit: np.ndarray) -> None:
+        """Raise `InputError` if no pass has light, saying which inputs have photons."""
+        if lit.any():
+            return
+        photons = sorted(summarise(self.source.path).photons.items())
+        there = ", ".join(f"{number} photons on input {k + 1}" for k, number in photons)
+        raise InputError(
+            f"{self.source.path} has no light on input {name_inputs(self.run.acquisition.inputs)}: "
+            "no all-ON frame is brighter than the all-OFF ones. The file holds "
+            f"{there or 'no photons'}: give the input that the detector is wired to, or switch on "
+            "the lamp"
+        )
+
+    def find_ambient(self, gated: WindowCounts, corrections: Sequence[Correction]) -> Ambient:
+        """Background of passes with the scene dark."""
+        manifest = self.run.manifest
+        photons, spent = gated.per_frame()
+        factors = correct(photons / np.where(spent > 0, spent, np.inf)[..., None], corrections)
+        estimate = Estimate.of(gated.gates(self.gates.repeats), factors, manifest)
+        return Ambient.of(
+            manifest,
+            Estimate(*(each.reshape(-1, *each.shape[2:]) for each in vars(estimate).values())),
+            self.gates.length_s,
+            frames=(photons * factors.arrivals).sum(axis=0),
+            frames_s=spent.sum(axis=0),
+        )
+
+    def counts(
+        self, passes: np.ndarray, readouts: Estimate, light: RunLight, **others: Any
+    ) -> Counts:
         """Counts of all scenes, with what the run and its gates say.
 
         Parameters
         ----------
         passes : array (P,)
-            Scenes that were recorded.
-        values : dict
-            Fields of them, (P, ...): the value that others get, and the values.
+            Scenes that were recorded; the others get 0, and NaN for rates and flux.
+        readouts : Estimate
+            What arrived, (P, R, rails, m[, D]).
+        light : RunLight
+            Of these scenes.
         **others
-            Other fields.
+            Other fields; ``counts`` is of these scenes, too.
         """
         scenes = len(self.run.acquisition.scenes)
-        fields: dict[str, Any] = {}
-        for name, (lost, some) in values.items():
+        fields: dict[str, Any] = vars(readouts) | vars(light) | others
+        for name in ("counts", "arrivals", "variance", "on_rate", "off_rate", "flux", "dark_rate"):
+            some = fields[name]
+            lost = np.nan if name in ("on_rate", "off_rate", "flux") else 0
             fields[name] = np.full((scenes, *some.shape[1:]), lost, some.dtype)
             fields[name][passes] = some
         valid = np.isin(np.arange(scenes), passes)
         return Counts(
             **fields,
-            **others,
             valid=np.repeat(valid[:, None], self.gates.repeats, axis=1),
             gate_s=self.gates.length_s,
             settle_s=self.gates.settle_s,
@@ -240,8 +278,11 @@ def _count_photons(
     """Photons of each readout, and what arrived, corrected and less no background yet."""
     manifest = run.manifest
     acquisition = run.acquisition
-    dead_time = settings.dead_time or _known_dead_time(run.folder)
-    effects = CounterEffects(dead_time, settings.gains)
+    dead_time = settings.dead_time
+    calibration = run.folder / "calibration"
+    if dead_time is None and (calibration / "calibration.json").is_file():
+        dead_time = Calibration.load(calibration).dead_time
+    effects = CounterEffects(dead_time or NO_DEAD_TIME, settings.gains)
     corrections = corrections_of(effects, manifest)
     names = [scene.name for scene in acquisition.scenes]
     dark = names.index(settings.background) if settings.background in names else None
@@ -249,11 +290,7 @@ def _count_photons(
     if settings.background is not None and dark is None:
         ambient = _read_ambient(Path(settings.background), run, gates, corrections)
     recording = _Recording.open(
-        run,
-        gates,
-        gates.length_s.min(),
-        tolerance_s=settings.tolerance_s,
-        progress=progress.between(0.0, 0.4),
+        run, gates, tolerance_s=settings.tolerance_s, progress=progress.between(0.0, 0.4)
     )
     recording.check_gates()
     starts = recording.starts
@@ -263,63 +300,59 @@ def _count_photons(
         Windows.of_parts(starts, gates.settle_s, PARTS),
         progress=progress.between(0.4, 1.0),
     )
-    passes = np.flatnonzero(starts.complete)
     faults = list(starts.faults)
     of_dark = []
     if dark is not None:
-        kept = passes != dark
-        if kept.all():
+        others = gated.scenes != dark
+        if others.all():
             raise InputError(
                 f"scene {settings.background} was not recorded whole: give another background"
             )
-        ambient = _find_ambient(gated.select(~kept), corrections, manifest, gates)
-        gated = gated.select(kept)
-        parted = parted.select(kept)
-        passes = passes[kept]
+        ambient = recording.find_ambient(gated.select(~others), corrections)
+        gated = gated.select(others)
+        parted = parted.select(others)
         detail = "it was dark, and its counts are subtracted from those of the others"
         of_dark.append(Fault(kind="background", scene=dark, detail=detail))
     fits = _show_ends(recording, gated)
-    lost = passes[~fits]
+    lost = gated.scenes[~fits]
     faults += (Fault(kind="lost", scene=scene, detail=SHIFTED) for scene in lost.tolist())
     gated = gated.select(fits)
     parted = parted.select(fits)
-    passes = passes[fits]
-    faults += find_lateness(gated, recording.arm, float(recording.room_s.min()))
+    faults += recording.find_late(gated)
     photons, spent = gated.per_frame()
     rates = photons / np.where(spent > 0, spent, np.nan)[..., None]
     for correction in corrections:
         correction.check(rates, manifest.frames, acquisition.inputs, source)
     factors = correct(rates, corrections)
     middles = parted.windows.middles_s(starts.pictures_s)
-    parts = parted.photons.reshape(len(passes), *middles.shape, -1)
+    shape = (len(parted.scenes), *middles.shape)
+    parts = parted.photons.reshape(*shape, -1)
     arrivals = Arrivals(
         manifest.frames,
         photons=parts * factors.arrivals[:, :, None],
         variance=parts * factors.variance[:, :, None],
-        seconds=parted.open_s.reshape(len(passes), *middles.shape),
+        seconds=parted.open_s.reshape(shape),
         middles=middles,
     )
-    light = check_light(arrivals, manifest, acquisition.inputs, scenes=passes, lost=lost)
-    _check_lit(recording.source, acquisition, bool(light.lit.any()))
-    counts = gated.gates(gates.repeats)
-    by_gate = (slice(None), None, manifest.shown)
+    light = check_light(arrivals, manifest, acquisition.inputs, scenes=gated.scenes, lost=lost)
+    recording.check_lit(light.lit)
     on, off = (
-        np.nanmean((rates * factors.arrivals)[:, frames], axis=1)[:, recording.arm].sum(axis=1)
+        np.nanmean((rates * factors.arrivals)[:, frames], axis=1)[:, run.arm].sum(axis=1)
         for frames in ([0, -2], [1, -1])
     )
+    counts = gated.gates(gates.repeats)
     return recording.counts(
-        passes,
-        {
-            "counts": (0, manifest.by_readout(counts)),
-            "arrivals": (0, manifest.by_readout(counts * factors.arrivals[by_gate])),
-            "variance": (0, manifest.by_readout(counts * factors.variance[by_gate])),
-            "on_rate": (np.nan, on),
-            "off_rate": (np.nan, off),
-            "flux": (np.nan, ambient.of_flux(light.flux, source)),
-            "dark_rate": (0, manifest.by_rail(light.dark_rate)),
-        },
-        exposure_s=_exposure(acquisition, settings),
-        faults=(*faults, *light.faults, *of_dark),
+        gated.scenes,
+        Estimate.of(counts, factors, manifest).by_readout(manifest),
+        RunLight(
+            on_rate=on,
+            off_rate=off,
+            flux=ambient.of_flux(light.flux, source),
+            dark_rate=manifest.by_rail(light.dark_rate),
+            faults=(*faults, *light.faults, *of_dark),
+        ),
+        counts=manifest.by_readout(counts),
+        exposure_s=settings.exposure_s or acquisition.exposure_s,
         ambient=ambient.counts,
         ambient_variance=ambient.variance,
         dead_time=effects.dead_time,
@@ -331,75 +364,42 @@ def _count_clicks(run: Run, gates: GatePlan, settings: CountSettings, progress: 
     """Clicks of each readout: of every gate of an exposure one photon at most."""
     manifest = run.manifest
     acquisition = run.acquisition
-    assert settings.clicks is not None
-    of_photons = {
-        "dead time": settings.dead_time is not None,
-        "a background": settings.background is not None,
-        "a flat field": bool(settings.gains),
-    }
-    check_clicks(settings.clicks, of_photons)
-    gates = gates.with_clicks(manifest, settings.clicks)
-    # Clicks saturate, so that they do not tell which frames are the brightest
     recording = _Recording.open(
-        run,
-        gates,
-        gates.click_width_s.min(),
-        tolerance_s=settings.tolerance_s,
-        progress=progress.between(0.0, 0.4),
-        by_light=False,
+        run, gates, tolerance_s=settings.tolerance_s, progress=progress.between(0.0, 0.4)
     )
     recording.check_gates()
-    starts = recording.starts
     gated, parted = recording.count_in(
-        Windows.of_gates(manifest, gates, starts),
+        Windows.of_gates(manifest, gates, recording.starts),
         Windows.of_clicks(gates, len(acquisition.scenes)),
         progress=progress.between(0.4, 1.0),
     )
-    _check_lit(recording.source, acquisition, bool(gated.photons.any()))
-    late = find_lateness(gated, recording.arm, float(recording.room_s.min()))
+    recording.check_lit(gated.photons)
     fired = np.minimum(parted.photons, 1)
     opened = (parted.open_s > 0)[..., None]
     clicks = manifest.by_readout(sum_exposures(fired, gates, manifest.shown, gates.repeats))
-    ends = [
-        sum_exposures(values, gates, np.array(ENDS), 1)[:, 0]
-        for values in (parted.photons, fired, opened)
-    ]
-    passes = np.flatnonzero(starts.complete)
     light = light_of_clicks(
-        *ends, width_s=float(gates.click_width_s[0]), scenes=len(passes), manifest=manifest
+        *(
+            sum_exposures(values, gates, np.array(ENDS), 1)[:, 0]
+            for values in (parted.photons, fired, opened)
+        ),
+        width_s=float(gates.click_width_s[0]),
+        scenes=len(parted.scenes),
+        manifest=manifest,
     )
     # Where clicks do not tell the flux, it is the one that was stated
     flux = np.where(np.isfinite(light.flux), light.flux, acquisition.flux or np.nan)
+    faults = (*recording.starts.faults, *recording.find_late(gated))
     ambient = Ambient.none(manifest)
     return recording.counts(
-        passes,
-        {
-            "counts": (0, clicks),
-            "arrivals": (0, clicks.astype(float)),
-            "variance": (0, variance_of_clicks(clicks, gates.clicks)),
-            "on_rate": (np.nan, light.on_rate),
-            "off_rate": (np.nan, light.off_rate),
-            "flux": (np.nan, flux),
-            "dark_rate": (0, light.dark_rate),
-        },
-        exposure_s=_exposure(acquisition, settings),
-        faults=(*starts.faults, *late),
+        parted.scenes,
+        Estimate(clicks.astype(float), variance_of_clicks(clicks, gates.clicks)),
+        replace(light, flux=flux, faults=faults),
+        counts=clicks,
+        exposure_s=settings.exposure_s or acquisition.exposure_s,
         ambient=ambient.counts,
         ambient_variance=ambient.variance,
         gates=gates.clicks,
     )
-
-
-def _exposure(acquisition: Acquisition, settings: CountSettings) -> float:
-    return acquisition.exposure_s if settings.exposure_s is None else settings.exposure_s
-
-
-def _known_dead_time(folder: Path) -> DeadTime:
-    """Dead time that the calibration in a folder knows; none without it."""
-    # This is why `Calibration` is of this room: it corrects counts
-    if not (folder / "calibration" / "calibration.json").is_file():
-        return NO_DEAD_TIME
-    return Calibration.load(folder / "calibration").dead_time or NO_DEAD_TIME
 
 
 def _read_ambient(
@@ -411,79 +411,23 @@ def _read_ambient(
             f"there is no scene and no folder {folder}: give the name of a scene that was dark, "
             "or the folder of a run with the scene dark"
         )
-    dark = read_run(folder)
-    acquisition = run.acquisition
-    if dark.acquisition.manifest_sha256 != acquisition.manifest_sha256:
+    dark = read_run(folder).acquisition
+    wired = run.acquisition
+    if dark.manifest_sha256 != wired.manifest_sha256:
         raise InputError(
             f"{folder} was recorded with other patterns: record the dark scene as the others"
         )
-    rewired = dark.acquisition.rewired(acquisition.inputs, acquisition.marker_bit)
-    rewired_run = Run(folder, rewired, run.patterns)
-    recording = _Recording.open(rewired_run, gates, gates.length_s.min())
+    rewired = dark.rewired(wired.inputs, wired.marker_bit)
+    recording = _Recording.open(Run(folder, rewired, run.patterns), gates)
     (counts,) = recording.count_in(Windows.of_gates(run.manifest, gates, recording.starts))
-    return _find_ambient(counts, corrections, run.manifest, gates)
+    return recording.find_ambient(counts, corrections)
 
 
-def _find_ambient(
-    counts: WindowCounts, corrections: Sequence[Correction], manifest: Manifest, gates: GatePlan
-) -> Ambient:
-    """Background of passes with the scene dark."""
-    photons, spent = counts.per_frame()
-    factors = correct(photons / np.where(spent > 0, spent, np.inf)[..., None], corrections)
-    gated = counts.gates(gates.repeats)
-    by_gate = (slice(None), None, manifest.shown)
-    arrivals, variance = (
-        (gated * factor[by_gate]).reshape(-1, *gated.shape[2:])
-        for factor in (factors.arrivals, factors.variance)
-    )
-    return Ambient.of(
-        manifest,
-        Estimate(arrivals, variance),
-        gates.length_s,
-        frames=(photons * factors.arrivals).sum(axis=0),
-        frames_s=spent.sum(axis=0),
-    )
-
-
-def _check_lit(source: PhotonSource, acquisition: Acquisition, lit: bool) -> None:
-    """Raise `InputError` if no pass has light, saying which inputs have photons."""
-    if lit:
-        return
-    photons = sorted(summarise(source.path).photons.items())
-    there = ", ".join(f"{number} photons on input {k + 1}" for k, number in photons)
-    raise InputError(
-        f"{source.path} has no light on input {name_inputs(acquisition.inputs)}: no all-ON frame "
-        f"is brighter than the all-OFF ones. The file holds {there or 'no photons'}: give the "
-        "input that the detector is wired to, or switch on the lamp"
-    )
-
-
-def _check_gated(
-    acquisition: Acquisition,
-    manifest: Manifest,
-    gates: GatePlan,
-    clicks: int | None,
-    folder: object,
-) -> None:
-    """Raise `InputError` if a gated detector made a file whose gates are not those counted."""
-    recorded = (acquisition.camera or {}).get("gates")
-    if recorded is None:
-        return
-    planned = acquisition.gates(manifest)
-    same = np.array_equal(gates.length_s, planned.length_s) and gates.settle_s == planned.settle_s
-    if recorded != clicks or not same:
-        raise InputError(
-            f"{folder} holds the first photons alone of {recorded} gates in "
-            f"{time_text(acquisition.exposure_s)}: count these gates, of that exposure and settle "
-            "time, or record again"
-        )
-
-
-def _show_ends(recording: _Recording, counts: WindowCounts) -> np.ndarray:
+def _show_ends(recording: _Recording, gated: WindowCounts) -> np.ndarray:
     """Passes (P,) whose first and last two frames are all ON and all OFF, as photons tell."""
     # At least one of each must have been recorded
-    photons, seconds = counts.per_frame()
-    photons = photons[..., recording.arm].sum(axis=-1)
+    photons, seconds = gated.per_frame()
+    photons = photons[..., recording.run.arm].sum(axis=-1)
     fits = np.array(
         [
             spent[[0, -2]].any()

@@ -50,7 +50,7 @@ _UNREADABLE = (
 
 
 @dataclass(frozen=True)
-class SceneLight:
+class RunLight:
     """Light of each scene, as `Counts` has it, and the faults of all."""
 
     on_rate: np.ndarray  # (S,)

@@ -41,7 +41,7 @@ from deepfsi.hardware.counting.corrections import (
     light_of_clicks,
     variance_of_clicks,
 )
-from deepfsi.hardware.counting.counts import Counts, SceneLight
+from deepfsi.hardware.counting.counts import Counts, RunLight
 from deepfsi.hardware.light import CERTAIN_SIGMAS, Arrivals, Fault, check_light
 from deepfsi.hardware.patterns import Manifest
 
@@ -432,7 +432,7 @@ def _check_values(read: np.ndarray, manifest: Manifest, settings: TableSettings,
         )
 
 
-def _find_light(exposures: _Exposures, frames: Estimate, scene_of: np.ndarray) -> SceneLight:
+def _find_light(exposures: _Exposures, frames: Estimate, scene_of: np.ndarray) -> RunLight:
     """Light of each scene, all exposures of one together, from what arrived in all frames."""
     # scene_of (E,): scene of each exposure
     manifest = exposures.manifest
@@ -444,7 +444,7 @@ def _find_light(exposures: _Exposures, frames: Estimate, scene_of: np.ndarray) -
     stated = None if settings.background is None else settings.background / exposure_s
     dark = np.full((scenes, manifest.inputs), stated or 0.0)
     if not exposures.sentinels:
-        return SceneLight(
+        return RunLight(
             on_rate=np.full(scenes, np.nan),
             off_rate=np.full(scenes, np.nan),
             flux=np.full(scenes, (settings.photons or np.nan) / exposure_s),
@@ -491,7 +491,7 @@ def _find_light(exposures: _Exposures, frames: Estimate, scene_of: np.ndarray) -
         faults = light.faults
     if stated is None:
         dark = measured
-    return SceneLight(
+    return RunLight(
         on_rate=on[:, arm].sum(axis=1),
         off_rate=off[:, arm].sum(axis=1),
         flux=flux + (measured - dark)[:, arm].sum(axis=1),

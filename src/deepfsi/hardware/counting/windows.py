@@ -7,30 +7,19 @@ guard of the all-OFF frames is counted by itself: light in it tells by how much 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from enum import IntEnum
+from dataclasses import dataclass, field
 from typing import Self
 
 import numpy as np
 
 from deepfsi.base import SILENT, InputError, Progress
 from deepfsi.hardware.counting.acquisition import MOST_READOUTS
-from deepfsi.hardware.light import CERTAIN_SIGMAS, Fault
+from deepfsi.hardware.light import Fault
 from deepfsi.hardware.patterns import GatePlan, Manifest
 from deepfsi.hardware.photons import PhotonSource, count_windows
 
 GUARD_SHARE = 0.5
 """Share of a frame after settling that a guard takes at most, where it is cut in parts."""
-
-
-class Role(IntEnum):
-    """Purpose of a window."""
-
-    GATE = 0  # a readout of a mask's frame
-    REST = 1  # what gates leave of a frame between settling and guard
-    GUARD = 2  # the end of an all-OFF frame, in which the next may have begun
-    PART = 3  # an equal part of a frame, for the checks of the light
-    CLICK = 4  # a gate of a detector that fires once
 
 
 @dataclass(frozen=True)
@@ -53,8 +42,10 @@ class Windows:
     frame: np.ndarray  # (g,): Of each window
     offset_s: np.ndarray  # (g,): When it opens after the start of its frame
     length_s: np.ndarray  # (g,)
-    role: np.ndarray  # (g,): As of `Role`
     frames: int  # of a pass, F
+    # Of windows of gates, (g,), bool: readouts of the masks' frames, and ends of all-OFF frames
+    gate: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))
+    guard: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))
 
     @classmethod
     def of_gates(cls, manifest: Manifest, gates: GatePlan, starts: FrameStarts) -> Self:
@@ -67,9 +58,6 @@ class Windows:
         first = np.cumsum(count) - count
         gated = first[manifest.shown][:, None] + np.arange(gates.repeats)  # (f, R)
         guards = first[dark] + 1
-        role = np.full(len(frame), Role.REST)
-        role[gated] = Role.GATE
-        role[guards] = Role.GUARD
         ends = starts.pictures_s - starts.tolerance_s
         offset = np.full(len(frame), gates.settle_s)
         offset[gated] = gates.starts_s
@@ -78,7 +66,15 @@ class Windows:
         length = np.maximum(ends[frame] - offset, 0.0)
         length[gated] = gates.length_s[:, None]
         length[guards] = starts.tolerance_s
-        return cls(frame, offset, length, role, len(count))
+        windows = np.arange(len(frame))
+        return cls(
+            frame=frame,
+            offset_s=offset,
+            length_s=length,
+            frames=len(count),
+            gate=np.isin(windows, gated),
+            guard=np.isin(windows, guards),
+        )
 
     @classmethod
     def of_parts(cls, starts: FrameStarts, settle_s: float, number: int) -> Self:
@@ -92,7 +88,6 @@ class Windows:
             frame=np.repeat(np.arange(frames), number),
             offset_s=offset.ravel(),
             length_s=np.repeat(length, number),
-            role=np.full(offset.size, Role.PART),
             frames=frames,
         )
 
@@ -112,7 +107,6 @@ class Windows:
             frame=frame,
             offset_s=gates.settle_s + order * width,
             length_s=width,
-            role=np.full(len(frame), Role.CLICK),
             frames=len(count),
         )
 
@@ -129,26 +123,38 @@ class WindowCounts:
 
     photons: np.ndarray  # (P, g, inputs), int64
     open_s: np.ndarray  # (P, g): How long each window was open
+    scenes: np.ndarray  # (P,): Of each pass
     windows: Windows
 
     def select(self, passes: np.ndarray) -> Self:
         """Some of the passes, a mask (P,) of bools."""
-        return type(self)(self.photons[passes], self.open_s[passes], self.windows)
+        return type(self)(
+            self.photons[passes], self.open_s[passes], self.scenes[passes], self.windows
+        )
 
     def per_frame(self) -> tuple[np.ndarray, np.ndarray]:
         """Photons (P, F, inputs) of whole frames but guards, and how long they were counted."""
-        return self._sum_frames(self.photons), self._sum_frames(self.open_s)
-
-    def _sum_frames(self, values: np.ndarray) -> np.ndarray:
-        kept = values.copy()
-        kept[:, self.windows.role == Role.GUARD] = 0
         first = np.searchsorted(self.windows.frame, np.arange(self.windows.frames))
-        return np.add.reduceat(kept, first, axis=1)
+        sums = []
+        for values in (self.photons.copy(), self.open_s.copy()):
+            values[:, self.windows.guard] = 0
+            sums.append(np.add.reduceat(values, first, axis=1))
+        return sums[0], sums[1]
 
     def gates(self, repeats: int) -> np.ndarray:
         """Photons (P, R, f, inputs) in the gates of the masks' frames."""
-        gated = self.photons[:, self.windows.role == Role.GATE]
+        gated = self.photons[:, self.windows.gate]
         return gated.reshape(len(gated), -1, repeats, gated.shape[-1]).swapaxes(1, 2)
+
+    def around_first_mask(self, arm: slice) -> tuple[np.ndarray, np.ndarray]:
+        """Photons of an arm, and how long they were counted, as `find_lateness` takes them."""
+        photons, spent = self.per_frame()
+        guard = np.argmax(self.windows.guard)
+        dark, light = photons[:, 1:3, arm].sum(axis=-1).T
+        of_guard = self.photons[:, guard, arm].sum(axis=-1)
+        return np.stack([of_guard, dark, light]), np.stack(
+            [self.open_s[:, guard], *spent[:, 1:3].T]
+        )
 
 
 def count_in_windows(
@@ -188,7 +194,7 @@ def count_in_windows(
         open_s = np.zeros(timed.shape)
         counts[timed] = some
         open_s[timed] = (ends - begins) * tick_s
-        out.append(WindowCounts(counts, open_s, windows))
+        out.append(WindowCounts(counts, open_s, np.flatnonzero(starts.complete), windows))
     return out
 
 
@@ -202,45 +208,6 @@ def sum_exposures(
     first = (np.cumsum(gates.click_exposures) - gates.click_exposures)[frames]
     sums = values.reshape(len(values), -1, gates.clicks, values.shape[-1]).sum(axis=2)
     return np.asarray(sums[:, first + np.arange(repeats)[:, None]])
-
-
-def find_lateness(counts: WindowCounts, arm: slice, room_s: float) -> tuple[Fault, ...]:
-    """Name markers that all come late: light of the first mask is in the guard before it.
-
-    Parameters
-    ----------
-    counts : WindowCounts
-        Of windows of gates.
-    arm : slice
-        Inputs of the detectors that see mirrors ON.
-    room_s : float
-        Least time from the last gate of a frame to the next frame.
-    """
-    photons, spent = counts.per_frame()
-    (dark, light) = photons[:, 1:3, arm].sum(axis=-1).T
-    (dark_s, light_s) = spent[:, 1:3].T
-    first = int(np.flatnonzero(counts.windows.role == Role.GUARD)[0])
-    guard = counts.photons[:, first, arm].sum(axis=-1)
-    guard_s = counts.open_s[:, first]
-    used = (dark_s > 0) & (light_s > 0)
-    if np.count_nonzero(used) > 1:  # a burst of stray light in one of them is another fault
-        used[np.argmax(np.where(used, guard, -1))] = False
-    share = guard_s[used] / dark_s[used]
-    excess = float((guard[used] - dark[used] * share).sum())
-    noise = float(np.sqrt((dark[used] * share * (1 + share)).sum() + 1))
-    rate = float((light[used] / light_s[used] - dark[used] / dark_s[used]).sum())
-    if excess <= CERTAIN_SIGMAS * noise or rate <= 0:
-        return ()
-    late = excess / rate
-    detail = (
-        f"all markers, by {late * 1e6:.1f} µs: the light of each frame begins before its marker"
-    )
-    if room_s < late:
-        detail += (
-            f", and gates end {max(room_s, 0) * 1e6:.1f} µs before the next marker: mend the "
-            "trigger, or count a shorter --exposure"
-        )
-    return (Fault(kind="late", detail=detail),)
 
 
 def count_overlapping(

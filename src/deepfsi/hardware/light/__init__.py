@@ -1,6 +1,6 @@
 """The light of a run, checked against what it should be."""
 
-from deepfsi.hardware.light.checks import SPOILING, Fault, check_light
+from deepfsi.hardware.light.checks import SPOILING, Fault, check_light, find_lateness
 from deepfsi.hardware.light.curves import (
     CERTAIN_SIGMAS,
     FALSE_ALARMS,
@@ -22,5 +22,6 @@ __all__ = [
     "LightMonitor",
     "check_light",
     "excess_chance",
+    "find_lateness",
     "name_inputs",
 ]

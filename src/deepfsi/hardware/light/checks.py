@@ -574,6 +574,40 @@ def check_light(
     return Light(flux, rates, lit, tuple(faults))
 
 
+def find_lateness(photons: np.ndarray, seconds: np.ndarray, room_s: float) -> tuple[Fault, ...]:
+    """Name markers that all come late: light of the first mask is in the frame before it.
+
+    Parameters
+    ----------
+    photons, seconds : array (3, P)
+        Counts of each pass, and how long they took: of the end of its first all-OFF frame, in which
+        the next may have begun, of the rest of that frame, and of the first mask's frame.
+    room_s : float
+        Least time from the last gate of a frame to the next frame.
+    """
+    guard, dark, light = photons
+    guard_s, dark_s, light_s = seconds
+    used = (dark_s > 0) & (light_s > 0)
+    if np.count_nonzero(used) > 1:  # a burst of stray light in one of them is another fault
+        used[np.argmax(np.where(used, guard, -1))] = False
+    share = guard_s[used] / dark_s[used]
+    excess = float((guard[used] - dark[used] * share).sum())
+    noise = float(np.sqrt((dark[used] * share * (1 + share)).sum() + 1))
+    rate = float((light[used] / light_s[used] - dark[used] / dark_s[used]).sum())
+    if excess <= CERTAIN_SIGMAS * noise or rate <= 0:
+        return ()
+    late = excess / rate
+    detail = (
+        f"all markers, by {late * 1e6:.1f} µs: the light of each frame begins before its marker"
+    )
+    if room_s < late:
+        detail += (
+            f", and gates end {max(room_s, 0) * 1e6:.1f} µs before the next marker: mend the "
+            "trigger, or count a shorter --exposure"
+        )
+    return (Fault(kind="late", detail=detail),)
+
+
 def find_blind_detectors(detectors: Sequence[PassLight]) -> list[Fault]:
     """Detectors that certainly see less than `HARMLESS` of the light that they see in the mean."""
     bright = [light.curve.together(light.curve.bright) for light in detectors]

@@ -13,7 +13,7 @@ from deepfsi.hardware.patterns.manifest import (
     Brightness,
     DesignRails,
     Frame,
-    Looks,
+    LookPlan,
     Manifest,
     Patterns,
 )
@@ -27,7 +27,7 @@ __all__ = [
     "Frame",
     "FrameSettings",
     "GatePlan",
-    "Looks",
+    "LookPlan",
     "Manifest",
     "Patterns",
     "check_patterns",

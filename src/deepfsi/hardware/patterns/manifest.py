@@ -135,7 +135,7 @@ class Brightness(StrictModel):
         return None if stored is None else cls.model_validate(stored)
 
 
-class Looks(StrictModel):
+class LookPlan(StrictModel):
     """Looks at the same masks, whose frames are loaded once, or at a new mask each."""
 
     count: int = Field(ge=1, le=1024)  # K
@@ -225,7 +225,7 @@ class DesignRails:
     brightness: Brightness | None = None
     detectors: DetectorMap | None = None
     readout: Readout = "difference"
-    looks: Looks | None = None
+    looks: LookPlan | None = None
     loop: bytes | None = None
 
     @classmethod
@@ -398,7 +398,7 @@ class Manifest(StrictModel):
     detectors: SeveralDetectors | None = None
     readout: Readout = "difference"  # What the network reads of two rails
     # Where dwells are chosen while the exposure runs; the frames' shares are then equal ones
-    looks: Looks | None = None
+    looks: LookPlan | None = None
     selection: Selection  # Choice of the mirrors of a grey cell
     seed: int = 0  # Of the random selection
     # How the cells lie on the device; of folders that do not say so they fill it
