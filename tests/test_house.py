@@ -27,9 +27,11 @@ ROOMS_DONE: set[str] = {
     "camera",
     "designfile",
     "hardware.calibration",
+    "hardware.counting",
     "hardware.drivers",
     "hardware.light",
     "hardware.live",
+    "hardware.patterns",
     "hardware.photons",
     "hardware.pictures",
     "hardware.virtual",
@@ -45,6 +47,7 @@ LONELY: dict[str, str] = {
     "deepfsi.hardware.drivers.vialux": "a device is its driver and a line of the catalogue",
     "deepfsi.lab.adaptive_looks": "it loads torch, which only adaptive masks need",
     "deepfsi.lab.transits": "scenes that pass a pattern are no run, and have their own command",
+    "deepfsi.hardware.patterns.photomask": "one pattern that no device shows, and needs no frames",
     "deepfsi.hardware.pictures.tables": "tables of counts without a run, which one command reads",
     "deepfsi.hardware.photons.scan": "a microscope's scan is no run, and has markers of its own",
     "deepfsi.hardware.photons.timestamps": "a new make's file is a class and a line in it",
@@ -57,6 +60,8 @@ PACKED: dict[str, str] = {}
 WORDS_OF_FILES: set[str] = {
     "deepfsi.base.numeric.intervals.Crossing.found",
     "deepfsi.designfile.distribution.ConsistencyResult.whole",
+    "deepfsi.hardware.counting.acquisition.Calibration.shown",
+    "deepfsi.hardware.patterns.manifest.Manifest.shown",
     "deepfsi.hardware.pictures.rail_sums.RailSums.own",
 }
 """Public names and fields that a file, a key or an option has: ``deepfsi.jobs.job.Job.shown``."""

@@ -82,7 +82,7 @@ def test_a_folder_is_prepared_once_and_of_one_export(run, tmp_path, monkeypatch)
         prepare_run(tmp_path / "other", source, named(1, inputs=(0, 1)))
     with pytest.raises(InputError, match=r"manifest\.json is missing: make patterns"):
         prepare_run(tmp_path / "other", tmp_path / "none", named(1))
-    monkeypatch.setattr(acquisition, "MOST_FRAMES", 30)
+    monkeypatch.setattr(acquisition, "MOST_RUN_FRAMES", 30)
     with pytest.raises(InputError, match=r"4 scenes of .* at most 30 frames are allowed: split it"):
         prepare_run(tmp_path / "other", source, named(4))
     assert not (tmp_path / "other").exists()

@@ -206,9 +206,9 @@ def export_patterns(
     device = settings.device
     grid = find_grid(device, design.image_shape, settings.layout)
     counted = MaskFrames.of(design, grid.mirrors)
-    if not counted.shown:
+    if not counted.mask_rails:
         raise InputError("every mask is dark, so there is nothing to show: give a lit design")
-    total = len(counted.shown) + SENTINELS
+    total = len(counted.mask_rails) + SENTINELS
     if total > MOST_FRAMES:
         raise InputError(f"{total} frames are too many: give at most {MOST_FRAMES}")
     check_stored(device, total)

@@ -151,7 +151,7 @@ class LookPlan(StrictModel):
     loop_sha256: str | None = Field(pattern=r"^[0-9a-f]{64}$")
 
     @classmethod
-    def of(cls, design: DesignFile) -> "Looks | None":
+    def of(cls, design: DesignFile) -> "LookPlan | None":
         """Looks of a design with networks of the package that choose dwells; None of fixed ones."""
         if design.mask_header.exposure.kind != "adaptive":
             return None
@@ -261,7 +261,7 @@ class DesignRails:
                         **(header.info.get("detector_light") or {}),
                     }
                 )
-        looks = Looks.of(design)
+        looks = LookPlan.of(design)
         return cls(
             rails=design.rails,
             light=header.light,
@@ -312,8 +312,8 @@ class DesignRails:
         """Shares of the exposure (f,) for which a fixed sequence, or a first look, shows frames."""
         if self.looks is None:
             return frames.shares
-        masks = np.array([mask for mask, _ in frames.shown])
-        minus = np.array([rail == "minus" for _, rail in frames.shown])
+        masks = np.array([mask for mask, _ in frames.mask_rails])
+        minus = np.array([rail == "minus" for _, rail in frames.mask_rails])
         return np.array(self.looks.first)[self.looks.places(masks, minus)]
 
 
@@ -323,7 +323,7 @@ class MaskFrames:
 
     Parameters
     ----------
-    shown
+    mask_rails
         Mask and rail of each of f frames.
     peaks
         Largest share of a pixel's photons in each frame, float64 (f,); on two arms the time of the
@@ -332,7 +332,7 @@ class MaskFrames:
         Mirrors ON in each cell, uint32 (f, N), 0 to K: the rail over its peak in steps of 1/K.
     """
 
-    shown: list[tuple[int, Rail]]
+    mask_rails: list[tuple[int, Rail]]
     peaks: np.ndarray
     on: np.ndarray
 
@@ -340,16 +340,16 @@ class MaskFrames:
     def of(cls, design: DesignRails, mirrors: int) -> Self:
         """Frames of a design, on cells of so many mirrors."""
         rails, masks, pixels = design.rails.shape
-        shown: list[tuple[int, Rail]] = []
+        mask_rails: list[tuple[int, Rail]] = []
         peaks: list[float] = []
         on = np.empty((rails * masks, pixels), dtype=np.uint32)
         for mask in range(masks):
             for rail, peak, level in _levels(design.rails[:, mask], design.light, mirrors):
                 if peak > mirrors * SMALLEST_STEP:
-                    on[len(shown)] = np.rint(level)
-                    shown.append((mask, rail))
+                    on[len(mask_rails)] = np.rint(level)
+                    mask_rails.append((mask, rail))
                     peaks.append(peak)
-        return cls(shown, np.array(peaks), on[: len(shown)])
+        return cls(mask_rails, np.array(peaks), on[: len(mask_rails)])
 
     @property
     def dimmed(self) -> float:
@@ -629,7 +629,7 @@ class Manifest(StrictModel):
         masks = (
             Frame(role="mask", mask=mask, rail=rail, share=share, picture_us=us, sha256=digest)
             for (mask, rail), share, us, digest in zip(
-                counted.shown, counted.shares.tolist(), pictures_us, hashes[2:-2], strict=True
+                counted.mask_rails, counted.shares.tolist(), pictures_us, hashes[2:-2], strict=True
             )
         )
         return cls(
@@ -658,7 +658,7 @@ class Manifest(StrictModel):
         the exposure, a sentinel for the mean of them.
         """
         counted = MaskFrames.of(design, FINEST_LEVELS)
-        if not counted.shown or counted.dimmed < LEAST_DIMMED:
+        if not counted.mask_rails or counted.dimmed < LEAST_DIMMED:
             raise InputError(
                 f"one device shows a {design.light} design only dimmed, or not at all: give the "
                 "folder of its patterns in place of its file"
