@@ -147,6 +147,23 @@ def without_torch() -> dict[str, Any]:
     return out
 
 
+def without_ends(name: str) -> dict[str, Any]:
+    """A stored run whose second pass lacks its first marker, or its last: photons place it."""
+    run, out = Path(recording(name, DESIGNS[name])), {}
+    whole = (run / "photons.ptu").read_bytes()
+    offset = whole.index(b"Header_End") + 48
+    frames = len(json.loads((run / "patterns/manifest.json").read_text())["frames"])
+    for lost in (frames, 2 * frames - 1):
+        words = np.frombuffer(whole, "<u4", offset=offset).copy()
+        inputs = words >> 25 & 63
+        markers = np.flatnonzero((words >> 31 == 1) & (inputs > 0) & (inputs < 16))
+        words[markers[lost]] ^= (inputs[markers[lost]] ^ 8) << 25  # on another marker input
+        (run / "photons.ptu").write_bytes(whole[:offset] + words.tobytes())
+        said = answer("camera", "count", run)
+        out[str(lost)] = {"said": said, "arrays": _about_as_text(arrays(run / "counts.npz"))}
+    return out
+
+
 def with_a_flat() -> dict[str, Any]:
     """Efficiencies of several detectors from a run of uniform white with the same patterns."""
     run, white = recording("gains", "quad"), INPUTS / "white"
@@ -571,6 +588,7 @@ def real_pictures() -> dict[str, Any]:
 
 CASES: dict[str, Case] = {
     **{f"counted {name}": partial(counted, name) for name in DESIGNS if "live" not in name},
+    **{f"without ends {name}": partial(without_ends, name) for name in ("both-rails", "two-arms")},
     **{f"replayed {name}": partial(replayed, name) for name in DESIGNS if "live" in name},
     **{f"simulated {name}": partial(simulated, "simulate", name) for name in SIMULATED},
     **{f"recorded {name}": partial(simulated, "record", name) for name in RECORDED},

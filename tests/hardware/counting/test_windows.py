@@ -9,7 +9,11 @@ from deepfsi.hardware.counting import CountSettings, count_run, prepare_run
 from deepfsi.hardware.photons import PtuWriter
 
 FLUX = 1e7
+
+
 DARK = 100.0
+
+
 SCENES = 5
 
 
