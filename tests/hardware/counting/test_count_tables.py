@@ -336,10 +336,11 @@ def test_every_value_of_a_table_has_a_name_of_its_own(light, tmp_path):
     assert signed == ({"+", "-"} if light == "equal-dwell" else set())
 
 
-SHAPE, MASKS, FLUX, BIN_US = (3, 4), 8, 2e7, 100
+MASKS, BRIGHT, BIN_US = 8, 2e7, 100
+"""Masks of a series, its flux, counts/s, and its bins, µs."""
 
 
-SCENES = np.random.default_rng(4).uniform(0.5, 1, (5, *SHAPE)).astype(np.float32)
+LIT_SCENES = np.random.default_rng(4).uniform(0.5, 1, (5, *SHAPE)).astype(np.float32)
 
 
 @pytest.fixture(scope="module", params=[1, 2], ids=["one", "two"])
@@ -348,9 +349,9 @@ def shown(request, tmp_path_factory):
     folder = tmp_path_factory.mktemp("series") / "patterns"
     rails = np.random.default_rng(3).integers(0, 2, (1, MASKS, 12)).astype(np.float32) / MASKS
     cells = DetectorMap(count=2, cells=(0, 1) * 6) if request.param == 2 else None
-    made = DesignRails(rails, "equal-dwell", SHAPE, float(SCENES.sum() / 5), detectors=cells)
+    made = DesignRails(rails, "equal-dwell", SHAPE, float(LIT_SCENES.sum() / 5), detectors=cells)
     export_patterns(made, FrameSettings(DEVICE, BIN_US * 10e-6), folder)
-    rates = arrival_rates(folder, SCENES, VirtualCamera(dark=200.0), FLUX)
+    rates = arrival_rates(folder, LIT_SCENES, VirtualCamera(dark=200.0), BRIGHT)
     return folder, read_patterns(folder).manifest, rates
 
 

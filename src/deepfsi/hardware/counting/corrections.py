@@ -259,7 +259,7 @@ def light_of_clicks(
 
     Returns
     -------
-    SceneLight
+    RunLight
         One value for all. The flux is NaN where they do not tell it: an input fired in nearly all
         gates of all ON, or not more often than with all OFF.
     """

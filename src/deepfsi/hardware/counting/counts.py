@@ -37,15 +37,8 @@ LEAST_UNFIRED = 25
 NPY_HEADER = 128
 """Bytes of the header of a vector in numpy's format."""
 
-_UNREADABLE = (
-    zipfile.BadZipFile,
-    KeyError,
-    ValueError,
-    OSError,
-    EOFError,
-    RuntimeError,
-    struct.error,
-)
+
+DAMAGED = (zipfile.BadZipFile, KeyError, ValueError, OSError, EOFError, RuntimeError, struct.error)
 """What zipfile raises of damaged archives, and pydantic of what is in them."""
 
 
@@ -227,27 +220,33 @@ def read_counts(run: str | os.PathLike[str] | Run) -> Counts:
                 raise InputError(f"{path} is of another acquisition than acquisition.json: {again}")
             exposures = (*scenes, provenance.repeats)
             readouts = (*exposures, *masks, *several)
-            kinds: dict[str, tuple[str, tuple[int, ...]]] = {
-                "counts": ("<i8", readouts),
-                "arrivals": ("<f8", readouts),
-                "variance": ("<f8", readouts),
-                "valid": ("|b1", exposures),
-                "gate_s": ("<f8", (len(manifest.shown),)),
-                "on_rate": ("<f8", scenes),
-                "off_rate": ("<f8", scenes),
-                "flux": ("<f8", scenes),
-                "dark_rate": ("<f8", (*scenes, manifest.rails, *several)),
-                "ambient": ("<f8", (*masks, *several)),
-                "ambient_variance": ("<f8", (*masks, *several)),
-                "lengths_s": ("<f8", masks),
+            shapes = {
+                **dict.fromkeys(("counts", "arrivals", "variance"), readouts),
+                "valid": exposures,
+                "gate_s": (len(manifest.shown),),
+                **dict.fromkeys(("on_rate", "off_rate", "flux"), scenes),
+                "dark_rate": (*scenes, manifest.rails, *several),
+                **dict.fromkeys(("ambient", "ambient_variance"), (*masks, *several)),
+                "lengths_s": masks,
             }
+            kinds = {"counts": "<i8", "valid": "|b1"}
             arrays: dict[str, Any] = {
-                name: _member(archive, name, *kind) for name, kind in kinds.items()
+                name: _member(archive, name, kinds.get(name, "<f8"), shape)
+                for name, shape in shapes.items()
             }
             digest = _member(archive, "sha256", "|u1", (sha256().digest_size,))
     except InputError:
         raise
-    except _UNREADABLE:
+    # What zipfile raises of damaged archives, and pydantic of what is in them
+    except (
+        zipfile.BadZipFile,
+        KeyError,
+        ValueError,
+        OSError,
+        EOFError,
+        RuntimeError,
+        struct.error,
+    ):
         raise InputError(
             f"{path} is not a whole file of counts: make it with `deepfsi camera count`"
         ) from None

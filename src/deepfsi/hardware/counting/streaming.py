@@ -144,8 +144,8 @@ class _RecordCounter:
         if len(gates) and not offsets.min() > self._slack:
             raise InputError(
                 f"a gate begins {time_text(gates.offsets_s.min())} after its marker, and a marker "
-                "may be "
-                f"{time_text(self._slack * self._tick_s)} off: give frames a longer time to settle"
+                f"may be {time_text(self._slack * self._tick_s)} off: give frames a longer time to "
+                "settle"
             )
         lengths = np.rint(gates.lengths_s / self._tick_s)
         times = [each.astype(np.int64).tolist() for each in (offsets, lengths)]
@@ -233,10 +233,8 @@ class _RecordCounter:
         if abs(late) > shown.tolerance and (follows or late < 0):
             raise InputError(
                 f"{self._describe(time)}, {time_text(step * self._tick_s)} after the one before, "
-                "and "
-                f"that picture lasts {time_text(shown.picture * self._tick_s)}: a marker is "
-                "missing or "
-                "one too many; look at the trigger"
+                f"and that picture lasts {time_text(shown.picture * self._tick_s)}: a marker is "
+                "missing or one too many; look at the trigger"
             )
 
     def _describe(self, time: int) -> str:

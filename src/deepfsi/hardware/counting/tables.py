@@ -51,6 +51,9 @@ ROLL_OVER = 2**32
 CERTAIN_GAIN = 10.0
 """Logarithm of the odds by which one place of a pass is likelier than any other."""
 
+SMALLEST = float(np.nextafter(0, 1))
+"""Smallest number above 0."""
+
 LEAST_BINS = 2
 """Bins that a frame is shown for at least, one of which is left out."""
 
@@ -107,31 +110,26 @@ class TableSettings:
             check_choice(
                 Message("{exposures}", setting="exposures"), self.exposures, get_args(Along)
             )
-        for name, value in (("photons", self.photons), ("gain", self.gain)):
-            if value is not None and not 0 < value < np.inf:
+        for name, least, allowed in (
+            ("photons", SMALLEST, "a number above 0"),
+            ("gain", SMALLEST, "a number above 0"),
+            ("background", 0, "counts, 0 or more"),
+            ("read_noise", 0, "counts, 0 or more"),
+            ("repeats", 1, "1 or more"),
+        ):
+            value = getattr(self, name)
+            if value is not None and not least <= value < np.inf:
                 raise InputError(
-                    "{setting} {value:g} is not allowed: give a number above 0",
+                    "{setting} {value:g} is not allowed: give {allowed}",
                     setting=name,
                     value=value,
-                )
-        for name, value in (("background", self.background), ("read_noise", self.read_noise)):
-            if value is not None and not 0 <= value < np.inf:
-                raise InputError(
-                    "{setting} {value:g} is not allowed: give counts, 0 or more",
-                    setting=name,
-                    value=value,
+                    allowed=allowed,
                 )
         if self.analogue and self.dead_time.seconds:
             raise InputError(
                 "an analogue detector counts no photons: leave {dead_time} out, or {gain} and "
                 "{read_noise}",
                 setting=("dead_time", "gain", "read_noise"),
-            )
-        if self.repeats < 1:
-            raise InputError(
-                "{repeats} {given} is not allowed: give 1 or more",
-                setting="repeats",
-                given=self.repeats,
             )
         if self.clicks is not None:
             of_photons: dict[str, bool] = {
@@ -228,8 +226,21 @@ def count_table(
         dead_time=settings.dead_time,
         gates=settings.clicks,
     )
-    if settings.photons is None:
-        _check_budget(counts, name)
+    if settings.photons is None and not exposures.sentinels:
+        raise InputError(
+            "{name} has no all-ON and all-OFF frames, which tell the budget: give {photons}",
+            setting="photons",
+            name=name,
+        )
+    if settings.photons is None and counts.gates is not None:
+        counts.check_budget(name)
+    if settings.photons is None and not (counts.flux > 0).any():
+        raise InputError(
+            "{name} has no light: its all-ON frames are not brighter than the all-OFF ones; look "
+            "at the order of frames, or give {photons}",
+            setting="photons",
+            name=name,
+        )
     return counts, scenes
 
 
@@ -247,7 +258,10 @@ class _Exposures:
     @classmethod
     def read(cls, table: Table, manifest: Manifest, settings: TableSettings, name: str) -> Self:
         """Exposures of a table, or `InputError` if it does not hold them."""
-        values, sentinels = _find_values(table, manifest, settings, name)
+        values = _arrange(table, manifest, settings, name)
+        sentinels = values.shape[1] == len(manifest.frames)
+        if not sentinels:
+            values = np.pad(values, ((0, 0), (2, 2), (0, 0)))
         _check_values(values, manifest, settings, name)
         seconds = np.asarray(manifest.picture_s - settings.settle_s)
         if seconds.min() <= 0:
@@ -311,79 +325,52 @@ class _Exposures:
         )
 
 
-def _find_values(
-    table: Table, manifest: Manifest, settings: TableSettings, name: str
-) -> tuple[np.ndarray, bool]:
-    """Values of all frames (E, F, inputs), and whether the table has sentinels; 0 where not."""
+def _arrange(table: Table, manifest: Manifest, settings: TableSettings, name: str) -> np.ndarray:
+    """Values (E, F, inputs), or without sentinels where there are none, by their names or shape."""
     names = column_names(manifest)
     inputs = manifest.inputs
-    ends = 2 * inputs
+    masks = names[2 * inputs : -2 * inputs]
     values = table.values
-    given = [each.lower() for each in table.names]
-    known = [each for each in given if each in names]
-    if known:
-        _check_names(known, table.names, names, ends, name=name)
-        wanted = names if len(known) == len(names) else names[ends:-ends]
-        values = values[:, [given.index(each) for each in wanted]]
-        along = "rows"
-    else:
-        along = _find_direction(table, names, inputs, settings, name=name)
-    if along == "columns":
-        values = values.T
-    split = values.reshape(len(values), -1, inputs)
-    if values.shape[1] == len(names):
-        return split, True
-    return np.pad(split, ((0, 0), (2, 2), (0, 0))), False
-
-
-def _check_names(
-    known: list[str], given: tuple[str, ...], names: list[str], ends: int, name: str
-) -> None:
-    """Raise `InputError` unless columns with names are those of all frames, or of all masks'."""
-    other = [each for each in given if each.lower() not in names]
-    if other:
+    columns = [column.lower() for column in table.names]
+    if set(columns) & set(names):
+        other = [column for column in table.names if column.lower() not in names]
+        if other:
+            raise InputError(
+                f"{name} has a column {other[0]!r} that is no frame: "
+                f"{closest_choice(other[0], names)}, and {' and '.join(TableSettings.WORDS)}"
+            )
+        missing = [column for column in names if column not in columns]
+        if missing and set(missing) != {*names} - {*masks}:
+            lacking = [column for column in missing if column in masks] or missing
+            raise InputError(
+                f"{name} has no column {lacking[0]!r}: give one for each of the masks' frames, "
+                "and all of the all-ON and all-OFF frames or none"
+            )
+        order = [columns.index(column) for column in (masks if missing else names)]
+        return values[:, order].reshape(len(values), -1, inputs)
+    shape = dict(zip(("columns", "rows"), values.shape, strict=True))  # exposures along the other
+    allowed = (len(masks), len(names))
+    fits = {along: many in allowed for along, many in shape.items()}
+    fits["columns"] &= not table.words
+    if settings.exposures is None and all(fits.values()):
         raise InputError(
-            f"{name} has a column {other[0]!r} that is no frame: "
-            f"{closest_choice(other[0], names)}, and {' and '.join(TableSettings.WORDS)}"
-        )
-    missing = [each for each in names if each not in known]
-    sentinels = {*names[:ends], *names[-ends:]}
-    if missing and set(missing) != sentinels:
-        lacking = [each for each in missing if each not in sentinels] or missing
-        raise InputError(
-            f"{name} has no column {lacking[0]!r}: give one for each of the masks' frames, and "
-            "all of the all-ON and all-OFF frames or none"
-        )
-
-
-def _find_direction(
-    table: Table, names: list[str], inputs: int, settings: TableSettings, name: str
-) -> str:
-    """Exposures are a table's rows or its columns, by its shape or as the settings say."""
-    frames = len(names) // inputs
-    allowed = (len(names) - 4 * inputs, len(names))
-    rows, columns = table.values.shape
-    fits = {"rows": columns in allowed, "columns": rows in allowed and not table.words}
-    along = settings.exposures
-    if along is None and all(fits.values()):
-        raise InputError(
-            "{name} has {rows} rows and {columns} columns, and either may be exposures: say "
+            "{name} has {columns} rows and {rows} columns, and either may be exposures: say "
             "{exposures} rows or columns",
             setting="exposures",
             name=name,
-            rows=rows,
-            columns=columns,
+            **shape,
         )
-    chosen = along or next((each for each, fit in fits.items() if fit), None)
-    if chosen is None or not fits[chosen]:
-        each = f"{frames - 4} frames of masks" + (f" x {inputs} inputs" if inputs > 1 else "")
+    along = settings.exposures or ("rows" if fits["rows"] else "columns")
+    if not fits[along]:
+        given = f", and exposures are its {along}" if settings.exposures else ""
+        each = f"{len(masks) // inputs} frames of masks" + (f" x {inputs} inputs" * (inputs > 1))
         raise InputError(
-            f"{name} has {rows} rows and {columns} columns"
-            + (f", and exposures are its {along}" if along else "")
-            + f": an exposure has {allowed[0]} values ({each}), or {allowed[1]} with all ON and "
-            "all OFF before and after them"
+            f"{name} has {shape['columns']} rows and {shape['rows']} columns{given}: an exposure "
+            f"has {allowed[0]} values ({each}), or {allowed[1]} with all ON and all OFF before and "
+            "after them"
         )
-    return chosen
+    values = values.T if along == "columns" else values
+    return values.reshape(len(values), -1, inputs)
 
 
 def _find_scenes(
@@ -500,25 +487,6 @@ def _find_light(exposures: _Exposures, frames: Estimate, scene_of: np.ndarray) -
     )
 
 
-def _check_budget(counts: Counts, name: str) -> None:
-    """Raise `InputError` if nothing tells the budget."""
-    if np.isnan(counts.on_rate).all():
-        raise InputError(
-            "{name} has no all-ON and all-OFF frames, which tell the budget: give {photons}",
-            setting="photons",
-            name=name,
-        )
-    if counts.gates is not None:
-        counts.check_budget(name)
-    if not (counts.flux > 0).any():
-        raise InputError(
-            "{name} has no light: its all-ON frames are not brighter than the all-OFF ones; look "
-            "at the order of frames, or give {photons}",
-            setting="photons",
-            name=name,
-        )
-
-
 def table_of_series(
     values: np.ndarray,
     manifest: Manifest,
@@ -553,7 +521,16 @@ def table_of_series(
     InputError
         If the counts are none, or do not fit the patterns.
     """
-    counts = _columns(values, manifest.inputs, name)
+    inputs = manifest.inputs
+    columns = values.T if values.shape[1] != inputs and values.shape[0] == inputs else values
+    if columns.shape[1] != inputs:
+        raise InputError(
+            f"{name} has {values.shape[1]} columns, and these patterns have {inputs} inputs: give "
+            "a column for each"
+        )
+    if (columns < 0).any() or (columns % 1 != 0).any() or columns.max() > 2.0**53:
+        raise InputError(f"{name} holds what is no count: give whole numbers, 0 or more")
+    counts = columns.astype(np.int64)
     if bin_s is None:
         return _of_cumulative(counts, manifest, passes, name)
     return _of_bins(counts, manifest, bin_s, passes=passes, name=name)
@@ -619,19 +596,6 @@ def _of_bins(
     ends = places[:, None] + np.cumsum(bins)
     rows = total[ends] - total[ends - bins + 1]
     return rows.reshape(len(rows), -1), column_names(manifest)
-
-
-def _columns(values: np.ndarray, inputs: int, name: str) -> np.ndarray:
-    """Whole numbers (n, inputs) of a table."""
-    columns = values.T if values.shape[1] != inputs and values.shape[0] == inputs else values
-    if columns.shape[1] != inputs:
-        raise InputError(
-            f"{name} has {values.shape[1]} columns, and these patterns have {inputs} inputs: give "
-            "a column for each"
-        )
-    if (columns < 0).any() or (columns % 1 != 0).any() or columns.max() > 2.0**53:
-        raise InputError(f"{name} holds what is no count: give whole numbers, 0 or more")
-    return columns.astype(np.int64)
 
 
 def _find_passes(
