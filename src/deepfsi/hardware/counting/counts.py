@@ -38,7 +38,15 @@ NPY_HEADER = 128
 """Bytes of the header of a vector in numpy's format."""
 
 
-DAMAGED = (zipfile.BadZipFile, KeyError, ValueError, OSError, EOFError, RuntimeError, struct.error)
+DAMAGED_ARCHIVE = (
+    zipfile.BadZipFile,
+    KeyError,
+    ValueError,
+    OSError,
+    EOFError,
+    RuntimeError,
+    struct.error,
+)
 """What zipfile raises of damaged archives, and pydantic of what is in them."""
 
 
