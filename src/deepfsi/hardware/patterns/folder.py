@@ -20,7 +20,6 @@ import numpy as np
 from deepfsi.base import (
     SILENT,
     InputError,
-    Message,
     Progress,
     as_input_error,
     check_choice,
@@ -50,7 +49,6 @@ from deepfsi.hardware.patterns.frames import (
     open_array,
     recount,
     unpack,
-    write_frames,
 )
 from deepfsi.hardware.patterns.manifest import (
     MOST_FRAMES,
@@ -118,34 +116,11 @@ class FrameSettings:
         """True where the dwell is below the device's shortest picture time, which then holds."""
         return self.dwell_s * 1e6 < self.device.shortest_us * (1 - 1e-9)
 
-    @property
-    def sentinel_us(self) -> int:
-        """Picture time of a sentinel, µs."""
-        return max(self.device.shortest_us, _round_up(self.dwell_s * 1e6))
-
     def times_us(self, shares: np.ndarray, light: LightLawName) -> tuple[list[int], int]:
         """Picture times of the masks' frames and of a sentinel, µs: one for all in a video."""
-        pictures = self.picture_us(shares, light)
-        sentinel = self.sentinel_us
-        if self.device.video_us:
-            total = len(shares) + SENTINELS
-            together = self.device.packed_frames(total)
-            one = max(*pictures, sentinel, -(-self.device.video_us // together))
-            if one > self.device.longest_us:
-                raise InputError(
-                    f"{total} frames, {together} in each picture of the video, would last {one} µs "
-                    f"each, and {self.device.name} shows {self.device.longest_us} at most: give a "
-                    f"shorter --exposure, or masks that make with {SENTINELS} sentinels a multiple "
-                    "of more frames"
-                )
-            return [one] * len(pictures), one
-        return pictures, sentinel
-
-    def picture_us(self, shares: np.ndarray, light: LightLawName) -> list[int]:
-        """Picture times of the masks' frames, µs, from their shares of the exposure (f,)."""
-        # Under `equal-dwell` all are the mean one. Otherwise what a picture lasts beyond the time
-        # to settle is in proportion to its share of the exposure. Times are rounded up to whole
-        # microseconds and to the device's shortest
+        # Under `equal-dwell` all frames last the mean time. Otherwise what a picture lasts beyond
+        # the time to settle is in proportion to its share (f,) of the exposure. Times are rounded
+        # up to whole microseconds and to the device's shortest
         device = self.device
         mean = max(self.dwell_s * 1e6, device.shortest_us)
         rest = mean - device.settle_us
@@ -154,16 +129,30 @@ class FrameSettings:
                 f"pictures of {mean:g} µs leave no time after the {device.settle_us:g} µs in which "
                 "mirrors settle: give a longer --exposure"
             )
-        if LIGHT_LAWS[light].equal_times:
-            return [_round_up(mean)] * len(shares)
         wanted = device.settle_us + rest * len(shares) * shares / shares.sum()
-        if wanted.max() > device.longest_us:
+        if LIGHT_LAWS[light].equal_times:
+            wanted = np.full(len(shares), mean)
+        elif wanted.max() > device.longest_us:
             raise InputError(
                 f"with pictures of {time_text(self.dwell_s)} in the mean the longest picture takes "
                 f"{time_text(wanted.max() / 1e6)}, and {device.name} allows "
                 f"{time_text(device.longest_us / 1e6)}: give a shorter --exposure"
             )
-        return [max(device.shortest_us, _round_up(us)) for us in wanted.tolist()]
+        pictures = [max(device.shortest_us, _round_up(us)) for us in wanted.tolist()]
+        sentinel = max(device.shortest_us, _round_up(self.dwell_s * 1e6))
+        if not device.video_us:
+            return pictures, sentinel
+        total = len(shares) + SENTINELS
+        together = device.packed_frames(total)
+        one = max(*pictures, sentinel, -(-device.video_us // together))
+        if one > device.longest_us:
+            raise InputError(
+                f"{total} frames, {together} in each picture of the video, would last {one} µs "
+                f"each, and {device.name} shows {device.longest_us} at most: give a shorter "
+                f"--exposure, or masks that make with {SENTINELS} sentinels a multiple of more "
+                "frames"
+            )
+        return [one] * len(pictures), one
 
 
 def _round_up(us: float) -> int:
@@ -215,16 +204,26 @@ def export_patterns(
     pictures_us, sentinel_us = settings.times_us(
         design.first_dwells(counted), "free-dwell" if design.looks else design.light
     )
-    size = FRAME_FORMATS[settings.format].size(total, device)
-    small = Message("write {format:png}, which is small", setting="format")
-    check_disk_space(folder, size, small)
+    files = FRAME_FORMATS[settings.format]
+    check_disk_space(folder, files.size(total, device), 'write `format="png"`, which is small')
     ends = np.full_like(counted.on[0], grid.mirrors), np.zeros_like(counted.on[0])
-    on = chain(ends, counted.on, ends)
+    frames = make_frames(
+        chain(ends, counted.on, ends),
+        device,
+        grid,
+        selection=settings.selection,
+        seed=settings.seed,
+    )
+    hashes: list[str] = []
+
+    def hashed() -> Iterator[np.ndarray]:
+        for frame in frames:
+            hashes.append(sha256(frame.data).hexdigest())
+            yield frame
+            progress(len(hashes) / total)
+
     with new_folder(folder) as draft:
-        frames = make_frames(on, device, grid, selection=settings.selection, seed=settings.seed)
-        hashes = write_frames(
-            draft, frames, total, device=device, format=settings.format, progress=progress
-        )
+        files.write(draft, hashed(), total, device)
         manifest = Manifest.of(
             design,
             counted,
@@ -238,24 +237,23 @@ def export_patterns(
             layout=settings.layout,
         )
         manifest.check_limits()
-        return _write(draft, Patterns(manifest, counted.on), design)
-
-
-def _write(folder: Path, patterns: Patterns, design: DesignRails) -> Patterns:
-    """Write all files of a folder but the frames; the patterns with the manifest as written."""
-    counts = np.ascontiguousarray(patterns.on, "<u4")
-    with (folder / "mirrors.npy").open("wb") as file:  # numpy.save loses what a disk does not take
-        file.write(npy_header("<u4", counts.shape))
-        file.write(counts.data)
-    for name, content in ((Patterns.DESIGN, design.file), (Patterns.LOOP, design.loop)):
-        if content is not None:
-            (folder / name).write_bytes(content)
-    digest = _digest(patterns.manifest.model_dump_json())
-    manifest = patterns.manifest.model_copy(update={"sha256": digest})
-    (folder / "manifest.json").write_bytes(manifest.model_dump_json(indent=1).encode())
-    for name, table in controller_tables(manifest).items():
-        (folder / name).write_bytes(table.encode())
-    return Patterns(manifest, patterns.on)
+        digest = _digest(manifest.model_dump_json())
+        manifest = manifest.model_copy(update={"sha256": digest})
+        mirrors = np.ascontiguousarray(counted.on, "<u4")
+        with (draft / "mirrors.npy").open("wb") as file:  # numpy.save loses what a disk cannot take
+            file.write(npy_header("<u4", mirrors.shape))
+            file.write(mirrors.data)
+        tables = controller_tables(manifest)
+        contents = {
+            Patterns.DESIGN: design.file,
+            Patterns.LOOP: design.loop,
+            "manifest.json": manifest.model_dump_json(indent=1).encode(),
+            **{name: table.encode() for name, table in tables.items()},
+        }
+        for name, content in contents.items():
+            if content is not None:
+                (draft / name).write_bytes(content)
+    return Patterns(manifest, counted.on)
 
 
 def read_patterns(folder: str | os.PathLike[str]) -> Patterns:

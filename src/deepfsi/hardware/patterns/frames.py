@@ -18,7 +18,6 @@ bmp    frames/0000.bmp ..., the same as Windows bitmaps, which programs of contr
 planes images/0000.bmp ..., 24 bits a pixel: each bit of a pixel is a mirror of another frame
 """
 
-import hashlib
 import io
 import math
 import os
@@ -31,7 +30,7 @@ from typing import IO, TYPE_CHECKING, Literal, Protocol
 
 import numpy as np
 
-from deepfsi.base import SILENT, InputError, Progress, open_regular
+from deepfsi.base import InputError, open_regular
 from deepfsi.base.numeric import npy_header
 from deepfsi.camera import Device, DmdGrid
 
@@ -78,9 +77,11 @@ def make_frames(
         uint8 (rows, bytes of a row).
     """
     counts = (frame[grid.pixels] for frame in on)  # (down, across)
+    aligned = grid.width % 8 == 0 == grid.left % 8  # every cell begins and ends with a byte
+    table_bits = (grid.mirrors + 1) * grid.mirrors
     if selection == "random":
         frames = _draw(counts, device, grid, np.random.default_rng(seed))
-    elif _aligned(device, grid):
+    elif aligned and table_bits <= 8 * MOST_TABLE_BYTES:
         frames = _look_up(counts, device, grid)
     else:
         frames = _compare(counts, device, grid)
@@ -191,15 +192,6 @@ def _herd(heights: np.ndarray, widths: np.ndarray) -> np.ndarray:
         if not free[row, column]:
             excess[row, column] = 2**62  # beyond what any other reaches
     return chosen
-
-
-def _aligned(device: Device, grid: DmdGrid) -> bool:
-    """True where every cell begins and ends with a byte and a table of its levels is small."""
-    return (
-        grid.width % 8 == 0
-        and grid.left % 8 == 0
-        and (grid.mirrors + 1) * grid.mirrors <= 8 * MOST_TABLE_BYTES
-    )
 
 
 def _look_up(on: Iterable[np.ndarray], device: Device, grid: DmdGrid) -> Iterator[np.ndarray]:
@@ -422,27 +414,6 @@ FRAME_FORMATS: dict[Format, FrameFormat] = {
     "planes": PLANES_FORMAT,
 }
 """Files of frames by name."""
-
-
-def write_frames(
-    folder: Path,
-    frames: Iterable[np.ndarray],
-    total: int,
-    device: Device,
-    format: Format,
-    progress: Progress = SILENT,
-) -> list[str]:
-    """Write frames (rows, bytes of a row) as they come; give the SHA-256 of the bits of each."""
-    hashes: list[str] = []
-
-    def hashed() -> Iterator[np.ndarray]:
-        for index, frame in enumerate(frames):
-            hashes.append(hashlib.sha256(frame.data).hexdigest())
-            yield frame
-            progress((index + 1) / total)
-
-    FRAME_FORMATS[format].write(folder, hashed(), total, device)
-    return hashes
 
 
 @contextmanager
