@@ -70,8 +70,8 @@ class Scene(StrictModel):
     @model_serializer(mode="wrap")
     def _without_none(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """Fields without a hash that is none, as those of acquisitions before there were any."""
-        held: dict[str, Any] = dump(self)
-        return {name: each for name, each in held.items() if name != "hash" or each is not None}
+        fields: dict[str, Any] = dump(self)
+        return {name: value for name, value in fields.items() if name != "hash" or value}
 
 
 class Acquisition(StrictModel):
@@ -115,8 +115,8 @@ class Acquisition(StrictModel):
             raise InputError(
                 f"{len(inputs)} inputs are given, and {needed} are needed: one for each detector"
             )
-        given = {"inputs": inputs, "marker_bit": marker_bit}
-        changes = {name: value for name, value in given.items() if value is not None}
+        wiring = {"inputs": inputs, "marker_bit": marker_bit}
+        changes = {name: value for name, value in wiring.items() if value is not None}
         with as_input_error():
             return type(self).model_validate(self.model_dump() | changes)
 

@@ -231,7 +231,7 @@ class _Recording:
         estimate = Estimate.of(gated.gates(self.gates.repeats), factors, manifest)
         return Ambient.of(
             manifest,
-            Estimate(*(each.reshape(-1, *each.shape[2:]) for each in vars(estimate).values())),
+            Estimate(*(one.reshape(-1, *one.shape[2:]) for one in vars(estimate).values())),
             self.gates.length_s,
             frames=(photons * factors.arrivals).sum(axis=0),
             frames_s=spent.sum(axis=0),

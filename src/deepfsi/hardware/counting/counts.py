@@ -38,15 +38,7 @@ NPY_HEADER = 128
 """Bytes of the header of a vector in numpy's format."""
 
 
-DAMAGED_ARCHIVE = (
-    zipfile.BadZipFile,
-    KeyError,
-    ValueError,
-    OSError,
-    EOFError,
-    RuntimeError,
-    struct.error,
-)
+BAD_ZIP = (zipfile.BadZipFile, KeyError, ValueError, OSError, EOFError, RuntimeError, struct.error)
 """What zipfile raises of damaged archives, and pydantic of what is in them."""
 
 
@@ -268,11 +260,11 @@ def read_counts(run: str | os.PathLike[str] | Run) -> Counts:
 
 def _hash_arrays(arrays: dict[str, np.ndarray]) -> np.ndarray:
     """Hash of named arrays, their types and shapes, uint8 (32,)."""
-    found = sha256()
-    for name, held in sorted(arrays.items()):
-        found.update(f"{name} {held.dtype.str} {held.shape}\n".encode())
-        found.update(np.ascontiguousarray(held).tobytes())
-    return np.frombuffer(found.digest(), np.uint8)
+    digest = sha256()
+    for name, array in sorted(arrays.items()):
+        digest.update(f"{name} {array.dtype.str} {array.shape}\n".encode())
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return np.frombuffer(digest.digest(), np.uint8)
 
 
 class _Provenance(StrictModel):
@@ -302,7 +294,9 @@ def _member(
     kind = np.dtype(dtype)
     if shape is None:
         shape = ((len(content) - NPY_HEADER) // kind.itemsize,)
-    held = npy_header(dtype, shape)
-    if len(content) != len(held) + kind.itemsize * math.prod(shape) or not content.startswith(held):
+    header = npy_header(dtype, shape)
+    if len(content) != len(header) + kind.itemsize * math.prod(shape) or not content.startswith(
+        header
+    ):
         raise ValueError(name)
-    return np.frombuffer(content, kind, offset=len(held)).reshape(shape).copy()
+    return np.frombuffer(content, kind, offset=len(header)).reshape(shape).copy()

@@ -130,7 +130,7 @@ class _RecordCounter:
         self._slack = round(marker_slack_s(source.tick_s) / source.tick_s)
         self._gates = WindowCounter(source, inputs)
         self._due: deque[_DueFrame] = deque()
-        self._shown: _DueFrame | None = None  # the frame whose marker came last
+        self._frame: _DueFrame | None = None  # the frame whose marker came last
         self._last = BEFORE_ALL  # that marker
         self._skipped = 0  # markers to come of the frame that is shown
         self._begun: deque[int] = deque()  # markers of frames whose counts were not given
@@ -148,17 +148,15 @@ class _RecordCounter:
                 "settle"
             )
         lengths = np.rint(gates.lengths_s / self._tick_s)
-        times = [each.astype(np.int64).tolist() for each in (offsets, lengths)]
-        pictures: list[int | None] = [None] * len(gates)
-        tolerances = [0] * len(gates)
+        pictures = tolerances = np.zeros(len(gates))
         if gates.pictures_s is not None and len(gates):
             ticks = gates.pictures_s / self._tick_s
-            pictures = np.rint(ticks).astype(np.int64).tolist()
-            off = MOST_RATE * ticks + MOST_EXTRA * ticks.min() + self._slack
-            tolerances = off.astype(np.int64).tolist()
-        follows = [place > 0 for place in range(len(gates))]
-        each = (*times, gates.markers.tolist(), pictures, tolerances, follows)
-        self._due.extend(map(_DueFrame._make, zip(*each, strict=True)))
+            pictures = np.rint(ticks)
+            tolerances = MOST_RATE * ticks + MOST_EXTRA * ticks.min() + self._slack
+        columns = np.stack([offsets, lengths, gates.markers, pictures, tolerances]).astype(np.int64)
+        for number, times in enumerate(columns.T.tolist()):
+            due = _DueFrame._make([*times, number > 0])
+            self._due.append(due if gates.pictures_s is not None else due._replace(picture=None))
 
     def add(self, part: Part) -> FrameCounts:
         """Count the next records; give the frames that have ended, in order."""
@@ -172,12 +170,12 @@ class _RecordCounter:
         self._gates.add(part)
         counts = np.concatenate([self._counts, self._gates.take()])
         ended = len(counts) // PARTS
-        held = 0 < ended == len(self._begun) and self._followed
-        whole = ended - held
-        self._counts = counts[whole * PARTS :]
-        starts = [self._begun.popleft() for _ in range(whole)]
-        found = counts[: whole * PARTS].reshape(whole, PARTS, counts.shape[1])
-        return FrameCounts(np.array(starts, np.float64) * self._tick_s, found)
+        waits = 0 < ended == len(self._begun) and self._followed
+        ready = ended - waits
+        self._counts = counts[ready * PARTS :]
+        starts = [self._begun.popleft() for _ in range(ready)]
+        parts = counts[: ready * PARTS].reshape(ready, PARTS, counts.shape[1])
+        return FrameCounts(np.array(starts, np.float64) * self._tick_s, parts)
 
     @property
     def _followed(self) -> bool:
@@ -196,7 +194,7 @@ class _RecordCounter:
         if self._skipped:
             self._skipped -= 1
             return None
-        self._shown = frame = self._due.popleft()
+        self._frame = frame = self._due.popleft()
         if frame.follows and frame.picture is not None and not self._followed:
             self._check_last(time)
         start = time + frame.offset
@@ -225,15 +223,15 @@ class _RecordCounter:
     def _check_step(self, time: int, follows: bool) -> None:
         """Raise `InputError` if a marker does not come when the picture before it ends."""
         # The first one of a list may come later
-        shown = self._shown
+        frame = self._frame
         step = time - self._last
-        if shown is None or shown.picture is None:
+        if frame is None or frame.picture is None:
             return
-        late = step - shown.picture
-        if abs(late) > shown.tolerance and (follows or late < 0):
+        late = step - frame.picture
+        if abs(late) > frame.tolerance and (follows or late < 0):
             raise InputError(
                 f"{self._describe(time)}, {time_text(step * self._tick_s)} after the one before, "
-                f"and that picture lasts {time_text(shown.picture * self._tick_s)}: a marker is "
+                f"and that picture lasts {time_text(frame.picture * self._tick_s)}: a marker is "
                 "missing or one too many; look at the trigger"
             )
 

@@ -303,11 +303,11 @@ class _Exposures:
 
     def in_gates(self, frames: Estimate) -> Estimate:
         """Arrivals (E, f, inputs) of the masks' frames in their gates; clicks as they are."""
-        shown = self.manifest.shown
-        scale = (self.lengths_s / self.seconds[shown])[:, None]
+        masks = self.manifest.shown
+        scale = (self.lengths_s / self.seconds[masks])[:, None]
         if self.settings.clicks is not None:
             scale = np.ones_like(scale)
-        return Estimate(frames.arrivals[:, shown] * scale, frames.variance[:, shown] * scale**2)
+        return Estimate(frames.arrivals[:, masks] * scale, frames.variance[:, masks] * scale**2)
 
     def as_ambient(self, sentinels: bool) -> Ambient:
         """Background that they measured with the scene dark, of scenes with sentinels or none."""
@@ -362,12 +362,14 @@ def _arrange(table: Table, manifest: Manifest, settings: TableSettings, name: st
         )
     along = settings.exposures or ("rows" if fits["rows"] else "columns")
     if not fits[along]:
-        given = f", and exposures are its {along}" if settings.exposures else ""
-        each = f"{len(masks) // inputs} frames of masks" + (f" x {inputs} inputs" * (inputs > 1))
+        asked = f", and exposures are its {along}" if settings.exposures else ""
+        frames = f"{len(masks) // inputs} frames of masks"
+        if inputs > 1:
+            frames += f" x {inputs} inputs"
         raise InputError(
-            f"{name} has {shape['columns']} rows and {shape['rows']} columns{given}: an exposure "
-            f"has {allowed[0]} values ({each}), or {allowed[1]} with all ON and all OFF before and "
-            "after them"
+            f"{name} has {shape['columns']} rows and {shape['rows']} columns{asked}: an exposure "
+            f"has {allowed[0]} values ({frames}), or {allowed[1]} with all ON and all OFF before "
+            "and after them"
         )
     values = values.T if along == "columns" else values
     return values.reshape(len(values), -1, inputs)
@@ -579,7 +581,7 @@ def _of_bins(
     lengths = manifest.picture_s / bin_s
     bins = np.rint(lengths).astype(np.int64)
     if abs(lengths - bins).max() > 1e-6 * max(lengths.max(), 1) or bins.min() < LEAST_BINS:
-        times = sorted({round(each * 1e6) for each in manifest.picture_s.tolist()})
+        times = sorted({round(one * 1e6) for one in manifest.picture_s.tolist()})
         raise InputError(
             f"pictures of {times[0]} to {times[-1]} µs are not whole numbers of bins of "
             f"{bin_s * 1e6:g} µs, {LEAST_BINS} or more: export an equal-dwell design or a scan "
@@ -630,26 +632,21 @@ def _gains(total: np.ndarray, bins: np.ndarray, arm: int) -> np.ndarray:
     from scipy.special import xlogy
 
     starts = len(total) - int(bins.sum())
-    ends = np.cumsum(bins)
     gain = np.zeros(starts)
-    own_bins = np.diff(total, axis=0)
-    saturated = np.concatenate([[0.0], xlogy(own_bins, own_bins).sum(axis=1).cumsum()])
-    seen: dict[int, tuple[np.ndarray, int]] = {}
-    brightest = np.zeros(starts)
-    last = len(bins) - 1
-    for frame, (stop, width) in enumerate(zip(ends.tolist(), (bins - 1).tolist(), strict=True)):
-        found = total[stop : stop + starts] - total[stop - width : stop - width + starts]
-        gain += xlogy(found, found / width).sum(axis=1)
+    single = np.diff(total, axis=0)
+    saturated = np.concatenate([[0.0], xlogy(single, single).sum(axis=1).cumsum()])
+    arm_counts = []  # of each frame: counts of the arm, and the bins that they are of
+    for stop, width in zip(np.cumsum(bins).tolist(), (bins - 1).tolist(), strict=True):
+        counts = total[stop : stop + starts] - total[stop - width : stop - width + starts]
+        gain += xlogy(counts, counts / width).sum(axis=1)
         gain -= saturated[stop : stop + starts] - saturated[stop - width : stop - width + starts]
-        own = found[:, :arm].sum(axis=1)
-        if frame in (0, 1, last - 1, last):
-            seen[frame] = own, width
-        else:
-            brightest = np.maximum(brightest, own / width - CERTAIN_SIGMAS * np.sqrt(own) / width)
+        arm_counts.append((counts[:, :arm].sum(axis=1), width))
+    brightest = np.zeros(starts)
+    for counts, width in arm_counts[2:-2]:
+        least = counts / width - CERTAIN_SIGMAS * np.sqrt(counts) / width
+        brightest = np.maximum(brightest, least)
     fits = np.ones(starts, bool)
-    for bright, dark in ((0, 1), (last - 1, last)):
-        (on, on_bins) = seen[bright]
-        (off, off_bins) = seen[dark]
+    for (on, on_bins), (off, off_bins) in (arm_counts[:2], arm_counts[-2:]):
         noise = np.sqrt(on / on_bins**2 + off / off_bins**2)
         fits &= on / on_bins - off / off_bins > CERTAIN_SIGMAS * noise
         fits &= on / on_bins + CERTAIN_SIGMAS * np.sqrt(on) / on_bins >= brightest
