@@ -438,8 +438,8 @@ def _show_ends(recording: _Recording, gated: WindowCounts) -> np.ndarray:
     )
     if not fits.any():
         path = recording.source.path
-        with np.errstate(invalid="ignore"):
-            rates = np.nanmean(np.where(seconds > 0, photons / seconds, np.nan), axis=0)
+        spent = seconds.sum(axis=0)
+        rates = photons.sum(axis=0) / np.where(spent > 0, spent, np.inf)
         if min(rates[[1, -1]]) > 2 * max(rates[[0, -2]]):
             raise InputError(
                 f"{path} has bright all-OFF frames and dark all-ON ones: the mirrors are "
