@@ -20,7 +20,6 @@ from deepfsi.hardware.counting.markers import MOST_EXTRA, MOST_RATE
 from deepfsi.hardware.light import PARTS
 from deepfsi.hardware.photons import (
     Part,
-    PhotonSource,
     PtuStream,
     WindowCounter,
     cut_windows,
@@ -115,42 +114,77 @@ class _DueFrame(NamedTuple):
     follows: bool  # whether it comes as soon as the frame before ends
 
 
-class _RecordCounter:
-    """Counter of photons frame by frame, of the records of a source."""
+class FrameCounter:
+    """Counter of photons frame by frame in a PTU file whose bytes arrive in any cuts.
+
+    Parameters
+    ----------
+    inputs : sequence of int
+        Inputs of the counter whose photons are counted, from 0.
+    marker_bit : int
+        1, 2, 4 or 8: the marker input of the device's trigger.
+    stream : str, path or PtuStream
+        Where the bytes come from, or what errors call it.
+    """
 
     def __init__(
         self,
-        source: PhotonSource,
         inputs: Sequence[int],
         marker_bit: int = 1,
+        stream: str | os.PathLike[str] | PtuStream = "the stream",
     ) -> None:
-        self._tick_s = source.tick_s
+        self._inputs = tuple(inputs)
         self._bit = marker_bit
-        self._name = source.path
-        self._slack = round(marker_slack_s(source.tick_s) / source.tick_s)
-        self._gates = WindowCounter(source, inputs)
+        self._stream = stream if isinstance(stream, PtuStream) else PtuStream(stream)
+        self._windows: WindowCounter | None = None  # is made when the header has arrived
+        self._early: list[FrameGates] = []  # told before
         self._due: deque[_DueFrame] = deque()
         self._frame: _DueFrame | None = None  # the frame whose marker came last
         self._last = BEFORE_ALL  # that marker
-        self._skipped = 0  # markers to come of the frame that is shown
+        self._skipped = 0  # markers to come of that frame
         self._begun: deque[int] = deque()  # markers of frames whose counts were not given
         # (n, inputs): Of the parts of their gates that have ended
-        self._counts = np.zeros((0, len(inputs)), np.int64)
+        self._counts = np.zeros((0, len(self._inputs)), np.int64)
         self._stop = BEFORE_ALL  # end of the last gate
 
     def expect(self, gates: FrameGates) -> None:
         """Count frames that are shown after those before. To be told before they are shown."""
-        offsets = np.rint(gates.offsets_s / self._tick_s)
+        self._early.append(gates)
+        if self._stream.begun:
+            self._open()
+
+    def feed(self, data: bytes | bytearray | memoryview) -> FrameCounts:
+        """Read the next bytes; give the frames whose gates ended, in order."""
+        self._stream.feed(data)
+        counts = [self._add(part) for part in self._stream.parts()]
+        return FrameCounts.join(counts, len(self._inputs))
+
+    def _open(self) -> WindowCounter:
+        """Counter of windows, with the frames that were told before the header came."""
+        if self._windows is None:
+            self._windows = WindowCounter(self._stream, self._inputs)
+        while self._early:
+            self._plan(self._early.pop(0))
+        return self._windows
+
+    @property
+    def _slack(self) -> int:
+        """By how much a marker in the file may be off, ticks."""
+        return round(marker_slack_s(self._stream.tick_s) / self._stream.tick_s)
+
+    def _plan(self, gates: FrameGates) -> None:
+        """Frames of a list become due, on the clock that the header tells."""
+        tick_s = self._stream.tick_s
+        offsets = np.rint(gates.offsets_s / tick_s)
         if len(gates) and not offsets.min() > self._slack:
             raise InputError(
                 f"a gate begins {time_text(gates.offsets_s.min())} after its marker, and a marker "
-                f"may be {time_text(self._slack * self._tick_s)} off: give frames a longer time to "
-                "settle"
+                f"may be {time_text(self._slack * tick_s)} off: give frames a longer time to settle"
             )
-        lengths = np.rint(gates.lengths_s / self._tick_s)
+        lengths = np.rint(gates.lengths_s / tick_s)
         pictures = tolerances = np.zeros(len(gates))
         if gates.pictures_s is not None and len(gates):
-            ticks = gates.pictures_s / self._tick_s
+            ticks = gates.pictures_s / tick_s
             pictures = np.rint(ticks)
             tolerances = MOST_RATE * ticks + MOST_EXTRA * ticks.min() + self._slack
         columns = np.stack([offsets, lengths, gates.markers, pictures, tolerances]).astype(np.int64)
@@ -158,24 +192,25 @@ class _RecordCounter:
             due = _DueFrame._make([*times, number > 0])
             self._due.append(due if gates.pictures_s is not None else due._replace(picture=None))
 
-    def add(self, part: Part) -> FrameCounts:
+    def _add(self, part: Part) -> FrameCounts:
         """Count the next records; give the frames that have ended, in order."""
         # Those are the ones whose gates have ended, and after which the next of their list has
         # begun
-        part.check(self._name)
+        windows = self._open()
+        part.check(self._stream.path)
         times, bits = part.markers
         begun = map(self._begin, times[bits & self._bit != 0].tolist())
         gates = np.array([gate for gate in begun if gate], np.int64).reshape(-1, 2)
-        self._gates.expect(*cut_windows(gates[:, 0], gates[:, 1], PARTS))
-        self._gates.add(part)
-        counts = np.concatenate([self._counts, self._gates.take()])
+        windows.expect(*cut_windows(gates[:, 0], gates[:, 1], PARTS))
+        windows.add(part)
+        counts = np.concatenate([self._counts, windows.take()])
         ended = len(counts) // PARTS
         waits = 0 < ended == len(self._begun) and self._followed
         ready = ended - waits
         self._counts = counts[ready * PARTS :]
         starts = [self._begun.popleft() for _ in range(ready)]
         parts = counts[: ready * PARTS].reshape(ready, PARTS, counts.shape[1])
-        return FrameCounts(np.array(starts, np.float64) * self._tick_s, parts)
+        return FrameCounts(np.array(starts, np.float64) * self._stream.tick_s, parts)
 
     @property
     def _followed(self) -> bool:
@@ -214,75 +249,27 @@ class _RecordCounter:
         early = self._stop - time
         if early > 0:
             raise InputError(
-                f"{self._describe(time)}, {early * self._tick_s * 1e6:.3g} µs before the gate of "
-                "the frame before has ended, and its picture was to outlast it: the trigger "
-                "jitters, or pictures are shorter than told; use a trigger that jitters by less "
-                "than 2 µs"
+                f"{self._describe(time)}, {early * self._stream.tick_s * 1e6:.3g} µs before the "
+                "gate of the frame before has ended, and its picture was to outlast it: the "
+                "trigger jitters, or pictures are shorter than told; use a trigger that jitters by "
+                "less than 2 µs"
             )
 
     def _check_step(self, time: int, follows: bool) -> None:
         """Raise `InputError` if a marker does not come when the picture before it ends."""
         # The first one of a list may come later
         frame = self._frame
+        tick_s = self._stream.tick_s
         step = time - self._last
         if frame is None or frame.picture is None:
             return
         late = step - frame.picture
         if abs(late) > frame.tolerance and (follows or late < 0):
             raise InputError(
-                f"{self._describe(time)}, {time_text(step * self._tick_s)} after the one before, "
-                f"and that picture lasts {time_text(frame.picture * self._tick_s)}: a marker is "
-                "missing or one too many; look at the trigger"
+                f"{self._describe(time)}, {time_text(step * tick_s)} after the one before, and "
+                f"that picture lasts {time_text(frame.picture * tick_s)}: a marker is missing or "
+                "one too many; look at the trigger"
             )
 
     def _describe(self, time: int) -> str:
-        return f"{self._name} has a marker at {time * self._tick_s:.9g} s"
-
-
-class FrameCounter:
-    """Counter of photons frame by frame in a PTU file whose bytes arrive in any cuts.
-
-    Parameters
-    ----------
-    inputs : sequence of int
-        Inputs of the counter whose photons are counted, from 0.
-    marker_bit : int
-        1, 2, 4 or 8: the marker input of the device's trigger.
-    stream : str, path or PtuStream
-        Where the bytes come from, or what errors call it.
-    """
-
-    def __init__(
-        self,
-        inputs: Sequence[int],
-        marker_bit: int = 1,
-        stream: str | os.PathLike[str] | PtuStream = "the stream",
-    ) -> None:
-        self._inputs = tuple(inputs)
-        self._bit = marker_bit
-        self._stream = stream if isinstance(stream, PtuStream) else PtuStream(stream)
-        self._counter: _RecordCounter | None = None  # is made when the header has arrived
-        self._early: list[FrameGates] = []  # told before
-
-    def expect(self, gates: FrameGates) -> None:
-        """Count frames that are shown after those before. To be told before they are shown."""
-        if self._counter is None and self._stream.begun:
-            self._begin()
-        if self._counter is None:
-            self._early.append(gates)
-        else:
-            self._counter.expect(gates)
-
-    def feed(self, data: bytes | bytearray | memoryview) -> FrameCounts:
-        """Read the next bytes; give the frames whose gates ended, in order."""
-        self._stream.feed(data)
-        counts = []
-        for part in self._stream.parts():
-            counts.append((self._counter or self._begin()).add(part))
-        return FrameCounts.join(counts, len(self._inputs))
-
-    def _begin(self) -> _RecordCounter:
-        self._counter = _RecordCounter(self._stream, self._inputs, self._bit)
-        for gates in self._early:
-            self._counter.expect(gates)
-        return self._counter
+        return f"{self._stream.path} has a marker at {time * self._stream.tick_s:.9g} s"
