@@ -119,13 +119,13 @@ def count_run(
     run = read_run(folder)
     run.acquisition.check_fixed(folder)
     run = replace(run, acquisition=run.acquisition.rewired(settings.inputs, settings.marker_bit))
-    planned = run.acquisition.gates(run.manifest)
     gates = run.acquisition.gates(
         run.manifest, settings.exposure_s, settings.settle_s, settings.repeats
     )
     recorded = (run.acquisition.camera or {}).get("gates")  # of a gated detector
+    planned = run.acquisition.gates(run.manifest) if recorded else gates
     same = np.array_equal(gates.length_s, planned.length_s) and gates.settle_s == planned.settle_s
-    if recorded is not None and (recorded != settings.clicks or not same):
+    if recorded and (recorded != settings.clicks or not same):
         raise InputError(
             f"{folder} holds the first photons alone of {recorded} gates in "
             f"{time_text(run.acquisition.exposure_s)}: count these gates, of that exposure and "

@@ -66,14 +66,16 @@ class Windows:
         length = np.maximum(ends[frame] - offset, 0.0)
         length[gated] = gates.length_s[:, None]
         length[guards] = starts.tolerance_s
-        windows = np.arange(len(frame))
+        gate, guard = np.zeros((2, len(frame)), bool)
+        gate[gated] = True
+        guard[guards] = True
         return cls(
             frame=frame,
             offset_s=offset,
             length_s=length,
             frames=len(count),
-            gate=np.isin(windows, gated),
-            guard=np.isin(windows, guards),
+            gate=gate,
+            guard=guard,
         )
 
     @classmethod
