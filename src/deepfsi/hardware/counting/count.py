@@ -116,18 +116,19 @@ def count_run(
         schedule, or no pass has light.
     """
     settings = settings or CountSettings()
-    run = read_run(folder)
-    run.acquisition.check_fixed(folder)
-    run = replace(run, acquisition=run.acquisition.rewired(settings.inputs, settings.marker_bit))
+    recorded = read_run(folder)
+    recorded.acquisition.check_fixed(folder)
+    wiring = recorded.acquisition.rewired(settings.inputs, settings.marker_bit)
+    run = replace(recorded, acquisition=wiring)
     gates = run.acquisition.gates(
         run.manifest, settings.exposure_s, settings.settle_s, settings.repeats
     )
-    recorded = (run.acquisition.camera or {}).get("gates")  # of a gated detector
-    planned = run.acquisition.gates(run.manifest) if recorded else gates
+    click_gates = (run.acquisition.camera or {}).get("gates")  # of a gated detector
+    planned = run.acquisition.gates(run.manifest) if click_gates else gates
     same = np.array_equal(gates.length_s, planned.length_s) and gates.settle_s == planned.settle_s
-    if recorded and (recorded != settings.clicks or not same):
+    if click_gates and (click_gates != settings.clicks or not same):
         raise InputError(
-            f"{folder} holds the first photons alone of {recorded} gates in "
+            f"{folder} holds the first photons alone of {click_gates} gates in "
             f"{time_text(run.acquisition.exposure_s)}: count these gates, of that exposure and "
             "settle time, or record again"
         )
@@ -142,7 +143,7 @@ def count_run(
         check_clicks(settings.clicks, of_photons)
         gates = gates.with_clicks(run.manifest, settings.clicks)
         counts = _count_clicks(run, gates, settings, progress)
-    counts.save(run)
+    counts.save(recorded)
     return counts
 
 
