@@ -416,7 +416,7 @@ LARGEST_ERROR_CELLS = 0.1
 LARGEST_CALIBRATION = 2**26
 """Bytes of a calibration's file at most."""
 
-Row = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
+HomographyRow = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 """Row of a homography."""
 
 
@@ -431,7 +431,9 @@ class Calibration(StrictModel):
 
     schema_version: Literal[1] = 1
     deepfsi: str = version("deepfsi")  # Version of the package that wrote it
-    homography: tuple[Row, Row, Row]  # Display → device, unit squares, (across, down, 1)
+    homography: tuple[
+        HomographyRow, HomographyRow, HomographyRow
+    ]  # Display → device, unit squares, (across, down, 1)
     residual: Amount  # Root mean square distance of the spots from it, cells
     error: Amount  # Standard error of the place of the display's worst corner, cells
     spots: int = Field(ge=4)  # Spots that it rests on

@@ -57,7 +57,7 @@ MOST_DRIFT_CHANGE = 1e-6
 MOST_SHIFT = 3
 """Frames by which a pass may be found to be shifted."""
 
-FRAMES_AT_ONCE = 32
+FRAMES_SOUGHT = 32
 """Frames that are sought at once."""
 
 FRAMES_OF_BLOCK = 8
@@ -469,12 +469,12 @@ class Markers:
         done = 0
         while done < schedule.frames:
             sure = int(np.searchsorted(starts, anchor + tolerance / slack, side="right"))
-            stop = min(max(done + 1, min(sure, done + FRAMES_AT_ONCE)), schedule.frames)
+            stop = min(max(done + 1, min(sure, done + FRAMES_SOUGHT)), schedule.frames)
             new = slice(done, stop)
             window = np.minimum(tolerance + slack * np.abs(starts[new] - anchor), widest)
             near, distance = _nearest(self.times, offset + (1 + drift) * starts[new], first)
             places[new] = np.where(distance <= window, near, -1)
-            recent = np.flatnonzero(places[:stop] >= 0)[-2 * FRAMES_AT_ONCE :]
+            recent = np.flatnonzero(places[:stop] >= 0)[-2 * FRAMES_SOUGHT :]
             at = starts[recent]
             came = self.times[places[recent]]
             if len(recent) > 1:
