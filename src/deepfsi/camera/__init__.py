@@ -1,7 +1,7 @@
 """The apparatus as a user describes it: optics, device, detectors, noise, light (no torch)."""
 
 from deepfsi.camera.camera import PRESETS, Camera, CameraSource, Levels
-from deepfsi.camera.dead_time import NO_DEAD_TIME, CorrectionFactors, DeadTime
+from deepfsi.camera.dead_time import NO_DEAD_TIME, CorrectionFactors, CounterEffects, DeadTime
 from deepfsi.camera.detectors import (
     ONE_DETECTOR,
     DetectorMap,
@@ -56,6 +56,7 @@ __all__ = [
     "Camera",
     "CameraSource",
     "CorrectionFactors",
+    "CounterEffects",
     "DeadTime",
     "DetectorMap",
     "Device",

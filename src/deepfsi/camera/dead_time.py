@@ -86,3 +86,18 @@ class CorrectionFactors:
 
 NO_DEAD_TIME = DeadTime(seconds=0.0)
 """Nothing is lost."""
+
+
+@dataclass(frozen=True)
+class CounterEffects:
+    """Effects of a counter on the light that arrives, for which counts are corrected.
+
+    Attributes
+    ----------
+    dead_time : DeadTime
+    gains : tuple of float
+        Relative efficiency of each detector; empty for equal ones.
+    """
+
+    dead_time: DeadTime
+    gains: tuple[float, ...] = ()

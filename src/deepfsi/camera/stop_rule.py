@@ -3,7 +3,7 @@
 import math
 
 from deepfsi.base.models import Count, Positive, Share, StrictModel
-from deepfsi.camera.dead_time import NO_DEAD_TIME, DeadTime
+from deepfsi.camera.dead_time import NO_DEAD_TIME, CounterEffects, DeadTime
 
 
 class StopRule(StrictModel):
@@ -30,3 +30,8 @@ class LiveSettings(StrictModel):
     dead_time: DeadTime = NO_DEAD_TIME  # Of the counter, to be corrected for
     background: bool = False  # True if a pass with the scenes dark comes first
     latencies: dict[str, float] | None = None  # Of virtual devices, seconds
+
+    @property
+    def effects(self) -> CounterEffects:
+        """Effects of the counter, for which counts are corrected."""
+        return CounterEffects(self.dead_time)

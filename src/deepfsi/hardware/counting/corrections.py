@@ -28,17 +28,9 @@ from typing import Self
 import numpy as np
 
 from deepfsi.base import InputError
-from deepfsi.camera import NO_DEAD_TIME, CorrectionFactors, DeadTime
+from deepfsi.camera import CorrectionFactors, CounterEffects, DeadTime
 from deepfsi.hardware.counting.counts import LEAST_UNFIRED, RunLight
 from deepfsi.hardware.patterns import Frame, Manifest
-
-
-@dataclass(frozen=True)
-class CounterEffects:
-    """Effects of a counter on the light that arrives, for which counts are corrected."""
-
-    dead_time: DeadTime = NO_DEAD_TIME
-    gains: tuple[float, ...] = ()  # relative efficiency of each detector; empty for equal ones
 
 
 class Correction(ABC):
@@ -71,8 +63,8 @@ class DeadTimeCorrection(Correction):
         return cls(effects.dead_time)
 
     def apply(self, factors: CorrectionFactors, rates: np.ndarray) -> CorrectionFactors:
-        """Factors of `DeadTime.correction`."""
-        lost = self.dead_time.correction(rates)
+        """Factors of `DeadTime.correction`, at most those of the highest rate that has one."""
+        lost = self.dead_time.correction(np.minimum(rates, self.dead_time.most_registered))
         return CorrectionFactors(factors.arrivals * lost.arrivals, factors.variance * lost.variance)
 
     def check(

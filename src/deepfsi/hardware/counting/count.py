@@ -13,13 +13,12 @@ from typing import Any, Self
 import numpy as np
 
 from deepfsi.base import SILENT, InputError, Progress, time_text
-from deepfsi.camera import NO_DEAD_TIME, DeadTime
+from deepfsi.camera import NO_DEAD_TIME, CounterEffects, DeadTime
 from deepfsi.hardware.counting.acquisition import Calibration, Run, read_run
 from deepfsi.hardware.counting.corrections import (
     ENDS,
     Ambient,
     Correction,
-    CounterEffects,
     Estimate,
     check_clicks,
     correct,

@@ -16,8 +16,11 @@ from typing import NamedTuple
 import numpy as np
 
 from deepfsi.base import InputError, time_text
+from deepfsi.camera import CorrectionFactors, LiveSettings
+from deepfsi.hardware.counting.corrections import correct, corrections_of
 from deepfsi.hardware.counting.markers import MOST_EXTRA, MOST_RATE
 from deepfsi.hardware.light import PARTS
+from deepfsi.hardware.patterns import Frame, Manifest
 from deepfsi.hardware.photons import (
     Part,
     PtuStream,
@@ -91,6 +94,39 @@ class FrameCounts:
     def counts(self) -> np.ndarray:
         """Photons (F, inputs) in their gates."""
         return np.asarray(self.parts.sum(axis=1))
+
+    def correct(
+        self,
+        live: LiveSettings,
+        manifest: Manifest,
+        gate_s: np.ndarray,
+        *,
+        ends: Sequence[Frame] | None = None,
+    ) -> CorrectionFactors:
+        """Factors (F, inputs) of the counts, as those of a recorded run have them.
+
+        Parameters
+        ----------
+        live : LiveSettings
+            With the effects of the counter.
+        manifest : Manifest
+        gate_s : array (F,)
+            Lengths of the gates, seconds.
+        ends : sequence of Frame, optional
+            The frames, if they are ends of a scene, which must not be too bright. Others are
+            corrected as the brightest that can be.
+
+        Raises
+        ------
+        InputError
+            If such a frame is too bright to be corrected.
+        """
+        corrections = corrections_of(live.effects, manifest)
+        rates = self.counts / gate_s[:, None]
+        if ends is not None:
+            for correction in corrections:
+                correction.check(rates[None], ends, range(manifest.inputs), "a scene")
+        return correct(rates, corrections)
 
     def __getitem__(self, frames: slice) -> "FrameCounts":
         return FrameCounts(self.starts_s[frames], self.parts[frames])

@@ -28,12 +28,11 @@ import numpy as np
 
 from deepfsi.base import InputError, Message, check_choice, closest_choice, time_text
 from deepfsi.base.numeric import Table
-from deepfsi.camera import NO_DEAD_TIME, DeadTime
+from deepfsi.camera import NO_DEAD_TIME, CounterEffects, DeadTime
 from deepfsi.hardware.counting.acquisition import MOST_READOUTS, Scene
 from deepfsi.hardware.counting.corrections import (
     ENDS,
     Ambient,
-    CounterEffects,
     Estimate,
     check_clicks,
     correct,

@@ -211,20 +211,15 @@ class SceneObserver:
     def _arrivals(self, source: FrameSource, asked: FrameList) -> Arrivals:
         """Photons that arrived in the gates of a list, of those that were counted."""
         counts = source.count(asked)
-        dead = self._settings.dead_time
-        rates = counts.counts / (asked.gate_ns * 1e-9)[:, None]
-        most = dead.most_registered
-        if asked.look == SCENE_ENDS and rates.max() > most:
-            raise InputError(
-                f"an all-ON frame has {rates.max():.3g} counts/s, and a dead time of {dead}, is "
-                f"corrected up to {most:.3g}: dim the light, or give the counter's own dead time"
-            )
-        factors = dead.correction(np.minimum(rates, most))
+        frames = tuple(self._manifest.frames[index] for index in asked.frames)
+        gate_s = asked.gate_ns * 1e-9
+        ends = frames if asked.look == SCENE_ENDS else None
+        factors = counts.correct(self._settings, self._manifest, gate_s, ends=ends)
         parts = counts.parts.shape[1]
-        seconds = np.repeat((asked.gate_ns * 1e-9 / parts)[:, None], parts, axis=1)
+        seconds = np.repeat((gate_s / parts)[:, None], parts, axis=1)
         opens_s = counts.starts_s[:, None] + self._settle_s
         return Arrivals(
-            frames=tuple(self._manifest.frames[index] for index in asked.frames),
+            frames=frames,
             photons=counts.parts * factors.arrivals[:, None],
             variance=counts.parts * factors.variance[:, None],
             seconds=seconds,
