@@ -206,8 +206,7 @@ def test_the_comparison_of_streaming_runs(capsys):
 def test_both_trainings_of_ovit_do_the_same_work(capsys):
     """They start from one set of masks, and see the same patches in the same light."""
     from deepfsi.datasets import from_arrays
-    from deepfsi.design.exposure.trained import cut
-    from deepfsi.jobs import Patches
+    from deepfsi.jobs import Patches, cut_patches
     from deepfsi.training.masks import initial_masks
 
     ovit = benchmark("ovit")
@@ -233,7 +232,7 @@ def test_both_trainings_of_ovit_do_the_same_work(capsys):
     assert torch.allclose(matrix, start.difference[0], atol=1e-6)
     rows = torch.from_numpy(data.x_train) * (ovit.BUDGET / scenes.summed_reflectance)
     seen = torch.nn.functional.unfold(rows.view(-1, 1, 16, 16), 4, stride=4).transpose(1, 2)
-    assert torch.allclose(seen, cut(rows, (16, 16), 4))
+    assert torch.allclose(seen, cut_patches(rows, (16, 16), 4))
     assert plain(torch.from_numpy(data.x_train)).shape == (len(data.x_train), 10)
 
 
