@@ -2,9 +2,9 @@
 
 from deepfsi.lab.calibration import calibrate, check_view, gains_of
 from deepfsi.lab.classify import ClassifiedRun, ClassifiedScene, classify_run, classify_table
+from deepfsi.lab.design_data import data_of, data_of_file, displayed, picture_hashes
 from deepfsi.lab.looks import design_rails, open_looks
 from deepfsi.lab.prediction import predict
-from deepfsi.lab.test_data import data_of, data_of_file, displayed, picture_hashes
 from deepfsi.lab.transits import classify_transits, simulate_transits
 
 __all__ = [

@@ -14,7 +14,7 @@ from deepfsi.base import InputError
 from deepfsi.camera import Camera, CameraSource, check_budget
 from deepfsi.designfile import Score, scene_hashes, was_trained_on
 from deepfsi.lab.classify import dim_scenes
-from deepfsi.lab.test_data import design_scenes
+from deepfsi.lab.design_data import design_scenes
 
 if TYPE_CHECKING:  # it imports torch, which those who predict nothing do without
     from deepfsi.design.artifact import Design

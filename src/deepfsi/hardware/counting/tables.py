@@ -357,7 +357,8 @@ def _arrange(table: Table, manifest: Manifest, settings: TableSettings, name: st
             "{exposures} rows or columns",
             setting="exposures",
             name=name,
-            **shape,
+            columns=shape["columns"],
+            rows=shape["rows"],
         )
     along = settings.exposures or ("rows" if fits["rows"] else "columns")
     if not fits[along]:

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from deepfsi.design.evaluation import Tested
 
 
-class TestData(NamedTuple):
+class DesignData(NamedTuple):
     """Data that a design is tested on, and notes on where it is not what it was trained on."""
 
     data: Dataset
@@ -48,7 +48,7 @@ def data_of(
     data: str | None = None,
     size: tuple[int, int] | None = None,
     view: Path | None = None,
-) -> TestData:
+) -> DesignData:
     """Load the data to test a design on: what is given, else what it was trained on.
 
     Parameters
@@ -90,7 +90,7 @@ def data_of(
     _, left = new_scenes(design.training_scenes, loaded)
     if design.training_scenes is None and notes:
         left = "test scenes may be among those it was trained on, which its file does not hold"
-    return TestData(loaded, tuple(notes if left is None else [*notes, left]))
+    return DesignData(loaded, tuple(notes if left is None else [*notes, left]))
 
 
 def data_of_file(file: Path, size: tuple[int, int] | None = None) -> Dataset:
