@@ -32,7 +32,7 @@ from deepfsi import Dataset, Design, learn, load_dataset
 from deepfsi.base import write_atomically
 from deepfsi.base.numeric import wilson
 from deepfsi.design.exposure.trained import Observation
-from deepfsi.optics.constraints import frames
+from deepfsi.physics import frames
 from deepfsi.report.style import COLOURS, photons_text, styled
 
 PICTURE_S, SETTLE_S = 44e-6, 10e-6

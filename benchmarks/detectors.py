@@ -17,8 +17,7 @@ from collections.abc import Callable
 import torch
 
 from deepfsi.camera import DetectorMap
-from deepfsi.optics.detection import Detection
-from deepfsi.optics.scanner import measure
+from deepfsi.physics import Detection, ml_gauss_features
 
 FRAMES = 8
 BATCH = 500
@@ -34,7 +33,7 @@ def steps(side: int, tiles: int) -> tuple[Callable[[], None], Callable[[], None]
     """A step part by part, and one with the masks of all detectors."""
     draw, detection = (
         torch.Generator().manual_seed(0),
-        Detection.of(DetectorMap.of(f"{tiles}x{tiles}", (side,) * 2)),
+        Detection.by(DetectorMap.of(f"{tiles}x{tiles}", (side,) * 2)),
     )
     scenes = torch.rand(BATCH + 1, side**2, generator=draw)
     frames = torch.rand(1, FRAMES, side**2, generator=draw) / FRAMES
@@ -49,13 +48,13 @@ def steps(side: int, tiles: int) -> tuple[Callable[[], None], Callable[[], None]
     found = []
 
     def by_part() -> None:
-        features = measure(arranged, ours, epsilon, False, detection.count)
+        features = ml_gauss_features(arranged, ours, epsilon, False, detection.count)
         (gradient,) = torch.autograd.grad(features.sum(), ours)
         found[:1] = [detection.restore(gradient)]
 
     def whole() -> None:
         every = (plain.unsqueeze(2) * own).flatten(1, 2)
-        features = measure(scenes, every, epsilon, False)
+        features = ml_gauss_features(scenes, every, epsilon, False)
         (gradient,) = torch.autograd.grad(features.sum(), plain)
         found[1:] = [gradient]
 

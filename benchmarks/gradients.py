@@ -31,12 +31,15 @@ from deepfsi.design.artifact import Design
 from deepfsi.design.classifiers import Mlp
 from deepfsi.design.evaluation import evaluate
 from deepfsi.jobs import Job, Training
-from deepfsi.optics import constraints
-from deepfsi.optics.detection import Detection
-from deepfsi.optics.masks import LearnedMasks
-from deepfsi.optics.noise import poisson
-from deepfsi.optics.rails import Rails
-from deepfsi.optics.scanner import measure, project
+from deepfsi.physics import (
+    Detection,
+    LearnedMasks,
+    Poisson,
+    Rails,
+    light_law,
+    ml_gauss_features,
+    project,
+)
 from deepfsi.training.training_set import TrainingSet
 
 GRID = ((1e-2, 0.03), (1e-2, 0.1), (1e-2, 0.3), (5e-3, 0.1))
@@ -122,7 +125,7 @@ def midpoint(draw: Draw, generator: torch.Generator) -> Tensor:
 
 def score(draw: Draw, generator: torch.Generator) -> Tensor:
     """f(k) (k/r − 1), the score, with a second draw k' as baseline, and both averaged."""
-    other = poisson(draw.rates, generator)
+    other = Poisson().draw(draw.rates, generator)
     change = (other - draw.counts) * SIGN
     with torch.no_grad():
         logits = draw.network(draw.scaled + change.sum(dim=1) * draw.step)
@@ -197,7 +200,7 @@ def descend(
         Of the counts.
     """
     fixed = rates.detach()
-    counts = poisson(fixed, generator)
+    counts = Poisson().draw(fixed, generator)
     scaled = ((counts[:, 0] - counts[:, 1] - centre.detach()) / size.detach()).requires_grad_()
     losses = functional.cross_entropy(network(scaled), labels, reduction="none")
     losses.mean().backward()
@@ -239,9 +242,9 @@ def learn(
         {"params": list(network.parameters()), "lr": settings.lr},
         {"params": list(masks.parameters()), "lr": settings.mask_lr if keep is None else 0.0},
     ]
-    detection = Detection.of_camera(job.optics, training_set.data.image_shape)
+    detection = Detection.of(job.optics, training_set.data.image_shape)
     x, count = (
-        training_set.centred(job.camera.light, torch.float32, detection),
+        training_set.centred(pixels, torch.float32, detection),
         len(training_set.labels),
     )
     batch = min(settings.batch or min(max(count // 100, 32), 500), count)
@@ -258,8 +261,8 @@ def learn(
             chosen = x.index_select(0, functional.pad(rows, (0, 1), value=count))
             labels = training_set.labels[rows]
             if estimator is None:
-                rails = masks.matrix() if masks.disjoint else masks().combined
-                features = measure(chosen, rails, epsilon * gain**-0.5, masks.disjoint)
+                rails = masks().difference if masks.disjoint else masks().combined
+                features = ml_gauss_features(chosen, rails, epsilon * gain**-0.5, masks.disjoint)
                 size = torch.linalg.vector_norm(features) / features.numel() ** 0.5
                 scaled = features.squeeze(1) / size
                 functional.cross_entropy(network(scaled), labels).backward()
@@ -290,7 +293,7 @@ def finish(training_set: TrainingSet, job: Job, masks: LearnedMasks, network: Ml
         )
         return Design(
             name=job.design,
-            rails=Rails.of(constraints.check(rails, job.camera.light)),
+            rails=Rails.of(light_law(job.camera.light).check(rails)),
             classifier=network,
             mean=(plus - minus).mean(dim=0) / training_set.summed_reflectance,
             std=power.mean().sqrt().expand(job.masks) / training_set.summed_reflectance,

@@ -20,7 +20,7 @@ from deepfsi.camera import Camera
 from deepfsi.datasets import load_dataset
 from deepfsi.design.evaluation import evaluate
 from deepfsi.jobs import Fixed, Job, Looks, Training
-from deepfsi.training import precision as rules
+from deepfsi.training import draws as rules
 from deepfsi.training.learning import train
 from deepfsi.training.training_set import TrainingSet
 

@@ -25,8 +25,8 @@ from deepfsi.datasets import Dataset, from_arrays
 from deepfsi.design.classifiers import Vit
 from deepfsi.design.exposure.kinds import begin
 from deepfsi.jobs import Job, Patches, sensing_matrix
+from deepfsi.training.draws import network_dtype
 from deepfsi.training.learning import train
-from deepfsi.training.precision import network_dtype
 from deepfsi.training.training_set import TrainingSet
 from deepfsi_paper.studies import find
 

@@ -24,9 +24,7 @@ from deepfsi.datasets import from_arrays
 from deepfsi.design.artifact import Design
 from deepfsi.design.classifiers import Mlp
 from deepfsi.design.payload import playable
-from deepfsi.optics import constraints
-from deepfsi.optics.detection import Detection
-from deepfsi.optics.rails import Rails
+from deepfsi.physics import Detection, Rails, light_law
 from deepfsi.report.playground.page import write_page
 
 MEASURE = """
@@ -61,7 +59,7 @@ def large_page(path: Path) -> Path:
     signs = torch.randn(96, 1024, generator=generator)
     design = Design(
         name="deepfsi",
-        rails=Rails.of(constraints.fit(signs, "free-dwell")),
+        rails=Rails.of(light_law("free-dwell").fit(signs)),
         classifier=Mlp(192, 10, (512, 256), generator=generator),
         mean=torch.zeros(192),
         std=torch.ones(192),

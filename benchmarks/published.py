@@ -41,7 +41,7 @@ from deepfsi.camera import LightLawName, summed_reflectance
 from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate, scanner_for
-from deepfsi.optics import constraints
+from deepfsi.physics import light_law
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.results import Point
 from deepfsi.sweeps.run import compare
@@ -112,7 +112,7 @@ class Network:
     def least_photons(self, light: LightLawName, s: float) -> float:
         """Smallest budget at which the masks obey a constraint, for a summed reflectance s."""
         rails = torch.from_numpy(self.masks)[None]
-        return s * (1 + constraints.excess(rails, light))
+        return s * (1 + light_law(light).excess(rails))
 
 
 def read_networks(

@@ -20,8 +20,7 @@ from torch import Tensor
 from deepfsi import Design
 from deepfsi.datasets import Dataset, from_arrays, load_dataset
 from deepfsi.jobs import DESIGNS, count_allowed
-from deepfsi.optics import constraints
-from deepfsi.optics.rails import Rails
+from deepfsi.physics import Rails, light_law
 from shared.jobs import learn
 from shared.pictures import save_images
 
@@ -53,7 +52,7 @@ OPTICS = [
 
 
 def _possible(design: str, light: str, rails: str) -> bool:
-    single = DESIGNS[design].single_rail
+    single = DESIGNS[design].rails == "single"
     if design == "hadamard":
         return rails == "dual"
     if single and rails == "single":
@@ -94,7 +93,7 @@ def own_matrix(masks: int, pixels: int, light: str, rails: str) -> np.ndarray:
     if light == "two-arm":
         return rng.choice([-1.0, 1.0], size=(masks, pixels)) / masks
     wild = rng.random((masks, pixels)) - (0.5 if rails == "dual" else 0)
-    return Rails.of(constraints.fit(torch.from_numpy(wild), light, rails)).difference.numpy()
+    return Rails.of(light_law(light).fit(torch.from_numpy(wild), rails)).difference.numpy()
 
 
 def quick(data: Dataset, design: str = "deepfsi", masks: int | None = None, **settings) -> Design:

@@ -16,7 +16,7 @@ from deepfsi.design.exposure.kinds import begin
 from deepfsi.hardware.patterns import unpack
 from deepfsi.hardware.patterns.frames import recount
 from deepfsi.jobs import Job, Training
-from deepfsi.optics.noise import attach_gradient
+from deepfsi.physics.noise import attach_gradient
 from deepfsi.training.learning import train
 from deepfsi.training.training_set import TrainingSet
 from shared.benchmarks import benchmark

@@ -23,7 +23,7 @@ from deepfsi.camera import Device
 from deepfsi.hardware.counting import count_run, read_counts, read_run
 from deepfsi.hardware.patterns import DesignRails, FrameSettings, export_patterns
 from deepfsi.hardware.virtual import RecordingSettings, VirtualCamera, record_scenes
-from deepfsi.optics import constraints
+from deepfsi.physics import light_law
 
 PAGE = (Path(__file__).parents[1] / "docs/do/reconstruct.md").read_text()
 READ, DEEPINV, SPYRIT, SHOW = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)
@@ -137,7 +137,7 @@ def runs(tmp_path_factory):
     for light, rails in OPTICS:
         folder = tmp_path_factory.mktemp(light)
         wild = np.random.default_rng(3).random((20, 8)) - (0.5 if rails == "dual" else 0)
-        fitted = constraints.fit(torch.from_numpy(wild), light, rails).numpy()
+        fitted = light_law(light).fit(torch.from_numpy(wild), rails).numpy()
         export_patterns(
             DesignRails(fitted, light, SHAPE, SUMMED),
             FrameSettings(Device(name="small", columns=40, rows=20, shortest_us=10), 1e-3),

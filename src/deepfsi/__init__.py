@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from deepfsi.lab import classify_run as classify_run
     from deepfsi.lab import classify_table as classify_table
     from deepfsi.lab import predict as predict
-    from deepfsi.optics.scanner import Scanner as Scanner
+    from deepfsi.physics import Scanner as Scanner
     from deepfsi.training.assembly import design_of as design_of
     from deepfsi.training.learning import learn as learn
 
@@ -62,7 +62,7 @@ _HOMES = {
     "Patches": "jobs",
     "Range": "jobs",
     "Result": "design.evaluation",
-    "Scanner": "optics.scanner",
+    "Scanner": "physics",
     "Training": "jobs",
     "classify_run": "lab",
     "classify_table": "lab",

@@ -13,8 +13,7 @@ from deepfsi.base import InputError
 from deepfsi.datasets import Dataset, from_arrays
 from deepfsi.design.exposure.looks import Dwells, LooksExposure
 from deepfsi.design.stopping import StoppingRule
-from deepfsi.optics import constraints
-from deepfsi.optics.rails import Rails
+from deepfsi.physics import SLACK, Rails, light_law
 from deepfsi.training.learning import train
 from deepfsi.training.training_set import TrainingSet
 from shared.design_files import refused, rewrite
@@ -55,7 +54,7 @@ def test_each_exposure_takes_its_time_and_no_more(digits, name, levels):
     assert (dwell >= 0).all()
     peaks = design.rails.stacked.amax(dim=-1)
     assert torch.allclose(peaks, torch.full_like(peaks, 1 / masks), rtol=1e-5)
-    assert constraints.excess(design.rails.stacked, "free-dwell") <= constraints.SLACK
+    assert light_law("free-dwell").excess(design.rails.stacked) <= SLACK
 
 
 def test_masks_that_are_all_on_count_what_a_scene_sends(digits, design):

@@ -21,7 +21,7 @@ from deepfsi.camera import share_out
 from deepfsi.design.evaluation import camera_for
 from deepfsi.design.exposure.trained import Observation
 from deepfsi.designfile.header import DESIGN_SCHEMA
-from deepfsi.optics.detection import Detection
+from deepfsi.physics import Detection
 from deepfsi.training.learning import train
 from deepfsi.training.training_set import TrainingSet
 from shared import vectors
@@ -69,7 +69,7 @@ def test_a_file_that_knows_no_camera_has_its_detectors(digits, tmp_path):
     path = quick(digits, light="two-arm", detectors="2x2").save(tmp_path / "design.safetensors")
     rewrite(path, lambda header, _: header.update(info={}))
     loaded = Design.load(path)
-    assert Detection.of_camera(loaded.camera, (8, 8)).key == loaded.detection.key
+    assert Detection.of(loaded.camera, (8, 8)).key == loaded.detection.key
     assert loaded.camera.readout == loaded.detection.readout
 
 

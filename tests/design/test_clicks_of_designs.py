@@ -8,7 +8,7 @@ from conftest import quick
 from deepfsi import evaluate
 from deepfsi.base import InputError
 from deepfsi.design.clicks import to_training_light
-from deepfsi.optics.noise import noise_of
+from deepfsi.physics import noise_of
 
 FEW = 60.0
 

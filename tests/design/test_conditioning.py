@@ -11,10 +11,9 @@ from conftest import every_optics, generator, once, quick
 from deepfsi import evaluate
 from deepfsi.base import InputError
 from deepfsi.camera import photons_per_pixel
-from deepfsi.design.exposure.conditioned import ConditionedExposure
+from deepfsi.design.exposure.conditioned import ConditionedExposure, mean_over_exposures
 from deepfsi.design.temperatures import stop_temperatures
-from deepfsi.optics import constraints
-from deepfsi.optics.features import mean_over_exposures
+from deepfsi.physics import light_law
 from deepfsi.training.learning import train
 from deepfsi.training.training_set import TrainingSet
 from shared.design_files import refused, rewrite
@@ -27,12 +26,12 @@ LONGER = {"epochs": 40, "hidden": (64, 64), "lr": 1e-2, "mask_lr": 0.1, "scale":
 @every_optics
 def test_the_first_masks_at_the_whole_constraint_obey_it(digits, light, rails):
     design = once(digits, light=light, rails=rails, **TRAINED)
-    whole = constraints.used(design.rails.stacked, light)[-1]
+    whole = light_law(light).used(design.rails.stacked)[-1]
     for masks in range(3, 9):
         part = design.first(masks)
-        constraints.check(part.rails.stacked, light)
+        light_law(light).check(part.rails.stacked)
         assert part.masks == masks
-        assert constraints.used(part.rails.stacked, light)[-1] == pytest.approx(
+        assert light_law(light).used(part.rails.stacked)[-1] == pytest.approx(
             float(whole), rel=1e-5
         )
     assert torch.equal(design.first(8).rails.stacked, design.rails.stacked)
@@ -71,7 +70,7 @@ def test_features_have_unit_spread_in_the_mean_of_the_training(digits, scale, sp
     rng = np.random.default_rng(2)
     n, repeats = len(digits.x_train), 20
     squares = []
-    used = constraints.used(design.rails.stacked, design.light).numpy()
+    used = light_law(design.light).used(design.rails.stacked).numpy()
     for _ in range(repeats):
         budget = 300.0 * span ** rng.random((n, 1))
         likely = design.exposure.chances.double().numpy()
@@ -92,12 +91,12 @@ def test_features_have_unit_spread_in_the_mean_of_the_training(digits, scale, sp
 @every_optics
 def test_nested_masks_take_the_whole_of_their_constraint(digits, light, rails):
     design = once(digits, light=light, rails=rails, **TRAINED)
-    assert float(constraints.used(design.rails.stacked, light)[-1]) == pytest.approx(1, rel=1e-5)
+    assert float(light_law(light).used(design.rails.stacked)[-1]) == pytest.approx(1, rel=1e-5)
 
 
 def test_the_noise_of_a_range_is_its_mean_over_budgets():
     """∫ 1/Φ over a log-uniform range in closed form, against the mean of many draws."""
-    used = constraints.used(torch.rand(1, 2, 2, 5, generator=generator()), "column")
+    used = light_law("column").used(torch.rand(1, 2, 2, 5, generator=generator()))
     factor, often = mean_over_exposures(used, 1000.0, ConditionedExposure(1.0, 1000.0, 2).chances)
     draws = 1000.0 ** -np.random.default_rng(0).random(10**6)
     error = 5 * draws.std() / 1000
@@ -153,3 +152,24 @@ def test_a_plain_design_has_no_first_masks(digits):
     with pytest.raises(InputError, match="3 to 8"):
         once(digits, **TRAINED).first(2)
     assert quick(digits, masks=6).first(6).masks == 6
+
+
+def test_noise_over_exposures_is_the_mean_over_those_that_show_a_mask():
+    """Against the sum over numbers of masks shown and budgets, of two jobs that differ.
+
+    With n masks shown, and used(n) of their light law, the noise of a budget Φ is that of
+    Φ used(m) / used(n); budgets are drawn log-uniformly from a hundredth to all of the largest.
+    """
+    used = torch.tensor([[0.2, 0.5, 0.6, 1.0], [0.1, 0.3, 0.9, 1.5]], dtype=torch.float64)
+    chances = torch.tensor([0.4, 0.0, 0.1, 0.5], dtype=torch.float64)
+    places = (torch.arange(100_000, dtype=torch.float64) + 0.5) / 100_000
+    dim = float((100.0**-places).mean())
+    factor, often = mean_over_exposures(used, 100.0, chances)
+    for mask in range(4):
+        seen = chances[mask:]
+        assert float(often[mask]) == pytest.approx(float(seen.sum()))
+        for replica in range(2):
+            mean = float((seen * used[replica, mask:] / used[replica, -1]).sum() / seen.sum())
+            assert float(factor[replica, mask]) == pytest.approx(dim * mean, rel=1e-6)
+    one, _ = mean_over_exposures(used, 1.0, chances)
+    assert torch.allclose(one * dim, factor, rtol=1e-6)

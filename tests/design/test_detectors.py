@@ -12,8 +12,7 @@ from deepfsi.base import InputError
 from deepfsi.camera import DetectorMap
 from deepfsi.design.onnx_graph import to_onnx
 from deepfsi.design.temperatures import stop_temperatures
-from deepfsi.optics import constraints
-from deepfsi.optics.detection import Detection
+from deepfsi.physics import SLACK, Detection, light_law
 from shared.design_files import refused, rewrite
 from shared.jobs import learn
 
@@ -51,7 +50,7 @@ def test_every_kind_of_design_works_with_several_detectors(
 ):
     """It obeys its law, is read back from its file, and classifies counts as it was tested."""
     design = trained(digits, kind, light, rails, readout)
-    assert constraints.excess(design.rails.stacked, light) <= constraints.SLACK
+    assert light_law(light).excess(design.rails.stacked) <= SLACK
     assert design.counts_shape == ((5, 4) if rails == "single" else (2, 5, 4))
     read = "both" if light == "two-arm" else "difference"
     assert design.detection.readout == (readout or read)
@@ -121,7 +120,7 @@ def test_more_detectors_read_more_of_the_same_light(digits):
 
 
 def test_a_map_of_detectors_trains_as_its_tiles(digits):
-    tiles = Detection.of(DetectorMap.of("2x2", digits.image_shape)).labels.numpy()
+    tiles = Detection.by(DetectorMap.of("2x2", digits.image_shape)).labels.numpy()
     one = trained(digits)
     other = trained(digits, detectors=tuple(tiles.tolist()))
     assert torch.equal(one.rails.stacked, other.rails.stacked)

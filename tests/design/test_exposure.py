@@ -5,7 +5,7 @@ import torch
 
 from deepfsi.base import InputError
 from deepfsi.jobs import cut_patches
-from deepfsi.optics import constraints
+from deepfsi.physics import light_law
 
 
 def test_an_image_that_cannot_be_cut_so_is_refused():
@@ -21,7 +21,7 @@ def test_dwells_of_masks_share_the_exposure(made, light, rails):
     dwells = design.exposure.mask_dwells(design.rails, light, design.mean, design.std)
     assert dwells.shape == (design.masks,)
     assert float(dwells.sum()) == pytest.approx(
-        float(constraints.used(design.rails.stacked, light)[-1])
+        float(light_law(light).used(design.rails.stacked)[-1])
     )
     if light != "equal-dwell":
         brightest = design.rails.total.amax(dim=-1)

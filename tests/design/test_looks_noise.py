@@ -16,13 +16,13 @@ from deepfsi import Scanner, evaluate
 from deepfsi.datasets import from_arrays
 from deepfsi.design.classifiers import Replicas
 from deepfsi.design.exposure.kinds import begin
-from deepfsi.optics.detection import Detection
-from deepfsi.optics.features import FeatureNoise
+from deepfsi.physics import Detection
 from deepfsi.training.draws import seed_streams
 from deepfsi.training.features import features_of
 from deepfsi.training.masks import initial_masks
 from deepfsi.training.training_set import TrainingSet
 from shared.jobs import job
+from shared.noises import training_noise
 
 LOOKS, DARK, SIGMA, PHOTONS = 3, 400.0, 4.0, 2e3
 
@@ -90,14 +90,14 @@ def test_looks_of_a_training_have_the_same_law(optics, dark, sigma):
         PHOTONS / scenes.summed_reflectance,
     )
     masks = initial_masks(scenes, [one], exposure)
-    noise = FeatureNoise.of(one.noise, [gain], [sigma], [0], scenes.device, [dark])
+    noise = training_noise(one.noise, [gain], [sigma], [0], scenes.device, [dark])
     streams = seed_streams([one.seed], noise, scenes.labels, count)
     streams[0].shuffle()
     choose = Replicas([exposure.network], stacked=False)
     with torch.no_grad():
         features = features_of(scenes, one, masks, noise, streams, exposure, choose)
         last = features.at(0)[-count:, 0].double()
-        detection = Detection.of_camera(one.optics, (8, 8))
+        detection = Detection.of(one.optics, (8, 8))
         rates = Scanner(masks, "none", detection=detection).rates(gain * scenes.full[0])
         rates = detection.totals(rates[0]).double()
     k, q = rates.shape[-1], exposure.dwells.count

@@ -10,7 +10,7 @@ from deepfsi.design.adaptive.misfit import BUDGETS, UsualMisfit, measure, square
 from deepfsi.design.adaptive.posterior import AdaptivePosterior, LookOptics
 from deepfsi.design.adaptive.prior import ScenePrior
 from deepfsi.jobs import AdaptiveMasks
-from deepfsi.optics.noise import poisson
+from deepfsi.physics import Poisson
 
 PIXELS, SCENES, CLASSES, DRAWS, LOOKS = 12, 60, 3, 600, 4
 OPTICS = [
@@ -33,7 +33,7 @@ def distances(prior, x, optics, change=1.0):
     state, random, found = AdaptivePosterior(prior, len(x), optics), generator(1), []
     for _ in range(LOOKS):
         masks = next_masks(state, 1 / LOOKS, random)
-        counts = poisson(state.expected(masks, x * change, 1 / LOOKS), random)
+        counts = Poisson().draw(state.expected(masks, x * change, 1 / LOOKS), random)
         found.append(squared_distance(state, masks, counts, 1 / LOOKS))
         state.update(masks, counts, 1 / LOOKS)
     return torch.stack(found), counts.shape[1]

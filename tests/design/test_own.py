@@ -16,8 +16,7 @@ from deepfsi.camera import DetectorMap
 from deepfsi.design import own
 from deepfsi.design.onnx_graph import to_onnx
 from deepfsi.design.temperatures import stop_temperatures
-from deepfsi.optics.detection import Detection
-from deepfsi.optics.masks import LearnedMasks
+from deepfsi.physics import Detection, LearnedMasks
 from shared.design_files import header_of, refused, rewrite
 from shared.jobs import learn
 from shared.networks import Branching, Cnn, Tied, linear
@@ -296,7 +295,7 @@ def test_a_loop_of_ones_own_makes_a_design(digits, tmp_path):
     [("1x1", "both", 2), ("2x2", "difference", 2), ("2x2", "both", 2), ("2x2", "difference", 1)],
 )
 def test_a_loop_of_ones_own_keeps_its_detectors(digits, tmp_path, detectors, readout, rails):
-    detection = Detection.of(DetectorMap.of(detectors, (8, 8)), readout)
+    detection = Detection.by(DetectorMap.of(detectors, (8, 8)), readout)
     masks = torch.rand(rails, 3, 64, generator=generator()) / 6
     scanner = deepfsi.Scanner.from_rails(masks, "none", detection=detection)
     with own.seeded(0):
@@ -329,7 +328,7 @@ def test_a_loop_of_ones_own_is_checked(digits):
     dark = deepfsi.Scanner.from_rails(rails, "camera", sigma=-1.0)
     with pytest.raises(InputError, match="sigma"):
         deepfsi.design_of(dark, nn.Linear(3, 10), digits, 1e4)
-    apart = Detection.of(DetectorMap.of("2x2", (8, 8)))
+    apart = Detection.by(DetectorMap.of("2x2", (8, 8)))
     with pytest.raises(InputError, match="column is other optics: give light equal-dwell"):
         deepfsi.design_of(
             deepfsi.Scanner.from_rails(rails, detection=apart), nn.Linear(12, 10), digits, 1e4

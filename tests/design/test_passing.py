@@ -14,12 +14,12 @@ from deepfsi.design.evaluation import scanner_for
 from deepfsi.design.payload import check_playable
 from deepfsi.design.stopping import stop
 from deepfsi.lab import design_rails
-from deepfsi.optics.features import FeatureNoise
-from deepfsi.optics.transit import FixedPattern
+from deepfsi.physics import FixedPattern
 from deepfsi.training.learning import train
 from deepfsi.training.passing import passing_statistics
 from deepfsi.training.training_set import TrainingSet
 from shared.design_files import refused, rewrite
+from shared.noises import training_noise
 
 pytestmark = pytest.mark.usefixtures("all_trained_once")
 
@@ -117,7 +117,7 @@ def test_statistics_are_those_of_the_exposures(data, learned):
     scenes = torch.from_numpy(data.x_train).repeat(100, 1)
     masks = FixedPattern(learned.exposure.pattern.unsqueeze(0), learned.exposure.transit)
     gain = 1e4 / learned.summed_reflectance
-    noise = FeatureNoise.of("poisson", [gain], [0.0], [0], scenes.device)
+    noise = training_noise("poisson", [gain], [0.0], [0], scenes.device)
     mean, std, light = passing_statistics(scenes, masks, noise, "each", 3)
     scanner = scanner_for(learned, learned.camera)
     [seen] = learned.expose(scanner, learned.rates(scanner, scenes), generator(), 1e4)

@@ -9,8 +9,7 @@ import torch
 from conftest import RECIPE
 from deepfsi import Design
 from deepfsi.base import InputError
-from deepfsi.optics import constraints
-from deepfsi.optics.masks import LearnedMasks
+from deepfsi.physics import SLACK, LearnedMasks, light_law
 from shared.jobs import job, learn
 
 SHORTEST = 0.06
@@ -65,7 +64,7 @@ def test_no_frame_of_a_sequence_is_below_the_shortest(digits, optics, levels):
     rails = design.rails.total[None] if "two-arm" in optics.values() else design.rails.stacked
     dwells = rails.amax(dim=-1).numpy()
     check_dwells(dwells, float(dwells.sum()))
-    assert constraints.excess(design.rails.stacked, optics["light"]) <= constraints.SLACK
+    assert light_law(optics["light"]).excess(design.rails.stacked) <= SLACK
 
 
 def test_a_frame_that_is_left_out_may_come_back():

@@ -12,7 +12,7 @@ from deepfsi.base import InputError
 from deepfsi.camera import StopRule
 from deepfsi.design import stopping
 from deepfsi.design.stopping import stop
-from deepfsi.optics.detection import ONE
+from deepfsi.physics import ONE
 
 HELD_OUT = 400
 PHOTONS = 2e5

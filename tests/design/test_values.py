@@ -13,7 +13,7 @@ from deepfsi.design.evaluation import scanner_for
 from deepfsi.design.onnx_graph import to_onnx
 from deepfsi.design.payload import check_playable
 from deepfsi.design.stopping import stop
-from deepfsi.optics.noise import Click
+from deepfsi.physics import Click
 from shared.values import SLOPES, SPREAD, linear_scenes, placed_digits
 
 SIGMA = 4.0

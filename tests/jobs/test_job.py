@@ -17,15 +17,9 @@ from deepfsi.jobs import (
     sensing_matrix,
     sorted_settings,
 )
-from deepfsi.optics import constraints
-from deepfsi.optics.rails import Rails
+from deepfsi.physics import Rails, light_law
+from deepfsi.training.draws import BFLOAT16_COUNTS, BFLOAT16_WIDTH, network_dtype, product_dtype
 from deepfsi.training.learning import companions, train
-from deepfsi.training.precision import (
-    BFLOAT16_COUNTS,
-    BFLOAT16_WIDTH,
-    network_dtype,
-    product_dtype,
-)
 from deepfsi.training.training_set import TrainingSet
 from shared.jobs import job as job_of
 from shared.jobs import learn
@@ -170,7 +164,7 @@ def test_networks_are_in_bfloat16_where_they_are_wide_and_not_a_users_own(fast_p
 def rounding(digits, masks: int, photons: float) -> float:
     """RMS error of bfloat16 products over photon noise, for the worst mask."""
     matrix = torch.from_numpy(sensing_matrix("pca", masks, digits)).float()
-    rails = Rails.of(constraints.fit(matrix, "column"))
+    rails = Rails.of(light_law("column").fit(matrix))
     difference, total = rails.difference, rails.total
     x = torch.from_numpy(digits.x_train)
     light = photons * x.double() / x.double().sum(dim=1).mean()

@@ -14,7 +14,7 @@ from scipy.io import savemat
 from conftest import OPTICS
 from deepfsi.base import InputError
 from deepfsi.jobs import read_matrix
-from deepfsi.optics import constraints
+from deepfsi.physics import light_law
 
 SIGNED = np.linspace(-0.1, 0.2, 24).reshape(3, 8)
 GREY = np.random.default_rng(0).integers(0, 256, (3, 2, 4), dtype=np.uint8)
@@ -95,7 +95,7 @@ def test_pages_of_floats_and_of_single_bits(tmp_path):
 def test_grey_levels_obey_every_constraint(tmp_path, light, rails):
     np.save(tmp_path / "m.npy", np.full((5, 4, 4), 255, dtype=np.uint8))
     own = torch.from_numpy(read_matrix(f"{tmp_path}/m.npy"))
-    constraints.check(constraints.expand(own, light, rails), light)
+    light_law(light).check(light_law(light).rails(own, rails))
 
 
 def test_it_needs_no_torch():

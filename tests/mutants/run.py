@@ -41,7 +41,7 @@ class Mutant:
         What is wrong, in one sentence.
     at
         Module and qualified name of the function, class or constant in it that is changed,
-        ``deepfsi.optics.noise:poisson``.
+        ``deepfsi.physics.noise:poisson``.
     old
         An expression or statements that stand there once, formatted in any way.
     new

@@ -9,7 +9,7 @@ import torch
 from deepfsi.base import InputError
 from deepfsi.camera import photons_per_pixel, summed_reflectance
 from deepfsi.jobs import sensing_matrix
-from deepfsi.optics.noise import readout
+from deepfsi.physics.noise import make_noise
 from deepfsi_paper.measures import (
     effective_directions,
     impulse_imaging_error,
@@ -189,7 +189,7 @@ def test_noise_axis_is_the_error_of_impulse_imaging(digits, noise, sigma, budget
     light = summed_reflectance(digits.x_train)
     x = torch.from_numpy(digits.x_train).double()
     generator = torch.Generator().manual_seed(0)
-    counts = readout(photons_per_pixel(x, budget, light), noise, sigma, generator)
+    counts = make_noise(noise, sigma=sigma).draw(photons_per_pixel(x, budget, light), generator)
     squares = (counts * light / budget - x).square()
     drawn = math.sqrt(squares.mean())
     worth = impulse_imaging_error(budget, light / 64, 64, noise, sigma)

@@ -30,7 +30,7 @@ def results_of(noises=("poisson", "gaussian"), budgets=BUDGETS, designs=DESIGNS,
     points = []
     for noise, (place, design), photons in itertools.product(noises, enumerate(designs), budgets):
         code = CODES[design]
-        own = [1.0] if code.fixed_count else ratios
+        own = [1.0] if code.complete else ratios
         for ratio in own:
             middle = 3 + 0.3 * place + (noise == "gaussian")
             accuracy = 0.1 + 0.87 / (1 + math.exp(2 * (middle - math.log10(photons)))) - ratio / 50

@@ -1,9 +1,13 @@
 """Noises as users write them, importable as `shared.noises:NAME`."""
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor
 
-from deepfsi.optics.noise import root
+from deepfsi.camera import find_noise
+from deepfsi.physics import TrainingNoise, root
+from deepfsi.physics.noise import make_noise
 
 
 def photons(rates: Tensor, generator: torch.Generator | None = None) -> Tensor:
@@ -25,3 +29,18 @@ def exact(rates: Tensor, generator: torch.Generator | None = None) -> Tensor:
 def offset(rates: Tensor, generator: torch.Generator | None = None) -> Tensor:
     """Photon noise on an offset that is far above it."""
     return photons(rates, generator) + 1e7
+
+
+def training_noise(
+    kind: str,
+    gains: Sequence[float],
+    sigmas: Sequence[float],
+    seeds: Sequence[int],
+    device: torch.device,
+    darks: Sequence[float] | None = None,
+) -> TrainingNoise:
+    """A noise of trainings side by side, of the numbers of each."""
+    darks = darks if find_noise(kind).dark else None
+    each = zip(sigmas, darks or [0.0] * len(sigmas), strict=True)
+    noises = [make_noise(kind, sigma=sigma, dark=dark) for sigma, dark in each]
+    return TrainingNoise.of(noises, gains, seeds, device)

@@ -10,9 +10,7 @@ from selenium.webdriver.common.by import By
 from conftest import generator, synthetic
 from deepfsi import Design, Mlp
 from deepfsi.datasets import Dataset
-from deepfsi.optics import constraints
-from deepfsi.optics.detection import Detection
-from deepfsi.optics.rails import Rails
+from deepfsi.physics import Detection, Rails, light_law
 from shared.browser import look
 
 VECTORS = 100
@@ -113,7 +111,7 @@ def large_design() -> Design:
     signs = torch.randn(96, 1024, generator=generator())
     return Design(
         name="deepfsi",
-        rails=Rails.of(constraints.fit(signs, "free-dwell")),
+        rails=Rails.of(light_law("free-dwell").fit(signs)),
         classifier=Mlp(192, 10, (512, 256), generator=generator()),
         mean=torch.zeros(192),
         std=torch.ones(192),

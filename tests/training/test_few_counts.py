@@ -5,9 +5,8 @@ import torch
 
 from deepfsi import evaluate
 from deepfsi.base import InputError
-from deepfsi.optics import constraints
-from deepfsi.optics.masks import LearnedMasks
-from deepfsi.training.few_counts import CountsCost
+from deepfsi.physics import LearnedMasks, light_law
+from deepfsi.training.counts import CountsCost
 from shared.jobs import learn
 
 BRIEF = {"masks": 16, "photons": 200.0, "epochs": 20, "hidden": (32,), "device": "cpu"}
@@ -32,7 +31,7 @@ def test_a_training_counts_what_was_asked_for_within_its_light_law(digits, noise
     [result] = evaluate(made, digits, BRIEF["photons"], draws=1)
     assert result.counts == pytest.approx(6.0, rel=0.1)
     assert result.photons == made.info["job"]["photons"] == BRIEF["photons"]
-    constraints.check(made.rails.stacked, light)
+    light_law(light).check(made.rails.stacked)
 
 
 def test_masks_choose_what_they_detect(few, digits):

@@ -7,13 +7,11 @@ import torch
 from torch.profiler import ProfilerActivity, profile
 
 from deepfsi.datasets import Dataset
-from deepfsi.optics.constraints import fit
-from deepfsi.optics.detection import Detection
-from deepfsi.optics.features import FeatureNoise
-from deepfsi.optics.masks import FixedMasks
+from deepfsi.physics import Detection, FixedMasks, TrainingNoise, light_law
 from deepfsi.training.draws import SeedStream
 from deepfsi.training.features import FixedFeatures
 from deepfsi.training.training_set import TrainingSet
+from shared.noises import training_noise
 
 BATCH, MASKS = 50, 8
 PASSES = {"aten::add", "aten::add_", "aten::sub", "aten::mul", "aten::div", "aten::addcmul"}
@@ -22,12 +20,12 @@ PASSES = {"aten::add", "aten::add_", "aten::sub", "aten::mul", "aten::div", "ate
 
 def made(
     digits: Dataset, kind: str, budgets: list[float], replicas: int
-) -> tuple[FixedFeatures, FixedMasks, FeatureNoise]:
+) -> tuple[FixedFeatures, FixedMasks, TrainingNoise]:
     """Features of so many masks, side by side where there are several budgets."""
     training_set = TrainingSet(digits, "cpu")
-    noise = FeatureNoise.of(kind, budgets, [2.0] * len(budgets), [0] * len(budgets), "cpu")
+    noise = training_noise(kind, budgets, [2.0] * len(budgets), [0] * len(budgets), "cpu")
     drawn = torch.randn(replicas, MASKS, 64, generator=torch.Generator().manual_seed(1))
-    masks = FixedMasks(torch.stack([fit(each, "column", "dual") for each in drawn]))
+    masks = FixedMasks(torch.stack([light_law("column").fit(each, "dual") for each in drawn]))
     stream = SeedStream(0, slice(0, len(budgets)), noise, training_set.labels, BATCH)
     stream.shuffle()
     features = FixedFeatures([stream], masks, training_set.full, noise, "each", Detection())

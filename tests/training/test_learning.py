@@ -21,7 +21,7 @@ from conftest import (
 )
 from deepfsi import evaluate
 from deepfsi.base import InputError
-from deepfsi.optics import constraints
+from deepfsi.physics import light_law
 from deepfsi.training.learning import train
 from deepfsi.training.training_set import TrainingSet
 from shared.jobs import job as job_of
@@ -98,7 +98,7 @@ def test_a_two_level_design_shows_dark_and_peak_alone(digits, made, light, rails
     assert two_valued(one.rails.stacked)
     assert torch.allclose(one.quantised(2).rails.stacked, one.rails.stacked, rtol=FLOAT32, atol=0)
     assert not two_valued(made("deepfsi", light, rails).rails.stacked)
-    constraints.check(one.rails.stacked, light)
+    light_law(light).check(one.rails.stacked)
 
 
 @pytest.mark.usefixtures("uncharacterised")

@@ -14,8 +14,8 @@ from deepfsi import Design, Mlp, evaluate
 from deepfsi.base import Progress
 from deepfsi.design.classifiers import Replicas
 from deepfsi.training import loop, masks
+from deepfsi.training.draws import BFLOAT16_WIDTH
 from deepfsi.training.learning import train
-from deepfsi.training.precision import BFLOAT16_WIDTH
 from deepfsi.training.training_set import TrainingSet
 from shared.jobs import job as job_of
 

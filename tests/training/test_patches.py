@@ -13,7 +13,7 @@ from deepfsi.design.onnx_graph import to_onnx
 from deepfsi.design.stopping import stop
 from deepfsi.jobs import DESIGNS as CODES
 from deepfsi.jobs import cut_patches
-from deepfsi.optics.masks import FixedMasks, LearnedMasks
+from deepfsi.physics import FixedMasks, LearnedMasks
 from deepfsi.training.learning import train
 from deepfsi.training.masks import initial_masks
 from deepfsi.training.training_set import TrainingSet

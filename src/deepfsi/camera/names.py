@@ -13,7 +13,7 @@ from pydantic import AfterValidator, Field, PlainSerializer, WithJsonSchema
 from deepfsi.base import IMPORT_PATH, UNNAMED_PLUGIN, InputError, check_choice, import_path
 
 LightLawName = Literal["column", "equal-dwell", "free-dwell", "two-arm"]
-"""Name of a light law, see `optics.constraints`."""
+"""Name of a light law, see `physics.laws`."""
 
 RailsKind = Literal["dual", "single"]
 """Rails of each mask: positive and negative part, or one non-negative frame."""
@@ -22,7 +22,7 @@ Readout = Literal["difference", "both"]
 """What a network reads of two rails."""
 
 NoiseName = Literal["none", "gaussian", "poisson", "ml_gauss", "camera", "click"]
-"""Name of a detector noise, see `optics.noise`."""
+"""Name of a detector noise, see `physics.noise`."""
 
 SummedReflectance = Annotated[float, Field(ge=1e-6, allow_inf_nan=False)]
 """Mean summed reflectance of training scenes, s."""
@@ -36,6 +36,8 @@ class LightLawFacts:
     ----------
     optics : str
         What realises it, in words.
+    words : str
+        What it allows, and with which optics, for pages.
     one_device : bool
         True if one micromirror device shows the masks one after another.
     arms : int
@@ -49,6 +51,7 @@ class LightLawFacts:
     """
 
     optics: str
+    words: str
     one_device: bool = True
     arms: int = 1
     looks: bool = False
@@ -60,13 +63,25 @@ class LightLawFacts:
 LIGHT_LAWS: dict[str, LightLawFacts] = {
     "column": LightLawFacts(
         "optics that split each pixel's light among all readouts, with a detector for each",
+        "optics split the light of each pixel among all masks at once, with a detector for each "
+        "readout, which no single mirror device does",
         one_device=False,
         usual_rails="dual",
     ),
-    "equal-dwell": LightLawFacts("one DMD, every frame for the same time", equal_times=True),
-    "free-dwell": LightLawFacts("one DMD, every frame for a time of its own", looks=True),
+    "equal-dwell": LightLawFacts(
+        "one DMD, every frame for the same time",
+        "one device shows one pattern after another, all for the same time",
+        equal_times=True,
+    ),
+    "free-dwell": LightLawFacts(
+        "one DMD, every frame for a time of its own",
+        "one device shows one pattern after another, each for a time of its own",
+        looks=True,
+    ),
     "two-arm": LightLawFacts(
         "one DMD with a detector on each arm",
+        "one device shows one mask after another; each mirror sends its light in one of two "
+        "directions, both with detectors, so that none is lost",
         arms=2,
         looks=True,
         usual_rails="dual",
@@ -103,6 +118,8 @@ class NoiseFacts:
     ----------
     title : str
         Name for headings and sentences.
+    shot : bool
+        True if its mean and its variance grow with the light as those of photons.
     photons : bool
         True if its mean is the rate and its variance grows with the light, or is 0: dwells can be
         chosen under it.
@@ -116,9 +133,12 @@ class NoiseFacts:
         `sigma` of a camera where it is not given, counts rms per readout.
     trains_as : str, optional
         Noise that is trained under in its place.
+    stands_for : str, optional
+        Noise whose smooth stand-in it is.
     """
 
     title: str
+    shot: bool = False
     photons: bool = False
     counting: bool = False
     dark: bool = False
@@ -127,15 +147,29 @@ class NoiseFacts:
     dead_time: bool = True
     usual_sigma: float = 1.0
     trains_as: NoiseName | None = None
+    stands_for: NoiseName | None = None
+
+    @property
+    def exact(self) -> bool:
+        """True if counts are those of photons and of nothing else."""
+        return self.shot and self.counting and not (self.dark or self.read_noise)
 
 
 NOISES: dict[str, NoiseFacts] = {
     "none": NoiseFacts("none noise", photons=True),
     "gaussian": NoiseFacts("Gaussian read noise", read_noise=True),
-    "poisson": NoiseFacts("photon noise", photons=True, counting=True, trains_as="ml_gauss"),
-    "ml_gauss": NoiseFacts("ml_gauss noise", photons=True),
+    "poisson": NoiseFacts(
+        "photon noise", shot=True, photons=True, counting=True, trains_as="ml_gauss"
+    ),
+    "ml_gauss": NoiseFacts("ml_gauss noise", shot=True, photons=True, stands_for="poisson"),
     "camera": NoiseFacts(
-        "camera noise", photons=True, counting=True, dark=True, read_noise=True, usual_sigma=0.0
+        "camera noise",
+        shot=True,
+        photons=True,
+        counting=True,
+        dark=True,
+        read_noise=True,
+        usual_sigma=0.0,
     ),
     "click": NoiseFacts("click noise", counting=True, gates=True, dead_time=False),
 }
@@ -170,7 +204,7 @@ def noise_name(noise: Any) -> str:
     """Name or import path of a noise that is given by name or as a function."""
     if isinstance(noise, str):
         return noise
-    name = getattr(noise, "name", None)  # of a function of the package's, such as `Click`
+    name = getattr(noise, "name", None)  # of an object of the package's, such as `Click`
     return name if name in NOISES else import_path(noise) or UNNAMED_PLUGIN
 
 

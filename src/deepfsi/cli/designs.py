@@ -171,6 +171,7 @@ def evaluate(
     """
     file = paths.check_design(file)
     common.check_data(data, view)
+    from deepfsi.camera import find_noise
     from deepfsi.design.artifact import Design
     from deepfsi.design.evaluation import camera_for
     from deepfsi.design.evaluation import evaluate as test
@@ -184,7 +185,7 @@ def evaluate(
     made = common.open_any(file, trust).to(find_device(device))
     camera = camera_for(made, None, **told)
     options.check_sigma(told, [camera.noise_name])
-    if ideal and camera.noise_name != "poisson":
+    if ideal and not find_noise(camera.noise).exact:
         raise InputError(
             f"the ideal observer is of photon noise, not {camera.noise_name}: leave --ideal out"
         )

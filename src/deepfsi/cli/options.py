@@ -283,7 +283,8 @@ def check_sigma(given: Mapping[str, Any], noises: Iterable[str]) -> None:
     """Raise `InputError` if read noise is given and none of these noises has any."""
     from deepfsi.camera import find_noise
 
-    named = [noise for noise in dict.fromkeys(noises) if noise != "ml_gauss"]  # of photons
+    # a stand-in is of what it stands for
+    named = [noise for noise in dict.fromkeys(noises) if not find_noise(noise).stands_for]
     if "sigma" in given and not any(find_noise(noise).read_noise for noise in named):
         raise InputError(
             f"--sigma is not of {' and '.join(named)} noise: leave it out, or give --noise "
@@ -293,9 +294,9 @@ def check_sigma(given: Mapping[str, Any], noises: Iterable[str]) -> None:
 
 def check_test(job: "Job") -> None:
     """Raise `InputError` unless a design can be tested under its camera's noise."""
-    from deepfsi.optics.noise import resolve
+    from deepfsi.physics import noise_of
 
-    resolve(job.camera.noise)
+    noise_of(job.camera)
     if faults := job.exposure.test_faults((job.camera.noise_name,)):
         raise InputError(join_messages(faults))
 
@@ -338,7 +339,7 @@ def _fixed_count(job: Mapping[str, Any], data: "Dataset") -> int:
         return exposure.fixed_mask_count
     design = check_design(job.get("design", "deepfsi"))
     code = DESIGNS[design]
-    if not code.fixed_count:
+    if not code.complete:
         raise InputError(f"{design} needs a number of masks: add --masks, for instance --masks 10")
     scene = exposure.scene(data)
     camera = job["camera"]

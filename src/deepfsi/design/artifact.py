@@ -13,7 +13,7 @@ from torch import Tensor, nn
 
 from deepfsi.base import DESIGN_ENDINGS, InputError, as_input_error, check_ending, write_atomically
 from deepfsi.base.numeric import mask_picture
-from deepfsi.camera import Camera, LightLawName, check_budget
+from deepfsi.camera import LIGHT_LAWS, Camera, LightLawName, check_budget
 from deepfsi.design import artifact_file, check_counts, clicks
 from deepfsi.design.exposure.looks import Dwells, LooksExposure
 from deepfsi.design.exposure.trained import FixedExposure, Observation, TrainedExposure
@@ -31,12 +31,15 @@ from deepfsi.designfile import (
     trained_budgets,
     trained_camera,
 )
-from deepfsi.optics import constraints
-from deepfsi.optics.detection import ONE, Detection
-from deepfsi.optics.noise import OwnNoise
-from deepfsi.optics.rails import Rails
-from deepfsi.optics.scanner import Scanner
-from deepfsi.optics.surroundings import library_defaults
+from deepfsi.physics import (
+    ONE,
+    Detection,
+    NoiseFunction,
+    Rails,
+    Scanner,
+    library_defaults,
+    light_law,
+)
 
 
 @dataclass(repr=False)
@@ -156,7 +159,7 @@ class Design:
             return camera
         optics: dict[str, Any] = {"light": self.light, "rails": self.rails.kind}
         optics["readout"] = self.detection.readout
-        if self.detection.labels is not None and self.light != "column":
+        if self.detection.labels is not None and LIGHT_LAWS[self.light].one_device:
             optics["detectors"] = self.detection.labels.cpu()
         with as_input_error("the design's camera", "train it again"):
             return Camera.restored(optics)
@@ -176,7 +179,7 @@ class Design:
         return photons if self.gates is None else 0 * photons + self.info["job"]["photons"]
 
     def scanner(
-        self, noise: str | OwnNoise = "poisson", sigma: float = 1.0, dark: float = 0.0
+        self, noise: str | NoiseFunction = "poisson", sigma: float = 1.0, dark: float = 0.0
     ) -> Scanner:
         """The optical front end, with a noise of your choice; parameters as for `Scanner`."""
         rails = self.exposure.front(self.rails.stacked)
@@ -402,7 +405,7 @@ class Design:
                 fewest=fewest,
                 most=most,
             )
-        used = constraints.used(self.rails.stacked, self.light)
+        used = light_law(self.light).used(self.rails.stacked)
         share = float(used[masks - 1] / used[-1])
         kept = masks * self.detection.width(self.rails.count)
         return replace(
@@ -443,7 +446,7 @@ class Design:
         return replace(
             self,
             rails=Rails.of(torch.from_numpy(rails).to(self.rails.difference)),
-            light="free-dwell" if self.light == "column" else self.light,
+            light=self.light if LIGHT_LAWS[self.light].one_device else "free-dwell",
             mean=self.mean * dimmed,
             std=self.std * dimmed,
             shares=self.shares * dimmed,

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from deepfsi.base import InputError
-from deepfsi.camera import DetectorMap, check_light_law
+from deepfsi.camera import DetectorMap
 from deepfsi.design.classifiers import Mlp, Vit, restored
 from deepfsi.design.exposure.conditioned import ConditionedExposure
 from deepfsi.design.exposure.looks import LooksExposure
@@ -18,9 +18,7 @@ from deepfsi.design.exposure.trained import FixedExposure, PatchExposure, Traine
 from deepfsi.design.own import OwnClassifier
 from deepfsi.design.values import Values
 from deepfsi.designfile import CustomEntry, DesignFile, MaskHeader, damaged_design
-from deepfsi.optics import constraints
-from deepfsi.optics.detection import Detection
-from deepfsi.optics.rails import Rails
+from deepfsi.physics import Detection, Rails, light_law
 
 if TYPE_CHECKING:
     from deepfsi.design.artifact import Design
@@ -109,9 +107,8 @@ def _fields(file: DesignFile, header: MaskHeader) -> dict[str, Any]:
     detection = Detection(header.readout)
     if file.arrays.get("detectors") is not None:
         detectors = DetectorMap.of(file.arrays["detectors"], header.image_shape)
-        detection = Detection.of(detectors, header.readout)
-    check_light_law(header.light, rails.kind)
-    constraints.check(rails.stacked, header.light)
+        detection = Detection.by(detectors, header.readout)
+    light_law(header.light).check(rails.stacked)
     weights = {name: torch.from_numpy(array) for name, array in file.arrays_of("exposure").items()}
     exposure = KINDS[header.exposure.kind].restored(
         header.exposure, weights, file.feature_count, rails, header.light

@@ -25,8 +25,7 @@ from deepfsi.base import InputError
 from deepfsi.camera import check_budget
 from deepfsi.datasets import Dataset
 from deepfsi.design.artifact import Design
-from deepfsi.optics.scanner import Scanner
-from deepfsi.optics.surroundings import library_defaults
+from deepfsi.physics import Scanner, library_defaults
 
 
 @library_defaults()
@@ -47,7 +46,7 @@ def linear_bound(
     photons : float
         Budget Φ.
     """
-    if not (_fixed(design) and scanner.known):
+    if not (_fixed(design) and scanner.noise.has_moments):
         return None
     with torch.no_grad():
         rates = photons * design.rates(scanner, torch.from_numpy(data.x_test))

@@ -10,10 +10,11 @@ from torch import Tensor
 
 from deepfsi.base import Progress
 from deepfsi.base.numeric import Z_95, image_interval
+from deepfsi.camera import find_noise
 from deepfsi.datasets import Dataset
 from deepfsi.design.artifact import Design
 from deepfsi.design.bounds import linear_bound
-from deepfsi.optics.scanner import Scanner
+from deepfsi.physics import Scanner
 
 CHUNK = 1024
 """Scenes that are exposed at once."""
@@ -91,7 +92,7 @@ class Estimates:
     @property
     def clicks(self) -> bool:
         """True of detectors that click, whose counts are fewer than the photons that arrive."""
-        return self.noise == "click"
+        return find_noise(self.noise).gates
 
     def as_dict(self) -> dict[str, Any]:
         """JSON types only, without the numbers of each image."""
@@ -124,7 +125,7 @@ def test_values(
         bound = linear_bound(design, scanner, data, budget)
         shares = design.shares.view(design.masks, -1).sum(dim=1).tolist()
         means = (light / (draws * len(data.x_test))).tolist()
-        found.append(_result(budget, scanner.noise, data, errors, bound, means, shares))
+        found.append(_result(budget, scanner.noise.name, data, errors, bound, means, shares))
         report(done / len(budgets))
     return found
 
@@ -136,7 +137,7 @@ def _exposed(
     assert design.values is not None
     *_, seen = design.expose(scanner, rates, generator, budget)
     arriving = budget * design.exposure.shown(rates, seen)
-    counted = float(scanner.expected(arriving).sum())
+    counted = float(scanner.noise.mean(arriving).sum())
     estimated = design.values.estimated(design.logits_of(seen, budget))
     return estimated, (counted, float(arriving.sum()))
 

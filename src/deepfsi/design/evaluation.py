@@ -21,16 +21,14 @@ from deepfsi.base.numeric import (
     worst_class,
 )
 from deepfsi.base.numeric import accuracy_interval as accuracy_of
-from deepfsi.camera import Camera, CameraSource, NoiseName, check_budget
+from deepfsi.camera import Camera, CameraSource, NoiseName, check_budget, find_noise
 from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.design.confidence import confidence_error
 from deepfsi.design.estimation import test_values
 from deepfsi.design.values import Values
 from deepfsi.designfile import TrainingScenes, new_scenes
-from deepfsi.optics.noise import noise_of
-from deepfsi.optics.scanner import Scanner
-from deepfsi.optics.surroundings import library_defaults
+from deepfsi.physics import Scanner, library_defaults, noise_of
 
 MOST_DRAWS = 10_000
 """Noise draws of each scene in one test: enough for any interval, and an end in sight."""
@@ -137,7 +135,7 @@ class Result:
     @property
     def clicks(self) -> bool:
         """True of detectors that click, whose counts are fewer than the photons that arrive."""
-        return self.noise == "click"
+        return find_noise(self.noise).gates
 
     @property
     def worst(self) -> int:
@@ -282,7 +280,7 @@ def answering(design: Any, camera: Camera) -> Answering:
         def guess(generator: torch.Generator, budget: float) -> tuple[Tensor, Tensor, float, float]:
             *_, seen = design.expose(scanner, rates, generator, budget)
             arriving = budget * design.exposure.shown(rates, seen)
-            counted = float(scanner.expected(arriving).sum())
+            counted = float(scanner.noise.mean(arriving).sum())
             logits = design.logits_of(seen, budget)
             chances = (logits / design.temperature(seen, budget)).softmax(dim=-1)
             return logits.argmax(dim=-1), chances, counted, float(arriving.sum())
@@ -308,9 +306,8 @@ def camera_for(design: Tested, camera: CameraSource = None, **settings: Any) -> 
 
 def scanner_for(design: Design, camera: Camera) -> Scanner:
     """A design's front end with the noise, the dark counts and the read noise of a camera."""
-    dark = camera.dark_counts if camera.noise_name == "camera" else 0.0
-    scanner = design.scanner(noise_of(camera), camera.sigma, dark)
-    design.exposure.check_noise(scanner.noise)
+    scanner = design.scanner(noise_of(camera))
+    design.exposure.check_noise(scanner.noise.name)
     return scanner
 
 

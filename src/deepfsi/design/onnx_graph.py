@@ -25,7 +25,7 @@ from deepfsi.design.exposure.trained import Observation
 from deepfsi.design.own import OwnClassifier
 from deepfsi.design.values import check_classes
 from deepfsi.designfile import check_masks
-from deepfsi.optics.surroundings import library_defaults
+from deepfsi.physics import library_defaults
 
 SCHEMA = 1
 """Number of the schema of the graph's inputs, output and metadata."""

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from deepfsi.base import SILENT, InputError, Progress
+from deepfsi.camera import find_noise
 from deepfsi.datasets import Dataset
 from deepfsi.design.adaptive.design import AdaptiveDesign, AnyDesign
 from deepfsi.design.adaptive.posterior import LookOptics
@@ -28,8 +29,7 @@ from deepfsi.design.stopping import rule_of, stop
 from deepfsi.design.values import check_classes
 from deepfsi.designfile import Temperatures, check_masks, new_scenes, trained_on
 from deepfsi.jobs import LARGEST_SCORE
-from deepfsi.optics import constraints
-from deepfsi.optics.surroundings import library_defaults
+from deepfsi.physics import SLACK, library_defaults
 
 BUDGETS = tuple(float(f"{10**power:.3g}") for power in np.arange(1, 7.1, 0.5))
 """Budgets at which the accuracy is measured, the whole range of the page's slider."""
@@ -135,12 +135,13 @@ def _classifier(design: Design) -> Mlp:
             setting="classifier",
         )
     camera = design.camera
-    if camera.noise_name == "camera" and camera.sigma:
+    noise = find_noise(camera.noise)
+    if noise.shot and noise.read_noise and camera.sigma:
         raise InputError(
             f"this design is for read noise of {camera.sigma:g} counts, and a page draws photon "
             "and dark counts: give a design of sigma 0"
         )
-    if camera.noise_name not in ("poisson", "ml_gauss", "camera"):
+    if not noise.shot:
         raise InputError(
             f"this design is for {camera.noise_name} noise, and a page draws photon and dark "
             "counts: give a design for poisson or camera noise"
@@ -165,7 +166,7 @@ def _networks(design: Design) -> dict[str, Any]:
     difference, total = (each.cpu().numpy() for each in (rails.difference, rails.total))
     sums = None
     if rails.count == 2 and not np.array_equal(total, np.abs(difference)):
-        flat = np.ptp(total, axis=1).max() < constraints.SLACK * total.max()
+        flat = np.ptp(total, axis=1).max() < SLACK * total.max()
         sums = pack(total.mean(axis=1, keepdims=True) if flat else total)
     return {
         "summed_reflectance": design.summed_reflectance,
@@ -189,8 +190,9 @@ def _networks(design: Design) -> dict[str, Any]:
 def _dark(design: Design) -> dict[str, Any]:
     """Dark counts of a detector in an exposure, and of each readout."""
     scanner = scanner_for(design, design.camera)
-    each = pack(scanner.dark_counts(design.rails.count).cpu().numpy()) if scanner.dark else None
-    return {"dark": scanner.dark, "dark_counts": each}
+    dark = scanner.noise.settings.get("dark", 0.0)
+    each = pack(scanner.dark_counts(design.rails.count).cpu().numpy()) if dark else None
+    return {"dark": dark, "dark_counts": each}
 
 
 def _posterior(known: AdaptiveDesign, design: AdaptiveDesign) -> dict[str, Any]:

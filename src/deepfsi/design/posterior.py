@@ -20,8 +20,7 @@ from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import Guess, Result, check_data, check_draws, test_scenes
 from deepfsi.design.values import check_classes
 from deepfsi.designfile import new_scenes
-from deepfsi.optics.scanner import Scanner
-from deepfsi.optics.surroundings import library_defaults
+from deepfsi.physics import Scanner, library_defaults
 
 AT_ONCE = 2**24
 """Likelihoods that are held at a time: those of some hundred exposures under all scenes."""

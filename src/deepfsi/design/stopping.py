@@ -35,7 +35,7 @@ from deepfsi.design.exposure.looks import LooksExposure
 from deepfsi.design.temperatures import stop_temperatures
 from deepfsi.design.values import check_classes
 from deepfsi.designfile import new_scenes, trained_on
-from deepfsi.optics.surroundings import library_defaults
+from deepfsi.physics import library_defaults
 
 THRESHOLDS = 1 - np.geomspace(0.5, 1e-7, 135)
 """Confidences that are tried, and 1, which none is above."""

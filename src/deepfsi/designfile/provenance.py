@@ -15,7 +15,7 @@ import numpy as np
 
 from deepfsi.base import InputError, as_input_error
 from deepfsi.base.models import StrictModel
-from deepfsi.camera import Camera
+from deepfsi.camera import Camera, find_noise
 from deepfsi.datasets import Dataset, Origin
 from deepfsi.jobs import ExposureEntry
 
@@ -214,7 +214,7 @@ def trained_camera(info: Mapping[str, Any]) -> Camera | None:
 def click_gates(info: Mapping[str, Any]) -> int | None:
     """Clicks of a readout at most, where the detectors of a design's camera click."""
     camera = info.get("job", {}).get("camera", {})
-    return int(camera.get("gates", 1)) if camera.get("noise") == "click" else None
+    return int(camera.get("gates", 1)) if find_noise(camera.get("noise", "")).gates else None
 
 
 def check_masks(info: Mapping[str, Any], what: str) -> None:

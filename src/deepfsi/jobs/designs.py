@@ -1,17 +1,19 @@
 """The named designs: which sensing matrix each of them means, before any light law.
 
 Matrices are numpy arrays (m, N), one mask a row, signed unless the design has one rail. Their scale
-is arbitrary here (`constraints.fit` brings it to a light law) but for `impulse` and
+is arbitrary here (`LightLaw.fit` brings it to a light law) but for `impulse` and
 `raster`, whose scale is what defines them.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import ClassVar
 
 import numpy as np
 
 from deepfsi.base import InputError, Message, check_choice
+from deepfsi.camera import RailsKind
 from deepfsi.datasets import Dataset
 
 FULL_BASIS_PIXELS = 2048
@@ -45,58 +47,56 @@ def _residues(shape: Shape, classes: int) -> int:
 class Code:
     """All that the name of a design implies; nobody else compares names.
 
+    Its class says what its masks are: here a formula.
+
     Attributes
     ----------
     label, title : str
         The paper's abbreviation, and a name for tables and figures.
     make : callable or None
-        Its matrix; None of one that is learned, or a user's own.
+        Its matrix; None of one that is learned, adaptive, or a user's own.
     most : callable
         Largest number of masks, of a scene's shape and the number of classes.
-    specific : bool
-        Feature-specific, that is, made from training data (drawn as a circle, others as a square).
-    learned : bool
-        Masks are optimised together with the classifier.
-    learned_under : str or None
-        Noise under which its masks are learned first, before a classifier of theirs alone.
-    fixed_count : bool
+    complete : bool
         It has the largest number of masks, and no other.
-    single_rail, signed : bool
-        It has no negative entries by definition, or needs them.
+    rails : {"single", "dual"} or None
+        Rails that it must have: it has no negative entries by definition, or needs them.
     every_pixel : bool
         It has a detector for each pixel: light law `column`, and no device.
     scaled : bool
         Its scale is what defines it, so that no light law changes it.
+    specific : bool
+        Feature-specific, that is, made from training data (drawn as a circle, others as a square).
     seeded : bool
         Its matrix is drawn from the seed.
-    shared : bool
-        The matrix of few masks is the first of that of many: made once.
-    is_custom : bool
-        Its matrix is the user's.
     of_classes : bool
         It is made of the classes of scenes, which those with values have not.
+    learned : bool
+        Masks are optimised together with the classifier.
+    learned_under : str or None
+        Noise under which its masks are learned first, before a classifier of theirs alone.
     adaptive : bool
         Each next mask is made from the counts so far: it has no matrix before, and shows one mask
         a look.
+    is_custom : bool
+        Its matrix is the user's.
     """
 
     label: str
     title: str
     make: Make | None = None
     most: Most = _pixels
-    specific: bool = False
-    learned: bool = False
-    learned_under: str | None = None
-    fixed_count: bool = False
-    single_rail: bool = False
-    signed: bool = False
+    complete: bool = False
+    rails: RailsKind | None = None
     every_pixel: bool = False
     scaled: bool = False
-    seeded: bool = False
-    shared: bool = False
-    is_custom: bool = False
-    of_classes: bool = False
-    adaptive: bool = False
+    specific: ClassVar[bool] = False
+    seeded: ClassVar[bool] = False
+    of_classes: ClassVar[bool] = False
+    learned: ClassVar[bool] = False
+    learned_under: ClassVar[str | None] = None
+    adaptive: ClassVar[bool] = False
+    is_custom: ClassVar[bool] = False
 
     @property
     def learns_masks(self) -> bool:
@@ -105,12 +105,59 @@ class Code:
 
     def is_made_whole(self, pixels: int) -> bool:
         """True if all masks are made at once, of which a training takes the first."""
-        return self.shared and pixels <= FULL_BASIS_PIXELS
+        return False
 
     def counts(self, image_shape: Shape, classes: int) -> tuple[int, int]:
         """Smallest and largest number of masks for one detector."""
         most = self.most(image_shape, classes)
-        return most if self.fixed_count else 1, most
+        return most if self.complete else 1, most
+
+
+class DrawnCode(Code):
+    """Masks that are drawn from the seed."""
+
+    seeded = True
+
+
+class SceneCode(Code):
+    """Masks that are made of the training scenes, few of which are the first of many."""
+
+    specific = True
+
+    def is_made_whole(self, pixels: int) -> bool:
+        """True where all do not take too long."""
+        return pixels <= FULL_BASIS_PIXELS
+
+
+class ClassCode(Code):
+    """Masks that are made of the classes of the training scenes."""
+
+    specific = of_classes = True
+
+
+class LearnedCode(Code):
+    """Masks that are learned together with the classifier."""
+
+    specific = learned = True
+
+
+class ControlCode(Code):
+    """Masks of the control group: learned under read noise, before a classifier of theirs alone."""
+
+    specific = True
+    learned_under = "gaussian"
+
+
+class AdaptiveCode(Code):
+    """Masks that are each made from the counts so far."""
+
+    specific = of_classes = adaptive = True
+
+
+class CustomCode(Code):
+    """Masks of the user's own."""
+
+    is_custom = True
 
 
 def _random(data: Dataset, masks: int, seed: int) -> np.ndarray:
@@ -122,67 +169,61 @@ DESIGNS: dict[str, Code] = {
         "II",
         "impulse imaging",
         lambda data, masks, seed: np.eye(data.pixels),
-        fixed_count=True,
-        single_rail=True,
+        complete=True,
+        rails="single",
         every_pixel=True,
     ),
     "raster": Code(
         "RS",
         "raster scan",
         lambda data, masks, seed: np.eye(data.pixels) / data.pixels,
-        fixed_count=True,
-        single_rail=True,
+        complete=True,
+        rails="single",
         scaled=True,
     ),
     "hadamard": Code(
         "HB",
         "Hadamard basis",
         lambda data, masks, seed: hadamard_masks(data.image_shape, masks),
-        _padded_pixels,
-        fixed_count=True,
-        signed=True,
+        most=_padded_pixels,
+        complete=True,
+        rails="dual",
     ),
     "truncated-hadamard": Code(
         "TH",
         "truncated Hadamard",
         lambda data, masks, seed: hadamard_masks(data.image_shape, masks),
-        _padded_pixels,
+        most=_padded_pixels,
     ),
-    "pca": Code(
+    "pca": SceneCode(
         "FSI",
         "PCA",
         lambda data, masks, seed: principal_components(data.x_train, masks),
-        specific=True,
-        shared=True,
     ),
-    "deepfsi": Code("DFSI", "DeepFSI", specific=True, learned=True),
-    "control": Code("CG", "control group", specific=True, learned_under="gaussian"),
-    "random": Code("RND", "random ±1", _random, seeded=True),
-    "lda": Code(
+    "deepfsi": LearnedCode("DFSI", "DeepFSI"),
+    "control": ControlCode("CG", "control group"),
+    "random": DrawnCode("RND", "random ±1", _random),
+    "lda": ClassCode(
         "LDA",
         "linear discriminants",
         lambda data, masks, seed: discriminants(data.x_train, data.y_train, masks),
-        lambda shape, classes: min(classes - 1, int(np.prod(shape))),
-        specific=True,
-        of_classes=True,
+        most=lambda shape, classes: min(classes - 1, int(np.prod(shape))),
     ),
-    "class-pairs": Code(
+    "class-pairs": ClassCode(
         "CP",
         "differences of class means",
         lambda data, masks, seed: class_pairs(data.x_train, data.y_train, masks),
-        specific=True,
-        of_classes=True,
     ),
     "s-matrix": Code(
         "S",
         "S-matrix",
         lambda data, masks, seed: s_matrix(data.pixels),
-        _residues,
-        fixed_count=True,
-        single_rail=True,
+        most=_residues,
+        complete=True,
+        rails="single",
     ),
-    "adaptive": Code("AM", "adaptive masks", specific=True, adaptive=True, of_classes=True),
-    "custom": Code("USER", "own matrix", is_custom=True),
+    "adaptive": AdaptiveCode("AM", "adaptive masks"),
+    "custom": CustomCode("USER", "own matrix"),
 }
 """The named designs."""
 

@@ -148,7 +148,7 @@ class Conditioned(Exposure):
         """Another training noise than MLGauss, or masks that learn under one."""
         if job.code.learned_under:
             left = f"{job.design}, whose masks learn under {job.code.learned_under} noise"
-        elif job.noise != "ml_gauss":
+        elif not find_noise(job.noise).stands_for:
             left = f"{job.noise} noise, or train under ml_gauss"
         else:
             return
@@ -381,7 +381,7 @@ class Patches(Exposure):
             yield "a patch has a detector for each readout: give the light law column"
         if job.code.seeded or job.code.learned_under or job.code.is_custom:
             yield f"{job.design} is not for patches: give deepfsi or a named design"
-        if job.noise != "ml_gauss" or camera.mask_levels((self.patch, self.patch)):
+        if not find_noise(job.noise).stands_for or camera.mask_levels((self.patch, self.patch)):
             yield "patches are trained under photon noise, with continuous masks"
         if job.training.classifier != VIT:
             yield "patches are classified by a transformer: give classifier vit"

@@ -150,7 +150,7 @@ class Job(UserModel):
         if self.code.every_pixel:
             changes = {"light": "column", "detectors": "1x1", "device": None, "shortest_dwell": 0.0}
         one_arm = self.code.adaptive and LIGHT_LAWS[self.camera.light].arms == 1
-        if self.code.single_rail or one_arm:
+        if self.code.rails == "single" or one_arm:
             changes |= {"rails": "single", "readout": "difference"}
         elif self.camera.rails == "single":
             changes |= {"readout": "difference"}
@@ -194,7 +194,7 @@ class Job(UserModel):
             Scenes of the training.
         matrix : array, shape (m, N), optional
             Masks of a design that are the user's own. Whether they break the light law is seen when
-            they are shown, by `optics.constraints.own_rails`.
+            they are shown, by `physics.LightLaw.rails_of`.
         """
         faults = [*self._classifier_faults(), *self.exposure.faults(self)]
         if self.training.counts is not None:
@@ -210,7 +210,7 @@ class Job(UserModel):
                     setting=("balance", "loss"),
                 )
             )
-        if self.code.signed and self.camera.rails == "single":
+        if self.code.rails == "dual" and self.camera.rails == "single":
             faults.append(f"{self.design} is signed: use dual rails, or the s-matrix")
         noises = [find_noise(noise) for noise in (self.noise, self.mask_job().noise)]
         if any(noise.read_noise and not noise.counting for noise in noises) and (

@@ -30,7 +30,7 @@ from deepfsi.hardware.patterns import (
     Patterns,
     read_patterns,
 )
-from deepfsi.optics.surroundings import library_defaults
+from deepfsi.physics import library_defaults
 
 ADAPTIVE_DECISION_S = 4e-3
 """Usual time of a decision, seconds, by `benchmarks/adaptive.py --latency` with 8192 scenes."""

@@ -142,7 +142,7 @@ def predict(
     >>> found.pictures[3].label, len(found.pictures)
     ('3', 10)
     """
-    from deepfsi.optics.surroundings import library_defaults
+    from deepfsi.physics import library_defaults
 
     run = library_defaults(grad=False)(_predict)
     tested = {"camera": camera, **settings}
@@ -181,7 +181,7 @@ def _predict(
         *_, seen = design.expose(scanner, rates, generator, budget)
         chances.append(design.chances(seen, budget).cpu())
         if design.gates is not None:
-            clicks += float(scanner.expected(budget * rates).sum())
+            clicks += float(scanner.noise.mean(budget * rates).sum())
     confidence, best = torch.cat(chances).max(dim=-1)
     remarks = [fault.detail for fault in dim_scenes(design, np.array([budget]))]
     if design.gates is not None:

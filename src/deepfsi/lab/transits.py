@@ -237,7 +237,7 @@ def classify_transits(
         background.
     """
     from deepfsi.design.values import check_classes
-    from deepfsi.optics.surroundings import library_defaults
+    from deepfsi.physics import library_defaults
 
     check_classes(design.values, "a transit's answer")
     path = passing_of(design).transit
@@ -340,7 +340,7 @@ def simulate_transits(
     """
     import torch
 
-    from deepfsi.optics.surroundings import library_defaults
+    from deepfsi.physics import library_defaults
 
     path = passing_of(design).transit
     step = path.speed / FINE  # pixels

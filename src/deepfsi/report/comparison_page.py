@@ -20,7 +20,7 @@ from deepfsi.report.masks import lit_masks, masks_figure, peak, signed, values_f
 from deepfsi.report.measures import WORDS
 from deepfsi.report.rendering import capital, flat, render, share_text
 from deepfsi.report.style import photons_text
-from deepfsi.report.terms import DESIGNS, ONE_DETECTOR, lit_text
+from deepfsi.report.terms import DESIGNS, lit_text
 from deepfsi.report.verdict import Verdict, better, ranking, verdict_of
 from deepfsi.sweeps.results import Data, Point, Results, read_results
 
@@ -148,18 +148,19 @@ def covered(results: Results) -> str:
 
 def with_one_detector(points: Iterable[Point]) -> bool:
     """True if one detector does for every design but impulse imaging."""
-    return all(
-        p.light in ONE_DETECTOR and p.detectors == "1x1" for p in points if not p.every_pixel
-    )
+    laws = {name for name, law in LIGHT_LAWS.items() if law.one_device and law.arms == 1}
+    return all(p.light in laws and p.detectors == "1x1" for p in points if not p.every_pixel)
 
 
 def camera_text(points: Iterable[Point]) -> str:
     """Say how the designs' masks share the light, and what counts it."""
     rows = [p for p in points if not p.every_pixel]
-    if rows and {p.light for p in rows} == {"column"}:
+    lights = {p.light for p in rows}
+    splitting = {name for name, law in LIGHT_LAWS.items() if not law.one_device}
+    if lights and lights <= splitting:
         return (
-            "Under the light law column, optics split the scene’s Φ photons among all masks at "
-            "once, with a detector for each readout, which no single mirror device does."
+            f"Under the light law {lights.pop()}, optics split the scene’s Φ photons among all "
+            "masks at once, with a detector for each readout, which no single mirror device does."
         )
     if rows and with_one_detector(rows):
         return (

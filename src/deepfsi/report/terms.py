@@ -6,16 +6,15 @@ from importlib.resources import files
 
 from markupsafe import Markup, escape
 
+from deepfsi.camera import LIGHT_LAWS
+
 _TERMS = tomllib.loads(files(__package__).joinpath("terms.toml").read_text("utf-8"))
 
 DESIGNS: dict[str, str] = _TERMS["designs"]
 """What each design is."""
 
-LAWS: dict[str, str] = _TERMS["laws"]
+LAWS: dict[str, str] = {name: law.words for name, law in LIGHT_LAWS.items()}
 """What each light law allows, and with which optics."""
-
-ONE_DETECTOR = ("equal-dwell", "free-dwell")
-"""Light laws of one device and one detector, or one for each part of the device."""
 
 WORDS: dict[str, str] = _TERMS["words"]
 """Words of the field."""

@@ -12,6 +12,7 @@ import psutil
 import torch
 
 from deepfsi.base import SILENT, Moments, Progress
+from deepfsi.camera import find_noise
 from deepfsi.datasets import Dataset
 from deepfsi.design.evaluation import evaluate
 from deepfsi.jobs import Job
@@ -21,8 +22,8 @@ from deepfsi.sweeps.records import Records
 from deepfsi.sweeps.trial import plan
 from deepfsi.sweeps.workers import cores, default_count
 from deepfsi.training.batches import batch_of
+from deepfsi.training.draws import dtypes
 from deepfsi.training.learning import train
-from deepfsi.training.precision import dtypes
 from deepfsi.training.training_set import TrainingSet
 
 TIMED_STEPS = 6
@@ -170,7 +171,8 @@ def _operations(job: Job, context: SweepContext) -> float:
     made = job.mask_job()
     if not made.code.learned:
         return 2.0 * context.data.x_train.size * job.masks * 2
-    pair = 2 if made.noise == "ml_gauss" else 1
+    noise = find_noise(made.noise)
+    pair = 2 if noise.shot and not noise.counting else 1
     scene = int(context.training_set.pixels(made.optics.light).sum())
     count = len(context.training_set.labels)
     return 2.0 * made.training.epochs * count * scene * made.masks * pair * 2

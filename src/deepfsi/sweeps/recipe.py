@@ -23,6 +23,7 @@ from deepfsi.camera import (
     Levels,
     PhotonBudget,
     check_noise,
+    find_noise,
 )
 from deepfsi.datasets import Dataset
 from deepfsi.design.evaluation import MOST_DRAWS
@@ -292,7 +293,9 @@ class Recipe(BaseModel):
 
     def budgets(self, noise: str) -> tuple[float, ...]:
         """Budgets to train at under a noise."""
-        return (self.gaussian_photons if noise == "gaussian" else ()) or self.photons
+        facts = find_noise(noise)
+        read_noise = facts.read_noise and not facts.shot
+        return (self.gaussian_photons if read_noise else ()) or self.photons
 
     def mask_counts(
         self, design: str, data: Dataset, detectors: DetectorMap = ONE_DETECTOR

@@ -10,7 +10,7 @@ import numpy as np
 
 from deepfsi.base import SILENT, InputError, Progress
 from deepfsi.datasets import Dataset
-from deepfsi.optics.surroundings import library_defaults
+from deepfsi.physics import library_defaults
 from deepfsi.sweeps.context import SweepContext
 from deepfsi.sweeps.folds import pooled, together
 from deepfsi.sweeps.queue import run_trials

@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from deepfsi.base import InputError, join_messages, source_hash
-from deepfsi.camera import LIGHT_LAWS, ONE_DETECTOR, Camera
+from deepfsi.camera import LIGHT_LAWS, ONE_DETECTOR, Camera, find_noise
 from deepfsi.datasets import Dataset
 from deepfsi.jobs import DESIGNS, REVISION, Code, Exposure, Job, custom_parts
 from deepfsi.sweeps.recipe import NamedCamera, Recipe, TestNoise
@@ -145,10 +145,10 @@ def trial_faults(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None
 
 def _light_faults(matrix: np.ndarray, camera: Camera) -> list[str]:
     """Why a user's masks (m, N) cannot be shown under a camera's light law."""
-    from deepfsi.optics.constraints import own_rails
+    from deepfsi.physics import light_law
 
     try:
-        own_rails(matrix, camera.light, camera.rails)
+        light_law(camera.light).rails_of(matrix, camera.rails)
     except InputError as error:
         return [error.message]
     return []
@@ -176,11 +176,11 @@ def _kinds(recipe: Recipe, data: Dataset) -> Iterator[tuple[str, NamedCamera]]:
 
 
 def _possible(code: Code, camera: Camera, detectors: int) -> bool:
-    law, one_rail = LIGHT_LAWS[camera.light], code.single_rail and not code.every_pixel
+    law, one_rail = LIGHT_LAWS[camera.light], code.rails == "single" and not code.every_pixel
     return not (
-        (code.learned_under is not None and camera.noise_name != "poisson")
+        (code.learned_under is not None and not find_noise(camera.noise).exact)
         or (law.arms == 2 and one_rail)
-        or (code.signed and camera.rails == "single")
+        or (code.rails == "dual" and camera.rails == "single")
         or (not law.one_device and detectors > 1)
         or (code.adaptive and not law.looks)
     )

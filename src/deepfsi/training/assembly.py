@@ -3,22 +3,17 @@
 from typing import Any
 
 import torch
-from torch import Tensor, nn
+from torch import nn
 
 from deepfsi.base import InputError
-from deepfsi.camera import Camera, LightLawName, check_budget, check_light_law, summed_reflectance
+from deepfsi.camera import Camera, LightLawName, check_budget, summed_reflectance
 from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.design.own import OwnClassifier, make
 from deepfsi.design.values import Values
 from deepfsi.designfile import TrainingScenes
 from deepfsi.jobs import Job
-from deepfsi.optics import constraints
-from deepfsi.optics.detection import Detection
-from deepfsi.optics.masks import LearnedMasks
-from deepfsi.optics.rails import Rails
-from deepfsi.optics.scanner import Scanner
-from deepfsi.optics.surroundings import library_defaults
+from deepfsi.physics import LearnedMasks, Rails, Scanner, library_defaults, light_law
 from deepfsi.training.characterisation import characterise
 from deepfsi.training.info import provenance
 from deepfsi.training.training_set import TrainingSet
@@ -61,18 +56,20 @@ def design_of(
     5
     """
     budget, scenes = check_budget(photons), as_dataset(data)
-    light = scanner.masks.light if isinstance(scanner.masks, LearnedMasks) else light
+    light = scanner.masks.law.name if isinstance(scanner.masks, LearnedMasks) else light
     rails = _rails(scanner, scenes, light)
     s, mean = summed_reflectance(scenes.x_train), torch.from_numpy(scenes.x_train.mean(axis=0))
     read = rails.masks * scanner.detection.width(rails.count)
     job = _job(scanner, rails, budget, light)
+    front = Scanner.from_rails(rails.stacked, detection=scanner.detection)
+    counts = scanner.detection.totals(front.rates(mean.to(rails.difference)))
     design = Design(
         name="custom",
         rails=rails,
         classifier=_copy(classifier, read, scenes.answers).to(rails.device),
         mean=torch.zeros(read, device=rails.device),
         std=torch.full((read,), 1 / budget, device=rails.device),
-        shares=_counted(rails, scanner.detection, mean) / s,
+        shares=counts / s,
         summed_reflectance=s,
         light=light,
         detection=scanner.detection,
@@ -87,22 +84,15 @@ def design_of(
     return design
 
 
-def _counted(rails: Rails, detection: Detection, photons: Tensor) -> Tensor:
-    """Expected counts (k,) in what is read of photons (N,)."""
-    scanner = Scanner.from_rails(rails.stacked, "none", detection=detection)
-    return detection.totals(scanner.rates(photons.to(rails.difference)))
-
-
 def _job(scanner: Scanner, rails: Rails, photons: float, light: LightLawName) -> Job:
     """Job of a training elsewhere, as far as it is known."""
     detection = scanner.detection
-    noise = "poisson" if scanner.noise == "ml_gauss" else scanner.noise  # which it stands for
-    told: dict[str, Any] = {"light": light, "noise": noise, "sigma": scanner.sigma}
-    told |= {"rails": rails.kind, "readout": detection.readout}
-    told["dark"] = scanner.dark
+    noise = scanner.noise.facts.stands_for or scanner.noise.name
+    optics: dict[str, Any] = {"light": light, "noise": noise, **scanner.noise.settings}
+    optics |= {"rails": rails.kind, "readout": detection.readout}
     if detection.labels is not None:
-        told["detectors"] = detection.labels
-    camera = Camera.load(**told)
+        optics["detectors"] = detection.labels
+    camera = Camera.load(**optics)
     return Job(design="custom", masks=rails.masks, photons=photons, camera=camera)
 
 
@@ -115,8 +105,7 @@ def _rails(scanner: Scanner, data: Dataset, light: LightLawName) -> Rails:
         raise InputError(
             f"masks of shape {shape} do not fit {data.name}: give (masks, {data.pixels})"
         )
-    check_light_law(light, rails.kind)
-    constraints.check(rails.stacked, light)
+    light_law(light).check(rails.stacked)
     return rails
 
 

@@ -17,10 +17,15 @@ from deepfsi.design.confidence import (
 )
 from deepfsi.design.evaluation import scanner_for
 from deepfsi.design.readout_fit import sample_scenes
-from deepfsi.designfile import ReadoutDistribution, SceneModel, Temperatures, calibration_budgets
+from deepfsi.designfile import (
+    ReadoutDistribution,
+    SceneModel,
+    Temperatures,
+    calibration_budgets,
+)
 from deepfsi.jobs import Job
-from deepfsi.optics.features import CHUNK
 from deepfsi.training.folds import DOUBT, LEFT_OUT, calibrated, draws_of
+from deepfsi.training.statistics import CHUNK
 from deepfsi.training.training_set import TrainingSet
 
 

@@ -32,8 +32,8 @@ from deepfsi.base import (
 )
 from deepfsi.base.numeric import DamagedError, read_tensors
 from deepfsi.jobs import REVISION, Job, custom_parts
+from deepfsi.training.counts import CountsCost
 from deepfsi.training.draws import SeedStream
-from deepfsi.training.few_counts import CountsCost
 from deepfsi.training.training_set import TrainingSet
 
 CHECKPOINT_SECONDS = 120.0

@@ -1,4 +1,7 @@
-"""Random draws of a training: order of scenes, noise, budgets and numbers of masks."""
+"""Random draws of a training, order of scenes and noise among them; types of its products.
+
+Products are of bfloat16 where its rounding stays under the noise.
+"""
 
 from collections.abc import Sequence
 from itertools import groupby
@@ -7,8 +10,9 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from deepfsi.optics.detection import Readouts
-from deepfsi.optics.features import FeatureNoise
+from deepfsi.camera import find_noise
+from deepfsi.jobs import Job
+from deepfsi.physics import Readouts, TrainingNoise
 
 
 class SeedStream:
@@ -24,9 +28,10 @@ class SeedStream:
     """The same and n, the place of the mean scene, (steps, B + 1)."""
 
     def __init__(
-        self, seed: int, replicas: slice, noise: FeatureNoise, labels: Tensor, batch: int
+        self, seed: int, replicas: slice, noise: TrainingNoise, labels: Tensor, batch: int
     ) -> None:
-        self.replicas, self.noise = replicas, noise.part(replicas)
+        self.replicas = replicas
+        self.noise = noise.of_jobs(replicas)
         self.generator = torch.Generator(labels.device).manual_seed(seed)
         self._labels, self.batch = labels, batch
 
@@ -58,41 +63,28 @@ class SeedStream:
         shown = 1 + torch.multinomial(chances, self.batch, True, generator=self.generator)
         return span**uniform, shown.view(-1, 1, 1)
 
-    def noisy(self, mean: Tensor, total: Tensor, read: Readouts) -> Tensor:
-        """Noisy features (B, R, m) of expected ones, x D and x S."""
-        if self.noise.counting:
-            known = None if self.noise.kind == "poisson" else read
-            return self.noise.counted(mean, total, known)
-        return mean + self.noise.deviation(total, read.lit) * self.normal(mean.shape[-1])
-
     def repeated(self, shared: Tensor) -> Tensor:
         """Tensor (B, R, …) of what is the same for all jobs, (B, 1, …)."""
         return shared.expand(-1, self.replicas.stop - self.replicas.start, *shared.shape[2:])
 
-    def part(self, every: Tensor) -> Tensor:
-        """Rows of these jobs in a tensor of all, (R or 1, m)."""
-        return every[self.replicas] if len(every) > 1 else every
-
-    def masks(self, every: Tensor) -> Tensor:
-        """Masks of these jobs, (..., R_i or 1, m, N), among those of all, (..., R or 1, m, N)."""
-        if every.shape[-3] in (1, self.replicas.stop - self.replicas.start):
+    def of_jobs(self, every: Tensor, axis: int = 0) -> Tensor:
+        """Part of these jobs in a tensor of all, which has R or 1 of them along an axis."""
+        count = self.replicas.stop - self.replicas.start
+        if every.shape[axis] in (1, count):
             return every
-        return every[..., self.replicas, :, :]
+        return every.narrow(axis, self.replicas.start, count)
 
     def readouts(self, every: Readouts) -> Readouts:
         """Readouts of the masks of these jobs among those of all, (2, R or 1, m)."""
-        if every.time.shape[1] == 1:
-            return every
-        return Readouts(every.shown[:, self.replicas], every.time[:, self.replicas])
+        return Readouts(*(self.of_jobs(one, 1) for one in every))
 
     def products(self, every: Tensor, step: int) -> Tensor:
         """A step's part of products of all scenes and jobs, (n, R or 1, m)."""
-        own = every[:, self.replicas] if every.shape[1] > 1 else every
-        return own.index_select(0, self.rows[step])
+        return self.of_jobs(every, 1).index_select(0, self.rows[step])
 
 
 def seed_streams(
-    seeds: Sequence[int], noise: FeatureNoise, labels: Tensor, batch: int
+    seeds: Sequence[int], noise: TrainingNoise, labels: Tensor, batch: int
 ) -> list[SeedStream]:
     """Streams of jobs of these seeds, those of one seed together; others as for `SeedStream`."""
     streams, first = [], 0
@@ -106,3 +98,58 @@ def seed_streams(
 def side_by_side(parts: list[Tensor]) -> Tensor:
     """Replicas (B, R_i, …) of several seeds as one (B, R, …)."""
     return torch.cat(parts, dim=1) if len(parts) > 1 else parts[0]
+
+
+BFLOAT16_COUNTS = 2.0**14
+"""Largest share of the budget a readout may have for bfloat16 products in training, Φ / readouts.
+
+Rounding to 8 bits is wrong by at most 2⁻⁹ of the count, √2¹⁴ · 2⁻⁹ = 1/4 of its photon noise.
+"""
+
+BFLOAT16_WIDTH = 512
+"""Units of the widest hidden layer from which a processor is faster with bfloat16 networks.
+
+In float32 an epoch with layers of 512 and 256 takes 1.5 times as long, with 256 and 128 as long,
+and with 40 and 128 eight tenths as long (`benchmarks/networks.py`).
+"""
+
+
+def dtypes(job: Job, device: torch.device) -> tuple[torch.dtype, torch.dtype]:
+    """Types of the products of a job's masks and of its networks."""
+    return product_dtype(job.mask_job(), device), network_dtype(job, device)
+
+
+def product_dtype(job: Job, device: torch.device) -> torch.dtype:
+    """Type of the products of learned masks: bfloat16 where that stays under the readout noise."""
+    if job.training.precision == "auto" and not job.exposure.allow_bf16:
+        return torch.float32
+    return _rounded(job, device)
+
+
+def network_dtype(job: Job, device: torch.device) -> torch.dtype:
+    """Type of the products of the networks in training: bfloat16 for wide ones on a processor."""
+    wide = max(job.training.hidden, default=0) >= BFLOAT16_WIDTH
+    if not job.exposure.allow_bf16_networks(device.type, wide) or job.training.is_custom:
+        return torch.float32
+    return _rounded(job, device)
+
+
+def _rounded(job: Job, device: torch.device) -> torch.dtype:
+    """Type whose rounding stays under the readout noise, unless one was asked for."""
+    # See `BFLOAT16_COUNTS`. Read noise of σ counts stands in for √count under gaussian noise. The
+    # light of all masks may come to the first of nested ones, and with looks to a single readout
+    if job.training.precision != "auto":
+        return getattr(torch, job.training.precision)
+    fast = (
+        torch.cuda.is_bf16_supported(including_emulation=False)
+        if device.type == "cuda"
+        else torch.cpu.get_capabilities().get("avx512_bf16", False)
+    )
+    readouts = job.exposure.min_lit_masks(job.masks) * (2 if job.optics.rails == "dual" else 1)
+    counts = job.exposure.highest(job.photons) / readouts
+    noise, limit = find_noise(job.noise), 0.0
+    if noise.shot:
+        limit = BFLOAT16_COUNTS
+    elif noise.read_noise:
+        limit = job.optics.sigma * BFLOAT16_COUNTS**0.5
+    return torch.bfloat16 if fast and counts <= limit else torch.float32

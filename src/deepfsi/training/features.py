@@ -4,8 +4,8 @@ Each multiplies scenes with masks, draws noise, and standardises. Products of ma
 learn are taken once before the first step.
 """
 
-from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Protocol
 
 import torch
 from torch import Tensor
@@ -17,41 +17,38 @@ from deepfsi.design.exposure.looks import LooksExposure
 from deepfsi.design.exposure.passing import PassingExposure
 from deepfsi.design.exposure.trained import FixedExposure, PatchExposure, TrainedExposure
 from deepfsi.jobs import Job, Scale
-from deepfsi.optics import constraints
-from deepfsi.optics.detection import Detection
-from deepfsi.optics.features import (
-    CHUNK,
-    FeatureNoise,
-    deviation,
-    feature_statistics,
-    standardise,
+from deepfsi.physics import (
+    Detection,
+    FixedMasks,
+    FixedPattern,
+    LearnedMasks,
+    LearnedPattern,
+    Rails,
+    Scanner,
+    TrainingNoise,
+    light_law,
+    ml_gauss_features,
+    project,
+    project_rails,
+    root,
 )
-from deepfsi.optics.masks import FixedMasks, LearnedMasks
-from deepfsi.optics.noise import root
-from deepfsi.optics.rails import Rails
-from deepfsi.optics.scanner import Scanner, measure, project, project_rails
-from deepfsi.optics.transit import FixedPattern, LearnedPattern
-from deepfsi.training.draws import SeedStream, side_by_side
+from deepfsi.training.draws import SeedStream, product_dtype, side_by_side
 from deepfsi.training.passing import PassingFeatures
-from deepfsi.training.precision import product_dtype
+from deepfsi.training.statistics import CHUNK, deviation, feature_statistics, standardise
 from deepfsi.training.training_set import TrainingSet
 
 Streams = list[SeedStream]
 """Draws of the jobs of each seed, in the order of the jobs."""
 
 
-class Features(ABC):
+class Features(Protocol):
     """Inputs of the classifiers in the steps of a training."""
 
-    expected: Tensor
-    """Counts (R,) in the mean over the scenes of the last step, where masks learn on counts."""
-
-    @abstractmethod
     def at(self, step: int) -> Tensor:
         """Inputs (B, R, …) of a step; of K looks (K · B, R, …)."""
 
 
-class FixedFeatures(Features):
+class FixedFeatures:
     """Features of fixed masks, whose products with all scenes (n, N) are known.
 
     Where no counts are drawn the products are standardised once, for the first of the replicas that
@@ -63,15 +60,14 @@ class FixedFeatures(Features):
         streams: Streams,
         masks: FixedMasks,
         scenes: Tensor,
-        noise: FeatureNoise,
+        noise: TrainingNoise,
         scale: Scale,
         detection: Detection,
     ) -> None:
         self.streams = streams
-        arranged = masks().each(detection.arrange)
+        arranged = masks().map(detection.arrange)
         frames = detection.read_of(arranged)
-        photonic = noise.counting or noise.kind == "ml_gauss"
-        if not photonic:
+        if not noise.kind.of_light:
             frames = Rails(frames.difference)  # their total is not needed
         pairs = [
             project_rails(detection.arrange(x), frames, detection.count)
@@ -85,17 +81,15 @@ class FixedFeatures(Features):
             scenes, masks, noise, scale, detection, means=self.means
         )
         self.read = detection.readouts(arranged)
-        self.counting = noise.counting
-        self.totals = totals if photonic else None
-        if not self.counting:
-            self._standardise(noise)
-
-    def _standardise(self, noise: FeatureNoise) -> None:
+        self.counting = noise.kind.counting
+        self.totals = totals if noise.kind.of_light else None
+        if self.counting:
+            return
         held = self.means.shape[1]
         self.alone = held == len(self.std)
         self.ratio = self.std[:held] / self.std
         if self.totals is None:
-            self.gain = noise.variance(self.mean, self.read).sqrt() / self.std
+            self.gain = noise.variance(self.mean, self.mean, self.read).sqrt() / self.std
         else:
             gain = noise.unit / self.std
             self.totals = root(self.totals).mul_(gain[:held])
@@ -110,20 +104,20 @@ class FixedFeatures(Features):
         expected = stream.products(self.means, step)
         if self.counting:
             assert self.totals is not None
-            mean, std = stream.part(self.mean), stream.part(self.std)
+            mean, std = stream.of_jobs(self.mean), stream.of_jobs(self.std)
             totals, read = stream.products(self.totals, step), stream.readouts(self.read)
             return (stream.noise.counted(expected, totals, read) - mean) / std
-        draws, gain = stream.normal(expected.shape[-1]), stream.part(self.gain)
+        draws, gain = stream.normal(expected.shape[-1]), stream.of_jobs(self.gain)
         if self.totals is not None:
             draws = draws * stream.products(self.totals, step)
             if self.alone:
                 return expected.add_(draws)
-        scaled = expected if self.alone else expected * stream.part(self.ratio)
+        scaled = expected if self.alone else expected * stream.of_jobs(self.ratio)
         return torch.addcmul(scaled, draws, gain)
 
 
 @dataclass
-class LearnedFeatures(Features):
+class LearnedFeatures:
     """Features of masks that learn."""
 
     streams: Streams
@@ -133,29 +127,30 @@ class LearnedFeatures(Features):
     x: Tensor
     scale: Scale
     detection: Detection
+    penalised: bool = False  # whether the counts are a part of the loss
+    # (R,): Counts in the mean over the scenes of the last step, where they are
+    expected: Tensor = field(init=False)
 
     def at(self, step: int) -> Tensor:
         """Features (B, R, m), standardised in their batch."""
         return standardise(side_by_side(self.noisy(step)), self.scale)
 
-    @abstractmethod
     def noisy(self, step: int) -> list[Tensor]:
         """Centred features (B, R_i, m) of the jobs of each seed."""
+        kind, rails = self.streams[0].noise.kind, self.masks()
+        if kind.counting:
+            return self._counted(rails, step)
+        return self._fused(rails, step) if kind.of_light else self._read(rails, step)
 
-
-class MlGaussFeatures(LearnedFeatures):
-    """Features of learned masks under MLGauss."""
-
-    def noisy(self, step: int) -> list[Tensor]:
-        """Centred features of a step; see `scanner.measure`."""
-        both = self.detection.readout == "both"
-        disjoint = self.masks.disjoint and not both
+    def _fused(self, rails: Rails, step: int) -> list[Tensor]:
+        """Under MLGauss; see `ml_gauss_features`."""
+        disjoint = self.masks.disjoint and self.detection.readout != "both"
+        masks = rails.difference if disjoint else self.detection.read_of(rails).combined
         parts = self.detection.count
-        masks = self.masks.matrix() if disjoint else self.detection.read_of(self.masks()).combined
         return [
-            measure(
+            ml_gauss_features(
                 self.x.index_select(0, stream.with_mean[step]),
-                stream.masks(masks),
+                stream.of_jobs(masks, -3),
                 stream.normal(masks.shape[-2] * parts) * stream.noise.unit,
                 disjoint,
                 parts,
@@ -163,55 +158,39 @@ class MlGaussFeatures(LearnedFeatures):
             for stream in self.streams
         ]
 
-
-@dataclass
-class CountedFeatures(LearnedFeatures):
-    """Features of learned masks under a noise whose counts of each rail are drawn.
-
-    A noise of a user's own may have another mean than the rates: its features are centred in their
-    batch.
-    """
-
-    penalised: bool = False  # whether the counts are a part of the loss
-
-    def noisy(self, step: int) -> list[Tensor]:
-        """Centred features of a step."""
-        rails = self.masks()
-        read = self.detection.readouts(rails)
-        masks = self.detection.read_of(rails)
+    def _counted(self, rails: Rails, step: int) -> list[Tensor]:
+        """Under a noise whose counts of each rail are drawn."""
+        # One of a user's own may have another mean than the rates: its features are centred in
+        # their batch
+        read, masks = self.detection.readouts(rails), self.detection.read_of(rails)
         parts, counted = [], []
         for stream in self.streams:
             x = self.x.index_select(0, stream.with_mean[step])
-            mean, counts = project_rails(x, masks.each(stream.part), self.detection.count)
+            mean, counts = project_rails(x, masks.map(stream.of_jobs), self.detection.count)
             expected = mean[:-1] + mean[-1], counts[:-1] + counts[-1]
             drawn = stream.noise.counted(*expected, stream.readouts(read))
-            parts.append(drawn - (drawn.mean(dim=0) if stream.noise.own else mean[-1]))
+            parts.append(drawn - (mean[-1] if stream.noise.kind.unbiased else drawn.mean(dim=0)))
             if self.penalised:
                 counted.append(stream.noise.expected(*expected))
         if self.penalised:
             self.expected = torch.cat(counted)
         return parts
 
-
-class ReadNoiseFeatures(LearnedFeatures):
-    """Features of learned masks under read noise, or under none."""
-
-    def noisy(self, step: int) -> list[Tensor]:
-        """Centred features of a step."""
-        rails = self.masks()
+    def _read(self, rails: Rails, step: int) -> list[Tensor]:
+        """Under read noise, or none."""
         with torch.no_grad():
-            every = self.detection.readouts(rails)
+            read = self.detection.readouts(rails)
         difference = self.detection.read_of(rails).difference
         parts = []
         for stream in self.streams:
             x = self.x.index_select(0, stream.rows[step])
-            mean = project(x, difference[stream.replicas], self.detection.count)
-            parts.append(stream.noisy(mean, mean, stream.readouts(every)))
+            mean = project(x, stream.of_jobs(difference), self.detection.count)
+            parts.append(stream.noise.features(mean, mean, stream.readouts(read), stream.normal))
         return parts
 
 
 @dataclass
-class ConditionedFeatures(Features):
+class ConditionedFeatures:
     """Inputs of conditioned classifiers: each scene has a budget and a number of masks of its own.
 
     The fewer masks share the light, the more each has. The gradient includes the light that a mask
@@ -236,23 +215,23 @@ class ConditionedFeatures(Features):
         rails = self.masks()
         masks = self.detection.read_of(rails).combined
         parts, width = self.detection.count, self.conditioning.width
-        used = constraints.used(rails.stacked, self.light)
+        used = light_law(self.light).used(rails.stacked)
         whole = used[..., -1:]
         used = used if self.brightened else used / whole
         every, ratios, counts = [], [], []
         for stream in self.streams:
             budget, shown = stream.exposures(self.conditioning.span, self.chances)
-            ratio = budget / stream.part(used)[:, shown[:, 0, 0] - 1].T.unsqueeze(-1)
+            ratio = budget / stream.of_jobs(used)[:, shown[:, 0, 0] - 1].T.unsqueeze(-1)
             every.append(
-                measure(
+                ml_gauss_features(
                     self.x.index_select(0, stream.with_mean[step]),
-                    stream.masks(masks),
+                    stream.of_jobs(masks, -3),
                     stream.normal(masks.shape[-2] * parts) * stream.noise.unit / ratio.sqrt(),
                     False,
                     parts,
                 )
             )
-            told = ratio * stream.part(whole) if self.brightened else ratio
+            told = ratio * stream.of_jobs(whole) if self.brightened else ratio
             ratios.append(told.expand(*every[-1].shape[:2], 1))
             counts.append(stream.repeated(shown))
         seen, shown = side_by_side(every), side_by_side(counts)
@@ -261,7 +240,7 @@ class ConditionedFeatures(Features):
 
 
 @dataclass
-class LooksFeatures(Features):
+class LooksFeatures:
     """Inputs of classifiers after each of several looks, with masks of equal dwells."""
 
     streams: Streams
@@ -269,7 +248,7 @@ class LooksFeatures(Features):
     x: Tensor
     choose: Replicas  # networks that choose dwells
     exposure: LooksExposure
-    gain: Tensor  # (R, 1): of all jobs, from `FeatureNoise`
+    gain: Tensor  # (R, 1): of all jobs, from `TrainingNoise`
     scale: Scale
     detection: Detection
 
@@ -280,7 +259,7 @@ class LooksFeatures(Features):
         parts = []
         for stream in self.streams:
             x = self.x.index_select(0, stream.with_mean[step])
-            products = project(x, stream.part(rails), detection.count)
+            products = project(x, stream.of_jobs(rails), detection.count)
             parts.append(stream.repeated(products))
         products_of_all = side_by_side(parts)
         centred, middle = products_of_all[:-1], products_of_all[-1]
@@ -294,10 +273,11 @@ class LooksFeatures(Features):
             drawn = []
             for stream in self.streams:
                 own, read = stream.replicas, stream.readouts(usual)
-                if stream.noise.kind == "camera":
+                if stream.noise.kind.facts.dark:
                     share = dwells.scaled(torch.ones_like(light[:, own]), dwell[:, own])
                     read = read.lasting(share, detection)
-                drawn.append(stream.noisy(expected[:, own], sums[:, own], read))
+                pair = expected[:, own], sums[:, own]
+                drawn.append(stream.noise.features(*pair, read, stream.normal))
             return side_by_side(drawn), dwell
 
         start = mean.expand(len(light), *mean.shape)
@@ -306,7 +286,7 @@ class LooksFeatures(Features):
 
 
 @dataclass
-class PatchFeatures(Features):
+class PatchFeatures:
     """Features of every patch of images; one job alone trains on them."""
 
     streams: Streams
@@ -334,16 +314,14 @@ def features_of(
     training_set: TrainingSet,
     job: Job,
     masks: FixedMasks | LearnedMasks,
-    noise: FeatureNoise,
+    noise: TrainingNoise,
     streams: Streams,
     exposure: TrainedExposure,
     choose: Replicas,
-) -> Features | PassingFeatures:
+) -> Features:
     """Features of the kind of exposure of jobs, of which `job` is one."""
-    scale, detection = (
-        job.training.scale,
-        Detection.of_camera(job.optics, training_set.data.image_shape),
-    )
+    scale = job.training.scale
+    detection = Detection.of(job.optics, training_set.data.image_shape)
     if isinstance(exposure, PassingExposure):
         assert isinstance(masks, FixedPattern | LearnedPattern)
         return PassingFeatures(streams, masks, training_set.full, scale)
@@ -354,9 +332,10 @@ def features_of(
         return PatchFeatures(streams, masks, patches[..., lit] if dark else patches, scale)
     if isinstance(masks, FixedMasks) and isinstance(exposure, FixedExposure):
         return FixedFeatures(streams, masks, training_set.full, noise, scale, detection)
-    # fixed masks see every pixel
-    light: LightLawName = job.optics.light if isinstance(masks, LearnedMasks) else "two-arm"
-    x = training_set.centred(light, product_dtype(job, training_set.device), detection)
+    pixels = training_set.pixels(job.optics.light)
+    if isinstance(masks, FixedMasks):  # which see every pixel
+        pixels = torch.ones_like(pixels)
+    x = training_set.centred(pixels, product_dtype(job, training_set.device), detection)
     if isinstance(masks, FixedMasks):
         masks = FixedMasks(detection.arrange(masks().stacked))
     if isinstance(exposure, LooksExposure):
@@ -365,8 +344,5 @@ def features_of(
         law = job.optics.light
         return ConditionedFeatures(streams, masks, x, exposure, law, scale, detection)
     assert isinstance(masks, LearnedMasks)
-    if noise.counting:
-        few = job.training.counts is not None
-        return CountedFeatures(streams, masks, x, scale, detection, few)
-    kind = MlGaussFeatures if job.noise == "ml_gauss" else ReadNoiseFeatures
-    return kind(streams, masks, x, scale, detection)
+    few = job.training.counts is not None
+    return LearnedFeatures(streams, masks, x, scale, detection, few)

@@ -16,25 +16,29 @@ from deepfsi.design.artifact import Design
 from deepfsi.design.exposure.kinds import begin
 from deepfsi.design.exposure.trained import TrainedExposure
 from deepfsi.jobs import Job, find_job
-from deepfsi.optics import constraints
-from deepfsi.optics.detection import Detection
-from deepfsi.optics.features import FeatureNoise, feature_statistics
-from deepfsi.optics.masks import FixedMasks, LearnedMasks
-from deepfsi.optics.noise import resolve, try_own
-from deepfsi.optics.rails import Rails
-from deepfsi.optics.surroundings import library_defaults
-from deepfsi.optics.transit import FixedPattern
+from deepfsi.physics import (
+    Detection,
+    FixedMasks,
+    FixedPattern,
+    LearnedMasks,
+    Rails,
+    TrainingNoise,
+    library_defaults,
+    light_law,
+    noise_of,
+)
 from deepfsi.training.adaptive import adaptive_designs
 from deepfsi.training.batches import check_fits
 from deepfsi.training.characterisation import characterise
 from deepfsi.training.checkpoint import NO_CHECKPOINT, Checkpoint
 from deepfsi.training.counts import train_for_counts
+from deepfsi.training.draws import dtypes
 from deepfsi.training.folds import folds_of
 from deepfsi.training.info import detector_shares, provenance
 from deepfsi.training.loop import Classifier, optimise
 from deepfsi.training.masks import final_masks, initial_masks
 from deepfsi.training.passing import passing_statistics
-from deepfsi.training.precision import dtypes
+from deepfsi.training.statistics import feature_statistics
 from deepfsi.training.training_set import TrainingSet
 
 REMEDY = "lower lr and mask_lr, or try another seed or more photons"
@@ -68,7 +72,7 @@ def learn(
     counts : float, optional
         What the detectors are to count, in the mean over training scenes. Instead of `photons`:
         learned masks are trained again until that holds, see `training.counts`. With `photons`:
-        masks learn to count no more of that budget, see `training.few_counts`.
+        masks learn to count no more of that budget, see `training.counts`.
     matrix : array, shape (m, N), optional
         Your own sensing matrix, for ``design="custom"``.
     device : {"auto", "cpu", "cuda"}
@@ -170,7 +174,7 @@ def _check(training_set: TrainingSet, jobs: Sequence[Job], matrix: np.ndarray | 
     check_fits(training_set, jobs)
 
 
-Optimised = tuple[FixedMasks, FeatureNoise, list[Classifier], list[TrainedExposure]]
+Optimised = tuple[FixedMasks, TrainingNoise, list[Classifier], list[TrainedExposure]]
 """Masks after training, the noise that they were trained under, networks and exposures."""
 
 
@@ -206,23 +210,14 @@ def _optimised(
     return masks, noise, classifiers, exposures
 
 
-def _noise(jobs: Sequence[Job], training_set: TrainingSet) -> FeatureNoise:
+def _noise(jobs: Sequence[Job], training_set: TrainingSet) -> TrainingNoise:
     """Noise of the training of jobs."""
-    job = jobs[0]
-    noise = job.camera.noise if job.training.noise is None else job.training.noise
-    kind, (_, own) = job.noise, resolve(noise, job.camera.gates)
-    if own is not None:
-        try_own(own, jobs[0].code.learned)
-    dark = [each.camera.dark_counts if kind == "camera" else 0.0 for each in jobs]
-    return FeatureNoise.of(
-        kind,
-        [each.photons / training_set.summed_reflectance for each in jobs],
-        [each.camera.sigma for each in jobs],
-        [each.seed for each in jobs],
-        training_set.device,
-        dark,
-        own,
-    )
+    mine = jobs[0].camera.noise if jobs[0].training.noise is None else jobs[0].training.noise
+    setting = jobs[0].noise if isinstance(mine, str) else mine
+    noises = [noise_of(job.camera, setting) for job in jobs]
+    noises[0].check(learning=jobs[0].code.learned)
+    gains = [job.photons / training_set.summed_reflectance for job in jobs]
+    return TrainingNoise.of(noises, gains, [job.seed for job in jobs], training_set.device)
 
 
 def _first_share(training_set: TrainingSet, job: Job, matrix: np.ndarray | None) -> float:
@@ -244,14 +239,15 @@ def _designs(
     training_set: TrainingSet,
     jobs: Sequence[Job],
     masks: FixedMasks,
-    noise: FeatureNoise,
+    noise: TrainingNoise,
     classifiers: list[Classifier],
     exposures: list[TrainedExposure],
 ) -> list[Design]:
     """Designs of trained masks and networks, with the statistics of their features."""
     job, s = jobs[0], training_set.summed_reflectance
     light, shape = job.optics.light, training_set.data.image_shape
-    rails, detection = masks().stacked, Detection.of_camera(job.optics, shape)
+    law = light_law(light)
+    rails, detection = masks().stacked, Detection.of(job.optics, shape)
     seen, scale = training_set.seen(job.exposure).full, job.training.scale
     with torch.no_grad():
         if isinstance(masks, FixedPattern):
@@ -262,7 +258,7 @@ def _designs(
     return [
         Design(
             name=each.design,
-            rails=Rails.of(constraints.check(rails[r % len(rails)].clone(), light)),
+            rails=Rails.of(law.check(rails[r % len(rails)].clone())),
             classifier=classifiers[r],
             mean=mean[r] / s,
             std=std[r] / s,

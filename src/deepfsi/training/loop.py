@@ -23,15 +23,13 @@ from deepfsi.design.classifiers import Mlp, Replicas, Vit
 from deepfsi.design.exposure.trained import TrainedExposure
 from deepfsi.design.own import OwnClassifier, make, seeded
 from deepfsi.jobs import VIT, Job, Training
-from deepfsi.optics.features import FeatureNoise
-from deepfsi.optics.masks import FixedMasks, LearnedMasks
+from deepfsi.physics import FixedMasks, LearnedMasks, TrainingNoise
 from deepfsi.training.batches import batch_of
 from deepfsi.training.checkpoint import NO_CHECKPOINT, Checkpoint, LoopState
-from deepfsi.training.draws import seed_streams, side_by_side
-from deepfsi.training.features import CountedFeatures, features_of
-from deepfsi.training.few_counts import CountsCost, dim_start
+from deepfsi.training.counts import CountsCost, dim_start
+from deepfsi.training.draws import network_dtype, seed_streams, side_by_side
+from deepfsi.training.features import LearnedFeatures, features_of
 from deepfsi.training.losses import find_loss, total
-from deepfsi.training.precision import network_dtype
 from deepfsi.training.training_set import TrainingSet
 
 Classifier = Mlp | Vit | OwnClassifier
@@ -51,7 +49,7 @@ def optimise(
     training_set: TrainingSet,
     jobs: Sequence[Job],
     masks: FixedMasks | LearnedMasks,
-    noise: FeatureNoise,
+    noise: TrainingNoise,
     exposures: Sequence[TrainedExposure],
     report: Progress = SILENT,
     checkpoint: Checkpoint = NO_CHECKPOINT,
@@ -73,7 +71,7 @@ def optimise(
     rows = isinstance(classifiers[0], Vit)
     each = find_loss(settings.loss, training_set.values is not None, weights, rows)
     steps = len(labels) // batch
-    counted = features if isinstance(features, CountedFeatures) and features.penalised else None
+    counted = features if isinstance(features, LearnedFeatures) and features.penalised else None
     cost = None
     if counted is not None and settings.counts is not None:
         dim_start(counted.masks, counted.x, noise, settings.counts, counted.detection)

@@ -7,15 +7,21 @@ import torch
 from torch import Tensor
 
 from deepfsi.base import InputError
-from deepfsi.camera import Camera
+from deepfsi.camera import LIGHT_LAWS, Camera
 from deepfsi.design.exposure.passing import PassingExposure
 from deepfsi.design.exposure.trained import TrainedExposure
 from deepfsi.jobs import DESIGNS, Code, Job, count_allowed
-from deepfsi.optics import constraints
-from deepfsi.optics.detection import Detection
-from deepfsi.optics.grey_levels import quantise
-from deepfsi.optics.masks import FixedMasks, LearnedMasks
-from deepfsi.optics.transit import FixedPattern, LearnedPattern
+from deepfsi.physics import (
+    Detection,
+    FixedMasks,
+    FixedPattern,
+    LearnedMasks,
+    LearnedPattern,
+    frames,
+    light_law,
+    peak,
+    signed_parts,
+)
 from deepfsi.training.passing import initial_pattern
 from deepfsi.training.training_set import TrainingSet
 
@@ -29,21 +35,22 @@ def initial_masks(
     """Masks before training: of R replicas, or of one where all share them."""
     # The scenes are those that the masks see; the matrix (m, N) is a user's own
     job, camera, shape = jobs[0], jobs[0].optics, seen.data.image_shape
-    detection, levels = Detection.of_camera(camera, shape), camera.mask_levels(shape)
+    law, levels = light_law(camera.light), camera.mask_levels(shape)
     if isinstance(exposure, PassingExposure):
         seeds, learned = [each.seed for each in jobs], job.code.learned
         held = seeds if learned else matrix_seeds(jobs)
         return initial_pattern(exposure.transit, held, learned, levels, seen.device)
     if matrix is not None:
-        rails = constraints.own_rails(matrix, camera.light, camera.rails).unsqueeze(0)
+        rails = law.rails_of(matrix, camera.rails).unsqueeze(0)
     else:
         signed = torch.stack([_matrix(seen, job, seed) for seed in matrix_seeds(jobs)])
         if job.code.learned:
             kept = seen.pixels(camera.light).cpu()
+            detection = Detection.of(camera, shape)
             start = detection.of_pixels(kept).arrange(signed[..., kept])
             return exposure.learned_masks(start.expand(len(jobs), -1, -1).clone(), camera, levels)
         rails = exposure.fixed(_fitted(signed, job.code, camera), camera.light)
-    return FixedMasks(quantise(rails, camera.light, levels) if levels else rails)
+    return FixedMasks(law.quantise(rails, levels) if levels else rails)
 
 
 def matrix_seeds(jobs: Sequence[Job]) -> list[int]:
@@ -57,7 +64,7 @@ def _fitted(signed: Tensor, code: Code, camera: Camera) -> Tensor:
     """Rails (R, 2 or 1, m, N) of matrices (R, m, N), with all the light that the law allows."""
     if code.scaled:
         return signed.unsqueeze(1)
-    return torch.stack([constraints.fit(each, camera.light, camera.rails) for each in signed])
+    return torch.stack([light_law(camera.light).fit(each, camera.rails) for each in signed])
 
 
 def final_masks(
@@ -71,7 +78,7 @@ def final_masks(
     with torch.no_grad():
         learned = masks().stacked
     rails = learned.new_zeros(*learned.shape[:-1], len(pixels))
-    detection = Detection.of_camera(job.optics, seen.data.image_shape)
+    detection = Detection.of(job.optics, seen.data.image_shape)
     rails[..., pixels] = detection.of_pixels(pixels).restore(learned)
     return FixedMasks(exposure.final(rails, light))
 
@@ -84,14 +91,14 @@ def _matrix(seen: TrainingSet, job: Job, seed: int) -> Tensor:
     # arm)
     name, count, camera = job.start_matrix, job.masks, job.optics
     detectors = camera.detector_map(seen.data.image_shape)
-    both_arms = job.code.learned and camera.light == "two-arm" and camera.readout == "both"
-    if job.code.single_rail or (camera.rails == "dual" and not both_arms):
+    both_arms = job.code.learned and LIGHT_LAWS[camera.light].arms == 2 and camera.readout == "both"
+    if job.code.rails == "single" or (camera.rails == "dual" and not both_arms):
         return torch.from_numpy(seen.matrix(name, count, seed, detectors)).float()
     least, most = count_allowed(name, seen.data, detectors)
     for masks in range(min(max(-(-count // 2), least), most), most + 1):
         signed = torch.from_numpy(seen.matrix(name, masks, seed, detectors)).float()
-        frames = constraints.frames(constraints.expand(signed, "column"))
-        if len(frames) >= count:
-            first = frames[:count]
-            return 2 * first / constraints.peak(first) - 1 if both_arms else first
-    raise InputError(f"{count} frames are not allowed for {name}: give at most {len(frames)}")
+        lit = frames(signed_parts(signed))
+        if len(lit) >= count:
+            first = lit[:count]
+            return 2 * first / peak(first) - 1 if both_arms else first
+    raise InputError(f"{count} frames are not allowed for {name}: give at most {len(lit)}")

@@ -1,22 +1,28 @@
 """Training on scenes that pass a static pattern: what it starts from, its features, their scale."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import torch
 from torch import Tensor
 
 from deepfsi.jobs import Scale
-from deepfsi.optics.features import CHUNK, FeatureNoise, deviation, standardise
-from deepfsi.optics.scanner import project
-from deepfsi.optics.transit import FixedPattern, LearnedPattern, Transit, in_levels
+from deepfsi.physics import (
+    FixedPattern,
+    LearnedPattern,
+    ScenePath,
+    TrainingNoise,
+    in_levels,
+    project,
+)
 from deepfsi.training.draws import SeedStream, side_by_side
+from deepfsi.training.statistics import CHUNK, deviation, moments, standardise
 
 Pattern = FixedPattern | LearnedPattern
 """A pattern of a training."""
 
 
 def initial_pattern(
-    transit: Transit, seeds: Sequence[int], learned: bool, levels: int, device: torch.device
+    transit: ScenePath, seeds: Sequence[int], learned: bool, levels: int, device: torch.device
 ) -> Pattern:
     """Pattern before training, drawn from each seed: ON and OFF, or logits that learn."""
     size = transit.shape[0], transit.width
@@ -55,16 +61,16 @@ class PassingFeatures:
             every = stream.products(self.products, step)
         else:
             assert shifts is not None
-            every = project(self.x.index_select(0, stream.rows[step]), stream.masks(shifts))
+            every = project(self.x.index_select(0, stream.rows[step]), stream.of_jobs(shifts, -3))
         edges = self.transit.edges((len(every), 1), stream.generator, every.device)
         expected = self.transit.means(every, edges) / self.transit.bins
         if expected.shape[1] == 1:
             expected = stream.repeated(expected)
-        return stream.noisy(expected, expected, self.read)
+        return stream.noise.features(expected, expected, self.read, stream.normal)
 
 
 def passing_statistics(
-    scenes: Tensor, masks: Pattern, noise: FeatureNoise, scale: Scale, seed: int
+    scenes: Tensor, masks: Pattern, noise: TrainingNoise, scale: Scale, seed: int
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Mean and standard deviation (R, T) of features over scenes (n, N), places and noise.
 
@@ -73,18 +79,18 @@ def passing_statistics(
     transit, shifts = masks.transit, masks.transit.every_shift(masks.pattern)
     read, generator = transit.readouts(scenes.device), torch.Generator(scenes.device)
     generator.manual_seed(seed)
-    moments, light = [], []
-    for x in scenes.split(CHUNK):
-        edges = transit.edges((len(x), 1), generator, x.device)
-        expected = transit.means(project(x, shifts), edges) / transit.bins
-        light.append(expected.sum(dim=0))
-        drawn = noise.counted(expected, expected, read) if noise.own else expected
-        wide = drawn.double()
-        moments.append(torch.stack([wide.sum(dim=0), wide.square().sum(dim=0)]))
-    mean, square = torch.stack(moments).sum(dim=0) / len(scenes)
+    light = []
+
+    def drawn() -> Iterator[Tensor]:
+        for x in scenes.split(CHUNK):
+            edges = transit.edges((len(x), 1), generator, x.device)
+            expected = transit.means(project(x, shifts), edges) / transit.bins
+            light.append(expected.sum(dim=0))
+            yield expected if noise.kind.unbiased else noise.counted(expected, expected, read)
+
+    mean, power = moments(drawn())
     counts = torch.stack(light).sum(dim=0) / len(scenes)
-    power = (square - mean.square()).clamp(min=0).to(scenes.dtype)
-    if not noise.own:
-        power = power + noise.variance(counts, read)
+    if noise.kind.unbiased:
+        power = power + noise.variance(counts, counts, read)
     std = deviation(power, scale)
-    return mean.to(std).expand_as(std), std, counts.expand_as(std)
+    return mean.expand_as(std), std, counts.expand_as(std)

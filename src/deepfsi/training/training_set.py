@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from deepfsi.base import InputError
-from deepfsi.camera import ONE_DETECTOR, DetectorMap, LightLawName, summed_reflectance
+from deepfsi.camera import LIGHT_LAWS, ONE_DETECTOR, DetectorMap, LightLawName, summed_reflectance
 from deepfsi.datasets import Dataset
 from deepfsi.design.values import Values
 from deepfsi.designfile import TrainingScenes
@@ -18,7 +18,7 @@ from deepfsi.jobs import (
     count_allowed,
     sensing_matrix,
 )
-from deepfsi.optics.detection import Detection
+from deepfsi.physics import Detection
 
 Matrices = dict[tuple[str, int, int, tuple[int, ...] | None], np.ndarray]
 """Sensing matrices (m, N) by design, number of masks, seed and detectors."""
@@ -70,14 +70,13 @@ class TrainingSet:
         """Which pixels (N,) learned masks may light."""
         # The light of one that never varies is noise and no information, so it stays dark, except
         # on two arms, where what one does not get the other does
-        return torch.ones_like(self.varying) if light == "two-arm" else self.varying
+        return torch.ones_like(self.varying) if LIGHT_LAWS[light].arms == 2 else self.varying
 
-    def centred(self, light: LightLawName, kind: torch.dtype, detection: Detection) -> Tensor:
-        """Those pixels of the training scenes, less their mean, and the mean as the last row."""
+    def centred(self, pixels: Tensor, kind: torch.dtype, detection: Detection) -> Tensor:
+        """Pixels (N,) of the training scenes, less their mean, and the mean as the last row."""
         # The products of the last row with the masks, added to those of a scene, give the scene's
         # own; centred, little is lost in bfloat16. Exactly 0 where a pixel never varies, so that it
         # moves no mask through rounding. Arranged by the detectors that see them
-        pixels = self.pixels(light)
         key = (kind, bool(pixels.all()), detection.key)
         if key not in self._centred:
             mean = torch.where(self.varying, self.full.mean(dim=0), self.full[0])

@@ -20,7 +20,7 @@ import numpy as np
 
 from deepfsi.base import Progress
 from deepfsi.base.numeric import Difference, mean_of_trials
-from deepfsi.camera import DmdLayout, find_device, find_grid
+from deepfsi.camera import LIGHT_LAWS, DmdLayout, find_device, find_grid
 from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.hardware.calibration import (
@@ -306,7 +306,7 @@ def export(design: Design, repeats: int, folder: Path) -> Patterns:
     """
     rails = design.rails.stacked.numpy()
     frames = int((rails.max(axis=-1) > 0).sum())
-    share = float(rails.max()) if design.light == "equal-dwell" else 1 / frames
+    share = float(rails.max()) if LIGHT_LAWS[design.light].equal_times else 1 / frames
     dwell = 1.01 * repeats * max(EXPOSURES) * share + DEVICE.settle_us * 1e-6
     return export_patterns(
         DesignRails(rails, design.light, design.image_shape, design.summed_reflectance),
@@ -384,7 +384,7 @@ def design_groups(results: Results) -> list[Group]:
     groups: dict[str, list[Point]] = {}
     for point in results.points:
         if point.best:
-            name = point.design if point.light == "equal-dwell" else FREE
+            name = point.design if LIGHT_LAWS[point.light].equal_times else FREE
             groups.setdefault(name, []).append(point)
     return [*groups.items()]
 

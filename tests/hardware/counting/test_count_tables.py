@@ -21,7 +21,7 @@ from deepfsi.hardware.patterns import (
     read_patterns,
 )
 from deepfsi.hardware.virtual import VirtualCamera, arrival_rates
-from deepfsi.optics import constraints
+from deepfsi.physics import light_law
 
 SHAPE, PIXELS, S_BAR = (3, 4), 12, 7.0
 
@@ -50,7 +50,7 @@ FLUX, DARK = 1e12, 1e9
 def design_of(light: str, rails: str, cells=None) -> DesignRails:
     wild = np.random.default_rng(3).random((5, PIXELS)) - (0.5 if rails == "dual" else 0)
     wild[1] = abs(wild[1])  # of two rails, one that is dark
-    fitted = constraints.fit(torch.from_numpy(wild), light, rails).numpy()
+    fitted = light_law(light).fit(torch.from_numpy(wild), rails).numpy()
     detectors = None if cells is None else DetectorMap(count=max(cells) + 1, cells=cells)
     return DesignRails(fitted, light, SHAPE, S_BAR, None, None, detectors)
 

@@ -28,8 +28,7 @@ from deepfsi.hardware.patterns import (
     unpack,
 )
 from deepfsi.hardware.patterns.folder import hash_mirrors
-from deepfsi.optics import constraints
-from deepfsi.optics.grey_levels import quantise
+from deepfsi.physics import SLACK, light_law
 
 every_shown = pytest.mark.parametrize(
     ("design", "light", "rails"),
@@ -61,7 +60,7 @@ def test_the_realised_matrix_is_the_design_in_steps_of_each_peak(
     manifest = shown.manifest
     # `quantise` also mends what rounding breaks of a column design; dimming leaves no need for it
     law = "free-dwell" if light == "column" else light
-    wanted = quantise(given, law, manifest.grid.mirrors + 1) * manifest.dimmed
+    wanted = light_law(law).quantise(given, manifest.grid.mirrors + 1) * manifest.dimmed
     tolerance = FLOAT32 if light == "two-arm" else 1e-12  # arms sum to one time in float32 only
     assert np.allclose(shown.rails, wanted.numpy(), rtol=tolerance, atol=1e-15)
 
@@ -70,16 +69,16 @@ def test_the_realised_matrix_is_the_design_in_steps_of_each_peak(
     assert len(manifest.frames) == int((lit > 0).sum()) + 4
     assert manifest.shares == pytest.approx((lit[lit > 0] * manifest.dimmed).tolist(), rel=1e-12)
     assert manifest.shares.sum() <= 1 + 1e-12
-    assert constraints.excess(torch.from_numpy(shown.rails), law) <= FLOAT32
+    assert light_law(law).excess(torch.from_numpy(shown.rails)) <= FLOAT32
     if light != "column":
-        assert manifest.dimmed >= 1 - constraints.SLACK
+        assert manifest.dimmed >= 1 - SLACK
     else:
         assert manifest.dimmed == pytest.approx(min(1, 1 / float(lit.sum())), rel=1e-12)
     assert np.array_equal(check_patterns(tmp_path / "p").on, shown.on)
 
 
 def test_column_designs_are_dimmed_and_say_by_how_much(tmp_path):
-    rails = constraints.fit(torch.from_numpy(hadamard(16)).double(), "column").numpy()
+    rails = light_law("column").fit(torch.from_numpy(hadamard(16)).double()).numpy()
     shown = export(tmp_path / "p", rails, "column")
     assert shown.manifest.dimmed == pytest.approx(16 / 31, rel=1e-12)  # 31 frames of peak 1/16
     assert np.allclose(shown.rails, rails * 16 / 31, rtol=1e-12)
@@ -106,7 +105,7 @@ def test_one_frame_serves_both_arms(tmp_path):
     signed = torch.from_numpy(np.random.default_rng(1).uniform(-1, 1, (3, 16)))
     signed[1] = 0
     signed[2] = -1  # its positive rail is dark, and is shown all the same
-    rails = constraints.fit(signed, "two-arm").numpy()
+    rails = light_law("two-arm").fit(signed).numpy()
     shown = export(tmp_path / "p", rails, "two-arm")
     masks = [frame for frame in shown.manifest.frames if frame.role == "mask"]
     assert [(frame.mask, frame.rail) for frame in masks] == [(0, "both"), (2, "both")]

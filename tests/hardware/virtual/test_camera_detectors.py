@@ -29,8 +29,7 @@ from deepfsi.hardware.virtual import (
     record_scenes,
 )
 from deepfsi.hardware.virtual.camera import write_photons
-from deepfsi.optics import constraints
-from deepfsi.optics.detection import Detection
+from deepfsi.physics import Detection, light_law
 from deepfsi_paper.camera.gate_counts import draw_counts
 
 CELLS = (0, 0, 1, 2, 0, 0, 1, 2, 3, 3, 3, 2)
@@ -45,7 +44,7 @@ every_optics = pytest.mark.parametrize(("light", "rails"), OPTICS)
 
 def design_of(light: str, rails: str, cells=CELLS) -> DesignRails:
     wild = np.random.default_rng(3).random((5, 12)) - (0.5 if rails == "dual" else 0)
-    fitted = constraints.fit(torch.from_numpy(wild), light, rails).numpy()
+    fitted = light_law(light).fit(torch.from_numpy(wild), rails).numpy()
     detectors = None if cells is None else DetectorMap(count=max(cells) + 1, cells=cells)
     return DesignRails(fitted, light, SHAPE, SUMMED_REFLECTANCE, None, None, detectors)
 
@@ -58,7 +57,7 @@ def expected(shown, x, photons) -> np.ndarray:
     """Mean counts of each detector by the scanner, (S, rails, m, D)."""
     scanner = Scanner.from_rails(
         torch.from_numpy(shown.rails),
-        detection=Detection.of(DetectorMap.of(np.array(CELLS), SHAPE)),
+        detection=Detection.by(DetectorMap.of(np.array(CELLS), SHAPE)),
     )
     flat = torch.from_numpy(x.reshape(len(x), -1).astype(np.float64))
     rates = scanner.rates(flat * (photons / SUMMED_REFLECTANCE)).numpy()

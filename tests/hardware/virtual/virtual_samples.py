@@ -8,7 +8,7 @@ import torch
 from deepfsi.base import Progress
 from deepfsi.camera import Device, DmdLayout
 from deepfsi.hardware.patterns import DesignRails, FrameSettings, export_patterns
-from deepfsi.optics import constraints
+from deepfsi.physics import light_law
 
 DEVICE = Device(name="small", columns=36, rows=26, shortest_us=10, settle_us=2)
 SHAPE = (3, 4)
@@ -23,7 +23,7 @@ def patterns(folder: Path, light: str = "equal-dwell", rails: str = "dual", mask
     """Export random masks, one of them with a dark rail."""
     wild = np.random.default_rng(3).random((masks, 12)) - (0.5 if rails == "dual" else 0)
     wild[1] = abs(wild[1])
-    fitted = constraints.fit(torch.from_numpy(wild), light, rails).numpy()
+    fitted = light_law(light).fit(torch.from_numpy(wild), rails).numpy()
     design = DesignRails(fitted, light, SHAPE, SUMMED_REFLECTANCE)
     settings = FrameSettings(DEVICE, dwell, layout=DmdLayout(stretch=True))
     return export_patterns(design, settings, folder)

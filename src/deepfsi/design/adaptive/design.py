@@ -32,8 +32,7 @@ from deepfsi.designfile import (
     trained_camera,
 )
 from deepfsi.jobs import AdaptiveMasks
-from deepfsi.optics.detection import Detection
-from deepfsi.optics.surroundings import library_defaults
+from deepfsi.physics import Detection, library_defaults
 
 MOST_EXPOSURES = 32
 """Exposures that are computed at a time, at most: a thousand of them take twice as long each."""
@@ -116,7 +115,7 @@ class AdaptiveDesign:
     @property
     def detection(self) -> Detection:
         """Detectors on parts of the device."""
-        return Detection.of_camera(self.camera, self.image_shape)
+        return Detection.of(self.camera, self.image_shape)
 
     @cached_property
     def scene_model(self) -> SceneModel | None:

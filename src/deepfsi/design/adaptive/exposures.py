@@ -11,7 +11,7 @@ from deepfsi.design.adaptive.choice import next_masks
 from deepfsi.design.adaptive.posterior import AdaptivePosterior
 from deepfsi.design.adaptive.prior import ScenePrior
 from deepfsi.jobs import AdaptiveMasks
-from deepfsi.optics.noise import poisson
+from deepfsi.physics import Poisson
 
 AT_ONCE = 2**22
 """Log-likelihoods that are held at a time."""
@@ -32,7 +32,7 @@ def look_at(state: AdaptivePosterior, x: Tensor, share: float, generator: torch.
     """Next look at scenes (b, N) for a share of the exposure, which the state does not know yet."""
     masks = next_masks(state, share, generator)
     expected = state.expected(masks, x, share)
-    return Look(masks, poisson(expected, generator), expected - state.optics.dark * share)
+    return Look(masks, Poisson().draw(expected, generator), expected - state.optics.dark * share)
 
 
 def expose(

@@ -6,7 +6,7 @@ the range to -1 .. 1, and the share of masks shown. Features of masks not shown 
 
 The first k masks, brought to what the whole sequence takes of the light law, see a scene as
 they do within the sequence at a budget that is larger by the inverse of their share of it,
-`used` (`constraints.used`). So one number stands for both, the conditioning budget Φ / used.
+`used` (`LightLaw.used`). So one number stands for both, the conditioning budget Φ / used.
 """
 
 import math
@@ -18,12 +18,10 @@ from torch import Tensor
 from torch.nn import functional
 
 from deepfsi.base import InputError
-from deepfsi.camera import LightLawName
+from deepfsi.camera import LIGHT_LAWS, LightLawName
 from deepfsi.design.exposure.trained import TrainedExposure
 from deepfsi.jobs import ConditionedEntry, Job
-from deepfsi.optics import constraints
-from deepfsi.optics.features import mean_over_exposures
-from deepfsi.optics.rails import Rails
+from deepfsi.physics import Rails, light_law
 
 ALL_MASKS_SHARE = 0.25
 """Share of the exposures of nested masks in training that show all of them."""
@@ -69,11 +67,11 @@ class ConditionedExposure(TrainedExposure):
         """
         if not self.nested:
             return rails
-        return rails / constraints.used(rails, light)[..., -1:][..., None, None]
+        return rails / light_law(light).used(rails)[..., -1:][..., None, None]
 
     def drawn(self, rails: Tensor, light: LightLawName) -> tuple[Tensor, Tensor]:
         """Noise of each feature in the mean over budgets and masks shown, and how often."""
-        used = constraints.used(rails, light)
+        used = light_law(light).used(rails)
         each = mean_over_exposures(used, self.span, self.chances.to(used))
         later, often = (part.repeat_interleave(self.width, dim=-1) for part in each)
         return later, often
@@ -115,13 +113,13 @@ class ConditionedExposure(TrainedExposure):
         fewest = self.fewest_masks(masks)
         if fewest == masks:
             return super().stops(rails, light)
-        if light == "column":
+        if not LIGHT_LAWS[light].one_device:
             raise InputError(
                 "under the column constraint all masks see light at once, so that stopping saves "
                 "nothing: use a design for one device, {light:free-dwell} or equal-dwell",
                 setting="light",
             )
-        used = constraints.used(rails.stacked, light)[fewest - 1 :]
+        used = light_law(light).used(rails.stacked)[fewest - 1 :]
         return tuple(range(fewest, masks + 1)), (used / used[-1]).double().cpu().numpy()
 
     def inputs(self, scaled: Tensor, ratio: Tensor, shown: Tensor) -> Tensor:
@@ -140,3 +138,12 @@ class ConditionedExposure(TrainedExposure):
 def first(count: int, shown: Tensor) -> Tensor:
     """Mask (..., count), true for the first `shown` (..., 1)."""
     return torch.arange(count, device=shown.device) < shown
+
+
+def mean_over_exposures(used: Tensor, span: float, chances: Tensor) -> tuple[Tensor, Tensor]:
+    """Noise of each mask in the mean over the budgets and numbers of masks of a training."""
+    # used (R or 1, m); chances (m,)
+    dim = (1 - 1 / span) / math.log(span) if span > 1 else 1.0
+    later = (chances * used / used[..., -1:]).flip(-1).cumsum(-1).flip(-1)
+    often = chances.flip(-1).cumsum(-1).flip(-1)
+    return dim * later / often, often

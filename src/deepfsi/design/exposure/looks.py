@@ -25,10 +25,7 @@ from deepfsi.design.exposure.trained import Observation, Read, Show, TrainedExpo
 from deepfsi.design.readout_fit import find_distribution
 from deepfsi.designfile import ReadoutDistribution
 from deepfsi.jobs import LARGEST_SCORE, ExposureEntry, Job, Looks, LooksEntry
-from deepfsi.optics import constraints
-from deepfsi.optics.detection import Detection
-from deepfsi.optics.masks import LearnedMasks, through
-from deepfsi.optics.rails import Rails
+from deepfsi.physics import Detection, LearnedMasks, Rails, light_law, through
 
 _Dwell = TypeVar("_Dwell", bound=Any)  # array or tensor
 
@@ -47,8 +44,8 @@ class Dwells:
 
     @classmethod
     def of(cls, masks: int, light: str, rails: str) -> "Dwells":
-        """Dwells of m masks; parameters as for `constraints.expand`, whose `rails` these are."""
-        return cls(masks, rails == "dual" and light != "two-arm")
+        """Dwells of m masks under a light law, of so many rails."""
+        return cls(masks, rails == "dual" and LIGHT_LAWS[light].arms == 1)
 
     @property
     def count(self) -> int:
@@ -134,19 +131,16 @@ class LooksExposure(TrainedExposure):
 
     def check(self, rails: Rails, light: LightLawName, image_shape: tuple[int, ...]) -> None:
         """Raise `ValueError` unless rails can be exposed so; parameters as for `Design`."""
-        same: LightLawName = "two-arm" if light == "two-arm" else "equal-dwell"
-        equal = constraints.excess(rails.stacked, same) < constraints.SLACK
-        if light == "two-arm":
-            equal &= float(rails.total.max()) * rails.masks < 1 + constraints.SLACK
+        equal = light_law(light).has_equal_dwells(rails.stacked)
         if not (equal and LIGHT_LAWS[light].looks):
             raise ValueError("dwells are chosen for frames of one device that all have the same")
 
     def learned_masks(self, start: Tensor, camera: Camera, levels: int) -> LearnedMasks:
         """Masks that learn as frames of equal dwells: theirs are chosen later."""
-        if camera.light != "two-arm":
-            return LearnedMasks(start, "equal-dwell", camera.rails, levels)
-        masks = LearnedMasks(start, camera.light, camera.rails, levels)
-        masks.dwell.requires_grad_(False)  # equal from the start
+        law = light_law(camera.light).of_equal_dwells
+        masks = LearnedMasks(start, law.name, camera.rails, levels)
+        if "dwell" in dict(masks.named_parameters()):
+            masks.dwell.requires_grad_(False)  # equal from the start
         return masks
 
     def final(self, rails: Tensor, light: LightLawName) -> Tensor:
@@ -156,7 +150,7 @@ class LooksExposure(TrainedExposure):
 
     def fixed(self, rails: Tensor, light: LightLawName) -> Tensor:
         """Rails of which every frame has the same dwell and peak."""
-        return rails if light == "two-arm" else constraints.equalise(rails)
+        return light_law(light).equalise(rails)
 
     def input_count(self, features: int) -> int:
         """Number of the classifier's inputs: features and dwells."""

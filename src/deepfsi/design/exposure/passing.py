@@ -11,10 +11,7 @@ from deepfsi.base import InputError
 from deepfsi.camera import LightLawName
 from deepfsi.design.exposure.trained import Observation, TrainedExposure
 from deepfsi.jobs import STATIC, ExposureEntry, Job, Passing, PassingEntry
-from deepfsi.optics.grey_levels import check_levels
-from deepfsi.optics.rails import Rails
-from deepfsi.optics.scanner import Scanner, project
-from deepfsi.optics.transit import FixedPattern, Transit, in_levels
+from deepfsi.physics import FixedPattern, Rails, Scanner, ScenePath, in_levels, project
 
 MEAN_OF = 1024
 """Transits whose mean is taken for expected counts of all."""
@@ -27,7 +24,7 @@ class PassingExposure(TrainedExposure):
     The masks' rails are those of the transit without jitter.
     """
 
-    transit: Transit
+    transit: ScenePath
     pattern: Tensor | None = None  # (H, P), from the end of the training on
     kind = "passing"
     comparable: ClassVar[bool] = False
@@ -60,7 +57,7 @@ class PassingExposure(TrainedExposure):
             raise ValueError("the pattern is not of these scenes")
         if float(pattern.min()) < 0 or float(pattern.max()) > 1:
             raise ValueError("the pattern is not between dark and open")
-        path = Transit(
+        path = ScenePath(
             shape=entry.shape,
             width=width,
             bins=entry.bins,
@@ -78,7 +75,7 @@ class PassingExposure(TrainedExposure):
         asked = job.exposure
         assert isinstance(asked, Passing)
         height, columns = image_shape
-        path = Transit(
+        path = ScenePath(
             shape=(height, columns),
             width=asked.columns(image_shape),
             bins=asked.bins,
@@ -118,7 +115,6 @@ class PassingExposure(TrainedExposure):
         self, rails: Tensor, light: LightLawName, levels: int
     ) -> tuple[Tensor, "PassingExposure"]:
         """Rails and exposure of the pattern in grey levels."""
-        check_levels(levels)
         shown = in_levels(self.passed, levels)
         return self.transit.matrix(shown).unsqueeze(0), replace(self, pattern=shown)
 

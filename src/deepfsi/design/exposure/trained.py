@@ -14,17 +14,12 @@ import torch
 from torch import Tensor, nn
 
 from deepfsi.base import InputError
-from deepfsi.camera import Camera, LightLawName
+from deepfsi.camera import LIGHT_LAWS, Camera, LightLawName
 from deepfsi.design.classifiers import Mlp
 from deepfsi.design.readout_fit import find_distribution
 from deepfsi.designfile import ReadoutDistribution
 from deepfsi.jobs import ExposureEntry, FixedEntry, Job, Patches, PatchesEntry, cut_patches
-from deepfsi.optics import constraints
-from deepfsi.optics.detection import Detection
-from deepfsi.optics.grey_levels import quantise
-from deepfsi.optics.masks import LearnedMasks
-from deepfsi.optics.rails import Rails
-from deepfsi.optics.scanner import Scanner
+from deepfsi.physics import Detection, LearnedMasks, Rails, Scanner, light_law
 
 Read = Callable[[Tensor, Tensor | float], Tensor]
 """From expected counts (..., rails, m · D), and dwells over the usual ones of the same shape, to
@@ -113,7 +108,7 @@ class TrainedExposure:
         self, rails: Tensor, light: LightLawName, levels: int
     ) -> tuple[Tensor, "TrainedExposure"]:
         """Rails (2 or 1, m, N) in grey levels, and the kind that shows them."""
-        return quantise(rails, light, levels), self
+        return light_law(light).quantise(rails, levels), self
 
     def front(self, rails: Tensor) -> Tensor:
         """Rails (2 or 1, m, N) of the scanner that reads scenes."""
@@ -147,7 +142,7 @@ class TrainedExposure:
 
     def drawn(self, rails: Tensor, light: LightLawName) -> tuple[Tensor, Tensor] | None:
         """Noise of each feature in the mean over exposures, and how often it is read."""
-        # As `features.feature_statistics` takes it; None where all exposures are alike
+        # As the statistics of a training take it; None where all exposures are alike
         return None
 
     def input_count(self, features: int) -> int:
@@ -257,9 +252,9 @@ class TrainedExposure:
     ) -> Tensor | None:
         """Share (m,) of the exposure that each mask is shown; None where the law has no dwells."""
         # Of several looks those of the first, which are the same for every scene
-        if light == "column":
+        if not LIGHT_LAWS[light].one_device:
             return None
-        shares = constraints.used(rails.stacked, light)
+        shares = light_law(light).used(rails.stacked)
         return torch.diff(shares, prepend=shares.new_zeros(1))
 
     def check_frames(self) -> None:

@@ -8,7 +8,7 @@ its image on the device does not change the light on a mirror that still sees it
 mirrors beyond the cells. One arm sees those that are ON; on two arms a second detector sees the
 others.
 
-It shares nothing with `optics.noise` and the scanner, so that each checks the other: with the
+It shares nothing with `physics.noise` and the scanner, so that each checks the other: with the
 ideal camera a gate's counts are Poisson, with the scanner's mean.
 """
 

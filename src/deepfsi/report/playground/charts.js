@@ -134,7 +134,7 @@ export function drawCounts(holder, model, counts, most, now, names) {
     add("path", { class: rail ? "minus" : "plus", d: chart.path(rail, places(model.masks)) });
   });
   const scaled = root ? " (square-root scale)" : "";
-  const rails = model.light === "two-arm" ? ["one direction", "the other"] : ["positive rail", "negative rail"];
+  const rails = model.law.arms === 2 ? ["one direction", "the other"] : ["positive rail", "negative rail"];
   if (!dual) add("text", { x: 0, y: 10 }, `${names.counts}${scaled}`);
   else {
     add("text", { x: 0, y: 10, class: "strong" }, `${names.counts}${scaled}: ${rails[0]}`);

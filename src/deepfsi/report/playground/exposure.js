@@ -16,14 +16,14 @@ function framesOf(model, dwell = null, look = 0) {
   const lit = model.peaks.flat().filter((peak) => peak > 0).length;
   for (let mask = 0; mask < model.masks; mask++) {
     const peaks = model.peaks.map((rail) => rail[mask]);
-    if (model.light === "two-arm") {
+    if (model.law.arms === 2) {
       const share = dwell ? dwell[mask] : model.entry(0, mask, 0) + model.entry(1, mask, 0);
       add(mask, [0, 1], share, dwell ? share * model.dwells : 1);
       continue;
     }
     peaks.forEach((peak, rail) => {
       const chosen = dwell && dwell[model.eachRail ? 2 * mask + rail : mask];
-      const own = model.light === "equal-dwell" ? 1 / lit : peak;
+      const own = model.law.equal_times ? 1 / lit : peak;
       add(mask, [rail], chosen ?? (peak > 0 ? own : 0), dwell ? chosen * model.dwells : 1);
     });
   }
@@ -42,7 +42,7 @@ function slicesOf(model) {
 export class Frames {
   constructor(model, scene, photons, seed) {
     Object.assign(this, { model, scene, photons, seed, frames: [], answers: new Map(), stop: null });
-    this.together = model.light === "column";
+    this.together = !model.law.one_device;
     this.unlike = model.unlike(scene);
     this.rule = this.unlike ? null : model.rule(photons);
   }

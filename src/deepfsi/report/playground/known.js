@@ -98,7 +98,7 @@ export class KnownView {
     const { mask, rails, share } = frame;
     const [rail] = rails;
     const pattern = Array.from({ length: model.pixels }, (_, i) => model.entry(rail, mask, i));
-    let peak = model.light === "equal-dwell" ? share : model.peaks[rail][mask]; // of a mirror that is always ON
+    let peak = model.law.equal_times ? share : model.peaks[rail][mask]; // of a mirror that is always ON
     if (rails.length > 1) peak = model.entry(0, mask, 0) + model.entry(1, mask, 0);
     const device = pattern.map((each) => each / peak);
     const { high } = model.scenes;
@@ -143,14 +143,14 @@ export class KnownView {
       tile(canvas, model.image_shape, count, Math.ceil(Math.sqrt(count)), (mask, i) => {
         const share = value(mask, i) / peaks[mask];
         if (model.rails === 1) return share;
-        if (model.light === "two-arm") return (1 + value(mask, i) / dwells[mask]) / 2;
+        if (model.law.arms === 2) return (1 + value(mask, i) / dwells[mask]) / 2;
         const bright = share > 0 ? [86, 180, 255] : [255, 125, 59];
         return bright.map((each) => each * Math.abs(share));
       });
     }
     if ($("passed")) $("passed").hidden = true;
     const some = count < model.masks ? `The first ${count} of ${model.masks} masks` : `All ${model.masks} masks`;
-    const dual = model.light === "two-arm" ? " White goes in one direction, black in the other." : " Blue is counted by the positive rail, orange by the negative one.";
+    const dual = model.law.arms === 2 ? " White goes in one direction, black in the other." : " Blue is counted by the positive rail, orange by the negative one.";
     const signs = model.rails === 2 ? dual : " White is counted, black is not.";
     $("mask-words").textContent = `${some}, each to its own brightest value.${this.spectrum ? "" : signs}`;
   }

@@ -49,6 +49,7 @@ function shareOut(dwell, shortest) {
 export class Design {
   constructor(payload) {
     Object.assign(this, payload);
+    this.law = LAW; // facts of its light law, which the page begins with
     this.pixels = payload.image_shape.reduce((a, b) => a * b);
   }
 
@@ -96,7 +97,7 @@ export class Model extends Design {
     model.masks = model.matrix.length / model.pixels;
     model.features = model.mean.length;
     model.looks = payload.exposure.looks ?? 1;
-    model.eachRail = model.rails === 2 && model.light !== "two-arm";
+    model.eachRail = model.rails === 2 && model.law.arms === 1;
     model.dwells = model.masks * (model.eachRail ? 2 : 1);
     model.frames = model.findFrames();
     model.peaks = model.findPeaks();

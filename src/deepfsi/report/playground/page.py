@@ -8,6 +8,7 @@ from pathlib import Path
 from markupsafe import Markup
 
 from deepfsi.base import write_atomically
+from deepfsi.camera import LIGHT_LAWS
 from deepfsi.report.playground.words import Payload, detectors_text, facts_of, lead_text, masks_text
 from deepfsi.report.rendering import render
 
@@ -26,6 +27,7 @@ def write_page(path: str | os.PathLike[str], payload: Payload) -> Path:
     page = render(
         "playground/page.html.jinja",
         payload=payload,
+        law=LIGHT_LAWS[payload["light"]],
         script=Markup(bundle()),
         title=f"A class from few photons: {payload['data']['name']} through {masks_text(payload)}",
         lead=lead_text(payload),

@@ -34,13 +34,13 @@ def masks_text(payload: Payload) -> str:
 
 def detectors_text(payload: Payload) -> str:
     """Number of detectors, and which light each of them has."""
-    # The law `column` divides the light, and what is divided is counted at the same time
-    light, parts = payload["light"], payload["detectors"]
-    counts = {"two-arm": 2, "column": payload["rails"] * _masks(payload)}
-    kinds = {"two-arm": "one on each arm", "column": f"one for {_readout(payload)}"}
-    words = [kinds[light]] if light in kinds else []
+    # Where the light is divided, what is divided is counted at the same time
+    law, parts = LIGHT_LAWS[payload["light"]], payload["detectors"]
+    count, words = law.arms, ["one on each arm"] if law.arms == 2 else []
+    if not law.one_device:
+        count, words = payload["rails"] * _masks(payload), [f"one for {_readout(payload)}"]
     words += ["each on its part of the scene"] if parts > 1 else []
-    return ", ".join([str(parts * counts.get(light, 1)), *words])
+    return ", ".join([str(parts * count), *words])
 
 
 def _readout(payload: Payload) -> str:

@@ -18,10 +18,16 @@ from deepfsi.camera import RailsKind
 
 @dataclass(frozen=True, eq=False)
 class Rails:
-    """Rails of masks (..., m, N), leading axes replicas, as their difference and total."""
+    """Rails of masks (..., m, N), leading axes replicas, as their difference and total.
 
-    difference: Tensor  # M⁺ − M⁻
-    _total: Tensor | None = None  # M⁺ + M⁻; None for one rail
+    Parameters
+    ----------
+    difference, total : tensor, shape (..., m, N)
+        M⁺ − M⁻ and M⁺ + M⁻; of one rail there is no total.
+    """
+
+    difference: Tensor
+    _total: Tensor | None = None
     # The rails that these are of: the two sums alone give M⁺ and M⁻ back but for rounding
     _stacked: Tensor | None = None
 
@@ -97,7 +103,7 @@ class Rails:
             return self
         return Rails(self.stacked.transpose(-3, -2).flatten(-3, -2))
 
-    def each(self, change: Callable[..., Tensor], *others: "Rails") -> "Rails":
+    def map(self, change: Callable[..., Tensor], *others: "Rails") -> "Rails":
         """Rails whose difference is `change` of the difference (and the others'), total alike."""
         difference = change(self.difference, *(other.difference for other in others))
         if self._total is None:

@@ -22,10 +22,8 @@ from conftest import (
 from deepfsi import Scanner, evaluate
 from deepfsi.datasets import load_dataset
 from deepfsi.jobs import sensing_matrix
-from deepfsi.optics import constraints
-from deepfsi.optics.detection import ONE
-from deepfsi.optics.noise import variance
-from deepfsi.optics.rails import Rails
+from deepfsi.physics import ONE, Rails, frames, light_law
+from deepfsi.physics.noise import Expectation, make_noise
 from deepfsi.training.learning import train
 from deepfsi.training.training_set import TrainingSet
 from shared.jobs import job as job_of
@@ -42,7 +40,7 @@ SCENES = {
 
 def readouts(rails: Tensor) -> Tensor:
     """All readouts that are not dark, (F, N), float64."""
-    return constraints.frames(rails).double()
+    return frames(rails).double()
 
 
 def separation(masks: Tensor, power: Tensor, difference: Tensor) -> Tensor:
@@ -79,7 +77,7 @@ def test_padding_takes_no_light_from_the_laws(design):
 
 @every_design
 def test_every_constraint_implies_the_flux_bound(made, design, light, rails):
-    assert constraints.excess(made(design, light, rails).rails.stacked, "column") <= FLOAT32
+    assert light_law("column").excess(made(design, light, rails).rails.stacked) <= FLOAT32
 
 
 def scan(design: str, digits) -> Tensor:
@@ -87,7 +85,7 @@ def scan(design: str, digits) -> Tensor:
     matrix = torch.from_numpy(sensing_matrix(design, N, digits))
     if design == "raster":
         return matrix.unsqueeze(0)
-    return constraints.fit(matrix, "column")
+    return light_law("column").fit(matrix)
 
 
 def scene(name: str, digits) -> Tensor:
@@ -98,7 +96,8 @@ def scene(name: str, digits) -> Tensor:
 def analytic_error(rails: Tensor, photons: Tensor, noise: str, sigma: float) -> float:
     """Pixel mean of the variance of the reconstruction M⁻¹ y."""
     both = Rails.of(rails)
-    power = variance(photons @ both.total.T, ONE.readouts(both).lit, noise, sigma)
+    light = Expectation(photons @ both.difference.T, photons @ both.total.T, ONE.readouts(both))
+    power = make_noise(noise, sigma=sigma).variance(light)
     return float((torch.linalg.inv(both.difference).square() @ power).mean())
 
 
@@ -148,7 +147,7 @@ def test_hadamard_on_one_device(digits, name):
         ("free-dwell", frames / N, frames**3 / N**4),
         ("two-arm", 1.0, frames / N**2),
     ):
-        hadamard = constraints.fit(matrix, light)
+        hadamard = light_law(light).fit(matrix)
         for noise, ratio in (("poisson", photon_noise), ("gaussian", read_noise)):
             errors = [analytic_error(rails, photons, noise, 3.0) for rails in (hadamard, raster)]
             assert errors[0] / errors[1] == pytest.approx(ratio, rel=1e-6)

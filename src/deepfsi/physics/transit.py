@@ -19,24 +19,39 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from deepfsi.optics.detection import Readouts
-from deepfsi.optics.masks import FixedMasks, LearnedMasks, through
-from deepfsi.optics.rails import Rails
+from deepfsi.physics.detection import Readouts
+from deepfsi.physics.laws import check_levels, through
+from deepfsi.physics.masks import FixedMasks, LearnedMasks
+from deepfsi.physics.rails import Rails
 
 SLOWEST = 0.01
 """Least speed of an exposure over the mean one, where a draw is less."""
 
 
 @dataclass(frozen=True)
-class Transit:
-    """Path of scenes along a pattern, and its jitter."""
+class ScenePath:
+    """Path of scenes along a pattern, and its jitter.
 
-    shape: tuple[int, int]  # H, W of a scene
-    width: int  # P, columns of the pattern
-    bins: int  # T
-    speed: float  # v, pixels a bin
-    jitter: float = 0.0  # standard deviation of the place, pixels
-    speed_jitter: float = 0.0  # standard deviation of the speed over its mean
+    Parameters
+    ----------
+    shape : tuple of int
+        H and W of a scene.
+    width : int
+        P, columns of the pattern.
+    bins : int
+        T.
+    speed : float
+        v, pixels a bin.
+    jitter, speed_jitter : float
+        Standard deviations of the place, in pixels, and of the speed over its mean.
+    """
+
+    shape: tuple[int, int]
+    width: int
+    bins: int
+    speed: float
+    jitter: float = 0.0
+    speed_jitter: float = 0.0
 
     @property
     def shifts(self) -> int:
@@ -75,7 +90,8 @@ class Transit:
         summed = functional.pad(between.cumsum(dim=-1), (1, 0))
         place = edges.clamp(0, shifts - 1)
         low = place.floor().clamp(max=shifts - 2)
-        part, index = place - low, low.long().expand(*lead, -1)
+        part = place - low
+        index = low.long().expand(*lead, -1)
         here, next_, whole = (
             each.expand(*lead, -1).gather(-1, index + step)
             for each, step in ((correlation, 0), (correlation, 1), (summed, 0))
@@ -86,7 +102,7 @@ class Transit:
     def matrix(self, pattern: Tensor) -> Tensor:
         """Sensing matrix (..., T, N) of a pattern (..., H, P) without jitter."""
         columns = self.every_shift(pattern).transpose(-2, -1)
-        edges = Transit(self.shape, self.width, self.bins, self.speed).edges(
+        edges = ScenePath(self.shape, self.width, self.bins, self.speed).edges(
             (), None, pattern.device
         )
         return self.means(columns, edges).transpose(-2, -1) / self.bins
@@ -104,25 +120,40 @@ class Transit:
 
 
 class FixedPattern(FixedMasks):
-    """A pattern (R, H, P) that does not learn; `forward` gives rails of its nominal matrix."""
+    """A pattern that does not learn; `forward` gives rails of its nominal matrix.
+
+    Parameters
+    ----------
+    pattern : tensor, shape (R, H, P)
+    transit : ScenePath
+    """
 
     pattern: Tensor
 
-    def __init__(self, pattern: Tensor, transit: Transit) -> None:
+    def __init__(self, pattern: Tensor, transit: ScenePath) -> None:
         super().__init__(transit.matrix(pattern).unsqueeze(-3))
         self.transit = transit
         self.register_buffer("pattern", pattern)
 
 
 class LearnedPattern(LearnedMasks):
-    """A pattern that learns, in [0, 1], from a start (R, H, P) of logits.
+    """A pattern that learns, in [0, 1].
 
     Grey levels have the gradient of the continuous pattern, as those of `LearnedMasks`.
+
+    Parameters
+    ----------
+    start : tensor, shape (R, H, P)
+        Logits.
+    transit : ScenePath
+    levels : int
+        Grey levels; 0 for a continuous pattern.
     """
 
-    def __init__(self, start: Tensor, transit: Transit, levels: int = 0) -> None:
+    def __init__(self, start: Tensor, transit: ScenePath, levels: int = 0) -> None:
         nn.Module.__init__(self)
-        self.transit, self.levels = transit, levels
+        self.transit = transit
+        self.levels = levels
         self.weight = nn.Parameter(start)
 
     @property
@@ -141,6 +172,14 @@ class LearnedPattern(LearnedMasks):
 
 
 def in_levels(pattern: Tensor, levels: int) -> Tensor:
-    """A pattern (..., H, P) in grey levels from dark to open."""
+    """A pattern in grey levels from dark to open, or `InputError` if there are too few of them.
+
+    Parameters
+    ----------
+    pattern : tensor, shape (..., H, P)
+    levels : int
+        2 or more, dark included.
+    """
+    check_levels(levels)
     steps = levels - 1
     return (pattern * steps).round() / steps

@@ -8,16 +8,26 @@ from torch.nn.functional import softplus
 
 from conftest import assert_moments, generator
 from deepfsi.base import InputError
-from deepfsi.optics import noise
+from deepfsi.physics import Poisson, Readouts, root
+from deepfsi.physics.noise import (
+    POISSON_LIMIT,
+    Expectation,
+    Gaussian,
+    MlGauss,
+    attach_gradient,
+    make_noise,
+)
 
 DRAWS = 100_000
-LIMIT = noise.POISSON_LIMIT
+ONE_RAIL = Readouts(torch.tensor([[True], [False]]), torch.tensor([[1.0], [0.0]]))
+LIMIT = POISSON_LIMIT
 DEVICES = ["cpu", *["cuda"] * torch.cuda.is_available()]
 RATES = [0, 1e-3, 1, 1e3, math.nextafter(LIMIT, 0), LIMIT, math.nextafter(LIMIT, 1e9), 1e8, 1e10]
 
 
 def drawn(name: str, rate: float, sigma: float = 1.0, dtype=torch.float64) -> torch.Tensor:
-    return noise.readout(torch.full((DRAWS,), rate, dtype=dtype), name, sigma, generator(4))
+    rates = torch.full((DRAWS,), rate, dtype=dtype)
+    return make_noise(name, sigma=sigma).draw(rates, generator(4))
 
 
 @pytest.mark.parametrize("rate", RATES)
@@ -26,7 +36,7 @@ def drawn(name: str, rate: float, sigma: float = 1.0, dtype=torch.float64) -> to
 def test_photon_noise_has_the_rate_as_mean_and_variance(name, rate, device):
     rates = torch.full((DRAWS,), rate, dtype=torch.float64, device=device)
     seeded = torch.Generator(device).manual_seed(4)
-    counts = noise.readout(rates, name, 1.0, seeded).cpu()
+    counts = make_noise(name).draw(rates, seeded).cpu()
     assert_moments(counts, rate, rate, poisson=name == "poisson", rounding=0.5)
 
 
@@ -82,14 +92,14 @@ def test_float32_loses_single_photons_above_2_to_the_24():
 
 def test_bright_and_faint_rates_mix():
     rates = torch.tensor([0.0, 5.0, 1e3, 1e7, 1e10], dtype=torch.float64).repeat(20_000, 1)
-    for column, rate in zip(noise.poisson(rates, generator()).T, rates[0], strict=True):
+    for column, rate in zip(Poisson().draw(rates, generator()).T, rates[0], strict=True):
         assert_moments(column, float(rate), float(rate), poisson=True, rounding=0.5)
 
 
 @pytest.mark.parametrize("name", ["poisson", "ml_gauss", "gaussian"])
 def test_the_same_generator_repeats_and_another_differs(name):
     rate = torch.full((1000,), 50.0)
-    first, again, other = (noise.readout(rate, name, 1.0, generator(s)) for s in (1, 1, 2))
+    first, again, other = (make_noise(name).draw(rate, generator(s)) for s in (1, 1, 2))
     assert torch.equal(first, again)
     assert not torch.equal(first, other)
 
@@ -102,25 +112,26 @@ def test_readouts_are_independent():
 
 def test_trap_exact_poisson_gives_the_rate_no_gradient():
     """Why masks must be trained with ml_gauss, or through `attach_gradient`."""
-    for sample in (torch.poisson, noise.poisson):
-        rate = torch.full((100,), 50.0, requires_grad=True)
-        sample(rate).square().sum().backward()
-        assert (rate.grad == 0).all()
+    rate = torch.full((100,), 50.0, requires_grad=True)
+    torch.poisson(rate).square().sum().backward()
+    assert (rate.grad == 0).all()
+    assert not Poisson().draw(rate).requires_grad
 
 
 def test_trap_torch_normal_gives_no_gradient():
     rate = torch.full((100,), 50.0, requires_grad=True)
     assert not torch.normal(rate.detach(), rate.detach().sqrt()).requires_grad
-    noise.ml_gauss(rate, generator()).square().sum().backward()
+    MlGauss().draw(rate, generator()).square().sum().backward()
     assert (rate.grad != 0).all()
 
 
 def slopes(name: str, rate: float, function) -> torch.Tensor:
     """Gradient of function(y) in the rate of one rail, one for each draw."""
     rates = torch.full((DRAWS,), rate, dtype=torch.float64, requires_grad=True)
-    y = noise.readout(rates, name, 1.0, generator())
-    if name == "poisson":
-        y = noise.attach_gradient(y, rates, rates)
+    kind = make_noise(name)
+    y = kind.draw(rates, generator())
+    if kind.counting:
+        y = kind.gradient(y, Expectation(rates, rates, ONE_RAIL))
     function(y).sum().backward()
     return rates.grad
 
@@ -156,8 +167,8 @@ def test_counts_of_two_rails_follow_mean_and_variance(plus, minus):
     """E[y²] = (r⁺ − r⁻)² + r⁺ + r⁻, whose slopes are ±2 (r⁺ − r⁻) + 1."""
     rates = torch.tensor([plus, minus], dtype=torch.float64).repeat(DRAWS, 1).requires_grad_()
     mean, light = rates[:, 0] - rates[:, 1], rates.sum(dim=1)
-    counts = noise.poisson(rates.detach(), generator())
-    y = noise.attach_gradient(counts[:, 0] - counts[:, 1], mean, light)
+    counts = Poisson().draw(rates, generator())
+    y = attach_gradient(counts[:, 0] - counts[:, 1], mean, light)
     assert torch.equal(y, counts[:, 0] - counts[:, 1])
     y.square().sum().backward()
     for slope, sign in zip(rates.grad.T, (1, -1), strict=True):
@@ -166,10 +177,10 @@ def test_counts_of_two_rails_follow_mean_and_variance(plus, minus):
 
 def test_counts_follow_as_ml_gauss_does_at_the_same_noise():
     rate = torch.tensor([0.3, 4.0, 1e3, 1e8], dtype=torch.float64, requires_grad=True)
-    counts = noise.poisson(rate.detach(), generator())
+    counts = Poisson().draw(rate, generator())
     epsilon = ((counts - rate) / rate.sqrt()).detach()
-    (ours,) = torch.autograd.grad(noise.attach_gradient(counts, rate, rate).sum(), rate)
-    (theirs,) = torch.autograd.grad((rate + noise.root(rate) * epsilon).sum(), rate)
+    (ours,) = torch.autograd.grad(attach_gradient(counts, rate, rate).sum(), rate)
+    (theirs,) = torch.autograd.grad((rate + root(rate) * epsilon).sum(), rate)
     assert torch.allclose(ours, theirs, rtol=1e-12)
 
 
@@ -180,21 +191,66 @@ def test_a_dark_rail_has_a_finite_gradient(name):
 
 def test_gradients_equal_finite_differences():
     rate = torch.tensor([1e-2, 0.3, 1.0, 40.0, 1e3], dtype=torch.float64, requires_grad=True)
-    assert torch.autograd.gradcheck(lambda r: noise.ml_gauss(r, generator()).square(), rate)
-    assert torch.autograd.gradcheck(lambda r: noise.gaussian(r, 2.0, generator()).square(), rate)
+    assert torch.autograd.gradcheck(lambda r: MlGauss().draw(r, generator()).square(), rate)
+    assert torch.autograd.gradcheck(lambda r: Gaussian(2.0).draw(r, generator()).square(), rate)
 
 
 def test_the_root_of_a_dark_rail_has_no_slope():
     rate = torch.tensor([0.0, 4.0], requires_grad=True)
-    noise.root(rate).sum().backward()
+    root(rate).sum().backward()
     assert rate.grad.tolist() == [0.0, 0.25]
 
 
 def test_an_unknown_noise_names_the_closest():
     with pytest.raises(InputError, match="did you mean 'poisson'"):
-        noise.check_noise("poison")
+        make_noise("poison")
 
 
-def test_readout_refuses_an_unknown_noise():
-    with pytest.raises(InputError):
-        noise.readout(torch.ones(3), "poison")
+ALL = [
+    *(make_noise(name) for name in ("none", "poisson", "ml_gauss", "click")),
+    make_noise("gaussian", sigma=3.0),
+    make_noise("camera", sigma=2.0, dark=40.0),
+    make_noise("click", gates=5),
+]
+READ = Readouts(
+    torch.tensor([[True, True, False], [True, False, True]]),
+    torch.tensor([[0.5, 0.3, 0.0], [0.1, 0.0, 0.1]], dtype=torch.float64),
+)
+"""Both rails of a feature are read out, the positive one alone, and the negative one alone."""
+
+
+@pytest.mark.parametrize("noise", ALL, ids=repr)
+@pytest.mark.parametrize("gain", [1.0, 8.0])
+def test_features_have_the_mean_and_the_variance_that_a_noise_claims(noise, gain):
+    """Of two rails, to five standard errors; in units of the gain the variance is over it twice."""
+    rates = torch.tensor([[0.7, 4.0, 0.0], [2.0, 0.0, 0.3]], dtype=torch.float64)
+    every = rates.expand(DRAWS, 2, 3)
+    dark = noise.dark_counts(READ.time)
+    plus, minus = noise.sample(every, READ.active, dark, generator(2)).unbind(dim=1)
+    mean = torch.where(READ.active, noise.mean(rates), 0.0)
+    total, difference = (rates[0] + rates[1]) / gain, (rates[0] - rates[1]) / gain
+    light = Expectation(difference, total, READ, gain)
+    variance = noise.variance(light) / gain
+    drawn = (plus - minus) / gain
+    fourth = (drawn - drawn.mean(dim=0)).pow(4).mean(dim=0) - drawn.var(dim=0).square()
+    error = 5 * (fourth.clamp(min=0) / DRAWS).sqrt() + 1e-12
+    assert ((drawn.var(dim=0) - variance).abs() <= error).all()
+    centre = (mean[0] - mean[1]) / gain
+    assert ((drawn.mean(dim=0) - centre).abs() <= 5 * (variance / DRAWS).sqrt() + 1e-12).all()
+    if not noise.counting:
+        assert torch.allclose(noise.deviation(light).square(), variance)
+
+
+@pytest.mark.parametrize("noise", ALL, ids=repr)
+def test_the_slope_of_a_noise_is_that_of_its_mean(noise):
+    rates = torch.logspace(-3, 2, 20, dtype=torch.float64, requires_grad=True)
+    (slope,) = torch.autograd.grad(noise.mean(rates).sum(), rates)
+    assert torch.allclose(noise.slope(rates), slope)
+
+
+@pytest.mark.parametrize("noise", ALL, ids=repr)
+def test_trainings_side_by_side_have_the_numbers_of_each(noise):
+    both = type(noise).side_by_side([noise, noise], torch.device("cpu"))
+    for name, number in noise.settings.items():
+        kept = both.of_jobs(0).settings[name]
+        assert kept == number if isinstance(number, int) else kept.tolist() == [number]

@@ -9,12 +9,17 @@ from torch import Tensor, nn
 from conftest import assert_moments, every_design, every_optics, generator, light_on
 from deepfsi import Scanner
 from deepfsi.base import InputError
-from deepfsi.optics.constraints import fit
-from deepfsi.optics.detection import ONE
-from deepfsi.optics.masks import FixedMasks, LearnedMasks
-from deepfsi.optics.noise import root
-from deepfsi.optics.rails import Rails
-from deepfsi.optics.scanner import measure, project, project_rails
+from deepfsi.physics import (
+    ONE,
+    FixedMasks,
+    LearnedMasks,
+    Rails,
+    light_law,
+    ml_gauss_features,
+    project,
+    project_rails,
+    root,
+)
 
 DRAWS = 50_000
 RATES = [1e-3, 1.0, 1e3, 1e6, 1.001e6, 1e8, 1e10]
@@ -272,7 +277,7 @@ def test_masks_learn_in_front_of_a_network_of_your_own():
 
 
 def test_fixed_masks_move_with_the_module():
-    scanner = Scanner.from_rails(fit(torch.randn(3, 5, generator=generator()), "column"))
+    scanner = Scanner.from_rails(light_law("column").fit(torch.randn(3, 5, generator=generator())))
     assert {name for name, _ in scanner.named_buffers()} == {"masks.difference", "masks.total"}
     assert not list(scanner.parameters())
 
@@ -301,10 +306,10 @@ def test_the_step_of_training_is_the_scanners_forward_and_its_gradient(
         mean, light_ = project_rails(scenes, shown)
         return mean - project(mean_scene, shown.difference) + root(light_) * epsilon
 
-    given = masks.matrix() if masks.disjoint else masks().combined
+    given = masks().difference if masks.disjoint else masks().combined
     found = []
     for features in (
-        measure(centred, given, epsilon, masks.disjoint),
+        ml_gauss_features(centred, given, epsilon, masks.disjoint),
         expected(),
     ):
         masks.zero_grad()

@@ -5,9 +5,7 @@ import torch
 
 from conftest import generator
 from deepfsi.base import InputError
-from deepfsi.optics.masks import FixedMasks
-from deepfsi.optics.rails import Rails
-from deepfsi.optics.scanner import project, project_rails
+from deepfsi.physics import FixedMasks, Rails, project, project_rails
 
 FLOAT64 = 1e-15
 
@@ -49,11 +47,11 @@ def test_rails_come_back(count):
 @pytest.mark.parametrize("count", [1, 2])
 def test_a_change_is_one_of_difference_and_total(count):
     rails, other = Rails.of(rails_of(count)), Rails.of(2 * rails_of(count))
-    part = rails.each(lambda masks: masks[1:])
+    part = rails.map(lambda masks: masks[1:])
     assert torch.equal(part.difference, rails.difference[1:])
     assert torch.equal(part.total, rails.total[1:])
     assert part.stacked.shape == (2, count, 4, 6)
-    summed = rails.each(torch.add, other)
+    summed = rails.map(torch.add, other)
     assert torch.equal(summed.difference, 3 * rails.difference)
     assert torch.equal(summed.total, 3 * rails.total)
 

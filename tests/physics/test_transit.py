@@ -5,31 +5,37 @@ import pytest
 import torch
 
 from conftest import FLOAT32, assert_moments, generator
-from deepfsi.optics import constraints
-from deepfsi.optics.noise import readout
-from deepfsi.optics.transit import FixedPattern, LearnedPattern, Transit, in_levels
+from deepfsi.physics import (
+    SLACK,
+    FixedPattern,
+    LearnedPattern,
+    Poisson,
+    ScenePath,
+    in_levels,
+    light_law,
+)
 
 FINE = 4
 """Steps of a pixel at which scenes are shifted explicitly."""
 
 PATHS = [
-    Transit((3, 5), 11, 6, 1.0),
-    Transit((3, 5), 11, 7, 0.5),
-    Transit((3, 5), 4, 6, 1.5),  # a pattern narrower than the scene, which it enters and leaves
-    Transit((2, 4), 30, 6, 4.5),
-    Transit((1, 1), 6, 6, 1.0),
+    ScenePath((3, 5), 11, 6, 1.0),
+    ScenePath((3, 5), 11, 7, 0.5),
+    ScenePath((3, 5), 4, 6, 1.5),  # a pattern narrower than the scene, which it enters and leaves
+    ScenePath((2, 4), 30, 6, 4.5),
+    ScenePath((1, 1), 6, 6, 1.0),
 ]
 """Paths whose bins end on the fine grid."""
 
 every_path = pytest.mark.parametrize("path", PATHS, ids=str)
 
 
-def pattern_of(path: Transit, seed: int = 0) -> torch.Tensor:
+def pattern_of(path: ScenePath, seed: int = 0) -> torch.Tensor:
     size = path.shape[0], path.width
     return torch.rand(size, generator=generator(seed), dtype=torch.float64)
 
 
-def explicit(path: Transit, pattern: torch.Tensor, scene: torch.Tensor, delay: int = 0):
+def explicit(path: ScenePath, pattern: torch.Tensor, scene: torch.Tensor, delay: int = 0):
     """Share of a scene's light (T,) in each bin, of a scene moved in steps of 1 / FINE pixels."""
     wide = np.repeat(pattern.numpy(), FINE, axis=1)
     fine = np.repeat(scene.reshape(path.shape).numpy(), FINE, axis=1) / FINE
@@ -68,7 +74,7 @@ def test_a_displaced_scene_counts_as_one_that_is_displaced_explicitly(delay):
 
 @every_path
 def test_photons_are_conserved_at_every_place_and_speed(path):
-    shaken = Transit(path.shape, path.width, path.bins, path.speed, 3.0, 0.2)
+    shaken = ScenePath(path.shape, path.width, path.bins, path.speed, 3.0, 0.2)
     scene = torch.rand(path.shape[0] * path.shape[1], generator=generator())
     open_, grey = (torch.ones(path.shape[0], path.width), pattern_of(path).float())
     edges = shaken.edges((500,), generator(1), scene.device)
@@ -78,17 +84,17 @@ def test_photons_are_conserved_at_every_place_and_speed(path):
         assert (counts.sum(dim=-1) / path.bins).max() <= scene.sum() * (1 + 10 * FLOAT32)
         rails = path.matrix(pattern).unsqueeze(0)
         for law in ("equal-dwell", "free-dwell", "column"):
-            assert constraints.excess(rails, law) <= constraints.SLACK
+            assert light_law(law).excess(rails) <= SLACK
 
 
 def test_an_open_pattern_as_wide_as_the_path_counts_all_light_in_equal_parts():
-    path = Transit((3, 5), 5 + 12, 8, 1.5)
+    path = ScenePath((3, 5), 5 + 12, 8, 1.5)
     matrix = path.matrix(torch.ones(3, 17))
     assert torch.allclose(matrix, torch.full_like(matrix, 1 / 8), rtol=1e-5)
 
 
 def test_rows_of_whole_speeds_are_shifts_of_one_row():
-    path = Transit((2, 4), 4 + 6, 6, 1.0)
+    path = ScenePath((2, 4), 4 + 6, 6, 1.0)
     rows = path.matrix(pattern_of(path)).view(6, 2, 4)
     for t in range(5):
         assert torch.allclose(rows[t, :, 1:], rows[t + 1, :, :-1], atol=1e-6)
@@ -103,7 +109,7 @@ def test_without_jitter_every_exposure_is_that_of_the_matrix():
 
 
 def test_place_and_speed_jitter_as_they_say():
-    path = Transit((2, 4), 40, 8, 1.5, jitter=2.0, speed_jitter=0.1)
+    path = ScenePath((2, 4), 40, 8, 1.5, jitter=2.0, speed_jitter=0.1)
     edges = path.edges((40_000,), generator(), torch.device("cpu"))
     middle, speed = edges[:, 4], edges.diff(dim=-1)
     assert_moments(middle - 22, 0, 4, poisson=False, rounding=1e-4)
@@ -115,7 +121,7 @@ def test_place_and_speed_jitter_as_they_say():
 
 def test_jitter_of_the_place_smooths_the_mean_counts_and_adds_their_variance():
     """On a ramp of the pattern a displacement by d changes a rate by slope · d."""
-    path = Transit((1, 1), 101, 4, 1.0, jitter=2.0)
+    path = ScenePath((1, 1), 101, 4, 1.0, jitter=2.0)
     ramp = torch.linspace(0, 1, 101).unsqueeze(0)
     edges = path.edges((40_000,), generator(), ramp.device)
     counts = path.means(path.every_shift(ramp)[:, 0].expand(40_000, -1), edges)
@@ -137,10 +143,10 @@ def test_the_gradient_of_the_pattern_is_that_of_finite_differences(delay):
 
 
 def test_counts_of_a_displaced_scene_are_poisson_counts():
-    path = Transit((2, 4), 10, 6, 1.0)
+    path = ScenePath((2, 4), 10, 6, 1.0)
     scene = torch.full((8,), 40.0)
     rates = (path.matrix(pattern_of(path).float()) @ scene).expand(20_000, -1)
-    counts = readout(rates, "poisson", generator=generator())
+    counts = Poisson().draw(rates, generator())
     for t in range(6):
         rate = float(rates[0, t])
         assert_moments(counts[:, t], rate, rate, poisson=True)

@@ -12,12 +12,9 @@ from torch import Tensor
 
 from conftest import FIXED, FLOAT32, OPTICS, every_optics, generator, quick, two_valued
 from deepfsi.base import InputError
+from deepfsi.camera import check_light_law
 from deepfsi.jobs import count_allowed, sensing_matrix
-from deepfsi.optics import constraints
-from deepfsi.optics.constraints import SLACK, check, excess, fit, frames
-from deepfsi.optics.grey_levels import quantise
-from deepfsi.optics.masks import LearnedMasks
-from deepfsi.optics.rails import Rails
+from deepfsi.physics import SLACK, LearnedMasks, Rails, frames, light_law
 
 
 def rails_of(masks: torch.nn.Module, rails: str) -> Tensor:
@@ -50,7 +47,7 @@ def test_fitted_designs_use_all_the_light_they_may(digits, design, light, rails)
     matrix = fixed_matrix(design, digits)
     if rails == "single":
         matrix = matrix.abs()
-    fitted = fit(matrix, light, rails)
+    fitted = light_law(light).fit(matrix, rails)
     assert fitted.min() >= 0
     assert limits(fitted, light).max() == pytest.approx(1, rel=FLOAT32)
     if light == "equal-dwell":  # every frame, to its own peak
@@ -63,7 +60,7 @@ def test_fitted_designs_use_all_the_light_they_may(digits, design, light, rails)
 @pytest.mark.parametrize("light", ["column", "free-dwell"])
 def test_one_common_factor_keeps_the_masks_in_proportion(digits, light):
     matrix = fixed_matrix("pca", digits)
-    difference = Rails.of(fit(matrix, light)).difference
+    difference = Rails.of(light_law(light).fit(matrix)).difference
     factor = difference.norm() / matrix.norm()
     assert torch.allclose(difference, matrix * factor, atol=1e-7)
 
@@ -71,8 +68,8 @@ def test_one_common_factor_keeps_the_masks_in_proportion(digits, light):
 @pytest.mark.parametrize("light", ["equal-dwell", "two-arm"])
 def test_each_frame_or_mask_keeps_its_shape(digits, light):
     matrix = fixed_matrix("pca", digits)
-    fitted = fit(matrix, light)
-    parts = constraints.expand(matrix, light) if light == "equal-dwell" else matrix[None]
+    fitted = light_law(light).fit(matrix)
+    parts = light_law(light).rails(matrix) if light == "equal-dwell" else matrix[None]
     found = fitted if light == "equal-dwell" else (fitted[0] - fitted[1])[None]
     for part, own in zip(parts.flatten(0, 1), found.flatten(0, 1), strict=True):
         assert torch.allclose(part / part.abs().max(), own / own.abs().max(), atol=1e-6)
@@ -84,12 +81,12 @@ def test_each_frame_or_mask_keeps_its_shape(digits, light):
 def test_any_matrix_fits_and_passes_the_check(optics, masks, pixels, seed):
     light, rails = optics
     matrix = torch.randn(masks, pixels, generator=generator(seed))
-    check(fit(matrix if rails == "dual" else matrix.abs(), light, rails), light)
+    light_law(light).check(light_law(light).fit(matrix if rails == "dual" else matrix.abs(), rails))
 
 
 def test_a_single_signed_mask_costs_one_frame():
     matrix = torch.tensor([[1.0, 0.5], [1.0, -1.0], [-2.0, 0.0]])
-    fitted = fit(matrix, "equal-dwell")
+    fitted = light_law("equal-dwell").fit(matrix)
     assert len(frames(fitted)) == 4
     assert fitted.amax() == 1 / 4
     assert fitted[1, 0].max() == 0
@@ -99,17 +96,17 @@ def test_a_single_signed_mask_costs_one_frame():
 @every_optics
 def test_rails_are_not_negative_and_recombine(digits, light, rails):
     matrix = fixed_matrix("pca", digits)
-    fitted = fit(matrix if rails == "dual" else matrix.abs(), light, rails)
+    fitted = light_law(light).fit(matrix if rails == "dual" else matrix.abs(), rails)
     assert fitted.min() >= 0
     given = Rails.of(fitted)
-    again = given.each(torch.clone).stacked  # of difference and total alone
+    again = given.map(torch.clone).stacked  # of difference and total alone
     assert torch.allclose(again, fitted, rtol=0, atol=1e-8)
     assert (given.difference.abs() <= given.total).all()
 
 
 def test_split_gives_positive_and_negative_parts():
     matrix = torch.randn(5, 7, generator=generator())
-    plus, minus = constraints.expand(matrix, "column")
+    plus, minus = light_law("column").rails(matrix)
     assert torch.equal(plus - minus, matrix)
     assert torch.equal(plus + minus, matrix.abs())
 
@@ -132,20 +129,20 @@ def test_learned_masks_obey_after_every_step(light, rails, rate, levels):
             assert torch.isfinite(replica).all()
             assert replica.min() >= 0
             assert limits(replica, light).max() <= 1 + SLACK
-            assert excess(replica, light) <= SLACK
+            assert light_law(light).excess(replica) <= SLACK
 
 
 @every_optics
 @pytest.mark.parametrize("levels", [0, 2])
 def test_learned_masks_obey_in_every_step_of_a_training(digits, light, rails, levels, monkeypatch):
     snapshots = []
-    matrix = LearnedMasks.matrix
+    forward = LearnedMasks.forward
 
-    def spy(module: LearnedMasks) -> Tensor:
+    def spy(module: LearnedMasks) -> Rails:
         snapshots.append(copy.deepcopy(module))
-        return matrix(module)
+        return forward(module)
 
-    monkeypatch.setattr(LearnedMasks, "matrix", spy)
+    monkeypatch.setattr(LearnedMasks, "forward", spy)
     quick(digits, masks=5, light=light, rails=rails, mask_lr=0.5, epochs=2, levels=levels)
     monkeypatch.undo()
     assert len(snapshots) > 20
@@ -162,7 +159,7 @@ def some_rails(light: str, rails: str) -> Tensor:
     start = torch.randn(3, 5, 16, generator=generator())
     start = start if rails == "dual" else start.abs()
     start[:, -1] = 0
-    return torch.stack([fit(matrix, light, rails) for matrix in start])
+    return torch.stack([light_law(light).fit(matrix, rails) for matrix in start])
 
 
 @every_optics
@@ -170,14 +167,14 @@ def some_rails(light: str, rails: str) -> Tensor:
 def test_quantised_rails_are_whole_steps_of_their_frames_peak_and_obey(light, rails, levels):
     steps = levels - 1
     before = some_rails(light, rails)
-    shown = quantise(before, light, levels)
+    shown = light_law(light).quantise(before, levels)
     peak = before.sum(dim=1, keepdim=True) if light == "two-arm" else shown
     peak = peak.amax(dim=-1, keepdim=True)
     share = steps * shown / torch.where(peak > 0, peak, 1.0)
     assert share == pytest.approx(share.round(), abs=steps * FLOAT32)
     assert share.amax() == pytest.approx(steps)
     for rails_before, rails_shown in zip(before, shown, strict=True):
-        assert excess(rails_shown, light) <= SLACK
+        assert light_law(light).excess(rails_shown) <= SLACK
         if light != "column":  # which may have to be dimmed
             time = (before if light == "two-arm" else rails_before).amax() * (1 + FLOAT32)
             assert (rails_shown - rails_before).abs().max() <= time / (2 * steps)
@@ -190,23 +187,23 @@ def test_quantised_rails_are_whole_steps_of_their_frames_peak_and_obey(light, ra
 def test_replicas_are_quantised_as_if_alone(light, rails, levels):
     before = some_rails(light, rails)
     before[1] *= 0.1
-    each = [quantise(one, light, levels) for one in before]
-    assert torch.equal(quantise(before, light, levels), torch.stack(each))
-    nested = quantise(before.view(3, 1, *before.shape[1:]), light, levels)
+    each = [light_law(light).quantise(one, levels) for one in before]
+    assert torch.equal(light_law(light).quantise(before, levels), torch.stack(each))
+    nested = light_law(light).quantise(before.view(3, 1, *before.shape[1:]), levels)
     assert torch.equal(nested[:, 0], torch.stack(each))
 
 
 def test_column_is_mended_where_rounding_up_would_break_it():
     """Two frames at 0.6 of their peaks, which round up to both of them: 1.2 times the light."""
     before = torch.tensor([[[0.6, 1.0, 0.0], [0.6, 0.0, 1.0]]]) / 1.2
-    shown = quantise(before, "column", 2)
+    shown = light_law("column").quantise(before, 2)
     assert torch.equal(shown, torch.tensor([[[0.5, 0.5, 0.0], [0.5, 0.0, 0.5]]]))
 
 
 @pytest.mark.parametrize("levels", [1, 0, -1])
 def test_a_device_needs_two_levels(levels):
     with pytest.raises(InputError, match="grey levels are not allowed"):
-        quantise(torch.ones(1, 1, 2), "column", levels)
+        light_law("column").quantise(torch.ones(1, 1, 2), levels)
 
 
 @every_optics
@@ -250,7 +247,9 @@ def test_learned_masks_can_move(light, rails):
 
 def test_learned_column_masks_start_from_the_fitted_matrix(digits):
     matrix = fixed_matrix("pca", digits)
-    assert torch.allclose(rails_of(LearnedMasks(matrix, "column"), "dual"), fit(matrix, "column"))
+    assert torch.allclose(
+        rails_of(LearnedMasks(matrix, "column"), "dual"), light_law("column").fit(matrix)
+    )
 
 
 def test_a_start_without_light_is_refused():
@@ -281,20 +280,20 @@ def test_replicas_do_not_touch_each_other(light, rails, levels):
 @every_optics
 def test_check_refuses_more_light_than_there_is(light, rails):
     matrix = torch.rand(4, 9, generator=generator()) + 0.1
-    fitted = fit(matrix, light, rails)
-    check(fitted, light)
+    fitted = light_law(light).fit(matrix, rails)
+    light_law(light).check(fitted)
     with pytest.raises(InputError, match=f"breaks the {light} constraint"):
-        check(fitted * 1.001, light)
+        light_law(light).check(fitted * 1.001)
 
 
 @every_optics
 def test_too_bright_a_matrix_is_told_by_which_factor(light, rails):
-    fitted = fit(torch.rand(4, 9, generator=generator()) + 0.1, light, rails)
+    fitted = light_law(light).fit(torch.rand(4, 9, generator=generator()) + 0.1, rails)
     bright = 7.3 * fitted
     with pytest.raises(InputError, match=r"is 7\.3 times as bright") as caught:
-        check(bright, light)
+        light_law(light).check(bright)
     factor = float(re.search("divide it by ([0-9.e+]+)", str(caught.value))[1])
-    check(bright / factor, light)
+    light_law(light).check(bright / factor)
     assert factor < 7.3 * 1.001
 
 
@@ -303,26 +302,52 @@ def test_too_bright_a_matrix_is_told_by_which_factor(light, rails):
     ("bad", "words"), [(-0.001, "negative"), (math.nan, "finite"), (math.inf, "finite")]
 )
 def test_check_refuses_what_is_no_share(light, rails, bad, words):
-    fitted = fit(torch.rand(4, 9, generator=generator()) + 0.1, light, rails)
+    fitted = light_law(light).fit(torch.rand(4, 9, generator=generator()) + 0.1, rails)
     fitted[0, 1, 2] = bad
     with pytest.raises(InputError, match=words):
-        check(fitted, light)
+        light_law(light).check(fitted)
 
 
 def test_two_arms_get_what_the_other_does_not():
-    uneven = fit(torch.randn(3, 8, generator=generator()), "two-arm")
+    uneven = light_law("two-arm").fit(torch.randn(3, 8, generator=generator()))
     uneven[0, 1, 4] *= 0.5
     with pytest.raises(InputError, match="two-arm"):
-        check(uneven, "two-arm")
+        light_law("two-arm").check(uneven)
 
 
 def test_an_unknown_constraint_names_the_closest():
     with pytest.raises(InputError, match="did you mean 'column'"):
-        constraints.check_light_law("colum", "dual")
+        check_light_law("colum", "dual")
     with pytest.raises(InputError, match="did you mean 'dual'"):
-        constraints.check_light_law("column", "duel")
+        check_light_law("column", "duel")
 
 
 def test_two_arms_are_two_rails():
     with pytest.raises(InputError, match="two-arm with a single rail"):
-        constraints.check_light_law("two-arm", "single")
+        check_light_law("two-arm", "single")
+
+
+@every_optics
+def test_the_first_masks_use_the_share_of_the_law_that_they_take_alone(light, rails):
+    """Of masks none of which is dark; frames of equal dwells are a share of all frames."""
+    law, matrix = light_law(light), torch.randn(6, 9, generator=generator())
+    fitted = law.fit(matrix if rails == "dual" else matrix.abs(), rails)
+    used = law.used(fitted)
+    for count in range(1, 7):
+        part = fitted[:, :count]
+        whole = len(frames(part)) / len(frames(fitted))
+        share = whole if light == "equal-dwell" else limits(part, light).max()
+        assert float(used[count - 1]) == pytest.approx(float(share), rel=1e-5)
+    assert torch.allclose(law.used(torch.stack([fitted, fitted / 2]))[0], used)
+
+
+@every_optics
+def test_free_numbers_begin_like_the_start(light, rails):
+    """Where the law has one common factor, masks are the fitted start but for it; else patterns."""
+    law, start = light_law(light), torch.rand(4, 9, generator=generator()) + 0.1
+    weights = law.weights(start, rails)
+    matrix = law.project(weights, rails).difference.detach()
+    parts = start / start.amax(dim=-1, keepdim=True)
+    shape = start if light == "column" else parts
+    assert torch.allclose(matrix / matrix.max(), shape / shape.max(), atol=1e-6)
+    assert all(tensor.shape[-2:] == (4, 9) for name, tensor in weights.items() if name == "weight")

@@ -9,12 +9,17 @@ from deepfsi import Scanner
 from deepfsi.base import InputError
 from deepfsi.camera import DetectorMap
 from deepfsi.jobs import check_count, count_allowed, sensing_matrix
-from deepfsi.optics import constraints
-from deepfsi.optics.constraints import expand, fit
-from deepfsi.optics.detection import ONE, Detection
-from deepfsi.optics.masks import FixedMasks, LearnedMasks
-from deepfsi.optics.noise import root
-from deepfsi.optics.scanner import measure, project, project_rails
+from deepfsi.physics import (
+    ONE,
+    Detection,
+    FixedMasks,
+    LearnedMasks,
+    light_law,
+    ml_gauss_features,
+    project,
+    project_rails,
+    root,
+)
 
 SHAPE = (6, 8)
 MAPS = [
@@ -33,7 +38,7 @@ def signed(masks: int = 5, pixels: int = 48) -> torch.Tensor:
 
 def rails_for(light: str, rails: str) -> torch.Tensor:
     matrix = signed() if rails == "dual" else signed().abs()
-    return fit(matrix, light, rails)
+    return light_law(light).fit(matrix, rails)
 
 
 def dense(rails: torch.Tensor, detection: Detection) -> torch.Tensor:
@@ -51,7 +56,7 @@ def photons(count: int = 7) -> torch.Tensor:
 @every_optics
 @pytest.mark.parametrize("detectors", MAPS, ids=str)
 def test_each_detector_counts_what_its_part_of_the_mask_passes(detectors, light, rails):
-    frames, seen = rails_for(light, rails), Detection.of(DetectorMap.of(detectors, SHAPE))
+    frames, seen = rails_for(light, rails), Detection.by(DetectorMap.of(detectors, SHAPE))
     wanted = project(photons(), dense(frames, seen))
     found = Scanner.from_rails(frames, "none", detection=seen).rates(photons())
     assert torch.allclose(found, wanted, rtol=10 * FLOAT32, atol=1e-3)
@@ -61,20 +66,20 @@ def test_each_detector_counts_what_its_part_of_the_mask_passes(detectors, light,
 
 def test_a_detector_for_each_pixel_and_one_open_frame_is_impulse_imaging():
     open_frame = torch.ones(1, 1, 48)
-    every = Scanner.from_rails(open_frame, detection=Detection.of(DetectorMap.of("6x8", SHAPE)))
+    every = Scanner.from_rails(open_frame, detection=Detection.by(DetectorMap.of("6x8", SHAPE)))
     impulse = Scanner.from_rails(torch.eye(48).unsqueeze(0))
-    assert constraints.excess(open_frame, "free-dwell") == 0
+    assert light_law("free-dwell").excess(open_frame) == 0
     assert torch.equal(every.rates(photons()), impulse.rates(photons()))
     assert torch.equal(every(photons(), generator()), impulse(photons(), generator()))
 
 
 def test_frames_repeated_over_tiles_are_the_masks_of_a_patch():
-    patch = fit(signed(5, 12), "free-dwell")
+    patch = light_law("free-dwell").fit(signed(5, 12))
     frames = patch.unflatten(-1, (3, 4)).repeat(1, 1, 2, 2).flatten(-2)
     scenes = photons()
     cut = scenes.view(-1, 2, 3, 2, 4).transpose(2, 3).flatten(1, 2).flatten(-2)
     wanted = Scanner.from_rails(patch).rates(cut)  # (scenes, patches, rails, masks)
-    found = Scanner.from_rails(frames, detection=Detection.of(DetectorMap.of("2x2", SHAPE))).rates(
+    found = Scanner.from_rails(frames, detection=Detection.by(DetectorMap.of("2x2", SHAPE))).rates(
         scenes
     )
     assert torch.allclose(
@@ -86,7 +91,7 @@ def test_frames_repeated_over_tiles_are_the_masks_of_a_patch():
 @pytest.mark.parametrize("readout", READOUTS)
 @pytest.mark.parametrize("noise", ["poisson", "gaussian", "ml_gauss", "camera", "none"])
 def test_features_have_the_mean_and_variance_of_their_readouts(light, rails, readout, noise):
-    frames, seen = rails_for(light, rails), Detection.of(DetectorMap.of("2x2", SHAPE), readout)
+    frames, seen = rails_for(light, rails), Detection.by(DetectorMap.of("2x2", SHAPE), readout)
     scanner = Scanner.from_rails(frames, noise, 3.0, 40.0 if noise == "camera" else 0.0, seen)
     x, draws = photons(1), 4000
     features = scanner(x.expand(draws, -1), generator())
@@ -104,8 +109,8 @@ def test_features_have_the_mean_and_variance_of_their_readouts(light, rails, rea
 
 
 def test_both_rails_are_read_mask_by_mask():
-    seen = Detection.of(DetectorMap.of("1x2", (1, 2)), "both")
-    rails = expand(torch.tensor([[0.5, -0.25], [-0.125, 0.0]]), "free-dwell")
+    seen = Detection.by(DetectorMap.of("1x2", (1, 2)), "both")
+    rails = light_law("free-dwell").rails(torch.tensor([[0.5, -0.25], [-0.125, 0.0]]))
     counts = Scanner.from_rails(rails, "none", detection=seen).counts(torch.tensor([16.0, 8.0]))
     assert counts.tolist() == [[8, 0, 0, 0], [0, 2, 2, 0]]  # (rails, mask by mask: 2 detectors)
     assert seen.features(counts).tolist() == [8, 0, 0, 2, 0, 0, 2, 0]
@@ -116,7 +121,7 @@ def test_both_rails_are_read_mask_by_mask():
 @pytest.mark.parametrize("detectors", MAPS, ids=str)
 @pytest.mark.parametrize("readout", READOUTS)
 def test_a_step_of_training_has_the_gradient_of_autograd(light, rails, detectors, readout):
-    draw, seen = generator(3), Detection.of(DetectorMap.of(detectors, SHAPE), readout)
+    draw, seen = generator(3), Detection.by(DetectorMap.of(detectors, SHAPE), readout)
     scenes = torch.rand(7, 48, generator=draw, dtype=torch.float64)
     middle = scenes.mean(dim=0)
     if light == "column" and seen.count > 1:
@@ -130,9 +135,9 @@ def test_a_step_of_training_has_the_gradient_of_autograd(light, rails, detectors
     disjoint = masks.disjoint and readout == "difference"
 
     def ours() -> torch.Tensor:
-        given = masks.matrix() if disjoint else seen.read_of(masks()).combined
+        given = masks().difference if disjoint else seen.read_of(masks()).combined
         x = seen.arrange(torch.cat([scenes - middle, middle[None]]))
-        return measure(x, given, epsilon, disjoint, seen.count)
+        return ml_gauss_features(x, given, epsilon, disjoint, seen.count)
 
     def plain() -> torch.Tensor:
         every = seen.read_of(masks())
@@ -152,7 +157,7 @@ def test_a_step_of_training_has_the_gradient_of_autograd(light, rails, detectors
 
 @pytest.mark.parametrize("detectors", MAPS, ids=str)
 def test_arranging_loses_nothing(detectors):
-    seen, scenes = Detection.of(DetectorMap.of(detectors, SHAPE)), photons()
+    seen, scenes = Detection.by(DetectorMap.of(detectors, SHAPE)), photons()
     arranged = seen.arrange(scenes)
     assert torch.equal(seen.restore(arranged), scenes)
     assert arranged.sum() == pytest.approx(float(scenes.sum()), rel=1e-6)
@@ -165,8 +170,8 @@ def test_arranging_loses_nothing(detectors):
 @pytest.mark.parametrize("light", ["equal-dwell", "free-dwell", "two-arm"])
 def test_dark_counts_are_those_of_each_detector(light):
     """Every detector counts its own dark counts for as long as a frame is shown."""
-    frames, seen = rails_for(light, "dual"), Detection.of(DetectorMap.of("2x2", SHAPE))
-    one, four = (each.readouts(FixedMasks(frames)().each(seen.arrange)) for each in (ONE, seen))
+    frames, seen = rails_for(light, "dual"), Detection.by(DetectorMap.of("2x2", SHAPE))
+    one, four = (each.readouts(FixedMasks(frames)().map(seen.arrange)) for each in (ONE, seen))
     assert torch.equal(four.time.unflatten(-1, (5, 4)), one.time.unsqueeze(-1).expand(2, 5, 4))
 
 

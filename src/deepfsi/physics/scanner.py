@@ -6,19 +6,10 @@ import torch
 from torch import Tensor, nn
 
 from deepfsi.base import InputError
-from deepfsi.optics.detection import Detection
-from deepfsi.optics.masks import FixedMasks
-from deepfsi.optics.noise import (
-    Click,
-    OwnNoise,
-    attach_gradient,
-    check_dark,
-    readout,
-    resolve,
-    root,
-    variance,
-)
-from deepfsi.optics.rails import Rails
+from deepfsi.physics.detection import Detection, Readouts
+from deepfsi.physics.masks import FixedMasks
+from deepfsi.physics.noise import Expectation, NoiseFunction, make_noise
+from deepfsi.physics.rails import Rails
 
 
 class Scanner(nn.Module):
@@ -30,7 +21,7 @@ class Scanner(nn.Module):
     ----------
     masks : FixedMasks or LearnedMasks
         Gives the rails of masks ([replicas,] m, N).
-    noise : {"poisson", "gaussian", "ml_gauss", "camera", "click", "none"} or callable
+    noise : {"poisson", "gaussian", "ml_gauss", "camera", "click", "none"}, Noise or callable
         Under photon noise `poisson` to test, and either it or `ml_gauss` to train; `camera` adds
         dark counts and read noise to it; `click` is of detectors that fire at most once, and
         `Click(gates)` of several gates a frame. Or a noise of your own: a function from expected
@@ -54,7 +45,7 @@ class Scanner(nn.Module):
     def __init__(
         self,
         masks: nn.Module,
-        noise: str | OwnNoise = "poisson",
+        noise: str | NoiseFunction = "poisson",
         sigma: float = 1.0,
         dark: float = 0.0,
         detection: Detection | None = None,
@@ -66,15 +57,14 @@ class Scanner(nn.Module):
                 "of rails give Scanner.from_rails(rails)"
             )
         self.masks = masks
-        self.noise, self._own = resolve(noise)
-        self.sigma, self.dark = sigma, check_dark(dark, self.noise)
+        self.noise = make_noise(noise, sigma=sigma, dark=dark)
         self.detection = detection or Detection()
 
     @classmethod
     def from_rails(
         cls,
         rails: Tensor,
-        noise: str | OwnNoise = "poisson",
+        noise: str | NoiseFunction = "poisson",
         sigma: float = 1.0,
         dark: float = 0.0,
         detection: Detection | None = None,
@@ -88,29 +78,21 @@ class Scanner(nn.Module):
         Differentiable in the masks. Under gaussian noise and `ml_gauss` the two rails' noise is
         drawn at once, which is the same in distribution.
         """
+        noise = self.noise
         seen = self.detection
-        if self._own is not None:
-            return seen.features(self.read(self.rates(photons), generator))
-        if self.noise in ("poisson", "camera"):
+        if noise.counting:
             rates = self.rates(photons)
-            counts = seen.features(self.read(rates.detach(), generator))
-            shown = seen.readouts(self._arranged())
-            dark = self.dark * shown.time.sum(dim=0)
-            power = variance(seen.totals(rates), shown.lit, self.noise, self.sigma, dark)
-            return attach_gradient(counts, seen.features(rates), power)
+            counts = seen.features(self.read(rates, generator))
+            read = seen.readouts(self._arranged())
+            light = Expectation(seen.features(rates), seen.totals(rates), read)
+            return noise.gradient(counts, light)
         arranged = self._arranged()
-        x = self._light(photons)
         masks = seen.read_of(arranged)
-        if self.noise == "ml_gauss":
-            mean, counts = project_rails(x, masks, seen.count)
-        else:
-            mean = counts = project(x, masks.difference, seen.count)
-        if self.noise == "none":
-            return mean
-        power = variance(counts, seen.readouts(arranged).lit, self.noise, self.sigma)
-        return mean + root(power) * torch.randn(
-            mean.shape, generator=generator, device=mean.device, dtype=mean.dtype
-        )
+        if not noise.of_light:
+            masks = Rails(masks.difference)  # their total is not needed
+        mean, total = project_rails(self._light(photons), masks, seen.count)
+        light = Expectation(mean, total, seen.readouts(arranged))
+        return noise.features(light, generator)
 
     def counts(self, photons: Tensor, generator: torch.Generator | None = None) -> Tensor:
         """Noisy counts (..., [replicas,] rails, m · D) of photons (..., N), as detectors report.
@@ -130,30 +112,17 @@ class Scanner(nn.Module):
 
         The dwells of their frames are `share` of the masks' own, for dark counts.
         """
-        shown, time = self._shown(rates.shape[-2])
-        if self._own is not None:
-            counts = self._own(torch.where(shown, rates, 1.0), generator)
-        else:
-            dark = self.dark * time * share
-            counts = readout(rates, self.noise, self.sigma, generator, dark)
-        return torch.where(shown, counts, 0.0)
+        read = self._readouts(rates.shape[-2])
+        dark = self.noise.dark_counts(read.time) * share
+        return self.noise.sample(rates, read.active, dark, generator)
 
     def dark_counts(self, rails: int) -> Tensor:
         """Expected dark counts (rails, m · D) of the readouts of an exposure of 1 or 2 rails.
 
         A rail that is dark by construction is not read out, and has none.
         """
-        shown, time = self._shown(rails)
-        return torch.where(shown, self.dark * time, 0.0)
-
-    def expected(self, rates: Tensor) -> Tensor:
-        """Mean counts of rails that so many photons reach: as many, but of detectors that click."""
-        return self._own.expected(rates) if isinstance(self._own, Click) else rates
-
-    @property
-    def known(self) -> bool:
-        """True of a noise whose mean and variance are known: all but a user's own."""
-        return self._own is None or isinstance(self._own, Click)
+        read = self._readouts(rails)
+        return torch.where(read.active, self.noise.dark_counts(read.time), 0.0)
 
     def moments(self, rates: Tensor) -> tuple[Tensor, Tensor]:
         """Mean and variance (..., k) of features of rails that so many photons reach.
@@ -163,9 +132,8 @@ class Scanner(nn.Module):
         rates : tensor, shape (..., rails, m · D)
             Expected photons, as from `rates`.
         """
-        return self.detection.features(self.expected(rates)), self.detection.totals(
-            self._variance(rates)
-        )
+        mean = self.detection.features(self.noise.mean(rates))
+        return mean, self.detection.totals(self._variance(rates))
 
     def information(self, rates: Tensor) -> Tensor:
         """Fisher information (..., rails, m · D) of counts about the photons that they expect.
@@ -174,25 +142,21 @@ class Scanner(nn.Module):
         click p = 1 − exp(−r / G), and of other noise 1 / variance. Of a rail that is dark by
         construction it is 0.
         """
-        power = self._variance(rates)
-        if isinstance(self._own, Click):
-            slope = torch.exp(-rates / self._own.gates)
-            power = power / slope.square()
+        power = self._variance(rates) / self.noise.slope(rates).square()
         return torch.where(power > 0, 1 / power.where(power > 0, 1.0), 0.0)
 
     def _variance(self, rates: Tensor) -> Tensor:
         """Variance of the counts of rails that so many photons reach."""
-        if isinstance(self._own, Click):
-            return self._own.variance(rates)
-        shown, time = self._shown(rates.shape[-2])
-        every = variance(rates, shown, self.noise, self.sigma, self.dark * time)
-        return torch.where(shown, every, 0.0).expand_as(rates)
+        read = self._readouts(rates.shape[-2])
+        alone = Readouts(*(each.unsqueeze(0) for each in read))  # each rail is a feature
+        power = self.noise.variance(Expectation(rates, rates, alone))
+        return torch.where(read.active, power, 0.0).expand_as(rates)
 
-    def _shown(self, rails: int) -> tuple[Tensor, Tensor]:
-        """Which rails are not dark by construction, and their share of the exposure."""
+    def _readouts(self, rails: int) -> Readouts:
+        """Readouts (..., rails, m · D): which rails are not dark by construction, and how long."""
         every = Detection(count=self.detection.count).readouts(self._arranged())
-        shown, time = (each.movedim(0, -2)[..., :rails, :] for each in every)
-        return shown, time.detach()
+        active, time = (each.movedim(0, -2)[..., :rails, :] for each in every)
+        return Readouts(active, time.detach())
 
     def rates(self, photons: Tensor) -> Tensor:
         """Expected counts of each rail; shapes as `counts`."""
@@ -202,7 +166,7 @@ class Scanner(nn.Module):
     def _arranged(self) -> Rails:
         """Rails with the pixels of each detector together."""
         rails: Rails = self.masks()
-        return rails.each(self.detection.arrange)
+        return rails.map(self.detection.arrange)
 
     def _light(self, photons: Tensor) -> Tensor:
         """Photons with the pixels of each detector together, checked."""
@@ -227,10 +191,17 @@ def _check_light(photons: Any, pixels: int) -> None:
 
 
 def project(photons: Tensor, masks: Tensor, parts: int = 1) -> Tensor:
-    """Product of scenes (..., N) with masks (*lead, m, N), as one: (..., *lead, m)."""
-    # Multiplies in the type of the scenes and returns the wider of theirs and the masks'. For
-    # several parts, of arranged scenes and masks (`detection`), the product of each: (..., *lead, m
-    # · parts). photons (..., N); masks (*lead, m, N)
+    """Product of scenes with masks, as one: (..., *lead, m · parts).
+
+    It is multiplied in the type of the scenes, and has the wider of theirs and the masks'.
+
+    Parameters
+    ----------
+    photons : tensor, shape (..., N)
+    masks : tensor, shape (*lead, m, N)
+    parts : int
+        Detectors, of scenes and masks that are arranged: the product of each part.
+    """
     low = masks.flatten(0, -2).to(photons.dtype)
     if parts == 1:
         product = photons @ low.T
@@ -242,67 +213,19 @@ def project(photons: Tensor, masks: Tensor, parts: int = 1) -> Tensor:
 
 
 def project_rails(photons: Tensor, rails: Rails, parts: int = 1) -> tuple[Tensor, Tensor]:
-    """Products (..., *lead, m · parts) of scenes with difference and total of rails, as `project`.
+    """Products of scenes with difference and total of rails, which of one rail are one tensor.
 
-    Those of one rail are the same tensor.
-
-    Shapes: photons (..., N); rails (*lead, m, N).
+    Parameters
+    ----------
+    photons, parts
+        As of `project`, as are the products.
+    rails : Rails
+        Of masks (*lead, m, N).
     """
     if rails.count == 1:
         mean = project(photons, rails.difference, parts)
         return mean, mean
-    low = rails.each(lambda masks: masks.to(photons.dtype)).combined
+    low = rails.map(lambda masks: masks.to(photons.dtype)).combined
     wider = torch.promote_types(photons.dtype, rails.difference.dtype)
     mean, counts = project(photons, low, parts).to(wider).unbind(-rails.difference.ndim)
     return mean, counts
-
-
-def measure(
-    scenes: Tensor, rails: Tensor, epsilon: Tensor, disjoint: bool, parts: int = 1
-) -> Tensor:
-    """Features (B, *lead, k) of centred scenes under MLGauss noise, one step of training."""
-    # With x̄ the mean scene and x_c = x - x̄ these are x_c D + √(x S) ε: what `Scanner.forward`
-    # gives, less the constant x̄ D. scenes (B + 1, N); rails (*lead, m, N) or (2, *lead, m, N), as
-    # `Rails.combined`, or their difference alone if they are disjoint; epsilon (B, *lead, k)
-    return _Measure.apply(scenes, rails, epsilon, disjoint, parts)  # type: ignore[no-untyped-call]
-
-
-class _Measure(torch.autograd.Function):
-    """Written out because autograd's own graph of it takes twice the time of its products."""
-
-    @staticmethod
-    def forward(
-        ctx: Any, scenes: Tensor, masks: Tensor, epsilon: Tensor, signed: bool, parts: int
-    ) -> Tensor:
-        low = masks.to(scenes.dtype)
-        if signed:
-            ctx.sign = low.sgn()
-            low = torch.stack([low, low.abs()])
-        products = project(scenes, low, parts).to(epsilon.dtype)
-        single = products.ndim == epsilon.ndim
-        mean, counts = (products, products) if single else products.unbind(1)
-        deviation = (counts[:-1] + counts[-1]).clamp_(min=0).sqrt_()
-        ctx.save_for_backward(scenes, epsilon, deviation)
-        ctx.signed, ctx.shape, ctx.parts = signed, low.shape, parts
-        return torch.addcmul(mean[:-1], deviation, epsilon)
-
-    @staticmethod
-    def backward(ctx: Any, gradient: Tensor) -> tuple[None, Tensor, Tensor | None, None, None]:
-        scenes, epsilon, deviation = ctx.saved_tensors
-        # 0, not infinite, where a mask is dark; passes over booleans take many times longer
-        by_counts = (epsilon / deviation).nan_to_num_(0, 0, 0).mul_(gradient).mul_(0.5)
-        back = gradient.new_zeros(len(scenes), *ctx.shape[:-2], gradient.shape[-1])
-        mean, counts = (back, back) if back.ndim == epsilon.ndim else back.unbind(1)
-        mean[:-1] = gradient
-        counts[:-1] += by_counts
-        counts[-1] = by_counts.sum(dim=0)
-        low = back.flatten(1).to(scenes.dtype)
-        if ctx.parts == 1:
-            product = (low.T @ scenes).view(ctx.shape)
-        else:
-            pieces = low.unflatten(-1, (-1, ctx.parts)), scenes.unflatten(-1, (ctx.parts, -1))
-            product = torch.einsum("bkd,bdp->kdp", *pieces).reshape(ctx.shape)
-        if ctx.signed:
-            product = torch.addcmul(product[0], product[1], ctx.sign)
-        by_draw = gradient * deviation if ctx.needs_input_grad[2] else None
-        return None, product.to(gradient.dtype), by_draw, None, None

@@ -9,12 +9,9 @@ from torch import Tensor
 from conftest import OPTICS, assert_moments, generator, quick
 from deepfsi import Scanner
 from deepfsi.base import InputError
-from deepfsi.optics import constraints, noise
-from deepfsi.optics.detection import ONE
-from deepfsi.optics.features import FeatureNoise
-from deepfsi.optics.masks import LearnedMasks
-from deepfsi.optics.rails import Rails
-from shared.noises import exact, photons, saturating
+from deepfsi.physics import ONE, LearnedMasks, Rails, light_law
+from deepfsi.physics.noise import make_noise
+from shared.noises import exact, photons, saturating, training_noise
 
 DRAWS = 50_000
 SIGMA, DARK = 3.0, 40.0
@@ -33,13 +30,15 @@ TIMES = torch.tensor([[0.5, 0.25, 0.0, 0.0], [0.25, 0.0, 0.5, 0.0]], dtype=torch
 @pytest.mark.parametrize("sigma", [0.0, 0.5, 7.0])
 def test_variance_is_that_of_light_dark_counts_and_read_noise(rate, dark, sigma):
     rates = torch.full((DRAWS,), rate, dtype=torch.float64)
-    counts = noise.readout(rates, "camera", sigma, generator(), dark)
+    counts = make_noise("camera", sigma=sigma).draw(rates, generator(), dark)
     assert_moments(counts, rate, rate + dark + sigma**2, poisson=True, rounding=0.5 * (rate > 1e6))
 
 
 def test_every_part_is_its_own_law():
     """Third central moment: of Poisson its mean, of read noise none."""
-    counts = noise.readout(torch.full((DRAWS,), 2.0).double(), "camera", 1.0, generator(), 3.0)
+    counts = make_noise("camera", sigma=1.0).draw(
+        torch.full((DRAWS,), 2.0).double(), generator(), 3.0
+    )
     third = (counts - counts.mean()).pow(3)
     assert abs(third.mean() - 5.0) <= 5 * float(third.std()) / math.sqrt(DRAWS)
 
@@ -75,7 +74,7 @@ def test_features_have_both_rails_noise():
 def test_one_detector_has_all_its_dark_counts_in_one_exposure(light, rails):
     """Times of the frames of one device sum to the exposure; on two arms each detector has all."""
     matrix = torch.randn(6, 20, dtype=torch.float64, generator=generator())
-    fitted = constraints.fit(matrix if rails == "dual" else matrix.abs(), light, rails)
+    fitted = light_law(light).fit(matrix if rails == "dual" else matrix.abs(), rails)
     time = ONE.readouts(Rails.of(fitted)).time
     if light == "column":
         assert (time <= 1).all()
@@ -125,7 +124,7 @@ def test_masks_follow_mean_and_variance(light):
 def test_training_draws_what_the_scanner_does(kind):
     """Counted features of a step, two trainings side by side, against the law of each."""
     gains, sigmas, darks = [50.0, 200.0], [2.0, 5.0], [30.0, 10.0]
-    drawn = FeatureNoise.of(kind, gains, sigmas, [0, 1], torch.device("cpu"), darks)
+    drawn = training_noise(kind, gains, sigmas, [0, 1], torch.device("cpu"), darks)
     rails = Rails.of(RAILS.unsqueeze(0))
     scene = torch.tensor([0.4, 0.9], dtype=torch.float64)
     mean, light = (each @ scene for each in (rails.difference, rails.total))  # (1, 4)
@@ -140,14 +139,16 @@ def test_training_draws_what_the_scanner_does(kind):
                 features[:, job, mask] * gain, float(mean[0, mask] * gain), float(power[mask]),
                 poisson=True, rounding=1e-4,
             )  # fmt: skip
-        assert torch.allclose(drawn.variance(light, read)[job], (power / gain**2).float().double())
+        assert torch.allclose(
+            drawn.variance(mean, light, read)[job], (power / gain**2).float().double()
+        )
 
 
 @pytest.mark.parametrize("kind", ["poisson", "camera"])
 def test_training_follows_mean_light_and_time(kind):
     """E[y²] = μ² + (L + σ² / Φ + d / Φ) / Φ a feature: slopes 2 μ in μ, 1 / Φ in L and in d / Φ."""
     gain, dark = 50.0, 30.0
-    noisy = FeatureNoise.of(kind, [gain], [4.0], [0], torch.device("cpu"), [dark])
+    noisy = training_noise(kind, [gain], [4.0], [0], torch.device("cpu"), [dark])
     rails = Rails.of(RAILS[:, :2].unsqueeze(0))
     read = ONE.readouts(rails)
     read = read._replace(time=read.time.clone().requires_grad_())
@@ -183,7 +184,7 @@ def test_a_noise_of_ones_own_is_drawn_for_each_rail():
     scene = torch.tensor([600.0, 900.0], dtype=torch.float64)
     for own in (saturating, "shared.noises:saturating"):
         scanner = Scanner.from_rails(RAILS, own)
-        assert scanner.noise == "shared.noises:saturating"
+        assert scanner.noise.name == "shared.noises:saturating"
         counts = scanner.counts(scene.expand(DRAWS, 2), generator())
         rates = RAILS @ scene
         seen = rates / (1 + rates / 1000)

@@ -19,28 +19,36 @@ from torch import Tensor
 from torch.nn import functional
 
 from deepfsi.camera import Camera, DetectorMap, Readout
-from deepfsi.optics.rails import Rails
+from deepfsi.physics.rails import Rails
 
 
 @dataclass(frozen=True, eq=False)
 class Detection:
-    """Which detector sees each pixel, and what is read of two rails."""
+    """Which detector sees each pixel, and what is read of two rails.
+
+    Attributes
+    ----------
+    readout : {"difference", "both"}
+    count : int
+        D, number of detectors.
+    labels : tensor, shape (N,), or None
+        Detector of each pixel, 0 .. D-1; None where one detector sees all.
+    """
 
     readout: Readout = "difference"
-    count: int = 1  # D, number of detectors
-    # (N,): Detector of each pixel, 0 .. D-1; None where one detector sees all
+    count: int = 1
     labels: Tensor | None = None
 
     @classmethod
-    def of(cls, detectors: DetectorMap, readout: Readout = "difference") -> "Detection":
+    def of(cls, camera: Camera, image_shape: tuple[int, ...]) -> "Detection":
+        """Detection of scenes of a shape by a camera."""
+        return cls.by(camera.detector_map(image_shape), camera.readout)
+
+    @classmethod
+    def by(cls, detectors: DetectorMap, readout: Readout = "difference") -> "Detection":
         """Detection by detectors that see these cells."""
         labels = detectors.labels
         return cls(readout, detectors.count, None if labels is None else torch.from_numpy(labels))
-
-    @classmethod
-    def of_camera(cls, camera: Camera, image_shape: tuple[int, ...]) -> "Detection":
-        """Detection of scenes of a shape by a camera."""
-        return cls.of(camera.detector_map(image_shape), camera.readout)
 
     @cached_property
     def key(self) -> bytes:
@@ -113,15 +121,16 @@ class Detection:
 
     def readouts(self, rails: Rails) -> "Readouts":
         """Readouts of rails of masks (..., m, D · P), arranged."""
-        difference, total = rails.difference, rails.total
-        frames = torch.stack([total + difference, total - difference]) / 2  # M⁻ of one rail is dark
+        total = rails.total
+        both = [total + rails.difference, total - rails.difference]
+        frames = torch.stack(both) / 2  # M⁻ of one rail is dark
         arms = (frames > 0).all(dim=0).any(dim=-1)
         time = torch.where(arms, total.amax(dim=-1), frames.amax(dim=-1))
-        shown = (frames > 0).unflatten(-1, (self.count, -1)).any(dim=-1).flatten(-2)
+        active = (frames > 0).unflatten(-1, (self.count, -1)).any(dim=-1).flatten(-2)
         time = time.repeat_interleave(self.count, dim=-1)
         if self.readout == "difference" or rails.count == 1:
-            return Readouts(shown, time)
-        one = [self._mask_by_mask(each.movedim(0, -2)) for each in (shown, time)]
+            return Readouts(active, time)
+        one = [self._mask_by_mask(each.movedim(0, -2)) for each in (active, time)]
         return Readouts(*(torch.stack([each, torch.zeros_like(each)]) for each in one))
 
 
@@ -130,21 +139,27 @@ ONE = Detection()
 
 
 class Readouts(NamedTuple):
-    """Rails of masks as detectors read them, the positive ones first."""
+    """Rails of masks as detectors read them, the positive ones first.
 
-    shown: Tensor  # (2, ..., k): Which are not dark by construction, and are read out
-    # (2, ..., k): Share of the exposure that each takes: the peak of its frame, the shortest in
-    # which one device can pass its light. Two rails that share pixels are two arms, and see them at
-    # once
+    Attributes
+    ----------
+    active : tensor, shape (2, ..., k)
+        Which are not dark by construction, and are read out.
+    time : tensor, shape (2, ..., k)
+        Share of the exposure that each takes: the peak of its frame, the shortest in which one
+        device can pass its light. Two rails that share pixels are two arms, and see them at once.
+    """
+
+    active: Tensor
     time: Tensor
 
     def lasting(self, share: Tensor, detection: Detection) -> "Readouts":
         """Readouts of frames that last a share (B, ..., rails, m · D) of their usual time."""
         apart = share.shape[-2] == 2 and detection.readout == "difference"
         factor = share.movedim(-2, 0) if apart else detection.features(share).unsqueeze(0)
-        return Readouts(self.shown, self.time.unsqueeze(1) * factor)
+        return Readouts(self.active, self.time.unsqueeze(1) * factor)
 
     @property
     def lit(self) -> Tensor:
         """Number of rails that are read out for each feature, (..., k)."""
-        return self.shown.sum(dim=0)
+        return self.active.sum(dim=0)

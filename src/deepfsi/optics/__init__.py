@@ -1,1 +1,0 @@
-"""Light and masks: photon budgets, noise, light laws, sensing matrices and the scanner."""

@@ -1,0 +1,41 @@
+"""Masks, light and noise: what the light does between a scene and the counts."""
+
+from deepfsi.physics.detection import ONE, Detection, Readouts
+from deepfsi.physics.laws import SLACK, frames, light_law, peak, signed_parts, through
+from deepfsi.physics.masks import FixedMasks, LearnedMasks
+from deepfsi.physics.noise import Click, NoiseFunction, Poisson, noise_of, root
+from deepfsi.physics.rails import Rails
+from deepfsi.physics.scanner import Scanner, project, project_rails
+from deepfsi.physics.surroundings import library_defaults
+from deepfsi.physics.training_noise import TrainingNoise, ml_gauss_features
+from deepfsi.physics.transit import FixedPattern, LearnedPattern, ScenePath, in_levels
+
+__all__ = [
+    "ONE",
+    "SLACK",
+    "Click",
+    "Detection",
+    "FixedMasks",
+    "FixedPattern",
+    "LearnedMasks",
+    "LearnedPattern",
+    "NoiseFunction",
+    "Poisson",
+    "Rails",
+    "Readouts",
+    "Scanner",
+    "ScenePath",
+    "TrainingNoise",
+    "frames",
+    "in_levels",
+    "library_defaults",
+    "light_law",
+    "ml_gauss_features",
+    "noise_of",
+    "peak",
+    "project",
+    "project_rails",
+    "root",
+    "signed_parts",
+    "through",
+]

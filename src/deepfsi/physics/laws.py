@@ -1,0 +1,455 @@
+"""Light laws: what a set of masks may do with a pixel's photons, and what realises it.
+
+    column       max_j Σ_i |M_ij| ≤ 1            optics that split each pixel's light (paper)
+    equal-dwell  M⁺_ij, M⁻_ij ≤ 1/F              one DMD, one detector, equal times for F frames
+    free-dwell   Σ_frames max_j(frame) ≤ 1       one DMD, one detector, each frame its own time
+    two-arm      M⁺_ij + M⁻_ij = t_i, Σ t_i ≤ 1  one DMD, a detector on each arm
+
+A law is one of frames: here the rails of masks are the tensor (..., 2, m, N) of M⁺ and M⁻ for
+signed masks, or (..., 1, m, N) where there is one rail, `Rails.stacked`. Masks that learn are made
+of free weights, tensors by name, by a function that cannot break the law.
+"""
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from deepfsi.base import InputError
+from deepfsi.camera import LightLawName, RailsKind, check_light_law, share_out
+from deepfsi.physics.rails import Rails
+
+SLACK = 1e-5
+"""Relative excess that float32 rounding may cause and `LightLaw.check` forgives."""
+
+BRIGHTEST = 1e30
+"""Entry beyond which sums of float32 may be infinite."""
+
+Weights = Mapping[str, Tensor]
+"""Free numbers of learned masks, and the numbers that scale them, by their names."""
+
+
+class LightLaw(ABC):
+    """Limit of what masks may do with light, for their rails (..., 2 or 1, m, N).
+
+    Attributes
+    ----------
+    name : str
+        By which a camera names it.
+    disjoint : bool
+        True if no pixel of a mask is lit on both rails, so that the total of learned masks is |M|.
+    """
+
+    name: ClassVar[LightLawName]
+    disjoint: ClassVar[bool] = True
+
+    @property
+    def of_equal_dwells(self) -> "LightLaw":
+        """The law under which masks learn whose dwells are chosen later."""
+        return EqualDwell()
+
+    def rails(self, matrix: Tensor, kind: RailsKind = "dual") -> Tensor:
+        """Rails (..., 2 or 1, m, N) whose difference is a matrix (..., m, N).
+
+        A single rail is the matrix itself. Two are its positive and its negative part.
+        """
+        if kind == "single":
+            return matrix.unsqueeze(-3)
+        return signed_parts(matrix)
+
+    @abstractmethod
+    def fit(self, matrix: Tensor, kind: RailsKind = "dual") -> Tensor:
+        """Rails (2 or 1, m, N) of a matrix (m, N), with as much light as the law allows."""
+
+    @abstractmethod
+    def excess(self, rails: Tensor) -> float:
+        """Relative excess of rails (2 or 1, m, N) over the law: 0 or less if they obey it."""
+
+    @abstractmethod
+    def used(self, rails: Tensor) -> Tensor:
+        """Share (..., m) of the law that the first k masks use; 0 while they are dark.
+
+        Shown alone for the whole exposure these k may be brighter by the inverse. Shown at the
+        beginning of all, on one device, they have taken this share of its time.
+        """
+
+    def quantise(self, rails: Tensor, levels: int) -> Tensor:
+        """Rails (..., 2 or 1, m, N) as a device shows them.
+
+        Each frame has `levels` grey levels from dark to its own peak.
+        """
+        check_levels(levels)
+        step = peak(rails) / (levels - 1)
+        return (rails / step).round() * step
+
+    def weights(self, start: Tensor, kind: RailsKind) -> dict[str, Tensor]:
+        """Free numbers of masks (..., m, N) that begin like a start: parameters, and their scale.
+
+        They are in units of the start's own size, so that one learning rate serves any number of
+        masks. Those of frames are patterns, at first at nine tenths of their peaks, and dwells,
+        at first equal, both before the functions that bound them.
+        """
+        *replicas, masks, _ = start.shape
+        pattern = 0.9 * start / peak(start.abs())
+        free = torch.atanh(pattern) if kind == "dual" else torch.logit(pattern.clamp(min=0.05))
+        weights: dict[str, Tensor] = {"weight": nn.Parameter(free)}
+        if dwells := self.dwells_of_mask(kind):
+            weights["dwell"] = nn.Parameter(start.new_zeros(*replicas, dwells, masks))
+        return weights
+
+    def dwells_of_mask(self, kind: RailsKind) -> int:
+        """Dwells of each mask that masks learn."""
+        return 0
+
+    @abstractmethod
+    def project(self, weights: Weights, kind: RailsKind, shortest: float = 0.0) -> Rails:
+        """Rails (..., m, N) of free numbers: differentiable, and whatever these are they obey.
+
+        Frames last a share `shortest` of the exposure at least, or are dark.
+        """
+
+    def dim(self, weights: Weights, kind: RailsKind, factor: Tensor) -> None:
+        """Pass a factor (R,) of the light, up to 1, by a change of the weights in place."""
+        weight = weights["weight"]
+        pattern = pattern_of(weight, kind) * factor[:, None, None]
+        weight.copy_(torch.atanh(pattern) if kind == "dual" else torch.logit(pattern, eps=1e-6))
+
+    def equalise(self, rails: Tensor) -> Tensor:
+        """Rails (..., 2 or 1, m, N) of which every frame has the same dwell and peak."""
+        return rails / (peak(rails) * rails.shape[-2] * rails.shape[-3])
+
+    def has_equal_dwells(self, rails: Tensor) -> bool:
+        """True if all frames of rails (2 or 1, m, N) have the same dwell."""
+        return self.of_equal_dwells.excess(rails) < SLACK
+
+    def check(self, rails: Tensor) -> Tensor:
+        """Return rails (2 or 1, m, N), or raise `InputError` if they are no shares or too bright.
+
+        Rails must be finite, not negative, of a kind that the law can have, and obey it.
+        """
+        check_light_law(self.name, "dual" if len(rails) == 2 else "single")
+        if not bool(torch.isfinite(rails).all()):
+            raise InputError("the matrix holds NaN or infinity: give finite numbers")
+        if float(rails.min()) < 0:
+            raise InputError(
+                "the matrix has negative entries: use {rails:dual}, or give frames of 0 or more",
+                setting="rails",
+            )
+        if float(rails.max()) > BRIGHTEST:
+            raise InputError(
+                f"the matrix has entries above {BRIGHTEST:g}: give shares of each pixel's photons"
+            )
+        factor = 1 + self.excess(rails)
+        if factor > 1 + SLACK:
+            step = 10.0 ** (math.floor(math.log10(factor)) - 3)
+            above = math.ceil(factor / step) * step  # at least the factor, in four digits
+            raise InputError(
+                "the matrix is {factor:.4g} times as bright as {given} allows, and breaks the "
+                "{given} constraint: divide it by {above:.4g}, or choose another with {light}",
+                setting="light",
+                factor=factor,
+                given=self.name,
+                above=above,
+            )
+        return rails
+
+    def rails_of(self, matrix: np.ndarray, kind: RailsKind) -> Tensor:
+        """Rails (2 or 1, m, N) of a user's matrix (m, N), as it is; errors as of `check`."""
+        signed = torch.from_numpy(np.asarray(matrix, dtype=np.float32))
+        return self.check(self.rails(signed, kind))
+
+
+class Column(LightLaw):
+    """Optics that split each pixel's light among all readouts: max_j Σ_i |M_ij| ≤ 1.
+
+    The only law is that no photon is counted twice. Source: the paper, arXiv 2508.01981.
+
+    Examples
+    --------
+    >>> Column().fit(torch.tensor([[1.0, -1.0], [1.0, 0.0]]))[0]  # the positive rail
+    tensor([[0.5000, 0.0000],
+            [0.5000, 0.0000]])
+    """
+
+    name = "column"
+
+    def fit(self, matrix: Tensor, kind: RailsKind = "dual") -> Tensor:
+        """One common factor, 1 / max_j Σ_i |M_ij|."""
+        parts = self.rails(matrix, kind)
+        return parts / parts.sum(dim=(0, 1)).max()
+
+    def excess(self, rails: Tensor) -> float:
+        """max_j Σ_i |M_ij| − 1."""
+        return float(rails.sum(dim=(0, 1)).max()) - 1
+
+    def used(self, rails: Tensor) -> Tensor:
+        """max_j Σ_i |M_ij| over the first k masks i."""
+        return rails.sum(dim=-3).cumsum(dim=-2).amax(dim=-1)
+
+    def quantise(self, rails: Tensor, levels: int) -> Tensor:
+        """Grey levels of each frame; where rounding breaks the law, all are dimmed to mend it."""
+        shown = super().quantise(rails, levels)
+        return shown / shown.sum(dim=(-3, -2), keepdim=True).amax(dim=-1, keepdim=True).clamp(min=1)
+
+    def weights(self, start: Tensor, kind: RailsKind) -> dict[str, Tensor]:
+        """The fitted start in units of its own rms, and that unit."""
+        most = start.abs().sum(dim=-2, keepdim=True).amax(dim=-1, keepdim=True)
+        if not bool(most.all()):
+            raise InputError("a start is 0 everywhere: give masks that pass light")
+        fitted = start / most
+        unit = fitted.square().mean(dim=(-2, -1), keepdim=True).sqrt()
+        return {"weight": nn.Parameter(fitted / unit), "unit": unit}
+
+    def project(self, weights: Weights, kind: RailsKind, shortest: float = 0.0) -> Rails:
+        """Each pixel's column, divided by its sum where that exceeds 1."""
+        weight = weights["weight"]
+        unit = weights["unit"]
+        sums = weight.abs().sum(dim=-2, keepdim=True)
+        matrix = weight * (unit / (sums * unit).clamp(min=1))
+        return Rails(matrix, matrix.abs()) if kind == "dual" else Rails(matrix.abs())
+
+    def dim(self, weights: Weights, kind: RailsKind, factor: Tensor) -> None:
+        """Take a smaller unit."""
+        weights["unit"].mul_(factor[:, None, None])
+
+
+class EqualDwell(LightLaw):
+    """One DMD and one detector, equal times for F frames: M⁺_ij, M⁻_ij ≤ 1/F.
+
+    A frame is a rail of a mask that is not dark; learned masks have as many frames as rails. Each
+    is shown for 1/F of the exposure, and a mirror that is ON sends its light as long. Source:
+    docs/understand/light.md, as of the others of one device.
+
+    Examples
+    --------
+    >>> float(EqualDwell().fit(torch.tensor([[3.0, 0.0], [0.0, 1.0]]), "single").max())
+    0.5
+    """
+
+    name = "equal-dwell"
+
+    def fit(self, matrix: Tensor, kind: RailsKind = "dual") -> Tensor:
+        """Each frame over its own peak and F."""
+        parts = self.rails(matrix, kind)
+        return parts / (peak(parts) * len(frames(parts)))
+
+    def excess(self, rails: Tensor) -> float:
+        """F max M± − 1."""
+        return float(rails.max()) * max(len(frames(rails)), 1) - 1
+
+    def used(self, rails: Tensor) -> Tensor:
+        """Share of the frames that are of the first k masks."""
+        lit = (rails.amax(dim=-1) > 0).sum(dim=-2).cumsum(dim=-1)
+        return lit / lit[..., -1:].clamp(min=1)
+
+    def project(self, weights: Weights, kind: RailsKind, shortest: float = 0.0) -> Rails:
+        """Patterns in [−1, 1] or [0, 1] for 1/F."""
+        pattern = pattern_of(weights["weight"], kind)
+        count = pattern.shape[-2] * (2 if kind == "dual" else 1)
+        matrix = pattern * pattern.new_full((), 1 / count)
+        return Rails(matrix, matrix.abs()) if kind == "dual" else Rails(matrix)
+
+
+class FreeDwell(LightLaw):
+    """One DMD and one detector, each frame its own time: Σ_frames max_j(frame) ≤ 1.
+
+    A mirror that is always ON sends its light for the whole dwell of its frame, so that the peak of
+    a frame is the shortest dwell that it can have, and dwells sum to the exposure.
+
+    Examples
+    --------
+    >>> FreeDwell().fit(torch.tensor([[3.0, 0.0], [0.0, 1.0]]), "single").amax(dim=-1)
+    tensor([[0.7500, 0.2500]])
+    """
+
+    name = "free-dwell"
+
+    def fit(self, matrix: Tensor, kind: RailsKind = "dual") -> Tensor:
+        """One common factor, 1 / Σ peaks."""
+        parts = self.rails(matrix, kind)
+        return parts / parts.amax(dim=-1).sum()
+
+    def excess(self, rails: Tensor) -> float:
+        """Σ peaks − 1."""
+        return float(rails.amax(dim=-1).sum()) - 1
+
+    def used(self, rails: Tensor) -> Tensor:
+        """Σ peaks of the first k masks."""
+        return rails.amax(dim=-1).sum(dim=-2).cumsum(dim=-1)
+
+    def dwells_of_mask(self, kind: RailsKind) -> int:
+        """One of each rail."""
+        return 2 if kind == "dual" else 1
+
+    def project(self, weights: Weights, kind: RailsKind, shortest: float = 0.0) -> Rails:
+        """Patterns for the dwells of their frames, which are a softmax."""
+        pattern = pattern_of(weights["weight"], kind)
+        dwells = softmax_dwells(weights["dwell"], shortest, pattern)
+        if kind == "single":
+            return Rails(pattern * dwells[..., 0, :, None])
+        plus, minus = dwells.unbind(dim=-2)
+        matrix = pattern * torch.where(pattern > 0, plus.unsqueeze(-1), minus.unsqueeze(-1))
+        return Rails(matrix, matrix.abs())
+
+
+class TwoArm(LightLaw):
+    """One DMD with a detector on each arm: M⁺_ij + M⁻_ij = t_i, Σ t_i ≤ 1.
+
+    What one arm does not get, the other does: a mask that is shown for the time t has M± = (t ± M)
+    / 2, and no light is lost.
+
+    Examples
+    --------
+    >>> TwoArm().fit(torch.tensor([[1.0, -1.0, 0.0]])).squeeze(1)
+    tensor([[1.0000, 0.0000, 0.5000],
+            [0.0000, 1.0000, 0.5000]])
+    """
+
+    name = "two-arm"
+    disjoint = False
+
+    @property
+    def of_equal_dwells(self) -> "LightLaw":
+        """Itself."""
+        return self
+
+    def rails(self, matrix: Tensor, kind: RailsKind = "dual") -> Tensor:
+        """M± = (t ± M) / 2, for the time t of the peak of each mask."""
+        check_light_law(self.name, kind)
+        return Rails(matrix, matrix.abs().amax(dim=-1, keepdim=True)).stacked
+
+    def fit(self, matrix: Tensor, kind: RailsKind = "dual") -> Tensor:
+        """Each mask over its own peak and m."""
+        return self.rails(matrix / (peak(matrix.abs()) * len(matrix)), kind)
+
+    def excess(self, rails: Tensor) -> float:
+        """Σ t − 1, or by how much the sum of the arms differs among the pixels of a mask, times m.
+
+        The larger of both.
+        """
+        dwell = rails.sum(dim=0)
+        uneven = float((dwell.amax(dim=-1) - dwell.amin(dim=-1)).max()) * len(dwell)
+        return max(float(dwell.amax(dim=-1).sum()) - 1, uneven)
+
+    def used(self, rails: Tensor) -> Tensor:
+        """Σ t of the first k masks."""
+        return rails.sum(dim=-3).amax(dim=-1).cumsum(dim=-1)
+
+    def quantise(self, rails: Tensor, levels: int) -> Tensor:
+        """Grey levels of the positive rail; the other gets what is left of the time."""
+        check_levels(levels)
+        steps = levels - 1
+        total = rails.sum(dim=-3)
+        time = total.amax(dim=-1, keepdim=True)
+        plus = (rails[..., 0, :, :] / peak(total) * steps).round() / steps * time
+        return torch.stack([plus, time - plus], dim=-3)
+
+    def dwells_of_mask(self, kind: RailsKind) -> int:
+        """One, as both arms see the mask at once."""
+        return 1
+
+    def project(self, weights: Weights, kind: RailsKind, shortest: float = 0.0) -> Rails:
+        """Patterns for the times of their masks, which are a softmax, and these times."""
+        # Times are taken twice: the gradient of each use goes through the softmax by itself
+        times = (softmax_dwells(weights["dwell"], shortest)[..., 0, :, None] for _ in range(2))
+        matrix = pattern_of(weights["weight"], kind) * next(times)
+        return Rails(matrix, next(times).expand_as(matrix))
+
+    def equalise(self, rails: Tensor) -> Tensor:
+        """The rails: those of a fitted matrix have equal dwells."""
+        return rails
+
+    def has_equal_dwells(self, rails: Tensor) -> bool:
+        """True if no time is above 1 / m."""
+        longest = float(Rails.of(rails).total.max()) * rails.shape[-2]
+        return super().has_equal_dwells(rails) and longest < 1 + SLACK
+
+
+LAW_CLASSES: dict[str, type[LightLaw]] = {
+    each.name: each for each in (Column, EqualDwell, FreeDwell, TwoArm)
+}
+"""Class of each light law, by its name."""
+
+
+def light_law(name: str) -> LightLaw:
+    """Light law of a name; `InputError` if there is none.
+
+    Parameters
+    ----------
+    name : str
+        One of `LIGHT_LAWS`.
+    """
+    check_light_law(name, "dual")
+    return LAW_CLASSES[name]()
+
+
+def signed_parts(matrix: Tensor) -> Tensor:
+    """Positive and negative part (..., 2, m, N) of a matrix (..., m, N), both 0 or more."""
+    return torch.stack([matrix.clamp(min=0), (-matrix).clamp(min=0)], dim=-3)
+
+
+def frames(rails: Tensor) -> Tensor:
+    """Frames (F, N) of rails (2 or 1, m, N): every rail that is not dark, mask by mask."""
+    every = rails.transpose(0, 1).flatten(0, 1)
+    return every[every.amax(dim=-1) > 0]
+
+
+def peak(parts: Tensor) -> Tensor:
+    """Largest entry of each frame (..., m, 1), 1 where it is dark."""
+    largest = parts.amax(dim=-1, keepdim=True)
+    return torch.where(largest > 0, largest, 1.0)
+
+
+def check_levels(levels: int) -> None:
+    """Raise `InputError` unless masks can have so many grey levels."""
+    if levels < 2:
+        raise InputError(f"{levels} grey levels are not allowed: give at least 2, dark included")
+
+
+def pattern_of(weight: Tensor, kind: RailsKind) -> Tensor:
+    """Patterns (..., m, N) of free numbers, in [−1, 1] of two rails, in [0, 1] of one."""
+    return torch.tanh(weight) if kind == "dual" else torch.sigmoid(weight)
+
+
+def softmax_dwells(dwell: Tensor, shortest: float, pattern: Tensor | None = None) -> Tensor:
+    """Shares (..., 1 or 2, m) of the exposure of frames, of free numbers.
+
+    A frame is read for its peak's share of its dwell: that is 0, or `shortest` at least. Dwells so
+    rounded have the gradient of those before, so that a dark frame may come back.
+    """
+    # of frames without patterns (..., m, N) the peak is 1
+    shares = dwell.flatten(-2).softmax(dim=-1)
+    if not shortest:
+        return shares.view_as(dwell)
+    with torch.no_grad():
+        peaks = torch.ones_like(shares)
+        if pattern is not None:
+            ends = [pattern.amax(dim=-1), -pattern.amin(dim=-1)][: dwell.shape[-2]]
+            peaks = torch.cat(ends, dim=-1).clamp(min=0)
+        shown = share_out(shares * peaks, shortest) / torch.where(peaks > 0, peaks, 1.0)
+    return through(shares, shown).view_as(dwell)
+
+
+def through(continuous: Tensor, shown: Tensor) -> Tensor:
+    """Second tensor, exactly, with the gradient of the first (straight through).
+
+    Parameters
+    ----------
+    continuous, shown : tensor
+        Before and after a rounding.
+    """
+    return _Through.apply(continuous, shown)  # type: ignore[no-untyped-call]
+
+
+class _Through(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, continuous: Tensor, shown: Tensor) -> Tensor:
+        return shown
+
+    @staticmethod
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None]:
+        return gradient, None

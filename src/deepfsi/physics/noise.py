@@ -1,0 +1,549 @@
+"""Detector noise: each is a class, from the expected counts r of a rail to the counts y.
+
+    none      y = r                          gaussian  y = r + σ ε
+    poisson   y ~ Poisson(r)                 ml_gauss  y = r + √r ε
+    camera    y ~ Poisson(r + d) − d + σ ε   click     y ~ Binomial(G, 1 − exp(−r / G))
+
+ε is standard normal. A feature is y⁺ − y⁻ of two rails, or y of one. Counts that are drawn rail by
+rail train masks too, with the gradient of `attach_gradient`. A rail that is dark by construction is
+not read out and adds no noise.
+"""
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any, ClassVar, NamedTuple, Self
+
+import torch
+from torch import Tensor
+
+from deepfsi.base import InputError, load_plugin
+from deepfsi.camera import Camera, NoiseFacts, check_noise, find_noise, noise_name
+from deepfsi.physics.detection import Readouts
+
+Random = torch.Generator | None
+"""Generator that is drawn from; None for torch's own."""
+
+NoiseFunction = Callable[[Tensor, Random], Tensor]
+"""A user's own noise: counts of expected counts (..., m), drawn with a generator."""
+
+
+class Expectation(NamedTuple):
+    """Expected light of the readouts of features.
+
+    Attributes
+    ----------
+    mean, total : tensor, shape (..., k)
+        r⁺ − r⁻ and r⁺ + r⁻ in units of `gain` counts, so that r± = (total ± mean) / 2.
+    read : Readouts
+        Rails that are read out, and for how long.
+    gain : float or tensor
+        Counts of a unit.
+    """
+
+    mean: Tensor
+    total: Tensor
+    read: Readouts
+    gain: Tensor | float = 1.0
+
+
+class Noise(ABC):
+    """Noise of the readouts of a camera.
+
+    Its numbers are floats, or tensors (R, 1) of R trainings side by side.
+
+    Attributes
+    ----------
+    name : str
+        By which a camera names it; of a user's own its import path.
+    counting : bool
+        True if counts of each rail are drawn, rather than a normal number for each feature.
+    of_light : bool
+        True if its draws depend on the light.
+    unbiased : bool
+        True if the mean of its counts is the rate: `gradient` then lets drawn counts follow what
+        they expect. Draws of others have a gradient of their own.
+    has_moments : bool
+        True if mean and variance are known: of all but a user's own.
+    """
+
+    name: ClassVar[str]
+    counting: ClassVar[bool] = True
+    of_light: ClassVar[bool] = True
+    unbiased: ClassVar[bool] = True
+    has_moments: ClassVar[bool] = True
+
+    @property
+    def facts(self) -> NoiseFacts:
+        """Its facts, as far as the package knows it."""
+        return find_noise(self.name)
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Its numbers by the names of a camera's fields, such as `sigma`."""
+        return {
+            name: one for name, one in vars(self).items() if isinstance(one, int | float | Tensor)
+        }
+
+    def __call__(self, rates: Tensor, random: Random = None) -> Tensor:
+        """Counts of rates (..., m) in a whole exposure, as a user's own function gives them."""
+        return self.draw(rates, random, self.dark_counts(1.0))
+
+    @abstractmethod
+    def draw(self, rates: Tensor, random: Random = None, dark: Tensor | float = 0.0) -> Tensor:
+        """Counts of rails that are read out.
+
+        Parameters
+        ----------
+        rates : tensor, shape (...)
+            Expected counts.
+        random : torch.Generator, optional
+            Torch's own unless given.
+        dark : tensor, broadcastable to rates
+            Expected dark counts of each rail, from `dark_counts`.
+        """
+
+    def sample(
+        self, rates: Tensor, active: Tensor, dark: Tensor | float = 0.0, random: Random = None
+    ) -> Tensor:
+        """Counts of rails as from `draw`, but 0 of those that are not `active` and read out."""
+        if not self.unbiased:
+            rates = torch.where(active, rates, 1.0)  # the slope of a root at 0 is infinite
+        return torch.where(active, self.draw(rates, random, dark), 0.0)
+
+    def dark_counts(self, time: Tensor | float) -> Tensor | float:
+        """Expected dark counts (...) of rails that are shown for a share (...) of the exposure."""
+        return 0.0
+
+    def mean(self, rates: Tensor) -> Tensor:
+        """Mean counts of rails (...) that so many photons reach."""
+        return rates
+
+    def slope(self, rates: Tensor) -> Tensor:
+        """Change (...) of the mean counts with the rates."""
+        return torch.ones_like(rates)
+
+    def variance(self, light: Expectation) -> Tensor:
+        """Variance (..., k) of y⁺ − y⁻, in units of `gain` counts: that of photons is the total."""
+        return light.total
+
+    def gradient(self, counts: Tensor, light: Expectation) -> Tensor:
+        """Drawn features (..., k), unchanged, which follow the mean and variance that they expect.
+
+        Those of a noise that is not unbiased have the gradient of their draws.
+        """
+        if not self.unbiased:
+            return counts
+        return attach_gradient(counts, light.mean, self.variance(light))
+
+    def features(self, light: Expectation, random: Random = None) -> Tensor:
+        """Features (..., k) by one normal number each, of a noise that does not count."""
+        return light.mean + self.deviation(light) * _normal(light.mean, random)
+
+    def deviation(self, light: Expectation) -> Tensor:
+        """Standard deviation (..., k) of features, in units of the mean, where none are counted."""
+        # Each says it by its own formula, since the variance over the gain would round otherwise
+        raise NotImplementedError(f"{self.name} noise is drawn rail by rail")
+
+    def check(self, learning: bool) -> None:
+        """Raise `InputError` unless it draws counts, and masks can learn under it."""
+        return  # as all of the package do
+
+    def of_jobs(self, jobs: int | slice) -> Self:
+        """The noise of some of the trainings side by side, of which it has the numbers."""
+        numbers = {n: one[jobs] for n, one in self.settings.items() if isinstance(one, Tensor)}
+        return replace(self, **numbers)  # type: ignore[type-var]
+
+    @classmethod
+    def side_by_side(cls, noises: Sequence["Noise"], device: torch.device) -> "Noise":
+        """One noise with the numbers (R, 1) of R trainings that differ in these alone."""
+        numbers = {
+            name: torch.tensor([each.settings[name] for each in noises], device=device)[:, None]
+            for name, value in noises[0].settings.items()
+            if isinstance(value, float)
+        }
+        return replace(noises[0], **numbers)  # type: ignore[type-var]
+
+
+@dataclass(frozen=True)
+class NoNoise(Noise):
+    """Counts as they are expected, y = r.
+
+    Examples
+    --------
+    >>> NoNoise().draw(torch.tensor([3.0]))
+    tensor([3.])
+    """
+
+    name = "none"
+    counting = of_light = False
+
+    def draw(self, rates: Tensor, random: Random = None, dark: Tensor | float = 0.0) -> Tensor:
+        """The rates."""
+        return rates
+
+    def variance(self, light: Expectation) -> Tensor:
+        """Zero."""
+        return torch.zeros_like(light.read.lit, dtype=light.total.dtype)
+
+    def features(self, light: Expectation, random: Random = None) -> Tensor:
+        """The means, without a draw."""
+        return light.mean
+
+    def deviation(self, light: Expectation) -> Tensor:
+        """Zero."""
+        return self.variance(light)
+
+
+@dataclass(frozen=True)
+class Gaussian(Noise):
+    """Read noise alone, y = r + σ ε.
+
+    Source: AGN of the paper, arXiv 2508.01981.
+
+    Parameters
+    ----------
+    sigma : float
+        σ, counts rms per readout: a feature of two lit rails has the variance 2 σ².
+
+    Examples
+    --------
+    >>> y = Gaussian(2.0).draw(torch.full((10_000,), 5.0), torch.manual_seed(0))
+    >>> round(float(y.std()))
+    2
+    """
+
+    sigma: float | Tensor = 1.0
+    name = "gaussian"
+    counting = of_light = False
+
+    def draw(self, rates: Tensor, random: Random = None, dark: Tensor | float = 0.0) -> Tensor:
+        """Rates with read noise."""
+        return rates + self.sigma * _normal(rates, random)
+
+    def variance(self, light: Expectation) -> Tensor:
+        """σ² for each rail that is read out."""
+        return self.sigma**2 * light.read.lit.to(light.total.dtype) / light.gain
+
+    def deviation(self, light: Expectation) -> Tensor:
+        """σ √(rails that are read out)."""
+        return root(self.sigma**2 * light.read.lit.to(light.total.dtype) / light.gain**2)
+
+
+@dataclass(frozen=True)
+class MlGauss(Noise):
+    """The smooth stand-in for photon noise that masks train under, y = r + √r ε.
+
+    Its mean and variance are those of photons, and it has a gradient in the rate. For the
+    difference of two rails one ε serves both, of the variance r⁺ + r⁻. Source: MLGauss of the
+    paper, arXiv 2508.01981.
+
+    Examples
+    --------
+    >>> y = MlGauss().draw(torch.full((10_000,), 9.0), torch.manual_seed(0))
+    >>> round(float(y.std()))
+    3
+    """
+
+    name = "ml_gauss"
+    counting = False
+
+    def draw(self, rates: Tensor, random: Random = None, dark: Tensor | float = 0.0) -> Tensor:
+        """Rates with normal noise whose variance is the rate."""
+        return rates + root(rates) * _normal(rates, random)
+
+    def deviation(self, light: Expectation) -> Tensor:
+        """√(r⁺ + r⁻)."""
+        return root(light.total) * torch.as_tensor(light.gain).rsqrt()
+
+
+POISSON_LIMIT = 1e6
+"""Rate in counts above which Poisson noise is the rounded Gaussian limit.
+
+There the skewness, 1/√rate, is below 1e-3, while Poisson samplers on GPUs are poor for small
+differences and wrong at 1e10 (PyTorch issues 86782 and 136750).
+"""
+
+
+@dataclass(frozen=True)
+class Poisson(Noise):
+    """Photon noise, exact: y ~ Poisson(r).
+
+    Mean and variance are the rate. Above `POISSON_LIMIT` it is the rounded Gaussian limit. Counts
+    have no gradient; `gradient` gives them that of their mean and variance. Source: PN of the
+    paper, arXiv 2508.01981, and docs/understand/gradients.md.
+
+    Examples
+    --------
+    >>> Poisson().draw(torch.tensor([0.0, 1e4]), torch.manual_seed(0))[0]
+    tensor(0.)
+    """
+
+    name = "poisson"
+
+    def draw(self, rates: Tensor, random: Random = None, dark: Tensor | float = 0.0) -> Tensor:
+        """Photon counts, without a gradient."""
+        rates = rates.detach()
+        exact = torch.poisson(rates.clamp(max=POISSON_LIMIT), generator=random)
+        bright = rates > POISSON_LIMIT
+        if not bool(bright.any()):
+            return exact
+        return torch.where(bright, MlGauss().draw(rates, random).round(), exact)
+
+
+@dataclass(frozen=True)
+class CameraNoise(Noise):
+    """Photons, dark counts and read noise, y ~ Poisson(r + d) − d + σ ε.
+
+    Dark counts are known from frames with the light off, and what is expected of them, d, is
+    subtracted. One detector has D of them in a whole exposure, and a frame its share d = D t of
+    these by its time t. The variance of a readout is r + d + σ². Source: the linear camera of the
+    standard EMVA 1288, in units of counts.
+
+    Parameters
+    ----------
+    sigma : float
+        σ, counts rms per readout.
+    dark : float
+        D, expected dark counts of a detector in a whole exposure.
+
+    Examples
+    --------
+    >>> y = CameraNoise(dark=75.0)(torch.full((10_000,), 25.0), torch.manual_seed(0))
+    >>> round(float(y.mean())), round(float(y.std()))
+    (25, 10)
+    """
+
+    sigma: float | Tensor = 1.0
+    dark: float | Tensor = 0.0
+    name = "camera"
+
+    def draw(self, rates: Tensor, random: Random = None, dark: Tensor | float = 0.0) -> Tensor:
+        """Counts less the expected dark ones."""
+        photons = Poisson().draw(rates + dark, random) - dark
+        return Gaussian(self.sigma).draw(photons, random)
+
+    def dark_counts(self, time: Tensor | float) -> Tensor | float:
+        """D t."""
+        return self.dark * time
+
+    def variance(self, light: Expectation) -> Tensor:
+        """R + d + σ² of each rail that is read out."""
+        dark = self.dark_counts(light.read.time.sum(dim=0))
+        read_noise = self.sigma**2 * light.read.lit.to(light.total.dtype)
+        return (light.total * light.gain + dark + read_noise) / light.gain
+
+
+@dataclass(frozen=True)
+class Click(Noise):
+    """A detector that fires at most once in each gate, y ~ Binomial(G, 1 − exp(−r / G)).
+
+    The photons of a gate are Poisson counts of r / G, and it clicks unless there are none. So
+    clicks are no photons: their mean G p, with p = 1 − exp(−r / G), is less than the rate, their
+    variance is G p (1 − p), and a frame gives G of them at most. Source: A. Kirmani et al.,
+    First-photon imaging, Science 343, 58 (2014).
+
+    Parameters
+    ----------
+    gates : int
+        G, gates of a frame.
+
+    Examples
+    --------
+    >>> Click(gates=3).draw(torch.tensor([0.0, 1e3]))
+    tensor([0., 3.])
+    """
+
+    gates: int = 1
+    name = "click"
+    unbiased = False
+
+    def draw(self, rates: Tensor, random: Random = None, dark: Tensor | float = 0.0) -> Tensor:
+        """Clicks, with the gradient of `attach_gradient`."""
+        # With the mean G p and the variance G p (1 − p) that is f′(k) [k / p + (G − k) / (1 − p)]
+        # / 2, the trapezoid rule for what is exact, ∂ E f / ∂p = G E[f(k + 1) − f(k)] of G − 1
+        # gates: no error where f is at most quadratic
+        chance = -torch.expm1(-rates / self.gates)
+        fixed = chance.detach()
+        if self.gates == 1:
+            even = torch.rand(fixed.shape, generator=random, device=fixed.device, dtype=fixed.dtype)
+            counts = (even < fixed).to(fixed.dtype)
+        else:
+            counts = torch.binomial(torch.full_like(fixed, self.gates), fixed, random)
+        mean = self.gates * chance
+        return attach_gradient(counts, mean, mean * (1 - chance))
+
+    def mean(self, rates: Tensor) -> Tensor:
+        """G p."""
+        return -self.gates * torch.expm1(-rates / self.gates)
+
+    def slope(self, rates: Tensor) -> Tensor:
+        """exp(−r / G)."""
+        return torch.exp(-rates / self.gates)
+
+    def variance(self, light: Expectation) -> Tensor:
+        """G p (1 − p) of each rail."""
+        rails = [light.total + light.mean, light.total - light.mean]
+        plus, minus = (self.mean(r) * self.slope(r) for r in (light.gain / 2 * r for r in rails))
+        return (plus + minus) / light.gain
+
+
+@dataclass(frozen=True)
+class CustomNoise(Noise):
+    """A user's own noise: a function from expected counts and a generator to counts.
+
+    Masks train through it where its draws have a gradient in the rates. Nothing is known of its
+    mean and variance.
+
+    Parameters
+    ----------
+    function : callable
+        Counts of expected counts (..., m), drawn with a generator.
+    path : str
+        Import path by which it was given, if it was.
+
+    Examples
+    --------
+    >>> CustomNoise(lambda rates, generator: rates / (1 + rates / 1000)).draw(torch.tensor([1e3]))
+    tensor([500.])
+    """
+
+    function: NoiseFunction
+    path: str = ""
+    unbiased = has_moments = False
+
+    @property
+    def name(self) -> str:  # type: ignore[override]
+        """Import path of the function."""
+        return self.path or noise_name(self.function)
+
+    def draw(self, rates: Tensor, random: Random = None, dark: Tensor | float = 0.0) -> Tensor:
+        """Counts that the function gives."""
+        return self.function(rates, random)
+
+    def check(self, learning: bool) -> None:
+        """Raise `InputError` unless it draws counts, and masks can learn under it."""
+        rates = torch.tensor([0.5, 3.0, 50.0]).repeat(64, 1).requires_grad_(learning)
+        try:
+            counts = self.draw(rates, torch.Generator().manual_seed(0))
+            finite = counts.shape == rates.shape and bool(torch.isfinite(counts).all())
+        except Exception as error:
+            reason = " ".join(str(error).split()) or type(error).__name__
+            raise InputError(
+                f"the noise cannot be used: {reason}; give noise(rates, generator), counts of a "
+                "tensor"
+            ) from error
+        if not finite:
+            raise InputError(
+                "the noise gives no finite counts of the shape of the rates: give one that does"
+            )
+        if learning and not (
+            counts.requires_grad and bool(torch.autograd.grad(counts.sum(), rates)[0].any())
+        ):
+            raise InputError(
+                "masks cannot learn under this noise, whose draws have no gradient in the rates "
+                "(those of torch.poisson have none): draw rates + std * torch.randn, or train "
+                "under ml_gauss and test under it"
+            )
+
+
+NOISE_CLASSES: dict[str, type[Noise]] = {
+    each.name: each for each in (NoNoise, Gaussian, Poisson, MlGauss, CameraNoise, Click)
+}
+"""Class of each noise of the package, by its name."""
+
+
+def make_noise(setting: str | NoiseFunction, /, **numbers: Any) -> Noise:
+    """Noise of a name, an import path or a function.
+
+    Parameters
+    ----------
+    setting : str or callable
+        A `Noise` is itself.
+    numbers
+        By the names of a camera's fields, such as `sigma`, but `dark` in counts of an exposure; a
+        noise takes those that it has.
+
+    Raises
+    ------
+    InputError
+        For an unknown name, impossible dark counts, or dark counts of a noise that has none.
+    """
+    if isinstance(setting, Noise):
+        noise = setting
+    elif not isinstance(setting, str):
+        noise = CustomNoise(setting)
+    elif ":" in check_noise(setting):
+        noise = CustomNoise(load_plugin(setting), setting)
+    else:
+        made = NOISE_CLASSES[setting]
+        names = {each.name for each in fields(made)}  # type: ignore[arg-type]
+        noise = made(**{name: one for name, one in numbers.items() if name in names})
+    dark = numbers.get("dark", 0.0)
+    if not (isinstance(dark, int | float) and math.isfinite(dark) and dark >= 0):
+        raise InputError(f"{dark!r} dark counts are not allowed: give 0 or more for an exposure")
+    if dark and "dark" not in noise.settings:
+        raise InputError(
+            "dark counts are not of {given} noise: give {noise:camera} with them",
+            setting="noise",
+            given=noise.name,
+        )
+    return noise
+
+
+def noise_of(camera: Camera, noise: str | NoiseFunction | None = None) -> Noise:
+    """Noise of a camera's counts, or another one with the camera's numbers.
+
+    Parameters
+    ----------
+    camera : Camera
+    noise : str or callable, optional
+        What a training has in place of the camera's noise.
+    """
+    setting = camera.noise if noise is None else noise
+    dark = camera.dark_counts if find_noise(setting).dark else 0.0
+    return make_noise(setting, **{**dict(camera), "dark": dark})
+
+
+def attach_gradient(counts: Tensor, mean: Tensor, total: Tensor) -> Tensor:
+    """Let drawn counts follow what their mean and variance depend on, as those of `MlGauss` do.
+
+    These are the derivatives of μ + √L ε at the ε that gives y. The gradient of the mean of any
+    f(y) is right where f is at most quadratic.
+
+    Parameters
+    ----------
+    counts, mean, total : tensor, shape (..., m)
+        y, their means μ and their variances L.
+    """
+    # For one rail, where it is f′(k) (1 + k/r) / 2, its mean is that of [f′(k) + f′(k + 1)] / 2,
+    # because E[k g(k)] = r E[g(k + 1)]: the trapezoid rule for what is exact,
+    # ∂ E f / ∂r = E[f(k + 1) − f(k)] = E ∫₀¹ f′(k + t) dt
+    fixed = total.detach()
+    pull = torch.where(fixed > 0, (counts - mean.detach()) / (2 * fixed), 0.0)
+    return counts + (mean - mean.detach()) + pull * (total - fixed)
+
+
+def root(rate: Tensor) -> Tensor:
+    """Square root whose gradient is 0, not infinite, where the rate (...) is 0 (a dark rail)."""
+    return _Root.apply(rate)  # type: ignore[no-untyped-call]
+
+
+class _Root(torch.autograd.Function):
+    @staticmethod
+    def forward(rate: Tensor) -> Tensor:
+        return rate.clamp(min=0).sqrt()
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple[Tensor], output: Tensor) -> None:
+        ctx.save_for_backward(output)
+
+    @staticmethod
+    def backward(ctx: Any, gradient: Tensor) -> Tensor:
+        (value,) = ctx.saved_tensors
+        return torch.where(value > 0, gradient / (2 * value), 0.0)
+
+
+def _normal(like: Tensor, random: Random) -> Tensor:
+    return torch.randn(like.shape, generator=random, device=like.device, dtype=like.dtype)

@@ -1,0 +1,181 @@
+"""Noise of trainings side by side, in units of the scene.
+
+The unit is one fully reflecting pixel, which gives Φ / s counts, the gain: budgets then differ in
+their noise alone, and products of scenes and masks serve all of them.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from deepfsi.physics.detection import Readouts
+from deepfsi.physics.noise import Expectation, Noise
+from deepfsi.physics.scanner import project
+
+Normal = Callable[[int], Tensor]
+"""From a number of features k to standard normal numbers (B, 1, k), the same for all trainings."""
+
+
+@dataclass
+class TrainingNoise:
+    """Noise of the features x D of R trainings.
+
+    Attributes
+    ----------
+    kind : Noise
+        With numbers (R, 1) of each training.
+    gain : tensor, shape (R, 1)
+        Counts of one fully reflecting pixel, Φ / s.
+    generators : list of torch.Generator
+        One for each training, since what a Poisson draw takes from its generator depends on rates.
+    unit : tensor, shape (R, 1)
+        Standard deviation of photon noise where x S is 1.
+    """
+
+    kind: Noise
+    gain: Tensor
+    generators: list[torch.Generator]
+    unit: Tensor = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.unit = self.gain.rsqrt()
+        self._kinds = [self.kind.of_jobs(job) for job in range(len(self.generators))]
+
+    @classmethod
+    def of(
+        cls,
+        noises: Sequence[Noise],
+        gains: Sequence[float],
+        seeds: Sequence[int],
+        device: torch.device,
+    ) -> "TrainingNoise":
+        """Noise of R trainings that differ in its numbers alone, of the gain and seed of each."""
+        # The Poisson draws of a seed are others than those of a generator of the same seed
+        gain = torch.tensor(gains, device=device).unsqueeze(1)
+        generators = [torch.Generator(device).manual_seed(seed ^ 2**31) for seed in seeds]
+        return cls(Noise.side_by_side(noises, device), gain, generators)
+
+    def of_jobs(self, jobs: slice) -> "TrainingNoise":
+        """Noise of some of the trainings, which draw from the same generators."""
+        return replace(
+            self,
+            kind=self.kind.of_jobs(jobs),
+            gain=self.gain[jobs],
+            generators=self.generators[jobs],
+        )
+
+    def features(self, mean: Tensor, total: Tensor, read: Readouts, normal: Normal) -> Tensor:
+        """Noisy features (B, R, k).
+
+        Parameters
+        ----------
+        mean, total : tensor, shape (B, R, k)
+            Products x D and x S of scenes with difference and total of the rails.
+        read : Readouts
+            Of the rails, (2, R or 1, k), or (2, B, R, k) where scenes have dwells of their own.
+        normal : callable
+            Draws of a noise that does not count.
+        """
+        if self.kind.counting:
+            return self.counted(mean, total, read)
+        return mean + self.deviation(mean, total, read) * normal(mean.shape[-1])
+
+    def counted(self, mean: Tensor, total: Tensor, read: Readouts) -> Tensor:
+        """Features (B, R, k) from counts of two rails; parameters as of `features`."""
+        active, time = (each if each.ndim == 4 else each.unsqueeze(1) for each in read)
+        counts = []
+        with torch.set_grad_enabled(not self.kind.unbiased and torch.is_grad_enabled()):
+            rates = self._rates(mean, total)
+            for job, kind in enumerate(self._kinds):
+                lit = active[:, :, job % active.shape[2]]
+                dark = kind.dark_counts(time[:, :, job % time.shape[2]])
+                counts.append(kind.sample(rates[:, :, job], lit, dark, self.generators[job]))
+            plus, minus = torch.stack(counts, dim=2)
+        light = Expectation(mean, total, read, self.gain)
+        return self.kind.gradient((plus - minus) / self.gain, light)
+
+    def expected(self, mean: Tensor, total: Tensor) -> Tensor:
+        """Counts (R,) of an exposure, in the mean over noise and scenes, of products (B, R, k)."""
+        return self.kind.mean(self._rates(mean, total)).sum(dim=(0, 3)).mean(dim=0)
+
+    def deviation(self, mean: Tensor, total: Tensor, read: Readouts) -> Tensor:
+        """Standard deviation of features (..., R, k) of a noise that does not count."""
+        return self.kind.deviation(Expectation(mean, total, read, self.gain))
+
+    def variance(self, mean: Tensor, total: Tensor, read: Readouts) -> Tensor:
+        """Variance of features (..., R, k), but of a user's own noise."""
+        return self.kind.variance(Expectation(mean, total, read, self.gain)) / self.gain
+
+    def _rates(self, mean: Tensor, total: Tensor) -> Tensor:
+        """Expected photons (2, B, R, k) of the rails."""
+        return torch.stack([total + mean, total - mean]).mul(self.gain / 2).clamp(min=0)
+
+
+def ml_gauss_features(
+    scenes: Tensor, masks: Tensor, epsilon: Tensor, disjoint: bool, parts: int = 1
+) -> Tensor:
+    """Features (B, *lead, k) of centred scenes under MLGauss noise, in a step of training.
+
+    With x̄ the mean scene and x_c = x − x̄ these are x_c D + √(x S) ε: what `Scanner` gives, less
+    the constant x̄ D.
+
+    Parameters
+    ----------
+    scenes : tensor, shape (B + 1, N)
+        x_c, and x̄ as the last row.
+    masks : tensor, shape (*lead, m, N) or (2, *lead, m, N)
+        As `Rails.combined`, or the difference alone of rails that are disjoint.
+    epsilon : tensor, shape (B, *lead, k)
+        Standard normal numbers, times the deviation of photon noise where x S is 1.
+    disjoint : bool
+        Whether the total of the rails is the size of their difference.
+    parts : int
+        Detectors, of scenes and masks that are arranged.
+    """
+    form = disjoint, parts
+    return _MlGaussFeatures.apply(scenes, masks, epsilon, form)  # type: ignore[no-untyped-call]
+
+
+class _MlGaussFeatures(torch.autograd.Function):
+    """Written out because autograd's own graph of it takes twice the time of its products."""
+
+    @staticmethod
+    def forward(
+        ctx: Any, scenes: Tensor, masks: Tensor, epsilon: Tensor, form: tuple[bool, int]
+    ) -> Tensor:
+        ctx.signed, ctx.parts = form
+        low = masks.to(scenes.dtype)
+        if ctx.signed:
+            ctx.sign = low.sgn()
+            low = torch.stack([low, low.abs()])
+        products = project(scenes, low, ctx.parts).to(epsilon.dtype)
+        single = products.ndim == epsilon.ndim
+        mean, counts = (products, products) if single else products.unbind(1)
+        deviation = (counts[:-1] + counts[-1]).clamp_(min=0).sqrt_()
+        ctx.save_for_backward(scenes, epsilon, deviation)
+        ctx.shape = low.shape
+        return torch.addcmul(mean[:-1], deviation, epsilon)
+
+    @staticmethod
+    def backward(ctx: Any, gradient: Tensor) -> tuple[None, Tensor, Tensor | None, None]:
+        scenes, epsilon, deviation = ctx.saved_tensors
+        # 0, not infinite, where a mask is dark; passes over booleans take many times longer
+        by_counts = (epsilon / deviation).nan_to_num_(0, 0, 0).mul_(gradient).mul_(0.5)
+        back = gradient.new_zeros(len(scenes), *ctx.shape[:-2], gradient.shape[-1])
+        mean, counts = (back, back) if back.ndim == epsilon.ndim else back.unbind(1)
+        mean[:-1] = gradient
+        counts[:-1] += by_counts
+        counts[-1] = by_counts.sum(dim=0)
+        low = back.flatten(1).to(scenes.dtype)
+        if ctx.parts == 1:
+            product = (low.T @ scenes).view(ctx.shape)
+        else:
+            pieces = low.unflatten(-1, (-1, ctx.parts)), scenes.unflatten(-1, (ctx.parts, -1))
+            product = torch.einsum("bkd,bdp->kdp", *pieces).reshape(ctx.shape)
+        if ctx.signed:
+            product = torch.addcmul(product[0], product[1], ctx.sign)
+        by_draw = gradient * deviation if ctx.needs_input_grad[2] else None
+        return None, product.to(gradient.dtype), by_draw, None
