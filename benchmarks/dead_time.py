@@ -18,7 +18,7 @@ import numpy as np
 
 from deepfsi.base import InputError
 from deepfsi.base.numeric import Table
-from deepfsi.camera import DeadTime, find_device
+from deepfsi.camera import CounterEffects, DeadTime, find_device
 from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.hardware.counting import TableSettings, count_table
@@ -89,7 +89,10 @@ def classify(shown: Shown, detector: Detector, dead: DeadTime, labels: np.ndarra
     """Classes with a detector, corrected for a dead time; None where that is refused."""
     manifest, made = shown.patterns.manifest, shown.design
     counts = draw(detector, shown.rates, manifest.picture_s, np.random.default_rng(1))
-    table, settings = Table(counts.astype(float)), TableSettings(dead_time=dead)
+    table, settings = (
+        Table(counts.astype(float)),
+        TableSettings(effects=CounterEffects(dead_time=dead)),
+    )
     try:
         found, _ = count_table(table, manifest, settings)
     except InputError:

@@ -6,7 +6,7 @@ from pydantic import ValidationError
 
 from deepfsi.base import InputError
 from deepfsi.base.numeric import Table
-from deepfsi.camera import DeadTime
+from deepfsi.camera import CounterEffects, DeadTime
 from deepfsi.camera.dead_time import MOST_BLIND
 from deepfsi.hardware.counting import (
     Calibration,
@@ -99,7 +99,10 @@ def off_by(counts, shown, rates) -> np.ndarray:
 
 def test_a_recording_is_corrected_gate_by_gate_with_its_budget(run):
     folder, shown, rates, dead = run
-    bare, counts = count_run(folder), count_run(folder, CountSettings(dead_time=dead))
+    bare, counts = (
+        count_run(folder),
+        count_run(folder, CountSettings(effects=CounterEffects(dead_time=dead))),
+    )
     assert counts.faults == ()
     assert np.array_equal(bare.counts, counts.counts)
     assert np.array_equal(bare.arrivals, bare.counts)
@@ -114,7 +117,7 @@ def test_a_recording_is_corrected_gate_by_gate_with_its_budget(run):
     again = read_counts(folder)
     for name in ("counts", "arrivals", "variance"):
         assert np.array_equal(getattr(again, name), getattr(counts, name))
-    assert again.dead_time == dead
+    assert again.effects.dead_time == dead
     assert (counts.variance > counts.arrivals).all()
 
 
@@ -125,9 +128,9 @@ def test_the_calibration_in_the_folder_knows_the_dead_time(run):
         dead_time=dead,
     )  # fmt: skip
     path = known.save(folder / "calibration")
-    wanted = count_run(folder, CountSettings(dead_time=dead))
+    wanted = count_run(folder, CountSettings(effects=CounterEffects(dead_time=dead)))
     assert np.array_equal(count_run(folder).arrivals, wanted.arrivals)
-    none = count_run(folder, CountSettings(dead_time=DeadTime(seconds=0)))
+    none = count_run(folder, CountSettings(effects=CounterEffects(dead_time=DeadTime(seconds=0))))
     assert np.array_equal(none.arrivals, none.counts)
     path.unlink()
 
@@ -137,7 +140,9 @@ def test_a_table_is_corrected_by_the_same_law(run):
     times = shown.manifest.picture_s
     detector = Detector(dead_time_s=TAU, paralysable=dead.paralysable)
     values = draw(detector, rates, times, np.random.default_rng(8)).astype(float)
-    counts, _ = count_table(Table(values), shown.manifest, TableSettings(dead_time=dead))
+    counts, _ = count_table(
+        Table(values), shown.manifest, TableSettings(effects=CounterEffects(dead_time=dead))
+    )
     assert counts.faults == ()
     assert abs(off_by(counts, shown, rates)).max() < 5
     bare, _ = count_table(Table(values), shown.manifest, TableSettings())
@@ -150,7 +155,9 @@ def test_sound_light_gives_no_false_fault(tmp_path, paralysable):
     shown = patterns_of(tmp_path / "p", "free-dwell").manifest
     rates = arrival_rates(tmp_path / "p", scenes(20), VirtualCamera(), 1.4e7)[..., 0]
     detector = Detector(dead_time_s=TAU, paralysable=paralysable)
-    settings = TableSettings(dead_time=DeadTime(seconds=TAU, paralysable=paralysable))
+    settings = TableSettings(
+        effects=CounterEffects(dead_time=DeadTime(seconds=TAU, paralysable=paralysable))
+    )
     for seed in range(20):
         rng = np.random.default_rng(seed)
         values = draw(detector, rates, shown.picture_s, rng).astype(float)
@@ -163,8 +170,10 @@ def test_a_counter_near_saturation_is_named(run):
     with pytest.raises(
         InputError, match=r"counts/s on input 1 in all ON, .* dim the light"
     ) as said:
-        count_run(folder, CountSettings(dead_time=slow))
+        count_run(folder, CountSettings(effects=CounterEffects(dead_time=slow)))
     assert "\n" not in str(said.value)
     values = np.rint(rates * shown.manifest.picture_s)
     with pytest.raises(InputError, match="all ON"):
-        count_table(Table(values), shown.manifest, TableSettings(dead_time=slow))
+        count_table(
+            Table(values), shown.manifest, TableSettings(effects=CounterEffects(dead_time=slow))
+        )

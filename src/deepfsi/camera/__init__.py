@@ -1,7 +1,7 @@
 """The apparatus as a user describes it: optics, device, detectors, noise, light (no torch)."""
 
 from deepfsi.camera.camera import PRESETS, Camera, CameraSource, Levels
-from deepfsi.camera.dead_time import NO_DEAD_TIME, CorrectionFactors, CounterEffects, DeadTime
+from deepfsi.camera.dead_time import NO_EFFECTS, CorrectionFactors, CounterEffects, DeadTime
 from deepfsi.camera.detectors import (
     ONE_DETECTOR,
     DetectorMap,
@@ -50,7 +50,7 @@ __all__ = [
     "LIGHT_LAWS",
     "LONGEST_PICTURE_S",
     "NOISES",
-    "NO_DEAD_TIME",
+    "NO_EFFECTS",
     "ONE_DETECTOR",
     "PRESETS",
     "TOO_DIM",

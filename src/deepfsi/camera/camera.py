@@ -31,7 +31,7 @@ from deepfsi.base import (
     time_text,
 )
 from deepfsi.base.models import Seconds, UserModel
-from deepfsi.camera.dead_time import LONGEST_DEAD_TIME_S, DeadTime
+from deepfsi.camera.dead_time import LONGEST_DEAD_TIME_S, CounterEffects, DeadTime
 from deepfsi.camera.detectors import DetectorMap, detector_setting
 from deepfsi.camera.device import Device, find_device
 from deepfsi.camera.layout import DmdLayout, Region, find_grid
@@ -428,10 +428,10 @@ class Camera(UserModel):
         """Dead time of the counter."""
         return DeadTime(seconds=self.dead_time, paralysable=self.dead_time_model == "paralysable")
 
-    def corrected_dead_time(self, settings: Container[str] = ()) -> DeadTime | None:
-        """Dead time to be corrected; None where there is none and no setting is its model."""
+    def counter_effects(self, settings: Container[str] = ()) -> CounterEffects | None:
+        """Effects to be corrected; None where there are none and no setting is of one."""
         if self.dead_time:
-            return self.counter_dead_time
+            return CounterEffects(dead_time=self.counter_dead_time)
         if "dead_time_model" in settings:
             raise InputError(
                 "{dead_time_model} is of a dead time: give {dead_time}, such as 20ns",

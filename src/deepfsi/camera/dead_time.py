@@ -88,16 +88,19 @@ NO_DEAD_TIME = DeadTime(seconds=0.0)
 """Nothing is lost."""
 
 
-@dataclass(frozen=True)
-class CounterEffects:
+class CounterEffects(StrictModel):
     """Effects of a counter on the light that arrives, for which counts are corrected.
 
-    Attributes
-    ----------
-    dead_time : DeadTime
-    gains : tuple of float
-        Relative efficiency of each detector; empty for equal ones.
+    Settings and files that carry them are of this class, so that another effect is a field here.
     """
 
-    dead_time: DeadTime
-    gains: tuple[float, ...] = ()
+    dead_time: DeadTime = NO_DEAD_TIME
+
+    @property
+    def effects(self) -> "CounterEffects":
+        """The effects alone."""
+        return CounterEffects(**{name: getattr(self, name) for name in CounterEffects.model_fields})
+
+
+NO_EFFECTS = CounterEffects()
+"""Each photon is counted."""

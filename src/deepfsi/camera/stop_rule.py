@@ -3,7 +3,7 @@
 import math
 
 from deepfsi.base.models import Count, Positive, Share, StrictModel
-from deepfsi.camera.dead_time import NO_DEAD_TIME, CounterEffects, DeadTime
+from deepfsi.camera.dead_time import CounterEffects
 
 
 class StopRule(StrictModel):
@@ -20,18 +20,17 @@ class StopRule(StrictModel):
         return near and confidence > self.threshold
 
 
-class LiveSettings(StrictModel):
-    """Settings of a live run."""
+class _LiveLooks(StrictModel):
+    """Settings of the looks of a live run, which its file has first."""
 
     shortest_ns: Count  # Shortest gate; frames whose dwells are shorter are not shown
     # Budget of an exposure where it is known; that of the all-ON frames so far if None
     photons: Positive | None = None
     rule: StopRule | None = None  # When an exposure stops; never before its last look if None
-    dead_time: DeadTime = NO_DEAD_TIME  # Of the counter, to be corrected for
+
+
+class LiveSettings(CounterEffects, _LiveLooks):
+    """Settings of a live run, with the effects of the counter that are corrected for."""
+
     background: bool = False  # True if a pass with the scenes dark comes first
     latencies: dict[str, float] | None = None  # Of virtual devices, seconds
-
-    @property
-    def effects(self) -> CounterEffects:
-        """Effects of the counter, for which counts are corrected."""
-        return CounterEffects(self.dead_time)

@@ -21,7 +21,7 @@ from deepfsi.base import (
 )
 from deepfsi.cli import common, options, paths
 from deepfsi.cli.groups import Group
-from deepfsi.cli.settings import laboratory_fields, with_settings
+from deepfsi.cli.settings import COUNTER_EFFECTS, laboratory_fields, with_settings
 
 if TYPE_CHECKING:
     import numpy as np
@@ -130,7 +130,7 @@ def camera_describe(
     print(found.describe())
 
 
-@with_settings(laboratory_fields, "exposure", "flux", "dark", "dead_time", "dead_time_model")
+@with_settings(laboratory_fields, "exposure", "flux", "dark", *COUNTER_EFFECTS)
 def camera_simulate(
     patterns: Annotated[Path, typer.Argument(help="folder of patterns")],
     settings: dict[str, Any],
@@ -194,7 +194,7 @@ def camera_simulate(
     )
 
 
-@with_settings(laboratory_fields, "dead_time", "dead_time_model")
+@with_settings(laboratory_fields, *COUNTER_EFFECTS)
 def camera_count(
     folder: options.Run,
     settings: dict[str, Any],
@@ -259,7 +259,7 @@ def camera_count(
                 repeats=repeats,
                 tolerance_s=options.optional_seconds("tolerance", tolerance),
                 **options.wiring(inputs, marker),
-                dead_time=camera_of(folder, settings).corrected_dead_time(settings),
+                effects=camera_of(folder, settings).counter_effects(settings),
                 background=background,
                 gains=() if flat is None else gains_of(flat),
                 clicks=camera_of(folder).clicks,
@@ -289,8 +289,8 @@ def print_counts(
         "dark_rate": counts.dark_rate.tolist(),
         "drift": counts.drift,
         "inputs": [each + 1 for each in counts.inputs],
-        "dead_time_s": counts.dead_time.seconds,
-        "paralysable": counts.dead_time.paralysable,
+        "dead_time_s": counts.effects.dead_time.seconds,
+        "paralysable": counts.effects.dead_time.paralysable,
         "arrivals": float(counts.arrivals.sum()),
         "ambient": float(counts.ambient.sum()),
         "gains": list(counts.gains),
@@ -309,10 +309,11 @@ def print_counts(
         print(f"photons.ptu: {problem}")
     for fault in counts.faults:
         print(fault.line(names))
-    if counts.dead_time.seconds:
+    if counts.effects.dead_time.seconds:
         lost = 1 - summary["photons_counted"] / max(summary["arrivals"], 1.0)
         print(
-            f"dead time of {counts.dead_time}: {lost:.1%} of the photons were lost, and are added"
+            f"dead time of {counts.effects.dead_time}: {lost:.1%} of the photons were lost, and "
+            "are added"
         )
     if counts.gains:
         print(f"efficiencies corrected: {', '.join(f'{gain:.3f}' for gain in counts.gains)}")

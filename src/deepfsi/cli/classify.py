@@ -7,14 +7,14 @@ import typer
 
 from deepfsi.base import InputError
 from deepfsi.cli import common, options, paths
-from deepfsi.cli.settings import laboratory_fields, with_settings
+from deepfsi.cli.settings import COUNTER_EFFECTS, laboratory_fields, with_settings
 
 if TYPE_CHECKING:
     from deepfsi.hardware.live import LiveAnswers
     from deepfsi.lab import ClassifiedRun, ClassifiedScene
 
 
-@with_settings(laboratory_fields, "dead_time", "dead_time_model")
+@with_settings(laboratory_fields, *COUNTER_EFFECTS)
 def camera_classify(
     settings: dict[str, Any],
     file: Annotated[

@@ -13,7 +13,7 @@ import typer
 from deepfsi.base import InputError, as_input_error, check_choice
 from deepfsi.cli import camera, common, options, paths
 from deepfsi.cli.classify import print_right
-from deepfsi.cli.settings import laboratory_fields, with_settings
+from deepfsi.cli.settings import COUNTER_EFFECTS, laboratory_fields, with_settings
 
 if TYPE_CHECKING:
     from deepfsi.hardware.counting import Acquisition
@@ -24,9 +24,7 @@ VIRTUAL_SETTINGS = ("flux", "dark", "virtual", "latency", "seed", "yes")
 """Parameters that only virtual devices take."""
 
 
-@with_settings(
-    laboratory_fields, "exposure", "flux", "dark", "dead_time", "dead_time_model", "shortest_dwell"
-)
+@with_settings(laboratory_fields, "exposure", "flux", "dark", *COUNTER_EFFECTS, "shortest_dwell")
 def camera_live(
     context: typer.Context,
     settings: dict[str, Any],
@@ -100,8 +98,8 @@ def camera_live(
     exposure_s = camera.exposure_of(known)
     told: dict[str, Any] = {"flux": known.flux, "background": background}
     told |= options.wiring(inputs, marker)
-    if dead := known.corrected_dead_time(settings):
-        told["dead_time"] = dead
+    if effects := known.counter_effects(settings):
+        told["effects"] = effects
     if simulated:
         camera.flux_of(known)
         seen = camera.find_camera(virtual, source, settings)

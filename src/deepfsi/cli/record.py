@@ -7,10 +7,10 @@ from typing import Annotated, Any
 import typer
 
 from deepfsi.cli import camera, common, live, options, paths
-from deepfsi.cli.settings import laboratory_fields, with_settings
+from deepfsi.cli.settings import COUNTER_EFFECTS, laboratory_fields, with_settings
 
 
-@with_settings(laboratory_fields, "exposure", "flux", "dark", "dead_time", "dead_time_model")
+@with_settings(laboratory_fields, "exposure", "flux", "dark", *COUNTER_EFFECTS)
 def camera_record(
     context: typer.Context,
     settings: dict[str, Any],
@@ -112,10 +112,10 @@ def camera_record(
                 )
     if counter == "followed":
         live.ask("end the recording in the counter's software")
-    dead = known.corrected_dead_time(settings)
+    effects = known.counter_effects(settings)
     clicks = camera.camera_of(patterns).clicks
     with common.progress("counting", quiet=as_json) as report:
-        counts = count_run(out, CountSettings(dead_time=dead, clicks=clicks), progress=report)
+        counts = count_run(out, CountSettings(effects=effects, clicks=clicks), progress=report)
     camera.print_counts(counts, out, as_json, "camera.record")
     if not as_json:
         print(f"run: {out}; then: deepfsi camera classify {patterns} {out}")

@@ -64,6 +64,10 @@ def _named(table: str, panel: str, fields: "Mapping[str, FieldInfo]") -> Fields:
     }
 
 
+COUNTER_EFFECTS = ("dead_time", "dead_time_model")
+"""Fields of a camera that tell what its counts are corrected for."""
+
+
 def laboratory_fields(*names: str) -> Fields:
     """Help panel and field of the options of a run: its camera, and fields of that; all if none."""
     from deepfsi.camera import Camera

@@ -16,7 +16,7 @@ import numpy as np
 
 from deepfsi.base import InputError, hash_file, require_torch
 from deepfsi.base.numeric import read_table
-from deepfsi.camera import LIGHT_LAWS, NO_DEAD_TIME, TOO_DIM, Camera, check_budget
+from deepfsi.camera import LIGHT_LAWS, NO_EFFECTS, TOO_DIM, Camera, check_budget
 from deepfsi.design.readouts import classify_readouts
 from deepfsi.designfile import (
     READOUTS,
@@ -287,11 +287,11 @@ def classify_table(
         return _classified_readouts(made, str(table), settings, camera)
     settings = replace(settings or TableSettings(), clicks=made.gates)
     if camera:
-        dead = Camera.of_run(made.camera, **camera).corrected_dead_time(camera)
-        settings = replace(settings, dead_time=dead or NO_DEAD_TIME)
+        effects = Camera.of_run(made.camera, **camera).counter_effects(camera)
+        settings = replace(settings, effects=effects or NO_EFFECTS)
     if patterns is not None:
         manifest = patterns.manifest
-    elif settings.settle_s or settings.dead_time.seconds:
+    elif settings.settle_s or settings.effects.dead_time.seconds:
         raise InputError(
             "{settle} and {dead_time} need the times of the frames, and {file} has none: give the "
             "folder of its patterns",

@@ -100,12 +100,15 @@ def test_dead_time_is_corrected_in_the_background_too(tmp_path):
     patterns(tmp_path / "patterns", "single")
     x = np.concatenate([np.repeat(STEADY[None], SCENES, axis=0), np.zeros((1, *SHAPE))])
     x = x.astype(np.float32)
-    from deepfsi.camera import DeadTime
+    from deepfsi.camera import CounterEffects, DeadTime
 
     lost = recorded(tmp_path / "lost", tmp_path / "patterns", x, FLUX, dead=20e-9)
     sound = recorded(tmp_path / "sound", tmp_path / "patterns", x, FLUX)
     with_dead = count_run(
-        lost, CountSettings(background="black", dead_time=DeadTime(seconds=20e-9))
+        lost,
+        CountSettings(
+            background="black", effects=CounterEffects(dead_time=DeadTime(seconds=20e-9))
+        ),
     ).ambient
     without = count_run(sound, CountSettings(background="black"))
     assert with_dead.sum() == pytest.approx(

@@ -10,7 +10,7 @@ from recording_samples import patterns_of
 
 from deepfsi.base import InputError
 from deepfsi.base.numeric import Table, read_table
-from deepfsi.camera import DeadTime, DetectorMap, Device
+from deepfsi.camera import CounterEffects, DeadTime, DetectorMap, Device
 from deepfsi.hardware.counting import TableSettings, count_table, table_of_series
 from deepfsi.hardware.counting.tables import ROLL_OVER, column_names
 from deepfsi.hardware.patterns import (
@@ -257,7 +257,7 @@ def test_law_units_of_an_analogue_detector_are_counts_with_read_noise(tmp_path):
 
 def test_an_analogue_detector_has_no_dead_time():
     with pytest.raises(InputError, match="counts no photons: leave `dead_time` out"):
-        TableSettings(gain=2.0, dead_time=DeadTime(seconds=1e-8))
+        TableSettings(gain=2.0, effects=CounterEffects(dead_time=DeadTime(seconds=1e-8)))
 
 
 # Clicks
@@ -317,7 +317,7 @@ def test_clicks_that_tell_no_budget_need_it(tmp_path):
     ("settings", "name"),
     [
         ({"background": 3.0}, "`background`"),
-        ({"dead_time": DeadTime(seconds=1e-8)}, "`dead_time`"),
+        ({"effects": CounterEffects(dead_time=DeadTime(seconds=1e-8))}, "`dead_time`"),
         ({"gain": 2.0}, "`gain` or `read_noise`"),
     ],
 )

@@ -7,7 +7,7 @@ import pytest
 
 from deepfsi import Design
 from deepfsi.base import InputError
-from deepfsi.camera import DeadTime
+from deepfsi.camera import CounterEffects, DeadTime
 from deepfsi.hardware.counting import FrameCounts, Scene
 from deepfsi.hardware.light import PARTS
 from deepfsi.hardware.live import SceneObserver
@@ -109,7 +109,9 @@ def test_dead_time_changes_no_decision_where_it_is_known(digits, patterns, paral
     rates, dead = rates_of(patterns, digits), DeadTime(seconds=25e-9, paralysable=paralysable)
     detector = Detector(dead_time_s=dead.seconds, paralysable=paralysable)
     (clean,), _ = observe(patterns, rates)
-    (corrected,), _ = observe(patterns, detector.registered(rates), dead_time=dead)
+    (corrected,), _ = observe(
+        patterns, detector.registered(rates), effects=CounterEffects(dead_time=dead)
+    )
     (blind,), _ = observe(patterns, detector.registered(rates))
     check_alike(clean, corrected)
     assert blind[-1].photons < 0.96 * clean[-1].photons
@@ -150,8 +152,8 @@ def test_an_all_on_frame_too_bright_for_its_dead_time_ends_the_run(digits, patte
     rates = rates_of(patterns, digits)
     rates *= 1.01 * dead.most_registered / rates.max()
     with pytest.raises(InputError, match="corrected up to"):
-        observe(patterns, rates, dead_time=dead)
-    observe(patterns, 0.98 * rates, dead_time=dead)
+        observe(patterns, rates, effects=CounterEffects(dead_time=dead))
+    observe(patterns, 0.98 * rates, effects=CounterEffects(dead_time=dead))
 
 
 def test_a_known_budget_is_taken(digits, patterns):
@@ -203,7 +205,7 @@ def test_a_mask_beyond_the_rate_that_is_sure_is_corrected_as_there(digits, patte
     dead = DeadTime(seconds=25e-9, paralysable=paralysable)
     rates, shown = rates_of(patterns, digits), read_patterns(patterns).manifest.shown
     rates[:, shown[::2]] = 2.5 * dead.most_registered
-    (found,), asked = observe(patterns, rates, dead_time=dead)
+    (found,), asked = observe(patterns, rates, effects=CounterEffects(dead_time=dead))
     rates *= dead.correction(np.minimum(rates, dead.most_registered)).arrivals
     (arrived,), again = observe(patterns, rates)
     assert len(found) == len(arrived) == LOOKS
@@ -232,7 +234,9 @@ def test_law_all_on_frames_have_the_noise_of_what_is_subtracted_and_of_a_dead_ti
     arrived = rates + dark
     registered = arrived / (1 + arrived * dead_s)
     manifest = read_patterns(patterns).manifest
-    acquisition = plan_live(patterns, (Scene(name="a"),), EXPOSURE_S, dead_time=dead)
+    acquisition = plan_live(
+        patterns, (Scene(name="a"),), EXPOSURE_S, effects=CounterEffects(dead_time=dead)
+    )
     observer = SceneObserver(Watched(open_looks(patterns), seen), manifest, acquisition)
     times = []
 

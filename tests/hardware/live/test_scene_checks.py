@@ -8,7 +8,7 @@ import pytest
 
 from conftest import quick
 from deepfsi.base import InputError
-from deepfsi.camera import DeadTime, find_device
+from deepfsi.camera import CounterEffects, DeadTime, find_device
 from deepfsi.hardware.drivers import Setup
 from deepfsi.hardware.live import LiveCounts, plan_live, run_live
 from deepfsi.hardware.patterns import FrameSettings, export_patterns
@@ -133,7 +133,9 @@ def test_a_dead_time_that_is_not_told_is_named(digits, patterns, tmp_path, secon
 
 def test_a_dead_time_that_is_told_is_corrected(digits, patterns, tmp_path):
     lab, dead = Lab(VirtualCamera(dead_time_s=50e-9)), DeadTime(seconds=50e-9)
-    found = answers(tmp_path / "run", patterns, digits, lab, scenes=8, dead_time=dead)
+    found = answers(
+        tmp_path / "run", patterns, digits, lab, scenes=8, effects=CounterEffects(dead_time=dead)
+    )
     assert sum(each.predicted is not None for each in found) >= 7
 
 

@@ -38,7 +38,7 @@ from deepfsi.base import (
     write_atomically,
 )
 from deepfsi.base.models import Amount, Positive, Share, StrictModel
-from deepfsi.camera import DeadTime, LiveSettings
+from deepfsi.camera import CounterEffects, DeadTime, LiveSettings
 from deepfsi.hardware.patterns import GatePlan, Manifest, Patterns, read_patterns
 from deepfsi.hardware.photons import PtuFile
 
@@ -456,6 +456,11 @@ class Calibration(StrictModel):
         if abs(np.linalg.det(np.array(self.homography))) < 1e-9:
             raise ValueError("the homography cannot be inverted")
         return self
+
+    @property
+    def effects(self) -> CounterEffects | None:
+        """Effects of the counter, as far as they are known."""
+        return CounterEffects(dead_time=self.dead_time) if self.dead_time else None
 
     @property
     def doubts(self) -> list[str]:

@@ -32,13 +32,16 @@ from deepfsi.camera import CorrectionFactors, CounterEffects, DeadTime
 from deepfsi.hardware.counting.counts import LEAST_UNFIRED, RunLight
 from deepfsi.hardware.patterns import Frame, Manifest
 
+Gains = tuple[float, ...]
+"""Relative efficiency of each detector; empty for equal ones."""
+
 
 class Correction(ABC):
     """One effect of a counter that is undone by factors of its counts."""
 
     @classmethod
     @abstractmethod
-    def of(cls, effects: CounterEffects, manifest: Manifest) -> Self:
+    def of(cls, effects: CounterEffects, gains: Gains, manifest: Manifest) -> Self:
         """Correction of an effect on the inputs of a manifest, or `InputError`."""
 
     @abstractmethod
@@ -58,7 +61,7 @@ class DeadTimeCorrection(Correction):
     dead_time: DeadTime
 
     @classmethod
-    def of(cls, effects: CounterEffects, manifest: Manifest) -> Self:
+    def of(cls, effects: CounterEffects, gains: Gains, manifest: Manifest) -> Self:
         """Correction for the dead time of all inputs."""
         return cls(effects.dead_time)
 
@@ -89,9 +92,8 @@ class GainCorrection(Correction):
     gains: np.ndarray  # (inputs,)
 
     @classmethod
-    def of(cls, effects: CounterEffects, manifest: Manifest) -> Self:
+    def of(cls, effects: CounterEffects, gains: Gains, manifest: Manifest) -> Self:
         """Correction for the gains of all detectors, 1 where none are given."""
-        gains = effects.gains
         if gains and len(gains) != manifest.inputs:
             raise InputError(
                 f"the flat field is of {len(gains)} detectors, and these patterns are for "
@@ -108,9 +110,11 @@ CORRECTIONS: tuple[type[Correction], ...] = (DeadTimeCorrection, GainCorrection)
 """Effects of a counter, in the order in which they are undone."""
 
 
-def corrections_of(effects: CounterEffects, manifest: Manifest) -> tuple[Correction, ...]:
-    """Corrections for the effects of a counter, in their order."""
-    return tuple(kind.of(effects, manifest) for kind in CORRECTIONS)
+def corrections_of(
+    effects: CounterEffects, manifest: Manifest, gains: Gains = ()
+) -> tuple[Correction, ...]:
+    """Corrections for the effects of a counter and the gains of its detectors, in their order."""
+    return tuple(kind.of(effects, gains, manifest) for kind in CORRECTIONS)
 
 
 def correct(rates: np.ndarray, corrections: Sequence[Correction]) -> CorrectionFactors:

@@ -13,7 +13,7 @@ from typing import Any, Self
 import numpy as np
 
 from deepfsi.base import SILENT, InputError, Progress, time_text
-from deepfsi.camera import NO_DEAD_TIME, CounterEffects, DeadTime
+from deepfsi.camera import NO_EFFECTS, CounterEffects
 from deepfsi.hardware.counting.acquisition import Calibration, Run, read_run
 from deepfsi.hardware.counting.corrections import (
     ENDS,
@@ -65,8 +65,8 @@ class CountSettings:
         Inputs of the counter, from 0, one for each detector.
     marker_bit : int, optional
         1, 2, 4 or 8: the marker input of the device's trigger.
-    dead_time : DeadTime, optional
-        To be corrected for; that of the calibration in the run's folder unless given.
+    effects : CounterEffects, optional
+        To be corrected for; those of the calibration in the run's folder unless given.
     background : str, optional
         Name of the scene that was dark, or folder of a run with the scene dark, of the same
         patterns and wiring.
@@ -82,7 +82,7 @@ class CountSettings:
     tolerance_s: float | None = None
     inputs: tuple[int, ...] | None = None
     marker_bit: int | None = None
-    dead_time: DeadTime | None = None
+    effects: CounterEffects | None = None
     background: str | None = None
     gains: tuple[float, ...] = ()
     clicks: int | None = None
@@ -135,7 +135,7 @@ def count_run(
         counts = _count_photons(run, gates, settings, progress)
     else:
         of_photons = {
-            "dead time": settings.dead_time is not None,
+            "dead time": settings.effects is not None,
             "a background": settings.background is not None,
             "a flat field": bool(settings.gains),
         }
@@ -278,12 +278,12 @@ def _count_photons(
     """Photons of each readout, and what arrived, corrected and less no background yet."""
     manifest = run.manifest
     acquisition = run.acquisition
-    dead_time = settings.dead_time
+    effects = settings.effects
     calibration = run.folder / "calibration"
-    if dead_time is None and (calibration / "calibration.json").is_file():
-        dead_time = Calibration.load(calibration).dead_time
-    effects = CounterEffects(dead_time or NO_DEAD_TIME, settings.gains)
-    corrections = corrections_of(effects, manifest)
+    if effects is None and (calibration / "calibration.json").is_file():
+        effects = Calibration.load(calibration).effects
+    effects = effects or NO_EFFECTS
+    corrections = corrections_of(effects, manifest, settings.gains)
     names = [scene.name for scene in acquisition.scenes]
     dark = names.index(settings.background) if settings.background in names else None
     ambient = Ambient.none(manifest)
@@ -355,8 +355,8 @@ def _count_photons(
         exposure_s=settings.exposure_s or acquisition.exposure_s,
         ambient=ambient.counts,
         ambient_variance=ambient.variance,
-        dead_time=effects.dead_time,
-        gains=effects.gains,
+        effects=effects,
+        gains=settings.gains,
     )
 
 

@@ -20,7 +20,7 @@ from pydantic import Field
 from deepfsi.base import InputError, hash_file, read_regular, write_atomically
 from deepfsi.base.models import Amount, Count, Positive, StrictModel
 from deepfsi.base.numeric import npy_header
-from deepfsi.camera import NO_DEAD_TIME, DeadTime
+from deepfsi.camera import NO_EFFECTS, CounterEffects
 from deepfsi.hardware.counting.acquisition import (
     MOST_READOUTS,
     Run,
@@ -91,7 +91,7 @@ class Counts:
         Of the counter, 0 for input 1: those whose photons were counted.
     faults : tuple of Fault
         Of the recording.
-    dead_time : DeadTime
+    effects : CounterEffects
         For which the arrivals and all rates are corrected.
     gains : tuple of float
         Relative efficiency of each detector, corrected too; empty where none was measured.
@@ -116,7 +116,7 @@ class Counts:
     drift: float
     inputs: tuple[int, ...]
     faults: tuple[Fault, ...]
-    dead_time: DeadTime = NO_DEAD_TIME
+    effects: CounterEffects = NO_EFFECTS
     gains: tuple[float, ...] = ()
     gates: int | None = None
 
@@ -183,7 +183,8 @@ class Counts:
 
     def save(self, run: Run) -> None:
         """Write counts.npz to the folder of the run that was counted."""
-        fields = vars(self)
+        fields = {**vars(self), **dict(self.effects)}
+        del fields["effects"]
         arrays: dict[str, Any] = {
             name: value for name, value in fields.items() if isinstance(value, np.ndarray)
         }
@@ -255,7 +256,8 @@ def read_counts(run: str | os.PathLike[str] | Run) -> Counts:
     if run.photons.is_file() and hash_file(run.photons) != provenance.photons_sha256:
         raise InputError(f"{path} is of another {run.photons.name} than the one beside it: {again}")
     fields = {field.name for field in dataclasses.fields(Counts)}
-    return Counts(**arrays, **{name: value for name, value in provenance if name in fields})
+    settings = {name: value for name, value in provenance if name in fields}
+    return Counts(**arrays, **settings, effects=provenance.effects)
 
 
 def _hash_arrays(arrays: dict[str, np.ndarray]) -> np.ndarray:
@@ -267,8 +269,8 @@ def _hash_arrays(arrays: dict[str, np.ndarray]) -> np.ndarray:
     return np.frombuffer(digest.digest(), np.uint8)
 
 
-class _Provenance(StrictModel):
-    """Settings with which a file was counted, and hashes of the acquisition and its photons.ptu."""
+class _Counting(StrictModel):
+    """What was counted, and hashes of the acquisition and its photons.ptu."""
 
     acquisition: str
     photons_sha256: str
@@ -278,7 +280,11 @@ class _Provenance(StrictModel):
     drift: float
     inputs: tuple[int, ...]
     faults: tuple[Fault, ...]
-    dead_time: DeadTime
+
+
+class _Provenance(CounterEffects, _Counting):
+    """Settings with which a file was counted, in the order in which it has them."""
+
     gains: tuple[Positive, ...] = ()
     gates: Count | None = None
 

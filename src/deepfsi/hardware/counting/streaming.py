@@ -121,7 +121,7 @@ class FrameCounts:
         InputError
             If such a frame is too bright to be corrected.
         """
-        corrections = corrections_of(live.effects, manifest)
+        corrections = corrections_of(live, manifest)
         rates = self.counts / gate_s[:, None]
         if ends is not None:
             for correction in corrections:

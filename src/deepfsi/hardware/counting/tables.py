@@ -28,7 +28,7 @@ import numpy as np
 
 from deepfsi.base import InputError, Message, check_choice, closest_choice, time_text
 from deepfsi.base.numeric import Table
-from deepfsi.camera import NO_DEAD_TIME, CounterEffects, DeadTime
+from deepfsi.camera import NO_EFFECTS, CounterEffects
 from deepfsi.hardware.counting.acquisition import MOST_READOUTS, Scene
 from deepfsi.hardware.counting.corrections import (
     ENDS,
@@ -81,7 +81,7 @@ class TableSettings:
         Counts for a unit of the table, of an analogue detector.
     read_noise : float, optional
         Of each value of an analogue detector, counts rms.
-    dead_time : DeadTime
+    effects : CounterEffects
         Of a photon counter, to be corrected for.
     dark : Table, optional
         Exposures with the scene dark, whose counts are subtracted; a table as that of the others.
@@ -100,7 +100,7 @@ class TableSettings:
     repeats: int = 1
     gain: float | None = None
     read_noise: float | None = None
-    dead_time: DeadTime = NO_DEAD_TIME
+    effects: CounterEffects = NO_EFFECTS
     dark: Table | None = None
     clicks: int | None = None
 
@@ -124,7 +124,7 @@ class TableSettings:
                     value=value,
                     allowed=allowed,
                 )
-        if self.analogue and self.dead_time.seconds:
+        if self.analogue and self.effects.dead_time.seconds:
             raise InputError(
                 "an analogue detector counts no photons: leave {dead_time} out, or {gain} and "
                 "{read_noise}",
@@ -135,7 +135,7 @@ class TableSettings:
                 Message("{background}", setting="background"): (
                     self.background is not None or self.dark is not None
                 ),
-                Message("{dead_time}", setting="dead_time"): bool(self.dead_time.seconds),
+                Message("{dead_time}", setting="dead_time"): bool(self.effects.dead_time.seconds),
                 Message("{gain} or {read_noise}", setting=("gain", "read_noise")): self.analogue,
             }
             check_clicks(self.clicks, of_photons)
@@ -222,7 +222,7 @@ def count_table(
         ambient=ambient.counts,
         ambient_variance=ambient.variance,
         inputs=tuple(range(manifest.inputs)),
-        dead_time=settings.dead_time,
+        effects=settings.effects,
         gates=settings.clicks,
     )
     if settings.photons is None and not exposures.sentinels:
@@ -293,7 +293,7 @@ class _Exposures:
             counts = values * (settings.gain or 1.0)
             return Estimate(counts, counts.clip(min=0) + (settings.read_noise or 0.0) ** 2)
         rates = values / self.seconds[:, None]
-        corrections = corrections_of(CounterEffects(settings.dead_time), self.manifest)
+        corrections = corrections_of(settings.effects, self.manifest)
         for correction in corrections:
             inputs = range(self.manifest.inputs)
             correction.check(rates, self.manifest.frames, inputs, self.name)

@@ -26,7 +26,7 @@ from deepfsi.base import (
     note_saved_work,
     progress_bar,
 )
-from deepfsi.camera import NO_DEAD_TIME, DeadTime, LiveSettings, StopRule
+from deepfsi.camera import NO_EFFECTS, CounterEffects, LiveSettings, StopRule
 from deepfsi.hardware.counting import Acquisition, FrameCounts, FrameGates, Scene, prepare_run
 from deepfsi.hardware.drivers import (
     PATIENCE_S,
@@ -58,7 +58,7 @@ def plan_live(
     looks: LookChooser | None = None,
     photons: float | None = None,
     until: float | None = None,
-    dead_time: DeadTime = NO_DEAD_TIME,
+    effects: CounterEffects = NO_EFFECTS,
     background: bool = False,
     **others: object,
 ) -> Acquisition:
@@ -80,7 +80,7 @@ def plan_live(
         Budget of an exposure, counts; measured by the all-ON frames unless given.
     until : float, optional
         Confidence above which an exposure stops; that of the design's rule unless given.
-    dead_time : DeadTime
+    effects : CounterEffects
         To be corrected.
     background : bool
         First measure what the masks' frames count while the scenes are dark.
@@ -126,8 +126,8 @@ def plan_live(
                 shortest_ns=shortest_ns,
                 photons=photons,
                 rule=rule,
-                dead_time=dead_time,
                 background=background,
+                **dict(effects),
             ),
             **{"inputs": tuple(range(manifest.inputs)), **others},
         )
