@@ -270,7 +270,7 @@ def _hash_arrays(arrays: dict[str, np.ndarray]) -> np.ndarray:
 
 
 class _Counting(StrictModel):
-    """What was counted, and hashes of the acquisition and its photons.ptu."""
+    """Times and inputs of a count, and hashes of the acquisition and its photons.ptu."""
 
     acquisition: str
     photons_sha256: str
