@@ -94,7 +94,7 @@ class CounterEffects(StrictModel):
     Settings and files that carry them are of this class, so that another effect is a field here.
     """
 
-    dead_time: DeadTime = NO_DEAD_TIME
+    dead_time: DeadTime = NO_DEAD_TIME  # Of the counter, to be corrected for
 
     @property
     def effects(self) -> "CounterEffects":

@@ -7,7 +7,7 @@ from virtual_samples import SUMMED_REFLECTANCE, patterns, scenes
 
 from deepfsi import Scanner
 from deepfsi.base import InputError
-from deepfsi.camera import DeadTime
+from deepfsi.camera import CounterEffects, DeadTime
 from deepfsi.hardware.counting import CountSettings, count_run, read_counts
 from deepfsi.hardware.counting.corrections import light_of_clicks
 from deepfsi.hardware.patterns import Patterns
@@ -118,7 +118,10 @@ def test_what_is_of_photons_refuses_clicks(tmp_path):
     patterns(tmp_path / "p", "equal-dwell", "dual")
     gated = recorded(tmp_path, "run", VirtualCamera(gates=GATES), scenes(), repeats=1)
     for settings, match in [
-        ({"dead_time": DeadTime(seconds=2e-8)}, "dead time is of photon counts"),
+        (
+            {"effects": CounterEffects(dead_time=DeadTime(seconds=2e-8))},
+            "dead time is of photon counts",
+        ),
         ({"background": "0"}, "a background is of photon counts"),
         ({"gains": (1.0,)}, "a flat field is of photon counts"),
         ({"exposure_s": EXPOSURE / 2}, "first photons alone of 4 gates"),
