@@ -38,10 +38,6 @@ NPY_HEADER = 128
 """Bytes of the header of a vector in numpy's format."""
 
 
-BAD_ZIP = (zipfile.BadZipFile, KeyError, ValueError, OSError, EOFError, RuntimeError, struct.error)
-"""What zipfile raises of damaged archives, and pydantic of what is in them."""
-
-
 @dataclass(frozen=True)
 class RunLight:
     """Light of each scene, as `Counts` has it, and the faults of all."""

@@ -635,18 +635,21 @@ def _gains(total: np.ndarray, bins: np.ndarray, arm: int) -> np.ndarray:
     gain = np.zeros(starts)
     single = np.diff(total, axis=0)
     saturated = np.concatenate([[0.0], xlogy(single, single).sum(axis=1).cumsum()])
-    arm_counts = []  # of each frame: counts of the arm, and the bins that they are of
-    for stop, width in zip(np.cumsum(bins).tolist(), (bins - 1).tolist(), strict=True):
+    brightest = np.zeros(starts)
+    ends = []  # counts of the arm in the all-ON and all-OFF frames, and the bins that they are of
+    stops = zip(np.cumsum(bins).tolist(), (bins - 1).tolist(), strict=True)
+    for frame, (stop, width) in enumerate(stops):
         counts = total[stop : stop + starts] - total[stop - width : stop - width + starts]
         gain += xlogy(counts, counts / width).sum(axis=1)
         gain -= saturated[stop : stop + starts] - saturated[stop - width : stop - width + starts]
-        arm_counts.append((counts[:, :arm].sum(axis=1), width))
-    brightest = np.zeros(starts)
-    for counts, width in arm_counts[2:-2]:
-        least = counts / width - CERTAIN_SIGMAS * np.sqrt(counts) / width
-        brightest = np.maximum(brightest, least)
+        of_arm = counts[:, :arm].sum(axis=1)
+        if 2 <= frame < len(bins) - 2:  # kept as a maximum: all of these would not fit the memory
+            least = of_arm / width - CERTAIN_SIGMAS * np.sqrt(of_arm) / width
+            brightest = np.maximum(brightest, least)
+        else:
+            ends.append((of_arm, width))
     fits = np.ones(starts, bool)
-    for (on, on_bins), (off, off_bins) in (arm_counts[:2], arm_counts[-2:]):
+    for (on, on_bins), (off, off_bins) in (ends[:2], ends[2:]):
         noise = np.sqrt(on / on_bins**2 + off / off_bins**2)
         fits &= on / on_bins - off / off_bins > CERTAIN_SIGMAS * noise
         fits &= on / on_bins + CERTAIN_SIGMAS * np.sqrt(on) / on_bins >= brightest
