@@ -2,6 +2,7 @@
 
 import json
 import re
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from deepfsi.base import InputError
 from deepfsi.base.numeric import Table, read_table
 from deepfsi.camera import CounterEffects, DeadTime, DetectorMap, Device
 from deepfsi.hardware.counting import TableSettings, count_table, table_of_series
-from deepfsi.hardware.counting.tables import ROLL_OVER, column_names
+from deepfsi.hardware.counting.tables import ROLL_OVER, _gains, column_names
 from deepfsi.hardware.patterns import (
     DesignRails,
     FrameSettings,
@@ -427,6 +428,17 @@ def test_bins_that_do_not_tell_are_refused(shown):
     alike = np.tile(np.repeat([1000.0, 0.0], 10), 3 * len(manifest.frames) // 2)[:, None]
     with pytest.raises(InputError, match="counts do not tell"):  # masks that are all ON or all OFF
         table_of_series(np.repeat(alike, counts.shape[1], axis=1), manifest, bin_s=BIN_US * 1e-6)
+
+
+def test_passes_are_found_in_memory_that_does_not_grow_with_their_frames():
+    total = np.arange(40_000.0)[:, None]
+    peaks = []
+    for frames in (12, 96):
+        tracemalloc.start()
+        _gains(total, np.full(frames, 4), 1)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[1] < 1.2 * peaks[0]
 
 
 @pytest.mark.parametrize("first", [0, ROLL_OVER - 1000])
