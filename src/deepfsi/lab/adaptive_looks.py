@@ -28,7 +28,6 @@ from deepfsi.hardware.patterns import (
     LookPlan,
     Manifest,
     Patterns,
-    read_patterns,
 )
 from deepfsi.physics import library_defaults
 
@@ -64,20 +63,21 @@ class AdaptiveLooks:
         self.scene_model = design.scene_model
 
     @classmethod
-    def read(cls, folder: Path) -> "AdaptiveLooks":
+    def read(cls, folder: Path, manifest: Manifest) -> "AdaptiveLooks":
         """Looks of a folder of patterns of a first mask, which has the design's file.
 
         Parameters
         ----------
         folder : path
             Of the patterns.
+        manifest : Manifest
+            Of these.
 
         Raises
         ------
         InputError
             If files are damaged, or the design is not the one whose mask is beside it.
         """
-        manifest = read_patterns(folder).manifest
         if hash_file(folder / Patterns.DESIGN) != manifest.design_sha256:
             raise InputError(
                 f"{folder / Patterns.DESIGN} is not the design whose first mask is beside it: "
@@ -110,8 +110,7 @@ class AdaptiveExposure:
         self._misfit = 0.0
         self._look = 0
 
-    @torch.no_grad()
-    @library_defaults()
+    @library_defaults(grad=False)
     def ask(self, look: int) -> FrameList:
         """Frame of the mask that tells most of the class, as far as it is known."""
         share = self._looks.shares[look]
@@ -119,8 +118,7 @@ class AdaptiveExposure:
         gate = np.array([round(share * self._state.exposure_ns)])
         return FrameList(look, self._looks.frames, gate, masks.bool().numpy())
 
-    @torch.no_grad()
-    @library_defaults()
+    @library_defaults(grad=False)
     def take(self, asked: FrameList, arrivals: Arrivals) -> np.ndarray:
         """Probabilities (C,) of the classes, from the photons of a look and those before."""
         assert asked.masks is not None
@@ -142,8 +140,7 @@ class AdaptiveExposure:
         return SceneComparison(chance, chance < UNSURE, detail)
 
 
-@torch.no_grad()
-@library_defaults()
+@library_defaults(grad=False)
 def adaptive_rails(path: str | os.PathLike[str]) -> DesignRails:
     """Mask of the first look of a design file, at the budget of its training, as rails."""
     design = AdaptiveDesign.load(path)

@@ -35,9 +35,10 @@ def open_looks(folder: Path) -> LookChooser:
     InputError
         If files are damaged, or the patterns are of fixed dwells.
     """
-    looks = read_patterns(folder).manifest.looks
+    patterns = read_patterns(folder)
+    looks = patterns.manifest.looks
     if looks is None or not looks.adaptive:
-        return FixedMaskLooks.read(folder)
+        return FixedMaskLooks.read(folder, patterns)
     with require_torch():
         from deepfsi.lab.adaptive_looks import AdaptiveLooks
-    return AdaptiveLooks.read(folder)
+    return AdaptiveLooks.read(folder, patterns.manifest)

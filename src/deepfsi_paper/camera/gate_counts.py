@@ -29,7 +29,7 @@ def draw_counts(
     counts = draw(camera, flow, gates.length_s[:, None], rng)
     several = manifest.several
     out = np.zeros((*counts.shape[:2], manifest.rails, manifest.masks, *several), dtype=np.int64)
-    arms = np.split(counts, 2 if manifest.two_arm else 1, axis=-1)
+    arms = np.split(counts, manifest.arms, axis=-1)
     first, *second = (each.reshape(*each.shape[:-1], *several) for each in arms)
     mask = [frame.mask for frame in shown]
     out[:, :, [int(frame.rail == "minus") for frame in shown], mask] = first

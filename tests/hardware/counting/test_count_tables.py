@@ -13,7 +13,7 @@ from deepfsi.base import InputError
 from deepfsi.base.numeric import Table, read_table
 from deepfsi.camera import CounterEffects, DeadTime, DetectorMap, Device
 from deepfsi.hardware.counting import TableSettings, count_table, table_of_series
-from deepfsi.hardware.counting.tables import ROLL_OVER, _gains, column_names
+from deepfsi.hardware.counting.tables import ROLL_OVER, column_names, pass_gains
 from deepfsi.hardware.patterns import (
     DesignRails,
     FrameSettings,
@@ -435,7 +435,7 @@ def test_passes_are_found_in_memory_that_does_not_grow_with_their_frames():
     peaks = []
     for frames in (12, 96):
         tracemalloc.start()
-        _gains(total, np.full(frames, 4), 1)
+        pass_gains(total, np.full(frames, 4), slice(1))
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
     assert peaks[1] < 1.2 * peaks[0]

@@ -317,11 +317,6 @@ class Run:
         return self.patterns.manifest
 
     @property
-    def arm(self) -> slice:
-        """Inputs of the detectors that see mirrors ON."""
-        return slice(0, self.manifest.detector_count)
-
-    @property
     def photons(self) -> Path:
         """File of the photons and markers."""
         return self.folder / "photons.ptu"

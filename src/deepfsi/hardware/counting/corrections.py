@@ -188,7 +188,7 @@ class Ambient:
         if on is not None and off is not None:
             rate = manifest.dark_inputs(on.arrivals, off.arrivals)
             noise = manifest.dark_inputs(on.variance, off.variance)
-            flux = float((on.arrivals - rate)[: manifest.detector_count].sum())
+            flux = float((on.arrivals - rate)[manifest.arm].sum())
         mean = gated.arrivals.mean(axis=0)
         variance = gated.variance.sum(axis=0) / exposures**2
         lengths = manifest.lengths_by_readout(lengths_s)
@@ -259,7 +259,7 @@ def light_of_clicks(
         One value for all. The flux is NaN where they do not tell it: an input fired in nearly all
         gates of all ON, or not more often than with all OFF.
     """
-    arm = slice(0, manifest.detector_count)
+    arm = manifest.arm
     photons, fired, gates = (
         counts.reshape(-1, 2, 2, counts.shape[-1]).sum(axis=(0, 1))
         for counts in (photons, fired, gates)

@@ -207,7 +207,7 @@ class _Recording:
         pictures = self.starts.pictures_s[self.run.manifest.shown]
         ends = self.gates.settle_s + self.gates.repeats * self.gates.length_s
         return find_lateness(
-            *gated.around_first_mask(self.run.arm), room_s=float((pictures - ends).min())
+            *gated.around_first_mask(self.run.manifest.arm), room_s=float((pictures - ends).min())
         )
 
     def check_lit(self, lit: np.ndarray) -> None:
@@ -337,7 +337,7 @@ def _count_photons(
     light = check_light(arrivals, manifest, acquisition.inputs, scenes=gated.scenes, lost=lost)
     recording.check_lit(light.lit)
     on, off = (
-        np.nanmean((rates * factors.arrivals)[:, frames], axis=1)[:, run.arm].sum(axis=1)
+        np.nanmean((rates * factors.arrivals)[:, frames], axis=1)[:, manifest.arm].sum(axis=1)
         for frames in ([0, -2], [1, -1])
     )
     counts = gated.gates(gates.repeats)
@@ -427,7 +427,7 @@ def _show_ends(recording: _Recording, gated: WindowCounts) -> np.ndarray:
     """Passes (P,) whose first and last two frames are all ON and all OFF, as photons tell."""
     # At least one of each must have been recorded
     photons, seconds = gated.per_frame()
-    photons = photons[..., recording.run.arm].sum(axis=-1)
+    photons = photons[..., recording.run.manifest.arm].sum(axis=-1)
     fits = np.array(
         [
             spent[[0, -2]].any()

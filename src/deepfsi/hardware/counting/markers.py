@@ -150,7 +150,7 @@ def find_frames(
 
     def count(starts: np.ndarray, stops: np.ndarray) -> np.ndarray:
         edges = np.clip(in_ticks(np.stack([starts, stops]), tick_s), 0, end)
-        inputs = acquisition.inputs[: manifest.detector_count]
+        inputs = acquisition.inputs[manifest.arm]
         return count_overlapping(source, edges[0], edges[1], inputs).sum(axis=1)
 
     try:

@@ -428,7 +428,7 @@ def _find_light(exposures: _Exposures, frames: Estimate, scene_of: np.ndarray) -
     settings = exposures.settings
     seconds = exposures.seconds
     scenes = int(scene_of[-1]) + 1
-    arm = slice(0, manifest.detector_count)
+    arm = manifest.arm
     exposure_s = exposures.exposure_s
     stated = None if settings.background is None else settings.background / exposure_s
     dark = np.full((scenes, manifest.inputs), stated or 0.0)
@@ -609,7 +609,7 @@ def _find_passes(
     starts = len(total) - length
     if starts < 1:
         return
-    gain = _gains(total, bins, manifest.detector_count)
+    gain = pass_gains(total, bins, manifest.arm)
     while passes is None or passes > 0:
         best = int(np.argmax(gain))
         if gain[best] == -np.inf:
@@ -627,7 +627,7 @@ def _find_passes(
         yield best
 
 
-def _gains(total: np.ndarray, bins: np.ndarray, arm: int) -> np.ndarray:
+def pass_gains(total: np.ndarray, bins: np.ndarray, arm: slice) -> np.ndarray:
     """G (starts,) of a pass that begins at each bin; -inf where it cannot."""
     from scipy.special import xlogy
 
@@ -642,7 +642,7 @@ def _gains(total: np.ndarray, bins: np.ndarray, arm: int) -> np.ndarray:
         counts = total[stop : stop + starts] - total[stop - width : stop - width + starts]
         gain += xlogy(counts, counts / width).sum(axis=1)
         gain -= saturated[stop : stop + starts] - saturated[stop - width : stop - width + starts]
-        of_arm = counts[:, :arm].sum(axis=1)
+        of_arm = counts[:, arm].sum(axis=1)
         if 2 <= frame < len(bins) - 2:  # kept as a maximum: all of these would not fit the memory
             least = of_arm / width - CERTAIN_SIGMAS * np.sqrt(of_arm) / width
             brightest = np.maximum(brightest, least)

@@ -196,7 +196,7 @@ class FixedMaskLooks:
         self._fractions = patterns.fractions
 
     @classmethod
-    def read(cls, folder: Path) -> "FixedMaskLooks":
+    def read(cls, folder: Path, patterns: Patterns | None = None) -> "FixedMaskLooks":
         """Looks of a folder of patterns.
 
         Parameters
@@ -204,13 +204,15 @@ class FixedMaskLooks:
         folder : path
             Patterns of a design of several looks, with its file, or in folders of earlier versions
             with its networks alone.
+        patterns : Patterns, optional
+            These, where they were read.
 
         Raises
         ------
         InputError
             If the files are damaged, or of fixed dwells or adaptive masks.
         """
-        patterns = read_patterns(folder)
+        patterns = patterns or read_patterns(folder)
         manifest = patterns.manifest
         if manifest.looks is None:
             raise InputError(

@@ -140,7 +140,7 @@ class SceneObserver:
         dark = manifest.dark_inputs(rates[ON], rates[OFF])
         dark_noise = manifest.dark_inputs(noise[ON], noise[OFF])
         self._ambient = np.stack([rates - dark, noise + dark_noise])[:, 2:]
-        self._light.ambient = float((rates[ON] - dark)[: manifest.detector_count].sum())
+        self._light.ambient = float((rates[ON] - dark)[manifest.arm].sum())
 
     def observe(self, scene: int, source: FrameSource) -> Iterator[Decision]:
         """Decisions after each look at the next scene.
@@ -228,7 +228,7 @@ class SceneObserver:
 
     def _all_on(self, ends: list[Arrivals]) -> AllOnCounts:
         """Counts of a scene's all-ON frames."""
-        arm = slice(0, self._manifest.detector_count)
+        arm = self._manifest.arm
         counts = sum(float(end.photons[ON, :, arm].sum()) for end in ends)
         variance = sum(float(end.variance[ON, :, arm].sum()) for end in ends)
         seconds = sum(float(end.seconds[ON].sum()) for end in ends)
@@ -240,7 +240,6 @@ class SceneObserver:
     ) -> SceneReadouts:
         """Counts of a scene, and what each of its looks showed."""
         manifest = self._manifest
-        arms = manifest.inputs // manifest.detector_count
         cells = manifest.detectors and manifest.detectors.cells
         of_detector = np.equal.outer(np.arange(manifest.detector_count), np.array(cells or 0))
         inputs = np.arange(manifest.inputs)
@@ -249,7 +248,7 @@ class SceneObserver:
             share = look.gate_ns / self._exposure_ns
             lit = self.looks.lit(look)
             both = (
-                np.stack([lit, 1 - lit][:arms], axis=1)[:, :, None] * of_detector
+                np.stack([lit, 1 - lit][: manifest.arms], axis=1)[:, :, None] * of_detector
             )  # F, arms, D, N
             gain = state.photons * share / manifest.summed_reflectance
             masks = gain[:, None] * both.reshape(-1, lit.shape[-1]).reshape(len(lit), -1)

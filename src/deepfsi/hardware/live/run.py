@@ -92,8 +92,9 @@ def plan_live(
     InputError
         If the patterns are of no such design, or the device cannot show its looks so.
     """
-    looks = looks or FixedMaskLooks.read(patterns_folder)
-    manifest = read_patterns(patterns_folder).manifest
+    patterns = read_patterns(patterns_folder)
+    manifest = patterns.manifest
+    looks = looks or FixedMaskLooks.read(patterns_folder, patterns)
     if not (math.isfinite(exposure_s) and exposure_s > 0):
         raise InputError(f"exposure {exposure_s!r} is not allowed: give seconds above 0")
     if photons is not None and not (math.isfinite(photons) and photons > 0):
@@ -227,8 +228,9 @@ def run_live(
     assert acquisition.live is not None
     live = acquisition.live.model_copy(update={"latencies": setup.latencies})
     acquisition = acquisition.model_copy(update={"live": live})
-    manifest = read_patterns(patterns_folder).manifest
-    looks = looks or FixedMaskLooks.read(patterns_folder)
+    patterns = read_patterns(patterns_folder)
+    manifest = patterns.manifest
+    looks = looks or FixedMaskLooks.read(patterns_folder, patterns)
     observer = SceneObserver(looks, manifest, acquisition)
     with ExitStack() as stack:
         stack.enter_context(setup.projector)
@@ -377,7 +379,7 @@ class RecordedScene:
     @classmethod
     def of(cls, scene: Scene, counts: np.ndarray, times: np.ndarray, manifest: Manifest) -> Self:
         """Scene by counts (F, inputs) of its pass's frames but the last, and their times (F,)."""
-        arm = counts[:, : manifest.detector_count]  # those that see mirrors ON
+        arm = counts[:, manifest.arm]
         on = arm[[0, -1]].sum()
         on_s = times[[0, -1]].sum()
         off = arm[OFF].sum()

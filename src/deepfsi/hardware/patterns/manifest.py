@@ -498,9 +498,19 @@ class Manifest(StrictModel):
         return self.detectors.count if self.detectors else 1
 
     @property
+    def arms(self) -> int:
+        """Arms of the device that have detectors."""
+        return 2 if self.two_arm else 1
+
+    @property
     def inputs(self) -> int:
         """Inputs of a counter that are needed, one for each detector of each arm."""
-        return (2 if self.two_arm else 1) * self.detector_count
+        return self.arms * self.detector_count
+
+    @property
+    def arm(self) -> slice:
+        """Inputs of the detectors that see mirrors ON."""
+        return slice(self.detector_count)
 
     @property
     def several(self) -> tuple[int, ...]:

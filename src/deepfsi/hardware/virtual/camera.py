@@ -260,7 +260,7 @@ class MirrorLight:
         self, manifest: Manifest, scenes: np.ndarray, camera: VirtualCamera, flux: float
     ) -> None:
         self._camera = camera
-        self._arms = 2 if manifest.two_arm else 1
+        self._arms = manifest.arms
         self._device = device = manifest.device
         self._mirrors = mirrors_of_arm(manifest, camera.detectors)
         image = irradiance(scenes, camera, device, manifest.grid).reshape(len(scenes), -1)
