@@ -136,13 +136,16 @@ def test_learned_masks_obey_after_every_step(light, rails, rate, levels):
 @pytest.mark.parametrize("levels", [0, 2])
 def test_learned_masks_obey_in_every_step_of_a_training(digits, light, rails, levels, monkeypatch):
     snapshots = []
-    forward = LearnedMasks.forward
 
-    def spy(module: LearnedMasks) -> Rails:
-        snapshots.append(copy.deepcopy(module))
-        return forward(module)
+    def spied(take):
+        def spy(module: LearnedMasks) -> Rails | Tensor:
+            snapshots.append(copy.deepcopy(module))
+            return take(module)
 
-    monkeypatch.setattr(LearnedMasks, "forward", spy)
+        return spy
+
+    for name in ("forward", "matrix"):  # steps take the rails, or their difference alone
+        monkeypatch.setattr(LearnedMasks, name, spied(getattr(LearnedMasks, name)))
     quick(digits, masks=5, light=light, rails=rails, mask_lr=0.5, epochs=2, levels=levels)
     monkeypatch.undo()
     assert len(snapshots) > 20

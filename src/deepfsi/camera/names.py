@@ -150,6 +150,11 @@ class NoiseFacts:
     stands_for: NoiseName | None = None
 
     @property
+    def read_noise_alone(self) -> bool:
+        """True if it is read noise, whatever the light."""
+        return self.read_noise and not self.shot
+
+    @property
     def exact(self) -> bool:
         """True if counts are those of photons and of nothing else."""
         return self.shot and self.counting and not (self.dark or self.read_noise)

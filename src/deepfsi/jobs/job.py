@@ -213,9 +213,7 @@ class Job(UserModel):
         if self.code.rails == "dual" and self.camera.rails == "single":
             faults.append(f"{self.design} is signed: use dual rails, or the s-matrix")
         noises = [find_noise(noise) for noise in (self.noise, self.mask_job().noise)]
-        if any(noise.read_noise and not noise.counting for noise in noises) and (
-            not self.camera.sigma
-        ):
+        if any(noise.read_noise_alone for noise in noises) and not self.camera.sigma:
             faults.append(
                 Message("gaussian noise is read noise: give {sigma} above 0", setting="sigma")
             )

@@ -106,11 +106,16 @@ class LightLaw(ABC):
         return 0
 
     @abstractmethod
+    def matrix(self, weights: Weights, kind: RailsKind, shortest: float = 0.0) -> Tensor:
+        """Difference M⁺ − M⁻ (..., m, N) of the rails of free numbers, as `project` has them."""
+
     def project(self, weights: Weights, kind: RailsKind, shortest: float = 0.0) -> Rails:
         """Rails (..., m, N) of free numbers: differentiable, and whatever these are they obey.
 
         Frames last a share `shortest` of the exposure at least, or are dark.
         """
+        matrix = self.matrix(weights, kind, shortest)
+        return Rails(matrix, matrix.abs()) if kind == "dual" else Rails(matrix)
 
     def dim(self, weights: Weights, kind: RailsKind, factor: Tensor) -> None:
         """Pass a factor (R,) of the light, up to 1, by a change of the weights in place."""
@@ -204,13 +209,13 @@ class Column(LightLaw):
         unit = fitted.square().mean(dim=(-2, -1), keepdim=True).sqrt()
         return {"weight": nn.Parameter(fitted / unit), "unit": unit}
 
-    def project(self, weights: Weights, kind: RailsKind, shortest: float = 0.0) -> Rails:
+    def matrix(self, weights: Weights, kind: RailsKind, shortest: float = 0.0) -> Tensor:
         """Each pixel's column, divided by its sum where that exceeds 1."""
         weight = weights["weight"]
         unit = weights["unit"]
         sums = weight.abs().sum(dim=-2, keepdim=True)
         matrix = weight * (unit / (sums * unit).clamp(min=1))
-        return Rails(matrix, matrix.abs()) if kind == "dual" else Rails(matrix.abs())
+        return matrix if kind == "dual" else matrix.abs()
 
     def dim(self, weights: Weights, kind: RailsKind, factor: Tensor) -> None:
         """Take a smaller unit."""
@@ -246,12 +251,11 @@ class EqualDwell(LightLaw):
         lit = (rails.amax(dim=-1) > 0).sum(dim=-2).cumsum(dim=-1)
         return lit / lit[..., -1:].clamp(min=1)
 
-    def project(self, weights: Weights, kind: RailsKind, shortest: float = 0.0) -> Rails:
+    def matrix(self, weights: Weights, kind: RailsKind, shortest: float = 0.0) -> Tensor:
         """Patterns in [−1, 1] or [0, 1] for 1/F."""
         pattern = pattern_of(weights["weight"], kind)
         count = pattern.shape[-2] * (2 if kind == "dual" else 1)
-        matrix = pattern * pattern.new_full((), 1 / count)
-        return Rails(matrix, matrix.abs()) if kind == "dual" else Rails(matrix)
+        return pattern * pattern.new_full((), 1 / count)
 
 
 class FreeDwell(LightLaw):
@@ -285,15 +289,14 @@ class FreeDwell(LightLaw):
         """One of each rail."""
         return 2 if kind == "dual" else 1
 
-    def project(self, weights: Weights, kind: RailsKind, shortest: float = 0.0) -> Rails:
+    def matrix(self, weights: Weights, kind: RailsKind, shortest: float = 0.0) -> Tensor:
         """Patterns for the dwells of their frames, which are a softmax."""
         pattern = pattern_of(weights["weight"], kind)
         dwells = softmax_dwells(weights["dwell"], shortest, pattern)
         if kind == "single":
-            return Rails(pattern * dwells[..., 0, :, None])
+            return pattern * dwells[..., 0, :, None]
         plus, minus = dwells.unbind(dim=-2)
-        matrix = pattern * torch.where(pattern > 0, plus.unsqueeze(-1), minus.unsqueeze(-1))
-        return Rails(matrix, matrix.abs())
+        return pattern * torch.where(pattern > 0, plus.unsqueeze(-1), minus.unsqueeze(-1))
 
 
 class TwoArm(LightLaw):
@@ -352,12 +355,17 @@ class TwoArm(LightLaw):
         """One, as both arms see the mask at once."""
         return 1
 
+    def matrix(self, weights: Weights, kind: RailsKind, shortest: float = 0.0) -> Tensor:
+        """Patterns for the times of their masks, which are a softmax."""
+        pattern = pattern_of(weights["weight"], kind)
+        return pattern * softmax_dwells(weights["dwell"], shortest)[..., 0, :, None]
+
     def project(self, weights: Weights, kind: RailsKind, shortest: float = 0.0) -> Rails:
-        """Patterns for the times of their masks, which are a softmax, and these times."""
-        # Times are taken twice: the gradient of each use goes through the softmax by itself
-        times = (softmax_dwells(weights["dwell"], shortest)[..., 0, :, None] for _ in range(2))
-        matrix = pattern_of(weights["weight"], kind) * next(times)
-        return Rails(matrix, next(times).expand_as(matrix))
+        """Their total is the times of the masks."""
+        matrix = self.matrix(weights, kind, shortest)
+        # Taken again: the gradient of each use goes through the softmax by itself
+        times = softmax_dwells(weights["dwell"], shortest)[..., 0, :, None]
+        return Rails(matrix, times.expand_as(matrix))
 
     def equalise(self, rails: Tensor) -> Tensor:
         """The rails: those of a fitted matrix have equal dwells."""

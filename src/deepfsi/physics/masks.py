@@ -91,6 +91,10 @@ class LearnedMasks(nn.Module):
             shown = Rails.of(self.law.quantise(rails.stacked, self.levels))
         return rails.map(through, shown)
 
+    def matrix(self) -> Tensor:
+        """Their difference alone, (..., m, N), before it is rounded to grey levels."""
+        return self.law.matrix(self._weights, self.rails, self.shortest)
+
     def dim(self, factor: Tensor) -> None:
         """Pass a factor (R,) of the light, up to 1."""
         with torch.no_grad():

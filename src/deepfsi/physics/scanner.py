@@ -83,6 +83,8 @@ class Scanner(nn.Module):
         if noise.counting:
             rates = self.rates(photons)
             counts = seen.features(self.read(rates, generator))
+            if not noise.unbiased:  # the draws have their own gradient
+                return counts
             read = seen.readouts(self._arranged())
             light = Expectation(seen.features(rates), seen.totals(rates), read)
             return noise.gradient(counts, light)

@@ -171,8 +171,7 @@ def _operations(job: Job, context: SweepContext) -> float:
     made = job.mask_job()
     if not made.code.learned:
         return 2.0 * context.data.x_train.size * job.masks * 2
-    noise = find_noise(made.noise)
-    pair = 2 if noise.shot and not noise.counting else 1
+    pair = 2 if find_noise(made.noise).stands_for else 1
     scene = int(context.training_set.pixels(made.optics.light).sum())
     count = len(context.training_set.labels)
     return 2.0 * made.training.epochs * count * scene * made.masks * pair * 2

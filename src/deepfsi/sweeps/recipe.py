@@ -293,9 +293,8 @@ class Recipe(BaseModel):
 
     def budgets(self, noise: str) -> tuple[float, ...]:
         """Budgets to train at under a noise."""
-        facts = find_noise(noise)
-        read_noise = facts.read_noise and not facts.shot
-        return (self.gaussian_photons if read_noise else ()) or self.photons
+        alone = find_noise(noise).read_noise_alone
+        return (self.gaussian_photons if alone else ()) or self.photons
 
     def mask_counts(
         self, design: str, data: Dataset, detectors: DetectorMap = ONE_DETECTOR

@@ -100,7 +100,8 @@ def dim_start(
 
     with torch.no_grad():
         bright, goal = counted(), START * counts
-        readouts = (2 if masks.rails == "dual" else 1) * masks().masks * detection.count
+        rails = masks()
+        readouts = rails.count * rails.masks * detection.count
         most = float(noise.kind.mean(torch.tensor(torch.inf)))  # of a readout, if it is limited
         goal = max(counts, min(goal, CLICKING * most * readouts))
         low, high = torch.full_like(bright, -20.0), torch.zeros_like(bright)

@@ -137,15 +137,16 @@ class LearnedFeatures:
 
     def noisy(self, step: int) -> list[Tensor]:
         """Centred features (B, R_i, m) of the jobs of each seed."""
-        kind, rails = self.streams[0].noise.kind, self.masks()
+        kind = self.streams[0].noise.kind
         if kind.counting:
-            return self._counted(rails, step)
-        return self._fused(rails, step) if kind.of_light else self._read(rails, step)
+            return self._counted(self.masks(), step)
+        return self._fused(step) if kind.of_light else self._read(self.masks(), step)
 
-    def _fused(self, rails: Rails, step: int) -> list[Tensor]:
+    def _fused(self, step: int) -> list[Tensor]:
         """Under MLGauss; see `ml_gauss_features`."""
         disjoint = self.masks.disjoint and self.detection.readout != "both"
-        masks = rails.difference if disjoint else self.detection.read_of(rails).combined
+        read = self.detection.read_of
+        masks = self.masks.matrix() if disjoint else read(self.masks()).combined
         parts = self.detection.count
         return [
             ml_gauss_features(

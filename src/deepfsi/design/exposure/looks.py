@@ -139,7 +139,7 @@ class LooksExposure(TrainedExposure):
         """Masks that learn as frames of equal dwells: theirs are chosen later."""
         law = light_law(camera.light).of_equal_dwells
         masks = LearnedMasks(start, law.name, camera.rails, levels)
-        if "dwell" in dict(masks.named_parameters()):
+        if law.dwells_of_mask(camera.rails):
             masks.dwell.requires_grad_(False)  # equal from the start
         return masks
 
