@@ -71,7 +71,7 @@ def test_designs_are_compared_with_a_published_network(tmp_path, capsys):
             assert middle == pytest.approx(np.mean(both), abs=off)
             assert spread == pytest.approx(np.std(both, ddof=1), abs=off)
     with pytest.raises(SystemExit):
-        benchmark("published").main([str(tmp_path), "--neurons", "7"])
+        benchmark("published").main([str(tmp_path), "--data", "digits", "--neurons", "7"])
     assert "CC BY 4.0" in capsys.readouterr().err
 
 
