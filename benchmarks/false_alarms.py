@@ -18,11 +18,11 @@ from scipy.stats import binomtest
 
 import deepfsi
 from deepfsi.camera import DEVICES, DetectorMap
-from deepfsi.design.adaptive.exposures import look_at
-from deepfsi.design.adaptive.misfit import squared_distance
-from deepfsi.design.adaptive.posterior import AdaptivePosterior, LookOptics
-from deepfsi.design.readout_fit import find_distribution
 from deepfsi.designfile import REFUSED, UNSURE, ReadoutDistribution
+from deepfsi.exposure.adaptive import look_at
+from deepfsi.exposure.misfit import squared_distance
+from deepfsi.exposure.posterior import AdaptivePosterior, LookOptics
+from deepfsi.exposure.readout_fit import find_distribution
 from deepfsi.hardware.light import (
     FALSE_ALARMS,
     PARTS,

@@ -20,10 +20,10 @@ from scipy.special import softmax
 
 import deepfsi
 from deepfsi.datasets import Dataset
-from deepfsi.design.adaptive.design import AdaptiveDesign
-from deepfsi.design.confidence import chance_error, confidence_error, logits_at_stops
-from deepfsi.design.evaluation import scanner_for
-from deepfsi.design.temperatures import stop_temperatures
+from deepfsi.design.adaptive import AdaptiveDesign
+from deepfsi.evaluation.accuracy import scanner_for
+from deepfsi.evaluation.confidence import chance_error, confidence_error, logits_at_stops
+from deepfsi.exposure.temperatures import stop_temperatures
 
 DESIGNS: dict[str, dict[str, Any]] = {
     "adaptive masks": {"design": "adaptive", "masks": 16},

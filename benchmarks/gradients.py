@@ -27,10 +27,10 @@ from torch import Tensor
 from torch.nn import functional
 
 from deepfsi.datasets import load_dataset
-from deepfsi.design.artifact import Design
-from deepfsi.design.classifiers import Mlp
-from deepfsi.design.evaluation import evaluate
+from deepfsi.design.design import Design
+from deepfsi.evaluation.accuracy import evaluate
 from deepfsi.jobs import Job, Training
+from deepfsi.networks.classifiers import Mlp
 from deepfsi.physics import (
     Detection,
     LearnedMasks,

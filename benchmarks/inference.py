@@ -21,8 +21,8 @@ import onnxruntime
 import torch
 
 from deepfsi import learn, load_dataset
-from deepfsi.design.artifact import Design
-from deepfsi.design.onnx_graph import to_onnx
+from deepfsi.design.design import Design
+from deepfsi.design.onnx import to_onnx
 
 PHOTONS = 1e4
 

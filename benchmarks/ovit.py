@@ -22,9 +22,9 @@ from torch.utils.data import DataLoader, TensorDataset
 
 from deepfsi.base import Moments, Progress
 from deepfsi.datasets import Dataset, from_arrays
-from deepfsi.design.classifiers import Vit
-from deepfsi.design.exposure.kinds import begin
+from deepfsi.exposure.kinds import begin
 from deepfsi.jobs import Job, Patches, sensing_matrix
+from deepfsi.networks.classifiers import Vit
 from deepfsi.training.draws import network_dtype
 from deepfsi.training.learning import train
 from deepfsi.training.training_set import TrainingSet

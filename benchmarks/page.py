@@ -21,9 +21,9 @@ from selenium import webdriver
 from selenium.webdriver.chrome.service import Service
 
 from deepfsi.datasets import from_arrays
-from deepfsi.design.artifact import Design
-from deepfsi.design.classifiers import Mlp
-from deepfsi.design.payload import playable
+from deepfsi.design.design import Design
+from deepfsi.evaluation.page_data import playable
+from deepfsi.networks.classifiers import Mlp
 from deepfsi.physics import Detection, Rails, light_law
 from deepfsi.report.playground.page import write_page
 

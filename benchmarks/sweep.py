@@ -26,9 +26,9 @@ from torch import nn
 
 from deepfsi.base import Moments
 from deepfsi.datasets import Dataset, from_arrays, load_dataset
-from deepfsi.design.classifiers import Mlp, Replicas
-from deepfsi.design.evaluation import evaluate
+from deepfsi.evaluation.accuracy import evaluate
 from deepfsi.jobs import Job, Training
+from deepfsi.networks.classifiers import Mlp, Replicas
 from deepfsi.sweeps.context import SweepContext
 from deepfsi.sweeps.queue import run_trials
 from deepfsi.sweeps.recipe import PAPER_RATIOS, Recipe

@@ -16,8 +16,8 @@ import torch
 
 import deepfsi
 from deepfsi.base import write_atomically
-from deepfsi.design.adaptive.exposures import look_at
-from deepfsi.design.adaptive.posterior import AdaptivePosterior, LookOptics
+from deepfsi.exposure.adaptive import look_at
+from deepfsi.exposure.posterior import AdaptivePosterior, LookOptics
 
 PHOTONS, LOOKS = 1e4, 16
 """Budget of a whole exposure, and its looks."""

@@ -12,7 +12,7 @@ from torch.nn import functional
 
 from conftest import generator, quick
 from deepfsi import Mlp
-from deepfsi.design.exposure.kinds import begin
+from deepfsi.exposure.kinds import begin
 from deepfsi.hardware.patterns import unpack
 from deepfsi.hardware.patterns.frames import recount
 from deepfsi.jobs import Job, Training

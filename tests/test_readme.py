@@ -130,7 +130,7 @@ def run(tmp_path, monkeypatch, done, digits, trained_once):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0}, raising=False)
     monkeypatch.setattr(idx, "load_idx", lambda name, *_: replace(digits, name=name))
-    monkeypatch.setattr("deepfsi.design.payload.TESTED", 20)
+    monkeypatch.setattr("deepfsi.evaluation.page_data.TESTED", 20)
     recipes = tiny(starts.EXPERIMENT, 1)
     monkeypatch.setitem(studies.STUDIES, "mnist", (starts.EXPERIMENT,))
     monkeypatch.setattr(experiment.Experiment, "recipes", lambda *_: recipes)

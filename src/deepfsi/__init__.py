@@ -18,15 +18,13 @@ if TYPE_CHECKING:
     from deepfsi.datasets import Dataset as Dataset
     from deepfsi.datasets import from_arrays as from_arrays
     from deepfsi.datasets import load_dataset as load_dataset
-    from deepfsi.design.adaptive.design import AdaptiveDesign as AdaptiveDesign
-    from deepfsi.design.adaptive.design import load_design as load_design
-    from deepfsi.design.artifact import Design as Design
-    from deepfsi.design.classifiers import Mlp as Mlp
-    from deepfsi.design.evaluation import Result as Result
-    from deepfsi.design.evaluation import evaluate as evaluate
-    from deepfsi.design.own import OwnClassifier as OwnClassifier
-    from deepfsi.design.posterior import IdealObserver as IdealObserver
-    from deepfsi.design.posterior import ideal_observer as ideal_observer
+    from deepfsi.design.adaptive import AdaptiveDesign as AdaptiveDesign
+    from deepfsi.design.adaptive import load_design as load_design
+    from deepfsi.design.design import Design as Design
+    from deepfsi.evaluation.accuracy import Result as Result
+    from deepfsi.evaluation.accuracy import evaluate as evaluate
+    from deepfsi.evaluation.ideal import IdealObserver as IdealObserver
+    from deepfsi.evaluation.ideal import ideal_observer as ideal_observer
     from deepfsi.jobs import Fixed as Fixed
     from deepfsi.jobs import Job as Job
     from deepfsi.jobs import Looks as Looks
@@ -38,6 +36,8 @@ if TYPE_CHECKING:
     from deepfsi.lab import classify_run as classify_run
     from deepfsi.lab import classify_table as classify_table
     from deepfsi.lab import predict as predict
+    from deepfsi.networks.classifiers import Mlp as Mlp
+    from deepfsi.networks.custom import OwnClassifier as OwnClassifier
     from deepfsi.physics import Scanner as Scanner
     from deepfsi.training.assembly import design_of as design_of
     from deepfsi.training.learning import learn as learn
@@ -46,33 +46,33 @@ if "GOMP_SPINCOUNT" not in os.environ:
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # read when torch is imported
 
 _HOMES = {
-    "AdaptiveDesign": "design.adaptive.design",
+    "AdaptiveDesign": "design.adaptive",
     "Camera": "camera",
     "Dataset": "datasets",
-    "Design": "design.artifact",
+    "Design": "design.design",
     "Fixed": "jobs",
-    "IdealObserver": "design.posterior",
+    "IdealObserver": "evaluation.ideal",
     "InputError": "base.errors",
     "Job": "jobs",
     "Looks": "jobs",
-    "Mlp": "design.classifiers",
+    "Mlp": "networks.classifiers",
     "Nested": "jobs",
-    "OwnClassifier": "design.own",
+    "OwnClassifier": "networks.custom",
     "Passing": "jobs",
     "Patches": "jobs",
     "Range": "jobs",
-    "Result": "design.evaluation",
+    "Result": "evaluation.accuracy",
     "Scanner": "physics",
     "Training": "jobs",
     "classify_run": "lab",
     "classify_table": "lab",
     "design_of": "training.assembly",
-    "evaluate": "design.evaluation",
+    "evaluate": "evaluation.accuracy",
     "from_arrays": "datasets",
-    "ideal_observer": "design.posterior",
+    "ideal_observer": "evaluation.ideal",
     "learn": "training.learning",
     "load_dataset": "datasets",
-    "load_design": "design.adaptive.design",
+    "load_design": "design.adaptive",
     "photons_per_pixel": "camera",
     "predict": "lab",
 }

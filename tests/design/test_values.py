@@ -8,11 +8,11 @@ import torch
 
 from deepfsi import Scanner, evaluate, ideal_observer, learn, predict
 from deepfsi.base import InputError
-from deepfsi.design.bounds import cramer_rao, linear_bound
-from deepfsi.design.evaluation import scanner_for
-from deepfsi.design.onnx_graph import to_onnx
-from deepfsi.design.payload import check_playable
-from deepfsi.design.stopping import stop
+from deepfsi.design.onnx import to_onnx
+from deepfsi.evaluation.accuracy import scanner_for
+from deepfsi.evaluation.bounds import cramer_rao, linear_bound
+from deepfsi.evaluation.page_data import check_playable
+from deepfsi.evaluation.stopping import stop
 from deepfsi.physics import Click
 from shared.values import SLOPES, SPREAD, linear_scenes, placed_digits
 

@@ -10,13 +10,13 @@ from conftest import quick
 from deepfsi import Design
 from deepfsi.base import InputError
 from deepfsi.datasets import Dataset, from_arrays
-from deepfsi.design.readout_fit import (
+from deepfsi.designfile import REFUSED, UNSURE
+from deepfsi.exposure.readout_fit import (
     FEWEST_OF_A_CLASS,
     MOST_SCENES,
     find_distribution,
     sample_scenes,
 )
-from deepfsi.designfile import REFUSED, UNSURE
 from shared.design_files import refused, rewrite
 
 READOUTS = (2, 9)

@@ -8,9 +8,9 @@ import torch
 from PIL import Image
 
 import deepfsi
-from deepfsi.design.onnx_graph import to_onnx
-from deepfsi.design.payload import playable
-from deepfsi.design.stopping import stop
+from deepfsi.design.onnx import to_onnx
+from deepfsi.evaluation.page_data import playable
+from deepfsi.evaluation.stopping import stop
 from deepfsi.hardware.counting import TableSettings
 from deepfsi.lab.adaptive_looks import adaptive_rails
 from deepfsi.sweeps.recipe import Recipe

@@ -11,12 +11,12 @@ from selenium.webdriver.common.by import By
 
 from conftest import generator, synthetic
 from deepfsi import Camera, evaluate, learn
-from deepfsi.design import payload
-from deepfsi.design.adaptive import choice
-from deepfsi.design.adaptive.exposures import prior_of
-from deepfsi.design.adaptive.posterior import AdaptivePosterior, LookOptics
-from deepfsi.design.payload import few_tests, of_page, playable
-from deepfsi.design.stopping import StoppingRule, with_rule
+from deepfsi.evaluation import page_data as payload
+from deepfsi.evaluation.page_data import few_tests, of_page, playable
+from deepfsi.evaluation.stopping import StoppingRule, with_rule
+from deepfsi.exposure import choice
+from deepfsi.exposure.adaptive import prior_of
+from deepfsi.exposure.posterior import AdaptivePosterior, LookOptics
 from deepfsi.jobs import AdaptiveMasks
 from deepfsi.report.playground.page import write_page
 from shared.playground import ask, open_playground

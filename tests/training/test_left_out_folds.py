@@ -10,12 +10,12 @@ from scipy.special import softmax
 
 from deepfsi import AdaptiveDesign, evaluate, learn
 from deepfsi.base import InputError
-from deepfsi.design.adaptive.choice import next_masks
-from deepfsi.design.adaptive.posterior import AdaptivePosterior, LookOptics
-from deepfsi.design.confidence import fit_temperatures, logits_at_stops
-from deepfsi.design.evaluation import scanner_for
-from deepfsi.design.temperatures import stop_temperatures
 from deepfsi.designfile import Temperatures
+from deepfsi.evaluation.accuracy import scanner_for
+from deepfsi.evaluation.confidence import fit_temperatures, logits_at_stops
+from deepfsi.exposure.choice import next_masks
+from deepfsi.exposure.posterior import AdaptivePosterior, LookOptics
+from deepfsi.exposure.temperatures import stop_temperatures
 from deepfsi.training.folds import FEW_SCENES, FOLDS, folds_of
 from shared.design_files import rewrite
 

@@ -12,7 +12,7 @@ import torch
 from conftest import RECIPE, every_optics, quick, same, synthetic
 from deepfsi import Design, Mlp, evaluate
 from deepfsi.base import Progress
-from deepfsi.design.classifiers import Replicas
+from deepfsi.networks.classifiers import Replicas
 from deepfsi.training import loop, masks
 from deepfsi.training.draws import BFLOAT16_WIDTH
 from deepfsi.training.learning import train

@@ -8,9 +8,9 @@ from conftest import FLOAT32, assert_moments, generator, synthetic
 from deepfsi import Patches, Scanner
 from deepfsi.base import InputError
 from deepfsi.camera import photons_per_pixel
-from deepfsi.design.exposure.kinds import begin
-from deepfsi.design.onnx_graph import to_onnx
-from deepfsi.design.stopping import stop
+from deepfsi.design.onnx import to_onnx
+from deepfsi.evaluation.stopping import stop
+from deepfsi.exposure.kinds import begin
 from deepfsi.jobs import DESIGNS as CODES
 from deepfsi.jobs import cut_patches
 from deepfsi.physics import FixedMasks, LearnedMasks

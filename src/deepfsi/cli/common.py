@@ -19,10 +19,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from deepfsi.datasets import Dataset
-    from deepfsi.design.adaptive.design import AnyDesign
-    from deepfsi.design.artifact import Design
-    from deepfsi.design.estimation import Estimates
-    from deepfsi.design.evaluation import Result
+    from deepfsi.design.adaptive import AnyDesign
+    from deepfsi.design.design import Design
+    from deepfsi.evaluation.accuracy import Result
+    from deepfsi.evaluation.estimation import Estimates
     from deepfsi.sweeps.results import Data, Point
 
 
@@ -80,14 +80,14 @@ def print_data(data: "Dataset | Data", notes: Sequence[str] = ()) -> None:
 
 def open_any(path: Path, trust: bool = False) -> "AnyDesign":
     """A design file of either kind, or a folder of patterns as `open_design` takes it."""
-    from deepfsi.design.adaptive.design import load_design
+    from deepfsi.design.adaptive import load_design
 
     return open_design(path, trust) if path.is_dir() else load_design(path, trust=trust)
 
 
 def open_design(path: Path, trust: bool = False) -> "Design":
     """A design file, or what a folder of patterns realises of the design in it."""
-    from deepfsi.design.artifact import Design
+    from deepfsi.design.design import Design
 
     if not path.is_dir():
         return Design.load(path, trust=trust)
@@ -222,7 +222,7 @@ def worst_class(rate: float, name: str, width: int = NAME_WIDTH) -> str:
 
 def size(made: "AnyDesign") -> str:
     """Masks, looks and detectors of a design: 5 masks, 2 looks, 4 detectors, both rails read."""
-    from deepfsi.design.artifact import Design
+    from deepfsi.design.design import Design
 
     if not isinstance(made, Design):
         return f"{made.masks} looks"

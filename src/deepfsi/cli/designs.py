@@ -26,10 +26,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from deepfsi.datasets import Dataset
-    from deepfsi.design.adaptive.design import AdaptiveDesign
-    from deepfsi.design.artifact import Design
-    from deepfsi.design.evaluation import Result
-    from deepfsi.design.stopping import Stopped
+    from deepfsi.design.adaptive import AdaptiveDesign
+    from deepfsi.design.design import Design
+    from deepfsi.evaluation.accuracy import Result
+    from deepfsi.evaluation.stopping import Stopped
     from deepfsi.jobs import Job
 
 
@@ -69,7 +69,7 @@ def design(
         out, paths.DESIGN_ENDINGS, force=True
     )  # one of the same settings may be replaced
     common.check_data(data, view)
-    from deepfsi.design.evaluation import evaluate as test
+    from deepfsi.evaluation.accuracy import evaluate as test
     from deepfsi.jobs import find_job
     from deepfsi.training.learning import learn
 
@@ -172,10 +172,10 @@ def evaluate(
     file = paths.check_design(file)
     common.check_data(data, view)
     from deepfsi.camera import find_noise
-    from deepfsi.design.artifact import Design
-    from deepfsi.design.evaluation import camera_for
-    from deepfsi.design.evaluation import evaluate as test
-    from deepfsi.design.posterior import ideal_observer
+    from deepfsi.design.design import Design
+    from deepfsi.evaluation.accuracy import camera_for
+    from deepfsi.evaluation.accuracy import evaluate as test
+    from deepfsi.evaluation.ideal import ideal_observer
     from deepfsi.lab import data_of
     from deepfsi.training.training_set import find_device
 
@@ -260,10 +260,10 @@ def stop(
     if out is not None:
         paths.check_file(out, paths.DESIGN_ENDINGS, force)
     common.check_data(data)
-    from deepfsi.design.adaptive.design import load_design
-    from deepfsi.design.artifact import Design
-    from deepfsi.design.stopping import looks_of, with_rule
-    from deepfsi.design.stopping import stop as run
+    from deepfsi.design.adaptive import load_design
+    from deepfsi.design.design import Design
+    from deepfsi.evaluation.stopping import looks_of, with_rule
+    from deepfsi.evaluation.stopping import stop as run
     from deepfsi.lab import data_of
     from deepfsi.training.training_set import find_device
 
@@ -289,7 +289,7 @@ def stop(
 
 def _check_same(file: Path, job: "Job", data: "Dataset", matrix: "np.ndarray | None") -> None:
     """Raise `InputError` unless a design file is what training this job would write again."""
-    from deepfsi.design.adaptive.design import load_design
+    from deepfsi.design.adaptive import load_design
     from deepfsi.designfile import trained_on
 
     with suppress(InputError):
@@ -349,8 +349,8 @@ def show(
         out = file.with_suffix(".png") if file.exists() else Path(f"{file.name}.png")
     file = paths.check_design(file)
     paths.check_file(out, paths.PICTURES, force)
-    from deepfsi.design.adaptive.design import load_design
-    from deepfsi.design.artifact import Design
+    from deepfsi.design.adaptive import load_design
+    from deepfsi.design.design import Design
     from deepfsi.designfile import check_masks, trained_on
     from deepfsi.lab import data_of
     from deepfsi.report.masks import masks_figure
@@ -437,7 +437,7 @@ def page(
     file = paths.check_design(file)
     paths.check_file(out, (".html",), force)
     common.check_data(data)
-    from deepfsi.design.payload import check_playable, playable
+    from deepfsi.evaluation.page_data import check_playable, playable
     from deepfsi.lab import data_of
     from deepfsi.report.playground.page import write_page
 

@@ -9,9 +9,9 @@ from deepfsi.base import count_text
 from deepfsi.cli import common
 
 if TYPE_CHECKING:
-    from deepfsi.design.adaptive.design import AnyDesign
-    from deepfsi.design.estimation import Estimates
-    from deepfsi.design.evaluation import Result
+    from deepfsi.design.adaptive import AnyDesign
+    from deepfsi.evaluation.accuracy import Result
+    from deepfsi.evaluation.estimation import Estimates
 
 
 FEW_CLASSES = 5
@@ -20,7 +20,7 @@ FEW_CLASSES = 5
 
 def score(result: "Result | Estimates") -> str:
     """Test accuracy, area under the ROC curve of two classes, or R² of values."""
-    from deepfsi.design.estimation import Estimates
+    from deepfsi.evaluation.estimation import Estimates
 
     if isinstance(result, Estimates):
         return f"R² {common.share(result.r2, result.low, result.high)}"
@@ -29,7 +29,7 @@ def score(result: "Result | Estimates") -> str:
 
 def details(result: "Result | Estimates", classes: Sequence[str]) -> str:
     """Test of each class in words, or of each value."""
-    from deepfsi.design.estimation import Estimates
+    from deepfsi.evaluation.estimation import Estimates
 
     if isinstance(result, Estimates):
         errors = (common.error(*each) for each in zip_longest(result.rmse, result.bound or ()))
@@ -50,8 +50,8 @@ def counts_text(result: "Result") -> str:
 
 def print_full_gates(made: "AnyDesign", results: "Sequence[Result | Estimates]") -> None:
     """Say at which budgets nearly all gates click, so that clicks tell little of a scene."""
-    from deepfsi.design.artifact import Design
     from deepfsi.design.clicks import full_gates
+    from deepfsi.design.design import Design
 
     if not isinstance(made, Design) or made.gates is None:
         return

@@ -46,7 +46,7 @@ def camera_transits(
     if out is not None:
         paths.check_file(out, (".csv",), force)
     from deepfsi.base import write_atomically
-    from deepfsi.design.artifact import Design
+    from deepfsi.design.design import Design
     from deepfsi.lab import classify_transits
 
     made = common.open_any(design, trust)

@@ -20,8 +20,8 @@ from torch import Tensor
 from deepfsi.base import Message
 
 if TYPE_CHECKING:
-    from deepfsi.design.artifact import Design
-    from deepfsi.design.exposure.trained import Observation
+    from deepfsi.design.design import Design
+    from deepfsi.exposure.trained import Observation
 
 LEAST_NOISE = 1e-30
 """Least ν over G, that of a readout that is dark."""

@@ -12,7 +12,7 @@ from deepfsi.base import InputError
 from deepfsi.designfile import READOUTS
 
 if TYPE_CHECKING:
-    from deepfsi.design.artifact import Design
+    from deepfsi.design.design import Design
 
 PHOTONS = 1e4
 """Budget that the design needs and that, without noise, nothing depends on."""

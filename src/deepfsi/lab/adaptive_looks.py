@@ -10,11 +10,11 @@ import torch
 from deepfsi.base import InputError, as_input_error, hash_file, read_regular
 from deepfsi.base.numeric import LARGEST_TENSORS
 from deepfsi.camera import StopRule
-from deepfsi.design.adaptive.choice import next_masks
-from deepfsi.design.adaptive.design import AdaptiveDesign
-from deepfsi.design.adaptive.misfit import squared_distance
-from deepfsi.design.adaptive.posterior import AdaptivePosterior, LookOptics
+from deepfsi.design.adaptive import AdaptiveDesign
 from deepfsi.designfile import UNSURE
+from deepfsi.exposure.choice import next_masks
+from deepfsi.exposure.misfit import squared_distance
+from deepfsi.exposure.posterior import AdaptivePosterior, LookOptics
 from deepfsi.hardware.light import Arrivals
 from deepfsi.hardware.live import (
     AllOnCounts,

@@ -43,7 +43,7 @@ from deepfsi.hardware.patterns import Manifest, Patterns, read_patterns
 from deepfsi.lab.looks import design_rails, open_looks
 
 if TYPE_CHECKING:  # they import torch, which a live run does without
-    from deepfsi.design.artifact import Design
+    from deepfsi.design.design import Design
 
 UNTESTED = (
     "these counts were not compared with those of the training, which takes 50 training scenes of "
@@ -362,7 +362,7 @@ def _classified_readouts(
 def _opened(design: str | os.PathLike[str], patterns: Patterns | None, trust: bool) -> "Design":
     """Design of a file or a folder of patterns, of fixed dwells, as its patterns realise it."""
     with require_torch():
-        from deepfsi.design.artifact import Design
+        from deepfsi.design.design import Design
         from deepfsi.design.values import check_classes
 
     file = Path(design) if patterns is None else _check_design(design, patterns.manifest)

@@ -17,7 +17,7 @@ from deepfsi.lab.classify import dim_scenes
 from deepfsi.lab.design_data import design_scenes
 
 if TYPE_CHECKING:  # it imports torch, which those who predict nothing do without
-    from deepfsi.design.artifact import Design
+    from deepfsi.design.design import Design
 
 AT_ONCE = 1024
 """Pictures that are exposed together."""
@@ -163,8 +163,8 @@ def _predict(
     import torch
 
     from deepfsi.design.clicks import full_gates
-    from deepfsi.design.evaluation import camera_for, check_draws, scanner_for
     from deepfsi.design.values import check_classes
+    from deepfsi.evaluation.accuracy import camera_for, check_draws, scanner_for
 
     check_classes(design.values, "predict")
     check_draws(1, seed)

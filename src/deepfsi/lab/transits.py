@@ -25,8 +25,8 @@ from deepfsi.camera import check_budget
 from deepfsi.hardware.photons import PtuWriter, read_photons
 
 if TYPE_CHECKING:  # they import torch, which those who look for no transits do without
-    from deepfsi.design.artifact import Design
-    from deepfsi.design.exposure.passing import PassingExposure
+    from deepfsi.design.design import Design
+    from deepfsi.exposure.passing import PassingExposure
 
 FALSE_TRANSITS = 0.01
 """Expected transits of background alone in a record unless another number is asked for."""
@@ -293,7 +293,7 @@ def classify_transits(
 
 def passing_of(design: "Design") -> "PassingExposure":
     """Exposure of a design of passing scenes, or `InputError`."""
-    from deepfsi.design.exposure.passing import PassingExposure
+    from deepfsi.exposure.passing import PassingExposure
 
     if not isinstance(design.exposure, PassingExposure):
         raise InputError(

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 from jinja2 import StrictUndefined, Template
 
 from deepfsi.datasets import Dataset
-from deepfsi.design.adaptive.design import AnyDesign
-from deepfsi.design.evaluation import Result
+from deepfsi.design.adaptive import AnyDesign
 from deepfsi.designfile import trained_on
+from deepfsi.evaluation.accuracy import Result
 from deepfsi.jobs import Job
 
 if TYPE_CHECKING:

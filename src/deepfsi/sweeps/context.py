@@ -11,10 +11,10 @@ import torch
 
 from deepfsi.base import SILENT, InputError, Progress
 from deepfsi.datasets import Dataset
-from deepfsi.design.adaptive.design import AnyDesign
-from deepfsi.design.artifact import Design
-from deepfsi.design.evaluation import camera_for, evaluate
-from deepfsi.design.own import OwnClassifier
+from deepfsi.design.adaptive import AnyDesign
+from deepfsi.design.design import Design
+from deepfsi.evaluation.accuracy import camera_for, evaluate
+from deepfsi.networks.custom import OwnClassifier
 from deepfsi.sweeps.results import SCHEMA
 from deepfsi.sweeps.summary import terms_of
 from deepfsi.sweeps.trial import Trial

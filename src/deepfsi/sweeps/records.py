@@ -36,9 +36,9 @@ from deepfsi.base import (
     remove_drafts,
     write_atomically,
 )
-from deepfsi.design.adaptive.design import AnyDesign, load_design
-from deepfsi.design.estimation import Estimates
-from deepfsi.design.evaluation import Result
+from deepfsi.design.adaptive import AnyDesign, load_design
+from deepfsi.evaluation.accuracy import Result
+from deepfsi.evaluation.estimation import Estimates
 from deepfsi.sweeps.results import SCHEMA, Packed
 from deepfsi.sweeps.trial import Trial
 

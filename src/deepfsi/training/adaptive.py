@@ -10,19 +10,13 @@ from torch import Tensor
 
 from deepfsi.base import SILENT, Progress
 from deepfsi.datasets import Dataset
-from deepfsi.design.adaptive.design import AdaptiveDesign
-from deepfsi.design.adaptive.exposures import prior_of
-from deepfsi.design.adaptive.misfit import (
-    BUDGETS,
-    LEAST_SCENES,
-    MOST_SCENES,
-    UsualMisfit,
-    measure,
-)
-from deepfsi.design.adaptive.posterior import LookOptics
-from deepfsi.design.adaptive.prior import ScenePrior
-from deepfsi.design.confidence import CalibrationScenes, Exposed
+from deepfsi.design.adaptive import AdaptiveDesign
 from deepfsi.designfile import CALIBRATION_REACH, Temperatures
+from deepfsi.evaluation.confidence import CalibrationScenes, Exposed
+from deepfsi.exposure.adaptive import prior_of
+from deepfsi.exposure.misfit import BUDGETS, LEAST_SCENES, MOST_SCENES, UsualMisfit, measure
+from deepfsi.exposure.posterior import LookOptics
+from deepfsi.exposure.prior import ScenePrior
 from deepfsi.jobs import AdaptiveMasks, Job
 from deepfsi.training.folds import DOUBT, calibrated, folds_of
 from deepfsi.training.info import provenance

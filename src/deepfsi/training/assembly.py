@@ -8,11 +8,11 @@ from torch import nn
 from deepfsi.base import InputError
 from deepfsi.camera import Camera, LightLawName, check_budget, summed_reflectance
 from deepfsi.datasets import Dataset, Source, as_dataset
-from deepfsi.design.artifact import Design
-from deepfsi.design.own import OwnClassifier, make
+from deepfsi.design.design import Design
 from deepfsi.design.values import Values
 from deepfsi.designfile import TrainingScenes
 from deepfsi.jobs import Job
+from deepfsi.networks.custom import OwnClassifier, make
 from deepfsi.physics import LearnedMasks, Rails, Scanner, library_defaults, light_law
 from deepfsi.training.characterisation import characterise
 from deepfsi.training.info import provenance

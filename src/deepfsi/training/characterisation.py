@@ -8,21 +8,21 @@ import torch
 from torch import Tensor
 
 from deepfsi.datasets import Dataset
-from deepfsi.design.artifact import Design
-from deepfsi.design.confidence import (
-    CalibrationScenes,
-    Exposed,
-    LeftOutTest,
-    fit_temperatures,
-)
-from deepfsi.design.evaluation import scanner_for
-from deepfsi.design.readout_fit import sample_scenes
+from deepfsi.design.design import Design
 from deepfsi.designfile import (
     ReadoutDistribution,
     SceneModel,
     Temperatures,
     calibration_budgets,
 )
+from deepfsi.evaluation.accuracy import scanner_for
+from deepfsi.evaluation.confidence import (
+    CalibrationScenes,
+    Exposed,
+    LeftOutTest,
+    fit_temperatures,
+)
+from deepfsi.exposure.readout_fit import sample_scenes
 from deepfsi.jobs import Job
 from deepfsi.training.folds import DOUBT, LEFT_OUT, calibrated, draws_of
 from deepfsi.training.statistics import CHUNK

@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from deepfsi.base import Progress
-from deepfsi.design.adaptive.design import AnyDesign
+from deepfsi.design.adaptive import AnyDesign
 from deepfsi.physics import Detection, LearnedMasks, TrainingNoise, project_rails
 from deepfsi.training.statistics import CHUNK
 

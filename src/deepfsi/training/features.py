@@ -11,12 +11,12 @@ import torch
 from torch import Tensor
 
 from deepfsi.camera import LightLawName
-from deepfsi.design.classifiers import Replicas
-from deepfsi.design.exposure.conditioned import ConditionedExposure, first
-from deepfsi.design.exposure.looks import LooksExposure
-from deepfsi.design.exposure.passing import PassingExposure
-from deepfsi.design.exposure.trained import FixedExposure, PatchExposure, TrainedExposure
+from deepfsi.exposure.conditioned import ConditionedExposure, first
+from deepfsi.exposure.looks import LooksExposure
+from deepfsi.exposure.passing import PassingExposure
+from deepfsi.exposure.trained import FixedExposure, PatchExposure, TrainedExposure
 from deepfsi.jobs import Job, Scale
+from deepfsi.networks.classifiers import Replicas
 from deepfsi.physics import (
     Detection,
     FixedMasks,

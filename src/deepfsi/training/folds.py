@@ -6,13 +6,13 @@ from dataclasses import replace
 import numpy as np
 
 from deepfsi.datasets import Dataset
-from deepfsi.design.confidence import (
+from deepfsi.designfile import Temperatures
+from deepfsi.evaluation.confidence import (
     CalibrationScenes,
     LeftOutTest,
     fit_temperatures,
     measure_left_out,
 )
-from deepfsi.designfile import Temperatures
 
 FEW_SCENES = 1000
 """Training scenes below which a design is surer of them than it is right on others."""

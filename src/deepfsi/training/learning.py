@@ -11,10 +11,10 @@ import torch
 from deepfsi.base import SILENT, InputError, Progress, progress_bar
 from deepfsi.camera import check_budget
 from deepfsi.datasets import Source, as_dataset
-from deepfsi.design.adaptive.design import AnyDesign
-from deepfsi.design.artifact import Design
-from deepfsi.design.exposure.kinds import begin
-from deepfsi.design.exposure.trained import TrainedExposure
+from deepfsi.design.adaptive import AnyDesign
+from deepfsi.design.design import Design
+from deepfsi.exposure.kinds import begin
+from deepfsi.exposure.trained import TrainedExposure
 from deepfsi.jobs import Job, find_job
 from deepfsi.physics import (
     Detection,

@@ -19,10 +19,10 @@ from torch import Tensor, nn
 
 from deepfsi.base import SILENT, InputError, Progress
 from deepfsi.datasets import Dataset
-from deepfsi.design.classifiers import Mlp, Replicas, Vit
-from deepfsi.design.exposure.trained import TrainedExposure
-from deepfsi.design.own import OwnClassifier, make, seeded
+from deepfsi.exposure.trained import TrainedExposure
 from deepfsi.jobs import VIT, Job, Training
+from deepfsi.networks.classifiers import Mlp, Replicas, Vit
+from deepfsi.networks.custom import OwnClassifier, make, seeded
 from deepfsi.physics import FixedMasks, LearnedMasks, TrainingNoise
 from deepfsi.training.batches import batch_of
 from deepfsi.training.checkpoint import NO_CHECKPOINT, Checkpoint, LoopState

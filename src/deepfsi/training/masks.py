@@ -8,8 +8,8 @@ from torch import Tensor
 
 from deepfsi.base import InputError
 from deepfsi.camera import LIGHT_LAWS, Camera
-from deepfsi.design.exposure.passing import PassingExposure
-from deepfsi.design.exposure.trained import TrainedExposure
+from deepfsi.exposure.passing import PassingExposure
+from deepfsi.exposure.trained import TrainedExposure
 from deepfsi.jobs import DESIGNS, Code, Job, count_allowed
 from deepfsi.physics import (
     Detection,

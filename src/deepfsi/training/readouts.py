@@ -16,7 +16,7 @@ import numpy as np
 from deepfsi.base import SILENT, Progress
 from deepfsi.base.numeric import Interval, accuracy_interval, student, wilson
 from deepfsi.datasets.readouts import Readouts
-from deepfsi.design.artifact import Design
+from deepfsi.design.design import Design
 from deepfsi.design.readouts import PHOTONS, TRAINING, classify_readouts
 from deepfsi.designfile import READOUTS
 from deepfsi.training.learning import learn

@@ -12,9 +12,9 @@ import torch
 from deepfsi.base import Progress
 from deepfsi.camera import DEVICES
 from deepfsi.datasets import Dataset
-from deepfsi.design.adaptive.design import AdaptiveDesign
-from deepfsi.design.adaptive.exposures import look_at
-from deepfsi.design.adaptive.posterior import AdaptivePosterior, LookOptics
+from deepfsi.design.adaptive import AdaptiveDesign
+from deepfsi.exposure.adaptive import look_at
+from deepfsi.exposure.posterior import AdaptivePosterior, LookOptics
 from deepfsi.sweeps.results import Point, Results
 
 EXPOSURES = 4

@@ -14,9 +14,9 @@ from pydantic import TypeAdapter
 from deepfsi.base import SILENT, Progress
 from deepfsi.base.numeric import accuracy_interval
 from deepfsi.datasets import Dataset
-from deepfsi.design.artifact import Design
-from deepfsi.design.evaluation import evaluate
-from deepfsi.design.stopping import Stopped, stop
+from deepfsi.design.design import Design
+from deepfsi.evaluation.accuracy import evaluate
+from deepfsi.evaluation.stopping import Stopped, stop
 from deepfsi.sweeps.results import Point, Results
 from deepfsi_paper.experiment import budgets, points
 

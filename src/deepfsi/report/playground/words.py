@@ -8,7 +8,7 @@ from deepfsi.report.style import photons_text
 from deepfsi.report.terms import LAWS
 
 Payload = Mapping[str, Any]
-"""What `design.payload.playable` makes."""
+"""What `evaluation.page_data.playable` makes."""
 
 RAILS = {
     1: "Non-negative: each mask has one rail, and the network does any subtraction.",

@@ -1,0 +1,531 @@
+"""A finished design: masks, classifier and provenance, in one file that holds no code."""
+
+import os
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from html import escape
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from deepfsi.base import DESIGN_ENDINGS, InputError, as_input_error, check_ending, write_atomically
+from deepfsi.base.numeric import mask_picture
+from deepfsi.camera import LIGHT_LAWS, Camera, LightLawName, check_budget
+from deepfsi.design import check_counts, clicks
+from deepfsi.design import file as artifact_file
+from deepfsi.design.values import Values, check_classes
+from deepfsi.designfile import (
+    ConsistencyResult,
+    DesignFile,
+    ReadoutDistribution,
+    SceneModel,
+    Temperatures,
+    TrainingScenes,
+    click_gates,
+    trained_budgets,
+    trained_camera,
+)
+from deepfsi.exposure.looks import Dwells, LooksExposure
+from deepfsi.exposure.temperatures import temperatures_at
+from deepfsi.exposure.trained import FixedExposure, Observation, TrainedExposure
+from deepfsi.networks.custom import Given, OwnClassifier, rebuilt
+from deepfsi.physics import (
+    ONE,
+    Detection,
+    NoiseFunction,
+    Rails,
+    Scanner,
+    library_defaults,
+    light_law,
+)
+
+
+@dataclass(repr=False)
+class Design:
+    """Masks and the classifier that reads them.
+
+    Attributes
+    ----------
+    name : str
+        Which design, a key of `codes.DESIGNS`.
+    rails : Rails
+        `plus` and `minus` (m, N), shares of each pixel's photons; `stacked` (2 or 1, m, N).
+    classifier : nn.Module
+        Inputs, as the exposure makes them of features (..., m), to logits (..., C).
+    mean, std : tensor, shape (k,)
+        Of the features y / Φ; k = m of one detector that reads the difference of two rails.
+    shares : tensor, shape (k,)
+        Share of the budget that is counted for each feature, in the training mean.
+    summed_reflectance : float
+        s, the training scenes' mean summed reflectance; λ = Φ x / s.
+    light : str
+        Light law that the rails obey.
+    image_shape : tuple of int
+    classes : tuple of str
+        Their names; none of a design that estimates values.
+    exposure : TrainedExposure
+        Dwells of the masks, and the classifier's inputs.
+    detection : Detection
+        Detectors on parts of the device, and what is read of two rails.
+    info : dict
+        Provenance: how it was trained, on which data, with which versions. JSON types only.
+    distribution, scene_model : ReadoutDistribution and SceneModel, optional
+        Of the training: what `consistency`, and the view of a camera's runs, are tested against.
+    temperatures : Temperatures, optional
+        What divides the logits at each budget, so that probabilities are those of being right.
+    values : Values, optional
+        Names, mean and spread of the values that it estimates in place of classes.
+    training_scenes : TrainingScenes, optional
+        Hashes of the scenes that it was made with; None of files of older versions.
+
+    Examples
+    --------
+    >>> import deepfsi
+    >>> few = deepfsi.Training(epochs=1)
+    >>> design = deepfsi.learn("digits", camera="paper", photons=1e4, masks=6, training=few)
+    >>> design.classify(np.full((2, 6), 50), photons=1e4).shape  # counts of both rails
+    (10,)
+    """
+
+    name: str
+    rails: Rails
+    classifier: nn.Module
+    mean: Tensor
+    std: Tensor
+    shares: Tensor
+    summed_reflectance: float
+    light: LightLawName
+    image_shape: tuple[int, ...]
+    classes: tuple[str, ...]
+    exposure: TrainedExposure = field(default_factory=FixedExposure)
+    detection: Detection = ONE
+    info: dict[str, Any] = field(default_factory=dict)
+    distribution: ReadoutDistribution | None = None
+    scene_model: SceneModel | None = None
+    temperatures: Temperatures | None = None
+    values: Values | None = None
+    training_scenes: TrainingScenes | None = None
+
+    def __repr__(self) -> str:
+        budget = self.info.get("job", {}).get("photons")
+        trained = f", learned at {budget:g} photons" if budget else ""
+        answers = ", ".join(self.values.names) if self.values else f"{len(self.classes)} classes"
+        network = getattr(self.classifier, "title", type(self.classifier).__name__)
+        return (
+            f"<Design {self.name}: {self.masks} masks of {'x'.join(map(str, self.mask_shape))}, "
+            f"{self.light}, {self.rails.kind} rails, {network}, {answers}{trained}>"
+        )
+
+    def _repr_html_(self) -> str:
+        return f"<p>{escape(repr(self))}</p>{mask_picture(self.matrix, self.mask_shape)}"
+
+    @property
+    def matrix(self) -> np.ndarray:
+        """Sensing matrix M (m, N), float32: the share of each pixel's photons, signed by rail."""
+        return self.rails.difference.cpu().numpy()
+
+    @property
+    def masks(self) -> int:
+        """m, number of masks."""
+        return self.rails.masks
+
+    @property
+    def mask_shape(self) -> tuple[int, ...]:
+        """Shape of a mask."""
+        return self.exposure.mask_shape(self.image_shape)
+
+    @property
+    def counts_shape(self) -> tuple[int, ...]:
+        """Shape ([2,] m [, D]) of the counts of one exposure, as `classify` takes them."""
+        several = (self.detection.count,) if self.detection.count > 1 else ()
+        return ((2,) if self.rails.count == 2 else ()) + (self.masks, *several)
+
+    @property
+    def features(self) -> int:
+        """k, number of features that the classifier reads."""
+        return self.masks * self.detection.width(self.rails.count)
+
+    @property
+    def fewest_masks(self) -> int:
+        """Smallest number of first masks that can be classified alone."""
+        return self.exposure.fewest_masks(self.masks)
+
+    @property
+    def camera(self) -> Camera:
+        """The camera that it was trained for, as the file keeps it; of older files its optics."""
+        if camera := trained_camera(self.info):
+            return camera
+        optics: dict[str, Any] = {"light": self.light, "rails": self.rails.kind}
+        optics["readout"] = self.detection.readout
+        if self.detection.labels is not None and LIGHT_LAWS[self.light].one_device:
+            optics["detectors"] = self.detection.labels.cpu()
+        with as_input_error("the design's camera", "train it again"):
+            return Camera.restored(optics)
+
+    @property
+    def trained_budgets(self) -> tuple[float, float] | None:
+        """Lowest and highest budget of the training; None for a design that does not say."""
+        return trained_budgets(self.info, self.exposure.entry())
+
+    @property
+    def gates(self) -> int | None:
+        """Clicks of a readout at most, where its detectors click."""
+        return click_gates(self.info)
+
+    def scale(self, photons: Tensor | float) -> Tensor | float:
+        """Divisor of features in counts: the budget; of clicks that of the training, always."""
+        return photons if self.gates is None else 0 * photons + self.info["job"]["photons"]
+
+    def scanner(
+        self, noise: str | NoiseFunction = "poisson", sigma: float = 1.0, dark: float = 0.0
+    ) -> Scanner:
+        """The optical front end, with a noise of your choice; parameters as for `Scanner`."""
+        rails = self.exposure.front(self.rails.stacked)
+        return Scanner.from_rails(rails, noise, sigma, dark, self.detection)
+
+    @library_defaults()
+    def rates(self, scanner: Scanner, scenes: Tensor) -> Tensor:
+        """Expected counts (..., rails, m · D) of reflectances (..., N), for a budget of one."""
+        seen = self.exposure.cut(scenes.to(self.rails.device), self.image_shape)
+        return self.exposure.rates(scanner, seen / self.summed_reflectance)
+
+    def logits(
+        self, features: Tensor, photons: Tensor | float, dwell: Tensor | None = None
+    ) -> Tensor:
+        """Logits (..., C) of features (..., k) in counts; other parameters as of `classify`."""
+        return self.logits_of(Observation(features / self.scale(photons), dwell), photons)
+
+    @library_defaults()
+    def logits_of(self, seen: Observation, photons: Tensor | float) -> Tensor:
+        """Logits (..., C) of an exposure so far, of a budget of `photons` in all."""
+        inputs = clicks.at_training_light(self, seen, photons).inputs(self.mean, self.std)
+        return self.classifier(self.exposure.condition(inputs, photons))
+
+    def chances(self, seen: Observation, photons: Tensor | float) -> Tensor:
+        """Calibrated probabilities (..., C) of an exposure so far; parameters of `logits_of`."""
+        return (self.logits_of(seen, photons) / self.temperature(seen, photons)).softmax(dim=-1)
+
+    def temperature(self, seen: Observation, photons: Tensor | float) -> Tensor | float:
+        """Temperature (..., 1) of the logits of an exposure so far; 1 where none is known."""
+        if self.temperatures is None:
+            return 1.0
+        budget = self.exposure.budget(torch.as_tensor(photons).to(seen.features))
+        return temperatures_at(self.temperatures, self.exposure.stop_place(seen), budget)
+
+    def expose(
+        self, scanner: Scanner, rates: Tensor, generator: torch.Generator, photons: float
+    ) -> Iterator[Observation]:
+        """Exposures after each look, with counts of a scanner of this design.
+
+        Parameters
+        ----------
+        scanner, generator
+        rates : tensor, shape (..., rails, m · D)
+            As from `rates`: expected counts for a budget of one photon.
+        photons : float, Φ
+        """
+
+        def read(expected: Tensor, share: Tensor | float) -> Tensor:
+            every = scanner.read(expected, generator, share) * (photons / self.scale(photons))
+            return self.detection.features(every)
+
+        placed = self.exposure.placed(rates, generator)
+        return self.exposure.expose(read, placed, photons, self.mean, self.std)
+
+    @library_defaults(grad=False)
+    def classify_live(
+        self,
+        read: Callable[[np.ndarray], Any],
+        photons: float,
+        until: Callable[[int, np.ndarray, float], bool] | None = None,
+    ) -> np.ndarray:
+        """Class probabilities (C,) of an exposure whose dwells are chosen while it runs.
+
+        Parameters
+        ----------
+        read : callable
+            Called once for each look: shows each mask, ``rails.plus * masks`` in 0 .. 1, for the
+            given shares (m,) of the exposure time, floats that sum to 1 / K, and returns the counts
+            of this look, shaped as for `classify`. The shares are (2, m) where each rail is a frame
+            of its own. Where a device cannot show these, as frames have a shortest time, a pair:
+            counts, and the shares shown.
+        photons : float
+            Budget Φ of the whole exposure, or an estimate of it.
+        until : callable, optional
+            Given the looks so far, the probabilities (C,) after them and the budget; true if the
+            exposure ends there. `stopping.StoppingRule.decide` is one.
+
+        Raises
+        ------
+        InputError
+            If the design has fixed dwells, or counts or photons are not as `classify` takes them.
+        """
+        budget, counted = check_budget(photons), torch.zeros_like(self.mean)
+
+        def show(dwell: Tensor) -> tuple[Tensor, Tensor]:
+            nonlocal counted
+            asked = self._dwells.by_rail(dwell.cpu().numpy())
+            counts, shown = check_counts.check_look(read, asked, self.counts_shape)
+            features = self.features_of(torch.from_numpy(counts).to(dwell))
+            counted = counted + features
+            return features / budget, torch.from_numpy(self._dwells.by_mask(shown)).to(dwell)
+
+        for look, seen in enumerate(self.exposure.expose_live(show, self.mean, self.std), 1):
+            if until is None and look < self.exposure.looks:
+                continue
+            so_far = Observation(counted / budget, seen.dwell)
+            chances = self.chances(so_far, budget).cpu().numpy()
+            if until is not None and until(look, chances, budget):
+                break
+        return chances
+
+    @library_defaults(grad=False)
+    def classify(self, counts: Any, photons: Any, dwell: Any = None) -> np.ndarray:
+        """Class probabilities (..., C) of one or many exposures.
+
+        Parameters
+        ----------
+        counts : array, shape (..., 2, m) for dual-rail designs, (..., m) for single-rail ones
+            Counts of each readout, first the positive rails, then the negative ones. A dark rail
+            reads 0. Of D detectors there are D for each, (..., 2, m, D) or (..., m, D). Of images
+            in P patches the axis before is theirs, (..., P, 2, m) or (..., P, m).
+        photons : float or array, shape (...)
+            Budget Φ of each exposure, or an estimate of it (an all-ON frame gives one).
+        dwell : array, shape (..., m), optional
+            Share of the exposure that each mask had, or (..., 2, m) where its rails are frames of
+            their own: for designs that choose dwells, whose counts are of all looks together.
+
+        Raises
+        ------
+        InputError
+            If shapes do not match the design, counts are not finite or the budget is not above 0.
+        """
+        check_classes(self.values, "classify")
+        return self.chances(*self._observed(counts, photons, dwell)).cpu().numpy()
+
+    @library_defaults(grad=False)
+    def estimate(self, counts: Any, photons: Any, dwell: Any = None) -> np.ndarray:
+        """Values (..., q) of one or many exposures, in the units that the training had.
+
+        Parameters as for `classify`. Raises `InputError` as that, or if it answers classes.
+        """
+        if self.values is None:
+            raise InputError("this design answers classes and estimates no values: use classify")
+        outputs = self.logits_of(*self._observed(counts, photons, dwell))
+        return self.values.estimated(outputs).cpu().numpy()
+
+    def _observed(self, counts: Any, photons: Any, dwell: Any) -> tuple[Observation, Tensor]:
+        """Exposures and their budgets, checked; parameters of `classify`."""
+        self.exposure.check_dwell(dwell is not None)
+        patches = self.exposure.patch_axis(self.image_shape)
+        frames = None if dwell is None else self._dwells.shape
+        read, budget, shown = check_counts.check_readouts(
+            counts, photons, dwell, wanted=self.counts_shape, frames=frames, patches=patches
+        )
+        check_counts.check_clicks(read, self.gates)
+        budget = budget.to(device := self.rails.device)
+        dwells = None if shown is None else self._dwells.by_mask(shown).to(device)
+        return Observation(self.features_of(read.to(device)) / self.scale(budget), dwells), budget
+
+    @property
+    def _dwells(self) -> Dwells:
+        """Dwells of the frames of a look, of an exposure that chooses them."""
+        assert isinstance(self.exposure, LooksExposure)
+        return self.exposure.dwells
+
+    def features_of(self, counts: Tensor) -> Tensor:
+        """Features (..., k) of counts in the shape that `classify` takes."""
+        every = counts.flatten(-2) if self.detection.count > 1 else counts
+        return self.detection.features(every if self.rails.count == 2 else every.unsqueeze(-2))
+
+    @library_defaults()
+    def consistency(self, counts: Any, photons: Any, background: Any = 0.0) -> ConsistencyResult:
+        """Consistency of exposures with the training, each of another scene.
+
+        Exposures of one scene are to be added before, counts, photons and background.
+
+        Parameters
+        ----------
+        counts, photons
+            As for `classify`.
+        background : float or array, broadcastable to counts
+            Counts that were subtracted from each readout; 0 unless given.
+
+        Raises
+        ------
+        InputError
+            As for `classify`, or if it is of several looks, which live runs test, or has no
+            `distribution`: one of patches, less than 100 training scenes or 50 of a class.
+        """
+        self.exposure.check_alone()
+        if self.distribution is None:
+            raise InputError("no distribution is held: it takes photons, 100 scenes, 50 a class")
+        read, budget, _ = check_counts.check_readouts(counts, photons, None, self.counts_shape)
+        if not read.numel():
+            raise InputError("there are no exposures to test: give one or more")
+        dark = np.broadcast_to(np.asarray(background, dtype=float), read.shape)
+        shape = (*budget.shape[:-1], self.rails.count, self.masks * self.detection.count)
+        return self.distribution.test(read.reshape(shape), budget[..., 0], dark.reshape(shape))
+
+    def readouts(self, rails: np.ndarray) -> np.ndarray:
+        """Counts (..., rails, m [, D]) of every rail, in the shape that `classify` takes."""
+        return rails if self.rails.count == 2 else rails.squeeze(-1 - len(self.counts_shape))
+
+    def to(self, device: str | torch.device) -> Self:
+        """Move to a device; returns self."""
+        for name in ("rails", "classifier", "mean", "std", "shares", "exposure"):
+            setattr(self, name, getattr(self, name).to(device))
+        self.values = self.values and self.values.to(device)
+        return self  # its distribution stays: counts are tested where they arrive
+
+    def quantised(self, levels: int) -> "Design":
+        """The design as a device of that many grey levels shows it, dark included (paper: 769).
+
+        Classifier and statistics stay; a camera with so many `levels` trains for such a device.
+        """
+        shown, exposure = self.exposure.quantised(self.rails.stacked, self.light, levels)
+        return replace(self, rails=Rails.of(shown), exposure=exposure, distribution=None)
+
+    def first(self, masks: int) -> "Design":
+        """The first masks alone, with the light that the constraint gives to so many.
+
+        On one device their frames share the whole exposure. An exposure of all masks that stops
+        after these has taken `used` of its budget, and is one of this design at that budget. Raises
+        `InputError` if the design was not trained for so few.
+        """
+        fewest, most = self.fewest_masks, self.masks
+        if not fewest <= masks <= most:
+            raise InputError(
+                "the first {masks} masks of this design cannot be classified alone: give "
+                "{fewest} to {most}" + ", or learn nested ones with {nested}" * (fewest == most),
+                setting="nested",
+                masks=masks,
+                fewest=fewest,
+                most=most,
+            )
+        used = light_law(self.light).used(self.rails.stacked)
+        share = float(used[masks - 1] / used[-1])
+        kept = masks * self.detection.width(self.rails.count)
+        return replace(
+            self,
+            rails=Rails.of(self.rails.stacked[:, :masks] / share),
+            mean=self.mean[:kept] / share,
+            std=self.std[:kept] / share,
+            shares=self.shares[:kept] / share,
+            exposure=self.exposure.using(self.exposure.used * share),
+            distribution=None,
+            temperatures=self.temperatures and self.temperatures.scaled(share, masks - fewest + 1),
+        )
+
+    def as_shown(self, rails: np.ndarray, image_shape: tuple[int, ...], dimmed: float) -> "Design":
+        """The design as patterns on a device realise it.
+
+        The classifier stays as it is. Where one device gives a design less light, its features are
+        as much smaller, and so are the statistics that scale them.
+
+        Parameters
+        ----------
+        rails : array, shape (2 or 1, m, N)
+            What the patterns realise.
+        image_shape : tuple of int
+            Cells of a pattern.
+        dimmed : float
+            Realised matrix over designed one, up to 1.
+
+        Raises
+        ------
+        InputError
+            If the patterns are of a design of another shape, or this one is of patches.
+        """
+        self.exposure.check_device()
+        check_counts.check_dimmed(dimmed, self.gates)
+        own = tuple(self.rails.stacked.shape), self.image_shape
+        check_counts.check_patterns((rails.shape, image_shape), own)
+        return replace(
+            self,
+            rails=Rails.of(torch.from_numpy(rails).to(self.rails.difference)),
+            light=self.light if LIGHT_LAWS[self.light].one_device else "free-dwell",
+            mean=self.mean * dimmed,
+            std=self.std * dimmed,
+            shares=self.shares * dimmed,
+            exposure=self.exposure.using(self.exposure.used / dimmed),
+            distribution=self.distribution and self.distribution.dimmed(dimmed),
+            temperatures=self.temperatures and self.temperatures.scaled(1 / dimmed),
+        )
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write one safetensors file, all or nothing; its name ends in ``.safetensors``."""
+        check_ending(path, DESIGN_ENDINGS)
+        return write_atomically(path, self.to_bytes())
+
+    def to_bytes(self) -> bytes:
+        """Content of the design file, or `InputError` if the classifier cannot be described."""
+        return artifact_file.file_of(self).to_bytes()
+
+    @classmethod
+    def load(
+        cls,
+        path: str | os.PathLike[str],
+        device: str | torch.device = "cpu",
+        *,
+        trust: bool = False,
+        classifier: Given | None = None,
+    ) -> "Design":
+        """Read a design file. That runs no code of a classifier of its maker's unless told to.
+
+        Without `trust` and `classifier` such a design has its masks, and classifies nothing.
+
+        Parameters
+        ----------
+        path : str or path
+        device : str or torch.device
+        trust : bool
+            Import and run the factory that the file names, if its classifier has one.
+        classifier : nn.Module, callable or str, optional
+            The module, factory or import path that the classifier is made of instead.
+
+        Raises
+        ------
+        InputError
+            If the file is missing, damaged, truncated, not a design, or of a newer schema; if its
+            classifier cannot be imported or is not the one given.
+        """
+        return cls.of_file(DesignFile.read(path), device, trust=trust, classifier=classifier)
+
+    @classmethod
+    @library_defaults()
+    def of_file(
+        cls,
+        file: DesignFile,
+        device: str | torch.device = "cpu",
+        *,
+        trust: bool = False,
+        classifier: Given | None = None,
+    ) -> "Design":
+        """Design of a file that was read; parameters as of `load`."""
+        design = cls(**artifact_file.fields_of(file))
+        if isinstance(design.classifier, OwnClassifier) and (trust or classifier is not None):
+            design = design.with_classifier(classifier or design.classifier.factory)
+        return design.to(device)
+
+    @library_defaults()
+    def with_classifier(self, classifier: Given) -> "Design":
+        """The design with its classifier made by the user's code, and the weights it has.
+
+        Parameters
+        ----------
+        classifier : nn.Module, callable or str
+            A module, a factory or its import path.
+
+        Raises
+        ------
+        InputError
+            If it cannot be imported, or is not the one that the weights are of.
+        """
+        inputs = self.exposure.input_count(self.features)
+        answers = len(self.values.names) if self.values else len(self.classes)
+        made = rebuilt(self.classifier, classifier, inputs, answers)
+        return replace(self, classifier=made.to(self.rails.device))

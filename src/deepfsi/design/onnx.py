@@ -1,0 +1,186 @@
+"""A design as an ONNX graph: counts and budget in, class probabilities out, no torch needed.
+
+Torch traces the design itself, and the graph is compared with it before it is given.
+"""
+
+import copy
+import io
+import json
+import warnings
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.onnx import symbolic_opset11
+from torch.onnx.utils import register_custom_op_symbolic, unregister_custom_op_symbolic
+
+from deepfsi.base import InputError
+from deepfsi.camera import share_out
+from deepfsi.design.design import Design
+from deepfsi.design.values import check_classes
+from deepfsi.designfile import check_masks
+from deepfsi.exposure.looks import LooksExposure
+from deepfsi.exposure.trained import Observation
+from deepfsi.networks.classifiers import Mlp
+from deepfsi.networks.custom import OwnClassifier
+from deepfsi.physics import library_defaults
+
+SCHEMA = 1
+"""Number of the schema of the graph's inputs, output and metadata."""
+
+OPSET, OWN_OPSET = 13, 17
+"""Operator sets of the package's own networks, for every runtime since 2020, and of a user's."""
+
+LARGEST_ERROR = 1e-3
+"""Largest difference of a probability, or of a dwell, between a graph and torch."""
+
+
+class _Fixed(nn.Module):
+    """A design as a module, from counts and budgets to probabilities."""
+
+    outputs: tuple[str, ...] = ("probabilities",)
+
+    def __init__(self, design: Design) -> None:
+        super().__init__()
+        self.classifier, self.design = design.classifier, design
+
+    @property
+    def inputs(self) -> dict[str, tuple[int, ...]]:
+        """Shapes of the inputs by name, without the batch."""
+        return {"counts": self.design.counts_shape, "photons": ()}
+
+    def forward(self, counts: Tensor, photons: Tensor) -> tuple[Tensor, ...]:
+        budget = photons.unsqueeze(-1)
+        seen = Observation(self.design.features_of(counts) / self.design.scale(budget))
+        return (self.design.chances(seen, budget),)
+
+
+class _Look(_Fixed):
+    """A look of a design of several: also from the dwells so far to those of the next look."""
+
+    outputs = ("probabilities", "next")
+
+    def __init__(self, design: Design, exposure: LooksExposure) -> None:
+        super().__init__(design)
+        self.exposure, self.network = exposure, exposure.network
+
+    @property
+    def inputs(self) -> dict[str, tuple[int, ...]]:
+        shape = self.exposure.dwells.shape
+        return {**super().inputs, "dwell": shape, "left": (), "shortest": ()}
+
+    def forward(  # type: ignore[override]
+        self, counts: Tensor, photons: Tensor, dwell: Tensor, left: Tensor, shortest: Tensor
+    ) -> tuple[Tensor, ...]:
+        design, exposure = self.design, self.exposure
+        features = design.features_of(counts) / photons.unsqueeze(-1)
+        seen = Observation(features, exposure.dwells.by_mask(dwell))
+        inputs = seen.inputs(design.mean, design.std)
+        asked = exposure.next_dwell(self.network, inputs, left.unsqueeze(-1))
+        shown = share_out(asked, shortest.clip(min=exposure.shortest).unsqueeze(-1))
+        chances = design.chances(seen, photons.unsqueeze(-1))
+        return chances, exposure.dwells.by_rail(shown).reshape(-1, *exposure.dwells.shape)
+
+
+@library_defaults()
+def to_onnx(design: Design) -> bytes:
+    """Write a design as an ONNX graph that does what `Design.classify` does."""
+    try:
+        import onnx
+        import onnxruntime  # noqa: F401
+    except ImportError:
+        raise InputError(
+            "an ONNX graph is written with the package onnx: pip install onnx onnxruntime"
+        ) from None
+    check_classes(design.values, "an ONNX graph")
+    check_masks(design.info, "an ONNX graph")
+    own = isinstance(design.classifier, OwnClassifier)
+    if not own and not isinstance(design.classifier, Mlp):
+        raise InputError(
+            f"a {type(design.classifier).__name__} classifier cannot be exported: only Mlp and "
+            "OwnClassifier can"
+        )
+    design.exposure.check_frames()
+    design = copy.deepcopy(design).to("cpu")
+    exposure = design.exposure
+    module = _Look(design, exposure) if isinstance(exposure, LooksExposure) else _Fixed(design)
+    module.classifier(torch.zeros(1, exposure.input_count(design.features)))
+    model = onnx.load_from_string(_traced(module.eval(), OWN_OPSET if own else OPSET))
+    about = {key: json.dumps(value) for key, value in _metadata(design).items()}
+    onnx.helper.set_model_props(model, about)
+    model.producer_name, model.producer_version = "deepfsi", version("deepfsi")
+    onnx.checker.check_model(model, full_check=True)
+    content = model.SerializeToString(deterministic=True)
+    _compare(content, module)
+    return content
+
+
+def _argsort(graph: Any, values: Any, *settings: Any) -> Any:
+    """Write a sort, which is always stable in a graph: torch's own writer refuses to be told so."""
+    return symbolic_opset11.argsort(graph, values, *settings[-2:])
+
+
+def _traced(module: _Fixed, opset: int) -> bytes:
+    """Graph of a module as torch writes it, or `InputError` if torch cannot."""
+    names, written = [*module.inputs, *module.outputs], io.BytesIO()
+    register_custom_op_symbolic("aten::argsort", _argsort, OPSET)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # torch's other exporter needs a package more
+            torch.onnx.export(
+                module, tuple(torch.ones(2, *shape) for shape in module.inputs.values()), written,  # type: ignore[arg-type]
+                dynamo=False, input_names=list(module.inputs), output_names=list(module.outputs),
+                opset_version=opset, dynamic_axes={name: {0: "batch"} for name in names},
+            )  # fmt: skip
+    except Exception as error:
+        told = " ".join(str(error).split())[:200]
+        raise InputError(
+            f"the classifier {module.classifier.title} cannot be exported, torch says: {told}"
+        ) from error
+    finally:
+        unregister_custom_op_symbolic("aten::argsort", OPSET)
+    return written.getvalue()
+
+
+def _compare(content: bytes, module: _Fixed) -> None:
+    """Raise `InputError` unless a graph gives what torch does: a trace follows one path only."""
+    import onnxruntime
+
+    session = onnxruntime.InferenceSession(content, providers=["CPUExecutionProvider"])
+    design, generator = module.design, torch.Generator().manual_seed(0)
+    shape = design.counts_shape
+    for batch in (*[1] * 8, 7):
+        photons = 10 ** (6 * torch.rand(batch, 1, generator=generator))
+        scaled = torch.randn(batch, *shape, generator=generator)
+        counts = (design.shares.mean() * (1 + scaled)).relu() * photons.view(-1, *[1] * len(shape))
+        others = list(module.inputs.values())[2:]
+        rest = [torch.rand(batch, *each, generator=generator) for each in others]
+        given = [counts, photons.squeeze(1), *rest]
+        with torch.no_grad():
+            wanted = module(*given)
+        feed = {name: value.numpy() for name, value in zip(module.inputs, given, strict=True)}
+        for got, value in zip(session.run(None, feed), wanted, strict=True):
+            if got.shape != value.shape or np.abs(got - value.numpy()).max() > LARGEST_ERROR:
+                raise InputError(
+                    "the classifier's ONNX graph does not give what the classifier does: write its "
+                    "forward without conditions on values or on the size of the batch"
+                )
+
+
+def _metadata(design: Design) -> dict[str, Any]:
+    """Metadata of a design's graph, JSON types only."""
+    return {
+        "schema": SCHEMA,
+        "name": design.name,
+        "masks": design.masks,
+        "rails": design.rails.count,
+        "detectors": design.detection.count,
+        "readout": design.detection.readout,
+        "light": design.light,
+        "summed_reflectance": design.summed_reflectance,
+        "image_shape": list(design.image_shape),
+        "classes": list(design.classes),
+        "looks": design.exposure.looks,
+    }

@@ -1,0 +1,1 @@
+"""How well designs work, and why."""

@@ -1,0 +1,283 @@
+"""Confidence: temperatures that make the probabilities of a network agree with its accuracy.
+
+A network is often too confident, and far too confident of counts that it was not trained for: at a
+hundredth of its budget each photon is a hundred times as large among its inputs. A temperature τ
+divides its logits, which moves no class past another. It is fitted by the log loss of scenes with
+known classes and exact counts, over budgets and over the numbers of masks or looks after which an
+exposure is classified.
+"""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from functools import singledispatch
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from scipy.optimize import minimize_scalar
+from scipy.special import log_softmax
+
+from deepfsi.camera import Camera
+from deepfsi.design.adaptive import AdaptiveDesign
+from deepfsi.designfile import LOG_BOUNDS, Temperatures
+from deepfsi.exposure.posterior import LEAST_WEIGHT
+from deepfsi.exposure.temperatures import stop_temperatures
+
+CALIBRATED_STOPS = 8
+"""Numbers of masks or looks at which temperatures are fitted, at most."""
+
+CHUNK = 1024
+"""Scenes that are exposed at once."""
+
+LEAST_SHARE = 1e-6
+"""Share of a class that guessing is taken to give at least."""
+
+BINS = 15
+"""Groups of answers of like confidence, all of one size, in which calibration is measured."""
+
+
+class Exposed(NamedTuple):
+    """Scenes of known classes, and the design that answers them."""
+
+    design: Any
+    scanner: Any  # of the design: a `Scanner`, or the camera of adaptive masks
+    x: np.ndarray  # (n, N)
+    labels: np.ndarray  # (n,)
+
+
+@dataclass(frozen=True)
+class CalibrationScenes:
+    """Scenes by which a design is calibrated.
+
+    Attributes
+    ----------
+    parts : sequence of Exposed
+        Scenes that the design itself answers; or each fold of its training scenes, answered by a
+        design of the same settings that was trained without them.
+    stops : int
+        K, answers of an exposure.
+    draws : int
+        Exposures of each scene.
+    shares : array, shape (C,), or None
+        Shares of the classes that any temperature leaves as they are; None where logits of no light
+        are those of equal ones.
+    doubt : float
+        Scenes that are added to these, like them and each of any class alike. Few scenes may all be
+        answered rightly, and no finite τ would be the best (Platt 1999 has one such scene).
+    """
+
+    parts: Sequence[Exposed]
+    stops: int
+    draws: int = 1
+    shares: np.ndarray | None = None
+    doubt: float = 0.0
+
+    @property
+    def labels(self) -> np.ndarray:
+        """Class (E,) of each exposure; those of a scene follow one another."""
+        return np.concatenate([part.labels.repeat(self.draws) for part in self.parts])
+
+    def logits(self, photons: float, seed: int, places: Sequence[int]) -> np.ndarray:
+        """Logits (len(places), E, C) of the exposures after some stops, from 0, less `base`."""
+        found = [
+            logits_at_stops(*part[:3], photons, self.draws, seed, places) for part in self.parts
+        ]
+        return np.concatenate(found, axis=1) - self.base
+
+    @property
+    def base(self) -> np.ndarray | float:
+        """Logits (C,) that a temperature does not divide."""
+        return 0.0 if self.shares is None else np.log(self.shares)
+
+    def losses(self, logits: np.ndarray, temperature: float) -> np.ndarray:
+        """−ln of the probability (E,) of the true classes, of `logits` (E, C) of some stop."""
+        chances = log_softmax(logits.astype(float) / temperature + self.base, axis=1)
+        return -chances[np.arange(len(chances)), self.labels]
+
+
+@dataclass(frozen=True)
+class LeftOutTest:
+    """Answers to scenes that a training left out, at its budget, after a whole exposure.
+
+    Only the temperatures were fitted to these scenes. A design keeps this in its `info`.
+    """
+
+    scenes: int  # that were left out, and answered
+    accuracy: float  # share of their exposures that are answered rightly
+    log_loss: float  # mean −ln of the probability of the true class, in nats, with temperatures
+    uncalibrated_log_loss: float  # the same without them
+    # The same of an answer that gives each class its share of the training scenes
+    guessing: float
+    error: float  # standard error of the difference of `log_loss` and `guessing`, over scenes
+
+    @property
+    def guesses(self) -> bool:
+        """True where the answers are not better than guessing by twice the standard error."""
+        return self.log_loss + 2 * self.error >= self.guessing
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON types only."""
+        return {**asdict(self), "guesses": self.guesses}
+
+
+def fit_temperatures(
+    scenes: CalibrationScenes, budgets: np.ndarray, *, trained_on: bool, seed: int
+) -> Temperatures:
+    """Temperatures of a design at budgets (B,), by exposures of scenes of known classes.
+
+    A network may be surer of scenes that it was trained on than it is right on others. So by these
+    it becomes less sure only, never surer than it is.
+    """
+    stops = scenes.stops
+    fitted = np.unique(np.rint(np.geomspace(1, stops, CALIBRATED_STOPS)).astype(int)) - 1
+    logs = np.array(
+        [
+            [_fit(logits, scenes) for logits in scenes.logits(budget, seed, fitted.tolist())]
+            for budget in budgets
+        ]
+    )
+    if trained_on:
+        logs = logs.clip(min=0)
+    every = [np.interp(np.arange(stops), fitted, column) for column in logs]
+    return Temperatures(np.stack(every, axis=1), budgets)
+
+
+def measure_left_out(
+    scenes: CalibrationScenes,
+    temperatures: Temperatures,
+    photons: float,
+    guess: np.ndarray,
+    *,
+    seed: int,
+) -> LeftOutTest:
+    """Test of the answers to scenes that a training left out; guessing gives chances (C,)."""
+    last, labels = scenes.stops - 1, scenes.labels
+    [logits] = scenes.logits(photons, seed, [last])
+    temperature = float(stop_temperatures(temperatures, photons)[last])
+    losses, plain = (scenes.losses(logits, each) for each in (temperature, 1.0))
+    guessed = -np.log(guess.clip(min=LEAST_SHARE))[labels]
+    # exposures of one scene are no scenes of their own
+    gains = (losses - guessed).reshape(-1, scenes.draws).mean(axis=1)
+    return LeftOutTest(
+        scenes=len(gains),
+        accuracy=float(((logits + scenes.base).argmax(axis=1) == labels).mean()),
+        log_loss=float(losses.mean()),
+        uncalibrated_log_loss=float(plain.mean()),
+        guessing=float(guessed.mean()),
+        error=float(gains.std() / len(gains) ** 0.5),
+    )
+
+
+@singledispatch
+def stops_of(design: Any) -> tuple[tuple[int, ...], np.ndarray]:
+    """Masks or looks after which an exposure may stop, and the share of it that each takes."""
+    return design.exposure.stops(design.rails, design.light)
+
+
+@singledispatch
+def logits_at_stops(
+    design: Any,
+    scanner: Any,
+    x: np.ndarray,
+    photons: float,
+    draws: int,
+    seed: int,
+    places: Sequence[int] | None = None,
+) -> np.ndarray:
+    """Logits (K, E, C) of exposures at some stops, or all; draws of a scene follow one another."""
+    # x (n, N); places from 0
+    generator = torch.Generator(design.rails.device).manual_seed(seed)
+    chunks = []
+    with torch.no_grad():
+        for rows in torch.arange(len(x)).split(CHUNK):
+            # NumPy takes a tensor of one number for the number itself
+            rates = design.rates(scanner, torch.from_numpy(x[rows.numpy()]))
+            several = []
+            for _ in range(draws):
+                seen = list(design.expose(scanner, rates, generator, photons))
+                kept = seen if places is None else [seen[place] for place in places]
+                several.append(torch.stack([design.logits_of(each, photons) for each in kept]))
+            chunks.append(torch.stack(several, dim=-2).flatten(-3, -2))
+    return torch.cat(chunks, dim=-2).cpu().numpy()
+
+
+@stops_of.register
+def _(design: AdaptiveDesign) -> tuple[tuple[int, ...], np.ndarray]:
+    return tuple(range(1, design.masks + 1)), np.cumsum(design.settings.shares)
+
+
+@logits_at_stops.register
+def _(
+    design: AdaptiveDesign,
+    camera: Camera,
+    x: np.ndarray,
+    photons: float,
+    draws: int,
+    seed: int,
+    places: Any = None,
+) -> np.ndarray:
+    generator = torch.Generator().manual_seed(seed)
+    kept = range(design.masks) if places is None else places
+    chunks = []
+    with torch.no_grad():
+        for some in design.at_once(torch.from_numpy(x).repeat_interleave(draws, dim=0)):
+            looks = design.looks(some, photons, generator, camera)
+            logs = [
+                look.state.chances.clamp(min=LEAST_WEIGHT).log()
+                for place, look in enumerate(looks)
+                if place in kept
+            ]
+            chunks.append(torch.stack(logs))
+    return torch.cat(chunks, dim=1).numpy()
+
+
+def _fit(logits: np.ndarray, scenes: CalibrationScenes) -> float:
+    """Log τ that gives logits (E, C) of calibration scenes the least log loss."""
+    wide, rows, labels = logits.astype(float), np.arange(len(logits)), scenes.labels
+    top, base = wide.max(axis=1, keepdims=True), scenes.base
+    lost = float((top - wide[rows, labels][:, None]).mean())
+    wide -= top
+    if scenes.doubt:
+        share = scenes.doubt / (scenes.doubt + len(labels) / scenes.draws)
+        lost += share * (float(-wide.mean()) - lost)
+
+    def log_loss(log: float) -> float:
+        # less the part of the base, which no temperature changes
+        sums = np.exp(wide / np.exp(log) + base).sum(axis=1)
+        return lost / np.exp(log) + float(np.log(sums).mean())
+
+    found = minimize_scalar(log_loss, bounds=LOG_BOUNDS, method="bounded", options={"xatol": 1e-2})
+    return float(found.x)
+
+
+def confidence_groups(
+    confidence: np.ndarray, right: np.ndarray
+) -> list[tuple[float, float, float]]:
+    """Confidence, accuracy and weight of answers in `BINS` groups, the least sure first."""
+    order = np.argsort(confidence, kind="stable")
+    return [
+        (float(confidence[part].mean()), float(right[part].mean()), len(part) / len(order))
+        for part in np.array_split(order, min(BINS, len(order)))
+    ]
+
+
+def calibration_error(groups: Sequence[tuple[float, float, float]]) -> float:
+    """Mean distance of confidence and accuracy over groups from `confidence_groups`."""
+    return sum(weight * abs(confidence - right) for confidence, right, weight in groups)
+
+
+def confidence_error(confidence: np.ndarray, right: np.ndarray) -> float:
+    """Calibration error of answers (E,), as a `Result` has it."""
+    return calibration_error(confidence_groups(confidence, right))
+
+
+def chance_error(confidence: np.ndarray, draws: int = 200, seed: int = 0) -> float:
+    """Calibration error that exactly calibrated answers (E,) show, in the mean over draws.
+
+    Groups are finite: each answer is right with the probability that it says, and yet the accuracy
+    of a group differs from its confidence.
+    """
+    rng = np.random.default_rng(seed)
+    errors = [confidence_error(confidence, rng.random(len(confidence)) < confidence)
+              for _ in range(draws)]  # fmt: skip
+    return float(np.mean(errors))

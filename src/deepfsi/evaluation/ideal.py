@@ -1,0 +1,200 @@
+"""Ideal observer of counts: posterior of the class with the training scenes as prior.
+
+It takes the scene for one of the training scenes, each as likely as another. The log-likelihood of
+Poisson counts y under a scene k with rates r_k is Σ y ln r_k − r_k, up to a constant; scenes of a
+class add their likelihoods. No network is trained, so its accuracy tells whether a network or the
+masks that it reads are at fault.
+"""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from deepfsi.base import InputError, Progress, progress_bar
+from deepfsi.base.numeric import check_memory, free_memory
+from deepfsi.camera import check_budget, summed_reflectance
+from deepfsi.datasets import Dataset, Source, as_dataset
+from deepfsi.design.design import Design
+from deepfsi.design.values import check_classes
+from deepfsi.designfile import new_scenes
+from deepfsi.evaluation.accuracy import Guess, Result, check_data, check_draws, test_scenes
+from deepfsi.exposure.posterior import class_chances
+from deepfsi.physics import Scanner, library_defaults
+
+AT_ONCE = 2**24
+"""Likelihoods that are held at a time: those of some hundred exposures under all scenes."""
+
+COPIES = 4
+"""Arrays as large as the rates of all training scenes that are held at a time."""
+
+
+class IdealObserver:
+    """Posterior of the class of Poisson counts, with given scenes as prior.
+
+    Where no scene can give the counts, as rates are 0, those scenes remain that have the fewest
+    impossible ones: the limit of a vanishing background.
+
+    Parameters
+    ----------
+    rates : tensor, shape (n, ...)
+        Expected counts of each readout of each scene, for a budget of one photon.
+    labels : tensor, shape (n,)
+        Classes of the scenes, 0 .. C-1.
+    classes : int
+        C.
+
+    Examples
+    --------
+    >>> rates, labels = torch.tensor([[0.9, 0.1], [0.1, 0.9]]), torch.tensor([0, 1])
+    >>> IdealObserver(rates, labels, 2).chances(torch.tensor([[2.0, 0.0]]), 10.0)
+    tensor([[0.9878, 0.0122]])
+    """
+
+    def __init__(self, rates: Tensor, labels: Tensor, classes: int) -> None:
+        self._sizes = torch.bincount(labels, minlength=classes).tolist()
+        rates = rates.flatten(1)[labels.argsort().to(rates.device)]
+        self._lit = rates.amax(dim=0) > 0
+        rates = rates[:, self._lit]
+        self._mean = rates.mean(dim=0)
+        # relative to the mean scene: differences of likelihoods alone need float32's digits
+        dark = rates == 0
+        self._logs = torch.where(dark, 1.0, rates).div_(self._mean).log_()
+        self._impossible = dark.to(rates.dtype) if bool(dark.any()) else None
+        mean = self._mean.double()
+        self._offset = torch.cat(
+            [
+                logs.double() @ mean - (part.double() - mean).sum(dim=1)
+                for logs, part in zip(self._logs.split(1024), rates.split(1024), strict=True)
+            ]
+        )
+
+    def chances(self, counts: Tensor, photons: float) -> Tensor:
+        """Class probabilities (b, C) of counts (b, ...) of the readouts.
+
+        Parameters
+        ----------
+        counts : tensor, shape (b, ...)
+        photons : float
+            Budget Φ.
+        """
+        rows = max(1, AT_ONCE // len(self._logs))
+        read = counts.flatten(1)[:, self._lit].to(self._logs.dtype)
+        return torch.cat([self._chances(part, photons) for part in read.split(rows)])
+
+    def _chances(self, read: Tensor, photons: float) -> Tensor:
+        offset = (photons * self._offset).to(read.dtype)
+        logs = torch.addmm(offset, read - photons * self._mean, self._logs.T)
+        if self._impossible is not None:
+            faults = read @ self._impossible.T
+            logs.masked_fill_(faults > faults.amin(dim=1, keepdim=True), -torch.inf)
+        return class_chances(logs.softmax(dim=1), self._sizes)
+
+
+@library_defaults()
+def ideal_observer(
+    design: Design | Tensor,
+    data: Source,
+    photons: Sequence[float] | float,
+    *,
+    draws: int = 1,
+    seed: int = 0,
+    report: Progress | None = None,
+) -> list[Result]:
+    """Accuracy of the ideal observer under photon noise, a `Result` for each budget.
+
+    Prior are the training scenes of the data, and its test scenes are exposed. Compare it with
+    `evaluate`: a network that is far below it can be improved; if it is low itself, the masks are
+    at fault. It bounds what can be told of scenes that are among the training scenes; of new ones,
+    and much light, a network may tell more.
+
+    Parameters
+    ----------
+    design : Design or tensor
+        Of fixed dwells; or the rails (2 or 1, m, N) of a matrix. Impulse imaging is the identity,
+        ``torch.eye(N)[None]``.
+    data : Dataset, str, path or tuple of arrays
+    photons : float or sequence of float
+        Budgets Φ.
+    draws : int
+        Noise draws of each scene.
+    seed : int
+        Of the noise.
+    report : Report, optional
+        Where to say how far it is; a bar where a terminal is attached unless given.
+
+    Raises
+    ------
+    InputError
+        If the data does not fit the design, a budget is not finite and above 0, or dwells are
+        chosen.
+
+    Examples
+    --------
+    >>> from deepfsi import load_dataset
+    >>> digits = load_dataset("digits")
+    >>> [result] = ideal_observer(torch.eye(64)[None], digits, 1e4)
+    >>> result.accuracy > 0.9
+    True
+    """
+    budgets = [check_budget(b) for b in np.atleast_1d(np.asarray(photons, dtype=object))]
+    scenes = _new_to(design, as_dataset(data))
+    check_classes(scenes.values, "the ideal observer")
+    check_draws(draws, seed)
+    scanner, rates_of = _front_end(design, scenes)
+    with torch.no_grad(), progress_bar(report, "ideal observer") as bar:
+        rates = rates_of(torch.from_numpy(scenes.x_train))
+        needed = COPIES * rates.numel() * rates.element_size()
+        check_memory(needed, free_memory(), "likelihoods of these scenes", "give fewer scenes")
+        observer = IdealObserver(rates, torch.from_numpy(scenes.y_train), len(scenes.classes))
+        shares = rates.mean(dim=0).flatten(0, -2).sum(dim=0)
+        del rates
+        guess_of = _guesses(observer, scanner, rates_of)
+        return test_scenes(scenes, guess_of, budgets, draws, seed, "poisson", shares, bar)
+
+
+def _new_to(design: Design | Tensor, data: Dataset) -> Dataset:
+    """The data without test scenes that a design was trained on."""
+    return data if isinstance(design, Tensor) else new_scenes(design.training_scenes, data)[0]
+
+
+def _front_end(
+    design: Design | Tensor, data: Dataset
+) -> tuple[Scanner, Callable[[Tensor], Tensor]]:
+    """Scanner, and expected counts (n, rails, m) of scenes (n, N) for a budget of one photon."""
+    if isinstance(design, Tensor):
+        scanner, s = Scanner.from_rails(design), summed_reflectance(data.x_train)
+        return scanner, lambda x: scanner.rates(x.to(design) / s)
+    check_data(design, data)
+    if design.exposure.chooses:
+        raise InputError(
+            "the dwells of this design follow the counts: give one of fixed dwells, learned with "
+            "1 look"
+        )
+    if design.exposure.kind == "passing":
+        raise InputError(
+            "scenes that pass a pattern have a place of their own in each exposure, which the "
+            "ideal observer does not know: use evaluate"
+        )
+    scanner = design.scanner()
+    return scanner, lambda x: design.rates(scanner, x)
+
+
+def _guesses(
+    observer: IdealObserver, scanner: Scanner, rates_of: Callable[[Tensor], Tensor]
+) -> Callable[[Tensor], Guess]:
+    """Answers of an observer to exposures of scenes (n, N)."""
+
+    def guess_of(x: Tensor) -> Guess:
+        rates = rates_of(x)
+
+        def guess(generator: torch.Generator, budget: float) -> tuple[Tensor, Tensor, float, float]:
+            expected = rates * budget
+            chances = observer.chances(scanner.read(expected, generator), budget)
+            counted = float(expected.sum())
+            return chances.argmax(dim=-1), chances, counted, counted
+
+        return guess
+
+    return guess_of

@@ -1,0 +1,290 @@
+"""A design as JSON for a page that plays it: what the page needs to expose a scene and classify it.
+
+Of adaptive masks a page knows some of the training scenes, and its answers and accuracy are those
+of a design that knows no others.
+
+Arrays are float32, every byte of them: first all lowest bytes, then the next ones, as the highest
+bytes of weights are much alike and shrink when deflated. That is written in base64. Scenes are kept
+in 16 bits, and coefficients of those of a prior in 8.
+"""
+
+import base64
+import zlib
+from dataclasses import replace
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+
+from deepfsi.base import SILENT, InputError, Progress
+from deepfsi.camera import find_noise
+from deepfsi.datasets import Dataset
+from deepfsi.design.adaptive import AdaptiveDesign, AnyDesign
+from deepfsi.design.design import Design
+from deepfsi.design.values import check_classes
+from deepfsi.designfile import Temperatures, check_masks, new_scenes, trained_on
+from deepfsi.evaluation.accuracy import check_data, evaluate, scanner_for
+from deepfsi.evaluation.confidence import stops_of
+from deepfsi.evaluation.stopping import rule_of, stop
+from deepfsi.exposure.posterior import LookOptics
+from deepfsi.jobs import LARGEST_SCORE
+from deepfsi.networks.classifiers import Mlp
+from deepfsi.physics import SLACK, library_defaults
+
+BUDGETS = tuple(float(f"{10**power:.3g}") for power in np.arange(1, 7.1, 0.5))
+"""Budgets at which the accuracy is measured, the whole range of the page's slider."""
+
+SCENES = 30
+"""Test scenes in the page, of each class as many as can be."""
+
+COEFFICIENTS = 10**6
+"""Coefficients of training scenes in a page of adaptive masks, at most: 8 bits each."""
+
+TESTED = 300
+"""Test scenes by which the accuracy of adaptive masks is measured, at most: a look takes a ms."""
+
+LARGEST_SHORT = 2**16 - 1
+"""Largest 16-bit number, the highest level of a scene."""
+
+
+@library_defaults()
+def playable(
+    design: AnyDesign, data: Dataset, *, draws: int = 1, seed: int = 0, report: Progress = SILENT
+) -> dict[str, Any]:
+    """Payload of a page: JSON types only."""
+    check_playable(design)
+    check_data(design, data)
+    fresh, _ = new_scenes(design.training_scenes, data)
+    trained, budgets, tested = design.trained_budgets, BUDGETS, fresh
+    if isinstance(design, AdaptiveDesign):
+        known, budgets, tested = of_page(design, seed), BUDGETS[::2], few_tests(fresh, seed)
+        own, design = _posterior(known, design), known
+    else:
+        own = _networks(design)
+    inside = [each for each in trained or () if BUDGETS[0] <= each <= BUDGETS[-1]]
+    measured = sorted({*budgets, *inside})
+    results = evaluate(
+        design, tested, measured, draws=draws, seed=seed, report=report.between(0, 0.8)
+    )
+    rules = _rules(design, data, seed, report.between(0.8, 1))
+    return {
+        **own,
+        "name": design.name,
+        "image_shape": design.image_shape,
+        "classes": design.classes,
+        "detectors": design.detection.count,
+        "labels": None if design.detection.labels is None else design.detection.labels.tolist(),
+        "budget": trained and {"low": trained[0], "high": trained[1]},
+        "temperatures": _temperatures(design.temperatures),
+        "rules": rules,
+        "scenes": _scenes(fresh, seed),
+        "curve": [
+            {name: getattr(each, name) for name in ("photons", "accuracy", "low", "high")}
+            for each in results
+        ],
+        "test": {
+            "images": results[0].images,
+            "draws": draws,
+            "covers": results[0].covers,
+            "commonest": fresh.chance,
+        },
+        "data": {"name": data.name, "preprocessing": data.preprocessing},
+        "version": version("deepfsi"),
+    }
+
+
+def of_page(design: AdaptiveDesign, seed: int = 0) -> AdaptiveDesign:
+    """The design as a page plays it: it knows some of its scenes, and no exposure stops early."""
+    prior = design.prior.few(COEFFICIENTS // len(design.prior.components), seed)
+    whole = design.settings.model_copy(update={"until": 1.0})
+    return replace(design, prior=prior, settings=whole)
+
+
+def few_tests(data: Dataset, seed: int) -> Dataset:
+    """The data with some of its test scenes, drawn by lot."""
+    rows = np.random.default_rng(seed).permutation(len(data.x_test))[:TESTED]
+    return replace(data, x_test=data.x_test[rows], y_test=data.y_test[rows])
+
+
+def check_playable(design: AnyDesign) -> None:
+    """Raise `InputError` for a design that no page can play."""
+    check_classes(design.values, "a page")
+    check_masks(design.info, "a page")
+    if isinstance(design, AdaptiveDesign):
+        LookOptics.of(design.camera, design.image_shape, 1.0)
+    else:
+        _classifier(design)
+
+
+def _classifier(design: Design) -> Mlp:
+    """Classifier of a design of known masks that a page can play."""
+    if design.exposure.kind == "patches":
+        raise InputError(
+            "this design is of image patches, each with a detector of its own, and a page shows "
+            "one device: give a design of whole scenes"
+        )
+    if design.exposure.kind == "passing":
+        raise InputError(
+            "this design is of scenes that pass a static pattern, and a page shows masks one after "
+            "the other: give a design of scenes at rest"
+        )
+    if not isinstance(design.classifier, Mlp):
+        raise InputError(
+            "a page has no classifier of your own in it: give a design with the package's own, "
+            "which {classifier} mlp learns",
+            setting="classifier",
+        )
+    camera = design.camera
+    noise = find_noise(camera.noise)
+    if noise.shot and noise.read_noise and camera.sigma:
+        raise InputError(
+            f"this design is for read noise of {camera.sigma:g} counts, and a page draws photon "
+            "and dark counts: give a design of sigma 0"
+        )
+    if not noise.shot:
+        raise InputError(
+            f"this design is for {camera.noise_name} noise, and a page draws photon and dark "
+            "counts: give a design for poisson or camera noise"
+        )
+    return design.classifier
+
+
+def pack(values: np.ndarray) -> dict[str, Any]:
+    """An array of float32, uint16 or int8, for JSON."""
+    kinds = {np.dtype(np.uint16): "<u2", np.dtype(np.int8): "<i1"}
+    kept = np.ascontiguousarray(values, kinds.get(values.dtype, "<f4"))
+    planes = kept.reshape(-1).view(np.uint8).reshape(-1, kept.itemsize).T
+    deflated = zlib.compress(planes.tobytes(), 9)
+    text = base64.b64encode(deflated).decode()
+    return {"shape": values.shape, "bytes": kept.itemsize, "planes": text}
+
+
+def _networks(design: Design) -> dict[str, Any]:
+    """Masks that are known, and the networks that read their counts."""
+    # Of two rails the difference M⁺ − M⁻ is kept, and their sum where it is not |M|
+    rails, chooser = design.rails, design.exposure.network
+    difference, total = (each.cpu().numpy() for each in (rails.difference, rails.total))
+    sums = None
+    if rails.count == 2 and not np.array_equal(total, np.abs(difference)):
+        flat = np.ptp(total, axis=1).max() < SLACK * total.max()
+        sums = pack(total.mean(axis=1, keepdims=True) if flat else total)
+    return {
+        "summed_reflectance": design.summed_reflectance,
+        "light": design.light,
+        "rails": rails.count,
+        "readout": design.detection.readout,
+        **_dark(design),
+        "matrix": pack(difference),
+        "total": sums,
+        "mean": pack(design.mean.cpu().numpy()),
+        "std": pack(design.std.cpu().numpy()),
+        "network": _layers(_classifier(design)),
+        "exposure": {
+            **design.exposure.entry().model_dump(),
+            "largest_score": LARGEST_SCORE,
+            "chooser": None if chooser is None else _layers(chooser),
+        },
+    }
+
+
+def _dark(design: Design) -> dict[str, Any]:
+    """Dark counts of a detector in an exposure, and of each readout."""
+    scanner = scanner_for(design, design.camera)
+    dark = scanner.noise.settings.get("dark", 0.0)
+    each = pack(scanner.dark_counts(design.rails.count).cpu().numpy()) if dark else None
+    return {"dark": dark, "dark_counts": each}
+
+
+def _posterior(known: AdaptiveDesign, design: AdaptiveDesign) -> dict[str, Any]:
+    """Looks of adaptive masks, and the scenes that a page knows, of those that the design knows."""
+    optics, arrays = LookOptics.of(known.camera, known.image_shape, 1.0), known.prior.arrays
+    names = ("mean", "components", "steps", "levels", "members")
+    return {
+        "summed_reflectance": known.prior.summed_reflectance,
+        "light": known.camera.light,
+        "rails": optics.arms,
+        "dark": optics.dark,
+        "shares": known.settings.shares,
+        "counted": known.shares.tolist(),
+        "prior": {name: pack(arrays[name]) for name in names}  # whole numbers as float32
+        | {
+            "sizes": known.prior.sizes,
+            "spread": known.prior.spread,
+            "temperatures": _temperatures(known.prior.temperatures),
+        },
+        "known": {
+            "scenes": len(known.prior),
+            "of": len(design.prior),
+            "centres": design.settings.clusters is not None,
+        },
+    }
+
+
+def _temperatures(known: Temperatures | None) -> dict[str, Any] | None:
+    """Calibration of the probabilities, and the lowest light that is not too little."""
+    if known is None:
+        return None
+    logs, budgets = known.logs.tolist(), known.budgets.tolist()
+    return {"logs": logs, "budgets": budgets, "dimmest": known.dimmest}
+
+
+def _layers(network: Mlp) -> list[dict[str, Any]]:
+    return [{"weight": pack(weight), "bias": pack(bias)} for weight, bias in network.arrays]
+
+
+def _rules(design: AnyDesign, data: Dataset, seed: int, report: Progress) -> list[dict[str, Any]]:
+    """Rules of when an exposure stops, each with the budget that it was chosen at."""
+    # That which the design holds; else so many in its training's range that one is near each
+    # budget, where it can stop early and its training left scenes out
+    try:
+        stops_of(design)
+    except InputError:
+        return []
+    held = rule_of(design)
+    if held is not None:
+        return [held.as_dict()]
+    if isinstance(design, AdaptiveDesign):
+        return []
+    known, trained = trained_on(design.info), design.trained_budgets
+    if known is None or not known.held_out or not known.is_of(data) or trained is None:
+        return []
+    decades = np.log10(trained[1] / trained[0])
+    budgets = np.geomspace(*trained, 1 + int(np.ceil(decades - 1e-9))).tolist()
+    rules = []
+    for place, budget in enumerate(budgets):
+        found = stop(design, data, budget, draws=1, seed=seed)
+        rules.append(found.rule.as_dict())
+        report((place + 1) / len(budgets))
+    return rules
+
+
+def _scenes(data: Dataset, seed: int) -> dict[str, Any]:
+    """Test scenes as levels of the range that training scenes have, of each class in turn."""
+    low, high = float(data.x_train.min()), float(data.x_train.max())
+    rng = np.random.default_rng(seed)
+    queues = [rng.permutation(np.flatnonzero(data.y_test == k)) for k in range(len(data.classes))]
+    turns = [queue[turn] for turn in range(SCENES) for queue in queues if turn < len(queue)]
+    rows = np.array(sorted(turns[:SCENES], key=lambda row: (data.y_test[row], row)))
+    share = (data.x_test[rows] - low) / max(high - low, 1e-9)
+    levels = np.rint(share.clip(0, 1) * LARGEST_SHORT).astype(np.uint16)
+    known, sums = data.wavelengths, data.x_train.sum(axis=1, dtype=float)
+    return {
+        "clearest": _clearest(data, rows),
+        "sums": [float(sums.min()), float(sums.max())],
+        "flattest": float(data.x_train.std(axis=1).min()),
+        "low": low,
+        "high": high,
+        "levels": pack(levels),
+        "labels": data.y_test[rows].tolist(),
+        "wavelengths": None if known is None else np.nan_to_num(known, nan=-1).tolist(),
+    }
+
+
+def _clearest(data: Dataset, rows: np.ndarray) -> int:
+    """Place of the test scene that lies nearest to its class, over the nearest of the others."""
+    kinds = np.unique(data.y_train)
+    means = np.stack([data.x_train[data.y_train == kind].mean(axis=0) for kind in kinds])
+    far = ((data.x_test[rows][:, None] - means) ** 2).sum(axis=2)
+    own = kinds == data.y_test[rows][:, None]
+    nearest, other = (np.where(each, far, np.inf).min(axis=1) for each in (own, ~own))
+    return int(np.argmin(nearest / other))

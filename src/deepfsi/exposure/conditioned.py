@@ -1,0 +1,149 @@
+"""Conditioning inputs of the classifier: photon budget and number of masks shown.
+
+The classifier of a design for a range of budgets, or with nested masks, must know the budget and
+the number of masks shown. So it has two inputs more: the logarithm of the budget, mapped from
+the range to -1 .. 1, and the share of masks shown. Features of masks not shown are 0.
+
+The first k masks, brought to what the whole sequence takes of the light law, see a scene as
+they do within the sequence at a budget that is larger by the inverse of their share of it,
+`used` (`LightLaw.used`). So one number stands for both, the conditioning budget Φ / used.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from deepfsi.base import InputError
+from deepfsi.camera import LIGHT_LAWS, LightLawName
+from deepfsi.exposure.trained import TrainedExposure
+from deepfsi.jobs import ConditionedEntry, Job
+from deepfsi.physics import Rails, light_law
+
+ALL_MASKS_SHARE = 0.25
+"""Share of the exposures of nested masks in training that show all of them."""
+
+
+@dataclass(frozen=True)
+class ConditionedExposure(TrainedExposure):
+    """Exposure of fixed dwells whose classifier has the budget and the number of masks as inputs.
+
+    Its fields are those of `ConditionedEntry`.
+    """
+
+    photons: float
+    span: float
+    masks: int
+    nested: int = 0
+    width: int = 1
+    used: float = 1.0
+    kind = "conditioned"
+
+    def entry(self) -> ConditionedEntry:
+        """Entry of the design file's header."""
+        return ConditionedEntry(**vars(self))
+
+    @classmethod
+    def begin(
+        cls, job: Job, image_shape: tuple[int, ...], seed: torch.Generator
+    ) -> "ConditionedExposure":
+        """One whose classifier is told budget and masks; parameters as of the base class."""
+        span, fewest = job.exposure.highest(1.0), getattr(job.exposure, "nested", 0)
+        width = job.features(image_shape) // job.masks
+        return cls(job.photons, span, job.masks, fewest, width)
+
+    def check(self, rails: Rails, light: LightLawName, image_shape: tuple[int, ...]) -> None:
+        """Raise `ValueError` unless rails can be exposed so; parameters as for `Design`."""
+        if rails.masks > self.masks:
+            raise ValueError("more masks than in the whole sequence")
+
+    def final(self, rails: Tensor, light: LightLawName) -> Tensor:
+        """Nested masks take the whole of their light law, by one common factor.
+
+        So they are trained, however many of them are shown.
+        """
+        if not self.nested:
+            return rails
+        return rails / light_law(light).used(rails)[..., -1:][..., None, None]
+
+    def drawn(self, rails: Tensor, light: LightLawName) -> tuple[Tensor, Tensor]:
+        """Noise of each feature in the mean over budgets and masks shown, and how often."""
+        used = light_law(light).used(rails)
+        each = mean_over_exposures(used, self.span, self.chances.to(used))
+        later, often = (part.repeat_interleave(self.width, dim=-1) for part in each)
+        return later, often
+
+    def input_count(self, features: int) -> int:
+        """Number of the classifier's inputs, whatever number of masks is shown."""
+        return self.masks * self.width + 2
+
+    def condition(self, inputs: Tensor, photons: Tensor | float) -> Tensor:
+        """Inputs of the classifier, from those of `Exposure.inputs` and the budget."""
+        ratio = torch.as_tensor(photons).to(inputs) / (self.used * self.photons)
+        return self.inputs(inputs, ratio, ratio.new_tensor(inputs.shape[-1] // self.width))
+
+    @property
+    def chances(self) -> Tensor:
+        """Chance of each number of masks 1 .. m to be shown in training, shape (m,).
+
+        Inverse to the number from the fewest on, so that few masks, which do worst, learn as much
+        as many, but for the share `ALL_MASKS_SHARE` of exposures that show all: else the last masks
+        would hardly learn.
+        """
+        count = torch.arange(1, self.masks + 1, dtype=torch.float32)
+        weight = torch.where(count >= self.fewest_masks(self.masks), 1 / count, 0.0)
+        chance = (1 - ALL_MASKS_SHARE) * weight / weight.sum()
+        chance[-1] += ALL_MASKS_SHARE
+        return chance
+
+    def fewest_masks(self, masks: int) -> int:
+        """Smallest number of first masks, of m, that can be classified alone."""
+        return self.nested or masks
+
+    def using(self, used: float) -> "ConditionedExposure":
+        """The kind for masks that take another share of the light law, see `used`."""
+        return replace(self, used=used)
+
+    def stops(self, rails: Rails, light: LightLawName) -> tuple[tuple[int, ...], np.ndarray]:
+        """Numbers of masks after which an exposure may stop, and the share taken then."""
+        masks = rails.masks
+        fewest = self.fewest_masks(masks)
+        if fewest == masks:
+            return super().stops(rails, light)
+        if not LIGHT_LAWS[light].one_device:
+            raise InputError(
+                "under the column constraint all masks see light at once, so that stopping saves "
+                "nothing: use a design for one device, {light:free-dwell} or equal-dwell",
+                setting="light",
+            )
+        used = light_law(light).used(rails.stacked)[fewest - 1 :]
+        return tuple(range(fewest, masks + 1)), (used / used[-1]).double().cpu().numpy()
+
+    def inputs(self, scaled: Tensor, ratio: Tensor, shown: Tensor) -> Tensor:
+        """Inputs of the classifier, features and two more; 0 are features beyond those shown."""
+        # scaled (..., k): standardised features of the first masks; (..., 1): ratio, conditioning
+        # budget over `photons`, and shown, number of masks
+        seen = torch.where(first(scaled.shape[-1], shown * self.width), scaled, 0.0)
+        seen = functional.pad(seen, (0, self.masks * self.width - scaled.shape[-1]))
+        middle = math.log(self.span) / 2
+        level = (torch.log(ratio) - middle) / max(middle, 1.0)  # -1 to 1 over the range
+        column = seen[..., :1]
+        share = shown / self.masks
+        return torch.cat([seen, level.expand_as(column), share.expand_as(column)], dim=-1)
+
+
+def first(count: int, shown: Tensor) -> Tensor:
+    """Mask (..., count), true for the first `shown` (..., 1)."""
+    return torch.arange(count, device=shown.device) < shown
+
+
+def mean_over_exposures(used: Tensor, span: float, chances: Tensor) -> tuple[Tensor, Tensor]:
+    """Noise of each mask in the mean over the budgets and numbers of masks of a training."""
+    # used (R or 1, m); chances (m,)
+    dim = (1 - 1 / span) / math.log(span) if span > 1 else 1.0
+    later = (chances * used / used[..., -1:]).flip(-1).cumsum(-1).flip(-1)
+    often = chances.flip(-1).cumsum(-1).flip(-1)
+    return dim * later / often, often

@@ -1,0 +1,289 @@
+"""Exposures of several looks: the counts so far choose how long each mask is shown next.
+
+One device shows the same masks in every look, each for its own share of the time (`free-dwell`).
+In the first look these *dwells* are the same for all scenes; a small network then chooses those of
+each further look from the counts so far. Masks whose result is already known get hardly
+any time. Counts n of a look are Poisson counts given those before it, and its dwells d depend on
+these alone, so that the likelihood of a mask's rate r is a constant times r^Σn · e^(−rΣd): the sums
+over the looks are sufficient statistics of the scene, and both networks read these sums.
+
+The classifier is trained to answer after every look, so that an exposure may end early.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, TypeVar
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from deepfsi.base import InputError
+from deepfsi.camera import LIGHT_LAWS, Camera, LightLawName, share_out
+from deepfsi.designfile import ReadoutDistribution
+from deepfsi.exposure.readout_fit import find_distribution
+from deepfsi.exposure.trained import Observation, Read, Show, TrainedExposure
+from deepfsi.jobs import LARGEST_SCORE, ExposureEntry, Job, Looks, LooksEntry
+from deepfsi.networks.classifiers import Mlp, restored
+from deepfsi.physics import Detection, LearnedMasks, Rails, light_law, through
+
+_Dwell = TypeVar("_Dwell", bound=Any)  # array or tensor
+
+Choose = Callable[[Tensor], Tensor]
+"""From inputs (..., k + q + 1) to the scores (..., q) of dwells."""
+
+
+@dataclass(frozen=True)
+class Dwells:
+    """Dwells of a look: one for each frame of one device."""
+
+    masks: int  # m
+    # Whether the two rails of a mask are frames, one after the other, with dwells of their own: not
+    # so on two arms, which see both at once
+    each_rail: bool
+
+    @classmethod
+    def of(cls, masks: int, light: str, rails: str) -> "Dwells":
+        """Dwells of m masks under a light law, of so many rails."""
+        return cls(masks, rails == "dual" and LIGHT_LAWS[light].arms == 1)
+
+    @property
+    def count(self) -> int:
+        """q, number of dwells; those of a mask's two rails follow one another."""
+        return self.masks * (2 if self.each_rail else 1)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape ([2,] m) of the dwells as a camera takes them."""
+        return (2, self.masks) if self.each_rail else (self.masks,)
+
+    def scaled(self, rates: Tensor, dwell: Tensor) -> Tensor:
+        """Expected counts (..., rails, m · D) for dwells (..., q), of those for equal dwells."""
+        each = dwell.unflatten(-1, (self.masks, -1)).transpose(-2, -1) * self.count
+        return rates * each.repeat_interleave(rates.shape[-1] // self.masks, dim=-1)
+
+    def by_rail(self, dwell: _Dwell) -> _Dwell:
+        """Dwells (..., [2,] m) of frames, as a camera takes them, of dwells (..., q)."""
+        if not self.each_rail:
+            return dwell
+        return dwell.reshape(*dwell.shape[:-1], self.masks, 2).swapaxes(-2, -1)
+
+    def by_mask(self, dwell: _Dwell) -> _Dwell:
+        """Inverse of `by_rail`."""
+        if not self.each_rail:
+            return dwell
+        return dwell.swapaxes(-2, -1).reshape(*dwell.shape[:-2], -1)
+
+
+ON_WEIGHT = 0.2
+"""Time of the all-ON frames of a scene over the exposure, where their readouts are calibrated."""
+
+
+@dataclass(frozen=True)
+class LooksExposure(TrainedExposure):
+    """Exposure of several looks, whose dwells a network chooses from the counts so far.
+
+    The masks' rails, and the statistics of their features, are those of equal dwells, 1 / q.
+    """
+
+    dwells: Dwells
+    network: Mlp  # from k + q + 1 inputs to q outputs
+    looks: int  # K
+    shortest: float = 0.0  # shortest dwell of a frame that is shown, a share of the exposure
+    kind = "adaptive"
+    chooses: ClassVar[bool] = True
+
+    def entry(self) -> LooksEntry:
+        """Entry of the design file's header."""
+        return LooksEntry(looks=self.looks, hidden=self.network.hidden, shortest=self.shortest)
+
+    @classmethod
+    def restored(
+        cls,
+        entry: ExposureEntry,
+        weights: dict[str, Tensor],
+        features: int,
+        rails: Rails,
+        light: LightLawName,
+    ) -> "LooksExposure":
+        """The exposure with its network; parameters as for `TrainedExposure.restored`."""
+        assert isinstance(entry, LooksEntry)
+        dwells = Dwells.of(rails.masks, light, rails.kind)
+        inputs = features + dwells.count + 1
+        sizes = {"inputs": inputs, "classes": dwells.count, "hidden": entry.hidden}
+        return cls(dwells, restored(Mlp, weights, **sizes), entry.looks, entry.shortest)
+
+    @classmethod
+    def begin(
+        cls, job: Job, image_shape: tuple[int, ...], seed: torch.Generator
+    ) -> "LooksExposure":
+        """One whose network chooses dwells; parameters as of the base class."""
+        assert isinstance(job.exposure, Looks)
+        camera = job.optics
+        dwells = Dwells.of(job.masks, camera.light, camera.rails)
+        inputs = job.features(image_shape) + dwells.count + 1
+        network = Mlp(inputs, dwells.count, job.training.hidden, 0.0, seed)
+        return cls(dwells, network, job.exposure.looks, camera.shortest_share)
+
+    def to(self, device: str | torch.device) -> "LooksExposure":
+        """The kind on a device."""
+        return replace(self, network=self.network.to(device))
+
+    def check(self, rails: Rails, light: LightLawName, image_shape: tuple[int, ...]) -> None:
+        """Raise `ValueError` unless rails can be exposed so; parameters as for `Design`."""
+        equal = light_law(light).has_equal_dwells(rails.stacked)
+        if not (equal and LIGHT_LAWS[light].looks):
+            raise ValueError("dwells are chosen for frames of one device that all have the same")
+
+    def learned_masks(self, start: Tensor, camera: Camera, levels: int) -> LearnedMasks:
+        """Masks that learn as frames of equal dwells: theirs are chosen later."""
+        law = light_law(camera.light).of_equal_dwells
+        masks = LearnedMasks(start, law.name, camera.rails, levels)
+        if law.dwells_of_mask(camera.rails):
+            masks.dwell.requires_grad_(False)  # equal from the start
+        return masks
+
+    def final(self, rails: Tensor, light: LightLawName) -> Tensor:
+        """Rails of equal dwells, at the end only."""
+        # The gradient of that would take from lit mirrors what they share
+        return self.fixed(rails, light)
+
+    def fixed(self, rails: Tensor, light: LightLawName) -> Tensor:
+        """Rails of which every frame has the same dwell and peak."""
+        return light_law(light).equalise(rails)
+
+    def input_count(self, features: int) -> int:
+        """Number of the classifier's inputs: features and dwells."""
+        return features + self.dwells.count
+
+    def expose(
+        self, read: Read, rates: Tensor, photons: float, mean: Tensor, std: Tensor
+    ) -> Iterator[Observation]:
+        """Exposures after each look, parameters as for `TrainedExposure.expose`."""
+
+        def show(dwell: Tensor) -> tuple[Tensor, Tensor]:
+            share = self.dwells.scaled(torch.ones_like(rates), dwell)
+            return read(rates * share * photons, share) / photons, dwell
+
+        return self.expose_live(show, mean.expand(*rates.shape[:-2], -1), std)
+
+    def shown(self, rates: Tensor, seen: Observation) -> Tensor:
+        """Expected counts of an exposure, parameters as for `TrainedExposure.shown`."""
+        assert seen.dwell is not None
+        return self.dwells.scaled(rates, seen.dwell)
+
+    def next_dwell(self, choose: Choose, inputs: Tensor, left: Tensor) -> Tensor:
+        """Dwells (..., q) of the next look, of inputs and the share (..., 1) that is left."""
+        scores = choose(torch.cat([inputs, left], dim=-1))
+        return (LARGEST_SCORE * torch.tanh(scores / LARGEST_SCORE)).softmax(dim=-1) / self.looks
+
+    def expose_live(
+        self, show: Show, mean: Tensor, std: Tensor, choose: Choose | None = None
+    ) -> Iterator[Observation]:
+        """Exposures after each look: one loop for training, tests and a camera, for one or many."""
+        # mean, std (..., k); in training `choose` is the networks of several designs
+        features, total = (
+            torch.zeros_like(mean),
+            mean.new_zeros(*mean.shape[:-1], self.dwells.count),
+        )
+        seen = Observation(features, total)
+        for look in range(self.looks):
+            left = torch.full_like(total[..., :1], 1 - look / self.looks)
+            dwell = self.next_dwell(choose or self.network, seen.inputs(mean, std), left)
+            if self.shortest:
+                dwell = through(dwell, share_out(dwell.detach(), self.shortest))
+            counts, shown = show(dwell)
+            features, total = features + counts, total + shown
+            seen = Observation(features, total)
+            yield seen
+
+    def compared(self, rails: int, readouts: int) -> tuple[tuple[int, int], int]:
+        """Readouts that counts are compared in: those of all rails and of all mirrors ON."""
+        return (1, rails * readouts + 1), self.looks
+
+    def distribution(
+        self,
+        rates: Tensor,
+        lit: Tensor,
+        labels: np.ndarray,
+        classes: int,
+        detection: Detection,
+        mean: Tensor,
+        std: Tensor,
+    ) -> ReadoutDistribution | None:
+        """Distribution of readouts and all-ON frames; parameters as for the base class."""
+
+        def expose(photons: float, rng: np.random.Generator) -> list[tuple[np.ndarray, np.ndarray]]:
+            every, ones = torch.zeros_like(rates), torch.ones_like(rates)
+            bright = lit.double().cpu().numpy()[:, None]
+            on = rng.poisson(ON_WEIGHT * photons * bright), np.full(bright.shape, ON_WEIGHT)
+
+            def show(dwell: Tensor) -> tuple[Tensor, Tensor]:
+                expected = (self.dwells.scaled(rates, dwell) * photons).double().cpu().numpy()
+                counts = torch.from_numpy(rng.poisson(expected)).to(rates)
+                every.add_(counts)
+                return detection.features(counts) / photons, dwell
+
+            out = []
+            for seen in self.expose_live(show, mean.expand(len(rates), -1), std):
+                assert seen.dwell is not None
+                held = every, self.dwells.scaled(ones, seen.dwell)
+                pair = (part.double().flatten(1).cpu().numpy() for part in held)
+                out.append(tuple(np.hstack(each) for each in zip(pair, on, strict=True)))
+            return out  # type: ignore[return-value]
+
+        whole = torch.cat([rates.flatten(1), lit[:, None]], dim=1)[:, None]
+        return find_distribution(whole, labels, classes, expose=expose)
+
+    @property
+    def dwell_words(self) -> str:
+        """Words on `mask_dwells`, those of the first look."""
+        share = f"{1 / self.looks:.0%}"
+        return f"share of the exposure in the first of {self.looks} looks, {share} of it each"
+
+    def mask_dwells(
+        self, rails: Rails, light: LightLawName, mean: Tensor, std: Tensor
+    ) -> Tensor | None:
+        """Share (m,) of the exposure that each mask is shown in the first look."""
+
+        def show(dwell: Tensor) -> tuple[Tensor, Tensor]:
+            return torch.zeros_like(mean), dwell
+
+        first = next(self.expose_live(show, mean, std)).dwell
+        assert first is not None, "dwells are chosen"
+        return first.unflatten(-1, (rails.masks, -1)).sum(dim=-1)
+
+    def stops(self, rails: Rails, light: LightLawName) -> tuple[tuple[int, ...], np.ndarray]:
+        """Numbers of looks after which an exposure may stop, and the share taken then."""
+        after = range(1, self.looks + 1)
+        return tuple(after), np.array(after) / self.looks
+
+    def count_stops(self, masks: int) -> int:
+        """K, an answer after each look."""
+        return self.looks
+
+    def stop_place(self, seen: Observation) -> Tensor:
+        """Place (..., 1) of an exposure among its looks, from 0, by the time it took."""
+        assert seen.dwell is not None
+        return seen.dwell.sum(dim=-1, keepdim=True) * self.looks - 1
+
+    def check_noise(self, noise: str) -> None:
+        """Raise `InputError` unless the noise is that of photons."""
+        if faults := Looks(looks=self.looks).test_faults([noise]):
+            raise InputError(faults[0])
+
+    def check_alone(self) -> None:
+        """Raise `InputError`: counts are compared together with all-ON frames."""
+        raise InputError(
+            "this design chooses dwells while the exposure runs, and its counts are tested with "
+            "the all-ON frames of their scene: run it with `deepfsi camera live`, or give "
+            "`deepfsi.classify_run` a live run"
+        )
+
+    def check_dwell(self, given: bool) -> None:
+        """Raise `InputError` if dwells are not given."""
+        if not given:
+            raise InputError(
+                "dwells go with a design that chooses them, and only with it: give dwell, or use "
+                "`classify_live`"
+            )

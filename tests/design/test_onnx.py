@@ -1,0 +1,128 @@
+"""The graph gives what torch gives, and says what it is."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch import nn
+
+from conftest import PHOTONS, every_optics, once, quick
+from deepfsi import Design
+from deepfsi.base import InputError
+from deepfsi.camera import photons_per_pixel
+from deepfsi.design.onnx import to_onnx
+from deepfsi.exposure.conditioned import ConditionedExposure
+from deepfsi.hardware.patterns import check_patterns
+
+onnxruntime = pytest.importorskip("onnxruntime")
+
+DEPLOY = (Path(__file__).parents[2] / "docs/do/deploy.md").read_text()
+
+
+def opened(graph: bytes) -> onnxruntime.InferenceSession:
+    return onnxruntime.InferenceSession(graph, providers=["CPUExecutionProvider"])
+
+
+def counted(design: Design, x: np.ndarray, photons: np.ndarray) -> np.ndarray:
+    """Counts of scenes as the graph takes them, each at its own budget."""
+    light = photons_per_pixel(torch.from_numpy(x), 1.0, design.summed_reflectance)
+    scenes = light * torch.from_numpy(photons)[:, None]
+    counts = design.scanner().counts(scenes, torch.Generator().manual_seed(1)).numpy()
+    return counts.reshape(len(counts), *design.counts_shape)
+
+
+def assert_same(design: Design, x: np.ndarray, photons: np.ndarray) -> None:
+    """Probabilities as `classify` gives them, to the rounding of float32 sums.
+
+    To first order a logit is off by the rounding of all sums that it goes through, each at most
+    ε times the number of its terms times the sum of their sizes; a probability by twice that times
+    itself. Both ways round, hence once more 2.
+    """
+    counts = counted(design, x, photons)
+    [found] = opened(to_onnx(design)).run(None, {"counts": counts, "photons": photons})
+    wanted = design.classify(counts, photons)
+    features = design.features_of(torch.from_numpy(counts)).numpy()
+    mean, std = design.mean.numpy(), design.std.numpy()
+    size = (np.abs(features / photons[:, None]) + np.abs(mean)) / std
+    if isinstance(design.exposure, ConditionedExposure):
+        size = np.pad(
+            size, ((0, 0), (0, design.exposure.masks * design.exposure.width - design.features))
+        )
+        size = np.pad(size, ((0, 0), (0, 2)), constant_values=30.0)  # |log Φ|, at most
+    terms = 4.0
+    for layer in design.classifier.layers:
+        weight, bias = layer.weight.detach().abs().numpy(), layer.bias.detach().abs().numpy()
+        size = size @ weight.T + bias
+        terms += weight.shape[1] + 1
+    bound = 4 * terms * np.finfo(np.float32).eps * size.max(axis=1, keepdims=True)
+    assert found.shape == wanted.shape
+    assert np.median(bound) < 0.05  # so that the comparison means something
+    assert (np.abs(found - wanted) <= bound * np.maximum(wanted, 1e-30) + 1e-7).all()
+
+
+@every_optics
+def test_every_optics_as_torch_has_it(digits, made, light, rails):
+    budgets = np.geomspace(10, 1e6, 40).astype(np.float32)
+    assert_same(made("deepfsi", light, rails), digits.x_test[:40], budgets)
+
+
+@every_optics
+def test_conditioning_is_inside(digits, light, rails):
+    design = once(digits, light=light, rails=rails, masks=8, photons=1e3, span=100.0, nested=3)
+    budgets = np.geomspace(1e3, 1e5, 40).astype(np.float32)
+    for masks in (8, 5, 3):
+        assert_same(design.first(masks), digits.x_test[:40], budgets)
+
+
+def test_a_design_that_is_right_stays_right(digits, good):
+    """Not only near torch: the graph itself classifies."""
+    budgets = np.full(len(digits.x_test), PHOTONS, dtype=np.float32)
+    feed = {"counts": counted(good, digits.x_test, budgets), "photons": budgets}
+    [found] = opened(to_onnx(good)).run(None, feed)
+    assert (found.argmax(axis=1) == digits.y_test).mean() > 0.7
+    np.testing.assert_allclose(found.sum(axis=1), 1, rtol=1e-6)
+
+
+def test_a_module_of_your_own_is_refused(digits):
+    design = quick(digits, masks=3)
+    design.classifier = nn.Linear(3, 10)
+    with pytest.raises(InputError, match="only Mlp"):
+        to_onnx(design)
+
+
+def test_without_onnx_it_says_what_to_install(made, monkeypatch):
+    monkeypatch.setitem(sys.modules, "onnx", None)
+    with pytest.raises(InputError, match="pip install onnx onnxruntime"):
+        to_onnx(made("deepfsi", "column", "dual"))
+
+
+def test_the_example_in_the_docs(good, digits, tmp_path):
+    """Run by itself, where torch cannot be imported."""
+    [block] = re.findall(r"```python\n(.*?)```", DEPLOY, flags=re.DOTALL)
+    photons = np.full(20, PHOTONS, dtype=np.float32)
+    counts = counted(good, digits.x_test[:20], photons)
+    (tmp_path / "digits.onnx").write_bytes(to_onnx(good))
+    np.save(tmp_path / "counts.npy", counts.astype(int))
+    torchless = "import sys\nsys.modules.update(torch=None, deepfsi=None)\n"
+    done = subprocess.run(
+        [sys.executable, "-c", torchless + block], cwd=tmp_path, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    said = [line.split() for line in done.stdout.splitlines()]
+    wanted = good.classify(counts, photons)
+    assert [word for word, _ in said] == [good.classes[k] for k in wanted.argmax(axis=1)]
+    assert [float(chance) for _, chance in said] == pytest.approx(
+        wanted.max(axis=1).tolist(), abs=0.001
+    )
+
+
+def test_a_folder_of_patterns_exports_what_the_device_shows(good, tmp_path, done):
+    file, folder = good.save(tmp_path / "d.safetensors"), tmp_path / "patterns"
+    done("dmd", "export", file, "--device", "64x48", "-o", folder)
+    done("export", folder, "-o", tmp_path / "shown.onnx")
+    shown = Design.load(folder / "design.safetensors").as_shown(*check_patterns(folder).realised)
+    assert (tmp_path / "shown.onnx").read_bytes() == to_onnx(shown) != to_onnx(good)

@@ -1,0 +1,242 @@
+"""Early stopping: the same photons, an honest choice, and what is saved."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from conftest import generator, quick
+from deepfsi import evaluate
+from deepfsi.base import InputError
+from deepfsi.camera import StopRule
+from deepfsi.evaluation import stopping
+from deepfsi.evaluation.stopping import stop
+from deepfsi.physics import ONE
+
+HELD_OUT = 400
+PHOTONS = 2e5
+TRAINED = {
+    "masks": 10, "nested": 2, "photons": PHOTONS, "epochs": 25, "hidden": (48,), "lr": 1e-2,
+    "mask_lr": 0.1, "scale": "common", "rails": "single", "light": "free-dwell",
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def nested(digits):
+    return quick(digits.hold_out(HELD_OUT), **TRAINED)
+
+
+@pytest.fixture(scope="module")
+def stopped(nested, digits):
+    return stop(nested, digits, PHOTONS, held_out=HELD_OUT, draws=2)
+
+
+def test_stopping_saves_photons(stopped):
+    assert stopped.used.high < 0.95
+    assert stopped.difference.low > -0.03
+    assert sum(stopped.stops) == pytest.approx(1)
+
+
+@pytest.mark.parametrize(("light", "rails"), [("free-dwell", "dual"), ("equal-dwell", "single")])
+def test_above_a_threshold_of_one_nothing_stops_and_accuracy_is_that_of_the_whole(
+    digits, light, rails
+):
+    settings = {**TRAINED, "light": light, "rails": rails, "epochs": 2}
+    design = quick(digits.hold_out(HELD_OUT), **settings)
+    found = stop(design, digits, PHOTONS, held_out=HELD_OUT, threshold=1.0, draws=2, seed=4)
+    [whole] = evaluate(design, digits, PHOTONS, draws=2, seed=4)
+    assert found.stops[-1] == 1
+    assert found.used.mean == pytest.approx(1)
+    assert found.stopped == found.whole
+    assert found.whole.mean == pytest.approx(whole.accuracy, abs=1e-12)
+    assert (found.whole.low, found.whole.high) == pytest.approx((whole.low, whole.high))
+
+
+def test_photons_used_fall_with_the_threshold(stopped):
+    used = [each["used"] for each in stopped.curve]
+    assert [each["threshold"] for each in stopped.curve] == sorted(
+        each["threshold"] for each in stopped.curve
+    )
+    assert used == sorted(used)
+    assert used[0] < used[-1] - 0.1
+    assert used[-1] == pytest.approx(1)
+
+
+def test_the_loop_at_the_camera_gives_what_the_study_says(nested, digits):
+    """Counts of whole exposures, shown to the rule mask by mask: nothing is drawn again."""
+    found = stop(nested, digits, PHOTONS, held_out=HELD_OUT, threshold=0.9, draws=1, seed=7)
+    scanner = nested.scanner()
+    scenes = torch.from_numpy(digits.x_test) / nested.summed_reflectance
+    counts = scanner.read(scanner.rates(scenes) * PHOTONS, generator(7))[:, 0].numpy()
+    right, used, ends = [], [], []
+    for exposure, label in zip(counts, digits.y_test, strict=True):
+        for shown in found.rule.after:
+            chances, enough = found.rule.classify(nested, exposure[:shown], PHOTONS)
+            if enough:
+                break
+        right.append(chances.argmax() == label)
+        used.append(nested.first(shown).exposure.used)
+        ends.append(shown)
+    assert np.mean(right) == pytest.approx(found.stopped.mean)
+    assert np.mean(used) == pytest.approx(found.used.mean)
+    for shown, share in zip(found.rule.after, found.stops, strict=True):
+        assert np.mean(np.equal(ends, shown)) == pytest.approx(share)
+
+
+def test_the_choice_does_not_look_at_the_test_scenes(nested, digits, stopped):
+    rng = np.random.default_rng(0)
+    labels = replace(digits, y_test=rng.permutation(digits.y_test))
+    scenes = replace(digits, x_test=np.ascontiguousarray(digits.x_test[::-1]))
+    for other in (labels, scenes):
+        again = stop(nested, other, PHOTONS, held_out=HELD_OUT, draws=2)
+        assert again.rule == stopped.rule
+        assert again.validation == stopped.validation
+    assert stop(nested, labels, PHOTONS, held_out=HELD_OUT).stopped.mean < 0.3
+
+
+def test_the_choice_keeps_the_accuracy_of_the_scenes_it_was_made_on(stopped):
+    assert stopped.validation["stopped"] >= stopped.validation["whole"]
+    assert stopped.validation["used"] < 1
+
+
+def test_the_interval_of_the_light_used_is_normal_over_images(nested, digits):
+    """One draw of each image: the stops are independent, and their shares give the spread."""
+    found = stop(nested, digits, PHOTONS, held_out=HELD_OUT, threshold=0.9, draws=1)
+    _, used = nested.exposure.stops(nested.rails, nested.light)
+    shares, images = np.array(found.stops), len(digits.y_test)
+    variance = (shares @ used**2 - (shares @ used) ** 2) * images / (images - 1)
+    assert variance > 0
+    assert found.used.high - found.used.low == pytest.approx(2 * 1.96 * (variance / images) ** 0.5)
+
+
+def test_a_rule_holds_near_the_light_that_it_was_chosen_at(stopped):
+    rule, sure = stopped.rule, np.array([0.999999999, 1e-9])
+    assert rule.photons == PHOTONS
+    near = [rule.decide(2, sure, PHOTONS * ratio) for ratio in (0.01, 0.3, 0.33, 1, 3, 3.3, 100)]
+    assert near == [False, False, True, True, True, False, False]
+    assert rule.decide(10, sure, 0.01 * PHOTONS)  # the last mask ends it
+
+
+def test_an_older_rule_is_refused(looking):
+    held = {"temperatures": [1.0] * 4, "threshold": 0.9}
+    with pytest.raises(InputError, match="make it again with `deepfsi stop`"):
+        stopping.rule_of(replace(looking, info={**looking.info, "stopping": held}))
+    assert stopping.rule_of(looking) is None
+    rule = stopping.StoppingRule(after=(1, 2, 3, 4), threshold=0.9, photons=2e4)
+    assert stopping.rule_of(stopping.with_rule(looking, rule)) == rule
+
+
+def test_temperatures_make_confidence_honest(stopped):
+    """The answers given, at the light of the training, and whole and shorter ones together."""
+    assert stopped.log_loss <= stopped.uncalibrated_log_loss + 1e-3
+    assert stopped.calibration_error < stopped.uncalibrated_error + 0.02
+
+
+def test_the_surest_answers_are_right_more_often(stopped):
+    accepted = [each["accepted"] for each in stopped.rejection]
+    assert accepted == sorted(accepted)
+    for name, all_of_them in (("stopped", stopped.stopped), ("whole", stopped.whole)):
+        assert stopped.rejection[-1][name] == pytest.approx(all_of_them.mean)
+        assert stopped.rejection[0][name] > all_of_them.mean
+
+
+@pytest.fixture(scope="module")
+def looking(digits):
+    """A design of several looks."""
+    settings = {**TRAINED, "nested": 0, "looks": 4, "masks": 16, "photons": 2e4}
+    return quick(digits.hold_out(HELD_OUT), **settings)
+
+
+def test_an_exposure_of_several_looks_may_stop_after_each(looking, digits):
+    found = stop(looking, digits, 2e4, held_out=HELD_OUT, draws=2, seed=4)
+    [whole] = evaluate(looking, digits, 2e4, draws=2, seed=4)
+    assert found.rule.after == (1, 2, 3, 4)
+    assert found.whole.mean == pytest.approx(whole.accuracy, abs=1e-12)
+    assert found.used.mean == pytest.approx(np.dot(found.stops, [0.25, 0.5, 0.75, 1]))
+    assert found.used.high < 0.95
+    assert found.difference.low > -0.05
+
+
+def test_a_camera_that_looks_again_stops_as_the_study_says(looking, digits):
+    found = stop(looking, digits, 2e4, held_out=HELD_OUT, threshold=0.9, draws=4)
+    rng, patterns = np.random.default_rng(0), looking.rails.plus.numpy() * looking.masks
+    looks, right = [], []
+    for scene, label in zip(digits.x_test, digits.y_test, strict=True):
+        shown = []
+
+        def read(dwell, rates=patterns @ scene * 2e4 / looking.summed_reflectance, shown=shown):
+            shown.append(dwell)
+            return rng.poisson(dwell * rates)
+
+        chances = looking.classify_live(read, 2e4, until=found.rule.decide)
+        assert chances.sum() == pytest.approx(1)
+        looks.append(len(shown) / 4)
+        right.append(chances.argmax() == label)
+    for mine, its in ((looks, found.used), (right, found.stopped)):
+        assert abs(np.mean(mine) - its.mean) < 5 * (1.25 / len(mine)) ** 0.5 * np.std(mine)
+
+
+def test_under_column_nothing_is_saved(digits):
+    design = quick(digits.hold_out(HELD_OUT), masks=4, nested=2)
+    with pytest.raises(InputError, match="all masks see light at once"):
+        stop(design, digits, PHOTONS, held_out=HELD_OUT)
+
+
+def test_what_cannot_stop_is_refused(nested, digits):
+    plain = quick(digits.hold_out(HELD_OUT), masks=4, light="free-dwell", rails="single")
+    with pytest.raises(InputError, match="`nested`"):
+        stop(plain, digits, PHOTONS, held_out=HELD_OUT)
+    with pytest.raises(InputError, match="`hold_out=200`"):
+        stop(nested, digits, PHOTONS, held_out=200)
+    with pytest.raises(InputError, match="give 0 to 1"):
+        stop(nested, digits, PHOTONS, held_out=HELD_OUT, threshold=1.5)
+    with pytest.raises(InputError, match="noise draws"):
+        stop(nested, digits, PHOTONS, held_out=HELD_OUT, draws=0)
+
+
+def test_counts_of_too_few_masks_are_refused(nested, stopped):
+    with pytest.raises(InputError, match="2 to 10"):
+        stopped.rule.classify(nested, np.ones(1), PHOTONS)
+    assert stopped.rule.classify(nested, np.ones(10), PHOTONS)[1]
+
+
+def test_logits_at_stops_are_those_of_the_first_masks(digits):
+    """Over more scenes than are exposed at once; the last are those of `evaluate`."""
+    nested = quick(digits, masks=10, nested=2, rails="single", light="free-dwell")
+    x = np.tile(digits.x_test, (4, 1))
+    logits = stopping.logits_at_stops(nested, nested.scanner(), x, 1e3, 2, 3)
+    draw, scanner = generator(3), nested.scanner()
+    head = scanner.rates(torch.from_numpy(x)[:1024] / nested.summed_reflectance) * 1e3
+    for place in range(2):
+        features = ONE.features(scanner.read(head, draw))
+        mine = logits[:, place:2048:2]
+        with torch.no_grad():
+            assert np.array_equal(mine[-1], nested.logits(features, 1e3).numpy())
+            for masks in (2, 7):
+                part = nested.first(masks)
+                alone = part.logits(features[:, :masks], 1e3 * part.exposure.used).numpy()
+                np.testing.assert_allclose(mine[masks - 2], alone, rtol=1e-4, atol=1e-4)
+    assert logits.shape == (9, 8 * len(digits.x_test), 10)
+
+
+def test_a_threshold_of_one_is_for_never_even_where_the_confidence_is_one(nested, digits):
+    """Logits of a thousand: the probability of a class is 1 to the last bit."""
+    sure = replace(nested, classifier=Sure(nested.classifier), temperatures=None)
+    found = stop(sure, digits, PHOTONS, held_out=HELD_OUT, threshold=1.0, draws=1)
+    assert found.confidence == 1
+    assert found.stops[-1] == 1
+    rule = StopRule(threshold=1.0)
+    assert not rule.stops(1.0, PHOTONS)
+    assert not found.rule.decide(found.rule.after[0], np.ones(1), PHOTONS)
+
+
+class Sure(torch.nn.Module):
+    """A classifier that is a million times as sure."""
+
+    def __init__(self, classifier):
+        super().__init__()
+        self.classifier = classifier
+
+    def forward(self, inputs):
+        return 1e6 * self.classifier(inputs)

@@ -1,0 +1,343 @@
+"""Adaptive masks: the posterior is Poisson's law, and the next mask is what tells most."""
+
+import numpy as np
+import pytest
+import torch
+from scipy.special import logsumexp, xlogy
+from scipy.stats import multivariate_normal, poisson, spearmanr
+
+from conftest import generator
+from deepfsi import AdaptiveDesign, IdealObserver, Result, evaluate
+from deepfsi.base import InputError
+from deepfsi.datasets import Dataset, from_arrays
+from deepfsi.exposure.adaptive import prior_of
+from deepfsi.exposure.choice import brightest, information, next_masks
+from deepfsi.exposure.posterior import AdaptivePosterior, LookOptics
+from deepfsi.exposure.prior import ScenePrior
+from deepfsi.jobs import AdaptiveMasks
+
+PIXELS, SCENES, CLASSES = 8, 40, 3
+QUARTERS = torch.arange(PIXELS) // 2
+
+
+def tried(data: Dataset, photons, camera="dmd", prior=None, draws=1, **settings) -> Result:
+    """Accuracy of adaptive masks on the test scenes of data."""
+    chosen = AdaptiveMasks(**settings)
+    held = prior or prior_of(data, chosen)
+    design = AdaptiveDesign(held, chosen, data.image_shape, data.classes, torch.zeros(chosen.looks))
+    return evaluate(design, data, photons, camera=camera, draws=draws)[0]
+
+
+def small(seed: int):
+    """Scenes (n, N) of classes (n,), about a pattern of each class."""
+    rng = np.random.default_rng(seed)
+    labels = rng.permutation(np.arange(SCENES) % CLASSES)
+    x = 0.3 + 0.5 * rng.random((CLASSES, PIXELS))[labels] + 0.2 * rng.random((SCENES, PIXELS))
+    return x.astype(np.float32), labels
+
+
+def state_of(x, labels, photons, exposures=1, spread=0.0, **optics) -> AdaptivePosterior:
+    prior = ScenePrior(x, labels, CLASSES, spread=spread)
+    return AdaptivePosterior(prior, exposures, LookOptics(photons, **optics))
+
+
+def readouts(masks, arms=1, detectors=None) -> np.ndarray:
+    """Pixels that each readout sees (looks, Q, N), by hand."""
+    rails = np.stack([masks, 1 - masks] if arms == 2 else [masks], axis=1)
+    if detectors is None:
+        return rails
+    areas = [(detectors.numpy() == d).astype(float) for d in range(int(detectors.max()) + 1)]
+    return np.stack([rail * area for rail in rails.swapaxes(0, 1) for area in areas], axis=1)
+
+
+def expected(x, seen, photons, shares, dark=0.0) -> np.ndarray:
+    """Counts (n, looks, Q) behind readouts (looks, Q, N), in float64."""
+    light = np.einsum("kqj,nj->nkq", seen, x.astype(float)) * photons / x.sum(axis=1).mean()
+    return (light + dark) * np.asarray(shares)[:, None]
+
+
+def told(state, masks, counts, shares) -> AdaptivePosterior:
+    """State after looks that show masks (looks, N) and count (b, looks, Q)."""
+    for k, share in enumerate(shares):
+        row = torch.from_numpy(masks[k]).float().expand(len(state), -1)
+        state.update(row, torch.from_numpy(counts[:, k]).float(), share)
+    return state
+
+
+def by_hand(logs, labels):
+    each = np.stack([logsumexp(logs[:, labels == k], axis=1) for k in range(CLASSES)], axis=1)
+    return np.exp(each - logsumexp(each, axis=1)[:, None])
+
+
+SHARES = np.array([0.05, 0.1, 0.1, 0.15, 0.2, 0.4])
+
+
+@pytest.mark.parametrize("photons", [1.0, 1e2, 1e4, 1e7])
+@pytest.mark.parametrize("dark", [0.0, 30.0])
+@pytest.mark.parametrize("arms", [1, 2])
+@pytest.mark.parametrize("detectors", [None, QUARTERS], ids=["one", "four"])
+def test_the_posterior_is_that_of_the_poisson_law(photons, dark, arms, detectors):
+    x, labels = small(0)
+    rng = np.random.default_rng(1)
+    masks = (rng.random((6, PIXELS)) < 0.5).astype(float)
+    seen = readouts(masks, arms, detectors)
+    mean = expected(x, seen, photons, SHARES, dark)
+    counts = rng.poisson(mean[:20])
+    state = state_of(x, labels, photons, 20, dark=dark, arms=arms, detectors=detectors)
+    found = told(state, masks, counts, SHARES).chances
+    with np.errstate(invalid="ignore"):
+        each = np.where(mean > 0, poisson.logpmf(counts[:, None], mean), 0.0)
+    np.testing.assert_allclose(found, by_hand(each.sum(axis=(2, 3)), labels), atol=2e-3)
+
+
+def test_with_masks_that_are_given_it_is_the_ideal_observer():
+    x, labels = small(0)
+    rng = np.random.default_rng(1)
+    masks = (rng.random((6, PIXELS)) < 0.5).astype(float)
+    mean = expected(x, readouts(masks), 1.0, SHARES)
+    counts = rng.poisson(1e3 * mean[:20])
+    rates, truth = torch.from_numpy(mean).float(), torch.from_numpy(labels)
+    ideal = IdealObserver(rates, truth, CLASSES).chances(torch.from_numpy(counts).float(), 1e3)
+    found = told(state_of(x, labels, 1e3, 20), masks, counts, SHARES).chances
+    torch.testing.assert_close(found, ideal, atol=1e-4, rtol=0)
+
+
+@pytest.mark.parametrize("spread", [0.3, 1.0])
+def test_scenes_near_those_of_the_prior_are_as_likely_as_their_normal_law_says(spread):
+    """At so many photons counts are normal, and all looks at once have one covariance."""
+    x, labels = small(0)
+    rng = np.random.default_rng(1)
+    masks = (rng.random((6, PIXELS)) < 0.5).astype(float)
+    photons = 3e5
+    state = state_of(x, labels, photons, 20, spread=spread)
+    parts = state.prior.components.double().numpy()
+    near = parts.T @ parts
+    gain = photons / x.sum(axis=1).mean()
+    mean = expected(x, readouts(masks), photons, SHARES)[..., 0]
+    lit = gain * SHARES[:, None] * masks
+    whole = lit @ near @ lit.T
+    errors = rng.multivariate_normal(np.zeros(6), whole, 20)
+    counts = rng.poisson(np.clip(mean[:20] + errors, 0, None))
+    found = told(state, masks, counts[..., None], SHARES)
+    logs = np.zeros((20, SCENES))
+    for k, centre in enumerate(mean):
+        law = multivariate_normal(centre, whole + np.diag(mean.mean(axis=0)))
+        logs[:, k] = law.logpdf(counts)
+    np.testing.assert_allclose(found.chances, by_hand(logs, labels), atol=0.05)
+    # mean scene: least squares of all looks at once, about each scene of the prior
+    weights = np.exp(logs - logsumexp(logs, axis=1)[:, None])
+    kept = near @ lit.T @ np.linalg.inv(whole + np.diag(mean.mean(axis=0)))
+    exact = weights @ x + (counts - weights @ mean) @ kept.T
+    wrong = np.abs(found.scene.numpy() - exact)
+    assert wrong.mean() < 0.003
+    assert wrong.max() < 0.04
+    assert np.abs(weights @ x - exact).mean() > 0.005, "what counts tell beyond the prior's scenes"
+
+
+def every_mask() -> np.ndarray:
+    return (np.arange(1, 2**PIXELS)[:, None] >> np.arange(PIXELS) & 1).astype(np.float32)
+
+
+@pytest.mark.parametrize("arms", [1, 2])
+def test_the_brightest_mask_is_nearly_the_best_of_all(arms):
+    """Of all 255 masks: the largest squared difference over its photons."""
+    rng = np.random.default_rng(2)
+    differ, scene = rng.normal(size=(50, PIXELS)), rng.random((50, PIXELS)) + 0.1
+    differ[:, 0] = abs(differ[:, 0])  # else the best mask may be all OFF
+    masks = every_mask()[:-1]  # all ON has no other arm
+
+    def worth(shown):
+        signal, noise = differ @ shown.T, scene @ shown.T
+        return np.where((signal > 0) | (arms == 2), signal**2 / noise, 0)
+
+    every = worth(masks) + (worth(1 - masks) if arms == 2 else 0)
+    found = brightest(*map(torch.from_numpy, (differ, scene)), torch.ones(1, PIXELS).double(), arms)
+    mine = np.diag(worth(found.numpy()))
+    if arms == 2:
+        mine = mine + np.diag(worth(1 - found.numpy()))
+    worst, mean = (0.5, 0.95) if arms == 1 else (0.2, 0.85)  # local maxima of two arms
+    assert (mine > worst * every.max(axis=1)).all()
+    assert (mine / every.max(axis=1)).mean() > mean
+
+
+def test_each_detector_has_the_brightest_mask_of_its_pixels():
+    rng = np.random.default_rng(3)
+    differ, scene = rng.normal(size=(20, PIXELS)), rng.random((20, PIXELS)) + 0.1
+    areas = torch.nn.functional.one_hot(QUARTERS).T.double()
+    whole = brightest(torch.from_numpy(differ), torch.from_numpy(scene), areas)
+    for d in range(4):
+        own = d == QUARTERS
+        part = [torch.from_numpy(each[:, own]) for each in (differ, scene)]
+        assert torch.equal(brightest(*part, torch.ones(1, 2).double()), whole[:, own])
+
+
+def exact_information(mean, labels) -> np.ndarray:
+    """Nats that Poisson counts of means (n, P) tell of the classes, summed count by count."""
+    counts = np.arange(int(mean.max() + 10 * np.sqrt(mean.max()) + 20))
+    law = poisson.pmf(counts[:, None, None], mean)  # (counts, n, P)
+    joint = np.stack([law[:, labels == k].sum(axis=1) for k in range(CLASSES)]) / len(labels)
+    apart = joint.sum(axis=0) * joint.sum(axis=1, keepdims=True)
+    return (xlogy(joint, joint) - xlogy(joint, apart.clip(1e-300))).sum(axis=(0, 1))
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("photons", [30.0, 300.0])
+def test_the_first_mask_tells_nearly_as_much_as_the_best_fixed_one(seed, photons):
+    """Of all 255 masks, by brute force; it is the same for all exposures."""
+    x, labels = small(seed)
+    first = next_masks(state_of(x, labels, photons, 4), 1.0, generator()).numpy()
+    assert (first == first[0]).all()
+    masks = every_mask()
+    mean = expected(x, masks[None], photons, [1.0])[:, 0]
+    told = exact_information(mean, labels)
+    [mine] = told[(masks == first[0]).all(axis=1)]
+    assert mine > 0.85 * told.max()
+
+
+def members_of(labels) -> torch.Tensor:
+    return torch.from_numpy(np.eye(CLASSES)[labels] / SCENES)[None]
+
+
+def test_information_ranks_masks_as_that_of_all_counts_does():
+    x, labels = small(3)
+    mean = expected(x, every_mask()[None], 200.0, [1.0])[:, 0]
+    found = information(torch.from_numpy(mean.T)[None, :, None], members_of(labels))[0].numpy()
+    exact = exact_information(mean, labels)
+    assert exact[found.argmax()] > 0.9 * exact.max()
+    assert spearmanr(found, exact).statistic > 0.95
+
+
+def test_information_is_exact_where_counts_tell_little():
+    """Where classes hardly differ: half their variance over that of the noise, and no more."""
+    _, labels = small(3)
+    mean = 1e3 + 3.0 * np.arange(CLASSES)[labels][:, None]
+    found = information(torch.from_numpy(mean.T)[None, :, None], members_of(labels))
+    assert float(found) == pytest.approx(exact_information(mean, labels)[0], rel=0.01)
+
+
+def test_information_of_several_readouts_counts_what_they_share_once():
+    x, labels = small(3)
+    mean = expected(x, every_mask()[None, ::9], 200.0, [1.0])[:, 0]
+    counts = torch.from_numpy(mean.T)[None]
+    one = information(counts[:, :, None], members_of(labels))
+    other = torch.full_like(counts, 50.0)  # the same for all scenes
+    with_other = information(torch.stack([counts, other], dim=2), members_of(labels))
+    torch.testing.assert_close(with_other, one)
+    both = information(torch.stack([counts, counts.flip(1)], dim=2), members_of(labels))
+    assert (both >= torch.maximum(one, one.flip(1)) - 1e-9).all()
+    blurred = information(counts[:, :, None], members_of(labels), torch.ones(1, len(one[0]), 1, 1))
+    assert (blurred <= one).all()
+
+
+@pytest.mark.parametrize("spread", [0.0, 0.7])
+def test_names_of_classes_do_not_matter(spread):
+    """All scenes are compared where they are few, so the masks are the same."""
+    x, labels = small(4)
+    other = np.array([2, 0, 1])
+    counts = torch.tensor([[40.0], [60.0]])
+    states = [state_of(x, each, 300.0, 2, spread) for each in (labels, other[labels])]
+    masks = [next_masks(state, 0.5, generator()) for state in states]
+    assert torch.equal(*masks)
+    for state in states:
+        state.update(masks[0], counts, 0.5)
+    changed = states[1].chances[:, other]
+    torch.testing.assert_close(changed, states[0].chances, atol=1e-4, rtol=0)
+    assert torch.equal(*(next_masks(state, 0.5, generator()) for state in states))
+
+
+def test_each_mask_is_of_what_its_own_exposure_counted():
+    x, labels = small(5)
+    state = state_of(x, labels, 1e3, 2)
+    first = next_masks(state, 0.5, generator())
+    mean = float(state.expected(first[:1], torch.from_numpy(x).mean(dim=0)[None], 0.5))
+    state.update(first, torch.tensor([[0.7 * mean], [1.3 * mean]]), 0.5)
+    second = next_masks(state, 0.5, generator())
+    assert not torch.equal(second[0], second[1])
+    assert set(second.unique().tolist()) <= {0.0, 1.0}
+    kept = state.part(torch.tensor([False, True]))
+    assert torch.equal(kept.chances, state.chances[1:])
+    assert torch.equal(next_masks(kept, 0.5, generator()), second[1:])
+
+
+@pytest.mark.parametrize("light", ["free-dwell", "two-arm"])
+def test_photons_are_conserved(light):
+    """Both arms count all photons, one no more than its open mirrors; dark counts are no light."""
+    x, labels = small(6)
+    data = from_arrays(x, labels, x, labels)
+    camera = {"light": light, "dark": 30.0}
+    found = tried(data, 500.0, camera=camera, looks=4, draws=2)
+    if light == "two-arm":
+        assert found.counts == pytest.approx(500.0, rel=1e-4)
+    else:
+        assert 50 < found.counts < 450
+
+
+def test_an_exposure_stops_where_a_class_is_sure():
+    x, labels = small(7)
+    data = from_arrays(x, labels, x, labels)
+    settings = {"looks": 16, "spread": 0.0, "draws": 20}
+    whole = tried(data, 3e3, **settings)
+    stopped = tried(data, 3e3, until=0.95, **settings)
+    assert stopped.counts < 0.7 * whole.counts
+    # errors of stopped exposures: at most 1 in 20 in the mean, and those of the last look
+    trials = 20 * SCENES
+    assert stopped.accuracy > min(0.95, whole.accuracy) - 5 * np.sqrt(0.05 * 0.95 / trials)
+
+
+@pytest.mark.parametrize("spread", [0.0, 0.7])
+def test_a_prior_is_stored_in_8_bits(digits, spread):
+    prior = ScenePrior(digits.x_train, digits.y_train, 10, 30, spread)
+    arrays = prior.arrays
+    assert arrays["levels"].nbytes == len(prior) * 30
+    found = ScenePrior.restored(arrays)
+    step = prior.coefficients.abs().amax(dim=0) / 127
+    assert ((found.coefficients - prior.coefficients).abs() <= 0.5001 * step).all()
+    assert torch.equal(found.labels, prior.labels)
+    first, second = (tried(digits, 1e3, prior=each, looks=8) for each in (prior, found))
+    assert abs(first.accuracy - second.accuracy) < 5 * np.sqrt(0.5 / len(digits.y_test))
+
+
+@pytest.mark.slow
+def test_adaptive_masks_tell_more_than_fixed_ones_and_as_sure_as_right(digits, made):
+    found = tried(digits, 1e4, looks=16)
+    [fixed] = evaluate(made("deepfsi", "free-dwell", "single"), digits, 1e4)
+    assert found.low > fixed.high
+    assert found.accuracy > 0.95
+    assert found.calibration_error < 0.03
+    again = tried(digits, 1e4, looks=16)
+    assert again == found
+
+
+@pytest.mark.slow
+def test_four_detectors_tell_more_than_one_and_two_arms_more_than_one(digits):
+    settings = {"looks": 8, "draws": 4}
+    one, four, arms = (
+        tried(digits, 300.0, camera=camera, **settings) for camera in ("dmd", "dmd-2x2", "two-arm")
+    )
+    assert four.low > one.high
+    spread = np.sqrt(0.5 / len(digits.y_test))  # images as the trials, of two tests
+    assert arms.accuracy > one.accuracy - spread
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"looks": 0}, "looks"),
+        ({"looks": True}, "looks"),
+        ({"components": 0}, "components"),
+        ({"spread": float("nan")}, "spread"),
+        ({"until": 0}, "until"),
+        ({"growth": 0}, "growth"),
+        ({"camera": "paper"}, "not column"),
+        ({"camera": {"noise": "camera", "sigma": 2.0}}, "photon counts"),
+    ],
+)
+def test_what_cannot_be_is_one_line(digits, settings, said):
+    with pytest.raises(InputError, match=said):
+        tried(digits, 1e4, **settings)
+
+
+def test_a_prior_that_the_memory_does_not_hold_is_one_line(digits, monkeypatch):
+    monkeypatch.setattr("deepfsi.exposure.adaptive.free_memory", lambda: 1e6)
+    with pytest.raises(InputError, match="give fewer scenes"):
+        tried(digits, 1e4)

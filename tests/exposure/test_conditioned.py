@@ -1,0 +1,175 @@
+"""Designs for a range of budgets, and nested masks."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from conftest import every_optics, generator, once, quick
+from deepfsi import evaluate
+from deepfsi.base import InputError
+from deepfsi.camera import photons_per_pixel
+from deepfsi.exposure.conditioned import ConditionedExposure, mean_over_exposures
+from deepfsi.exposure.temperatures import stop_temperatures
+from deepfsi.physics import light_law
+from deepfsi.training.learning import train
+from deepfsi.training.training_set import TrainingSet
+from shared.design_files import refused, rewrite
+from shared.jobs import job
+
+TRAINED = {"masks": 8, "photons": 1e3, "span": 100.0, "nested": 3}
+LONGER = {"epochs": 40, "hidden": (64, 64), "lr": 1e-2, "mask_lr": 0.1, "scale": "common"}
+
+
+@every_optics
+def test_the_first_masks_at_the_whole_constraint_obey_it(digits, light, rails):
+    design = once(digits, light=light, rails=rails, **TRAINED)
+    whole = light_law(light).used(design.rails.stacked)[-1]
+    for masks in range(3, 9):
+        part = design.first(masks)
+        light_law(light).check(part.rails.stacked)
+        assert part.masks == masks
+        assert light_law(light).used(part.rails.stacked)[-1] == pytest.approx(
+            float(whole), rel=1e-5
+        )
+    assert torch.equal(design.first(8).rails.stacked, design.rails.stacked)
+
+
+@every_optics
+def test_an_exposure_that_stops_is_one_of_the_first_masks_at_the_budget_so_far(
+    digits, light, rails
+):
+    design = once(digits, light=light, rails=rails, **TRAINED)
+    scenes = photons_per_pixel(torch.from_numpy(digits.x_test[:20]), 5e3, design.summed_reflectance)
+    counts = design.scanner().counts(scenes, generator(1))
+    for masks in (3, 5, 8):
+        part = design.first(masks)
+        seen = counts[..., :masks].squeeze(-2)
+        chance = part.classify(seen, 5e3 * part.exposure.used)
+        width = 2 if light == "two-arm" else 1
+        features = torch.zeros(20, 8 * width)
+        features[:, : masks * width] = part.features_of(seen)
+        scaled = (features / 5e3 - design.mean) / design.std
+        scaled[:, masks * width :] = 0
+        level = (math.log(5e3 / 1e3) - math.log(100) / 2) / (math.log(100) / 2)
+        last = torch.tensor([level, masks / 8]).expand(20, 2)
+        with torch.no_grad():
+            logits = design.classifier(torch.cat([scaled, last], dim=-1))
+        by_hand = (logits / stop_temperatures(design.temperatures, 5e3)[masks - 3]).softmax(dim=-1)
+        np.testing.assert_allclose(chance, by_hand.numpy(), atol=2e-5)
+
+
+@pytest.mark.parametrize("scale", ["each", "common"])
+@pytest.mark.parametrize(("span", "nested"), [(50.0, 0), (1.0, 2), (50.0, 2)])
+def test_features_have_unit_spread_in_the_mean_of_the_training(digits, scale, span, nested):
+    """Simulated with noise of its own, to five standard errors of the mean square."""
+    one = job(masks=6, photons=300.0, epochs=1, scale=scale, span=span, nested=nested)
+    [design] = train(TrainingSet(digits, "cpu"), [one])
+    rng = np.random.default_rng(2)
+    n, repeats = len(digits.x_train), 20
+    squares = []
+    used = light_law(design.light).used(design.rails.stacked).numpy()
+    for _ in range(repeats):
+        budget = 300.0 * span ** rng.random((n, 1))
+        likely = design.exposure.chances.double().numpy()
+        shown = rng.choice(6, n, p=likely / likely.sum())[:, None] + 1
+        mean = digits.x_train @ design.matrix.T / design.summed_reflectance
+        light = digits.x_train @ np.abs(design.matrix).T / design.summed_reflectance
+        noise = np.sqrt(light / budget * used[shown - 1] / used[-1])
+        features = mean + noise * rng.standard_normal(mean.shape)
+        scaled = (features - design.mean.numpy()) / design.std.numpy()
+        squares.append(np.where(np.arange(6) < shown, scaled**2, np.nan))
+    every = np.concatenate(squares)
+    axis = 0 if scale == "each" else None
+    power = np.nanmean(every, axis=axis)
+    error = np.nanstd(every, axis=axis) / np.sqrt((~np.isnan(every)).sum(axis=axis) / 6)
+    assert (np.abs(power - 1) < 5 * error + 1e-3).all()
+
+
+@every_optics
+def test_nested_masks_take_the_whole_of_their_constraint(digits, light, rails):
+    design = once(digits, light=light, rails=rails, **TRAINED)
+    assert float(light_law(light).used(design.rails.stacked)[-1]) == pytest.approx(1, rel=1e-5)
+
+
+def test_the_noise_of_a_range_is_its_mean_over_budgets():
+    """∫ 1/Φ over a log-uniform range in closed form, against the mean of many draws."""
+    used = light_law("column").used(torch.rand(1, 2, 2, 5, generator=generator()))
+    factor, often = mean_over_exposures(used, 1000.0, ConditionedExposure(1.0, 1000.0, 2).chances)
+    draws = 1000.0 ** -np.random.default_rng(0).random(10**6)
+    error = 5 * draws.std() / 1000
+    assert float(factor[0, 0]) == pytest.approx(draws.mean(), abs=error)
+    assert often.tolist() == [1, 1]
+
+
+def test_a_design_for_a_range_does_where_those_for_one_budget_do_not(digits):
+    """More accurate than each far from its own budget, by three sigma of the test scenes."""
+    wide = quick(digits, masks=12, photons=100.0, span=3e4, **LONGER)
+    for own, other in ((100.0, 3e6), (3e6, 100.0)):
+        narrow = quick(digits, masks=12, photons=own, **LONGER)
+        gained = [evaluate(design, digits, other, draws=5)[0].accuracy for design in (wide, narrow)]
+        error = math.sqrt(sum(rate * (1 - rate) for rate in gained) / len(digits.x_test))
+        assert gained[0] > gained[1] + 3 * error, (own, gained)
+
+
+def test_nested_masks_do_alone_and_others_do_not(digits):
+    how = {**LONGER, "masks": 20, "photons": 1e5}
+    nested = quick(digits, nested=4, **how)
+    whole = quick(digits, nested=20, **how)
+    few = nested.first(4)
+    alone = evaluate(few, digits, 1e5)[0].accuracy
+    whole.exposure = replace(whole.exposure, nested=4)  # ask it for what it has not learned
+    error = math.sqrt(0.25 / len(digits.x_test))
+    assert alone > evaluate(whole.first(4), digits, 1e5)[0].accuracy + 5 * error
+
+
+def test_designs_of_two_lowest_budgets_train_together_as_alone(digits):
+    how = {"epochs": 2, "span": 30.0, "nested": 2, "precision": "float32", "hidden": (8,)}
+    jobs = [job(masks=5, photons=p, **how) for p in (100.0, 1e4)]
+    scenes = TrainingSet(digits, "cpu")
+    together = train(scenes, jobs)
+    for each, design in zip(jobs, together, strict=True):
+        [alone] = train(scenes, [each])
+        torch.testing.assert_close(design.rails.stacked, alone.rails.stacked, rtol=1e-3, atol=1e-5)
+        assert design.exposure == alone.exposure == ConditionedExposure(each.photons, 30.0, 5, 2)
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [{"masks": 4}, {"masks": 9}, {"photons": 0.0}, {"span": 0.5}, {"used": -1.0}, {"nested": 2.5}],
+)
+def test_damaged_conditioning_is_refused(digits, tmp_path, damage):
+    path = once(digits, **TRAINED).save(tmp_path / "d.safetensors")
+    rewrite(path, lambda header, _: header["exposure"].update(damage))
+    refused(path)
+
+
+def test_a_plain_design_has_no_first_masks(digits):
+    with pytest.raises(InputError, match="`nested`"):
+        quick(digits, masks=6).first(3)
+    with pytest.raises(InputError, match="3 to 8"):
+        once(digits, **TRAINED).first(2)
+    assert quick(digits, masks=6).first(6).masks == 6
+
+
+def test_noise_over_exposures_is_the_mean_over_those_that_show_a_mask():
+    """Against the sum over numbers of masks shown and budgets, of two jobs that differ.
+
+    With n masks shown, and used(n) of their light law, the noise of a budget Φ is that of
+    Φ used(m) / used(n); budgets are drawn log-uniformly from a hundredth to all of the largest.
+    """
+    used = torch.tensor([[0.2, 0.5, 0.6, 1.0], [0.1, 0.3, 0.9, 1.5]], dtype=torch.float64)
+    chances = torch.tensor([0.4, 0.0, 0.1, 0.5], dtype=torch.float64)
+    places = (torch.arange(100_000, dtype=torch.float64) + 0.5) / 100_000
+    dim = float((100.0**-places).mean())
+    factor, often = mean_over_exposures(used, 100.0, chances)
+    for mask in range(4):
+        seen = chances[mask:]
+        assert float(often[mask]) == pytest.approx(float(seen.sum()))
+        for replica in range(2):
+            mean = float((seen * used[replica, mask:] / used[replica, -1]).sum() / seen.sum())
+            assert float(factor[replica, mask]) == pytest.approx(dim * mean, rel=1e-6)
+    one, _ = mean_over_exposures(used, 1.0, chances)
+    assert torch.allclose(one * dim, factor, rtol=1e-6)

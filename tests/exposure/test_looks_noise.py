@@ -1,0 +1,127 @@
+"""Counts of looks under photon noise, dark counts and read noise: their mean and their variance.
+
+Given the counts before it, a look with the dwells d counts y of mean r d and variance
+(r + D) d + σ², D the dark counts of a detector in the whole exposure, which are subtracted in the
+mean. The dwells depend on earlier counts alone, so that the sums over K looks have E[y − r d] = 0
+and E[(y − r d)²] = E[(r + D) d] + K σ², with d the dwells of all looks together.
+"""
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from conftest import generator, once, quick
+from deepfsi import Scanner, evaluate
+from deepfsi.datasets import from_arrays
+from deepfsi.exposure.kinds import begin
+from deepfsi.networks.classifiers import Replicas
+from deepfsi.physics import Detection
+from deepfsi.training.draws import seed_streams
+from deepfsi.training.features import features_of
+from deepfsi.training.masks import initial_masks
+from deepfsi.training.training_set import TrainingSet
+from shared.jobs import job
+from shared.noises import training_noise
+
+LOOKS, DARK, SIGMA, PHOTONS = 3, 400.0, 4.0, 2e3
+
+OPTICS = [
+    {"light": "free-dwell", "rails": "single"},
+    {"light": "free-dwell", "rails": "dual", "readout": "both"},
+    {"light": "two-arm", "rails": "dual", "readout": "both"},
+    {"light": "two-arm", "rails": "dual", "readout": "difference"},
+    {"light": "free-dwell", "rails": "single", "detectors": "2x2"},
+    {"light": "two-arm", "rails": "dual", "detectors": "2x2"},
+]
+every_optics = pytest.mark.parametrize("optics", OPTICS, ids=str)
+every_noise = pytest.mark.parametrize(("dark", "sigma"), [(DARK, 0.0), (0.0, SIGMA), (DARK, SIGMA)])
+
+
+def readouts(optics: dict[str, str]) -> int:
+    """Readouts whose sum or difference is a feature."""
+    return 2 if optics.get("readout") == "difference" else 1
+
+
+def assert_law(off: Tensor, variance: Tensor) -> None:
+    """Deviations (n, k) from what is expected have mean 0 and the variances (n, k)."""
+    n = len(off)
+    assert (off.mean(dim=0).abs() <= 5 * off.std(dim=0) / n**0.5).all()
+    more = off.square() - variance
+    assert (more.mean(dim=0).abs() <= 5 * more.std(dim=0) / n**0.5).all()
+
+
+@every_optics
+@every_noise
+def test_sums_of_looks_have_the_mean_and_variance_of_light_dark_counts_and_read_noise(
+    digits, optics, dark, sigma
+):
+    design = once(digits, masks=5, looks=LOOKS, **optics)
+    scanner, few = design.scanner("camera", sigma, dark), torch.from_numpy(digits.x_test[:4])
+    with torch.no_grad():
+        rates = design.rates(scanner, few.repeat_interleave(5000, dim=0))
+        *_, seen = design.expose(scanner, rates, generator(3), PHOTONS)
+        expected = PHOTONS * design.exposure.shown(rates, seen)
+    off = seen.features * PHOTONS - design.detection.features(expected)
+    dwell = seen.dwell.repeat_interleave(design.features // seen.dwell.shape[-1], dim=-1)
+    added = readouts(optics) * (dark * dwell + LOOKS * sigma**2)
+    variance = (design.detection.totals(expected) + added).double()
+    assert_law(off.double(), variance)
+    with pytest.raises(AssertionError):  # each part is seen
+        assert_law(off.double(), variance - added * (0.5 if dark else 1.0))
+
+
+@every_optics
+@every_noise
+def test_looks_of_a_training_have_the_same_law(optics, dark, sigma):
+    """Scenes that are all alike: features, in units of their photon noise at equal dwells."""
+    count, rng = 6000, np.random.default_rng(1)
+    x = np.broadcast_to(rng.uniform(0.2, 1, (8, 8)), (count, 8, 8)).astype(np.float32)
+    data = from_arrays(x, np.arange(count) % 2, name="alike")
+    scenes = TrainingSet(data, "cpu")
+    count = len(scenes.labels)
+    one = job(
+        design="random", masks=5, photons=PHOTONS, looks=LOOKS, noise="camera", dark=dark,
+        sigma=sigma, scale="each", hidden=(8,), batch=count, **optics,
+    )  # fmt: skip
+    one.check(data)
+    exposure, gain = (
+        begin(one, (8, 8), generator(2)),
+        PHOTONS / scenes.summed_reflectance,
+    )
+    masks = initial_masks(scenes, [one], exposure)
+    noise = training_noise(one.noise, [gain], [sigma], [0], scenes.device, [dark])
+    streams = seed_streams([one.seed], noise, scenes.labels, count)
+    streams[0].shuffle()
+    choose = Replicas([exposure.network], stacked=False)
+    with torch.no_grad():
+        features = features_of(scenes, one, masks, noise, streams, exposure, choose)
+        last = features.at(0)[-count:, 0].double()
+        detection = Detection.of(one.optics, (8, 8))
+        rates = Scanner(masks, "none", detection=detection).rates(gain * scenes.full[0])
+        rates = detection.totals(rates[0]).double()
+    k, q = rates.shape[-1], exposure.dwells.count
+    off, dwell = last[:, :k], 3 * last[:, k:] / q
+    assert dwell.sum(dim=-1).numpy() == pytest.approx(1, abs=1e-5)
+    dwell = dwell.repeat_interleave(k // q, dim=-1)
+    added = readouts(optics) * (dark * dwell + LOOKS * sigma**2) / rates
+    assert_law(off, q * dwell + added)
+    with pytest.raises(AssertionError):
+        assert_law(off, q * dwell + added * (0.5 if dark else 0.0))
+
+
+@pytest.mark.usefixtures("uncharacterised")
+@pytest.mark.parametrize("optics", [OPTICS[0], OPTICS[3]], ids=str)
+def test_looks_that_know_of_dark_counts_do_no_worse_under_them(digits, optics):
+    """Trained to the end and tested under the noise of its own camera, to five sigma of draws."""
+    how = {"masks": 8, "looks": 2, "epochs": 15, "hidden": (40, 40), "lr": 1e-2, "photons": 3e3}
+    how |= {"mask_lr": 0.1, "scale": "common", **optics}
+    knows = quick(digits, noise="camera", dark=DARK, **how)
+    other = quick(digits, noise="poisson", **how)
+    [first] = evaluate(knows, digits, 3e3, draws=20)
+    [second] = evaluate(other, digits, 3e3, draws=20, dark=DARK)
+    assert first.noise == second.noise == "camera"
+    trials = first.images * first.draws
+    error = sum(each.accuracy * (1 - each.accuracy) / trials for each in (first, second)) ** 0.5
+    assert first.accuracy > second.accuracy - 5 * error
+    assert first.accuracy > 0.3

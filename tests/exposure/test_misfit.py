@@ -1,0 +1,89 @@
+"""Laws of the misfit of adaptive exposures: 1 a readout where scenes are as the prior has them."""
+
+import numpy as np
+import pytest
+import torch
+
+from conftest import generator
+from deepfsi.exposure.choice import next_masks
+from deepfsi.exposure.misfit import BUDGETS, UsualMisfit, measure, squared_distance
+from deepfsi.exposure.posterior import AdaptivePosterior, LookOptics
+from deepfsi.exposure.prior import ScenePrior
+from deepfsi.jobs import AdaptiveMasks
+from deepfsi.physics import Poisson
+
+PIXELS, SCENES, CLASSES, DRAWS, LOOKS = 12, 60, 3, 600, 4
+OPTICS = [
+    {},
+    {"dark": 200.0},
+    {"arms": 2},
+    {"detectors": torch.arange(PIXELS) // 4},
+]
+
+
+@pytest.fixture(scope="module")
+def known():
+    rng = np.random.default_rng(0)
+    labels = np.arange(SCENES) % CLASSES
+    return rng.random((SCENES, PIXELS)).astype(np.float32), labels
+
+
+def distances(prior, x, optics, change=1.0):
+    """Squared distances (LOOKS, b) of exposures of scenes (b, N), and readouts of a look."""
+    state, random, found = AdaptivePosterior(prior, len(x), optics), generator(1), []
+    for _ in range(LOOKS):
+        masks = next_masks(state, 1 / LOOKS, random)
+        counts = Poisson().draw(state.expected(masks, x * change, 1 / LOOKS), random)
+        found.append(squared_distance(state, masks, counts, 1 / LOOKS))
+        state.update(masks, counts, 1 / LOOKS)
+    return torch.stack(found), counts.shape[1]
+
+
+@pytest.mark.parametrize("optics", OPTICS)
+@pytest.mark.parametrize("photons", [100.0, 1e4])
+def test_scenes_of_the_prior_are_as_far_as_their_counts_vary(known, optics, photons):
+    """E[r' V^-1 r] is the number of readouts in each look, whatever was counted before."""
+    x, labels = known
+    prior = ScenePrior(x, labels, CLASSES, PIXELS)
+    rows = torch.randint(SCENES, (DRAWS,), generator=generator(2))
+    away, readouts = distances(prior, torch.from_numpy(x)[rows], LookOptics(photons, **optics))
+    error = away.std(dim=1) / DRAWS**0.5
+    assert (abs(away.mean(dim=1) - readouts) < 5 * error).all()
+
+
+def test_counts_of_more_light_than_was_told_are_further(known):
+    x, labels = known
+    prior = ScenePrior(x, labels, CLASSES, PIXELS)
+    away, _ = distances(prior, torch.from_numpy(x), LookOptics(1e4), 1.5)
+    assert away.sum(dim=0).median() > 5 * LOOKS
+
+
+def test_a_scene_that_is_left_out_is_further_than_one_that_is_known(known):
+    x, labels = known
+    prior, scenes = ScenePrior(x, labels, CLASSES, PIXELS), torch.from_numpy(x)
+    ordered = scenes[torch.from_numpy(prior.order)]
+    settings, optics = AdaptiveMasks(looks=LOOKS), [LookOptics(1e5)]
+    left_out, _ = measure(prior, settings, optics, ordered, torch.arange(SCENES), generator(3))
+    away, _ = distances(prior, scenes, optics[0])
+    known_mean = away.cumsum(dim=0).log().mean(dim=1).double().numpy()
+    assert left_out[0, 0, -1] > known_mean[-1] + 1
+
+
+def test_chances_are_those_of_the_measured_distribution():
+    """Half at the median, a sixth one deviation above; between budgets, and the same beyond."""
+    logs = np.stack([np.log([[1.0, 2], [1, 2], [4, 8]]), np.full((3, 2), 0.5)])
+    usual = UsualMisfit(1e3 * np.array(BUDGETS), logs)
+    assert usual.chance(2.0, 1, 1e3) == pytest.approx(0.5)
+    assert usual.chance(2.0 * np.exp(0.5), 1, 1e3) == pytest.approx(0.1587, abs=1e-4)
+    assert usual.chance(2.0, 0, 1e3 * 10**0.5) == pytest.approx(0.5)
+    assert usual.chance(4.0, 0, 1e9) == usual.chance(4.0, 0, 1e4) == pytest.approx(0.5)
+    assert usual.chance(0.0, 0, 1e3) == 1
+
+
+@pytest.mark.parametrize(
+    "wrong", [np.zeros(3), -np.ones(3), np.array([1.0, 1, 2]), np.full(3, np.nan), np.ones(2)]
+)
+def test_a_damaged_misfit_is_refused(wrong):
+    logs = np.ones((2, 3, LOOKS))
+    with pytest.raises(ValueError, match="misfit"):
+        UsualMisfit.restored({"misfit_budgets": wrong, "misfit_logarithms": logs}, LOOKS)

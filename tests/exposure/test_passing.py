@@ -1,0 +1,220 @@
+"""Designs of scenes that pass a pattern: training, test, file, and what does not apply."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+import deepfsi
+from conftest import RECIPE, assert_moments, generator, synthetic
+from deepfsi import Design
+from deepfsi.base import InputError
+from deepfsi.evaluation.accuracy import scanner_for
+from deepfsi.evaluation.page_data import check_playable
+from deepfsi.evaluation.stopping import stop
+from deepfsi.lab import design_rails
+from deepfsi.physics import FixedPattern
+from deepfsi.training.learning import train
+from deepfsi.training.passing import passing_statistics
+from deepfsi.training.training_set import TrainingSet
+from shared.design_files import refused, rewrite
+from shared.noises import training_noise
+
+pytestmark = pytest.mark.usefixtures("all_trained_once")
+
+PASSING = {"bins": 6, "speed": 1.5, "jitter": 1.0, "speed_jitter": 0.05}
+
+
+@pytest.fixture(scope="module")
+def data():
+    return synthetic((4, 6))
+
+
+def made(data, design="deepfsi", camera=None, exposure=None, **training) -> Design:
+    return deepfsi.learn(
+        data,
+        design=design,
+        photons=1e4,
+        camera=camera,
+        exposure=exposure or PASSING,
+        training={**RECIPE, **training},
+    )
+
+
+@pytest.fixture(scope="module")
+def learned(data):
+    return made(data, epochs=30, mask_lr=0.2, hidden=(32,), lr=1e-2)
+
+
+def test_a_learned_pattern_reads_what_a_blind_guess_does_not(data, learned):
+    [result] = deepfsi.evaluate(learned, data, 1e4)
+    assert result.accuracy > 0.6  # of three classes
+    assert result.counts <= 1e4 * data.x_test.sum() / len(data.x_test) / learned.summed_reflectance
+    assert result.counts / 1e4 == pytest.approx(result.throughput, rel=0.1)
+    assert learned.light == "equal-dwell"
+    assert learned.masks == 6
+    # P is W + T v unless given
+    assert learned.exposure.pattern.shape == (4, 6 + 9)
+
+
+def test_each_exposure_of_a_test_has_a_place_of_its_own(data, learned):
+    """The counts of one scene, its place unknown, vary by more than photon noise."""
+    scanner = scanner_for(learned, learned.camera)
+    one = torch.from_numpy(data.x_test[:1]).expand(20_000, -1)
+    with torch.no_grad():
+        rates = learned.rates(scanner, one)
+        [seen] = learned.expose(scanner, rates, generator(), 1e4)
+    placed = learned.exposure.placed(rates, generator(1))[:, 0] * 1e4
+    counts = seen.features * 1e4
+    assert torch.equal(counts.round(), counts.round(decimals=2).round())
+    assert ((placed.var(dim=0) / placed.mean(dim=0)).max()) > 1  # jitter is seen at this budget
+    for t in range(6):
+        spread = float(placed[:, t].var() + placed[:, t].mean())
+        mean_error = 5 * (2 * spread / 20_000) ** 0.5
+        assert abs(counts[:, t].mean() - placed[:, t].mean()) < mean_error
+        assert float(counts[:, t].var()) == pytest.approx(spread, rel=0.15)
+    shown = learned.exposure.shown(rates[:1], seen)[0, 0] * 1e4
+    error = 5 * (placed.var(dim=0) * (1 / 1024 + 1 / 20_000)).sqrt()
+    assert ((shown - placed.mean(dim=0)).abs() <= error).all()
+
+
+def test_without_jitter_counts_are_those_of_the_fixed_matrix(data):
+    still = made(data, exposure={"bins": 6, "speed": 1.5})
+    x = torch.from_numpy(data.x_test[:1])
+    scanner = scanner_for(still, still.camera)
+    placed = still.exposure.placed(still.rates(scanner, x), generator())[0, 0]
+    wanted = x[0] @ still.rails.difference.T / still.summed_reflectance
+    assert torch.allclose(placed, wanted, rtol=1e-4)
+    with torch.no_grad():
+        rates = still.rates(scanner, x.expand(20_000, -1))
+        [seen] = still.expose(scanner, rates, generator(), 1e4)
+    for t in range(6):
+        rate = 1e4 * float(wanted[t])
+        assert_moments(seen.features[:, t] * 1e4, rate, rate, poisson=True, rounding=1e-3)
+
+
+def test_damaged_files_are_refused(data, learned, tmp_path):
+    def other(header, tensors):
+        tensors["exposure.pattern"] = 1 - tensors["exposure.pattern"]
+
+    def bright(header, tensors):
+        tensors["exposure.pattern"] = 2 * tensors["exposure.pattern"]
+
+    def lost(header, tensors):
+        del tensors["exposure.pattern"]
+
+    def short(header, tensors):
+        header["exposure"]["bins"] = 5
+
+    for change in (other, bright, lost, short):
+        path = learned.save(tmp_path / "one.safetensors")
+        rewrite(path, change)
+        refused(path)
+
+
+def test_statistics_are_those_of_the_exposures(data, learned):
+    scenes = torch.from_numpy(data.x_train).repeat(100, 1)
+    masks = FixedPattern(learned.exposure.pattern.unsqueeze(0), learned.exposure.transit)
+    gain = 1e4 / learned.summed_reflectance
+    noise = training_noise("poisson", [gain], [0.0], [0], scenes.device)
+    mean, std, light = passing_statistics(scenes, masks, noise, "each", 3)
+    scanner = scanner_for(learned, learned.camera)
+    [seen] = learned.expose(scanner, learned.rates(scanner, scenes), generator(), 1e4)
+    drawn = seen.features * learned.summed_reflectance
+    error = 5 * std[0] * (2 / len(scenes)) ** 0.5
+    assert ((drawn.mean(dim=0) - mean[0]).abs() < error).all()
+    assert torch.allclose(drawn.std(dim=0), std[0], rtol=0.1)
+    assert torch.allclose(light, mean)
+
+
+def test_dark_counts_are_those_of_the_whole_transit(data):
+    """Also of bins behind dark columns: the detector counts on."""
+    dim = made(data, camera={"dark": 600.0})
+    blind = replace(
+        dim,
+        exposure=replace(dim.exposure, pattern=torch.zeros(4, 15)),
+        rails=type(dim.rails).of(torch.zeros(1, 6, 24)),
+    )
+    scanner = scanner_for(blind, blind.camera)
+    scenes = torch.from_numpy(data.x_test[:1]).expand(20_000, -1)
+    [seen] = blind.expose(scanner, blind.rates(scanner, scenes), generator(), 1e4)
+    for t in range(6):
+        assert_moments(seen.features[:, t] * 1e4 + 100, 100, 100, poisson=True, rounding=1e-2)
+
+
+def test_a_pattern_in_grey_levels_for_a_test(learned):
+    shown = learned.quantised(2)
+    assert set(shown.exposure.pattern.unique().tolist()) == {0.0, 1.0}
+    wanted = learned.exposure.transit.matrix(shown.exposure.pattern)
+    assert torch.equal(shown.rails.difference, wanted)
+    with pytest.raises(InputError, match="1 grey levels are not allowed"):
+        learned.quantised(1)
+
+
+@pytest.mark.parametrize(
+    ("settings", "match"),
+    [
+        ({"design": "pca"}, "pca is a set of masks, and scenes pass one pattern"),
+        ({"design": "raster", "masks": 24}, "raster is a set of masks"),
+        ({"masks": 5}, "5 masks and 6 bins are one number"),
+        ({"camera": "two-arm"}, "give single rails"),
+        ({"camera": "paper"}, "give single rails"),
+        ({"camera": "dmd-2x2"}, "no `detectors`"),
+        ({"camera": {"device": "dlp7000"}}, "no `device`"),
+        ({"training": {"start": "pca"}}, "starts at random"),
+        ({"exposure": {"bins": 40, "speed": 2.0, "pattern_width": 9}}, "have a|of 6 columns pass"),
+        ({"exposure": {"bins": 6, "looks": 4}}, "are of different exposures"),
+        ({"exposure": {"bins": 1}}, "bins = 1: .*greater than or equal to 2"),
+        ({"exposure": {"speed": 0}}, "speed = 0: .*greater than 0"),
+    ],
+    ids=str,
+)
+def test_what_does_not_apply_is_one_line(data, settings, match):
+    with pytest.raises(InputError, match=match) as error:
+        deepfsi.learn(data, **{"photons": 1e4, "exposure": PASSING, **settings})
+    assert "\n" not in str(error.value)
+
+
+def test_spectra_pass_no_pattern():
+    with pytest.raises(InputError, match="spectra pass no pattern"):
+        deepfsi.learn(synthetic((12,)), photons=1e4, exposure=PASSING)
+
+
+def test_what_needs_masks_at_rest_refuses_in_one_line(data, learned, tmp_path):
+    path = learned.save(tmp_path / "one.safetensors")
+    asked = {
+        "no sequence of frames shows": lambda: design_rails(path),
+        "which no sequence": lambda: learned.as_shown(learned.rails.stacked.numpy(), (4, 6), 1.0),
+        "a page shows masks": lambda: check_playable(learned),
+        "ideal observer does not know": lambda: deepfsi.ideal_observer(learned, data, 1e4),
+        "not compared with the training": lambda: learned.consistency(np.ones(6), 1e4),
+        "needs all its masks": lambda: stop(learned, data.hold_out(30), 1e4),
+        "cannot be classified alone": lambda: learned.first(3),
+        "the dwells of this design are fixed": lambda: learned.classify_live(lambda d: d, 1e4),
+    }
+    for match, ask in asked.items():
+        with pytest.raises(InputError, match=match) as error:
+            ask()
+        assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("design", ["deepfsi", "random"])
+def test_designs_trained_together_are_those_trained_alone(data, design):
+    jobs = [
+        deepfsi.Job(
+            design=design, photons=photons, exposure=PASSING, training={**RECIPE, "batch": 32}
+        )
+        for photons in (1e3, 1e4)
+    ]
+    together = train(TrainingSet(data, "cpu"), jobs)
+    for job, found in zip(jobs, together, strict=True):
+        [alone] = train(TrainingSet(data, "cpu"), [job])
+        assert torch.allclose(found.exposure.pattern, alone.exposure.pattern, atol=1e-4)
+        assert torch.allclose(found.std, alone.std, rtol=1e-3)
+
+
+def test_a_number_of_counts_is_had(data):
+    design = deepfsi.learn(data, counts=2e3, exposure=PASSING, training=RECIPE)
+    [result] = deepfsi.evaluate(design, data, design.info["job"]["photons"], draws=1)
+    assert result.counts == pytest.approx(2e3, rel=0.1)
