@@ -50,7 +50,7 @@ def counts_text(result: "Result") -> str:
 
 def print_full_gates(made: "AnyDesign", results: "Sequence[Result | Estimates]") -> None:
     """Say at which budgets nearly all gates click, so that clicks tell little of a scene."""
-    from deepfsi.design.clicks import full_gates
+    from deepfsi.physics import full_gates
     from deepfsi.design.design import Design
 
     if not isinstance(made, Design) or made.gates is None:

@@ -132,3 +132,18 @@ def _sample(weights: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor
     sums = weights.cumsum(dim=1)
     places = torch.searchsorted(sums, points * sums[:, -1:])
     return places.clamp(max=scenes - 1), torch.full_like(points, 1 / SAMPLES)
+
+
+class Look(NamedTuple):
+    """One look of exposures."""
+
+    masks: Tensor  # (b, N) of 0 and 1
+    counts: Tensor  # (b, Q)
+    light: Tensor  # (b, Q), counts that are expected without dark ones
+
+
+def look_at(state: AdaptivePosterior, x: Tensor, share: float, generator: torch.Generator) -> Look:
+    """Next look at scenes (b, N) for a share of the exposure, which the state does not know yet."""
+    masks = next_masks(state, share, generator)
+    expected = state.expected(masks, x, share)
+    return Look(masks, Poisson().draw(expected, generator), expected - state.optics.dark * share)

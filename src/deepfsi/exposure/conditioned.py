@@ -10,16 +10,15 @@ they do within the sequence at a budget that is larger by the inverse of their s
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 
-import numpy as np
 import torch
 from torch import Tensor
 from torch.nn import functional
 
 from deepfsi.base import InputError
 from deepfsi.camera import LIGHT_LAWS, LightLawName
-from deepfsi.exposure.trained import TrainedExposure
+from deepfsi.exposure.trained import UNTRAINED, MaskExposure, Stops, TrainedMasks
 from deepfsi.jobs import ConditionedEntry, Job
 from deepfsi.physics import Rails, light_law
 
@@ -28,7 +27,7 @@ ALL_MASKS_SHARE = 0.25
 
 
 @dataclass(frozen=True)
-class ConditionedExposure(TrainedExposure):
+class ConditionedExposure(MaskExposure):
     """Exposure of fixed dwells whose classifier has the budget and the number of masks as inputs.
 
     Its fields are those of `ConditionedEntry`.
@@ -40,11 +39,14 @@ class ConditionedExposure(TrainedExposure):
     nested: int = 0
     width: int = 1
     used: float = 1.0
+    _: KW_ONLY
+    optics: TrainedMasks = UNTRAINED
     kind = "conditioned"
 
     def entry(self) -> ConditionedEntry:
         """Entry of the design file's header."""
-        return ConditionedEntry(**vars(self))
+        every = {name: value for name, value in vars(self).items() if name != "optics"}
+        return ConditionedEntry(**every)
 
     @classmethod
     def begin(
@@ -55,9 +57,9 @@ class ConditionedExposure(TrainedExposure):
         width = job.features(image_shape) // job.masks
         return cls(job.photons, span, job.masks, fewest, width)
 
-    def check(self, rails: Rails, light: LightLawName, image_shape: tuple[int, ...]) -> None:
-        """Raise `ValueError` unless rails can be exposed so; parameters as for `Design`."""
-        if rails.masks > self.masks:
+    def check_masks(self) -> None:
+        """Raise `ValueError` unless the masks can be exposed so."""
+        if self.count > self.masks:
             raise ValueError("more masks than in the whole sequence")
 
     def final(self, rails: Tensor, light: LightLawName) -> Tensor:
@@ -81,7 +83,7 @@ class ConditionedExposure(TrainedExposure):
         return self.masks * self.width + 2
 
     def condition(self, inputs: Tensor, photons: Tensor | float) -> Tensor:
-        """Inputs of the classifier, from those of `Exposure.inputs` and the budget."""
+        """Inputs of the classifier, from those of `Observation.inputs` and the budget."""
         ratio = torch.as_tensor(photons).to(inputs) / (self.used * self.photons)
         return self.inputs(inputs, ratio, ratio.new_tensor(inputs.shape[-1] // self.width))
 
@@ -94,33 +96,42 @@ class ConditionedExposure(TrainedExposure):
         would hardly learn.
         """
         count = torch.arange(1, self.masks + 1, dtype=torch.float32)
-        weight = torch.where(count >= self.fewest_masks(self.masks), 1 / count, 0.0)
+        weight = torch.where(count >= (self.nested or self.masks), 1 / count, 0.0)
         chance = (1 - ALL_MASKS_SHARE) * weight / weight.sum()
         chance[-1] += ALL_MASKS_SHARE
         return chance
 
-    def fewest_masks(self, masks: int) -> int:
-        """Smallest number of first masks, of m, that can be classified alone."""
-        return self.nested or masks
+    @property
+    def fewest_masks(self) -> int:
+        """Smallest number of first masks that can be classified alone."""
+        return self.nested or self.count
 
-    def using(self, used: float) -> "ConditionedExposure":
-        """The kind for masks that take another share of the light law, see `used`."""
-        return replace(self, used=used)
+    def as_shown(self, rails: Rails, dimmed: float) -> "ConditionedExposure":
+        """The kind as patterns realise it; parameters as of the base class."""
+        return replace(super().as_shown(rails, dimmed), used=self.used / dimmed)
 
-    def stops(self, rails: Rails, light: LightLawName) -> tuple[tuple[int, ...], np.ndarray]:
+    def first(self, masks: int) -> tuple["ConditionedExposure", float]:
+        """The kind of the first masks alone; parameters as of the base class."""
+        part, share = super().first(masks)
+        return replace(part, used=self.used * share), share
+
+    @property
+    def stops(self) -> Stops:
         """Numbers of masks after which an exposure may stop, and the share taken then."""
-        masks = rails.masks
-        fewest = self.fewest_masks(masks)
+        fewest, masks = self.fewest_masks, self.count
         if fewest == masks:
-            return super().stops(rails, light)
-        if not LIGHT_LAWS[light].one_device:
+            return super().stops
+        law = light_law(self.optics.light)
+        if not LIGHT_LAWS[law.name].one_device:
             raise InputError(
                 "under the column constraint all masks see light at once, so that stopping saves "
                 "nothing: use a design for one device, {light:free-dwell} or equal-dwell",
                 setting="light",
             )
-        used = light_law(light).used(rails.stacked)[fewest - 1 :]
-        return tuple(range(fewest, masks + 1)), (used / used[-1]).double().cpu().numpy()
+        used = law.used(self.optics.rails.stacked)[fewest - 1 :]
+        return Stops(
+            tuple(range(fewest, masks + 1)), (used / used[-1]).double().cpu().numpy()
+        )
 
     def inputs(self, scaled: Tensor, ratio: Tensor, shown: Tensor) -> Tensor:
         """Inputs of the classifier, features and two more; 0 are features beyond those shown."""

@@ -5,10 +5,10 @@ import torch
 from deepfsi.exposure.conditioned import ConditionedExposure
 from deepfsi.exposure.looks import LooksExposure
 from deepfsi.exposure.passing import PassingExposure
-from deepfsi.exposure.trained import FixedExposure, PatchExposure, TrainedExposure
+from deepfsi.exposure.trained import FixedExposure, PatchExposure, MaskExposure
 from deepfsi.jobs import Exposure, Fixed, Job, Looks, Nested, Passing, Patches, Range
 
-TRAINED_KINDS: dict[type[Exposure], type[TrainedExposure]] = {
+TRAINED_KINDS: dict[type[Exposure], type[MaskExposure]] = {
     Fixed: FixedExposure,
     Range: ConditionedExposure,
     Nested: ConditionedExposure,
@@ -19,7 +19,7 @@ TRAINED_KINDS: dict[type[Exposure], type[TrainedExposure]] = {
 """What exposures of each kind become by a training."""
 
 
-def begin(job: Job, image_shape: tuple[int, ...], seed: torch.Generator) -> TrainedExposure:
+def begin(job: Job, image_shape: tuple[int, ...], seed: torch.Generator) -> MaskExposure:
     """The exposure of a design that is to be trained on scenes of a shape.
 
     Where it has a network of its own, that is untrained.

@@ -11,7 +11,7 @@ The classifier is trained to answer after every look, so that an exposure may en
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
@@ -20,12 +20,19 @@ from torch import Tensor
 
 from deepfsi.base import InputError
 from deepfsi.camera import LIGHT_LAWS, Camera, LightLawName, share_out
-from deepfsi.designfile import ReadoutDistribution
-from deepfsi.exposure.readout_fit import find_distribution
-from deepfsi.exposure.trained import Observation, Read, Show, TrainedExposure
+from deepfsi.exposure.trained import (
+    UNTRAINED,
+    Counting,
+    MaskExposure,
+    Observation,
+    Show,
+    Stops,
+    TrainedMasks,
+    Use,
+)
 from deepfsi.jobs import LARGEST_SCORE, ExposureEntry, Job, Looks, LooksEntry
 from deepfsi.networks.classifiers import Mlp, restored
-from deepfsi.physics import Detection, LearnedMasks, Rails, light_law, through
+from deepfsi.physics import LearnedMasks, Scanner, light_law, through
 
 _Dwell = TypeVar("_Dwell", bound=Any)  # array or tensor
 
@@ -80,7 +87,7 @@ ON_WEIGHT = 0.2
 
 
 @dataclass(frozen=True)
-class LooksExposure(TrainedExposure):
+class LooksExposure(MaskExposure):
     """Exposure of several looks, whose dwells a network chooses from the counts so far.
 
     The masks' rails, and the statistics of their features, are those of equal dwells, 1 / q.
@@ -90,8 +97,17 @@ class LooksExposure(TrainedExposure):
     network: Mlp  # from k + q + 1 inputs to q outputs
     looks: int  # K
     shortest: float = 0.0  # shortest dwell of a frame that is shown, a share of the exposure
+    _: KW_ONLY
+    optics: TrainedMasks = UNTRAINED
     kind = "adaptive"
     chooses: ClassVar[bool] = True
+    refusals: ClassVar[dict[Use, str]] = {
+        "comparison": "this design chooses dwells while the exposure runs, and its counts are "
+        "tested with the all-ON frames of their scene: run it with `deepfsi camera live`, or give "
+        "`deepfsi.classify_run` a live run",
+        "ideal observer": "the dwells of this design follow the counts: give one of fixed dwells, "
+        "learned with 1 look",
+    }
 
     def entry(self) -> LooksEntry:
         """Entry of the design file's header."""
@@ -99,19 +115,17 @@ class LooksExposure(TrainedExposure):
 
     @classmethod
     def restored(
-        cls,
-        entry: ExposureEntry,
-        weights: dict[str, Tensor],
-        features: int,
-        rails: Rails,
-        light: LightLawName,
+        cls, entry: ExposureEntry, weights: dict[str, Tensor], optics: TrainedMasks
     ) -> "LooksExposure":
-        """The exposure with its network; parameters as for `TrainedExposure.restored`."""
+        """The exposure with its network; parameters as for `MaskExposure.restored`."""
         assert isinstance(entry, LooksEntry)
-        dwells = Dwells.of(rails.masks, light, rails.kind)
-        inputs = features + dwells.count + 1
+        dwells = Dwells.of(optics.rails.masks, optics.light, optics.rails.kind)
+        inputs = len(optics.mean) + dwells.count + 1
         sizes = {"inputs": inputs, "classes": dwells.count, "hidden": entry.hidden}
-        return cls(dwells, restored(Mlp, weights, **sizes), entry.looks, entry.shortest)
+        network = restored(Mlp, weights, **sizes)
+        made = cls(dwells, network, entry.looks, entry.shortest, optics=optics)
+        made.check_masks()
+        return made
 
     @classmethod
     def begin(
@@ -127,11 +141,12 @@ class LooksExposure(TrainedExposure):
 
     def to(self, device: str | torch.device) -> "LooksExposure":
         """The kind on a device."""
-        return replace(self, network=self.network.to(device))
+        return replace(super().to(device), network=self.network.to(device))
 
-    def check(self, rails: Rails, light: LightLawName, image_shape: tuple[int, ...]) -> None:
-        """Raise `ValueError` unless rails can be exposed so; parameters as for `Design`."""
-        equal = light_law(light).has_equal_dwells(rails.stacked)
+    def check_masks(self) -> None:
+        """Raise `ValueError` unless the masks can be exposed so."""
+        light = self.optics.light
+        equal = light_law(light).has_equal_dwells(self.optics.rails.stacked)
         if not (equal and LIGHT_LAWS[light].looks):
             raise ValueError("dwells are chosen for frames of one device that all have the same")
 
@@ -156,19 +171,27 @@ class LooksExposure(TrainedExposure):
         """Number of the classifier's inputs: features and dwells."""
         return features + self.dwells.count
 
-    def expose(
-        self, read: Read, rates: Tensor, photons: float, mean: Tensor, std: Tensor
+    def front_end(self, camera: Camera | None) -> Scanner:
+        """The scanner with the noise of a camera; parameters as of the base class."""
+        scanner = super().front_end(camera)
+        if faults := Looks(looks=self.looks).test_faults([scanner.noise.name]):
+            raise InputError(faults[0])
+        return scanner
+
+    def observe(
+        self, front: Scanner, rates: Tensor, photons: float, generator: torch.Generator
     ) -> Iterator[Observation]:
-        """Exposures after each look, parameters as for `TrainedExposure.expose`."""
+        """Exposures after each look; parameters as of the base class."""
 
         def show(dwell: Tensor) -> tuple[Tensor, Tensor]:
             share = self.dwells.scaled(torch.ones_like(rates), dwell)
-            return read(rates * share * photons, share) / photons, dwell
+            return self.read(front, rates * share * photons, generator, photons, share), dwell
 
-        return self.expose_live(show, mean.expand(*rates.shape[:-2], -1), std)
+        mean = self.optics.mean.expand(*rates.shape[:-2], -1)
+        return self.expose_live(show, mean, self.optics.std)
 
-    def shown(self, rates: Tensor, seen: Observation) -> Tensor:
-        """Expected counts of an exposure, parameters as for `TrainedExposure.shown`."""
+    def expected(self, rates: Tensor, seen: Observation) -> Tensor:
+        """Photons of an exposure that are expected; parameters as of the base class."""
         assert seen.dwell is not None
         return self.dwells.scaled(rates, seen.dwell)
 
@@ -197,21 +220,8 @@ class LooksExposure(TrainedExposure):
             seen = Observation(features, total)
             yield seen
 
-    def compared(self, rails: int, readouts: int) -> tuple[tuple[int, int], int]:
-        """Readouts that counts are compared in: those of all rails and of all mirrors ON."""
-        return (1, rails * readouts + 1), self.looks
-
-    def distribution(
-        self,
-        rates: Tensor,
-        lit: Tensor,
-        labels: np.ndarray,
-        classes: int,
-        detection: Detection,
-        mean: Tensor,
-        std: Tensor,
-    ) -> ReadoutDistribution | None:
-        """Distribution of readouts and all-ON frames; parameters as for the base class."""
+    def usual_readouts(self, rates: Tensor, lit: Tensor) -> tuple[Tensor, Counting | None]:
+        """Readouts of all rails and of all mirrors ON; parameters as of the base class."""
 
         def expose(photons: float, rng: np.random.Generator) -> list[tuple[np.ndarray, np.ndarray]]:
             every, ones = torch.zeros_like(rates), torch.ones_like(rates)
@@ -222,10 +232,11 @@ class LooksExposure(TrainedExposure):
                 expected = (self.dwells.scaled(rates, dwell) * photons).double().cpu().numpy()
                 counts = torch.from_numpy(rng.poisson(expected)).to(rates)
                 every.add_(counts)
-                return detection.features(counts) / photons, dwell
+                return self.detection.features(counts) / photons, dwell
 
             out = []
-            for seen in self.expose_live(show, mean.expand(len(rates), -1), std):
+            mean = self.optics.mean.expand(len(rates), -1)
+            for seen in self.expose_live(show, mean, self.optics.std):
                 assert seen.dwell is not None
                 held = every, self.dwells.scaled(ones, seen.dwell)
                 pair = (part.double().flatten(1).cpu().numpy() for part in held)
@@ -233,7 +244,7 @@ class LooksExposure(TrainedExposure):
             return out  # type: ignore[return-value]
 
         whole = torch.cat([rates.flatten(1), lit[:, None]], dim=1)[:, None]
-        return find_distribution(whole, labels, classes, expose=expose)
+        return whole, expose
 
     @property
     def dwell_words(self) -> str:
@@ -241,24 +252,25 @@ class LooksExposure(TrainedExposure):
         share = f"{1 / self.looks:.0%}"
         return f"share of the exposure in the first of {self.looks} looks, {share} of it each"
 
-    def mask_dwells(
-        self, rails: Rails, light: LightLawName, mean: Tensor, std: Tensor
-    ) -> Tensor | None:
+    def mask_dwells(self) -> Tensor | None:
         """Share (m,) of the exposure that each mask is shown in the first look."""
+        mean = self.optics.mean
 
         def show(dwell: Tensor) -> tuple[Tensor, Tensor]:
             return torch.zeros_like(mean), dwell
 
-        first = next(self.expose_live(show, mean, std)).dwell
+        first = next(self.expose_live(show, mean, self.optics.std)).dwell
         assert first is not None, "dwells are chosen"
-        return first.unflatten(-1, (rails.masks, -1)).sum(dim=-1)
+        return first.unflatten(-1, (self.count, -1)).sum(dim=-1)
 
-    def stops(self, rails: Rails, light: LightLawName) -> tuple[tuple[int, ...], np.ndarray]:
+    @property
+    def stops(self) -> Stops:
         """Numbers of looks after which an exposure may stop, and the share taken then."""
         after = range(1, self.looks + 1)
-        return tuple(after), np.array(after) / self.looks
+        return Stops(tuple(after), np.array(after) / self.looks)
 
-    def count_stops(self, masks: int) -> int:
+    @property
+    def count_stops(self) -> int:
         """K, an answer after each look."""
         return self.looks
 
@@ -267,18 +279,9 @@ class LooksExposure(TrainedExposure):
         assert seen.dwell is not None
         return seen.dwell.sum(dim=-1, keepdim=True) * self.looks - 1
 
-    def check_noise(self, noise: str) -> None:
-        """Raise `InputError` unless the noise is that of photons."""
-        if faults := Looks(looks=self.looks).test_faults([noise]):
-            raise InputError(faults[0])
-
-    def check_alone(self) -> None:
-        """Raise `InputError`: counts are compared together with all-ON frames."""
-        raise InputError(
-            "this design chooses dwells while the exposure runs, and its counts are tested with "
-            "the all-ON frames of their scene: run it with `deepfsi camera live`, or give "
-            "`deepfsi.classify_run` a live run"
-        )
+    def stopping_at(self, threshold: float) -> "LooksExposure":
+        """The kind as it is: a device decides when an exposure stops."""
+        return self
 
     def check_dwell(self, given: bool) -> None:
         """Raise `InputError` if dwells are not given."""

@@ -15,7 +15,7 @@ import torch
 from scipy.special import ndtr
 from torch import Tensor
 
-from deepfsi.exposure.adaptive import look_at
+from deepfsi.exposure.choice import look_at
 from deepfsi.exposure.posterior import AdaptivePosterior, LookOptics
 from deepfsi.exposure.prior import ScenePrior
 from deepfsi.jobs import AdaptiveMasks

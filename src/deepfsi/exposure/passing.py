@@ -1,24 +1,31 @@
 """Exposures of scenes that pass a static pattern: the bins of a transit are the readouts."""
 
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import KW_ONLY, dataclass, replace
 from functools import cached_property
 from typing import ClassVar
 
 import torch
 from torch import Tensor, nn
 
-from deepfsi.base import InputError
-from deepfsi.camera import LightLawName
-from deepfsi.exposure.trained import Observation, TrainedExposure
+from deepfsi.exposure.trained import UNTRAINED, MaskExposure, Observation, TrainedMasks, Use
 from deepfsi.jobs import STATIC, ExposureEntry, Job, Passing, PassingEntry
-from deepfsi.physics import FixedPattern, Rails, Scanner, ScenePath, in_levels, project
+from deepfsi.physics import (
+    FixedPattern,
+    NoiseFunction,
+    Rails,
+    Scanner,
+    ScenePath,
+    in_levels,
+    project,
+)
 
 MEAN_OF = 1024
 """Transits whose mean is taken for expected counts of all."""
 
 
 @dataclass(frozen=True)
-class PassingExposure(TrainedExposure):
+class PassingExposure(MaskExposure):
     """Exposure of a scene that passes a pattern, in each exposure at another place.
 
     The masks' rails are those of the transit without jitter.
@@ -26,8 +33,19 @@ class PassingExposure(TrainedExposure):
 
     transit: ScenePath
     pattern: Tensor | None = None  # (H, P), from the end of the training on
+    _: KW_ONLY
+    optics: TrainedMasks = UNTRAINED
     kind = "passing"
     comparable: ClassVar[bool] = False
+    refusals: ClassVar[dict[Use, str]] = {
+        "frames": STATIC,
+        "comparison": "counts of passing scenes are not compared with the training, as each passes "
+        "at a place of its own: use Design.classify",
+        "page": "this design is of scenes that pass a static pattern, and a page shows masks one "
+        "after the other: give a design of scenes at rest",
+        "ideal observer": "scenes that pass a pattern have a place of their own in each exposure, "
+        "which the ideal observer does not know: use evaluate",
+    }
 
     def entry(self) -> PassingEntry:
         """Entry of the design file's header."""
@@ -42,18 +60,13 @@ class PassingExposure(TrainedExposure):
 
     @classmethod
     def restored(
-        cls,
-        entry: ExposureEntry,
-        weights: dict[str, Tensor],
-        features: int,
-        rails: Rails,
-        light: LightLawName,
+        cls, entry: ExposureEntry, weights: dict[str, Tensor], optics: TrainedMasks
     ) -> "PassingExposure":
-        """The exposure with its pattern; parameters as for `TrainedExposure.restored`."""
+        """The exposure with its pattern; parameters as for `MaskExposure.restored`."""
         assert isinstance(entry, PassingEntry)
         pattern = weights["pattern"]
         height, width = pattern.shape
-        if height != entry.shape[0] or rails.masks != entry.bins or rails.count != 1:
+        if height != entry.shape[0] or optics.rails.masks != entry.bins or optics.rails.count != 1:
             raise ValueError("the pattern is not of these scenes")
         if float(pattern.min()) < 0 or float(pattern.max()) > 1:
             raise ValueError("the pattern is not between dark and open")
@@ -65,7 +78,9 @@ class PassingExposure(TrainedExposure):
             jitter=entry.jitter,
             speed_jitter=entry.speed_jitter,
         )
-        return cls(path, pattern)
+        made = cls(path, pattern, optics=optics)
+        made.check_masks()
+        return made
 
     @classmethod
     def begin(
@@ -103,38 +118,47 @@ class PassingExposure(TrainedExposure):
 
     def to(self, device: str | torch.device) -> "PassingExposure":
         """The kind on a device."""
-        return replace(self, pattern=self.passed.to(device))
+        return replace(super().to(device), pattern=self.passed.to(device))
 
-    def check(self, rails: Rails, light: LightLawName, image_shape: tuple[int, ...]) -> None:
-        """Raise `ValueError` unless rails are those of the pattern; parameters as for `Design`."""
-        wanted = self.transit.matrix(self.passed).unsqueeze(0)
-        if image_shape != self.transit.shape or not torch.allclose(rails.stacked, wanted, 1e-4):
+    def check_masks(self) -> None:
+        """Raise `ValueError` unless the masks are those of the pattern."""
+        wanted, rails = self.transit.matrix(self.passed).unsqueeze(0), self.optics.rails.stacked
+        if self.image_shape != self.transit.shape or not torch.allclose(rails, wanted, 1e-4):
             raise ValueError("masks are not of the pattern")
 
-    def quantised(
-        self, rails: Tensor, light: LightLawName, levels: int
-    ) -> tuple[Tensor, "PassingExposure"]:
-        """Rails and exposure of the pattern in grey levels."""
+    def quantised(self, levels: int) -> "PassingExposure":
+        """The exposure of the pattern in grey levels."""
         shown = in_levels(self.passed, levels)
-        return self.transit.matrix(shown).unsqueeze(0), replace(self, pattern=shown)
+        rails = Rails.of(self.transit.matrix(shown).unsqueeze(0))
+        return replace(self, optics=replace(self.optics, rails=rails), pattern=shown)
 
-    def front(self, rails: Tensor) -> Tensor:
-        """Rails of a scanner that reads every bin for the same time."""
-        return self.transit.open(rails.device)
+    def scanner(
+        self, noise: str | NoiseFunction = "poisson", sigma: float = 1.0, dark: float = 0.0
+    ) -> Scanner:
+        """A front end that reads every bin for the same time; parameters as for `Scanner`."""
+        rails = self.transit.open(self.device)
+        return Scanner.from_rails(rails, noise, sigma, dark, self.detection)
 
-    def rates(self, scanner: Scanner, scenes: Tensor) -> Tensor:
-        """Expected counts (..., 1, K) at every whole shift, of scenes (..., N)."""
-        return project(scenes, self.transit.every_shift(self.passed)).unsqueeze(-2) / (
+    def rates(self, front: Scanner, scenes: Tensor) -> Tensor:
+        """Expected counts (..., 1, K) at every whole shift, of reflectances (..., N)."""
+        photons = scenes.to(self.device) / self.summed_reflectance
+        return project(photons, self.transit.every_shift(self.passed)).unsqueeze(-2) / (
             self.transit.bins
         )
+
+    def observe(
+        self, front: Scanner, rates: Tensor, photons: float, generator: torch.Generator
+    ) -> Iterator[Observation]:
+        """Exposures, each at a place of its own; parameters as of the base class."""
+        return super().observe(front, self.placed(rates, generator), photons, generator)
 
     def placed(self, rates: Tensor, generator: torch.Generator | None) -> Tensor:
         """Expected counts (..., 1, T) of exposures, each at a place of its own."""
         edges = self.transit.edges(rates.shape[:-1], generator, rates.device)
         return self.transit.means(rates, edges)
 
-    def shown(self, rates: Tensor, seen: Observation) -> Tensor:
-        """Expected counts (..., 1, T), in the mean over places."""
+    def expected(self, rates: Tensor, seen: Observation) -> Tensor:
+        """Photons (..., 1, T) of an exposure, in the mean over places."""
         return rates @ self._mean_bins.to(rates)
 
     @cached_property
@@ -146,23 +170,10 @@ class PassingExposure(TrainedExposure):
         edges = self.transit.edges((count,), generator.manual_seed(0), device)
         return self.transit.means(every, edges).mean(dim=1)
 
-    def mask_dwells(self, rails: Rails, light: LightLawName, mean: Tensor, std: Tensor) -> None:
+    def mask_dwells(self) -> None:
         """None: bins have one length."""
         return
 
-    def drawing(
-        self, matrix: Tensor, mask_shape: tuple[int, ...]
-    ) -> tuple[Tensor, tuple[int, ...]]:
+    def drawing(self) -> tuple[Tensor, tuple[int, ...]]:
         """The pattern as one row, and its shape."""
         return self.passed.flatten().unsqueeze(0), tuple(self.passed.shape)
-
-    def check_device(self) -> None:
-        """Raise `InputError`: no sequence of frames shows a pattern that scenes pass."""
-        raise InputError(STATIC)
-
-    def check_alone(self) -> None:
-        """Raise `InputError`: a scene's place is not known, and moves its counts."""
-        raise InputError(
-            "counts of passing scenes are not compared with the training, as each passes at a "
-            "place of its own: use Design.classify"
-        )

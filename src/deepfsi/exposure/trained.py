@@ -1,42 +1,60 @@
-"""Exposures of trained designs, and the counts and dwells so far.
+"""What an exposure shows of a scene, and what its counts tell: the base of all kinds.
 
-One class for each kind of `design.exposure`, and nobody but these asks which one a design has:
-`FixedExposure` and `PatchExposure` here, `conditioned.ConditionedExposure`, `looks.LooksExposure`.
+One class for each kind, and nobody but these asks which one a design has. Most hold masks that are
+known before (`MaskExposure`); adaptive masks hold a prior of scenes, of which they make theirs.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass, replace
 from math import prod
-from typing import ClassVar
+from typing import Any, ClassVar, Literal, NamedTuple, Protocol, Self
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
-from deepfsi.base import InputError
+from deepfsi.base import InputError, as_input_error
 from deepfsi.camera import LIGHT_LAWS, Camera, LightLawName
-from deepfsi.designfile import ReadoutDistribution
-from deepfsi.exposure.readout_fit import find_distribution
 from deepfsi.jobs import ExposureEntry, FixedEntry, Job, Patches, PatchesEntry, cut_patches
 from deepfsi.networks.classifiers import Mlp
-from deepfsi.physics import Detection, LearnedMasks, Rails, Scanner, light_law
+from deepfsi.physics import (
+    Detection,
+    LearnedMasks,
+    NoiseFunction,
+    Rails,
+    Scanner,
+    light_law,
+    noise_of,
+    to_training_light,
+)
 
-Read = Callable[[Tensor, Tensor | float], Tensor]
-"""From expected counts (..., rails, m · D), and dwells over the usual ones of the same shape, to
-features (..., k) in counts."""
+Use = Literal["masks", "first", "frames", "graph", "page", "comparison", "ideal observer"]
+"""What not every kind can be used for: masks that are known before, with counts of them; the first
+masks alone; frames of a device; an ONNX graph; a page; the comparison of counts alone; the ideal
+observer."""
 
 Show = Callable[[Tensor], tuple[Tensor, Tensor]]
 """From dwells (..., q) to features (..., k) over the budget, and the dwells really shown."""
 
+Counting = Callable[[float, np.random.Generator], list[tuple[np.ndarray, np.ndarray]]]
+"""Exposures (n, R) of scenes at a budget: their counts and weights after each look."""
+
 
 @dataclass(frozen=True)
 class Observation:
-    """Counts and dwells of an exposure so far."""
+    """What was read of an exposure so far.
 
-    # (..., k): What is read of the first masks over the budget (`detection`), of all looks together
+    Attributes
+    ----------
+    features : tensor, shape (..., k)
+        What is read of the first masks over the budget (`Detection`), of all looks together.
+    dwell : tensor, shape (..., q), or None
+        Share of the whole exposure that each frame had, where dwells are chosen; they sum to 1
+        after the last look.
+    """
+
     features: Tensor
-    # (..., q): Share of the whole exposure that each frame had, where dwells are chosen; sums to 1
-    # after the last look
     dwell: Tensor | None = None
 
     def inputs(self, mean: Tensor, std: Tensor) -> Tensor:
@@ -54,16 +72,306 @@ class Observation:
         return torch.cat([(self.features - each * mean) / std, relative / 3], dim=-1)
 
 
-class TrainedExposure:
-    """Base of the kinds of exposure: every mask is shown once, for a dwell that is its own."""
+class Answer(NamedTuple):
+    """Answer to exposures: logits and chances (..., C), and the classes (...).
 
-    kind: str  # name in the design file
-    chooses: ClassVar[bool] = False  # whether the counts so far choose dwells
-    comparable: ClassVar[bool] = True  # whether counts can be held against those of the training
+    Rounded chances may not tell classes apart that logits do.
+    """
+
+    logits: Tensor
+    chances: Tensor
+    classes: Tensor
+
+
+class Stops(NamedTuple):
+    """Where an exposure may stop: after which masks or looks, and the share (K,) taken then."""
+
+    after: tuple[int, ...]
+    used: np.ndarray
+
+
+class Light(NamedTuple):
+    """Light of exposures together: counts that are expected, and photons that arrive."""
+
+    counts: float
+    photons: float
+
+
+class ExposureKind(ABC):
+    """One kind of exposure, of a design that was made: what it shows, reads and answers."""
+
+    makes_masks: ClassVar[bool] = False
+    """Whether masks are made of the counts so far."""
+
+    chooses: ClassVar[bool] = False
+    """Whether the counts so far choose dwells."""
+
+    comparable: ClassVar[bool] = True
+    """Whether counts can be held against those of the training."""
+
+    refusals: ClassVar[dict[Use, str]] = {}
+    """Why the kind cannot be used for something."""
+
+    looks: int = 1
+    """K, number of looks of an exposure."""
+
+    exposed_at_once: ClassVar[int] = 1024
+    """Scenes of which a test holds the counts at a time, at most."""
+
+    own_draws: ClassVar[bool] = False
+    """Whether each draw of a scene is an exposure of its own from the first look on."""
+
+    def check(self, use: Use, name: str = "this design") -> None:
+        """Raise `InputError` where a design, of such a name, cannot be used for something."""
+        if use in self.refusals:
+            raise InputError(self.refusals[use], setting=("ideal", "first"), name=name)
+
+    @property
+    @abstractmethod
+    def image_shape(self) -> tuple[int, ...]:
+        """Shape of a scene."""
+
+    @property
+    @abstractmethod
+    def count(self) -> int:
+        """Number of masks, or of looks of adaptive masks."""
+
+    @property
+    @abstractmethod
+    def shares(self) -> Tensor:
+        """Share of the budget that is counted for each feature, in the training mean, (k,)."""
+
+    @property
+    @abstractmethod
+    def summed_reflectance(self) -> float:
+        """s, the training scenes' mean summed reflectance; λ = Φ x / s."""
+
+    @property
+    @abstractmethod
+    def camera(self) -> Camera:
+        """The camera of a design that does not say for which one it was trained."""
+
+    @property
+    @abstractmethod
+    def detection(self) -> Detection:
+        """Detectors on parts of the device, and what is read of two rails."""
+
+    @property
+    def device(self) -> torch.device:
+        """Where exposures are computed."""
+        return self.shares.device
+
+    @property
+    @abstractmethod
+    def title(self) -> str:
+        """The kind in a few words, for a reader."""
+
+    @abstractmethod
+    def front_end(self, camera: Camera | None) -> Any:
+        """What exposes scenes, with the noise of a camera; the plain one of the kind unless given.
+
+        Raises
+        ------
+        InputError
+            If the kind cannot be tested under the noise of the camera.
+        """
+
+    @abstractmethod
+    def rates(self, front: Any, scenes: Tensor) -> Tensor:
+        """What `observe` takes of reflectances (n, N): expected counts for a budget of one."""
+
+    @abstractmethod
+    def observe(
+        self, front: Any, rates: Tensor, photons: float, generator: torch.Generator
+    ) -> Iterator[Observation]:
+        """Exposures at each stop: after each number of masks that do, or after each look.
+
+        Parameters
+        ----------
+        front
+            As from `front_end`.
+        rates : tensor
+            As from `rates`.
+        photons : float
+            Budget Φ.
+        generator : torch.Generator
+            Of the noise.
+        """
+
+    def expose(
+        self, front: Any, rates: Tensor, photons: float, generator: torch.Generator
+    ) -> Observation:
+        """Exposures at their end; parameters of `observe`."""
+        *_, seen = self.observe(front, rates, photons, generator)
+        return seen
+
+    @abstractmethod
+    def light(self, front: Any, rates: Tensor, seen: Observation, photons: float) -> Light:
+        """Light of exposures together; parameters of `observe`."""
+
+    @abstractmethod
+    def answer(
+        self, seen: Observation, photons: Tensor | float, network: "ReadsCounts"
+    ) -> Answer:
+        """Answer to exposures so far, of a budget in all, by what reads their counts."""
+
+    @property
+    @abstractmethod
+    def stops(self) -> Stops:
+        """Where an exposure may stop.
+
+        Raises
+        ------
+        InputError
+            If it may stop nowhere before its end, or that saves nothing.
+        """
+
+    def first(self, masks: int) -> tuple["ExposureKind", float]:
+        """The kind of the first masks alone, and the share of the light law that is theirs.
+
+        Raises
+        ------
+        InputError
+            If so few masks cannot be classified alone.
+        """
+        self.check("first")
+        raise NotImplementedError
+
+    def stopping_at(self, threshold: float) -> "ExposureKind":
+        """The kind whose exposures stop at a probability, or `InputError` where it is of one look.
+
+        A device decides for those whose masks are known before.
+        """
+        raise InputError(
+            "this design has one look: learn one of several with {looks}", setting="looks"
+        )
+
+    def quantised(self, levels: int) -> "ExposureKind":
+        """The kind as a device of so many grey levels shows it."""
+        return self
+
+    def to(self, device: str | torch.device) -> "ExposureKind":
+        """The kind on a device."""
+        return self
+
+
+class ReadsCounts(Protocol):
+    """What reads counts: a network, with its calibration."""
+
+    def logits_of(self, seen: Observation, photons: Tensor | float) -> Tensor:
+        """Logits (..., C) of exposures so far, of a budget in all."""
+
+    def temperature(self, seen: Observation, photons: Tensor | float) -> Tensor | float:
+        """Temperature (..., 1) of these logits."""
+
+
+class Clicks(NamedTuple):
+    """Clicks of a readout at most, and the budget of the training, for which they are read."""
+
+    gates: int
+    photons: float
+
+
+@dataclass(frozen=True)
+class TrainedMasks:
+    """Masks after a training, and what is read of them in the mean over its scenes.
+
+    Attributes
+    ----------
+    rails : Rails
+        `plus` and `minus` (m, N), shares of each pixel's photons; `stacked` (2 or 1, m, N).
+    light : str
+        Light law that the rails obey.
+    image_shape : tuple of int
+    detection : Detection
+        Detectors on parts of the device, and what is read of two rails.
+    summed_reflectance : float
+        s, the training scenes' mean summed reflectance; λ = Φ x / s.
+    mean, std : tensor, shape (k,)
+        Of the features y / Φ; k = m of one detector that reads the difference of two rails.
+    shares : tensor, shape (k,)
+        Share of the budget that is counted for each feature.
+    clicks : Clicks or None
+        Of detectors that click.
+    """
+
+    rails: Rails
+    light: LightLawName
+    image_shape: tuple[int, ...]
+    detection: Detection
+    summed_reflectance: float
+    mean: Tensor
+    std: Tensor
+    shares: Tensor
+    clicks: Clicks | None = None
+
+    def to(self, device: str | torch.device) -> "TrainedMasks":
+        """The same on a device."""
+        return replace(
+            self,
+            rails=self.rails.to(device),
+            mean=self.mean.to(device),
+            std=self.std.to(device),
+            shares=self.shares.to(device),
+        )
+
+
+UNTRAINED: Any = None
+"""Masks before the end of a training."""
+
+
+class MaskExposure(ExposureKind):
+    """Base of the kinds whose masks are known before: each is shown once, for its own dwell."""
+
+    optics: TrainedMasks
+    kind: ClassVar[str]  # name in the design file
     width: int = 1  # features of each mask, for nested masks
-    looks: int = 1  # K, number of looks
     used: float = 1.0  # share of the light law that the masks take within the whole sequence
-    network: Mlp | None = None  # A network besides the classifier
+    network: Mlp | None = None  # a network besides the classifier
+
+    @property
+    def image_shape(self) -> tuple[int, ...]:
+        """Shape of a scene."""
+        return self.optics.image_shape
+
+    @property
+    def count(self) -> int:
+        """m, number of masks."""
+        return self.optics.rails.masks
+
+    @property
+    def shares(self) -> Tensor:
+        """Share of the budget that is counted for each feature, in the training mean, (k,)."""
+        return self.optics.shares
+
+    @property
+    def summed_reflectance(self) -> float:
+        """s, the training scenes' mean summed reflectance; λ = Φ x / s."""
+        return self.optics.summed_reflectance
+
+    @property
+    def detection(self) -> Detection:
+        """Detectors on parts of the device, and what is read of two rails."""
+        return self.optics.detection
+
+    @property
+    def camera(self) -> Camera:
+        """The camera of a design that does not say for which one it was trained."""
+        optics = self.optics
+        fields: dict[str, Any] = {"light": optics.light, "rails": optics.rails.kind}
+        fields["readout"] = optics.detection.readout
+        if optics.detection.labels is not None and LIGHT_LAWS[optics.light].one_device:
+            fields["detectors"] = optics.detection.labels.cpu()
+        with as_input_error("the design's camera", "train it again"):
+            return Camera.restored(fields)
+
+    @property
+    def title(self) -> str:
+        """Number and shape of the masks, and their light law."""
+        shape = "x".join(map(str, self.mask_shape))
+        return f"{self.count} masks of {shape}, {self.optics.light}, {self.optics.rails.kind} rails"
+
+    # Files
 
     def entry(self) -> ExposureEntry:
         """Entry of the design file's header, of which `restored` makes the kind again."""
@@ -71,62 +379,264 @@ class TrainedExposure:
 
     @classmethod
     def restored(
-        cls,
-        entry: ExposureEntry,
-        weights: dict[str, Tensor],
-        features: int,
-        rails: Rails,
-        light: LightLawName,
-    ) -> "TrainedExposure":
+        cls, entry: ExposureEntry, weights: dict[str, Tensor], optics: TrainedMasks
+    ) -> "MaskExposure":
         """The kind of an entry, with its tensors of a design file; an error where they differ."""
-        return cls(**entry.model_dump(exclude={"kind"}))
+        made = cls(**entry.model_dump(exclude={"kind"}), optics=optics)
+        made.check_masks()
+        return made
 
-    @classmethod
-    def begin(
-        cls, job: Job, image_shape: tuple[int, ...], seed: torch.Generator
-    ) -> "TrainedExposure":
-        """The exposure of a design that is to be trained on scenes of a shape."""
-        return cls()
-
-    def to(self, device: str | torch.device) -> "TrainedExposure":
-        """The kind on a device."""
-        return self
-
-    def check(self, rails: Rails, light: LightLawName, image_shape: tuple[int, ...]) -> None:
-        """Raise `ValueError` unless rails can be exposed so; parameters as for `Design`."""
+    def check_masks(self) -> None:
+        """Raise `ValueError` unless the masks can be exposed so."""
 
     @property
     def weights(self) -> dict[str, Tensor]:
         """Tensors of the design file besides rails, statistics and classifier."""
         return {} if self.network is None else self.network.state_dict()
 
-    def trained(self, masks: nn.Module, replica: int) -> "TrainedExposure":
-        """The kind with what it keeps of the masks after a training of several replicas."""
-        return self
+    def to(self, device: str | torch.device) -> Self:
+        """The kind on a device."""
+        return replace(self, optics=self.optics.to(device))
 
-    def quantised(
-        self, rails: Tensor, light: LightLawName, levels: int
-    ) -> tuple[Tensor, "TrainedExposure"]:
-        """Rails (2 or 1, m, N) in grey levels, and the kind that shows them."""
-        return light_law(light).quantise(rails, levels), self
+    # What is shown
 
-    def front(self, rails: Tensor) -> Tensor:
-        """Rails (2 or 1, m, N) of the scanner that reads scenes."""
-        return rails
+    @property
+    def mask_shape(self) -> tuple[int, ...]:
+        """Shape of a mask."""
+        return self.image_shape
 
-    def rates(self, scanner: Scanner, scenes: Tensor) -> Tensor:
-        """Expected counts (..., rails, m · D) of photons (..., N)."""
-        return scanner.rates(scenes)
+    def tokens(self, image_shape: tuple[int, ...]) -> int:
+        """Number of parts of an image that are exposed by themselves."""
+        return 1
 
-    def placed(self, rates: Tensor, generator: torch.Generator) -> Tensor:
-        """Expected counts (..., rails, m · D) of exposures of scenes with such `rates`."""
+    @property
+    def patch_axis(self) -> tuple[int, ...]:
+        """Axis (P,) of counts that comes before those of a patch; none of whole images."""
+        return ()
+
+    def quantised(self, levels: int) -> Self:
+        """The kind as a device of so many grey levels shows it."""
+        optics = self.optics
+        shown = light_law(optics.light).quantise(optics.rails.stacked, levels)
+        return replace(self, optics=replace(optics, rails=Rails.of(shown)))
+
+    def as_shown(self, rails: Rails, dimmed: float) -> Self:
+        """The kind as patterns realise it, of which one device gives so much less light.
+
+        Features are as much smaller, and so are the statistics that scale them.
+        """
+        optics = self.optics
+        shown = replace(
+            optics,
+            rails=rails,
+            light=optics.light if LIGHT_LAWS[optics.light].one_device else "free-dwell",
+            mean=optics.mean * dimmed,
+            std=optics.std * dimmed,
+            shares=optics.shares * dimmed,
+        )
+        return replace(self, optics=shown)
+
+    def first(self, masks: int) -> tuple["MaskExposure", float]:
+        """The kind of the first masks alone, and the share of the light law that is theirs.
+
+        Raises
+        ------
+        InputError
+            If so few masks cannot be classified alone.
+        """
+        fewest, most = self.fewest_masks, self.count
+        if not fewest <= masks <= most:
+            raise InputError(
+                "the first {masks} masks of this design cannot be classified alone: give "
+                "{fewest} to {most}" + ", or learn nested ones with {nested}" * (fewest == most),
+                setting="nested",
+                masks=masks,
+                fewest=fewest,
+                most=most,
+            )
+        optics = self.optics
+        used = light_law(optics.light).used(optics.rails.stacked)
+        share = float(used[masks - 1] / used[-1])
+        kept = masks * optics.detection.width(optics.rails.count)
+        part = replace(
+            optics,
+            rails=Rails.of(optics.rails.stacked[:, :masks] / share),
+            mean=optics.mean[:kept] / share,
+            std=optics.std[:kept] / share,
+            shares=optics.shares[:kept] / share,
+        )
+        return replace(self, optics=part), share
+
+    def mask_dwells(self) -> Tensor | None:
+        """Share (m,) of the exposure that each mask is shown; None where the law has no dwells."""
+        # Of several looks those of the first, which are the same for every scene
+        if not LIGHT_LAWS[self.optics.light].one_device:
+            return None
+        shares = light_law(self.optics.light).used(self.optics.rails.stacked)
+        return torch.diff(shares, prepend=shares.new_zeros(1))
+
+    @property
+    def dwell_words(self) -> str:
+        """Words on `mask_dwells`."""
+        return "share of the exposure"
+
+    def drawing(self) -> tuple[Tensor, tuple[int, ...]]:
+        """Picture (m, N) of what is shown, and the shape of a row."""
+        return self.optics.rails.difference, self.mask_shape
+
+    # Exposing
+
+    def scanner(
+        self, noise: str | NoiseFunction = "poisson", sigma: float = 1.0, dark: float = 0.0
+    ) -> Scanner:
+        """The optical front end; parameters as for `Scanner`."""
+        return Scanner.from_rails(self.optics.rails.stacked, noise, sigma, dark, self.detection)
+
+    def front_end(self, camera: Camera | None) -> Scanner:
+        """The scanner with the noise of a camera; that of photons unless given."""
+        return self.scanner() if camera is None else self.scanner(noise_of(camera))
+
+    def rates(self, front: Scanner, scenes: Tensor) -> Tensor:
+        """Expected counts (..., rails, m · D) of reflectances (..., N), for a budget of one."""
+        return front.rates(scenes.to(self.device) / self.summed_reflectance)
+
+    def scale(self, photons: Tensor | float) -> Tensor | float:
+        """Divisor of features in counts: the budget; of clicks that of the training, always."""
+        clicks = self.optics.clicks
+        return photons if clicks is None else 0 * photons + clicks.photons
+
+    def read(
+        self,
+        front: Scanner,
+        expected: Tensor,
+        generator: torch.Generator | None,
+        photons: float,
+        share: Tensor | float = 1.0,
+    ) -> Tensor:
+        """Features (..., k) over the budget of expected counts (..., rails, m · D)."""
+        # Dwells are `share` of the usual ones, of the same shape
+        counts = front.read(expected, generator, share) * (photons / self.scale(photons))
+        return self.detection.features(counts) / photons
+
+    def observe(
+        self, front: Scanner, rates: Tensor, photons: float, generator: torch.Generator
+    ) -> Iterator[Observation]:
+        """Exposures at each number of masks that is a stop; parameters as of the base class."""
+        features = self.read(front, rates * photons, generator, photons)
+        masks = features.shape[-1] // self.width
+        for shown in range(self.fewest_masks, masks + 1):
+            yield Observation(features[..., : shown * self.width])
+
+    def expected(self, rates: Tensor, seen: Observation) -> Tensor:
+        """Photons (..., rails, m · D) of an exposure that are expected, for a budget of one."""
         return rates
 
-    def drawing(
-        self, matrix: Tensor, mask_shape: tuple[int, ...]
-    ) -> tuple[Tensor, tuple[int, ...]]:
-        """Picture of a sensing matrix (m, N): its masks, and the shape of one."""
-        return matrix, mask_shape
+    def light(self, front: Scanner, rates: Tensor, seen: Observation, photons: float) -> Light:
+        """Light of exposures together; parameters of `observe`."""
+        arriving = photons * self.expected(rates, seen)
+        return Light(float(front.noise.mean(arriving).sum()), float(arriving.sum()))
+
+    def expose_live(self, show: Show, mean: Tensor, std: Tensor) -> Iterator[Observation]:
+        """Exposures after each look at a camera, or `InputError` if dwells are fixed."""
+        # mean, std (..., k) of the features
+        raise InputError(
+            "the dwells of this design are fixed: show all masks and use `classify`, or learn a "
+            "design with {looks}",
+            setting="looks",
+        )
+
+    # Answering
+
+    @property
+    def fewest_masks(self) -> int:
+        """Smallest number of first masks that can be classified alone."""
+        return self.count
+
+    @property
+    def count_stops(self) -> int:
+        """Numbers of masks, or of looks, after which an exposure can be classified."""
+        return self.count - self.fewest_masks + 1
+
+    def stop_place(self, seen: Observation) -> Tensor | int:
+        """Place of an exposure so far among these numbers, from 0."""
+        return seen.features.shape[-1] // self.width - self.fewest_masks
+
+    @property
+    def stops(self) -> Stops:
+        """Where an exposure may stop: nowhere, as all masks are needed."""
+        raise InputError(
+            "this design needs all its masks for an answer: learn nested ones with {nested}, or "
+            "several looks with {looks}",
+            setting=("nested", "looks"),
+        )
+
+    def input_count(self, features: int) -> int:
+        """Number of the classifier's inputs for k features."""
+        return features
+
+    def network_inputs(self, seen: Observation, photons: Tensor | float) -> Tensor:
+        """Inputs of the classifier of an exposure so far, of a budget in all."""
+        optics = self.optics
+        if optics.clicks is not None:
+            trained = optics.clicks.photons
+            gain, offset = to_training_light(
+                photons / trained,
+                optics.mean * trained,
+                optics.shares * trained / self.tokens(self.image_shape),
+                optics.clicks.gates,
+            )
+            seen = replace(seen, features=seen.features * gain + offset / trained)
+        return self.condition(seen.inputs(optics.mean, optics.std), photons)
+
+    def condition(self, inputs: Tensor, photons: Tensor | float) -> Tensor:
+        """Inputs of the classifier, from those of `Observation.inputs` and the budget."""
+        return inputs
+
+    def budget(self, photons: Tensor) -> Tensor:
+        """Budget (..., 1) of an exposure, of that of each of its parts."""
+        return photons
+
+    def answer(self, seen: Observation, photons: Tensor | float, network: ReadsCounts) -> Answer:
+        """Answer to exposures so far, of a budget in all, by what reads their counts."""
+        logits = network.logits_of(seen, photons)
+        chances = (logits / network.temperature(seen, photons)).softmax(dim=-1)
+        return Answer(logits, chances, logits.argmax(dim=-1))
+
+    def check_dwell(self, given: bool) -> None:
+        """Raise `InputError` if dwells are given and not needed, or needed and not given."""
+        if given:
+            raise InputError(
+                "dwells go with a design that chooses them, and only with it: leave dwell out"
+            )
+
+    def usual_readouts(self, rates: Tensor, lit: Tensor) -> tuple[Tensor, Counting | None]:
+        """Readouts (n, rails, m · D) that counts are compared in, and how they are exposed.
+
+        Parameters
+        ----------
+        rates : tensor, shape (n, rails, m · D)
+            As from `rates`, of the training scenes.
+        lit : tensor, shape (n,)
+            Light of the scenes for a budget of one photon.
+
+        Returns
+        -------
+        tensor
+        callable or None
+            None where each readout is counted for its usual time.
+        """
+        return rates, None
+
+    # Training
+
+    @classmethod
+    def begin(cls, job: Job, image_shape: tuple[int, ...], seed: torch.Generator) -> "MaskExposure":
+        """The exposure of a design that is to be trained on scenes of a shape."""
+        return cls()
+
+    def trained(self, masks: nn.Module, replica: int) -> "MaskExposure":
+        """The kind with what it keeps of the masks after a training of several replicas."""
+        return self
 
     def learned_masks(self, start: Tensor, camera: Camera, levels: int) -> LearnedMasks:
         """Masks that learn from a matrix (R, m, N), under the camera's light law."""
@@ -145,143 +655,13 @@ class TrainedExposure:
         # As the statistics of a training take it; None where all exposures are alike
         return None
 
-    def input_count(self, features: int) -> int:
-        """Number of the classifier's inputs for k features."""
-        return features
-
-    def tokens(self, image_shape: tuple[int, ...]) -> int:
-        """Number of parts of an image that are exposed by themselves."""
-        return prod(image_shape) // prod(self.mask_shape(image_shape))
-
-    def patch_axis(self, image_shape: tuple[int, ...]) -> tuple[int, ...]:
-        """Axis (P,) of counts that comes before those of a patch; none of whole images."""
-        return ()
-
-    def mask_shape(self, image_shape: tuple[int, ...]) -> tuple[int, ...]:
-        """Shape of a mask for images of a shape."""
-        return image_shape
-
-    def cut(self, scenes: Tensor, image_shape: tuple[int, ...]) -> Tensor:
-        """Scenes (..., N) as the masks see them."""
-        return scenes
-
-    def condition(self, inputs: Tensor, photons: Tensor | float) -> Tensor:
-        """Inputs of the classifier, from those of `Observation.inputs` and the budget."""
-        return inputs
-
-    def expose(
-        self, read: Read, rates: Tensor, photons: float, mean: Tensor, std: Tensor
-    ) -> Iterator[Observation]:
-        """Exposures at each stop: after each number of masks that do, or after each look."""
-        # rates (..., rails, m · D); mean, std (k,)
-        features = read(rates * photons, 1.0) / photons
-        masks = features.shape[-1] // self.width
-        for shown in range(self.fewest_masks(masks), masks + 1):
-            yield Observation(features[..., : shown * self.width])
-
-    def shown(self, rates: Tensor, seen: Observation) -> Tensor:
-        """Expected counts (..., rails, m · D) of an exposure for a budget of one photon."""
-        # rates (..., rails, m · D)
-        return rates
-
-    def expose_live(self, show: Show, mean: Tensor, std: Tensor) -> Iterator[Observation]:
-        """Exposures after each look at a camera, or `InputError` if dwells are fixed."""
-        # Parameters as for `expose`
-        raise InputError(
-            "the dwells of this design are fixed: show all masks and use `classify`, or learn a "
-            "design with {looks}",
-            setting="looks",
-        )
-
-    def compared(self, rails: int, readouts: int) -> tuple[tuple[int, int], int]:
-        """Readouts (rails, m) that counts are compared in, and looks; 0 of fixed dwells."""
-        return (rails, readouts), 0
-
-    def distribution(
-        self,
-        rates: Tensor,
-        lit: Tensor,
-        labels: np.ndarray,
-        classes: int,
-        detection: Detection,
-        mean: Tensor,
-        std: Tensor,
-    ) -> ReadoutDistribution | None:
-        """Distribution of the readouts of scenes, None if there are too few of a class."""
-        # rates (n, rails, m · D) as from `Design.rates`; lit (n,), the scenes' light for a budget
-        # of one photon; mean, std (k,)
-        return find_distribution(rates, labels, classes)
-
-    def fewest_masks(self, masks: int) -> int:
-        """Smallest number of first masks, of m, that can be classified alone."""
-        return masks
-
-    def count_stops(self, masks: int) -> int:
-        """Numbers of masks, of m, or of looks, after which an exposure can be classified."""
-        return masks - self.fewest_masks(masks) + 1
-
-    def stop_place(self, seen: Observation) -> Tensor | int:
-        """Place of an exposure so far among these numbers, from 0."""
-        masks = seen.features.shape[-1] // self.width
-        return masks - self.fewest_masks(masks)
-
-    def budget(self, photons: Tensor) -> Tensor:
-        """Budget (..., 1) of an exposure, of that of each of its parts."""
-        return photons
-
-    def using(self, used: float) -> "TrainedExposure":
-        """The kind for masks that take another share of the light law, see `used`."""
-        return self
-
-    def stops(self, rails: Rails, light: LightLawName) -> tuple[tuple[int, ...], np.ndarray]:
-        """Numbers of masks or looks after which an exposure may stop, and the share taken then."""
-        # Raises `InputError` if it may stop nowhere before its end, or that saves nothing
-        raise InputError(
-            "this design needs all its masks for an answer: learn nested ones with {nested}, or "
-            "several looks with {looks}",
-            setting=("nested", "looks"),
-        )
-
-    @property
-    def dwell_words(self) -> str:
-        """Words on `mask_dwells`."""
-        return "share of the exposure"
-
-    def mask_dwells(
-        self, rails: Rails, light: LightLawName, mean: Tensor, std: Tensor
-    ) -> Tensor | None:
-        """Share (m,) of the exposure that each mask is shown; None where the law has no dwells."""
-        # Of several looks those of the first, which are the same for every scene
-        if not LIGHT_LAWS[light].one_device:
-            return None
-        shares = light_law(light).used(rails.stacked)
-        return torch.diff(shares, prepend=shares.new_zeros(1))
-
-    def check_frames(self) -> None:
-        """Raise `InputError` unless frames of one device, or one graph, can expose so."""
-
-    def check_device(self) -> None:
-        """Raise `InputError` unless frames of one device can expose so."""
-        self.check_frames()
-
-    def check_noise(self, noise: str) -> None:
-        """Raise `InputError` unless the exposure can be tested under a noise."""
-
-    def check_alone(self) -> None:
-        """Raise `InputError` if counts of masks alone are not compared with the training."""
-
-    def check_dwell(self, given: bool) -> None:
-        """Raise `InputError` if dwells are given and not needed, or needed and not given."""
-        if given:
-            raise InputError(
-                "dwells go with a design that chooses them, and only with it: leave dwell out"
-            )
-
 
 @dataclass(frozen=True)
-class FixedExposure(TrainedExposure):
+class FixedExposure(MaskExposure):
     """Exposure of which all masks are needed, each with its own dwell."""
 
+    _: KW_ONLY
+    optics: TrainedMasks = UNTRAINED
     kind = "fixed"
 
     def entry(self) -> FixedEntry:
@@ -289,16 +669,31 @@ class FixedExposure(TrainedExposure):
         return FixedEntry()
 
 
+OF_PATCHES = (
+    "this design is of image patches, each with a detector of its own, which frames of one device "
+    "or one graph cannot: use Design.classify"
+)
+"""Why patches are not for frames, or a graph."""
+
+
 @dataclass(frozen=True)
-class PatchExposure(TrainedExposure):
+class PatchExposure(MaskExposure):
     """Exposure of fixed dwells, with a detector for each patch of an image.
 
     Features have the shape (..., P, m), and a budget is of the whole image.
     """
 
     side: int  # of a patch, pixels
+    _: KW_ONLY
+    optics: TrainedMasks = UNTRAINED
     kind = "patches"
     comparable: ClassVar[bool] = False
+    refusals: ClassVar[dict[Use, str]] = {
+        "frames": OF_PATCHES,
+        "graph": OF_PATCHES,
+        "page": "this design is of image patches, each with a detector of its own, and a page "
+        "shows one device: give a design of whole scenes",
+    }
 
     def entry(self) -> PatchesEntry:
         """Entry of the design file's header."""
@@ -312,31 +707,31 @@ class PatchExposure(TrainedExposure):
         assert isinstance(job.exposure, Patches)
         return cls(job.exposure.patch)
 
-    def check(self, rails: Rails, light: LightLawName, image_shape: tuple[int, ...]) -> None:
-        """Raise `ValueError` unless rails are of patches; parameters as for `Design`."""
-        height, width = image_shape
-        if rails.difference.shape[-1] != self.side**2 or height % self.side or width % self.side:
+    def check_masks(self) -> None:
+        """Raise `ValueError` unless the masks are of patches."""
+        height, width = self.image_shape
+        pixels = self.optics.rails.difference.shape[-1]
+        if pixels != self.side**2 or height % self.side or width % self.side:
             raise ValueError("masks are not of a patch")
 
-    def mask_shape(self, image_shape: tuple[int, ...]) -> tuple[int, ...]:
+    @property
+    def mask_shape(self) -> tuple[int, ...]:
         """Shape of a mask, that of a patch."""
         return self.side, self.side
 
-    def patch_axis(self, image_shape: tuple[int, ...]) -> tuple[int, ...]:
-        """Axis (P,) of counts, in which patches follow row by row."""
-        return (self.tokens(image_shape),)
+    def tokens(self, image_shape: tuple[int, ...]) -> int:
+        """Number of patches of an image."""
+        return prod(image_shape) // self.side**2
 
-    def cut(self, scenes: Tensor, image_shape: tuple[int, ...]) -> Tensor:
-        """Patches (..., P, N) of images (..., H · W), as the masks see them."""
-        return cut_patches(scenes, image_shape, self.side)
+    @property
+    def patch_axis(self) -> tuple[int, ...]:
+        """Axis (P,) of counts, in which patches follow row by row."""
+        return (self.tokens(self.image_shape),)
+
+    def rates(self, front: Scanner, scenes: Tensor) -> Tensor:
+        """Expected counts (..., P, rails, m) of the patches of images (..., H · W)."""
+        return super().rates(front, cut_patches(scenes, self.image_shape, self.side))
 
     def budget(self, photons: Tensor) -> Tensor:
         """Budget (..., 1) of an image: every patch has it."""
         return photons[..., 0, :] if photons.ndim > 1 else photons
-
-    def check_frames(self) -> None:
-        """Raise `InputError`: frames are for whole images."""
-        raise InputError(
-            "this design is of image patches, each with a detector of its own, which frames of "
-            "one device or one graph cannot: use Design.classify"
-        )

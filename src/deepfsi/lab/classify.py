@@ -552,7 +552,7 @@ class _CountedScenes:
             if view is None:
                 return *lines, NO_VIEW
             return (*lines, view.remark) if view.remark else lines
-        from deepfsi.design.clicks import full_gates
+        from deepfsi.physics import full_gates
 
         design = self.design
         photons = float(self.budgets[self._often > 0].mean())

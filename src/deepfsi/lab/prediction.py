@@ -162,7 +162,7 @@ def _predict(
     """Classes of pictures; parameters as of `predict`, with the camera's fields in `tested`."""
     import torch
 
-    from deepfsi.design.clicks import full_gates
+    from deepfsi.physics import full_gates
     from deepfsi.design.values import check_classes
     from deepfsi.evaluation.accuracy import camera_for, check_draws, scanner_for
 

@@ -1,5 +1,6 @@
 """Masks, light and noise: what the light does between a scene and the counts."""
 
+from deepfsi.physics.clicks import full_gates, to_training_light
 from deepfsi.physics.detection import ONE, Detection, Readouts
 from deepfsi.physics.laws import SLACK, frames, light_law, peak, signed_parts, through
 from deepfsi.physics.masks import FixedMasks, LearnedMasks
@@ -27,6 +28,7 @@ __all__ = [
     "ScenePath",
     "TrainingNoise",
     "frames",
+    "full_gates",
     "in_levels",
     "library_defaults",
     "light_law",
@@ -38,4 +40,5 @@ __all__ = [
     "root",
     "signed_parts",
     "through",
+    "to_training_light",
 ]

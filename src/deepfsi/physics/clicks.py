@@ -11,17 +11,10 @@ itself. The photons r± are those of the mean scene: of the mean M of y / G and 
 photons a gate, both over training scenes, r⁺ − r⁻ = 2 arsinh(M e^(S/2) / 2).
 """
 
-from dataclasses import replace
-from typing import TYPE_CHECKING
-
 import torch
 from torch import Tensor
 
 from deepfsi.base import Message
-
-if TYPE_CHECKING:
-    from deepfsi.design.design import Design
-    from deepfsi.exposure.trained import Observation
 
 LEAST_NOISE = 1e-30
 """Least ν over G, that of a readout that is dark."""
@@ -78,15 +71,3 @@ def to_training_light(
     (trained, noise), (now, noise_now) = moments(1.0), moments(ratio)
     gain = (noise / noise_now).sqrt().clamp(max=MOST_GAIN)
     return gain, trained - now * gain
-
-
-def at_training_light(
-    design: "Design", seen: "Observation", photons: Tensor | float
-) -> "Observation":
-    """An exposure as its clicks would be at the light of the training; photon counts stay."""
-    if design.gates is None:
-        return seen
-    trained, tokens = design.info["job"]["photons"], design.exposure.tokens(design.image_shape)
-    known = design.mean * trained, design.shares * trained / tokens, design.gates
-    gain, offset = to_training_light(photons / trained, *known)
-    return replace(seen, features=seen.features * gain + offset / trained)
