@@ -28,7 +28,7 @@ from torch.nn import functional
 
 from deepfsi.datasets import load_dataset
 from deepfsi.design.design import Design
-from deepfsi.evaluation.accuracy import evaluate
+from deepfsi.evaluation import evaluate
 from deepfsi.jobs import Job, Training
 from deepfsi.networks.classifiers import Mlp
 from deepfsi.physics import (

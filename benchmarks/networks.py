@@ -18,7 +18,7 @@ import torch
 from deepfsi.base import Moments
 from deepfsi.camera import Camera
 from deepfsi.datasets import load_dataset
-from deepfsi.evaluation.accuracy import evaluate
+from deepfsi.evaluation import evaluate
 from deepfsi.jobs import Fixed, Job, Looks, Training
 from deepfsi.training import draws as rules
 from deepfsi.training.learning import train

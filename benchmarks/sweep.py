@@ -26,7 +26,7 @@ from torch import nn
 
 from deepfsi.base import Moments
 from deepfsi.datasets import Dataset, from_arrays, load_dataset
-from deepfsi.evaluation.accuracy import evaluate
+from deepfsi.evaluation import evaluate
 from deepfsi.jobs import Job, Training
 from deepfsi.networks.classifiers import Mlp, Replicas
 from deepfsi.sweeps.context import SweepContext

@@ -21,7 +21,7 @@ from torch.utils.data import DataLoader, TensorDataset
 
 from deepfsi.base import Moments
 from deepfsi.datasets import Dataset, load_dataset
-from deepfsi.evaluation.accuracy import evaluate
+from deepfsi.evaluation import evaluate
 from deepfsi.jobs import Job, Training
 from deepfsi.training.learning import train
 from deepfsi.training.training_set import TrainingSet

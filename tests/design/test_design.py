@@ -19,7 +19,7 @@ from deepfsi import Camera, Design, evaluate
 from deepfsi.base import InputError
 from deepfsi.camera import share_out
 from deepfsi.designfile.header import DESIGN_SCHEMA
-from deepfsi.evaluation.accuracy import camera_for
+from deepfsi.evaluation import camera_for
 from deepfsi.exposure.trained import Observation
 from deepfsi.physics import Detection
 from deepfsi.training.learning import train

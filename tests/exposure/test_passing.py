@@ -10,9 +10,7 @@ import deepfsi
 from conftest import RECIPE, assert_moments, generator, synthetic
 from deepfsi import Design
 from deepfsi.base import InputError
-from deepfsi.evaluation.accuracy import scanner_for
-from deepfsi.evaluation.page_data import check_playable
-from deepfsi.evaluation.stopping import stop
+from deepfsi.evaluation import check_playable, scanner_for, stop
 from deepfsi.lab import design_rails
 from deepfsi.physics import FixedPattern
 from deepfsi.training.learning import train

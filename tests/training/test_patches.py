@@ -9,7 +9,7 @@ from deepfsi import Patches, Scanner
 from deepfsi.base import InputError
 from deepfsi.camera import photons_per_pixel
 from deepfsi.design.onnx import to_onnx
-from deepfsi.evaluation.stopping import stop
+from deepfsi.evaluation import stop
 from deepfsi.exposure.kinds import begin
 from deepfsi.jobs import DESIGNS as CODES
 from deepfsi.jobs import cut_patches

@@ -28,8 +28,7 @@ if TYPE_CHECKING:
     from deepfsi.datasets import Dataset
     from deepfsi.design.adaptive import AdaptiveDesign
     from deepfsi.design.design import Design
-    from deepfsi.evaluation.accuracy import Result
-    from deepfsi.evaluation.stopping import Stopped
+    from deepfsi.evaluation import Result, Stopped
     from deepfsi.jobs import Job
 
 
@@ -69,7 +68,7 @@ def design(
         out, paths.DESIGN_ENDINGS, force=True
     )  # one of the same settings may be replaced
     common.check_data(data, view)
-    from deepfsi.evaluation.accuracy import evaluate as test
+    from deepfsi.evaluation import evaluate as test
     from deepfsi.jobs import find_job
     from deepfsi.training.learning import learn
 
@@ -173,9 +172,8 @@ def evaluate(
     common.check_data(data, view)
     from deepfsi.camera import find_noise
     from deepfsi.design.design import Design
-    from deepfsi.evaluation.accuracy import camera_for
-    from deepfsi.evaluation.accuracy import evaluate as test
-    from deepfsi.evaluation.ideal import ideal_observer
+    from deepfsi.evaluation import camera_for, ideal_observer
+    from deepfsi.evaluation import evaluate as test
     from deepfsi.lab import data_of
     from deepfsi.training.training_set import find_device
 
@@ -262,8 +260,8 @@ def stop(
     common.check_data(data)
     from deepfsi.design.adaptive import load_design
     from deepfsi.design.design import Design
-    from deepfsi.evaluation.stopping import looks_of, with_rule
-    from deepfsi.evaluation.stopping import stop as run
+    from deepfsi.evaluation import looks_of, with_rule
+    from deepfsi.evaluation import stop as run
     from deepfsi.lab import data_of
     from deepfsi.training.training_set import find_device
 
@@ -437,7 +435,7 @@ def page(
     file = paths.check_design(file)
     paths.check_file(out, (".html",), force)
     common.check_data(data)
-    from deepfsi.evaluation.page_data import check_playable, playable
+    from deepfsi.evaluation import check_playable, playable
     from deepfsi.lab import data_of
     from deepfsi.report.playground.page import write_page
 

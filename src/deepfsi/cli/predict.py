@@ -50,7 +50,7 @@ def predict(
     if out is not None:
         paths.check_file(out, (".csv",), force)
     from deepfsi.base import write_atomically
-    from deepfsi.evaluation.accuracy import camera_for
+    from deepfsi.evaluation import camera_for
     from deepfsi.lab import predict as run
     from deepfsi.training.training_set import find_device
 

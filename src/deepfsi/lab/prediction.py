@@ -164,7 +164,7 @@ def _predict(
 
     from deepfsi.design.clicks import full_gates
     from deepfsi.design.values import check_classes
-    from deepfsi.evaluation.accuracy import camera_for, check_draws, scanner_for
+    from deepfsi.evaluation import camera_for, check_draws, scanner_for
 
     check_classes(design.values, "predict")
     check_draws(1, seed)

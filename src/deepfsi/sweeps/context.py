@@ -13,7 +13,7 @@ from deepfsi.base import SILENT, InputError, Progress
 from deepfsi.datasets import Dataset
 from deepfsi.design.adaptive import AnyDesign
 from deepfsi.design.design import Design
-from deepfsi.evaluation.accuracy import camera_for, evaluate
+from deepfsi.evaluation import camera_for, evaluate
 from deepfsi.networks.custom import OwnClassifier
 from deepfsi.sweeps.results import SCHEMA
 from deepfsi.sweeps.summary import terms_of

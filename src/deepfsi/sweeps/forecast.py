@@ -14,7 +14,7 @@ import torch
 from deepfsi.base import SILENT, Moments, Progress
 from deepfsi.camera import find_noise
 from deepfsi.datasets import Dataset
-from deepfsi.evaluation.accuracy import evaluate
+from deepfsi.evaluation import evaluate
 from deepfsi.jobs import Job
 from deepfsi.sweeps.context import Batch, SweepContext
 from deepfsi.sweeps.recipe import Recipe

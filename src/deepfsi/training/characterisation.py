@@ -15,12 +15,12 @@ from deepfsi.designfile import (
     Temperatures,
     calibration_budgets,
 )
-from deepfsi.evaluation.accuracy import scanner_for
-from deepfsi.evaluation.confidence import (
+from deepfsi.evaluation import (
     CalibrationScenes,
     Exposed,
     LeftOutTest,
     fit_temperatures,
+    scanner_for,
 )
 from deepfsi.exposure.readout_fit import sample_scenes
 from deepfsi.jobs import Job
