@@ -218,12 +218,6 @@ def test_scenes_may_have_any_shape(shape, design):
     assert evaluate(one, data, 1e7)[0].accuracy > 0.5
 
 
-@pytest.mark.skipif(torch.cuda.is_available(), reason="has a GPU")
-def test_a_missing_gpu_is_said(digits):
-    with pytest.raises(InputError, match="cuda is not here"):
-        TrainingSet(digits, "cuda")
-
-
 def test_learned_masks_beat_their_start_in_dim_light(digits):
     accuracy = [
         evaluate(quick(digits, design, 6, photons=1e3, epochs=15), digits, 1e3)[0].accuracy

@@ -175,12 +175,12 @@ def evaluate(
     from deepfsi.evaluation import camera_for, ideal_observer
     from deepfsi.evaluation import evaluate as test
     from deepfsi.lab import data_of
-    from deepfsi.training.training_set import find_device
+    from deepfsi.physics import torch_device
 
     budgets = options.numbers("photons", photons) or []
     told = {"noise": noise, "sigma": sigma, "dark": dark}
     told = {name: value for name, value in told.items() if value is not None}
-    made = common.open_any(file, trust).to(find_device(device))
+    made = common.open_any(file, trust).to(torch_device(device))
     camera = camera_for(made, None, **told)
     options.check_sigma(told, [camera.noise_name])
     if ideal and not find_noise(camera.noise).exact:
@@ -263,10 +263,10 @@ def stop(
     from deepfsi.evaluation import looks_of, with_rule
     from deepfsi.evaluation import stop as run
     from deepfsi.lab import data_of
-    from deepfsi.training.training_set import find_device
+    from deepfsi.physics import torch_device
 
     budget = options.number("photons", photons)
-    made = load_design(file, find_device(device), trust=trust)
+    made = load_design(file, torch_device(device), trust=trust)
     if out is not None and isinstance(made, Design):
         looks_of(made)
     scenes, notes = data_of(made, data, options.size_of(size))

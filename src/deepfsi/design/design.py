@@ -40,6 +40,7 @@ from deepfsi.physics import (
     Scanner,
     library_defaults,
     light_law,
+    torch_device,
 )
 
 
@@ -375,7 +376,8 @@ class Design:
         return rails if self.rails.count == 2 else rails.squeeze(-1 - len(self.counts_shape))
 
     def to(self, device: str | torch.device) -> Self:
-        """Move to a device; returns self."""
+        """Move to a device, such as ``"cuda:1"``; returns self."""
+        device = torch_device(device)
         for name in ("rails", "classifier", "mean", "std", "shares", "exposure"):
             setattr(self, name, getattr(self, name).to(device))
         self.values = self.values and self.values.to(device)

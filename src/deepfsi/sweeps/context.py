@@ -50,7 +50,11 @@ class SweepContext:
     """Work on the trials of a sweep, and what it needs; matrix (m, N)."""
 
     def __init__(
-        self, data: Dataset, held_out: int, device: str = "auto", matrix: np.ndarray | None = None
+        self,
+        data: Dataset,
+        held_out: int,
+        device: str | torch.device = "auto",
+        matrix: np.ndarray | None = None,
     ) -> None:
         self.data, self.held_out, self.device, self.matrix = data, held_out, device, matrix
         self.matrices: Matrices = {}

@@ -56,7 +56,7 @@ def forecast_cost(
     recipe: Recipe,
     data: Dataset,
     folder: Path,
-    device: str = "auto",
+    device: str | torch.device = "auto",
     workers: int | None = None,
     report: Progress = SILENT,
 ) -> Forecast:
@@ -75,7 +75,7 @@ def _forecast(
     recipe: Recipe,
     data: Dataset,
     folder: Path,
-    device: str,
+    device: str | torch.device,
     workers: int | None,
     report: Progress,
 ) -> Forecast:

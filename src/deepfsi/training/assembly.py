@@ -80,7 +80,7 @@ def design_of(
         training_scenes=TrainingScenes.of(scenes),
     )
     del design.info["job"]["training"], design.info["seconds"]  # not known of a training elsewhere
-    characterise(TrainingSet(scenes, rails.device.type), [job], [design])
+    characterise(TrainingSet(scenes, rails.device), [job], [design])
     return design
 
 

@@ -58,7 +58,7 @@ def learn(
     *,
     counts: float | None = None,
     matrix: np.ndarray | None = None,
-    device: str = "auto",
+    device: str | torch.device = "auto",
     report: Progress | None = None,
     checkpoint: str | os.PathLike[str] | None = None,
     **settings: Any,
@@ -75,7 +75,8 @@ def learn(
         masks learn to count no more of that budget, see `training.counts`.
     matrix : array, shape (m, N), optional
         Your own sensing matrix, for ``design="custom"``.
-    device : {"auto", "cpu", "cuda"}
+    device : str or torch.device
+        Such as ``"cuda:1"`` (`physics.torch_device`).
     report : Report, optional
         Where to say how far the training is; a bar where a terminal is attached unless given.
     checkpoint : path, optional

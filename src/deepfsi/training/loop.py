@@ -147,7 +147,7 @@ def _generators(
     if settings.is_custom:
         generators.append(torch.default_generator)
         if device.type == "cuda":
-            generators.append(torch.cuda.default_generators[torch.cuda.current_device()])
+            generators.append(torch.cuda.default_generators[device.index])
     return generators
 
 
