@@ -16,7 +16,6 @@ from deepfsi.base.numeric import mask_picture
 from deepfsi.camera import LIGHT_LAWS, Camera, LightLawName, check_budget
 from deepfsi.design import check_counts, clicks
 from deepfsi.design import file as artifact_file
-from deepfsi.design.values import Values, check_classes
 from deepfsi.designfile import (
     ConsistencyResult,
     DesignFile,
@@ -32,6 +31,7 @@ from deepfsi.exposure.looks import Dwells, LooksExposure
 from deepfsi.exposure.temperatures import temperatures_at
 from deepfsi.exposure.trained import FixedExposure, Observation, TrainedExposure
 from deepfsi.networks.custom import Given, OwnClassifier, rebuilt
+from deepfsi.networks.values import Values, check_classes
 from deepfsi.physics import (
     ONE,
     Detection,

@@ -10,7 +10,6 @@ from torch import Tensor, nn
 
 from deepfsi.base import InputError
 from deepfsi.camera import DetectorMap
-from deepfsi.design.values import Values
 from deepfsi.designfile import CustomEntry, DesignFile, MaskHeader, damaged_design
 from deepfsi.exposure.conditioned import ConditionedExposure
 from deepfsi.exposure.looks import LooksExposure
@@ -18,6 +17,7 @@ from deepfsi.exposure.passing import PassingExposure
 from deepfsi.exposure.trained import FixedExposure, PatchExposure, TrainedExposure
 from deepfsi.networks.classifiers import Mlp, Vit, restored
 from deepfsi.networks.custom import OwnClassifier
+from deepfsi.networks.values import Values
 from deepfsi.physics import Detection, Rails, light_law
 
 if TYPE_CHECKING:

@@ -163,8 +163,8 @@ def _predict(
     import torch
 
     from deepfsi.design.clicks import full_gates
-    from deepfsi.design.values import check_classes
     from deepfsi.evaluation import camera_for, check_draws, scanner_for
+    from deepfsi.networks.values import check_classes
 
     check_classes(design.values, "predict")
     check_draws(1, seed)

@@ -14,6 +14,7 @@ from deepfsi.datasets import Dataset
 from deepfsi.design.adaptive import AnyDesign
 from deepfsi.design.design import Design
 from deepfsi.evaluation import camera_for, evaluate
+from deepfsi.exposure.training_set import Matrices, TrainingSet
 from deepfsi.networks.custom import OwnClassifier
 from deepfsi.sweeps.results import SCHEMA
 from deepfsi.sweeps.summary import terms_of
@@ -21,7 +22,6 @@ from deepfsi.sweeps.trial import Trial
 from deepfsi.training.batches import check_fits, footprint, memory_for
 from deepfsi.training.checkpoint import NO_CHECKPOINT, Checkpoint
 from deepfsi.training.learning import Diverged, companions, train
-from deepfsi.training.training_set import Matrices, TrainingSet
 
 MASKS_AT_ONCE = 2048
 """Learned masks that a processor trains together: with more its caches lose what batching gains."""

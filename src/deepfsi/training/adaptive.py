@@ -17,10 +17,10 @@ from deepfsi.exposure.adaptive import prior_of
 from deepfsi.exposure.misfit import BUDGETS, LEAST_SCENES, MOST_SCENES, UsualMisfit, measure
 from deepfsi.exposure.posterior import LookOptics
 from deepfsi.exposure.prior import ScenePrior
+from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.jobs import AdaptiveMasks, Job
 from deepfsi.training.folds import DOUBT, calibrated, folds_of
 from deepfsi.training.info import provenance
-from deepfsi.training.training_set import TrainingSet
 
 
 def adaptive_designs(

@@ -9,14 +9,14 @@ from deepfsi.base import InputError
 from deepfsi.camera import Camera, LightLawName, check_budget, summed_reflectance
 from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.design import Design
-from deepfsi.design.values import Values
 from deepfsi.designfile import TrainingScenes
+from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.jobs import Job
 from deepfsi.networks.custom import OwnClassifier, make
+from deepfsi.networks.values import Values
 from deepfsi.physics import LearnedMasks, Rails, Scanner, library_defaults, light_law
 from deepfsi.training.characterisation import characterise
 from deepfsi.training.info import provenance
-from deepfsi.training.training_set import TrainingSet
 
 
 @library_defaults(grad=True)

@@ -13,8 +13,11 @@ from deepfsi.camera import check_budget
 from deepfsi.datasets import Source, as_dataset
 from deepfsi.design.adaptive import AnyDesign
 from deepfsi.design.design import Design
+from deepfsi.exposure.draws import dtypes
 from deepfsi.exposure.kinds import begin
+from deepfsi.exposure.statistics import feature_statistics
 from deepfsi.exposure.trained import TrainedExposure
+from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.jobs import Job, find_job
 from deepfsi.physics import (
     Detection,
@@ -32,14 +35,11 @@ from deepfsi.training.batches import check_fits
 from deepfsi.training.characterisation import characterise
 from deepfsi.training.checkpoint import NO_CHECKPOINT, Checkpoint
 from deepfsi.training.counts import train_for_counts
-from deepfsi.training.draws import dtypes
 from deepfsi.training.folds import folds_of
 from deepfsi.training.info import detector_shares, provenance
 from deepfsi.training.loop import Classifier, optimise
 from deepfsi.training.masks import final_masks, initial_masks
 from deepfsi.training.passing import passing_statistics
-from deepfsi.training.statistics import feature_statistics
-from deepfsi.training.training_set import TrainingSet
 
 REMEDY = "lower lr and mask_lr, or try another seed or more photons"
 """What to do where a training diverged."""

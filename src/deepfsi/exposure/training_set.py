@@ -8,7 +8,6 @@ from torch import Tensor
 
 from deepfsi.camera import LIGHT_LAWS, ONE_DETECTOR, DetectorMap, LightLawName, summed_reflectance
 from deepfsi.datasets import Dataset
-from deepfsi.design.values import Values
 from deepfsi.designfile import TrainingScenes
 from deepfsi.jobs import (
     DESIGNS,
@@ -17,6 +16,7 @@ from deepfsi.jobs import (
     count_allowed,
     sensing_matrix,
 )
+from deepfsi.networks.values import Values
 from deepfsi.physics import Detection, torch_device
 
 Matrices = dict[tuple[str, int, int, tuple[int, ...] | None], np.ndarray]
