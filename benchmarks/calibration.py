@@ -22,8 +22,7 @@ from scipy.special import softmax
 import deepfsi
 from deepfsi.datasets import Dataset
 from deepfsi.design.adaptive import AdaptiveDesign
-from deepfsi.evaluation.accuracy import scanner_for
-from deepfsi.evaluation.confidence import chance_error, confidence_error, logits_at_stops
+from deepfsi.evaluation import chance_error, confidence_error, logits_at_stops, scanner_for
 from deepfsi.exposure.temperatures import stop_temperatures
 from deepfsi.jobs import Job
 from deepfsi.training.characterisation import find_temperatures

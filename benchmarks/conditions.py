@@ -18,7 +18,7 @@ import torch
 from deepfsi.camera import summed_reflectance
 from deepfsi.datasets import Dataset, ambient, jitter, load_dataset
 from deepfsi.design.design import Design
-from deepfsi.evaluation.accuracy import evaluate
+from deepfsi.evaluation import evaluate
 from deepfsi.training.learning import learn
 
 STRAY = 1.0

@@ -28,7 +28,8 @@ from torch.nn import functional
 
 from deepfsi.datasets import load_dataset
 from deepfsi.design.design import Design
-from deepfsi.evaluation.accuracy import evaluate
+from deepfsi.evaluation import evaluate
+from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.jobs import Job, Training
 from deepfsi.networks.classifiers import Mlp
 from deepfsi.physics import (
@@ -40,7 +41,6 @@ from deepfsi.physics import (
     ml_gauss_features,
     project,
 )
-from deepfsi.training.training_set import TrainingSet
 
 GRID = ((1e-2, 0.03), (1e-2, 0.1), (1e-2, 0.3), (5e-3, 0.1))
 """Learning rates of classifier and masks to choose from."""

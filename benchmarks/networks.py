@@ -18,11 +18,11 @@ import torch
 from deepfsi.base import Moments
 from deepfsi.camera import Camera
 from deepfsi.datasets import load_dataset
-from deepfsi.evaluation.accuracy import evaluate
+from deepfsi.evaluation import evaluate
+from deepfsi.exposure import draws as rules
+from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.jobs import Fixed, Job, Looks, Training
-from deepfsi.training import draws as rules
 from deepfsi.training.learning import train
-from deepfsi.training.training_set import TrainingSet
 
 TYPES = {"float32": 10**9, "bfloat16": 0}
 """Units from which networks are in bfloat16: for none, and for all."""

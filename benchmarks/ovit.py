@@ -22,12 +22,12 @@ from torch.utils.data import DataLoader, TensorDataset
 
 from deepfsi.base import Moments, Progress
 from deepfsi.datasets import Dataset, from_arrays
+from deepfsi.exposure.draws import network_dtype
 from deepfsi.exposure.kinds import begin
+from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.jobs import Job, Patches, sensing_matrix
 from deepfsi.networks.classifiers import Vit
-from deepfsi.training.draws import network_dtype
 from deepfsi.training.learning import train
-from deepfsi.training.training_set import TrainingSet
 from deepfsi_paper.studies import find
 
 BUDGET, CLASSES = 1e4, 10

@@ -22,7 +22,7 @@ from selenium.webdriver.chrome.service import Service
 
 from deepfsi.datasets import from_arrays
 from deepfsi.design.design import Design
-from deepfsi.evaluation.page_data import playable
+from deepfsi.evaluation import playable
 from deepfsi.networks.classifiers import Mlp
 from deepfsi.physics import Detection, Rails, light_law
 from deepfsi.report.playground.page import write_page

@@ -40,7 +40,7 @@ from deepfsi.base.numeric import wilson
 from deepfsi.camera import LightLawName, summed_reflectance
 from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.design.design import Design
-from deepfsi.evaluation.accuracy import evaluate, scanner_for
+from deepfsi.evaluation import evaluate, scanner_for
 from deepfsi.physics import light_law
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.results import Point

@@ -13,12 +13,12 @@ from torch.nn import functional
 from conftest import generator, quick
 from deepfsi import Mlp
 from deepfsi.exposure.kinds import begin
+from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.hardware.patterns import unpack
 from deepfsi.hardware.patterns.frames import recount
 from deepfsi.jobs import Job, Training
 from deepfsi.physics.noise import attach_gradient
 from deepfsi.training.learning import train
-from deepfsi.training.training_set import TrainingSet
 from shared.benchmarks import benchmark
 
 DRAWS = 400_000

@@ -21,10 +21,10 @@ if TYPE_CHECKING:
     from deepfsi.design.adaptive import AdaptiveDesign as AdaptiveDesign
     from deepfsi.design.adaptive import load_design as load_design
     from deepfsi.design.design import Design as Design
-    from deepfsi.evaluation.accuracy import Result as Result
-    from deepfsi.evaluation.accuracy import evaluate as evaluate
-    from deepfsi.evaluation.ideal import IdealObserver as IdealObserver
-    from deepfsi.evaluation.ideal import ideal_observer as ideal_observer
+    from deepfsi.evaluation import IdealObserver as IdealObserver
+    from deepfsi.evaluation import Result as Result
+    from deepfsi.evaluation import evaluate as evaluate
+    from deepfsi.evaluation import ideal_observer as ideal_observer
     from deepfsi.jobs import Fixed as Fixed
     from deepfsi.jobs import Job as Job
     from deepfsi.jobs import Looks as Looks
@@ -51,7 +51,7 @@ _HOMES = {
     "Dataset": "datasets",
     "Design": "design.design",
     "Fixed": "jobs",
-    "IdealObserver": "evaluation.ideal",
+    "IdealObserver": "evaluation",
     "InputError": "base.errors",
     "Job": "jobs",
     "Looks": "jobs",
@@ -61,15 +61,15 @@ _HOMES = {
     "Passing": "jobs",
     "Patches": "jobs",
     "Range": "jobs",
-    "Result": "evaluation.accuracy",
+    "Result": "evaluation",
     "Scanner": "physics",
     "Training": "jobs",
     "classify_run": "lab",
     "classify_table": "lab",
     "design_of": "training.assembly",
-    "evaluate": "evaluation.accuracy",
+    "evaluate": "evaluation",
     "from_arrays": "datasets",
-    "ideal_observer": "evaluation.ideal",
+    "ideal_observer": "evaluation",
     "learn": "training.learning",
     "load_dataset": "datasets",
     "load_design": "design.adaptive",

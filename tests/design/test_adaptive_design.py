@@ -8,7 +8,7 @@ import torch
 
 from deepfsi import AdaptiveDesign, Camera, evaluate, learn, load_design
 from deepfsi.base import InputError
-from deepfsi.evaluation.stopping import stop
+from deepfsi.evaluation import stop
 from shared.design_files import header_of, rewrite
 
 LOOKS, PHOTONS, HELD_OUT = 6, 1e4, 200

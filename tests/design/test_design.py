@@ -19,11 +19,11 @@ from deepfsi import Camera, Design, evaluate
 from deepfsi.base import InputError
 from deepfsi.camera import share_out
 from deepfsi.designfile.header import DESIGN_SCHEMA
-from deepfsi.evaluation.accuracy import camera_for
+from deepfsi.evaluation import camera_for
 from deepfsi.exposure.trained import Observation
+from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.physics import Detection
 from deepfsi.training.learning import train
-from deepfsi.training.training_set import TrainingSet
 from shared import vectors
 from shared.design_files import refused, rewrite
 from shared.jobs import job

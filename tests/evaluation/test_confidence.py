@@ -11,15 +11,8 @@ from conftest import quick
 from deepfsi import Design, evaluate
 from deepfsi.base import InputError
 from deepfsi.designfile import Temperatures, calibration_budgets
-from deepfsi.evaluation.confidence import (
-    BINS,
-    CalibrationScenes,
-    Exposed,
-    calibration_error,
-    confidence_groups,
-    fit_temperatures,
-    logits_at_stops,
-)
+from deepfsi.evaluation import CalibrationScenes, Exposed, fit_temperatures, logits_at_stops
+from deepfsi.evaluation.confidence import BINS, calibration_error, confidence_groups
 from deepfsi.exposure.temperatures import stop_temperatures
 from deepfsi.jobs import Job
 from deepfsi.training.characterisation import find_temperatures

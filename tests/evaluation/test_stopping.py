@@ -10,8 +10,7 @@ from conftest import generator, quick
 from deepfsi import evaluate
 from deepfsi.base import InputError
 from deepfsi.camera import StopRule
-from deepfsi.evaluation import stopping
-from deepfsi.evaluation.stopping import stop
+from deepfsi.evaluation import stop, stopping
 from deepfsi.physics import ONE
 
 HELD_OUT = 400

@@ -14,13 +14,13 @@ from torch import Tensor
 from conftest import generator, once, quick
 from deepfsi import Scanner, evaluate
 from deepfsi.datasets import from_arrays
+from deepfsi.exposure.draws import seed_streams
 from deepfsi.exposure.kinds import begin
+from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.networks.classifiers import Replicas
 from deepfsi.physics import Detection
-from deepfsi.training.draws import seed_streams
 from deepfsi.training.features import features_of
 from deepfsi.training.masks import initial_masks
-from deepfsi.training.training_set import TrainingSet
 from shared.jobs import job
 from shared.noises import training_noise
 

@@ -10,14 +10,12 @@ import deepfsi
 from conftest import RECIPE, assert_moments, generator, synthetic
 from deepfsi import Design
 from deepfsi.base import InputError
-from deepfsi.evaluation.accuracy import scanner_for
-from deepfsi.evaluation.page_data import check_playable
-from deepfsi.evaluation.stopping import stop
+from deepfsi.evaluation import check_playable, scanner_for, stop
+from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.lab import design_rails
 from deepfsi.physics import FixedPattern
 from deepfsi.training.learning import train
 from deepfsi.training.passing import passing_statistics
-from deepfsi.training.training_set import TrainingSet
 from shared.design_files import refused, rewrite
 from shared.noises import training_noise
 

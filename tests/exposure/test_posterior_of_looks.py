@@ -11,11 +11,11 @@ from conftest import RECIPE
 from deepfsi import Design, evaluate
 from deepfsi.base import InputError
 from deepfsi.datasets import Dataset, from_arrays
-from deepfsi.evaluation.stopping import StoppingRule
+from deepfsi.evaluation import StoppingRule
 from deepfsi.exposure.looks import Dwells, LooksExposure
+from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.physics import SLACK, Rails, light_law
 from deepfsi.training.learning import train
-from deepfsi.training.training_set import TrainingSet
 from shared.design_files import refused, rewrite
 from shared.jobs import job, learn
 

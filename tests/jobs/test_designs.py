@@ -10,6 +10,7 @@ import torch
 
 from conftest import FIXED, FLOAT32, synthetic
 from deepfsi.base import InputError
+from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.jobs import (
     DESIGNS,
     check_count,
@@ -28,7 +29,6 @@ from deepfsi.jobs.designs import (
     sequency_hadamard,
 )
 from deepfsi.physics import light_law
-from deepfsi.training.training_set import TrainingSet
 
 
 def sequencies(mask: np.ndarray) -> tuple[int, int]:

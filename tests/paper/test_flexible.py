@@ -5,7 +5,7 @@ from dataclasses import asdict
 import numpy as np
 import pytest
 
-from deepfsi.evaluation.stopping import Estimate, Stopped, StoppingRule
+from deepfsi.evaluation import Estimate, Stopped, StoppingRule
 from deepfsi_paper.flexible import claims as flexible
 from deepfsi_paper.flexible.measures import Measures, Prefix
 from shared.results import a_point, some_results

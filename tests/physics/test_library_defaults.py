@@ -9,8 +9,7 @@ from PIL import Image
 
 import deepfsi
 from deepfsi.design.onnx import to_onnx
-from deepfsi.evaluation.page_data import playable
-from deepfsi.evaluation.stopping import stop
+from deepfsi.evaluation import playable, stop
 from deepfsi.hardware.counting import TableSettings
 from deepfsi.lab.adaptive_looks import adaptive_rails
 from deepfsi.sweeps.recipe import Recipe

@@ -11,9 +11,9 @@ from selenium.webdriver.common.by import By
 
 from conftest import generator, synthetic
 from deepfsi import Camera, evaluate, learn
+from deepfsi.evaluation import StoppingRule, of_page, playable, with_rule
 from deepfsi.evaluation import page_data as payload
-from deepfsi.evaluation.page_data import few_tests, of_page, playable
-from deepfsi.evaluation.stopping import StoppingRule, with_rule
+from deepfsi.evaluation.page_data import few_tests
 from deepfsi.exposure import choice
 from deepfsi.exposure.adaptive import prior_of
 from deepfsi.exposure.posterior import AdaptivePosterior, LookOptics

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from conftest import quick
-from deepfsi.evaluation.page_data import playable
+from deepfsi.evaluation import playable
 from deepfsi.report.playground.page import write_page
 from shared.playground import DARK, DARK_KINDS, ask, open_playground
 

@@ -9,7 +9,7 @@ from selenium.webdriver.common.by import By
 from conftest import quick, synthetic
 from deepfsi import learn
 from deepfsi.evaluation import page_data as payload
-from deepfsi.evaluation.page_data import playable
+from deepfsi.evaluation import playable
 from deepfsi.report.playground.page import write_page
 from shared.browser import CONTRASTS, CUT, OVERFLOW, look, requests_of
 from shared.playground import KINDS, ask, open_playground, outside

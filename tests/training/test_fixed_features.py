@@ -7,10 +7,10 @@ import torch
 from torch.profiler import ProfilerActivity, profile
 
 from deepfsi.datasets import Dataset
+from deepfsi.exposure.draws import SeedStream
+from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.physics import Detection, FixedMasks, TrainingNoise, light_law
-from deepfsi.training.draws import SeedStream
 from deepfsi.training.features import FixedFeatures
-from deepfsi.training.training_set import TrainingSet
 from shared.noises import training_noise
 
 BATCH, MASKS = 50, 8

@@ -21,9 +21,9 @@ from conftest import (
 )
 from deepfsi import evaluate
 from deepfsi.base import InputError
+from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.physics import light_law
 from deepfsi.training.learning import train
-from deepfsi.training.training_set import TrainingSet
 from shared.jobs import job as job_of
 from shared.jobs import learn
 
@@ -216,12 +216,6 @@ def test_scenes_may_have_any_shape(shape, design):
     one = quick(data, design, photons=1e7, epochs=30, batch=16)
     assert one.image_shape == shape
     assert evaluate(one, data, 1e7)[0].accuracy > 0.5
-
-
-@pytest.mark.skipif(torch.cuda.is_available(), reason="has a GPU")
-def test_a_missing_gpu_is_said(digits):
-    with pytest.raises(InputError, match="cuda is not here"):
-        TrainingSet(digits, "cuda")
 
 
 def test_learned_masks_beat_their_start_in_dim_light(digits):

@@ -11,8 +11,7 @@ from scipy.special import softmax
 from deepfsi import AdaptiveDesign, evaluate, learn
 from deepfsi.base import InputError
 from deepfsi.designfile import Temperatures
-from deepfsi.evaluation.accuracy import scanner_for
-from deepfsi.evaluation.confidence import fit_temperatures, logits_at_stops
+from deepfsi.evaluation import fit_temperatures, logits_at_stops, scanner_for
 from deepfsi.exposure.choice import next_masks
 from deepfsi.exposure.posterior import AdaptivePosterior, LookOptics
 from deepfsi.exposure.temperatures import stop_temperatures

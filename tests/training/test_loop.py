@@ -12,11 +12,11 @@ import torch
 from conftest import RECIPE, every_optics, quick, same, synthetic
 from deepfsi import Design, Mlp, evaluate
 from deepfsi.base import Progress
+from deepfsi.exposure.draws import BFLOAT16_WIDTH
+from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.networks.classifiers import Replicas
 from deepfsi.training import loop, masks
-from deepfsi.training.draws import BFLOAT16_WIDTH
 from deepfsi.training.learning import train
-from deepfsi.training.training_set import TrainingSet
 from shared.jobs import job as job_of
 
 pytestmark = pytest.mark.usefixtures("trained_once")

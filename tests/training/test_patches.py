@@ -9,14 +9,14 @@ from deepfsi import Patches, Scanner
 from deepfsi.base import InputError
 from deepfsi.camera import photons_per_pixel
 from deepfsi.design.onnx import to_onnx
-from deepfsi.evaluation.stopping import stop
+from deepfsi.evaluation import stop
 from deepfsi.exposure.kinds import begin
+from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.jobs import DESIGNS as CODES
 from deepfsi.jobs import cut_patches
 from deepfsi.physics import FixedMasks, LearnedMasks
 from deepfsi.training.learning import train
 from deepfsi.training.masks import initial_masks
-from deepfsi.training.training_set import TrainingSet
 from shared.design_files import refused, rewrite
 from shared.jobs import job, learn
 

@@ -11,7 +11,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import deepfsi
-from deepfsi.evaluation.bounds import cramer_rao
+from deepfsi.evaluation import cramer_rao
 from deepfsi.report.style import COLOURS, photons_text
 
 # %%

@@ -28,8 +28,7 @@ if TYPE_CHECKING:
     from deepfsi.datasets import Dataset
     from deepfsi.design.adaptive import AdaptiveDesign
     from deepfsi.design.design import Design
-    from deepfsi.evaluation.accuracy import Result
-    from deepfsi.evaluation.stopping import Stopped
+    from deepfsi.evaluation import Result, Stopped
     from deepfsi.jobs import Job
 
 
@@ -69,7 +68,7 @@ def design(
         out, paths.DESIGN_ENDINGS, force=True
     )  # one of the same settings may be replaced
     common.check_data(data, view)
-    from deepfsi.evaluation.accuracy import evaluate as test
+    from deepfsi.evaluation import evaluate as test
     from deepfsi.jobs import find_job
     from deepfsi.training.learning import learn
 
@@ -173,16 +172,15 @@ def evaluate(
     common.check_data(data, view)
     from deepfsi.camera import find_noise
     from deepfsi.design.design import Design
-    from deepfsi.evaluation.accuracy import camera_for
-    from deepfsi.evaluation.accuracy import evaluate as test
-    from deepfsi.evaluation.ideal import ideal_observer
+    from deepfsi.evaluation import camera_for, ideal_observer
+    from deepfsi.evaluation import evaluate as test
     from deepfsi.lab import data_of
-    from deepfsi.training.training_set import find_device
+    from deepfsi.physics import torch_device
 
     budgets = options.numbers("photons", photons) or []
     told = {"noise": noise, "sigma": sigma, "dark": dark}
     told = {name: value for name, value in told.items() if value is not None}
-    made = common.open_any(file, trust).to(find_device(device))
+    made = common.open_any(file, trust).to(torch_device(device))
     camera = camera_for(made, None, **told)
     options.check_sigma(told, [camera.noise_name])
     if ideal and not find_noise(camera.noise).exact:
@@ -262,13 +260,13 @@ def stop(
     common.check_data(data)
     from deepfsi.design.adaptive import load_design
     from deepfsi.design.design import Design
-    from deepfsi.evaluation.stopping import looks_of, with_rule
-    from deepfsi.evaluation.stopping import stop as run
+    from deepfsi.evaluation import looks_of, with_rule
+    from deepfsi.evaluation import stop as run
     from deepfsi.lab import data_of
-    from deepfsi.training.training_set import find_device
+    from deepfsi.physics import torch_device
 
     budget = options.number("photons", photons)
-    made = load_design(file, find_device(device), trust=trust)
+    made = load_design(file, torch_device(device), trust=trust)
     if out is not None and isinstance(made, Design):
         looks_of(made)
     scenes, notes = data_of(made, data, options.size_of(size))
@@ -437,7 +435,7 @@ def page(
     file = paths.check_design(file)
     paths.check_file(out, (".html",), force)
     common.check_data(data)
-    from deepfsi.evaluation.page_data import check_playable, playable
+    from deepfsi.evaluation import check_playable, playable
     from deepfsi.lab import data_of
     from deepfsi.report.playground.page import write_page
 

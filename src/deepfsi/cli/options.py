@@ -45,7 +45,9 @@ View = Annotated[
     Path | None,
     typer.Option(help="folder of a camera's calibration: take the scenes as this camera sees them"),
 ]
-Device = Annotated[str, typer.Option(help="auto, cpu or cuda")]
+Device = Annotated[
+    str, typer.Option(help="auto, cpu, cuda, one of several GPUs such as cuda:1, or mps")
+]
 Workers = Annotated[
     int | None, typer.Option(min=1, help="processes; one for each core unless given")
 ]

@@ -50,14 +50,14 @@ def predict(
     if out is not None:
         paths.check_file(out, (".csv",), force)
     from deepfsi.base import write_atomically
-    from deepfsi.evaluation.accuracy import camera_for
+    from deepfsi.evaluation import camera_for
     from deepfsi.lab import predict as run
-    from deepfsi.training.training_set import find_device
+    from deepfsi.physics import torch_device
 
     budget = None if photons is None else options.number("photons", photons)
     told: dict[str, Any] = {"noise": noise, "sigma": sigma, "dark": dark}
     told = {name: value for name, value in told.items() if value is not None}
-    made = common.open_design(file, trust).to(find_device(device))
+    made = common.open_design(file, trust).to(torch_device(device))
     options.check_sigma(told, [camera_for(made, None, **told).noise_name])
     with common.progress("predict", quiet=as_json):
         found = run(made, pictures, budget, seed=seed, skip_bad=skip_bad, **told)

@@ -10,8 +10,7 @@ from deepfsi.cli import common
 
 if TYPE_CHECKING:
     from deepfsi.design.adaptive import AnyDesign
-    from deepfsi.evaluation.accuracy import Result
-    from deepfsi.evaluation.estimation import Estimates
+    from deepfsi.evaluation import Estimates, Result
 
 
 FEW_CLASSES = 5
@@ -20,7 +19,7 @@ FEW_CLASSES = 5
 
 def score(result: "Result | Estimates") -> str:
     """Test accuracy, area under the ROC curve of two classes, or R² of values."""
-    from deepfsi.evaluation.estimation import Estimates
+    from deepfsi.evaluation import Estimates
 
     if isinstance(result, Estimates):
         return f"R² {common.share(result.r2, result.low, result.high)}"
@@ -29,7 +28,7 @@ def score(result: "Result | Estimates") -> str:
 
 def details(result: "Result | Estimates", classes: Sequence[str]) -> str:
     """Test of each class in words, or of each value."""
-    from deepfsi.evaluation.estimation import Estimates
+    from deepfsi.evaluation import Estimates
 
     if isinstance(result, Estimates):
         errors = (common.error(*each) for each in zip_longest(result.rmse, result.bound or ()))
@@ -50,8 +49,8 @@ def counts_text(result: "Result") -> str:
 
 def print_full_gates(made: "AnyDesign", results: "Sequence[Result | Estimates]") -> None:
     """Say at which budgets nearly all gates click, so that clicks tell little of a scene."""
-    from deepfsi.physics import full_gates
     from deepfsi.design.design import Design
+    from deepfsi.physics import full_gates
 
     if not isinstance(made, Design) or made.gates is None:
         return

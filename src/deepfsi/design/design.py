@@ -11,12 +11,11 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from deepfsi.base import DESIGN_ENDINGS, InputError, as_input_error, check_ending, write_atomically
+from deepfsi.base import DESIGN_ENDINGS, InputError, check_ending, write_atomically
 from deepfsi.base.numeric import mask_picture
-from deepfsi.camera import LIGHT_LAWS, Camera, LightLawName, check_budget
-from deepfsi.design import check_counts, clicks
-from deepfsi.design import file as artifact_file
-from deepfsi.design.values import Values, check_classes
+from deepfsi.camera import Camera, LightLawName, check_budget
+from deepfsi.design import check_counts
+from deepfsi.design.file import fields_of, file_of
 from deepfsi.designfile import (
     ConsistencyResult,
     DesignFile,
@@ -25,51 +24,40 @@ from deepfsi.designfile import (
     Temperatures,
     TrainingScenes,
     click_gates,
+    find_design,
     trained_budgets,
     trained_camera,
 )
-from deepfsi.exposure.looks import Dwells, LooksExposure
 from deepfsi.exposure.temperatures import temperatures_at
-from deepfsi.exposure.trained import FixedExposure, Observation, TrainedExposure
+from deepfsi.exposure.trained import Answer, ExposureKind, LookedAt, MaskExposure, Observation
 from deepfsi.networks.custom import Given, OwnClassifier, rebuilt
+from deepfsi.networks.values import Values, check_classes
 from deepfsi.physics import (
-    ONE,
     Detection,
     NoiseFunction,
     Rails,
     Scanner,
     library_defaults,
-    light_law,
+    torch_device,
 )
 
 
 @dataclass(repr=False)
 class Design:
-    """Masks and the classifier that reads them.
+    """Masks and the classifier that reads them, or a prior of scenes of which masks are made.
 
     Attributes
     ----------
     name : str
         Which design, a key of `codes.DESIGNS`.
-    rails : Rails
-        `plus` and `minus` (m, N), shares of each pixel's photons; `stacked` (2 or 1, m, N).
-    classifier : nn.Module
-        Inputs, as the exposure makes them of features (..., m), to logits (..., C).
-    mean, std : tensor, shape (k,)
-        Of the features y / Φ; k = m of one detector that reads the difference of two rails.
-    shares : tensor, shape (k,)
-        Share of the budget that is counted for each feature, in the training mean.
-    summed_reflectance : float
-        s, the training scenes' mean summed reflectance; λ = Φ x / s.
-    light : str
-        Light law that the rails obey.
-    image_shape : tuple of int
     classes : tuple of str
         Their names; none of a design that estimates values.
-    exposure : TrainedExposure
-        Dwells of the masks, and the classifier's inputs.
-    detection : Detection
-        Detectors on parts of the device, and what is read of two rails.
+    exposure : ExposureKind
+        What is shown of a scene and what is read: the masks with their light law, detectors and
+        statistics; or the prior of adaptive masks.
+    classifier : nn.Module or None
+        Inputs, as the exposure makes them of features (..., m), to logits (..., C). None of
+        adaptive masks, whose posterior answers.
     info : dict
         Provenance: how it was trained, on which data, with which versions. JSON types only.
     distribution, scene_model : ReadoutDistribution and SceneModel, optional
@@ -91,17 +79,9 @@ class Design:
     """
 
     name: str
-    rails: Rails
-    classifier: nn.Module
-    mean: Tensor
-    std: Tensor
-    shares: Tensor
-    summed_reflectance: float
-    light: LightLawName
-    image_shape: tuple[int, ...]
     classes: tuple[str, ...]
-    exposure: TrainedExposure = field(default_factory=FixedExposure)
-    detection: Detection = ONE
+    exposure: ExposureKind
+    classifier: nn.Module | None = None
     info: dict[str, Any] = field(default_factory=dict)
     distribution: ReadoutDistribution | None = None
     scene_model: SceneModel | None = None
@@ -113,14 +93,65 @@ class Design:
         budget = self.info.get("job", {}).get("photons")
         trained = f", learned at {budget:g} photons" if budget else ""
         answers = ", ".join(self.values.names) if self.values else f"{len(self.classes)} classes"
-        network = getattr(self.classifier, "title", type(self.classifier).__name__)
-        return (
-            f"<Design {self.name}: {self.masks} masks of {'x'.join(map(str, self.mask_shape))}, "
-            f"{self.light}, {self.rails.kind} rails, {network}, {answers}{trained}>"
-        )
+        parts = [f"<Design {self.name}: {self.exposure.title}"]
+        if self.classifier is not None:
+            parts.append(getattr(self.classifier, "title", type(self.classifier).__name__))
+        return f"{', '.join([*parts, answers])}{trained}>"
 
     def _repr_html_(self) -> str:
-        return f"<p>{escape(repr(self))}</p>{mask_picture(self.matrix, self.mask_shape)}"
+        text = f"<p>{escape(repr(self))}</p>"
+        if self.exposure.makes_masks:
+            return text
+        return f"{text}{mask_picture(self.matrix, self.mask_shape)}"
+
+    # What it shows
+
+    @property
+    def mask_exposure(self) -> MaskExposure:
+        """The exposure of masks that are known before, or `InputError` where they are made."""
+        self.exposure.check("masks")
+        assert isinstance(self.exposure, MaskExposure)
+        return self.exposure
+
+    @property
+    def rails(self) -> Rails:
+        """Rails `plus` and `minus` (m, N) of the masks; `stacked` (2 or 1, m, N)."""
+        return self.mask_exposure.optics.rails
+
+    @property
+    def light(self) -> LightLawName:
+        """Light law that the rails obey."""
+        return self.mask_exposure.optics.light
+
+    @property
+    def mean(self) -> Tensor:
+        """Mean (k,) of the features y / Φ; k = m of one detector that reads a difference."""
+        return self.mask_exposure.optics.mean
+
+    @property
+    def std(self) -> Tensor:
+        """Standard deviation (k,) of the features y / Φ."""
+        return self.mask_exposure.optics.std
+
+    @property
+    def shares(self) -> Tensor:
+        """Share (k,) of the budget that is counted for each feature, in the training mean."""
+        return self.exposure.shares
+
+    @property
+    def summed_reflectance(self) -> float:
+        """s, the training scenes' mean summed reflectance; λ = Φ x / s."""
+        return self.exposure.summed_reflectance
+
+    @property
+    def image_shape(self) -> tuple[int, ...]:
+        """Shape of a scene."""
+        return self.exposure.image_shape
+
+    @property
+    def detection(self) -> Detection:
+        """Detectors on parts of the device, and what is read of two rails."""
+        return self.exposure.detection
 
     @property
     def matrix(self) -> np.ndarray:
@@ -129,13 +160,13 @@ class Design:
 
     @property
     def masks(self) -> int:
-        """m, number of masks."""
-        return self.rails.masks
+        """m, number of masks; of adaptive ones that of looks, each of which has one."""
+        return self.exposure.count
 
     @property
     def mask_shape(self) -> tuple[int, ...]:
         """Shape of a mask."""
-        return self.exposure.mask_shape(self.image_shape)
+        return self.mask_exposure.mask_shape
 
     @property
     def counts_shape(self) -> tuple[int, ...]:
@@ -151,89 +182,116 @@ class Design:
     @property
     def fewest_masks(self) -> int:
         """Smallest number of first masks that can be classified alone."""
-        return self.exposure.fewest_masks(self.masks)
+        return self.mask_exposure.fewest_masks
 
     @property
     def camera(self) -> Camera:
         """The camera that it was trained for, as the file keeps it; of older files its optics."""
-        if camera := trained_camera(self.info):
-            return camera
-        optics: dict[str, Any] = {"light": self.light, "rails": self.rails.kind}
-        optics["readout"] = self.detection.readout
-        if self.detection.labels is not None and LIGHT_LAWS[self.light].one_device:
-            optics["detectors"] = self.detection.labels.cpu()
-        with as_input_error("the design's camera", "train it again"):
-            return Camera.restored(optics)
+        return trained_camera(self.info) or self.exposure.camera
 
     @property
     def trained_budgets(self) -> tuple[float, float] | None:
         """Lowest and highest budget of the training; None for a design that does not say."""
-        return trained_budgets(self.info, self.exposure.entry())
+        entry = None if self.exposure.makes_masks else self.mask_exposure.entry()
+        return trained_budgets(self.info, entry)
 
     @property
     def gates(self) -> int | None:
         """Clicks of a readout at most, where its detectors click."""
         return click_gates(self.info)
 
-    def scale(self, photons: Tensor | float) -> Tensor | float:
-        """Divisor of features in counts: the budget; of clicks that of the training, always."""
-        return photons if self.gates is None else 0 * photons + self.info["job"]["photons"]
+    # Exposing
 
     def scanner(
         self, noise: str | NoiseFunction = "poisson", sigma: float = 1.0, dark: float = 0.0
     ) -> Scanner:
         """The optical front end, with a noise of your choice; parameters as for `Scanner`."""
-        rails = self.exposure.front(self.rails.stacked)
-        return Scanner.from_rails(rails, noise, sigma, dark, self.detection)
+        return self.mask_exposure.scanner(noise, sigma, dark)
+
+    def front_end(self, camera: Camera | None = None) -> Any:
+        """What `rates` and `observe` take: the scanner with the noise of a camera.
+
+        That is the noise of photons unless a camera is given; of adaptive masks it is a camera, the
+        own one unless given. Raises `InputError` where it cannot be tested under that noise.
+        """
+        return self.exposure.front_end(camera)
 
     @library_defaults()
-    def rates(self, scanner: Scanner, scenes: Tensor) -> Tensor:
+    def rates(self, front: Any, scenes: Tensor) -> Tensor:
         """Expected counts (..., rails, m · D) of reflectances (..., N), for a budget of one."""
-        seen = self.exposure.cut(scenes.to(self.rails.device), self.image_shape)
-        return self.exposure.rates(scanner, seen / self.summed_reflectance)
+        return self.exposure.rates(front, scenes)
+
+    def observe(
+        self, front: Any, rates: Tensor, generator: torch.Generator, photons: float
+    ) -> Iterator[Observation]:
+        """Exposures at each stop, after masks or looks.
+
+        Parameters
+        ----------
+        front
+            As from `front_end` or `scanner`.
+        rates : tensor, shape (..., rails, m · D)
+            As from `rates`: expected counts for a budget of one photon.
+        generator : torch.Generator
+            Of the noise.
+        photons : float
+            Budget Φ.
+        """
+        return self.exposure.observe(front, rates, photons, generator)
+
+    @library_defaults(grad=False)
+    def looks_at(self, scene: np.ndarray, photons: float, seed: int = 0) -> LookedAt:
+        """One exposure of a scene (N,) with adaptive masks, look by look.
+
+        Parameters
+        ----------
+        scene : array, shape (N,)
+            Reflectance.
+        photons : float
+            Budget Φ.
+        seed : int
+            Of the noise.
+
+        Raises
+        ------
+        InputError
+            If masks are known before.
+        """
+        generator = torch.Generator().manual_seed(seed)
+        return self.exposure.look_by_look(torch.from_numpy(scene), photons, generator)
+
+    # Answering
 
     def logits(
         self, features: Tensor, photons: Tensor | float, dwell: Tensor | None = None
     ) -> Tensor:
         """Logits (..., C) of features (..., k) in counts; other parameters as of `classify`."""
-        return self.logits_of(Observation(features / self.scale(photons), dwell), photons)
+        return self.logits_of(
+            Observation(features / self.mask_exposure.scale(photons), dwell), photons
+        )
 
     @library_defaults()
     def logits_of(self, seen: Observation, photons: Tensor | float) -> Tensor:
         """Logits (..., C) of an exposure so far, of a budget of `photons` in all."""
-        inputs = clicks.at_training_light(self, seen, photons).inputs(self.mean, self.std)
-        return self.classifier(self.exposure.condition(inputs, photons))
+        inputs = self.mask_exposure.network_inputs(seen, photons)
+        assert self.classifier is not None
+        return self.classifier(inputs)
+
+    def answer(self, seen: Observation, photons: Tensor | float) -> Answer:
+        """Answer to an exposure so far; parameters of `logits_of`."""
+        return self.exposure.answer(seen, photons, self)
 
     def chances(self, seen: Observation, photons: Tensor | float) -> Tensor:
         """Calibrated probabilities (..., C) of an exposure so far; parameters of `logits_of`."""
-        return (self.logits_of(seen, photons) / self.temperature(seen, photons)).softmax(dim=-1)
+        return self.answer(seen, photons).chances
 
     def temperature(self, seen: Observation, photons: Tensor | float) -> Tensor | float:
         """Temperature (..., 1) of the logits of an exposure so far; 1 where none is known."""
         if self.temperatures is None:
             return 1.0
-        budget = self.exposure.budget(torch.as_tensor(photons).to(seen.features))
-        return temperatures_at(self.temperatures, self.exposure.stop_place(seen), budget)
-
-    def expose(
-        self, scanner: Scanner, rates: Tensor, generator: torch.Generator, photons: float
-    ) -> Iterator[Observation]:
-        """Exposures after each look, with counts of a scanner of this design.
-
-        Parameters
-        ----------
-        scanner, generator
-        rates : tensor, shape (..., rails, m · D)
-            As from `rates`: expected counts for a budget of one photon.
-        photons : float, Φ
-        """
-
-        def read(expected: Tensor, share: Tensor | float) -> Tensor:
-            every = scanner.read(expected, generator, share) * (photons / self.scale(photons))
-            return self.detection.features(every)
-
-        placed = self.exposure.placed(rates, generator)
-        return self.exposure.expose(read, placed, photons, self.mean, self.std)
+        shown = self.mask_exposure
+        budget = shown.budget(torch.as_tensor(photons).to(seen.features))
+        return temperatures_at(self.temperatures, shown.stop_place(seen), budget)
 
     @library_defaults(grad=False)
     def classify_live(
@@ -263,18 +321,21 @@ class Design:
         InputError
             If the design has fixed dwells, or counts or photons are not as `classify` takes them.
         """
+        exposure = self.mask_exposure
+        dwells = exposure.dwells
         budget, counted = check_budget(photons), torch.zeros_like(self.mean)
 
         def show(dwell: Tensor) -> tuple[Tensor, Tensor]:
             nonlocal counted
-            asked = self._dwells.by_rail(dwell.cpu().numpy())
+            assert dwells is not None
+            asked = dwells.by_rail(dwell.cpu().numpy())
             counts, shown = check_counts.check_look(read, asked, self.counts_shape)
             features = self.features_of(torch.from_numpy(counts).to(dwell))
             counted = counted + features
-            return features / budget, torch.from_numpy(self._dwells.by_mask(shown)).to(dwell)
+            return features / budget, torch.from_numpy(dwells.by_mask(shown)).to(dwell)
 
-        for look, seen in enumerate(self.exposure.expose_live(show, self.mean, self.std), 1):
-            if until is None and look < self.exposure.looks:
+        for look, seen in enumerate(exposure.expose_live(show, self.mean, self.std), 1):
+            if until is None and look < exposure.looks:
                 continue
             so_far = Observation(counted / budget, seen.dwell)
             chances = self.chances(so_far, budget).cpu().numpy()
@@ -319,22 +380,24 @@ class Design:
 
     def _observed(self, counts: Any, photons: Any, dwell: Any) -> tuple[Observation, Tensor]:
         """Exposures and their budgets, checked; parameters of `classify`."""
-        self.exposure.check_dwell(dwell is not None)
-        patches = self.exposure.patch_axis(self.image_shape)
-        frames = None if dwell is None else self._dwells.shape
-        read, budget, shown = check_counts.check_readouts(
-            counts, photons, dwell, wanted=self.counts_shape, frames=frames, patches=patches
+        exposure = self.mask_exposure
+        exposure.check_dwell(dwell is not None)
+        frames = None if dwell is None or exposure.dwells is None else exposure.dwells.shape
+        read, budget, shares = check_counts.check_readouts(
+            counts,
+            photons,
+            dwell,
+            wanted=self.counts_shape,
+            frames=frames,
+            patches=exposure.patch_axis,
         )
         check_counts.check_clicks(read, self.gates)
-        budget = budget.to(device := self.rails.device)
-        dwells = None if shown is None else self._dwells.by_mask(shown).to(device)
-        return Observation(self.features_of(read.to(device)) / self.scale(budget), dwells), budget
-
-    @property
-    def _dwells(self) -> Dwells:
-        """Dwells of the frames of a look, of an exposure that chooses them."""
-        assert isinstance(self.exposure, LooksExposure)
-        return self.exposure.dwells
+        device = exposure.device
+        budget = budget.to(device)
+        features = self.features_of(read.to(device)) / exposure.scale(budget)
+        if shares is None or exposure.dwells is None:
+            return Observation(features), budget
+        return Observation(features, exposure.dwells.by_mask(shares).to(device)), budget
 
     def features_of(self, counts: Tensor) -> Tensor:
         """Features (..., k) of counts in the shape that `classify` takes."""
@@ -360,7 +423,7 @@ class Design:
             As for `classify`, or if it is of several looks, which live runs test, or has no
             `distribution`: one of patches, less than 100 training scenes or 50 of a class.
         """
-        self.exposure.check_alone()
+        self.exposure.check("comparison")
         if self.distribution is None:
             raise InputError("no distribution is held: it takes photons, 100 scenes, 50 a class")
         read, budget, _ = check_counts.check_readouts(counts, photons, None, self.counts_shape)
@@ -375,9 +438,10 @@ class Design:
         return rails if self.rails.count == 2 else rails.squeeze(-1 - len(self.counts_shape))
 
     def to(self, device: str | torch.device) -> Self:
-        """Move to a device; returns self."""
-        for name in ("rails", "classifier", "mean", "std", "shares", "exposure"):
-            setattr(self, name, getattr(self, name).to(device))
+        """Move to a device, such as ``"cuda:1"``; returns self."""
+        device = torch_device(device)
+        self.exposure = self.exposure.to(device)
+        self.classifier = self.classifier and self.classifier.to(device)
         self.values = self.values and self.values.to(device)
         return self  # its distribution stays: counts are tested where they arrive
 
@@ -386,8 +450,7 @@ class Design:
 
         Classifier and statistics stay; a camera with so many `levels` trains for such a device.
         """
-        shown, exposure = self.exposure.quantised(self.rails.stacked, self.light, levels)
-        return replace(self, rails=Rails.of(shown), exposure=exposure, distribution=None)
+        return replace(self, exposure=self.exposure.quantised(levels), distribution=None)
 
     def first(self, masks: int) -> "Design":
         """The first masks alone, with the light that the constraint gives to so many.
@@ -396,28 +459,13 @@ class Design:
         after these has taken `used` of its budget, and is one of this design at that budget. Raises
         `InputError` if the design was not trained for so few.
         """
-        fewest, most = self.fewest_masks, self.masks
-        if not fewest <= masks <= most:
-            raise InputError(
-                "the first {masks} masks of this design cannot be classified alone: give "
-                "{fewest} to {most}" + ", or learn nested ones with {nested}" * (fewest == most),
-                setting="nested",
-                masks=masks,
-                fewest=fewest,
-                most=most,
-            )
-        used = light_law(self.light).used(self.rails.stacked)
-        share = float(used[masks - 1] / used[-1])
-        kept = masks * self.detection.width(self.rails.count)
+        part, share = self.exposure.first(masks)
+        stops = masks - self.fewest_masks + 1
         return replace(
             self,
-            rails=Rails.of(self.rails.stacked[:, :masks] / share),
-            mean=self.mean[:kept] / share,
-            std=self.std[:kept] / share,
-            shares=self.shares[:kept] / share,
-            exposure=self.exposure.using(self.exposure.used * share),
+            exposure=part,
             distribution=None,
-            temperatures=self.temperatures and self.temperatures.scaled(share, masks - fewest + 1),
+            temperatures=self.temperatures and self.temperatures.scaled(share, stops),
         )
 
     def as_shown(self, rails: np.ndarray, image_shape: tuple[int, ...], dimmed: float) -> "Design":
@@ -440,18 +488,14 @@ class Design:
         InputError
             If the patterns are of a design of another shape, or this one is of patches.
         """
-        self.exposure.check_device()
+        self.exposure.check("frames")
         check_counts.check_dimmed(dimmed, self.gates)
         own = tuple(self.rails.stacked.shape), self.image_shape
         check_counts.check_patterns((rails.shape, image_shape), own)
+        realised = Rails.of(torch.from_numpy(rails).to(self.rails.difference))
         return replace(
             self,
-            rails=Rails.of(torch.from_numpy(rails).to(self.rails.difference)),
-            light=self.light if LIGHT_LAWS[self.light].one_device else "free-dwell",
-            mean=self.mean * dimmed,
-            std=self.std * dimmed,
-            shares=self.shares * dimmed,
-            exposure=self.exposure.using(self.exposure.used / dimmed),
+            exposure=self.mask_exposure.as_shown(realised, dimmed),
             distribution=self.distribution and self.distribution.dimmed(dimmed),
             temperatures=self.temperatures and self.temperatures.scaled(1 / dimmed),
         )
@@ -463,7 +507,7 @@ class Design:
 
     def to_bytes(self) -> bytes:
         """Content of the design file, or `InputError` if the classifier cannot be described."""
-        return artifact_file.file_of(self).to_bytes()
+        return file_of(self).to_bytes()
 
     @classmethod
     def load(
@@ -506,7 +550,7 @@ class Design:
         classifier: Given | None = None,
     ) -> "Design":
         """Design of a file that was read; parameters as of `load`."""
-        design = cls(**artifact_file.fields_of(file))
+        design = cls(**fields_of(file))
         if isinstance(design.classifier, OwnClassifier) and (trust or classifier is not None):
             design = design.with_classifier(classifier or design.classifier.factory)
         return design.to(device)
@@ -525,7 +569,40 @@ class Design:
         InputError
             If it cannot be imported, or is not the one that the weights are of.
         """
-        inputs = self.exposure.input_count(self.features)
+        inputs = self.mask_exposure.input_count(self.features)
         answers = len(self.values.names) if self.values else len(self.classes)
         made = rebuilt(self.classifier, classifier, inputs, answers)
         return replace(self, classifier=made.to(self.rails.device))
+
+
+def load_design(
+    path: str | os.PathLike[str], device: str | torch.device = "cpu", *, trust: bool = False
+) -> Design:
+    """Open a design file, or a published design by its name.
+
+    Parameters
+    ----------
+    path : str or path
+        Design file; or the name of a published design, such as ``"dmd-mnist"``, in the folder or at
+        the address of the environment variable `DEEPFSI_DESIGNS` (`published.find_design`).
+    device : str or torch.device
+        Adaptive masks are computed on the processor.
+    trust : bool
+        As of `Design.load`: run the factory of a classifier of one's own, if there is one.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, damaged, truncated, not a design, or of a newer schema; if a
+        published design is unknown, out of reach, or has another hash than its index says.
+
+    Examples
+    --------
+    >>> import deepfsi, tempfile
+    >>> few = deepfsi.Training(epochs=1)
+    >>> design = deepfsi.learn("digits", photons=1e4, masks=6, training=few)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     deepfsi.load_design(design.save(f"{folder}/d.safetensors")).masks
+    6
+    """
+    return Design.of_file(DesignFile.read(find_design(path)), device, trust=trust)

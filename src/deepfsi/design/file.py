@@ -10,76 +10,92 @@ from torch import Tensor, nn
 
 from deepfsi.base import InputError
 from deepfsi.camera import DetectorMap
-from deepfsi.design.values import Values
-from deepfsi.designfile import CustomEntry, DesignFile, MaskHeader, damaged_design
-from deepfsi.exposure.conditioned import ConditionedExposure
-from deepfsi.exposure.looks import LooksExposure
-from deepfsi.exposure.passing import PassingExposure
-from deepfsi.exposure.trained import FixedExposure, PatchExposure, TrainedExposure
+from deepfsi.designfile import (
+    AdaptiveHeader,
+    CustomEntry,
+    DesignFile,
+    DesignHeader,
+    MaskHeader,
+    damaged_design,
+)
+from deepfsi.exposure.adaptive import AdaptiveExposure
+from deepfsi.exposure.kinds import KIND_OF_ENTRY
+from deepfsi.exposure.trained import Clicks, TrainedMasks
+from deepfsi.jobs import AdaptiveMasks
 from deepfsi.networks.classifiers import Mlp, Vit, restored
 from deepfsi.networks.custom import OwnClassifier
+from deepfsi.networks.values import Values
 from deepfsi.physics import Detection, Rails, light_law
 
 if TYPE_CHECKING:
     from deepfsi.design.design import Design
 
-WORDS = ("name", "light", "summed_reflectance", "image_shape", "classes", "info")
+WORDS = ("name", "classes", "info")
 """Fields of a design that its header holds as they are."""
 
 STATISTICS = ("mean", "std", "shares")
 """Tensors of one number a feature."""
 
-KINDS: dict[str, type[TrainedExposure]] = {
-    "fixed": FixedExposure,
-    "conditioned": ConditionedExposure,
-    "adaptive": LooksExposure,
-    "patches": PatchExposure,
-    "passing": PassingExposure,
-}
-"""What a design does with the masks of its file, by the kind of their entry."""
-
 
 def file_of(design: "Design") -> DesignFile:
     """File of a design, or `InputError` if its classifier cannot be described."""
-    classifier = design.classifier
-    values = design.values
+    entry = design.exposure.entry()
+    words = {name: getattr(design, name) for name in WORDS}
+    words |= {"deepfsi": version("deepfsi"), "image_shape": design.image_shape}
+    arrays = design.exposure.arrays
+    header: DesignHeader
+    if isinstance(entry, AdaptiveMasks):
+        header = AdaptiveHeader(settings=entry, **words)
+    else:
+        optics = design.mask_exposure.optics
+        header = MaskHeader(
+            exposure=entry,
+            classifier=_entry_of(design.classifier),  # type: ignore[arg-type]
+            light=optics.light,
+            readout=optics.detection.readout,
+            summed_reflectance=optics.summed_reflectance,
+            values=design.values.names if design.values else (),
+            **words,
+        )
+        arrays = arrays | _network_arrays(design)
+    if design.training_scenes is not None:
+        arrays = arrays | design.training_scenes.arrays
+    return DesignFile(header, arrays)
+
+
+def _entry_of(classifier: nn.Module | None) -> dict[str, Any]:
+    """Entry of a header for a classifier, or `InputError` if it cannot be described."""
     if not isinstance(classifier, Mlp | Vit | OwnClassifier):
         raise InputError(
             f"a design with a {type(classifier).__name__} classifier cannot be saved: "
             "give it as deepfsi.OwnClassifier(module)"
         )
-    header = MaskHeader(
-        deepfsi=version("deepfsi"),
-        exposure=design.exposure.entry(),
-        classifier=classifier.header,  # type: ignore[arg-type]
-        readout=design.detection.readout,
-        values=values.names if values else (),
-        **{name: getattr(design, name) for name in WORDS},
-    )
-    custom = isinstance(classifier, OwnClassifier)
-    tensors: dict[str, Tensor] = {name: getattr(design, name) for name in STATISTICS}
-    tensors["rails"] = design.rails.stacked
-    if design.detection.labels is not None:
-        tensors["detectors"] = design.detection.labels
+    return classifier.header
+
+
+def _network_arrays(design: "Design") -> dict[str, np.ndarray]:
+    """Arrays of the classifier, of values, and of what was fitted to counts and logits."""
+    classifier = design.classifier
+    own = isinstance(classifier, OwnClassifier)
     networks: dict[str, Mapping[str, Tensor]] = {
-        "classifier": classifier.weights if custom else classifier.state_dict(),  # type: ignore[dict-item]
-        "exposure": design.exposure.weights,
-        "values": values.tensors if values else {},
+        "classifier": classifier.weights if own else classifier.state_dict(),  # type: ignore[union-attr,dict-item]
+        "exposure": design.mask_exposure.weights,
+        "values": design.values.tensors if design.values else {},
     }
-    for network, state in networks.items():
-        tensors |= {f"{network}.{name}": tensor for name, tensor in state.items()}
-    arrays = {name: as_array(tensor) for name, tensor in tensors.items()}
-    every = {
+    arrays = {
+        f"{network}.{name}": as_array(tensor)
+        for network, state in networks.items()
+        for name, tensor in state.items()
+    }
+    fitted = {
         "distribution": design.distribution,
         "scenes": design.scene_model,
         "temperatures": design.temperatures,
     }
-    for owner, fitted in every.items():
-        if fitted is not None:
-            arrays |= {f"{owner}.{name}": array for name, array in fitted.arrays.items()}
-    if design.training_scenes is not None:
-        arrays |= design.training_scenes.arrays
-    return DesignFile(header, arrays)
+    for owner, part in fitted.items():
+        if part is not None:
+            arrays |= {f"{owner}.{name}": array for name, array in part.arrays.items()}
+    return arrays
 
 
 def as_array(tensor: Tensor) -> np.ndarray:
@@ -93,40 +109,48 @@ def as_array(tensor: Tensor) -> np.ndarray:
 
 
 def fields_of(file: DesignFile) -> dict[str, Any]:
-    """Fields of `artifact.Design` of a file, or `InputError` as for `Design.load`."""
-    header = file.mask_header
+    """Fields of `Design` of a file, or `InputError` as for `Design.load`."""
+    header = file.header
     try:
-        return _fields(file, header)
+        if isinstance(header, AdaptiveHeader):
+            fields: dict[str, Any] = {"exposure": AdaptiveExposure.restored(header, file.arrays)}
+        else:
+            fields = _mask_fields(file, header)
+        return fields | {
+            **{name: getattr(header, name) for name in WORDS},
+            "training_scenes": file.training_scenes,
+        }
     except (KeyError, TypeError, ValueError, RuntimeError, IndexError) as error:
         raise damaged_design(file.path or "this", file.text or "") from error
 
 
-def _fields(file: DesignFile, header: MaskHeader) -> dict[str, Any]:
-    """Fields of a design, or an error where header and arrays do not fit together."""
+def _mask_fields(file: DesignFile, header: MaskHeader) -> dict[str, Any]:
+    """Fields of a design of masks, or an error where header and arrays do not fit together."""
     rails = Rails.of(torch.from_numpy(file.rails))
     detection = Detection(header.readout)
     if file.arrays.get("detectors") is not None:
         detectors = DetectorMap.of(file.arrays["detectors"], header.image_shape)
         detection = Detection.by(detectors, header.readout)
     light_law(header.light).check(rails.stacked)
-    weights = {name: torch.from_numpy(array) for name, array in file.arrays_of("exposure").items()}
-    exposure = KINDS[header.exposure.kind].restored(
-        header.exposure, weights, file.feature_count, rails, header.light
+    optics = TrainedMasks(
+        rails=rails,
+        light=header.light,
+        image_shape=header.image_shape,
+        detection=detection,
+        summed_reflectance=header.summed_reflectance,
+        clicks=Clicks.of(header.info),
+        **{name: torch.from_numpy(file.arrays[name]) for name in STATISTICS},
     )
-    exposure.check(rails, header.light, header.image_shape)
+    weights = {name: torch.from_numpy(array) for name, array in file.arrays_of("exposure").items()}
+    exposure = KIND_OF_ENTRY[header.exposure.kind].restored(header.exposure, weights, optics)
     scales = {name: torch.from_numpy(array) for name, array in file.arrays_of("values").items()}
     return {
-        **{name: getattr(header, name) for name in WORDS},
-        **{name: torch.from_numpy(file.arrays[name]) for name in STATISTICS},
-        "rails": rails,
         "exposure": exposure,
-        "detection": detection,
         "classifier": _classifier(file, header, exposure.input_count(file.feature_count)),
         "distribution": file.distribution,
         "scene_model": file.scene_model,
         "temperatures": file.temperatures,
         "values": Values.restored(header.values, scales) if header.values else None,
-        "training_scenes": file.training_scenes,
     }
 
 

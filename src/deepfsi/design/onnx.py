@@ -19,12 +19,12 @@ from torch.onnx.utils import register_custom_op_symbolic, unregister_custom_op_s
 from deepfsi.base import InputError
 from deepfsi.camera import share_out
 from deepfsi.design.design import Design
-from deepfsi.design.values import check_classes
 from deepfsi.designfile import check_masks
 from deepfsi.exposure.looks import LooksExposure
 from deepfsi.exposure.trained import Observation
 from deepfsi.networks.classifiers import Mlp
 from deepfsi.networks.custom import OwnClassifier
+from deepfsi.networks.values import check_classes
 from deepfsi.physics import library_defaults
 
 SCHEMA = 1

@@ -25,12 +25,12 @@ from deepfsi.camera import Camera, CameraSource, NoiseName, check_budget, find_n
 from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.adaptive import AdaptiveDesign
 from deepfsi.design.design import Design
-from deepfsi.design.values import Values
 from deepfsi.designfile import TrainingScenes, new_scenes
 from deepfsi.evaluation.confidence import confidence_error
 from deepfsi.evaluation.estimation import test_values
 from deepfsi.exposure.adaptive import expose
 from deepfsi.exposure.posterior import AdaptivePosterior, LookOptics
+from deepfsi.networks.values import Values
 from deepfsi.physics import Scanner, library_defaults, noise_of
 
 MOST_DRAWS = 10_000

@@ -88,7 +88,7 @@ def cramer_rao(
     >>> x, dark = numpy.full((1, 64), 0.5), deepfsi.Training(epochs=1)
     >>> design = deepfsi.learn("digits", photons=1e4, masks=8, design="pca", training=dark)
     >>> derivatives = x[:, None] / 0.5  # by its brightness
-    >>> deepfsi.evaluation.bounds.cramer_rao(design, x, derivatives, 1e4).shape
+    >>> deepfsi.evaluation.cramer_rao(design, x, derivatives, 1e4).shape
     (1, 1)
     """
     if not _fixed(design):

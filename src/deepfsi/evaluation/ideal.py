@@ -17,10 +17,10 @@ from deepfsi.base.numeric import check_memory, free_memory
 from deepfsi.camera import check_budget, summed_reflectance
 from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.design import Design
-from deepfsi.design.values import check_classes
 from deepfsi.designfile import new_scenes
 from deepfsi.evaluation.accuracy import Guess, Result, check_data, check_draws, test_scenes
 from deepfsi.exposure.posterior import class_chances
+from deepfsi.networks.values import check_classes
 from deepfsi.physics import Scanner, library_defaults
 
 AT_ONCE = 2**24

@@ -21,7 +21,6 @@ from deepfsi.camera import find_noise
 from deepfsi.datasets import Dataset
 from deepfsi.design.adaptive import AdaptiveDesign, AnyDesign
 from deepfsi.design.design import Design
-from deepfsi.design.values import check_classes
 from deepfsi.designfile import Temperatures, check_masks, new_scenes, trained_on
 from deepfsi.evaluation.accuracy import check_data, evaluate, scanner_for
 from deepfsi.evaluation.confidence import stops_of
@@ -29,6 +28,7 @@ from deepfsi.evaluation.stopping import rule_of, stop
 from deepfsi.exposure.posterior import LookOptics
 from deepfsi.jobs import LARGEST_SCORE
 from deepfsi.networks.classifiers import Mlp
+from deepfsi.networks.values import check_classes
 from deepfsi.physics import SLACK, library_defaults
 
 BUDGETS = tuple(float(f"{10**power:.3g}") for power in np.arange(1, 7.1, 0.5))

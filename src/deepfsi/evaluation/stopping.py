@@ -24,7 +24,6 @@ from deepfsi.camera import StopRule, check_budget
 from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.adaptive import AdaptiveDesign, AnyDesign
 from deepfsi.design.design import Design
-from deepfsi.design.values import check_classes
 from deepfsi.designfile import new_scenes, trained_on
 from deepfsi.evaluation.accuracy import check_data, check_draws, covered
 from deepfsi.evaluation.confidence import (
@@ -35,6 +34,7 @@ from deepfsi.evaluation.confidence import (
 )
 from deepfsi.exposure.looks import LooksExposure
 from deepfsi.exposure.temperatures import stop_temperatures
+from deepfsi.networks.values import check_classes
 from deepfsi.physics import library_defaults
 
 THRESHOLDS = 1 - np.geomspace(0.5, 1e-7, 135)

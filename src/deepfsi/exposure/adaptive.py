@@ -7,7 +7,7 @@ probabilities of the classes are the answer.
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -17,11 +17,21 @@ from deepfsi.base import InputError, as_input_error
 from deepfsi.base.numeric import check_memory, free_memory
 from deepfsi.camera import Camera
 from deepfsi.datasets import Dataset
+from deepfsi.designfile import AdaptiveHeader
 from deepfsi.exposure.choice import look_at
 from deepfsi.exposure.misfit import UsualMisfit
 from deepfsi.exposure.posterior import LEAST_WEIGHT, AdaptivePosterior, LookOptics
 from deepfsi.exposure.prior import ScenePrior
-from deepfsi.exposure.trained import Answer, ExposureKind, Light, Observation, ReadsCounts, Stops, Use
+from deepfsi.exposure.trained import (
+    Answer,
+    ExposureKind,
+    Light,
+    LookedAt,
+    Observation,
+    ReadsCounts,
+    Stops,
+    Use,
+)
 from deepfsi.jobs import AdaptiveMasks
 from deepfsi.physics import Detection
 
@@ -103,6 +113,30 @@ class AdaptiveExposure(ExposureKind):
         "first": POSTERIOR_ANSWERS,
         "ideal observer": POSTERIOR_ANSWERS,
     }
+
+    @classmethod
+    def restored(
+        cls, header: AdaptiveHeader, arrays: Mapping[str, np.ndarray]
+    ) -> "AdaptiveExposure":
+        """The kind of a design file, or an error where its arrays do not fit the header."""
+        return cls(
+            prior=ScenePrior.restored(arrays),
+            settings=header.settings,
+            shape=header.image_shape,
+            counted=torch.from_numpy(arrays["shares"]),
+            usual_misfit=UsualMisfit.restored(arrays, header.settings.looks),
+            optics=header.info.get("job", {}).get("camera"),
+        )
+
+    def entry(self) -> AdaptiveMasks:
+        """Settings of the looks."""
+        return self.settings
+
+    @property
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Arrays of a design file: prior, shares and misfit."""
+        arrays = self.prior.arrays | {"shares": self.counted.numpy()}
+        return arrays if self.usual_misfit is None else arrays | self.usual_misfit.arrays
 
     @property
     def image_shape(self) -> tuple[int, ...]:
@@ -240,7 +274,7 @@ class AdaptiveExposure(ExposureKind):
         whole = self.settings.model_copy(update={"until": 1.0})
         return replace(self, prior=prior, settings=whole)
 
-    def look_by_look(self, scene: Tensor, photons: float, generator: torch.Generator) -> "LookedAt":
+    def look_by_look(self, scene: Tensor, photons: float, generator: torch.Generator) -> LookedAt:
         """One exposure of a scene (N,), look by look."""
         state = AdaptivePosterior(self.prior, 1, self.optics_at(photons))
         masks, scenes, chances = [], [], []
@@ -251,14 +285,6 @@ class AdaptiveExposure(ExposureKind):
             scenes.append(state.scene[0])
             chances.append(state.chances[0])
         return LookedAt(*(torch.stack(each).numpy() for each in (masks, scenes, chances)))
-
-
-class LookedAt(NamedTuple):
-    """One exposure look by look: masks and mean scenes (K, N) of the posterior, chances (K, C)."""
-
-    masks: np.ndarray
-    scenes: np.ndarray
-    chances: np.ndarray
 
 
 def prior_of(data: Dataset, settings: AdaptiveMasks) -> ScenePrior:

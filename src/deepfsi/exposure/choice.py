@@ -9,11 +9,14 @@ The choice is greedy, a look at a time. Sources: sequential design by expected i
 1956); 2 √counts is Anscombe's (1948).
 """
 
+from typing import NamedTuple
+
 import torch
 from torch import Tensor
 from torch.nn import functional
 
 from deepfsi.exposure.posterior import AdaptivePosterior
+from deepfsi.physics import Poisson
 
 LIKELIEST = 4
 """Classes that the next mask is to separate at most."""

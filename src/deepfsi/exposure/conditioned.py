@@ -129,9 +129,7 @@ class ConditionedExposure(MaskExposure):
                 setting="light",
             )
         used = law.used(self.optics.rails.stacked)[fewest - 1 :]
-        return Stops(
-            tuple(range(fewest, masks + 1)), (used / used[-1]).double().cpu().numpy()
-        )
+        return Stops(tuple(range(fewest, masks + 1)), (used / used[-1]).double().cpu().numpy())
 
     def inputs(self, scaled: Tensor, ratio: Tensor, shown: Tensor) -> Tensor:
         """Inputs of the classifier, features and two more; 0 are features beyond those shown."""

@@ -5,7 +5,7 @@ import torch
 from deepfsi.exposure.conditioned import ConditionedExposure
 from deepfsi.exposure.looks import LooksExposure
 from deepfsi.exposure.passing import PassingExposure
-from deepfsi.exposure.trained import FixedExposure, PatchExposure, MaskExposure
+from deepfsi.exposure.trained import FixedExposure, MaskExposure, PatchExposure
 from deepfsi.jobs import Exposure, Fixed, Job, Looks, Nested, Passing, Patches, Range
 
 TRAINED_KINDS: dict[type[Exposure], type[MaskExposure]] = {
@@ -17,6 +17,9 @@ TRAINED_KINDS: dict[type[Exposure], type[MaskExposure]] = {
     Passing: PassingExposure,
 }
 """What exposures of each kind become by a training."""
+
+KIND_OF_ENTRY = {kind.kind: kind for kind in TRAINED_KINDS.values()}
+"""What a design does with the masks of its file, by the kind of their entry."""
 
 
 def begin(job: Job, image_shape: tuple[int, ...], seed: torch.Generator) -> MaskExposure:

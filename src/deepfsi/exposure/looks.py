@@ -12,7 +12,7 @@ The classifier is trained to answer after every look, so that an exposure may en
 
 from collections.abc import Callable, Iterator
 from dataclasses import KW_ONLY, dataclass, replace
-from typing import Any, ClassVar, TypeVar
+from typing import ClassVar
 
 import numpy as np
 import torch
@@ -23,6 +23,7 @@ from deepfsi.camera import LIGHT_LAWS, Camera, LightLawName, share_out
 from deepfsi.exposure.trained import (
     UNTRAINED,
     Counting,
+    Dwells,
     MaskExposure,
     Observation,
     Show,
@@ -34,52 +35,8 @@ from deepfsi.jobs import LARGEST_SCORE, ExposureEntry, Job, Looks, LooksEntry
 from deepfsi.networks.classifiers import Mlp, restored
 from deepfsi.physics import LearnedMasks, Scanner, light_law, through
 
-_Dwell = TypeVar("_Dwell", bound=Any)  # array or tensor
-
 Choose = Callable[[Tensor], Tensor]
 """From inputs (..., k + q + 1) to the scores (..., q) of dwells."""
-
-
-@dataclass(frozen=True)
-class Dwells:
-    """Dwells of a look: one for each frame of one device."""
-
-    masks: int  # m
-    # Whether the two rails of a mask are frames, one after the other, with dwells of their own: not
-    # so on two arms, which see both at once
-    each_rail: bool
-
-    @classmethod
-    def of(cls, masks: int, light: str, rails: str) -> "Dwells":
-        """Dwells of m masks under a light law, of so many rails."""
-        return cls(masks, rails == "dual" and LIGHT_LAWS[light].arms == 1)
-
-    @property
-    def count(self) -> int:
-        """q, number of dwells; those of a mask's two rails follow one another."""
-        return self.masks * (2 if self.each_rail else 1)
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Shape ([2,] m) of the dwells as a camera takes them."""
-        return (2, self.masks) if self.each_rail else (self.masks,)
-
-    def scaled(self, rates: Tensor, dwell: Tensor) -> Tensor:
-        """Expected counts (..., rails, m · D) for dwells (..., q), of those for equal dwells."""
-        each = dwell.unflatten(-1, (self.masks, -1)).transpose(-2, -1) * self.count
-        return rates * each.repeat_interleave(rates.shape[-1] // self.masks, dim=-1)
-
-    def by_rail(self, dwell: _Dwell) -> _Dwell:
-        """Dwells (..., [2,] m) of frames, as a camera takes them, of dwells (..., q)."""
-        if not self.each_rail:
-            return dwell
-        return dwell.reshape(*dwell.shape[:-1], self.masks, 2).swapaxes(-2, -1)
-
-    def by_mask(self, dwell: _Dwell) -> _Dwell:
-        """Inverse of `by_rail`."""
-        if not self.each_rail:
-            return dwell
-        return dwell.swapaxes(-2, -1).reshape(*dwell.shape[:-2], -1)
 
 
 ON_WEIGHT = 0.2

@@ -5,10 +5,10 @@ known before (`MaskExposure`); adaptive masks hold a prior of scenes, of which t
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import KW_ONLY, dataclass, replace
 from math import prod
-from typing import Any, ClassVar, Literal, NamedTuple, Protocol, Self
+from typing import Any, ClassVar, Literal, NamedTuple, Protocol, Self, TypeVar
 
 import numpy as np
 import torch
@@ -16,7 +16,16 @@ from torch import Tensor, nn
 
 from deepfsi.base import InputError, as_input_error
 from deepfsi.camera import LIGHT_LAWS, Camera, LightLawName
-from deepfsi.jobs import ExposureEntry, FixedEntry, Job, Patches, PatchesEntry, cut_patches
+from deepfsi.designfile import click_gates
+from deepfsi.jobs import (
+    AdaptiveMasks,
+    ExposureEntry,
+    FixedEntry,
+    Job,
+    Patches,
+    PatchesEntry,
+    cut_patches,
+)
 from deepfsi.networks.classifiers import Mlp
 from deepfsi.physics import (
     Detection,
@@ -28,6 +37,8 @@ from deepfsi.physics import (
     noise_of,
     to_training_light,
 )
+
+_Dwell = TypeVar("_Dwell", bound=Any)  # array or tensor
 
 Use = Literal["masks", "first", "frames", "graph", "page", "comparison", "ideal observer"]
 """What not every kind can be used for: masks that are known before, with counts of them; the first
@@ -88,6 +99,56 @@ class Stops(NamedTuple):
 
     after: tuple[int, ...]
     used: np.ndarray
+
+
+class LookedAt(NamedTuple):
+    """One exposure look by look: masks and mean scenes (K, N) of the posterior, chances (K, C)."""
+
+    masks: np.ndarray
+    scenes: np.ndarray
+    chances: np.ndarray
+
+
+@dataclass(frozen=True)
+class Dwells:
+    """Dwells of a look: one for each frame of one device."""
+
+    masks: int  # m
+    # Whether the two rails of a mask are frames, one after the other, with dwells of their own: not
+    # so on two arms, which see both at once
+    each_rail: bool
+
+    @classmethod
+    def of(cls, masks: int, light: str, rails: str) -> "Dwells":
+        """Dwells of m masks under a light law, of so many rails."""
+        return cls(masks, rails == "dual" and LIGHT_LAWS[light].arms == 1)
+
+    @property
+    def count(self) -> int:
+        """q, number of dwells; those of a mask's two rails follow one another."""
+        return self.masks * (2 if self.each_rail else 1)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape ([2,] m) of the dwells as a camera takes them."""
+        return (2, self.masks) if self.each_rail else (self.masks,)
+
+    def scaled(self, rates: Tensor, dwell: Tensor) -> Tensor:
+        """Expected counts (..., rails, m · D) for dwells (..., q), of those for equal dwells."""
+        each = dwell.unflatten(-1, (self.masks, -1)).transpose(-2, -1) * self.count
+        return rates * each.repeat_interleave(rates.shape[-1] // self.masks, dim=-1)
+
+    def by_rail(self, dwell: _Dwell) -> _Dwell:
+        """Dwells (..., [2,] m) of frames, as a camera takes them, of dwells (..., q)."""
+        if not self.each_rail:
+            return dwell
+        return dwell.reshape(*dwell.shape[:-1], self.masks, 2).swapaxes(-2, -1)
+
+    def by_mask(self, dwell: _Dwell) -> _Dwell:
+        """Inverse of `by_rail`."""
+        if not self.each_rail:
+            return dwell
+        return dwell.swapaxes(-2, -1).reshape(*dwell.shape[:-2], -1)
 
 
 class Light(NamedTuple):
@@ -167,6 +228,15 @@ class ExposureKind(ABC):
         """The kind in a few words, for a reader."""
 
     @abstractmethod
+    def entry(self) -> ExposureEntry | AdaptiveMasks:
+        """What the header of a design file says of the kind."""
+
+    @property
+    @abstractmethod
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Arrays of a design file that are the kind's own."""
+
+    @abstractmethod
     def front_end(self, camera: Camera | None) -> Any:
         """What exposes scenes, with the noise of a camera; the plain one of the kind unless given.
 
@@ -210,9 +280,7 @@ class ExposureKind(ABC):
         """Light of exposures together; parameters of `observe`."""
 
     @abstractmethod
-    def answer(
-        self, seen: Observation, photons: Tensor | float, network: "ReadsCounts"
-    ) -> Answer:
+    def answer(self, seen: Observation, photons: Tensor | float, network: "ReadsCounts") -> Answer:
         """Answer to exposures so far, of a budget in all, by what reads their counts."""
 
     @property
@@ -236,6 +304,20 @@ class ExposureKind(ABC):
         """
         self.check("first")
         raise NotImplementedError
+
+    def look_by_look(self, scene: Tensor, photons: float, generator: torch.Generator) -> LookedAt:
+        """One exposure of a scene (N,) with adaptive masks, look by look.
+
+        Raises
+        ------
+        InputError
+            If masks are known before.
+        """
+        raise InputError(
+            "this design shows masks that are known before: learn adaptive ones with "
+            "{design:adaptive}",
+            setting="design",
+        )
 
     def stopping_at(self, threshold: float) -> "ExposureKind":
         """The kind whose exposures stop at a probability, or `InputError` where it is of one look.
@@ -270,6 +352,12 @@ class Clicks(NamedTuple):
 
     gates: int
     photons: float
+
+    @classmethod
+    def of(cls, info: Mapping[str, Any]) -> "Clicks | None":
+        """Clicks of a design of such a provenance; None where its detectors count."""
+        gates = click_gates(info)
+        return None if gates is None else cls(gates, info["job"]["photons"])
 
 
 @dataclass(frozen=True)
@@ -328,6 +416,7 @@ class MaskExposure(ExposureKind):
     width: int = 1  # features of each mask, for nested masks
     used: float = 1.0  # share of the light law that the masks take within the whole sequence
     network: Mlp | None = None  # a network besides the classifier
+    dwells: Dwells | None = None  # of the frames of a look, where they are chosen
 
     @property
     def image_shape(self) -> tuple[int, ...]:
@@ -373,9 +462,21 @@ class MaskExposure(ExposureKind):
 
     # Files
 
+    @abstractmethod
     def entry(self) -> ExposureEntry:
         """Entry of the design file's header, of which `restored` makes the kind again."""
-        raise NotImplementedError
+
+    @property
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Arrays of a design file of the masks; those of a network are `weights`."""
+        optics = self.optics
+        tensors = {"mean": optics.mean, "std": optics.std, "shares": optics.shares}
+        tensors["rails"] = optics.rails.stacked
+        if optics.detection.labels is not None:
+            tensors["detectors"] = optics.detection.labels
+        return {
+            name: tensor.detach().cpu().contiguous().numpy() for name, tensor in tensors.items()
+        }
 
     @classmethod
     def restored(

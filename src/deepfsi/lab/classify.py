@@ -363,7 +363,7 @@ def _opened(design: str | os.PathLike[str], patterns: Patterns | None, trust: bo
     """Design of a file or a folder of patterns, of fixed dwells, as its patterns realise it."""
     with require_torch():
         from deepfsi.design.design import Design
-        from deepfsi.design.values import check_classes
+        from deepfsi.networks.values import check_classes
 
     file = Path(design) if patterns is None else _check_design(design, patterns.manifest)
     made = Design.load(file, trust=trust)

@@ -33,7 +33,7 @@ from deepfsi.hardware.patterns import Patterns, read_patterns
 
 if TYPE_CHECKING:
     from deepfsi.datasets.display import Display
-    from deepfsi.evaluation.accuracy import Tested
+    from deepfsi.evaluation import Tested
 
 
 class DesignData(NamedTuple):

@@ -162,9 +162,9 @@ def _predict(
     """Classes of pictures; parameters as of `predict`, with the camera's fields in `tested`."""
     import torch
 
+    from deepfsi.evaluation import camera_for, check_draws, scanner_for
+    from deepfsi.networks.values import check_classes
     from deepfsi.physics import full_gates
-    from deepfsi.design.values import check_classes
-    from deepfsi.evaluation.accuracy import camera_for, check_draws, scanner_for
 
     check_classes(design.values, "predict")
     check_draws(1, seed)

@@ -236,7 +236,7 @@ def classify_transits(
         If the design is of another exposure, the file is damaged, or it does not tell its
         background.
     """
-    from deepfsi.design.values import check_classes
+    from deepfsi.networks.values import check_classes
     from deepfsi.physics import library_defaults
 
     check_classes(design.values, "a transit's answer")

@@ -7,7 +7,7 @@ from deepfsi.physics.masks import FixedMasks, LearnedMasks
 from deepfsi.physics.noise import Click, NoiseFunction, Poisson, noise_of, root
 from deepfsi.physics.rails import Rails
 from deepfsi.physics.scanner import Scanner, project, project_rails
-from deepfsi.physics.surroundings import library_defaults
+from deepfsi.physics.surroundings import library_defaults, torch_device
 from deepfsi.physics.training_noise import TrainingNoise, ml_gauss_features
 from deepfsi.physics.transit import FixedPattern, LearnedPattern, ScenePath, in_levels
 
@@ -41,4 +41,5 @@ __all__ = [
     "signed_parts",
     "through",
     "to_training_light",
+    "torch_device",
 ]

@@ -3,10 +3,12 @@
 from collections.abc import Callable
 from contextlib import ExitStack
 from functools import wraps
-from typing import ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 import torch
+
+from deepfsi.base import InputError
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -46,7 +48,7 @@ def _set_defaults(stack: ExitStack, grad: bool | None) -> None:
         stack.enter_context(torch.inference_mode(False))  # which records gradients again
     if torch.is_grad_enabled() != recorded:
         stack.enter_context(torch.set_grad_enabled(recorded))
-    for device in ("cpu", "cuda"):
+    for device in ("cpu", "cuda", "mps"):
         if torch.is_autocast_enabled(device):
             stack.enter_context(torch.autocast(device, enabled=False))
     if torch.is_anomaly_enabled():
@@ -59,3 +61,49 @@ def _set_defaults(stack: ExitStack, grad: bool | None) -> None:
     if (precision := torch.get_float32_matmul_precision()) != "highest":
         torch.set_float32_matmul_precision("highest")
         stack.callback(torch.set_float32_matmul_precision, precision)
+
+
+def torch_device(given: Any) -> torch.device:
+    """Device that torch computes on.
+
+    Parameters
+    ----------
+    given : str or torch.device
+        ``"cpu"``, ``"cuda"``, one of several GPUs such as ``"cuda:1"``, ``"mps"`` of an Apple
+        processor, or ``"auto"``, a GPU of CUDA if there is one, else the processor.
+
+    Raises
+    ------
+    InputError
+        If there is no such device, or not here.
+
+    Examples
+    --------
+    >>> from deepfsi.physics import torch_device
+    >>> torch_device("cpu")
+    device(type='cpu')
+    """
+    gpus = torch.cuda.device_count() if torch.cuda.is_available() else 0
+    if given == "auto":
+        return torch.device("cuda" if gpus else "cpu")
+    try:
+        device = torch.device(given) if isinstance(given, str | torch.device) else None
+    except RuntimeError:
+        device = None
+    number = 0 if device is None else device.index or 0
+    if device is None or device.type not in ("cpu", "cuda", "mps") or number < 0:
+        shown = given if isinstance(given, str) else str(given)
+        raise InputError(f"unknown device {shown!r}: choose auto, cpu, cuda, cuda:1 or mps")
+    if device.type == "cuda":
+        here = number < gpus
+    else:
+        here = number == 0 and (device.type == "cpu" or torch.backends.mps.is_available())
+    if not here:
+        there = f", and torch sees {gpus} of CUDA" if gpus and device.type == "cuda" else ""
+        raise InputError(
+            "device {given} is not here{there}: use {device:cpu} or auto",
+            setting="device",
+            given=str(device),
+            there=there,
+        )
+    return device if device.type == "cuda" else torch.device(device.type)

@@ -9,7 +9,7 @@ from jinja2 import StrictUndefined, Template
 from deepfsi.datasets import Dataset
 from deepfsi.design.adaptive import AnyDesign
 from deepfsi.designfile import trained_on
-from deepfsi.evaluation.accuracy import Result
+from deepfsi.evaluation import Result
 from deepfsi.jobs import Job
 
 if TYPE_CHECKING:

@@ -13,7 +13,8 @@ from deepfsi.base import SILENT, InputError, Progress
 from deepfsi.datasets import Dataset
 from deepfsi.design.adaptive import AnyDesign
 from deepfsi.design.design import Design
-from deepfsi.evaluation.accuracy import camera_for, evaluate
+from deepfsi.evaluation import camera_for, evaluate
+from deepfsi.exposure.training_set import Matrices, TrainingSet
 from deepfsi.networks.custom import OwnClassifier
 from deepfsi.sweeps.results import SCHEMA
 from deepfsi.sweeps.summary import terms_of
@@ -21,7 +22,6 @@ from deepfsi.sweeps.trial import Trial
 from deepfsi.training.batches import check_fits, footprint, memory_for
 from deepfsi.training.checkpoint import NO_CHECKPOINT, Checkpoint
 from deepfsi.training.learning import Diverged, companions, train
-from deepfsi.training.training_set import Matrices, TrainingSet
 
 MASKS_AT_ONCE = 2048
 """Learned masks that a processor trains together: with more its caches lose what batching gains."""
@@ -50,7 +50,11 @@ class SweepContext:
     """Work on the trials of a sweep, and what it needs; matrix (m, N)."""
 
     def __init__(
-        self, data: Dataset, held_out: int, device: str = "auto", matrix: np.ndarray | None = None
+        self,
+        data: Dataset,
+        held_out: int,
+        device: str | torch.device = "auto",
+        matrix: np.ndarray | None = None,
     ) -> None:
         self.data, self.held_out, self.device, self.matrix = data, held_out, device, matrix
         self.matrices: Matrices = {}

@@ -14,7 +14,9 @@ import torch
 from deepfsi.base import SILENT, Moments, Progress
 from deepfsi.camera import find_noise
 from deepfsi.datasets import Dataset
-from deepfsi.evaluation.accuracy import evaluate
+from deepfsi.evaluation import evaluate
+from deepfsi.exposure.draws import dtypes
+from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.jobs import Job
 from deepfsi.sweeps.context import Batch, SweepContext
 from deepfsi.sweeps.recipe import Recipe
@@ -22,9 +24,7 @@ from deepfsi.sweeps.records import Records
 from deepfsi.sweeps.trial import plan
 from deepfsi.sweeps.workers import cores, default_count
 from deepfsi.training.batches import batch_of
-from deepfsi.training.draws import dtypes
 from deepfsi.training.learning import train
-from deepfsi.training.training_set import TrainingSet
 
 TIMED_STEPS = 6
 """Steps that a kind of training is timed with."""
@@ -56,7 +56,7 @@ def forecast_cost(
     recipe: Recipe,
     data: Dataset,
     folder: Path,
-    device: str = "auto",
+    device: str | torch.device = "auto",
     workers: int | None = None,
     report: Progress = SILENT,
 ) -> Forecast:
@@ -75,7 +75,7 @@ def _forecast(
     recipe: Recipe,
     data: Dataset,
     folder: Path,
-    device: str,
+    device: str | torch.device,
     workers: int | None,
     report: Progress,
 ) -> Forecast:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 
 from deepfsi.base import SILENT, InputError, Progress
 from deepfsi.base.numeric import find_crossing
@@ -56,7 +57,7 @@ def photons_needed(
     folder: Path,
     *,
     command: str,
-    device: str = "auto",
+    device: str | torch.device = "auto",
     workers: Workers = HERE,
     report: Progress = SILENT,
 ) -> tuple[dict[str, Any], Results]:

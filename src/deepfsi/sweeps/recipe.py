@@ -26,7 +26,7 @@ from deepfsi.camera import (
     find_noise,
 )
 from deepfsi.datasets import Dataset
-from deepfsi.evaluation.accuracy import MOST_DRAWS
+from deepfsi.evaluation import MOST_DRAWS
 from deepfsi.jobs import (
     DESIGNS,
     MLP,

@@ -37,8 +37,7 @@ from deepfsi.base import (
     write_atomically,
 )
 from deepfsi.design.adaptive import AnyDesign, load_design
-from deepfsi.evaluation.accuracy import Result
-from deepfsi.evaluation.estimation import Estimates
+from deepfsi.evaluation import Estimates, Result
 from deepfsi.sweeps.results import SCHEMA, Packed
 from deepfsi.sweeps.trial import Trial
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 
 from deepfsi.base import SILENT, InputError, Progress
 from deepfsi.datasets import Dataset
@@ -58,7 +59,7 @@ def compare(
     *,
     command: str,
     matrix: np.ndarray | None = None,
-    device: str = "auto",
+    device: str | torch.device = "auto",
     workers: Workers = HERE,
     report: Progress = SILENT,
 ) -> tuple[Results, list[dict[str, Any]]]:

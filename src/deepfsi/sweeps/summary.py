@@ -25,8 +25,7 @@ from deepfsi.camera import DetectorMap, noise_text
 from deepfsi.datasets import Dataset
 from deepfsi.datasets.dataset import Measure
 from deepfsi.designfile import TrainingScenes, new_scenes
-from deepfsi.evaluation.accuracy import Result
-from deepfsi.evaluation.estimation import Estimates
+from deepfsi.evaluation import Estimates, Result
 from deepfsi.jobs import DESIGNS, find_exposure
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.results import SCHEMA, Data, Point, Provenance, Results

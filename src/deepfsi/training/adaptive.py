@@ -12,15 +12,15 @@ from deepfsi.base import SILENT, Progress
 from deepfsi.datasets import Dataset
 from deepfsi.design.adaptive import AdaptiveDesign
 from deepfsi.designfile import CALIBRATION_REACH, Temperatures
-from deepfsi.evaluation.confidence import CalibrationScenes, Exposed
+from deepfsi.evaluation import CalibrationScenes, Exposed
 from deepfsi.exposure.adaptive import prior_of
 from deepfsi.exposure.misfit import BUDGETS, LEAST_SCENES, MOST_SCENES, UsualMisfit, measure
 from deepfsi.exposure.posterior import LookOptics
 from deepfsi.exposure.prior import ScenePrior
+from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.jobs import AdaptiveMasks, Job
 from deepfsi.training.folds import DOUBT, calibrated, folds_of
 from deepfsi.training.info import provenance
-from deepfsi.training.training_set import TrainingSet
 
 
 def adaptive_designs(

@@ -9,14 +9,14 @@ from deepfsi.base import InputError
 from deepfsi.camera import Camera, LightLawName, check_budget, summed_reflectance
 from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.design import Design
-from deepfsi.design.values import Values
 from deepfsi.designfile import TrainingScenes
+from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.jobs import Job
 from deepfsi.networks.custom import OwnClassifier, make
+from deepfsi.networks.values import Values
 from deepfsi.physics import LearnedMasks, Rails, Scanner, library_defaults, light_law
 from deepfsi.training.characterisation import characterise
 from deepfsi.training.info import provenance
-from deepfsi.training.training_set import TrainingSet
 
 
 @library_defaults(grad=True)
@@ -80,7 +80,7 @@ def design_of(
         training_scenes=TrainingScenes.of(scenes),
     )
     del design.info["job"]["training"], design.info["seconds"]  # not known of a training elsewhere
-    characterise(TrainingSet(scenes, rails.device.type), [job], [design])
+    characterise(TrainingSet(scenes, rails.device), [job], [design])
     return design
 
 

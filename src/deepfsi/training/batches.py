@@ -6,9 +6,9 @@ import torch
 
 from deepfsi.base import Message
 from deepfsi.base.numeric import check_memory, free_memory
+from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.jobs import Job, Training
 from deepfsi.training.masks import matrix_seeds
-from deepfsi.training.training_set import TrainingSet
 
 MASK_COPIES = 16
 """Copies of the masks alive in a step: weights, gradients, moments, their stages and products."""

@@ -15,18 +15,18 @@ from deepfsi.designfile import (
     Temperatures,
     calibration_budgets,
 )
-from deepfsi.evaluation.accuracy import scanner_for
-from deepfsi.evaluation.confidence import (
+from deepfsi.evaluation import (
     CalibrationScenes,
     Exposed,
     LeftOutTest,
     fit_temperatures,
+    scanner_for,
 )
 from deepfsi.exposure.readout_fit import sample_scenes
+from deepfsi.exposure.statistics import CHUNK
+from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.jobs import Job
 from deepfsi.training.folds import DOUBT, LEFT_OUT, calibrated, draws_of
-from deepfsi.training.statistics import CHUNK
-from deepfsi.training.training_set import TrainingSet
 
 
 def characterise(

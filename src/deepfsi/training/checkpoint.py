@@ -31,10 +31,10 @@ from deepfsi.base import (
     write_atomically,
 )
 from deepfsi.base.numeric import DamagedError, read_tensors
+from deepfsi.exposure.draws import SeedStream
+from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.jobs import REVISION, Job, custom_parts
 from deepfsi.training.counts import CountsCost
-from deepfsi.training.draws import SeedStream
-from deepfsi.training.training_set import TrainingSet
 
 CHECKPOINT_SECONDS = 120.0
 """Time between two states of a training that are written, s."""

@@ -19,8 +19,8 @@ from torch import Tensor
 
 from deepfsi.base import Progress
 from deepfsi.design.adaptive import AnyDesign
+from deepfsi.exposure.statistics import CHUNK
 from deepfsi.physics import Detection, LearnedMasks, TrainingNoise, project_rails
-from deepfsi.training.statistics import CHUNK
 
 NEAR = 0.02
 """Relative difference between the counts asked for and those in the mean that is taken for none."""

@@ -12,9 +12,12 @@ from torch import Tensor
 
 from deepfsi.camera import LightLawName
 from deepfsi.exposure.conditioned import ConditionedExposure, first
+from deepfsi.exposure.draws import SeedStream, product_dtype, side_by_side
 from deepfsi.exposure.looks import LooksExposure
 from deepfsi.exposure.passing import PassingExposure
+from deepfsi.exposure.statistics import CHUNK, deviation, feature_statistics, standardise
 from deepfsi.exposure.trained import FixedExposure, PatchExposure, TrainedExposure
+from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.jobs import Job, Scale
 from deepfsi.networks.classifiers import Replicas
 from deepfsi.physics import (
@@ -32,10 +35,7 @@ from deepfsi.physics import (
     project_rails,
     root,
 )
-from deepfsi.training.draws import SeedStream, product_dtype, side_by_side
 from deepfsi.training.passing import PassingFeatures
-from deepfsi.training.statistics import CHUNK, deviation, feature_statistics, standardise
-from deepfsi.training.training_set import TrainingSet
 
 Streams = list[SeedStream]
 """Draws of the jobs of each seed, in the order of the jobs."""

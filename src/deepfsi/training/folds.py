@@ -7,12 +7,7 @@ import numpy as np
 
 from deepfsi.datasets import Dataset
 from deepfsi.designfile import Temperatures
-from deepfsi.evaluation.confidence import (
-    CalibrationScenes,
-    LeftOutTest,
-    fit_temperatures,
-    measure_left_out,
-)
+from deepfsi.evaluation import CalibrationScenes, LeftOutTest, fit_temperatures, measure_left_out
 
 FEW_SCENES = 1000
 """Training scenes below which a design is surer of them than it is right on others."""

@@ -13,8 +13,11 @@ from deepfsi.camera import check_budget
 from deepfsi.datasets import Source, as_dataset
 from deepfsi.design.adaptive import AnyDesign
 from deepfsi.design.design import Design
+from deepfsi.exposure.draws import dtypes
 from deepfsi.exposure.kinds import begin
+from deepfsi.exposure.statistics import feature_statistics
 from deepfsi.exposure.trained import TrainedExposure
+from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.jobs import Job, find_job
 from deepfsi.physics import (
     Detection,
@@ -32,14 +35,11 @@ from deepfsi.training.batches import check_fits
 from deepfsi.training.characterisation import characterise
 from deepfsi.training.checkpoint import NO_CHECKPOINT, Checkpoint
 from deepfsi.training.counts import train_for_counts
-from deepfsi.training.draws import dtypes
 from deepfsi.training.folds import folds_of
 from deepfsi.training.info import detector_shares, provenance
 from deepfsi.training.loop import Classifier, optimise
 from deepfsi.training.masks import final_masks, initial_masks
 from deepfsi.training.passing import passing_statistics
-from deepfsi.training.statistics import feature_statistics
-from deepfsi.training.training_set import TrainingSet
 
 REMEDY = "lower lr and mask_lr, or try another seed or more photons"
 """What to do where a training diverged."""
@@ -58,7 +58,7 @@ def learn(
     *,
     counts: float | None = None,
     matrix: np.ndarray | None = None,
-    device: str = "auto",
+    device: str | torch.device = "auto",
     report: Progress | None = None,
     checkpoint: str | os.PathLike[str] | None = None,
     **settings: Any,
@@ -75,7 +75,8 @@ def learn(
         masks learn to count no more of that budget, see `training.counts`.
     matrix : array, shape (m, N), optional
         Your own sensing matrix, for ``design="custom"``.
-    device : {"auto", "cpu", "cuda"}
+    device : str or torch.device
+        Such as ``"cuda:1"`` (`physics.torch_device`).
     report : Report, optional
         Where to say how far the training is; a bar where a terminal is attached unless given.
     checkpoint : path, optional

@@ -19,7 +19,9 @@ from torch import Tensor, nn
 
 from deepfsi.base import SILENT, InputError, Progress
 from deepfsi.datasets import Dataset
+from deepfsi.exposure.draws import network_dtype, seed_streams, side_by_side
 from deepfsi.exposure.trained import TrainedExposure
+from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.jobs import VIT, Job, Training
 from deepfsi.networks.classifiers import Mlp, Replicas, Vit
 from deepfsi.networks.custom import OwnClassifier, make, seeded
@@ -27,10 +29,8 @@ from deepfsi.physics import FixedMasks, LearnedMasks, TrainingNoise
 from deepfsi.training.batches import batch_of
 from deepfsi.training.checkpoint import NO_CHECKPOINT, Checkpoint, LoopState
 from deepfsi.training.counts import CountsCost, dim_start
-from deepfsi.training.draws import network_dtype, seed_streams, side_by_side
 from deepfsi.training.features import LearnedFeatures, features_of
 from deepfsi.training.losses import find_loss, total
-from deepfsi.training.training_set import TrainingSet
 
 Classifier = Mlp | Vit | OwnClassifier
 """What is trained to classify."""
@@ -147,7 +147,7 @@ def _generators(
     if settings.is_custom:
         generators.append(torch.default_generator)
         if device.type == "cuda":
-            generators.append(torch.cuda.default_generators[torch.cuda.current_device()])
+            generators.append(torch.cuda.default_generators[device.index])
     return generators
 
 

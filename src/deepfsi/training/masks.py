@@ -10,6 +10,7 @@ from deepfsi.base import InputError
 from deepfsi.camera import LIGHT_LAWS, Camera
 from deepfsi.exposure.passing import PassingExposure
 from deepfsi.exposure.trained import TrainedExposure
+from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.jobs import DESIGNS, Code, Job, count_allowed
 from deepfsi.physics import (
     Detection,
@@ -23,7 +24,6 @@ from deepfsi.physics import (
     signed_parts,
 )
 from deepfsi.training.passing import initial_pattern
-from deepfsi.training.training_set import TrainingSet
 
 
 def initial_masks(

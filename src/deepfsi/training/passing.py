@@ -5,6 +5,8 @@ from collections.abc import Iterator, Sequence
 import torch
 from torch import Tensor
 
+from deepfsi.exposure.draws import SeedStream, side_by_side
+from deepfsi.exposure.statistics import CHUNK, deviation, moments, standardise
 from deepfsi.jobs import Scale
 from deepfsi.physics import (
     FixedPattern,
@@ -14,8 +16,6 @@ from deepfsi.physics import (
     in_levels,
     project,
 )
-from deepfsi.training.draws import SeedStream, side_by_side
-from deepfsi.training.statistics import CHUNK, deviation, moments, standardise
 
 Pattern = FixedPattern | LearnedPattern
 """A pattern of a training."""

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import torch
 
 from deepfsi.base import SILENT, Progress
 from deepfsi.base.numeric import Interval, accuracy_interval, student, wilson
@@ -172,7 +173,7 @@ def learn_readouts(
     *,
     training: Mapping[str, Any] | None = None,
     seed: int = 0,
-    device: str = "auto",
+    device: str | torch.device = "auto",
     report: Progress = SILENT,
 ) -> Design:
     """Train a classifier on the training part of a split of measured readouts.

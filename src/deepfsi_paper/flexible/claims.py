@@ -21,7 +21,7 @@ from deepfsi.base.numeric import (
     mean_of_trials,
     signed_text,
 )
-from deepfsi.evaluation.stopping import Estimate, Stopped
+from deepfsi.evaluation import Estimate, Stopped
 from deepfsi.report.style import BUDGET_AXIS, photons_text
 from deepfsi.sweeps.results import Point, Results
 from deepfsi_paper.experiment import Experiment, Finding, budgets, points

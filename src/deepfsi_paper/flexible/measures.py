@@ -15,8 +15,7 @@ from deepfsi.base import SILENT, Progress
 from deepfsi.base.numeric import accuracy_interval
 from deepfsi.datasets import Dataset
 from deepfsi.design.design import Design
-from deepfsi.evaluation.accuracy import evaluate
-from deepfsi.evaluation.stopping import Stopped, stop
+from deepfsi.evaluation import Stopped, evaluate, stop
 from deepfsi.sweeps.results import Point, Results
 from deepfsi_paper.experiment import budgets, points
 

@@ -18,7 +18,7 @@ from deepfsi.datasets import Dataset, SpectralImage
 from deepfsi.datasets.indian_pines import load_scene
 from deepfsi.design.design import Design
 from deepfsi.designfile import DesignFile
-from deepfsi.evaluation.accuracy import evaluate
+from deepfsi.evaluation import evaluate
 from deepfsi.report.masks import brightest
 from deepfsi.sweeps.results import Point, Results
 from deepfsi_paper.experiment import best

@@ -143,7 +143,7 @@ def _rounded(job: Job, device: torch.device) -> torch.dtype:
     fast = (
         torch.cuda.is_bf16_supported(including_emulation=False)
         if device.type == "cuda"
-        else torch.cpu.get_capabilities().get("avx512_bf16", False)
+        else device.type == "cpu" and torch.cpu.get_capabilities().get("avx512_bf16", False)
     )
     readouts = job.exposure.min_lit_masks(job.masks) * (2 if job.optics.rails == "dual" else 1)
     counts = job.exposure.highest(job.photons) / readouts

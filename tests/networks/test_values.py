@@ -9,10 +9,7 @@ import torch
 from deepfsi import Scanner, evaluate, ideal_observer, learn, predict
 from deepfsi.base import InputError
 from deepfsi.design.onnx import to_onnx
-from deepfsi.evaluation.accuracy import scanner_for
-from deepfsi.evaluation.bounds import cramer_rao, linear_bound
-from deepfsi.evaluation.page_data import check_playable
-from deepfsi.evaluation.stopping import stop
+from deepfsi.evaluation import check_playable, cramer_rao, linear_bound, scanner_for, stop
 from deepfsi.physics import Click
 from shared.values import SLOPES, SPREAD, linear_scenes, placed_digits
 

@@ -6,10 +6,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepfsi.base import InputError
 from deepfsi.camera import LIGHT_LAWS, ONE_DETECTOR, DetectorMap, LightLawName, summed_reflectance
 from deepfsi.datasets import Dataset
-from deepfsi.design.values import Values
 from deepfsi.designfile import TrainingScenes
 from deepfsi.jobs import (
     DESIGNS,
@@ -18,7 +16,8 @@ from deepfsi.jobs import (
     count_allowed,
     sensing_matrix,
 )
-from deepfsi.physics import Detection
+from deepfsi.networks.values import Values
+from deepfsi.physics import Detection, torch_device
 
 Matrices = dict[tuple[str, int, int, tuple[int, ...] | None], np.ndarray]
 """Sensing matrices (m, N) by design, number of masks, seed and detectors."""
@@ -28,10 +27,10 @@ class TrainingSet:
     """A data set on a device, with what several trainings on it share."""
 
     def __init__(
-        self, data: Dataset, device: str = "auto", matrices: Matrices | None = None
+        self, data: Dataset, device: str | torch.device = "auto", matrices: Matrices | None = None
     ) -> None:
         self.data = data
-        self._name, self.device = device, find_device(device)
+        self.device = torch_device(device)
         self.summed_reflectance = summed_reflectance(data.x_train)
         self.values = Values.of(data)
         # (n,) classes, or (n, q) standardised values
@@ -45,7 +44,7 @@ class TrainingSet:
 
     def of(self, data: Dataset) -> "TrainingSet":
         """Other scenes on the same device."""
-        return TrainingSet(data, self._name)
+        return TrainingSet(data, self.device)
 
     def seen(self, exposure: Exposure) -> "TrainingSet":
         """The scenes as the masks of an exposure see them."""
@@ -110,12 +109,3 @@ class TrainingSet:
         if key not in self.matrices:
             self.matrices[key] = sensing_matrix(name, whole, self.data, seed, detectors)
         return self.matrices[key][:masks]
-
-
-def find_device(name: str) -> torch.device:
-    """Device of that name, or `InputError` if it is not one or is not here."""
-    if name not in ("auto", "cpu", "cuda"):
-        raise InputError(f"unknown device {name!r}: choose auto, cpu or cuda")
-    if name == "cuda" and not torch.cuda.is_available():
-        raise InputError("device cuda is not here: use {device:cpu} or auto", setting="device")
-    return torch.device("cuda" if name != "cpu" and torch.cuda.is_available() else "cpu")
