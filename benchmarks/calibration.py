@@ -21,8 +21,7 @@ from scipy.special import softmax
 
 import deepfsi
 from deepfsi.datasets import Dataset
-from deepfsi.design.adaptive import AdaptiveDesign
-from deepfsi.evaluation import chance_error, confidence_error, logits_at_stops, scanner_for
+from deepfsi.evaluation import chance_error, confidence_error, logits_at_stops
 from deepfsi.exposure.temperatures import stop_temperatures
 from deepfsi.jobs import Job
 from deepfsi.training.characterisation import find_temperatures
@@ -55,13 +54,13 @@ Answers = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 def answers(design: Any, data: Dataset, photons: float, seed: int, tests: int) -> Answers:
     """Answers to the test images at a budget."""
-    if isinstance(design, AdaptiveDesign):
+    if design.exposure.makes_masks:
         x, y = data.x_test[:tests], data.y_test[:tests]
         logits = logits_at_stops(design, design.camera, x, photons, 1, seed, [design.masks - 1])[-1]
         temperature = 1.0
     else:
         x, y = data.x_test, data.y_test
-        scanner = scanner_for(design, design.camera)
+        scanner = design.front_end(design.camera)
         logits = logits_at_stops(design, scanner, x, photons, 1, seed)[-1]
         temperature = float(stop_temperatures(design.temperatures, photons)[-1])
     both = (softmax(logits / each, axis=1).max(axis=1) for each in (temperature, 1.0))

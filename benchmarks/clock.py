@@ -94,7 +94,7 @@ def test(design: Design, data: Dataset, photons: float) -> tuple[float, float]:
             torch.from_numpy(data.y_test).split(1000),
             strict=True,
         ):
-            looks = list(design.expose(scanner, design.rates(scanner, x), generator, photons))
+            looks = list(design.observe(scanner, design.rates(scanner, x), generator, photons))
             right += int((design.logits_of(looks[-1], photons).argmax(dim=-1) == y).sum())
             shown += frames_shown(design, looks) * len(x)
     return right / len(data.y_test), shown / len(data.y_test)

@@ -224,7 +224,7 @@ def consistent(rng: np.random.Generator, faulty: bool, whole: bool) -> bool:
 
 
 @cache
-def adaptive() -> tuple[deepfsi.AdaptiveDesign, torch.Tensor]:
+def adaptive() -> tuple[deepfsi.Design, torch.Tensor]:
     """A design of adaptive masks of digits, and test digits."""
     digits = deepfsi.load_dataset("digits")
     made = deepfsi.learn(digits, camera="dmd", design="adaptive", masks=LOOKS, photons=PHOTONS)
@@ -237,14 +237,16 @@ def misfit(rng: np.random.Generator, faulty: bool) -> bool:
     design, digits = adaptive()
     scene = digits[int(rng.integers(len(digits)))][None]
     scene = 1.3 - scene if faulty else scene
-    state = AdaptivePosterior(design.prior, 1, LookOptics.of(design.camera, (8, 8), PHOTONS))
+    state = AdaptivePosterior(
+        design.prior_exposure.prior, 1, LookOptics.of(design.camera, (8, 8), PHOTONS)
+    )
     generator, total = torch.Generator().manual_seed(int(rng.integers(2**32))), 0.0
-    for share in design.settings.shares:
+    for share in design.prior_exposure.settings.shares:
         masks, counts, _ = look_at(state, scene, share, generator)
         total += float(squared_distance(state, masks, counts, share))
         state.update(masks, counts, share)
-    assert design.usual_misfit is not None
-    return design.usual_misfit.chance(total, LOOKS - 1, PHOTONS) < UNSURE
+    assert design.prior_exposure.usual_misfit is not None
+    return design.prior_exposure.usual_misfit.chance(total, LOOKS - 1, PHOTONS) < UNSURE
 
 
 def main(

@@ -20,8 +20,7 @@ from scipy.special import softmax
 
 import deepfsi
 from deepfsi.datasets import Dataset
-from deepfsi.design.adaptive import AdaptiveDesign
-from deepfsi.evaluation import chance_error, confidence_error, logits_at_stops, scanner_for
+from deepfsi.evaluation import chance_error, confidence_error, logits_at_stops
 from deepfsi.exposure.temperatures import stop_temperatures
 
 DESIGNS: dict[str, dict[str, Any]] = {
@@ -60,15 +59,15 @@ def drawn(data: Dataset, classes: Sequence[int], each: int, tests: int, seed: in
 def answers(design: Any, data: Dataset, photons: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Probabilities (E, C) of the test pictures, with temperatures and without."""
     found = []
-    if isinstance(design, AdaptiveDesign):
-        plain = replace(design, prior=design.prior.with_temperatures(None))
+    if design.exposure.makes_masks:
+        plain = replace(design, prior=design.prior_exposure.prior.with_temperatures(None))
         for each in (design, plain):
             logs = logits_at_stops(
                 each, each.camera, data.x_test, photons, 1, seed, [each.masks - 1]
             )
             found.append(np.exp(logs[-1]))
         return found[0], found[1]
-    scanner = scanner_for(design, design.camera)
+    scanner = design.front_end(design.camera)
     logits = logits_at_stops(design, scanner, data.x_test, photons, 1, seed)[-1]
     temperature = stop_temperatures(design.temperatures, photons)[-1]
     return softmax(logits / temperature, axis=1), softmax(logits, axis=1)

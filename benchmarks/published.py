@@ -40,7 +40,7 @@ from deepfsi.base.numeric import wilson
 from deepfsi.camera import LightLawName, summed_reflectance
 from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.design.design import Design
-from deepfsi.evaluation import evaluate, scanner_for
+from deepfsi.evaluation import evaluate
 from deepfsi.physics import light_law
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.results import Point
@@ -192,7 +192,7 @@ def print_ours(
 
 def right_in(made: Design, data: Dataset, photons: float, shots: int, seed: int = 0) -> np.ndarray:
     """Whether the mean of a design's logits over shots is right, for each test scene (n,)."""
-    scanner = scanner_for(made, made.camera)
+    scanner = made.front_end(made.camera)
     generator = torch.Generator().manual_seed(shots + 1000 * seed)
     right = []
     with torch.no_grad():
@@ -200,7 +200,7 @@ def right_in(made: Design, data: Dataset, photons: float, shots: int, seed: int 
             rates = made.rates(scanner, torch.from_numpy(data.x_test[rows]))
             logits = torch.zeros(len(rows), len(data.classes))
             for _ in range(shots):
-                *_, seen = made.expose(scanner, rates, generator, photons)
+                *_, seen = made.observe(scanner, rates, generator, photons)
                 logits += made.logits_of(seen, photons)
             right.append(logits.argmax(dim=1).numpy() == data.y_test[rows])
     return np.concatenate(right)

@@ -79,11 +79,11 @@ def expose(scene: int, seed: int) -> Run:
     design = deepfsi.learn(data, camera="dmd", design="adaptive", masks=LOOKS, photons=PHOTONS)
     x = torch.from_numpy(data.x_test[scene])[None]
     state = AdaptivePosterior(
-        design.prior, 1, LookOptics.of(design.camera, design.image_shape, PHOTONS)
+        design.prior_exposure.prior, 1, LookOptics.of(design.camera, design.image_shape, PHOTONS)
     )
     generator = torch.Generator().manual_seed(seed)
     masks, counts, known, chances = [], [], [state.scene], [state.chances]
-    for share in design.settings.shares:
+    for share in design.prior_exposure.settings.shares:
         shown, counted, _ = look_at(state, x, share, generator)
         state.update(shown, counted, share)
         masks.append(shown)

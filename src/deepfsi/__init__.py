@@ -18,9 +18,8 @@ if TYPE_CHECKING:
     from deepfsi.datasets import Dataset as Dataset
     from deepfsi.datasets import from_arrays as from_arrays
     from deepfsi.datasets import load_dataset as load_dataset
-    from deepfsi.design.adaptive import AdaptiveDesign as AdaptiveDesign
-    from deepfsi.design.adaptive import load_design as load_design
     from deepfsi.design.design import Design as Design
+    from deepfsi.design.design import load_design as load_design
     from deepfsi.evaluation import IdealObserver as IdealObserver
     from deepfsi.evaluation import Result as Result
     from deepfsi.evaluation import evaluate as evaluate
@@ -46,7 +45,6 @@ if "GOMP_SPINCOUNT" not in os.environ:
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # read when torch is imported
 
 _HOMES = {
-    "AdaptiveDesign": "design.adaptive",
     "Camera": "camera",
     "Dataset": "datasets",
     "Design": "design.design",
@@ -72,13 +70,12 @@ _HOMES = {
     "ideal_observer": "evaluation",
     "learn": "training.learning",
     "load_dataset": "datasets",
-    "load_design": "design.adaptive",
+    "load_design": "design.design",
     "photons_per_pixel": "camera",
     "predict": "lab",
 }
 
 __all__ = [
-    "AdaptiveDesign",
     "Camera",
     "Dataset",
     "Design",

@@ -20,9 +20,9 @@ def test_a_design_is_made_and_tested(done, tmp_path):
     out = tmp_path / "a.safetensors"
     made = ("design", "--design", "adaptive", "--masks", 2, "--photons", "1e3", "--hold-out", 1100)
     assert "adaptive with 2 looks" in done(*made, "-o", out)
-    before = load_design(out).prior.arrays
+    before = load_design(out).prior_exposure.prior.arrays
     done(*made, "-o", out)  # of the same settings, it may be replaced
-    again = load_design(out).prior.arrays
+    again = load_design(out).prior_exposure.prior.arrays
     assert all(np.array_equal(before[name], again[name]) for name in before | again)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from deepfsi import AdaptiveDesign, Camera, evaluate, learn, load_design
+from deepfsi import Camera, Design, evaluate, learn, load_design
 from deepfsi.base import InputError
 from deepfsi.evaluation import stop
 from shared.design_files import header_of, rewrite
@@ -33,11 +33,11 @@ def adaptive(kept):
 
 def test_a_file_gives_the_design_back(adaptive, few, tmp_path):
     path = adaptive.save(tmp_path / "a.safetensors")
-    back, same = load_design(path), AdaptiveDesign.load(path)
-    assert isinstance(back, AdaptiveDesign)
+    back, same = load_design(path), Design.load(path)
+    assert back.exposure.makes_masks
     assert back.to_bytes() == same.to_bytes() == path.read_bytes()
     assert (back.settings, back.classes, back.info) == (
-        adaptive.settings, adaptive.classes, adaptive.info
+        adaptive.prior_exposure.settings, adaptive.classes, adaptive.info
     )  # fmt: skip
     found, wanted = (evaluate(each, few, PHOTONS, draws=2)[0] for each in (back, adaptive))
     # scenes are kept in 8 bits: some answers may change, of the same noise and few of them
@@ -170,6 +170,6 @@ def test_counts_of_a_training_are_reached(kept):
 def test_the_header_holds_no_scene(adaptive, tmp_path):
     path = adaptive.save(tmp_path / "a.safetensors")
     assert len(str(header_of(path))) < 10_000
-    known = adaptive.prior
+    known = adaptive.prior_exposure.prior
     assert path.stat().st_size < 1.5 * (known.coefficients.numel() + 4 * known.components.numel())
-    assert np.isclose(sum(adaptive.settings.shares), 1.0)
+    assert np.isclose(sum(adaptive.prior_exposure.settings.shares), 1.0)

@@ -7,8 +7,7 @@ import torch
 from conftest import quick
 from deepfsi import evaluate
 from deepfsi.base import InputError
-from deepfsi.physics import to_training_light
-from deepfsi.physics import noise_of
+from deepfsi.physics import noise_of, to_training_light
 
 FEW = 60.0
 

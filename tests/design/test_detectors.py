@@ -98,7 +98,7 @@ def test_looks_at_a_camera_are_those_of_the_tests(digits, light, rails, readout)
 def test_the_light_of_all_detectors_is_that_of_one(digits):
     """Tiles divide the light, they do not add to it."""
     design = trained(digits, masks=6)
-    one = replace(design, detection=Detection())
+    one = replace(design, exposure=design.mask_exposure.with_optics(detection=Detection()))
     x = torch.from_numpy(digits.x_train[:200])
     rates = [each.rates(each.scanner("none"), x) for each in (design, one)]
     assert torch.allclose(rates[0].unflatten(-1, (6, 4)).sum(dim=-1), rates[1], rtol=1e-5)

@@ -163,7 +163,7 @@ def test_counts_of_chosen_dwells_are_those_that_were_drawn(digits):
     [result] = evaluate(looks, digits, 300.0, draws=1)
     rates = looks.rates(scanner, torch.from_numpy(digits.x_test))
     with torch.no_grad():
-        *_, seen = looks.expose(scanner, rates, generator(4), 300.0)
+        *_, seen = looks.observe(scanner, rates, generator(4), 300.0)
     drawn, n = float(seen.features.sum()) * 300 / len(rates), len(rates)
     # dwells differ between draws: the counts of a scene vary by more than photon noise
     spread = 300 * float(seen.features.sum(dim=1).std()) / math.sqrt(n)

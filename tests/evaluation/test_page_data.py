@@ -91,7 +91,7 @@ def test_the_page_of_adaptive_masks_is_small_and_plays_the_whole_exposure(digits
     made = learn(digits, design="adaptive", masks=2, photons=1e3)
     rng = np.random.default_rng(0)
     scenes, parts = 20000, 120
-    held = made.prior.arrays | {
+    held = made.prior_exposure.prior.arrays | {
         "components": rng.normal(size=(parts, 64)).astype(np.float32) / 1e3,
         "steps": np.full(parts, 1e-3, np.float32),
         "levels": rng.integers(-127, 128, (scenes, parts)).astype(np.int8),
@@ -99,10 +99,10 @@ def test_the_page_of_adaptive_masks_is_small_and_plays_the_whole_exposure(digits
         "sizes": np.full(10, scenes // 10),
     }
     prior = ScenePrior.restored(held)
-    stopping = made.settings.model_copy(update={"until": 0.5})
+    stopping = made.prior_exposure.settings.model_copy(update={"until": 0.5})
     known = of_page(replace(made, prior=prior, settings=stopping))
-    assert len(known.prior) == COEFFICIENTS // parts - COEFFICIENTS // parts % 10
-    assert known.settings.until == 1
+    assert len(known.prior_exposure.prior) == COEFFICIENTS // parts - COEFFICIENTS // parts % 10
+    assert known.prior_exposure.settings.until == 1
     few = replace(digits, x_test=digits.x_test[:20], y_test=digits.y_test[:20])
     page = write_page(tmp_path / "page.html", playable(replace(made, prior=prior), few))
     assert 1e6 < page.stat().st_size < 2e6

@@ -102,7 +102,7 @@ def test_the_choice_keeps_the_accuracy_of_the_scenes_it_was_made_on(stopped):
 def test_the_interval_of_the_light_used_is_normal_over_images(nested, digits):
     """One draw of each image: the stops are independent, and their shares give the spread."""
     found = stop(nested, digits, PHOTONS, held_out=HELD_OUT, threshold=0.9, draws=1)
-    _, used = nested.exposure.stops(nested.rails, nested.light)
+    used = nested.exposure.stops.used
     shares, images = np.array(found.stops), len(digits.y_test)
     variance = (shares @ used**2 - (shares @ used) ** 2) * images / (images - 1)
     assert variance > 0

@@ -18,7 +18,7 @@ def test_an_image_that_cannot_be_cut_so_is_refused():
 )
 def test_dwells_of_masks_share_the_exposure(made, light, rails):
     design = made("deepfsi", light, rails)
-    dwells = design.exposure.mask_dwells(design.rails, light, design.mean, design.std)
+    dwells = design.exposure.mask_dwells()
     assert dwells.shape == (design.masks,)
     assert float(dwells.sum()) == pytest.approx(
         float(light_law(light).used(design.rails.stacked)[-1])

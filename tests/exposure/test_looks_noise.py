@@ -60,8 +60,8 @@ def test_sums_of_looks_have_the_mean_and_variance_of_light_dark_counts_and_read_
     scanner, few = design.scanner("camera", sigma, dark), torch.from_numpy(digits.x_test[:4])
     with torch.no_grad():
         rates = design.rates(scanner, few.repeat_interleave(5000, dim=0))
-        *_, seen = design.expose(scanner, rates, generator(3), PHOTONS)
-        expected = PHOTONS * design.exposure.shown(rates, seen)
+        *_, seen = design.observe(scanner, rates, generator(3), PHOTONS)
+        expected = PHOTONS * design.exposure.expected(rates, seen)
     off = seen.features * PHOTONS - design.detection.features(expected)
     dwell = seen.dwell.repeat_interleave(design.features // seen.dwell.shape[-1], dim=-1)
     added = readouts(optics) * (dark * dwell + LOOKS * sigma**2)

@@ -10,7 +10,7 @@ import deepfsi
 from conftest import RECIPE, assert_moments, generator, synthetic
 from deepfsi import Design
 from deepfsi.base import InputError
-from deepfsi.evaluation import check_playable, scanner_for, stop
+from deepfsi.evaluation import check_playable, stop
 from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.lab import design_rails
 from deepfsi.physics import FixedPattern
@@ -58,11 +58,11 @@ def test_a_learned_pattern_reads_what_a_blind_guess_does_not(data, learned):
 
 def test_each_exposure_of_a_test_has_a_place_of_its_own(data, learned):
     """The counts of one scene, its place unknown, vary by more than photon noise."""
-    scanner = scanner_for(learned, learned.camera)
+    scanner = learned.front_end(learned.camera)
     one = torch.from_numpy(data.x_test[:1]).expand(20_000, -1)
     with torch.no_grad():
         rates = learned.rates(scanner, one)
-        [seen] = learned.expose(scanner, rates, generator(), 1e4)
+        [seen] = learned.observe(scanner, rates, generator(), 1e4)
     placed = learned.exposure.placed(rates, generator(1))[:, 0] * 1e4
     counts = seen.features * 1e4
     assert torch.equal(counts.round(), counts.round(decimals=2).round())
@@ -72,7 +72,7 @@ def test_each_exposure_of_a_test_has_a_place_of_its_own(data, learned):
         mean_error = 5 * (2 * spread / 20_000) ** 0.5
         assert abs(counts[:, t].mean() - placed[:, t].mean()) < mean_error
         assert float(counts[:, t].var()) == pytest.approx(spread, rel=0.15)
-    shown = learned.exposure.shown(rates[:1], seen)[0, 0] * 1e4
+    shown = learned.exposure.expected(rates[:1], seen)[0, 0] * 1e4
     error = 5 * (placed.var(dim=0) * (1 / 1024 + 1 / 20_000)).sqrt()
     assert ((shown - placed.mean(dim=0)).abs() <= error).all()
 
@@ -80,13 +80,13 @@ def test_each_exposure_of_a_test_has_a_place_of_its_own(data, learned):
 def test_without_jitter_counts_are_those_of_the_fixed_matrix(data):
     still = made(data, exposure={"bins": 6, "speed": 1.5})
     x = torch.from_numpy(data.x_test[:1])
-    scanner = scanner_for(still, still.camera)
+    scanner = still.front_end(still.camera)
     placed = still.exposure.placed(still.rates(scanner, x), generator())[0, 0]
     wanted = x[0] @ still.rails.difference.T / still.summed_reflectance
     assert torch.allclose(placed, wanted, rtol=1e-4)
     with torch.no_grad():
         rates = still.rates(scanner, x.expand(20_000, -1))
-        [seen] = still.expose(scanner, rates, generator(), 1e4)
+        [seen] = still.observe(scanner, rates, generator(), 1e4)
     for t in range(6):
         rate = 1e4 * float(wanted[t])
         assert_moments(seen.features[:, t] * 1e4, rate, rate, poisson=True, rounding=1e-3)
@@ -117,8 +117,8 @@ def test_statistics_are_those_of_the_exposures(data, learned):
     gain = 1e4 / learned.summed_reflectance
     noise = training_noise("poisson", [gain], [0.0], [0], scenes.device)
     mean, std, light = passing_statistics(scenes, masks, noise, "each", 3)
-    scanner = scanner_for(learned, learned.camera)
-    [seen] = learned.expose(scanner, learned.rates(scanner, scenes), generator(), 1e4)
+    scanner = learned.front_end(learned.camera)
+    [seen] = learned.observe(scanner, learned.rates(scanner, scenes), generator(), 1e4)
     drawn = seen.features * learned.summed_reflectance
     error = 5 * std[0] * (2 / len(scenes)) ** 0.5
     assert ((drawn.mean(dim=0) - mean[0]).abs() < error).all()
@@ -134,9 +134,9 @@ def test_dark_counts_are_those_of_the_whole_transit(data):
         exposure=replace(dim.exposure, pattern=torch.zeros(4, 15)),
         rails=type(dim.rails).of(torch.zeros(1, 6, 24)),
     )
-    scanner = scanner_for(blind, blind.camera)
+    scanner = blind.front_end(blind.camera)
     scenes = torch.from_numpy(data.x_test[:1]).expand(20_000, -1)
-    [seen] = blind.expose(scanner, blind.rates(scanner, scenes), generator(), 1e4)
+    [seen] = blind.observe(scanner, blind.rates(scanner, scenes), generator(), 1e4)
     for t in range(6):
         assert_moments(seen.features[:, t] * 1e4 + 100, 100, 100, poisson=True, rounding=1e-2)
 

@@ -40,7 +40,7 @@ def exposures(design: Design, data: Dataset, photons: float, draws: int = 1, noi
     x = torch.from_numpy(data.x_test).repeat_interleave(draws, dim=0)
     with torch.no_grad():
         rates = scanner.rates(x / design.summed_reflectance)
-        *_, seen = design.expose(scanner, rates, generator, photons)
+        *_, seen = design.observe(scanner, rates, generator, photons)
     return seen
 
 
@@ -62,7 +62,7 @@ def test_masks_that_are_all_on_count_what_a_scene_sends(digits, design):
     photons, draws = 1e3, 400
     few = digits.x_test[:20]
     lit = torch.full_like(design.rails.stacked, 1 / design.masks)
-    design = replace(design, rails=Rails.of(lit))
+    design = replace(design, exposure=design.mask_exposure.with_optics(rails=Rails.of(lit)))
     data = replace(digits, x_test=few, y_test=digits.y_test[:20])
     seen = exposures(design, data, photons, draws)
     counted = seen.features.sum(dim=-1).view(20, draws).mean(dim=1) * photons
@@ -84,7 +84,7 @@ def test_counts_at_known_dwells_are_poisson(digits, design):
     scanner = design.scanner()
     x = torch.from_numpy(digits.x_test).repeat_interleave(20, dim=0) / design.summed_reflectance
     with torch.no_grad():
-        [seen] = design.expose(scanner, scanner.rates(x), generator, photons)
+        [seen] = design.observe(scanner, scanner.rates(x), generator, photons)
     rates = (photons * 6 * seen.dwell * (x @ design.rails.plus.T)).double()
     chi = ((seen.features * photons - rates).square() / rates)[rates > 20]
     assert len(chi) > 1e4

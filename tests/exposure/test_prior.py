@@ -112,4 +112,4 @@ def test_light_and_misfit_are_measured_with_scenes_of_all_classes(digits):
     design = learn(digits, **settings(4))
     [found] = evaluate(design, digits, PHOTONS, draws=1)
     assert found.counts / PHOTONS == pytest.approx(float(design.shares.sum()), rel=0.1)
-    assert design.usual_misfit is not None
+    assert design.prior_exposure.usual_misfit is not None

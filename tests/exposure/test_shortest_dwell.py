@@ -89,7 +89,7 @@ def test_a_look_is_longer_than_a_frame(digits):
 
 def test_dwells_of_masks_are_those_of_the_first_look(looking):
     first = dwells_of(looking)[0]
-    shown = looking.exposure.mask_dwells(looking.rails, looking.light, looking.mean, looking.std)
+    shown = looking.exposure.mask_dwells()
     by_mask = first.reshape(-1, looking.masks).sum(axis=0)
     np.testing.assert_allclose(shown.detach(), by_mask, rtol=1e-5, atol=1e-7)
     assert by_mask.sum() == pytest.approx(1 / 3)

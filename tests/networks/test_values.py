@@ -9,7 +9,7 @@ import torch
 from deepfsi import Scanner, evaluate, ideal_observer, learn, predict
 from deepfsi.base import InputError
 from deepfsi.design.onnx import to_onnx
-from deepfsi.evaluation import check_playable, cramer_rao, linear_bound, scanner_for, stop
+from deepfsi.evaluation import check_playable, cramer_rao, linear_bound, stop
 from deepfsi.physics import Click
 from shared.values import SLOPES, SPREAD, linear_scenes, placed_digits
 
@@ -46,7 +46,7 @@ def test_the_bound_is_the_posterior_of_the_linear_gaussian_model(linear):
     noise = SPREAD**2 * mask @ mask.T + SIGMA**2 * frames * np.eye(8)
     inverse = np.eye(2) + (mask @ SLOPES.T).T @ np.linalg.solve(noise, mask @ SLOPES.T)
     expected = np.sqrt(np.diag(np.linalg.inv(inverse)))
-    found = linear_bound(made, scanner_for(made, made.camera), data, 1e3)
+    found = linear_bound(made, made.front_end(made.camera), data, 1e3)
     assert found == pytest.approx(expected, rel=5 / math.sqrt(2 * 6000))
 
 

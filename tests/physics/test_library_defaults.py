@@ -121,10 +121,10 @@ def test_everything_that_users_call_gives_the_same_whatever_torch_is_set_to(digi
         return [each.as_dict() for each in deepfsi.evaluate(made, digits, 1e4, draws=1)]
 
     calls = {
-        "learn adaptive": lambda: learn_adaptive().prior.components,
+        "learn adaptive": lambda: learn_adaptive().prior_exposure.prior.components,
         "learn looks": lambda: learn(exposure=deepfsi.Looks(looks=2)).mean,
         "load": lambda: deepfsi.load_design(file).rails.stacked,
-        "load adaptive": lambda: deepfsi.load_design(adaptive_file).prior.components,
+        "load adaptive": lambda: deepfsi.load_design(adaptive_file).prior_exposure.prior.components,
         "save": lambda: [design.to_bytes(), adaptive.to_bytes()],
         "evaluate": lambda: [answers(each) for each in (design, looks, adaptive)],
         "ideal observer": lambda: str(deepfsi.ideal_observer(design, digits, 1e4, draws=1)),

@@ -97,10 +97,10 @@ def exposures(designs, digits, double):
         design, found = of_page(designs[kind]), []
         data = synthetic((24,)) if kind == "spectra" else digits
         budgets = np.geomspace(10, 1e6, VECTORS)
-        share = design.settings.shares[0]
+        share = design.prior_exposure.settings.shares[0]
         for number, photons in enumerate(budgets):
             optics = LookOptics.of(design.camera, design.image_shape, float(photons))
-            prior, x = doubled(design.prior), data.x_test[number]
+            prior, x = doubled(design.prior_exposure.prior), data.x_test[number]
             state = AdaptivePosterior(prior, 1, optics)
             noise, looks = generator(number), []
             for _ in range(LOOKS):

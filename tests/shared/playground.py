@@ -10,6 +10,7 @@ from selenium.webdriver.common.by import By
 from conftest import generator, synthetic
 from deepfsi import Design, Mlp
 from deepfsi.datasets import Dataset
+from deepfsi.exposure.trained import FixedExposure, TrainedMasks
 from deepfsi.physics import Detection, Rails, light_law
 from shared.browser import look
 
@@ -109,16 +110,19 @@ def fits(counts: np.ndarray, rate: float) -> float:
 def large_design() -> Design:
     """A design of 96 signed masks of 32 × 32, both rails read by a 512-256 network."""
     signs = torch.randn(96, 1024, generator=generator())
-    return Design(
-        name="deepfsi",
+    optics = TrainedMasks(
         rails=Rails.of(light_law("free-dwell").fit(signs)),
-        classifier=Mlp(192, 10, (512, 256), generator=generator()),
+        light="free-dwell",
+        image_shape=(32, 32),
+        detection=Detection("both"),
+        summed_reflectance=600.0,
         mean=torch.zeros(192),
         std=torch.ones(192),
         shares=torch.ones(192) / 192,
-        summed_reflectance=600.0,
-        light="free-dwell",
-        image_shape=(32, 32),
+    )
+    return Design(
+        name="deepfsi",
         classes=tuple("0123456789"),
-        detection=Detection("both"),
+        exposure=FixedExposure(optics=optics),
+        classifier=Mlp(192, 10, (512, 256), generator=generator()),
     )

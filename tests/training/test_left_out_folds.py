@@ -8,10 +8,10 @@ import pytest
 import torch
 from scipy.special import softmax
 
-from deepfsi import AdaptiveDesign, evaluate, learn
+from deepfsi import Design, evaluate, learn
 from deepfsi.base import InputError
 from deepfsi.designfile import Temperatures
-from deepfsi.evaluation import fit_temperatures, logits_at_stops, scanner_for
+from deepfsi.evaluation import fit_temperatures, logits_at_stops
 from deepfsi.exposure.choice import next_masks
 from deepfsi.exposure.posterior import AdaptivePosterior, LookOptics
 from deepfsi.exposure.temperatures import stop_temperatures
@@ -100,10 +100,10 @@ def test_a_scene_alone_in_its_class_is_never_left_out(few):
 
 def chances(design, data, photons=PHOTONS, seed=3):
     """Probabilities (E, C) of the test scenes, and the classes that are true."""
-    if isinstance(design, AdaptiveDesign):
+    if design.exposure.makes_masks:
         options = design.camera, data.x_test, photons, 1, seed
         return np.exp(logits_at_stops(design, *options, [LOOKS - 1])[0])
-    scanner = scanner_for(design, design.camera)
+    scanner = design.front_end(design.camera)
     logits = logits_at_stops(design, scanner, data.x_test, photons, 1, seed)[-1]
     return softmax(logits / stop_temperatures(design.temperatures, photons)[-1], axis=1)
 
@@ -169,13 +169,16 @@ def test_fewer_scenes_are_less_sure(digits):
 
 
 def test_temperatures_change_confidence_and_no_mask_or_answer(adaptive, few):
-    plain = replace(adaptive, prior=adaptive.prior.with_temperatures(None))
+    plain = replace(adaptive, prior=adaptive.prior_exposure.prior.with_temperatures(None))
     states = []
     for each in (adaptive, plain):
         optics = LookOptics.of(each.camera, each.image_shape, PHOTONS)
-        state, generator = AdaptivePosterior(each.prior, 40, optics), torch.Generator()
+        state, generator = (
+            AdaptivePosterior(each.prior_exposure.prior, 40, optics),
+            torch.Generator(),
+        )
         generator.manual_seed(1)
-        for share in each.settings.shares:
+        for share in each.prior_exposure.settings.shares:
             masks = next_masks(state, share, generator)
             counts = torch.poisson(
                 state.expected(masks, torch.from_numpy(few.x_test[:40]), share), generator
@@ -195,7 +198,7 @@ def test_without_light_classes_keep_their_shares(few):
     kept = np.concatenate([np.arange(16), np.arange(16, 24), np.arange(32, 36)])
     uneven = replace(few, x_train=few.x_train[kept], y_train=few.y_train[kept])
     design = learn(uneven, photons=PHOTONS, **SETTINGS["adaptive"])
-    assert design.prior.temperatures is not None
+    assert design.prior_exposure.prior.temperatures is not None
     given = chances(design, few, 1e-4)
     np.testing.assert_allclose(
         given, np.tile([16 / 28, 8 / 28, 4 / 28], (len(given), 1)), atol=1e-3
@@ -204,23 +207,26 @@ def test_without_light_classes_keep_their_shares(few):
 
 def test_a_file_keeps_the_temperatures_of_a_prior(adaptive, tmp_path):
     path = adaptive.save(tmp_path / "a.safetensors")
-    again = AdaptiveDesign.load(path)
-    assert np.array_equal(again.prior.temperatures.logs, adaptive.prior.temperatures.logs)
+    again = Design.load(path)
+    assert np.array_equal(
+        again.prior_exposure.prior.temperatures.logs,
+        adaptive.prior_exposure.prior.temperatures.logs,
+    )
     assert again.to_bytes() == path.read_bytes()
-    older = replace(adaptive, prior=adaptive.prior.with_temperatures(None))
-    assert AdaptiveDesign.load(older.save(path)).prior.temperatures is None
-    budgets = adaptive.prior.temperatures.budgets
+    older = replace(adaptive, prior=adaptive.prior_exposure.prior.with_temperatures(None))
+    assert Design.load(older.save(path)).prior_exposure.prior.temperatures is None
+    budgets = adaptive.prior_exposure.prior.temperatures.budgets
     for logs in (np.zeros((LOOKS - 1, 5)), np.full((LOOKS, 5), np.nan), np.full((LOOKS, 5), 99.0)):
-        wrong = adaptive.prior.with_temperatures(Temperatures(logs, budgets))
+        wrong = adaptive.prior_exposure.prior.with_temperatures(Temperatures(logs, budgets))
         with pytest.raises(InputError, match="not a whole deepfsi design file"):
-            AdaptiveDesign.load(replace(adaptive, prior=wrong).save(path))
+            Design.load(replace(adaptive, prior=wrong).save(path))
     adaptive.save(path)
     rewrite(path, lambda _, tensors: tensors.pop("temperature_budgets"))
     with pytest.raises(InputError, match="not a whole deepfsi design file"):
-        AdaptiveDesign.load(path)
+        Design.load(path)
 
 
 def test_many_scenes_have_no_folds(digits):
     design = learn(digits, photons=PHOTONS, design="adaptive", masks=2)
-    assert design.prior.temperatures is None
+    assert design.prior_exposure.prior.temperatures is None
     assert "left_out" not in design.info

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from deepfsi.datasets import Dataset
-    from deepfsi.design.adaptive import AnyDesign
     from deepfsi.design.design import Design
     from deepfsi.evaluation import Estimates, Result
     from deepfsi.sweeps.results import Data, Point
@@ -77,22 +76,24 @@ def print_data(data: "Dataset | Data", notes: Sequence[str] = ()) -> None:
         print(f"note: {note}")
 
 
-def open_any(path: Path, trust: bool = False) -> "AnyDesign":
-    """A design file of either kind, or a folder of patterns as `open_design` takes it."""
-    from deepfsi.design.adaptive import load_design
+def open_any(path: Path, trust: bool = False) -> "Design":
+    """A design file, or a folder of patterns as `open_design` takes it."""
+    from deepfsi.design.design import load_design
 
     return open_design(path, trust) if path.is_dir() else load_design(path, trust=trust)
 
 
 def open_design(path: Path, trust: bool = False) -> "Design":
-    """A design file, or what a folder of patterns realises of the design in it."""
+    """A design of masks, or what a folder of patterns realises of the design in it."""
     from deepfsi.design.design import Design
 
+    file = path / "design.safetensors" if path.is_dir() else path
+    made = Design.load(file, trust=trust)
+    made.exposure.check("masks", str(file))
     if not path.is_dir():
-        return Design.load(path, trust=trust)
+        return made
     from deepfsi.hardware.patterns import check_patterns
 
-    made = Design.load(path / "design.safetensors", trust=trust)
     return made.as_shown(*check_patterns(path).realised)
 
 
@@ -219,11 +220,9 @@ def worst_class(rate: float, name: str, width: int = NAME_WIDTH) -> str:
     return f"{rate:.3f} ({short(name, width)})"
 
 
-def size(made: "AnyDesign") -> str:
+def size(made: "Design") -> str:
     """Masks, looks and detectors of a design: 5 masks, 2 looks, 4 detectors, both rails read."""
-    from deepfsi.design.design import Design
-
-    if not isinstance(made, Design):
+    if made.exposure.makes_masks:
         return f"{made.masks} looks"
     parts = [f"{made.masks} masks"]
     if made.exposure.chooses:

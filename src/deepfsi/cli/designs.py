@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from deepfsi.datasets import Dataset
-    from deepfsi.design.adaptive import AdaptiveDesign
     from deepfsi.design.design import Design
     from deepfsi.evaluation import Result, Stopped
     from deepfsi.jobs import Job
@@ -171,7 +170,6 @@ def evaluate(
     file = paths.check_design(file)
     common.check_data(data, view)
     from deepfsi.camera import find_noise
-    from deepfsi.design.design import Design
     from deepfsi.evaluation import camera_for, ideal_observer
     from deepfsi.evaluation import evaluate as test
     from deepfsi.lab import data_of
@@ -187,19 +185,15 @@ def evaluate(
         raise InputError(
             f"the ideal observer is of photon noise, not {camera.noise_name}: leave --ideal out"
         )
-    if not isinstance(made, Design):
-        if ideal or first is not None:
-            raise InputError(
-                "adaptive masks are answered by the posterior of the ideal observer, after all "
-                "looks: leave --ideal and --first out"
-            )
-    elif first is not None:
+    if ideal:
+        made.exposure.check("ideal observer")
+    if first is not None:
         made = made.first(first)
     scenes, notes = data_of(made, data, options.size_of(size), view)
     with common.progress("evaluate", quiet=as_json) as report:
         results = test(made, scenes, budgets, camera=camera, draws=draws, seed=seed, report=report)
     bounds: list[Result] = []
-    if ideal and isinstance(made, Design):
+    if ideal:
         with common.progress("ideal observer", quiet=as_json) as report:
             bounds = ideal_observer(made, scenes, budgets, draws=draws, seed=seed, report=report)
     if as_json:
@@ -258,17 +252,16 @@ def stop(
     if out is not None:
         paths.check_file(out, paths.DESIGN_ENDINGS, force)
     common.check_data(data)
-    from deepfsi.design.adaptive import load_design
-    from deepfsi.design.design import Design
-    from deepfsi.evaluation import looks_of, with_rule
+    from deepfsi.design.design import load_design
     from deepfsi.evaluation import stop as run
+    from deepfsi.evaluation import with_rule
     from deepfsi.lab import data_of
     from deepfsi.physics import torch_device
 
     budget = options.number("photons", photons)
     made = load_design(file, torch_device(device), trust=trust)
-    if out is not None and isinstance(made, Design):
-        looks_of(made)
+    if out is not None:
+        made.exposure.stopping_at(1.0)
     scenes, notes = data_of(made, data, options.size_of(size))
     with common.progress("stop", quiet=as_json):
         found = run(
@@ -287,7 +280,7 @@ def stop(
 
 def _check_same(file: Path, job: "Job", data: "Dataset", matrix: "np.ndarray | None") -> None:
     """Raise `InputError` unless a design file is what training this job would write again."""
-    from deepfsi.design.adaptive import load_design
+    from deepfsi.design.design import load_design
     from deepfsi.designfile import trained_on
 
     with suppress(InputError):
@@ -347,8 +340,7 @@ def show(
         out = file.with_suffix(".png") if file.exists() else Path(f"{file.name}.png")
     file = paths.check_design(file)
     paths.check_file(out, paths.PICTURES, force)
-    from deepfsi.design.adaptive import load_design
-    from deepfsi.design.design import Design
+    from deepfsi.design.design import load_design
     from deepfsi.designfile import check_masks, trained_on
     from deepfsi.lab import data_of
     from deepfsi.report.masks import masks_figure
@@ -358,13 +350,14 @@ def show(
     made = load_design(file)
     check_masks(made.info, "a picture of masks")
     budget = made.info.get("job", {}).get("photons")
-    if not isinstance(made, Design):
+    if made.exposure.makes_masks:
         scenes, _ = data_of(made)
         common.draw("show", _exposure(made, scenes, budget), out, as_json)
         return
-    dwells = made.exposure.mask_dwells(made.rails, made.light, made.mean, made.std)
+    exposure = made.mask_exposure
+    dwells = exposure.mask_dwells()
     labels = made.detection.labels
-    matrix, shape = made.exposure.drawing(made.rails.difference, made.mask_shape)
+    matrix, shape = exposure.drawing()
     figure = masks_figure(
         matrix.cpu().numpy(),
         shape,
@@ -393,13 +386,13 @@ def _title(made: "Design", count: int, timed: bool) -> str:
     if count < lit:
         title += f"; the {count} that count most photons"
     if timed:
-        title += f"\ndwell: {made.exposure.dwell_words}"
+        title += f"\ndwell: {made.mask_exposure.dwell_words}"
     if made.detection.labels is not None:
         title += "\nlines: parts of the device that one detector sees"
     return title
 
 
-def _exposure(made: "AdaptiveDesign", data: "Dataset", photons: float) -> "Figure":
+def _exposure(made: "Design", data: "Dataset", photons: float) -> "Figure":
     """Picture of an exposure of the first test scene."""
     from deepfsi.report.looks import exposure_figure
 

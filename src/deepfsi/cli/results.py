@@ -9,7 +9,7 @@ from deepfsi.base import count_text
 from deepfsi.cli import common
 
 if TYPE_CHECKING:
-    from deepfsi.design.adaptive import AnyDesign
+    from deepfsi.design.design import Design
     from deepfsi.evaluation import Estimates, Result
 
 
@@ -47,12 +47,11 @@ def counts_text(result: "Result") -> str:
     return f"{counts} clicks of {count_text(result.arriving)} photons that arrive"
 
 
-def print_full_gates(made: "AnyDesign", results: "Sequence[Result | Estimates]") -> None:
+def print_full_gates(made: "Design", results: "Sequence[Result | Estimates]") -> None:
     """Say at which budgets nearly all gates click, so that clicks tell little of a scene."""
-    from deepfsi.design.design import Design
     from deepfsi.physics import full_gates
 
-    if not isinstance(made, Design) or made.gates is None:
+    if made.gates is None:
         return
     gates = math.prod(made.counts_shape) * made.gates
     for result in results:
@@ -60,7 +59,7 @@ def print_full_gates(made: "AnyDesign", results: "Sequence[Result | Estimates]")
             print(f"note: {common.as_options(remark)}")
 
 
-def print_guesses(made: "AnyDesign") -> None:
+def print_guesses(made: "Design") -> None:
     """Say that probabilities are no better than guessing, if scenes that were left out say so."""
     test = made.info.get("left_out")
     if not test or not test["guesses"]:
@@ -88,7 +87,7 @@ def print_lit(results: "Sequence[Result | Estimates]") -> None:
 
 
 def print_results(
-    made: "AnyDesign", noise: str, results: "list[Result]", bounds: "list[Result]"
+    made: "Design", noise: str, results: "list[Result]", bounds: "list[Result]"
 ) -> None:
     """Print the tests of a design, and those of the ideal observer where there are any."""
     results = sorted(results, key=lambda r: r.photons)
@@ -124,7 +123,7 @@ def print_results(
     print("ECE: expected calibration error, between probabilities and how often they are right")
 
 
-def print_estimates(made: "AnyDesign", noise: str, results: "list[Estimates]") -> None:
+def print_estimates(made: "Design", noise: str, results: "list[Estimates]") -> None:
     """Print the tests of a design that estimates values."""
     results = sorted(results, key=lambda r: r.photons)
     light_heads, light, meaning = common.counted(results)

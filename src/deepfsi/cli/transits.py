@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from deepfsi.base import InputError, time_text
+from deepfsi.base import time_text
 from deepfsi.cli import common, options, paths
 
 
@@ -46,12 +46,9 @@ def camera_transits(
     if out is not None:
         paths.check_file(out, (".csv",), force)
     from deepfsi.base import write_atomically
-    from deepfsi.design.design import Design
     from deepfsi.lab import classify_transits
 
     made = common.open_any(design, trust)
-    if not isinstance(made, Design):
-        raise InputError(f"{design} makes its masks while it looks: give one of passing scenes")
     with common.progress("transits", quiet=as_json) as report:
         found = classify_transits(
             made,

@@ -28,8 +28,9 @@ from deepfsi.designfile import (
     trained_budgets,
     trained_camera,
 )
+from deepfsi.exposure.adaptive import MASKS_ARE_MADE, AdaptiveExposure, LookedAt
 from deepfsi.exposure.temperatures import temperatures_at
-from deepfsi.exposure.trained import Answer, ExposureKind, LookedAt, MaskExposure, Observation
+from deepfsi.exposure.trained import Answer, ExposureKind, MaskExposure, Observation
 from deepfsi.networks.custom import Given, OwnClassifier, rebuilt
 from deepfsi.networks.values import Values, check_classes
 from deepfsi.physics import (
@@ -109,8 +110,19 @@ class Design:
     @property
     def mask_exposure(self) -> MaskExposure:
         """The exposure of masks that are known before, or `InputError` where they are made."""
-        self.exposure.check("masks")
-        assert isinstance(self.exposure, MaskExposure)
+        if not isinstance(self.exposure, MaskExposure):
+            raise InputError(MASKS_ARE_MADE, name="this design")
+        return self.exposure
+
+    @property
+    def prior_exposure(self) -> AdaptiveExposure:
+        """The exposure of adaptive masks, or `InputError` where masks are known before."""
+        if not isinstance(self.exposure, AdaptiveExposure):
+            raise InputError(
+                "this design shows masks that are known before: learn adaptive ones with "
+                "{design:adaptive}",
+                setting="design",
+            )
         return self.exposure
 
     @property
@@ -258,7 +270,7 @@ class Design:
             If masks are known before.
         """
         generator = torch.Generator().manual_seed(seed)
-        return self.exposure.look_by_look(torch.from_numpy(scene), photons, generator)
+        return self.prior_exposure.look_by_look(torch.from_numpy(scene), photons, generator)
 
     # Answering
 
@@ -266,9 +278,8 @@ class Design:
         self, features: Tensor, photons: Tensor | float, dwell: Tensor | None = None
     ) -> Tensor:
         """Logits (..., C) of features (..., k) in counts; other parameters as of `classify`."""
-        return self.logits_of(
-            Observation(features / self.mask_exposure.scale(photons), dwell), photons
-        )
+        scale = self.mask_exposure.scale(photons)
+        return self.logits_of(Observation(features / scale, dwell), photons)
 
     @library_defaults()
     def logits_of(self, seen: Observation, photons: Tensor | float) -> Tensor:
@@ -571,6 +582,7 @@ class Design:
         """
         inputs = self.mask_exposure.input_count(self.features)
         answers = len(self.values.names) if self.values else len(self.classes)
+        assert self.classifier is not None
         made = rebuilt(self.classifier, classifier, inputs, answers)
         return replace(self, classifier=made.to(self.rails.device))
 

@@ -44,6 +44,7 @@ class _Fixed(nn.Module):
 
     def __init__(self, design: Design) -> None:
         super().__init__()
+        assert design.classifier is not None
         self.classifier, self.design = design.classifier, design
 
     @property
@@ -53,7 +54,9 @@ class _Fixed(nn.Module):
 
     def forward(self, counts: Tensor, photons: Tensor) -> tuple[Tensor, ...]:
         budget = photons.unsqueeze(-1)
-        seen = Observation(self.design.features_of(counts) / self.design.scale(budget))
+        seen = Observation(
+            self.design.features_of(counts) / self.design.mask_exposure.scale(budget)
+        )
         return (self.design.chances(seen, budget),)
 
 
@@ -102,9 +105,9 @@ def to_onnx(design: Design) -> bytes:
             f"a {type(design.classifier).__name__} classifier cannot be exported: only Mlp and "
             "OwnClassifier can"
         )
-    design.exposure.check_frames()
+    design.exposure.check("graph")
     design = copy.deepcopy(design).to("cpu")
-    exposure = design.exposure
+    exposure = design.mask_exposure
     module = _Look(design, exposure) if isinstance(exposure, LooksExposure) else _Fixed(design)
     module.classifier(torch.zeros(1, exposure.input_count(design.features)))
     model = onnx.load_from_string(_traced(module.eval(), OWN_OPSET if own else OPSET))

@@ -3,11 +3,9 @@
 from deepfsi.evaluation.accuracy import (
     MOST_DRAWS,
     Result,
-    Tested,
     camera_for,
     check_draws,
     evaluate,
-    scanner_for,
 )
 from deepfsi.evaluation.bounds import cramer_rao, linear_bound
 from deepfsi.evaluation.confidence import (
@@ -27,7 +25,6 @@ from deepfsi.evaluation.stopping import (
     Estimate,
     Stopped,
     StoppingRule,
-    looks_of,
     rule_of,
     stop,
     with_rule,
@@ -44,7 +41,6 @@ __all__ = [
     "Result",
     "Stopped",
     "StoppingRule",
-    "Tested",
     "camera_for",
     "chance_error",
     "check_draws",
@@ -56,12 +52,10 @@ __all__ = [
     "ideal_observer",
     "linear_bound",
     "logits_at_stops",
-    "looks_of",
     "measure_left_out",
     "of_page",
     "playable",
     "rule_of",
-    "scanner_for",
     "stop",
     "with_rule",
 ]

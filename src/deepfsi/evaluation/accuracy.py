@@ -2,10 +2,9 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from functools import singledispatch
 from html import escape
 from math import prod
-from typing import Any, NamedTuple, Protocol, get_args
+from typing import Any, get_args
 
 import numpy as np
 import torch
@@ -23,15 +22,11 @@ from deepfsi.base.numeric import (
 from deepfsi.base.numeric import accuracy_interval as accuracy_of
 from deepfsi.camera import Camera, CameraSource, NoiseName, check_budget, find_noise
 from deepfsi.datasets import Dataset, Source, as_dataset
-from deepfsi.design.adaptive import AdaptiveDesign
 from deepfsi.design.design import Design
-from deepfsi.designfile import TrainingScenes, new_scenes
+from deepfsi.designfile import new_scenes
 from deepfsi.evaluation.confidence import confidence_error
 from deepfsi.evaluation.estimation import test_values
-from deepfsi.exposure.adaptive import expose
-from deepfsi.exposure.posterior import AdaptivePosterior, LookOptics
-from deepfsi.networks.values import Values
-from deepfsi.physics import Scanner, library_defaults, noise_of
+from deepfsi.physics import library_defaults
 
 MOST_DRAWS = 10_000
 """Noise draws of each scene in one test: enough for any interval, and an end in sight."""
@@ -158,37 +153,9 @@ class ResultList(list[Result]):
         return accuracy_curve(points) if points else ""
 
 
-class Tested(Protocol):
-    """A design whose masks are known before, or one that makes them while it looks."""
-
-    image_shape: tuple[int, ...]
-    classes: tuple[str, ...]
-    info: dict[str, Any]
-
-    @property
-    def values(self) -> Values | None:
-        """Values that it estimates in place of classes."""
-
-    @property
-    def name(self) -> str:
-        """Which design, a key of `codes.DESIGNS`."""
-
-    @property
-    def masks(self) -> int:
-        """Number of masks, or of looks."""
-
-    @property
-    def camera(self) -> Camera:
-        """The camera that it was made for."""
-
-    @property
-    def training_scenes(self) -> TrainingScenes | None:
-        """Hashes of the scenes that it was made with."""
-
-
 @library_defaults()
 def evaluate(
-    design: Tested,
+    design: Design,
     data: Source,
     photons: Sequence[float] | float,
     *,
@@ -238,12 +205,13 @@ def evaluate(
     check_draws(draws, seed)
     known = camera_for(design, camera, **settings)
     title = f"{design.name}, {design.masks} masks"
-    if isinstance(design, Design) and design.values:
+    front = design.front_end(known)
+    if design.values:
         with progress_bar(report, title) as bar:
-            scanner, test = scanner_for(design, known), (scenes, budgets, draws, seed)
-            values = test_values(design, scanner, *test, bar)
+            values = test_values(design, front, scenes, budgets, draws, seed, bar)
         return [replace(each, covers=covered(each.covers, left)) for each in values]
-    guess_of, shares = answering(design, known)
+    shares = design.shares.view(design.masks, -1).sum(dim=1)
+    guess_of = guesses(design, front)
     with progress_bar(report, title) as bar:
         results = test_scenes(scenes, guess_of, budgets, draws, seed, known.noise_name, shares, bar)
     return ResultList(replace(each, covers=covered(each.covers, left)) for each in results)
@@ -265,54 +233,24 @@ Guess = Callable[[torch.Generator, float], tuple[Tensor, Tensor, float, float]]
 probabilities (b, C), and the sums of expected counts and of the photons that arrive."""
 
 
-class Answering(NamedTuple):
-    """Rule that exposes scenes and answers; its masks count shares (m,) of the budget."""
-
-    guess_of: Callable[[Tensor], Guess]  # for scenes (b, N)
-    shares: Tensor
-
-
-@singledispatch
-def answering(design: Any, camera: Camera) -> Answering:
-    """Rule by which a design answers scenes that a camera exposes."""
-    scanner = scanner_for(design, camera)
+def guesses(design: Design, front: Any) -> Callable[[Tensor], Guess]:
+    """Answers of a design to exposures of scenes (b, N)."""
 
     def guess_of(x: Tensor) -> Guess:
-        rates = design.rates(scanner, x)
+        rates = design.rates(front, x)
 
         def guess(generator: torch.Generator, budget: float) -> tuple[Tensor, Tensor, float, float]:
-            *_, seen = design.expose(scanner, rates, generator, budget)
-            arriving = budget * design.exposure.shown(rates, seen)
-            counted = float(scanner.noise.mean(arriving).sum())
-            logits = design.logits_of(seen, budget)
-            chances = (logits / design.temperature(seen, budget)).softmax(dim=-1)
-            return logits.argmax(dim=-1), chances, counted, float(arriving.sum())
+            seen = design.exposure.expose(front, rates, budget, generator)
+            answer = design.answer(seen, budget)
+            light = design.exposure.light(front, rates, seen, budget)
+            return answer.classes, answer.chances, light.counts, light.photons
 
         return guess
 
-    return Answering(guess_of, design.shares.view(design.masks, -1).sum(dim=1))
+    return guess_of
 
 
-@answering.register
-def _(design: AdaptiveDesign, camera: Camera) -> Answering:
-    def guess_of(x: Tensor) -> Guess:
-        def guess(generator: torch.Generator, budget: float) -> tuple[Tensor, Tensor, float, float]:
-            optics = LookOptics.of(camera, design.image_shape, budget)
-            chances, counted = [], 0.0
-            for some in design.at_once(x):
-                state = AdaptivePosterior(design.prior, len(some), optics)
-                found, counts = expose(state, some, design.settings, generator)
-                chances.append(found)
-                counted += float(counts.sum())
-            every = torch.cat(chances)
-            return every.argmax(dim=-1), every, counted, counted
-
-        return guess
-
-    return Answering(guess_of, design.shares)
-
-
-def camera_for(design: Tested, camera: CameraSource = None, **settings: Any) -> Camera:
+def camera_for(design: Design, camera: CameraSource = None, **settings: Any) -> Camera:
     """Camera of a test, the design's own unless given, with other settings such as the noise."""
     # A noise of its maker's own is code, which a file must not run: it is to be given
     found = design.camera if camera is None else Camera.load(camera)
@@ -324,13 +262,6 @@ def camera_for(design: Tested, camera: CameraSource = None, **settings: Any) -> 
             noise_name=found.noise_name,
         )
     return Camera.load(found, **settings)
-
-
-def scanner_for(design: Design, camera: Camera) -> Scanner:
-    """A design's front end with the noise, the dark counts and the read noise of a camera."""
-    scanner = design.scanner(noise_of(camera))
-    design.exposure.check_noise(scanner.noise.name)
-    return scanner
 
 
 def test_scenes(
@@ -382,7 +313,7 @@ def test_scenes(
     )
 
 
-def check_data(design: Tested, data: Dataset) -> None:
+def check_data(design: Design, data: Dataset) -> None:
     """Raise `InputError` unless a design can classify the scenes of a data set."""
     pixels = prod(design.image_shape)
     if data.pixels != pixels:

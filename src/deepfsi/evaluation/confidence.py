@@ -9,7 +9,6 @@ exposure is classified.
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from functools import singledispatch
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,17 +16,12 @@ import torch
 from scipy.optimize import minimize_scalar
 from scipy.special import log_softmax
 
-from deepfsi.camera import Camera
-from deepfsi.design.adaptive import AdaptiveDesign
+from deepfsi.design.design import Design
 from deepfsi.designfile import LOG_BOUNDS, Temperatures
-from deepfsi.exposure.posterior import LEAST_WEIGHT
 from deepfsi.exposure.temperatures import stop_temperatures
 
 CALIBRATED_STOPS = 8
 """Numbers of masks or looks at which temperatures are fitted, at most."""
-
-CHUNK = 1024
-"""Scenes that are exposed at once."""
 
 LEAST_SHARE = 1e-6
 """Share of a class that guessing is taken to give at least."""
@@ -39,8 +33,8 @@ BINS = 15
 class Exposed(NamedTuple):
     """Scenes of known classes, and the design that answers them."""
 
-    design: Any
-    scanner: Any  # of the design: a `Scanner`, or the camera of adaptive masks
+    design: Design
+    front: Any  # of the design, as of `Design.front_end`
     x: np.ndarray  # (n, N)
     labels: np.ndarray  # (n,)
 
@@ -168,16 +162,9 @@ def measure_left_out(
     )
 
 
-@singledispatch
-def stops_of(design: Any) -> tuple[tuple[int, ...], np.ndarray]:
-    """Masks or looks after which an exposure may stop, and the share of it that each takes."""
-    return design.exposure.stops(design.rails, design.light)
-
-
-@singledispatch
 def logits_at_stops(
-    design: Any,
-    scanner: Any,
+    design: Design,
+    front: Any,
     x: np.ndarray,
     photons: float,
     draws: int,
@@ -186,49 +173,22 @@ def logits_at_stops(
 ) -> np.ndarray:
     """Logits (K, E, C) of exposures at some stops, or all; draws of a scene follow one another."""
     # x (n, N); places from 0
-    generator = torch.Generator(design.rails.device).manual_seed(seed)
+    exposure = design.exposure
+    generator = torch.Generator(exposure.device).manual_seed(seed)
+    if exposure.own_draws:
+        x, draws = x.repeat(draws, axis=0), 1
     chunks = []
     with torch.no_grad():
-        for rows in torch.arange(len(x)).split(CHUNK):
+        for rows in torch.arange(len(x)).split(exposure.exposed_at_once):
             # NumPy takes a tensor of one number for the number itself
-            rates = design.rates(scanner, torch.from_numpy(x[rows.numpy()]))
+            rates = design.rates(front, torch.from_numpy(x[rows.numpy()]))
             several = []
             for _ in range(draws):
-                seen = list(design.expose(scanner, rates, generator, photons))
+                seen = list(design.observe(front, rates, generator, photons))
                 kept = seen if places is None else [seen[place] for place in places]
-                several.append(torch.stack([design.logits_of(each, photons) for each in kept]))
+                several.append(torch.stack([design.answer(each, photons).logits for each in kept]))
             chunks.append(torch.stack(several, dim=-2).flatten(-3, -2))
     return torch.cat(chunks, dim=-2).cpu().numpy()
-
-
-@stops_of.register
-def _(design: AdaptiveDesign) -> tuple[tuple[int, ...], np.ndarray]:
-    return tuple(range(1, design.masks + 1)), np.cumsum(design.settings.shares)
-
-
-@logits_at_stops.register
-def _(
-    design: AdaptiveDesign,
-    camera: Camera,
-    x: np.ndarray,
-    photons: float,
-    draws: int,
-    seed: int,
-    places: Any = None,
-) -> np.ndarray:
-    generator = torch.Generator().manual_seed(seed)
-    kept = range(design.masks) if places is None else places
-    chunks = []
-    with torch.no_grad():
-        for some in design.at_once(torch.from_numpy(x).repeat_interleave(draws, dim=0)):
-            looks = design.looks(some, photons, generator, camera)
-            logs = [
-                look.state.chances.clamp(min=LEAST_WEIGHT).log()
-                for place, look in enumerate(looks)
-                if place in kept
-            ]
-            chunks.append(torch.stack(logs))
-    return torch.cat(chunks, dim=1).numpy()
 
 
 def _fit(logits: np.ndarray, scenes: CalibrationScenes) -> float:

@@ -113,7 +113,7 @@ def test_values(
     rows = torch.from_numpy(data.x_test).split(CHUNK)
     found = []
     for done, budget in enumerate(budgets, start=1):
-        generator = torch.Generator(design.rails.device).manual_seed(seed)
+        generator = torch.Generator(design.exposure.device).manual_seed(seed)
         guesses, light = [], np.zeros(2)
         with torch.no_grad():
             for x in rows:
@@ -135,11 +135,10 @@ def _exposed(
 ) -> tuple[Tensor, tuple[float, float]]:
     """Estimates (b, q) of scenes exposed once, and sums of expected counts and of photons."""
     assert design.values is not None
-    *_, seen = design.expose(scanner, rates, generator, budget)
-    arriving = budget * design.exposure.shown(rates, seen)
-    counted = float(scanner.noise.mean(arriving).sum())
+    seen = design.exposure.expose(scanner, rates, budget, generator)
+    light = design.exposure.light(scanner, rates, seen, budget)
     estimated = design.values.estimated(design.logits_of(seen, budget))
-    return estimated, (counted, float(arriving.sum()))
+    return estimated, (light.counts, light.photons)
 
 
 def _result(

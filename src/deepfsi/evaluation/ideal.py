@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepfsi.base import InputError, Progress, progress_bar
+from deepfsi.base import Progress, progress_bar
 from deepfsi.base.numeric import check_memory, free_memory
 from deepfsi.camera import check_budget, summed_reflectance
 from deepfsi.datasets import Dataset, Source, as_dataset
@@ -167,16 +167,7 @@ def _front_end(
         scanner, s = Scanner.from_rails(design), summed_reflectance(data.x_train)
         return scanner, lambda x: scanner.rates(x.to(design) / s)
     check_data(design, data)
-    if design.exposure.chooses:
-        raise InputError(
-            "the dwells of this design follow the counts: give one of fixed dwells, learned with "
-            "1 look"
-        )
-    if design.exposure.kind == "passing":
-        raise InputError(
-            "scenes that pass a pattern have a place of their own in each exposure, which the "
-            "ideal observer does not know: use evaluate"
-        )
+    design.exposure.check("ideal observer")
     scanner = design.scanner()
     return scanner, lambda x: design.rates(scanner, x)
 

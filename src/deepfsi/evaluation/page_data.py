@@ -19,13 +19,10 @@ import numpy as np
 from deepfsi.base import SILENT, InputError, Progress
 from deepfsi.camera import find_noise
 from deepfsi.datasets import Dataset
-from deepfsi.design.adaptive import AdaptiveDesign, AnyDesign
 from deepfsi.design.design import Design
 from deepfsi.designfile import Temperatures, check_masks, new_scenes, trained_on
-from deepfsi.evaluation.accuracy import check_data, evaluate, scanner_for
-from deepfsi.evaluation.confidence import stops_of
+from deepfsi.evaluation.accuracy import check_data, evaluate
 from deepfsi.evaluation.stopping import rule_of, stop
-from deepfsi.exposure.posterior import LookOptics
 from deepfsi.jobs import LARGEST_SCORE
 from deepfsi.networks.classifiers import Mlp
 from deepfsi.networks.values import check_classes
@@ -49,18 +46,17 @@ LARGEST_SHORT = 2**16 - 1
 
 @library_defaults()
 def playable(
-    design: AnyDesign, data: Dataset, *, draws: int = 1, seed: int = 0, report: Progress = SILENT
+    design: Design, data: Dataset, *, draws: int = 1, seed: int = 0, report: Progress = SILENT
 ) -> dict[str, Any]:
     """Payload of a page: JSON types only."""
     check_playable(design)
     check_data(design, data)
     fresh, _ = new_scenes(design.training_scenes, data)
     trained, budgets, tested = design.trained_budgets, BUDGETS, fresh
-    if isinstance(design, AdaptiveDesign):
-        known, budgets, tested = of_page(design, seed), BUDGETS[::2], few_tests(fresh, seed)
-        own, design = _posterior(known, design), known
-    else:
-        own = _networks(design)
+    whole = design
+    if design.exposure.makes_masks:
+        design, budgets, tested = of_page(design, seed), BUDGETS[::2], few_tests(fresh, seed)
+    own = _posterior(design, whole) if design.exposure.makes_masks else _networks(design)
     inside = [each for each in trained or () if BUDGETS[0] <= each <= BUDGETS[-1]]
     measured = sorted({*budgets, *inside})
     results = evaluate(
@@ -93,11 +89,9 @@ def playable(
     }
 
 
-def of_page(design: AdaptiveDesign, seed: int = 0) -> AdaptiveDesign:
+def of_page(design: Design, seed: int = 0) -> Design:
     """The design as a page plays it: it knows some of its scenes, and no exposure stops early."""
-    prior = design.prior.few(COEFFICIENTS // len(design.prior.components), seed)
-    whole = design.settings.model_copy(update={"until": 1.0})
-    return replace(design, prior=prior, settings=whole)
+    return replace(design, exposure=design.prior_exposure.few(COEFFICIENTS, seed))
 
 
 def few_tests(data: Dataset, seed: int) -> Dataset:
@@ -106,28 +100,19 @@ def few_tests(data: Dataset, seed: int) -> Dataset:
     return replace(data, x_test=data.x_test[rows], y_test=data.y_test[rows])
 
 
-def check_playable(design: AnyDesign) -> None:
+def check_playable(design: Design) -> None:
     """Raise `InputError` for a design that no page can play."""
     check_classes(design.values, "a page")
     check_masks(design.info, "a page")
-    if isinstance(design, AdaptiveDesign):
-        LookOptics.of(design.camera, design.image_shape, 1.0)
+    if design.exposure.makes_masks:
+        design.prior_exposure.optics_at(1.0)
     else:
         _classifier(design)
 
 
 def _classifier(design: Design) -> Mlp:
     """Classifier of a design of known masks that a page can play."""
-    if design.exposure.kind == "patches":
-        raise InputError(
-            "this design is of image patches, each with a detector of its own, and a page shows "
-            "one device: give a design of whole scenes"
-        )
-    if design.exposure.kind == "passing":
-        raise InputError(
-            "this design is of scenes that pass a static pattern, and a page shows masks one after "
-            "the other: give a design of scenes at rest"
-        )
+    design.exposure.check("page")
     if not isinstance(design.classifier, Mlp):
         raise InputError(
             "a page has no classifier of your own in it: give a design with the package's own, "
@@ -162,7 +147,7 @@ def pack(values: np.ndarray) -> dict[str, Any]:
 def _networks(design: Design) -> dict[str, Any]:
     """Masks that are known, and the networks that read their counts."""
     # Of two rails the difference M⁺ − M⁻ is kept, and their sum where it is not |M|
-    rails, chooser = design.rails, design.exposure.network
+    rails, chooser = design.rails, design.mask_exposure.network
     difference, total = (each.cpu().numpy() for each in (rails.difference, rails.total))
     sums = None
     if rails.count == 2 and not np.array_equal(total, np.abs(difference)):
@@ -180,7 +165,7 @@ def _networks(design: Design) -> dict[str, Any]:
         "std": pack(design.std.cpu().numpy()),
         "network": _layers(_classifier(design)),
         "exposure": {
-            **design.exposure.entry().model_dump(),
+            **design.mask_exposure.entry().model_dump(),
             "largest_score": LARGEST_SCORE,
             "chooser": None if chooser is None else _layers(chooser),
         },
@@ -189,33 +174,35 @@ def _networks(design: Design) -> dict[str, Any]:
 
 def _dark(design: Design) -> dict[str, Any]:
     """Dark counts of a detector in an exposure, and of each readout."""
-    scanner = scanner_for(design, design.camera)
+    scanner = design.front_end(design.camera)
     dark = scanner.noise.settings.get("dark", 0.0)
     each = pack(scanner.dark_counts(design.rails.count).cpu().numpy()) if dark else None
     return {"dark": dark, "dark_counts": each}
 
 
-def _posterior(known: AdaptiveDesign, design: AdaptiveDesign) -> dict[str, Any]:
-    """Looks of adaptive masks, and the scenes that a page knows, of those that the design knows."""
-    optics, arrays = LookOptics.of(known.camera, known.image_shape, 1.0), known.prior.arrays
+def _posterior(design: Design, whole: Design) -> dict[str, Any]:
+    """Looks of adaptive masks, and the scenes that a page knows, of those of the whole design."""
+    exposure = design.prior_exposure
+    optics, prior = exposure.optics_at(1.0), exposure.prior
+    arrays = prior.arrays
     names = ("mean", "components", "steps", "levels", "members")
     return {
-        "summed_reflectance": known.prior.summed_reflectance,
-        "light": known.camera.light,
+        "summed_reflectance": prior.summed_reflectance,
+        "light": exposure.camera.light,
         "rails": optics.arms,
         "dark": optics.dark,
-        "shares": known.settings.shares,
-        "counted": known.shares.tolist(),
+        "shares": exposure.settings.shares,
+        "counted": exposure.shares.tolist(),
         "prior": {name: pack(arrays[name]) for name in names}  # whole numbers as float32
         | {
-            "sizes": known.prior.sizes,
-            "spread": known.prior.spread,
-            "temperatures": _temperatures(known.prior.temperatures),
+            "sizes": prior.sizes,
+            "spread": prior.spread,
+            "temperatures": _temperatures(prior.temperatures),
         },
         "known": {
-            "scenes": len(known.prior),
-            "of": len(design.prior),
-            "centres": design.settings.clusters is not None,
+            "scenes": len(prior),
+            "of": len(whole.prior_exposure.prior),
+            "centres": exposure.settings.clusters is not None,
         },
     }
 
@@ -232,18 +219,18 @@ def _layers(network: Mlp) -> list[dict[str, Any]]:
     return [{"weight": pack(weight), "bias": pack(bias)} for weight, bias in network.arrays]
 
 
-def _rules(design: AnyDesign, data: Dataset, seed: int, report: Progress) -> list[dict[str, Any]]:
+def _rules(design: Design, data: Dataset, seed: int, report: Progress) -> list[dict[str, Any]]:
     """Rules of when an exposure stops, each with the budget that it was chosen at."""
     # That which the design holds; else so many in its training's range that one is near each
     # budget, where it can stop early and its training left scenes out
     try:
-        stops_of(design)
+        _ = design.exposure.stops
     except InputError:
         return []
     held = rule_of(design)
     if held is not None:
         return [held.as_dict()]
-    if isinstance(design, AdaptiveDesign):
+    if design.exposure.makes_masks:
         return []
     known, trained = trained_on(design.info), design.trained_budgets
     if known is None or not known.held_out or not known.is_of(data) or trained is None:

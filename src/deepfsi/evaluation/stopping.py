@@ -22,7 +22,6 @@ from deepfsi.base import InputError, as_input_error
 from deepfsi.base.numeric import accuracy_interval
 from deepfsi.camera import StopRule, check_budget
 from deepfsi.datasets import Dataset, Source, as_dataset
-from deepfsi.design.adaptive import AdaptiveDesign, AnyDesign
 from deepfsi.design.design import Design
 from deepfsi.designfile import new_scenes, trained_on
 from deepfsi.evaluation.accuracy import check_data, check_draws, covered
@@ -30,9 +29,7 @@ from deepfsi.evaluation.confidence import (
     calibration_error,
     confidence_groups,
     logits_at_stops,
-    stops_of,
 )
-from deepfsi.exposure.looks import LooksExposure
 from deepfsi.exposure.temperatures import stop_temperatures
 from deepfsi.networks.values import check_classes
 from deepfsi.physics import library_defaults
@@ -79,7 +76,7 @@ class StoppingRule(StopRule):
                 f"{self.after[-1]} masks"
             )
         part = design.first(shown)
-        chances = part.classify(read, photons * part.exposure.used / design.exposure.used)
+        chances = part.classify(read, photons * part.mask_exposure.used / design.mask_exposure.used)
         return chances, self.decide(shown, chances, photons)
 
     def decide(self, shown: int, chances: np.ndarray, photons: float) -> bool:
@@ -93,32 +90,19 @@ class StoppingRule(StopRule):
         return shown == self.after[-1] or bool(self.stops(chances.max(), photons))
 
 
-def looks_of(design: Design) -> LooksExposure:
-    """Exposure of a design of several looks, or `InputError` where it is of one."""
-    if not isinstance(design.exposure, LooksExposure):
-        raise InputError(
-            "this design has one look: learn one of several with {looks}", setting="looks"
-        )
-    return design.exposure
-
-
-def with_rule(design: AnyDesign, rule: StoppingRule) -> AnyDesign:
+def with_rule(design: Design, rule: StoppingRule) -> Design:
     """The design with a rule of when an exposure stops, or `InputError` if it is of one look."""
     held = {"threshold": rule.threshold, "photons": rule.photons}  # the design says after what
-    info = {**design.info, "stopping": held}
-    if isinstance(design, AdaptiveDesign):
-        stopped = design.settings.model_copy(update={"until": rule.threshold})
-        return replace(design, settings=stopped, info=info)
-    looks_of(design)
-    return replace(design, info=info)
+    exposure = design.exposure.stopping_at(rule.threshold)
+    return replace(design, exposure=exposure, info={**design.info, "stopping": held})
 
 
-def rule_of(design: AnyDesign) -> StoppingRule | None:
+def rule_of(design: Design) -> StoppingRule | None:
     """Rule that a design holds, if it holds one."""
     held = design.info.get("stopping")
     if held is None:
         return None
-    after, _ = stops_of(design)
+    after = design.exposure.stops.after
     with as_input_error("the design's stopping rule", "make it again with `deepfsi stop`"):
         return StoppingRule.model_validate({"after": after, **held})
 
@@ -224,7 +208,7 @@ def _surest(confidence: np.ndarray, right: np.ndarray) -> list[float]:
 
 @library_defaults()
 def stop(
-    design: AnyDesign,
+    design: Design,
     data: Source,
     photons: float,
     *,
@@ -239,25 +223,26 @@ def stop(
     check_draws(draws, seed)
     scenes = as_dataset(data)
     check_data(design, scenes)
-    after, used = stops_of(design)
+    after, used = design.exposure.stops
     if threshold is not None and not 0 <= threshold <= 1:
         raise InputError(f"threshold {threshold!r} is not a confidence: give 0 to 1")
     kept = _held_out(design, scenes, held_out)
-    scanner, temperatures = design.scanner(), np.ones(len(after))
+    front = design.front_end()
+    temperatures = np.ones(len(after))
     if design.temperatures is not None:
         temperatures = stop_temperatures(design.temperatures, budget)
-    logits = logits_at_stops(design, scanner, kept.x_test, budget, draws, seed ^ 2**31)
+    logits = logits_at_stops(design, front, kept.x_test, budget, draws, seed ^ 2**31)
     choice = _Answers(logits, kept.y_test, temperatures)
     if threshold is None:
         threshold = choice.least_threshold(used)
     rule = StoppingRule(after=after, threshold=float(threshold), photons=budget)
     new, left = new_scenes(design.training_scenes, scenes)
-    tested = logits_at_stops(design, scanner, new.x_test, budget, draws, seed)
+    tested = logits_at_stops(design, front, new.x_test, budget, draws, seed)
     found = _stopped(rule, _Answers(tested, new.y_test, temperatures), choice, used, budget)
     return replace(found, covers=covered(found.covers, left))
 
 
-def _held_out(design: AnyDesign, data: Dataset, count: int | None) -> Dataset:
+def _held_out(design: Design, data: Dataset, count: int | None) -> Dataset:
     """Data with the held-out scenes as its test part, or `InputError` if they were trained on."""
     known = trained_on(design.info)
     if count is None and known:

@@ -7,7 +7,7 @@ probabilities of the classes are the answer.
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import torch
@@ -26,7 +26,6 @@ from deepfsi.exposure.trained import (
     Answer,
     ExposureKind,
     Light,
-    LookedAt,
     Observation,
     ReadsCounts,
     Stops,
@@ -73,6 +72,14 @@ class PosteriorObservation(Observation):
 
     chances: Tensor = None  # type: ignore[assignment]
     counts: float = 0.0
+
+
+class LookedAt(NamedTuple):
+    """One exposure look by look: masks and mean scenes (K, N) of the posterior, chances (K, C)."""
+
+    masks: np.ndarray
+    scenes: np.ndarray
+    chances: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,9 @@ they do within the sequence at a budget that is larger by the inverse of their s
 """
 
 import math
+from collections.abc import Iterator
 from dataclasses import KW_ONLY, dataclass, replace
+from typing import Self
 
 import torch
 from torch import Tensor
@@ -18,9 +20,9 @@ from torch.nn import functional
 
 from deepfsi.base import InputError
 from deepfsi.camera import LIGHT_LAWS, LightLawName
-from deepfsi.exposure.trained import UNTRAINED, MaskExposure, Stops, TrainedMasks
+from deepfsi.exposure.trained import UNTRAINED, MaskExposure, Observation, Stops, TrainedMasks
 from deepfsi.jobs import ConditionedEntry, Job
-from deepfsi.physics import Rails, light_law
+from deepfsi.physics import Rails, Scanner, light_law
 
 ALL_MASKS_SHARE = 0.25
 """Share of the exposures of nested masks in training that show all of them."""
@@ -106,11 +108,24 @@ class ConditionedExposure(MaskExposure):
         """Smallest number of first masks that can be classified alone."""
         return self.nested or self.count
 
-    def as_shown(self, rails: Rails, dimmed: float) -> "ConditionedExposure":
+    def observe(
+        self, front: Scanner, rates: Tensor, photons: float, generator: torch.Generator
+    ) -> Iterator[Observation]:
+        """Exposures at each number of masks that is a stop; parameters as of the base class."""
+        features = self.read(front, rates * photons, generator, photons)
+        for masks in range(self.fewest_masks, features.shape[-1] // self.width + 1):
+            yield Observation(features[..., : masks * self.width])
+
+    def stop_place(self, seen: Observation) -> int:
+        """Place of an exposure so far among the stops, from 0."""
+        masks = seen.features.shape[-1] // self.width
+        return masks - (self.nested or masks)
+
+    def as_shown(self, rails: Rails, dimmed: float) -> Self:
         """The kind as patterns realise it; parameters as of the base class."""
         return replace(super().as_shown(rails, dimmed), used=self.used / dimmed)
 
-    def first(self, masks: int) -> tuple["ConditionedExposure", float]:
+    def first(self, masks: int) -> tuple[Self, float]:
         """The kind of the first masks alone; parameters as of the base class."""
         part, share = super().first(masks)
         return replace(part, used=self.used * share), share

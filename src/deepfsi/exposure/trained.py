@@ -101,14 +101,6 @@ class Stops(NamedTuple):
     used: np.ndarray
 
 
-class LookedAt(NamedTuple):
-    """One exposure look by look: masks and mean scenes (K, N) of the posterior, chances (K, C)."""
-
-    masks: np.ndarray
-    scenes: np.ndarray
-    chances: np.ndarray
-
-
 @dataclass(frozen=True)
 class Dwells:
     """Dwells of a look: one for each frame of one device."""
@@ -305,20 +297,6 @@ class ExposureKind(ABC):
         self.check("first")
         raise NotImplementedError
 
-    def look_by_look(self, scene: Tensor, photons: float, generator: torch.Generator) -> LookedAt:
-        """One exposure of a scene (N,) with adaptive masks, look by look.
-
-        Raises
-        ------
-        InputError
-            If masks are known before.
-        """
-        raise InputError(
-            "this design shows masks that are known before: learn adaptive ones with "
-            "{design:adaptive}",
-            setting="design",
-        )
-
     def stopping_at(self, threshold: float) -> "ExposureKind":
         """The kind whose exposures stop at a probability, or `InputError` where it is of one look.
 
@@ -413,7 +391,6 @@ class MaskExposure(ExposureKind):
 
     optics: TrainedMasks
     kind: ClassVar[str]  # name in the design file
-    width: int = 1  # features of each mask, for nested masks
     used: float = 1.0  # share of the light law that the masks take within the whole sequence
     network: Mlp | None = None  # a network besides the classifier
     dwells: Dwells | None = None  # of the frames of a look, where they are chosen
@@ -483,7 +460,7 @@ class MaskExposure(ExposureKind):
         cls, entry: ExposureEntry, weights: dict[str, Tensor], optics: TrainedMasks
     ) -> "MaskExposure":
         """The kind of an entry, with its tensors of a design file; an error where they differ."""
-        made = cls(**entry.model_dump(exclude={"kind"}), optics=optics)
+        made = cls(**entry.model_dump(exclude={"kind"}), optics=optics)  # type: ignore[call-arg]
         made.check_masks()
         return made
 
@@ -497,9 +474,13 @@ class MaskExposure(ExposureKind):
 
     def to(self, device: str | torch.device) -> Self:
         """The kind on a device."""
-        return replace(self, optics=self.optics.to(device))
+        return replace(self, optics=self.optics.to(device))  # type: ignore[type-var]
 
     # What is shown
+
+    def with_optics(self, **fields: Any) -> Self:
+        """The kind with other fields of its `optics`."""
+        return replace(self, optics=replace(self.optics, **fields))  # type: ignore[type-var]
 
     @property
     def mask_shape(self) -> tuple[int, ...]:
@@ -517,9 +498,8 @@ class MaskExposure(ExposureKind):
 
     def quantised(self, levels: int) -> Self:
         """The kind as a device of so many grey levels shows it."""
-        optics = self.optics
-        shown = light_law(optics.light).quantise(optics.rails.stacked, levels)
-        return replace(self, optics=replace(optics, rails=Rails.of(shown)))
+        rails = light_law(self.optics.light).quantise(self.optics.rails.stacked, levels)
+        return self.with_optics(rails=Rails.of(rails))
 
     def as_shown(self, rails: Rails, dimmed: float) -> Self:
         """The kind as patterns realise it, of which one device gives so much less light.
@@ -527,17 +507,15 @@ class MaskExposure(ExposureKind):
         Features are as much smaller, and so are the statistics that scale them.
         """
         optics = self.optics
-        shown = replace(
-            optics,
+        return self.with_optics(
             rails=rails,
             light=optics.light if LIGHT_LAWS[optics.light].one_device else "free-dwell",
             mean=optics.mean * dimmed,
             std=optics.std * dimmed,
             shares=optics.shares * dimmed,
         )
-        return replace(self, optics=shown)
 
-    def first(self, masks: int) -> tuple["MaskExposure", float]:
+    def first(self, masks: int) -> tuple[Self, float]:
         """The kind of the first masks alone, and the share of the light law that is theirs.
 
         Raises
@@ -559,14 +537,13 @@ class MaskExposure(ExposureKind):
         used = light_law(optics.light).used(optics.rails.stacked)
         share = float(used[masks - 1] / used[-1])
         kept = masks * optics.detection.width(optics.rails.count)
-        part = replace(
-            optics,
+        part = self.with_optics(
             rails=Rails.of(optics.rails.stacked[:, :masks] / share),
             mean=optics.mean[:kept] / share,
             std=optics.std[:kept] / share,
             shares=optics.shares[:kept] / share,
         )
-        return replace(self, optics=part), share
+        return part, share
 
     def mask_dwells(self) -> Tensor | None:
         """Share (m,) of the exposure that each mask is shown; None where the law has no dwells."""
@@ -622,11 +599,8 @@ class MaskExposure(ExposureKind):
     def observe(
         self, front: Scanner, rates: Tensor, photons: float, generator: torch.Generator
     ) -> Iterator[Observation]:
-        """Exposures at each number of masks that is a stop; parameters as of the base class."""
-        features = self.read(front, rates * photons, generator, photons)
-        masks = features.shape[-1] // self.width
-        for shown in range(self.fewest_masks, masks + 1):
-            yield Observation(features[..., : shown * self.width])
+        """Exposures of all masks, the one stop; parameters as of the base class."""
+        yield Observation(self.read(front, rates * photons, generator, photons))
 
     def expected(self, rates: Tensor, seen: Observation) -> Tensor:
         """Photons (..., rails, m · D) of an exposure that are expected, for a budget of one."""
@@ -660,7 +634,7 @@ class MaskExposure(ExposureKind):
 
     def stop_place(self, seen: Observation) -> Tensor | int:
         """Place of an exposure so far among these numbers, from 0."""
-        return seen.features.shape[-1] // self.width - self.fewest_masks
+        return 0
 
     @property
     def stops(self) -> Stops:

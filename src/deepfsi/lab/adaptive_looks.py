@@ -10,11 +10,11 @@ import torch
 from deepfsi.base import InputError, as_input_error, hash_file, read_regular
 from deepfsi.base.numeric import LARGEST_TENSORS
 from deepfsi.camera import StopRule
-from deepfsi.design.adaptive import AdaptiveDesign
+from deepfsi.design.design import Design
 from deepfsi.designfile import UNSURE
 from deepfsi.exposure.choice import next_masks
 from deepfsi.exposure.misfit import squared_distance
-from deepfsi.exposure.posterior import AdaptivePosterior, LookOptics
+from deepfsi.exposure.posterior import AdaptivePosterior
 from deepfsi.hardware.light import Arrivals
 from deepfsi.hardware.live import (
     AllOnCounts,
@@ -43,24 +43,25 @@ class AdaptiveLooks:
 
     Parameters
     ----------
-    design : AdaptiveDesign
-        Makes the masks.
+    design : Design
+        Of adaptive masks.
     manifest : Manifest
         Patterns of its first mask, whose frame is loaded anew for each look.
     """
 
-    def __init__(self, design: AdaptiveDesign, manifest: Manifest) -> None:
-        until = design.settings.until
-        self.design = design
+    def __init__(self, design: Design, manifest: Manifest) -> None:
+        exposure = design.prior_exposure
+        until = exposure.settings.until
+        self.exposure = exposure
         self.frames = manifest.shown
-        self.shares = tuple(design.settings.shares)
+        self.shares = tuple(exposure.settings.shares)
         self.classes = design.classes
         self.photons: float | None = design.info["job"].get("photons")
         self.rule = None if until == 1 else StopRule(threshold=until)
         self.shortest = 0.0
-        self.decision_s = ADAPTIVE_DECISION_S + DECISION_A_SCENE_S * len(design.prior)
+        self.decision_s = ADAPTIVE_DECISION_S + DECISION_A_SCENE_S * len(exposure.prior)
         self.training_scenes = design.training_scenes
-        self.scene_model = design.scene_model
+        self.scene_model = exposure.prior.model
 
     @classmethod
     def read(cls, folder: Path, manifest: Manifest) -> "AdaptiveLooks":
@@ -83,7 +84,7 @@ class AdaptiveLooks:
                 f"{folder / Patterns.DESIGN} is not the design whose first mask is beside it: "
                 "export the patterns again"
             )
-        return cls(AdaptiveDesign.load(folder / Patterns.DESIGN), manifest)
+        return cls(Design.load(folder / Patterns.DESIGN), manifest)
 
     def expose(self, scene: int, state: ExposureState) -> "AdaptiveExposure":
         """Begin an exposure of a scene."""
@@ -99,14 +100,14 @@ class AdaptiveExposure:
     """One exposure of a scene with adaptive masks."""
 
     def __init__(self, looks: AdaptiveLooks, scene: int, state: ExposureState) -> None:
-        design = looks.design
+        exposure = looks.exposure
         dark = torch.from_numpy(state.dark.clip(min=0) * state.exposure_ns * 1e-9)
-        optics = LookOptics.of(design.camera, design.image_shape, state.photons)
+        optics = exposure.optics_at(state.photons)
         self._looks = looks
         self._state = state
-        self._posterior = AdaptivePosterior(design.prior, 1, replace(optics, dark=dark.float()))
+        self._posterior = AdaptivePosterior(exposure.prior, 1, replace(optics, dark=dark.float()))
         self._generator = torch.Generator().manual_seed(scene)
-        self._usual = design.usual_misfit
+        self._usual = exposure.usual_misfit
         self._misfit = 0.0
         self._look = 0
 
@@ -143,11 +144,12 @@ class AdaptiveExposure:
 @library_defaults(grad=False)
 def adaptive_rails(path: str | os.PathLike[str]) -> DesignRails:
     """Mask of the first look of a design file, at the budget of its training, as rails."""
-    design = AdaptiveDesign.load(path)
-    camera = design.camera
-    share = design.settings.shares[0]
-    optics = LookOptics.of(camera, design.image_shape, float(design.info["job"]["photons"]))
-    state = AdaptivePosterior(design.prior, 1, optics)
+    design = Design.load(path)
+    exposure = design.prior_exposure
+    camera = exposure.camera
+    share = exposure.settings.shares[0]
+    optics = exposure.optics_at(float(design.info["job"]["photons"]))
+    state = AdaptivePosterior(exposure.prior, 1, optics)
     mask = next_masks(state, share, torch.Generator().manual_seed(0))
     rails = torch.stack([mask, 1 - mask]) if optics.arms == 2 else mask[None]
     detectors = camera.detector_map(design.image_shape)
@@ -157,7 +159,7 @@ def adaptive_rails(path: str | os.PathLike[str]) -> DesignRails:
         rails=(rails * share).numpy(),
         light=camera.light,
         image_shape=design.image_shape,
-        summed_reflectance=design.prior.summed_reflectance,
+        summed_reflectance=design.summed_reflectance,
         file=read_regular(Path(path), LARGEST_TENSORS, "give a design"),
         brightness=brightness,
         detectors=detectors if detectors.count > 1 else None,

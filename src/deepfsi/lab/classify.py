@@ -367,6 +367,7 @@ def _opened(design: str | os.PathLike[str], patterns: Patterns | None, trust: bo
 
     file = Path(design) if patterns is None else _check_design(design, patterns.manifest)
     made = Design.load(file, trust=trust)
+    made.exposure.check("masks", str(file))
     check_classes(made.values, "a classified run")
     if made.exposure.chooses:
         raise InputError(f"{design} chooses dwells while the exposure runs: give a live run of it")

@@ -162,7 +162,7 @@ def _predict(
     """Classes of pictures; parameters as of `predict`, with the camera's fields in `tested`."""
     import torch
 
-    from deepfsi.evaluation import camera_for, check_draws, scanner_for
+    from deepfsi.evaluation import camera_for, check_draws
     from deepfsi.networks.values import check_classes
     from deepfsi.physics import full_gates
 
@@ -170,7 +170,7 @@ def _predict(
     check_draws(1, seed)
     camera = camera_for(design, **tested)
     budget = check_budget(_budget(design, camera) if photons is None else photons)
-    scanner = scanner_for(design, camera)
+    scanner = design.mask_exposure.front_end(camera)
     shown = design_scenes(design.info, design.image_shape, source, skip_bad)
     generator = torch.Generator(design.mean.device).manual_seed(seed)
     scenes = torch.from_numpy(np.ascontiguousarray(shown.x.reshape(len(shown.x), -1)))
@@ -178,7 +178,7 @@ def _predict(
     clicks = 0.0
     for some in scenes.split(AT_ONCE):
         rates = design.rates(scanner, some)
-        *_, seen = design.expose(scanner, rates, generator, budget)
+        seen = design.exposure.expose(scanner, rates, budget, generator)
         chances.append(design.chances(seen, budget).cpu())
         if design.gates is not None:
             clicks += float(scanner.noise.mean(budget * rates).sum())

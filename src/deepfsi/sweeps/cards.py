@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from jinja2 import StrictUndefined, Template
 
 from deepfsi.datasets import Dataset
-from deepfsi.design.adaptive import AnyDesign
+from deepfsi.design.design import Design
 from deepfsi.designfile import trained_on
 from deepfsi.evaluation import Result
 from deepfsi.jobs import Job
@@ -21,7 +21,7 @@ def card(
     recipe: "DesignRecipe",
     terms: "DataTerms",
     data: Dataset,
-    design: AnyDesign,
+    design: Design,
     result: Result,
     sha256: str,
     command: str,
@@ -36,7 +36,7 @@ def card(
     terms : DataTerms
         Of the data.
     data : Dataset
-    design : Design or AdaptiveDesign
+    design : Design
     result : Result
         Of its test.
     sha256 : str

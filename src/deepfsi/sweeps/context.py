@@ -11,7 +11,6 @@ import torch
 
 from deepfsi.base import SILENT, InputError, Progress
 from deepfsi.datasets import Dataset
-from deepfsi.design.adaptive import AnyDesign
 from deepfsi.design.design import Design
 from deepfsi.evaluation import camera_for, evaluate
 from deepfsi.exposure.training_set import Matrices, TrainingSet
@@ -189,10 +188,9 @@ class SweepContext:
         checkpoint.words = KEPT
         return checkpoint
 
-    def record(self, trial: Trial, design: AnyDesign) -> dict[str, Any]:
+    def record(self, trial: Trial, design: Design) -> dict[str, Any]:
         """Record of a trial whose design is tested now."""
-        if isinstance(design, Design):
-            design = _with_code(design, trial.job.training.classifier)
+        design = _with_code(design, trial.job.training.classifier)
         return {
             "schema": SCHEMA,
             "key": trial.key,
@@ -212,7 +210,7 @@ def _with_code(design: Design, classifier: Any) -> Design:
     return design
 
 
-def _tested(trial: Trial, design: AnyDesign, data: Dataset) -> list[dict[str, Any]]:
+def _tested(trial: Trial, design: Design, data: Dataset) -> list[dict[str, Any]]:
     return [
         {**result.as_dict(), "levels": levels, "terms": terms_of(result)}
         for levels in trial.test_levels

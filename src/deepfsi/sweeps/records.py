@@ -36,7 +36,7 @@ from deepfsi.base import (
     remove_drafts,
     write_atomically,
 )
-from deepfsi.design.adaptive import AnyDesign, load_design
+from deepfsi.design.design import Design, load_design
 from deepfsi.evaluation import Estimates, Result
 from deepfsi.sweeps.results import SCHEMA, Packed
 from deepfsi.sweeps.trial import Trial
@@ -126,7 +126,7 @@ class Records:
         note_saved_work(KEPT)
         return record
 
-    def design(self, trial: Trial) -> AnyDesign | None:
+    def design(self, trial: Trial) -> Design | None:
         """Design of a trial that was trained already, perhaps for other tests."""
         try:
             return load_design(self._design_path(trial))

@@ -10,10 +10,10 @@ from torch import Tensor
 
 from deepfsi.base import SILENT, Progress
 from deepfsi.datasets import Dataset
-from deepfsi.design.adaptive import AdaptiveDesign
+from deepfsi.design.design import Design
 from deepfsi.designfile import CALIBRATION_REACH, Temperatures
 from deepfsi.evaluation import CalibrationScenes, Exposed
-from deepfsi.exposure.adaptive import prior_of
+from deepfsi.exposure.adaptive import AdaptiveExposure, prior_of
 from deepfsi.exposure.misfit import BUDGETS, LEAST_SCENES, MOST_SCENES, UsualMisfit, measure
 from deepfsi.exposure.posterior import LookOptics
 from deepfsi.exposure.prior import ScenePrior
@@ -25,7 +25,7 @@ from deepfsi.training.info import provenance
 
 def adaptive_designs(
     training_set: TrainingSet, jobs: Sequence[Job], report: Progress = SILENT
-) -> list[AdaptiveDesign]:
+) -> list[Design]:
     """Designs of jobs that differ in budget and seed, with one prior."""
     began, data = time.perf_counter(), training_set.data
     settings = AdaptiveMasks(looks=jobs[0].masks, clusters=jobs[0].training.clusters)
@@ -39,8 +39,23 @@ def adaptive_designs(
         if folds:
             own, info["left_out"] = _calibrated(prior, settings, folds, data, job)
         info["seconds"] = (time.perf_counter() - began) / done
-        known = data.image_shape, data.classes, shares, usual, info
-        designs.append(AdaptiveDesign(own, settings, *known, training_set.scenes))
+        exposure = AdaptiveExposure(
+            own,
+            settings,
+            shape=data.image_shape,
+            counted=shares,
+            usual_misfit=usual,
+            optics=info["job"]["camera"],
+        )
+        designs.append(
+            Design(
+                name=job.design,
+                classes=data.classes,
+                exposure=exposure,
+                info=info,
+                training_scenes=training_set.scenes,
+            )
+        )
         report(done / len(jobs))
     return designs
 
@@ -62,13 +77,15 @@ def _calibrated(
 ) -> tuple[ScenePrior, dict[str, Any]]:
     """The prior with temperatures, by scenes that those of the folds leave out; their test."""
     parts, share = [], min(1.0, MOST_SCENES / sum(len(fold.x_test) for fold, _ in folds))
-    info = {"job": job.model_dump(mode="json")}
     for fold, without in folds:
-        known = fold.image_shape, fold.classes, torch.zeros(settings.looks), None, info
         n = len(fold.x_test)  # in the order of classes: some of each
         rows = np.linspace(0, n - 1, max(1, round(share * n))).astype(int)
         x, labels = fold.x_test[rows], fold.y_test[rows]
-        parts.append(Exposed(AdaptiveDesign(without, settings, *known), job.optics, x, labels))
+        exposure = AdaptiveExposure(
+            without, settings, shape=fold.image_shape, counted=torch.zeros(settings.looks)
+        )
+        design = Design(job.design, fold.classes, exposure)
+        parts.append(Exposed(design, job.optics, x, labels))
     classes = prior.class_shares.double().numpy()
     scenes = CalibrationScenes(parts, settings.looks, shares=classes, doubt=DOUBT)
     found, test = calibrated(scenes, np.array(BUDGETS) * job.photons, data, job.photons, job.seed)

@@ -10,6 +10,7 @@ from deepfsi.camera import Camera, LightLawName, check_budget, summed_reflectanc
 from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.design import Design
 from deepfsi.designfile import TrainingScenes
+from deepfsi.exposure.trained import Clicks, FixedExposure, TrainedMasks
 from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.jobs import Job
 from deepfsi.networks.custom import OwnClassifier, make
@@ -63,20 +64,25 @@ def design_of(
     job = _job(scanner, rails, budget, light)
     front = Scanner.from_rails(rails.stacked, detection=scanner.detection)
     counts = scanner.detection.totals(front.rates(mean.to(rails.difference)))
-    design = Design(
-        name="custom",
+    info = provenance(job, scenes, rails.device, 0.0)
+    optics = TrainedMasks(
         rails=rails,
-        classifier=_copy(classifier, read, scenes.answers).to(rails.device),
+        light=light,
+        image_shape=scenes.image_shape,
+        detection=scanner.detection,
+        summed_reflectance=s,
         mean=torch.zeros(read, device=rails.device),
         std=torch.full((read,), 1 / budget, device=rails.device),
         shares=counts / s,
-        summed_reflectance=s,
-        light=light,
-        detection=scanner.detection,
-        image_shape=scenes.image_shape,
+        clicks=Clicks.of(info),
+    )
+    design = Design(
+        name="custom",
         classes=scenes.classes,
+        exposure=FixedExposure(optics=optics),
+        classifier=_copy(classifier, read, scenes.answers).to(rails.device),
+        info=info,
         values=Values.of(scenes),
-        info=provenance(job, scenes, rails.device, 0.0),
         training_scenes=TrainingScenes.of(scenes),
     )
     del design.info["job"]["training"], design.info["seconds"]  # not known of a training elsewhere

@@ -20,9 +20,8 @@ from deepfsi.evaluation import (
     Exposed,
     LeftOutTest,
     fit_temperatures,
-    scanner_for,
 )
-from deepfsi.exposure.readout_fit import sample_scenes
+from deepfsi.exposure.readout_fit import find_distribution, sample_scenes
 from deepfsi.exposure.statistics import CHUNK
 from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.jobs import Job
@@ -49,7 +48,9 @@ def characterise(
     for place, (job, design) in enumerate(zip(jobs, designs, strict=True)):
         chooses = design.exposure.chooses
         if chooses:
-            design.shares = _shares(design, scenes, job.photons, job.seed)
+            design.exposure = design.mask_exposure.with_optics(
+                shares=_shares(design, scenes, job.photons, job.seed)
+            )
         # of fixed dwells a distribution depends on the masks alone, which designs may share
         if (
             design is first
@@ -86,10 +87,10 @@ def find_temperatures(
     were trained without; else scenes of the training, which give no test.
     """
     low, high = job.photons, job.exposure.highest(job.photons)
-    budgets, stops = calibration_budgets(low, high), design.exposure.count_stops(design.masks)
+    budgets, stops = calibration_budgets(low, high), design.mask_exposure.count_stops
     if left_out and not data.held_out:
         parts = [
-            Exposed(each, scanner_for(each, job.camera), fold.x_test, fold.y_test)
+            Exposed(each, each.front_end(job.camera), fold.x_test, fold.y_test)
             for fold, each in left_out
         ]
         draws = draws_of([fold for fold, _ in left_out])
@@ -97,9 +98,9 @@ def find_temperatures(
         return calibrated(scenes, budgets, data, low, job.seed)
     held = data.held_out > 0
     x, labels = (data.x_test, data.y_test) if held else (data.x_train, data.y_train)
-    readouts = prod(design.counts_shape) * design.exposure.tokens(design.image_shape)
+    readouts = prod(design.counts_shape) * design.mask_exposure.tokens(design.image_shape)
     rows = sample_scenes(len(x), readouts, job.seed)
-    part = Exposed(design, scanner_for(design, job.camera), x[rows], labels[rows])
+    part = Exposed(design, design.front_end(job.camera), x[rows], labels[rows])
     scenes = CalibrationScenes([part], stops, doubt=DOUBT if held and len(x) < LEFT_OUT else 0.0)
     if held:
         return calibrated(scenes, budgets, data, low, job.seed)
@@ -108,14 +109,14 @@ def find_temperatures(
 
 def _shares(design: Design, scenes: Tensor, photons: float, seed: int) -> Tensor:
     """Share of the budget (k,) that each feature counts, in the mean over scenes (n, N)."""
-    scanner = design.scanner()
+    scanner, exposure = design.scanner(), design.mask_exposure
     generator = torch.Generator(scenes.device).manual_seed(seed)
     shares = torch.zeros_like(design.mean)
     with torch.no_grad():
         for x in scenes.split(CHUNK):
             rates = design.rates(scanner, x)
-            *_, seen = design.expose(scanner, rates, generator, photons)
-            shares += design.detection.totals(design.exposure.shown(rates, seen)).sum(dim=0)
+            seen = exposure.expose(scanner, rates, photons, generator)
+            shares += design.detection.totals(exposure.expected(rates, seen)).sum(dim=0)
     return shares / len(scenes)
 
 
@@ -125,7 +126,7 @@ def _distribution(design: Design, scenes: Tensor, labels: np.ndarray) -> Readout
         return None
     rows = sample_scenes(len(scenes), prod(design.counts_shape))
     x = scenes[rows]
-    several = labels[rows], len(design.classes) or 1, design.detection
     with torch.no_grad():
         rates, lit = design.rates(design.scanner(), x), x.sum(dim=-1) / design.summed_reflectance
-        return design.exposure.distribution(rates, lit, *several, design.mean, design.std)
+        whole, counting = design.mask_exposure.usual_readouts(rates, lit)
+        return find_distribution(whole, labels[rows], len(design.classes) or 1, expose=counting)

@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from deepfsi.base import Progress
-from deepfsi.design.adaptive import AnyDesign
+from deepfsi.design.design import Design
 from deepfsi.exposure.statistics import CHUNK
 from deepfsi.physics import Detection, LearnedMasks, TrainingNoise, project_rails
 
@@ -30,8 +30,8 @@ MOST_TRAININGS = 6
 
 
 def train_for_counts(
-    counts: float, share: float, train: Callable[[float, Progress], AnyDesign], report: Progress
-) -> AnyDesign:
+    counts: float, share: float, train: Callable[[float, Progress], Design], report: Progress
+) -> Design:
     """Design that counts a number of photons in the mean over training scenes, to within `NEAR`."""
     # Where that is not reached after `MOST_TRAININGS`, the last one: its own counts are the budget
     # of its training times the sum of its shares

@@ -16,7 +16,7 @@ from deepfsi.exposure.draws import SeedStream, product_dtype, side_by_side
 from deepfsi.exposure.looks import LooksExposure
 from deepfsi.exposure.passing import PassingExposure
 from deepfsi.exposure.statistics import CHUNK, deviation, feature_statistics, standardise
-from deepfsi.exposure.trained import FixedExposure, PatchExposure, TrainedExposure
+from deepfsi.exposure.trained import FixedExposure, MaskExposure, PatchExposure
 from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.jobs import Job, Scale
 from deepfsi.networks.classifiers import Replicas
@@ -317,7 +317,7 @@ def features_of(
     masks: FixedMasks | LearnedMasks,
     noise: TrainingNoise,
     streams: Streams,
-    exposure: TrainedExposure,
+    exposure: MaskExposure,
     choose: Replicas,
 ) -> Features:
     """Features of the kind of exposure of jobs, of which `job` is one."""

@@ -3,6 +3,7 @@
 import os
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,12 +12,11 @@ import torch
 from deepfsi.base import SILENT, InputError, Progress, progress_bar
 from deepfsi.camera import check_budget
 from deepfsi.datasets import Source, as_dataset
-from deepfsi.design.adaptive import AnyDesign
 from deepfsi.design.design import Design
 from deepfsi.exposure.draws import dtypes
 from deepfsi.exposure.kinds import begin
 from deepfsi.exposure.statistics import feature_statistics
-from deepfsi.exposure.trained import TrainedExposure
+from deepfsi.exposure.trained import Clicks, MaskExposure, TrainedMasks
 from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.jobs import Job, find_job
 from deepfsi.physics import (
@@ -62,7 +62,7 @@ def learn(
     report: Progress | None = None,
     checkpoint: str | os.PathLike[str] | None = None,
     **settings: Any,
-) -> AnyDesign:
+) -> Design:
     """Train one design on all training scenes of a data set.
 
     Parameters
@@ -105,7 +105,7 @@ def learn(
     training_set = TrainingSet(as_dataset(data), device)
     state = Checkpoint.of(checkpoint, training_set, [job], matrix, counts)
 
-    def train_at(photons: float, bar: Progress) -> AnyDesign:
+    def train_at(photons: float, bar: Progress) -> Design:
         at_budget = job.model_copy(update={"photons": check_budget(photons)})
         return train(training_set, [at_budget], matrix, bar, state)[0]
 
@@ -126,7 +126,7 @@ def train(
     matrix: np.ndarray | None = None,
     report: Progress = SILENT,
     checkpoint: Checkpoint = NO_CHECKPOINT,
-) -> Sequence[AnyDesign]:
+) -> Sequence[Design]:
     """Train designs side by side that differ in budget, sigma and seed only, in their order."""
     # The jobs agree in `companions`, those of one seed one after another; the matrix (m, N) is of
     # "custom" designs. Whoever keeps the designs removes the checkpoint
@@ -139,6 +139,7 @@ def train(
     designs = _designs(training_set, jobs, *_optimised(training_set, jobs, matrix, own, checkpoint))
     for job, design in zip(jobs, designs, strict=True):
         design.info = provenance(job, training_set.data, training_set.device, 0.0)
+        design.exposure = design.mask_exposure.with_optics(clicks=Clicks.of(design.info))
         design.training_scenes = training_set.scenes
     left_out = []
     for fold, part in zip(folds, others, strict=True):
@@ -175,7 +176,7 @@ def _check(training_set: TrainingSet, jobs: Sequence[Job], matrix: np.ndarray | 
     check_fits(training_set, jobs)
 
 
-Optimised = tuple[FixedMasks, TrainingNoise, list[Classifier], list[TrainedExposure]]
+Optimised = tuple[FixedMasks, TrainingNoise, list[Classifier], list[MaskExposure]]
 """Masks after training, the noise that they were trained under, networks and exposures."""
 
 
@@ -242,7 +243,7 @@ def _designs(
     masks: FixedMasks,
     noise: TrainingNoise,
     classifiers: list[Classifier],
-    exposures: list[TrainedExposure],
+    exposures: list[MaskExposure],
 ) -> list[Design]:
     """Designs of trained masks and networks, with the statistics of their features."""
     job, s = jobs[0], training_set.summed_reflectance
@@ -256,21 +257,25 @@ def _designs(
         else:
             drawn = exposures[0].drawn(rails, light)
             mean, std, counts = feature_statistics(seen, masks, noise, scale, detection, drawn)
-    return [
-        Design(
-            name=each.design,
+    designs = []
+    for r, each in enumerate(jobs):
+        optics = TrainedMasks(
             rails=Rails.of(law.check(rails[r % len(rails)].clone())),
-            classifier=classifiers[r],
+            light=light,
+            image_shape=shape,
+            detection=detection,
+            summed_reflectance=s,
             mean=mean[r] / s,
             std=std[r] / s,
             shares=counts[r] / s * exposures[r].tokens(shape),
-            summed_reflectance=s,
-            light=light,
-            image_shape=shape,
-            classes=training_set.data.classes,
-            values=training_set.values,
-            exposure=exposures[r].trained(masks, r),
-            detection=detection,
         )
-        for r, each in enumerate(jobs)
-    ]
+        designs.append(
+            Design(
+                name=each.design,
+                classes=training_set.data.classes,
+                exposure=replace(exposures[r].trained(masks, r), optics=optics),  # type: ignore[type-var]
+                classifier=classifiers[r],
+                values=training_set.values,
+            )
+        )
+    return designs

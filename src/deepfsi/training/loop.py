@@ -20,7 +20,7 @@ from torch import Tensor, nn
 from deepfsi.base import SILENT, InputError, Progress
 from deepfsi.datasets import Dataset
 from deepfsi.exposure.draws import network_dtype, seed_streams, side_by_side
-from deepfsi.exposure.trained import TrainedExposure
+from deepfsi.exposure.trained import MaskExposure
 from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.jobs import VIT, Job, Training
 from deepfsi.networks.classifiers import Mlp, Replicas, Vit
@@ -50,7 +50,7 @@ def optimise(
     jobs: Sequence[Job],
     masks: FixedMasks | LearnedMasks,
     noise: TrainingNoise,
-    exposures: Sequence[TrainedExposure],
+    exposures: Sequence[MaskExposure],
     report: Progress = SILENT,
     checkpoint: Checkpoint = NO_CHECKPOINT,
 ) -> list[Classifier]:
@@ -152,7 +152,7 @@ def _generators(
 
 
 def _classifiers(
-    jobs: Sequence[Job], data: Dataset, exposure: TrainedExposure, device: torch.device
+    jobs: Sequence[Job], data: Dataset, exposure: MaskExposure, device: torch.device
 ) -> list[Classifier]:
     """Classifiers of jobs, untrained."""
     job, settings, classes = jobs[0], jobs[0].training, data.answers

@@ -9,7 +9,7 @@ from torch import Tensor
 from deepfsi.base import InputError
 from deepfsi.camera import LIGHT_LAWS, Camera
 from deepfsi.exposure.passing import PassingExposure
-from deepfsi.exposure.trained import TrainedExposure
+from deepfsi.exposure.trained import MaskExposure
 from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.jobs import DESIGNS, Code, Job, count_allowed
 from deepfsi.physics import (
@@ -29,7 +29,7 @@ from deepfsi.training.passing import initial_pattern
 def initial_masks(
     seen: TrainingSet,
     jobs: Sequence[Job],
-    exposure: TrainedExposure,
+    exposure: MaskExposure,
     matrix: np.ndarray | None = None,
 ) -> FixedMasks | LearnedMasks:
     """Masks before training: of R replicas, or of one where all share them."""
@@ -68,7 +68,7 @@ def _fitted(signed: Tensor, code: Code, camera: Camera) -> Tensor:
 
 
 def final_masks(
-    masks: LearnedMasks, seen: TrainingSet, job: Job, exposure: TrainedExposure
+    masks: LearnedMasks, seen: TrainingSet, job: Job, exposure: MaskExposure
 ) -> FixedMasks:
     """Masks after training, of all pixels: dark where they were not learned."""
     if isinstance(masks, LearnedPattern):

@@ -12,9 +12,9 @@ import torch
 from deepfsi.base import Progress
 from deepfsi.camera import DEVICES
 from deepfsi.datasets import Dataset
-from deepfsi.design.adaptive import AdaptiveDesign
-from deepfsi.exposure.adaptive import look_at
-from deepfsi.exposure.posterior import AdaptivePosterior, LookOptics
+from deepfsi.design.design import Design
+from deepfsi.exposure.choice import look_at
+from deepfsi.exposure.posterior import AdaptivePosterior
 from deepfsi.sweeps.results import Point, Results
 
 EXPOSURES = 4
@@ -79,22 +79,23 @@ def measure(
     last = {(p.recipe, p.variant): p for p in results.points if p.design == "adaptive"}
     priors = []
     for done, ((recipe, variant), point) in enumerate(last.items(), start=1):
-        design = AdaptiveDesign.load(designs / f"{point.keys[0]}.safetensors")
+        design = Design.load(designs / f"{point.keys[0]}.safetensors")
         seconds = decision_time(design, point.photons)
-        priors.append(Prior(recipe, variant, len(design.prior), seconds))
+        priors.append(Prior(recipe, variant, len(design.prior_exposure.prior), seconds))
         report(done / len(last), "decisions")
     loads = (device.load_us for device in DEVICES.values() if device.load_us)
     return asdict(Measures(entropy, min(loads) * 1e-6, priors))
 
 
-def decision_time(design: AdaptiveDesign, photons: float, exposures: int = EXPOSURES) -> float:
+def decision_time(design: Design, photons: float, exposures: int = EXPOSURES) -> float:
     """Median processor time in s from the counts of a look to the next mask, one exposure alone."""
     generator, times = torch.Generator().manual_seed(0), []
-    optics = LookOptics.of(design.camera, design.image_shape, photons)
+    exposure = design.prior_exposure
+    optics = exposure.optics_at(photons)
     with torch.no_grad():
-        for scene in design.prior.mean.expand(exposures, -1):
-            state = AdaptivePosterior(design.prior, 1, optics)
-            for share in design.settings.shares:
+        for scene in exposure.prior.mean.expand(exposures, -1):
+            state = AdaptivePosterior(exposure.prior, 1, optics)
+            for share in exposure.settings.shares:
                 began = time.process_time()
                 masks, counts, _ = look_at(state, scene[None], share, generator)
                 state.update(masks, counts, share)

@@ -192,7 +192,7 @@ def test_another_design_beside_the_first_mask_is_refused(patterns, tmp_path):
 def test_the_shortest_look_must_not_be_shorter_than_the_device_allows(digits, tmp_path, growth):
     """Of looks of different lengths, wherever it comes."""
     design = learn(digits.hold_out(1200), design="adaptive", masks=LOOKS, photons=1e4)
-    uneven = design.settings.model_copy(update={"growth": growth})
+    uneven = design.prior_exposure.settings.model_copy(update={"growth": growth})
     replace(design, settings=uneven).save(tmp_path / "a.safetensors")
     patterns, scenes = shown_from(tmp_path / "a.safetensors"), scenes_of(digits, 1)[1]
     shortest_s = EXPOSURE_S * min(uneven.shares)
