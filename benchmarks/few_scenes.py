@@ -21,8 +21,9 @@ from scipy.special import softmax
 import deepfsi
 from deepfsi.datasets import Dataset
 from deepfsi.design.adaptive import AdaptiveDesign
-from deepfsi.evaluation import chance_error, confidence_error, logits_at_stops, scanner_for
+from deepfsi.evaluation import logits_at_stops, scanner_for
 from deepfsi.exposure.temperatures import stop_temperatures
+from deepfsi.measures import chance_error, confidence_error
 
 DESIGNS: dict[str, dict[str, Any]] = {
     "adaptive masks": {"design": "adaptive", "masks": 16},
