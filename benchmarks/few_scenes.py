@@ -20,8 +20,9 @@ from scipy.special import softmax
 
 import deepfsi
 from deepfsi.datasets import Dataset
-from deepfsi.evaluation import chance_error, confidence_error, logits_at_stops
+from deepfsi.evaluation import logits_at_stops
 from deepfsi.exposure.temperatures import stop_temperatures
+from deepfsi.measures import chance_error, confidence_error
 
 DESIGNS: dict[str, dict[str, Any]] = {
     "adaptive masks": {"design": "adaptive", "masks": 16},
@@ -60,7 +61,12 @@ def answers(design: Any, data: Dataset, photons: float, seed: int) -> tuple[np.n
     """Probabilities (E, C) of the test pictures, with temperatures and without."""
     found = []
     if design.exposure.makes_masks:
-        plain = replace(design, prior=design.prior_exposure.prior.with_temperatures(None))
+        plain = replace(
+            design,
+            exposure=replace(
+                design.exposure, prior=design.prior_exposure.prior.with_temperatures(None)
+            ),
+        )
         for each in (design, plain):
             logs = logits_at_stops(
                 each, each.camera, data.x_test, photons, 1, seed, [each.masks - 1]

@@ -8,7 +8,9 @@ import io
 import os
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
+from typing import Any
 
 os.environ["OMP_NUM_THREADS"] = "1"  # read when numpy and torch are imported, here and in children
 
@@ -72,6 +74,11 @@ CASES = [
 every_design = pytest.mark.parametrize(("design", "light", "rails"), CASES)
 every_optics = pytest.mark.parametrize(("light", "rails"), OPTICS)
 real_mnist = pytest.mark.skipif(not os.environ.get("DEEPFSI_DATA"), reason="needs $DEEPFSI_DATA")
+
+
+def exposing(design: Design, **fields: Any) -> Design:
+    """The design with other fields of its exposure."""
+    return replace(design, exposure=replace(design.exposure, **fields))
 
 
 def generator(seed: int = 0) -> torch.Generator:

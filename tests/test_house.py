@@ -37,6 +37,7 @@ ROOMS_DONE: set[str] = {
     "hardware.virtual",
     "jobs",
     "lab",
+    "measures",
     "physics",
 }
 """Rooms that keep every rule. A finished room is added here, and never goes again."""

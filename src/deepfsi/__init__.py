@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from deepfsi.design.design import Design as Design
     from deepfsi.design.design import load_design as load_design
     from deepfsi.evaluation import IdealObserver as IdealObserver
-    from deepfsi.evaluation import Result as Result
     from deepfsi.evaluation import evaluate as evaluate
     from deepfsi.evaluation import ideal_observer as ideal_observer
     from deepfsi.jobs import Fixed as Fixed
@@ -35,6 +34,7 @@ if TYPE_CHECKING:
     from deepfsi.lab import classify_run as classify_run
     from deepfsi.lab import classify_table as classify_table
     from deepfsi.lab import predict as predict
+    from deepfsi.measures import Result as Result
     from deepfsi.networks.classifiers import Mlp as Mlp
     from deepfsi.networks.custom import OwnClassifier as OwnClassifier
     from deepfsi.physics import Scanner as Scanner
@@ -59,7 +59,7 @@ _HOMES = {
     "Passing": "jobs",
     "Patches": "jobs",
     "Range": "jobs",
-    "Result": "evaluation",
+    "Result": "measures",
     "Scanner": "physics",
     "Training": "jobs",
     "classify_run": "lab",

@@ -36,7 +36,7 @@ def test_a_file_gives_the_design_back(adaptive, few, tmp_path):
     back, same = load_design(path), Design.load(path)
     assert back.exposure.makes_masks
     assert back.to_bytes() == same.to_bytes() == path.read_bytes()
-    assert (back.settings, back.classes, back.info) == (
+    assert (back.prior_exposure.settings, back.classes, back.info) == (
         adaptive.prior_exposure.settings, adaptive.classes, adaptive.info
     )  # fmt: skip
     found, wanted = (evaluate(each, few, PHOTONS, draws=2)[0] for each in (back, adaptive))

@@ -12,9 +12,9 @@ from deepfsi import Design, evaluate
 from deepfsi.base import InputError
 from deepfsi.designfile import Temperatures, calibration_budgets
 from deepfsi.evaluation import CalibrationScenes, Exposed, fit_temperatures, logits_at_stops
-from deepfsi.evaluation.confidence import BINS, calibration_error, confidence_groups
 from deepfsi.exposure.temperatures import stop_temperatures
 from deepfsi.jobs import Job
+from deepfsi.measures.reliability import BINS
 from deepfsi.training.characterisation import find_temperatures
 
 PHOTONS = 1e4
@@ -99,13 +99,6 @@ def test_the_error_of_a_result_is_that_of_its_answers(fixed, digits):
     for part in np.array_split(np.arange(len(right)), BINS):
         counts.append(len(part) * abs(sure[order][part].mean() - right[part].mean()))
     assert found.calibration_error == pytest.approx(sum(counts) / len(right), abs=1e-5)
-
-
-def test_calibration_error_is_that_of_groups_written_out():
-    confidence = np.repeat([0.5, 0.7, 1.0], 20 * BINS)
-    right = np.concatenate([np.tile([1, 0], 10 * BINS), np.ones(40 * BINS)])
-    error = calibration_error(confidence_groups(confidence, right))
-    assert error == pytest.approx((0 + 0.3 + 0) / 3)
 
 
 class _Times(torch.nn.Module):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from conftest import synthetic
+from conftest import exposing, synthetic
 from deepfsi import learn
 from deepfsi.base import InputError
 from deepfsi.evaluation import check_playable, of_page, playable
@@ -100,11 +100,14 @@ def test_the_page_of_adaptive_masks_is_small_and_plays_the_whole_exposure(digits
     }
     prior = ScenePrior.restored(held)
     stopping = made.prior_exposure.settings.model_copy(update={"until": 0.5})
-    known = of_page(replace(made, prior=prior, settings=stopping))
+    known = of_page(exposing(made, prior=prior, settings=stopping))
     assert len(known.prior_exposure.prior) == COEFFICIENTS // parts - COEFFICIENTS // parts % 10
     assert known.prior_exposure.settings.until == 1
     few = replace(digits, x_test=digits.x_test[:20], y_test=digits.y_test[:20])
-    page = write_page(tmp_path / "page.html", playable(replace(made, prior=prior), few))
+    page = write_page(
+        tmp_path / "page.html",
+        playable(exposing(made, prior=prior), few),
+    )
     assert 1e6 < page.stat().st_size < 2e6
 
 

@@ -7,10 +7,10 @@ from scipy.special import logsumexp, xlogy
 from scipy.stats import multivariate_normal, poisson, spearmanr
 
 from conftest import generator
-from deepfsi import AdaptiveDesign, IdealObserver, Result, evaluate
+from deepfsi import Design, IdealObserver, Result, evaluate
 from deepfsi.base import InputError
 from deepfsi.datasets import Dataset, from_arrays
-from deepfsi.exposure.adaptive import prior_of
+from deepfsi.exposure.adaptive import AdaptiveExposure, prior_of
 from deepfsi.exposure.choice import brightest, information, next_masks
 from deepfsi.exposure.posterior import AdaptivePosterior, LookOptics
 from deepfsi.exposure.prior import ScenePrior
@@ -24,7 +24,8 @@ def tried(data: Dataset, photons, camera="dmd", prior=None, draws=1, **settings)
     """Accuracy of adaptive masks on the test scenes of data."""
     chosen = AdaptiveMasks(**settings)
     held = prior or prior_of(data, chosen)
-    design = AdaptiveDesign(held, chosen, data.image_shape, data.classes, torch.zeros(chosen.looks))
+    exposure = AdaptiveExposure(held, chosen, data.image_shape, torch.zeros(chosen.looks))
+    design = Design("adaptive", data.classes, exposure)
     return evaluate(design, data, photons, camera=camera, draws=draws)[0]
 
 

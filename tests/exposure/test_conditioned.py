@@ -133,7 +133,8 @@ def test_designs_of_two_lowest_budgets_train_together_as_alone(digits):
     for each, design in zip(jobs, together, strict=True):
         [alone] = train(scenes, [each])
         torch.testing.assert_close(design.rails.stacked, alone.rails.stacked, rtol=1e-3, atol=1e-5)
-        assert design.exposure == alone.exposure == ConditionedExposure(each.photons, 30.0, 5, 2)
+        wanted = ConditionedEntry(photons=each.photons, span=30.0, masks=5, nested=2)
+        assert design.exposure.entry() == alone.exposure.entry() == wanted
 
 
 @pytest.mark.parametrize(

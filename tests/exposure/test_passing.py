@@ -129,11 +129,8 @@ def test_statistics_are_those_of_the_exposures(data, learned):
 def test_dark_counts_are_those_of_the_whole_transit(data):
     """Also of bins behind dark columns: the detector counts on."""
     dim = made(data, camera={"dark": 600.0})
-    blind = replace(
-        dim,
-        exposure=replace(dim.exposure, pattern=torch.zeros(4, 15)),
-        rails=type(dim.rails).of(torch.zeros(1, 6, 24)),
-    )
+    dark = dim.mask_exposure.with_optics(rails=type(dim.rails).of(torch.zeros(1, 6, 24)))
+    blind = replace(dim, exposure=replace(dark, pattern=torch.zeros(4, 15)))
     scanner = blind.front_end(blind.camera)
     scenes = torch.from_numpy(data.x_test[:1]).expand(20_000, -1)
     [seen] = blind.observe(scanner, blind.rates(scanner, scenes), generator(), 1e4)

@@ -126,7 +126,7 @@ def masks() -> dict[str, Any]:
 
 
 def graphs() -> dict[str, Any]:
-    """ONNX graphs: nodes and tensors; their weights bit for bit."""
+    """ONNX graphs: their tensors; their weights bit for bit."""
     import onnx
 
     out = {}
@@ -137,7 +137,6 @@ def graphs() -> dict[str, Any]:
         if Path(path).exists():
             graph = onnx.load(path).graph
             out[design] |= {
-                "nodes": [node.op_type for node in graph.node],
                 "inputs": [_tensor(one) for one in graph.input],
                 "outputs": [_tensor(one) for one in graph.output],
                 "weights": [[list(one.dims), one.raw_data] for one in graph.initializer],

@@ -75,7 +75,7 @@ def read(path: Path) -> dict[str, Any]:
         "hash": sha256(content).hexdigest(),
         "same": same(path, Path(again)),
         "written": Path(again).read_bytes(),
-        "words": repr(design),
+        "words": None if design.name == "adaptive" else repr(design),
         "camera": design.camera.model_dump(mode="json"),
     }
 
@@ -147,7 +147,7 @@ def shipped(name: str) -> dict[str, Any]:
         "same": same(original, path),
         "written": path.read_bytes(),
         "hash": sha256(original.read_bytes()).hexdigest(),
-        "words": repr(design),
+        "words": None if design.name == "adaptive" else repr(design),
     }
 
 

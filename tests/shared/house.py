@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-BELOW_THE_WALL = ("base", "datasets", "camera", "jobs", "designfile", "hardware")
+BELOW_THE_WALL = ("base", "datasets", "camera", "jobs", "designfile", "measures", "hardware")
 """Rooms that need no torch, with the rooms in them."""
 
 MODULES = 12

@@ -8,6 +8,7 @@ import pytest
 import torch
 from scipy.special import softmax
 
+from conftest import exposing
 from deepfsi import Design, evaluate, learn
 from deepfsi.base import InputError
 from deepfsi.designfile import Temperatures
@@ -161,7 +162,7 @@ def test_fewer_scenes_are_less_sure(digits):
     logs = [
         stop_temperatures(
             learn(drawn(digits, each, 7), photons=PHOTONS, **SETTINGS["adaptive"])
-            .prior.temperatures, PHOTONS
+            .prior_exposure.prior.temperatures, PHOTONS
         )[-1]
         for each in (10, 100)
     ]  # fmt: skip
@@ -169,7 +170,12 @@ def test_fewer_scenes_are_less_sure(digits):
 
 
 def test_temperatures_change_confidence_and_no_mask_or_answer(adaptive, few):
-    plain = replace(adaptive, prior=adaptive.prior_exposure.prior.with_temperatures(None))
+    plain = replace(
+        adaptive,
+        exposure=replace(
+            adaptive.exposure, prior=adaptive.prior_exposure.prior.with_temperatures(None)
+        ),
+    )
     states = []
     for each in (adaptive, plain):
         optics = LookOptics.of(each.camera, each.image_shape, PHOTONS)
@@ -213,13 +219,18 @@ def test_a_file_keeps_the_temperatures_of_a_prior(adaptive, tmp_path):
         adaptive.prior_exposure.prior.temperatures.logs,
     )
     assert again.to_bytes() == path.read_bytes()
-    older = replace(adaptive, prior=adaptive.prior_exposure.prior.with_temperatures(None))
+    older = replace(
+        adaptive,
+        exposure=replace(
+            adaptive.exposure, prior=adaptive.prior_exposure.prior.with_temperatures(None)
+        ),
+    )
     assert Design.load(older.save(path)).prior_exposure.prior.temperatures is None
     budgets = adaptive.prior_exposure.prior.temperatures.budgets
     for logs in (np.zeros((LOOKS - 1, 5)), np.full((LOOKS, 5), np.nan), np.full((LOOKS, 5), 99.0)):
         wrong = adaptive.prior_exposure.prior.with_temperatures(Temperatures(logs, budgets))
         with pytest.raises(InputError, match="not a whole deepfsi design file"):
-            Design.load(replace(adaptive, prior=wrong).save(path))
+            Design.load(exposing(adaptive, prior=wrong).save(path))
     adaptive.save(path)
     rewrite(path, lambda _, tensors: tensors.pop("temperature_budgets"))
     with pytest.raises(InputError, match="not a whole deepfsi design file"):

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from deepfsi.datasets import Dataset
     from deepfsi.design.design import Design
-    from deepfsi.evaluation import Estimates, Result
+    from deepfsi.measures import Estimates, Result
     from deepfsi.sweeps.results import Data, Point
 
 

@@ -12,11 +12,10 @@ from deepfsi.cli.results import (
     counts_text,
     details,
     fewest_lit,
-    print_estimates,
     print_full_gates,
     print_guesses,
     print_lit,
-    print_results,
+    print_tests,
     score,
 )
 from deepfsi.cli.settings import job_fields, with_settings
@@ -27,8 +26,9 @@ if TYPE_CHECKING:
 
     from deepfsi.datasets import Dataset
     from deepfsi.design.design import Design
-    from deepfsi.evaluation import Result, Stopped
+    from deepfsi.evaluation import Stopped
     from deepfsi.jobs import Job
+    from deepfsi.measures import Result
 
 
 @with_settings(job_fields)
@@ -206,10 +206,7 @@ def evaluate(
         common.print_json("evaluate", said)
         return
     common.print_data(scenes, notes)
-    if made.values:
-        print_estimates(made, camera.noise_name, results)
-    else:
-        print_results(made, camera.noise_name, results, bounds)
+    print_tests(made, camera.noise_name, results, bounds)
     print_full_gates(made, results)
 
 

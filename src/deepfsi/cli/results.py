@@ -10,7 +10,7 @@ from deepfsi.cli import common
 
 if TYPE_CHECKING:
     from deepfsi.design.design import Design
-    from deepfsi.evaluation import Estimates, Result
+    from deepfsi.measures import Estimates, Measure, Result
 
 
 FEW_CLASSES = 5
@@ -18,25 +18,27 @@ FEW_CLASSES = 5
 
 
 def score(result: "Result | Estimates") -> str:
-    """Test accuracy, area under the ROC curve of two classes, or R² of values."""
-    from deepfsi.evaluation import Estimates
+    """Test accuracy, or R² of values."""
+    from deepfsi.measures import Estimates
 
-    if isinstance(result, Estimates):
-        return f"R² {common.share(result.r2, result.low, result.high)}"
-    return f"test accuracy {common.share(result.accuracy, result.low, result.high)}"
+    main, *_ = result.measures()
+    words = f"{main.title} {_interval(result, main)}"
+    return words if isinstance(result, Estimates) else f"test {words}"
 
 
 def details(result: "Result | Estimates", classes: Sequence[str]) -> str:
     """Test of each class in words, or of each value."""
-    from deepfsi.evaluation import Estimates
+    from deepfsi.measures import Estimates
 
     if isinstance(result, Estimates):
-        errors = (common.error(*each) for each in zip_longest(result.rmse, result.bound or ()))
-        told = ", ".join(map(" ".join, zip(result.values, errors, strict=True)))
+        told = ", ".join(map(" ".join, zip(result.values, _answers(result, ()), strict=True)))
         return f"root mean squared error (of the best linear estimator): {told}"
-    balanced = common.share(result.balanced, result.balanced_low, result.balanced_high)
-    words = f"balanced accuracy {balanced}, worst class {_worst(result, classes)}"
-    return words if result.auc is None else f"{words}, AUC {_area(result)}"
+    _, balanced, *others = (
+        f"{each.title} {_interval(result, each)}"
+        for each in result.measures()
+        if each.interval and result.score(each.key) is not None
+    )
+    return ", ".join((balanced, f"worst class {_worst(result, classes)}", *others))
 
 
 def counts_text(result: "Result") -> str:
@@ -86,61 +88,57 @@ def print_lit(results: "Sequence[Result | Estimates]") -> None:
         print(f"masks: {lit_text(masks, lit)}; give a longer --exposure, or --masks {lit}")
 
 
-def print_results(
-    made: "Design", noise: str, results: "list[Result]", bounds: "list[Result]"
+def print_tests(
+    made: "Design",
+    noise: str,
+    tests: "Sequence[Result | Estimates]",
+    bounds: "Sequence[Result]" = (),
 ) -> None:
     """Print the tests of a design, and those of the ideal observer where there are any."""
-    results = sorted(results, key=lambda r: r.photons)
+    from deepfsi.measures import Result
+
+    results = sorted(tests, key=lambda r: r.photons)
     light_heads, light, meaning = common.counted(results)
+    measures = [each for each in results[0].measures() if each.column]
+    main, *others = (each for each in measures if each.interval)
+    last = [each for each in measures if not each.interval]
     rows = [
         (
             common.budget(r.photons),
-            common.share(r.accuracy, r.low, r.high),
-            f"{r.balanced:.3f}",
-            _worst(r, made.classes),
+            _interval(r, main),
+            *(_number(r.score(each.key)) for each in others),
+            *_answers(r, made.classes),
             *counts,
             f"{r.throughput:.3f}",
-            f"{r.calibration_error:.3f}",
+            *(_number(r.score(each.key)) for each in last),
         )
         for r, counts in zip(results, light, strict=True)
     ]
-    heads = ("photons", "accuracy", "balanced", "worst class", *light_heads, "counted", "ECE")
+    names = map(common.short, made.values.names) if made.values else ("worst class",)
+    heads = (*(each.column for each in (main, *others)), *names, *light_heads, "counted")
+    heads = ("photons", *heads, *(each.column for each in last))
     common.print_table(f"{made.name}, {common.size(made)}, {noise} noise", heads, rows)
+    if made.values:
+        print("of each value: root mean squared error (that of the best linear estimator)")
     for result in results:
-        if result.auc is not None:
-            print(f"AUC at {common.budget(result.photons)} photons: {_area(result)}")
-        _print_confusion(result, made.classes)
+        if isinstance(result, Result):
+            for each in result.measures():
+                if each.interval and not each.column and result.score(each.key) is not None:
+                    where = f"{common.budget(result.photons)} photons"
+                    print(f"{each.title} at {where}: {_interval(result, each)}")
+            _print_confusion(result, made.classes)
     if bounds:
         common.print_table(
             "ideal observer of these counts, training scenes as prior",
-            ("photons", "accuracy"),
+            ("photons", main.column),
             [
-                (common.budget(r.photons), common.share(r.accuracy, r.low, r.high))
+                (common.budget(r.photons), _interval(r, main))
                 for r in sorted(bounds, key=lambda r: r.photons)
             ],
         )
     _print_covered(results[0], meaning)
-    print("ECE: expected calibration error, between probabilities and how often they are right")
-
-
-def print_estimates(made: "Design", noise: str, results: "list[Estimates]") -> None:
-    """Print the tests of a design that estimates values."""
-    results = sorted(results, key=lambda r: r.photons)
-    light_heads, light, meaning = common.counted(results)
-    rows = [
-        (
-            common.budget(r.photons),
-            common.share(r.r2, r.low, r.high),
-            *(common.error(*each) for each in zip_longest(r.rmse, r.bound or ())),
-            *counts,
-            f"{r.throughput:.3f}",
-        )
-        for r, counts in zip(results, light, strict=True)
-    ]
-    heads = ("photons", "R²", *map(common.short, results[0].values), *light_heads, "counted")
-    common.print_table(f"{made.name}, {common.size(made)}, {noise} noise", heads, rows)
-    print("of each value: root mean squared error (that of the best linear estimator)")
-    _print_covered(results[0], meaning)
+    if not made.values:
+        print("ECE: expected calibration error, between probabilities and how often they are right")
 
 
 def _print_covered(result: "Result | Estimates", meaning: str) -> None:
@@ -173,9 +171,24 @@ def _print_confusion(result: "Result", classes: Sequence[str]) -> None:
     common.print_table(f"answers {where}", heads, rows)
 
 
-def _area(result: "Result") -> str:
-    """Area under the ROC curve of two classes."""
-    return common.share(result.auc or 0, result.auc_low or 0, result.auc_high or 1)
+def _interval(result: "Result | Estimates", measure: "Measure") -> str:
+    """A measure that has an interval, with half the width of it."""
+    return common.share(*(result.score(key) or 0.0 for key in measure.keys))
+
+
+def _number(value: float | None) -> str:
+    """A measure without an interval, of answers that may not have it."""
+    return "–" if value is None else f"{value:.3f}"
+
+
+def _answers(result: "Result | Estimates", classes: Sequence[str]) -> tuple[str, ...]:
+    """The worst class; or the error of each value, and that of the best linear estimator."""
+    from deepfsi.measures import Estimates
+
+    if isinstance(result, Estimates):
+        errors = zip_longest(result.rmse, result.bound or ())
+        return tuple(common.error(*each) for each in errors)
+    return (_worst(result, classes),)
 
 
 def _worst(result: "Result", classes: Sequence[str]) -> str:

@@ -344,9 +344,9 @@ UNEVEN = 0.02
 
 def _print_matrix(results: "Results") -> None:
     """Print accuracies, a row for each design and a column for each budget."""
+    from deepfsi.measures import main_measure
     from deepfsi.report.accuracy import noises
     from deepfsi.report.comparison_page import best_table
-    from deepfsi.report.measures import WORDS
 
     tables = {noise: best_table(results, noise) for noise in noises(results)}
     budgets = sorted({photons for table in tables.values() for photons in table["budgets"]})
@@ -361,9 +361,9 @@ def _print_matrix(results: "Results") -> None:
             }
             under = (noise,) if several else ()
             rows.append((name, *under, *(at.get(photons, "– ") for photons in budgets)))
-    measure, heads = WORDS[results.data.measure], ("design", *("noise",) * several)
+    measure, heads = main_measure(results.data.measure), ("design", *("noise",) * several)
     heads += tuple(common.budget(photons) + " " for photons in budgets)
-    common.print_table(f"{measure.name} by photon budget", heads, rows)
+    common.print_table(f"{measure.title} by photon budget", heads, rows)
     best = [point for point in results.points if point.best]
     for p in best:
         if p.one_class:

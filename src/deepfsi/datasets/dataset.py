@@ -17,7 +17,7 @@ Labels: TypeAlias = npt.NDArray[np.int64]
 Truth: TypeAlias = npt.NDArray[Any]
 """Classes (n,) int64, or values (n, q) float32."""
 
-Measure = Literal["accuracy", "AUC", "R²"]
+MeasureTitle = Literal["accuracy", "AUC", "R²"]
 """What the answers to a data set are measured by."""
 
 
@@ -115,7 +115,7 @@ class Dataset:
     origin: Origin | None = None
     held_out: int = 0
     values: tuple[str, ...] = ()
-    measure: Measure = "accuracy"
+    measure: MeasureTitle = "accuracy"
     drawn: bool = False
 
     def __repr__(self) -> str:

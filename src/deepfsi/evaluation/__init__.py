@@ -1,24 +1,15 @@
 """How well a design works, and why: tests, ideal observer, bounds, confidence, early stopping."""
 
-from deepfsi.evaluation.accuracy import (
-    MOST_DRAWS,
-    Result,
-    camera_for,
-    check_draws,
-    evaluate,
-)
+from deepfsi.evaluation.accuracy import camera_for, check_draws, evaluate
 from deepfsi.evaluation.bounds import cramer_rao, linear_bound
 from deepfsi.evaluation.confidence import (
     CalibrationScenes,
     Exposed,
     LeftOutTest,
-    chance_error,
-    confidence_error,
     fit_temperatures,
     logits_at_stops,
     measure_left_out,
 )
-from deepfsi.evaluation.estimation import Estimates
 from deepfsi.evaluation.ideal import IdealObserver, ideal_observer
 from deepfsi.evaluation.page_data import check_playable, of_page, playable
 from deepfsi.evaluation.stopping import (
@@ -31,21 +22,16 @@ from deepfsi.evaluation.stopping import (
 )
 
 __all__ = [
-    "MOST_DRAWS",
     "CalibrationScenes",
     "Estimate",
-    "Estimates",
     "Exposed",
     "IdealObserver",
     "LeftOutTest",
-    "Result",
     "Stopped",
     "StoppingRule",
     "camera_for",
-    "chance_error",
     "check_draws",
     "check_playable",
-    "confidence_error",
     "cramer_rao",
     "evaluate",
     "fit_temperatures",

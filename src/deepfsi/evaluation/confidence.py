@@ -26,9 +26,6 @@ CALIBRATED_STOPS = 8
 LEAST_SHARE = 1e-6
 """Share of a class that guessing is taken to give at least."""
 
-BINS = 15
-"""Groups of answers of like confidence, all of one size, in which calibration is measured."""
-
 
 class Exposed(NamedTuple):
     """Scenes of known classes, and the design that answers them."""
@@ -208,36 +205,3 @@ def _fit(logits: np.ndarray, scenes: CalibrationScenes) -> float:
 
     found = minimize_scalar(log_loss, bounds=LOG_BOUNDS, method="bounded", options={"xatol": 1e-2})
     return float(found.x)
-
-
-def confidence_groups(
-    confidence: np.ndarray, right: np.ndarray
-) -> list[tuple[float, float, float]]:
-    """Confidence, accuracy and weight of answers in `BINS` groups, the least sure first."""
-    order = np.argsort(confidence, kind="stable")
-    return [
-        (float(confidence[part].mean()), float(right[part].mean()), len(part) / len(order))
-        for part in np.array_split(order, min(BINS, len(order)))
-    ]
-
-
-def calibration_error(groups: Sequence[tuple[float, float, float]]) -> float:
-    """Mean distance of confidence and accuracy over groups from `confidence_groups`."""
-    return sum(weight * abs(confidence - right) for confidence, right, weight in groups)
-
-
-def confidence_error(confidence: np.ndarray, right: np.ndarray) -> float:
-    """Calibration error of answers (E,), as a `Result` has it."""
-    return calibration_error(confidence_groups(confidence, right))
-
-
-def chance_error(confidence: np.ndarray, draws: int = 200, seed: int = 0) -> float:
-    """Calibration error that exactly calibrated answers (E,) show, in the mean over draws.
-
-    Groups are finite: each answer is right with the probability that it says, and yet the accuracy
-    of a group differs from its confidence.
-    """
-    rng = np.random.default_rng(seed)
-    errors = [confidence_error(confidence, rng.random(len(confidence)) < confidence)
-              for _ in range(draws)]  # fmt: skip
-    return float(np.mean(errors))

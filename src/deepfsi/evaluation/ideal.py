@@ -18,8 +18,9 @@ from deepfsi.camera import check_budget, summed_reflectance
 from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.design import Design
 from deepfsi.designfile import new_scenes
-from deepfsi.evaluation.accuracy import Guess, Result, check_data, check_draws, test_scenes
+from deepfsi.evaluation.accuracy import Conditions, Guess, check_data, check_draws, test_scenes
 from deepfsi.exposure.posterior import class_chances
+from deepfsi.measures import Result
 from deepfsi.networks.values import check_classes
 from deepfsi.physics import Scanner, library_defaults
 
@@ -151,7 +152,8 @@ def ideal_observer(
         shares = rates.mean(dim=0).flatten(0, -2).sum(dim=0)
         del rates
         guess_of = _guesses(observer, scanner, rates_of)
-        return test_scenes(scenes, guess_of, budgets, draws, seed, "poisson", shares, bar)
+        conditions = Conditions(budgets, draws, seed, noise="poisson")
+        return test_scenes(scenes, guess_of, conditions, shares, report=bar)
 
 
 def _new_to(design: Design | Tensor, data: Dataset) -> Dataset:

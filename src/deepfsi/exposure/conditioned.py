@@ -28,7 +28,7 @@ ALL_MASKS_SHARE = 0.25
 """Share of the exposures of nested masks in training that show all of them."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ConditionedExposure(MaskExposure):
     """Exposure of fixed dwells whose classifier has the budget and the number of masks as inputs.
 

@@ -43,7 +43,7 @@ ON_WEIGHT = 0.2
 """Time of the all-ON frames of a scene over the exposure, where their readouts are calibrated."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LooksExposure(MaskExposure):
     """Exposure of several looks, whose dwells a network chooses from the counts so far.
 

@@ -24,7 +24,7 @@ MEAN_OF = 1024
 """Transits whose mean is taken for expected counts of all."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PassingExposure(MaskExposure):
     """Exposure of a scene that passes a pattern, in each exposure at another place.
 

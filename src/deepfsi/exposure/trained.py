@@ -338,7 +338,7 @@ class Clicks(NamedTuple):
         return None if gates is None else cls(gates, info["job"]["photons"])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class TrainedMasks:
     """Masks after a training, and what is read of them in the mean over its scenes.
 
@@ -731,7 +731,7 @@ class MaskExposure(ExposureKind):
         return None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FixedExposure(MaskExposure):
     """Exposure of which all masks are needed, each with its own dwell."""
 
@@ -751,7 +751,7 @@ OF_PATCHES = (
 """Why patches are not for frames, or a graph."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PatchExposure(MaskExposure):
     """Exposure of fixed dwells, with a detector for each patch of an image.
 

@@ -12,8 +12,8 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, MultipleLocator, NullLocator
 
 from deepfsi.camera import noise_text
+from deepfsi.measures import main_measure
 from deepfsi.report import style
-from deepfsi.report.measures import WORDS
 from deepfsi.sweeps.results import Results
 
 Measured: TypeAlias = Any
@@ -99,7 +99,7 @@ def figure_names(points: Iterable[Measured], axes: Fields) -> dict[tuple[str, ..
 
 def axis_of(results: Results) -> str:
     """Name of the axis of what is measured."""
-    return WORDS[results.data.measure].axis
+    return main_measure(results.data.measure).axis
 
 
 def noises(results: Results) -> list[str]:

@@ -14,10 +14,10 @@ from deepfsi.base.numeric import accuracy_difference, confusion_table
 from deepfsi.camera import LIGHT_LAWS, noise_text
 from deepfsi.designfile import DesignFile
 from deepfsi.jobs import ADAPTIVE
+from deepfsi.measures import MEASURES, main_measure
 from deepfsi.report import accuracy
 from deepfsi.report.figures import Figures
 from deepfsi.report.masks import lit_masks, masks_figure, peak, signed, values_figure
-from deepfsi.report.measures import WORDS
 from deepfsi.report.rendering import capital, flat, render, share_text
 from deepfsi.report.style import photons_text
 from deepfsi.report.terms import DESIGNS, lit_text
@@ -83,7 +83,8 @@ def page_text(results: Results, designs: Path, figures: Figures) -> str:
         scene=scene_text(data.image_shape),
         answers=answers_text(data),
         names=data.classes or data.values,
-        measure=WORDS[data.measure],
+        measure=main_measure(data.measure),
+        further=[each for each in MEASURES.values() if each.averaged and each.column],
         errors=list(errors(results)),
         optics=optics_text,
         facts=[
@@ -101,7 +102,7 @@ def compared(results: Results) -> str:
     many = f"{designs} ways to choose a camera’s masks" if designs > 1 else "One choice of masks"
     laws = listed(sorted({p.light for p in points}))
     scenes = f"{results.data.test} test scenes of {results.data.name}"
-    task = WORDS[results.data.measure].task.format(scenes=scenes)
+    task = main_measure(results.data.measure).task.format(scenes=scenes)
     parts = scenes_text(results.data)
     return f"{many}, at equal light (light law {laws}): {task}. {capital(parts)}."
 
@@ -139,7 +140,7 @@ def covered(results: Results) -> str:
                 "imaging, whose counts tell more. "
             )
     covers = "; ".join(dict.fromkeys(p.covers for p in results.points))
-    guessing = WORDS[results.data.measure].guessing
+    guessing = main_measure(results.data.measure).guessing
     return (
         f"{text}Chance is {share_text(results.data.chance)}, {guessing}. "
         f"The intervals are of 95 % and cover {covers}."
@@ -376,7 +377,7 @@ def answers_text(data: Data) -> str:
 
 def title_of(results: Results) -> str:
     """Name of the measure at the beginning of a sentence."""
-    return capital(WORDS[results.data.measure].name)
+    return capital(main_measure(results.data.measure).title)
 
 
 def confusions(results: Results, said: Verdict) -> Iterator[Part]:

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from deepfsi.base.numeric import Crossing, accuracy_difference, find_crossing
 from deepfsi.camera import noise_text
 from deepfsi.jobs import DESIGNS
+from deepfsi.measures import main_measure
 from deepfsi.report import accuracy
-from deepfsi.report.measures import WORDS
 from deepfsi.report.rendering import capital, share_text
 from deepfsi.report.style import photons_text
 from deepfsi.sweeps.results import Point, Results
@@ -57,7 +57,7 @@ def verdict_of(results: Results) -> Verdict:
     rankings = [ranking(points, photons) for photons in budgets]
     several = len(accuracy.noises(results)) > 1
     under = f" under {noise_text(noise)}" if several else ""
-    measure, images = WORDS[results.data.measure].name, results.data.test
+    measure, images = main_measure(results.data.measure).title, results.data.test
 
     def name(point: Point) -> str:
         own = names[accuracy.key_of(point, axes)]

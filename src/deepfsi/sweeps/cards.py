@@ -9,8 +9,8 @@ from jinja2 import StrictUndefined, Template
 from deepfsi.datasets import Dataset
 from deepfsi.design.design import Design
 from deepfsi.designfile import trained_on
-from deepfsi.evaluation import Result
 from deepfsi.jobs import Job
+from deepfsi.measures import Result
 
 if TYPE_CHECKING:
     from deepfsi.sweeps.collection import DataTerms, DesignRecipe

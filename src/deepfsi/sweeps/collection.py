@@ -27,8 +27,9 @@ from deepfsi.base import (
 from deepfsi.base.models import StrictModel
 from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.designfile import INDEX_NAME, CollectionIndex, DesignName, PublishedDesign, ShortText
-from deepfsi.evaluation import Result, evaluate
+from deepfsi.evaluation import evaluate
 from deepfsi.jobs import REVISION, Job, find_job, sorted_settings
+from deepfsi.measures import Result
 from deepfsi.networks.values import check_classes
 from deepfsi.sweeps.cards import card
 from deepfsi.training.learning import learn

@@ -16,7 +16,6 @@ from deepfsi.evaluation import camera_for, evaluate
 from deepfsi.exposure.training_set import Matrices, TrainingSet
 from deepfsi.networks.custom import OwnClassifier
 from deepfsi.sweeps.results import SCHEMA
-from deepfsi.sweeps.summary import terms_of
 from deepfsi.sweeps.trial import Trial
 from deepfsi.training.batches import check_fits, footprint, memory_for
 from deepfsi.training.checkpoint import NO_CHECKPOINT, Checkpoint
@@ -212,7 +211,7 @@ def _with_code(design: Design, classifier: Any) -> Design:
 
 def _tested(trial: Trial, design: Design, data: Dataset) -> list[dict[str, Any]]:
     return [
-        {**result.as_dict(), "levels": levels, "terms": terms_of(result)}
+        {**result.as_dict(), "levels": levels, "terms": result.packed_terms()}
         for levels in trial.test_levels
         for noise in trial.test_noise
         for result in evaluate(

@@ -26,7 +26,6 @@ from deepfsi.camera import (
     find_noise,
 )
 from deepfsi.datasets import Dataset
-from deepfsi.evaluation import MOST_DRAWS
 from deepfsi.jobs import (
     DESIGNS,
     MLP,
@@ -37,6 +36,7 @@ from deepfsi.jobs import (
     find_exposure,
     mask_count,
 )
+from deepfsi.measures import MOST_DRAWS
 from deepfsi.sweeps.workers import Resources
 
 PAPER_RATIOS = tuple((k / 10) ** 2 for k in range(1, 11))

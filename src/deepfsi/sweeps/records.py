@@ -37,18 +37,9 @@ from deepfsi.base import (
     write_atomically,
 )
 from deepfsi.design.design import Design, load_design
-from deepfsi.evaluation import Estimates, Result
+from deepfsi.measures import MEASURES, Estimates, MainMeasure, Result
 from deepfsi.sweeps.results import SCHEMA, Packed
 from deepfsi.sweeps.trial import Trial
-
-MEASURED = (
-    *("accuracy", "auc", "r2", "low", "high", "balanced"),
-    *("counts", "arriving", "throughput"),
-)
-"""Numbers of a test that are columns of the table, where it has them."""
-
-CHOSEN_BY = ("accuracy", "balanced", "auc", "r2")
-"""Measures that mask counts are chosen by on validation scenes; columns of the table likewise."""
 
 Finished = tuple[Trial, Mapping[str, Any], bytes | None]
 """A trial, its record, and its design file where it was trained now."""
@@ -196,6 +187,10 @@ class Records:
 def rows(records: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """Records as the rows of one table: settings of the trial, then one test."""
     table = []
+    columns = {key: measure for key, measure in MEASURES.items() if measure.chooses}
+    main = [key for key, measure in columns.items() if isinstance(measure, MainMeasure)]
+    others = [key for key in columns if key not in main]
+    tested = (*main, "low", "high", *others, "counts", "arriving", "throughput")
     for record in records:
         trial = record["trial"]
         job = trial["job"]
@@ -220,12 +215,8 @@ def rows(records: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
                     "test_noise": test["noise"],
                     "test_photons": test["photons"],
                     "levels": test["levels"],
-                    **{
-                        f"validation_{name}": validation.get(name)
-                        for name in CHOSEN_BY
-                        if name in test
-                    },
-                    **{name: test[name] for name in MEASURED if name in test},
+                    **{f"validation_{key}": validation.get(key) for key in columns if key in test},
+                    **{name: test[name] for name in tested if name in test},
                     "seconds": record["info"]["seconds"],
                 }
             )

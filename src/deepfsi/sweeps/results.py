@@ -11,7 +11,7 @@ from deepfsi.base import as_input_error, read_text, write_atomically
 from deepfsi.base.models import Positive, Share
 from deepfsi.base.numeric import unpack_values
 from deepfsi.camera import find_noise
-from deepfsi.datasets.dataset import Measure
+from deepfsi.datasets.dataset import MeasureTitle
 from deepfsi.jobs import EVERY_PIXEL
 
 SCHEMA = 5
@@ -132,6 +132,9 @@ class Point(Frozen):
     log_loss: FiniteFloat | None = Field(
         None, description="mean of −ln p of the true class, in nats, and over trials"
     )
+    further: dict[str, FiniteFloat] = Field(
+        {}, description="measures without a field of their own, by name, in the mean over trials"
+    )
     counts: FiniteFloat = Field(
         description="photons that the detectors count, or clicks, in the mean over test scenes and "
         "trials"
@@ -168,6 +171,10 @@ class Point(Frozen):
         False, description="whether each trial gives one class as the answer to every test scene"
     )
 
+    def score(self, key: str) -> float | None:
+        """Mean of a measure over trials, by its key; None where the answers do not have it."""
+        return self.further.get(key, getattr(self, key, None))
+
     @property
     def clicks(self) -> bool:
         """True of detectors that click, whose counts are fewer than the photons that arrive."""
@@ -191,7 +198,7 @@ class Data(Frozen):
     values: tuple[str, ...] = Field(
         (), description="names of its values; none where it has classes"
     )
-    measure: Measure = Field(
+    measure: MeasureTitle = Field(
         "accuracy", description="what `accuracy` of a point is: accuracy, AUC or R²"
     )
     train: StoredCount = Field(description="scenes trained on")

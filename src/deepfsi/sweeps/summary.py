@@ -11,11 +11,6 @@ from typing import Any
 import numpy as np
 
 from deepfsi.base.numeric import (
-    Interval,
-    accuracy_interval,
-    auc,
-    balanced_interval,
-    image_interval,
     pack_values,
     student,
     unpack_values,
@@ -23,10 +18,9 @@ from deepfsi.base.numeric import (
 )
 from deepfsi.camera import DetectorMap, noise_text
 from deepfsi.datasets import Dataset
-from deepfsi.datasets.dataset import Measure
 from deepfsi.designfile import TrainingScenes, new_scenes
-from deepfsi.evaluation import Estimates, Result
 from deepfsi.jobs import DESIGNS, find_exposure
+from deepfsi.measures import MEASURES, Measure, main_measure
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.results import SCHEMA, Data, Point, Provenance, Results
 
@@ -46,18 +40,8 @@ AXES = (
 )
 """Fields that tell the points of a summary apart."""
 
-MEASURES: dict[Measure, tuple[str, str, str]] = {
-    "accuracy": ("accuracy", "low", "high"),
-    "AUC": ("auc", "auc_low", "auc_high"),
-    "R²": ("r2", "low", "high"),
-}
-"""Fields of a test that hold a measure and its 95 % interval."""
-
 ONE = "of one training"
 """Words of a test for what its interval covers, before those of folds or of values."""
-
-BALANCED = ("balanced", "balanced_low", "balanced_high")
-"""Those of the balanced accuracy."""
 
 
 def summarise(
@@ -85,7 +69,7 @@ def summarise(
             )
             key = (*trained, test["noise"], test["photons"], test["levels"], job["masks"])
             groups[key].append((record, index))
-    measure = "balanced" if recipe.balances else MEASURES[data.measure][0]
+    measure = "balanced" if recipe.balances else main_measure(data.measure).key
     points = [
         point(
             dict(zip(AXES, key, strict=True)),
@@ -176,9 +160,8 @@ def point(
     data: Dataset,
 ) -> Point:
     """One point of a summary: trials averaged."""
-    tests, measure = [record["test"][index] for record, index in members], data.measure
-    trials = _Trials.of(tests, data)
-    score = MEASURES[measure][0]
+    tests = [record["test"][index] for record, index in members]
+    trials, measure = _Trials.of(tests, data), main_measure(data.measure)
     validated = [record["validation"][index] for record, index in members if record["validation"]]
     code = DESIGNS[axes["design"]]
     return Point(
@@ -193,13 +176,14 @@ def point(
         validation=float(np.mean([v[chosen_by] for v in validated])) if validated else None,
         **dict(zip(("accuracy", "low", "high"), trials.measured(measure), strict=True)),
         covers=trials.covers,
-        **(_of_values(tests) if measure == "R²" else _of_classes(trials)),
+        **(_of_values(tests) if data.values else _of_classes(tests)),
+        **trials.averages(),
         counts=float(np.mean([test["counts"] for test in tests])),
         arriving=float(np.mean([test["arriving"] for test in tests])),
         throughput=float(np.mean([test["throughput"] for test in tests])),
         seconds=float(np.mean([record["info"]["seconds"] for record, _ in members])),
-        accuracies=tuple(float(test[score]) for test in tests),
-        terms=tuple(pack_values(row) for row in trials.terms.get(measure, ())),
+        accuracies=tuple(float(test[measure.key]) for test in tests),
+        terms=tuple(pack_values(row) for row in trials.terms.get(measure.terms, ())),
         keys=tuple(
             key for record, _ in members for key in record.get("designs", [record["design"]])
         ),
@@ -211,14 +195,6 @@ def mean_lit_masks(tests: Sequence[Mapping[str, Any]]) -> float | None:
     """Masks that have light, in the mean over trials; None where a record does not say."""
     light = [test.get("photons_per_mask", ()) for test in tests]
     return float(np.mean([np.count_nonzero(each) for each in light])) if all(light) else None
-
-
-def terms_of(result: Result | Estimates) -> dict[str, str]:
-    """Values of the test images by measure, packed for a record."""
-    if isinstance(result, Estimates):
-        return {"R²": pack_values(np.array(result.explained))}
-    found = {"accuracy": result.right, "AUC": result.area_terms}
-    return {measure: pack_values(np.array(values)) for measure, values in found.items() if values}
 
 
 @dataclass(frozen=True)
@@ -250,40 +226,39 @@ class _Trials:
             "earlier version keep no images)"
         )
 
-    def measured(self, measure: str) -> tuple[float, float, float]:
-        """Mean of a measure, or of the balanced accuracy, with its interval."""
-        fields = BALANCED if measure == "balanced" else MEASURES[measure]  # type: ignore[index]
-        values = [float(test[fields[0]]) for test in self.tests]
+    def measured(self, measure: Measure) -> tuple[float, ...]:
+        """Mean of a measure, with both ends of its interval where it has one."""
+        values = [float(test[measure.key]) for test in self.tests]
         mean = float(np.mean(values))
-        terms = self.terms.get("accuracy" if measure == "balanced" else measure)
+        if measure.interval is None:
+            return (mean,)
+        terms = self.terms.get(measure.terms)
         if terms is None and len(self.tests) == 1:
-            low, high = (float(self.tests[0][end]) for end in fields[1:])
+            low, high = (float(self.tests[0][end]) for end in measure.ends)
         elif terms is None:
             low, high = student(values)
             least = min(0.0, *values)  # R² is below 0 where guessing the mean is better
-            low, high = max(low, least), min(high, 1.0)
+            low = max(low, least)
         else:
-            _, low, high = self._interval(measure, terms)
+            _, low, high = measure.interval(terms, self.labels)
         return mean, low, min(high, 1.0)
 
-    def _interval(self, measure: str, terms: np.ndarray) -> Interval:
-        """Interval of a measure over images and seeds; terms (S, n)."""
-        if measure == "accuracy":
-            return accuracy_interval(terms)
-        if measure == "balanced":
-            return balanced_interval(terms, self.labels)
-        return auc(terms, self.labels == 1) if measure == "AUC" else image_interval(terms)
+    def averages(self) -> dict[str, Any]:
+        """Fields of a point: measures that are averaged over trials, where these have them."""
+        means: dict[str, float] = {}
+        for key, measure in MEASURES.items():
+            if measure.averaged and all(test.get(key) is not None for test in self.tests):
+                means |= zip(measure.keys, self.measured(measure), strict=True)
+        further = {key: means.pop(key) for key in [*means] if key not in Point.model_fields}
+        return means | ({"further": further} if further else {})
 
 
-def _of_classes(trials: _Trials) -> dict[str, Any]:
+def _of_classes(tests: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Fields of a point whose answers are classes."""
-    tests = trials.tests
     rates = _mean_rates(tests)
     return {
-        **dict(zip(BALANCED, trials.measured("balanced"), strict=True)),
         "worst": rates[worst_class(rates)] or 0.0,
         "worst_class": worst_class(rates),
-        "log_loss": float(np.mean([test["log_loss"] for test in tests])),
         "confusion": np.sum([test["confusion"] for test in tests], axis=0).tolist(),
         "one_class": all(np.any(test["confusion"], axis=0).sum() == 1 for test in tests),
     }

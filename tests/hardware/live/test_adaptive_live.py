@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from conftest import exposing
 from deepfsi import learn
 from deepfsi.base import InputError
 from deepfsi.camera import find_device
@@ -193,7 +194,7 @@ def test_the_shortest_look_must_not_be_shorter_than_the_device_allows(digits, tm
     """Of looks of different lengths, wherever it comes."""
     design = learn(digits.hold_out(1200), design="adaptive", masks=LOOKS, photons=1e4)
     uneven = design.prior_exposure.settings.model_copy(update={"growth": growth})
-    replace(design, settings=uneven).save(tmp_path / "a.safetensors")
+    exposing(design, settings=uneven).save(tmp_path / "a.safetensors")
     patterns, scenes = shown_from(tmp_path / "a.safetensors"), scenes_of(digits, 1)[1]
     shortest_s = EXPOSURE_S * min(uneven.shares)
     plan_live(patterns, scenes, EXPOSURE_S, shortest_s * 0.99, looks=open_looks(patterns))

@@ -1,0 +1,23 @@
+"""What answers are measured by: one table, and the results of tests made with it (no torch)."""
+
+from deepfsi.measures.answers import MOST_DRAWS, Answers, ClassAnswers, ValueAnswers
+from deepfsi.measures.reliability import calibration_error, chance_error, confidence_groups
+from deepfsi.measures.results import Estimates, Result, ResultList
+from deepfsi.measures.table import MEASURES, MainMeasure, Measure, main_measure
+
+__all__ = [
+    "MEASURES",
+    "MOST_DRAWS",
+    "Answers",
+    "ClassAnswers",
+    "Estimates",
+    "MainMeasure",
+    "Measure",
+    "Result",
+    "ResultList",
+    "ValueAnswers",
+    "calibration_error",
+    "chance_error",
+    "confidence_groups",
+    "main_measure",
+]

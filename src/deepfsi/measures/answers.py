@@ -1,0 +1,154 @@
+"""Answers to test scenes under noise, at one budget, and what of them measures are made of."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from deepfsi.base.numeric import auc_terms
+
+MOST_DRAWS = 10_000
+"""Noise draws of each scene in one test: enough for any interval, and an end in sight."""
+
+TINY = np.finfo(np.float32).tiny
+"""Least probability that the log-odds are taken of."""
+
+LEAST_TRUE_CHANCE = np.finfo(np.float32).eps
+"""Least probability of a true class that the log loss is taken of."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Answers:
+    """Answers of one design at one budget: E exposures, so many draws of each of n scenes.
+
+    Attributes
+    ----------
+    photons : float
+        Budget Φ.
+    noise : str
+        Of the test.
+    covers : str
+        What an interval over images covers.
+    draws : int
+        Independent noise draws of each scene.
+    counts, arriving : float
+        What the detectors count, and photons that reach them, in the mean over exposures.
+    shares : list of float, length m
+        Share of the budget that each mask's rails count together, in the training mean.
+    truth : array, shape (n,) or (n, q)
+        Class of each scene, or its values.
+    scenes : array, shape (E,)
+        Scene of each exposure, a place in `truth`. Draws of a scene stand in their order.
+    """
+
+    photons: float
+    noise: str
+    covers: str
+    draws: int
+    counts: float
+    arriving: float
+    shares: list[float]
+    truth: np.ndarray
+    scenes: np.ndarray
+
+    def by_scene(self, values: np.ndarray) -> np.ndarray:
+        """Values (n, draws, …) of exposures (E, …)."""
+        order = np.argsort(self.scenes, kind="stable")
+        return values[order].reshape(len(self.truth), self.draws, *values.shape[1:])
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ClassAnswers(Answers):
+    """Answers that are classes.
+
+    Attributes
+    ----------
+    chances : array, shape (E, C)
+        Probability of each class.
+    classes : array, shape (E,)
+        Most probable class, which rounded probabilities may not tell from another.
+    """
+
+    chances: np.ndarray
+    classes: np.ndarray
+
+    @cached_property
+    def true(self) -> np.ndarray:
+        """True class (E,) of each exposure."""
+        return self.truth[self.scenes]
+
+    @cached_property
+    def confusion(self) -> np.ndarray:
+        """Exposures (C, C): rows true classes, columns answers."""
+        counts = np.zeros([self.chances.shape[1]] * 2, dtype=np.int64)
+        np.add.at(counts, (self.true, self.classes), 1)
+        return counts
+
+    @property
+    def rates(self) -> list[float | None]:
+        """Accuracy of each class; None where the test has no scene of it."""
+        rows = enumerate(self.confusion)
+        return [float(row[k] / row.sum()) if row.any() else None for k, row in rows]
+
+    @property
+    def confidence(self) -> np.ndarray:
+        """Probability (E,) of the answers."""
+        return self.chances.max(axis=1).astype(float)
+
+    @property
+    def losses(self) -> np.ndarray:
+        """−ln of the probability (E,) of the true classes, in nats."""
+        chances = self.chances[np.arange(len(self.true)), self.true].astype(float)
+        return -np.log(chances.clip(min=LEAST_TRUE_CHANCE))
+
+    @cached_property
+    def right(self) -> np.ndarray:
+        """Share (n,) of the draws of each scene that are answered right."""
+        return self.by_scene(self.classes == self.true).mean(axis=1, dtype=float)
+
+    @cached_property
+    def area_terms(self) -> np.ndarray:
+        """Terms (n,) whose mean is the area under the ROC curve; none unless there are two classes.
+
+        Scores are log-odds of the second class, so that chances near 1 are told apart.
+        """
+        if len(self.confusion) != 2 or not self.confusion.any(axis=1).all():
+            return np.zeros(0)
+        odds = np.subtract(*np.log(self.chances[:, [-1, 0]].clip(min=TINY).T))
+        return auc_terms(self.by_scene(odds.astype(float)), self.truth == 1)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ValueAnswers(Answers):
+    """Answers that are estimates of values.
+
+    Attributes
+    ----------
+    estimates : array, shape (E, q)
+        In the unit of each value.
+    names : tuple of str, length q
+    bound : list of float or None
+        Root mean squared error of the best linear estimator of the same counts, of each value.
+    """
+
+    estimates: np.ndarray
+    names: tuple[str, ...]
+    bound: list[float] | None
+
+    @cached_property
+    def squares(self) -> np.ndarray:
+        """Squared error (n, q) of each scene, in the mean over draws."""
+        draws = np.moveaxis(self.by_scene(self.estimates.astype(float)), 1, 0)
+        return np.square(np.ascontiguousarray(draws) - self.truth).mean(axis=0)
+
+    @cached_property
+    def losses(self) -> np.ndarray:
+        """`squares` over the variance of the values; NaN of one that is alike in all scenes."""
+        variance = self.truth.var(axis=0, dtype=np.float64)
+        variance[variance == 0] = np.nan
+        return self.squares / variance
+
+    @property
+    def explained(self) -> np.ndarray:
+        """1 − `losses` (n,) in the mean over values, whose mean over scenes is R²."""
+        return 1 - self.losses.mean(axis=1)

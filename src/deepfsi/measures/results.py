@@ -1,0 +1,277 @@
+"""Results of tests: how good the answers of a design at one budget are, and what light it took."""
+
+from dataclasses import dataclass, field, fields
+from html import escape
+from typing import Any, ClassVar, Self
+
+import numpy as np
+
+from deepfsi.base.numeric import Z_95, accuracy_curve, confusion_table, pack_values, worst_class
+from deepfsi.camera import find_noise
+from deepfsi.measures.answers import Answers, ClassAnswers, ValueAnswers
+from deepfsi.measures.table import MEASURES, Measure
+
+
+@dataclass(frozen=True)
+class AnswerTest:
+    """A test of answers of either kind, with all measures of `MEASURES` that are of that kind.
+
+    Attributes
+    ----------
+    photons : float
+        Budget Φ.
+    noise : str
+        Of this test.
+    further : dict
+        Measures that have no field of their own, by their key. In `as_dict` they follow the others.
+    image_terms : dict
+        Numbers of the test images whose mean is a measure, by name. Not in `as_dict`.
+    """
+
+    photons: float
+    noise: str
+    kind: ClassVar[type[Answers]]
+    further: dict[str, float | None] = field(default_factory=dict, repr=False, kw_only=True)
+    image_terms: dict[str, list[float]] = field(default_factory=dict, repr=False, kw_only=True)
+
+    @property
+    def clicks(self) -> bool:
+        """True of detectors that click, whose counts are fewer than the photons that arrive."""
+        return find_noise(self.noise).gates
+
+    @classmethod
+    def measures(cls) -> list[Measure]:
+        """Measures of such answers, that by which data are judged first."""
+        return [each for each in MEASURES.values() if each.of is cls.kind]
+
+    def score(self, key: str) -> float | None:
+        """A measure by its key; None where the answers do not have it."""
+        return self.further.get(key, getattr(self, key, None))
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON types only, without the numbers of each image."""
+        declared = {each.name: getattr(self, each.name) for each in fields(self) if each.repr}
+        return declared | self.further
+
+    def packed_terms(self) -> dict[str, str]:
+        """Numbers of the test images, packed for a record."""
+        return {name: pack_values(np.array(terms)) for name, terms in self.image_terms.items()}
+
+    @classmethod
+    def _values(cls, answers: Answers) -> dict[str, Any]:
+        """Fields that answers of either kind have: the light, and all measures."""
+        scores: dict[str, float | None] = {}
+        terms: dict[str, np.ndarray] = {}
+        for measure in cls.measures():
+            if measure.terms_of and len(numbers := measure.terms_of(answers)):
+                terms[measure.terms] = numbers
+            values = measure.values(answers, terms.get(measure.terms))
+            scores |= zip(measure.keys, values, strict=True)
+        names = {each.name for each in fields(cls)}
+        return {
+            "photons": answers.photons,
+            "noise": answers.noise,
+            "covers": answers.covers,
+            "images": len(answers.truth),
+            "draws": answers.draws,
+            "counts": answers.counts,
+            "arriving": answers.arriving,
+            "throughput": sum(answers.shares),
+            "photons_per_mask": [answers.photons * share for share in answers.shares],
+            "further": {key: score for key, score in scores.items() if key not in names},
+            "image_terms": {name: numbers.tolist() for name, numbers in terms.items()},
+            **{key: score for key, score in scores.items() if key in names},
+        }
+
+
+@dataclass(frozen=True)
+class Result(AnswerTest):
+    """Accuracy and counts of one design at one budget.
+
+    Attributes
+    ----------
+    photons : float
+        Budget Φ.
+    noise : str
+        Of this test.
+    accuracy, low, high : float
+        Mean over images and noise draws, and its 95 % interval (`base.numeric.accuracy_interval`).
+    covers : str
+        What the interval covers.
+    images, draws : int
+        Scenes, and independent noise draws of each.
+    balanced, balanced_low, balanced_high : float
+        Mean of the classes' accuracies, and its 95 % interval over test images
+        (`base.numeric.balanced_interval`).
+    rates : list of float or None
+        Accuracy of each class (recall); None where the test has no scene of it.
+    confusion : list of list of int
+        Rows true classes, columns predicted ones, over all draws.
+    calibration_error : float
+        Mean distance of confidence, the probability of the answer, and accuracy, over 15 groups of
+        answers of like confidence, all of one size.
+    log_loss : float
+        Mean of −ln p of the true class, in nats; a p below 1.2e-7 is taken for that.
+    counts : float
+        What the detectors count, in the mean over the test scenes: photons without dark counts,
+        or clicks.
+    arriving : float
+        Photons that reach the detectors, in the same mean: `counts`, but of detectors that click.
+    throughput : float
+        Share of the budget that reaches the detectors, in the training mean; where dwells are
+        chosen, at the training's budget. Of masks that are quantised for a test only, it is that
+        of the masks before.
+    photons_per_mask : list of float
+        Expected photons of each mask's rails together, in the training mean; likewise.
+    auc, auc_low, auc_high : float or None
+        Of two classes, the probability that an exposure of the second gets more of its probability
+        than one of the first, the area under the ROC curve, and its 95 % interval over test images
+        (`base.numeric.auc`).
+    further, image_terms
+        As of `AnswerTest`.
+
+    Examples
+    --------
+    >>> from deepfsi import evaluate, learn, load_dataset
+    >>> digits = load_dataset("digits")
+    >>> design = learn(digits, photons=1e4, masks=6, design="pca", training={"epochs": 1})
+    >>> [result] = evaluate(design, digits, 1e4, draws=2)
+    >>> result.images * result.draws == sum(map(sum, result.confusion))
+    True
+    """
+
+    kind = ClassAnswers
+    accuracy: float
+    low: float
+    high: float
+    covers: str
+    images: int
+    draws: int
+    balanced: float
+    balanced_low: float
+    balanced_high: float
+    rates: list[float | None]
+    confusion: list[list[int]]
+    calibration_error: float
+    log_loss: float
+    counts: float
+    arriving: float
+    throughput: float
+    photons_per_mask: list[float]
+    auc: float | None
+    auc_low: float | None
+    auc_high: float | None
+
+    @classmethod
+    def of(cls, answers: ClassAnswers) -> Self:
+        """The result of answers."""
+        confusion = answers.confusion.tolist()
+        return cls(**cls._values(answers), rates=answers.rates, confusion=confusion)
+
+    @property
+    def right(self) -> list[float]:
+        """Share of the draws of each test image that is answered right, in their order.
+
+        By it designs are compared on the same images (`base.numeric.paired_difference`).
+        """
+        return self.image_terms.get("accuracy", [])
+
+    def _repr_html_(self) -> str:
+        classes = [str(place) for place in range(len(self.confusion))]
+        return (
+            f"<p>accuracy {self.accuracy:.3f} ({self.low:.3f} to {self.high:.3f}) at "
+            f"{self.photons:.3g} photons, {escape(self.noise)} noise</p>"
+            f"{confusion_table(self.confusion, classes)}"
+        )
+
+    @property
+    def worst(self) -> int:
+        """Place of the class with the lowest accuracy."""
+        return worst_class(self.rates)
+
+
+class ResultList(list[Result]):
+    """Results at several budgets, which a notebook shows as a curve."""
+
+    def _repr_html_(self) -> str:
+        points = [(each.photons, each.accuracy, each.low, each.high) for each in self]
+        return accuracy_curve(points) if points else ""
+
+
+@dataclass(frozen=True)
+class Estimates(AnswerTest):
+    """A design that estimates q values, at one budget.
+
+    Attributes
+    ----------
+    photons : float
+        Budget Φ.
+    noise : str
+        Of this test.
+    r2, low, high : float
+        R², 1 − mean squared error over variance, in the mean over values, and its 95 % interval.
+    covers : str
+        What the intervals cover.
+    images, draws : int
+        Scenes, and independent noise draws of each.
+    values : list of str
+        Names of the values.
+    r2_each : list of float
+        R² of each value.
+    rmse, rmse_low, rmse_high : list of float
+        Root mean squared error of each value, in its own unit, and its 95 % interval.
+    bound : list of float or None
+        That of the best linear estimator of the same counts (`evaluation.linear_bound`), which no
+        estimator is below where values and readouts are jointly normal; None of exposures that have
+        none.
+    counts, arriving, throughput, photons_per_mask
+        As of `Result`.
+    further, image_terms
+        As of `AnswerTest`.
+
+    Examples
+    --------
+    >>> import deepfsi
+    >>> digits = deepfsi.load_dataset("digits")
+    >>> light = digits.x_train.mean(axis=1), digits.x_test.mean(axis=1)  # float: a value
+    >>> data = deepfsi.from_arrays(digits.x_train, light[0], digits.x_test, light[1])
+    >>> few = deepfsi.Training(epochs=2)
+    >>> design = deepfsi.learn(data, photons=1e6, masks=4, design="pca", training=few)
+    >>> [result] = deepfsi.evaluate(design, data, 1e6, draws=1)
+    >>> len(result.rmse)
+    1
+    """
+
+    kind = ValueAnswers
+    r2: float
+    low: float
+    high: float
+    covers: str
+    images: int
+    draws: int
+    values: list[str]
+    r2_each: list[float]
+    rmse: list[float]
+    rmse_low: list[float]
+    rmse_high: list[float]
+    bound: list[float] | None
+    counts: float
+    arriving: float
+    throughput: float
+    photons_per_mask: list[float]
+
+    @classmethod
+    def of(cls, answers: ValueAnswers) -> Self:
+        """The result of answers."""
+        power = answers.squares.mean(axis=0)
+        spread = answers.squares.std(axis=0, ddof=min(len(answers.truth) - 1, 1))
+        half = Z_95 * spread / np.sqrt(len(answers.truth))
+        return cls(
+            **cls._values(answers),
+            values=list(answers.names),
+            r2_each=(1 - answers.losses.mean(axis=0)).tolist(),
+            rmse=np.sqrt(power).tolist(),
+            rmse_low=np.sqrt(np.clip(power - half, 0, None)).tolist(),
+            rmse_high=np.sqrt(power + half).tolist(),
+            bound=answers.bound,
+        )

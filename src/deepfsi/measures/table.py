@@ -1,0 +1,200 @@
+"""The measures of answers, a table: what each is, what it stands for and where it is shown.
+
+A new measure is one entry. Results of tests, records of trials, tables of commands, points of
+comparisons and their pages take it from here.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from deepfsi.base.numeric import (
+    Interval,
+    accuracy_interval,
+    auc,
+    balanced_interval,
+    image_interval,
+)
+from deepfsi.measures.answers import Answers, ClassAnswers, ValueAnswers
+from deepfsi.measures.reliability import confidence_error
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measure:
+    """A measure of answers.
+
+    Attributes
+    ----------
+    key : str
+        Its name in results, records and their tables.
+    title : str
+        In words.
+    of : type
+        Kind of answers that have it.
+    compute : callable or None
+        Gives the measure of such answers; None where it is the mean of the interval.
+    interval : callable or None
+        Gives mean and 95 % interval of numbers of images, (S, n) or (n,) of S trainings and n
+        images, and the truth (n,) of these.
+    ends : (str, str)
+        Names of the ends of that interval in results and records.
+    terms : str
+        Name in records of those numbers of images.
+    terms_of : callable or None
+        Gives the numbers (n,) of answers; None where they are those of a measure before this one.
+        There are none where the answers do not have the measure, as an area of three classes.
+    column : str
+        Head of its column in tables of tests, and of points if it is `averaged`; none if empty.
+    averaged : bool
+        Whether points of a comparison hold its mean over trials.
+    chooses : bool
+        Whether numbers of masks may be chosen by it, so that tables of records have it.
+    """
+
+    key: str
+    title: str
+    of: type[Answers]
+    compute: Callable[[Any], float] | None = None
+    interval: Callable[[np.ndarray, np.ndarray], Interval] | None = None
+    ends: tuple[str, str] = ("", "")
+    terms: str = ""
+    terms_of: Callable[[Any], np.ndarray] | None = None
+    column: str = ""
+    averaged: bool = False
+    chooses: bool = False
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """Names of the measure and of the ends of its interval, where it has one."""
+        return (self.key, *self.ends) if self.interval else (self.key,)
+
+    def values(self, answers: Answers, terms: np.ndarray | None) -> list[float | None]:
+        """Values of `keys`, from answers and the numbers of images that are named `terms`."""
+        value = self.compute(answers) if self.compute else None
+        if self.interval is None:
+            return [value]
+        if terms is None:
+            return [None] * 3
+        mean, low, high = self.interval(terms, answers.truth)
+        return [mean if value is None else value, low, high]
+
+
+@dataclass(frozen=True, kw_only=True)
+class MainMeasure(Measure):
+    """A measure that data sets are judged by: `Dataset.measure` is its title.
+
+    Attributes
+    ----------
+    axis : str
+        Of a figure.
+    meaning : str
+        What it is, with its unit.
+    guessing : str
+        What guessing gives.
+    task : str
+        What a network does with the photon counts of scenes, with a place for these.
+    """
+
+    axis: str
+    meaning: str
+    guessing: str
+    task: str
+
+
+def _explained_interval(terms: np.ndarray, truth: np.ndarray) -> Interval:
+    mean, low, high = image_interval(terms)
+    return Interval(mean, low, min(high, 1.0))
+
+
+MEASURES: dict[str, Measure] = {
+    measure.key: measure
+    for measure in (
+        MainMeasure(
+            key="accuracy",
+            title="accuracy",
+            of=ClassAnswers,
+            compute=lambda answers: float(answers.confusion.trace() / answers.confusion.sum()),
+            interval=lambda terms, truth: accuracy_interval(terms),
+            ends=("low", "high"),
+            terms="accuracy",
+            terms_of=lambda answers: answers.right,
+            column="accuracy",
+            chooses=True,
+            axis="accuracy (share correct)",
+            meaning="share of test scenes classified correctly",
+            guessing="the share of the commonest class",
+            task="the share of {scenes} that a trained network classifies correctly from the "
+            "photon counts",
+        ),
+        Measure(
+            key="balanced",
+            title="balanced accuracy",
+            of=ClassAnswers,
+            interval=balanced_interval,
+            ends=("balanced_low", "balanced_high"),
+            terms="accuracy",
+            column="balanced",
+            averaged=True,
+            chooses=True,
+        ),
+        MainMeasure(
+            key="auc",
+            title="AUC",
+            of=ClassAnswers,
+            interval=lambda terms, truth: auc(terms, truth == 1),
+            ends=("auc_low", "auc_high"),
+            terms="AUC",
+            terms_of=lambda answers: answers.area_terms,
+            chooses=True,
+            axis="area under the ROC curve (AUC)",
+            meaning="probability that an anomaly gets a higher score than a normal scene, the area "
+            "under the ROC curve (AUC)",
+            guessing="that of scores drawn at random",
+            task="how well a trained network tells anomalies from normal scenes by the photon "
+            "counts, on {scenes}: the area under the ROC curve (AUC), which is the probability "
+            "that an anomaly gets the higher score",
+        ),
+        Measure(
+            key="calibration_error",
+            title="expected calibration error",
+            of=ClassAnswers,
+            compute=lambda answers: confidence_error(
+                answers.confidence, answers.classes == answers.true
+            ),
+            column="ECE",
+        ),
+        Measure(
+            key="log_loss",
+            title="log loss",
+            of=ClassAnswers,
+            compute=lambda answers: float(answers.losses.mean()),
+            averaged=True,
+        ),
+        MainMeasure(
+            key="r2",
+            title="R²",
+            of=ValueAnswers,
+            interval=_explained_interval,
+            ends=("low", "high"),
+            terms="R²",
+            terms_of=lambda answers: answers.explained,
+            column="R²",
+            chooses=True,
+            axis="R² of the estimates",
+            meaning="share of the variance of the values that the estimates explain (R², in the "
+            "mean over values)",
+            guessing="that of answering the mean of all scenes",
+            task="how well a trained network estimates values from the photon counts, on {scenes}: "
+            "R², the share of their variance that the estimates explain, in the mean over values",
+        ),
+    )
+}
+"""Measures by their key. Tables and pages have them in this order."""
+
+
+def main_measure(title: str) -> MainMeasure:
+    """The measure that data sets are judged by which say so, such as "accuracy", "AUC" or "R²"."""
+    named = {each.title: each for each in MEASURES.values() if isinstance(each, MainMeasure)}
+    return named[title]

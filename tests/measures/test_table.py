@@ -1,0 +1,84 @@
+"""A measure is one entry of the table: results, records, tables, points and pages have it."""
+
+import numpy as np
+import pytest
+
+from conftest import quick
+from deepfsi import evaluate
+from deepfsi.cli.results import details, print_tests
+from deepfsi.measures import MEASURES, ClassAnswers, MainMeasure, Measure, main_measure
+from deepfsi.report.comparison_page import build
+from deepfsi.sweeps.records import rows
+from deepfsi.sweeps.results import read_results, write_results
+from deepfsi.sweeps.summary import summarise
+from deepfsi.sweeps.trial import plan
+from shared.trials import small, train_trials
+
+
+def among_two(answers):
+    """Share of exposures whose true class is one of the two most probable ones."""
+    first = np.argsort(-answers.chances, axis=1)[:, :2]
+    return float((first == answers.true[:, None]).any(axis=1).mean())
+
+
+TOP_2 = Measure(
+    key="top_2",
+    title="top-2 accuracy",
+    of=ClassAnswers,
+    compute=among_two,
+    column="top 2",
+    averaged=True,
+    chooses=True,
+)
+
+
+@pytest.fixture
+def with_top_2(monkeypatch):
+    monkeypatch.setitem(MEASURES, "top_2", TOP_2)
+
+
+@pytest.mark.usefixtures("with_top_2", "uncharacterised", "undrawn")
+def test_a_new_measure_is_one_entry(digits, tmp_path, capsys):
+    design = quick(digits, "pca", masks=3, epochs=2)
+    [result] = evaluate(design, digits, 1e3, draws=1)
+    assert result.accuracy < result.further["top_2"] < 1
+    assert list(result.as_dict())[-1] == "top_2"
+    print_tests(design, "poisson", [result])
+    table = capsys.readouterr().out
+    assert "top 2" in table
+    assert f"{result.score('top_2'):.3f}" in table
+    recipe = small(designs=("pca",), photons=(1e3,), masks=(3,))
+    records = train_trials(plan(recipe, digits), digits, tmp_path / "runs")
+    [row] = rows(records)
+    assert row["validation_top_2"] > row["validation_accuracy"]
+    results = summarise(recipe, digits, records, command="deepfsi", seconds=1.0)
+    write_results(tmp_path / "results.json", results)
+    [point] = read_results(tmp_path / "results.json").points
+    assert point.further == {"top_2": row["top_2"]}
+    page = build(tmp_path).read_text(encoding="utf-8")
+    assert '<button type="button">top 2</button>' in page
+    assert f"<td>{row['top_2']:.3f}</td>" in page
+
+
+def test_an_entry_that_goes_is_nowhere_and_files_have_no_further_measures(digits):
+    design = quick(digits, "pca", masks=3, epochs=2)
+    [result] = evaluate(design, digits, 1e3, draws=1)
+    assert not result.further
+    assert "top" not in details(result, digits.classes)
+    assert list(result.as_dict())[2:5] == ["accuracy", "low", "high"]
+
+
+@pytest.mark.parametrize("title", ["accuracy", "AUC", "R²"])
+def test_what_data_are_judged_by_has_words_for_a_page(title):
+    measure = main_measure(title)
+    assert isinstance(measure, MainMeasure)
+    assert "{scenes}" in measure.task
+    assert MEASURES[measure.key] is measure
+    assert measure.chooses
+
+
+def test_numbers_of_images_are_kept_once(digits):
+    """Those of the balanced accuracy are those of the accuracy."""
+    [result] = evaluate(quick(digits, "pca", masks=3, epochs=2), digits, 1e3, draws=2)
+    assert [*result.image_terms] == ["accuracy"]
+    assert result.right == result.image_terms["accuracy"]
