@@ -1,7 +1,7 @@
 """How well a design works, and why: tests, ideal observer, bounds, confidence, early stopping."""
 
 from deepfsi.evaluation.accuracy import Tested, camera_for, check_draws, evaluate, scanner_for
-from deepfsi.evaluation.bounds import cramer_rao, linear_bound
+from deepfsi.evaluation.bounds import cramer_rao
 from deepfsi.evaluation.confidence import (
     CalibrationScenes,
     Exposed,
@@ -12,24 +12,15 @@ from deepfsi.evaluation.confidence import (
 )
 from deepfsi.evaluation.ideal import IdealObserver, ideal_observer
 from deepfsi.evaluation.page_data import check_playable, of_page, playable
-from deepfsi.evaluation.stopping import (
-    Estimate,
-    Stopped,
-    StoppingRule,
-    looks_of,
-    rule_of,
-    stop,
-    with_rule,
-)
+from deepfsi.evaluation.stopping import MeanEstimate, Stopped, looks_of, stop, with_rule
 
 __all__ = [
     "CalibrationScenes",
-    "Estimate",
     "Exposed",
     "IdealObserver",
     "LeftOutTest",
+    "MeanEstimate",
     "Stopped",
-    "StoppingRule",
     "Tested",
     "camera_for",
     "check_draws",
@@ -38,13 +29,11 @@ __all__ = [
     "evaluate",
     "fit_temperatures",
     "ideal_observer",
-    "linear_bound",
     "logits_at_stops",
     "looks_of",
     "measure_left_out",
     "of_page",
     "playable",
-    "rule_of",
     "scanner_for",
     "stop",
     "with_rule",
