@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepfsi.base import DESIGN_ENDINGS, InputError, check_ending, write_atomically
+from deepfsi.base import DESIGN_ENDINGS, InputError, check_ending, plain_keywords, write_atomically
 from deepfsi.camera import Camera
 from deepfsi.design.design import Design
 from deepfsi.designfile import (
@@ -235,6 +235,7 @@ AnyDesign = Design | AdaptiveDesign
 """A design whose masks are known before, or one that makes them while it looks."""
 
 
+@plain_keywords()
 def load_design(
     path: str | os.PathLike[str], device: str | torch.device = "cpu", *, trust: bool = False
 ) -> AnyDesign:

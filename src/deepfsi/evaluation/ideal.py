@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepfsi.base import InputError, Progress, progress_bar
+from deepfsi.base import InputError, Progress, plain_keywords, progress_bar
 from deepfsi.base.numeric import check_memory, free_memory
 from deepfsi.camera import check_budget, summed_reflectance
 from deepfsi.datasets import Dataset, Source, as_dataset
@@ -93,6 +93,7 @@ class IdealObserver:
         return class_chances(logs.softmax(dim=1), self._sizes)
 
 
+@plain_keywords()
 @library_defaults()
 def ideal_observer(
     design: Design | Tensor,
