@@ -89,7 +89,7 @@ def test_options_stand_under_headings_those_that_most_need_first(done, command):
     ("words", "said"),
     [
         ("--photons abc --masks 3", "--photons 'abc' is not a number"),
-        ("--photons 1e3 --masks 0", "masks = 0: input should be greater than or equal to 1"),
+        ("--photons 1e3 --masks 0", "masks = 0: give 1 or more"),
         ("--masks 3", "photons"),
         ("--photons 1e3 --masks 3 --light colum", "light = 'colum'"),
         ("--photons 1e3 --masks 3 --camera nofile.toml", "nofile.toml is missing: give a"),

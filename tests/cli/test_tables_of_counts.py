@@ -183,5 +183,5 @@ def test_dead_time_of_a_table_is_corrected(done, refuse, lab):
     assert bare < 0.93 * true
     assert corrected == pytest.approx(true, rel=1e-3)
     assert "paralysable" in refuse(*words, "--dead-time", "1ns", "--dead-time-model", "some")
-    assert "less than or equal to 0.00001" in refuse(*words, "--dead-time", "1ms")
+    assert "give 1e-05 or less" in refuse(*words, "--dead-time", "1ms")
     assert "dim the light" in refuse(*words, "--dead-time", "1us")

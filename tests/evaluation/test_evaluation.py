@@ -147,7 +147,7 @@ def test_a_test_is_under_the_designs_camera_unless_another_is_given(digits):
     louder = evaluate(made, digits, 1e3, draws=1, camera=camera, exposure="1s")[0]
     assert louder.confusion != own.confusion
     assert louder == evaluate(made, digits, 1e3, draws=1, dark=5e4, exposure="1s")[0]
-    with pytest.raises(InputError, match="unknown key 'nois': did you mean 'noise'"):
+    with pytest.raises(InputError, match="no keyword 'nois': did you mean 'noise'"):
         evaluate(made, digits, 1e3, nois="poisson")
 
 

@@ -11,9 +11,10 @@ from conftest import every_optics, generator, once, quick
 from deepfsi import evaluate
 from deepfsi.base import InputError
 from deepfsi.camera import photons_per_pixel
-from deepfsi.exposure.conditioned import ConditionedExposure, mean_over_exposures
+from deepfsi.exposure.conditioned import mean_over_exposures
 from deepfsi.exposure.temperatures import stop_temperatures
 from deepfsi.exposure.training_set import TrainingSet
+from deepfsi.jobs import ConditionedEntry
 from deepfsi.physics import light_law
 from deepfsi.training.learning import train
 from shared.design_files import refused, rewrite

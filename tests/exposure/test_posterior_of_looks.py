@@ -11,7 +11,7 @@ from conftest import RECIPE
 from deepfsi import Design, evaluate
 from deepfsi.base import InputError
 from deepfsi.datasets import Dataset, from_arrays
-from deepfsi.evaluation import StoppingRule
+from deepfsi.evaluation.stopping import StoppingRule
 from deepfsi.exposure.looks import Dwells, LooksExposure
 from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.physics import SLACK, Rails, light_law

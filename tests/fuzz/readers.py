@@ -39,7 +39,7 @@ def read_design(path: Path) -> None:
     from deepfsi import Design
     from deepfsi.cli.camera import camera_of
     from deepfsi.designfile import trained_on
-    from deepfsi.evaluation import rule_of
+    from deepfsi.evaluation.stopping import rule_of
 
     design = Design.load(path)
     camera_of(path)

@@ -9,7 +9,8 @@ import torch
 from deepfsi import Scanner, evaluate, ideal_observer, learn, predict
 from deepfsi.base import InputError
 from deepfsi.design.onnx import to_onnx
-from deepfsi.evaluation import check_playable, cramer_rao, linear_bound, stop
+from deepfsi.evaluation import check_playable, cramer_rao, stop
+from deepfsi.evaluation.bounds import linear_bound
 from deepfsi.physics import Click
 from shared.values import SLOPES, SPREAD, linear_scenes, placed_digits
 

@@ -5,7 +5,8 @@ from dataclasses import asdict
 import numpy as np
 import pytest
 
-from deepfsi.evaluation import Estimate, Stopped, StoppingRule
+from deepfsi.evaluation import MeanEstimate, Stopped
+from deepfsi.evaluation.stopping import StoppingRule
 from deepfsi_paper.flexible import claims as flexible
 from deepfsi_paper.flexible.measures import Measures, Prefix
 from shared.results import a_point, some_results
@@ -20,7 +21,7 @@ def point(recipe, accuracy, **fields):
 
 
 def rate(mean):
-    return Estimate(mean, mean - 0.001, mean + 0.001)
+    return MeanEstimate(mean, mean - 0.001, mean + 0.001)
 
 
 def stopped_trials(used, lost):
@@ -101,5 +102,5 @@ def test_tables_hold_the_differences():
 
 
 def test_a_single_trial_has_the_interval_of_its_images():
-    found = flexible.mean_rate([Estimate(0.4, 0.3, 0.5)])
+    found = flexible.mean_rate([MeanEstimate(0.4, 0.3, 0.5)])
     assert (found.low, found.high) == pytest.approx((0.3, 0.5))

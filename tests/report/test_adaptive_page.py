@@ -11,9 +11,10 @@ from selenium.webdriver.common.by import By
 
 from conftest import generator, synthetic
 from deepfsi import Camera, evaluate, learn
-from deepfsi.evaluation import StoppingRule, of_page, playable, with_rule
+from deepfsi.evaluation import of_page, playable, with_rule
 from deepfsi.evaluation import page_data as payload
 from deepfsi.evaluation.page_data import few_tests
+from deepfsi.evaluation.stopping import StoppingRule
 from deepfsi.exposure import choice
 from deepfsi.exposure.adaptive import prior_of
 from deepfsi.exposure.posterior import AdaptivePosterior, LookOptics

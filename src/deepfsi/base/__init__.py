@@ -44,6 +44,7 @@ from deepfsi.base.interrupts import (
     saved_work_text,
     say_stopped,
 )
+from deepfsi.base.keywords import plain_keywords
 from deepfsi.base.locks import Locks, list_folder
 from deepfsi.base.plugins import (
     IMPORT_PATH,
@@ -103,6 +104,7 @@ __all__ = [
     "open_atomically",
     "open_regular",
     "other_version",
+    "plain_keywords",
     "postpone_signals",
     "progress_bar",
     "read_regular",

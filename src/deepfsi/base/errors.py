@@ -5,10 +5,10 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from difflib import get_close_matches
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
 if TYPE_CHECKING:
-    from pydantic import ValidationError
+    from pydantic import BaseModel, ValidationError
     from pydantic_core import ErrorDetails
 
 OLDEST_VERSION = "0.2.0"
@@ -250,12 +250,13 @@ def as_input_error(
             raise InputError(f"{file} {words}") from None
         if not file:
             raise InputError(join_messages(field_errors(error))) from None
-        fault = error.errors()[0]
+        # of a wrong name and the field that is missing for it, the name says what to do
+        fault = min(error.errors(), key=lambda fault: fault["type"] != "extra_forbidden")
         raise InputError(
             "{file} cannot be used{at}: {words}{end}",
             file=file,
             at=f" at {_field(fault)}" if fault["loc"] else "",
-            words=_words(fault),
+            words=_words(fault, error.title),
             end=advice and f"; {advice}",
         ) from None
 
@@ -263,7 +264,7 @@ def as_input_error(
 def field_errors(error: "ValidationError") -> list[str]:
     """Every bad field of pydantic's error, with what was given."""
     return [
-        Message("{field}{words}", field=_given(fault), words=_words(fault))
+        Message("{field}{words}", field=_given(fault), words=_words(fault, error.title))
         for fault in error.errors()
         if fault["type"] != "default_factory_not_called"  # what follows from a bad field
     ]
@@ -284,9 +285,80 @@ def _given(fault: "ErrorDetails") -> str:
     return f"{_field(fault)} = {text}: "
 
 
-def _words(fault: "ErrorDetails") -> str:
-    """Words of pydantic, or the message of an error that a model's own check raised."""
-    error = fault.get("ctx", {}).get("error")
+_ADVICE = {
+    "missing": "it is missing: give one",
+    "int_type": "give a whole number",
+    "int_parsing": "give a whole number",
+    "int_parsing_size": "give a whole number of fewer digits",
+    "int_from_float": "give a whole number",
+    "float_type": "give a number",
+    "float_parsing": "give a number",
+    "finite_number": "give a finite number",
+    "bool_type": "give true or false",
+    "bool_parsing": "give true or false",
+    "string_type": "give a text",
+    "greater_than": "give more than {gt}",
+    "greater_than_equal": "give {ge} or more",
+    "less_than": "give less than {lt}",
+    "less_than_equal": "give {le} or less",
+    "too_short": "give {min_length} or more of them",
+    "too_long": "give {max_length} of them at most",
+    "list_type": "give a list",
+    "tuple_type": "give a list",
+    "dict_type": "give a table of settings",
+    "model_type": "give a table of settings, or {class_name}",
+    "model_attributes_type": "give a table of settings",
+    "none_required": "leave it out",
+}
+"""What to do about an error of pydantic, by its type."""
+
+
+def _words(fault: "ErrorDetails", model: str) -> str:
+    """Advice on a fault of a model, or the message of an error that its own check raised."""
+    facts = fault.get("ctx", {})
+    error = facts.get("error")
     if isinstance(error, InputError):
         return error.message
+    if fault["type"] == "extra_forbidden":
+        names = _field_names(model, fault["loc"][:-1])
+        advice = closest_choice(str(fault["loc"][-1]), names) if names else "leave it out"
+        return f"there is no such setting: {advice}"
+    if fault["type"] == "literal_error":
+        names = re.findall(r"'([^']*)'", facts["expected"])
+        if isinstance(fault["input"], str) and get_close_matches(fault["input"].lower(), names):
+            return closest_choice(fault["input"], names)
+        return f"give {facts['expected']}"
+    if advice := _ADVICE.get(fault["type"], ""):
+        return advice.format_map(
+            {name: f"{fact:g}" if isinstance(fact, float) else fact for name, fact in facts.items()}
+        )
     return f"{fault['msg'][0].lower()}{fault['msg'][1:]}".removeprefix("value error, ")
+
+
+def _field_names(model: str, place: tuple[int | str, ...]) -> list[str]:
+    """Fields of a model of that name, or at a place in it; none if several models have it."""
+    from pydantic import BaseModel
+
+    models = [each for each in _subclasses(BaseModel) if each.__name__ == model]
+    if len(models) > 1:
+        return []
+    for step in place:  # a number, in a list, and the tag of a union lead to no other model
+        annotations = [
+            each.model_fields[step].annotation for each in models if step in each.model_fields
+        ]
+        models = [found for each in annotations for found in _models_of(each)] or models
+    return [field.alias or name for each in models for name, field in each.model_fields.items()]
+
+
+def _subclasses(kind: type["BaseModel"]) -> Iterator[type["BaseModel"]]:
+    for each in kind.__subclasses__():
+        yield each
+        yield from _subclasses(each)
+
+
+def _models_of(annotation: Any) -> Iterator[type["BaseModel"]]:
+    """Models that an annotation names."""
+    if hasattr(annotation, "model_fields"):
+        yield annotation
+    for part in get_args(annotation):
+        yield from _models_of(part)

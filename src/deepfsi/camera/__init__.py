@@ -1,6 +1,6 @@
 """The apparatus as a user describes it: optics, device, detectors, noise, light (no torch)."""
 
-from deepfsi.camera.camera import PRESETS, Camera, CameraSource, Levels
+from deepfsi.camera.camera import PRESETS, Camera, CameraSettings, CameraSource, Levels
 from deepfsi.camera.dead_time import NO_EFFECTS, CorrectionFactors, CounterEffects, DeadTime
 from deepfsi.camera.detectors import (
     ONE_DETECTOR,
@@ -55,6 +55,7 @@ __all__ = [
     "PRESETS",
     "TOO_DIM",
     "Camera",
+    "CameraSettings",
     "CameraSource",
     "CorrectionFactors",
     "CounterEffects",

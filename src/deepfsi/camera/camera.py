@@ -9,10 +9,11 @@ no exposure is given it lasts one second, so that a rate is the counts of an exp
 
 import os
 import re
-from collections.abc import Callable, Container, Mapping
+from collections.abc import Callable, Container, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypedDict, Unpack
 
+import numpy as np
 from pydantic import (
     AfterValidator,
     BeforeValidator,
@@ -27,6 +28,7 @@ from deepfsi.base import (
     check_choice,
     closest_choice,
     count_text,
+    plain_keywords,
     read_toml,
     time_text,
 )
@@ -170,6 +172,28 @@ _CONFLICTS: tuple[tuple[str, Callable[[Fields], bool], str], ...] = (
 """What does not go together: the field that is refused, whether it is, and why."""
 
 
+class CameraSettings(TypedDict, total=False):
+    """Fields of `Camera` with all that each may be given as: keywords of whatever has a camera."""
+
+    light: LightLawName
+    rails: RailsKind
+    detectors: str | int | Sequence[int] | np.ndarray
+    readout: Readout
+    device: str | Device | Mapping[str, Any] | None
+    region: str | None
+    stretch: bool
+    shortest_dwell: str | float
+    exposure: str | float | None
+    levels: int | None
+    flux: float | None
+    dark: float
+    dead_time: str | float
+    dead_time_model: Literal["non-paralysable", "paralysable"]
+    gates: int
+    noise: str | Callable[..., Any]
+    sigma: float
+
+
 class Camera(UserModel):
     """A single-pixel camera, in the units of a laboratory.
 
@@ -192,7 +216,7 @@ class Camera(UserModel):
     """
 
     light: LightLawName = Field(
-        "free-dwell",
+        default="free-dwell",
         description="light law of the optics: free-dwell, equal-dwell (one DMD, one detector), "
         "two-arm (a detector on each arm) or column (optics that split each pixel's light)",
     )
@@ -202,7 +226,7 @@ class Camera(UserModel):
         "column and two-arm, else single unless given",
     )
     detectors: Annotated[str | tuple[int, ...], BeforeValidator(detector_setting)] = Field(
-        "1x1",
+        default="1x1",
         description="detectors, each on its part of the device: ROWSxCOLUMNS, a number of spectral "
         "bands, or each pixel's detector, from 0 (a .npy file)",
     )
@@ -212,17 +236,17 @@ class Camera(UserModel):
         "two-arm, else difference unless given",
     )
     device: Annotated[Device | None, BeforeValidator(_device)] = Field(
-        None,
+        default=None,
         description="micromirror device: a name (deepfsi dmd devices), COLUMNSxROWS mirrors, or a "
         "TOML file; it gives the shortest frame and the grey levels",
     )
     region: Region | None = Field(
-        None,
+        default=None,
         description="part of the device that holds the masks, COLUMNSxROWS of mirrors in its "
         "middle or COLUMNSxROWS+LEFT+TOP; the largest that its square cells fill unless given",
     )
     stretch: bool = Field(
-        False, description="cells fill the device or region, and need not be square"
+        default=False, description="cells fill the device or region, and need not be square"
     )
     shortest_dwell: Seconds = Field(
         default_factory=lambda fields: _shortest_frame(fields.get("device")),
@@ -230,35 +254,38 @@ class Camera(UserModel):
         "shortest picture less settling and 2 us unless given",
     )
     exposure: Seconds | None = Field(
-        None, gt=0, validate_default=True, description="time of a whole exposure, such as 10ms"
+        default=None,
+        gt=0,
+        validate_default=True,
+        description="time of a whole exposure, such as 10ms",
     )
     levels: Levels | None = Field(
-        None,
+        default=None,
         description="grey levels of the masks, dark included: 2 for ON and OFF, 0 for continuous "
         "values; one for each mirror of a cell, and dark, unless given",
     )
     flux: float | None = Field(
-        None,
+        default=None,
         gt=0,
         allow_inf_nan=False,
         description="counts/s with all mirrors of the region ON, for the mean scene",
     )
     dark: float = Field(
-        0.0,
+        default=0.0,
         ge=0,
         allow_inf_nan=False,
         description="dark counts/s of a detector; in an exposure, where no time is given",
     )
     dead_time: Seconds = Field(
-        0.0, le=LONGEST_DEAD_TIME_S, description="dead time of the counter, such as 20ns"
+        default=0.0, le=LONGEST_DEAD_TIME_S, description="dead time of the counter, such as 20ns"
     )
     dead_time_model: Literal["non-paralysable", "paralysable"] = Field(
-        "non-paralysable",
+        default="non-paralysable",
         description="non-paralysable (a SPAD, a counter's electronics), or paralysable (a "
         "photomultiplier)",
     )
     gates: int = Field(
-        1,
+        default=1,
         ge=1,
         le=MOST_GATES,
         description="gates of a frame, in each of which a detector clicks at most once; for click "
@@ -280,6 +307,10 @@ class Camera(UserModel):
         "gaussian, 0 for camera unless given",
     )
 
+    if TYPE_CHECKING:  # a field has one type, and may be given as others
+
+        def __init__(self, **fields: Unpack[CameraSettings]) -> None: ...
+
     @field_validator(*(field for field, _, _ in _CONFLICTS))
     @classmethod
     def _fits(cls, value: Any, info: ValidationInfo) -> Any:
@@ -292,7 +323,8 @@ class Camera(UserModel):
         return value
 
     @classmethod
-    def load(cls, source: "CameraSource" = None, **settings: Any) -> "Camera":
+    @plain_keywords()
+    def load(cls, source: "CameraSource" = None, **settings: Unpack[CameraSettings]) -> "Camera":
         """Camera of a preset's name, a TOML file or a mapping, with single settings in their place.
 
         Parameters
@@ -328,7 +360,11 @@ class Camera(UserModel):
 
     @classmethod
     def of_run(
-        cls, source: "CameraSource", *, camera: "CameraSource" = None, **settings: Any
+        cls,
+        source: "CameraSource",
+        *,
+        camera: "CameraSource" = None,
+        **settings: Unpack[CameraSettings],
     ) -> "Camera":
         """Camera of a run of a design: what one device cannot show is shown with less light.
 

@@ -123,7 +123,13 @@ def detector_setting(given: Any) -> str | tuple[int, ...]:
         return read_detectors(given)
     if isinstance(given, int):
         return str(given)
-    return tuple(np.asarray(given).ravel().tolist())
+    detectors = np.asarray(given).ravel()
+    if detectors.dtype.kind not in "iu":
+        raise ValueError(
+            "give ROWSxCOLUMNS such as 2x2, a number of bands, or the number of each pixel's "
+            "detector, from 0"
+        )
+    return tuple(detectors.tolist())
 
 
 def _divided(name: str, image_shape: tuple[int, ...]) -> np.ndarray:

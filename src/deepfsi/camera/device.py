@@ -8,10 +8,10 @@ import tomllib
 from importlib.resources import files
 from typing import Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from deepfsi.base import InputError, closest_choice
-from deepfsi.base.models import Count, Positive
+from deepfsi.base.models import Count, Positive, UserModel
 
 MOST_MIRRORS = 2**14
 """Mirrors of a device in each direction at most."""
@@ -35,7 +35,7 @@ Controller = Literal["any", "alp", "dlpc900", "dlpc350", "dlpc347x"]
 """Controller of a device: what it takes, and how; "any" takes packed frames."""
 
 
-class Device(BaseModel):
+class Device(UserModel):
     """A micromirror device and its controller.
 
     Attributes
@@ -67,17 +67,15 @@ class Device(BaseModel):
         Colours of a 24-bit picture in the order of bit positions, eight of each, lowest bit first.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
     name: str
     columns: int = Field(ge=1, le=MOST_MIRRORS)
     rows: int = Field(ge=1, le=MOST_MIRRORS)
-    shortest_us: int = Field(44, ge=1, le=LONGEST_PICTURE_US)
-    longest_us: int = Field(LONGEST_PICTURE_US, ge=1, le=LONGEST_PICTURE_US)
-    settle_us: float = Field(10.0, ge=0, allow_inf_nan=False)
+    shortest_us: int = Field(default=44, ge=1, le=LONGEST_PICTURE_US)
+    longest_us: int = Field(default=LONGEST_PICTURE_US, ge=1, le=LONGEST_PICTURE_US)
+    settle_us: float = Field(default=10.0, ge=0, allow_inf_nan=False)
     patterns: Count | None = None
-    video_us: int | None = Field(None, ge=1, le=LONGEST_PICTURE_US)
-    load_us: int | None = Field(None, ge=1, le=LONGEST_PICTURE_US)
+    video_us: int | None = Field(default=None, ge=1, le=LONGEST_PICTURE_US)
+    load_us: int | None = Field(default=None, ge=1, le=LONGEST_PICTURE_US)
     lattice: Lattice = "square"
     pitch_um: Positive | None = None
     controller: Controller = "any"

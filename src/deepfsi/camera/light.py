@@ -14,7 +14,7 @@ from typing import Annotated, Any, TypeVar
 import numpy as np
 from pydantic import Field
 
-from deepfsi.base import InputError
+from deepfsi.base import InputError, plain_keywords
 
 Array = TypeVar("Array")
 """A numpy array or a tensor."""
@@ -82,6 +82,7 @@ def summed_reflectance(x: np.ndarray) -> float:
     return float(x.sum(axis=1, dtype="float64").mean())
 
 
+@plain_keywords()
 def photons_per_pixel(x: Array, photons: float, summed_reflectance: float) -> Array:
     """Expected photons per pixel, λ = Φ x / s.
 

@@ -176,7 +176,7 @@ def evaluate(
     from deepfsi.physics import torch_device
 
     budgets = options.numbers("photons", photons) or []
-    told = {"noise": noise, "sigma": sigma, "dark": dark}
+    told: dict[str, Any] = {"noise": noise, "sigma": sigma, "dark": dark}
     told = {name: value for name, value in told.items() if value is not None}
     made = common.open_any(file, trust).to(torch_device(device))
     camera = camera_for(made, None, **told)

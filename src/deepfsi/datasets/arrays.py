@@ -9,7 +9,7 @@ from unicodedata import category, normalize
 import numpy as np
 import numpy.typing as npt
 
-from deepfsi.base import InputError, Message
+from deepfsi.base import InputError, Message, plain_keywords
 from deepfsi.base.numeric import check_memory, free_memory, is_whole_number, normal_name, read_npz
 from deepfsi.datasets.dataset import Dataset, Labels, Reflectance, Truth
 from deepfsi.datasets.values import Values, grey, measure, reflectance
@@ -45,6 +45,7 @@ COLOURS = (1, 3, 4)
 """Values of a pixel in an array of colours: grey, RGB, RGB with transparency."""
 
 
+@plain_keywords()
 def from_arrays(
     x: npt.ArrayLike,
     y: npt.ArrayLike,

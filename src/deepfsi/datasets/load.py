@@ -7,7 +7,14 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from deepfsi.base import InputError, Message, check_readable_name, closest_choice, content_of
+from deepfsi.base import (
+    InputError,
+    Message,
+    check_readable_name,
+    closest_choice,
+    content_of,
+    plain_keywords,
+)
 from deepfsi.datasets import cifar, idx, indian_pines, pictures
 from deepfsi.datasets.anomalies import one_class
 from deepfsi.datasets.arrays import Options, Range, load_npz, split_arrays
@@ -42,6 +49,7 @@ TAKERS = {
 """For messages, each option that only some sources take, and the sources."""
 
 
+@plain_keywords()
 def load_dataset(
     source: str | os.PathLike[str] | tuple[Any, ...],
     *,

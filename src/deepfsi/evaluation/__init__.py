@@ -1,7 +1,7 @@
 """How well a design works, and why: tests, ideal observer, bounds, confidence, early stopping."""
 
 from deepfsi.evaluation.accuracy import camera_for, check_draws, evaluate
-from deepfsi.evaluation.bounds import cramer_rao, linear_bound
+from deepfsi.evaluation.bounds import cramer_rao
 from deepfsi.evaluation.confidence import (
     CalibrationScenes,
     Exposed,
@@ -12,23 +12,15 @@ from deepfsi.evaluation.confidence import (
 )
 from deepfsi.evaluation.ideal import IdealObserver, ideal_observer
 from deepfsi.evaluation.page_data import check_playable, of_page, playable
-from deepfsi.evaluation.stopping import (
-    Estimate,
-    Stopped,
-    StoppingRule,
-    rule_of,
-    stop,
-    with_rule,
-)
+from deepfsi.evaluation.stopping import MeanEstimate, Stopped, stop, with_rule
 
 __all__ = [
     "CalibrationScenes",
-    "Estimate",
     "Exposed",
     "IdealObserver",
     "LeftOutTest",
+    "MeanEstimate",
     "Stopped",
-    "StoppingRule",
     "camera_for",
     "check_draws",
     "check_playable",
@@ -36,12 +28,10 @@ __all__ = [
     "evaluate",
     "fit_temperatures",
     "ideal_observer",
-    "linear_bound",
     "logits_at_stops",
     "measure_left_out",
     "of_page",
     "playable",
-    "rule_of",
     "stop",
     "with_rule",
 ]

@@ -3,14 +3,14 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import prod
-from typing import Any, TypeVar, get_args
+from typing import Any, TypeVar, Unpack, get_args
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from deepfsi.base import InputError, Progress, progress_bar
-from deepfsi.camera import Camera, CameraSource, NoiseName, check_budget
+from deepfsi.base import InputError, Progress, plain_keywords, progress_bar
+from deepfsi.camera import Camera, CameraSettings, CameraSource, NoiseName, check_budget
 from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.design import Design
 from deepfsi.designfile import new_scenes
@@ -37,6 +37,7 @@ VALUES_COVER = (
 """What the intervals of a test of values cover."""
 
 
+@plain_keywords()
 @library_defaults()
 def evaluate(
     design: Design,
@@ -47,7 +48,7 @@ def evaluate(
     draws: int = 3,
     seed: int = 0,
     report: Progress | None = None,
-    **settings: Any,
+    **settings: Unpack[CameraSettings],
 ) -> list[Any]:
     """Test a design on a data set under noise: a `Result`, or `Estimates`, for each budget.
 
@@ -66,7 +67,7 @@ def evaluate(
         Of the noise.
     report : Report, optional
         Where to say how far it is; a bar where a terminal is attached unless given.
-    settings
+    **settings
         Fields of the camera in place of its own, such as ``noise="gaussian", sigma=2``.
 
     Raises
@@ -132,7 +133,9 @@ def guesses(design: Design, front: Any) -> Callable[[Tensor], Guess]:
     return guess_of
 
 
-def camera_for(design: Design, camera: CameraSource = None, **settings: Any) -> Camera:
+def camera_for(
+    design: Design, camera: CameraSource = None, **settings: Unpack[CameraSettings]
+) -> Camera:
     """Camera of a test, the design's own unless given, with other settings such as the noise."""
     # A noise of its maker's own is code, which a file must not run: it is to be given
     found = design.camera if camera is None else Camera.load(camera)
@@ -280,9 +283,10 @@ def check_data(design: Design, data: Dataset) -> None:
         )
 
 
-def check_draws(draws: object, seed: int) -> None:
+def check_draws(draws: object, seed: object) -> None:
     """Raise `InputError` unless so many noise draws can be had from that seed."""
-    if not 0 <= seed < 2**63:
+    whole = int, np.integer
+    if not isinstance(seed, whole) or not 0 <= seed < 2**63:
         raise InputError(f"seed {seed} is not allowed: give a whole number from 0 to 2⁶³ − 1")
-    if not isinstance(draws, int) or not 1 <= draws <= MOST_DRAWS:
+    if not isinstance(draws, whole) or not 1 <= draws <= MOST_DRAWS:
         raise InputError(f"{draws} noise draws are not allowed: give 1 to {MOST_DRAWS}")

@@ -19,7 +19,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from deepfsi.base import InputError
 from deepfsi.camera import check_budget
@@ -52,10 +51,12 @@ def linear_bound(
         rates = photons * design.rates(scanner, torch.from_numpy(data.x_test))
         means, noise = (each.double().cpu().numpy() for each in scanner.moments(rates))
     joint = np.cov(np.concatenate([means, data.y_test], axis=1).T, ddof=0)
-    count = means.shape[1]
-    own, across, power = joint[:count, :count], joint[:count, count:], joint[count:, count:]
-    weights = np.linalg.pinv(own + np.diag(noise.mean(axis=0)), hermitian=True) @ across
-    left = np.diag(power - across.T @ weights)
+    features = slice(means.shape[1])
+    values = slice(means.shape[1], None)
+    across = joint[features, values]
+    spread = joint[features, features] + np.diag(noise.mean(axis=0))
+    weights = np.linalg.pinv(spread, hermitian=True) @ across
+    left = np.diag(joint[values, values] - across.T @ weights)
     return np.sqrt(np.clip(left, 0, None)).tolist()
 
 
@@ -104,21 +105,18 @@ def cramer_rao(
     budget = check_budget(photons)
     with torch.no_grad():
         rates = budget * design.rates(scanner, x)
-        known = scanner.information(rates).double().flatten(1)
+        information = scanner.information(rates).double().flatten(1)
         changes = (budget * design.rates(scanner, slopes)).double().flatten(2)
-    fisher = torch.einsum("ni,nki,nli->nkl", known, changes, changes)
-    return _least(fisher).cpu().numpy()
+    fisher = torch.einsum("ni,nki,nli->nkl", information, changes, changes)
+    values, vectors = torch.linalg.eigh(fisher)
+    # infinite where the counts tell nothing of a value
+    informed = values > values.amax(dim=-1, keepdim=True) * 1e-12
+    inverse = torch.where(informed, 1 / values.where(informed, torch.ones_like(values)), torch.inf)
+    squares = vectors.square()
+    variances = (squares * inverse.unsqueeze(-2)).where(squares > 1e-12, 0.0).sum(dim=-1)
+    return variances.sqrt().cpu().numpy()
 
 
 def _fixed(design: Design) -> bool:
     """True of an exposure whose expected counts follow from the scene alone."""
     return design.exposure.comparable and not design.exposure.chooses
-
-
-def _least(fisher: Tensor) -> Tensor:
-    """Standard deviations (n, q) of information (n, q, q); infinite where nothing is known."""
-    values, vectors = torch.linalg.eigh(fisher)
-    known = values > values.amax(dim=-1, keepdim=True) * 1e-12
-    inverse = torch.where(known, 1 / values.where(known, torch.ones_like(values)), torch.inf)
-    parts = vectors.square() * inverse.unsqueeze(-2)
-    return parts.where(vectors.square() > 1e-12, 0.0).sum(dim=-1).sqrt()

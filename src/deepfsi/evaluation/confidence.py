@@ -23,17 +23,28 @@ from deepfsi.exposure.temperatures import stop_temperatures
 CALIBRATED_STOPS = 8
 """Numbers of masks or looks at which temperatures are fitted, at most."""
 
-LEAST_SHARE = 1e-6
+LEAST_CLASS_SHARE = 1e-6
 """Share of a class that guessing is taken to give at least."""
 
 
 class Exposed(NamedTuple):
-    """Scenes of known classes, and the design that answers them."""
+    """Scenes of known classes, and the design that answers them.
+
+    Attributes
+    ----------
+    design : Design
+    front
+        Of the design, as of `Design.front_end`.
+    x : array, shape (n, N)
+        Scenes.
+    labels : array, shape (n,)
+        Their classes.
+    """
 
     design: Design
-    front: Any  # of the design, as of `Design.front_end`
-    x: np.ndarray  # (n, N)
-    labels: np.ndarray  # (n,)
+    front: Any
+    x: np.ndarray
+    labels: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -70,10 +81,19 @@ class CalibrationScenes:
 
     def logits(self, photons: float, seed: int, places: Sequence[int]) -> np.ndarray:
         """Logits (len(places), E, C) of the exposures after some stops, from 0, less `base`."""
-        found = [
-            logits_at_stops(*part[:3], photons, self.draws, seed, places) for part in self.parts
+        logits = [
+            logits_at_stops(
+                each.design,
+                each.scanner,
+                each.x,
+                photons,
+                draws=self.draws,
+                seed=seed,
+                places=places,
+            )
+            for each in self.parts
         ]
-        return np.concatenate(found, axis=1) - self.base
+        return np.concatenate(logits, axis=1) - self.base
 
     @property
     def base(self) -> np.ndarray | float:
@@ -91,15 +111,29 @@ class LeftOutTest:
     """Answers to scenes that a training left out, at its budget, after a whole exposure.
 
     Only the temperatures were fitted to these scenes. A design keeps this in its `info`.
+
+    Attributes
+    ----------
+    scenes : int
+        that were left out, and answered
+    accuracy : float
+        share of their exposures that are answered rightly
+    log_loss : float
+        mean −ln of the probability of the true class, in nats, with temperatures
+    uncalibrated_log_loss : float
+        the same without them
+    guessing : float
+        the same of an answer that gives each class its share of the training scenes
+    error : float
+        standard error of the difference of `log_loss` and `guessing`, over scenes
     """
 
-    scenes: int  # that were left out, and answered
-    accuracy: float  # share of their exposures that are answered rightly
-    log_loss: float  # mean −ln of the probability of the true class, in nats, with temperatures
-    uncalibrated_log_loss: float  # the same without them
-    # The same of an answer that gives each class its share of the training scenes
+    scenes: int
+    accuracy: float
+    log_loss: float
+    uncalibrated_log_loss: float
     guessing: float
-    error: float  # standard error of the difference of `log_loss` and `guessing`, over scenes
+    error: float
 
     @property
     def guesses(self) -> bool:
@@ -118,6 +152,16 @@ def fit_temperatures(
 
     A network may be surer of scenes that it was trained on than it is right on others. So by these
     it becomes less sure only, never surer than it is.
+
+    Parameters
+    ----------
+    scenes : CalibrationScenes
+    budgets : array, shape (B,)
+        Φ, of whole exposures.
+    trained_on : bool
+        Whether the design was trained on these scenes.
+    seed : int
+        Of the noise.
     """
     stops = scenes.stops
     fitted = np.unique(np.rint(np.geomspace(1, stops, CALIBRATED_STOPS)).astype(int)) - 1
@@ -129,8 +173,8 @@ def fit_temperatures(
     )
     if trained_on:
         logs = logs.clip(min=0)
-    every = [np.interp(np.arange(stops), fitted, column) for column in logs]
-    return Temperatures(np.stack(every, axis=1), budgets)
+    columns = [np.interp(np.arange(stops), fitted, column) for column in logs]
+    return Temperatures(np.stack(columns, axis=1), budgets)
 
 
 def measure_left_out(
@@ -141,19 +185,31 @@ def measure_left_out(
     *,
     seed: int,
 ) -> LeftOutTest:
-    """Test of the answers to scenes that a training left out; guessing gives chances (C,)."""
-    last, labels = scenes.stops - 1, scenes.labels
+    """Test of the answers to scenes that a training left out.
+
+    Parameters
+    ----------
+    scenes : CalibrationScenes
+    temperatures : Temperatures
+        Of the design.
+    photons : float
+        Budget Φ.
+    guess : array, shape (C,)
+        Probabilities that guessing gives.
+    seed : int
+        Of the noise.
+    """
+    last = scenes.stops - 1
     [logits] = scenes.logits(photons, seed, [last])
-    temperature = float(stop_temperatures(temperatures, photons)[last])
-    losses, plain = (scenes.losses(logits, each) for each in (temperature, 1.0))
-    guessed = -np.log(guess.clip(min=LEAST_SHARE))[labels]
+    losses = scenes.losses(logits, float(stop_temperatures(temperatures, photons)[last]))
+    guessed = -np.log(guess.clip(min=LEAST_CLASS_SHARE))[scenes.labels]
     # exposures of one scene are no scenes of their own
     gains = (losses - guessed).reshape(-1, scenes.draws).mean(axis=1)
     return LeftOutTest(
         scenes=len(gains),
-        accuracy=float(((logits + scenes.base).argmax(axis=1) == labels).mean()),
+        accuracy=float(((logits + scenes.base).argmax(axis=1) == scenes.labels).mean()),
         log_loss=float(losses.mean()),
-        uncalibrated_log_loss=float(plain.mean()),
+        uncalibrated_log_loss=float(scenes.losses(logits, 1.0).mean()),
         guessing=float(guessed.mean()),
         error=float(gains.std() / len(gains) ** 0.5),
     )
@@ -190,18 +246,17 @@ def logits_at_stops(
 
 def _fit(logits: np.ndarray, scenes: CalibrationScenes) -> float:
     """Log τ that gives logits (E, C) of calibration scenes the least log loss."""
-    wide, rows, labels = logits.astype(float), np.arange(len(logits)), scenes.labels
-    top, base = wide.max(axis=1, keepdims=True), scenes.base
-    lost = float((top - wide[rows, labels][:, None]).mean())
-    wide -= top
+    below = logits.astype(float)  # less the largest logit of each exposure
+    below -= below.max(axis=1, keepdims=True)
+    lost = float(-below[np.arange(len(below)), scenes.labels].mean())
     if scenes.doubt:
-        share = scenes.doubt / (scenes.doubt + len(labels) / scenes.draws)
-        lost += share * (float(-wide.mean()) - lost)
+        share = scenes.doubt / (scenes.doubt + len(below) / scenes.draws)
+        lost += share * (float(-below.mean()) - lost)
 
     def log_loss(log: float) -> float:
         # less the part of the base, which no temperature changes
-        sums = np.exp(wide / np.exp(log) + base).sum(axis=1)
+        sums = np.exp(below / np.exp(log) + scenes.base).sum(axis=1)
         return lost / np.exp(log) + float(np.log(sums).mean())
 
-    found = minimize_scalar(log_loss, bounds=LOG_BOUNDS, method="bounded", options={"xatol": 1e-2})
-    return float(found.x)
+    options = {"xatol": 1e-2}
+    return float(minimize_scalar(log_loss, bounds=LOG_BOUNDS, method="bounded", options=options).x)

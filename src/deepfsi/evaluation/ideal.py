@@ -6,13 +6,13 @@ class add their likelihoods. No network is trained, so its accuracy tells whethe
 masks that it reads are at fault.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from deepfsi.base import Progress, progress_bar
+from deepfsi.base import Progress, plain_keywords, progress_bar
 from deepfsi.base.numeric import check_memory, free_memory
 from deepfsi.camera import check_budget, summed_reflectance
 from deepfsi.datasets import Dataset, Source, as_dataset
@@ -24,7 +24,7 @@ from deepfsi.measures import Result
 from deepfsi.networks.values import check_classes
 from deepfsi.physics import Scanner, library_defaults
 
-AT_ONCE = 2**24
+MOST_LIKELIHOODS = 2**24
 """Likelihoods that are held at a time: those of some hundred exposures under all scenes."""
 
 COPIES = 4
@@ -80,7 +80,7 @@ class IdealObserver:
         photons : float
             Budget Φ.
         """
-        rows = max(1, AT_ONCE // len(self._logs))
+        rows = max(1, MOST_LIKELIHOODS // len(self._logs))
         read = counts.flatten(1)[:, self._lit].to(self._logs.dtype)
         return torch.cat([self._chances(part, photons) for part in read.split(rows)])
 
@@ -93,6 +93,7 @@ class IdealObserver:
         return class_chances(logs.softmax(dim=1), self._sizes)
 
 
+@plain_keywords()
 @library_defaults()
 def ideal_observer(
     design: Design | Tensor,
@@ -140,10 +141,24 @@ def ideal_observer(
     True
     """
     budgets = [check_budget(b) for b in np.atleast_1d(np.asarray(photons, dtype=object))]
-    scenes = _new_to(design, as_dataset(data))
+    scenes = as_dataset(data)
+    if not isinstance(design, Tensor):
+        scenes, _ = new_scenes(design.training_scenes, scenes)
     check_classes(scenes.values, "the ideal observer")
     check_draws(draws, seed)
-    scanner, rates_of = _front_end(design, scenes)
+    if isinstance(design, Tensor):
+        scanner = Scanner.from_rails(design)
+        s = summed_reflectance(scenes.x_train)
+    else:
+        _check_design(design, scenes)
+        scanner = design.scanner()
+
+    def rates_of(x: Tensor) -> Tensor:
+        """Expected counts (n, rails, m) of scenes (n, N) for a budget of one photon."""
+        if isinstance(design, Tensor):
+            return scanner.rates(x.to(design) / s)
+        return design.rates(scanner, x)
+
     with torch.no_grad(), progress_bar(report, "ideal observer") as bar:
         rates = rates_of(torch.from_numpy(scenes.x_train))
         needed = COPIES * rates.numel() * rates.element_size()
@@ -151,43 +166,25 @@ def ideal_observer(
         observer = IdealObserver(rates, torch.from_numpy(scenes.y_train), len(scenes.classes))
         shares = rates.mean(dim=0).flatten(0, -2).sum(dim=0)
         del rates
-        guess_of = _guesses(observer, scanner, rates_of)
+
+        def guess_of(x: Tensor) -> Guess:
+            rates = rates_of(x)
+
+            def guess(
+                generator: torch.Generator, budget: float
+            ) -> tuple[Tensor, Tensor, float, float]:
+                expected = rates * budget
+                chances = observer.chances(scanner.read(expected, generator), budget)
+                counted = float(expected.sum())
+                return chances.argmax(dim=-1), chances, counted, counted
+
+            return guess
+
         conditions = Conditions(budgets, draws, seed, noise="poisson")
         return test_scenes(scenes, guess_of, conditions, shares, report=bar)
 
 
-def _new_to(design: Design | Tensor, data: Dataset) -> Dataset:
-    """The data without test scenes that a design was trained on."""
-    return data if isinstance(design, Tensor) else new_scenes(design.training_scenes, data)[0]
-
-
-def _front_end(
-    design: Design | Tensor, data: Dataset
-) -> tuple[Scanner, Callable[[Tensor], Tensor]]:
-    """Scanner, and expected counts (n, rails, m) of scenes (n, N) for a budget of one photon."""
-    if isinstance(design, Tensor):
-        scanner, s = Scanner.from_rails(design), summed_reflectance(data.x_train)
-        return scanner, lambda x: scanner.rates(x.to(design) / s)
+def _check_design(design: Design, data: Dataset) -> None:
+    """Raise `InputError` unless the observer knows what a design's counts of scenes are."""
     check_data(design, data)
     design.exposure.check("ideal observer")
-    scanner = design.scanner()
-    return scanner, lambda x: design.rates(scanner, x)
-
-
-def _guesses(
-    observer: IdealObserver, scanner: Scanner, rates_of: Callable[[Tensor], Tensor]
-) -> Callable[[Tensor], Guess]:
-    """Answers of an observer to exposures of scenes (n, N)."""
-
-    def guess_of(x: Tensor) -> Guess:
-        rates = rates_of(x)
-
-        def guess(generator: torch.Generator, budget: float) -> tuple[Tensor, Tensor, float, float]:
-            expected = rates * budget
-            chances = observer.chances(scanner.read(expected, generator), budget)
-            counted = float(expected.sum())
-            return chances.argmax(dim=-1), chances, counted, counted
-
-        return guess
-
-    return guess_of

@@ -27,7 +27,7 @@ from deepfsi.designfile import new_scenes, trained_on
 from deepfsi.evaluation.accuracy import check_data, check_draws, covered
 from deepfsi.evaluation.confidence import logits_at_stops
 from deepfsi.exposure.temperatures import stop_temperatures
-from deepfsi.measures import calibration_error, confidence_groups
+from deepfsi.measures import calibration_error, confidence_error, confidence_groups
 from deepfsi.networks.values import check_classes
 from deepfsi.physics import library_defaults
 
@@ -37,12 +37,17 @@ THRESHOLDS = 1 - np.geomspace(0.5, 1e-7, 135)
 ACCEPTED_SHARES = tuple(k / 20 for k in range(10, 21))
 """Shares of accepted answers at which rejection is shown."""
 
-COVERS = "test images and noise draws, for this one trained design (images as the trials)"
+STOPPED_COVER = "test images and noise draws, for this one trained design (images as the trials)"
 
 
 @dataclass(frozen=True)
-class Estimate:
-    """Mean over images and noise draws with its 95 % interval."""
+class MeanEstimate:
+    """Mean over images and noise draws with its 95 % interval.
+
+    Attributes
+    ----------
+    mean, low, high : float
+    """
 
     mean: float
     low: float
@@ -52,8 +57,8 @@ class Estimate:
 class StoppingRule(StopRule):
     """When an exposure stops, and where it may."""
 
-    # Numbers of masks, or of looks, after which it may, rising; the last is all
     after: tuple[int, ...]
+    """Numbers of masks, or of looks, after which it may, rising; the last is all."""
 
     @model_serializer
     def as_dict(self) -> dict[str, Any]:
@@ -63,8 +68,16 @@ class StoppingRule(StopRule):
     def classify(
         self, design: Design, counts: ArrayLike, photons: float
     ) -> tuple[np.ndarray, bool]:
-        """Classify an exposure of a nested design that goes on, and say whether it may stop."""
-        # counts (2, k) for dual-rail designs, (k,)
+        """Classify an exposure of a nested design that goes on, and say whether it may stop.
+
+        Parameters
+        ----------
+        design : Design
+        counts : array, shape (2, k) or (k,)
+            Of the first k masks; two rows of signed ones.
+        photons : float
+            Budget of the whole exposure.
+        """
         read = np.asarray(counts, dtype=np.float32)
         shown = read.shape[-1] if read.ndim else 0
         if shown not in self.after:
@@ -88,107 +101,149 @@ class StoppingRule(StopRule):
 
 
 def with_rule(design: Design, rule: StoppingRule) -> Design:
-    """The design with a rule of when an exposure stops, or `InputError` if it is of one look."""
-    held = {"threshold": rule.threshold, "photons": rule.photons}  # the design says after what
+    """The design with a rule of when an exposure stops.
+
+    Parameters
+    ----------
+    design : Design
+    rule : StoppingRule
+
+    Raises
+    ------
+    InputError
+        If the design is of one look.
+    """
+    # the design says after what
+    numbers = {"threshold": rule.threshold, "photons": rule.photons}
     exposure = design.exposure.stopping_at(rule.threshold)
-    return replace(design, exposure=exposure, info={**design.info, "stopping": held})
+    return replace(design, exposure=exposure, info={**design.info, "stopping": numbers})
 
 
 def rule_of(design: Design) -> StoppingRule | None:
     """Rule that a design holds, if it holds one."""
-    held = design.info.get("stopping")
-    if held is None:
+    numbers = design.info.get("stopping")
+    if numbers is None:
         return None
     after = design.exposure.stops.after
     with as_input_error("the design's stopping rule", "make it again with `deepfsi stop`"):
-        return StoppingRule.model_validate({"after": after, **held})
+        return StoppingRule.model_validate({"after": after, **numbers})
 
 
 @dataclass(frozen=True)
 class Stopped:
-    """One design at one budget, its exposures stopped early."""
+    """One design at one budget, its exposures stopped early.
 
-    photons: float  # budget Φ of the whole exposure
+    Attributes
+    ----------
+    photons : float
+        Budget Φ of the whole exposure.
+    rule : StoppingRule
+    used : MeanEstimate
+        Share of the budget that exposures take: of looks, share of their time.
+    whole, stopped, difference : MeanEstimate
+        Accuracy of whole exposures, of stopped ones, and the second less the first, paired.
+    stops : list of float
+        Share of exposures that end after each of `rule.after`.
+    confidence : float
+        Mean confidence of the answers given.
+    calibration_error, uncalibrated_error : float
+        Mean distance of confidence and accuracy over groups of the answers given, with
+        temperatures and without.
+    log_loss, uncalibrated_log_loss : float
+        Mean −ln of the probability of the true class, over whole exposures and all shorter ones.
+    reliability : list of dict
+        `confidence` and `accuracy` of each group.
+    rejection : list of dict
+        `accepted`, the share of answers kept, the surest first, and their accuracy: `stopped`, and
+        `whole` where exposures do not stop early.
+    curve : list of dict
+        `threshold`, `used` and `accuracy` for every threshold tried.
+    validation : dict
+        `used`, `whole` and `stopped` on the scenes on which the threshold was chosen.
+    images, draws : int
+        Test scenes, and independent noise draws of each.
+    covers : str
+        What the intervals cover.
+    """
+
+    photons: float
     rule: StoppingRule
-    used: Estimate  # share of the budget that exposures take: of looks, share of their time
-    # Accuracy of whole exposures, of stopped ones, and the second less the first, paired
-    whole: Estimate
-    stopped: Estimate
-    difference: Estimate
-    stops: list[float]  # share of exposures that end after each of `rule.after`
-    confidence: float  # mean confidence of the answers given
-    # Mean distance of confidence and accuracy over groups of the answers given, with temperatures
-    # and without
+    used: MeanEstimate
+    whole: MeanEstimate
+    stopped: MeanEstimate
+    difference: MeanEstimate
+    stops: list[float]
+    confidence: float
     calibration_error: float
     uncalibrated_error: float
-    # Mean −ln of the probability of the true class, over whole exposures and all shorter ones
     log_loss: float
     uncalibrated_log_loss: float
-    reliability: list[dict[str, float]]  # `confidence` and `accuracy` of each group
-    # `accepted`, the share of answers kept, the surest first, and their accuracy: `stopped`, and
-    # `whole` where exposures do not stop early
+    reliability: list[dict[str, float]]
     rejection: list[dict[str, float]]
-    curve: list[dict[str, float]]  # `threshold`, `used` and `accuracy` for every threshold tried
-    # `used`, `whole` and `stopped` on the scenes on which the threshold was chosen
+    curve: list[dict[str, float]]
     validation: dict[str, float]
-    images: int  # test scenes, and independent noise draws of each
+    images: int
     draws: int
-    covers: str = COVERS  # what the intervals cover
+    covers: str = STOPPED_COVER
 
     def as_dict(self) -> dict[str, Any]:
         """JSON types only."""
         return asdict(self) | {"rule": self.rule.as_dict()}
 
 
-class _Answers:
-    """Answers of E exposures at K stops, right or wrong, and their confidences.
+class _Confidence:
+    """Confidence (E, K) of answers after each of K stops, whether they are right, and log loss.
 
-    Logits (K, E, C) are those of `logits_at_stops`, labels (n,) those of the scenes; temperatures
+    Logits (K, E, C) are those of `logits_at_stops`, classes (E,) the true ones, and temperatures
     (K,) divide the logits at each stop.
     """
 
+    def __init__(self, logits: np.ndarray, classes: np.ndarray, temperatures: np.ndarray) -> None:
+        shape = logits.shape[1::-1]
+        self.values = np.empty(shape)
+        self.right = np.empty(shape, dtype=bool)
+        self.log_loss = 0.0
+        for stop, temperature in enumerate(temperatures):
+            logs = log_softmax(logits[stop].astype(float) / temperature, axis=1)
+            self.values[:, stop] = np.exp(logs.max(axis=1))
+            self.right[:, stop] = logs.argmax(axis=1) == classes
+            true = logs[np.arange(len(classes)), classes]
+            self.log_loss -= float(true.mean()) / len(temperatures)
+
+
+class _Answers:
+    """Answers of E exposures at K stops, with temperatures and without; labels (n,) of scenes."""
+
     def __init__(self, logits: np.ndarray, labels: np.ndarray, temperatures: np.ndarray) -> None:
-        draws = logits.shape[1] // len(labels)
-        self.images = np.repeat(np.arange(len(labels)), draws)
-        labels = labels[self.images]
-        true = np.arange(len(labels)), labels
-        confidence, raw, right, self.log_loss, self.raw_log_loss = [], [], [], 0.0, 0.0
-        for each, temperature in zip(logits, temperatures, strict=True):
-            wide = each.astype(float)
-            calibrated, plain = (log_softmax(z, axis=1) for z in (wide / temperature, wide))
-            confidence.append(np.exp(calibrated.max(axis=1)))
-            raw.append(np.exp(plain.max(axis=1)))
-            right.append(plain.argmax(axis=1) == labels)
-            self.log_loss -= float(calibrated[true].mean()) / len(temperatures)
-            self.raw_log_loss -= float(plain[true].mean()) / len(temperatures)
-        self.confidence, self.raw_confidence, self.right = (
-            np.stack(part, axis=1) for part in (confidence, raw, right)
-        )
+        self.images = np.repeat(np.arange(len(labels)), logits.shape[1] // len(labels))
+        self.calibrated = _Confidence(logits, labels[self.images], temperatures)
+        self.plain = _Confidence(logits, labels[self.images], np.ones(len(temperatures)))
+        self.right = self.plain.right
 
     def ends(self, threshold: float) -> np.ndarray:
         """Stop (E,), from 0, at which each exposure ends."""
-        enough = self.confidence > threshold
+        enough = self.calibrated.values > threshold
         enough[:, -1] = True
         return enough.argmax(axis=1)
 
-    def least_threshold(self, used: np.ndarray) -> float:
-        """Threshold of fewest photons whose accuracy is not below that of whole exposures."""
-        whole = self.right[:, -1].mean()
-        costs = [(used[-1], 1.0)]
-        for threshold in THRESHOLDS:
+    def curve(self, used: np.ndarray) -> list[dict[str, float]]:
+        """Share of the light and accuracy at each threshold; stops take shares (K,)."""
+        points = []
+        for threshold in (*THRESHOLDS.tolist(), 1.0):
             ends = self.ends(threshold)
-            if _at(self.right, ends).mean() >= whole:
-                costs.append((used[ends].mean(), float(threshold)))
-        return min(costs)[1]
+            accuracy = float(_at(self.right, ends).mean())
+            light = float(used[ends].mean())
+            points.append({"threshold": threshold, "used": light, "accuracy": accuracy})
+        return points
 
-    def estimate(self, values: np.ndarray) -> Estimate:
+    def estimate(self, values: np.ndarray) -> MeanEstimate:
         """Mean of values (E,), normal over the images; of true or false `accuracy`'s."""
         each = np.bincount(self.images, values) / np.bincount(self.images)
-        mean, count = float(each.mean()), len(each)
         if values.dtype == bool:
-            return Estimate(*accuracy_interval(each))
-        half = 1.96 * float(each.std(ddof=1)) / count**0.5
-        return Estimate(mean, mean - half, mean + half)
+            return MeanEstimate(*accuracy_interval(each))
+        mean = float(each.mean())
+        half = 1.96 * float(each.std(ddof=1)) / len(each) ** 0.5
+        return MeanEstimate(mean, mean - half, mean + half)
 
 
 def _at(values: np.ndarray, ends: np.ndarray) -> np.ndarray:
@@ -214,7 +269,32 @@ def stop(
     draws: int = 3,
     seed: int = 0,
 ) -> Stopped:
-    """Choose when to stop on held-out scenes, and test it on the test scenes."""
+    """Choose when to stop on held-out scenes, and test it on the test scenes.
+
+    The threshold is that of the fewest photons whose accuracy is not below that of whole exposures.
+
+    Parameters
+    ----------
+    design : Design
+        Nested, or of several looks.
+    data : Dataset, str, path or tuple of arrays
+        Of its training. Test scenes that were trained on are left out.
+    photons : float
+        Budget Φ of whole exposures.
+    held_out : int, optional
+        Last training scenes that the training left out; those that the design names unless given.
+    threshold : float, optional
+        Confidence above which to stop, from 0 to 1, in place of the choice.
+    draws : int
+        Noise draws of each scene.
+    seed : int
+        Of the noise.
+
+    Raises
+    ------
+    InputError
+        If the design has one stop or was trained on the held-out scenes, or a value is not allowed.
+    """
     check_classes(design.values, "a stopping rule")
     budget = check_budget(photons)
     check_draws(draws, seed)
@@ -228,24 +308,64 @@ def stop(
     temperatures = np.ones(len(after))
     if design.temperatures is not None:
         temperatures = stop_temperatures(design.temperatures, budget)
-    logits = logits_at_stops(design, front, kept.x_test, budget, draws, seed ^ 2**31)
-    choice = _Answers(logits, kept.y_test, temperatures)
+
+    def answers(part: Dataset, seed: int) -> _Answers:
+        logits = logits_at_stops(design, front, part.x_test, budget, draws=draws, seed=seed)
+        return _Answers(logits, part.y_test, temperatures)
+
+    choice = answers(kept, seed ^ 2**31)
     if threshold is None:
-        threshold = choice.least_threshold(used)
-    rule = StoppingRule(after=after, threshold=float(threshold), photons=budget)
-    new, left = new_scenes(design.training_scenes, scenes)
-    tested = logits_at_stops(design, front, new.x_test, budget, draws, seed)
-    found = _stopped(rule, _Answers(tested, new.y_test, temperatures), choice, used, budget)
-    return replace(found, covers=covered(found.covers, left))
+        accuracy = choice.right[:, -1].mean()
+        curve = choice.curve(used)[:-1]
+        costs = [(p["used"], p["threshold"]) for p in curve if p["accuracy"] >= accuracy]
+        threshold = min([(float(used[-1]), 1.0), *costs])[1]
+    fresh, left = new_scenes(design.training_scenes, scenes)
+    test = answers(fresh, seed)
+    ends = test.ends(threshold)
+    chosen = choice.ends(threshold)
+    right = _at(test.right, ends)
+    whole = test.right[:, -1]
+    confidence = _at(test.calibrated.values, ends)
+    groups = confidence_groups(confidence, right)
+    kept_early = _surest(confidence, right)
+    kept_whole = _surest(test.calibrated.values[:, -1], whole)
+    return Stopped(
+        photons=budget,
+        rule=StoppingRule(after=after, threshold=float(threshold), photons=budget),
+        used=test.estimate(used[ends]),
+        whole=test.estimate(whole),
+        stopped=test.estimate(right),
+        difference=test.estimate(right.astype(float) - whole),
+        stops=(np.bincount(ends, minlength=len(used)) / len(ends)).tolist(),
+        confidence=float(confidence.mean()),
+        calibration_error=calibration_error(groups),
+        uncalibrated_error=confidence_error(_at(test.plain.values, ends), right),
+        log_loss=test.calibrated.log_loss,
+        uncalibrated_log_loss=test.plain.log_loss,
+        reliability=[{"confidence": one, "accuracy": other} for one, other, _ in groups],
+        rejection=[
+            {"accepted": accepted, "stopped": early, "whole": late}
+            for accepted, early, late in zip(ACCEPTED_SHARES, kept_early, kept_whole, strict=True)
+        ],
+        curve=test.curve(used),
+        validation={
+            "used": float(used[chosen].mean()),
+            "whole": float(choice.right[:, -1].mean()),
+            "stopped": float(_at(choice.right, chosen).mean()),
+        },
+        images=len(fresh.y_test),
+        draws=draws,
+        covers=covered(STOPPED_COVER, left),
+    )
 
 
 def _held_out(design: Design, data: Dataset, count: int | None) -> Dataset:
     """Data with the held-out scenes as its test part, or `InputError` if they were trained on."""
-    known = trained_on(design.info)
-    if count is None and known:
-        count = known.held_out or None
+    training = trained_on(design.info)
+    if count is None and training:
+        count = training.held_out or None
     kept = data.hold_out(count)
-    if known is None or kept.hash != known.hash:
+    if training is None or kept.hash != training.hash:
         raise InputError(
             "this design was not trained on {name} without its last {count} training scenes, "
             "which calibrate its confidence: learn it with {hold_out:{count}}",
@@ -254,53 +374,3 @@ def _held_out(design: Design, data: Dataset, count: int | None) -> Dataset:
             count=len(kept.y_test),
         )
     return kept
-
-
-def _stopped(
-    rule: StoppingRule, test: _Answers, choice: _Answers, used: np.ndarray, photons: float
-) -> Stopped:
-    ends, chosen = test.ends(rule.threshold), choice.ends(rule.threshold)
-    confidence, right = _at(test.confidence, ends), _at(test.right, ends)
-    whole = test.right[:, -1]
-    curve = []
-    for threshold in (*THRESHOLDS.tolist(), 1.0):
-        stops = test.ends(threshold)
-        accuracy = float(_at(test.right, stops).mean())
-        curve.append(
-            {"threshold": threshold, "used": float(used[stops].mean()), "accuracy": accuracy}
-        )
-    groups = confidence_groups(confidence, right)
-    raw_groups = confidence_groups(_at(test.raw_confidence, ends), right)
-    images = int(test.images.max()) + 1
-    return Stopped(
-        photons=photons,
-        rule=rule,
-        used=test.estimate(used[ends]),
-        whole=test.estimate(whole),
-        stopped=test.estimate(right),
-        difference=test.estimate(right.astype(float) - whole),
-        stops=(np.bincount(ends, minlength=len(used)) / len(ends)).tolist(),
-        confidence=float(confidence.mean()),
-        calibration_error=calibration_error(groups),
-        uncalibrated_error=calibration_error(raw_groups),
-        log_loss=test.log_loss,
-        uncalibrated_log_loss=test.raw_log_loss,
-        reliability=[{"confidence": one, "accuracy": other} for one, other, _ in groups],
-        rejection=[
-            {"accepted": accepted, "stopped": early, "whole": late}
-            for accepted, early, late in zip(
-                ACCEPTED_SHARES,
-                _surest(confidence, right),
-                _surest(test.confidence[:, -1], whole),
-                strict=True,
-            )
-        ],
-        curve=curve,
-        validation={
-            "used": float(used[chosen].mean()),
-            "whole": float(choice.right[:, -1].mean()),
-            "stopped": float(_at(choice.right, chosen).mean()),
-        },
-        images=images,
-        draws=len(test.images) // images,
-    )

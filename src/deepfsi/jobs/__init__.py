@@ -20,6 +20,7 @@ from deepfsi.jobs.exposures import (
     ConditionedEntry,
     Exposure,
     ExposureEntry,
+    ExposureSource,
     Fixed,
     FixedEntry,
     Looks,
@@ -41,6 +42,7 @@ from deepfsi.jobs.job import (
     find_job,
     find_table,
     sorted_settings,
+    table_advice,
 )
 from deepfsi.jobs.mask_files import read_matrix
 from deepfsi.jobs.tiles import check_count, count_allowed, sensing_matrix
@@ -51,6 +53,7 @@ from deepfsi.jobs.training import (
     Precision,
     Scale,
     Training,
+    TrainingSource,
     Widths,
     describe_classifier,
 )
@@ -74,6 +77,7 @@ __all__ = [
     "ConditionedEntry",
     "Exposure",
     "ExposureEntry",
+    "ExposureSource",
     "Fixed",
     "FixedEntry",
     "Job",
@@ -88,6 +92,7 @@ __all__ = [
     "Range",
     "Scale",
     "Training",
+    "TrainingSource",
     "Widths",
     "check_count",
     "check_design",
@@ -104,4 +109,5 @@ __all__ = [
     "read_matrix",
     "sensing_matrix",
     "sorted_settings",
+    "table_advice",
 ]

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import BeforeValidator, Field, SerializeAsAny
 
-from deepfsi.base import InputError, Message, as_input_error
+from deepfsi.base import InputError, Message, as_input_error, closest_choice
 from deepfsi.base.models import Amount, Count, Positive, StrictModel, UserModel, WholeNumber
 from deepfsi.camera import LIGHT_LAWS, Camera, find_noise
 from deepfsi.datasets import Dataset
@@ -183,7 +183,7 @@ class Nested(Conditioned):
         description="nested masks: smallest number of first masks from which the network must "
         "classify",
     )
-    span: float = Field(1.0, ge=1, le=1e12, description="highest budget over the lowest")
+    span: float = Field(default=1.0, ge=1, le=1e12, description="highest budget over the lowest")
 
     def min_lit_masks(self, masks: int) -> int:
         """Those that are shown at least."""
@@ -449,33 +449,33 @@ class Passing(Exposure):
     allow_bf16: ClassVar[bool] = False
 
     bins: int = Field(
-        32,
+        default=32,
         ge=2,
         le=4096,
         description="time bins of a scene that passes a static pattern; 32 unless given",
     )
     speed: float = Field(
-        1.0,
+        default=1.0,
         gt=0,
         allow_inf_nan=False,
         description="speed of a passing scene, pixels a bin; 1 unless given",
     )
     jitter: float = Field(
-        0.0,
+        default=0.0,
         ge=0,
         allow_inf_nan=False,
         description="standard deviation of a passing scene's place in an exposure, pixels; 0 "
         "unless given",
     )
     speed_jitter: float = Field(
-        0.0,
+        default=0.0,
         ge=0,
         le=0.3,
         description="standard deviation of a passing scene's speed over the mean one; 0 unless "
         "given",
     )
     pattern_width: int | None = Field(
-        None,
+        default=None,
         ge=1,
         le=2**16,
         description="columns of the static pattern; the scene's and those that it passes unless "
@@ -596,25 +596,28 @@ class AdaptiveMasks(UserModel):
     """
 
     looks: int = Field(
-        16, ge=1, le=1024, strict=True, description="masks that are shown one after another"
+        default=16, ge=1, le=1024, strict=True, description="masks that are shown one after another"
     )
     growth: float = Field(
-        1.0,
+        default=1.0,
         ge=1e-3,
         le=1e3,
         description="share of the exposure that the last look takes, over that of the first",
     )
     until: float = Field(
-        1.0,
+        default=1.0,
         gt=0,
         le=1,
         description="probability of a class above which the exposure stops; 1 for never",
     )
     components: int = Field(
-        120, ge=1, strict=True, description="principal components of the scenes that are kept"
+        default=120,
+        ge=1,
+        strict=True,
+        description="principal components of the scenes that are kept",
     )
     spread: float = Field(
-        0.7,
+        default=0.7,
         ge=0,
         allow_inf_nan=False,
         description="how far scenes lie from those of the prior, over the distance of neighbours "
@@ -622,7 +625,7 @@ class AdaptiveMasks(UserModel):
     )
 
     clusters: int | None = Field(
-        None,
+        default=None,
         ge=1,
         strict=True,
         description="clusters of each class whose centres stand for its scenes; all scenes unless "
@@ -687,12 +690,15 @@ def find_exposure(given: Any) -> Any:
         with as_input_error():
             return kind(**asked)
     if asked:
+        [strange, *_] = asked
         raise InputError(
-            f"an exposure has no setting {', '.join(asked)}: give one of "
-            f"{', '.join(EXPOSURE_KINDS)}"
+            f"an exposure has no setting {strange!r}: {closest_choice(strange, EXPOSURE_KINDS)}"
         )
     return Fixed()
 
+
+ExposureSource = Exposure | Mapping[str, Any]
+"""An exposure, or its settings."""
 
 AnyExposure = Annotated[SerializeAsAny[Exposure], BeforeValidator(find_exposure)]
 """Field of a model: an exposure, or its settings."""

@@ -6,7 +6,7 @@ tables of the documents are made from these fields.
 """
 
 from collections.abc import Collection, Iterator, Mapping
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
@@ -17,6 +17,7 @@ from deepfsi.camera import (
     LIGHT_LAWS,
     NOISES,
     Camera,
+    CameraSource,
     PhotonBudget,
     check_budget,
     check_light_law,
@@ -31,6 +32,7 @@ from deepfsi.jobs.exposures import (
     AdaptiveMasks,
     AnyExposure,
     Exposure,
+    ExposureSource,
     Fixed,
     Patches,
     find_exposure,
@@ -43,6 +45,7 @@ from deepfsi.jobs.training import (
     VIT,
     VIT_SIZES,
     Training,
+    TrainingSource,
     classifier_name,
     loss_name,
 )
@@ -66,7 +69,7 @@ class Job(UserModel):
     """
 
     design: Annotated[str, AfterValidator(check_design)] = Field(
-        "deepfsi", description="which design: deepfsi, pca, raster, hadamard, …"
+        default="deepfsi", description="which design: deepfsi, pca, raster, hadamard, …"
     )
     masks: int = Field(ge=1, description="number of masks, m")
     photons: Annotated[PhotonBudget, BeforeValidator(check_budget)] = Field(
@@ -74,19 +77,33 @@ class Job(UserModel):
         "budgets; flux times exposure of the camera unless given",
     )
     camera: Camera = Field(
-        Camera(),
+        default=Camera(),
         description="the camera: a preset (dmd, dmd-2x2, dmd-4x4, two-arm, paper) or a "
         "TOML file; dmd unless given",
     )
-    exposure: AnyExposure = Field(Fixed(), description="what is shown when")
-    training: Training = Field(Training(), description="settings of the training")
+    exposure: AnyExposure = Field(default=Fixed(), description="what is shown when")
+    training: Training = Field(default=Training(), description="settings of the training")
     seed: int = Field(
-        0,
+        default=0,
         ge=0,
         lt=2**32,
         description="seed of the random numbers: the same one repeats the result exactly on one "
         "device",
     )
+
+    if TYPE_CHECKING:  # a field has one type, and may be given as others
+
+        def __init__(
+            self,
+            *,
+            design: str = "deepfsi",
+            masks: int | None = None,
+            photons: float | None = None,
+            camera: CameraSource = None,
+            exposure: ExposureSource | None = None,
+            training: TrainingSource | None = None,
+            seed: int = 0,
+        ) -> None: ...
 
     @model_validator(mode="before")
     @classmethod
@@ -94,13 +111,9 @@ class Job(UserModel):
         """The settings, with what the camera, the exposure and the design imply of others."""
         if not isinstance(given, Mapping):
             return given
+        given = {name: value for name, value in given.items() if value is not None}
         for name in given.keys() - cls.model_fields.keys():
-            table, field = find_table(name)
-            where = (
-                f"give `{table}={{{field!r}: ...}}`"
-                if table
-                else closest_choice(name, cls.model_fields)
-            )
+            where = table_advice(name) or closest_choice(name, cls.model_fields)
             raise InputError(f"a job has no setting {name!r}: {where}")
         camera = Camera.load(given.get("camera"))
         photons = given.get("photons")
@@ -373,6 +386,12 @@ def find_table(setting: str) -> tuple[str, str]:
     return next((table for table, fields in tables.items() if setting in fields), ""), setting
 
 
+def table_advice(setting: str) -> str | None:
+    """Advice to give a setting in the table of a job that holds it; None where none does."""
+    table, name = find_table(setting)
+    return f"give `{table}={{{name!r}: ...}}`" if table else None
+
+
 def sorted_settings(flat: Mapping[str, Any]) -> dict[str, Any]:
     """Fields of a job of single settings, each in the table where it is declared."""
     tables: dict[str, dict[str, Any]] = {"": {}, "camera": {}, "exposure": {}, "training": {}}
@@ -403,7 +422,9 @@ def find_job(settings: Mapping[str, Any], counts: float | None = None) -> Job:
     """
     within = counts is not None and settings.get("photons") is not None
     if within:
-        settings = {**settings, "training": {**_training_of(settings), "counts": counts}}
+        training = _training_of(settings)
+        if isinstance(training, Mapping):
+            settings = {**settings, "training": {**training, "counts": counts}}
     elif counts is not None:
         settings = {**settings, "photons": check_one_budget(None, counts)}
     job = Job(**settings)
@@ -432,9 +453,9 @@ def find_job(settings: Mapping[str, Any], counts: float | None = None) -> Job:
 
 def _training_of(settings: Mapping[str, Any]) -> Any:
     """Settings of the training that were given."""
-    training = settings.get("training", {})
+    training = settings.get("training")
     if not isinstance(training, Training):
-        return training
+        return {} if training is None else training
     return {name: getattr(training, name) for name in training.model_fields_set}
 
 

@@ -147,65 +147,77 @@ class Training(UserModel):
     0.01
     """
 
-    epochs: int = Field(40, ge=1, le=MOST_EPOCHS, description="passes over the training scenes")
+    epochs: int = Field(
+        default=40, ge=1, le=MOST_EPOCHS, description="passes over the training scenes"
+    )
     batch: int | None = Field(
-        None, ge=2, description="scenes of a step; a hundredth of all, 32 to 500, unless given"
+        default=None,
+        ge=2,
+        description="scenes of a step; a hundredth of all, 32 to 500, unless given",
     )
     lr: Positive = Field(
-        1e-2,
+        default=1e-2,
         description="peak learning rate of a one-cycle schedule; the default holds where none was "
         "tuned for the design",
     )
     mask_lr: Positive = Field(
-        1e-1, description="peak learning rate of the masks, relative to their rms"
+        default=1e-1, description="peak learning rate of the masks, relative to their rms"
     )
     hidden: Annotated[Widths, BeforeValidator(_widths)] = Field(
-        (40, 128), description="widths of the hidden layers of mlp"
+        default=(40, 128), description="widths of the hidden layers of mlp"
     )
-    dropout: float = Field(0.0, ge=0, lt=1, description="share of hidden units left out in a step")
+    dropout: float = Field(
+        default=0.0, ge=0, lt=1, description="share of hidden units left out in a step"
+    )
     classifier: Classifier = Field(
-        MLP, description="mlp, or module:factory of a torch module of your own"
+        default=MLP, description="mlp, or module:factory of a torch module of your own"
     )
     classifier_arguments: dict[str, Any] = Field(
-        {}, description="keyword arguments of that factory, besides the numbers"
+        default={}, description="keyword arguments of that factory, besides the numbers"
     )
-    scale: Scale = Field("common", description="standard deviation of features: each, or common")
+    scale: Scale = Field(
+        default="common", description="standard deviation of features: each, or common"
+    )
     decay: float = Field(
-        0.0, ge=0, allow_inf_nan=False, description="decoupled weight decay of the classifier"
+        default=0.0,
+        ge=0,
+        allow_inf_nan=False,
+        description="decoupled weight decay of the classifier",
     )
     balance: bool = Field(
-        False, description="weigh training scenes so that all classes count alike in the loss"
+        default=False,
+        description="weigh training scenes so that all classes count alike in the loss",
     )
     counts: float | None = Field(
-        None,
+        default=None,
         gt=0,
         allow_inf_nan=False,
         description="mean counts of an exposure: with photons, masks learn to count no more of "
         "them; without, the budget at which a design counts so many is found",
     )
     start: Annotated[str, AfterValidator(_start)] = Field(
-        "pca",
+        default="pca",
         description="design that learned masks start from; unless given pca, for several looks "
         "class-pairs, for few counts random",
     )
     clusters: int | None = Field(
-        None,
+        default=None,
         ge=1,
         description="of adaptive masks: the prior is the centres of so many clusters of each "
         "class; all training scenes unless given",
     )
     precision: Precision = Field(
-        "auto",
+        default="auto",
         description="number type of the products of learned masks and of wide networks: float32, "
         "bfloat16, or auto (bfloat16 where its rounding is below the noise)",
     )
     loss: Loss = Field(
-        None,
+        default=None,
         description="module:function of a loss of your own, of outputs (n, C) and truth (n,) of "
         "classes or (n, q) of values; cross entropy, or the squared error of values, unless given",
     )
     noise: NoiseSetting | None = Field(
-        None,
+        default=None,
         description="noise of the training, if other than the camera's: ml_gauss, poisson, "
         "gaussian, camera or none; unless given ml_gauss stands for photon noise, and several "
         "looks get exact counts",
@@ -228,6 +240,9 @@ class Training(UserModel):
         """True if the classifier is a user's own."""
         return classifier_name(self.classifier) not in (MLP, VIT)
 
+
+TrainingSource = Training | Mapping[str, Any]
+"""Settings of a training, or its fields."""
 
 TUNED: dict[str, dict[str, Any]] = {
     "impulse": {"lr": 5e-3},

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from deepfsi.base import InputError, hash_file, require_torch
+from deepfsi.base import InputError, hash_file, plain_keywords, require_torch
 from deepfsi.base.numeric import read_table
 from deepfsi.camera import LIGHT_LAWS, NO_EFFECTS, TOO_DIM, Camera, check_budget
 from deepfsi.design.readouts import classify_readouts
@@ -163,6 +163,7 @@ class ClassifiedRun:
         }
 
 
+@plain_keywords()
 def classify_run(
     design: str | os.PathLike[str],
     folder: str | os.PathLike[str],
@@ -232,6 +233,7 @@ def classify_run(
     return run if verdict is None else replace(run, remarks=(*run.remarks, verdict.words))
 
 
+@plain_keywords()
 def classify_table(
     design: str | os.PathLike[str],
     table: str | os.PathLike[str],

@@ -6,12 +6,12 @@ import os
 from dataclasses import dataclass
 from math import prod
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 
-from deepfsi.base import InputError
-from deepfsi.camera import Camera, CameraSource, check_budget
+from deepfsi.base import InputError, plain_keywords
+from deepfsi.camera import Camera, CameraSettings, CameraSource, check_budget
 from deepfsi.designfile import Score, scene_hashes, was_trained_on
 from deepfsi.lab.classify import dim_scenes
 from deepfsi.lab.design_data import design_scenes
@@ -87,6 +87,7 @@ class Predictions:
         return text.getvalue()
 
 
+@plain_keywords()
 def predict(
     design: "Design",
     pictures: str | os.PathLike[str],
@@ -95,7 +96,7 @@ def predict(
     camera: CameraSource = None,
     seed: int = 0,
     skip_bad: bool = False,
-    **settings: Any,
+    **settings: Unpack[CameraSettings],
 ) -> Predictions:
     """Classes of new pictures, each from one simulated exposure under the camera's noise.
 
@@ -117,7 +118,7 @@ def predict(
         Of the noise.
     skip_bad : bool
         Leave pictures that cannot be read out, which `preprocessing` then names.
-    settings
+    **settings
         Fields of the camera in place of its own, such as ``noise="none"``.
 
     Returns

@@ -1,7 +1,12 @@
 """What answers are measured by: one table, and the results of tests made with it (no torch)."""
 
 from deepfsi.measures.answers import MOST_DRAWS, Answers, ClassAnswers, ValueAnswers
-from deepfsi.measures.reliability import calibration_error, chance_error, confidence_groups
+from deepfsi.measures.reliability import (
+    calibration_error,
+    chance_error,
+    confidence_error,
+    confidence_groups,
+)
 from deepfsi.measures.results import Estimates, Result, ResultList
 from deepfsi.measures.table import MEASURES, MainMeasure, Measure, main_measure
 
@@ -18,6 +23,7 @@ __all__ = [
     "ValueAnswers",
     "calibration_error",
     "chance_error",
+    "confidence_error",
     "confidence_groups",
     "main_measure",
 ]

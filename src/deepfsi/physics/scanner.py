@@ -5,7 +5,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from deepfsi.base import InputError
+from deepfsi.base import InputError, plain_keywords
 from deepfsi.physics.detection import Detection, Readouts
 from deepfsi.physics.masks import FixedMasks
 from deepfsi.physics.noise import Expectation, NoiseFunction, make_noise
@@ -42,6 +42,7 @@ class Scanner(nn.Module):
     tensor([10.])
     """
 
+    @plain_keywords()
     def __init__(
         self,
         masks: nn.Module,
@@ -61,6 +62,7 @@ class Scanner(nn.Module):
         self.detection = detection or Detection()
 
     @classmethod
+    @plain_keywords()
     def from_rails(
         cls,
         rails: Tensor,

@@ -12,10 +12,10 @@ from collections.abc import Callable, Iterator, Mapping
 from itertools import product
 from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from deepfsi.base import InputError, Message, as_input_error, closest_choice, join_messages
-from deepfsi.base.models import Count
+from deepfsi.base.models import Count, UserModel
 from deepfsi.camera import (
     ONE_DETECTOR,
     Camera,
@@ -168,25 +168,27 @@ Axis = Annotated[tuple[Value, ...], BeforeValidator(axis)]
 Filled = Annotated[Axis[Value], Field(min_length=1)]
 
 
-class Recipe(BaseModel):
+class Recipe(UserModel):
     """A comparison: every list is an axis, and a single value stands for a list of one."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    data: str = Field("digits", description="name, folder of images or .npz file")
-    size: tuple[int, int] | None = Field(None, description="height, width of folder images")
-    skip_bad: bool = Field(False, description="leave images that cannot be read out, and name them")
+    data: str = Field(default="digits", description="name, folder of images or .npz file")
+    size: tuple[int, int] | None = Field(default=None, description="height, width of folder images")
+    skip_bad: bool = Field(
+        default=False, description="leave images that cannot be read out, and name them"
+    )
     normal: str | None = Field(
-        None, description="class to be told from anomalies; these are made from its own scenes"
+        default=None,
+        description="class to be told from anomalies; these are made from its own scenes",
     )
     images: int | None = Field(
-        None, ge=1, description="training images that are taken; all unless given"
+        default=None, ge=1, description="training images that are taken; all unless given"
     )
     split: Literal["random", "blocks"] | None = Field(
-        None, description="how a hyperspectral image is divided for testing; random unless given"
+        default=None,
+        description="how a hyperspectral image is divided for testing; random unless given",
     )
     designs: Filled[Name] = Field(
-        (
+        default=(
             "impulse",
             "raster",
             "hadamard",
@@ -198,52 +200,57 @@ class Recipe(BaseModel):
         description="names of designs",
     )
     photons: Filled[PhotonBudget] = Field(
-        (1e2, 1e3, 1e4, 1e5), description="budgets Φ: expected photons on the coding device"
+        default=(1e2, 1e3, 1e4, 1e5), description="budgets Φ: expected photons on the coding device"
     )
     gaussian_photons: Axis[PhotonBudget] = Field(
-        (), description="budgets under gaussian noise, if others"
+        default=(), description="budgets under gaussian noise, if others"
     )
     ratios: Axis[Ratio] = Field(
-        (), description="readouts over pixels, m · D / N; the paper's unless given"
+        default=(), description="readouts over pixels, m · D / N; the paper's unless given"
     )
-    masks: Axis[Count] = Field((), description="mask counts, instead of ratios")
+    masks: Axis[Count] = Field(default=(), description="mask counts, instead of ratios")
     camera: Annotated[Axes, BeforeValidator(_camera)] = Field(
-        {}, description="fields of the camera, each an axis; or a preset's name, or a TOML file"
+        default={},
+        description="fields of the camera, each an axis; or a preset's name, or a TOML file",
     )
     exposure: Annotated[
         Axes, BeforeValidator(lambda given: _table_of_axes(given, find_exposure))
-    ] = Field({}, description="settings of the exposure, each an axis, such as looks = [1, 4]")
-    trials: int = Field(1, ge=1, le=1000, description="seeds 0, 1, …")
+    ] = Field(
+        default={}, description="settings of the exposure, each an axis, such as looks = [1, 4]"
+    )
+    trials: int = Field(default=1, ge=1, le=1000, description="seeds 0, 1, …")
     validation: int | None = Field(
-        None, ge=0, description="training scenes held out to choose on; a sixth unless given"
+        default=None,
+        ge=0,
+        description="training scenes held out to choose on; a sixth unless given",
     )
     folds: int | None = Field(
-        None,
+        default=None,
         ge=1,
         le=100,
         description="parts of the scenes, each tested by designs that are trained on the others; "
         f"1 for none. Unless given {FOLDS} where a test part was drawn and has fewer than "
         f"{FEW_IMAGES} scenes",
     )
-    draws: int = Field(3, ge=1, le=MOST_DRAWS, description="noise draws of each test scene")
+    draws: int = Field(default=3, ge=1, le=MOST_DRAWS, description="noise draws of each test scene")
     test_photons: Axis[PhotonBudget] = Field(
-        (), description="budgets of the tests; that of the training unless given"
+        default=(), description="budgets of the tests; that of the training unless given"
     )
     test_noise: Axis[TestNoise] = Field(
-        (), description="noises of the tests; that of the camera unless given"
+        default=(), description="noises of the tests; that of the camera unless given"
     )
     test_levels: Filled[Levels] = Field(
-        (0,),
+        default=(0,),
         description="grey levels, dark included, of the masks shown in the tests; 0: as trained",
     )
     training: Annotated[Axes, BeforeValidator(_training)] = Field(
-        {}, description="settings of the training of every design, each an axis"
+        default={}, description="settings of the training of every design, each an axis"
     )
     tuned: Annotated[dict[str, Any], BeforeValidator(_tuned)] = Field(
-        {}, description="the same for single designs"
+        default={}, description="the same for single designs"
     )
     resources: Resources = Field(
-        Resources(), description="share of a Ray cluster that each batch of trials takes"
+        default=Resources(), description="share of a Ray cluster that each batch of trials takes"
     )
 
     @model_validator(mode="after")

@@ -5,7 +5,7 @@ from typing import Any
 import torch
 from torch import nn
 
-from deepfsi.base import InputError
+from deepfsi.base import InputError, plain_keywords
 from deepfsi.camera import Camera, LightLawName, check_budget, summed_reflectance
 from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.design import Design
@@ -20,6 +20,7 @@ from deepfsi.training.characterisation import characterise
 from deepfsi.training.info import provenance
 
 
+@plain_keywords()
 @library_defaults(grad=True)
 def design_of(
     scanner: Scanner,

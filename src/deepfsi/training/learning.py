@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from deepfsi.base import SILENT, InputError, Progress, progress_bar
-from deepfsi.camera import check_budget
+from deepfsi.base import SILENT, InputError, Progress, plain_keywords, progress_bar
+from deepfsi.camera import CameraSource, check_budget
 from deepfsi.datasets import Source, as_dataset
 from deepfsi.design.design import Design
 from deepfsi.exposure.draws import dtypes
@@ -18,7 +18,7 @@ from deepfsi.exposure.kinds import begin
 from deepfsi.exposure.statistics import feature_statistics
 from deepfsi.exposure.trained import Clicks, MaskExposure, TrainedMasks
 from deepfsi.exposure.training_set import TrainingSet
-from deepfsi.jobs import Job, find_job
+from deepfsi.jobs import ExposureSource, Job, TrainingSource, find_job, table_advice
 from deepfsi.physics import (
     Detection,
     FixedMasks,
@@ -52,16 +52,23 @@ class Diverged(InputError):
     """Training ended in numbers that are not finite."""
 
 
+@plain_keywords(table_advice)
 @library_defaults(grad=True)
 def learn(
     data: Source,
     *,
+    design: str = "deepfsi",
+    masks: int | None = None,
+    photons: float | None = None,
+    camera: CameraSource = None,
+    exposure: ExposureSource | None = None,
+    training: TrainingSource | None = None,
+    seed: int = 0,
     counts: float | None = None,
     matrix: np.ndarray | None = None,
     device: str | torch.device = "auto",
     report: Progress | None = None,
     checkpoint: str | os.PathLike[str] | None = None,
-    **settings: Any,
 ) -> Design:
     """Train one design on all training scenes of a data set.
 
@@ -69,6 +76,20 @@ def learn(
     ----------
     data : Dataset, str, path or tuple of arrays
         Or whatever `load_dataset` makes one of: a name, a path, ``(x, y)``.
+    design : str
+        Which design: ``"deepfsi"``, whose masks are learned, ``"pca"``, ``"adaptive"``, … .
+    masks : int, optional
+        Number of masks, m; needed but for `Passing`, which has as many as bins.
+    photons : float, optional
+        Budget Φ; flux times exposure of the camera unless given.
+    camera : Camera, str, path or mapping, optional
+        The camera, a preset's name, a TOML file or fields; ``"dmd"`` unless given.
+    exposure : Exposure or mapping, optional
+        `Looks`, `Nested`, `Range`, `Patches`, `Passing` or their fields; `Fixed` unless given.
+    training : Training or mapping, optional
+        Settings of the training; those tuned for the design unless given.
+    seed : int
+        Of the random numbers: the same one repeats the result exactly on one device.
     counts : float, optional
         What the detectors are to count, in the mean over training scenes. Instead of `photons`:
         learned masks are trained again until that holds, see `training.counts`. With `photons`:
@@ -83,11 +104,6 @@ def learn(
         File of the training's state, written every two minutes and at Ctrl-C, removed at the end.
         If it is there, the training is resumed from it, to the same bits. Parts of your own are
         given by their import paths then; modules keep their state in parameters and buffers.
-    settings
-        Fields of `Job`: ``design``, ``masks``, ``photons`` (the camera's budget unless given),
-        ``camera`` (a `Camera`, a preset's name, a TOML file or fields), ``exposure`` (`Looks`,
-        `Nested`, `Range`, `Patches`, `Passing` or their fields), ``training`` (`Training` or its
-        fields) and ``seed``.
 
     Raises
     ------
@@ -101,6 +117,15 @@ def learn(
     >>> deepfsi.learn(digits, camera="dmd", photons=1e4, masks=10, training=few).matrix.shape
     (10, 64)
     """
+    settings = {
+        "design": design,
+        "masks": masks,
+        "photons": photons,
+        "camera": camera,
+        "exposure": exposure,
+        "training": training,
+        "seed": seed,
+    }
     job = find_job(settings, counts)
     training_set = TrainingSet(as_dataset(data), device)
     state = Checkpoint.of(checkpoint, training_set, [job], matrix, counts)
@@ -111,12 +136,12 @@ def learn(
 
     with progress_bar(report, f"{job.design}, {job.masks} masks") as bar:
         if counts is None or job.training.counts is not None:
-            design = train_at(job.photons, bar)
+            made = train_at(job.photons, bar)
         else:
             share = _first_share(training_set, job, matrix)
-            design = train_for_counts(counts, share, train_at, bar)
+            made = train_for_counts(counts, share, train_at, bar)
     state.remove()
-    return design
+    return made
 
 
 @library_defaults(grad=True)

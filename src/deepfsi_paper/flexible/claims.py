@@ -21,7 +21,7 @@ from deepfsi.base.numeric import (
     mean_of_trials,
     signed_text,
 )
-from deepfsi.evaluation import Estimate, Stopped
+from deepfsi.evaluation import MeanEstimate, Stopped
 from deepfsi.report.style import BUDGET_AXIS, photons_text
 from deepfsi.sweeps.results import Point, Results
 from deepfsi_paper.experiment import Experiment, Finding, budgets, points
@@ -218,7 +218,7 @@ def _saving(stopped: Sequence[Stopped]) -> Saving:
     )
 
 
-def mean_rate(rates: Sequence[Estimate]) -> Difference:
+def mean_rate(rates: Sequence[MeanEstimate]) -> Difference:
     """Mean over trials; of a single one with its interval over images."""
     if len(rates) > 1:
         return mean_of_trials([rate.mean for rate in rates])

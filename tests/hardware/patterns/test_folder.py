@@ -242,7 +242,7 @@ def test_a_manifest_may_be_laid_out_anew(tmp_path):
     [
         ("light", "free-dwel", "did you mean 'free-dwell'"),
         ("light", "two-arm", "not those of two-arm"),
-        ("image_shape", [4, 0], "greater than or equal to 1"),
+        ("image_shape", [4, 0], "give 1 or more"),
         ("image_shape", [51, 4], "do not fit"),
         ("image_shape", [4, 5], r"shape \(10, 20\)"),
         ("masks", 3, "mask that does not exist"),

@@ -1,6 +1,6 @@
 """Bases of the models of settings and of what files hold, and the types of their fields."""
 
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, dataclass_transform
 
 from pydantic import (
     BaseModel,
@@ -11,7 +11,7 @@ from pydantic import (
     WrapValidator,
 )
 
-from deepfsi.base import Message, as_input_error, seconds
+from deepfsi.base import InputError, Message, as_input_error, seconds
 
 if TYPE_CHECKING:
     from pydantic._internal._model_construction import ModelMetaclass
@@ -25,12 +25,18 @@ class StrictModel(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
+@dataclass_transform(kw_only_default=True, field_specifiers=(Field,))
 class _InOneLine(ModelMetaclass):
     """Makes models, or raises `InputError`: pydantic's own error has several lines."""
 
-    def __call__(cls, *args: Any, **fields: Any) -> Any:
-        with as_input_error():
-            return super().__call__(*args, **fields)
+    if not TYPE_CHECKING:  # editors complete the fields of a model, which this would hide
+
+        def __call__(cls, *args: Any, **fields: Any) -> Any:
+            if args:
+                names = ", ".join(cls.model_fields)
+                raise InputError(f"{cls.__name__} takes its settings by their names: {names}")
+            with as_input_error():
+                return super().__call__(**fields)
 
 
 class UserModel(StrictModel, metaclass=_InOneLine):

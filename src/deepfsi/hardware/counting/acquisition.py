@@ -62,10 +62,10 @@ class Scene(StrictModel):
     """One scene of a recording."""
 
     name: str = Field(max_length=1000)  # By which results name it
-    label: str | None = Field(None, max_length=1000)  # Its class, where that is known
+    label: str | None = Field(default=None, max_length=1000)  # Its class, where that is known
     # Of its picture as the design of the patterns sees it, where there is one: tells scenes that
     # the design was trained on (`design.training_data.scene_hashes`)
-    hash: str | None = Field(None, pattern="^[0-9a-f]{8}$")
+    hash: str | None = Field(default=None, pattern="^[0-9a-f]{8}$")
 
     @model_serializer(mode="wrap")
     def _without_none(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
@@ -91,7 +91,7 @@ class Acquisition(StrictModel):
     # Of the counter, 0 for input 1: one for each detector; on two arms first those that see mirrors
     # ON, then those that see mirrors OFF
     inputs: tuple[Annotated[int, Field(ge=0, lt=64)], ...] = Field(
-        (0,), min_length=1, max_length=64
+        default=(0,), min_length=1, max_length=64
     )
     # Photons/s on the device for the training scenes' mean, where known
     flux: Positive | None = None
@@ -100,7 +100,7 @@ class Acquisition(StrictModel):
     # Of a run whose dwells were chosen from counts; `shown.jsonl` then says what was shown
     live: LiveSettings | None = None
     # Of the bytes of patterns/manifest.json; `prepare` fills it in
-    manifest_sha256: str | None = Field(None, pattern=r"^[0-9a-f]{64}$")
+    manifest_sha256: str | None = Field(default=None, pattern=r"^[0-9a-f]{64}$")
 
     @model_validator(mode="after")
     def _distinct(self) -> Self:
@@ -437,7 +437,7 @@ class Calibration(StrictModel):
     blur: tuple[Share, Share] = (0.0, 0.0)
     # (down, across): Light of each cell relative to the brightest, for a uniform scene that fills
     # the view
-    flat: tuple[tuple[Share, ...], ...] = Field(((1.0,),), min_length=1)
+    flat: tuple[tuple[Share, ...], ...] = Field(default=((1.0,),), min_length=1)
     dark: Amount = 0.0  # Counts/s with all mirrors OFF and the display black
     ambient: Amount = 0.0  # Counts/s that all mirrors ON add to it, the display black
     dead_time: DeadTime | None = None  # Of the counter, for which the run of spots was corrected
