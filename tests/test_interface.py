@@ -177,17 +177,6 @@ BEFORE = {
 MODULES = {"docs/do/own-classifier": "mynets"}
 """Pages whose first block is a module of the reader's, and its name."""
 
-UNITED = pytest.mark.xfail(
-    hasattr(deepfsi, "AdaptiveDesign"),
-    raises=AssertionError,
-    reason="two classes of designs",
-    strict=False,
-)
-CHECKED = [
-    pytest.param(page, marks=UNITED if "learn(" in "".join(blocks) else ())
-    for page, blocks in PAGES.items()
-]
-
 
 def module_of(page):
     return re.sub(r"\W", "_", page)
@@ -230,12 +219,12 @@ def pyright_errors(examples):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("page", CHECKED)
+@pytest.mark.parametrize("page", PAGES)
 def test_examples_pass_mypy_without_a_plugin(mypy_errors, page):
     assert not [line for line in mypy_errors if line.startswith(f"{module_of(page)}.py:")]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("page", CHECKED)
+@pytest.mark.parametrize("page", PAGES)
 def test_examples_pass_pyright(pyright_errors, page):
     assert not [line for line in pyright_errors if f"/{module_of(page)}.py:" in line]

@@ -11,7 +11,7 @@ from deepfsi import evaluate
 from deepfsi.base import InputError
 from deepfsi.camera import StopRule
 from deepfsi.evaluation import stop, stopping
-from deepfsi.physics import ONE
+from deepfsi.physics.detection import ONE
 
 HELD_OUT = 400
 PHOTONS = 2e5

@@ -11,7 +11,7 @@ from conftest import every_optics, generator, once, quick
 from deepfsi import evaluate
 from deepfsi.base import InputError
 from deepfsi.camera import photons_per_pixel
-from deepfsi.exposure.conditioned import mean_over_exposures
+from deepfsi.exposure.conditioned import ConditionedExposure, mean_over_exposures
 from deepfsi.exposure.temperatures import stop_temperatures
 from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.jobs import ConditionedEntry

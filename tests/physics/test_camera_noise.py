@@ -9,7 +9,8 @@ from torch import Tensor
 from conftest import OPTICS, assert_moments, generator, quick
 from deepfsi import Scanner
 from deepfsi.base import InputError
-from deepfsi.physics import ONE, LearnedMasks, Rails, light_law
+from deepfsi.physics import LearnedMasks, Rails, light_law
+from deepfsi.physics.detection import ONE
 from deepfsi.physics.noise import make_noise
 from shared.noises import exact, photons, saturating, training_noise
 

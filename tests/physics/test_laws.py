@@ -23,7 +23,8 @@ from deepfsi import Scanner, evaluate
 from deepfsi.datasets import load_dataset
 from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.jobs import sensing_matrix
-from deepfsi.physics import ONE, Rails, frames, light_law
+from deepfsi.physics import Rails, frames, light_law
+from deepfsi.physics.detection import ONE
 from deepfsi.physics.noise import Expectation, make_noise
 from deepfsi.training.learning import train
 from shared.jobs import job as job_of

@@ -11,7 +11,13 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from deepfsi.base import DESIGN_ENDINGS, InputError, check_ending, write_atomically
+from deepfsi.base import (
+    DESIGN_ENDINGS,
+    InputError,
+    check_ending,
+    plain_keywords,
+    write_atomically,
+)
 from deepfsi.base.numeric import mask_picture
 from deepfsi.camera import Camera, LightLawName, check_budget
 from deepfsi.design import check_counts
@@ -221,7 +227,7 @@ class Design:
         return self.mask_exposure.scanner(noise, sigma, dark)
 
     def front_end(self, camera: Camera | None = None) -> Any:
-        """What `rates` and `observe` take: the scanner with the noise of a camera.
+        """Front end that `rates` and `observe` take: the scanner with the noise of a camera.
 
         That is the noise of photons unless a camera is given; of adaptive masks it is a camera, the
         own one unless given. Raises `InputError` where it cannot be tested under that noise.
@@ -587,6 +593,7 @@ class Design:
         return replace(self, classifier=made.to(self.rails.device))
 
 
+@plain_keywords()
 def load_design(
     path: str | os.PathLike[str], device: str | torch.device = "cpu", *, trust: bool = False
 ) -> Design:

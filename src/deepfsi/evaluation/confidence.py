@@ -84,7 +84,7 @@ class CalibrationScenes:
         logits = [
             logits_at_stops(
                 each.design,
-                each.scanner,
+                each.front,
                 each.x,
                 photons,
                 draws=self.draws,

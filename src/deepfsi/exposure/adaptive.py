@@ -58,7 +58,7 @@ POSTERIOR_ANSWERS = (
 
 @dataclass(frozen=True)
 class PosteriorObservation(Observation):
-    """What is known of the class after a look with adaptive masks.
+    """Knowledge of the class after a look with adaptive masks.
 
     Attributes
     ----------

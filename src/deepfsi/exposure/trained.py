@@ -54,7 +54,7 @@ Counting = Callable[[float, np.random.Generator], list[tuple[np.ndarray, np.ndar
 
 @dataclass(frozen=True)
 class Observation:
-    """What was read of an exposure so far.
+    """Readouts of an exposure so far.
 
     Attributes
     ----------
@@ -221,7 +221,7 @@ class ExposureKind(ABC):
 
     @abstractmethod
     def entry(self) -> ExposureEntry | AdaptiveMasks:
-        """What the header of a design file says of the kind."""
+        """Entry of a design file's header."""
 
     @property
     @abstractmethod
@@ -230,7 +230,7 @@ class ExposureKind(ABC):
 
     @abstractmethod
     def front_end(self, camera: Camera | None) -> Any:
-        """What exposes scenes, with the noise of a camera; the plain one of the kind unless given.
+        """Front end that exposes scenes, with the noise of a camera; the plain one unless given.
 
         Raises
         ------
@@ -240,7 +240,7 @@ class ExposureKind(ABC):
 
     @abstractmethod
     def rates(self, front: Any, scenes: Tensor) -> Tensor:
-        """What `observe` takes of reflectances (n, N): expected counts for a budget of one."""
+        """Expected counts for a budget of one, as `observe` takes them, of reflectances (n, N)."""
 
     @abstractmethod
     def observe(
@@ -316,7 +316,7 @@ class ExposureKind(ABC):
 
 
 class ReadsCounts(Protocol):
-    """What reads counts: a network, with its calibration."""
+    """Reader of counts: a network, with its calibration."""
 
     def logits_of(self, seen: Observation, photons: Tensor | float) -> Tensor:
         """Logits (..., C) of exposures so far, of a budget in all."""
@@ -372,7 +372,7 @@ class TrainedMasks:
     clicks: Clicks | None = None
 
     def to(self, device: str | torch.device) -> "TrainedMasks":
-        """The same on a device."""
+        """Masks and statistics on a device."""
         return replace(
             self,
             rails=self.rails.to(device),

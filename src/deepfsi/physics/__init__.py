@@ -1,7 +1,7 @@
 """Masks, light and noise: what the light does between a scene and the counts."""
 
 from deepfsi.physics.clicks import full_gates, to_training_light
-from deepfsi.physics.detection import ONE, Detection, Readouts
+from deepfsi.physics.detection import Detection, Readouts
 from deepfsi.physics.laws import SLACK, frames, light_law, peak, signed_parts, through
 from deepfsi.physics.masks import FixedMasks, LearnedMasks
 from deepfsi.physics.noise import Click, NoiseFunction, Poisson, noise_of, root
@@ -12,7 +12,6 @@ from deepfsi.physics.training_noise import TrainingNoise, ml_gauss_features
 from deepfsi.physics.transit import FixedPattern, LearnedPattern, ScenePath, in_levels
 
 __all__ = [
-    "ONE",
     "SLACK",
     "Click",
     "Detection",

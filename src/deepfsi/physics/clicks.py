@@ -28,7 +28,20 @@ log r is r² e⁻ʳ / (1 − e⁻ʳ), highest at a share of 0.80, and 0.73 of th
 
 
 def full_gates(share: float, photons: float) -> str | None:
-    """Remark on clicks of a budget in nearly all gates; None where the share is not so high."""
+    """Remark on clicks in nearly all gates.
+
+    Parameters
+    ----------
+    share : float
+        Of the gates that click.
+    photons : float
+        Budget Φ.
+
+    Returns
+    -------
+    str or None
+        None where the share is not so high.
+    """
     if share <= MOST_CLICKS:
         return None
     return Message(
@@ -68,6 +81,7 @@ def to_training_light(
         noise = plus * (-parts[0]).exp() + minus * (-parts[1]).exp()
         return gates * (plus - minus), noise.clamp(min=LEAST_NOISE)
 
-    (trained, noise), (now, noise_now) = moments(1.0), moments(ratio)
+    trained, noise = moments(1.0)
+    now, noise_now = moments(ratio)
     gain = (noise / noise_now).sqrt().clamp(max=MOST_GAIN)
     return gain, trained - now * gain
