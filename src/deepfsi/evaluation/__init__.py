@@ -1,6 +1,6 @@
 """How well a design works, and why: tests, ideal observer, bounds, confidence, early stopping."""
 
-from deepfsi.evaluation.accuracy import Tested, camera_for, check_draws, evaluate, scanner_for
+from deepfsi.evaluation.accuracy import camera_for, check_draws, evaluate, scanner_for
 from deepfsi.evaluation.bounds import cramer_rao
 from deepfsi.evaluation.confidence import (
     CalibrationScenes,
@@ -21,7 +21,6 @@ __all__ = [
     "LeftOutTest",
     "MeanEstimate",
     "Stopped",
-    "Tested",
     "camera_for",
     "check_draws",
     "check_playable",

@@ -1,10 +1,10 @@
 """Accuracy of a design over budgets, with intervals that say what they cover."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import singledispatch
+from dataclasses import dataclass, replace
+from functools import partial, singledispatch
 from math import prod
-from typing import Any, NamedTuple, Protocol, TypeVar, Unpack, get_args
+from typing import Any, NamedTuple, TypeVar, Unpack, get_args
 
 import numpy as np
 import torch
@@ -13,9 +13,9 @@ from torch import Tensor
 from deepfsi.base import InputError, Progress, plain_keywords, progress_bar
 from deepfsi.camera import Camera, CameraSettings, CameraSource, NoiseName, check_budget
 from deepfsi.datasets import Dataset, Source, as_dataset
-from deepfsi.design.adaptive import AdaptiveDesign
+from deepfsi.design.adaptive import AdaptiveDesign, AnyDesign
 from deepfsi.design.design import Design
-from deepfsi.designfile import TrainingScenes, new_scenes
+from deepfsi.designfile import new_scenes
 from deepfsi.evaluation.bounds import linear_bound
 from deepfsi.exposure.adaptive import expose
 from deepfsi.exposure.posterior import AdaptivePosterior, LookOptics
@@ -28,7 +28,6 @@ from deepfsi.measures import (
     ResultList,
     ValueAnswers,
 )
-from deepfsi.networks.values import Values
 from deepfsi.physics import Scanner, library_defaults, noise_of
 
 AnyAnswers = TypeVar("AnyAnswers", bound=Answers)
@@ -42,38 +41,10 @@ VALUES_COVER = (
 """What the intervals of a test of values cover."""
 
 
-class Tested(Protocol):
-    """A design whose masks are known before, or one that makes them while it looks."""
-
-    image_shape: tuple[int, ...]
-    classes: tuple[str, ...]
-    info: dict[str, Any]
-
-    @property
-    def values(self) -> Values | None:
-        """Values that it estimates in place of classes."""
-
-    @property
-    def name(self) -> str:
-        """Which design, a key of `codes.DESIGNS`."""
-
-    @property
-    def masks(self) -> int:
-        """Number of masks, or of looks."""
-
-    @property
-    def camera(self) -> Camera:
-        """The camera that it was made for."""
-
-    @property
-    def training_scenes(self) -> TrainingScenes | None:
-        """Hashes of the scenes that it was made with."""
-
-
 @plain_keywords()
 @library_defaults()
 def evaluate(
-    design: Tested,
+    design: AnyDesign,
     data: Source,
     photons: Sequence[float] | float,
     *,
@@ -132,12 +103,25 @@ def evaluate(
     title = f"{design.name}, {design.masks} masks"
     if isinstance(design, Design) and design.values:
         scanner = scanner_for(design, camera)
+        light = design.shares.view(design.masks, -1).sum(dim=1)
+        rule = partial(_estimating, design, scanner)
         with progress_bar(report, title) as bar:
-            estimates = estimate_scenes(design, scanner, scenes, conditions, report=bar)
-            return [Estimates.of(answers) for answers in estimates]
+            every = expose_scenes(scenes, rule, conditions, light, kind=ValueAnswers, report=bar)
+        names = design.values.names
+        return [
+            Estimates.of(
+                replace(
+                    estimates,
+                    names=names,
+                    bound=linear_bound(design, scanner, scenes, estimates.photons),
+                )
+            )
+            for estimates in every
+        ]
     guess_of, shares = answering(design, camera)
     with progress_bar(report, title) as bar:
-        return test_scenes(scenes, guess_of, conditions, shares, report=bar)
+        answers = expose_scenes(scenes, guess_of, conditions, shares, kind=ClassAnswers, report=bar)
+    return ResultList(map(Result.of, answers))
 
 
 def covered(covers: str, left: str | None) -> str:
@@ -198,23 +182,47 @@ def _(design: AdaptiveDesign, camera: Camera) -> Answering:
 
 
 def camera_for(
-    design: Tested, camera: CameraSource = None, **settings: Unpack[CameraSettings]
+    design: AnyDesign, camera: CameraSource = None, **settings: Unpack[CameraSettings]
 ) -> Camera:
-    """Camera of a test, the design's own unless given, with other settings such as the noise."""
-    # A noise of its maker's own is code, which a file must not run: it is to be given
-    found = design.camera if camera is None else Camera.load(camera)
-    if "noise" not in settings and camera is None and found.noise_name not in get_args(NoiseName):
+    """Camera of a test, the design's own unless given.
+
+    Parameters
+    ----------
+    design : Design or AdaptiveDesign
+    camera : Camera, str, path or mapping, optional
+    settings
+        Fields in place of the camera's own, such as the noise.
+
+    Raises
+    ------
+    InputError
+        If a setting is none of a camera, or the design's noise is code of its maker's, which a file
+        must not run: it is to be given.
+    """
+    base = design.camera if camera is None else Camera.load(camera)
+    if "noise" not in settings and camera is None and base.noise_name not in get_args(NoiseName):
         raise InputError(
             "this design is for {noise_name} noise, code of its maker's that a file does not run: "
             "give {noise}, it or another",
             setting="noise",
-            noise_name=found.noise_name,
+            noise_name=base.noise_name,
         )
-    return Camera.load(found, **settings)
+    return Camera.load(base, **settings)
 
 
 def scanner_for(design: Design, camera: Camera) -> Scanner:
-    """A design's front end with the noise, the dark counts and the read noise of a camera."""
+    """A design's front end with the noise, the dark counts and the read noise of a camera.
+
+    Parameters
+    ----------
+    design : Design
+    camera : Camera
+
+    Raises
+    ------
+    InputError
+        If the design's exposure cannot have that noise.
+    """
     scanner = design.scanner(noise_of(camera))
     design.exposure.check_noise(scanner.noise.name)
     return scanner
@@ -231,66 +239,47 @@ class Conditions:
     covers: str = COVERS
 
 
-def test_scenes(
-    data: Dataset,
-    guess_of: Callable[[Tensor], Guess],
-    conditions: Conditions,
-    shares: Tensor,
-    *,
-    report: Progress,
-) -> list[Result]:
-    """Results of the answers of a rule to the test scenes of a data set, at each budget."""
-
-    def answers(classes: np.ndarray, chances: np.ndarray, **exposures: Any) -> ClassAnswers:
-        return ClassAnswers(classes=classes, chances=chances, **exposures)
-
-    every = _expose_scenes(
-        data, guess_of, answers, conditions=conditions, shares=shares, report=report
-    )
-    return ResultList(map(Result.of, every))
-
-
-def estimate_scenes(
-    design: Design, scanner: Scanner, data: Dataset, conditions: Conditions, *, report: Progress
-) -> list[ValueAnswers]:
-    """Estimates of the values of the test scenes of a data set, at each budget."""
+def _estimating(
+    design: Design, scanner: Scanner, x: Tensor
+) -> Callable[[torch.Generator, float], tuple[Tensor, float, float]]:
+    """Rule that exposes scenes (b, N) and estimates their values, as `Guess` does their classes."""
     values = design.values
     assert values is not None
+    rates = design.rates(scanner, x)
 
-    def estimate_of(x: Tensor) -> Callable[[torch.Generator, float], tuple[Tensor, float, float]]:
-        rates = design.rates(scanner, x)
+    def estimate(generator: torch.Generator, budget: float) -> tuple[Tensor, float, float]:
+        *_, seen = design.expose(scanner, rates, generator, budget)
+        arriving = budget * design.exposure.shown(rates, seen)
+        counted = float(scanner.noise.mean(arriving).sum())
+        estimates = values.estimated(design.logits_of(seen, budget))
+        return estimates, counted, float(arriving.sum())
 
-        def estimate(generator: torch.Generator, budget: float) -> tuple[Tensor, float, float]:
-            *_, seen = design.expose(scanner, rates, generator, budget)
-            arriving = budget * design.exposure.shown(rates, seen)
-            counted = float(scanner.noise.mean(arriving).sum())
-            estimates = values.estimated(design.logits_of(seen, budget))
-            return estimates, counted, float(arriving.sum())
-
-        return estimate
-
-    def answers(estimates: np.ndarray, **exposures: Any) -> ValueAnswers:
-        bound = linear_bound(design, scanner, data, exposures["photons"])
-        return ValueAnswers(estimates=estimates, names=values.names, bound=bound, **exposures)
-
-    shares = design.shares.view(design.masks, -1).sum(dim=1)
-    return _expose_scenes(
-        data, estimate_of, answers, conditions=conditions, shares=shares, report=report
-    )
+    return estimate
 
 
-def _expose_scenes(
+def expose_scenes(
     data: Dataset,
     answer_of: Callable[[Tensor], Callable[[torch.Generator, float], Any]],
-    answers: Callable[..., AnyAnswers],
-    *,
     conditions: Conditions,
     shares: Tensor,
+    *,
+    kind: type[AnyAnswers],
     report: Progress,
 ) -> list[AnyAnswers]:
-    """Answers at each budget, made of what a rule gives of the test scenes in each exposure.
+    """Answers to the test scenes of a data set at each budget.
 
-    That are tensors (b, …), arguments of `answers`, and sums of expected counts and of photons.
+    Parameters
+    ----------
+    data : Dataset
+    answer_of : callable
+        Gives for scenes (b, N) what exposes them once: outputs (b, …), which are those of `kind` in
+        their order, and sums of expected counts and of photons.
+    conditions : Conditions
+    shares : tensor, shape (m,)
+        Of the budget that each mask counts.
+    kind : type
+        Of the answers.
+    report : Progress
     """
     budgets = conditions.budgets
     generators = [torch.Generator(shares.device).manual_seed(conditions.seed) for _ in budgets]
@@ -311,7 +300,7 @@ def _expose_scenes(
             report(done / len(chunks))
     means = light / (conditions.draws * len(data.x_test))
     return [
-        answers(
+        kind(
             *(np.concatenate(parts) for parts in zip(*exposures, strict=True)),
             photons=budget,
             noise=conditions.noise,
@@ -329,7 +318,7 @@ def _expose_scenes(
     ]
 
 
-def check_data(design: Tested, data: Dataset) -> None:
+def check_data(design: AnyDesign, data: Dataset) -> None:
     """Raise `InputError` unless a design can classify the scenes of a data set."""
     pixels = prod(design.image_shape)
     if data.pixels != pixels:
@@ -357,7 +346,14 @@ def check_data(design: Tested, data: Dataset) -> None:
 
 
 def check_draws(draws: object, seed: object) -> None:
-    """Raise `InputError` unless so many noise draws can be had from that seed."""
+    """Raise `InputError` unless so many noise draws can be had from that seed.
+
+    Parameters
+    ----------
+    draws : object
+        Noise draws of each scene.
+    seed : object
+    """
     whole = int, np.integer
     if not isinstance(seed, whole) or not 0 <= seed < 2**63:
         raise InputError(f"seed {seed} is not allowed: give a whole number from 0 to 2⁶³ − 1")

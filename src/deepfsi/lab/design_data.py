@@ -33,7 +33,7 @@ from deepfsi.hardware.patterns import Patterns, read_patterns
 
 if TYPE_CHECKING:
     from deepfsi.datasets.display import Display
-    from deepfsi.evaluation import Tested
+    from deepfsi.design.adaptive import AnyDesign
 
 
 class DesignData(NamedTuple):
@@ -44,7 +44,7 @@ class DesignData(NamedTuple):
 
 
 def data_of(
-    design: "Tested",
+    design: "AnyDesign",
     data: str | None = None,
     size: tuple[int, int] | None = None,
     view: Path | None = None,
