@@ -26,6 +26,7 @@ ROOMS_DONE: set[str] = {
     "base.numeric",
     "camera",
     "designfile",
+    "evaluation",
     "hardware.calibration",
     "hardware.counting",
     "hardware.drivers",
@@ -43,6 +44,8 @@ ROOMS_DONE: set[str] = {
 """Rooms that keep every rule. A finished room is added here, and never goes again."""
 
 LONELY: dict[str, str] = {
+    "deepfsi.evaluation.bounds": "formulas of how well values can be estimated, by any network",
+    "deepfsi.evaluation.page_data": "a design as a page needs it, which one command writes",
     "deepfsi.hardware.drivers.dlpc900": "a device is its driver and a line of the catalogue",
     "deepfsi.hardware.drivers.picoquant": "a device is its driver and a line of the catalogue",
     "deepfsi.hardware.drivers.swabian": "a device is its driver and a line of the catalogue",
@@ -62,6 +65,7 @@ PACKED: dict[str, str] = {}
 WORDS_OF_FILES: set[str] = {
     "deepfsi.base.numeric.intervals.Crossing.found",
     "deepfsi.designfile.distribution.ConsistencyResult.whole",
+    "deepfsi.evaluation.stopping.Stopped.whole",
     "deepfsi.hardware.counting.acquisition.Calibration.shown",
     "deepfsi.hardware.patterns.manifest.Manifest.shown",
     "deepfsi.hardware.pictures.rail_sums.RailSums.own",

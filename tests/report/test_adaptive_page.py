@@ -61,7 +61,9 @@ def designs(digits):
 def pages(designs, digits, tmp_path_factory):
     home = tmp_path_factory.mktemp("pages")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(payload, "BUDGETS", payload.BUDGETS[:1])  # no test reads the accuracy here
+        patch.setattr(
+            payload, "SLIDER_BUDGETS", payload.SLIDER_BUDGETS[:1]
+        )  # no test reads the accuracy here
         for kind, design in designs.items():
             data = synthetic((24,)) if kind == "spectra" else digits
             write_page(home / f"{kind}.html", playable(design, data))

@@ -167,7 +167,8 @@ def _(design: AdaptiveDesign, camera: Camera) -> Answering:
     def guess_of(x: Tensor) -> Guess:
         def guess(generator: torch.Generator, budget: float) -> tuple[Tensor, Tensor, float, float]:
             optics = LookOptics.of(camera, design.image_shape, budget)
-            chances, counted = [], 0.0
+            chances = []
+            counted = 0.0
             for some in design.at_once(x):
                 state = AdaptivePosterior(design.prior, len(some), optics)
                 found, counts = expose(state, some, design.settings, generator)

@@ -237,8 +237,24 @@ def logits_at_stops(
     seed: int,
     places: Sequence[int] | None = None,
 ) -> np.ndarray:
-    """Logits (K, E, C) of exposures at some stops, or all; draws of a scene follow one another."""
-    # x (n, N); places from 0
+    """Logits (K, E, C) of exposures at some stops, or all; draws of a scene follow one another.
+
+    Parameters
+    ----------
+    design : Design or AdaptiveDesign
+    scanner : Scanner or Camera
+        As of `Exposed`.
+    x : array, shape (n, N)
+        Scenes.
+    photons : float
+        Budget Φ.
+    draws : int
+        Exposures of each scene.
+    seed : int
+        Of the noise.
+    places : sequence of int, optional
+        Stops, from 0.
+    """
     generator = torch.Generator(design.rails.device).manual_seed(seed)
     chunks = []
     with torch.no_grad():
