@@ -40,6 +40,7 @@ ROOMS_DONE: set[str] = {
     "lab",
     "measures",
     "physics",
+    "training",
 }
 """Rooms that keep every rule. A finished room is added here, and never goes again."""
 
@@ -56,6 +57,9 @@ LONELY: dict[str, str] = {
     "deepfsi.hardware.pictures.tables": "tables of counts without a run, which one command reads",
     "deepfsi.hardware.photons.scan": "a microscope's scan is no run, and has markers of its own",
     "deepfsi.hardware.photons.timestamps": "a new make's file is a class and a line in it",
+    "deepfsi.physics.transit": "scenes that pass a pattern, which one kind of exposure needs",
+    "deepfsi.training.assembly": "a training elsewhere, which needs no loop",
+    "deepfsi.training.readouts": "networks of measured readouts, which need no masks",
 }
 """Modules with one importer, each with the reason why it is a module: ``deepfsi.base.html``."""
 

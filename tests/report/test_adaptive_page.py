@@ -15,8 +15,7 @@ from deepfsi.evaluation import of_page, playable, with_rule
 from deepfsi.evaluation import page_data as payload
 from deepfsi.evaluation.page_data import few_tests
 from deepfsi.evaluation.stopping import StoppingRule
-from deepfsi.exposure import choice
-from deepfsi.exposure.adaptive import prior_of
+from deepfsi.exposure import choice, prior_of
 from deepfsi.exposure.posterior import AdaptivePosterior, LookOptics
 from deepfsi.jobs import AdaptiveMasks
 from deepfsi.report.playground.page import write_page

@@ -25,10 +25,9 @@ from deepfsi.designfile import (
     trained_budgets,
     trained_camera,
 )
-from deepfsi.exposure.adaptive import AT_ONCE, look_at
-from deepfsi.exposure.misfit import UsualMisfit
+from deepfsi.exposure import ScenePrior
+from deepfsi.exposure.adaptive import AT_ONCE, UsualMisfit, look_at
 from deepfsi.exposure.posterior import AdaptivePosterior, LookOptics
-from deepfsi.exposure.prior import ScenePrior
 from deepfsi.jobs import AdaptiveMasks
 from deepfsi.physics import Detection, library_defaults
 

@@ -38,9 +38,9 @@ class Exposed(NamedTuple):
 
     Attributes
     ----------
-    design : Design or AdaptiveDesign
-    scanner : Scanner or Camera
-        Of the design; of adaptive masks the camera.
+    design : Design
+    front
+        Of the design, as of `Design.front_end`.
     x : array, shape (n, N)
         Scenes.
     labels : array, shape (n,)

@@ -11,15 +11,15 @@ from typing import ClassVar
 
 import numpy as np
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from deepfsi.base import InputError
-from deepfsi.camera import LIGHT_LAWS, Camera, LightLawName
+from deepfsi.camera import LIGHT_LAWS, LightLawName
 from deepfsi.designfile import ReadoutDistribution
 from deepfsi.exposure.readout_fit import find_distribution
-from deepfsi.jobs import ExposureEntry, FixedEntry, Job, Patches, PatchesEntry, cut_patches
+from deepfsi.jobs import ExposureEntry, FixedEntry, PatchesEntry, cut_patches
 from deepfsi.networks.classifiers import Mlp
-from deepfsi.physics import Detection, LearnedMasks, Rails, Scanner, light_law
+from deepfsi.physics import Detection, Rails, Scanner, light_law
 
 Read = Callable[[Tensor, Tensor | float], Tensor]
 """From expected counts (..., rails, m · D), and dwells over the usual ones of the same shape, to
@@ -81,13 +81,6 @@ class TrainedExposure:
         """The kind of an entry, with its tensors of a design file; an error where they differ."""
         return cls(**entry.model_dump(exclude={"kind"}))
 
-    @classmethod
-    def begin(
-        cls, job: Job, image_shape: tuple[int, ...], seed: torch.Generator
-    ) -> "TrainedExposure":
-        """The exposure of a design that is to be trained on scenes of a shape."""
-        return cls()
-
     def to(self, device: str | torch.device) -> "TrainedExposure":
         """The kind on a device."""
         return self
@@ -99,10 +92,6 @@ class TrainedExposure:
     def weights(self) -> dict[str, Tensor]:
         """Tensors of the design file besides rails, statistics and classifier."""
         return {} if self.network is None else self.network.state_dict()
-
-    def trained(self, masks: nn.Module, replica: int) -> "TrainedExposure":
-        """The kind with what it keeps of the masks after a training of several replicas."""
-        return self
 
     def quantised(
         self, rails: Tensor, light: LightLawName, levels: int
@@ -127,23 +116,6 @@ class TrainedExposure:
     ) -> tuple[Tensor, tuple[int, ...]]:
         """Picture of a sensing matrix (m, N): its masks, and the shape of one."""
         return matrix, mask_shape
-
-    def learned_masks(self, start: Tensor, camera: Camera, levels: int) -> LearnedMasks:
-        """Masks that learn from a matrix (R, m, N), under the camera's light law."""
-        return LearnedMasks(start, camera.light, camera.rails, levels, camera.shortest_share)
-
-    def final(self, rails: Tensor, light: LightLawName) -> Tensor:
-        """Rails (R, 2 or 1, m, N) at the end of the training, of learned ones."""
-        return rails
-
-    def fixed(self, rails: Tensor, light: LightLawName) -> Tensor:
-        """Rails (R, 2 or 1, m, N) of a named design, as this exposure shows them."""
-        return rails
-
-    def drawn(self, rails: Tensor, light: LightLawName) -> tuple[Tensor, Tensor] | None:
-        """Noise of each feature in the mean over exposures, and how often it is read."""
-        # As the statistics of a training take it; None where all exposures are alike
-        return None
 
     def input_count(self, features: int) -> int:
         """Number of the classifier's inputs for k features."""
@@ -303,14 +275,6 @@ class PatchExposure(TrainedExposure):
     def entry(self) -> PatchesEntry:
         """Entry of the design file's header."""
         return PatchesEntry(side=self.side)
-
-    @classmethod
-    def begin(
-        cls, job: Job, image_shape: tuple[int, ...], seed: torch.Generator
-    ) -> "PatchExposure":
-        """One that cuts images in patches; parameters as of the base class."""
-        assert isinstance(job.exposure, Patches)
-        return cls(job.exposure.patch)
 
     def check(self, rails: Rails, light: LightLawName, image_shape: tuple[int, ...]) -> None:
         """Raise `ValueError` unless rails are of patches; parameters as for `Design`."""

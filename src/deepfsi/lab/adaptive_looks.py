@@ -12,8 +12,8 @@ from deepfsi.base.numeric import LARGEST_TENSORS
 from deepfsi.camera import StopRule
 from deepfsi.design.adaptive import AdaptiveDesign
 from deepfsi.designfile import UNSURE
+from deepfsi.exposure.adaptive import squared_distance
 from deepfsi.exposure.choice import next_masks
-from deepfsi.exposure.misfit import squared_distance
 from deepfsi.exposure.posterior import AdaptivePosterior, LookOptics
 from deepfsi.hardware.light import Arrivals
 from deepfsi.hardware.live import (
