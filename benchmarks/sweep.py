@@ -1,7 +1,6 @@
 """What the paper's sweep costs here: 400 trainings, stated from a timed sample.
 
     python benchmarks/sweep.py                    # sample, one against many, growth, accuracy
-    python benchmarks/sweep.py --parts sample --precision bfloat16
     python benchmarks/sweep.py --whole --device cuda -o runs/whole     # really run all 400
 
 The sweep: DeepFSI on MNIST, 10 compression ratios x 4 budgets (1e3 to 1e6) x 2 noises x 5 seeds, 20
