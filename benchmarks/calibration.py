@@ -25,7 +25,7 @@ from deepfsi.evaluation import logits_at_stops
 from deepfsi.exposure.temperatures import stop_temperatures
 from deepfsi.jobs import Job
 from deepfsi.measures import chance_error, confidence_error
-from deepfsi.training.characterisation import find_temperatures
+from deepfsi.training import find_temperatures
 
 KINDS: dict[str, dict[str, Any]] = {
     "fixed, 10⁴": {"masks": 16, "photons": 1e4, "camera": "paper"},

@@ -19,7 +19,7 @@ from deepfsi.camera import summed_reflectance
 from deepfsi.datasets import Dataset, ambient, jitter, load_dataset
 from deepfsi.design.design import Design
 from deepfsi.evaluation import evaluate
-from deepfsi.training.learning import learn
+from deepfsi.training import learn
 
 STRAY = 1.0
 """Stray light over the scenes' mean light."""

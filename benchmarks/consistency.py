@@ -18,7 +18,7 @@ from scipy.ndimage import gaussian_filter
 from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.design.design import Design
 from deepfsi.designfile import REFUSED
-from deepfsi.training.learning import learn
+from deepfsi.training import learn
 
 BUDGETS = (1e3, 1e4, 1e5, 1e6)
 SOUND = "nothing"

@@ -25,7 +25,7 @@ from deepfsi.hardware.counting import TableSettings, count_table
 from deepfsi.hardware.patterns import FrameSettings, Patterns, export_patterns
 from deepfsi.hardware.virtual import Detector
 from deepfsi.lab import design_rails
-from deepfsi.training.learning import learn
+from deepfsi.training import learn
 from deepfsi_paper.camera.gate_counts import draw
 
 RATE = 1e7

@@ -19,8 +19,7 @@ from scipy.stats import binomtest
 import deepfsi
 from deepfsi.camera import DEVICES, DetectorMap
 from deepfsi.designfile import REFUSED, UNSURE, ReadoutDistribution
-from deepfsi.exposure.adaptive import look_at
-from deepfsi.exposure.misfit import squared_distance
+from deepfsi.exposure.adaptive import look_at, squared_distance
 from deepfsi.exposure.posterior import AdaptivePosterior, LookOptics
 from deepfsi.exposure.readout_fit import find_distribution
 from deepfsi.hardware.light import (

@@ -29,7 +29,7 @@ from torch.nn import functional
 from deepfsi.datasets import load_dataset
 from deepfsi.design.design import Design
 from deepfsi.evaluation import evaluate
-from deepfsi.exposure.training_set import TrainingSet
+from deepfsi.exposure import TrainingSet
 from deepfsi.jobs import Job, Training
 from deepfsi.networks.classifiers import Mlp
 from deepfsi.physics import (

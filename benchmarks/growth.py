@@ -28,7 +28,7 @@ from deepfsi.sweeps.records import Records, write_table
 from deepfsi.sweeps.results import write_results
 from deepfsi.sweeps.summary import summarise
 from deepfsi.sweeps.trial import plan
-from deepfsi.training.learning import learn
+from deepfsi.training import learn
 
 SIZES = {
     "records": (100, 1000, 10_000),

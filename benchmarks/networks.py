@@ -19,10 +19,10 @@ from deepfsi.base import Moments
 from deepfsi.camera import Camera
 from deepfsi.datasets import load_dataset
 from deepfsi.evaluation import evaluate
-from deepfsi.exposure import draws as rules
-from deepfsi.exposure.training_set import TrainingSet
+from deepfsi.exposure import TrainingSet
+from deepfsi.exposure import training_set as rules
 from deepfsi.jobs import Fixed, Job, Looks, Training
-from deepfsi.training.learning import train
+from deepfsi.training import train
 
 TYPES = {"float32": 10**9, "bfloat16": 0}
 """Units from which networks are in bfloat16: for none, and for all."""

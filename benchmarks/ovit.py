@@ -22,12 +22,10 @@ from torch.utils.data import DataLoader, TensorDataset
 
 from deepfsi.base import Moments, Progress
 from deepfsi.datasets import Dataset, from_arrays
-from deepfsi.exposure.draws import network_dtype
-from deepfsi.exposure.kinds import begin
-from deepfsi.exposure.training_set import TrainingSet
+from deepfsi.exposure import TrainingSet, network_dtype
 from deepfsi.jobs import Job, Patches, sensing_matrix
 from deepfsi.networks.classifiers import Vit
-from deepfsi.training.learning import train
+from deepfsi.training import train
 from deepfsi_paper.studies import find
 
 BUDGET, CLASSES = 1e4, 10
@@ -43,7 +41,7 @@ class Plain(nn.Module):
         self.unit = float(np.sqrt(np.mean(start**2)))
         self.masks = nn.Parameter(torch.tensor(start / self.unit, dtype=torch.float32))
         self.side, self.shape, self.light = job.exposure.patch, data.image_shape, light
-        tokens = begin(job, data.image_shape, torch.Generator()).tokens(self.shape)
+        tokens = data.pixels // self.side**2
         self.norm = nn.BatchNorm1d(1, affine=False)
         self.vit = Vit(job.masks, tokens, CLASSES, **job.training.classifier_arguments)
 

@@ -45,7 +45,7 @@ from deepfsi.physics import light_law
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.results import Point
 from deepfsi.sweeps.run import compare
-from deepfsi.training.learning import learn
+from deepfsi.training import learn
 
 NEURONS = (10, 50, 100, 400)
 """Sizes of the published networks."""

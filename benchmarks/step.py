@@ -15,9 +15,9 @@ import torch
 from torch.profiler import ProfilerActivity, profile
 
 from deepfsi.datasets import load_dataset
-from deepfsi.exposure.training_set import TrainingSet
+from deepfsi.exposure import TrainingSet
 from deepfsi.jobs import Job, Precision, Training
-from deepfsi.training.learning import train
+from deepfsi.training import train
 
 SHOWN = 14
 

@@ -1,7 +1,6 @@
 """What the paper's sweep costs here: 400 trainings, stated from a timed sample.
 
     python benchmarks/sweep.py                    # sample, one against many, growth, accuracy
-    python benchmarks/sweep.py --parts sample --precision bfloat16
     python benchmarks/sweep.py --whole --device cuda -o runs/whole     # really run all 400
 
 The sweep: DeepFSI on MNIST, 10 compression ratios x 4 budgets (1e3 to 1e6) x 2 noises x 5 seeds, 20
@@ -27,7 +26,7 @@ from torch import nn
 from deepfsi.base import Moments
 from deepfsi.datasets import Dataset, from_arrays, load_dataset
 from deepfsi.evaluation import evaluate
-from deepfsi.exposure.training_set import TrainingSet
+from deepfsi.exposure import TrainingSet
 from deepfsi.jobs import Job, Training
 from deepfsi.networks.classifiers import Mlp, Replicas
 from deepfsi.sweeps.context import SweepContext
@@ -35,7 +34,7 @@ from deepfsi.sweeps.queue import run_trials
 from deepfsi.sweeps.recipe import PAPER_RATIOS, Recipe
 from deepfsi.sweeps.trial import plan
 from deepfsi.sweeps.workers import Workers, default_count
-from deepfsi.training.learning import train
+from deepfsi.training import train
 
 BUDGETS, SEEDS, EPOCHS, BATCH = (1e3, 1e4, 1e5, 1e6), 5, 20, 500
 PAPER_SECONDS = 2.87e4

@@ -22,9 +22,9 @@ from torch.utils.data import DataLoader, TensorDataset
 from deepfsi.base import Moments
 from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.evaluation import evaluate
-from deepfsi.exposure.training_set import TrainingSet
+from deepfsi.exposure import TrainingSet
 from deepfsi.jobs import Job, Training
-from deepfsi.training.learning import train
+from deepfsi.training import train
 
 BUDGET, BATCH, LR, MASK_LR = 1e4, 500, 5e-3, 5e-2
 

@@ -12,13 +12,12 @@ from torch.nn import functional
 
 from conftest import generator, quick
 from deepfsi import Mlp
-from deepfsi.exposure.kinds import begin
-from deepfsi.exposure.training_set import TrainingSet
+from deepfsi.exposure import JobGroup, TrainingSet, build
 from deepfsi.hardware.patterns import unpack
 from deepfsi.hardware.patterns.frames import recount
 from deepfsi.jobs import Job, Training
 from deepfsi.physics.noise import attach_gradient
-from deepfsi.training.learning import train
+from deepfsi.training import train
 from shared.benchmarks import benchmark
 
 DRAWS = 400_000
@@ -207,7 +206,6 @@ def test_both_trainings_of_ovit_do_the_same_work(capsys):
     """They start from one set of masks, and see the same patches in the same light."""
     from deepfsi.datasets import from_arrays
     from deepfsi.jobs import Patches, cut_patches
-    from deepfsi.training.masks import initial_masks
 
     ovit = benchmark("ovit")
     ovit.main(["--images", "100", "--size", "16", "--rounds", "1", "--epochs", "1"])
@@ -227,8 +225,7 @@ def test_both_trainings_of_ovit_do_the_same_work(capsys):
     )
     plain = ovit.Plain(job, data, scenes.summed_reflectance)
     matrix = plain.masks.detach() * plain.unit
-    exposure = begin(job, data.image_shape, generator())
-    start = initial_masks(scenes.seen(job.exposure), [job], exposure, None)()
+    start = build(JobGroup.of(scenes, [job])).masks()
     assert torch.allclose(matrix, start.difference[0], atol=1e-6)
     rows = torch.from_numpy(data.x_train) * (ovit.BUDGET / scenes.summed_reflectance)
     seen = torch.nn.functional.unfold(rows.view(-1, 1, 16, 16), 4, stride=4).transpose(1, 2)

@@ -26,6 +26,7 @@ ROOMS_DONE: set[str] = {
     "base.numeric",
     "camera",
     "designfile",
+    "evaluation",
     "hardware.calibration",
     "hardware.counting",
     "hardware.drivers",
@@ -39,10 +40,13 @@ ROOMS_DONE: set[str] = {
     "lab",
     "measures",
     "physics",
+    "training",
 }
 """Rooms that keep every rule. A finished room is added here, and never goes again."""
 
 LONELY: dict[str, str] = {
+    "deepfsi.evaluation.bounds": "formulas of how well values can be estimated, by any network",
+    "deepfsi.evaluation.page_data": "a design as a page needs it, which one command writes",
     "deepfsi.hardware.drivers.dlpc900": "a device is its driver and a line of the catalogue",
     "deepfsi.hardware.drivers.picoquant": "a device is its driver and a line of the catalogue",
     "deepfsi.hardware.drivers.swabian": "a device is its driver and a line of the catalogue",
@@ -53,6 +57,9 @@ LONELY: dict[str, str] = {
     "deepfsi.hardware.pictures.tables": "tables of counts without a run, which one command reads",
     "deepfsi.hardware.photons.scan": "a microscope's scan is no run, and has markers of its own",
     "deepfsi.hardware.photons.timestamps": "a new make's file is a class and a line in it",
+    "deepfsi.physics.transit": "scenes that pass a pattern, which one kind of exposure needs",
+    "deepfsi.training.assembly": "a training elsewhere, which needs no loop",
+    "deepfsi.training.readouts": "networks of measured readouts, which need no masks",
 }
 """Modules with one importer, each with the reason why it is a module: ``deepfsi.base.html``."""
 
@@ -62,6 +69,7 @@ PACKED: dict[str, str] = {}
 WORDS_OF_FILES: set[str] = {
     "deepfsi.base.numeric.intervals.Crossing.found",
     "deepfsi.designfile.distribution.ConsistencyResult.whole",
+    "deepfsi.evaluation.stopping.Stopped.whole",
     "deepfsi.hardware.counting.acquisition.Calibration.shown",
     "deepfsi.hardware.patterns.manifest.Manifest.shown",
     "deepfsi.hardware.pictures.rail_sums.RailSums.own",

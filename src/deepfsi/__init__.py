@@ -38,8 +38,8 @@ if TYPE_CHECKING:
     from deepfsi.networks.classifiers import Mlp as Mlp
     from deepfsi.networks.custom import OwnClassifier as OwnClassifier
     from deepfsi.physics import Scanner as Scanner
-    from deepfsi.training.assembly import design_of as design_of
-    from deepfsi.training.learning import learn as learn
+    from deepfsi.training import design_of as design_of
+    from deepfsi.training import learn as learn
 
 if "GOMP_SPINCOUNT" not in os.environ:
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # read when torch is imported
@@ -64,11 +64,11 @@ _HOMES = {
     "Training": "jobs",
     "classify_run": "lab",
     "classify_table": "lab",
-    "design_of": "training.assembly",
+    "design_of": "training",
     "evaluate": "evaluation",
     "from_arrays": "datasets",
     "ideal_observer": "evaluation",
-    "learn": "training.learning",
+    "learn": "training",
     "load_dataset": "datasets",
     "load_design": "design.design",
     "photons_per_pixel": "camera",

@@ -20,10 +20,10 @@ from deepfsi.base import InputError
 from deepfsi.camera import share_out
 from deepfsi.designfile.header import DESIGN_SCHEMA
 from deepfsi.evaluation import camera_for
+from deepfsi.exposure import TrainingSet
 from deepfsi.exposure.trained import Observation
-from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.physics import Detection
-from deepfsi.training.learning import train
+from deepfsi.training import train
 from shared import vectors
 from shared.design_files import refused, rewrite
 from shared.jobs import job

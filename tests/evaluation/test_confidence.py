@@ -15,7 +15,7 @@ from deepfsi.evaluation import CalibrationScenes, Exposed, fit_temperatures, log
 from deepfsi.exposure.temperatures import stop_temperatures
 from deepfsi.jobs import Job
 from deepfsi.measures.reliability import BINS
-from deepfsi.training.characterisation import find_temperatures
+from deepfsi.training import find_temperatures
 
 PHOTONS = 1e4
 HELD_OUT = 437

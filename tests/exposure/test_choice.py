@@ -10,10 +10,9 @@ from conftest import generator
 from deepfsi import Design, IdealObserver, Result, evaluate
 from deepfsi.base import InputError
 from deepfsi.datasets import Dataset, from_arrays
-from deepfsi.exposure.adaptive import AdaptiveExposure, prior_of
+from deepfsi.exposure import AdaptiveExposure, ScenePrior, prior_of
 from deepfsi.exposure.choice import brightest, information, next_masks
 from deepfsi.exposure.posterior import AdaptivePosterior, LookOptics
-from deepfsi.exposure.prior import ScenePrior
 from deepfsi.jobs import AdaptiveMasks
 
 PIXELS, SCENES, CLASSES = 8, 40, 3

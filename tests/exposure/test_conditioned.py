@@ -11,12 +11,12 @@ from conftest import every_optics, generator, once, quick
 from deepfsi import evaluate
 from deepfsi.base import InputError
 from deepfsi.camera import photons_per_pixel
+from deepfsi.exposure import TrainingSet
 from deepfsi.exposure.conditioned import ConditionedExposure, mean_over_exposures
 from deepfsi.exposure.temperatures import stop_temperatures
-from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.jobs import ConditionedEntry
 from deepfsi.physics import light_law
-from deepfsi.training.learning import train
+from deepfsi.training import train
 from shared.design_files import refused, rewrite
 from shared.jobs import job
 

@@ -14,15 +14,8 @@ from torch import Tensor
 from conftest import generator, once, quick
 from deepfsi import Scanner, evaluate
 from deepfsi.datasets import from_arrays
-from deepfsi.exposure.draws import seed_streams
-from deepfsi.exposure.kinds import begin
-from deepfsi.exposure.training_set import TrainingSet
-from deepfsi.networks.classifiers import Replicas
-from deepfsi.physics import Detection
-from deepfsi.training.features import features_of
-from deepfsi.training.masks import initial_masks
+from deepfsi.exposure import Draws, JobGroup, TrainingSet, build
 from shared.jobs import job
-from shared.noises import training_noise
 
 LOOKS, DARK, SIGMA, PHOTONS = 3, 400.0, 4.0, 2e3
 
@@ -85,22 +78,17 @@ def test_looks_of_a_training_have_the_same_law(optics, dark, sigma):
         sigma=sigma, scale="each", hidden=(8,), batch=count, **optics,
     )  # fmt: skip
     one.check(data)
-    exposure, gain = (
-        begin(one, (8, 8), generator(2)),
-        PHOTONS / scenes.summed_reflectance,
-    )
-    masks = initial_masks(scenes, [one], exposure)
-    noise = training_noise(one.noise, [gain], [sigma], [0], scenes.device, [dark])
-    streams = seed_streams([one.seed], noise, scenes.labels, count)
-    streams[0].shuffle()
-    choose = Replicas([exposure.network], stacked=False)
+    group, gain = JobGroup.of(scenes, [one]), PHOTONS / scenes.summed_reflectance
+    training = build(group)
+    draws = Draws([one.seed], group.noise, scenes.labels, count)
+    draws.shuffle()
+    draws.gather(0)
     with torch.no_grad():
-        features = features_of(scenes, one, masks, noise, streams, exposure, choose)
-        last = features.at(0)[-count:, 0].double()
-        detection = Detection.of(one.optics, (8, 8))
-        rates = Scanner(masks, "none", detection=detection).rates(gain * scenes.full[0])
-        rates = detection.totals(rates[0]).double()
-    k, q = rates.shape[-1], exposure.dwells.count
+        training.prepare()
+        last = training.inputs(draws)[-count:, 0].double()
+        scanner = Scanner(training.masks, "none", detection=training.detection)
+        rates = training.detection.totals(scanner.rates(gain * scenes.full[0])[0]).double()
+    k, q = rates.shape[-1], training.dwells.count
     off, dwell = last[:, :k], 3 * last[:, k:] / q
     assert dwell.sum(dim=-1).numpy() == pytest.approx(1, abs=1e-5)
     dwell = dwell.repeat_interleave(k // q, dim=-1)

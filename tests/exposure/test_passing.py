@@ -11,13 +11,12 @@ from conftest import RECIPE, assert_moments, generator, synthetic
 from deepfsi import Design
 from deepfsi.base import InputError
 from deepfsi.evaluation import check_playable, stop
-from deepfsi.exposure.training_set import TrainingSet
+from deepfsi.exposure import JobGroup, TrainingSet, build
+from deepfsi.jobs import Job
 from deepfsi.lab import design_rails
 from deepfsi.physics import FixedPattern
-from deepfsi.training.learning import train
-from deepfsi.training.passing import passing_statistics
+from deepfsi.training import train
 from shared.design_files import refused, rewrite
-from shared.noises import training_noise
 
 pytestmark = pytest.mark.usefixtures("all_trained_once")
 
@@ -113,16 +112,19 @@ def test_damaged_files_are_refused(data, learned, tmp_path):
 
 def test_statistics_are_those_of_the_exposures(data, learned):
     scenes = torch.from_numpy(data.x_train).repeat(100, 1)
-    masks = FixedPattern(learned.exposure.pattern.unsqueeze(0), learned.exposure.transit)
-    gain = 1e4 / learned.summed_reflectance
-    noise = training_noise("poisson", [gain], [0.0], [0], scenes.device)
-    mean, std, light = passing_statistics(scenes, masks, noise, "each", 3)
+    many = replace(data, x_train=scenes.numpy(), y_train=np.tile(data.y_train, 100))
+    asked = {"training": {"noise": "poisson", "scale": "each"}, "exposure": PASSING, "seed": 3}
+    training = build(JobGroup.of(TrainingSet(many, "cpu"), [Job(photons=1e4, **asked)]))
+    training.masks = FixedPattern(learned.exposure.pattern.unsqueeze(0), learned.exposure.transit)
+    training.fix()
+    [found] = training.finish()
+    optics = found.optics
+    mean, std, light = optics.mean, optics.std, optics.shares
     scanner = learned.front_end(learned.camera)
     [seen] = learned.observe(scanner, learned.rates(scanner, scenes), generator(), 1e4)
-    drawn = seen.features * learned.summed_reflectance
-    error = 5 * std[0] * (2 / len(scenes)) ** 0.5
-    assert ((drawn.mean(dim=0) - mean[0]).abs() < error).all()
-    assert torch.allclose(drawn.std(dim=0), std[0], rtol=0.1)
+    error = 5 * std * (2 / len(scenes)) ** 0.5
+    assert ((seen.features.mean(dim=0) - mean).abs() < error).all()
+    assert torch.allclose(seen.features.std(dim=0), std, rtol=0.1)
     assert torch.allclose(light, mean)
 
 

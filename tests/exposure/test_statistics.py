@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from deepfsi.exposure.statistics import standardise
+from deepfsi.exposure.training import standardise
 
 
 @pytest.mark.parametrize("scale", ["each", "common"])

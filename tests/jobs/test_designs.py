@@ -10,7 +10,7 @@ import torch
 
 from conftest import FIXED, FLOAT32, synthetic
 from deepfsi.base import InputError
-from deepfsi.exposure.training_set import TrainingSet
+from deepfsi.exposure import TrainingSet
 from deepfsi.jobs import (
     DESIGNS,
     check_count,

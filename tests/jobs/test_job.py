@@ -10,8 +10,8 @@ import deepfsi
 from conftest import PHOTONS, RECIPE, quick, same
 from deepfsi import Camera, Looks, Range, evaluate
 from deepfsi.base import InputError, Progress
-from deepfsi.exposure.draws import BFLOAT16_COUNTS, BFLOAT16_WIDTH, network_dtype, product_dtype
-from deepfsi.exposure.training_set import TrainingSet
+from deepfsi.exposure import TrainingSet, network_dtype
+from deepfsi.exposure.training_set import BFLOAT16_COUNTS, BFLOAT16_WIDTH, product_dtype
 from deepfsi.jobs import (
     Job,
     Training,
@@ -20,7 +20,7 @@ from deepfsi.jobs import (
     sorted_settings,
 )
 from deepfsi.physics import Rails, light_law
-from deepfsi.training.learning import companions, train
+from deepfsi.training import companions, train
 from shared.jobs import job as job_of
 from shared.jobs import learn
 from shared.networks import Cnn

@@ -14,7 +14,7 @@ def classes(chances, truth, draws=1, scenes=None, answered=None):
     scenes = np.arange(len(chances)) if scenes is None else scenes
     answered = chances.argmax(axis=1) if answered is None else answered
     rest = {"truth": truth, "scenes": scenes, "draws": draws, "shares": [0.5, 0.25]}
-    return ClassAnswers(chances=chances.astype(np.float32), classes=answered, **TEST, **rest)
+    return ClassAnswers(answered, chances.astype(np.float32), **TEST, **rest)
 
 
 @pytest.mark.parametrize("right", [None, 0])
@@ -55,9 +55,7 @@ def test_errors_of_values_are_means_over_draws_and_r2_is_of_their_variance():
     truth = np.array([[0.0], [2.0]], dtype=np.float32)
     estimates = np.array([[1.0], [2.0], [-1.0], [2.0]], dtype=np.float32)  # draw by draw
     rest = {"truth": truth, "scenes": np.array([0, 1, 0, 1]), "draws": 2, "shares": [1.0]}
-    found = Estimates.of(
-        ValueAnswers(estimates=estimates, names=("x",), bound=None, **TEST, **rest)
-    )
+    found = Estimates.of(ValueAnswers(estimates, names=("x",), bound=None, **TEST, **rest))
     assert found.rmse == [pytest.approx(math.sqrt(0.5))]
     assert (found.r2, found.r2_each) == (0.5, [0.5])
     assert found.image_terms == {"R²": [0, 1]}

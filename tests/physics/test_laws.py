@@ -21,12 +21,12 @@ from conftest import (
 )
 from deepfsi import Scanner, evaluate
 from deepfsi.datasets import load_dataset
-from deepfsi.exposure.training_set import TrainingSet
+from deepfsi.exposure import TrainingSet
 from deepfsi.jobs import sensing_matrix
 from deepfsi.physics import Rails, frames, light_law
 from deepfsi.physics.detection import ONE
 from deepfsi.physics.noise import Expectation, make_noise
-from deepfsi.training.learning import train
+from deepfsi.training import train
 from shared.jobs import job as job_of
 
 N = 64

@@ -15,8 +15,7 @@ from deepfsi.evaluation import of_page, playable, with_rule
 from deepfsi.evaluation import page_data as payload
 from deepfsi.evaluation.page_data import few_tests
 from deepfsi.evaluation.stopping import StoppingRule
-from deepfsi.exposure import choice
-from deepfsi.exposure.adaptive import prior_of
+from deepfsi.exposure import choice, prior_of
 from deepfsi.exposure.posterior import AdaptivePosterior, LookOptics
 from deepfsi.jobs import AdaptiveMasks
 from deepfsi.report.playground.page import write_page
@@ -61,7 +60,9 @@ def designs(digits):
 def pages(designs, digits, tmp_path_factory):
     home = tmp_path_factory.mktemp("pages")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(payload, "BUDGETS", payload.BUDGETS[:1])  # no test reads the accuracy here
+        patch.setattr(
+            payload, "SLIDER_BUDGETS", payload.SLIDER_BUDGETS[:1]
+        )  # no test reads the accuracy here
         for kind, design in designs.items():
             data = synthetic((24,)) if kind == "spectra" else digits
             write_page(home / f"{kind}.html", playable(design, data))

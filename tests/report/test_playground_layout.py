@@ -27,7 +27,9 @@ def pages(digits, tmp_path_factory):
     """Give a function that gives the address of the page of a design, which it makes once."""
     home = tmp_path_factory.mktemp("pages")
     patch = pytest.MonkeyPatch()
-    patch.setattr(payload, "BUDGETS", payload.BUDGETS[:1])  # no test reads the accuracy here
+    patch.setattr(
+        payload, "SLIDER_BUDGETS", payload.SLIDER_BUDGETS[:1]
+    )  # no test reads the accuracy here
 
     def address(kind):
         page = home / f"{kind}.html"

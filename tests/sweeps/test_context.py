@@ -8,13 +8,12 @@ import torch
 
 from deepfsi import Design
 from deepfsi.base import InputError
-from deepfsi.exposure.training_set import TrainingSet
+from deepfsi.exposure import TrainingSet
 from deepfsi.sweeps import context
 from deepfsi.sweeps.context import SweepContext
 from deepfsi.sweeps.trial import plan
-from deepfsi.training import batches as memory
-from deepfsi.training.batches import footprint
-from deepfsi.training.learning import train
+from deepfsi.training import footprint, train
+from deepfsi.training import learning as memory
 from shared.jobs import learn
 from shared.trials import small, train_trials
 

@@ -8,7 +8,7 @@ from torch.nn import functional
 from conftest import PHOTONS, quick, same
 from deepfsi import evaluate
 from deepfsi.datasets import from_arrays
-from deepfsi.exposure.training_set import TrainingSet
+from deepfsi.exposure import TrainingSet
 
 pytestmark = pytest.mark.usefixtures("trained_once")
 

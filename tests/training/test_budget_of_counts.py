@@ -6,7 +6,7 @@ import pytest
 from conftest import RECIPE, every_design, own_matrix
 from deepfsi import evaluate
 from deepfsi.base import SILENT, InputError
-from deepfsi.training.counts import MOST_TRAININGS, NEAR, train_for_counts
+from deepfsi.training.learning import MOST_TRAININGS, NEAR, train_for_counts
 from shared.jobs import job, learn
 
 BRIEF = {**RECIPE, "masks": 6, "device": "cpu"}

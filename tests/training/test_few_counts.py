@@ -6,7 +6,7 @@ import torch
 from deepfsi import evaluate
 from deepfsi.base import InputError
 from deepfsi.physics import LearnedMasks, light_law
-from deepfsi.training.counts import CountsCost
+from deepfsi.training.losses import CountsCost
 from shared.jobs import learn
 
 BRIEF = {"masks": 16, "photons": 200.0, "epochs": 20, "hidden": (32,), "device": "cpu"}

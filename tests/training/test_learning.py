@@ -21,9 +21,9 @@ from conftest import (
 )
 from deepfsi import evaluate
 from deepfsi.base import InputError
-from deepfsi.exposure.training_set import TrainingSet
+from deepfsi.exposure import TrainingSet
 from deepfsi.physics import light_law
-from deepfsi.training.learning import train
+from deepfsi.training import train
 from shared.jobs import job as job_of
 from shared.jobs import learn
 

@@ -12,11 +12,11 @@ import torch
 from conftest import RECIPE, every_optics, quick, same, synthetic
 from deepfsi import Design, Mlp, evaluate
 from deepfsi.base import Progress
-from deepfsi.exposure.draws import BFLOAT16_WIDTH
-from deepfsi.exposure.training_set import TrainingSet
+from deepfsi.exposure import TrainingSet
+from deepfsi.exposure import training as masks_training
+from deepfsi.exposure.training_set import BFLOAT16_WIDTH
 from deepfsi.networks.classifiers import Replicas
-from deepfsi.training import loop, masks
-from deepfsi.training.learning import train
+from deepfsi.training import loop, train
 from shared.jobs import job as job_of
 
 pytestmark = pytest.mark.usefixtures("trained_once")
@@ -90,8 +90,10 @@ def test_replicas_draw_the_same_counts_together_as_alone(few, light, rails):
 
 def test_random_masks_of_one_seed_are_measured_once(digits, monkeypatch):
     """Photons do not change them; seeds do."""
-    made, fixed = [], masks.FixedMasks
-    monkeypatch.setattr(masks, "FixedMasks", lambda rails: made.append(len(rails)) or fixed(rails))
+    made, fixed = [], masks_training.FixedMasks
+    monkeypatch.setattr(
+        masks_training, "FixedMasks", lambda rails: made.append(len(rails)) or fixed(rails)
+    )
     alike = {"design": "random", "masks": 6, **SETTINGS}
     for seeds in ((3, 3, 3), (3, 4, 5)):
         pairs = zip(seeds, (1e2, 1e3, 1e4), strict=True)

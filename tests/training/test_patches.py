@@ -10,13 +10,11 @@ from deepfsi.base import InputError
 from deepfsi.camera import photons_per_pixel
 from deepfsi.design.onnx import to_onnx
 from deepfsi.evaluation import stop
-from deepfsi.exposure.kinds import begin
-from deepfsi.exposure.training_set import TrainingSet
+from deepfsi.exposure import JobGroup, TrainingSet, build
 from deepfsi.jobs import DESIGNS as CODES
 from deepfsi.jobs import cut_patches
 from deepfsi.physics import FixedMasks, LearnedMasks
-from deepfsi.training.learning import train
-from deepfsi.training.masks import initial_masks
+from deepfsi.training import train
 from shared.design_files import refused, rewrite
 from shared.jobs import job, learn
 
@@ -50,9 +48,7 @@ class Cut:
         self.x = cut_patches(self.training_set.full, data.image_shape, 4)
 
     def masks(self, design: str) -> FixedMasks | LearnedMasks:
-        one = job(**SMALL, design=design)
-        exposure = begin(one, self.training_set.data.image_shape, generator())
-        return initial_masks(self.training_set.seen(one.exposure), [one], exposure)
+        return build(JobGroup.of(self.training_set, [job(**SMALL, design=design)])).masks
 
     def counts(self, design: str, photons: torch.Tensor, noise: str = "poisson") -> torch.Tensor:
         """Features (..., m) of photons (..., N)."""
@@ -142,7 +138,7 @@ def test_noise_of_a_patchs_readout_is_its_light(patches, design, noise):
 def test_principal_components_are_those_of_the_patches(data, patches):
     blocks = data.x_train.reshape(-1, 4, 4, 2, 4).transpose(0, 1, 3, 2, 4).reshape(-1, 16)
     _, _, axes = np.linalg.svd(blocks - blocks.mean(axis=0), full_matrices=False)
-    seen = patches.training_set.seen(Patches(patch=4))
+    seen = patches.training_set.view(Patches(patch=4))
     assert np.abs(seen.matrix("pca", 16, 0)[0] @ axes[0]) == pytest.approx(1, abs=1e-4)
 
 

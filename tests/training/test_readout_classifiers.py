@@ -10,7 +10,8 @@ from readout_samples import CLASSES, EACH, drifting
 
 from deepfsi.datasets.readouts import Variables, read_readouts
 from deepfsi.design.readouts import classify_readouts
-from deepfsi.training.readouts import learn_readouts, measure_order, measure_readouts
+from deepfsi.training import learn_readouts, measure_readouts
+from deepfsi.training.readouts import measure_order
 
 pytestmark = pytest.mark.usefixtures("trained_once")
 

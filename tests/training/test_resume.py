@@ -16,11 +16,9 @@ from deepfsi import Training
 from deepfsi import learn as learned
 from deepfsi.base import InputError, Progress
 from deepfsi.base.interrupts import STOP_SIGNALS
-from deepfsi.exposure.training_set import TrainingSet
+from deepfsi.exposure import TrainingSet
+from deepfsi.training import Checkpoint, Diverged, learning, loop, train
 from deepfsi.training import checkpoint as module
-from deepfsi.training import learning, loop
-from deepfsi.training.checkpoint import Checkpoint
-from deepfsi.training.learning import Diverged, train
 from shared.checkpoints import Stopped, write_each_step
 from shared.jobs import job as job_of
 from shared.jobs import learn

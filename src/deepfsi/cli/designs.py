@@ -69,7 +69,7 @@ def design(
     common.check_data(data, view)
     from deepfsi.evaluation import evaluate as test
     from deepfsi.jobs import find_job
-    from deepfsi.training.learning import learn
+    from deepfsi.training import learn
 
     own = common.read_matrix(matrix)
     counts = settings.pop("counts", None)

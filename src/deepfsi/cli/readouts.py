@@ -12,7 +12,7 @@ from deepfsi.cli.settings import job_fields, with_settings
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from deepfsi.training.readouts import ReadoutsResult
+    from deepfsi.training import ReadoutsResult
 
 SETTINGS = ("epochs", "batch", "lr", "hidden", "dropout", "decay")
 """Settings of a job that a training of readouts has."""
@@ -96,7 +96,7 @@ def readouts(
         paths.check_file(figure, paths.PICTURES, force)
     from deepfsi.base import check_choice
     from deepfsi.datasets.readouts import Variables, read_readouts
-    from deepfsi.training.readouts import learn_readouts, measure_readouts
+    from deepfsi.training import learn_readouts, measure_readouts
 
     variables = Variables(values, label, picture, order, tuple(monitor or ()))
     table = read_readouts(source, variables)

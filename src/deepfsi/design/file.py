@@ -18,9 +18,7 @@ from deepfsi.designfile import (
     MaskHeader,
     damaged_design,
 )
-from deepfsi.exposure.adaptive import AdaptiveExposure
-from deepfsi.exposure.kinds import KIND_OF_ENTRY
-from deepfsi.exposure.trained import Clicks, TrainedMasks
+from deepfsi.exposure import KINDS, AdaptiveExposure, Clicks, TrainedMasks
 from deepfsi.jobs import AdaptiveMasks
 from deepfsi.networks.classifiers import Mlp, Vit, restored
 from deepfsi.networks.custom import OwnClassifier
@@ -142,7 +140,7 @@ def _mask_fields(file: DesignFile, header: MaskHeader) -> dict[str, Any]:
         **{name: torch.from_numpy(file.arrays[name]) for name in STATISTICS},
     )
     weights = {name: torch.from_numpy(array) for name, array in file.arrays_of("exposure").items()}
-    exposure = KIND_OF_ENTRY[header.exposure.kind].restored(header.exposure, weights, optics)
+    exposure = KINDS[header.exposure.kind].restored(header.exposure, weights, optics)
     scales = {name: torch.from_numpy(array) for name, array in file.arrays_of("values").items()}
     return {
         "exposure": exposure,

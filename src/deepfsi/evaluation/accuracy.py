@@ -1,7 +1,8 @@
 """Accuracy of a design over budgets, with intervals that say what they cover."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from math import prod
 from typing import Any, TypeVar, Unpack, get_args
 
@@ -98,12 +99,27 @@ def evaluate(
     )
     title = f"{design.name}, {design.masks} masks"
     front = design.front_end(camera)
+    light = design.shares.view(design.masks, -1).sum(dim=1)
     with progress_bar(report, title) as bar:
-        if design.values:
-            estimates = estimate_scenes(design, front, scenes, conditions, report=bar)
-            return [Estimates.of(answers) for answers in estimates]
-        shares = design.shares.view(design.masks, -1).sum(dim=1)
-        return test_scenes(scenes, guesses(design, front), conditions, shares, report=bar)
+        if design.values is None:
+            answer = partial(_answering, design, front)
+            classes = expose_scenes(
+                scenes, answer, conditions, light, kind=ClassAnswers, report=bar
+            )
+            return ResultList(map(Result.of, classes))
+        estimate = partial(_estimating, design, front)
+        every = expose_scenes(scenes, estimate, conditions, light, kind=ValueAnswers, report=bar)
+    names = design.values.names
+    return [
+        Estimates.of(
+            replace(
+                estimates,
+                names=names,
+                bound=linear_bound(design, front, scenes, estimates.photons),
+            )
+        )
+        for estimates in every
+    ]
 
 
 def covered(covers: str, left: str | None) -> str:
@@ -116,37 +132,46 @@ Guess = Callable[[torch.Generator, float], tuple[Tensor, Tensor, float, float]]
 probabilities (b, C), and the sums of expected counts and of the photons that arrive."""
 
 
-def guesses(design: Design, front: Any) -> Callable[[Tensor], Guess]:
-    """Answers of a design to exposures of scenes (b, N)."""
+def _answering(design: Design, front: Any, x: Tensor) -> Guess:
+    """Rule that exposes scenes (b, N) and answers their classes."""
+    rates = design.rates(front, x)
 
-    def guess_of(x: Tensor) -> Guess:
-        rates = design.rates(front, x)
+    def guess(generator: torch.Generator, budget: float) -> tuple[Tensor, Tensor, float, float]:
+        seen = design.exposure.expose(front, rates, budget, generator)
+        answer = design.answer(seen, budget)
+        light = design.exposure.light(front, rates, seen, budget)
+        return answer.classes, answer.chances, light.counts, light.photons
 
-        def guess(generator: torch.Generator, budget: float) -> tuple[Tensor, Tensor, float, float]:
-            seen = design.exposure.expose(front, rates, budget, generator)
-            answer = design.answer(seen, budget)
-            light = design.exposure.light(front, rates, seen, budget)
-            return answer.classes, answer.chances, light.counts, light.photons
-
-        return guess
-
-    return guess_of
+    return guess
 
 
 def camera_for(
     design: Design, camera: CameraSource = None, **settings: Unpack[CameraSettings]
 ) -> Camera:
-    """Camera of a test, the design's own unless given, with other settings such as the noise."""
-    # A noise of its maker's own is code, which a file must not run: it is to be given
-    found = design.camera if camera is None else Camera.load(camera)
-    if "noise" not in settings and camera is None and found.noise_name not in get_args(NoiseName):
+    """Camera of a test, the design's own unless given.
+
+    Parameters
+    ----------
+    design : Design
+    camera : Camera, str, path or mapping, optional
+    settings
+        Fields in place of the camera's own, such as the noise.
+
+    Raises
+    ------
+    InputError
+        If a setting is none of a camera, or the design's noise is code of its maker's, which a file
+        must not run: it is to be given.
+    """
+    base = design.camera if camera is None else Camera.load(camera)
+    if "noise" not in settings and camera is None and base.noise_name not in get_args(NoiseName):
         raise InputError(
             "this design is for {noise_name} noise, code of its maker's that a file does not run: "
             "give {noise}, it or another",
             setting="noise",
-            noise_name=found.noise_name,
+            noise_name=base.noise_name,
         )
-    return Camera.load(found, **settings)
+    return Camera.load(base, **settings)
 
 
 @dataclass(frozen=True)
@@ -160,64 +185,45 @@ class Conditions:
     covers: str = COVERS
 
 
-def test_scenes(
-    data: Dataset,
-    guess_of: Callable[[Tensor], Guess],
-    conditions: Conditions,
-    shares: Tensor,
-    *,
-    report: Progress,
-) -> list[Result]:
-    """Results of the answers of a rule to the test scenes of a data set, at each budget."""
-
-    def answers(classes: np.ndarray, chances: np.ndarray, **exposures: Any) -> ClassAnswers:
-        return ClassAnswers(classes=classes, chances=chances, **exposures)
-
-    every = _expose_scenes(
-        data, guess_of, answers, conditions=conditions, shares=shares, report=report
-    )
-    return ResultList(map(Result.of, every))
-
-
-def estimate_scenes(
-    design: Design, scanner: Scanner, data: Dataset, conditions: Conditions, *, report: Progress
-) -> list[ValueAnswers]:
-    """Estimates of the values of the test scenes of a data set, at each budget."""
+def _estimating(
+    design: Design, scanner: Scanner, x: Tensor
+) -> Callable[[torch.Generator, float], tuple[Tensor, float, float]]:
+    """Rule that exposes scenes (b, N) and estimates their values, as `Guess` does their classes."""
     values = design.values
     assert values is not None
+    rates = design.rates(scanner, x)
 
-    def estimate_of(x: Tensor) -> Callable[[torch.Generator, float], tuple[Tensor, float, float]]:
-        rates = design.rates(scanner, x)
+    def estimate(generator: torch.Generator, budget: float) -> tuple[Tensor, float, float]:
+        seen = design.exposure.expose(scanner, rates, budget, generator)
+        light = design.exposure.light(scanner, rates, seen, budget)
+        return values.estimated(design.logits_of(seen, budget)), light.counts, light.photons
 
-        def estimate(generator: torch.Generator, budget: float) -> tuple[Tensor, float, float]:
-            seen = design.exposure.expose(scanner, rates, budget, generator)
-            light = design.exposure.light(scanner, rates, seen, budget)
-            return values.estimated(design.logits_of(seen, budget)), light.counts, light.photons
-
-        return estimate
-
-    def answers(estimates: np.ndarray, **exposures: Any) -> ValueAnswers:
-        bound = linear_bound(design, scanner, data, exposures["photons"])
-        return ValueAnswers(estimates=estimates, names=values.names, bound=bound, **exposures)
-
-    shares = design.shares.view(design.masks, -1).sum(dim=1)
-    return _expose_scenes(
-        data, estimate_of, answers, conditions=conditions, shares=shares, report=report
-    )
+    return estimate
 
 
-def _expose_scenes(
+def expose_scenes(
     data: Dataset,
     answer_of: Callable[[Tensor], Callable[[torch.Generator, float], Any]],
-    answers: Callable[..., AnyAnswers],
-    *,
     conditions: Conditions,
     shares: Tensor,
+    *,
+    kind: type[AnyAnswers],
     report: Progress,
 ) -> list[AnyAnswers]:
-    """Answers at each budget, made of what a rule gives of the test scenes in each exposure.
+    """Answers to the test scenes of a data set at each budget.
 
-    That are tensors (b, …), arguments of `answers`, and sums of expected counts and of photons.
+    Parameters
+    ----------
+    data : Dataset
+    answer_of : callable
+        Gives for scenes (b, N) what exposes them once: outputs (b, …), which are those of `kind` in
+        their order, and sums of expected counts and of photons.
+    conditions : Conditions
+    shares : tensor, shape (m,)
+        Of the budget that each mask counts.
+    kind : type
+        Of the answers.
+    report : Progress
     """
     budgets = conditions.budgets
     generators = [torch.Generator(shares.device).manual_seed(conditions.seed) for _ in budgets]
@@ -238,7 +244,7 @@ def _expose_scenes(
             report(done / len(chunks))
     means = light / (conditions.draws * len(data.x_test))
     return [
-        answers(
+        kind(
             *(np.concatenate(parts) for parts in zip(*exposures, strict=True)),
             photons=budget,
             noise=conditions.noise,
@@ -284,7 +290,14 @@ def check_data(design: Design, data: Dataset) -> None:
 
 
 def check_draws(draws: object, seed: object) -> None:
-    """Raise `InputError` unless so many noise draws can be had from that seed."""
+    """Raise `InputError` unless so many noise draws can be had from that seed.
+
+    Parameters
+    ----------
+    draws : object
+        Noise draws of each scene.
+    seed : object
+    """
     whole = int, np.integer
     if not isinstance(seed, whole) or not 0 <= seed < 2**63:
         raise InputError(f"seed {seed} is not allowed: give a whole number from 0 to 2⁶³ − 1")

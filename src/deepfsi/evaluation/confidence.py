@@ -224,8 +224,24 @@ def logits_at_stops(
     seed: int,
     places: Sequence[int] | None = None,
 ) -> np.ndarray:
-    """Logits (K, E, C) of exposures at some stops, or all; draws of a scene follow one another."""
-    # x (n, N); places from 0
+    """Logits (K, E, C) of exposures at some stops, or all; draws of a scene follow one another.
+
+    Parameters
+    ----------
+    design : Design
+    front
+        As of `Exposed`.
+    x : array, shape (n, N)
+        Scenes.
+    photons : float
+        Budget Φ.
+    draws : int
+        Exposures of each scene.
+    seed : int
+        Of the noise.
+    places : sequence of int, optional
+        Stops, from 0.
+    """
     exposure = design.exposure
     generator = torch.Generator(exposure.device).manual_seed(seed)
     if exposure.own_draws:

@@ -18,9 +18,9 @@ from deepfsi.camera import check_budget, summed_reflectance
 from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.design import Design
 from deepfsi.designfile import new_scenes
-from deepfsi.evaluation.accuracy import Conditions, Guess, check_data, check_draws, test_scenes
+from deepfsi.evaluation.accuracy import Conditions, Guess, check_data, check_draws, expose_scenes
 from deepfsi.exposure.posterior import class_chances
-from deepfsi.measures import Result
+from deepfsi.measures import ClassAnswers, Result, ResultList
 from deepfsi.networks.values import check_classes
 from deepfsi.physics import Scanner, library_defaults
 
@@ -181,7 +181,8 @@ def ideal_observer(
             return guess
 
         conditions = Conditions(budgets, draws, seed, noise="poisson")
-        return test_scenes(scenes, guess_of, conditions, shares, report=bar)
+        answers = expose_scenes(scenes, guess_of, conditions, shares, kind=ClassAnswers, report=bar)
+        return ResultList(map(Result.of, answers))
 
 
 def _check_design(design: Design, data: Dataset) -> None:

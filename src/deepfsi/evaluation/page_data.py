@@ -28,7 +28,7 @@ from deepfsi.networks.classifiers import Mlp
 from deepfsi.networks.values import check_classes
 from deepfsi.physics import SLACK, library_defaults
 
-BUDGETS = tuple(float(f"{10**power:.3g}") for power in np.arange(1, 7.1, 0.5))
+SLIDER_BUDGETS = tuple(float(f"{10**power:.3g}") for power in np.arange(1, 7.1, 0.5))
 """Budgets at which the accuracy is measured, the whole range of the page's slider."""
 
 SCENES = 30
@@ -48,23 +48,46 @@ LARGEST_SHORT = 2**16 - 1
 def playable(
     design: Design, data: Dataset, *, draws: int = 1, seed: int = 0, report: Progress = SILENT
 ) -> dict[str, Any]:
-    """Payload of a page: JSON types only."""
+    """Payload of a page: JSON types only.
+
+    Parameters
+    ----------
+    design : Design
+    data : Dataset
+        Of its training.
+    draws : int
+        Noise draws of each scene by which the accuracy is measured.
+    seed : int
+        Of the noise, and of the scenes that the page has.
+    report : Progress
+        Where to say how far it is.
+
+    Raises
+    ------
+    InputError
+        If no page can play the design, or the data does not fit it.
+    """
     check_playable(design)
     check_data(design, data)
     fresh, _ = new_scenes(design.training_scenes, data)
-    trained, budgets, tested = design.trained_budgets, BUDGETS, fresh
-    whole = design
+    tested = fresh
+    trained = design.trained_budgets
+    inside = [each for each in trained or () if SLIDER_BUDGETS[0] <= each <= SLIDER_BUDGETS[-1]]
     if design.exposure.makes_masks:
-        design, budgets, tested = of_page(design, seed), BUDGETS[::2], few_tests(fresh, seed)
-    own = _posterior(design, whole) if design.exposure.makes_masks else _networks(design)
-    inside = [each for each in trained or () if BUDGETS[0] <= each <= BUDGETS[-1]]
-    measured = sorted({*budgets, *inside})
+        budgets = sorted({*SLIDER_BUDGETS[::2], *inside})
+        tested = few_tests(fresh, seed)
+        whole = design
+        design = of_page(whole, seed)
+        optics = _posterior(design, whole)
+    else:
+        budgets = sorted({*SLIDER_BUDGETS, *inside})
+        optics = _networks(design)
     results = evaluate(
-        design, tested, measured, draws=draws, seed=seed, report=report.between(0, 0.8)
+        design, tested, budgets, draws=draws, seed=seed, report=report.between(0, 0.8)
     )
     rules = _rules(design, data, seed, report.between(0.8, 1))
     return {
-        **own,
+        **optics,
         "name": design.name,
         "image_shape": design.image_shape,
         "classes": design.classes,
@@ -90,7 +113,14 @@ def playable(
 
 
 def of_page(design: Design, seed: int = 0) -> Design:
-    """The design as a page plays it: it knows some of its scenes, and no exposure stops early."""
+    """The design as a page plays it: it knows some of its scenes, and no exposure stops early.
+
+    Parameters
+    ----------
+    design : Design
+    seed : int
+        Of the choice of scenes.
+    """
     return replace(design, exposure=design.prior_exposure.few(COEFFICIENTS, seed))
 
 
@@ -136,29 +166,32 @@ def _classifier(design: Design) -> Mlp:
 
 def pack(values: np.ndarray) -> dict[str, Any]:
     """An array of float32, uint16 or int8, for JSON."""
-    kinds = {np.dtype(np.uint16): "<u2", np.dtype(np.int8): "<i1"}
-    kept = np.ascontiguousarray(values, kinds.get(values.dtype, "<f4"))
-    planes = kept.reshape(-1).view(np.uint8).reshape(-1, kept.itemsize).T
-    deflated = zlib.compress(planes.tobytes(), 9)
-    text = base64.b64encode(deflated).decode()
-    return {"shape": values.shape, "bytes": kept.itemsize, "planes": text}
+    types = {np.dtype(np.uint16): "<u2", np.dtype(np.int8): "<i1"}
+    content = np.ascontiguousarray(values, types.get(values.dtype, "<f4"))
+    planes = content.reshape(-1).view(np.uint8).reshape(-1, content.itemsize).T
+    text = base64.b64encode(zlib.compress(planes.tobytes(), 9)).decode()
+    return {"shape": values.shape, "bytes": content.itemsize, "planes": text}
 
 
 def _networks(design: Design) -> dict[str, Any]:
     """Masks that are known, and the networks that read their counts."""
     # Of two rails the difference M⁺ − M⁻ is kept, and their sum where it is not |M|
-    rails, chooser = design.rails, design.mask_exposure.network
+    rails = design.rails
+    chooser = design.mask_exposure.network
     difference, total = (each.cpu().numpy() for each in (rails.difference, rails.total))
     sums = None
     if rails.count == 2 and not np.array_equal(total, np.abs(difference)):
         flat = np.ptp(total, axis=1).max() < SLACK * total.max()
         sums = pack(total.mean(axis=1, keepdims=True) if flat else total)
+    scanner = design.front_end(design.camera)
+    dark = scanner.noise.settings.get("dark", 0.0)  # of a detector in an exposure
     return {
         "summed_reflectance": design.summed_reflectance,
         "light": design.light,
         "rails": rails.count,
         "readout": design.detection.readout,
-        **_dark(design),
+        "dark": dark,
+        "dark_counts": pack(scanner.dark_counts(rails.count).cpu().numpy()) if dark else None,
         "matrix": pack(difference),
         "total": sums,
         "mean": pack(design.mean.cpu().numpy()),
@@ -172,28 +205,20 @@ def _networks(design: Design) -> dict[str, Any]:
     }
 
 
-def _dark(design: Design) -> dict[str, Any]:
-    """Dark counts of a detector in an exposure, and of each readout."""
-    scanner = design.front_end(design.camera)
-    dark = scanner.noise.settings.get("dark", 0.0)
-    each = pack(scanner.dark_counts(design.rails.count).cpu().numpy()) if dark else None
-    return {"dark": dark, "dark_counts": each}
-
-
 def _posterior(design: Design, whole: Design) -> dict[str, Any]:
-    """Looks of adaptive masks, and the scenes that a page knows, of those of the whole design."""
+    """Looks of adaptive masks as a page plays them, and which scenes of the whole design it has."""
     exposure = design.prior_exposure
-    optics, prior = exposure.optics_at(1.0), exposure.prior
-    arrays = prior.arrays
+    prior = exposure.prior
+    optics = exposure.optics_at(1.0)
     names = ("mean", "components", "steps", "levels", "members")
     return {
         "summed_reflectance": prior.summed_reflectance,
-        "light": exposure.camera.light,
+        "light": design.camera.light,
         "rails": optics.arms,
         "dark": optics.dark,
         "shares": exposure.settings.shares,
-        "counted": exposure.shares.tolist(),
-        "prior": {name: pack(arrays[name]) for name in names}  # whole numbers as float32
+        "counted": design.shares.tolist(),
+        "prior": {name: pack(prior.arrays[name]) for name in names}  # whole numbers as float32
         | {
             "sizes": prior.sizes,
             "spread": prior.spread,
@@ -207,12 +232,15 @@ def _posterior(design: Design, whole: Design) -> dict[str, Any]:
     }
 
 
-def _temperatures(known: Temperatures | None) -> dict[str, Any] | None:
+def _temperatures(fitted: Temperatures | None) -> dict[str, Any] | None:
     """Calibration of the probabilities, and the lowest light that is not too little."""
-    if known is None:
+    if fitted is None:
         return None
-    logs, budgets = known.logs.tolist(), known.budgets.tolist()
-    return {"logs": logs, "budgets": budgets, "dimmest": known.dimmest}
+    return {
+        "logs": fitted.logs.tolist(),
+        "budgets": fitted.budgets.tolist(),
+        "dimmest": fitted.dimmest,
+    }
 
 
 def _layers(network: Mlp) -> list[dict[str, Any]]:
@@ -227,34 +255,35 @@ def _rules(design: Design, data: Dataset, seed: int, report: Progress) -> list[d
         _ = design.exposure.stops
     except InputError:
         return []
-    held = rule_of(design)
-    if held is not None:
-        return [held.as_dict()]
+    rule = rule_of(design)
+    if rule is not None:
+        return [rule.as_dict()]
     if design.exposure.makes_masks:
         return []
-    known, trained = trained_on(design.info), design.trained_budgets
-    if known is None or not known.held_out or not known.is_of(data) or trained is None:
+    training = trained_on(design.info)
+    trained = design.trained_budgets
+    if training is None or not training.held_out or not training.is_of(data) or trained is None:
         return []
     decades = np.log10(trained[1] / trained[0])
     budgets = np.geomspace(*trained, 1 + int(np.ceil(decades - 1e-9))).tolist()
     rules = []
-    for place, budget in enumerate(budgets):
-        found = stop(design, data, budget, draws=1, seed=seed)
-        rules.append(found.rule.as_dict())
-        report((place + 1) / len(budgets))
+    for done, budget in enumerate(budgets, start=1):
+        rules.append(stop(design, data, budget, draws=1, seed=seed).rule.as_dict())
+        report(done / len(budgets))
     return rules
 
 
 def _scenes(data: Dataset, seed: int) -> dict[str, Any]:
     """Test scenes as levels of the range that training scenes have, of each class in turn."""
-    low, high = float(data.x_train.min()), float(data.x_train.max())
+    low = float(data.x_train.min())
+    high = float(data.x_train.max())
     rng = np.random.default_rng(seed)
     queues = [rng.permutation(np.flatnonzero(data.y_test == k)) for k in range(len(data.classes))]
     turns = [queue[turn] for turn in range(SCENES) for queue in queues if turn < len(queue)]
     rows = np.array(sorted(turns[:SCENES], key=lambda row: (data.y_test[row], row)))
     share = (data.x_test[rows] - low) / max(high - low, 1e-9)
     levels = np.rint(share.clip(0, 1) * LARGEST_SHORT).astype(np.uint16)
-    known, sums = data.wavelengths, data.x_train.sum(axis=1, dtype=float)
+    sums = data.x_train.sum(axis=1, dtype=float)
     return {
         "clearest": _clearest(data, rows),
         "sums": [float(sums.min()), float(sums.max())],
@@ -263,7 +292,9 @@ def _scenes(data: Dataset, seed: int) -> dict[str, Any]:
         "high": high,
         "levels": pack(levels),
         "labels": data.y_test[rows].tolist(),
-        "wavelengths": None if known is None else np.nan_to_num(known, nan=-1).tolist(),
+        "wavelengths": None
+        if data.wavelengths is None
+        else np.nan_to_num(data.wavelengths, nan=-1).tolist(),
     }
 
 
@@ -272,6 +303,6 @@ def _clearest(data: Dataset, rows: np.ndarray) -> int:
     kinds = np.unique(data.y_train)
     means = np.stack([data.x_train[data.y_train == kind].mean(axis=0) for kind in kinds])
     far = ((data.x_test[rows][:, None] - means) ** 2).sum(axis=2)
-    own = kinds == data.y_test[rows][:, None]
-    nearest, other = (np.where(each, far, np.inf).min(axis=1) for each in (own, ~own))
+    true = kinds == data.y_test[rows][:, None]
+    nearest, other = (np.where(each, far, np.inf).min(axis=1) for each in (true, ~true))
     return int(np.argmin(nearest / other))

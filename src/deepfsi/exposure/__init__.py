@@ -1,1 +1,36 @@
 """What is shown when, and what it tells: a kind of exposure each."""
+
+from deepfsi.exposure.adaptive import AdaptiveExposure, AdaptiveTraining, prior_of
+from deepfsi.exposure.fixed import FixedExposure
+from deepfsi.exposure.kinds import KINDS, build
+from deepfsi.exposure.prior import ScenePrior
+from deepfsi.exposure.trained import Clicks, TrainedMasks
+from deepfsi.exposure.training import CHUNK, ExposureTraining, JobGroup, matrix_seeds
+from deepfsi.exposure.training_set import (
+    Draws,
+    Matrices,
+    TrainingSet,
+    dtypes,
+    network_dtype,
+)
+
+__all__ = [
+    "CHUNK",
+    "KINDS",
+    "AdaptiveExposure",
+    "AdaptiveTraining",
+    "Clicks",
+    "Draws",
+    "ExposureTraining",
+    "FixedExposure",
+    "JobGroup",
+    "Matrices",
+    "ScenePrior",
+    "TrainedMasks",
+    "TrainingSet",
+    "build",
+    "dtypes",
+    "matrix_seeds",
+    "network_dtype",
+    "prior_of",
+]

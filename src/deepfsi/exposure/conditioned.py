@@ -19,10 +19,12 @@ from torch import Tensor
 from torch.nn import functional
 
 from deepfsi.base import InputError
-from deepfsi.camera import LIGHT_LAWS, LightLawName
+from deepfsi.camera import LIGHT_LAWS
 from deepfsi.exposure.trained import UNTRAINED, MaskExposure, Observation, Stops, TrainedMasks
-from deepfsi.jobs import ConditionedEntry, Job
-from deepfsi.physics import Rails, Scanner, light_law
+from deepfsi.exposure.training import ExposureTraining, JobGroup, standardise
+from deepfsi.exposure.training_set import Draws, side_by_side
+from deepfsi.jobs import ConditionedEntry
+from deepfsi.physics import FixedMasks, Rails, Scanner, light_law, ml_gauss_features
 
 ALL_MASKS_SHARE = 0.25
 """Share of the exposures of nested masks in training that show all of them."""
@@ -50,35 +52,10 @@ class ConditionedExposure(MaskExposure):
         every = {name: value for name, value in vars(self).items() if name != "optics"}
         return ConditionedEntry(**every)
 
-    @classmethod
-    def begin(
-        cls, job: Job, image_shape: tuple[int, ...], seed: torch.Generator
-    ) -> "ConditionedExposure":
-        """One whose classifier is told budget and masks; parameters as of the base class."""
-        span, fewest = job.exposure.highest(1.0), getattr(job.exposure, "nested", 0)
-        width = job.features(image_shape) // job.masks
-        return cls(job.photons, span, job.masks, fewest, width)
-
     def check_masks(self) -> None:
         """Raise `ValueError` unless the masks can be exposed so."""
         if self.count > self.masks:
             raise ValueError("more masks than in the whole sequence")
-
-    def final(self, rails: Tensor, light: LightLawName) -> Tensor:
-        """Nested masks take the whole of their light law, by one common factor.
-
-        So they are trained, however many of them are shown.
-        """
-        if not self.nested:
-            return rails
-        return rails / light_law(light).used(rails)[..., -1:][..., None, None]
-
-    def drawn(self, rails: Tensor, light: LightLawName) -> tuple[Tensor, Tensor]:
-        """Noise of each feature in the mean over budgets and masks shown, and how often."""
-        used = light_law(light).used(rails)
-        each = mean_over_exposures(used, self.span, self.chances.to(used))
-        later, often = (part.repeat_interleave(self.width, dim=-1) for part in each)
-        return later, often
 
     def input_count(self, features: int) -> int:
         """Number of the classifier's inputs, whatever number of masks is shown."""
@@ -171,3 +148,80 @@ def mean_over_exposures(used: Tensor, span: float, chances: Tensor) -> tuple[Ten
     later = (chances * used / used[..., -1:]).flip(-1).cumsum(-1).flip(-1)
     often = chances.flip(-1).cumsum(-1).flip(-1)
     return dim * later / often, often
+
+
+class ConditionedTraining(ExposureTraining):
+    """Masks of which each scene has a budget and a number of its own in each step.
+
+    The fewer masks share the light, the more each has. The gradient includes the light that a mask
+    takes from later ones.
+    """
+
+    exposures: list[ConditionedExposure]
+
+    def __init__(self, group: JobGroup) -> None:
+        super().__init__(group)
+        span = self.job.exposure.highest(1.0)
+        nested = getattr(self.job.exposure, "nested", 0)
+        width = self.input_count // self.job.masks
+        self.exposures = [
+            ConditionedExposure(job.photons, span, job.masks, nested=nested, width=width)
+            for job in self.jobs
+        ]
+        self.lowest = self.exposures[0]  # of the lowest budget
+        self.input_count = self.lowest.input_count(self.input_count)
+        self.brightened = self.learns and nested > 0
+        self.masks = (
+            self.learned_masks()
+            if self.learns
+            else self.fixed_masks(self.named_rails(group.matrix))
+        )
+
+    def prepare(self) -> None:
+        """Take the centred scenes."""
+        self.x, self.arranged = self.centred()
+        self.chances = self.lowest.chances.to(self.x.device)
+
+    def inputs(self, draws: Draws) -> Tensor:
+        """Features and conditioning inputs (B, R, k + 2)."""
+        rails = self.arranged()
+        masks = self.detection.read_of(rails).combined
+        parts = self.detection.count
+        used = self.law.used(rails.stacked)
+        whole = used[..., -1:]
+        used = used if self.brightened else used / whole
+        features = []
+        ratios = []
+        counts = []
+        for stream in draws.streams:
+            budget, shown = stream.exposures(self.lowest.span, self.chances)
+            ratio = budget / stream.of_jobs(used)[:, shown[:, 0, 0] - 1].T.unsqueeze(-1)
+            normal = stream.normal(masks.shape[-2] * parts) * stream.noise.unit / ratio.sqrt()
+            x = self.x.index_select(0, stream.with_mean)
+            of_seed = stream.of_jobs(masks, -3)
+            features.append(ml_gauss_features(x, of_seed, normal, False, parts=parts))
+            level = ratio * stream.of_jobs(whole) if self.brightened else ratio
+            ratios.append(level.expand(*features[-1].shape[:2], 1))
+            counts.append(stream.repeated(shown))
+        number = side_by_side(counts)
+        seen = side_by_side(features)
+        scaled = standardise(seen, self.scale, first(seen.shape[-1], number * self.lowest.width))
+        return self.lowest.inputs(scaled, side_by_side(ratios), number)
+
+    def fix(self) -> None:
+        """Nested masks take the whole of their light law at the end, by one common factor.
+
+        So they are trained, however many of them are shown.
+        """
+        if not self.brightened:
+            super().fix()
+            return
+        rails = self.all_pixels()
+        self.masks = FixedMasks(rails / self.law.used(rails)[..., -1:][..., None, None])
+
+    def finish(self) -> list[MaskExposure]:
+        """Masks of each job, with statistics over budgets and numbers of masks shown, too."""
+        used = self.law.used(self.masks().stacked)
+        noise = mean_over_exposures(used, self.lowest.span, self.lowest.chances.to(used))
+        later, often = (each.repeat_interleave(self.lowest.width, dim=-1) for each in noise)
+        return self.trained(self.statistics((later, often)))

@@ -1,30 +1,39 @@
-"""Behaviour of each kind of exposure that a job asks for, and its beginning before a training."""
+"""Kinds of exposure by what a job or a file asks for: how each trains, and what it becomes."""
 
-import torch
+from collections.abc import Callable
 
-from deepfsi.exposure.conditioned import ConditionedExposure
-from deepfsi.exposure.looks import LooksExposure
-from deepfsi.exposure.passing import PassingExposure
-from deepfsi.exposure.trained import FixedExposure, MaskExposure, PatchExposure
-from deepfsi.jobs import Exposure, Fixed, Job, Looks, Nested, Passing, Patches, Range
+from deepfsi.exposure.conditioned import ConditionedExposure, ConditionedTraining
+from deepfsi.exposure.fixed import FixedExposure, fixed_training
+from deepfsi.exposure.looks import LooksExposure, LooksTraining
+from deepfsi.exposure.passing import PassingExposure, PassingTraining
+from deepfsi.exposure.patches import PatchExposure, PatchTraining
+from deepfsi.exposure.trained import MaskExposure
+from deepfsi.exposure.training import ExposureTraining, JobGroup
+from deepfsi.jobs import Exposure, Fixed, Looks, Nested, Passing, Patches, Range
 
-TRAINED_KINDS: dict[type[Exposure], type[MaskExposure]] = {
-    Fixed: FixedExposure,
-    Range: ConditionedExposure,
-    Nested: ConditionedExposure,
-    Looks: LooksExposure,
-    Patches: PatchExposure,
-    Passing: PassingExposure,
+TRAININGS: dict[type[Exposure], Callable[[JobGroup], ExposureTraining]] = {
+    Fixed: fixed_training,
+    Range: ConditionedTraining,
+    Nested: ConditionedTraining,
+    Looks: LooksTraining,
+    Patches: PatchTraining,
+    Passing: PassingTraining,
 }
-"""What exposures of each kind become by a training."""
+"""Training of the masks of each kind of exposure."""
 
-KIND_OF_ENTRY = {kind.kind: kind for kind in TRAINED_KINDS.values()}
-"""What a design does with the masks of its file, by the kind of their entry."""
+KINDS: dict[str, type[MaskExposure]] = {
+    kind.kind: kind
+    for kind in (
+        FixedExposure,
+        ConditionedExposure,
+        LooksExposure,
+        PatchExposure,
+        PassingExposure,
+    )
+}
+"""Exposure of the masks of a design file, by the kind of their entry."""
 
 
-def begin(job: Job, image_shape: tuple[int, ...], seed: torch.Generator) -> MaskExposure:
-    """The exposure of a design that is to be trained on scenes of a shape.
-
-    Where it has a network of its own, that is untrained.
-    """
-    return TRAINED_KINDS[type(job.exposure)].begin(job, image_shape, seed)
+def build(group: JobGroup) -> ExposureTraining:
+    """Masks of jobs before their training, and networks beside the classifiers."""
+    return TRAININGS[type(group.jobs[0].exposure)](group)

@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 
 from deepfsi.base import InputError
-from deepfsi.camera import LIGHT_LAWS, Camera, LightLawName, share_out
+from deepfsi.camera import LIGHT_LAWS, Camera, share_out
 from deepfsi.exposure.trained import (
     UNTRAINED,
     Counting,
@@ -31,9 +31,11 @@ from deepfsi.exposure.trained import (
     TrainedMasks,
     Use,
 )
-from deepfsi.jobs import LARGEST_SCORE, ExposureEntry, Job, Looks, LooksEntry
-from deepfsi.networks.classifiers import Mlp, restored
-from deepfsi.physics import LearnedMasks, Scanner, light_law, through
+from deepfsi.exposure.training import ExposureTraining, JobGroup, deviation
+from deepfsi.exposure.training_set import Draws, SeedStream, network_dtype
+from deepfsi.jobs import LARGEST_SCORE, ExposureEntry, Looks, LooksEntry
+from deepfsi.networks.classifiers import Mlp, Replicas, restored
+from deepfsi.physics import FixedMasks, LearnedMasks, Scanner, light_law, project, through
 
 Choose = Callable[[Tensor], Tensor]
 """From inputs (..., k + q + 1) to the scores (..., q) of dwells."""
@@ -84,18 +86,6 @@ class LooksExposure(MaskExposure):
         made.check_masks()
         return made
 
-    @classmethod
-    def begin(
-        cls, job: Job, image_shape: tuple[int, ...], seed: torch.Generator
-    ) -> "LooksExposure":
-        """One whose network chooses dwells; parameters as of the base class."""
-        assert isinstance(job.exposure, Looks)
-        camera = job.optics
-        dwells = Dwells.of(job.masks, camera.light, camera.rails)
-        inputs = job.features(image_shape) + dwells.count + 1
-        network = Mlp(inputs, dwells.count, job.training.hidden, 0.0, seed)
-        return cls(dwells, network, job.exposure.looks, camera.shortest_share)
-
     def to(self, device: str | torch.device) -> "LooksExposure":
         """The kind on a device."""
         return replace(super().to(device), network=self.network.to(device))
@@ -106,23 +96,6 @@ class LooksExposure(MaskExposure):
         equal = light_law(light).has_equal_dwells(self.optics.rails.stacked)
         if not (equal and LIGHT_LAWS[light].looks):
             raise ValueError("dwells are chosen for frames of one device that all have the same")
-
-    def learned_masks(self, start: Tensor, camera: Camera, levels: int) -> LearnedMasks:
-        """Masks that learn as frames of equal dwells: theirs are chosen later."""
-        law = light_law(camera.light).of_equal_dwells
-        masks = LearnedMasks(start, law.name, camera.rails, levels)
-        if law.dwells_of_mask(camera.rails):
-            masks.dwell.requires_grad_(False)  # equal from the start
-        return masks
-
-    def final(self, rails: Tensor, light: LightLawName) -> Tensor:
-        """Rails of equal dwells, at the end only."""
-        # The gradient of that would take from lit mirrors what they share
-        return self.fixed(rails, light)
-
-    def fixed(self, rails: Tensor, light: LightLawName) -> Tensor:
-        """Rails of which every frame has the same dwell and peak."""
-        return light_law(light).equalise(rails)
 
     def input_count(self, features: int) -> int:
         """Number of the classifier's inputs: features and dwells."""
@@ -247,3 +220,87 @@ class LooksExposure(MaskExposure):
                 "dwells go with a design that chooses them, and only with it: give dwell, or use "
                 "`classify_live`"
             )
+
+
+class LooksTraining(ExposureTraining):
+    """Masks of equal dwells, and networks that choose dwells from the counts so far."""
+
+    exposures: list[LooksExposure]
+
+    def __init__(self, group: JobGroup) -> None:
+        super().__init__(group)
+        camera = self.camera
+        asked = self.job.exposure
+        device = self.scenes.device
+        assert isinstance(asked, Looks)
+        dwells = Dwells.of(self.job.masks, camera.light, camera.rails)
+        inputs = self.input_count + dwells.count + 1
+        hidden = self.job.training.hidden
+        seeds = [torch.Generator(device).manual_seed(job.seed) for job in self.jobs]
+        networks = [Mlp(inputs, dwells.count, hidden, generator=seed) for seed in seeds]
+        self.exposures = [
+            LooksExposure(dwells, network, asked.looks, shortest=camera.shortest_share)
+            for network in networks
+        ]
+        self.dwells = dwells
+        self.input_count = self.exposures[0].input_count(self.input_count)
+        self.choose = Replicas(networks, device.type == "cuda", network_dtype(self.job, device))
+        if not self.learns:
+            self.masks = self.fixed_masks(self.law.equalise(self.named_rails()))
+            return
+        # as frames of equal dwells: theirs are chosen later
+        law = self.law.of_equal_dwells
+        masks = LearnedMasks(self.start(), law.name, camera.rails, self.levels)
+        if law.dwells_of_mask(camera.rails):
+            masks.dwell.requires_grad_(False)  # equal from the start
+        self.masks = masks.to(device)
+
+    def prepare(self) -> None:
+        """Take the centred scenes."""
+        self.x, self.arranged = self.centred()
+
+    def inputs(self, draws: Draws) -> Tensor:
+        """Features and dwells (K · B, R, k + q) after each of K looks."""
+        masks = self.arranged()
+        rails = masks.stacked
+        detection = self.detection
+        usual = detection.readouts(masks)
+        dwells = self.dwells
+
+        def products_of(stream: SeedStream) -> Tensor:
+            x = self.x.index_select(0, stream.with_mean)
+            return stream.repeated(project(x, stream.of_jobs(rails), detection.count))
+
+        products = draws.side_by_side(products_of)
+        centred = products[:-1]
+        middle = products[-1]
+        light = centred + middle
+        mean = detection.features(middle)
+        power = detection.features(centred).square().mean(dim=0)
+        std = deviation(power + detection.totals(middle) / self.noise.gain, self.scale)
+
+        def read(dwell: Tensor) -> tuple[Tensor, Tensor]:
+            rates = dwells.scaled(light, dwell)
+            expected = detection.features(rates)
+            sums = detection.totals(rates)
+
+            def counted(stream: SeedStream) -> Tensor:
+                jobs = stream.replicas
+                readouts = stream.readouts(usual)
+                if stream.noise.kind.facts.dark:
+                    share = dwells.scaled(torch.ones_like(light[:, jobs]), dwell[:, jobs])
+                    readouts = readouts.lasting(share, detection)
+                pair = expected[:, jobs], sums[:, jobs]
+                return stream.noise.features(*pair, readouts, stream.normal)
+
+            return draws.side_by_side(counted), dwell
+
+        start = mean.expand(len(light), *mean.shape)
+        looks = self.exposures[0].expose_live(read, start, std, self.choose)
+        return torch.cat([seen.inputs(mean, std) for seen in looks])
+
+    def fix(self) -> None:
+        """Masks that have learned get equal dwells at the end only."""
+        # The gradient of that would take from lit mirrors what they share
+        if self.learns:
+            self.masks = FixedMasks(self.law.equalise(self.all_pixels()))

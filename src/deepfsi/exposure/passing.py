@@ -6,12 +6,24 @@ from functools import cached_property
 from typing import ClassVar
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from deepfsi.exposure.trained import UNTRAINED, MaskExposure, Observation, TrainedMasks, Use
-from deepfsi.jobs import STATIC, ExposureEntry, Job, Passing, PassingEntry
+from deepfsi.exposure.training import (
+    CHUNK,
+    ExposureTraining,
+    FeatureStatistics,
+    JobGroup,
+    deviation,
+    matrix_seeds,
+    moments,
+    standardise,
+)
+from deepfsi.exposure.training_set import Draws, SeedStream
+from deepfsi.jobs import STATIC, ExposureEntry, Passing, PassingEntry
 from deepfsi.physics import (
     FixedPattern,
+    LearnedPattern,
     NoiseFunction,
     Rails,
     Scanner,
@@ -82,24 +94,6 @@ class PassingExposure(MaskExposure):
         made.check_masks()
         return made
 
-    @classmethod
-    def begin(
-        cls, job: Job, image_shape: tuple[int, ...], seed: torch.Generator
-    ) -> "PassingExposure":
-        """One whose pattern is not known yet; parameters as of the base class."""
-        asked = job.exposure
-        assert isinstance(asked, Passing)
-        height, columns = image_shape
-        path = ScenePath(
-            shape=(height, columns),
-            width=asked.columns(image_shape),
-            bins=asked.bins,
-            speed=asked.speed,
-            jitter=asked.jitter,
-            speed_jitter=asked.speed_jitter,
-        )
-        return cls(path)
-
     @property
     def weights(self) -> dict[str, Tensor]:
         """The pattern, for the design file."""
@@ -110,11 +104,6 @@ class PassingExposure(MaskExposure):
         """The pattern (H, P) that scenes pass."""
         assert self.pattern is not None
         return self.pattern
-
-    def trained(self, masks: nn.Module, replica: int) -> "PassingExposure":
-        """The kind with the pattern of a training."""
-        assert isinstance(masks, FixedPattern)
-        return replace(self, pattern=masks.pattern[replica % len(masks.pattern)].clone())
 
     def to(self, device: str | torch.device) -> "PassingExposure":
         """The kind on a device."""
@@ -177,3 +166,95 @@ class PassingExposure(MaskExposure):
     def drawing(self) -> tuple[Tensor, tuple[int, ...]]:
         """The pattern as one row, and its shape."""
         return self.passed.flatten().unsqueeze(0), tuple(self.passed.shape)
+
+
+class PassingTraining(ExposureTraining):
+    """A pattern of each seed, and bins of scenes that pass it, at other places in each step."""
+
+    masks: FixedPattern | LearnedPattern
+
+    def __init__(self, group: JobGroup) -> None:
+        super().__init__(group)
+        asked = self.job.exposure
+        shape = self.scenes.data.image_shape
+        assert isinstance(asked, Passing)
+        height, width = shape
+        self.transit = ScenePath(
+            shape=(height, width),
+            width=asked.columns(shape),
+            bins=asked.bins,
+            speed=asked.speed,
+            jitter=asked.jitter,
+            speed_jitter=asked.speed_jitter,
+        )
+        seeds = [job.seed for job in self.jobs] if self.learns else matrix_seeds(self.jobs)
+        draws = [torch.Generator().manual_seed(seed) for seed in seeds]
+        size = height, self.transit.width
+        if self.learns:  # logits
+            start = torch.stack([torch.randn(size, generator=each) for each in draws])
+            self.masks = LearnedPattern(start, self.transit, self.levels).to(self.scenes.device)
+        else:  # ON and OFF
+            pattern = torch.stack([torch.rand(size, generator=each) for each in draws])
+            self.masks = FixedPattern(in_levels(pattern, 2), self.transit).to(self.scenes.device)
+
+    def prepare(self) -> None:
+        """Take the products of all scenes with a pattern that does not learn."""
+        scenes = self.scenes.full
+        self.read = self.transit.readouts(scenes.device)
+        if not self.learns:
+            shifts = self.transit.every_shift(self.masks.pattern)
+            self.products = torch.cat([project(x, shifts) for x in scenes.split(CHUNK)])
+
+    def inputs(self, draws: Draws) -> Tensor:
+        """Features (B, R, T), standardised in their batch."""
+        shifts = self.transit.every_shift(self.masks.pattern) if self.learns else None
+
+        def features(stream: SeedStream) -> Tensor:
+            if shifts is None:
+                every = stream.products(self.products)
+            else:
+                x = self.scenes.full.index_select(0, stream.rows)
+                every = project(x, stream.of_jobs(shifts, -3))
+            edges = self.transit.edges((len(every), 1), stream.generator, every.device)
+            expected = self.transit.means(every, edges) / self.transit.bins
+            if expected.shape[1] == 1:
+                expected = stream.repeated(expected)
+            return stream.noise.features(expected, expected, self.read, stream.normal)
+
+        drawn = draws.side_by_side(features)
+        return standardise(drawn - drawn.mean(dim=0), self.scale)
+
+    def fix(self) -> None:
+        """Take the pattern as it is at the end of the training."""
+        with torch.no_grad():
+            self.masks = FixedPattern(self.masks.pattern, self.transit)
+        patterns = self.masks.pattern
+        self.exposures = [
+            PassingExposure(self.transit, patterns[job % len(patterns)].clone())
+            for job in range(len(self.jobs))
+        ]
+
+    def finish(self) -> list[MaskExposure]:
+        """Pattern of each job, with the statistics of its bins over scenes, places and noise."""
+        transit = self.transit
+        noise = self.noise
+        scenes = self.scenes.full
+        shifts = transit.every_shift(self.masks.pattern)
+        read = transit.readouts(scenes.device)
+        generator = torch.Generator(scenes.device).manual_seed(self.job.seed)
+        light = []
+
+        def drawn() -> Iterator[Tensor]:
+            for x in scenes.split(CHUNK):
+                edges = transit.edges((len(x), 1), generator, x.device)
+                expected = transit.means(project(x, shifts), edges) / transit.bins
+                light.append(expected.sum(dim=0))
+                yield expected if noise.kind.unbiased else noise.counted(expected, expected, read)
+
+        mean, power = moments(drawn())
+        counts = torch.stack(light).sum(dim=0) / len(scenes)
+        if noise.kind.unbiased:
+            power = power + noise.variance(counts, counts, read)
+        std = deviation(power, self.scale)
+        light_of_jobs = counts.expand_as(std)
+        return self.trained(FeatureStatistics(mean.expand_as(std), std, light_of_jobs))

@@ -6,13 +6,12 @@ known before (`MaskExposure`); adaptive masks hold a prior of scenes, of which t
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import KW_ONLY, dataclass, replace
-from math import prod
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal, NamedTuple, Protocol, Self, TypeVar
 
 import numpy as np
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from deepfsi.base import InputError, as_input_error
 from deepfsi.camera import LIGHT_LAWS, Camera, LightLawName
@@ -20,16 +19,10 @@ from deepfsi.designfile import click_gates
 from deepfsi.jobs import (
     AdaptiveMasks,
     ExposureEntry,
-    FixedEntry,
-    Job,
-    Patches,
-    PatchesEntry,
-    cut_patches,
 )
 from deepfsi.networks.classifiers import Mlp
 from deepfsi.physics import (
     Detection,
-    LearnedMasks,
     NoiseFunction,
     Rails,
     Scanner,
@@ -701,112 +694,3 @@ class MaskExposure(ExposureKind):
             None where each readout is counted for its usual time.
         """
         return rates, None
-
-    # Training
-
-    @classmethod
-    def begin(cls, job: Job, image_shape: tuple[int, ...], seed: torch.Generator) -> "MaskExposure":
-        """The exposure of a design that is to be trained on scenes of a shape."""
-        return cls()
-
-    def trained(self, masks: nn.Module, replica: int) -> "MaskExposure":
-        """The kind with what it keeps of the masks after a training of several replicas."""
-        return self
-
-    def learned_masks(self, start: Tensor, camera: Camera, levels: int) -> LearnedMasks:
-        """Masks that learn from a matrix (R, m, N), under the camera's light law."""
-        return LearnedMasks(start, camera.light, camera.rails, levels, camera.shortest_share)
-
-    def final(self, rails: Tensor, light: LightLawName) -> Tensor:
-        """Rails (R, 2 or 1, m, N) at the end of the training, of learned ones."""
-        return rails
-
-    def fixed(self, rails: Tensor, light: LightLawName) -> Tensor:
-        """Rails (R, 2 or 1, m, N) of a named design, as this exposure shows them."""
-        return rails
-
-    def drawn(self, rails: Tensor, light: LightLawName) -> tuple[Tensor, Tensor] | None:
-        """Noise of each feature in the mean over exposures, and how often it is read."""
-        # As the statistics of a training take it; None where all exposures are alike
-        return None
-
-
-@dataclass(frozen=True, eq=False)
-class FixedExposure(MaskExposure):
-    """Exposure of which all masks are needed, each with its own dwell."""
-
-    _: KW_ONLY
-    optics: TrainedMasks = UNTRAINED
-    kind = "fixed"
-
-    def entry(self) -> FixedEntry:
-        """Entry of the design file's header."""
-        return FixedEntry()
-
-
-OF_PATCHES = (
-    "this design is of image patches, each with a detector of its own, which frames of one device "
-    "or one graph cannot: use Design.classify"
-)
-"""Why patches are not for frames, or a graph."""
-
-
-@dataclass(frozen=True, eq=False)
-class PatchExposure(MaskExposure):
-    """Exposure of fixed dwells, with a detector for each patch of an image.
-
-    Features have the shape (..., P, m), and a budget is of the whole image.
-    """
-
-    side: int  # of a patch, pixels
-    _: KW_ONLY
-    optics: TrainedMasks = UNTRAINED
-    kind = "patches"
-    comparable: ClassVar[bool] = False
-    refusals: ClassVar[dict[Use, str]] = {
-        "frames": OF_PATCHES,
-        "graph": OF_PATCHES,
-        "page": "this design is of image patches, each with a detector of its own, and a page "
-        "shows one device: give a design of whole scenes",
-    }
-
-    def entry(self) -> PatchesEntry:
-        """Entry of the design file's header."""
-        return PatchesEntry(side=self.side)
-
-    @classmethod
-    def begin(
-        cls, job: Job, image_shape: tuple[int, ...], seed: torch.Generator
-    ) -> "PatchExposure":
-        """One that cuts images in patches; parameters as of the base class."""
-        assert isinstance(job.exposure, Patches)
-        return cls(job.exposure.patch)
-
-    def check_masks(self) -> None:
-        """Raise `ValueError` unless the masks are of patches."""
-        height, width = self.image_shape
-        pixels = self.optics.rails.difference.shape[-1]
-        if pixels != self.side**2 or height % self.side or width % self.side:
-            raise ValueError("masks are not of a patch")
-
-    @property
-    def mask_shape(self) -> tuple[int, ...]:
-        """Shape of a mask, that of a patch."""
-        return self.side, self.side
-
-    def tokens(self, image_shape: tuple[int, ...]) -> int:
-        """Number of patches of an image."""
-        return prod(image_shape) // self.side**2
-
-    @property
-    def patch_axis(self) -> tuple[int, ...]:
-        """Axis (P,) of counts, in which patches follow row by row."""
-        return (self.tokens(self.image_shape),)
-
-    def rates(self, front: Scanner, scenes: Tensor) -> Tensor:
-        """Expected counts (..., P, rails, m) of the patches of images (..., H · W)."""
-        return super().rates(front, cut_patches(scenes, self.image_shape, self.side))
-
-    def budget(self, photons: Tensor) -> Tensor:
-        """Budget (..., 1) of an image: every patch has it."""
-        return photons[..., 0, :] if photons.ndim > 1 else photons

@@ -12,8 +12,8 @@ from deepfsi.base.numeric import LARGEST_TENSORS
 from deepfsi.camera import StopRule
 from deepfsi.design.design import Design
 from deepfsi.designfile import UNSURE
+from deepfsi.exposure.adaptive import squared_distance
 from deepfsi.exposure.choice import next_masks
-from deepfsi.exposure.misfit import squared_distance
 from deepfsi.exposure.posterior import AdaptivePosterior
 from deepfsi.hardware.light import Arrivals
 from deepfsi.hardware.live import (

@@ -57,20 +57,20 @@ class Answers:
         return values[order].reshape(len(self.truth), self.draws, *values.shape[1:])
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class ClassAnswers(Answers):
     """Answers that are classes.
 
     Attributes
     ----------
-    chances : array, shape (E, C)
-        Probability of each class.
     classes : array, shape (E,)
         Most probable class, which rounded probabilities may not tell from another.
+    chances : array, shape (E, C)
+        Probability of each class.
     """
 
-    chances: np.ndarray
     classes: np.ndarray
+    chances: np.ndarray
 
     @cached_property
     def true(self) -> np.ndarray:
@@ -118,7 +118,7 @@ class ClassAnswers(Answers):
         return auc_terms(self.by_scene(odds.astype(float)), self.truth == 1)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class ValueAnswers(Answers):
     """Answers that are estimates of values.
 
@@ -132,8 +132,8 @@ class ValueAnswers(Answers):
     """
 
     estimates: np.ndarray
-    names: tuple[str, ...]
-    bound: list[float] | None
+    names: tuple[str, ...] = ()
+    bound: list[float] | None = None
 
     @cached_property
     def squares(self) -> np.ndarray:

@@ -6,17 +6,40 @@ their noise alone, and products of scenes and masks serve all of them.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Protocol
 
 import torch
 from torch import Tensor
 
-from deepfsi.physics.detection import Readouts
+from deepfsi.physics.detection import Detection, Readouts
+from deepfsi.physics.masks import LearnedMasks
 from deepfsi.physics.noise import Expectation, Noise
-from deepfsi.physics.scanner import project
+from deepfsi.physics.scanner import project, project_rails
 
 Normal = Callable[[int], Tensor]
 """From a number of features k to standard normal numbers (B, 1, k), the same for all trainings."""
+
+
+class SeedDraws(Protocol):
+    """Draws of a step, which the trainings of one seed share: R_i of all R."""
+
+    noise: "TrainingNoise"
+    """Of these trainings."""
+
+    rows: Tensor
+    """Scenes of the step, (B,)."""
+
+    with_mean: Tensor
+    """The same and the mean scene, (B + 1,)."""
+
+    def normal(self, count: int) -> Tensor:
+        """Normal numbers (B, 1, count)."""
+
+    def of_jobs(self, every: Tensor, axis: int = 0) -> Tensor:
+        """Part of these trainings in a tensor that has R or 1 of them along an axis."""
+
+    def readouts(self, every: Readouts) -> Readouts:
+        """Readouts of the masks of these trainings, among those of all."""
 
 
 @dataclass
@@ -96,6 +119,65 @@ class TrainingNoise:
             plus, minus = torch.stack(counts, dim=2)
         light = Expectation(mean, total, read, self.gain)
         return self.kind.gradient((plus - minus) / self.gain, light)
+
+    def learn(
+        self, scenes: Tensor, masks: LearnedMasks, detection: Detection, draws: Sequence[SeedDraws]
+    ) -> tuple[list[Tensor], list[tuple[Tensor, Tensor]]]:
+        """Centred features of a step's scenes behind masks that learn.
+
+        Parameters
+        ----------
+        scenes : tensor, shape (n + 1, N)
+            Centred scenes, and their mean as the last row, arranged as the masks are.
+        masks : LearnedMasks
+            Of all R trainings.
+        detection : Detection
+        draws : sequence of SeedDraws
+            Of each seed, in the order of the trainings.
+
+        Returns
+        -------
+        features : list of tensors, shape (B, R_i, k)
+            Of each seed.
+        light : list of pairs of tensors, shape (B, R_i, k)
+            Products x D and x S of each seed, under a noise that counts; else none.
+        """
+        parts = detection.count
+        features: list[Tensor] = []
+        light: list[tuple[Tensor, Tensor]] = []
+        if self.kind.counting:
+            # one of a user's own may have another mean than the rates: its features are centred in
+            # their batch
+            rails = masks()
+            read = detection.readouts(rails)
+            frames = detection.read_of(rails)
+            for seed in draws:
+                x = scenes.index_select(0, seed.with_mean)
+                mean, total = project_rails(x, frames.map(seed.of_jobs), parts)
+                light.append((mean[:-1] + mean[-1], total[:-1] + total[-1]))
+                counts = seed.noise.counted(*light[-1], seed.readouts(read))
+                middle = mean[-1] if self.kind.unbiased else counts.mean(dim=0)
+                features.append(counts - middle)
+            return features, light
+        if self.kind.of_light:
+            disjoint = masks.disjoint and detection.readout != "both"
+            signed = masks.matrix() if disjoint else detection.read_of(masks()).combined
+            for seed in draws:
+                x = scenes.index_select(0, seed.with_mean)
+                epsilon = seed.normal(signed.shape[-2] * parts) * seed.noise.unit
+                of_seed = seed.of_jobs(signed, -3)
+                features.append(ml_gauss_features(x, of_seed, epsilon, disjoint, parts=parts))
+            return features, light
+        rails = masks()
+        with torch.no_grad():
+            read = detection.readouts(rails)
+        difference = detection.read_of(rails).difference
+        for seed in draws:
+            mean = project(
+                scenes.index_select(0, seed.rows), seed.of_jobs(difference), detection.count
+            )
+            features.append(seed.noise.features(mean, mean, seed.readouts(read), seed.normal))
+        return features, light
 
     def expected(self, mean: Tensor, total: Tensor) -> Tensor:
         """Counts (R,) of an exposure, in the mean over noise and scenes, of products (B, R, k)."""

@@ -32,7 +32,7 @@ from deepfsi.jobs import REVISION, Job, find_job, sorted_settings
 from deepfsi.measures import Result
 from deepfsi.networks.values import check_classes
 from deepfsi.sweeps.cards import card
-from deepfsi.training.learning import learn
+from deepfsi.training import learn
 
 TRAINING_SHARE = 0.7
 """Share of the progress that the training of a design takes; the rest is its test."""

@@ -13,13 +13,20 @@ from deepfsi.base import SILENT, InputError, Progress
 from deepfsi.datasets import Dataset
 from deepfsi.design.design import Design
 from deepfsi.evaluation import camera_for, evaluate
-from deepfsi.exposure.training_set import Matrices, TrainingSet
+from deepfsi.exposure import Matrices, TrainingSet
 from deepfsi.networks.custom import OwnClassifier
 from deepfsi.sweeps.results import SCHEMA
 from deepfsi.sweeps.trial import Trial
-from deepfsi.training.batches import check_fits, footprint, memory_for
-from deepfsi.training.checkpoint import NO_CHECKPOINT, Checkpoint
-from deepfsi.training.learning import Diverged, companions, train
+from deepfsi.training import (
+    NO_CHECKPOINT,
+    Checkpoint,
+    Diverged,
+    check_fits,
+    companions,
+    footprint,
+    memory_for,
+    train,
+)
 
 MASKS_AT_ONCE = 2048
 """Learned masks that a processor trains together: with more its caches lose what batching gains."""
@@ -116,7 +123,7 @@ class SweepContext:
     def prepare(self, trials: Sequence[Trial]) -> None:
         """Compute the matrices that trials start from."""
         for trial in trials:
-            self.training_set.seen(trial.job.exposure).prepare(trial.job.start_matrix)
+            self.training_set.view(trial.job.exposure).prepare(trial.job.start_matrix)
 
     def effort(self, batch: Sequence[Trial]) -> float:
         """Relative cost of training a batch: a constant a step, products and noise."""

@@ -15,16 +15,14 @@ from deepfsi.base import SILENT, Moments, Progress
 from deepfsi.camera import find_noise
 from deepfsi.datasets import Dataset
 from deepfsi.evaluation import evaluate
-from deepfsi.exposure.draws import dtypes
-from deepfsi.exposure.training_set import TrainingSet
+from deepfsi.exposure import TrainingSet, dtypes
 from deepfsi.jobs import Job
 from deepfsi.sweeps.context import Batch, SweepContext
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.records import Records
 from deepfsi.sweeps.trial import plan
 from deepfsi.sweeps.workers import cores, default_count
-from deepfsi.training.batches import batch_of
-from deepfsi.training.learning import train
+from deepfsi.training import batch_of, train
 
 TIMED_STEPS = 6
 """Steps that a kind of training is timed with."""

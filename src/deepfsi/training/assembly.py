@@ -10,14 +10,12 @@ from deepfsi.camera import Camera, LightLawName, check_budget, summed_reflectanc
 from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.design import Design
 from deepfsi.designfile import TrainingScenes
-from deepfsi.exposure.trained import Clicks, FixedExposure, TrainedMasks
-from deepfsi.exposure.training_set import TrainingSet
+from deepfsi.exposure import Clicks, FixedExposure, TrainedMasks, TrainingSet
 from deepfsi.jobs import Job
 from deepfsi.networks.custom import OwnClassifier, make
 from deepfsi.networks.values import Values
 from deepfsi.physics import LearnedMasks, Rails, Scanner, library_defaults, light_law
-from deepfsi.training.characterisation import characterise
-from deepfsi.training.info import provenance
+from deepfsi.training.characterisation import characterise, provenance
 
 
 @plain_keywords()
@@ -57,10 +55,12 @@ def design_of(
     >>> deepfsi.design_of(scanner, classifier, "digits", photons=1e4).masks
     5
     """
-    budget, scenes = check_budget(photons), as_dataset(data)
+    budget = check_budget(photons)
+    scenes = as_dataset(data)
     light = scanner.masks.law.name if isinstance(scanner.masks, LearnedMasks) else light
     rails = _rails(scanner, scenes, light)
-    s, mean = summed_reflectance(scenes.x_train), torch.from_numpy(scenes.x_train.mean(axis=0))
+    s = summed_reflectance(scenes.x_train)
+    mean = torch.from_numpy(scenes.x_train.mean(axis=0))
     read = rails.masks * scanner.detection.width(rails.count)
     job = _job(scanner, rails, budget, light)
     front = Scanner.from_rails(rails.stacked, detection=scanner.detection)
@@ -123,5 +123,6 @@ def _copy(classifier: nn.Module, features: int, classes: int) -> OwnClassifier:
     if classifier.module is None:
         raise InputError("the classifier's code was not run: give its module")
     own = make(classifier.module, {}, features, classes)
-    own.factory, own.arguments = classifier.factory, classifier.arguments
+    own.factory = classifier.factory
+    own.arguments = classifier.arguments
     return own

@@ -1,18 +1,27 @@
-"""Characterisation of trained designs: light that they count, readouts and confidence."""
+"""Characterisation of trained designs: light that they count, readouts, confidence, provenance.
+
+Few training scenes are left out in folds, which calibrate a design that leaves no scenes out.
+"""
 
 from collections.abc import Sequence
+from dataclasses import replace
+from importlib.metadata import version
 from math import prod
+from typing import Any
 
 import numpy as np
 import torch
+from pydantic import BaseModel
 from torch import Tensor
 
 from deepfsi.datasets import Dataset
 from deepfsi.design.design import Design
 from deepfsi.designfile import (
+    CALIBRATION_REACH,
     ReadoutDistribution,
     SceneModel,
     Temperatures,
+    TrainedOn,
     calibration_budgets,
 )
 from deepfsi.evaluation import (
@@ -20,12 +29,27 @@ from deepfsi.evaluation import (
     Exposed,
     LeftOutTest,
     fit_temperatures,
+    measure_left_out,
 )
+from deepfsi.exposure import CHUNK, AdaptiveTraining, ScenePrior, TrainingSet, prior_of
+from deepfsi.exposure.adaptive import MISFIT_BUDGETS, MISFIT_SCENES, AdaptiveExposure
 from deepfsi.exposure.readout_fit import find_distribution, sample_scenes
-from deepfsi.exposure.statistics import CHUNK
-from deepfsi.exposure.training_set import TrainingSet
-from deepfsi.jobs import Job
-from deepfsi.training.folds import DOUBT, LEFT_OUT, calibrated, draws_of
+from deepfsi.jobs import AdaptiveMasks, Job
+
+FEW_SCENES = 1000
+"""Training scenes below which a design is surer of them than it is right on others."""
+
+FOLDS = 10
+"""Parts of the training scenes, each to be left out of a training of its own."""
+
+LEFT_OUT = 150
+"""Scenes that are to be left out in all, where there are so many: then no more folds are."""
+
+DOUBT = 1.0
+"""Scenes of any class that are added to those left out."""
+
+EXPOSURES = 1000
+"""Exposures of left-out scenes by which networks are calibrated, about."""
 
 
 def characterise(
@@ -44,7 +68,8 @@ def characterise(
     left_out : sequence of (Dataset, designs)
         Folds of the training scenes, and the designs of the same jobs that were trained on each.
     """
-    first, scenes = designs[0], training_set.full
+    first = designs[0]
+    scenes = training_set.full
     for place, (job, design) in enumerate(zip(jobs, designs, strict=True)):
         chooses = design.exposure.chooses
         if chooses:
@@ -85,9 +110,19 @@ def find_temperatures(
 
     Those are the scenes that the data holds out; else those of folds that designs of the same job
     were trained without; else scenes of the training, which give no test.
+
+    Parameters
+    ----------
+    design : Design
+    job : Job
+        That it was trained for.
+    data : Dataset
+        That it was trained on.
+    left_out : sequence of (Dataset, Design)
+        Folds of the training scenes, and designs that were trained on each.
     """
-    low, high = job.photons, job.exposure.highest(job.photons)
-    budgets, stops = calibration_budgets(low, high), design.mask_exposure.count_stops
+    budgets = calibration_budgets(job.photons, job.exposure.highest(job.photons))
+    stops = design.mask_exposure.count_stops
     if left_out and not data.held_out:
         parts = [
             Exposed(each, each.front_end(job.camera), fold.x_test, fold.y_test)
@@ -95,21 +130,22 @@ def find_temperatures(
         ]
         draws = draws_of([fold for fold, _ in left_out])
         scenes = CalibrationScenes(parts, stops, draws, doubt=DOUBT)
-        return calibrated(scenes, budgets, data, low, job.seed)
+        return calibrated(scenes, budgets, data, job)
     held = data.held_out > 0
     x, labels = (data.x_test, data.y_test) if held else (data.x_train, data.y_train)
-    readouts = prod(design.counts_shape) * design.mask_exposure.tokens(design.image_shape)
+    readouts = prod(design.counts_shape) * prod(design.mask_exposure.patch_axis)
     rows = sample_scenes(len(x), readouts, job.seed)
     part = Exposed(design, design.front_end(job.camera), x[rows], labels[rows])
     scenes = CalibrationScenes([part], stops, doubt=DOUBT if held and len(x) < LEFT_OUT else 0.0)
     if held:
-        return calibrated(scenes, budgets, data, low, job.seed)
+        return calibrated(scenes, budgets, data, job)
     return fit_temperatures(scenes, budgets, trained_on=True, seed=job.seed), None
 
 
 def _shares(design: Design, scenes: Tensor, photons: float, seed: int) -> Tensor:
     """Share of the budget (k,) that each feature counts, in the mean over scenes (n, N)."""
-    scanner, exposure = design.scanner(), design.mask_exposure
+    exposure = design.mask_exposure
+    scanner = design.scanner()
     generator = torch.Generator(scenes.device).manual_seed(seed)
     shares = torch.zeros_like(design.mean)
     with torch.no_grad():
@@ -127,6 +163,171 @@ def _distribution(design: Design, scenes: Tensor, labels: np.ndarray) -> Readout
     rows = sample_scenes(len(scenes), prod(design.counts_shape))
     x = scenes[rows]
     with torch.no_grad():
-        rates, lit = design.rates(design.scanner(), x), x.sum(dim=-1) / design.summed_reflectance
-        whole, counting = design.mask_exposure.usual_readouts(rates, lit)
-        return find_distribution(whole, labels[rows], len(design.classes) or 1, expose=counting)
+        rates = design.rates(design.scanner(), x)
+        light = x.sum(dim=-1) / design.summed_reflectance
+        readouts, expose = design.mask_exposure.usual_readouts(rates, light)
+        return find_distribution(readouts, labels[rows], len(design.classes) or 1, expose=expose)
+
+
+def prior_without(fold: Dataset, settings: AdaptiveMasks) -> ScenePrior:
+    """Prior of the training part of a fold, of no more clusters than it can have."""
+    if settings.clusters is not None:
+        smallest = int(np.bincount(fold.y_train, minlength=len(fold.classes)).min())
+        most = min(settings.clusters, max(1, smallest // 2))
+        settings = settings.model_copy(update={"clusters": most})
+    return prior_of(fold, settings)
+
+
+def calibrated_prior(
+    exposure: AdaptiveTraining, folds: Sequence[tuple[Dataset, ScenePrior]], job: Job
+) -> tuple[ScenePrior, dict[str, Any]]:
+    """The prior with temperatures, by scenes that those of the folds leave out; their test."""
+    settings = exposure.settings
+    parts = []
+    share = min(1.0, MISFIT_SCENES / sum(len(fold.x_test) for fold, _ in folds))
+    for fold, prior in folds:
+        without = AdaptiveExposure(
+            prior, settings, shape=fold.image_shape, counted=torch.zeros(settings.looks)
+        )
+        design = Design(job.design, fold.classes, without)
+        n = len(fold.x_test)  # in the order of classes: some of each
+        rows = np.linspace(0, n - 1, max(1, round(share * n))).astype(int)
+        parts.append(Exposed(design, job.optics, fold.x_test[rows], fold.y_test[rows]))
+    classes = exposure.prior.class_shares.double().numpy()
+    scenes = CalibrationScenes(parts, settings.looks, shares=classes, doubt=DOUBT)
+    temperatures, test = calibrated(
+        scenes, np.array(MISFIT_BUDGETS) * job.photons, exposure.data, job
+    )
+    # beyond the light that is measured as at its ends
+    logs = np.pad(temperatures.logs, ((0, 0), (1, 1)), mode="edge")
+    budgets = np.array([1 / CALIBRATION_REACH, *MISFIT_BUDGETS, CALIBRATION_REACH]) * job.photons
+    return exposure.prior.with_temperatures(Temperatures(logs, budgets)), test.as_dict()
+
+
+def folds_of(data: Dataset) -> list[Dataset]:
+    """Few training scenes in folds: in each its test part is left out of its training part.
+
+    All classes have their share in each fold, whose test part is in the order of classes. Scenes
+    that are alone in their class are never left out. There are no folds of many scenes, and of
+    scenes with values.
+    """
+    n = len(data.x_train)
+    if not data.classes or n >= FEW_SCENES:
+        return []
+    labels = data.y_train
+    order = np.random.default_rng(0).permutation(n)
+    order = order[np.argsort(labels[order], kind="stable")]
+    order = order[np.bincount(labels)[labels[order]] > 1]
+    left = [order[start::FOLDS] for start in range(FOLDS)]
+    count = min(FOLDS, -(-LEFT_OUT * FOLDS // n))
+    return [_without(data, rows) for rows in left[:count] if len(rows)]
+
+
+def _without(data: Dataset, rows: np.ndarray) -> Dataset:
+    """Data with some training scenes as the test part in place of it."""
+    kept = np.setdiff1d(np.arange(len(data.x_train)), rows)
+    return replace(
+        data,
+        x_train=data.x_train[kept],
+        y_train=data.y_train[kept],
+        x_test=data.x_train[rows],
+        y_test=data.y_train[rows],
+        origin=None,
+    )
+
+
+def calibrated(
+    scenes: CalibrationScenes, budgets: np.ndarray, data: Dataset, job: Job
+) -> tuple[Temperatures, LeftOutTest]:
+    """Temperatures by scenes that were left out of the training, and the test of their answers."""
+    temperatures = fit_temperatures(scenes, budgets, trained_on=False, seed=job.seed)
+    guess = np.bincount(data.y_train, minlength=len(data.classes)) / len(data.y_train)
+    test = measure_left_out(scenes, temperatures, job.photons, guess, seed=job.seed)
+    return temperatures, test
+
+
+def draws_of(folds: Sequence[Dataset]) -> int:
+    """Exposures of each left-out scene by which a network is calibrated."""
+    return max(1, EXPOSURES // sum(len(fold.x_test) for fold in folds))
+
+
+def provenance(
+    job: BaseModel, data: Dataset, device: torch.device, seconds: float
+) -> dict[str, Any]:
+    """Provenance of a design for `Design.info`, from parameters of its training."""
+    return {
+        "job": job.model_dump(mode="json"),
+        "data": TrainedOn.of(data).model_dump(mode="json"),
+        "preprocessing": data.preprocessing,
+        "brightness": brightness(data.x_train, data.groups),
+        "deepfsi": version("deepfsi"),
+        "torch": torch.__version__,
+        "device": device.type,
+        "seconds": seconds,
+    }
+
+
+def brightness(x: np.ndarray, labels: np.ndarray) -> dict[str, float] | None:
+    """By how much scenes differ in summed reflectance; None where a class is all dark.
+
+    Parameters
+    ----------
+    x : array, shape (n, N)
+        Scenes, in [0, 1].
+    labels : array, shape (n,)
+        Class of each.
+
+    Returns
+    -------
+    dict
+        `low` and `high`, the dimmest and the brightest scene over the mean one; `between`, the
+        brightest class over the dimmest; `within`, the largest standard deviation of a class over
+        its mean.
+    """
+    sums = x.sum(axis=1, dtype=np.float64)
+    groups = [sums[labels == label] for label in np.unique(labels)]
+    means = np.array([group.mean() for group in groups])
+    if not means.min() > 0:
+        return None
+    return {
+        "low": float(sums.min() / sums.mean()),
+        "high": float(sums.max() / sums.mean()),
+        "between": float(means.max() / means.min()),
+        "within": max(float(g.std() / mean) for g, mean in zip(groups, means, strict=True)),
+    }
+
+
+def detector_shares(
+    x: np.ndarray, labels: np.ndarray, detectors: np.ndarray
+) -> dict[str, list[Any]] | None:
+    """Share of each detector in the light of each class; None where a class is all dark.
+
+    Parameters
+    ----------
+    x : array, shape (n, N)
+        Scenes, in [0, 1].
+    labels : array, shape (n,)
+        Class of each.
+    detectors : array of int, shape (N,)
+        Detector of each pixel, 0 .. D-1.
+
+    Returns
+    -------
+    dict
+        `shares` of classes (C, D), and `spread` (D,), the standard deviation of single scenes
+        about them, in the class where it is largest.
+    """
+    light = np.stack(
+        [x[:, detectors == d].sum(axis=1, dtype=np.float64) for d in range(detectors.max() + 1)], 1
+    )
+    shares = []
+    spread = []
+    for label in np.unique(labels):
+        of_class = light[labels == label]
+        whole = of_class.sum(axis=1, keepdims=True)
+        if not whole.mean() > 0:
+            return None
+        share = of_class.sum(axis=0) / whole.sum()
+        shares.append(share.tolist())
+        spread.append(((of_class - share * whole) / whole.mean()).std(axis=0))
+    return {"shares": shares, "spread": np.max(spread, axis=0).tolist()}

@@ -12,8 +12,9 @@ import time
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import torch
@@ -31,10 +32,9 @@ from deepfsi.base import (
     write_atomically,
 )
 from deepfsi.base.numeric import DamagedError, read_tensors
-from deepfsi.exposure.draws import SeedStream
-from deepfsi.exposure.training_set import TrainingSet
+from deepfsi.exposure import Draws, TrainingSet
 from deepfsi.jobs import REVISION, Job, custom_parts
-from deepfsi.training.counts import CountsCost
+from deepfsi.training.losses import CountsCost
 
 CHECKPOINT_SECONDS = 120.0
 """Time between two states of a training that are written, s."""
@@ -52,50 +52,56 @@ Arrays = dict[str, np.ndarray]
 """State by name."""
 
 
+@dataclass
 class LoopState:
-    """All that the steps of a loop change."""
+    """All that the steps of a loop change.
 
-    def __init__(
-        self,
-        modules: Sequence[nn.Module],
-        groups: list[dict[str, Any]],
-        total: int,
-        streams: Sequence[SeedStream],
-        generators: Sequence[torch.Generator],
-        cost: CountsCost | None,
-    ) -> None:
-        # Generators are those besides the streams' own; the groups are as of `parameter_group`
-        self.step, self.total, self.streams, self.cost = 0, total, streams, cost
-        self.optimiser = torch.optim.AdamW(groups, fused=True)
-        self.schedule = torch.optim.lr_scheduler.OneCycleLR(
-            self.optimiser, [group["lr"] for group in groups], total_steps=total
-        )
-        self._generators = [*(each.generator for each in streams), *generators]
-        self._modules = modules
+    Attributes
+    ----------
+    modules : sequence of modules
+        That learn.
+    optimiser, schedule
+        As torch has them.
+    draws : Draws
+    generators : sequence of torch.Generator
+        Besides those of the draws.
+    total : int
+        Steps in all.
+    cost : CountsCost, optional
+    step : int
+        Steps that were done.
+    """
 
-    def shuffle(self) -> None:
-        """Draw the order of an epoch's scenes, for each seed."""
-        for stream in self.streams:
-            stream.shuffle()
+    modules: Sequence[nn.Module]
+    optimiser: torch.optim.Optimizer
+    schedule: torch.optim.lr_scheduler.LRScheduler
+    draws: Draws
+    generators: Sequence[torch.Generator]
+    total: int
+    cost: CountsCost | None = None
+    step: int = 0
+
+    def __post_init__(self) -> None:
+        self.generators = [*(each.generator for each in self.draws.streams), *self.generators]
 
     def _learned(self) -> dict[str, Tensor]:
         """Parameters and buffers of the modules, as they are now."""
         return {
             f"module.{place}.{name}": tensor.detach()
-            for place, module in enumerate(self._modules)
+            for place, module in enumerate(self.modules)
             for name, tensor in (*module.named_parameters(), *module.named_buffers())
         }
 
     def arrays(self) -> Arrays:
         """State of a loop, of which a step at least was done."""
         tensors = self._learned()
-        for index, generator in enumerate(self._generators):
+        for index, generator in enumerate(self.generators):
             tensors[f"generator.{index}"] = generator.get_state()
         if self.cost is not None:
             tensors["cost"] = self.cost.weight
         if self.step < self.total:
-            for place, stream in enumerate(self.streams):
-                tensors[f"rows.{place}"] = stream.rows
+            for place, stream in enumerate(self.draws.streams):
+                tensors[f"rows.{place}"] = stream.order
             for number, moments in self.optimiser.state_dict()["state"].items():
                 tensors |= {
                     f"optimiser.{number}.{name}": tensor for name, tensor in moments.items()
@@ -106,12 +112,12 @@ class LoopState:
         """Go to a step of the loop, whose state this is."""
         for name, tensor in self._learned().items():
             tensor.copy_(_tensor(arrays[name], tensor))
-        for index, generator in enumerate(self._generators):
+        for index, generator in enumerate(self.generators):
             generator.set_state(torch.from_numpy(arrays[f"generator.{index}"]))
         if self.cost is not None:
             self.cost.restore(step, torch.from_numpy(arrays["cost"]))
         if step < self.total:
-            for index, stream in enumerate(self.streams):
+            for index, stream in enumerate(self.draws.streams):
                 stream.follow(torch.from_numpy(arrays[f"rows.{index}"]))
         learning = [each for group in self.optimiser.param_groups for each in group["params"]]
         moments: dict[int, dict[str, Tensor]] = {}
@@ -144,10 +150,22 @@ class _Header(BaseModel):
 
 
 class Checkpoint:
-    """Where a training keeps its state while it runs, a file or nowhere."""
+    """Where a training keeps its state while it runs, a file or nowhere.
+
+    Parameters
+    ----------
+    path : Path, optional
+        File; none keeps nothing.
+    key : str
+        Hash of all that the bits of the training depend on.
+    title : str
+        Words on the training.
+    """
 
     def __init__(self, path: Path | None = None, key: str = "", title: str = "") -> None:
-        self.path, self.key, self.title = path, key, title
+        self.path = path
+        self.key = key
+        self.title = title
         self.seconds = 0.0
         self.words = f"{path} holds the training so far, from which it can be resumed"
         self._loops: list[tuple[int, Arrays]] = []  # of this run, those that are done
@@ -164,12 +182,21 @@ class Checkpoint:
         matrix: np.ndarray | None = None,
         counts: float | None = None,
     ) -> "Checkpoint":
-        """Checkpoint of jobs that train together, read if its file is there."""
-        # matrix (m, N), counts: as for `learning.learn`
+        """Checkpoint of jobs that train together, read if its file is there.
+
+        Parameters
+        ----------
+        path : path, optional
+        training_set : TrainingSet
+        jobs : sequence of Job
+        matrix, counts
+            As of `learn`.
+        """
         if path is None:
             return cls()
-        job, data = jobs[0], training_set.data
-        title = f"{job.design}, {job.masks} masks, {job.photons:g} photons on {data.name}"
+        job = jobs[0]
+        name = training_set.data.name
+        title = f"{job.design}, {job.masks} masks, {job.photons:g} photons on {name}"
         checkpoint = cls(Path(path), _key(training_set, jobs, matrix, counts), title)
         if os.path.lexists(path):
             checkpoint._read()

@@ -1,50 +1,71 @@
-"""Learn masks and classifier together, one design or several that share a shape."""
+"""Learn masks and classifier together, one design or several that share a shape.
+
+A budget may follow from counts that are asked for: a design with the shares p_i counts Φ Σ p_i
+photons in the mean over training scenes. The shares of named designs and of one's own matrix are
+known before any training. Those of learned masks follow from it, and hardly change with Φ: it is
+trained at the budget that the shares of its start ask for, then at the one that its own shares ask
+for, until these are the same.
+"""
 
 import os
 import time
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 import torch
 
-from deepfsi.base import SILENT, InputError, Progress, plain_keywords, progress_bar
+from deepfsi.base import SILENT, InputError, Message, Progress, plain_keywords, progress_bar
+from deepfsi.base.numeric import check_memory, free_memory
 from deepfsi.camera import CameraSource, check_budget
 from deepfsi.datasets import Source, as_dataset
 from deepfsi.design.design import Design
-from deepfsi.exposure.draws import dtypes
-from deepfsi.exposure.kinds import begin
-from deepfsi.exposure.statistics import feature_statistics
-from deepfsi.exposure.trained import Clicks, MaskExposure, TrainedMasks
-from deepfsi.exposure.training_set import TrainingSet
-from deepfsi.jobs import ExposureSource, Job, TrainingSource, find_job, table_advice
-from deepfsi.physics import (
-    Detection,
-    FixedMasks,
-    FixedPattern,
-    LearnedMasks,
-    Rails,
-    TrainingNoise,
-    library_defaults,
-    light_law,
-    noise_of,
+from deepfsi.exposure import (
+    AdaptiveExposure,
+    AdaptiveTraining,
+    Clicks,
+    ExposureTraining,
+    JobGroup,
+    TrainingSet,
+    build,
+    dtypes,
+    matrix_seeds,
 )
-from deepfsi.training.adaptive import adaptive_designs
-from deepfsi.training.batches import check_fits
-from deepfsi.training.characterisation import characterise
+from deepfsi.jobs import AdaptiveMasks, ExposureSource, Job, TrainingSource, find_job, table_advice
+from deepfsi.physics import library_defaults
+from deepfsi.training.characterisation import (
+    calibrated_prior,
+    characterise,
+    detector_shares,
+    folds_of,
+    prior_without,
+    provenance,
+)
 from deepfsi.training.checkpoint import NO_CHECKPOINT, Checkpoint
-from deepfsi.training.counts import train_for_counts
-from deepfsi.training.folds import folds_of
-from deepfsi.training.info import detector_shares, provenance
-from deepfsi.training.loop import Classifier, optimise
-from deepfsi.training.masks import final_masks, initial_masks
-from deepfsi.training.passing import passing_statistics
+from deepfsi.training.loop import AnyClassifier, batch_of, optimise
+
+MASK_COPIES = 16
+"""Copies of the masks alive in a step: weights, gradients, moments, their stages and products."""
+
+QUANTISED_MASK_COPIES = 10
+"""Those besides of quantised masks: two rails, their steps, what is shown, and its two sums."""
+
+FEATURE_COPIES = 12
+"""Copies of the features and hidden units alive in a step."""
+
+FLOAT_BYTES = 4.0
+"""Bytes of a number."""
+
+NEAR = 0.02
+"""Relative difference between the counts asked for and those in the mean that is taken for none."""
+
+MOST_TRAININGS = 6
+"""Trainings after which the last design is taken, whatever it counts."""
 
 REMEDY = "lower lr and mask_lr, or try another seed or more photons"
 """What to do where a training diverged."""
 
-USUAL_SHARE = 0.5
+ADAPTIVE_SHARE = 0.5
 """Share of the budget that adaptive masks count, nearly: half of the mirrors are ON."""
 
 
@@ -92,8 +113,8 @@ def learn(
         Of the random numbers: the same one repeats the result exactly on one device.
     counts : float, optional
         What the detectors are to count, in the mean over training scenes. Instead of `photons`:
-        learned masks are trained again until that holds, see `training.counts`. With `photons`:
-        masks learn to count no more of that budget, see `training.counts`.
+        learned masks are trained again until that holds. With `photons`: masks learn to count no
+        more of that budget, see `training.losses`.
     matrix : array, shape (m, N), optional
         Your own sensing matrix, for ``design="custom"``.
     device : str or torch.device
@@ -128,11 +149,11 @@ def learn(
     }
     job = find_job(settings, counts)
     training_set = TrainingSet(as_dataset(data), device)
-    state = Checkpoint.of(checkpoint, training_set, [job], matrix, counts)
+    state = Checkpoint.of(checkpoint, training_set, [job], matrix=matrix, counts=counts)
 
     def train_at(photons: float, bar: Progress) -> Design:
         at_budget = job.model_copy(update={"photons": check_budget(photons)})
-        return train(training_set, [at_budget], matrix, bar, state)[0]
+        return train(training_set, [at_budget], matrix, report=bar, checkpoint=state)[0]
 
     with progress_bar(report, f"{job.design}, {job.masks} masks") as bar:
         if counts is None or job.training.counts is not None:
@@ -152,25 +173,40 @@ def train(
     report: Progress = SILENT,
     checkpoint: Checkpoint = NO_CHECKPOINT,
 ) -> Sequence[Design]:
-    """Train designs side by side that differ in budget, sigma and seed only, in their order."""
-    # The jobs agree in `companions`, those of one seed one after another; the matrix (m, N) is of
-    # "custom" designs. Whoever keeps the designs removes the checkpoint
+    """Train designs side by side that differ in budget, sigma and seed only, in their order.
+
+    Parameters
+    ----------
+    training_set : TrainingSet
+    jobs : sequence of Job
+        That agree in `companions`, those of one seed one after another.
+    matrix : array, shape (m, N), optional
+        Of ``design="custom"``.
+    report : Progress
+    checkpoint : Checkpoint
+        Whoever keeps the designs removes it.
+
+    Returns
+    -------
+    sequence of designs
+        One for each job.
+    """
     began = time.perf_counter()
     _check(training_set, jobs, matrix)
     if jobs[0].code.adaptive:
-        return adaptive_designs(training_set, jobs, report)
+        return _adaptive_designs(training_set, jobs, report)
     folds = [] if training_set.data.held_out else folds_of(training_set.data)
     own, *others = report.split(1 + len(folds))
-    designs = _designs(training_set, jobs, *_optimised(training_set, jobs, matrix, own, checkpoint))
+    designs = _designs(training_set, jobs, matrix, report=own, checkpoint=checkpoint)
     for job, design in zip(jobs, designs, strict=True):
         design.info = provenance(job, training_set.data, training_set.device, 0.0)
-        design.exposure = design.mask_exposure.with_optics(clicks=Clicks.of(design.info))
+        clicks = Clicks.of(design.info)
+        design.exposure = design.mask_exposure.with_optics(clicks=clicks)
         design.training_scenes = training_set.scenes
-    left_out = []
-    for fold, part in zip(folds, others, strict=True):
-        kept = training_set.of(fold)
-        trained = _optimised(kept, jobs, matrix, part, checkpoint)
-        left_out.append((fold, _designs(kept, jobs, *trained)))
+    left_out = [
+        (fold, _designs(training_set.of(fold), jobs, matrix, report=span, checkpoint=checkpoint))
+        for fold, span in zip(folds, others, strict=True)
+    ]
     characterise(training_set, jobs, designs, left_out)
     seconds = (checkpoint.seconds + time.perf_counter() - began) / len(jobs)
     for design in designs:
@@ -183,8 +219,30 @@ def train(
     return designs
 
 
+def train_for_counts(
+    counts: float, share: float, train: Callable[[float, Progress], Design], report: Progress
+) -> Design:
+    """Design that counts a number of photons in the mean over training scenes, to within `NEAR`."""
+    # Where that is not reached after `MOST_TRAININGS`, the last one: its own counts are the budget
+    # of its training times the sum of its shares
+    for number in range(MOST_TRAININGS):
+        photons = counts / share
+        design = train(photons, report.between(1 - 2.0**-number, 1 - 2.0 ** -(number + 1)))
+        share = float(design.shares.sum())
+        if abs(photons * share / counts - 1) <= NEAR:
+            break
+    return design
+
+
 def companions(job: Job, device: torch.device) -> tuple[Any, ...]:
-    """Key that jobs trained together share: all but budget, sigma and seed."""
+    """Key that jobs trained together share: all but budget, sigma and seed.
+
+    Parameters
+    ----------
+    job : Job
+    device : torch.device
+        That they train on.
+    """
     # a module of a user's own may draw from torch's global generator: one after another
     alone = job.training.is_custom or not job.exposure.side_by_side
     apart: Any = set() if alone else {"photons": True, "seed": True, "camera": {"sigma"}}
@@ -201,106 +259,152 @@ def _check(training_set: TrainingSet, jobs: Sequence[Job], matrix: np.ndarray | 
     check_fits(training_set, jobs)
 
 
-Optimised = tuple[FixedMasks, TrainingNoise, list[Classifier], list[MaskExposure]]
-"""Masks after training, the noise that they were trained under, networks and exposures."""
-
-
-def _optimised(
+def _designs(
     training_set: TrainingSet,
     jobs: Sequence[Job],
     matrix: np.ndarray | None,
     report: Progress,
     checkpoint: Checkpoint,
-) -> Optimised:
-    """Masks and networks after training."""
-    # Masks of the control group are learned before, under gaussian noise and with a network of
-    # their own
-    device, shape, job = training_set.device, training_set.data.image_shape, jobs[0]
-    noise, seen = _noise(jobs, training_set), training_set.seen(job.exposure)
-    seeds = [torch.Generator(device).manual_seed(each.seed) for each in jobs]
-    exposures = [begin(each, shape, seed) for each, seed in zip(jobs, seeds, strict=True)]
-    masks: FixedMasks | LearnedMasks
+) -> list[Design]:
+    """Designs of jobs that train side by side."""
+    job = jobs[0]
+    data = training_set.data
+    masks = None
     if job.code.learned_under:
-        before, report = report.between(0.0, 0.5), report.between(0.5, 1.0)
-        sources = [each.mask_job() for each in jobs]
-        masks = _optimised(training_set, sources, None, before, checkpoint)[0]
-    else:
-        masks = initial_masks(seen, jobs, exposures[0], matrix).to(device)
-    classifiers = optimise(training_set, jobs, masks, noise, exposures, report, checkpoint)
-    if isinstance(masks, LearnedMasks):
-        masks = final_masks(masks, seen, job, exposures[0])
-    networks = [*classifiers, *(each.network for each in exposures if each.network is not None)]
-    numbers = [masks().stacked, *(part for network in networks for part in network.parameters())]
-    if not all(bool(torch.isfinite(part).all()) for part in numbers):
+        # those of the control group are learned before, under gaussian noise and with a network of
+        # their own
+        before, report = report.split(2)
+        teachers = JobGroup.of(training_set, [each.mask_job() for each in jobs])
+        masks = _optimised(teachers, before, checkpoint)[0].masks
+    group = JobGroup.of(training_set, jobs, matrix=matrix, masks=masks)
+    exposure, classifiers = _optimised(group, report, checkpoint)
+    with torch.no_grad():
+        trained = exposure.finish()
+    return [
+        Design(
+            name=each.design,
+            classes=data.classes,
+            exposure=own,
+            classifier=classifier,
+            values=training_set.values,
+        )
+        for each, own, classifier in zip(jobs, trained, classifiers, strict=True)
+    ]
+
+
+def _optimised(
+    group: JobGroup, report: Progress, checkpoint: Checkpoint
+) -> tuple[ExposureTraining, list[AnyClassifier]]:
+    """Masks, which are fixed from here on, and networks after training."""
+    exposure = build(group)
+    classifiers = optimise(exposure, report, checkpoint)
+    exposure.fix()
+    networks = [*classifiers, *exposure.choose.networks]
+    weights = [parameter for network in networks for parameter in network.parameters()]
+    if not all(bool(torch.isfinite(each).all()) for each in [exposure.masks().stacked, *weights]):
         checkpoint.remove()
-        raise Diverged(f"training of {job.design} diverged: {REMEDY}")
-    return masks, noise, classifiers, exposures
-
-
-def _noise(jobs: Sequence[Job], training_set: TrainingSet) -> TrainingNoise:
-    """Noise of the training of jobs."""
-    mine = jobs[0].camera.noise if jobs[0].training.noise is None else jobs[0].training.noise
-    setting = jobs[0].noise if isinstance(mine, str) else mine
-    noises = [noise_of(job.camera, setting) for job in jobs]
-    noises[0].check(learning=jobs[0].code.learned)
-    gains = [job.photons / training_set.summed_reflectance for job in jobs]
-    return TrainingNoise.of(noises, gains, [job.seed for job in jobs], training_set.device)
+        raise Diverged(f"training of {group.jobs[0].design} diverged: {REMEDY}")
+    return exposure, classifiers
 
 
 def _first_share(training_set: TrainingSet, job: Job, matrix: np.ndarray | None) -> float:
     """Share of the budget that the masks count before training; parameters as for `train`."""
     job.check(training_set.data, matrix)
     if job.code.adaptive:
-        return USUAL_SHARE
-    seen, shape = training_set.seen(job.exposure), training_set.data.image_shape
-    exposure = begin(job, shape, torch.Generator().manual_seed(job.seed))
-    masks = initial_masks(seen, [job], exposure, matrix)
-    if isinstance(masks, LearnedMasks):
-        masks = final_masks(masks, seen, job, exposure)
-    total = masks.to(training_set.device)().total
-    counts = float((total[0] @ seen.full.mean(dim=0)).sum()) * exposure.tokens(shape)
-    return counts / training_set.summed_reflectance
+        return ADAPTIVE_SHARE
+    exposure = build(JobGroup.of(training_set, [job], matrix=matrix))
+    exposure.fix()
+    light = exposure.masks().total[0] @ exposure.scenes.full.mean(dim=0)
+    return float(light.sum()) * exposure.tokens / training_set.summed_reflectance
 
 
-def _designs(
-    training_set: TrainingSet,
-    jobs: Sequence[Job],
-    masks: FixedMasks,
-    noise: TrainingNoise,
-    classifiers: list[Classifier],
-    exposures: list[MaskExposure],
+def _adaptive_designs(
+    training_set: TrainingSet, jobs: Sequence[Job], report: Progress
 ) -> list[Design]:
-    """Designs of trained masks and networks, with the statistics of their features."""
-    job, s = jobs[0], training_set.summed_reflectance
-    light, shape = job.optics.light, training_set.data.image_shape
-    law = light_law(light)
-    rails, detection = masks().stacked, Detection.of(job.optics, shape)
-    seen, scale = training_set.seen(job.exposure).full, job.training.scale
-    with torch.no_grad():
-        if isinstance(masks, FixedPattern):
-            mean, std, counts = passing_statistics(seen, masks, noise, scale, job.seed)
-        else:
-            drawn = exposures[0].drawn(rails, light)
-            mean, std, counts = feature_statistics(seen, masks, noise, scale, detection, drawn)
+    """Designs of jobs whose masks learn by no steps, of one prior of scenes."""
+    began = time.perf_counter()
+    data = training_set.data
+    settings = AdaptiveMasks(looks=jobs[0].masks, clusters=jobs[0].training.clusters)
+    exposure = AdaptiveTraining(data, settings)
     designs = []
-    for r, each in enumerate(jobs):
-        optics = TrainedMasks(
-            rails=Rails.of(law.check(rails[r % len(rails)].clone())),
-            light=light,
-            image_shape=shape,
-            detection=detection,
-            summed_reflectance=s,
-            mean=mean[r] / s,
-            std=std[r] / s,
-            shares=counts[r] / s * exposures[r].tokens(shape),
+    folds = [(fold, prior_without(fold, settings)) for fold in folds_of(data)]
+    for done, job in enumerate(jobs, start=1):
+        shares, misfit = exposure.finish(job)
+        prior = exposure.prior
+        info = provenance(job, data, torch.device("cpu"), 0.0)
+        report((done - 0.5) / len(jobs))
+        if folds:
+            prior, info["left_out"] = calibrated_prior(exposure, folds, job)
+        info["seconds"] = (time.perf_counter() - began) / done
+        design = Design(
+            name=job.design,
+            classes=data.classes,
+            exposure=AdaptiveExposure(
+                prior,
+                settings,
+                shape=data.image_shape,
+                counted=shares,
+                usual_misfit=misfit,
+                optics=info["job"]["camera"],
+            ),
+            info=info,
+            training_scenes=training_set.scenes,
         )
-        designs.append(
-            Design(
-                name=each.design,
-                classes=training_set.data.classes,
-                exposure=replace(exposures[r].trained(masks, r), optics=optics),  # type: ignore[type-var]
-                classifier=classifiers[r],
-                values=training_set.values,
-            )
-        )
+        designs.append(design)
+        report(done / len(jobs))
     return designs
+
+
+def check_fits(training_set: TrainingSet, jobs: Sequence[Job], processes: int = 1) -> None:
+    """Raise `InputError` where training jobs together would take more memory than is free.
+
+    Parameters
+    ----------
+    training_set : TrainingSet
+    jobs : sequence of Job
+    processes : int
+        That train such jobs at a time.
+    """
+    scenes, pixels = training_set.full.shape
+    held = training_set.full.nbytes
+    check_memory(
+        footprint(training_set, jobs) * processes - held,
+        memory_for(training_set.device),
+        f"{scenes} scenes of {pixels} pixels, {jobs[0].masks} masks and {processes} processes",
+        Message(
+            "give fewer or smaller scenes ({size}), fewer {masks} or fewer {workers}",
+            setting=("size", "masks", "workers"),
+        ),
+    )
+
+
+def memory_for(device: torch.device) -> float:
+    """Bytes that this process may take on a device."""
+    if device.type != "cuda":
+        return free_memory()
+    kept = torch.cuda.memory_reserved(device) - torch.cuda.memory_allocated(device)
+    return float(torch.cuda.mem_get_info(device)[0] + kept)  # torch keeps what it has freed
+
+
+def footprint(training_set: TrainingSet, jobs: Sequence[Job]) -> float:
+    """Bytes that training jobs together takes at most, scenes included, by the tensors alive.
+
+    Parameters
+    ----------
+    training_set : TrainingSet
+    jobs : sequence of Job
+    """
+    job = jobs[0]
+    scene = training_set.full[0].numel()
+    count = len(training_set.labels)
+    replicas = len(jobs)
+    masks = replicas * job.masks
+    batch = batch_of(job.training, count)
+    levels = job.optics.mask_levels(training_set.data.image_shape)
+    copies = MASK_COPIES + (QUANTISED_MASK_COPIES if levels else 0)
+    learned = copies * masks * scene if job.mask_job().code.learned else 0
+    own = replicas if job.code.learned_under else len(matrix_seeds(jobs))
+    products_of_all = 0 if job.code.learned else 5 * own * count * job.masks
+    step = FEATURE_COPIES * batch * (masks + replicas * sum(job.training.hidden))
+    step *= job.exposure.parts
+    return FLOAT_BYTES * (3 * training_set.full.numel() + learned + products_of_all + step)

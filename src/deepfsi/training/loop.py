@@ -10,29 +10,22 @@ to rounding a design does not depend on which others it was trained with.
 """
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from typing import Any
 
 import torch
-from torch import Tensor, nn
+from torch import nn
 
 from deepfsi.base import SILENT, InputError, Progress
-from deepfsi.datasets import Dataset
-from deepfsi.exposure.draws import network_dtype, seed_streams, side_by_side
-from deepfsi.exposure.trained import MaskExposure
-from deepfsi.exposure.training_set import TrainingSet
-from deepfsi.jobs import VIT, Job, Training
+from deepfsi.exposure import Draws, ExposureTraining, network_dtype
+from deepfsi.jobs import VIT, Training
 from deepfsi.networks.classifiers import Mlp, Replicas, Vit
 from deepfsi.networks.custom import OwnClassifier, make, seeded
-from deepfsi.physics import FixedMasks, LearnedMasks, TrainingNoise
-from deepfsi.training.batches import batch_of
 from deepfsi.training.checkpoint import NO_CHECKPOINT, Checkpoint, LoopState
-from deepfsi.training.counts import CountsCost, dim_start
-from deepfsi.training.features import LearnedFeatures, features_of
-from deepfsi.training.losses import find_loss, total
+from deepfsi.training.losses import CountsCost, find_loss, sum_over
 
-Classifier = Mlp | Vit | OwnClassifier
+AnyClassifier = Mlp | Vit | OwnClassifier
 """What is trained to classify."""
 
 CHOOSER_LR = 0.2
@@ -46,97 +39,111 @@ REPORT_SECONDS = 1.0
 
 
 def optimise(
-    training_set: TrainingSet,
-    jobs: Sequence[Job],
-    masks: FixedMasks | LearnedMasks,
-    noise: TrainingNoise,
-    exposures: Sequence[MaskExposure],
+    exposure: ExposureTraining,
     report: Progress = SILENT,
     checkpoint: Checkpoint = NO_CHECKPOINT,
-) -> list[Classifier]:
-    """Train classifiers of jobs, the networks of their exposures, and masks where they learn."""
-    # Masks are of R replicas or of one for all, noise and exposures of the jobs. All but the
-    # classifiers are trained in place. A classifier of a user's own trains alone
-    job, settings, labels = jobs[0], jobs[0].training, training_set.labels
-    classifiers = _classifiers(jobs, training_set.data, exposures[0], labels.device)
-    choosers = [each.network for each in exposures if each.network is not None]
-    stacked = labels.device.type == "cuda"
-    dtype = network_dtype(job, labels.device)
-    classify = Replicas(classifiers, stacked and isinstance(classifiers[0], Mlp), dtype)
-    choose = Replicas(choosers, stacked, dtype)
+) -> list[AnyClassifier]:
+    """Train classifiers of jobs side by side, with masks that learn and choosers of dwells.
+
+    Parameters
+    ----------
+    exposure : ExposureTraining
+        Masks of R jobs, as `build` gives them. They are trained in place, as are the networks
+        beside the classifiers.
+    report : Progress
+    checkpoint : Checkpoint
+        Where the state of the loop is kept, from which it may be resumed.
+
+    Returns
+    -------
+    list of modules
+        Classifier of each job.
+    """
+    job = exposure.job
+    settings = job.training
+    device = exposure.training_set.device
+    labels = exposure.training_set.labels
+    classifiers = _classifiers(exposure)
+    stacked = device.type == "cuda" and isinstance(classifiers[0], Mlp)
+    classify = Replicas(classifiers, stacked, network_dtype(job, device))
+    choose = exposure.choose
     batch = batch_of(settings, len(labels))
-    streams = seed_streams([each.seed for each in jobs], noise, labels, batch)
-    features = features_of(training_set, job, masks, noise, streams, exposures[0], choose)
-    weights = training_set.class_weights if settings.balance else None
-    rows = isinstance(classifiers[0], Vit)
-    each = find_loss(settings.loss, training_set.values is not None, weights, rows)
-    steps = len(labels) // batch
-    counted = features if isinstance(features, LearnedFeatures) and features.penalised else None
-    cost = None
-    if counted is not None and settings.counts is not None:
-        dim_start(counted.masks, counted.x, noise, settings.counts, counted.detection)
-        cost = CountsCost(settings.counts, settings.epochs * steps)
-
-    def loss(step: int) -> Tensor:
-        truth = side_by_side([stream.labels(step) for stream in streams])
-        value = total(each, classify(features.at(step)), truth) / batch
-        if counted is not None and cost is not None:
-            value = value + cost(counted.expected).sum()
-        return value
-
+    draws = Draws([each.seed for each in exposure.jobs], exposure.noise, labels, batch)
+    steps = draws.steps
+    total = settings.epochs * steps
+    exposure.prepare()
+    scene_loss = find_loss(settings, exposure.training_set, isinstance(classifiers[0], Vit))
+    cost = None if settings.counts is None else CountsCost(settings.counts, total)
     groups = [parameter_group(classify, settings.lr, settings.decay)]
-    if choosers:
+    if choose.networks:
         groups.append(parameter_group(choose, CHOOSER_LR * settings.lr, settings.decay))
-    learned = [masks] if isinstance(masks, LearnedMasks) else []
-    groups += [parameter_group(each, settings.mask_lr) for each in learned]
-    generators = noise.generators + _generators(settings, [*classifiers, *choosers], labels.device)
-    state = LoopState(
-        [classify, choose, *learned], groups, settings.epochs * steps, streams, generators, cost
+    if exposure.learns:
+        groups.append(parameter_group(exposure.masks, settings.mask_lr))
+    optimiser = torch.optim.AdamW(groups, fused=True)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(
+        optimiser, [each["lr"] for each in groups], total_steps=total
     )
-    draws = seeded(job.seed) if settings.is_custom else nullcontext()
-    tokens = exposures[0].tokens(training_set.data.image_shape)
-    elements = batch * len(jobs) * tokens * max(job.masks, *settings.hidden, 1)
-    with _threads(elements), draws:
-        descend(state, steps, loss, report, checkpoint)
-    for trained in (classify, choose):
-        trained.hand_back()
-    for network in [*classifiers, *choosers]:
+    modules = [classify, choose, *([exposure.masks] if exposure.learns else [])]
+    generators = exposure.noise.generators + _generators(
+        settings, [*classifiers, *choose.networks], device
+    )
+    state = LoopState(
+        modules=modules,
+        optimiser=optimiser,
+        schedule=schedule,
+        draws=draws,
+        generators=generators,
+        total=total,
+        cost=cost,
+    )
+    elements = batch * len(exposure.jobs) * exposure.tokens * max(job.masks, *settings.hidden, 1)
+    of_torch = seeded(job.seed) if settings.is_custom else nullcontext()
+    with _threads(elements), of_torch, checkpoint.of_loop(state):
+        report(state.step / total)
+        due = time.monotonic() + REPORT_SECONDS
+        for number in range(state.step, total):
+            if number % steps == 0:
+                draws.shuffle()
+            truth = draws.gather(number % steps)  # gather: (B, R)
+            inputs = exposure.inputs(draws)  # expose: (B, R, …), of K looks (K · B, R, …)
+            outputs = classify(inputs)  # classify: (B, R, C)
+            loss = sum_over(scene_loss, outputs, truth) / batch
+            if cost is not None and exposure.counts is not None:
+                loss = loss + cost(exposure.counts).sum()
+            loss.backward()  # step
+            optimiser.step()
+            optimiser.zero_grad(set_to_none=True)
+            schedule.step()
+            state.step = number + 1
+            checkpoint.keep(state)
+            if state.step % steps == 0 or time.monotonic() > due:
+                report(state.step / total)
+                due = time.monotonic() + REPORT_SECONDS
+    for replicas in (classify, choose):
+        replicas.hand_back()
+    for network in [*classifiers, *choose.networks]:
         if isinstance(network, Mlp):
             network.generator = None
         network.eval()
     return classifiers
 
 
+def batch_of(settings: Training, count: int) -> int:
+    """Scenes of a step.
+
+    Parameters
+    ----------
+    settings : Training
+    count : int
+        Scenes in all.
+    """
+    return min(settings.batch or min(max(count // 100, 32), 500), count)
+
+
 def parameter_group(module: nn.Module, lr: float, decay: float = 0.0) -> dict[str, Any]:
-    """Parameters of a module with their peak learning rate and weight decay, for `descend`."""
+    """Parameters of a module with their peak learning rate and weight decay."""
     learning = [each for each in module.parameters() if each.requires_grad]
     return {"params": learning, "lr": lr, "weight_decay": decay}
-
-
-def descend(
-    state: LoopState,
-    steps: int,
-    loss: Callable[[int], Tensor],
-    report: Progress,
-    checkpoint: Checkpoint,
-) -> None:
-    """Minimise a loss with AdamW on a one-cycle schedule, in epochs of so many steps."""
-    with checkpoint.of_loop(state):
-        report(state.step / state.total)
-        due = time.monotonic() + REPORT_SECONDS
-        while state.step < state.total:
-            step = state.step % steps
-            if step == 0:
-                state.shuffle()
-            loss(step).backward()
-            state.optimiser.step()
-            state.optimiser.zero_grad(set_to_none=True)
-            state.schedule.step()
-            state.step += 1
-            checkpoint.keep(state)
-            if state.step % steps == 0 or time.monotonic() > due:
-                report(state.step / state.total)
-                due = time.monotonic() + REPORT_SECONDS
 
 
 def _generators(
@@ -151,22 +158,30 @@ def _generators(
     return generators
 
 
-def _classifiers(
-    jobs: Sequence[Job], data: Dataset, exposure: MaskExposure, device: torch.device
-) -> list[Classifier]:
+def _classifiers(exposure: ExposureTraining) -> list[AnyClassifier]:
     """Classifiers of jobs, untrained."""
-    job, settings, classes = jobs[0], jobs[0].training, data.answers
-    inputs = exposure.input_count(job.features(data.image_shape))
+    settings = exposure.job.training
+    device = exposure.training_set.device
+    inputs = exposure.input_count
+    classes = exposure.training_set.data.answers
     if settings.is_custom:
-        made = make(settings.classifier, settings.classifier_arguments, inputs, classes, job.seed)
+        made = make(
+            settings.classifier,
+            settings.classifier_arguments,
+            inputs,
+            classes,
+            seed=exposure.job.seed,
+        )
         if not any(each.requires_grad for each in made.parameters()):
             raise InputError("the classifier has no parameter that learns: give another module")
         return [made.to(device).train()]
-    seeds = [torch.Generator(device).manual_seed(each.seed) for each in jobs]
+    seeds = [torch.Generator(device).manual_seed(each.seed) for each in exposure.jobs]
     if settings.classifier == VIT:
-        tokens, sizes = exposure.tokens(data.image_shape), settings.classifier_arguments
-        return [Vit(inputs, tokens, classes, **sizes, generator=seed) for seed in seeds]
-    return [Mlp(inputs, classes, settings.hidden, settings.dropout, seed) for seed in seeds]
+        sizes = {"patches": exposure.tokens, **settings.classifier_arguments}
+        return [Vit(inputs, classes=classes, **sizes, generator=seed) for seed in seeds]
+    return [
+        Mlp(inputs, classes, settings.hidden, settings.dropout, generator=seed) for seed in seeds
+    ]
 
 
 @contextmanager

@@ -3,29 +3,53 @@
 A loss takes outputs (n, C) of a network and the truth, classes (n,) or standardised values (n, q),
 and gives a number for each scene, (n,): cross entropy of classes, the mean squared error of values,
 or a function of the user's own.
+
+Few counts within a budget have a cost beside it, which is μ max(0, c / C − 1), of the mean counts c
+of a step and the counts C that are asked for. The cost grows from 0 over the first third of the
+training, while masks learn from more light; then its weight follows the counts,
+d log μ = κ log(c / C) in a whole training. Masks start with ten times the counts, but not so bright
+that nearly all gates click: such readouts teach nothing.
 """
 
 from collections.abc import Callable
 from typing import Any
 
+import torch
 from torch import Tensor
 from torch.nn import functional
 
 from deepfsi.base import InputError, load_plugin
+from deepfsi.exposure import TrainingSet
+from deepfsi.jobs import Training
 
-Loss = Callable[[Tensor, Tensor], Tensor]
+SceneLoss = Callable[[Tensor, Tensor], Tensor]
 """Loss (n,) of outputs (n, C) and truth (n,) or (n, q)."""
 
 EARLY_LOOKS_WEIGHT = 0.2
 """Weight of the loss of the answers before the last look, in their mean; the last has 1."""
 
 
-def find_loss(own: Any, values: bool, weights: Tensor | None, rows: bool) -> Loss:
-    """Loss of a training; weights (C,) are of classes, `rows` as of `cross_entropy`."""
-    if own is not None:
-        return _checked(load_plugin(own) if isinstance(own, str) else own)
-    if values:
+RAMP = 1 / 3
+"""Part of the training after which the counts are to be those asked for."""
+
+FIRST_WEIGHT = 0.4
+"""μ before it follows the counts, nats: of what few counts were found to cost, 0.1 to 1."""
+
+PACE = 12.0
+"""κ: the counts follow the weight within a tenth of a training or so."""
+
+MOST_EXCESS = 0.3
+"""Largest |log(c / C)| that the weight follows, as counts that are far off take time to fall."""
+
+
+def find_loss(settings: Training, training_set: TrainingSet, rows: bool) -> SceneLoss:
+    """Loss of a training; `rows` as of `cross_entropy`."""
+    custom = settings.loss
+    if custom is not None:
+        return _checked(load_plugin(custom) if isinstance(custom, str) else custom)
+    if training_set.values is not None:
         return squared_error
+    weights = training_set.class_weights if settings.balance else None
     return lambda logits, labels: cross_entropy(logits, labels, weights, rows)
 
 
@@ -36,8 +60,8 @@ def cross_entropy(
     # Sums over few classes are many times faster along a leading axis, and rounded otherwise
     if rows:
         return functional.cross_entropy(logits, labels, weights, reduction="none")
-    by_class, truth = logits.T.contiguous()[None], labels[None]
-    return functional.cross_entropy(by_class, truth, weights, reduction="none")[0]
+    by_class = logits.T.contiguous()[None]
+    return functional.cross_entropy(by_class, labels[None], weights, reduction="none")[0]
 
 
 def squared_error(outputs: Tensor, values: Tensor) -> Tensor:
@@ -45,7 +69,7 @@ def squared_error(outputs: Tensor, values: Tensor) -> Tensor:
     return (outputs - values).square().mean(dim=-1)
 
 
-def total(loss: Loss, outputs: Tensor, truth: Tensor) -> Tensor:
+def sum_over(loss: SceneLoss, outputs: Tensor, truth: Tensor) -> Tensor:
     """Sum of a loss over scenes and replicas: outputs (K · B, R, C) of K answers, truth (B, R).
 
     Truth of values is (B, R, q). Answers before the last look count `EARLY_LOOKS_WEIGHT`.
@@ -58,7 +82,33 @@ def total(loss: Loss, outputs: Tensor, truth: Tensor) -> Tensor:
     return last + EARLY_LOOKS_WEIGHT / len(early) * sum(early)
 
 
-def _checked(own: Callable[[Tensor, Tensor], Any]) -> Loss:
+class CountsCost:
+    """Cost of the counts of trainings side by side, step by step."""
+
+    def __init__(self, counts: float, steps: int) -> None:
+        self._counts = counts
+        self._steps = steps
+        self._step = 0
+        self.weight = torch.tensor(FIRST_WEIGHT)
+
+    def restore(self, step: int, weight: Tensor) -> None:
+        """Go to a step, at which μ was this."""
+        self._step = step
+        self.weight = weight
+
+    def __call__(self, expected: Tensor) -> Tensor:
+        """Cost (R,) of expected counts (R,) of a step, and one step of the weight."""
+        ratio = expected / self._counts
+        done = self._step / (RAMP * self._steps)
+        self._step += 1
+        if done < 1:
+            return done * self.weight * (ratio - 1).clamp(min=0)
+        excess = ratio.detach().log().clamp(-MOST_EXCESS, MOST_EXCESS)
+        self.weight = self.weight.to(excess) * (PACE / self._steps * excess).exp()
+        return self.weight * (ratio - 1).clamp(min=0)
+
+
+def _checked(own: Callable[[Tensor, Tensor], Any]) -> SceneLoss:
     """A user's own loss, which says in one line what is wrong with what it gives."""
 
     def loss(outputs: Tensor, truth: Tensor) -> Tensor:

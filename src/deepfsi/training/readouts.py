@@ -31,7 +31,7 @@ RIDGE = 1e-2
 SEGMENTS = 20
 """Parts of the recording by which the order is tested."""
 
-TINY = 1e-12
+LEAST_DRIFT = 1e-12
 """Step of monitors that is taken for none, so that its logarithm is a number."""
 
 
@@ -101,12 +101,24 @@ class OrderTest:
 
 @dataclass(frozen=True)
 class ReadoutsResult:
-    """Accuracy of classifiers of measured readouts, and of whatever else tells the class."""
+    """Accuracy of classifiers of measured readouts, and of whatever else tells the class.
+
+    Attributes
+    ----------
+    recordings, readouts : int
+        Of how many the readouts are, and how many each has.
+    classes : tuple of str
+    chance : float
+        Share of the commonest class.
+    splits : tuple of SplitTest
+    monitors : tuple of MonitorTest
+    order : OrderTest
+    """
 
     recordings: int
     readouts: int
     classes: tuple[str, ...]
-    chance: float  # share of the commonest class
+    chance: float
     splits: tuple[SplitTest, ...]
     monitors: tuple[MonitorTest, ...]
     order: OrderTest
@@ -118,7 +130,8 @@ class ReadoutsResult:
     @property
     def verdict(self) -> tuple[str, ...]:
         """Findings, one a line."""
-        random, later = self.test("random").network, self.test("later").network
+        random = self.test("random").network
+        later = self.test("later").network
         lines = [f"order: {self.order.words}"]
         for each in self.monitors:
             tells = each.ridge.low > self.chance
@@ -179,7 +192,20 @@ def learn_readouts(
     """Train a classifier on the training part of a split of measured readouts.
 
     It holds the offset and the gain of each readout, and no masks: `classify_readouts` reads new
-    ones in the detector's unit. `training` has fields of `Training`, in place of `TRAINING`.
+    ones in the detector's unit.
+
+    Parameters
+    ----------
+    readouts : Readouts
+    split : str
+        Which of its splits.
+    training : mapping, optional
+        Fields of `Training`, in place of those of `TRAINING`.
+    seed : int
+        Of split and training.
+    device : str
+        As of `learn`.
+    report : Progress
     """
     made = learn(
         readouts.dataset(split, seed),
@@ -201,7 +227,16 @@ def learn_readouts(
 def measure_readouts(
     readouts: Readouts, designs: Mapping[str, Design], seed: int = 0
 ) -> ReadoutsResult:
-    """Test designs of `learn_readouts`, one for each split, and what else tells the class."""
+    """Test designs of `learn_readouts`, and what else tells the class.
+
+    Parameters
+    ----------
+    readouts : Readouts
+    designs : mapping of str to Design
+        Of each split.
+    seed : int
+        Of the splits.
+    """
     splits = []
     for split, design in designs.items():
         test = readouts.test_part(split, seed)
@@ -209,10 +244,10 @@ def measure_readouts(
         splits.append(
             SplitTest(
                 split,
-                int((~test).sum()),
-                int(test.sum()),
-                accuracy_interval((answers == readouts.y[test]).astype(float)),
-                _ridge(readouts.values, readouts.y, test, seed),
+                train=int((~test).sum()),
+                test=int(test.sum()),
+                network=accuracy_interval((answers == readouts.y[test]).astype(float)),
+                ridge=_ridge(readouts.values, readouts.y, test, seed),
             )
         )
     test = readouts.test_part("random", seed)
@@ -223,13 +258,13 @@ def measure_readouts(
     ]
     recordings, count = readouts.values.shape
     return ReadoutsResult(
-        recordings,
-        count,
-        readouts.classes,
-        float(np.bincount(readouts.y).max() / len(readouts.y)),
-        tuple(splits),
-        tuple(monitors),
-        measure_order(readouts),
+        recordings=recordings,
+        readouts=count,
+        classes=readouts.classes,
+        chance=float(np.bincount(readouts.y).max() / len(readouts.y)),
+        splits=tuple(splits),
+        monitors=tuple(monitors),
+        order=measure_order(readouts),
     )
 
 
@@ -280,7 +315,7 @@ def measure_order(readouts: Readouts) -> OrderTest:
     parts = zip(
         *(np.array_split(each, min(SEGMENTS, count - 1)) for each in (turns, blocks)), strict=True
     )
-    logs = [float(np.log((a.mean() + TINY) / (b.mean() + TINY))) for a, b in parts]
+    logs = [float(np.log((a.mean() + LEAST_DRIFT) / (b.mean() + LEAST_DRIFT))) for a, b in parts]
     ends = (float(np.mean(logs)), *student(logs))
     return OrderTest(
         in_blocks=float(blocks.mean()),

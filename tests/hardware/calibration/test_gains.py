@@ -9,7 +9,7 @@ from deepfsi.hardware.calibration import find_gains
 from deepfsi.hardware.counting import CountSettings, count_run, read_counts
 from deepfsi.hardware.patterns import DesignRails, FrameSettings, export_patterns
 from deepfsi.hardware.virtual import RecordingSettings, VirtualCamera, record_scenes
-from deepfsi.training.info import detector_shares
+from deepfsi.training.characterisation import detector_shares
 
 DEVICE = Device(name="d", columns=64, rows=64, shortest_us=10, settle_us=2)
 CELLS = np.kron([[0, 1], [2, 3]], np.ones((2, 2), int))

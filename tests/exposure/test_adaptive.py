@@ -5,10 +5,10 @@ import pytest
 import torch
 
 from conftest import generator
+from deepfsi.exposure import ScenePrior
+from deepfsi.exposure.adaptive import MISFIT_BUDGETS, UsualMisfit, measure, squared_distance
 from deepfsi.exposure.choice import next_masks
-from deepfsi.exposure.misfit import BUDGETS, UsualMisfit, measure, squared_distance
 from deepfsi.exposure.posterior import AdaptivePosterior, LookOptics
-from deepfsi.exposure.prior import ScenePrior
 from deepfsi.jobs import AdaptiveMasks
 from deepfsi.physics import Poisson
 
@@ -72,7 +72,7 @@ def test_a_scene_that_is_left_out_is_further_than_one_that_is_known(known):
 def test_chances_are_those_of_the_measured_distribution():
     """Half at the median, a sixth one deviation above; between budgets, and the same beyond."""
     logs = np.stack([np.log([[1.0, 2], [1, 2], [4, 8]]), np.full((3, 2), 0.5)])
-    usual = UsualMisfit(1e3 * np.array(BUDGETS), logs)
+    usual = UsualMisfit(1e3 * np.array(MISFIT_BUDGETS), logs)
     assert usual.chance(2.0, 1, 1e3) == pytest.approx(0.5)
     assert usual.chance(2.0 * np.exp(0.5), 1, 1e3) == pytest.approx(0.1587, abs=1e-4)
     assert usual.chance(2.0, 0, 1e3 * 10**0.5) == pytest.approx(0.5)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deepfsi.training.info import brightness
+from deepfsi.training.characterisation import brightness
 
 
 def test_brightness_tells_scenes_from_classes():

@@ -1,0 +1,162 @@
+"""Exposures of which every mask is shown once and all are needed, of masks that learn or not."""
+
+from dataclasses import KW_ONLY, dataclass
+
+import torch
+from torch import Tensor
+
+from deepfsi.exposure.trained import UNTRAINED, MaskExposure, TrainedMasks
+from deepfsi.exposure.training import (
+    CHUNK,
+    ExposureTraining,
+    JobGroup,
+    standardise,
+)
+from deepfsi.exposure.training_set import Draws, SeedStream, side_by_side
+from deepfsi.jobs import FixedEntry
+from deepfsi.physics import LearnedMasks, Rails, project_rails, root
+
+START = 10.0
+"""Counts of the start over those asked for, at most."""
+
+CLICKING = 0.9
+"""Part of the gates that click at the start, at most."""
+
+DIMMINGS = 30
+"""Steps of the search for the brightness of the start."""
+
+
+@dataclass(frozen=True, eq=False)
+class FixedExposure(MaskExposure):
+    """Exposure of which all masks are needed, each with its own dwell."""
+
+    _: KW_ONLY
+    optics: TrainedMasks = UNTRAINED
+    kind = "fixed"
+
+    def entry(self) -> FixedEntry:
+        """Entry of the design file's header."""
+        return FixedEntry()
+
+
+class FixedTraining(ExposureTraining):
+    """Masks that do not learn, whose products with all scenes are known.
+
+    Where no counts are drawn the products are standardised once, for the first of the replicas that
+    share them; what the others have in place of that is a factor.
+    """
+
+    def __init__(self, group: JobGroup) -> None:
+        super().__init__(group)
+        self.exposures = [FixedExposure()] * len(self.jobs)
+        self.masks = group.masks or self.fixed_masks(self.named_rails(group.matrix))
+
+    def prepare(self) -> None:
+        """Take the products of all scenes, and their statistics."""
+        noise = self.noise
+        detection = self.detection
+        arranged = self.masks().map(detection.arrange)
+        frames = detection.read_of(arranged)
+        if not noise.kind.of_light:
+            frames = Rails(frames.difference)  # their total is not needed
+        pairs = [
+            project_rails(detection.arrange(x), frames, detection.count)
+            for x in self.scenes.full.split(CHUNK)
+        ]
+        self.means = torch.cat([mean for mean, _ in pairs])
+        single = frames.count == 1
+        totals = self.means if single else torch.cat([total for _, total in pairs])
+        del pairs
+        self.mean, self.std, _ = self.statistics(means=self.means)
+        self.read = detection.readouts(arranged)
+        self.totals = totals if noise.kind.of_light else None
+        if noise.kind.counting:
+            return
+        replicas = self.means.shape[1]
+        self.alone = replicas == len(self.std)
+        self.ratio = self.std[:replicas] / self.std
+        if self.totals is None:
+            self.gain = noise.variance(self.mean, self.mean, self.read).sqrt() / self.std
+        else:
+            gain = noise.unit / self.std
+            self.totals = root(self.totals).mul_(gain[:replicas])
+            self.gain = gain / gain[:replicas]
+        self.means.sub_(self.mean[:replicas]).div_(self.std[:replicas])
+
+    def inputs(self, draws: Draws) -> Tensor:
+        """Features (B, R, k), standardised as those of the whole training set."""
+        return draws.side_by_side(self._of_seed)
+
+    def _of_seed(self, stream: SeedStream) -> Tensor:
+        expected = stream.products(self.means)
+        if self.noise.kind.counting:
+            assert self.totals is not None
+            totals = stream.products(self.totals)
+            counts = stream.noise.counted(expected, totals, stream.readouts(self.read))
+            return (counts - stream.of_jobs(self.mean)) / stream.of_jobs(self.std)
+        normal = stream.normal(expected.shape[-1])
+        gain = stream.of_jobs(self.gain)
+        if self.totals is not None:
+            normal = normal * stream.products(self.totals)
+            if self.alone:
+                return expected.add_(normal)
+        scaled = expected if self.alone else expected * stream.of_jobs(self.ratio)
+        return torch.addcmul(scaled, normal, gain)
+
+
+class LearnedTraining(ExposureTraining):
+    """Masks that learn."""
+
+    masks: LearnedMasks
+
+    def __init__(self, group: JobGroup) -> None:
+        super().__init__(group)
+        self.exposures = [FixedExposure()] * len(self.jobs)
+        self.masks = self.learned_masks()
+
+    def prepare(self) -> None:
+        """Take the centred scenes, and masks that are not too bright where few counts are asked."""
+        self.x, _ = self.centred()
+        if self.job.training.counts is not None:
+            self._dim(self.job.training.counts)
+
+    def inputs(self, draws: Draws) -> Tensor:
+        """Features (B, R, k), standardised in their batch."""
+        features, light = self.noise.learn(self.x, self.masks, self.detection, draws.streams)
+        if self.job.training.counts is not None:
+            pairs = zip(draws.streams, light, strict=True)
+            self.counts = torch.cat([stream.noise.expected(*pair) for stream, pair in pairs])
+        return standardise(side_by_side(features), self.scale)
+
+    def _dim(self, counts: float) -> None:
+        """Dim masks before their training, where they would count too much."""
+        # x (n + 1, P): centred scenes, and their mean
+        masks = self.masks
+        detection = self.detection
+        scenes = (self.x[:-1][:CHUNK] + self.x[-1]).float()
+
+        def counted() -> Tensor:
+            light = project_rails(scenes, detection.read_of(masks()), detection.count)
+            return self.noise.expected(*light)
+
+        with torch.no_grad():
+            bright = counted()
+            rails = masks()
+            readouts = rails.count * rails.masks * detection.count
+            most = float(self.noise.kind.mean(torch.tensor(torch.inf)))  # if it is limited
+            goal = max(counts, min(START * counts, CLICKING * most * readouts))
+            low = torch.full_like(bright, -20.0)
+            high = torch.zeros_like(bright)
+            whole = {name: each.clone() for name, each in masks.state_dict().items()}
+            for _ in range(DIMMINGS):
+                masks.load_state_dict(whole)
+                middle = (low + high) / 2
+                masks.dim(middle.exp())
+                over = counted() > goal
+                low = torch.where(over, low, middle)
+                high = torch.where(over, middle, high)
+
+
+def fixed_training(group: JobGroup) -> ExposureTraining:
+    """Training of masks that are shown once, whether they learn or not."""
+    return (LearnedTraining if group.jobs[0].code.learned else FixedTraining)(group)

@@ -1,0 +1,104 @@
+"""Exposures of images that are seen patch by patch, with a detector for each patch and mask."""
+
+from dataclasses import KW_ONLY, dataclass
+from math import prod
+from typing import ClassVar
+
+from torch import Tensor
+
+from deepfsi.exposure.trained import UNTRAINED, MaskExposure, TrainedMasks, Use
+from deepfsi.exposure.training import ExposureTraining, JobGroup, deviation
+from deepfsi.exposure.training_set import Draws
+from deepfsi.jobs import Patches, PatchesEntry, cut_patches
+from deepfsi.physics import Scanner, project
+
+OF_PATCHES = (
+    "this design is of image patches, each with a detector of its own, which frames of one device "
+    "or one graph cannot: use Design.classify"
+)
+"""Why patches are not for frames, or a graph."""
+
+
+@dataclass(frozen=True, eq=False)
+class PatchExposure(MaskExposure):
+    """Exposure of fixed dwells, with a detector for each patch of an image.
+
+    Features have the shape (..., P, m), and a budget is of the whole image.
+    """
+
+    side: int  # of a patch, pixels
+    _: KW_ONLY
+    optics: TrainedMasks = UNTRAINED
+    kind = "patches"
+    comparable: ClassVar[bool] = False
+    refusals: ClassVar[dict[Use, str]] = {
+        "frames": OF_PATCHES,
+        "graph": OF_PATCHES,
+        "page": "this design is of image patches, each with a detector of its own, and a page "
+        "shows one device: give a design of whole scenes",
+    }
+
+    def entry(self) -> PatchesEntry:
+        """Entry of the design file's header."""
+        return PatchesEntry(side=self.side)
+
+    def check_masks(self) -> None:
+        """Raise `ValueError` unless the masks are of patches."""
+        height, width = self.image_shape
+        pixels = self.optics.rails.difference.shape[-1]
+        if pixels != self.side**2 or height % self.side or width % self.side:
+            raise ValueError("masks are not of a patch")
+
+    @property
+    def mask_shape(self) -> tuple[int, ...]:
+        """Shape of a mask, that of a patch."""
+        return self.side, self.side
+
+    def tokens(self, image_shape: tuple[int, ...]) -> int:
+        """Number of patches of an image."""
+        return prod(image_shape) // self.side**2
+
+    @property
+    def patch_axis(self) -> tuple[int, ...]:
+        """Axis (P,) of counts, in which patches follow row by row."""
+        return (self.tokens(self.image_shape),)
+
+    def rates(self, front: Scanner, scenes: Tensor) -> Tensor:
+        """Expected counts (..., P, rails, m) of the patches of images (..., H · W)."""
+        return super().rates(front, cut_patches(scenes, self.image_shape, self.side))
+
+    def budget(self, photons: Tensor) -> Tensor:
+        """Budget (..., 1) of an image: every patch has it."""
+        return photons[..., 0, :] if photons.ndim > 1 else photons
+
+
+class PatchTraining(ExposureTraining):
+    """Masks of patches, and the features of every patch of images; one job alone trains on them."""
+
+    def __init__(self, group: JobGroup) -> None:
+        super().__init__(group)
+        asked = self.job.exposure
+        assert isinstance(asked, Patches)
+        exposure = PatchExposure(asked.patch)
+        self.exposures = [exposure]
+        self.tokens = exposure.tokens(self.training_set.data.image_shape)
+        self.masks = self.learned_masks() if self.learns else self.fixed_masks(self.named_rails())
+
+    def prepare(self) -> None:
+        """Cut images (n, P, N) to patches of the pixels that the masks have."""
+        lit = self.scenes.varying
+        patches = self.scenes.full.view(-1, self.tokens, self.scenes.data.pixels)
+        self.x = patches[..., lit] if self.learns and not lit.all() else patches
+        self.mean = self.x.mean(dim=(0, 1))
+        self.scanner = Scanner(self.masks, self.noise.of_jobs(slice(1)).kind)
+        self.photons = float(self.noise.gain)
+
+    def inputs(self, draws: Draws) -> Tensor:
+        """Features (B, 1, P, m), standardised in their batch."""
+        [stream] = draws.streams
+        counts = self.scanner(self.x[stream.rows] * self.photons, stream.generator)
+        counts = counts / self.photons
+        features = (counts - project(self.mean, self.masks().difference)).squeeze(2)
+        over = (0, 1) if self.scale == "each" else (0, 1, 2)
+        std = deviation(features.square().mean(dim=over), "each")
+        return (features / std).unsqueeze(1)

@@ -1,0 +1,350 @@
+"""The masks' half of a training: what its kinds share.
+
+A kind of exposure trains in four calls: it is built (masks, and networks beside the classifiers),
+prepared (what is alike in all steps is computed once), asked for the inputs of the classifiers in
+each step, and finished, which gives what each job has learned. The step itself, and the
+classifiers, are in `training.loop`.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from deepfsi.base import InputError
+from deepfsi.camera import LIGHT_LAWS
+from deepfsi.exposure.trained import MaskExposure, TrainedMasks
+from deepfsi.exposure.training_set import Draws, TrainingSet, product_dtype
+from deepfsi.jobs import DESIGNS, Job, Scale, count_allowed
+from deepfsi.networks.classifiers import Replicas
+from deepfsi.physics import (
+    Detection,
+    FixedMasks,
+    LearnedMasks,
+    Rails,
+    TrainingNoise,
+    frames,
+    light_law,
+    noise_of,
+    peak,
+    project,
+    project_rails,
+    signed_parts,
+)
+
+CHUNK = 4096
+"""Scenes that are multiplied at once outside the steps."""
+
+LEAST_POWER = 1e-20
+"""Mean square of features, in units of the scene, below which they do not vary."""
+
+
+@dataclass(frozen=True, eq=False)
+class JobGroup:
+    """Jobs that train side by side, R of them, and what they train with.
+
+    Attributes
+    ----------
+    training_set : TrainingSet
+    jobs : sequence of Job
+        Those of one seed one after another.
+    noise : TrainingNoise
+        Of all jobs.
+    matrix : array, shape (m, N), optional
+        A user's own, for ``design="custom"``.
+    masks : FixedMasks or LearnedMasks, optional
+        That were learned before, of a control group.
+    """
+
+    training_set: TrainingSet
+    jobs: Sequence[Job]
+    noise: TrainingNoise
+    matrix: np.ndarray | None = None
+    masks: FixedMasks | LearnedMasks | None = None
+
+    @classmethod
+    def of(
+        cls,
+        training_set: TrainingSet,
+        jobs: Sequence[Job],
+        matrix: np.ndarray | None = None,
+        masks: FixedMasks | LearnedMasks | None = None,
+    ) -> "JobGroup":
+        """Group with the noise that its jobs ask for; parameters as of the class."""
+        job = jobs[0]
+        own = job.camera.noise if job.training.noise is None else job.training.noise
+        noises = [
+            noise_of(each.camera, job.noise if isinstance(own, str) else own) for each in jobs
+        ]
+        noises[0].check(learning=job.code.learned)
+        gains = [each.photons / training_set.summed_reflectance for each in jobs]
+        seeds = [each.seed for each in jobs]
+        noise = TrainingNoise.of(noises, gains, seeds, training_set.device)
+        return cls(training_set, jobs, noise, matrix=matrix, masks=masks)
+
+
+class FeatureStatistics(NamedTuple):
+    """Statistics (R, k) of features in units of the scene, over scenes and noise."""
+
+    mean: Tensor
+    std: Tensor
+    light: Tensor
+    """Their mean x S."""
+
+
+class ExposureTraining(ABC):
+    """Masks of R jobs side by side in a training, and what classifiers get of a step's scenes.
+
+    Parameters
+    ----------
+    group : JobGroup
+
+    Attributes
+    ----------
+    jobs, noise, training_set
+        Of the group.
+    masks : FixedMasks or LearnedMasks
+        Of R replicas, or of one where all share them.
+    learns : bool
+        Whether they are learned.
+    choose : Replicas
+        Networks beside the classifiers, one for each job; none of most kinds.
+    exposures : list of MaskExposure
+        Of each job, but for what they keep of masks that have learned.
+    input_count : int
+        Inputs of a classifier.
+    tokens : int
+        Parts of an image that are exposed by themselves.
+    counts : tensor, shape (R,), or None
+        Expected counts of a step, in the mean over its scenes, of jobs that ask for few.
+    """
+
+    masks: FixedMasks | LearnedMasks
+    exposures: Sequence[MaskExposure]
+    counts: Tensor | None = None
+
+    def __init__(self, group: JobGroup) -> None:
+        self.jobs = group.jobs
+        self.noise = group.noise
+        self.training_set = group.training_set
+        self.job = group.jobs[0]
+        self.camera = self.job.optics
+        self.scale = self.job.training.scale
+        self.law = light_law(self.camera.light)
+        self.learns = self.job.code.learned
+        self.scenes = self.training_set.view(self.job.exposure)
+        self.levels = self.camera.mask_levels(self.scenes.data.image_shape)
+        self.detection = Detection.of(self.camera, self.training_set.data.image_shape)
+        self.choose = Replicas([], stacked=False)
+        self.input_count = self.job.features(self.training_set.data.image_shape)
+        self.tokens = 1
+
+    @abstractmethod
+    def prepare(self) -> None:
+        """Compute what is alike in all steps, before the first."""
+
+    @abstractmethod
+    def inputs(self, draws: Draws) -> Tensor:
+        """Inputs (B, R, …) of the classifiers in a step; after each of K looks (K · B, R, …)."""
+
+    def fix(self) -> None:
+        """Take masks that have learned as they are at the end of their training."""
+        if self.learns:
+            self.masks = FixedMasks(self.all_pixels())
+
+    def finish(self) -> list[MaskExposure]:
+        """Masks, statistics and exposure of each job, of masks that are fixed."""
+        return self.trained(self.statistics())
+
+    def learned_masks(self) -> LearnedMasks:
+        """Masks that learn under the camera's light law."""
+        camera = self.camera
+        return LearnedMasks(
+            self.start(),
+            camera.light,
+            camera.rails,
+            levels=self.levels,
+            shortest=camera.shortest_share,
+        ).to(self.scenes.device)
+
+    def fixed_masks(self, rails: Tensor) -> FixedMasks:
+        """Masks of rails (R or 1, 2 or 1, m, N), in the grey levels of the device."""
+        rails = self.law.quantise(rails, self.levels) if self.levels else rails
+        return FixedMasks(rails).to(self.scenes.device)
+
+    def named_rails(self, matrix: np.ndarray | None = None) -> Tensor:
+        """Rails (R or 1, 2 or 1, m, N) of a named design or a user's own matrix (m, N)."""
+        if matrix is not None:
+            return self.law.rails_of(matrix, self.camera.rails).unsqueeze(0)
+        signed = self._matrices()
+        if self.job.code.scaled:
+            return signed.unsqueeze(1)
+        return torch.stack([self.law.fit(each, self.camera.rails) for each in signed])
+
+    def start(self) -> Tensor:
+        """Matrices (R, m, P) that masks learn from, of the pixels that they may light."""
+        pixels = self.scenes.pixels(self.camera.light).cpu()
+        signed = self.detection.of_pixels(pixels).arrange(self._matrices()[..., pixels])
+        return signed.expand(len(self.jobs), -1, -1).clone()
+
+    def all_pixels(self) -> Tensor:
+        """Rails (R, 2 or 1, m, N) of learned masks, which are dark where they were not learned."""
+        pixels = self.scenes.pixels(self.camera.light)
+        with torch.no_grad():
+            learned = self.masks().stacked
+        rails = learned.new_zeros(*learned.shape[:-1], len(pixels))
+        rails[..., pixels] = self.detection.of_pixels(pixels).restore(learned)
+        return rails
+
+    def centred(self) -> tuple[Tensor, FixedMasks | LearnedMasks]:
+        """Centred scenes and their mean (n + 1, P), and masks, both arranged by detectors."""
+        pixels = self.scenes.pixels(self.camera.light)
+        masks = self.masks
+        if not self.learns:  # they see every pixel
+            pixels = torch.ones_like(pixels)
+            masks = FixedMasks(self.detection.arrange(masks().stacked))
+        kind = product_dtype(self.job, self.scenes.device)
+        return self.scenes.centred(pixels, kind, self.detection), masks
+
+    def statistics(
+        self, exposures: tuple[Tensor, Tensor] | None = None, means: Tensor | None = None
+    ) -> FeatureStatistics:
+        """Statistics of features over all scenes.
+
+        Parameters
+        ----------
+        exposures : pair of tensors, shape (R or 1, k)
+            Noise of each feature in the mean over exposures, over that of the one for which the
+            noise is, and how often it is read; unless all exposures are alike.
+        means : tensor, shape (n, R or 1, k)
+            Products of the scenes with the masks, where they are known.
+        """
+        noise = self.noise
+        detection = self.detection
+        scenes = self.scenes.full
+        arranged = self.masks().map(detection.arrange)
+        read = detection.readouts(arranged)
+        masks = detection.read_of(arranged)
+        middle = detection.arrange(scenes.mean(dim=0))
+        mean, light = (
+            project(middle, sums, detection.count) for sums in (masks.difference, masks.total)
+        )
+        if not noise.kind.unbiased:  # what it draws is taken
+            products = (
+                project_rails(detection.arrange(x), masks, detection.count)
+                for x in scenes.split(CHUNK)
+            )
+            first, power = moments(noise.counted(*pair, read) for pair in products)
+            std = deviation(power, self.scale)
+            return FeatureStatistics(first, std, light.expand_as(std))
+        power = torch.zeros_like(mean)
+        for index, x in enumerate(scenes.split(CHUNK)):
+            rows = slice(index * CHUNK, index * CHUNK + len(x))
+            expected = (
+                project(detection.arrange(x), masks.difference, detection.count)
+                if means is None
+                else means[rows]
+            )
+            power += (expected - mean).square().sum(dim=0)
+        factor, often = exposures or (1.0, None)
+        power = power / len(scenes) + noise.variance(mean, light, read) * factor
+        std = deviation(power, self.scale, often)
+        return FeatureStatistics(mean.expand_as(std), std, light.expand_as(std))
+
+    def trained(self, statistics: FeatureStatistics) -> list[MaskExposure]:
+        """Exposure of each job with its masks, with statistics of all."""
+        s = self.training_set.summed_reflectance
+        rails = self.masks().stacked
+        made = []
+        for job, exposure in enumerate(self.exposures):
+            optics = TrainedMasks(
+                rails=Rails.of(self.law.check(rails[job % len(rails)].clone())),
+                light=self.camera.light,
+                image_shape=self.training_set.data.image_shape,
+                detection=self.detection,
+                summed_reflectance=s,
+                mean=statistics.mean[job] / s,
+                std=statistics.std[job] / s,
+                shares=statistics.light[job] / s * self.tokens,
+            )
+            made.append(replace(exposure, optics=optics))  # type: ignore[type-var]
+        return made
+
+    def _matrices(self) -> Tensor:
+        """Matrices (R or 1, m, N) that masks are fitted to or start from."""
+        return torch.stack([self._matrix(seed) for seed in matrix_seeds(self.jobs)])
+
+    def _matrix(self, seed: int) -> Tensor:
+        """Matrix (m, N) of a seed; of one rail the first lit frames of a design."""
+        # Learned masks of two arms that are both read start from these frames, too, and the other
+        # arm from what they leave: so they begin where one arm does (0.848 on MNIST's validation
+        # images at 1e4 photons and 24 masks; 0.838 from the signed matrix, whose zeros are half
+        # light on each arm)
+        job = self.job
+        camera = self.camera
+        scenes = self.scenes
+        name = job.start_matrix
+        detectors = camera.detector_map(scenes.data.image_shape)
+        two_arms = job.code.learned and LIGHT_LAWS[camera.light].arms == 2
+        both_arms = two_arms and camera.readout == "both"
+        if job.code.rails == "single" or (camera.rails == "dual" and not both_arms):
+            return torch.from_numpy(scenes.matrix(name, job.masks, seed, detectors)).float()
+        least, most = count_allowed(name, scenes.data, detectors)
+        for masks in range(min(max(-(-job.masks // 2), least), most), most + 1):
+            signed = torch.from_numpy(scenes.matrix(name, masks, seed, detectors)).float()
+            lit = frames(signed_parts(signed))
+            if len(lit) >= job.masks:
+                first = lit[: job.masks]
+                return 2 * first / peak(first) - 1 if both_arms else first
+        raise InputError(f"{job.masks} frames are not allowed for {name}: give at most {len(lit)}")
+
+
+def matrix_seeds(jobs: Sequence[Job]) -> list[int]:
+    """Seed of each matrix that jobs trained together are drawn from; one where all share it."""
+    seeds = [job.seed for job in jobs]
+    drawn = DESIGNS[jobs[0].start_matrix].seeded
+    return seeds if drawn and len(set(seeds)) > 1 else seeds[:1]
+
+
+def standardise(features: Tensor, scale: Scale, shown: Tensor | None = None) -> Tensor:
+    """Divide centred features by the standard deviation of their batch."""
+    # features (B, R, m)
+    if shown is not None:
+        over = (0,) if scale == "each" else (0, 2)
+        power = (features.square() * shown).sum(dim=over, keepdim=True)
+        power = power / shown.sum(dim=over, keepdim=True).clamp(min=1)
+        return features / power.clamp(min=LEAST_POWER).sqrt()
+    if scale == "each":
+        columns = functional.batch_norm(
+            features.flatten(1), None, None, training=True, eps=LEAST_POWER
+        )
+        return columns.view_as(features)
+    size = torch.linalg.vector_norm(features, dim=(0, 2)) / (features[:, 0].numel() ** 0.5)
+    return features / size.clamp(min=LEAST_POWER**0.5)[:, None]
+
+
+def deviation(power: Tensor, scale: Scale, weights: Tensor | None = None) -> Tensor:
+    """Standard deviation (..., m) of features of known variance; 1 where that is 0."""
+    # power (..., m); weights (m,)
+    if scale == "common":
+        weights = torch.ones_like(power) if weights is None else weights
+        common = (power * weights).sum(dim=-1, keepdim=True) / weights.sum(dim=-1, keepdim=True)
+        power = common.expand_as(power)
+    return torch.where(power > 0, power, 1.0).sqrt()
+
+
+def moments(parts: Iterable[Tensor]) -> tuple[Tensor, Tensor]:
+    """Mean and variance (R, k) of features (n_i, R, k) in parts, summed in float64."""
+    count = 0
+    sums = []
+    for part in parts:
+        wide = part.double()
+        count += len(part)
+        sums.append(torch.stack([wide.sum(dim=0), wide.square().sum(dim=0)]))
+    mean, square = torch.stack(sums).sum(dim=0) / count
+    return mean.to(part), (square - mean.square()).clamp(min=0).to(part)
