@@ -246,3 +246,36 @@ def test_data_that_is_not_the_designs_is_refused(good, digits):
 def test_draws_and_read_noise_that_cannot_be_are_refused(good, digits, settings):
     with pytest.raises(InputError):
         evaluate(good, digits, 1e3, **settings)
+
+
+def test_a_pair_of_arrays_is_all_test(digits):
+    """Labels are the names of the design's classes, or their numbers; not all need be there."""
+    design = quick(digits)
+    x, y = digits.x_test, digits.y_test
+    [whole] = evaluate(design, digits, 1e4, draws=1)
+    assert evaluate(design, (x.reshape(-1, 8, 8), y), 1e4, draws=1) == [whole]
+    assert evaluate(design, (x, y.astype(str)), 1e4, draws=1) == [whole]
+    two = np.isin(y, (3, 7))
+    [few] = evaluate(design, (x[two], y[two]), 1e4, draws=1)
+    assert (few.images, few.rates[0]) == (two.sum(), None)
+    [left] = evaluate(design, (digits.x_train[:9], digits.y_train[:9]), 1e4, draws=1)
+    assert "all 9 test scenes were trained on" in left.covers
+    for wrong, match in [
+        ((x, y + 1), "y holds the label 10"),
+        ((x, y[:-1]), "give one label for each"),
+        ((x, y.astype(float)), "give labels that are integers or strings"),
+        ((x[:, :-1], y), "has 63 pixels and the design 64"),
+    ]:
+        with pytest.raises(InputError, match=match):
+            evaluate(design, wrong, 1e4)
+
+
+def test_a_pair_of_scenes_and_values_is_all_test(digits):
+    x = digits.x_train.reshape(-1, 8, 8)
+    values = np.stack([x[:, :4].mean(axis=(1, 2)), x[:, 4:].mean(axis=(1, 2))], axis=1)
+    data = from_arrays(x[:200], values[:200], x[200:300], values[200:300])
+    design = quick(data)
+    whole, pair = (
+        evaluate(design, given, 1e5, draws=1)[0] for given in (data, (x[200:300], values[200:300]))
+    )
+    assert pair == whole

@@ -186,3 +186,40 @@ def test_light_is_that_of_the_camera_unless_it_is_told(digits, raw, design):
     silent = replace(design, info={k: v for k, v in design.info.items() if k != "job"})
     with pytest.raises(InputError, match="give `photons`"):
         deepfsi.predict(silent, raw)
+
+
+def test_arrays_are_predicted_as_the_scenes_and_pictures_that_they_are(design, digits, raw):
+    """Floats as the data set has them; whole numbers get what pictures of files get."""
+    [shape] = {(len(digits.x_test), *design.image_shape)}
+    found = deepfsi.predict(design, digits.x_test, 1e4)
+    assert found.pictures == deepfsi.predict(design, digits.x_test.reshape(shape), 1e4).pictures
+    assert [each.name for each in found.pictures[:2]] == ["0", "1"]
+    files = sorted(raw.iterdir())
+    levels = np.stack([np.asarray(Image.open(file)) for file in files])
+    here, there = deepfsi.predict(design, levels, 1e4), deepfsi.predict(design, raw, 1e4)
+    mapped = "divided by 255, then mapped from [0, 1] to [0.3, 1]"
+    assert here.preprocessing.endswith(mapped)
+    assert there.preprocessing.endswith(mapped)
+    answers = [
+        [(each.predicted, each.confidence, each.trained_on) for each in one.pictures]
+        for one in (here, there)
+    ]
+    assert answers[0] == answers[1]
+    kept = deepfsi.predict(design, levels.reshape(len(levels), -1), 1e4)
+    assert kept.pictures == here.pictures
+
+
+@pytest.mark.parametrize(
+    ("pictures", "match"),
+    [
+        (None, "pictures were given as NoneType: give a picture, a folder"),
+        (np.zeros((3, 5)), "the pictures are of 5 pixels and the design's scenes of 8x8"),
+        (np.zeros((0, 8, 8)), "holds no pictures: give one or more"),
+        (np.full((2, 8, 8), 7.0), "pictures"),
+        (np.full((2, 8, 8), np.nan), "pictures"),
+    ],
+)
+def test_what_is_no_array_of_pictures_is_one_line(design, pictures, match):
+    with pytest.raises(InputError, match=match) as error:
+        deepfsi.predict(design, pictures, 1e4)
+    assert "\n" not in str(error.value)

@@ -6,11 +6,11 @@ stratified fifth of it is set aside. The training scenes are always in random or
 last of them are a fair sample to validate on (`Dataset.hold_out`).
 """
 
-from deepfsi.datasets.arrays import from_arrays
+from deepfsi.datasets.arrays import as_test_part, from_arrays
 from deepfsi.datasets.catalog import check, download, list_datasets
 from deepfsi.datasets.conditions import ambient, jitter
 from deepfsi.datasets.dataset import Dataset, Origin
-from deepfsi.datasets.display import read_display, write_display, write_pictures
+from deepfsi.datasets.display import array_display, read_display, write_display, write_pictures
 from deepfsi.datasets.load import (
     Source,
     absolute,
@@ -29,7 +29,9 @@ __all__ = [
     "SpectralImage",
     "absolute",
     "ambient",
+    "array_display",
     "as_dataset",
+    "as_test_part",
     "check",
     "check_source",
     "download",

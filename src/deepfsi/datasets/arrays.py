@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from math import prod
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 from unicodedata import category, normalize
@@ -109,6 +110,50 @@ def from_arrays(
     return split_arrays(
         (x, y), (x_test, y_test), names=names, name=name, seed=seed, rescale=rescale
     )
+
+
+def as_test_part(
+    x: npt.ArrayLike,
+    y: npt.ArrayLike,
+    image_shape: tuple[int, ...],
+    classes: Sequence[str] = (),
+    values: Sequence[str] = (),
+) -> Dataset:
+    """Make a data set of test scenes alone, for a design that was trained on others.
+
+    Parameters
+    ----------
+    x : array, shape (n, H, W) or (n, N)
+        Scenes, as of `from_arrays`.
+    y : array, shape (n,) or (n, q)
+        Names of the classes, or their numbers from 0; or values.
+    image_shape : tuple of int
+        Shape of a scene of the design.
+    classes, values : sequence of str
+        Names of its classes, or of its values.
+
+    Raises
+    ------
+    InputError
+        If the arrays do not fit each other, or hold other classes or values.
+    """
+    name = "arrays"
+    given = np.asarray(x)
+    if given.ndim == 2 and given.shape[1] == prod(image_shape):
+        x = given.reshape(-1, *image_shape)
+    [scenes], described, white = _scenes([x], name, None)
+    truth: Truth
+    if values:
+        truth, _, called = _values(y, None, Names(values=values), [len(scenes)], name)
+    else:
+        labels = _labels(y, len(scenes), f"{name}: y")
+        words = labels.astype(str)
+        labels = words if set(words.tolist()) <= set(classes) else labels
+        names, numbers = _class_names(labels, classes, name)
+        truth, called = _class_numbers(labels, numbers, f"{name}: y"), {"classes": names}
+    both = (scenes, truth)
+    data = assemble(name, both, both, described=described, rescale=None, **called)
+    return replace(data, x_train=data.x_train[:0], y_train=truth[:0], white=white)
 
 
 class Names(NamedTuple):

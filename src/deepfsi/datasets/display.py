@@ -10,8 +10,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from deepfsi.base import InputError, new_folder, readable_name
+from deepfsi.datasets.arrays import check_unmasked
 from deepfsi.datasets.dataset import Dataset, Reflectance
 from deepfsi.datasets.decoding import WRITTEN, Shape
 from deepfsi.datasets.picture_lists import is_image, list_labels
@@ -21,7 +23,7 @@ from deepfsi.datasets.pictures import (
     read_all,
     sized_text,
 )
-from deepfsi.datasets.values import Levels, reflectance
+from deepfsi.datasets.values import Levels, measure, reflectance
 
 
 class Display(NamedTuple):
@@ -33,6 +35,31 @@ class Display(NamedTuple):
     levels: Levels  # range of the values, and their white
     preprocessing: str  # what was done to the pictures, in words
     written: int  # how many `write_pictures` wrote
+
+
+def array_display(pictures: npt.ArrayLike, white: float | None = None) -> Display:
+    """Pictures (n, H, W), or spectra (n, B), of an array; floats are scenes as a design has them.
+
+    Parameters
+    ----------
+    pictures : array
+        Whole numbers, from 0 to a white; or floats, reflectance in [0, 1].
+    white : float, optional
+        As for `read_display`.
+    """
+    check_unmasked(pictures, "pictures")
+    values = np.asarray(pictures)
+    if not values.size:
+        raise InputError(f"an array of shape {values.shape} holds no pictures: give one or more")
+    levels = measure({"pictures": values}, white)
+    return Display(
+        names=tuple(map(str, range(len(values)))),
+        labels=None,
+        x=reflectance(values, levels),
+        levels=levels,
+        preprocessing=levels.words,
+        written=0,
+    )
 
 
 def read_display(

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 
 from deepfsi.base import (
     InputError,
@@ -21,7 +22,7 @@ from deepfsi.datasets.arrays import Options, Range, load_npz, split_arrays
 from deepfsi.datasets.catalog import CIFAR, NAMES
 from deepfsi.datasets.cubes import SUFFIXES, read_cube
 from deepfsi.datasets.dataset import Dataset, Origin
-from deepfsi.datasets.display import Display, read_display
+from deepfsi.datasets.display import Display, array_display, read_display
 from deepfsi.datasets.pictures import load_pictures
 
 DIM_BLACK = (0.3, 1.0)
@@ -216,12 +217,15 @@ def _load_name(name: str, options: Options) -> Dataset:
     return idx.load_idx(name, rescale or DIM_BLACK, options.images, seed)
 
 
-def prepared(pictures: Path, origin: Origin, skip_bad: bool = False) -> Display:
+def prepared(pictures: Path | npt.NDArray[Any], origin: Origin, skip_bad: bool = False) -> Display:
     """Pictures made scenes as those of a data set of that origin were."""
     # But for the view of a camera. Pictures that `write_pictures` wrote are mapped already
     bilinear = origin.data in CIFAR
     shape = origin.size or ((cifar.SIDE, cifar.SIDE) if bilinear else None)
-    shown = read_display(pictures, origin.white, shape, bilinear, skip_bad)
+    if isinstance(pictures, Path):
+        shown = read_display(pictures, origin.white, shape, bilinear, skip_bad)
+    else:
+        shown = array_display(pictures, origin.white)
     x, said = shown.x, shown.preprocessing
     if origin.data in idx.ORIGINALS and x.shape[1:] == idx.UNFRAMED:
         x, said = np.pad(x, idx.FRAME), f"{said}, padded as {origin.data}"

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from deepfsi.base import InputError, Progress, plain_keywords, progress_bar
 from deepfsi.camera import Camera, CameraSettings, CameraSource, NoiseName, check_budget
-from deepfsi.datasets import Dataset, Source, as_dataset
+from deepfsi.datasets import Dataset, Source, as_dataset, as_test_part
 from deepfsi.design.design import Design
 from deepfsi.designfile import new_scenes
 from deepfsi.evaluation.bounds import linear_bound
@@ -57,7 +57,8 @@ def evaluate(
     ----------
     design : Design
     data : Dataset, str, path or tuple of arrays
-        Its test part is used, less what was trained on; its pixels and classes are the design's.
+        Its test part is used, all of ``(x, y)``, less what was trained on; its pixels and classes
+        are the design's.
     photons : float or sequence of float
         Budgets Φ.
     camera : Camera, str, path or mapping, optional
@@ -86,6 +87,9 @@ def evaluate(
     True
     """
     budgets = [check_budget(b) for b in np.atleast_1d(np.asarray(photons, dtype=object))]
+    if isinstance(data, tuple) and len(data) == 2:
+        names = design.values.names if design.values else ()
+        data = as_test_part(*data, design.image_shape, design.classes, names)
     scenes, left = new_scenes(design.training_scenes, as_dataset(data))
     check_data(design, scenes)
     check_draws(draws, seed)

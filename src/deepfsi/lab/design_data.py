@@ -6,14 +6,18 @@ noted.
 
 import os
 from collections.abc import Mapping
+from math import prod
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
 
 from deepfsi.base import InputError
 from deepfsi.datasets import (
     Dataset,
     Origin,
     absolute,
+    array_display,
     load_dataset,
     prepared,
     read_display,
@@ -182,17 +186,29 @@ def displayed(source: Path, patterns: Path) -> "Display":
 
 
 def design_scenes(
-    info: Mapping[str, Any], image_shape: tuple[int, ...], pictures: Path, skip_bad: bool = False
+    info: Mapping[str, Any],
+    image_shape: tuple[int, ...],
+    pictures: Path | np.ndarray,
+    skip_bad: bool = False,
 ) -> "Display":
     """Pictures as a design with that provenance sees them, prepared as the data that it knows."""
     known = trained_on(info)
-    if known is None or known.origin is None:
+    origin = known.origin if known else None
+    if not isinstance(pictures, Path):
+        if pictures.ndim == 2 and pictures.shape[1] == prod(image_shape):
+            pictures = pictures.reshape(-1, *image_shape)
+        if pictures.dtype.kind == "f":  # reflectance, as a data set has it
+            origin = None
+    if origin is not None:
+        shown = prepared(pictures, origin, skip_bad)
+    elif not isinstance(pictures, Path):
+        shown = array_display(pictures)
+    else:
         raise InputError(
             "this design was trained on data that no file or name holds, such as arrays in memory, "
             "and does not know what to do to pictures: learn it from pictures, or `evaluate` it on "
             "arrays with labels"
         )
-    shown = prepared(pictures, known.origin, skip_bad)
     if shown.x.shape[1:] != image_shape:
         raise InputError(
             "the pictures are of {pixels} pixels and the design's scenes of {scene}: bring them to "
@@ -201,9 +217,9 @@ def design_scenes(
             pixels="x".join(map(str, shown.x.shape[1:])),
             scene="x".join(map(str, image_shape)),
         )
-    if known.origin.view is None:
+    if origin is None or origin.view is None:
         return shown
-    calibration = Calibration.load(Path(known.origin.view))
+    calibration = Calibration.load(Path(origin.view))
     x = camera_view(shown.x.reshape(len(shown.x), -1), image_shape, calibration)
     return shown._replace(x=x, preprocessing=f"{shown.preprocessing}, then as the camera sees it")
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
+import numpy.typing as npt
 
 from deepfsi.base import InputError, plain_keywords
 from deepfsi.camera import Camera, CameraSettings, CameraSource, check_budget
@@ -90,7 +91,7 @@ class Predictions:
 @plain_keywords()
 def predict(
     design: "Design",
-    pictures: str | os.PathLike[str],
+    pictures: str | os.PathLike[str] | npt.ArrayLike,
     photons: float | None = None,
     *,
     camera: CameraSource = None,
@@ -106,9 +107,11 @@ def predict(
     Parameters
     ----------
     design : Design
-    pictures : str or path
+    pictures : str, path or array, shape (n, H, W) or (n, N)
         A picture, a folder of pictures, one with a sub-folder for each class, or a ``.csv`` file of
-        file names and labels. Those that ``deepfsi data export`` wrote are mapped already.
+        file names and labels. Those that ``deepfsi data export`` wrote are mapped already. Of an
+        array, whole numbers are pictures as those of files; floats are reflectance in [0, 1] as a
+        data set of the design has it, and get no preprocessing.
     photons : float, optional
         Budget Φ; that of the camera unless given, within the budgets of the training, else the
         lowest of these.
@@ -147,13 +150,20 @@ def predict(
 
     run = library_defaults(grad=False)(_predict)
     tested = {"camera": camera, **settings}
-    source = Path(pictures).expanduser()
+    source: Path | np.ndarray
+    if isinstance(pictures, str | os.PathLike):
+        source = Path(pictures).expanduser()
+    elif (source := np.asarray(pictures)).dtype.kind not in "biuf":
+        raise InputError(
+            f"pictures were given as {type(pictures).__name__}: give a picture, a folder of "
+            "pictures, a .csv file, or an array of numbers"
+        )
     return run(design, source, photons, tested, seed=seed, skip_bad=skip_bad)
 
 
 def _predict(
     design: "Design",
-    source: Path,
+    source: Path | np.ndarray,
     photons: float | None,
     tested: dict[str, Any],
     *,
