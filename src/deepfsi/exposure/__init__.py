@@ -5,7 +5,6 @@ from deepfsi.exposure.kinds import build
 from deepfsi.exposure.prior import ScenePrior
 from deepfsi.exposure.training import CHUNK, ExposureTraining, JobGroup, matrix_seeds
 from deepfsi.exposure.training_set import (
-    Draws,
     Matrices,
     TrainingSet,
     dtypes,
@@ -15,7 +14,6 @@ from deepfsi.exposure.training_set import (
 __all__ = [
     "CHUNK",
     "AdaptiveTraining",
-    "Draws",
     "ExposureTraining",
     "JobGroup",
     "Matrices",

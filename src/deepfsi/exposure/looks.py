@@ -24,14 +24,16 @@ from deepfsi.designfile import ReadoutDistribution
 from deepfsi.exposure.readout_fit import find_distribution
 from deepfsi.exposure.trained import Observation, Read, Show, TrainedExposure
 from deepfsi.exposure.training import ExposureTraining, JobGroup, deviation
-from deepfsi.exposure.training_set import Draws, SeedStream, network_dtype
+from deepfsi.exposure.training_set import network_dtype
 from deepfsi.jobs import LARGEST_SCORE, ExposureEntry, Looks, LooksEntry
 from deepfsi.networks.classifiers import Mlp, Replicas, restored
 from deepfsi.physics import (
     Detection,
+    Draws,
     FixedMasks,
     LearnedMasks,
     Rails,
+    SeedStream,
     light_law,
     project,
     through,

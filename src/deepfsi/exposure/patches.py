@@ -4,9 +4,8 @@ from torch import Tensor
 
 from deepfsi.exposure.trained import PatchExposure
 from deepfsi.exposure.training import ExposureTraining, JobGroup, deviation
-from deepfsi.exposure.training_set import Draws
 from deepfsi.jobs import Patches
-from deepfsi.physics import Scanner, project
+from deepfsi.physics import Draws, Scanner, project
 
 
 class PatchTraining(ExposureTraining):
