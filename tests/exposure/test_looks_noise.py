@@ -14,7 +14,8 @@ from torch import Tensor
 from conftest import generator, once, quick
 from deepfsi import Scanner, evaluate
 from deepfsi.datasets import from_arrays
-from deepfsi.exposure import Draws, JobGroup, TrainingSet, build
+from deepfsi.exposure import JobGroup, TrainingSet, build
+from deepfsi.physics import Draws
 from shared.jobs import job
 
 LOOKS, DARK, SIGMA, PHOTONS = 3, 400.0, 4.0, 2e3

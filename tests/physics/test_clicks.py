@@ -11,7 +11,8 @@ from conftest import generator
 from deepfsi import Scanner
 from deepfsi.base import InputError
 from deepfsi.camera import Camera
-from deepfsi.physics import Click, Readouts, TrainingNoise, noise_of
+from deepfsi.physics import Click, TrainingNoise, noise_of
+from deepfsi.physics.detection import Readouts
 from deepfsi.physics.noise import CustomNoise, Expectation, make_noise
 
 DRAWS = 200_000

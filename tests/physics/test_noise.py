@@ -8,7 +8,8 @@ from torch.nn.functional import softplus
 
 from conftest import assert_moments, generator
 from deepfsi.base import InputError
-from deepfsi.physics import Poisson, Readouts, root
+from deepfsi.physics import Poisson, root
+from deepfsi.physics.detection import Readouts
 from deepfsi.physics.noise import (
     POISSON_LIMIT,
     Expectation,

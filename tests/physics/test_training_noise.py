@@ -3,7 +3,8 @@
 import pytest
 import torch
 
-from deepfsi.physics import Readouts, TrainingNoise
+from deepfsi.physics import TrainingNoise
+from deepfsi.physics.detection import Readouts
 from shared.noises import training_noise
 
 DRAWS = 200_000

@@ -5,7 +5,8 @@ from collections import Counter
 import pytest
 from torch.profiler import ProfilerActivity, profile
 
-from deepfsi.exposure import Draws, JobGroup, TrainingSet, build
+from deepfsi.exposure import JobGroup, TrainingSet, build
+from deepfsi.physics import Draws
 from shared.jobs import job
 
 BATCH, MASKS = 50, 8

@@ -7,7 +7,6 @@ from deepfsi.exposure.prior import ScenePrior
 from deepfsi.exposure.trained import Clicks, TrainedMasks
 from deepfsi.exposure.training import CHUNK, ExposureTraining, JobGroup, matrix_seeds
 from deepfsi.exposure.training_set import (
-    Draws,
     Matrices,
     TrainingSet,
     dtypes,
@@ -20,7 +19,6 @@ __all__ = [
     "AdaptiveExposure",
     "AdaptiveTraining",
     "Clicks",
-    "Draws",
     "ExposureTraining",
     "FixedExposure",
     "JobGroup",

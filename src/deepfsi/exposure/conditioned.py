@@ -22,9 +22,16 @@ from deepfsi.base import InputError
 from deepfsi.camera import LIGHT_LAWS
 from deepfsi.exposure.trained import UNTRAINED, MaskExposure, Observation, Stops, TrainedMasks
 from deepfsi.exposure.training import ExposureTraining, JobGroup, standardise
-from deepfsi.exposure.training_set import Draws, side_by_side
 from deepfsi.jobs import ConditionedEntry
-from deepfsi.physics import FixedMasks, Rails, Scanner, light_law, ml_gauss_features
+from deepfsi.physics import (
+    Draws,
+    FixedMasks,
+    Rails,
+    Scanner,
+    light_law,
+    ml_gauss_features,
+    side_by_side,
+)
 
 ALL_MASKS_SHARE = 0.25
 """Share of the exposures of nested masks in training that show all of them."""

@@ -12,9 +12,15 @@ from deepfsi.exposure.training import (
     JobGroup,
     standardise,
 )
-from deepfsi.exposure.training_set import Draws, SeedStream, side_by_side
 from deepfsi.jobs import FixedEntry
-from deepfsi.physics import LearnedMasks, Rails, project_rails, root
+from deepfsi.physics import (
+    Draws,
+    LearnedMasks,
+    Rails,
+    SeedStream,
+    project_rails,
+    root,
+)
 
 START = 10.0
 """Counts of the start over those asked for, at most."""
@@ -122,11 +128,11 @@ class LearnedTraining(ExposureTraining):
 
     def inputs(self, draws: Draws) -> Tensor:
         """Features (B, R, k), standardised in their batch."""
-        features, light = self.noise.learn(self.x, self.masks, self.detection, draws.streams)
+        features, light = self.noise.learn(self.x, self.masks, self.detection, draws)
         if self.job.training.counts is not None:
             pairs = zip(draws.streams, light, strict=True)
             self.counts = torch.cat([stream.noise.expected(*pair) for stream, pair in pairs])
-        return standardise(side_by_side(features), self.scale)
+        return standardise(features, self.scale)
 
     def _dim(self, counts: float) -> None:
         """Dim masks before their training, where they would count too much."""

@@ -32,10 +32,19 @@ from deepfsi.exposure.trained import (
     Use,
 )
 from deepfsi.exposure.training import ExposureTraining, JobGroup, deviation
-from deepfsi.exposure.training_set import Draws, SeedStream, network_dtype
+from deepfsi.exposure.training_set import network_dtype
 from deepfsi.jobs import LARGEST_SCORE, ExposureEntry, Looks, LooksEntry
 from deepfsi.networks.classifiers import Mlp, Replicas, restored
-from deepfsi.physics import FixedMasks, LearnedMasks, Scanner, light_law, project, through
+from deepfsi.physics import (
+    Draws,
+    FixedMasks,
+    LearnedMasks,
+    Scanner,
+    SeedStream,
+    light_law,
+    project,
+    through,
+)
 
 Choose = Callable[[Tensor], Tensor]
 """From inputs (..., k + q + 1) to the scores (..., q) of dwells."""

@@ -19,15 +19,16 @@ from deepfsi.exposure.training import (
     moments,
     standardise,
 )
-from deepfsi.exposure.training_set import Draws, SeedStream
 from deepfsi.jobs import STATIC, ExposureEntry, Passing, PassingEntry
 from deepfsi.physics import (
+    Draws,
     FixedPattern,
     LearnedPattern,
     NoiseFunction,
     Rails,
     Scanner,
     ScenePath,
+    SeedStream,
     in_levels,
     project,
 )

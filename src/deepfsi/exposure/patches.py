@@ -8,9 +8,8 @@ from torch import Tensor
 
 from deepfsi.exposure.trained import UNTRAINED, MaskExposure, TrainedMasks, Use
 from deepfsi.exposure.training import ExposureTraining, JobGroup, deviation
-from deepfsi.exposure.training_set import Draws
 from deepfsi.jobs import Patches, PatchesEntry, cut_patches
-from deepfsi.physics import Scanner, project
+from deepfsi.physics import Draws, Scanner, project
 
 OF_PATCHES = (
     "this design is of image patches, each with a detector of its own, which frames of one device "

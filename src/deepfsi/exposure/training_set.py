@@ -3,14 +3,11 @@
 Products are of bfloat16 where its rounding stays under the noise.
 """
 
-from collections.abc import Callable, Sequence
 from functools import cached_property
-from itertools import groupby
 
 import numpy as np
 import torch
 from torch import Tensor
-from torch.nn import functional
 
 from deepfsi.camera import (
     LIGHT_LAWS,
@@ -31,7 +28,7 @@ from deepfsi.jobs import (
     sensing_matrix,
 )
 from deepfsi.networks.values import Values
-from deepfsi.physics import Detection, Readouts, TrainingNoise, torch_device
+from deepfsi.physics import Detection, torch_device
 
 Matrices = dict[tuple[str, int, int, tuple[int, ...] | None], np.ndarray]
 """Sensing matrices (m, N) by design, number of masks, seed and detectors."""
@@ -131,127 +128,6 @@ class TrainingSet:
         if key not in self.matrices:
             self.matrices[key] = sensing_matrix(name, whole, self.data, seed, detectors=detectors)
         return self.matrices[key][:masks]
-
-
-class SeedStream:
-    """Draws of the jobs of one seed, the same for all of them.
-
-    Shapes: labels (n,).
-    """
-
-    order: Tensor
-    """Places (steps, B) of an epoch's scenes."""
-
-    rows: Tensor
-    """Those of a step, (B,)."""
-
-    with_mean: Tensor
-    """The same and n, the place of the mean scene, (B + 1,)."""
-
-    def __init__(
-        self, seed: int, replicas: slice, noise: TrainingNoise, labels: Tensor, batch: int
-    ) -> None:
-        self.replicas = replicas
-        self.noise = noise
-        self.generator = torch.Generator(labels.device).manual_seed(seed)
-        self._labels = labels
-        self.batch = batch
-
-    def shuffle(self) -> None:
-        """Draw the order of an epoch's scenes."""
-        count = len(self._labels)
-        order = torch.randperm(count, generator=self.generator, device=self._labels.device)
-        self.follow(order[: count // self.batch * self.batch].view(-1, self.batch))
-
-    def follow(self, rows: Tensor) -> None:
-        """Take an epoch's scenes from places (steps, B)."""
-        self.order = rows.to(self._labels.device)
-        self._with_mean = functional.pad(self.order, (0, 1), value=len(self._labels))
-        self._ordered = self._labels[self.order]
-
-    def gather(self, step: int) -> Tensor:
-        """Go to the scenes of a step: their labels (B, R)."""
-        self.rows = self.order[step]
-        self.with_mean = self._with_mean[step]
-        return self.repeated(self._ordered[step].unsqueeze(1))
-
-    def normal(self, count: int) -> Tensor:
-        """Normal draws (B, 1, count)."""
-        return torch.randn(
-            self.batch, 1, count, generator=self.generator, device=self._labels.device
-        )
-
-    def exposures(self, span: float, chances: Tensor) -> tuple[Tensor, Tensor]:
-        """Draw budgets, over the lowest, and numbers of masks shown, each (B, 1, 1)."""
-        uniform = torch.rand(self.batch, 1, 1, generator=self.generator, device=self._labels.device)
-        shown = 1 + torch.multinomial(chances, self.batch, True, generator=self.generator)
-        return span**uniform, shown.view(-1, 1, 1)
-
-    def repeated(self, shared: Tensor) -> Tensor:
-        """Tensor (B, R, …) of what is the same for all jobs, (B, 1, …)."""
-        return shared.expand(-1, self.replicas.stop - self.replicas.start, *shared.shape[2:])
-
-    def of_jobs(self, every: Tensor, axis: int = 0) -> Tensor:
-        """Part of these jobs in a tensor of all, which has R or 1 of them along an axis."""
-        count = self.replicas.stop - self.replicas.start
-        if every.shape[axis] in (1, count):
-            return every
-        return every.narrow(axis, self.replicas.start, count)
-
-    def readouts(self, every: Readouts) -> Readouts:
-        """Readouts of the masks of these jobs among those of all, (2, R or 1, m)."""
-        return Readouts(*(self.of_jobs(one, 1) for one in every))
-
-    def products(self, every: Tensor) -> Tensor:
-        """The step's part of products of all scenes and jobs, (n, R or 1, m)."""
-        return self.of_jobs(every, 1).index_select(0, self.rows)
-
-
-class Draws:
-    """Scenes and random numbers of the steps of R jobs; those of one seed share theirs.
-
-    Parameters
-    ----------
-    seeds : sequence of int
-        Of each job, those of one seed one after another.
-    noise : TrainingNoise
-        Of all jobs.
-    labels : tensor, shape (n,) or (n, q)
-    batch : int
-        B, scenes of a step.
-    """
-
-    def __init__(
-        self, seeds: Sequence[int], noise: TrainingNoise, labels: Tensor, batch: int
-    ) -> None:
-        self.steps = len(labels) // batch
-        self.batch = batch
-        self.streams: list[SeedStream] = []
-        first = 0
-        for seed, members in groupby(seeds):
-            jobs = slice(first, first + len(list(members)))
-            self.streams.append(
-                SeedStream(seed, jobs, noise=noise.of_jobs(jobs), labels=labels, batch=batch)
-            )
-            first = jobs.stop
-
-    def shuffle(self) -> None:
-        """Draw the order of an epoch's scenes, for each seed."""
-        for stream in self.streams:
-            stream.shuffle()
-
-    def gather(self, step: int) -> Tensor:
-        """Go to the scenes of a step of the epoch: their labels (B, R) or values (B, R, q)."""
-        return self.side_by_side(lambda stream: stream.gather(step))
-
-    def side_by_side(self, of_seed: Callable[[SeedStream], Tensor]) -> Tensor:
-        """Tensor (B, R, …) of all jobs, of those (B, R_i, …) of each seed."""
-        return side_by_side([of_seed(stream) for stream in self.streams])
-
-
-def side_by_side(parts: list[Tensor]) -> Tensor:
-    """Replicas (B, R_i, …) of several seeds as one (B, R, …)."""
-    return torch.cat(parts, dim=1) if len(parts) > 1 else parts[0]
 
 
 BFLOAT16_COUNTS = 2.0**14

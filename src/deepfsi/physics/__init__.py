@@ -1,20 +1,27 @@
 """Masks, light and noise: what the light does between a scene and the counts."""
 
 from deepfsi.physics.clicks import full_gates, to_training_light
-from deepfsi.physics.detection import Detection, Readouts
+from deepfsi.physics.detection import Detection
 from deepfsi.physics.laws import SLACK, frames, light_law, peak, signed_parts, through
 from deepfsi.physics.masks import FixedMasks, LearnedMasks
 from deepfsi.physics.noise import Click, NoiseFunction, Poisson, noise_of, root
 from deepfsi.physics.rails import Rails
 from deepfsi.physics.scanner import Scanner, project, project_rails
 from deepfsi.physics.surroundings import library_defaults, torch_device
-from deepfsi.physics.training_noise import TrainingNoise, ml_gauss_features
+from deepfsi.physics.training_noise import (
+    Draws,
+    SeedStream,
+    TrainingNoise,
+    ml_gauss_features,
+    side_by_side,
+)
 from deepfsi.physics.transit import FixedPattern, LearnedPattern, ScenePath, in_levels
 
 __all__ = [
     "SLACK",
     "Click",
     "Detection",
+    "Draws",
     "FixedMasks",
     "FixedPattern",
     "LearnedMasks",
@@ -22,9 +29,9 @@ __all__ = [
     "NoiseFunction",
     "Poisson",
     "Rails",
-    "Readouts",
     "Scanner",
     "ScenePath",
+    "SeedStream",
     "TrainingNoise",
     "frames",
     "full_gates",
@@ -37,6 +44,7 @@ __all__ = [
     "project",
     "project_rails",
     "root",
+    "side_by_side",
     "signed_parts",
     "through",
     "to_training_light",

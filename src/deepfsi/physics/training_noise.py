@@ -1,4 +1,4 @@
-"""Noise of trainings side by side, in units of the scene.
+"""Noise and draws of trainings side by side, in units of the scene.
 
 The unit is one fully reflecting pixel, which gives Φ / s counts, the gain: budgets then differ in
 their noise alone, and products of scenes and masks serve all of them.
@@ -6,10 +6,12 @@ their noise alone, and products of scenes and masks serve all of them.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol
+from itertools import groupby
+from typing import Any
 
 import torch
 from torch import Tensor
+from torch.nn import functional
 
 from deepfsi.physics.detection import Detection, Readouts
 from deepfsi.physics.masks import LearnedMasks
@@ -18,28 +20,6 @@ from deepfsi.physics.scanner import project, project_rails
 
 Normal = Callable[[int], Tensor]
 """From a number of features k to standard normal numbers (B, 1, k), the same for all trainings."""
-
-
-class SeedDraws(Protocol):
-    """Draws of a step, which the trainings of one seed share: R_i of all R."""
-
-    noise: "TrainingNoise"
-    """Of these trainings."""
-
-    rows: Tensor
-    """Scenes of the step, (B,)."""
-
-    with_mean: Tensor
-    """The same and the mean scene, (B + 1,)."""
-
-    def normal(self, count: int) -> Tensor:
-        """Normal numbers (B, 1, count)."""
-
-    def of_jobs(self, every: Tensor, axis: int = 0) -> Tensor:
-        """Part of these trainings in a tensor that has R or 1 of them along an axis."""
-
-    def readouts(self, every: Readouts) -> Readouts:
-        """Readouts of the masks of these trainings, among those of all."""
 
 
 @dataclass
@@ -121,8 +101,8 @@ class TrainingNoise:
         return self.kind.gradient((plus - minus) / self.gain, light)
 
     def learn(
-        self, scenes: Tensor, masks: LearnedMasks, detection: Detection, draws: Sequence[SeedDraws]
-    ) -> tuple[list[Tensor], list[tuple[Tensor, Tensor]]]:
+        self, scenes: Tensor, masks: LearnedMasks, detection: Detection, draws: "Draws"
+    ) -> tuple[Tensor, list[tuple[Tensor, Tensor]]]:
         """Centred features of a step's scenes behind masks that learn.
 
         Parameters
@@ -132,13 +112,12 @@ class TrainingNoise:
         masks : LearnedMasks
             Of all R trainings.
         detection : Detection
-        draws : sequence of SeedDraws
-            Of each seed, in the order of the trainings.
+        draws : Draws
+            Of the step.
 
         Returns
         -------
-        features : list of tensors, shape (B, R_i, k)
-            Of each seed.
+        features : tensor, shape (B, R, k)
         light : list of pairs of tensors, shape (B, R_i, k)
             Products x D and x S of each seed, under a noise that counts; else none.
         """
@@ -151,33 +130,31 @@ class TrainingNoise:
             rails = masks()
             read = detection.readouts(rails)
             frames = detection.read_of(rails)
-            for seed in draws:
+            for seed in draws.streams:
                 x = scenes.index_select(0, seed.with_mean)
                 mean, total = project_rails(x, frames.map(seed.of_jobs), parts)
                 light.append((mean[:-1] + mean[-1], total[:-1] + total[-1]))
                 counts = seed.noise.counted(*light[-1], seed.readouts(read))
                 middle = mean[-1] if self.kind.unbiased else counts.mean(dim=0)
                 features.append(counts - middle)
-            return features, light
-        if self.kind.of_light:
+        elif self.kind.of_light:
             disjoint = masks.disjoint and detection.readout != "both"
             signed = masks.matrix() if disjoint else detection.read_of(masks()).combined
-            for seed in draws:
+            for seed in draws.streams:
                 x = scenes.index_select(0, seed.with_mean)
                 epsilon = seed.normal(signed.shape[-2] * parts) * seed.noise.unit
                 of_seed = seed.of_jobs(signed, -3)
                 features.append(ml_gauss_features(x, of_seed, epsilon, disjoint, parts=parts))
-            return features, light
-        rails = masks()
-        with torch.no_grad():
-            read = detection.readouts(rails)
-        difference = detection.read_of(rails).difference
-        for seed in draws:
-            mean = project(
-                scenes.index_select(0, seed.rows), seed.of_jobs(difference), detection.count
-            )
-            features.append(seed.noise.features(mean, mean, seed.readouts(read), seed.normal))
-        return features, light
+        else:
+            rails = masks()
+            with torch.no_grad():
+                read = detection.readouts(rails)
+            difference = detection.read_of(rails).difference
+            for seed in draws.streams:
+                x = scenes.index_select(0, seed.rows)
+                mean = project(x, seed.of_jobs(difference), parts)
+                features.append(seed.noise.features(mean, mean, seed.readouts(read), seed.normal))
+        return side_by_side(features), light
 
     def expected(self, mean: Tensor, total: Tensor) -> Tensor:
         """Counts (R,) of an exposure, in the mean over noise and scenes, of products (B, R, k)."""
@@ -194,6 +171,137 @@ class TrainingNoise:
     def _rates(self, mean: Tensor, total: Tensor) -> Tensor:
         """Expected photons (2, B, R, k) of the rails."""
         return torch.stack([total + mean, total - mean]).mul(self.gain / 2).clamp(min=0)
+
+
+class SeedStream:
+    """Draws of the jobs of one seed, the same for all of them: R_i of all R.
+
+    Parameters
+    ----------
+    seed : int
+    replicas : slice
+        Of these jobs among all.
+    noise : TrainingNoise
+        Of these jobs.
+    labels : tensor, shape (n,) or (n, q)
+        Of all scenes.
+    batch : int
+        B, scenes of a step.
+    """
+
+    order: Tensor
+    """Places (steps, B) of an epoch's scenes."""
+
+    rows: Tensor
+    """Those of a step, (B,)."""
+
+    with_mean: Tensor
+    """The same and n, the place of the mean scene, (B + 1,)."""
+
+    def __init__(
+        self, seed: int, replicas: slice, noise: TrainingNoise, labels: Tensor, batch: int
+    ) -> None:
+        self.replicas = replicas
+        self.noise = noise
+        self.generator = torch.Generator(labels.device).manual_seed(seed)
+        self._labels = labels
+        self.batch = batch
+
+    def shuffle(self) -> None:
+        """Draw the order of an epoch's scenes."""
+        count = len(self._labels)
+        order = torch.randperm(count, generator=self.generator, device=self._labels.device)
+        self.follow(order[: count // self.batch * self.batch].view(-1, self.batch))
+
+    def follow(self, rows: Tensor) -> None:
+        """Take an epoch's scenes from places (steps, B)."""
+        self.order = rows.to(self._labels.device)
+        self._with_mean = functional.pad(self.order, (0, 1), value=len(self._labels))
+        self._ordered = self._labels[self.order]
+
+    def gather(self, step: int) -> Tensor:
+        """Go to the scenes of a step: their labels (B, R)."""
+        self.rows = self.order[step]
+        self.with_mean = self._with_mean[step]
+        return self.repeated(self._ordered[step].unsqueeze(1))
+
+    def normal(self, count: int) -> Tensor:
+        """Normal draws (B, 1, count)."""
+        return torch.randn(
+            self.batch, 1, count, generator=self.generator, device=self._labels.device
+        )
+
+    def exposures(self, span: float, chances: Tensor) -> tuple[Tensor, Tensor]:
+        """Draw budgets, over the lowest, and numbers of masks shown, each (B, 1, 1)."""
+        uniform = torch.rand(self.batch, 1, 1, generator=self.generator, device=self._labels.device)
+        shown = 1 + torch.multinomial(chances, self.batch, True, generator=self.generator)
+        return span**uniform, shown.view(-1, 1, 1)
+
+    def repeated(self, shared: Tensor) -> Tensor:
+        """Tensor (B, R, …) of what is the same for all jobs, (B, 1, …)."""
+        return shared.expand(-1, self.replicas.stop - self.replicas.start, *shared.shape[2:])
+
+    def of_jobs(self, every: Tensor, axis: int = 0) -> Tensor:
+        """Part of these jobs in a tensor of all, which has R or 1 of them along an axis."""
+        count = self.replicas.stop - self.replicas.start
+        if every.shape[axis] in (1, count):
+            return every
+        return every.narrow(axis, self.replicas.start, count)
+
+    def readouts(self, every: Readouts) -> Readouts:
+        """Readouts of the masks of these jobs among those of all, (2, R or 1, m)."""
+        return Readouts(*(self.of_jobs(one, 1) for one in every))
+
+    def products(self, every: Tensor) -> Tensor:
+        """The step's part of products of all scenes and jobs, (n, R or 1, m)."""
+        return self.of_jobs(every, 1).index_select(0, self.rows)
+
+
+class Draws:
+    """Scenes and random numbers of the steps of R jobs; those of one seed share theirs.
+
+    Parameters
+    ----------
+    seeds : sequence of int
+        Of each job, those of one seed one after another.
+    noise : TrainingNoise
+        Of all jobs.
+    labels : tensor, shape (n,) or (n, q)
+    batch : int
+        B, scenes of a step.
+    """
+
+    def __init__(
+        self, seeds: Sequence[int], noise: TrainingNoise, labels: Tensor, batch: int
+    ) -> None:
+        self.steps = len(labels) // batch
+        self.batch = batch
+        self.streams: list[SeedStream] = []
+        first = 0
+        for seed, members in groupby(seeds):
+            jobs = slice(first, first + len(list(members)))
+            self.streams.append(
+                SeedStream(seed, jobs, noise=noise.of_jobs(jobs), labels=labels, batch=batch)
+            )
+            first = jobs.stop
+
+    def shuffle(self) -> None:
+        """Draw the order of an epoch's scenes, for each seed."""
+        for stream in self.streams:
+            stream.shuffle()
+
+    def gather(self, step: int) -> Tensor:
+        """Go to the scenes of a step of the epoch: their labels (B, R) or values (B, R, q)."""
+        return self.side_by_side(lambda stream: stream.gather(step))
+
+    def side_by_side(self, of_seed: Callable[[SeedStream], Tensor]) -> Tensor:
+        """Tensor (B, R, …) of all jobs, of those (B, R_i, …) of each seed."""
+        return side_by_side([of_seed(stream) for stream in self.streams])
+
+
+def side_by_side(parts: list[Tensor]) -> Tensor:
+    """Replicas (B, R_i, …) of several seeds as one (B, R, …)."""
+    return torch.cat(parts, dim=1) if len(parts) > 1 else parts[0]
 
 
 def ml_gauss_features(

@@ -32,8 +32,9 @@ from deepfsi.base import (
     write_atomically,
 )
 from deepfsi.base.numeric import DamagedError, read_tensors
-from deepfsi.exposure import Draws, TrainingSet
+from deepfsi.exposure import TrainingSet
 from deepfsi.jobs import REVISION, Job, custom_parts
+from deepfsi.physics import Draws
 from deepfsi.training.losses import CountsCost
 
 CHECKPOINT_SECONDS = 120.0
