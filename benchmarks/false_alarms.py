@@ -19,9 +19,9 @@ from scipy.stats import binomtest
 import deepfsi
 from deepfsi.camera import DEVICES, DetectorMap
 from deepfsi.designfile import REFUSED, UNSURE, ReadoutDistribution
+from deepfsi.evaluation.distribution_fit import find_distribution
 from deepfsi.exposure.adaptive import look_at, squared_distance
 from deepfsi.exposure.posterior import AdaptivePosterior, LookOptics
-from deepfsi.exposure.readout_fit import find_distribution
 from deepfsi.hardware.light import (
     FALSE_ALARMS,
     PARTS,

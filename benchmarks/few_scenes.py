@@ -21,8 +21,8 @@ from scipy.special import softmax
 import deepfsi
 from deepfsi.datasets import Dataset
 from deepfsi.evaluation import logits_at_stops
-from deepfsi.exposure.temperatures import stop_temperatures
 from deepfsi.measures import chance_error, confidence_error
+from deepfsi.networks.temperatures import stop_temperatures
 
 DESIGNS: dict[str, dict[str, Any]] = {
     "adaptive masks": {"design": "adaptive", "masks": 16},

@@ -29,7 +29,7 @@ from torch.nn import functional
 from deepfsi.datasets import load_dataset
 from deepfsi.design.design import Design
 from deepfsi.evaluation import evaluate
-from deepfsi.exposure import TrainingSet
+from deepfsi.exposure import FixedExposure, TrainedMasks, TrainingSet
 from deepfsi.jobs import Job, Training
 from deepfsi.networks.classifiers import Mlp
 from deepfsi.physics import (
@@ -291,18 +291,18 @@ def finish(training_set: TrainingSet, job: Job, masks: LearnedMasks, network: Ml
         power = (plus - minus).var(dim=0, correction=0) + counts * (
             training_set.summed_reflectance / job.photons
         )
-        return Design(
-            name=job.design,
+        optics = TrainedMasks(
             rails=Rails.of(light_law(job.camera.light).check(rails)),
-            classifier=network,
+            light=job.camera.light,
+            image_shape=training_set.data.image_shape,
+            detection=Detection(),
+            summed_reflectance=training_set.summed_reflectance,
             mean=(plus - minus).mean(dim=0) / training_set.summed_reflectance,
             std=power.mean().sqrt().expand(job.masks) / training_set.summed_reflectance,
             shares=counts / training_set.summed_reflectance,
-            summed_reflectance=training_set.summed_reflectance,
-            light=job.camera.light,
-            image_shape=training_set.data.image_shape,
-            classes=training_set.data.classes,
         )
+        exposure = FixedExposure(optics=optics)
+        return Design(job.design, training_set.data.classes, exposure, network)
 
 
 @dataclass

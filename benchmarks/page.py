@@ -23,6 +23,7 @@ from selenium.webdriver.chrome.service import Service
 from deepfsi.datasets import from_arrays
 from deepfsi.design.design import Design
 from deepfsi.evaluation import playable
+from deepfsi.exposure import FixedExposure, TrainedMasks
 from deepfsi.networks.classifiers import Mlp
 from deepfsi.physics import Detection, Rails, light_law
 from deepfsi.report.playground.page import write_page
@@ -57,19 +58,18 @@ def large_page(path: Path) -> Path:
     rng = np.random.default_rng(0)
     scenes = from_arrays(rng.random((100, 32, 32)), np.arange(100) % 10, name="noise")
     signs = torch.randn(96, 1024, generator=generator)
-    design = Design(
-        name="deepfsi",
+    optics = TrainedMasks(
         rails=Rails.of(light_law("free-dwell").fit(signs)),
-        classifier=Mlp(192, 10, (512, 256), generator=generator),
+        light="free-dwell",
+        image_shape=(32, 32),
+        detection=Detection("both"),
+        summed_reflectance=float(scenes.x_train.sum(axis=1).mean()),
         mean=torch.zeros(192),
         std=torch.ones(192),
         shares=torch.ones(192) / 192,
-        summed_reflectance=float(scenes.x_train.sum(axis=1).mean()),
-        light="free-dwell",
-        image_shape=(32, 32),
-        classes=scenes.classes,
-        detection=Detection("both"),
     )
+    classifier = Mlp(192, 10, (512, 256), generator=generator)
+    design = Design("deepfsi", scenes.classes, FixedExposure(optics=optics), classifier)
     return write_page(path, playable(design, scenes))
 
 

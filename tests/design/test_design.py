@@ -21,7 +21,7 @@ from deepfsi.camera import share_out
 from deepfsi.designfile.header import DESIGN_SCHEMA
 from deepfsi.evaluation import camera_for
 from deepfsi.exposure import TrainingSet
-from deepfsi.exposure.trained import Observation
+from deepfsi.exposure.kind import Observation
 from deepfsi.physics import Detection
 from deepfsi.training import train
 from shared import vectors

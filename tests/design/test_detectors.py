@@ -11,7 +11,7 @@ from deepfsi import Design, evaluate
 from deepfsi.base import InputError
 from deepfsi.camera import DetectorMap
 from deepfsi.design.onnx import to_onnx
-from deepfsi.exposure.temperatures import stop_temperatures
+from deepfsi.networks.temperatures import stop_temperatures
 from deepfsi.physics import SLACK, Detection, light_law
 from shared.design_files import refused, rewrite
 from shared.jobs import learn

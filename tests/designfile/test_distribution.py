@@ -11,7 +11,7 @@ from deepfsi import Design
 from deepfsi.base import InputError
 from deepfsi.datasets import Dataset, from_arrays
 from deepfsi.designfile import REFUSED, UNSURE
-from deepfsi.exposure.readout_fit import (
+from deepfsi.evaluation.distribution_fit import (
     FEWEST_OF_A_CLASS,
     MOST_SCENES,
     find_distribution,

@@ -14,7 +14,7 @@ from deepfsi.base import InputError
 from deepfsi.evaluation import check_playable, of_page, playable
 from deepfsi.evaluation.page_data import COEFFICIENTS
 from deepfsi.exposure import ScenePrior
-from deepfsi.exposure.trained import PatchExposure
+from deepfsi.exposure.patches import PatchExposure
 from deepfsi.report.playground.page import write_page
 from shared.playground import large_design
 

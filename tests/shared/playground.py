@@ -10,7 +10,7 @@ from selenium.webdriver.common.by import By
 from conftest import generator, synthetic
 from deepfsi import Design, Mlp
 from deepfsi.datasets import Dataset
-from deepfsi.exposure.trained import FixedExposure, TrainedMasks
+from deepfsi.exposure import FixedExposure, TrainedMasks
 from deepfsi.physics import Detection, Rails, light_law
 from shared.browser import look
 

@@ -35,9 +35,9 @@ from deepfsi.designfile import (
     trained_camera,
 )
 from deepfsi.exposure.adaptive import MASKS_ARE_MADE, AdaptiveExposure, LookedAt
-from deepfsi.exposure.temperatures import temperatures_at
-from deepfsi.exposure.trained import Answer, ExposureKind, MaskExposure, Observation
+from deepfsi.exposure.kind import Answer, ExposureKind, MaskExposure, Observation
 from deepfsi.networks.custom import Given, OwnClassifier, rebuilt
+from deepfsi.networks.temperatures import temperatures_at
 from deepfsi.networks.values import Values, check_classes
 from deepfsi.physics import (
     Detection,

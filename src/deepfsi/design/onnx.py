@@ -20,8 +20,8 @@ from deepfsi.base import InputError
 from deepfsi.camera import share_out
 from deepfsi.design.design import Design
 from deepfsi.designfile import check_masks
+from deepfsi.exposure.kind import Observation
 from deepfsi.exposure.looks import LooksExposure
-from deepfsi.exposure.trained import Observation
 from deepfsi.networks.classifiers import Mlp
 from deepfsi.networks.custom import OwnClassifier
 from deepfsi.networks.values import check_classes

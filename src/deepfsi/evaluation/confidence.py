@@ -18,7 +18,7 @@ from scipy.special import log_softmax
 
 from deepfsi.design.design import Design
 from deepfsi.designfile import LOG_BOUNDS, Temperatures
-from deepfsi.exposure.temperatures import stop_temperatures
+from deepfsi.networks.temperatures import stop_temperatures
 
 CALIBRATED_STOPS = 8
 """Numbers of masks or looks at which temperatures are fitted, at most."""
@@ -245,7 +245,8 @@ def logits_at_stops(
     exposure = design.exposure
     generator = torch.Generator(exposure.device).manual_seed(seed)
     if exposure.own_draws:
-        x, draws = x.repeat(draws, axis=0), 1
+        x = x.repeat(draws, axis=0)
+        draws = 1
     chunks = []
     with torch.no_grad():
         for rows in torch.arange(len(x)).split(exposure.exposed_at_once):

@@ -26,8 +26,8 @@ from deepfsi.design.design import Design
 from deepfsi.designfile import new_scenes, trained_on
 from deepfsi.evaluation.accuracy import check_data, check_draws, covered
 from deepfsi.evaluation.confidence import logits_at_stops
-from deepfsi.exposure.temperatures import stop_temperatures
 from deepfsi.measures import calibration_error, confidence_error, confidence_groups
+from deepfsi.networks.temperatures import stop_temperatures
 from deepfsi.networks.values import check_classes
 from deepfsi.physics import library_defaults
 

@@ -2,9 +2,9 @@
 
 from deepfsi.exposure.adaptive import AdaptiveExposure, AdaptiveTraining, prior_of
 from deepfsi.exposure.fixed import FixedExposure
+from deepfsi.exposure.kind import Clicks, TrainedMasks
 from deepfsi.exposure.kinds import KINDS, build
-from deepfsi.exposure.prior import ScenePrior
-from deepfsi.exposure.trained import Clicks, TrainedMasks
+from deepfsi.exposure.posterior import ScenePrior
 from deepfsi.exposure.training import CHUNK, ExposureTraining, JobGroup, matrix_seeds
 from deepfsi.exposure.training_set import (
     Matrices,

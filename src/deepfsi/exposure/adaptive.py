@@ -21,9 +21,7 @@ from deepfsi.camera import Camera
 from deepfsi.datasets import Dataset
 from deepfsi.designfile import AdaptiveHeader
 from deepfsi.exposure.choice import next_masks
-from deepfsi.exposure.posterior import LEAST_WEIGHT, AdaptivePosterior, LookOptics
-from deepfsi.exposure.prior import ScenePrior
-from deepfsi.exposure.trained import (
+from deepfsi.exposure.kind import (
     Answer,
     ExposureKind,
     Light,
@@ -32,6 +30,7 @@ from deepfsi.exposure.trained import (
     Stops,
     Use,
 )
+from deepfsi.exposure.posterior import LEAST_WEIGHT, AdaptivePosterior, LookOptics, ScenePrior
 from deepfsi.jobs import AdaptiveMasks, Job
 from deepfsi.physics import Detection, Poisson
 

@@ -20,7 +20,7 @@ from torch.nn import functional
 
 from deepfsi.base import InputError
 from deepfsi.camera import LIGHT_LAWS
-from deepfsi.exposure.trained import UNTRAINED, MaskExposure, Observation, Stops, TrainedMasks
+from deepfsi.exposure.kind import UNTRAINED, MaskExposure, Observation, Stops, TrainedMasks
 from deepfsi.exposure.training import ExposureTraining, JobGroup, standardise
 from deepfsi.jobs import ConditionedEntry
 from deepfsi.physics import (

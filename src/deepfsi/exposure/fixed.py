@@ -5,7 +5,7 @@ from dataclasses import KW_ONLY, dataclass
 import torch
 from torch import Tensor
 
-from deepfsi.exposure.trained import UNTRAINED, MaskExposure, TrainedMasks
+from deepfsi.exposure.kind import UNTRAINED, MaskExposure, TrainedMasks
 from deepfsi.exposure.training import (
     CHUNK,
     ExposureTraining,

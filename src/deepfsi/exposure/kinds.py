@@ -4,10 +4,10 @@ from collections.abc import Callable
 
 from deepfsi.exposure.conditioned import ConditionedExposure, ConditionedTraining
 from deepfsi.exposure.fixed import FixedExposure, fixed_training
+from deepfsi.exposure.kind import MaskExposure
 from deepfsi.exposure.looks import LooksExposure, LooksTraining
 from deepfsi.exposure.passing import PassingExposure, PassingTraining
 from deepfsi.exposure.patches import PatchExposure, PatchTraining
-from deepfsi.exposure.trained import MaskExposure
 from deepfsi.exposure.training import ExposureTraining, JobGroup
 from deepfsi.jobs import Exposure, Fixed, Looks, Nested, Passing, Patches, Range
 

@@ -20,7 +20,7 @@ from torch import Tensor
 
 from deepfsi.base import InputError
 from deepfsi.camera import LIGHT_LAWS, Camera, share_out
-from deepfsi.exposure.trained import (
+from deepfsi.exposure.kind import (
     UNTRAINED,
     Counting,
     Dwells,

@@ -8,7 +8,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from deepfsi.exposure.trained import UNTRAINED, MaskExposure, Observation, TrainedMasks, Use
+from deepfsi.exposure.kind import UNTRAINED, MaskExposure, Observation, TrainedMasks, Use
 from deepfsi.exposure.training import (
     CHUNK,
     ExposureTraining,

@@ -6,7 +6,7 @@ from typing import ClassVar
 
 from torch import Tensor
 
-from deepfsi.exposure.trained import UNTRAINED, MaskExposure, TrainedMasks, Use
+from deepfsi.exposure.kind import UNTRAINED, MaskExposure, TrainedMasks, Use
 from deepfsi.exposure.training import ExposureTraining, JobGroup, deviation
 from deepfsi.jobs import Patches, PatchesEntry, cut_patches
 from deepfsi.physics import Draws, Scanner, project

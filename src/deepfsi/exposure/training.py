@@ -18,7 +18,7 @@ from torch.nn import functional
 
 from deepfsi.base import InputError
 from deepfsi.camera import LIGHT_LAWS
-from deepfsi.exposure.trained import MaskExposure, TrainedMasks
+from deepfsi.exposure.kind import MaskExposure, TrainedMasks
 from deepfsi.exposure.training_set import TrainingSet, product_dtype
 from deepfsi.jobs import DESIGNS, Job, Scale, count_allowed
 from deepfsi.networks.classifiers import Replicas

@@ -31,9 +31,9 @@ from deepfsi.evaluation import (
     fit_temperatures,
     measure_left_out,
 )
+from deepfsi.evaluation.distribution_fit import find_distribution, sample_scenes
 from deepfsi.exposure import CHUNK, AdaptiveTraining, ScenePrior, TrainingSet, prior_of
 from deepfsi.exposure.adaptive import MISFIT_BUDGETS, MISFIT_SCENES, AdaptiveExposure
-from deepfsi.exposure.readout_fit import find_distribution, sample_scenes
 from deepfsi.jobs import AdaptiveMasks, Job
 
 FEW_SCENES = 1000

@@ -1,4 +1,4 @@
-"""What an exposure shows of a scene, and what its counts tell: the base of all kinds.
+"""Base of all kinds of exposure: what each shows of a scene, and what its counts tell.
 
 One class for each kind, and nobody but these asks which one a design has. Most hold masks that are
 known before (`MaskExposure`); adaptive masks hold a prior of scenes, of which they make theirs.
