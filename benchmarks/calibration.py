@@ -24,7 +24,7 @@ from deepfsi.datasets import Dataset
 from deepfsi.evaluation import logits_at_stops
 from deepfsi.jobs import Job
 from deepfsi.measures import chance_error, confidence_error
-from deepfsi.networks.temperatures import stop_temperatures
+from deepfsi.networks import stop_temperatures
 from deepfsi.training import find_temperatures
 
 KINDS: dict[str, dict[str, Any]] = {

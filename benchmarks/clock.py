@@ -31,7 +31,7 @@ from matplotlib.ticker import FuncFormatter
 from deepfsi import Dataset, Design, learn, load_dataset
 from deepfsi.base import write_atomically
 from deepfsi.base.numeric import wilson
-from deepfsi.exposure.kind import Observation
+from deepfsi.exposure import Observation
 from deepfsi.physics import frames
 from deepfsi.report.style import COLOURS, photons_text, styled
 

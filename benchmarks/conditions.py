@@ -17,7 +17,7 @@ import torch
 
 from deepfsi.camera import summed_reflectance
 from deepfsi.datasets import Dataset, ambient, jitter, load_dataset
-from deepfsi.design.design import Design
+from deepfsi.design import Design
 from deepfsi.evaluation import evaluate
 from deepfsi.training import learn
 

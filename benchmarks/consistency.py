@@ -16,7 +16,7 @@ import torch
 from scipy.ndimage import gaussian_filter
 
 from deepfsi.datasets import Dataset, load_dataset
-from deepfsi.design.design import Design
+from deepfsi.design import Design
 from deepfsi.designfile import REFUSED
 from deepfsi.training import learn
 

@@ -20,7 +20,7 @@ from deepfsi.base import InputError
 from deepfsi.base.numeric import Table
 from deepfsi.camera import CounterEffects, DeadTime, find_device
 from deepfsi.datasets import Dataset, load_dataset
-from deepfsi.design.design import Design
+from deepfsi.design import Design
 from deepfsi.hardware.counting import TableSettings, count_table
 from deepfsi.hardware.patterns import FrameSettings, Patterns, export_patterns
 from deepfsi.hardware.virtual import Detector

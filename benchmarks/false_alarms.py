@@ -19,9 +19,8 @@ from scipy.stats import binomtest
 import deepfsi
 from deepfsi.camera import DEVICES, DetectorMap
 from deepfsi.designfile import REFUSED, UNSURE, ReadoutDistribution
-from deepfsi.evaluation.distribution_fit import find_distribution
-from deepfsi.exposure.adaptive import look_at, squared_distance
-from deepfsi.exposure.posterior import AdaptivePosterior, LookOptics
+from deepfsi.evaluation import find_distribution
+from deepfsi.exposure import AdaptivePosterior, look_at, squared_distance
 from deepfsi.hardware.light import (
     FALSE_ALARMS,
     PARTS,
@@ -237,7 +236,7 @@ def misfit(rng: np.random.Generator, faulty: bool) -> bool:
     scene = digits[int(rng.integers(len(digits)))][None]
     scene = 1.3 - scene if faulty else scene
     state = AdaptivePosterior(
-        design.prior_exposure.prior, 1, LookOptics.of(design.camera, (8, 8), PHOTONS)
+        design.prior_exposure.prior, 1, design.prior_exposure.optics_at(PHOTONS)
     )
     generator, total = torch.Generator().manual_seed(int(rng.integers(2**32))), 0.0
     for share in design.prior_exposure.settings.shares:

@@ -22,7 +22,7 @@ import deepfsi
 from deepfsi.datasets import Dataset
 from deepfsi.evaluation import logits_at_stops
 from deepfsi.measures import chance_error, confidence_error
-from deepfsi.networks.temperatures import stop_temperatures
+from deepfsi.networks import stop_temperatures
 
 DESIGNS: dict[str, dict[str, Any]] = {
     "adaptive masks": {"design": "adaptive", "masks": 16},

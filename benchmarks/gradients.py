@@ -27,11 +27,11 @@ from torch import Tensor
 from torch.nn import functional
 
 from deepfsi.datasets import load_dataset
-from deepfsi.design.design import Design
+from deepfsi.design import Design
 from deepfsi.evaluation import evaluate
 from deepfsi.exposure import FixedExposure, TrainedMasks, TrainingSet
 from deepfsi.jobs import Job, Training
-from deepfsi.networks.classifiers import Mlp
+from deepfsi.networks import Mlp
 from deepfsi.physics import (
     Detection,
     LearnedMasks,

@@ -21,8 +21,7 @@ import onnxruntime
 import torch
 
 from deepfsi import learn, load_dataset
-from deepfsi.design.design import Design
-from deepfsi.design.onnx import to_onnx
+from deepfsi.design import Design, to_onnx
 
 PHOTONS = 1e4
 

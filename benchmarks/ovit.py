@@ -24,7 +24,7 @@ from deepfsi.base import Moments, Progress
 from deepfsi.datasets import Dataset, from_arrays
 from deepfsi.exposure import TrainingSet, network_dtype
 from deepfsi.jobs import Job, Patches, sensing_matrix
-from deepfsi.networks.classifiers import Vit
+from deepfsi.networks import Vit
 from deepfsi.training import train
 from deepfsi_paper.studies import find
 

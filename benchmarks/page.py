@@ -21,10 +21,10 @@ from selenium import webdriver
 from selenium.webdriver.chrome.service import Service
 
 from deepfsi.datasets import from_arrays
-from deepfsi.design.design import Design
+from deepfsi.design import Design
 from deepfsi.evaluation import playable
 from deepfsi.exposure import FixedExposure, TrainedMasks
-from deepfsi.networks.classifiers import Mlp
+from deepfsi.networks import Mlp
 from deepfsi.physics import Detection, Rails, light_law
 from deepfsi.report.playground.page import write_page
 

@@ -39,7 +39,7 @@ import torch
 from deepfsi.base.numeric import wilson
 from deepfsi.camera import LightLawName, summed_reflectance
 from deepfsi.datasets import Dataset, load_dataset
-from deepfsi.design.design import Design
+from deepfsi.design import Design
 from deepfsi.evaluation import evaluate
 from deepfsi.physics import light_law
 from deepfsi.sweeps.recipe import Recipe

@@ -28,7 +28,7 @@ from deepfsi.datasets import Dataset, from_arrays, load_dataset
 from deepfsi.evaluation import evaluate
 from deepfsi.exposure import TrainingSet
 from deepfsi.jobs import Job, Training
-from deepfsi.networks.classifiers import Mlp, Replicas
+from deepfsi.networks import Mlp, Replicas
 from deepfsi.sweeps.context import SweepContext
 from deepfsi.sweeps.queue import run_trials
 from deepfsi.sweeps.recipe import PAPER_RATIOS, Recipe

@@ -16,8 +16,7 @@ import torch
 
 import deepfsi
 from deepfsi.base import write_atomically
-from deepfsi.exposure.adaptive import look_at
-from deepfsi.exposure.posterior import AdaptivePosterior, LookOptics
+from deepfsi.exposure import AdaptivePosterior, look_at
 
 PHOTONS, LOOKS = 1e4, 16
 """Budget of a whole exposure, and its looks."""
@@ -79,7 +78,7 @@ def expose(scene: int, seed: int) -> Run:
     design = deepfsi.learn(data, camera="dmd", design="adaptive", masks=LOOKS, photons=PHOTONS)
     x = torch.from_numpy(data.x_test[scene])[None]
     state = AdaptivePosterior(
-        design.prior_exposure.prior, 1, LookOptics.of(design.camera, design.image_shape, PHOTONS)
+        design.prior_exposure.prior, 1, design.prior_exposure.optics_at(PHOTONS)
     )
     generator = torch.Generator().manual_seed(seed)
     masks, counts, known, chances = [], [], [state.scene], [state.chances]

@@ -25,8 +25,10 @@ ROOMS_DONE: set[str] = {
     "base.models",
     "base.numeric",
     "camera",
+    "design",
     "designfile",
     "evaluation",
+    "exposure",
     "hardware.calibration",
     "hardware.counting",
     "hardware.drivers",
@@ -39,6 +41,7 @@ ROOMS_DONE: set[str] = {
     "jobs",
     "lab",
     "measures",
+    "networks",
     "physics",
     "training",
 }
@@ -46,6 +49,12 @@ ROOMS_DONE: set[str] = {
 
 LONELY: dict[str, str] = {
     "deepfsi.evaluation.bounds": "formulas of how well values can be estimated, by any network",
+    "deepfsi.design.check_counts": "counts that do not fit, apart from what reads those that do",
+    "deepfsi.design.file": "what a file keeps of a design, apart from what a design does",
+    "deepfsi.design.onnx": "a graph is an export, which needs another package",
+    "deepfsi.evaluation.distribution_fit": "the fit of a test of counts, which a training makes",
+    "deepfsi.exposure.conditioned": "a kind of exposure is its file and a line of the table",
+    "deepfsi.exposure.patches": "a kind of exposure is its file and a line of the table",
     "deepfsi.evaluation.page_data": "a design as a page needs it, which one command writes",
     "deepfsi.hardware.drivers.dlpc900": "a device is its driver and a line of the catalogue",
     "deepfsi.hardware.drivers.picoquant": "a device is its driver and a line of the catalogue",

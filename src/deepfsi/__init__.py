@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from deepfsi.datasets import Dataset as Dataset
     from deepfsi.datasets import from_arrays as from_arrays
     from deepfsi.datasets import load_dataset as load_dataset
-    from deepfsi.design.design import Design as Design
-    from deepfsi.design.design import load_design as load_design
+    from deepfsi.design import Design as Design
+    from deepfsi.design import load_design as load_design
     from deepfsi.evaluation import IdealObserver as IdealObserver
     from deepfsi.evaluation import evaluate as evaluate
     from deepfsi.evaluation import ideal_observer as ideal_observer
@@ -35,8 +35,8 @@ if TYPE_CHECKING:
     from deepfsi.lab import classify_table as classify_table
     from deepfsi.lab import predict as predict
     from deepfsi.measures import Result as Result
-    from deepfsi.networks.classifiers import Mlp as Mlp
-    from deepfsi.networks.custom import OwnClassifier as OwnClassifier
+    from deepfsi.networks import Mlp as Mlp
+    from deepfsi.networks import OwnClassifier as OwnClassifier
     from deepfsi.physics import Scanner as Scanner
     from deepfsi.training import design_of as design_of
     from deepfsi.training import learn as learn
@@ -47,15 +47,15 @@ if "GOMP_SPINCOUNT" not in os.environ:
 _HOMES = {
     "Camera": "camera",
     "Dataset": "datasets",
-    "Design": "design.design",
+    "Design": "design",
     "Fixed": "jobs",
     "IdealObserver": "evaluation",
     "InputError": "base.errors",
     "Job": "jobs",
     "Looks": "jobs",
-    "Mlp": "networks.classifiers",
+    "Mlp": "networks",
     "Nested": "jobs",
-    "OwnClassifier": "networks.custom",
+    "OwnClassifier": "networks",
     "Passing": "jobs",
     "Patches": "jobs",
     "Range": "jobs",
@@ -70,7 +70,7 @@ _HOMES = {
     "ideal_observer": "evaluation",
     "learn": "training",
     "load_dataset": "datasets",
-    "load_design": "design.design",
+    "load_design": "design",
     "photons_per_pixel": "camera",
     "predict": "lab",
 }

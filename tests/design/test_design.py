@@ -20,8 +20,7 @@ from deepfsi.base import InputError
 from deepfsi.camera import share_out
 from deepfsi.designfile.header import DESIGN_SCHEMA
 from deepfsi.evaluation import camera_for
-from deepfsi.exposure import TrainingSet
-from deepfsi.exposure.kind import Observation
+from deepfsi.exposure import Observation, TrainingSet
 from deepfsi.physics import Detection
 from deepfsi.training import train
 from shared import vectors

@@ -10,8 +10,8 @@ from conftest import RECIPE, generator, once
 from deepfsi import Design, evaluate
 from deepfsi.base import InputError
 from deepfsi.camera import DetectorMap
-from deepfsi.design.onnx import to_onnx
-from deepfsi.networks.temperatures import stop_temperatures
+from deepfsi.design import to_onnx
+from deepfsi.networks import stop_temperatures
 from deepfsi.physics import SLACK, Detection, light_law
 from shared.design_files import refused, rewrite
 from shared.jobs import learn

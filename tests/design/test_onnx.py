@@ -14,7 +14,7 @@ from conftest import PHOTONS, every_optics, once, quick
 from deepfsi import Design
 from deepfsi.base import InputError
 from deepfsi.camera import photons_per_pixel
-from deepfsi.design.onnx import to_onnx
+from deepfsi.design import to_onnx
 from deepfsi.exposure.conditioned import ConditionedExposure
 from deepfsi.hardware.patterns import check_patterns
 

@@ -6,7 +6,7 @@ import pytest
 from conftest import quick
 from deepfsi import Design
 from deepfsi.camera import share_out
-from deepfsi.design.onnx import to_onnx
+from deepfsi.design import to_onnx
 from shared.design_files import file_of
 
 onnxruntime = pytest.importorskip("onnxruntime")

@@ -11,12 +11,8 @@ from deepfsi import Design
 from deepfsi.base import InputError
 from deepfsi.datasets import Dataset, from_arrays
 from deepfsi.designfile import REFUSED, UNSURE
-from deepfsi.evaluation.distribution_fit import (
-    FEWEST_OF_A_CLASS,
-    MOST_SCENES,
-    find_distribution,
-    sample_scenes,
-)
+from deepfsi.evaluation import find_distribution, sample_scenes
+from deepfsi.evaluation.distribution_fit import FEWEST_OF_A_CLASS, MOST_SCENES
 from shared.design_files import refused, rewrite
 
 READOUTS = (2, 9)

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from deepfsi.designfile import Temperatures, calibration_budgets
-from deepfsi.networks.temperatures import stop_temperatures, temperatures_at
+from deepfsi.networks import stop_temperatures, temperatures_at
 
 FITTED = Temperatures(np.array([[4.0, 2.0, 0.0], [2.0, 1.0, 0.0]]), np.array([1.0, 10.0, 100.0]))
 

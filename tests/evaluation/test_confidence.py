@@ -14,7 +14,7 @@ from deepfsi.designfile import Temperatures, calibration_budgets
 from deepfsi.evaluation import CalibrationScenes, Exposed, fit_temperatures, logits_at_stops
 from deepfsi.jobs import Job
 from deepfsi.measures.reliability import BINS
-from deepfsi.networks.temperatures import stop_temperatures
+from deepfsi.networks import stop_temperatures
 from deepfsi.training import find_temperatures
 
 PHOTONS = 1e4

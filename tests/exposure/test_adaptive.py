@@ -5,10 +5,15 @@ import pytest
 import torch
 
 from conftest import generator
-from deepfsi.exposure import ScenePrior
-from deepfsi.exposure.adaptive import MISFIT_BUDGETS, UsualMisfit, measure, squared_distance
-from deepfsi.exposure.choice import next_masks
-from deepfsi.exposure.posterior import AdaptivePosterior, LookOptics
+from deepfsi.exposure import (
+    MISFIT_BUDGETS,
+    AdaptivePosterior,
+    ScenePrior,
+    next_masks,
+    squared_distance,
+)
+from deepfsi.exposure.adaptive import UsualMisfit, measure
+from deepfsi.exposure.posterior import LookOptics
 from deepfsi.jobs import AdaptiveMasks
 from deepfsi.physics import Poisson
 

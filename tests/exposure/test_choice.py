@@ -10,9 +10,9 @@ from conftest import generator
 from deepfsi import Design, IdealObserver, Result, evaluate
 from deepfsi.base import InputError
 from deepfsi.datasets import Dataset, from_arrays
-from deepfsi.exposure import AdaptiveExposure, ScenePrior, prior_of
-from deepfsi.exposure.choice import brightest, information, next_masks
-from deepfsi.exposure.posterior import AdaptivePosterior, LookOptics
+from deepfsi.exposure import AdaptiveExposure, AdaptivePosterior, ScenePrior, next_masks, prior_of
+from deepfsi.exposure.choice import brightest, information
+from deepfsi.exposure.posterior import LookOptics
 from deepfsi.jobs import AdaptiveMasks
 
 PIXELS, SCENES, CLASSES = 8, 40, 3
@@ -254,7 +254,7 @@ def test_each_mask_is_of_what_its_own_exposure_counted():
     second = next_masks(state, 0.5, generator())
     assert not torch.equal(second[0], second[1])
     assert set(second.unique().tolist()) <= {0.0, 1.0}
-    kept = state.part(torch.tensor([False, True]))
+    kept = state.rows_of(torch.tensor([False, True]))
     assert torch.equal(kept.chances, state.chances[1:])
     assert torch.equal(next_masks(kept, 0.5, generator()), second[1:])
 

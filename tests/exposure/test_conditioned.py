@@ -14,7 +14,7 @@ from deepfsi.camera import photons_per_pixel
 from deepfsi.exposure import TrainingSet
 from deepfsi.exposure.conditioned import ConditionedExposure, mean_over_exposures
 from deepfsi.jobs import ConditionedEntry
-from deepfsi.networks.temperatures import stop_temperatures
+from deepfsi.networks import stop_temperatures
 from deepfsi.physics import light_law
 from deepfsi.training import train
 from shared.design_files import refused, rewrite

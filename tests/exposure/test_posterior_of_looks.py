@@ -12,8 +12,8 @@ from deepfsi import Design, evaluate
 from deepfsi.base import InputError
 from deepfsi.datasets import Dataset, from_arrays
 from deepfsi.evaluation.stopping import StoppingRule
-from deepfsi.exposure import TrainingSet
-from deepfsi.exposure.looks import Dwells, LooksExposure
+from deepfsi.exposure import LooksExposure, TrainingSet
+from deepfsi.exposure.looks import Dwells
 from deepfsi.physics import SLACK, Rails, light_law
 from deepfsi.training import train
 from shared.design_files import refused, rewrite

@@ -8,8 +8,8 @@ from scipy.stats import multivariate_normal
 
 from deepfsi import evaluate, learn
 from deepfsi.base import InputError
-from deepfsi.exposure import ScenePrior
-from deepfsi.exposure.posterior import AdaptivePosterior, LookOptics
+from deepfsi.exposure import AdaptivePosterior, ScenePrior
+from deepfsi.exposure.posterior import LookOptics
 from deepfsi.jobs import Job
 
 PIXELS, SIZES = 8, (30, 60, 90)

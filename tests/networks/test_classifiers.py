@@ -9,7 +9,7 @@ from torch import Tensor, nn
 from conftest import generator
 from deepfsi import Mlp
 from deepfsi.base import InputError
-from deepfsi.networks.classifiers import Replicas, Vit
+from deepfsi.networks import Replicas, Vit
 
 
 def probe(units: int, dropout: float, seed: int = 0) -> Mlp:

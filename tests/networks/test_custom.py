@@ -13,9 +13,9 @@ from conftest import PHOTONS, RECIPE, generator, light_on, same
 from deepfsi import Design, evaluate
 from deepfsi.base import InputError
 from deepfsi.camera import DetectorMap
-from deepfsi.design.onnx import to_onnx
+from deepfsi.design import to_onnx
 from deepfsi.networks import custom as own
-from deepfsi.networks.temperatures import stop_temperatures
+from deepfsi.networks import stop_temperatures
 from deepfsi.physics import Detection, LearnedMasks
 from shared.design_files import header_of, refused, rewrite
 from shared.jobs import learn

@@ -8,7 +8,7 @@ import torch
 
 from deepfsi import Scanner, evaluate, ideal_observer, learn, predict
 from deepfsi.base import InputError
-from deepfsi.design.onnx import to_onnx
+from deepfsi.design import to_onnx
 from deepfsi.evaluation import check_playable, cramer_rao, stop
 from deepfsi.evaluation.bounds import linear_bound
 from deepfsi.physics import Click

@@ -8,7 +8,7 @@ import torch
 from PIL import Image
 
 import deepfsi
-from deepfsi.design.onnx import to_onnx
+from deepfsi.design import to_onnx
 from deepfsi.evaluation import playable, stop
 from deepfsi.hardware.counting import TableSettings
 from deepfsi.lab.adaptive_looks import adaptive_rails

@@ -15,8 +15,8 @@ from deepfsi.evaluation import of_page, playable, with_rule
 from deepfsi.evaluation import page_data as payload
 from deepfsi.evaluation.page_data import few_tests
 from deepfsi.evaluation.stopping import StoppingRule
-from deepfsi.exposure import choice, prior_of
-from deepfsi.exposure.posterior import AdaptivePosterior, LookOptics
+from deepfsi.exposure import AdaptivePosterior, choice, prior_of
+from deepfsi.exposure.posterior import LookOptics
 from deepfsi.jobs import AdaptiveMasks
 from deepfsi.report.playground.page import write_page
 from shared.playground import ask, open_playground

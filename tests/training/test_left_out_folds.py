@@ -13,9 +13,9 @@ from deepfsi import Design, evaluate, learn
 from deepfsi.base import InputError
 from deepfsi.designfile import Temperatures
 from deepfsi.evaluation import fit_temperatures, logits_at_stops
-from deepfsi.exposure.choice import next_masks
-from deepfsi.exposure.posterior import AdaptivePosterior, LookOptics
-from deepfsi.networks.temperatures import stop_temperatures
+from deepfsi.exposure import AdaptivePosterior, next_masks
+from deepfsi.exposure.posterior import LookOptics
+from deepfsi.networks import stop_temperatures
 from deepfsi.training.characterisation import FEW_SCENES, FOLDS, folds_of
 from shared.design_files import rewrite
 

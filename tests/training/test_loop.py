@@ -15,7 +15,7 @@ from deepfsi.base import Progress
 from deepfsi.exposure import TrainingSet
 from deepfsi.exposure import training as masks_training
 from deepfsi.exposure.training_set import BFLOAT16_WIDTH
-from deepfsi.networks.classifiers import Replicas
+from deepfsi.networks import Replicas
 from deepfsi.training import loop, train
 from shared.jobs import job as job_of
 

@@ -8,7 +8,7 @@ from conftest import FLOAT32, assert_moments, generator, synthetic
 from deepfsi import Patches, Scanner
 from deepfsi.base import InputError
 from deepfsi.camera import photons_per_pixel
-from deepfsi.design.onnx import to_onnx
+from deepfsi.design import to_onnx
 from deepfsi.evaluation import stop
 from deepfsi.exposure import JobGroup, TrainingSet, build
 from deepfsi.jobs import DESIGNS as CODES

@@ -9,7 +9,7 @@ import pytest
 from readout_samples import CLASSES, EACH, drifting
 
 from deepfsi.datasets.readouts import Variables, read_readouts
-from deepfsi.design.readouts import classify_readouts
+from deepfsi.design import classify_readouts
 from deepfsi.training import learn_readouts, measure_readouts
 from deepfsi.training.readouts import measure_order
 

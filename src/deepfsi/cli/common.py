@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from deepfsi.datasets import Dataset
-    from deepfsi.design.design import Design
+    from deepfsi.design import Design
     from deepfsi.measures import Estimates, Result
     from deepfsi.sweeps.results import Data, Point
 
@@ -78,14 +78,14 @@ def print_data(data: "Dataset | Data", notes: Sequence[str] = ()) -> None:
 
 def open_any(path: Path, trust: bool = False) -> "Design":
     """A design file, or a folder of patterns as `open_design` takes it."""
-    from deepfsi.design.design import load_design
+    from deepfsi.design import load_design
 
     return open_design(path, trust) if path.is_dir() else load_design(path, trust=trust)
 
 
 def open_design(path: Path, trust: bool = False) -> "Design":
     """A design of masks, or what a folder of patterns realises of the design in it."""
-    from deepfsi.design.design import Design
+    from deepfsi.design import Design
 
     file = path / "design.safetensors" if path.is_dir() else path
     made = Design.load(file, trust=trust)

@@ -33,7 +33,7 @@ def export(
     target, file = out or file.with_suffix(".onnx"), paths.check_design(file)
     paths.check_file(target, (".onnx",), force)
     from deepfsi.base import write_atomically
-    from deepfsi.design.onnx import to_onnx
+    from deepfsi.design import to_onnx
 
     design = common.open_design(file, trust)
     write_atomically(target, to_onnx(design))

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from deepfsi.datasets import Dataset
-    from deepfsi.design.design import Design
+    from deepfsi.design import Design
     from deepfsi.evaluation import Stopped
     from deepfsi.jobs import Job
     from deepfsi.measures import Result
@@ -249,7 +249,7 @@ def stop(
     if out is not None:
         paths.check_file(out, paths.DESIGN_ENDINGS, force)
     common.check_data(data)
-    from deepfsi.design.design import load_design
+    from deepfsi.design import load_design
     from deepfsi.evaluation import stop as run
     from deepfsi.evaluation import with_rule
     from deepfsi.lab import data_of
@@ -277,7 +277,7 @@ def stop(
 
 def _check_same(file: Path, job: "Job", data: "Dataset", matrix: "np.ndarray | None") -> None:
     """Raise `InputError` unless a design file is what training this job would write again."""
-    from deepfsi.design.design import load_design
+    from deepfsi.design import load_design
     from deepfsi.designfile import trained_on
 
     with suppress(InputError):
@@ -337,7 +337,7 @@ def show(
         out = file.with_suffix(".png") if file.exists() else Path(f"{file.name}.png")
     file = paths.check_design(file)
     paths.check_file(out, paths.PICTURES, force)
-    from deepfsi.design.design import load_design
+    from deepfsi.design import load_design
     from deepfsi.designfile import check_masks, trained_on
     from deepfsi.lab import data_of
     from deepfsi.report.masks import masks_figure

@@ -27,7 +27,7 @@ NAMES = {
 
 def readouts_fields() -> Any:
     """Options of the training, with the defaults of readouts."""
-    from deepfsi.design.readouts import TRAINING
+    from deepfsi.design import TRAINING
 
     found = {name: (panel, copy(field)) for name, (panel, field) in job_fields().items()}
     for name in TRAINING:

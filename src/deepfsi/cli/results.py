@@ -9,7 +9,7 @@ from deepfsi.base import count_text
 from deepfsi.cli import common
 
 if TYPE_CHECKING:
-    from deepfsi.design.design import Design
+    from deepfsi.design import Design
     from deepfsi.measures import Estimates, Measure, Result
 
 

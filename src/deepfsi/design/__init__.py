@@ -1,1 +1,14 @@
-"""A finished design: masks, classifier, its file, evaluation and early stopping."""
+"""Finished designs: masks and network in one object, its file, and its graph."""
+
+from deepfsi.design.design import Design, load_design
+from deepfsi.design.onnx import to_onnx
+from deepfsi.design.readouts import READOUT_PHOTONS, TRAINING, classify_readouts
+
+__all__ = [
+    "READOUT_PHOTONS",
+    "TRAINING",
+    "Design",
+    "classify_readouts",
+    "load_design",
+    "to_onnx",
+]

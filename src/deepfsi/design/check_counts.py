@@ -9,7 +9,7 @@ from torch import Tensor
 
 from deepfsi.base import InputError
 
-Patterns = tuple[tuple[int, ...], tuple[int, ...]]
+PatternShapes = tuple[tuple[int, ...], tuple[int, ...]]
 """Shapes of rails (rails, m, N), and of the cells of a pattern."""
 
 LONGEST_LOOK = 1.05
@@ -30,7 +30,8 @@ def check_readouts(
         return torch.from_numpy(np.asarray(values, dtype=np.float32).copy())
 
     try:
-        read, budget = tensor(counts), tensor(photons)
+        read = tensor(counts)
+        budget = tensor(photons)
         shown = None if dwell is None else tensor(dwell)
     except (TypeError, ValueError):
         raise InputError("counts, photons and dwell must be arrays of numbers") from None
@@ -71,7 +72,8 @@ def check_look(
     try:
         counts, shown = (np.asarray(part, dtype=float) for part in pair)
     except (TypeError, ValueError):
-        counts, shown = np.empty(0), asked
+        counts = np.empty(0)
+        shown = asked
     if (counts.shape, shown.shape) != (wanted, asked.shape):
         raise InputError(
             f"a look does not fit this design: return {wanted} counts, or a pair of counts and "
@@ -87,7 +89,7 @@ def check_look(
     return counts, shown
 
 
-def check_clicks(read: Tensor, gates: int | None) -> None:
+def check_click_counts(read: Tensor, gates: int | None) -> None:
     """Raise `InputError` where a readout has more counts than its detector can click."""
     if gates is not None and bool((read > gates).any() | (read < 0).any()):
         raise InputError(
@@ -105,10 +107,11 @@ def check_dimmed(dimmed: float, gates: int | None) -> None:
         )
 
 
-def check_patterns(given: Patterns, own: Patterns) -> None:
+def check_realised(given: PatternShapes, own: PatternShapes) -> None:
     """Raise `InputError` where patterns of a device are not of a design's own shape."""
     if given != own:
-        ((rails, masks, _), cells), ((own_rails, own_masks, _), own_cells) = given, own
+        (rails, masks, _), cells = given
+        (own_rails, own_masks, _), own_cells = own
         raise InputError(
             f"patterns of {masks} masks of {cells} cells and {rails} rails are not of this design, "
             f"with {own_masks} masks of {own_cells} and {own_rails} rails: export it with "

@@ -34,11 +34,16 @@ from deepfsi.designfile import (
     trained_budgets,
     trained_camera,
 )
-from deepfsi.exposure.adaptive import MASKS_ARE_MADE, AdaptiveExposure, LookedAt
-from deepfsi.exposure.kind import Answer, ExposureKind, MaskExposure, Observation
-from deepfsi.networks.custom import Given, OwnClassifier, rebuilt
-from deepfsi.networks.temperatures import temperatures_at
-from deepfsi.networks.values import Values, check_classes
+from deepfsi.exposure import (
+    MASKS_ARE_MADE,
+    AdaptiveExposure,
+    Answer,
+    ExposureKind,
+    LookedAt,
+    MaskExposure,
+    Observation,
+)
+from deepfsi.networks import Given, OwnClassifier, Values, check_classes, rebuilt, temperatures_at
 from deepfsi.physics import (
     Detection,
     NoiseFunction,
@@ -340,7 +345,8 @@ class Design:
         """
         exposure = self.mask_exposure
         dwells = exposure.dwells
-        budget, counted = check_budget(photons), torch.zeros_like(self.mean)
+        budget = check_budget(photons)
+        counted = torch.zeros_like(self.mean)
 
         def show(dwell: Tensor) -> tuple[Tensor, Tensor]:
             nonlocal counted
@@ -408,7 +414,7 @@ class Design:
             frames=frames,
             patches=exposure.patch_axis,
         )
-        check_counts.check_clicks(read, self.gates)
+        check_counts.check_click_counts(read, self.gates)
         device = exposure.device
         budget = budget.to(device)
         features = self.features_of(read.to(device)) / exposure.scale(budget)
@@ -508,7 +514,7 @@ class Design:
         self.exposure.check("frames")
         check_counts.check_dimmed(dimmed, self.gates)
         own = tuple(self.rails.stacked.shape), self.image_shape
-        check_counts.check_patterns((rails.shape, image_shape), own)
+        check_counts.check_realised((rails.shape, image_shape), own)
         realised = Rails.of(torch.from_numpy(rails).to(self.rails.difference))
         return replace(
             self,

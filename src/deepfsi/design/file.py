@@ -18,11 +18,9 @@ from deepfsi.designfile import (
     MaskHeader,
     damaged_design,
 )
-from deepfsi.exposure import KINDS, AdaptiveExposure, Clicks, TrainedMasks
+from deepfsi.exposure import MASK_KINDS, AdaptiveExposure, Clicks, TrainedMasks
 from deepfsi.jobs import AdaptiveMasks
-from deepfsi.networks.classifiers import Mlp, Vit, restored
-from deepfsi.networks.custom import OwnClassifier
-from deepfsi.networks.values import Values
+from deepfsi.networks import Mlp, OwnClassifier, Values, Vit, restore_network
 from deepfsi.physics import Detection, Rails, light_law
 
 if TYPE_CHECKING:
@@ -31,7 +29,7 @@ if TYPE_CHECKING:
 WORDS = ("name", "classes", "info")
 """Fields of a design that its header holds as they are."""
 
-STATISTICS = ("mean", "std", "shares")
+FEATURE_STATISTICS = ("mean", "std", "shares")
 """Tensors of one number a feature."""
 
 
@@ -137,10 +135,10 @@ def _mask_fields(file: DesignFile, header: MaskHeader) -> dict[str, Any]:
         detection=detection,
         summed_reflectance=header.summed_reflectance,
         clicks=Clicks.of(header.info),
-        **{name: torch.from_numpy(file.arrays[name]) for name in STATISTICS},
+        **{name: torch.from_numpy(file.arrays[name]) for name in FEATURE_STATISTICS},
     )
     weights = {name: torch.from_numpy(array) for name, array in file.arrays_of("exposure").items()}
-    exposure = KINDS[header.exposure.kind].restored(header.exposure, weights, optics)
+    exposure = MASK_KINDS[header.exposure.kind].restored(header.exposure, weights, optics)
     scales = {name: torch.from_numpy(array) for name, array in file.arrays_of("values").items()}
     return {
         "exposure": exposure,
@@ -160,7 +158,7 @@ def _classifier(file: DesignFile, header: MaskHeader, inputs: int) -> nn.Module:
     }
     if isinstance(sizes, CustomEntry):
         return OwnClassifier(None, sizes.factory, sizes.arguments, weights)
-    return restored(
+    return restore_network(
         {"mlp": Mlp, "vit": Vit}[sizes.kind],
         weights,
         inputs=inputs,

@@ -20,18 +20,18 @@ from deepfsi.base import InputError
 from deepfsi.camera import share_out
 from deepfsi.design.design import Design
 from deepfsi.designfile import check_masks
-from deepfsi.exposure.kind import Observation
-from deepfsi.exposure.looks import LooksExposure
-from deepfsi.networks.classifiers import Mlp
-from deepfsi.networks.custom import OwnClassifier
-from deepfsi.networks.values import check_classes
+from deepfsi.exposure import LooksExposure, Observation
+from deepfsi.networks import Mlp, OwnClassifier, check_classes
 from deepfsi.physics import library_defaults
 
-SCHEMA = 1
+GRAPH_SCHEMA = 1
 """Number of the schema of the graph's inputs, output and metadata."""
 
-OPSET, OWN_OPSET = 13, 17
-"""Operator sets of the package's own networks, for every runtime since 2020, and of a user's."""
+OPSET = 13
+"""Operator set of a graph of the package's own networks, for every runtime since 2020."""
+
+OWN_OPSET = 17
+"""Operator set of a graph with a user's own network."""
 
 LARGEST_ERROR = 1e-3
 """Largest difference of a probability, or of a dwell, between a graph and torch."""
@@ -45,7 +45,8 @@ class _Fixed(nn.Module):
     def __init__(self, design: Design) -> None:
         super().__init__()
         assert design.classifier is not None
-        self.classifier, self.design = design.classifier, design
+        self.classifier = design.classifier
+        self.design = design
 
     @property
     def inputs(self) -> dict[str, tuple[int, ...]]:
@@ -67,7 +68,8 @@ class _Look(_Fixed):
 
     def __init__(self, design: Design, exposure: LooksExposure) -> None:
         super().__init__(design)
-        self.exposure, self.network = exposure, exposure.network
+        self.exposure = exposure
+        self.network = exposure.network
 
     @property
     def inputs(self) -> dict[str, tuple[int, ...]]:
@@ -77,7 +79,8 @@ class _Look(_Fixed):
     def forward(  # type: ignore[override]
         self, counts: Tensor, photons: Tensor, dwell: Tensor, left: Tensor, shortest: Tensor
     ) -> tuple[Tensor, ...]:
-        design, exposure = self.design, self.exposure
+        design = self.design
+        exposure = self.exposure
         features = design.features_of(counts) / photons.unsqueeze(-1)
         seen = Observation(features, exposure.dwells.by_mask(dwell))
         inputs = seen.inputs(design.mean, design.std)
@@ -113,7 +116,8 @@ def to_onnx(design: Design) -> bytes:
     model = onnx.load_from_string(_traced(module.eval(), OWN_OPSET if own else OPSET))
     about = {key: json.dumps(value) for key, value in _metadata(design).items()}
     onnx.helper.set_model_props(model, about)
-    model.producer_name, model.producer_version = "deepfsi", version("deepfsi")
+    model.producer_name = "deepfsi"
+    model.producer_version = version("deepfsi")
     onnx.checker.check_model(model, full_check=True)
     content = model.SerializeToString(deterministic=True)
     _compare(content, module)
@@ -127,7 +131,8 @@ def _argsort(graph: Any, values: Any, *settings: Any) -> Any:
 
 def _traced(module: _Fixed, opset: int) -> bytes:
     """Graph of a module as torch writes it, or `InputError` if torch cannot."""
-    names, written = [*module.inputs, *module.outputs], io.BytesIO()
+    names = [*module.inputs, *module.outputs]
+    written = io.BytesIO()
     register_custom_op_symbolic("aten::argsort", _argsort, OPSET)
     try:
         with warnings.catch_warnings():
@@ -152,7 +157,8 @@ def _compare(content: bytes, module: _Fixed) -> None:
     import onnxruntime
 
     session = onnxruntime.InferenceSession(content, providers=["CPUExecutionProvider"])
-    design, generator = module.design, torch.Generator().manual_seed(0)
+    design = module.design
+    generator = torch.Generator().manual_seed(0)
     shape = design.counts_shape
     for batch in (*[1] * 8, 7):
         photons = 10 ** (6 * torch.rand(batch, 1, generator=generator))
@@ -175,7 +181,7 @@ def _compare(content: bytes, module: _Fixed) -> None:
 def _metadata(design: Design) -> dict[str, Any]:
     """Metadata of a design's graph, JSON types only."""
     return {
-        "schema": SCHEMA,
+        "schema": GRAPH_SCHEMA,
         "name": design.name,
         "masks": design.masks,
         "rails": design.rails.count,

@@ -14,7 +14,7 @@ from deepfsi.designfile import READOUTS
 if TYPE_CHECKING:
     from deepfsi.design.design import Design
 
-PHOTONS = 1e4
+READOUT_PHOTONS = 1e4
 """Budget that the design needs and that, without noise, nothing depends on."""
 
 TRAINING: dict[str, Any] = {
@@ -32,12 +32,24 @@ class ReadoutClasses(NamedTuple):
 
 
 def classify_readouts(design: "Design", values: np.ndarray) -> ReadoutClasses:
-    """Classify new readouts (n, k), in the unit of those of the training."""
+    """Classify new readouts (n, k), in the unit of those of the training.
+
+    Parameters
+    ----------
+    design : Design
+        That was learned on measured readouts.
+    values : array, shape (n, k)
+
+    Raises
+    ------
+    InputError
+        If readouts have another shape.
+    """
     if values.ndim != 2 or values.shape[1] != design.masks:
         raise InputError(
             f"readouts of shape {values.shape} do not fit: give {design.masks} for each recording"
         )
     known = design.info[READOUTS]
     x = (values - np.array(known["offset"])) / np.array(known["gain"])
-    chances = design.classify(x / design.summed_reflectance * PHOTONS, PHOTONS)
+    chances = design.classify(x / design.summed_reflectance * READOUT_PHOTONS, READOUT_PHOTONS)
     return ReadoutClasses(chances, x, float(((x < 0) | (x > 1)).mean()))

@@ -10,6 +10,7 @@ from deepfsi.evaluation.confidence import (
     logits_at_stops,
     measure_left_out,
 )
+from deepfsi.evaluation.distribution_fit import find_distribution, sample_scenes
 from deepfsi.evaluation.ideal import IdealObserver, ideal_observer
 from deepfsi.evaluation.page_data import check_playable, of_page, playable
 from deepfsi.evaluation.stopping import MeanEstimate, Stopped, stop, with_rule
@@ -26,12 +27,14 @@ __all__ = [
     "check_playable",
     "cramer_rao",
     "evaluate",
+    "find_distribution",
     "fit_temperatures",
     "ideal_observer",
     "logits_at_stops",
     "measure_left_out",
     "of_page",
     "playable",
+    "sample_scenes",
     "stop",
     "with_rule",
 ]

@@ -13,7 +13,7 @@ from torch import Tensor
 from deepfsi.base import InputError, Progress, plain_keywords, progress_bar
 from deepfsi.camera import Camera, CameraSettings, CameraSource, NoiseName, check_budget
 from deepfsi.datasets import Dataset, Source, as_dataset, as_test_part
-from deepfsi.design.design import Design
+from deepfsi.design import Design
 from deepfsi.designfile import new_scenes
 from deepfsi.evaluation.bounds import linear_bound
 from deepfsi.measures import (

@@ -23,7 +23,7 @@ import torch
 from deepfsi.base import InputError
 from deepfsi.camera import check_budget
 from deepfsi.datasets import Dataset
-from deepfsi.design.design import Design
+from deepfsi.design import Design
 from deepfsi.physics import Scanner, library_defaults
 
 

@@ -29,7 +29,7 @@ MOST_NUMBERS = 2**21
 LEAST_SCENES = 512
 """Training scenes that are looked at however many readouts there are."""
 
-FOLDS = 4
+FIT_FOLDS = 4
 """Parts of the scenes, each calibrated with the covariance of the others."""
 
 Expose = Callable[[float, np.random.Generator], list[tuple[np.ndarray, np.ndarray]]]
@@ -40,7 +40,15 @@ IN_TAIL = 10
 
 
 def sample_scenes(count: int, readouts: int, seed: int = 0) -> np.ndarray:
-    """Places of the training scenes, of `count`, that are looked at."""
+    """Places of the training scenes, of `count`, that are looked at.
+
+    Parameters
+    ----------
+    count : int
+    readouts : int
+        Of each scene.
+    seed : int
+    """
     most = min(max(MOST_NUMBERS // readouts, LEAST_SCENES), MOST_SCENES)
     return np.random.default_rng(seed).permutation(count)[:most]
 
@@ -52,19 +60,31 @@ def find_distribution(
     seed: int = 0,
     expose: Expose | None = None,
 ) -> ReadoutDistribution | None:
-    """Distribution of the readouts of training scenes, or None where there are too few scenes."""
-    # Too few of one class are too few: they do not tell how others of it look. rates (n, rails, m);
-    # labels (n,). `expose` is of looks: each readout is counted for its usual time without it
+    """Distribution of the readouts of training scenes, or None where there are too few scenes.
+
+    Parameters
+    ----------
+    rates : tensor, shape (n, rails, m)
+        Expected counts for a budget of one photon.
+    labels : array, shape (n,)
+        Classes: too few scenes of one are too few, as they do not tell how others of it look.
+    classes : int
+        C.
+    seed : int
+    expose : callable, optional
+        Exposures of several looks; each readout is counted for its usual time without it.
+    """
     every = rates.double().cpu().numpy()
     rng = np.random.default_rng([seed, 12])
-    folds = np.array_split(rng.permutation(len(every)), FOLDS)
+    folds = np.array_split(rng.permutation(len(every)), FIT_FOLDS)
     # what the scenes of one fold alone light cannot be compared with those of the others
     lit = np.sum([(every[fold] > 0).any(axis=0) for fold in folds], axis=0) > 1
     sizes = np.bincount(labels, minlength=classes)
     if len(every) < FEWEST_SCENES or sizes.min() < FEWEST_OF_A_CLASS or not lit.any():
         return None
     held = every[:, lit]
-    total, live = held.mean(axis=0).sum(), expose is not None
+    total = held.mean(axis=0).sum()
+    live = expose is not None
 
     def exposed(expected: float) -> list[tuple[np.ndarray, np.ndarray]]:
         if expose is None:
@@ -73,7 +93,7 @@ def find_distribution(
         return [tuple(each[:, lit.ravel()] for each in pair) for pair in seen]  # type: ignore[misc]
 
     model = ReadoutModel.fit(held)
-    tails, pairs = _calibrate(model, held, np.asarray(labels), folds, exposed)
+    tails, pairs = _calibrate(model, held, np.asarray(labels), folds, exposed=exposed)
 
     def spread_out(part: np.ndarray) -> np.ndarray:
         whole = np.zeros((*part.shape[:-1], *lit.shape), np.float32)

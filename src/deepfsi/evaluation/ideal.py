@@ -16,12 +16,12 @@ from deepfsi.base import Progress, plain_keywords, progress_bar
 from deepfsi.base.numeric import check_memory, free_memory
 from deepfsi.camera import check_budget, summed_reflectance
 from deepfsi.datasets import Dataset, Source, as_dataset
-from deepfsi.design.design import Design
+from deepfsi.design import Design
 from deepfsi.designfile import new_scenes
 from deepfsi.evaluation.accuracy import Conditions, Guess, check_data, check_draws, expose_scenes
-from deepfsi.exposure.posterior import class_chances
+from deepfsi.exposure import class_chances
 from deepfsi.measures import ClassAnswers, Result, ResultList
-from deepfsi.networks.values import check_classes
+from deepfsi.networks import check_classes
 from deepfsi.physics import Scanner, library_defaults
 
 MOST_LIKELIHOODS = 2**24

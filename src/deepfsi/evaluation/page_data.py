@@ -19,13 +19,12 @@ import numpy as np
 from deepfsi.base import SILENT, InputError, Progress
 from deepfsi.camera import find_noise
 from deepfsi.datasets import Dataset
-from deepfsi.design.design import Design
+from deepfsi.design import Design
 from deepfsi.designfile import Temperatures, check_masks, new_scenes, trained_on
 from deepfsi.evaluation.accuracy import check_data, evaluate
 from deepfsi.evaluation.stopping import rule_of, stop
 from deepfsi.jobs import LARGEST_SCORE
-from deepfsi.networks.classifiers import Mlp
-from deepfsi.networks.values import check_classes
+from deepfsi.networks import Mlp, check_classes
 from deepfsi.physics import SLACK, library_defaults
 
 SLIDER_BUDGETS = tuple(float(f"{10**power:.3g}") for power in np.arange(1, 7.1, 0.5))

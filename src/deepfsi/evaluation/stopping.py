@@ -22,13 +22,12 @@ from deepfsi.base import InputError, as_input_error
 from deepfsi.base.numeric import accuracy_interval
 from deepfsi.camera import StopRule, check_budget
 from deepfsi.datasets import Dataset, Source, as_dataset
-from deepfsi.design.design import Design
+from deepfsi.design import Design
 from deepfsi.designfile import new_scenes, trained_on
 from deepfsi.evaluation.accuracy import check_data, check_draws, covered
 from deepfsi.evaluation.confidence import logits_at_stops
 from deepfsi.measures import calibration_error, confidence_error, confidence_groups
-from deepfsi.networks.temperatures import stop_temperatures
-from deepfsi.networks.values import check_classes
+from deepfsi.networks import check_classes, stop_temperatures
 from deepfsi.physics import library_defaults
 
 THRESHOLDS = 1 - np.geomspace(0.5, 1e-7, 135)

@@ -1,34 +1,63 @@
 """What is shown when, and what it tells: a kind of exposure each."""
 
-from deepfsi.exposure.adaptive import AdaptiveExposure, AdaptiveTraining, prior_of
-from deepfsi.exposure.fixed import FixedExposure
-from deepfsi.exposure.kind import Clicks, TrainedMasks
-from deepfsi.exposure.kinds import KINDS, build
-from deepfsi.exposure.posterior import ScenePrior
-from deepfsi.exposure.training import CHUNK, ExposureTraining, JobGroup, matrix_seeds
-from deepfsi.exposure.training_set import (
-    Matrices,
-    TrainingSet,
-    dtypes,
-    network_dtype,
+from deepfsi.exposure.adaptive import (
+    MASKS_ARE_MADE,
+    MISFIT_BUDGETS,
+    MISFIT_SCENES,
+    AdaptiveExposure,
+    AdaptiveTraining,
+    LookedAt,
+    prior_of,
+    squared_distance,
 )
+from deepfsi.exposure.choice import look_at, next_masks
+from deepfsi.exposure.fixed import FixedExposure
+from deepfsi.exposure.kind import (
+    Answer,
+    Clicks,
+    ExposureKind,
+    MaskExposure,
+    Observation,
+    TrainedMasks,
+)
+from deepfsi.exposure.kinds import MASK_KINDS, build
+from deepfsi.exposure.looks import LooksExposure
+from deepfsi.exposure.passing import PassingExposure
+from deepfsi.exposure.posterior import AdaptivePosterior, ScenePrior, class_chances
+from deepfsi.exposure.training import CHUNK, ExposureTraining, JobGroup, matrix_seeds
+from deepfsi.exposure.training_set import Matrices, TrainingSet, dtypes, network_dtype
 
 __all__ = [
     "CHUNK",
-    "KINDS",
+    "MASKS_ARE_MADE",
+    "MASK_KINDS",
+    "MISFIT_BUDGETS",
+    "MISFIT_SCENES",
     "AdaptiveExposure",
+    "AdaptivePosterior",
     "AdaptiveTraining",
+    "Answer",
     "Clicks",
+    "ExposureKind",
     "ExposureTraining",
     "FixedExposure",
     "JobGroup",
+    "LookedAt",
+    "LooksExposure",
+    "MaskExposure",
     "Matrices",
+    "Observation",
+    "PassingExposure",
     "ScenePrior",
     "TrainedMasks",
     "TrainingSet",
     "build",
+    "class_chances",
     "dtypes",
+    "look_at",
     "matrix_seeds",
     "network_dtype",
+    "next_masks",
     "prior_of",
+    "squared_distance",
 ]

@@ -20,11 +20,11 @@ from deepfsi.base.numeric import check_memory, free_memory
 from deepfsi.camera import Camera
 from deepfsi.datasets import Dataset
 from deepfsi.designfile import AdaptiveHeader
-from deepfsi.exposure.choice import next_masks
+from deepfsi.exposure.choice import look_at
 from deepfsi.exposure.kind import (
     Answer,
+    CountedLight,
     ExposureKind,
-    Light,
     Observation,
     ReadsCounts,
     Stops,
@@ -32,15 +32,15 @@ from deepfsi.exposure.kind import (
 )
 from deepfsi.exposure.posterior import LEAST_WEIGHT, AdaptivePosterior, LookOptics, ScenePrior
 from deepfsi.jobs import AdaptiveMasks, Job
-from deepfsi.physics import Detection, Poisson
+from deepfsi.physics import Detection
 
-AT_ONCE = 2**22
+LIKELIHOODS_AT_ONCE = 2**22
 """Log-likelihoods that are held at a time."""
 
 MOST_EXPOSURES = 32
 """Exposures that are computed at a time, at most: a thousand of them take twice as long each."""
 
-COPIES = 6
+PRIOR_COPIES = 6
 """Arrays as large as the log-likelihoods, or as the scenes of the prior, held at a time."""
 
 
@@ -57,21 +57,6 @@ POSTERIOR_ANSWERS = (
 """Why adaptive masks have no ideal observer beside them."""
 
 
-class Look(NamedTuple):
-    """One look of exposures."""
-
-    masks: Tensor  # (b, N) of 0 and 1
-    counts: Tensor  # (b, Q)
-    light: Tensor  # (b, Q), counts that are expected without dark ones
-
-
-def look_at(state: AdaptivePosterior, x: Tensor, share: float, generator: torch.Generator) -> Look:
-    """Next look at scenes (b, N) for a share of the exposure, which the state does not know yet."""
-    masks = next_masks(state, share, generator)
-    expected = state.expected(masks, x, share)
-    return Look(masks, Poisson().draw(expected, generator), expected - state.optics.dark * share)
-
-
 def prior_of(data: Dataset, settings: AdaptiveMasks) -> ScenePrior:
     """Prior of the training scenes of a data set, or `InputError` if it does not fit the memory.
 
@@ -81,14 +66,16 @@ def prior_of(data: Dataset, settings: AdaptiveMasks) -> ScenePrior:
     settings : AdaptiveMasks
     """
     scenes = len(data.x_train)
-    needed = 4 * (scenes * (3 * data.pixels + settings.components) + COPIES * AT_ONCE)
+    needed = 4 * (
+        scenes * (3 * data.pixels + settings.components) + PRIOR_COPIES * LIKELIHOODS_AT_ONCE
+    )
     check_memory(needed, free_memory(), "the prior of these scenes", "give fewer scenes")
     return ScenePrior(
         data.x_train,
         data.y_train,
         len(data.classes),
-        settings.components,
-        settings.spread,
+        components=settings.components,
+        spread=settings.spread,
         clusters=settings.clusters,
     )
 
@@ -109,14 +96,25 @@ MISFIT_SCENES = 128
 def squared_distance(
     state: AdaptivePosterior, masks: Tensor, counts: Tensor, share: float
 ) -> Tensor:
-    """Squared distance (b,) of counts (b, Q) behind the next masks (b, N) from those expected."""
+    """Squared distance (b,) of counts (b, Q) behind the next masks (b, N) from those expected.
+
+    Parameters
+    ----------
+    state : AdaptivePosterior
+    masks : tensor, shape (b, N)
+    counts : tensor, shape (b, Q)
+    share : float
+        Of the exposure.
+    """
     mean, parts = state.prior.light(state.optics.readouts(masks))
-    gain, dark = state.gain * share, torch.as_tensor(state.optics.dark * share)
-    left, weights = state.unknown(parts), state.weights[..., None]
+    gain = state.gain * share
+    dark = torch.as_tensor(state.optics.dark * share)
+    left = state.unknown(parts)
+    weights = state.weights[..., None]
     scenes = left @ state.prior.coefficients.T  # (b, Q, n)
     usual = scenes @ weights
     apart = scenes - usual
-    light = (mean + state.seen(parts) + usual[..., 0]).clamp(min=0)
+    light = (mean + state.offset_light(parts) + usual[..., 0]).clamp(min=0)
     expected = light * gain + dark
     covariance = (apart * weights[:, None, :, 0]) @ apart.transpose(1, 2)
     if state.prior.spread:
@@ -217,7 +215,14 @@ class PosteriorObservation(Observation):
 
 
 class LookedAt(NamedTuple):
-    """One exposure look by look: masks and mean scenes (K, N) of the posterior, chances (K, C)."""
+    """One exposure look by look: masks and mean scenes (K, N) of the posterior, chances (K, C).
+
+    Attributes
+    ----------
+    masks, scenes : array, shape (K, N)
+        Scenes are the means of the posterior.
+    chances : array, shape (K, C)
+    """
 
     masks: np.ndarray
     scenes: np.ndarray
@@ -328,7 +333,7 @@ class AdaptiveExposure(ExposureKind):
     @property
     def exposed_at_once(self) -> int:  # type: ignore[override]
         """Exposures of which the memory holds the likelihoods, and the caches the masks."""
-        return max(1, min(MOST_EXPOSURES, AT_ONCE // len(self.prior)))
+        return max(1, min(MOST_EXPOSURES, LIKELIHOODS_AT_ONCE // len(self.prior)))
 
     def optics_at(self, photons: float, camera: Camera | None = None) -> LookOptics:
         """Optics of a look at a budget of a whole exposure, of another camera if one is given.
@@ -392,15 +397,18 @@ class AdaptiveExposure(ExposureKind):
                 chances[running] = state.chances
                 going = chances[running].amax(dim=1) <= settings.until
                 if not last and not bool(going.all()):
-                    state, running = state.part(going), running[going]
+                    state = state.rows_of(going)
+                    running = running[going]
             if not len(running):
                 break
         return chances, counts
 
-    def light(self, front: Camera, rates: Tensor, seen: Observation, photons: float) -> Light:
+    def light(
+        self, front: Camera, rates: Tensor, seen: Observation, photons: float
+    ) -> CountedLight:
         """Light of exposures together, which do not click; parameters of `observe`."""
         assert isinstance(seen, PosteriorObservation)
-        return Light(seen.counts, seen.counts)
+        return CountedLight(seen.counts, seen.counts)
 
     def answer(self, seen: Observation, photons: Tensor | float, network: ReadsCounts) -> Answer:
         """Answer of the posterior: nothing else reads the counts."""
@@ -426,7 +434,9 @@ class AdaptiveExposure(ExposureKind):
     def look_by_look(self, scene: Tensor, photons: float, generator: torch.Generator) -> LookedAt:
         """One exposure of a scene (N,), look by look."""
         state = AdaptivePosterior(self.prior, 1, self.optics_at(photons))
-        masks, scenes, chances = [], [], []
+        masks = []
+        scenes = []
+        chances = []
         for share in self.settings.shares:
             look = look_at(state, scene[None], share, generator)
             state.update(look.masks, look.counts, share)

@@ -32,15 +32,25 @@ DARKEST = 1e-3
 
 
 def next_masks(state: AdaptivePosterior, share: float, generator: torch.Generator) -> Tensor:
-    """Masks (b, N) of 0 and 1 to be shown next, for a share of the exposure."""
-    masks, prior = candidates(state), state.prior
+    """Masks (b, N) of 0 and 1 to be shown next, for a share of the exposure.
+
+    Parameters
+    ----------
+    state : AdaptivePosterior
+    share : float
+    generator : torch.Generator
+        Of the scenes by which masks are compared.
+    """
+    masks = candidates(state)
+    prior = state.prior
     places, drawn = _sample(state.weights, generator)
     mean, parts = prior.light(state.optics.readouts(masks))  # (b, P, Q), (b, P, Q, d)
     left = state.unknown(parts)
     scenes = prior.coefficients[places].transpose(1, 2)  # (b, d, S), the same for all masks
     away = (left.flatten(1, 2) @ scenes).unflatten(1, mean.shape[1:])
-    light = (mean + state.seen(parts))[..., None] + away
-    gain, dark = state.gain * share, torch.as_tensor(state.optics.dark * share)[..., None]
+    light = (mean + state.offset_light(parts))[..., None] + away
+    gain = state.gain * share
+    dark = torch.as_tensor(state.optics.dark * share)[..., None]
     counts = light.clamp(min=0) * gain + dark
     unknown = left @ parts.transpose(2, 3) if prior.spread else None
     if unknown is not None:
@@ -54,7 +64,8 @@ def next_masks(state: AdaptivePosterior, share: float, generator: torch.Generato
 
 def candidates(state: AdaptivePosterior) -> Tensor:
     """Masks (b, P, N) that separate the likeliest classes in two groups."""
-    chances, sums = state.class_weights, state.class_sums
+    chances = state.class_weights
+    sums = state.class_sums
     count = min(LIKELIEST, chances.shape[1])
     likely, top = chances.topk(count, dim=1)
     own = sums.gather(1, top[..., None].expand(-1, -1, sums.shape[-1]))
@@ -79,7 +90,8 @@ def brightest(differ: Tensor, scene: Tensor, areas: Tensor, arms: int = 1) -> Te
     two arms: d / μ of each is above the mean of what it is of those ON and of those OFF together,
     which is 0 with one arm. Found in steps, it may be a local maximum.
     """
-    ratio, threshold = differ / scene, torch.zeros_like(differ)
+    ratio = differ / scene
+    threshold = torch.zeros_like(differ)
     if arms == 2:
         threshold = _ratio(torch.ones_like(differ), differ, scene, areas) @ areas
     for _ in range(HALVINGS):
@@ -146,7 +158,17 @@ class Look(NamedTuple):
 
 
 def look_at(state: AdaptivePosterior, x: Tensor, share: float, generator: torch.Generator) -> Look:
-    """Next look at scenes (b, N) for a share of the exposure, which the state does not know yet."""
+    """Next look at scenes (b, N) for a share of the exposure, which the state does not know yet.
+
+    Parameters
+    ----------
+    state : AdaptivePosterior
+    x : tensor, shape (b, N)
+        Reflectance.
+    share : float
+    generator : torch.Generator
+        Of the noise.
+    """
     masks = next_masks(state, share, generator)
     expected = state.expected(masks, x, share)
     return Look(masks, Poisson().draw(expected, generator), expected - state.optics.dark * share)

@@ -117,7 +117,8 @@ class ConditionedExposure(MaskExposure):
     @property
     def stops(self) -> Stops:
         """Numbers of masks after which an exposure may stop, and the share taken then."""
-        fewest, masks = self.fewest_masks, self.count
+        fewest = self.fewest_masks
+        masks = self.count
         if fewest == masks:
             return super().stops
         law = light_law(self.optics.light)

@@ -34,7 +34,13 @@ DIMMINGS = 30
 
 @dataclass(frozen=True, eq=False)
 class FixedExposure(MaskExposure):
-    """Exposure of which all masks are needed, each with its own dwell."""
+    """Exposure of which all masks are needed, each with its own dwell.
+
+    Parameters
+    ----------
+    optics : TrainedMasks
+        Its masks, with the statistics of their features.
+    """
 
     _: KW_ONLY
     optics: TrainedMasks = UNTRAINED

@@ -20,7 +20,7 @@ from deepfsi.jobs import (
     AdaptiveMasks,
     ExposureEntry,
 )
-from deepfsi.networks.classifiers import Mlp
+from deepfsi.networks import Mlp
 from deepfsi.physics import (
     Detection,
     NoiseFunction,
@@ -67,7 +67,8 @@ class Observation:
         # whose frames all have the same dwell, 1 / q
         count = self.features.shape[-1]
         if count < mean.shape[-1]:
-            mean, std = mean[..., :count], std[..., :count]
+            mean = mean[..., :count]
+            std = std[..., :count]
         if self.dwell is None:
             return (self.features - mean) / std
         dwells = self.dwell.shape[-1]
@@ -77,9 +78,13 @@ class Observation:
 
 
 class Answer(NamedTuple):
-    """Answer to exposures: logits and chances (..., C), and the classes (...).
+    """Answer to exposures.
 
-    Rounded chances may not tell classes apart that logits do.
+    Attributes
+    ----------
+    logits, chances : tensor, shape (..., C)
+    classes : tensor, shape (...)
+        That logits may tell apart where rounded chances do not.
     """
 
     logits: Tensor
@@ -136,7 +141,7 @@ class Dwells:
         return dwell.swapaxes(-2, -1).reshape(*dwell.shape[:-2], -1)
 
 
-class Light(NamedTuple):
+class CountedLight(NamedTuple):
     """Light of exposures together: counts that are expected, and photons that arrive."""
 
     counts: float
@@ -261,7 +266,7 @@ class ExposureKind(ABC):
         return seen
 
     @abstractmethod
-    def light(self, front: Any, rates: Tensor, seen: Observation, photons: float) -> Light:
+    def light(self, front: Any, rates: Tensor, seen: Observation, photons: float) -> CountedLight:
         """Light of exposures together; parameters of `observe`."""
 
     @abstractmethod
@@ -319,7 +324,15 @@ class ReadsCounts(Protocol):
 
 
 class Clicks(NamedTuple):
-    """Clicks of a readout at most, and the budget of the training, for which they are read."""
+    """Clicks of detectors that fire at most once a gate.
+
+    Attributes
+    ----------
+    gates : int
+        Clicks of a readout at most.
+    photons : float
+        Budget of the training, for which clicks are read.
+    """
 
     gates: int
     photons: float
@@ -516,7 +529,8 @@ class MaskExposure(ExposureKind):
         InputError
             If so few masks cannot be classified alone.
         """
-        fewest, most = self.fewest_masks, self.count
+        fewest = self.fewest_masks
+        most = self.count
         if not fewest <= masks <= most:
             raise InputError(
                 "the first {masks} masks of this design cannot be classified alone: give "
@@ -561,7 +575,9 @@ class MaskExposure(ExposureKind):
         self, noise: str | NoiseFunction = "poisson", sigma: float = 1.0, dark: float = 0.0
     ) -> Scanner:
         """The optical front end; parameters as for `Scanner`."""
-        return Scanner.from_rails(self.optics.rails.stacked, noise, sigma, dark, self.detection)
+        return Scanner.from_rails(
+            self.optics.rails.stacked, noise, sigma=sigma, dark=dark, detection=self.detection
+        )
 
     def front_end(self, camera: Camera | None) -> Scanner:
         """The scanner with the noise of a camera; that of photons unless given."""
@@ -599,10 +615,12 @@ class MaskExposure(ExposureKind):
         """Photons (..., rails, m · D) of an exposure that are expected, for a budget of one."""
         return rates
 
-    def light(self, front: Scanner, rates: Tensor, seen: Observation, photons: float) -> Light:
+    def light(
+        self, front: Scanner, rates: Tensor, seen: Observation, photons: float
+    ) -> CountedLight:
         """Light of exposures together; parameters of `observe`."""
         arriving = photons * self.expected(rates, seen)
-        return Light(float(front.noise.mean(arriving).sum()), float(arriving.sum()))
+        return CountedLight(float(front.noise.mean(arriving).sum()), float(arriving.sum()))
 
     def expose_live(self, show: Show, mean: Tensor, std: Tensor) -> Iterator[Observation]:
         """Exposures after each look at a camera, or `InputError` if dwells are fixed."""

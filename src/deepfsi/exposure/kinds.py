@@ -21,7 +21,7 @@ TRAININGS: dict[type[Exposure], Callable[[JobGroup], ExposureTraining]] = {
 }
 """Training of the masks of each kind of exposure."""
 
-KINDS: dict[str, type[MaskExposure]] = {
+MASK_KINDS: dict[str, type[MaskExposure]] = {
     kind.kind: kind
     for kind in (
         FixedExposure,

@@ -34,7 +34,7 @@ from deepfsi.exposure.kind import (
 from deepfsi.exposure.training import ExposureTraining, JobGroup, deviation
 from deepfsi.exposure.training_set import network_dtype
 from deepfsi.jobs import LARGEST_SCORE, ExposureEntry, Looks, LooksEntry
-from deepfsi.networks.classifiers import Mlp, Replicas, restored
+from deepfsi.networks import Mlp, Replicas, restore_network
 from deepfsi.physics import (
     Draws,
     FixedMasks,
@@ -59,12 +59,23 @@ class LooksExposure(MaskExposure):
     """Exposure of several looks, whose dwells a network chooses from the counts so far.
 
     The masks' rails, and the statistics of their features, are those of equal dwells, 1 / q.
+
+    Attributes
+    ----------
+    dwells : Dwells
+    network : Mlp
+        From k + q + 1 inputs to q outputs.
+    looks : int
+        K.
+    shortest : float
+        Shortest dwell of a frame that is shown, a share of the exposure.
+    optics : TrainedMasks
     """
 
     dwells: Dwells
-    network: Mlp  # from k + q + 1 inputs to q outputs
-    looks: int  # K
-    shortest: float = 0.0  # shortest dwell of a frame that is shown, a share of the exposure
+    network: Mlp
+    looks: int
+    shortest: float = 0.0
     _: KW_ONLY
     optics: TrainedMasks = UNTRAINED
     kind = "adaptive"
@@ -90,7 +101,7 @@ class LooksExposure(MaskExposure):
         dwells = Dwells.of(optics.rails.masks, optics.light, optics.rails.kind)
         inputs = len(optics.mean) + dwells.count + 1
         sizes = {"inputs": inputs, "classes": dwells.count, "hidden": entry.hidden}
-        network = restored(Mlp, weights, **sizes)
+        network = restore_network(Mlp, weights, **sizes)
         made = cls(dwells, network, entry.looks, entry.shortest, optics=optics)
         made.check_masks()
         return made
@@ -124,7 +135,7 @@ class LooksExposure(MaskExposure):
 
         def show(dwell: Tensor) -> tuple[Tensor, Tensor]:
             share = self.dwells.scaled(torch.ones_like(rates), dwell)
-            return self.read(front, rates * share * photons, generator, photons, share), dwell
+            return self.read(front, rates * share * photons, generator, photons, share=share), dwell
 
         mean = self.optics.mean.expand(*rates.shape[:-2], -1)
         return self.expose_live(show, mean, self.optics.std)
@@ -144,10 +155,8 @@ class LooksExposure(MaskExposure):
     ) -> Iterator[Observation]:
         """Exposures after each look: one loop for training, tests and a camera, for one or many."""
         # mean, std (..., k); in training `choose` is the networks of several designs
-        features, total = (
-            torch.zeros_like(mean),
-            mean.new_zeros(*mean.shape[:-1], self.dwells.count),
-        )
+        features = torch.zeros_like(mean)
+        total = mean.new_zeros(*mean.shape[:-1], self.dwells.count)
         seen = Observation(features, total)
         for look in range(self.looks):
             left = torch.full_like(total[..., :1], 1 - look / self.looks)
@@ -155,7 +164,8 @@ class LooksExposure(MaskExposure):
             if self.shortest:
                 dwell = through(dwell, share_out(dwell.detach(), self.shortest))
             counts, shown = show(dwell)
-            features, total = features + counts, total + shown
+            features = features + counts
+            total = total + shown
             seen = Observation(features, total)
             yield seen
 
@@ -163,7 +173,8 @@ class LooksExposure(MaskExposure):
         """Readouts of all rails and of all mirrors ON; parameters as of the base class."""
 
         def expose(photons: float, rng: np.random.Generator) -> list[tuple[np.ndarray, np.ndarray]]:
-            every, ones = torch.zeros_like(rates), torch.ones_like(rates)
+            every = torch.zeros_like(rates)
+            ones = torch.ones_like(rates)
             bright = lit.double().cpu().numpy()[:, None]
             on = rng.poisson(ON_WEIGHT * photons * bright), np.full(bright.shape, ON_WEIGHT)
 

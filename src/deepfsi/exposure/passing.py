@@ -42,10 +42,17 @@ class PassingExposure(MaskExposure):
     """Exposure of a scene that passes a pattern, in each exposure at another place.
 
     The masks' rails are those of the transit without jitter.
+
+    Attributes
+    ----------
+    transit : ScenePath
+    pattern : tensor, shape (H, P), or None
+        From the end of the training on.
+    optics : TrainedMasks
     """
 
     transit: ScenePath
-    pattern: Tensor | None = None  # (H, P), from the end of the training on
+    pattern: Tensor | None = None
     _: KW_ONLY
     optics: TrainedMasks = UNTRAINED
     kind = "passing"
@@ -112,7 +119,8 @@ class PassingExposure(MaskExposure):
 
     def check_masks(self) -> None:
         """Raise `ValueError` unless the masks are those of the pattern."""
-        wanted, rails = self.transit.matrix(self.passed).unsqueeze(0), self.optics.rails.stacked
+        wanted = self.transit.matrix(self.passed).unsqueeze(0)
+        rails = self.optics.rails.stacked
         if self.image_shape != self.transit.shape or not torch.allclose(rails, wanted, 1e-4):
             raise ValueError("masks are not of the pattern")
 
@@ -127,7 +135,7 @@ class PassingExposure(MaskExposure):
     ) -> Scanner:
         """A front end that reads every bin for the same time; parameters as for `Scanner`."""
         rails = self.transit.open(self.device)
-        return Scanner.from_rails(rails, noise, sigma, dark, self.detection)
+        return Scanner.from_rails(rails, noise, sigma=sigma, dark=dark, detection=self.detection)
 
     def rates(self, front: Scanner, scenes: Tensor) -> Tensor:
         """Expected counts (..., 1, K) at every whole shift, of reflectances (..., N)."""
@@ -154,7 +162,8 @@ class PassingExposure(MaskExposure):
     @cached_property
     def _mean_bins(self) -> Tensor:
         """Share (K, T) that each shift has in each bin, in the mean over places."""
-        device, generator = self.passed.device, torch.Generator(self.passed.device)
+        device = self.passed.device
+        generator = torch.Generator(self.passed.device)
         every = torch.eye(self.transit.shifts, device=device).unsqueeze(1)
         count = MEAN_OF if self.transit.moves else 1
         edges = self.transit.edges((count,), generator.manual_seed(0), device)

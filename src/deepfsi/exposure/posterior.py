@@ -22,7 +22,7 @@ from torch.nn import functional
 from deepfsi.camera import LIGHT_LAWS, Camera, summed_reflectance
 from deepfsi.designfile import SceneModel, Temperatures
 from deepfsi.jobs import AdaptiveMasks
-from deepfsi.networks.temperatures import temperatures_at
+from deepfsi.networks import temperatures_at
 
 NEIGHBOURS = 3000
 """Scenes whose nearest neighbours tell how far scenes lie from those of the prior, at most."""
@@ -36,10 +36,10 @@ Chosen on 1024 validation images of MNIST at 1e4 photons: with 1 the posterior i
 TEMPERATURE = "temperature_"
 """Beginning of the names of their arrays in a file."""
 
-LEAST_VARIANCE = 1e-3
+LEAST_COMPONENT_VARIANCE = 1e-3
 """Least variance of a component between neighbours, over the mean of all components."""
 
-DIMMEST = 1e-6
+LEAST_LIGHT = 1e-6
 """Least light of a scene through a mask, over that of the whole mean scene."""
 
 LEAST_WEIGHT = 1e-30
@@ -202,14 +202,16 @@ class ScenePrior:
 
     def few(self, count: int, seed: int = 0) -> "ScenePrior":
         """Prior of at most so many scenes, but one of each class, as a file would keep them."""
-        rng, own = np.random.default_rng(seed), np.array(self.sizes)
+        rng = np.random.default_rng(seed)
+        own = np.array(self.sizes)
         kept = np.minimum(own, np.maximum(own * count // len(self), 1))
         starts = np.cumsum([0, *own[:-1]])
         rows = [
             start + np.sort(rng.choice(size, some, replace=False))
             for start, size, some in zip(starts, own, kept, strict=True)
         ]
-        arrays, chosen = self.arrays, np.concatenate(rows)
+        arrays = self.arrays
+        chosen = np.concatenate(rows)
         some = {name: arrays[name][chosen] for name in ("levels", "members")}
         return ScenePrior.restored(arrays | some | {"sizes": kept})
 
@@ -217,7 +219,9 @@ class ScenePrior:
         """Put centres of clusters in the scenes' place; differences (n, d) of scenes from them."""
         from sklearn.cluster import KMeans
 
-        centres, members, found = [], [], []
+        centres = []
+        members = []
+        found = []
         for own in self.coefficients.split(self.sizes):
             with threadpool_limits(1):  # threads would add up in any order
                 means = KMeans(clusters, n_init=1, random_state=seed).fit(own.numpy())
@@ -228,7 +232,8 @@ class ScenePrior:
             found.append(own - centres[-1][cluster])
         self.sizes = [clusters] * self.classes
         self.labels = torch.arange(self.classes).repeat_interleave(clusters)
-        self.coefficients, self.members = torch.cat(centres), torch.cat(members)
+        self.coefficients = torch.cat(centres)
+        self.members = torch.cat(members)
         return torch.cat(found)
 
     def _neighbours(self, generator: torch.Generator) -> Tensor:
@@ -249,7 +254,7 @@ class ScenePrior:
         """Scale components so that the covariance of differences (n, d) is the identity."""
         differ = differ.double()
         covariance = differ.T @ differ / len(differ)
-        least = LEAST_VARIANCE * covariance.diagonal().mean()
+        least = LEAST_COMPONENT_VARIANCE * covariance.diagonal().mean()
         covariance += least * torch.eye(len(covariance), dtype=torch.double)
         variances, vectors = torch.linalg.eigh(covariance)
         self.components = (vectors * variances.sqrt()).float().T.contiguous() @ self.components
@@ -281,7 +286,8 @@ class LookOptics:
     def of(cls, camera: Camera, image_shape: tuple[int, ...], photons: float) -> "LookOptics":
         """Optics of a camera; `InputError` where it shows no binary masks, or has read noise."""
         AdaptiveMasks.check_camera(camera)
-        labels, arms = camera.detector_map(image_shape).labels, LIGHT_LAWS[camera.light].arms
+        labels = camera.detector_map(image_shape).labels
+        arms = LIGHT_LAWS[camera.light].arms
         detectors = None if labels is None else torch.from_numpy(labels)
         return cls(photons, camera.dark_counts, arms, detectors)
 
@@ -306,7 +312,14 @@ class LookOptics:
 
 
 def class_chances(weights: Tensor, sizes: Sequence[int]) -> Tensor:
-    """Class probabilities (b, C) of probabilities (b, n) of scenes that are sorted by class."""
+    """Class probabilities (b, C) of probabilities (b, n) of scenes that are sorted by class.
+
+    Parameters
+    ----------
+    weights : tensor, shape (b, n)
+    sizes : sequence of int
+        Scenes of each class.
+    """
     sums = torch.stack([part.sum(dim=1) for part in weights.split(list(sizes), dim=1)], dim=1)
     return sums / sums.sum(dim=1, keepdim=True)
 
@@ -323,7 +336,8 @@ class AdaptivePosterior:
     """
 
     def __init__(self, prior: ScenePrior, exposures: int, optics: LookOptics) -> None:
-        self.prior, self.optics = prior, optics
+        self.prior = prior
+        self.optics = optics
         self.gain = optics.photons / prior.summed_reflectance
         """Counts of one fully reflecting pixel in a whole exposure."""
         d = prior.coefficients.shape[1]
@@ -340,10 +354,12 @@ class AdaptivePosterior:
         """Number of exposures, b."""
         return len(self.logs)
 
-    def part(self, rows: Tensor) -> "AdaptivePosterior":
+    def rows_of(self, rows: Tensor) -> "AdaptivePosterior":
         """Posterior of some of the exposures, (b,) true."""
         some = AdaptivePosterior(self.prior, 0, self.optics)
-        some.logs, some._known, some._shift = self.logs[rows], self._known[rows], self._shift[rows]
+        some.logs = self.logs[rows]
+        some._known = self._known[rows]
+        some._shift = self._shift[rows]
         some._looks = self._looks
         return some
 
@@ -360,7 +376,14 @@ class AdaptivePosterior:
         for each, at_mean, through, own in zip(
             counts.unbind(1), mean.unbind(1), parts.unbind(1), darks, strict=True
         ):
-            self._take(here, each, at_mean, through, self.gain * share, own)
+            self._take(
+                here,
+                each,
+                at_mean,
+                through,
+                gain=self.gain * share,
+                dark=own,
+            )
         self._weights = self._class_sums = None
         self._looks += 1
 
@@ -374,7 +397,7 @@ class AdaptivePosterior:
         dark: float,
     ) -> None:
         """One readout: counts (b,), light of the mean scene (b,) and of the components (b, d)."""
-        least = DIMMEST * float(self.prior.mean.sum())
+        least = LEAST_LIGHT * float(self.prior.mean.sum())
         left = self.unknown(through)  # what scenes change of the light, given all before
         offset = at_mean + (through * self._shift).sum(dim=1)
         usual = (offset + (left * here).sum(dim=1)).clamp(min=least) * gain + dark
@@ -403,7 +426,7 @@ class AdaptivePosterior:
         flat = flat - (flat @ self._known.transpose(1, 2)) @ self._known
         return flat.view(parts.shape)
 
-    def seen(self, parts: Tensor) -> Tensor:
+    def offset_light(self, parts: Tensor) -> Tensor:
         """Light (b, ...) that the mean of e adds to that of the mean scene, of (b, ..., d)."""
         return (parts.flatten(1, -2) @ self._shift[..., None])[..., 0].view(parts.shape[:-1])
 

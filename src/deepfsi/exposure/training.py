@@ -21,7 +21,7 @@ from deepfsi.camera import LIGHT_LAWS
 from deepfsi.exposure.kind import MaskExposure, TrainedMasks
 from deepfsi.exposure.training_set import TrainingSet, product_dtype
 from deepfsi.jobs import DESIGNS, Job, Scale, count_allowed
-from deepfsi.networks.classifiers import Replicas
+from deepfsi.networks import Replicas
 from deepfsi.physics import (
     Detection,
     Draws,

@@ -27,7 +27,7 @@ from deepfsi.jobs import (
     count_allowed,
     sensing_matrix,
 )
-from deepfsi.networks.values import Values
+from deepfsi.networks import Values
 from deepfsi.physics import Detection, torch_device
 
 Matrices = dict[tuple[str, int, int, tuple[int, ...] | None], np.ndarray]

@@ -10,11 +10,9 @@ import torch
 from deepfsi.base import InputError, as_input_error, hash_file, read_regular
 from deepfsi.base.numeric import LARGEST_TENSORS
 from deepfsi.camera import StopRule
-from deepfsi.design.design import Design
+from deepfsi.design import Design
 from deepfsi.designfile import UNSURE
-from deepfsi.exposure.adaptive import squared_distance
-from deepfsi.exposure.choice import next_masks
-from deepfsi.exposure.posterior import AdaptivePosterior
+from deepfsi.exposure import AdaptivePosterior, next_masks, squared_distance
 from deepfsi.hardware.light import Arrivals
 from deepfsi.hardware.live import (
     AllOnCounts,
@@ -86,9 +84,9 @@ class AdaptiveLooks:
             )
         return cls(Design.load(folder / Patterns.DESIGN), manifest)
 
-    def expose(self, scene: int, state: ExposureState) -> "AdaptiveExposure":
+    def expose(self, scene: int, state: ExposureState) -> "AdaptiveLiveExposure":
         """Begin an exposure of a scene."""
-        return AdaptiveExposure(self, scene, state)
+        return AdaptiveLiveExposure(self, scene, state)
 
     def lit(self, asked: FrameList) -> np.ndarray:
         """Pixels of the mask of a look that are ON, (1, N)."""
@@ -96,7 +94,7 @@ class AdaptiveLooks:
         return asked.masks.astype(float)
 
 
-class AdaptiveExposure:
+class AdaptiveLiveExposure:
     """One exposure of a scene with adaptive masks."""
 
     def __init__(self, looks: AdaptiveLooks, scene: int, state: ExposureState) -> None:

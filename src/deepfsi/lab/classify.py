@@ -17,7 +17,7 @@ import numpy as np
 from deepfsi.base import InputError, hash_file, plain_keywords, require_torch
 from deepfsi.base.numeric import read_table
 from deepfsi.camera import LIGHT_LAWS, NO_EFFECTS, TOO_DIM, Camera, check_budget
-from deepfsi.design.readouts import classify_readouts
+from deepfsi.design import classify_readouts
 from deepfsi.designfile import (
     READOUTS,
     ConsistencyResult,
@@ -43,7 +43,7 @@ from deepfsi.hardware.patterns import Manifest, Patterns, read_patterns
 from deepfsi.lab.looks import design_rails, open_looks
 
 if TYPE_CHECKING:  # they import torch, which a live run does without
-    from deepfsi.design.design import Design
+    from deepfsi.design import Design
 
 UNTESTED = (
     "these counts were not compared with those of the training, which takes 50 training scenes of "
@@ -364,8 +364,8 @@ def _classified_readouts(
 def _opened(design: str | os.PathLike[str], patterns: Patterns | None, trust: bool) -> "Design":
     """Design of a file or a folder of patterns, of fixed dwells, as its patterns realise it."""
     with require_torch():
-        from deepfsi.design.design import Design
-        from deepfsi.networks.values import check_classes
+        from deepfsi.design import Design
+        from deepfsi.networks import check_classes
 
     file = Path(design) if patterns is None else _check_design(design, patterns.manifest)
     made = Design.load(file, trust=trust)

@@ -37,7 +37,7 @@ from deepfsi.hardware.patterns import Patterns, read_patterns
 
 if TYPE_CHECKING:
     from deepfsi.datasets.display import Display
-    from deepfsi.design.design import Design
+    from deepfsi.design import Design
 
 
 class DesignData(NamedTuple):

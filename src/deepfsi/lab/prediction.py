@@ -18,7 +18,7 @@ from deepfsi.lab.classify import dim_scenes
 from deepfsi.lab.design_data import design_scenes
 
 if TYPE_CHECKING:  # it imports torch, which those who predict nothing do without
-    from deepfsi.design.design import Design
+    from deepfsi.design import Design
 
 AT_ONCE = 1024
 """Pictures that are exposed together."""
@@ -174,7 +174,7 @@ def _predict(
     import torch
 
     from deepfsi.evaluation import camera_for, check_draws
-    from deepfsi.networks.values import check_classes
+    from deepfsi.networks import check_classes
     from deepfsi.physics import full_gates
 
     check_classes(design.values, "predict")

@@ -25,8 +25,8 @@ from deepfsi.camera import check_budget
 from deepfsi.hardware.photons import PtuWriter, read_photons
 
 if TYPE_CHECKING:  # they import torch, which those who look for no transits do without
-    from deepfsi.design.design import Design
-    from deepfsi.exposure.passing import PassingExposure
+    from deepfsi.design import Design
+    from deepfsi.exposure import PassingExposure
 
 FALSE_TRANSITS = 0.01
 """Expected transits of background alone in a record unless another number is asked for."""
@@ -236,7 +236,7 @@ def classify_transits(
         If the design is of another exposure, the file is damaged, or it does not tell its
         background.
     """
-    from deepfsi.networks.values import check_classes
+    from deepfsi.networks import check_classes
     from deepfsi.physics import library_defaults
 
     check_classes(design.values, "a transit's answer")
@@ -293,7 +293,7 @@ def classify_transits(
 
 def passing_of(design: "Design") -> "PassingExposure":
     """Exposure of a design of passing scenes, or `InputError`."""
-    from deepfsi.exposure.passing import PassingExposure
+    from deepfsi.exposure import PassingExposure
 
     if not isinstance(design.exposure, PassingExposure):
         raise InputError(

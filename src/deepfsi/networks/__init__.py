@@ -1,1 +1,22 @@
-"""Networks that read counts."""
+"""Networks that read counts, and what their answers mean."""
+
+from deepfsi.networks.classifiers import Mlp, Replicas, Vit, restore_network
+from deepfsi.networks.custom import Given, OwnClassifier, make, rebuilt, seeded
+from deepfsi.networks.temperatures import stop_temperatures, temperatures_at
+from deepfsi.networks.values import Values, check_classes
+
+__all__ = [
+    "Given",
+    "Mlp",
+    "OwnClassifier",
+    "Replicas",
+    "Values",
+    "Vit",
+    "check_classes",
+    "make",
+    "rebuilt",
+    "restore_network",
+    "seeded",
+    "stop_temperatures",
+    "temperatures_at",
+]

@@ -45,7 +45,9 @@ class Mlp(nn.Module):
         generator: torch.Generator | None = None,
     ) -> None:
         super().__init__()
-        self.hidden, self.dropout, self.generator = tuple(hidden), dropout, generator
+        self.hidden = tuple(hidden)
+        self.dropout = dropout
+        self.generator = generator
         device = torch.get_default_device() if generator is None else generator.device
         self.layers = nn.ModuleList()
         for fan_in, fan_out in itertools.pairwise((inputs, *hidden, classes)):
@@ -103,6 +105,25 @@ class Vit(nn.Module):
     Each patch's features are embedded by one linear layer and get a learned position; `depth`
     layers of attention over the patches follow (normalised first, as deep ones train best), then
     the mean over patches and a linear layer. There is no dropout.
+
+    Parameters
+    ----------
+    inputs : int
+        m, features of a patch.
+    patches : int
+        P.
+    classes : int
+        C.
+    width : int
+        Numbers that stand for a patch.
+    depth : int
+        Layers of attention.
+    heads : int
+        Of each layer.
+    hidden : int
+        Units of its feed-forward network.
+    generator : torch.Generator, optional
+        For the initial weights.
     """
 
     def __init__(
@@ -154,7 +175,7 @@ class Vit(nn.Module):
 Network = TypeVar("Network", Mlp, Vit)
 
 
-def restored(kind: type[Network], weights: Mapping[str, Tensor], **sizes: Any) -> Network:
+def restore_network(kind: type[Network], weights: Mapping[str, Tensor], **sizes: Any) -> Network:
     """A network of a design file, of its state and the parameters of its class."""
     with torch.device("meta"):  # what the sizes ask for is compared before it takes memory
         network = kind(**sizes)
@@ -163,15 +184,26 @@ def restored(kind: type[Network], weights: Mapping[str, Tensor], **sizes: Any) -
 
 
 class Replicas(nn.Module):
-    """Networks of one shape that learn side by side, each from its own features."""
+    """Networks of one shape that learn side by side, each from its own features.
+
+    Parameters
+    ----------
+    networks : sequence of nn.Module
+    stacked : bool
+        Whether layers are multiplied as one, of `Mlp` alone.
+    dtype : torch.dtype
+        Of the products.
+    """
 
     def __init__(
         self, networks: Sequence[nn.Module], stacked: bool, dtype: torch.dtype = torch.float32
     ) -> None:
         super().__init__()
-        self.stacked, self.dtype = stacked, dtype
+        self.stacked = stacked
+        self.dtype = dtype
         self.networks: list[Any] = list(networks)
-        self.weights, self.biases = nn.ParameterList(), nn.ParameterList()
+        self.weights = nn.ParameterList()
+        self.biases = nn.ParameterList()
         if not stacked:
             self.registered = nn.ModuleList(networks)
             return

@@ -57,7 +57,9 @@ class OwnClassifier(nn.Module):
         weights: Mapping[str, Tensor] | None = None,
     ) -> None:
         super().__init__()
-        self.module, self.factory, self.arguments = module, factory, dict(arguments or {})
+        self.module = module
+        self.factory = factory
+        self.arguments = dict(arguments or {})
         self._kept = dict(weights or {})
 
     @property
@@ -111,7 +113,23 @@ class OwnClassifier(nn.Module):
 def make(
     given: Given, arguments: Mapping[str, Any], inputs: int, classes: int, seed: int = 0
 ) -> OwnClassifier:
-    """Classifier for so many inputs and classes, tried on zeros."""
+    """Classifier for so many inputs and classes, tried on zeros.
+
+    Parameters
+    ----------
+    given : nn.Module, callable or str
+        A module, a factory or its import path.
+    arguments : mapping
+        Of the factory.
+    inputs, classes : int
+    seed : int
+        Of torch's global generator while it is made.
+
+    Raises
+    ------
+    InputError
+        If it cannot be made, or gives other than logits.
+    """
     name, every = describe_classifier(given, arguments)
     factory = given.func if isinstance(given, functools.partial) else given
     factory = load_plugin(factory) if isinstance(factory, str) else factory
@@ -159,7 +177,7 @@ def _called(factory: Factory, arguments: Mapping[str, Any], inputs: int, classes
     return factory(inputs, classes, **arguments)
 
 
-def restored(classifier: OwnClassifier, weights: Mapping[str, Tensor]) -> OwnClassifier:
+def _load(classifier: OwnClassifier, weights: Mapping[str, Tensor]) -> OwnClassifier:
     """The classifier with its weights from a design file, or `InputError` if they do not fit."""
     assert classifier.module is not None
     try:
@@ -182,7 +200,20 @@ def seeded(seed: int) -> Iterator[None]:
 def rebuilt(
     known: nn.Module, classifier: "Given | None", inputs: int, classes: int
 ) -> OwnClassifier:
-    """Classifier with a user's code and the weights of one that was read from a file."""
+    """Classifier with a user's code and the weights of one that was read from a file.
+
+    Parameters
+    ----------
+    known : nn.Module
+        That was read.
+    classifier : nn.Module, callable or str
+    inputs, classes : int
+
+    Raises
+    ------
+    InputError
+        If it is not the one that the weights are of.
+    """
     if not isinstance(known, OwnClassifier):
         raise InputError("this design has a classifier of the package's own: give none")
     if not classifier:
@@ -191,4 +222,4 @@ def rebuilt(
             setting="classifier",
         )
     arguments = {} if isinstance(classifier, nn.Module) else known.arguments
-    return restored(make(classifier, arguments, inputs, classes), known.weights)
+    return _load(make(classifier, arguments, inputs, classes), known.weights)

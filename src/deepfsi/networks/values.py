@@ -12,7 +12,15 @@ from deepfsi.datasets import Dataset
 
 
 def check_classes(values: "Values | tuple[str, ...] | None", what: str) -> None:
-    """Raise `InputError` where a design estimates values and `what` is of classes."""
+    """Raise `InputError` where a design estimates values and `what` is of classes.
+
+    Parameters
+    ----------
+    values : Values, tuple of str or None
+        That the design estimates.
+    what : str
+        What needs classes.
+    """
     if values:
         names = values if isinstance(values, tuple) else values.names
         raise InputError(
@@ -23,7 +31,13 @@ def check_classes(values: "Values | tuple[str, ...] | None", what: str) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Values:
-    """Names of q values, and their mean and standard deviation in the training, (q,) each."""
+    """Names of q values, and their mean and standard deviation in the training, (q,) each.
+
+    Attributes
+    ----------
+    names : tuple of str
+    mean, std : tensor, shape (q,)
+    """
 
     names: tuple[str, ...]
     mean: Tensor
@@ -40,7 +54,8 @@ class Values:
     @classmethod
     def restored(cls, names: tuple[str, ...], tensors: Mapping[str, Tensor]) -> "Values":
         """Values of a design file, or an error where its tensors are not of these names."""
-        mean, std = tensors["mean"], tensors["std"]
+        mean = tensors["mean"]
+        std = tensors["std"]
         if not mean.shape == std.shape == (len(names),) or not bool((std > 0).all()):
             raise ValueError("scales are not those of the values")
         return cls(names, mean, std)

@@ -30,7 +30,7 @@ from deepfsi.designfile import INDEX_NAME, CollectionIndex, DesignName, Publishe
 from deepfsi.evaluation import evaluate
 from deepfsi.jobs import REVISION, Job, find_job, sorted_settings
 from deepfsi.measures import Result
-from deepfsi.networks.values import check_classes
+from deepfsi.networks import check_classes
 from deepfsi.sweeps.cards import card
 from deepfsi.training import learn
 

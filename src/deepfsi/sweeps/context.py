@@ -11,10 +11,10 @@ import torch
 
 from deepfsi.base import SILENT, InputError, Progress
 from deepfsi.datasets import Dataset
-from deepfsi.design.design import Design
+from deepfsi.design import Design
 from deepfsi.evaluation import camera_for, evaluate
 from deepfsi.exposure import Matrices, TrainingSet
-from deepfsi.networks.custom import OwnClassifier
+from deepfsi.networks import OwnClassifier
 from deepfsi.sweeps.results import SCHEMA
 from deepfsi.sweeps.trial import Trial
 from deepfsi.training import (

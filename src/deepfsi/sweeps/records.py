@@ -36,7 +36,7 @@ from deepfsi.base import (
     remove_drafts,
     write_atomically,
 )
-from deepfsi.design.design import Design, load_design
+from deepfsi.design import Design, load_design
 from deepfsi.measures import MEASURES, Estimates, MainMeasure, Result
 from deepfsi.sweeps.results import SCHEMA, Packed
 from deepfsi.sweeps.trial import Trial

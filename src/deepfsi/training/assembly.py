@@ -8,12 +8,11 @@ from torch import nn
 from deepfsi.base import InputError, plain_keywords
 from deepfsi.camera import Camera, LightLawName, check_budget, summed_reflectance
 from deepfsi.datasets import Dataset, Source, as_dataset
-from deepfsi.design.design import Design
+from deepfsi.design import Design
 from deepfsi.designfile import TrainingScenes
 from deepfsi.exposure import Clicks, FixedExposure, TrainedMasks, TrainingSet
 from deepfsi.jobs import Job
-from deepfsi.networks.custom import OwnClassifier, make
-from deepfsi.networks.values import Values
+from deepfsi.networks import OwnClassifier, Values, make
 from deepfsi.physics import LearnedMasks, Rails, Scanner, library_defaults, light_law
 from deepfsi.training.characterisation import characterise, provenance
 

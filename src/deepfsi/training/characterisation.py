@@ -15,7 +15,7 @@ from pydantic import BaseModel
 from torch import Tensor
 
 from deepfsi.datasets import Dataset
-from deepfsi.design.design import Design
+from deepfsi.design import Design
 from deepfsi.designfile import (
     CALIBRATION_REACH,
     ReadoutDistribution,
@@ -28,12 +28,21 @@ from deepfsi.evaluation import (
     CalibrationScenes,
     Exposed,
     LeftOutTest,
+    find_distribution,
     fit_temperatures,
     measure_left_out,
+    sample_scenes,
 )
-from deepfsi.evaluation.distribution_fit import find_distribution, sample_scenes
-from deepfsi.exposure import CHUNK, AdaptiveTraining, ScenePrior, TrainingSet, prior_of
-from deepfsi.exposure.adaptive import MISFIT_BUDGETS, MISFIT_SCENES, AdaptiveExposure
+from deepfsi.exposure import (
+    CHUNK,
+    MISFIT_BUDGETS,
+    MISFIT_SCENES,
+    AdaptiveExposure,
+    AdaptiveTraining,
+    ScenePrior,
+    TrainingSet,
+    prior_of,
+)
 from deepfsi.jobs import AdaptiveMasks, Job
 
 FEW_SCENES = 1000

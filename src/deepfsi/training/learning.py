@@ -19,7 +19,7 @@ from deepfsi.base import SILENT, InputError, Message, Progress, plain_keywords, 
 from deepfsi.base.numeric import check_memory, free_memory
 from deepfsi.camera import CameraSource, check_budget
 from deepfsi.datasets import Source, as_dataset
-from deepfsi.design.design import Design
+from deepfsi.design import Design
 from deepfsi.exposure import (
     AdaptiveExposure,
     AdaptiveTraining,

@@ -20,8 +20,7 @@ from torch import nn
 from deepfsi.base import SILENT, InputError, Progress
 from deepfsi.exposure import ExposureTraining, network_dtype
 from deepfsi.jobs import VIT, Training
-from deepfsi.networks.classifiers import Mlp, Replicas, Vit
-from deepfsi.networks.custom import OwnClassifier, make, seeded
+from deepfsi.networks import Mlp, OwnClassifier, Replicas, Vit, make, seeded
 from deepfsi.physics import Draws
 from deepfsi.training.checkpoint import NO_CHECKPOINT, Checkpoint, LoopState
 from deepfsi.training.losses import CountsCost, find_loss, sum_over

@@ -17,8 +17,7 @@ import torch
 from deepfsi.base import SILENT, Progress
 from deepfsi.base.numeric import Interval, accuracy_interval, student, wilson
 from deepfsi.datasets.readouts import Readouts
-from deepfsi.design.design import Design
-from deepfsi.design.readouts import PHOTONS, TRAINING, classify_readouts
+from deepfsi.design import READOUT_PHOTONS, TRAINING, Design, classify_readouts
 from deepfsi.designfile import READOUTS
 from deepfsi.training.learning import learn
 
@@ -211,7 +210,7 @@ def learn_readouts(
         readouts.dataset(split, seed),
         design="impulse",
         masks=readouts.values.shape[1],
-        photons=PHOTONS,
+        photons=READOUT_PHOTONS,
         camera={"noise": "none"},
         training={**TRAINING, **(training or {})},
         seed=seed,

@@ -12,9 +12,8 @@ import torch
 from deepfsi.base import Progress
 from deepfsi.camera import DEVICES
 from deepfsi.datasets import Dataset
-from deepfsi.design.design import Design
-from deepfsi.exposure.choice import look_at
-from deepfsi.exposure.posterior import AdaptivePosterior
+from deepfsi.design import Design
+from deepfsi.exposure import AdaptivePosterior, look_at
 from deepfsi.sweeps.results import Point, Results
 
 EXPOSURES = 4

@@ -22,7 +22,7 @@ from deepfsi.base import Progress
 from deepfsi.base.numeric import Difference, mean_of_trials
 from deepfsi.camera import LIGHT_LAWS, DmdLayout, find_device, find_grid
 from deepfsi.datasets import Dataset, load_dataset
-from deepfsi.design.design import Design
+from deepfsi.design import Design
 from deepfsi.hardware.calibration import (
     expected_background,
     fit_calibration,

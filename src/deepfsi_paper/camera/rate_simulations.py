@@ -16,7 +16,7 @@ from scipy.stats import qmc
 from deepfsi.base import SILENT, Progress
 from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.datasets.load import DIM_BLACK
-from deepfsi.design.design import Design
+from deepfsi.design import Design
 from deepfsi.sweeps.results import Results
 from deepfsi.sweeps.workers import cores, processes
 from deepfsi_paper.camera import laboratory

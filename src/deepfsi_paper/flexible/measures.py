@@ -14,7 +14,7 @@ from pydantic import TypeAdapter
 from deepfsi.base import SILENT, Progress
 from deepfsi.base.numeric import accuracy_interval
 from deepfsi.datasets import Dataset
-from deepfsi.design.design import Design
+from deepfsi.design import Design
 from deepfsi.evaluation import Stopped, evaluate, stop
 from deepfsi.sweeps.results import Point, Results
 from deepfsi_paper.experiment import budgets, points

@@ -16,7 +16,7 @@ import torch
 from deepfsi.base import SILENT, Progress
 from deepfsi.datasets import Dataset, SpectralImage
 from deepfsi.datasets.indian_pines import load_scene
-from deepfsi.design.design import Design
+from deepfsi.design import Design
 from deepfsi.designfile import DesignFile
 from deepfsi.evaluation import evaluate
 from deepfsi.report.masks import brightest

@@ -18,7 +18,7 @@ from pydantic import TypeAdapter
 from deepfsi.base import Progress
 from deepfsi.base.numeric import Difference, accuracy_difference, all_above, mean_of_trials
 from deepfsi.datasets import Dataset
-from deepfsi.design.design import Design
+from deepfsi.design import Design
 from deepfsi.report.accuracy import accuracy_figure
 from deepfsi.report.comparison_page import listed
 from deepfsi.report.style import photons_text
