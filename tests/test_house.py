@@ -51,6 +51,7 @@ LONELY: dict[str, str] = {
     "deepfsi.evaluation.bounds": "formulas of how well values can be estimated, by any network",
     "deepfsi.design.check_counts": "counts that do not fit, apart from what reads those that do",
     "deepfsi.design.file": "what a file keeps of a design, apart from what a design does",
+    "deepfsi.design.judgement": "answers and tests of a run at once, which the lab asks for",
     "deepfsi.design.onnx": "a graph is an export, which needs another package",
     "deepfsi.evaluation.distribution_fit": "the fit of a test of counts, which a training makes",
     "deepfsi.exposure.conditioned": "a kind of exposure is its file and a line of the table",

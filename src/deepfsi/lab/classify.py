@@ -16,15 +16,12 @@ import numpy as np
 
 from deepfsi.base import InputError, hash_file, plain_keywords, require_torch
 from deepfsi.base.numeric import read_table
-from deepfsi.camera import LIGHT_LAWS, NO_EFFECTS, TOO_DIM, Camera, check_budget
-from deepfsi.design import classify_readouts
+from deepfsi.camera import NO_EFFECTS, TOO_DIM, Camera, check_budget
 from deepfsi.designfile import (
     READOUTS,
     ConsistencyResult,
-    SceneReadouts,
     Score,
     ViewResult,
-    ViewTest,
     scene_hashes,
     was_trained_on,
 )
@@ -43,7 +40,7 @@ from deepfsi.hardware.patterns import Manifest, Patterns, read_patterns
 from deepfsi.lab.looks import design_rails, open_looks
 
 if TYPE_CHECKING:  # they import torch, which a live run does without
-    from deepfsi.design import Design
+    from deepfsi.design import Design, RunCounts
 
 UNTESTED = (
     "these counts were not compared with those of the training, which takes 50 training scenes of "
@@ -318,6 +315,8 @@ def _classified_readouts(
     camera: Mapping[str, Any] | None,
 ) -> ClassifiedRun:
     """Class of each recording in a table of measured readouts, a row or a column for each."""
+    from deepfsi.design import classify_readouts
+
     along = settings.exposures if settings else None
     if camera or settings not in (None, TableSettings(exposures=along)):
         raise InputError(
@@ -440,10 +439,13 @@ class _CountedScenes:
 
     def classify(self) -> ClassifiedRun:
         """Classes of the scenes; `InputError` if their counts do not look like the training's."""
+        from deepfsi.design import judge
+
         design = self.design
         counts = self.counts
-        consistency = self._compare()
-        view = self._test_view()
+        judgement = judge(design, self._run_counts)
+        consistency = judgement.consistency
+        view = judgement.view
         for test in (consistency, view):
             if test is not None and test.refused and not self.force:
                 raise InputError(
@@ -451,7 +453,7 @@ class _CountedScenes:
                     setting="force",
                     refusal=test.refusal,
                 )
-        chances = design.classify(design.readouts(counts.signal()), self.budgets[:, None])
+        chances = judgement.chances
         trained = was_trained_on(design.training_scenes, [scene.hash for scene in self.scenes])
         tested = np.cumsum(self._often > 0) - 1  # scenes in the order of the consistency
         scenes = []
@@ -492,58 +494,28 @@ class _CountedScenes:
             view=view,
         )
 
-    @property
+    @cached_property
     def _often(self) -> np.ndarray:
         """Number of sound exposures of each scene, (S,)."""
         return self.usable.sum(axis=1)
 
-    @cached_property
-    def _sums(self) -> tuple[np.ndarray, np.ndarray]:
-        """Counts of the sound exposures of each scene, and their noise beyond Poisson's."""
+    @property
+    def _run_counts(self) -> "RunCounts":
+        """Counts of all exposures, and of each scene's sound ones together."""
+        from deepfsi.design import RunCounts
+
         counts = self.counts
         exposures = counts.by_readout(self.usable)
         number = exposures.sum(axis=1)
         noise = counts.background.clip(min=0) * number + counts.ambient_variance * number**2
-        noise = noise + counts.excess.sum(axis=1, where=exposures)
-        return counts.signal().sum(axis=1, where=exposures), noise
-
-    def _compare(self) -> ConsistencyResult | None:
-        """Comparison with the training; the exposures of a scene count as one."""
-        design = self.design
-        if design.distribution is None:
-            return None
-        some = self._often > 0
-        signal, noise = self._sums
-        budget = (self.budgets * self._often)[some]
-        return design.consistency(
-            design.readouts(signal[some]), budget, design.readouts(noise[some])
+        signal = counts.signal()
+        return RunCounts(
+            signal=signal,
+            budgets=self.budgets,
+            often=self._often,
+            sums=signal.sum(axis=1, where=exposures),
+            noise=noise + counts.excess.sum(axis=1, where=exposures),
         )
-
-    def _test_view(self) -> ViewResult | None:
-        """Test of how the camera saw the scenes; None where it cannot be made."""
-        design = self.design
-        if design.scene_model is None or self.counts.gates is not None:
-            return None
-        rails = design.rails.stacked.cpu().numpy().astype(float)[..., None, :]
-        labels = design.detection.labels
-        if labels is not None:
-            rails = rails * (labels.cpu().numpy() == np.arange(design.detection.count)[:, None])
-        shape = rails.shape[:-1]  # (rails, m, D)
-        two_arms = LIGHT_LAWS[design.light].arms == 2
-        arms = np.arange(shape[0]) if two_arms else np.zeros(shape[0], int)
-        inputs = np.broadcast_to(arms[:, None, None] * shape[2] + np.arange(shape[2]), shape)
-        signal, noise = self._sums
-        test = ViewTest(design.scene_model, design.image_shape)
-        for scene in np.flatnonzero(self._often).tolist():
-            gain = self.budgets[scene] * self._often[scene] / design.summed_reflectance
-            readouts = SceneReadouts(
-                masks=gain * rails.reshape(-1, rails.shape[-1]),
-                counts=signal[scene].ravel(),
-                noise=noise[scene].ravel(),
-                inputs=inputs.ravel(),
-            )
-            test.add(readouts)
-        return test.result
 
     def _remarks(
         self, consistency: ConsistencyResult | None, view: ViewResult | None
