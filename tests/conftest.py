@@ -20,6 +20,7 @@ import torch
 from torch import Tensor
 
 from deepfsi import Design
+from deepfsi.camera import LIGHT_LAWS
 from deepfsi.datasets import Dataset, from_arrays, load_dataset
 from deepfsi.jobs import DESIGNS, count_allowed
 from deepfsi.physics import Rails, light_law
@@ -46,7 +47,7 @@ RECIPE = {
 
 OPTICS = [
     (light, rails)
-    for light in ("column", "equal-dwell", "free-dwell", "two-arm")
+    for light in LIGHT_LAWS
     for rails in ("dual", "single")
     if (light, rails) != ("two-arm", "single")
 ]
@@ -72,6 +73,11 @@ CASES = [
 """Every design under every constraint that it can be brought to."""
 
 every_design = pytest.mark.parametrize(("design", "light", "rails"), CASES)
+every_passive_design = pytest.mark.parametrize(
+    ("design", "light", "rails"), [case for case in CASES if case.values[1] != "dose"]
+)
+"""Those of scenes that send their light by themselves; a projector can send a pixel more."""
+
 every_optics = pytest.mark.parametrize(("light", "rails"), OPTICS)
 real_mnist = pytest.mark.skipif(not os.environ.get("DEEPFSI_DATA"), reason="needs $DEEPFSI_DATA")
 

@@ -9,10 +9,11 @@ from torch import Tensor
 
 from conftest import (
     FLOAT32,
+    OPTICS,
     PHOTONS,
     RECIPE,
     every_design,
-    every_optics,
+    every_passive_design,
     generator,
     light_on,
     quick,
@@ -49,7 +50,7 @@ def separation(masks: Tensor, power: Tensor, difference: Tensor) -> Tensor:
     return ((difference @ masks.T).square() / power).sum(dim=-1)
 
 
-@every_design
+@every_passive_design
 def test_no_scene_is_counted_beyond_its_own_light(made, digits, design, light, rails):
     made_design = made(design, light, rails)
     photons = light_on(made_design, digits.x_test)
@@ -63,8 +64,42 @@ def test_the_training_mean_counts_at_most_the_budget(made, digits, design, light
     photons = light_on(made_design, digits.x_train)
     rates = made_design.scanner("none").rates(photons).double()
     counted = made_design.detection.totals(rates).mean(dim=0)
-    assert counted.sum() <= PHOTONS * (1 + FLOAT32)
+    if light != "dose":
+        assert counted.sum() <= PHOTONS * (1 + FLOAT32)
     assert torch.allclose(counted, made_design.shares.double() * PHOTONS, rtol=1e-5, atol=1e-3)
+
+
+@every_design
+def test_a_projector_sends_no_more_than_its_dose(made, digits, design, light, rails):
+    """A scene that reflects all light returns what falls on it, under any law."""
+    made_design = made(design, light, rails)
+    white = torch.ones(1, N) * PHOTONS / made_design.summed_reflectance
+    counted = made_design.scanner("none").rates(white).sum(dim=(-2, -1))
+    assert counted <= white.sum() * (1 + FLOAT32)
+
+
+@pytest.mark.parametrize("rails", ["dual", "single"])
+def test_column_and_dose_are_one_law_where_all_pixels_get_the_same(rails):
+    """Masks whose columns sum to the same: fitted, used, excess and levels alike."""
+    matrix = torch.randn(5, 12, generator=generator())
+    matrix = (matrix if rails == "dual" else matrix.abs()) / matrix.abs().sum(dim=0)
+    column, dose = light_law("column"), light_law("dose")
+    fitted = dose.fit(matrix, rails)
+    assert torch.allclose(column.fit(matrix, rails), fitted)
+    assert column.excess(fitted) == pytest.approx(dose.excess(fitted), abs=1e-6)
+    assert torch.allclose(column.used(fitted)[-1], dose.used(fitted)[-1])
+    for law in (column, dose):
+        assert torch.allclose(law.project(law.weights(matrix, rails), rails).stacked, fitted)
+
+
+def test_a_dose_that_lights_what_tells_beats_impulse_imaging():
+    """Not a law under `dose`: light of pixels that are alike in all scenes goes to others."""
+    first, second = torch.tensor([[2.0, 1.0, 1.0, 1.0], [1.0, 1.0, 1.0, 1.0]]).double()
+    mean, difference = (first + second) / 2, first - second
+    told = light_law("dose").fit(torch.tensor([[1.0, 0, 0, 0]]), "single")[0].double()
+    assert float(told.max()) == 4
+    impulse = separation(torch.eye(4).double(), mean, difference)
+    assert separation(told, told @ mean, difference) == pytest.approx(4 * float(impulse))
 
 
 @pytest.mark.parametrize("design", ["hadamard", "truncated-hadamard", "s-matrix"])
@@ -76,7 +111,7 @@ def test_padding_takes_no_light_from_the_laws(design):
     assert (counted <= photons.sum(dim=-1) * (1 + FLOAT32)).all()
 
 
-@every_design
+@every_passive_design
 def test_every_constraint_implies_the_flux_bound(made, design, light, rails):
     assert light_law("column").excess(made(design, light, rails).rails.stacked) <= FLOAT32
 
@@ -154,7 +189,7 @@ def test_hadamard_on_one_device(digits, name):
             assert errors[0] / errors[1] == pytest.approx(ratio, rel=1e-6)
 
 
-@every_design
+@every_passive_design
 def test_photon_noise_nothing_separates_two_scenes_better_than_impulse(
     made, digits, design, light, rails
 ):
@@ -179,7 +214,7 @@ def test_subtracting_rails_adds_no_information(made, digits, design, light, rail
     assert (feature <= apart * (1 + 1e-9)).all()
 
 
-@every_optics
+@pytest.mark.parametrize(("light", "rails"), [each for each in OPTICS if each[0] != "dose"])
 def test_coded_counts_are_impulse_counts_routed_at_random(made, digits, light, rails):
     """Draw the impulse camera's photons, send each to a readout or away, compare with Scanner."""
     made_design = made("deepfsi", light, rails)

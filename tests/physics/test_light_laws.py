@@ -30,6 +30,8 @@ def limits(rails: Tensor, light: str) -> Tensor:
     """What the law bounds by 1, written once more from DESIGN.md."""
     if light == "column":
         return rails.sum(dim=(0, 1))
+    if light == "dose":
+        return rails.sum(dim=(0, 1)).mean().reshape(1)
     if light == "free-dwell":
         return sum(frame.max() for rail in rails for frame in rail).reshape(1)
     if light == "equal-dwell":
@@ -57,7 +59,7 @@ def test_fitted_designs_use_all_the_light_they_may(digits, design, light, rails)
         assert contrast == pytest.approx(torch.ones(len(matrix)), rel=1e-4)
 
 
-@pytest.mark.parametrize("light", ["column", "free-dwell"])
+@pytest.mark.parametrize("light", ["column", "free-dwell", "dose"])
 def test_one_common_factor_keeps_the_masks_in_proportion(digits, light):
     matrix = fixed_matrix("pca", digits)
     difference = Rails.of(light_law(light).fit(matrix)).difference
@@ -73,6 +75,47 @@ def test_each_frame_or_mask_keeps_its_shape(digits, light):
     found = fitted if light == "equal-dwell" else (fitted[0] - fitted[1])[None]
     for part, own in zip(parts.flatten(0, 1), found.flatten(0, 1), strict=True):
         assert torch.allclose(part / part.abs().max(), own / own.abs().max(), atol=1e-6)
+
+
+@every_optics
+def test_the_light_of_a_start_does_not_matter(light, rails):
+    matrix = torch.rand(4, 9, generator=generator()) + 0.1
+    law = light_law(light)
+    assert torch.allclose(law.fit(7 * matrix, rails), law.fit(matrix, rails))
+    small, large = (law.project(law.weights(k * matrix, rails), rails) for k in (0.01, 100))
+    assert torch.allclose(small.stacked, large.stacked, rtol=1e-5)
+
+
+@every_optics
+def test_gradients_are_those_of_finite_differences(light, rails):
+    law, start = light_law(light), torch.rand(3, 5, generator=generator()).double() + 0.1
+    weights = law.weights(
+        start * (torch.arange(5) % 2 * 2 - 1) if rails == "dual" else start, rails
+    )
+    free = {k: v for k, v in weights.items() if v.requires_grad}
+    with torch.no_grad():
+        for tensor in free.values():  # away from the corner where all light is just used
+            tensor.mul_(1.2)
+
+    def stacked(*values: Tensor) -> Tensor:
+        return law.project({**weights, **dict(zip(free, values, strict=True))}, rails).stacked
+
+    assert torch.autograd.gradcheck(stacked, tuple(free.values()))
+
+
+@settings(max_examples=100, deadline=None, derandomize=True)
+@given(st.sampled_from(OPTICS), st.floats(-30, 30), st.integers(0, 999))
+def test_any_free_numbers_obey(optics, size, seed):
+    law, draws = light_law(optics[0]), generator(seed)
+    weights = law.weights(torch.rand(4, 6, generator=draws) + 0.1, optics[1])
+    wild = {
+        name: 10**size * torch.randn(tensor.shape, generator=draws) * tensor.requires_grad
+        + tensor.detach() * (not tensor.requires_grad)
+        for name, tensor in weights.items()
+    }
+    rails = law.project(wild, optics[1]).stacked
+    assert torch.isfinite(rails).all()
+    assert law.excess(rails) <= SLACK
 
 
 @settings(max_examples=150, deadline=None, derandomize=True)
@@ -178,7 +221,7 @@ def test_quantised_rails_are_whole_steps_of_their_frames_peak_and_obey(light, ra
     assert share.amax() == pytest.approx(steps)
     for rails_before, rails_shown in zip(before, shown, strict=True):
         assert light_law(light).excess(rails_shown) <= SLACK
-        if light != "column":  # which may have to be dimmed
+        if light not in ("column", "dose"):  # which may have to be dimmed
             time = (before if light == "two-arm" else rails_before).amax() * (1 + FLOAT32)
             assert (rails_shown - rails_before).abs().max() <= time / (2 * steps)
     if levels == 2:
@@ -351,6 +394,6 @@ def test_free_numbers_begin_like_the_start(light, rails):
     weights = law.weights(start, rails)
     matrix = law.project(weights, rails).difference.detach()
     parts = start / start.amax(dim=-1, keepdim=True)
-    shape = start if light == "column" else parts
+    shape = start if light in ("column", "dose") else parts
     assert torch.allclose(matrix / matrix.max(), shape / shape.max(), atol=1e-6)
     assert all(tensor.shape[-2:] == (4, 9) for name, tensor in weights.items() if name == "weight")

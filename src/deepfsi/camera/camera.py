@@ -125,14 +125,14 @@ _CONFLICTS: tuple[tuple[str, Callable[[Fields], bool], str], ...] = (
     (
         "detectors",
         lambda fields: not _law(fields).one_device and fields["detectors"] not in NAMES_OF_ONE,
-        "several detectors are parts of one device, and column is other optics: give light "
+        "several detectors are parts of one device, and {light} is other optics: give light "
         "equal-dwell, free-dwell or two-arm",
     ),
     (
         "device",
         lambda fields: not _law(fields).one_device and fields["device"] is not None,
-        "column is optics that split each pixel's light among all readouts, which no device does: "
-        "give light free-dwell, equal-dwell or two-arm, or leave device out",
+        "{light} is not of one device: give light free-dwell, equal-dwell or two-arm, or leave "
+        "device out",
     ),
     (
         "exposure",
@@ -217,13 +217,14 @@ class Camera(UserModel):
 
     light: LightLawName = Field(
         default="free-dwell",
-        description="light law of the optics: free-dwell, equal-dwell (one DMD, one detector), "
-        "two-arm (a detector on each arm) or column (optics that split each pixel's light)",
+        description="light law of the optics: "
+        + "; ".join(f"{name}, {law.optics}" for name, law in LIGHT_LAWS.items()),
     )
     rails: RailsKind = Field(
         default_factory=lambda fields: _law(fields).usual_rails,
         description="dual: signed masks of two frames each; single: non-negative masks; dual for "
-        "column and two-arm, else single unless given",
+        + " and ".join(name for name, law in LIGHT_LAWS.items() if law.usual_rails == "dual")
+        + ", else single unless given",
     )
     detectors: Annotated[str | tuple[int, ...], BeforeValidator(detector_setting)] = Field(
         default="1x1",
@@ -481,7 +482,7 @@ class Camera(UserModel):
         noise = find_noise(self.noise)
         masks = {"single": "non-negative masks", "dual": "signed masks of two rails"}[self.rails]
         lines = [f"{law.optics} (light law {self.light}); {masks}"]
-        if law.one_device:
+        if law.in_turn:
             where = " on each arm" if law.arms == 2 else ""
             many = self.detectors if isinstance(self.detectors, str) else "of a map"
             lines.append("one detector" + where if many == "1x1" else f"{many} detectors{where}")

@@ -12,7 +12,7 @@ from pydantic import AfterValidator, Field, PlainSerializer, WithJsonSchema
 
 from deepfsi.base import IMPORT_PATH, UNNAMED_PLUGIN, InputError, check_choice, import_path
 
-LightLawName = Literal["column", "equal-dwell", "free-dwell", "two-arm"]
+LightLawName = Literal["column", "equal-dwell", "free-dwell", "two-arm", "dose"]
 """Name of a light law, see `physics.laws`."""
 
 RailsKind = Literal["dual", "single"]
@@ -38,8 +38,13 @@ class LightLawFacts:
         What realises it, in words.
     words : str
         What it allows, and with which optics, for pages.
+    in_turn : bool
+        True if masks are shown one after another, so that an exposure may stop after a few.
     one_device : bool
-        True if one micromirror device shows the masks one after another.
+        True if one micromirror device shows the masks.
+    lights_all : bool
+        True if learned masks reach pixels that never vary, too: the light of such a pixel is not
+        lost, but goes to another arm or another pixel.
     arms : int
         Arms of the device whose light is counted; on two, one frame serves both rails of a mask.
     looks : bool
@@ -52,7 +57,9 @@ class LightLawFacts:
 
     optics: str
     words: str
+    in_turn: bool = True
     one_device: bool = True
+    lights_all: bool = False
     arms: int = 1
     looks: bool = False
     equal_times: bool = False
@@ -65,6 +72,7 @@ LIGHT_LAWS: dict[str, LightLawFacts] = {
         "optics that split each pixel's light among all readouts, with a detector for each",
         "optics split the light of each pixel among all masks at once, with a detector for each "
         "readout, which no single mirror device does",
+        in_turn=False,
         one_device=False,
         usual_rails="dual",
     ),
@@ -82,10 +90,18 @@ LIGHT_LAWS: dict[str, LightLawFacts] = {
         "one DMD with a detector on each arm",
         "one device shows one mask after another; each mirror sends its light in one of two "
         "directions, both with detectors, so that none is lost",
+        lights_all=True,
         arms=2,
         looks=True,
         usual_rails="dual",
         usual_readout="both",
+    ),
+    "dose": LightLawFacts(
+        "a projector that lights the scene with the masks, and one detector",
+        "a projector lights the scene with one mask after another, and one detector counts the "
+        "photons that come back; what one pixel does not get goes to others",
+        one_device=False,
+        lights_all=True,
     ),
 }
 """Facts of each light law, by its name."""

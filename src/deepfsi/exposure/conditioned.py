@@ -122,11 +122,12 @@ class ConditionedExposure(MaskExposure):
         if fewest == masks:
             return super().stops
         law = light_law(self.optics.light)
-        if not LIGHT_LAWS[law.name].one_device:
+        if not LIGHT_LAWS[law.name].in_turn:
             raise InputError(
-                "under the column constraint all masks see light at once, so that stopping saves "
+                "under the {given} constraint all masks see light at once, so that stopping saves "
                 "nothing: use a design for one device, {light:free-dwell} or equal-dwell",
                 setting="light",
+                given=law.name,
             )
         used = law.used(self.optics.rails.stacked)[fewest - 1 :]
         return Stops(tuple(range(fewest, masks + 1)), (used / used[-1]).double().cpu().numpy())

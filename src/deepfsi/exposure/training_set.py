@@ -86,9 +86,9 @@ class TrainingSet:
 
     def pixels(self, light: LightLawName) -> Tensor:
         """Which pixels (N,) learned masks may light."""
-        # The light of one that never varies is noise and no information, so it stays dark, except
-        # on two arms, where what one does not get the other does
-        return torch.ones_like(self.varying) if LIGHT_LAWS[light].arms == 2 else self.varying
+        # The light of one that never varies is noise and no information, so it stays dark unless
+        # others share what it does not get
+        return torch.ones_like(self.varying) if LIGHT_LAWS[light].lights_all else self.varying
 
     def centred(self, pixels: Tensor, kind: torch.dtype, detection: Detection) -> Tensor:
         """Pixels (N,) of the training scenes, less their mean, and the mean as the last row."""

@@ -377,7 +377,7 @@ class Patches(Exposure):
     def faults(self, job: "Job") -> Iterator[str]:
         """Optics that no patch has, and noise that was not tried."""
         camera = job.optics
-        if LIGHT_LAWS[camera.light].one_device:
+        if LIGHT_LAWS[camera.light].in_turn:
             yield "a patch has a detector for each readout: give the light law column"
         if job.code.seeded or job.code.learned_under or job.code.is_custom:
             yield f"{job.design} is not for patches: give deepfsi or a named design"

@@ -4,6 +4,7 @@
     equal-dwell  M⁺_ij, M⁻_ij ≤ 1/F              one DMD, one detector, equal times for F frames
     free-dwell   Σ_frames max_j(frame) ≤ 1       one DMD, one detector, each frame its own time
     two-arm      M⁺_ij + M⁻_ij = t_i, Σ t_i ≤ 1  one DMD, a detector on each arm
+    dose         mean_j Σ_i |M_ij| ≤ 1           a projector that lights the scene, one detector
 
 A law is one of frames: here the rails of masks are the tensor (..., 2, m, N) of M⁺ and M⁻ for
 signed masks, or (..., 1, m, N) where there is one rail, `Rails.stacked`. Masks that learn are made
@@ -203,11 +204,7 @@ class Column(LightLaw):
     def weights(self, start: Tensor, kind: RailsKind) -> dict[str, Tensor]:
         """The fitted start in units of its own rms, and that unit."""
         most = start.abs().sum(dim=-2, keepdim=True).amax(dim=-1, keepdim=True)
-        if not bool(most.all()):
-            raise InputError("a start is 0 everywhere: give masks that pass light")
-        fitted = start / most
-        unit = fitted.square().mean(dim=(-2, -1), keepdim=True).sqrt()
-        return {"weight": nn.Parameter(fitted / unit), "unit": unit}
+        return units_of(start, most)
 
     def matrix(self, weights: Weights, kind: RailsKind, shortest: float = 0.0) -> Tensor:
         """Each pixel's column, divided by its sum where that exceeds 1."""
@@ -377,8 +374,61 @@ class TwoArm(LightLaw):
         return super().has_equal_dwells(rails) and longest < 1 + SLACK
 
 
+class Dose(LightLaw):
+    """A projector lights the scene with the masks, one after another: mean_j Σ_i |M_ij| ≤ 1.
+
+    What is limited is the light that falls on the scene. A pixel may get more than its mean share,
+    as what another does not get is not lost; so photons of a pixel may be counted more often than
+    `column` allows. Source: docs/understand/light.md.
+
+    Examples
+    --------
+    >>> Dose().fit(torch.tensor([[1.0, -1.0, 0.0, 0.0], [2.0, 0.0, 0.0, 0.0]]))[0]  # positive rail
+    tensor([[1., 0., 0., 0.],
+            [2., 0., 0., 0.]])
+    """
+
+    name = "dose"
+
+    def fit(self, matrix: Tensor, kind: RailsKind = "dual") -> Tensor:
+        """One common factor, 1 / mean_j Σ_i |M_ij|."""
+        parts = self.rails(matrix, kind)
+        return parts / parts.sum(dim=(0, 1)).mean()
+
+    def excess(self, rails: Tensor) -> float:
+        """mean_j Σ_i |M_ij| − 1."""
+        return float(rails.sum(dim=(0, 1)).mean()) - 1
+
+    def used(self, rails: Tensor) -> Tensor:
+        """mean_j Σ_i |M_ij| over the first k masks i."""
+        return rails.sum(dim=-3).mean(dim=-1).cumsum(dim=-1)
+
+    def quantise(self, rails: Tensor, levels: int) -> Tensor:
+        """Grey levels of each frame; where rounding breaks the law, all are dimmed to mend it."""
+        shown = super().quantise(rails, levels)
+        sums = shown.sum(dim=(-3, -2), keepdim=True)
+        return shown / sums.mean(dim=-1, keepdim=True).clamp(min=1)
+
+    def weights(self, start: Tensor, kind: RailsKind) -> dict[str, Tensor]:
+        """The fitted start in units of its own rms, and that unit."""
+        mean = start.abs().sum(dim=-2, keepdim=True).mean(dim=-1, keepdim=True)
+        return units_of(start, mean)
+
+    def matrix(self, weights: Weights, kind: RailsKind, shortest: float = 0.0) -> Tensor:
+        """All masks, divided by the mean of their columns' sums where that exceeds 1."""
+        weight = weights["weight"]
+        unit = weights["unit"]
+        mean = weight.abs().sum(dim=-2, keepdim=True).mean(dim=-1, keepdim=True)
+        matrix = weight * (unit / (mean * unit).clamp(min=1))
+        return matrix if kind == "dual" else matrix.abs()
+
+    def dim(self, weights: Weights, kind: RailsKind, factor: Tensor) -> None:
+        """Take a smaller unit."""
+        weights["unit"].mul_(factor[:, None, None])
+
+
 LAW_CLASSES: dict[str, type[LightLaw]] = {
-    each.name: each for each in (Column, EqualDwell, FreeDwell, TwoArm)
+    each.name: each for each in (Column, EqualDwell, FreeDwell, TwoArm, Dose)
 }
 """Class of each light law, by its name."""
 
@@ -393,6 +443,15 @@ def light_law(name: str) -> LightLaw:
     """
     check_light_law(name, "dual")
     return LAW_CLASSES[name]()
+
+
+def units_of(start: Tensor, light: Tensor) -> dict[str, Tensor]:
+    """Weights of a start (..., m, N) over its light (..., 1, 1), and their unit, its rms then."""
+    if not bool(light.all()):
+        raise InputError("a start is 0 everywhere: give masks that pass light")
+    fitted = start / light
+    unit = fitted.square().mean(dim=(-2, -1), keepdim=True).sqrt()
+    return {"weight": nn.Parameter(fitted / unit), "unit": unit}
 
 
 def signed_parts(matrix: Tensor) -> Tensor:

@@ -45,7 +45,8 @@ class LearnedMasks(nn.Module):
     ----------
     start : tensor, shape (..., m, N)
         Matrix that they begin like; leading axes are replicas.
-    light : {"column", "equal-dwell", "free-dwell", "two-arm"}
+    light : str
+        A light law, one of `LIGHT_LAWS`.
     rails : {"dual", "single"}
         Signed masks, or frames of 0 or more.
     levels : int

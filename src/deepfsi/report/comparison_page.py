@@ -149,7 +149,7 @@ def covered(results: Results) -> str:
 
 def with_one_detector(points: Iterable[Point]) -> bool:
     """True if one detector does for every design but impulse imaging."""
-    laws = {name for name, law in LIGHT_LAWS.items() if law.one_device and law.arms == 1}
+    laws = {name for name, law in LIGHT_LAWS.items() if law.in_turn and law.arms == 1}
     return all(p.light in laws and p.detectors == "1x1" for p in points if not p.every_pixel)
 
 
@@ -157,7 +157,7 @@ def camera_text(points: Iterable[Point]) -> str:
     """Say how the designs' masks share the light, and what counts it."""
     rows = [p for p in points if not p.every_pixel]
     lights = {p.light for p in rows}
-    splitting = {name for name, law in LIGHT_LAWS.items() if not law.one_device}
+    splitting = {name for name, law in LIGHT_LAWS.items() if not law.in_turn}
     if lights and lights <= splitting:
         return (
             f"Under the light law {lights.pop()}, optics split the scene’s Φ photons among all "
@@ -205,8 +205,10 @@ def following(results: Results, designs: Path, said: Verdict) -> Iterator[tuple[
     if shown:
         words = "Learn one design, whose file the commands for a device take:"
     else:
+        light = points[0].light if points else "column"
         words = (
-            "No single device shows masks of the light law column. Compare designs that one shows:"
+            f"No single device shows masks of the light law {light}. Compare designs that one "
+            "shows:"
         )
     command = "design --masks 16 --photons 1e4 -o d.safetensors" if shown else "compare -o runs/dmd"
     yield words, f"deepfsi {command} --camera dmd --data {name}"

@@ -43,8 +43,8 @@ def design_of(
         That the training was on: its training scenes give the mean light, its classes their names.
     photons : float
         Budget Φ of the training: photons were ``photons_per_pixel(x, photons, s)``.
-    light : {"column", "equal-dwell", "free-dwell", "two-arm"}
-        Constraint that masks obey; that of `LearnedMasks` masks is their own.
+    light : str
+        Light law that masks obey, one of `LIGHT_LAWS`; that of `LearnedMasks` is their own.
 
     Examples
     --------

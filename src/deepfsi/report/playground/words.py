@@ -37,7 +37,7 @@ def detectors_text(payload: Payload) -> str:
     # Where the light is divided, what is divided is counted at the same time
     law, parts = LIGHT_LAWS[payload["light"]], payload["detectors"]
     count, words = law.arms, ["one on each arm"] if law.arms == 2 else []
-    if not law.one_device:
+    if not law.in_turn:
         count, words = payload["rails"] * _masks(payload), [f"one for {_readout(payload)}"]
     words += ["each on its part of the scene"] if parts > 1 else []
     return ", ".join([str(parts * count), *words])
@@ -61,7 +61,9 @@ def way_text(payload: Payload) -> str:
     """Sentences on the way in which the camera counts."""
     light, looks = payload["light"], payload.get("exposure", {}).get("looks")
     law = LIGHT_LAWS[light]
-    if not law.one_device:
+    if law.in_turn and not law.one_device:
+        return f"{law.words.capitalize()}."
+    if not law.in_turn:
         return (
             f"Its optics split the light of each pixel among {masks_text(payload)} at once, with "
             f"a detector for {_readout(payload)}; no single mirror device does this."
