@@ -8,8 +8,8 @@ clusters stay, as each stands for many scenes.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, ClassVar, NamedTuple
+from dataclasses import KW_ONLY, dataclass, replace
+from typing import Any, ClassVar, NamedTuple, NoReturn
 
 import numpy as np
 import torch
@@ -210,8 +210,9 @@ class PosteriorObservation(Observation):
         Counts of all looks so far, of all exposures, that are expected without dark ones.
     """
 
-    chances: Tensor = None  # type: ignore[assignment]
-    counts: float = 0.0
+    _: KW_ONLY
+    chances: Tensor
+    counts: float
 
 
 class LookedAt(NamedTuple):
@@ -264,7 +265,6 @@ class AdaptiveExposure(ExposureKind):
         "frames": MASKS_ARE_MADE,
         "graph": MASKS_ARE_MADE,
         "comparison": MASKS_ARE_MADE,
-        "first": POSTERIOR_ANSWERS,
         "ideal observer": POSTERIOR_ANSWERS,
     }
 
@@ -420,6 +420,10 @@ class AdaptiveExposure(ExposureKind):
     def stops(self) -> Stops:
         """Numbers of looks after which an exposure may stop, and the share taken then."""
         return Stops(tuple(range(1, self.count + 1)), np.cumsum(self.settings.shares))
+
+    def first(self, masks: int) -> NoReturn:
+        """Raise `InputError`: all looks are needed."""
+        raise InputError(POSTERIOR_ANSWERS, setting=("ideal", "first"))
 
     def stopping_at(self, threshold: float) -> "AdaptiveExposure":
         """The kind whose exposures stop at a probability of a class."""

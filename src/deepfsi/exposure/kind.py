@@ -33,10 +33,9 @@ from deepfsi.physics import (
 
 _Dwell = TypeVar("_Dwell", bound=Any)  # array or tensor
 
-Use = Literal["masks", "first", "frames", "graph", "page", "comparison", "ideal observer"]
-"""What not every kind can be used for: masks that are known before, with counts of them; the first
-masks alone; frames of a device; an ONNX graph; a page; the comparison of counts alone; the ideal
-observer."""
+Use = Literal["masks", "frames", "graph", "page", "comparison", "ideal observer"]
+"""What not every kind can be used for: masks that are known before, with counts of them; frames of
+a device; an ONNX graph; a page; the comparison of counts alone; the ideal observer."""
 
 Show = Callable[[Tensor], tuple[Tensor, Tensor]]
 """From dwells (..., q) to features (..., k) over the budget, and the dwells really shown."""
@@ -284,6 +283,7 @@ class ExposureKind(ABC):
             If it may stop nowhere before its end, or that saves nothing.
         """
 
+    @abstractmethod
     def first(self, masks: int) -> tuple["ExposureKind", float]:
         """The kind of the first masks alone, and the share of the light law that is theirs.
 
@@ -292,8 +292,6 @@ class ExposureKind(ABC):
         InputError
             If so few masks cannot be classified alone.
         """
-        self.check("first")
-        raise NotImplementedError
 
     def stopping_at(self, threshold: float) -> "ExposureKind":
         """The kind whose exposures stop at a probability, or `InputError` where it is of one look.
