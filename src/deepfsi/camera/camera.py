@@ -173,9 +173,9 @@ _CONFLICTS: tuple[tuple[str, Callable[[Fields], bool], str], ...] = (
     ),
     (
         "fluctuation",
-        lambda fields: fields["fluctuation"] > 0 and not _law(fields).one_device,
-        "light that fluctuates from frame to frame is of one device, and column shows all masks at "
-        "once: give light equal-dwell, free-dwell or two-arm, or leave fluctuation out",
+        lambda fields: fields["fluctuation"] > 0 and not _law(fields).in_turn,
+        "light fluctuates from frame to frame of masks shown in turn, and column shows all masks at"
+        " once: give light equal-dwell, free-dwell or two-arm, or leave fluctuation out",
     ),
     (
         "fluctuation",
