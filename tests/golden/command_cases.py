@@ -35,12 +35,17 @@ COMMANDS = (
 )  # fmt: skip
 
 
+ADDED = {"fluctuation"}
+"""Settings that came after the reference, and are left out of what is listed."""
+
+
 def helped() -> dict[str, Any]:
     """Options of every command, and the commands of every group, as `--help` lists them."""
     out = {}
     for command in COMMANDS:
         said = say(*command.split(), "--help")
         options = re.findall(r"^  (?:-\w, )?(--[a-z-]+)", said.out, re.MULTILINE)
+        options = [option for option in options if option.removeprefix("--") not in ADDED]
         commands = re.findall(r"^  ([a-z]+)  ", said.out, re.MULTILINE)
         out[command] = {"code": said.code, "listed": options, "commands": commands}
     return out
@@ -175,7 +180,7 @@ def described() -> dict[str, Any]:
     out["nosuch"] = answer("camera", "describe", "nosuch")
     out["template"] = say("camera", "describe", "two-arm", "--template", "t.toml").code
     fields = re.findall(r"^#? ?([a-z_]+) = ", Path("t.toml").read_text(), re.MULTILINE)
-    return {**out, "fields": fields}
+    return {**out, "fields": [field for field in fields if field not in ADDED]}
 
 
 def devices_and_data() -> dict[str, Any]:

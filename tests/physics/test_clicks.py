@@ -16,7 +16,9 @@ from deepfsi.physics.detection import Readouts
 from deepfsi.physics.noise import CustomNoise, Expectation, make_noise
 
 DRAWS = 200_000
-BOTH = Readouts(torch.ones(2, 1, 2, dtype=torch.bool), torch.ones(2, 1, 2))
+BOTH = Readouts(
+    torch.ones(2, 1, 2, dtype=torch.bool), torch.ones(2, 1, 2), torch.arange(4).view(2, 1, 2)
+)
 
 
 def drawn(rate: float, gates: int) -> torch.Tensor:
@@ -37,7 +39,9 @@ def test_clicks_have_mean_and_variance_of_the_closed_form(rate, gates):
     assert abs(clicks.var() - variance) <= error + 1e-12
     rates = torch.tensor([rate], dtype=torch.float64)
     assert float(Click(gates).mean(rates)) == pytest.approx(mean, rel=1e-12)
-    alone = Expectation(rates, rates, Readouts(torch.ones(1, 1), torch.ones(1, 1)))
+    alone = Expectation(
+        rates, rates, Readouts(torch.ones(1, 1), torch.ones(1, 1), torch.zeros(1, 1))
+    )
     assert float(Click(gates).variance(alone)) == pytest.approx(variance, rel=1e-6, abs=1e-12)
 
 

@@ -10,7 +10,6 @@ from deepfsi.base import InputError
 from deepfsi.camera import DetectorMap
 from deepfsi.jobs import check_count, count_allowed, sensing_matrix
 from deepfsi.physics import (
-    ONE,
     Detection,
     FixedMasks,
     LearnedMasks,
@@ -20,6 +19,7 @@ from deepfsi.physics import (
     project_rails,
     root,
 )
+from deepfsi.physics.detection import ONE
 
 SHAPE = (6, 8)
 MAPS = [

@@ -20,7 +20,9 @@ from deepfsi.physics.noise import (
 )
 
 DRAWS = 100_000
-ONE_RAIL = Readouts(torch.tensor([[True], [False]]), torch.tensor([[1.0], [0.0]]))
+ONE_RAIL = Readouts(
+    torch.tensor([[True], [False]]), torch.tensor([[1.0], [0.0]]), torch.zeros(2, 1).long()
+)
 LIMIT = POISSON_LIMIT
 DEVICES = ["cpu", *["cuda"] * torch.cuda.is_available()]
 RATES = [0, 1e-3, 1, 1e3, math.nextafter(LIMIT, 0), LIMIT, math.nextafter(LIMIT, 1e9), 1e8, 1e10]
@@ -213,21 +215,27 @@ ALL = [
     make_noise("camera", sigma=2.0, dark=40.0),
     make_noise("click", gates=5),
 ]
+FLUCTUATING = [
+    *(make_noise(name, fluctuation=0.3) for name in ("none", "poisson", "ml_gauss")),
+    make_noise("gaussian", sigma=3.0, fluctuation=0.3),
+    make_noise("camera", sigma=2.0, dark=40.0, fluctuation=0.3),
+]
 READ = Readouts(
     torch.tensor([[True, True, False], [True, False, True]]),
     torch.tensor([[0.5, 0.3, 0.0], [0.1, 0.0, 0.1]], dtype=torch.float64),
+    torch.tensor([[0, 2, 4], [1, 3, 5]]),
 )
 """Both rails of a feature are read out, the positive one alone, and the negative one alone."""
 
 
-@pytest.mark.parametrize("noise", ALL, ids=repr)
+@pytest.mark.parametrize("noise", [*ALL, *FLUCTUATING], ids=repr)
 @pytest.mark.parametrize("gain", [1.0, 8.0])
 def test_features_have_the_mean_and_the_variance_that_a_noise_claims(noise, gain):
     """Of two rails, to five standard errors; in units of the gain the variance is over it twice."""
     rates = torch.tensor([[0.7, 4.0, 0.0], [2.0, 0.0, 0.3]], dtype=torch.float64)
     every = rates.expand(DRAWS, 2, 3)
     dark = noise.dark_counts(READ.time)
-    plus, minus = noise.sample(every, READ.active, dark, generator(2)).unbind(dim=1)
+    plus, minus = noise.sample(every, READ, dark, generator(2)).unbind(dim=1)
     mean = torch.where(READ.active, noise.mean(rates), 0.0)
     total, difference = (rates[0] + rates[1]) / gain, (rates[0] - rates[1]) / gain
     light = Expectation(difference, total, READ, gain)
@@ -242,7 +250,7 @@ def test_features_have_the_mean_and_the_variance_that_a_noise_claims(noise, gain
         assert torch.allclose(noise.deviation(light).square(), variance)
 
 
-@pytest.mark.parametrize("noise", ALL, ids=repr)
+@pytest.mark.parametrize("noise", [*ALL, *FLUCTUATING], ids=repr)
 def test_the_slope_of_a_noise_is_that_of_its_mean(noise):
     rates = torch.logspace(-3, 2, 20, dtype=torch.float64, requires_grad=True)
     (slope,) = torch.autograd.grad(noise.mean(rates).sum(), rates)

@@ -10,7 +10,6 @@ from conftest import assert_moments, every_design, every_optics, generator, ligh
 from deepfsi import Scanner
 from deepfsi.base import InputError
 from deepfsi.physics import (
-    ONE,
     FixedMasks,
     LearnedMasks,
     Rails,
@@ -20,6 +19,7 @@ from deepfsi.physics import (
     project_rails,
     root,
 )
+from deepfsi.physics.detection import ONE
 
 DRAWS = 50_000
 RATES = [1e-3, 1.0, 1e3, 1e6, 1.001e6, 1e8, 1e10]

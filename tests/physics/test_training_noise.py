@@ -11,7 +11,11 @@ DRAWS = 200_000
 GAINS, SIGMAS = [4.0, 50.0], [3.0, 0.5]
 MEAN = torch.tensor([[0.4, -0.2, 0.5], [0.4, -0.2, 0.5]])
 TOTAL = torch.tensor([[0.9, 0.5, 0.5], [0.9, 0.5, 0.5]])
-READ = Readouts(torch.tensor([[[True] * 3], [[True, True, False]]]), torch.ones(2, 1, 3))
+READ = Readouts(
+    torch.tensor([[[True] * 3], [[True, True, False]]]),
+    torch.ones(2, 1, 3),
+    torch.arange(6).view(2, 1, 3),
+)
 LIT = READ.lit
 
 

@@ -10,6 +10,7 @@ no exposure is given it lasts one second, so that a rate is the counts of an exp
 import os
 import re
 from collections.abc import Callable, Container, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypedDict, Unpack
 
@@ -18,8 +19,10 @@ from pydantic import (
     AfterValidator,
     BeforeValidator,
     Field,
+    SerializerFunctionWrapHandler,
     ValidationInfo,
     field_validator,
+    model_serializer,
 )
 
 from deepfsi.base import (
@@ -168,6 +171,17 @@ _CONFLICTS: tuple[tuple[str, Callable[[Fields], bool], str], ...] = (
         lambda fields: fields.get("gates", 1) > 1 and not _noise(fields).gates,
         "{noise} noise has no gates: give noise click, or leave gates or noise out",
     ),
+    (
+        "fluctuation",
+        lambda fields: fields["fluctuation"] > 0 and not _law(fields).in_turn,
+        "light fluctuates from frame to frame of masks shown in turn, and column shows all masks at"
+        " once: give light equal-dwell, free-dwell or two-arm, or leave fluctuation out",
+    ),
+    (
+        "fluctuation",
+        lambda fields: fields["fluctuation"] > 0 and not _noise(fields).fluctuates,
+        "clicks have no light that fluctuates here: leave fluctuation or noise out",
+    ),
 )
 """What does not go together: the field that is refused, whether it is, and why."""
 
@@ -192,6 +206,7 @@ class CameraSettings(TypedDict, total=False):
     gates: int
     noise: str | Callable[..., Any]
     sigma: float
+    fluctuation: float
 
 
 class Camera(UserModel):
@@ -307,6 +322,12 @@ class Camera(UserModel):
         description="read noise of gaussian and camera noise, counts rms per readout; 1 for "
         "gaussian, 0 for camera unless given",
     )
+    fluctuation: float = Field(
+        default=0.0,
+        ge=0,
+        le=10,
+        description="relative standard deviation of the light from frame to frame, such as 0.05",
+    )
 
     if TYPE_CHECKING:  # a field has one type, and may be given as others
 
@@ -322,6 +343,12 @@ class Camera(UserModel):
                 noise = noise_name(fields.get("noise"))
                 raise ValueError(message.format_map({**fields, "noise": noise}))
         return value
+
+    @model_serializer(mode="wrap")
+    def _without_steady(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Fields, but for `fluctuation` of a steady light, so that older files are the same."""
+        fields: dict[str, Any] = dump(self)
+        return {name: each for name, each in fields.items() if name != "fluctuation" or each}
 
     @classmethod
     @plain_keywords()
@@ -350,6 +377,8 @@ class Camera(UserModel):
                 fields["dead_time"] = settings.get("dead_time", 0.0)  # a gate that fired is blind
             if not noise.gates:
                 fields["gates"] = settings.get("gates", 1)
+            if not noise.fluctuates:
+                fields["fluctuation"] = settings.get("fluctuation", 0.0)
         for field in fields:
             if field not in cls.model_fields:
                 raise InputError(
@@ -434,6 +463,11 @@ class Camera(UserModel):
         return noise_name(self.noise)
 
     @property
+    def noise_facts(self) -> NoiseFacts:
+        """Facts of its noise under its light."""
+        return replace(find_noise(self.noise), steady=not self.fluctuation)
+
+    @property
     def clicks(self) -> int | None:
         """Clicks of a readout at most, its gates; None of detectors that count photons."""
         return self.gates if find_noise(self.noise).gates else None
@@ -508,6 +542,8 @@ class Camera(UserModel):
             lines.append(f"detectors that click at most once in a gate, {gates} a frame")
         if self.sigma and noise.read_noise:
             lines.append(f"read noise of {self.sigma:g} counts rms a readout")
+        if self.fluctuation:
+            lines.append(f"light that fluctuates by {self.fluctuation:.3g} from frame to frame")
         if self.dead_time:
             lines.append(f"dead time {self.dead_time * 1e9:.4g} ns, {self.dead_time_model}")
         return "\n".join(lines)

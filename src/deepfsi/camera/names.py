@@ -143,8 +143,10 @@ class NoiseFacts:
         True if whole counts are drawn, whose mean is known.
     dark, read_noise, gates : bool
         True if it has dark counts, a `sigma`, or gates in which a detector clicks at most once.
-    dead_time : bool
-        False if counts are never corrected for a dead time.
+    dead_time, fluctuates : bool
+        False if counts are never corrected for a dead time, or have light that fluctuates.
+    steady : bool
+        False if the light fluctuates from frame to frame, as a camera says.
     usual_sigma : float
         `sigma` of a camera where it is not given, counts rms per readout.
     trains_as : str, optional
@@ -161,6 +163,8 @@ class NoiseFacts:
     read_noise: bool = False
     gates: bool = False
     dead_time: bool = True
+    fluctuates: bool = True
+    steady: bool = True
     usual_sigma: float = 1.0
     trains_as: NoiseName | None = None
     stands_for: NoiseName | None = None
@@ -172,8 +176,8 @@ class NoiseFacts:
 
     @property
     def exact(self) -> bool:
-        """True if counts are those of photons and of nothing else."""
-        return self.shot and self.counting and not (self.dark or self.read_noise)
+        """True if counts are those of photons of steady light and of nothing else."""
+        return self.shot and self.counting and self.steady and not (self.dark or self.read_noise)
 
 
 NOISES: dict[str, NoiseFacts] = {
@@ -192,7 +196,9 @@ NOISES: dict[str, NoiseFacts] = {
         read_noise=True,
         usual_sigma=0.0,
     ),
-    "click": NoiseFacts("click noise", counting=True, gates=True, dead_time=False),
+    "click": NoiseFacts(
+        "click noise", counting=True, gates=True, dead_time=False, fluctuates=False
+    ),
 }
 """Facts of each noise of the package, by its name."""
 

@@ -70,6 +70,7 @@ CAMERA_EXAMPLES = {
     "noise": '"camera"',
     "gates": "1",
     "sigma": "0.0",
+    "fluctuation": "0.05",
 }
 """Values of a camera file, as TOML writes them."""
 
@@ -492,14 +493,15 @@ def flux_of(known: "Camera") -> float:
 def find_camera(name: str | None, source: Path, settings: dict[str, Any]) -> "VirtualCamera":
     """Virtual camera of a name or a TOML file, else as the design's camera is described.
 
-    Where that has neither an exposure time nor gates it is no laboratory's, and a photomultiplier
-    is taken.
+    Where that has neither an exposure time, gates nor a fluctuation it is no laboratory's, and a
+    photomultiplier is taken.
     """
     from deepfsi.hardware.virtual import CAMERAS, VirtualCamera
 
     if name is None:
         known = camera_of(source, {"camera": settings.get("camera")})
-        described = known.exposure is not None or known.clicks is not None
+        laboratory = known.exposure is not None or known.clicks is not None
+        described = laboratory or known.fluctuation > 0
         return VirtualCamera.of(camera_of(source, settings)) if described else CAMERAS["pmt"]
     if name in CAMERAS:
         return CAMERAS[name]

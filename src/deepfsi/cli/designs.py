@@ -147,6 +147,7 @@ def evaluate(
     noise: options.Noise = None,
     sigma: options.Sigma = None,
     dark: options.Dark = None,
+    fluctuation: options.LightFluctuation = None,
     first: Annotated[
         int | None, typer.Option(help="use only this many first masks of a nested design")
     ] = None,
@@ -169,7 +170,6 @@ def evaluate(
     """
     file = paths.check_design(file)
     common.check_data(data, view)
-    from deepfsi.camera import find_noise
     from deepfsi.evaluation import camera_for, ideal_observer
     from deepfsi.evaluation import evaluate as test
     from deepfsi.lab import data_of
@@ -177,14 +177,14 @@ def evaluate(
 
     budgets = options.numbers("photons", photons) or []
     told: dict[str, Any] = {"noise": noise, "sigma": sigma, "dark": dark}
+    told["fluctuation"] = fluctuation
     told = {name: value for name, value in told.items() if value is not None}
     made = common.open_any(file, trust).to(torch_device(device))
     camera = camera_for(made, None, **told)
     options.check_sigma(told, [camera.noise_name])
-    if ideal and not find_noise(camera.noise).exact:
-        raise InputError(
-            f"the ideal observer is of photon noise, not {camera.noise_name}: leave --ideal out"
-        )
+    if ideal and not camera.noise_facts.exact:
+        other = camera.noise_name if camera.noise_facts.steady else "light that fluctuates"
+        raise InputError(f"the ideal observer is of photon noise, not {other}: leave --ideal out")
     if ideal:
         made.exposure.check("ideal observer")
     if first is not None:

@@ -77,6 +77,10 @@ Dark = Annotated[
     float | None,
     typer.Option(help="dark counts/s of a detector; in an exposure, where no time is given"),
 ]
+LightFluctuation = Annotated[
+    float | None,
+    typer.Option(help="relative standard deviation of the light from frame to frame"),
+]
 Trust = Annotated[
     bool, typer.Option("--trust", help="run the code of the classifier that the design names")
 ]

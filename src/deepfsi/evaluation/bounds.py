@@ -95,6 +95,8 @@ def cramer_rao(
     if not _fixed(design):
         raise InputError("this exposure draws its dwells or places, and has no such bound")
     scanner = scanner or design.scanner()
+    if not scanner.noise.has_moments:
+        raise InputError("counts of this noise are correlated, or not known: it has no such bound")
     x, slopes = (torch.from_numpy(np.asarray(each, np.float32)) for each in (scenes, derivatives))
     pixels = int(np.prod(design.image_shape))
     if x.shape != (len(x), pixels) or slopes.shape != (len(x), slopes.shape[1], pixels):

@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 
 from deepfsi.base import SILENT, InputError, Progress
-from deepfsi.camera import find_noise
 from deepfsi.datasets import Dataset
 from deepfsi.design import Design
 from deepfsi.designfile import Temperatures, check_masks, new_scenes, trained_on
@@ -149,7 +148,12 @@ def _classifier(design: Design) -> Mlp:
             setting="classifier",
         )
     camera = design.camera
-    noise = find_noise(camera.noise)
+    noise = camera.noise_facts
+    if not noise.steady:
+        raise InputError(
+            "this design is for light that fluctuates, and a page draws photon and dark counts of "
+            "steady light: give a design of fluctuation 0"
+        )
     if noise.shot and noise.read_noise and camera.sigma:
         raise InputError(
             f"this design is for read noise of {camera.sigma:g} counts, and a page draws photon "

@@ -150,6 +150,8 @@ class Conditioned(Exposure):
             left = f"{job.design}, whose masks learn under {job.code.learned_under} noise"
         elif not find_noise(job.noise).stands_for:
             left = f"{job.noise} noise, or train under ml_gauss"
+        elif job.camera.fluctuation:
+            left = "fluctuation"
         else:
             return
         yield f"a range of budgets and nested masks are trained under ml_gauss: leave out {left}"
@@ -646,7 +648,11 @@ class AdaptiveMasks(UserModel):
                 f"adaptive masks are shown by one device, not {camera.light}: give the light law "
                 "free-dwell or two-arm"
             )
-        noise = find_noise(camera.noise)
+        noise = camera.noise_facts
+        if not noise.steady:
+            raise InputError(
+                "adaptive masks are for photon counts of steady light: leave fluctuation out"
+            )
         exact = noise.counting and not noise.gates
         if not exact or (noise.read_noise and camera.sigma):
             raise InputError(

@@ -127,10 +127,12 @@ class Detection:
         arms = (frames > 0).all(dim=0).any(dim=-1)
         time = torch.where(arms, total.amax(dim=-1), frames.amax(dim=-1))
         active = (frames > 0).unflatten(-1, (self.count, -1)).any(dim=-1).flatten(-2)
-        time = time.repeat_interleave(self.count, dim=-1)
+        first = 2 * torch.arange(rails.masks, device=arms.device).expand(arms.shape)
+        frame = torch.stack([first, torch.where(arms, first, first + 1)])
+        time, frame = (each.repeat_interleave(self.count, dim=-1) for each in (time, frame))
         if self.readout == "difference" or rails.count == 1:
-            return Readouts(active, time)
-        one = [self._mask_by_mask(each.movedim(0, -2)) for each in (active, time)]
+            return Readouts(active, time, frame)
+        one = [self._mask_by_mask(each.movedim(0, -2)) for each in (active, time, frame)]
         return Readouts(*(torch.stack([each, torch.zeros_like(each)]) for each in one))
 
 
@@ -148,16 +150,19 @@ class Readouts(NamedTuple):
     time : tensor, shape (2, ..., k)
         Share of the exposure that each takes: the peak of its frame, the shortest in which one
         device can pass its light. Two rails that share pixels are two arms, and see them at once.
+    frame : tensor, shape (2, ..., k)
+        Number of the frame in which each is read, below 2 k.
     """
 
     active: Tensor
     time: Tensor
+    frame: Tensor
 
     def lasting(self, share: Tensor, detection: Detection) -> "Readouts":
         """Readouts of frames that last a share (B, ..., rails, m · D) of their usual time."""
         apart = share.shape[-2] == 2 and detection.readout == "difference"
         factor = share.movedim(-2, 0) if apart else detection.features(share).unsqueeze(0)
-        return Readouts(self.active, self.time.unsqueeze(1) * factor)
+        return self._replace(time=self.time.unsqueeze(1) * factor)
 
     @property
     def lit(self) -> Tensor:

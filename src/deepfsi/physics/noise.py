@@ -4,7 +4,8 @@
     poisson   y ~ Poisson(r)                 ml_gauss  y = r + √r ε
     camera    y ~ Poisson(r + d) − d + σ ε   click     y ~ Binomial(G, 1 − exp(−r / G))
 
-ε is standard normal. A feature is y⁺ − y⁻ of two rails, or y of one. Counts that are drawn rail by
+Under `Fluctuation` r is the light of a frame that is now brighter, now dimmer. ε is standard
+normal. A feature is y⁺ − y⁻ of two rails, or y of one. Counts that are drawn rail by
 rail train masks too, with the gradient of `attach_gradient`. A rail that is dark by construction is
 not read out and adds no noise.
 """
@@ -65,7 +66,8 @@ class Noise(ABC):
         True if the mean of its counts is the rate: `gradient` then lets drawn counts follow what
         they expect. Draws of others have a gradient of their own.
     has_moments : bool
-        True if mean and variance are known: of all but a user's own.
+        True if mean and variance are all that is to be known: of all but a user's own, and but for
+        light that fluctuates, under which readouts of one frame are correlated.
     """
 
     name: ClassVar[str]
@@ -105,12 +107,27 @@ class Noise(ABC):
         """
 
     def sample(
-        self, rates: Tensor, active: Tensor, dark: Tensor | float = 0.0, random: Random = None
+        self,
+        rates: Tensor,
+        read: Readouts,
+        dark: Tensor | float = 0.0,
+        random: Random = None,
+        rails: int = -2,
     ) -> Tensor:
-        """Counts of rails as from `draw`, but 0 of those that are not `active` and read out."""
+        """Counts of rails as from `draw`, but 0 of those that are not read out.
+
+        Parameters
+        ----------
+        rates, dark, random
+            As of `draw`.
+        read : Readouts
+            Broadcastable to rates.
+        rails : int
+            Axis of the rails, where they are not before the masks.
+        """
         if not self.unbiased:
-            rates = torch.where(active, rates, 1.0)  # the slope of a root at 0 is infinite
-        return torch.where(active, self.draw(rates, random, dark), 0.0)
+            rates = torch.where(read.active, rates, 1.0)  # the slope of a root at 0 is infinite
+        return torch.where(read.active, self.draw(rates, random, dark), 0.0)
 
     def dark_counts(self, time: Tensor | float) -> Tensor | float:
         """Expected dark counts (...) of rails that are shown for a share (...) of the exposure."""
@@ -448,6 +465,113 @@ class CustomNoise(Noise):
             )
 
 
+@dataclass(frozen=True)
+class Fluctuation(Noise):
+    """Light that is brighter in one frame and dimmer in the next, before another noise.
+
+    The rates of a frame are r (1 + ε), with an ε of the mean 0 and the standard deviation σ, alike
+    for all detectors, and for both rails where two arms see them at once: then a feature has the
+    variance of the other noise and σ² (r⁺ − r⁻)²; of frames one after another, σ² (r⁺² + r⁻²).
+    1 + ε is log-normal, so that no light is negative. Source: DeepFSI, docs/understand/flicker.md.
+
+    Parameters
+    ----------
+    inner : Noise
+        Of the counts that this light gives.
+    fluctuation : float
+        σ, relative to the mean light.
+
+    Examples
+    --------
+    >>> y = Fluctuation(Poisson(), 0.1).draw(torch.full((10_000,), 1e4), torch.manual_seed(0))
+    >>> round(float(y.mean()), -2), round(float(y.std()), -1)  # √(1e4 + (0.1 · 1e4)²)
+    (10000.0, 1000.0)
+    """
+
+    inner: Noise
+    fluctuation: float = 0.0
+    has_moments = False  # readouts of one frame are correlated
+
+    def __post_init__(self) -> None:
+        if self.inner.facts.gates:
+            raise InputError("clicks have no light that fluctuates here: give another noise")
+        if not (math.isfinite(self.fluctuation) and self.fluctuation >= 0):
+            raise InputError(f"a fluctuation of {self.fluctuation!r} is none: give 0 or more")
+
+    @property
+    def name(self) -> str:  # type: ignore[override]
+        """Name of the other noise."""
+        return self.inner.name
+
+    @property
+    def unbiased(self) -> bool:  # type: ignore[override]
+        """As the other noise is."""
+        return self.inner.unbiased
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Numbers of both."""
+        return {**self.inner.settings, "fluctuation": self.fluctuation}
+
+    def draw(self, rates: Tensor, random: Random = None, dark: Tensor | float = 0.0) -> Tensor:
+        """Counts of rails that are each in a frame of their own."""
+        return self.inner.draw(rates * self._light(_normal(rates, random)), random, dark)
+
+    def sample(
+        self,
+        rates: Tensor,
+        read: Readouts,
+        dark: Tensor | float = 0.0,
+        random: Random = None,
+        rails: int = -2,
+    ) -> Tensor:
+        """Counts of rails; those of one frame see the same light."""
+        shape = rates.movedim(rails, -2).shape
+        every = rates.new_empty(*shape[:-2], 2 * shape[-1])  # of no more frames than that
+        frame = read.frame.movedim(rails, -2).expand(shape).flatten(-2)
+        light = self._light(_normal(every, random)).gather(-1, frame)
+        factor = light.unflatten(-1, shape[-2:]).movedim(-2, rails)
+        return self.inner.sample(rates * factor, read, dark=dark, random=random, rails=rails)
+
+    def dark_counts(self, time: Tensor | float) -> Tensor | float:
+        """Of the other noise: light in the dark does not fluctuate."""
+        return self.inner.dark_counts(time)
+
+    def mean(self, rates: Tensor) -> Tensor:
+        """Of the other noise."""
+        return self.inner.mean(rates)
+
+    def slope(self, rates: Tensor) -> Tensor:
+        """Of the other noise."""
+        return self.inner.slope(rates)
+
+    def variance(self, light: Expectation) -> Tensor:
+        """σ² (r⁺² + r⁻²), or σ² (r⁺ − r⁻)² at once, beside that of the other noise."""
+        apart = (light.total.square() + light.mean.square()) / 2
+        at_once = light.read.frame[0] == light.read.frame[-1]
+        bright = torch.where(at_once, light.mean.square(), apart)
+        return self.inner.variance(light) + self.fluctuation**2 * light.gain * bright
+
+    def check(self, learning: bool) -> None:
+        """Raise `InputError` unless masks can learn under the other noise."""
+        self.inner.check(learning)
+
+    def of_jobs(self, jobs: int | slice) -> Self:
+        """The noise of some of the trainings side by side, whose light fluctuates alike."""
+        return replace(self, inner=self.inner.of_jobs(jobs))
+
+    @classmethod
+    def side_by_side(cls, noises: Sequence[Noise], device: torch.device) -> Noise:
+        """One noise with the numbers of R trainings, whose light fluctuates alike."""
+        inner = [each.inner for each in noises if isinstance(each, Fluctuation)]
+        return replace(noises[0], inner=type(inner[0]).side_by_side(inner, device))  # type: ignore[type-var]
+
+    def _light(self, normal: Tensor) -> Tensor:
+        """1 + ε, log-normal, of normal numbers."""
+        sigma = math.sqrt(math.log1p(self.fluctuation**2))
+        return torch.exp(sigma * normal - sigma**2 / 2)
+
+
 NOISE_CLASSES: dict[str, type[Noise]] = {
     each.name: each for each in (NoNoise, Gaussian, Poisson, MlGauss, CameraNoise, Click)
 }
@@ -489,7 +613,8 @@ def make_noise(setting: str | NoiseFunction, /, **numbers: Any) -> Noise:
             setting="noise",
             given=noise.name,
         )
-    return noise
+    fluctuation = numbers.get("fluctuation", 0.0)
+    return Fluctuation(noise, fluctuation) if fluctuation else noise
 
 
 def noise_of(camera: Camera, noise: str | NoiseFunction | None = None) -> Noise:

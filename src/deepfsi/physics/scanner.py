@@ -118,7 +118,7 @@ class Scanner(nn.Module):
         """
         read = self._readouts(rates.shape[-2])
         dark = self.noise.dark_counts(read.time) * share
-        return self.noise.sample(rates, read.active, dark, generator)
+        return self.noise.sample(rates, read, dark, generator)
 
     def dark_counts(self, rails: int) -> Tensor:
         """Expected dark counts (rails, m · D) of the readouts of an exposure of 1 or 2 rails.
@@ -159,8 +159,8 @@ class Scanner(nn.Module):
     def _readouts(self, rails: int) -> Readouts:
         """Readouts (..., rails, m · D): which rails are not dark by construction, and how long."""
         every = Detection(count=self.detection.count).readouts(self._arranged())
-        active, time = (each.movedim(0, -2)[..., :rails, :] for each in every)
-        return Readouts(active, time.detach())
+        read = Readouts(*(each.movedim(0, -2)[..., :rails, :] for each in every))
+        return read._replace(time=read.time.detach())
 
     def rates(self, photons: Tensor) -> Tensor:
         """Expected counts of each rail; shapes as `counts`."""

@@ -59,7 +59,7 @@ class TrainingNoise:
         # The Poisson draws of a seed are others than those of a generator of the same seed
         gain = torch.tensor(gains, device=device).unsqueeze(1)
         generators = [torch.Generator(device).manual_seed(seed ^ 2**31) for seed in seeds]
-        return cls(Noise.side_by_side(noises, device), gain, generators)
+        return cls(type(noises[0]).side_by_side(noises, device), gain, generators)
 
     def of_jobs(self, jobs: slice) -> "TrainingNoise":
         """Noise of some of the trainings, which draw from the same generators."""
@@ -88,14 +88,16 @@ class TrainingNoise:
 
     def counted(self, mean: Tensor, total: Tensor, read: Readouts) -> Tensor:
         """Features (B, R, k) from counts of two rails; parameters as of `features`."""
-        active, time = (each if each.ndim == 4 else each.unsqueeze(1) for each in read)
+        whole = [each if each.ndim == 4 else each.unsqueeze(1) for each in read]
         counts = []
         with torch.set_grad_enabled(not self.kind.unbiased and torch.is_grad_enabled()):
             rates = self._rates(mean, total)
             for job, kind in enumerate(self._kinds):
-                lit = active[:, :, job % active.shape[2]]
-                dark = kind.dark_counts(time[:, :, job % time.shape[2]])
-                counts.append(kind.sample(rates[:, :, job], lit, dark, self.generators[job]))
+                own = Readouts(*(each[:, :, job % each.shape[2]] for each in whole))
+                dark = kind.dark_counts(own.time)
+                counts.append(
+                    kind.sample(rates[:, :, job], own, dark, self.generators[job], rails=0)
+                )
             plus, minus = torch.stack(counts, dim=2)
         light = Expectation(mean, total, read, self.gain)
         return self.kind.gradient((plus - minus) / self.gain, light)

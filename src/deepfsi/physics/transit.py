@@ -116,7 +116,8 @@ class ScenePath:
         """Readouts of the bins: all are counted, for one time."""
         shown = torch.ones(2, 1, self.bins, dtype=torch.bool, device=device)
         shown[1] = False
-        return Readouts(shown, shown / self.bins)
+        bins = torch.arange(self.bins, device=device)
+        return Readouts(shown, shown / self.bins, bins.expand_as(shown))
 
 
 class FixedPattern(FixedMasks):

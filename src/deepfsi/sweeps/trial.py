@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from deepfsi.base import InputError, join_messages, source_hash
-from deepfsi.camera import LIGHT_LAWS, ONE_DETECTOR, Camera, find_noise
+from deepfsi.camera import LIGHT_LAWS, ONE_DETECTOR, Camera
 from deepfsi.datasets import Dataset
 from deepfsi.jobs import DESIGNS, REVISION, Code, Exposure, Job, custom_parts
 from deepfsi.sweeps.recipe import NamedCamera, Recipe, TestNoise
@@ -178,7 +178,7 @@ def _kinds(recipe: Recipe, data: Dataset) -> Iterator[tuple[str, NamedCamera]]:
 def _possible(code: Code, camera: Camera, detectors: int) -> bool:
     law, one_rail = LIGHT_LAWS[camera.light], code.rails == "single" and not code.every_pixel
     return not (
-        (code.learned_under is not None and not find_noise(camera.noise).exact)
+        (code.learned_under is not None and not camera.noise_facts.exact)
         or (law.arms == 2 and one_rail)
         or (code.rails == "dual" and camera.rails == "single")
         or (not law.one_device and detectors > 1)

@@ -94,7 +94,7 @@ def characterise(
             design.distribution = _distribution(design, scenes, training_set.data.groups)
         else:
             design.distribution = first.distribution
-        if design.exposure.comparable and design.gates is None:
+        if _compared(design):
             design.scene_model = first.scene_model or _scene_model(
                 design, scenes, training_set.data.groups
             )
@@ -165,9 +165,15 @@ def _shares(design: Design, scenes: Tensor, photons: float, seed: int) -> Tensor
     return shares / len(scenes)
 
 
+def _compared(design: Design) -> bool:
+    """True of designs whose counts are tested: the tests know photon noise alone."""
+    steady = design.gates is None and not design.camera.fluctuation
+    return design.exposure.comparable and steady
+
+
 def _distribution(design: Design, scenes: Tensor, labels: np.ndarray) -> ReadoutDistribution | None:
     """Distribution of the readouts of scenes (n, N) of classes (n,), if it can be had."""
-    if not design.exposure.comparable or design.gates is not None:
+    if not _compared(design):
         return None
     rows = sample_scenes(len(scenes), prod(design.counts_shape))
     x = scenes[rows]

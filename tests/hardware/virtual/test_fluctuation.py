@@ -14,14 +14,14 @@ from deepfsi.hardware.virtual import (
     VirtualOptics,
     record_scenes,
 )
-from deepfsi.hardware.virtual.detector import Fluctuation
+from deepfsi.hardware.virtual.detector import LightLevels
 
 PICTURES = 20_000
 
 
 def light(relative: float, seconds: float = 0.0) -> np.ndarray:
     rng = np.random.default_rng(1)
-    fluctuation = Fluctuation(relative, seconds, rng)
+    fluctuation = LightLevels(relative, seconds, rng)
     first = fluctuation.factors(np.arange(PICTURES // 2) * 1e-3)
     last = fluctuation.factors(np.arange(PICTURES // 2, PICTURES) * 1e-3)
     return np.concatenate([first, last])

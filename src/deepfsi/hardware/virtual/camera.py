@@ -39,7 +39,7 @@ from deepfsi.hardware.photons import PtuWriter
 from deepfsi.hardware.virtual.detector import (
     DETECTOR_TICK_S,
     Detector,
-    Fluctuation,
+    LightLevels,
     Shutter,
     Stream,
     divide,
@@ -110,24 +110,29 @@ class VirtualCamera(Detector):
 
     @classmethod
     def of(cls, camera: Camera) -> "VirtualCamera":
-        """One with the dark counts and the dead time of a camera that a laboratory describes."""
+        """One with the dark counts, dead time and fluctuating light of a laboratory's camera."""
         # Its flux is of counts: the efficiency of the detector is in it
         dead = camera.counter_dead_time
-        return cls(dark=camera.dark, dead_time_s=dead.seconds, paralysable=dead.paralysable)
+        return cls(
+            dark=camera.dark,
+            dead_time_s=dead.seconds,
+            paralysable=dead.paralysable,
+            fluctuation=camera.fluctuation,
+        )
 
     def fluctuate(
-        self, rates: np.ndarray, starts_s: np.ndarray, light: Fluctuation | None
+        self, rates: np.ndarray, starts_s: np.ndarray, light: LightLevels | None
     ) -> np.ndarray:
         """Arrivals/s (p, inputs) of pictures that start at these times, dark counts as they are."""
         if light is None:
             return rates
         return np.asarray((rates - self.dark) * light.factors(starts_s)[:, None] + self.dark)
 
-    def light(self, rng: np.random.Generator) -> Fluctuation | None:
+    def light(self, rng: np.random.Generator) -> LightLevels | None:
         """Light that fluctuates; None if it is steady, so that nothing is drawn for it."""
         if not self.fluctuation:
             return None
-        return Fluctuation(self.fluctuation, self.fluctuation_s, rng)
+        return LightLevels(self.fluctuation, self.fluctuation_s, rng)
 
 
 CAMERAS = {

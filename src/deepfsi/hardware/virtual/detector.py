@@ -99,7 +99,7 @@ def divide(durations: np.ndarray, rates: np.ndarray) -> Iterator[tuple[np.ndarra
         yield pieces[first:last], rates[source[first:last]]
 
 
-class Fluctuation:
+class LightLevels:
     """Light that fluctuates from picture to picture, as factors of its mean.
 
     Factors are log-normal with the mean 1. With a correlation time τ their logarithms are an

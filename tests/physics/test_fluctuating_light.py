@@ -1,0 +1,183 @@
+"""Light that fluctuates from frame to frame: moments, what is alike in a frame, and training."""
+
+import numpy as np
+import pytest
+import torch
+from scipy.stats import ks_2samp
+from torch import Tensor
+
+from conftest import generator
+from deepfsi import Camera, Scanner
+from deepfsi.base import InputError
+from deepfsi.hardware.virtual import VirtualCamera
+from deepfsi.jobs import AdaptiveMasks, Job, Range
+from deepfsi.physics import Detection, Poisson, Rails, noise_of
+from deepfsi.physics.noise import Fluctuation, MlGauss, make_noise
+from deepfsi.physics.training_noise import TrainingNoise
+
+DRAWS = 100_000
+SIGMA = 0.2
+LIGHT = torch.tensor([40.0, 90.0, 60.0, 20.0], dtype=torch.float64)
+TILES = Detection(count=2, labels=torch.tensor([0, 1, 0, 1]))
+SIGNED = torch.tensor([[0.4, -0.2, 0.1, -0.3], [-0.1, 0.3, -0.4, 0.2]], dtype=torch.float64)
+APART = torch.stack([SIGNED.clamp(min=0), (-SIGNED).clamp(min=0)])
+AT_ONCE = torch.stack([0.5 + SIGNED, 0.5 - SIGNED]) / 2
+"""Rails (2, m, N) that one arm shows one after the other, and that two arms see at once."""
+
+OPTICS = {
+    "one rail": (APART[:1] + 0.1, [[0], [1]]),
+    "one after the other": (APART, [[0, 2], [1, 3]]),
+    "two arms": (AT_ONCE, [[0, 0], [1, 1]]),
+}
+"""Rails, and number of the frame (m, rails) of each."""
+
+
+def covariance(rates: Tensor, frames: Tensor, relative: float = SIGMA) -> Tensor:
+    """By the definition: δ r of photons, and σ² r r′ of readouts of one frame, of rates (k,)."""
+    alike = frames[:, None] == frames
+    return torch.diag(rates) + relative**2 * alike * rates[:, None] * rates
+
+
+def assert_covariance(counts: Tensor, mean: Tensor, expected: Tensor) -> None:
+    """Of draws (n, k), to five standard errors by the draws themselves."""
+    off = counts.double() - mean
+    products = off[:, :, None] * off[:, None]
+    error = 5 * products.std(dim=0) / len(counts) ** 0.5 + 1e-9
+    assert (off.mean(dim=0).abs() <= 5 * off.std(dim=0) / len(counts) ** 0.5 + 1e-9).all()
+    assert ((products.mean(dim=0) - expected).abs() <= error).all()
+
+
+@pytest.mark.parametrize("optics", OPTICS)
+@pytest.mark.parametrize("detection", [Detection(), TILES], ids=["one detector", "two"])
+def test_counts_of_one_frame_share_its_light(optics, detection):
+    """For all detectors; for both rails where two arms see them at once."""
+    rails, frames = OPTICS[optics]
+    scanner = Scanner.from_rails(rails, Fluctuation(Poisson(), SIGMA), detection=detection)
+    rates = scanner.rates(LIGHT).flatten()
+    frame = torch.tensor(frames).T[: len(rails)].repeat_interleave(detection.count, dim=1)
+    counts = scanner.counts(LIGHT.expand(DRAWS, 4), generator()).flatten(1)
+    assert_covariance(counts, rates, covariance(rates, frame.flatten()))
+
+
+@pytest.mark.parametrize("optics", OPTICS)
+@pytest.mark.parametrize("readout", ["difference", "both"])
+@pytest.mark.parametrize("inner", [Poisson(), MlGauss()], ids=repr)
+def test_features_of_a_training_have_the_same_law(optics, readout, inner):
+    """And the variance that is claimed of them: that of the photons, and of the light."""
+    rails, frames = OPTICS[optics]
+    detection = Detection(readout, 2, TILES.labels)
+    gain = 3.0
+    arranged = Rails.of(rails).map(detection.arrange)
+    read = detection.readouts(arranged)
+    scanner = Scanner.from_rails(rails, "none", detection=detection)
+    rates = scanner.rates(LIGHT)
+    mean, total = detection.features(rates), detection.totals(rates)
+    read = type(read)(*(each.unsqueeze(1) for each in read))
+    noise = TrainingNoise.of([Fluctuation(inner, SIGMA)], [gain], [1], torch.device("cpu"))
+    pair = (each.expand(DRAWS, 1, len(mean)) / gain for each in (mean, total))
+    drawn = noise.features(*pair, read, lambda count: torch.zeros(0))[:, 0] * gain
+    frame = torch.tensor(frames).T[: len(rails)].repeat_interleave(2, dim=1)
+    every = covariance(rates.flatten(), frame.flatten())
+    # features are sums of counts of rails: by the same map as of the rates
+    signs = torch.stack(
+        [detection.features(unit.view_as(rates)) for unit in torch.eye(rates.numel()).double()], -1
+    )
+    expected = signs @ every @ signs.T
+    assert_covariance(drawn, mean, expected)
+    claimed = noise.variance(mean[None] / gain, total[None] / gain, read)[0] * gain**2
+    assert torch.allclose(claimed, expected.diagonal(), rtol=1e-5)
+
+
+def test_dark_counts_and_read_noise_do_not_fluctuate():
+    noise = make_noise("camera", sigma=2.0, dark=50.0, fluctuation=SIGMA)
+    counts = Scanner.from_rails(APART[:1] * 0 + 0.25, noise).counts(
+        LIGHT.expand(DRAWS, 4), generator()
+    )
+    rates = torch.full((2,), float(LIGHT.sum()) / 4).double()
+    expected = covariance(rates, torch.arange(2)) + torch.eye(2) * (50.0 * 0.25 + 4.0)
+    assert_covariance(counts.flatten(1), rates, expected)
+
+
+@pytest.mark.parametrize("name", ["none", "gaussian", "poisson", "ml_gauss", "camera", "click"])
+def test_steady_light_is_no_other_noise(name):
+    camera = Camera(noise=name)
+    steady, usual = noise_of(Camera.load(camera, fluctuation=0.0)), noise_of(camera)
+    assert type(steady) is type(usual)
+    assert torch.equal(*(each(LIGHT, generator()) for each in (steady, usual)))
+
+
+@pytest.mark.parametrize("optics", OPTICS)
+def test_gradient_is_that_of_the_expected_square(optics):
+    """E y² = μ² + L: of a quadratic the gradient of drawn counts is right in the mean."""
+    rails, _ = OPTICS[optics]
+    scale = torch.ones(2, 1, dtype=torch.float64, requires_grad=True)  # of each mask
+
+    class Dimmed(torch.nn.Module):
+        def forward(self) -> Rails:
+            return Rails.of(rails * scale)
+
+    scanner = Scanner(Dimmed(), Fluctuation(Poisson(), SIGMA))
+    rates = rails @ LIGHT
+    mean = rates[0] - rates[1] if len(rates) == 2 else rates[0]
+    bright = mean.square() if optics == "two arms" else rates.square().sum(dim=0)
+    exact = 2 * mean.square() + rates.sum(dim=0) + 2 * SIGMA**2 * bright
+    parts = []
+    for seed in range(100):
+        drawn = scanner(LIGHT.expand(2000, 4), generator(seed)).square().mean(dim=0).sum()
+        parts.append(torch.autograd.grad(drawn, scale)[0].flatten())
+    found = torch.stack(parts)
+    error = 5 * found.std(dim=0) / len(found) ** 0.5
+    assert ((found.mean(dim=0) - exact).abs() <= error).all()
+    assert (error < 0.1 * exact).all()
+
+
+def test_a_reference_count_divides_the_light_out():
+    """Y C / c has the variance r + r² / C, of a detector whose pixel no mask changes."""
+    # Pixels 0 and 1 behind masks, 2 the reference; of the second order in 1 / C is less than 1 %
+    light, rates = torch.tensor([100.0, 200.0, 1e4], dtype=torch.float64), 200.0
+    rails = torch.tensor([[[1.0, 0.5, 1.0], [0.0, 1.0, 1.0]]], dtype=torch.float64) / 1.0
+    detection = Detection(count=2, labels=torch.tensor([0, 0, 1]))
+    scanner = Scanner.from_rails(rails, Fluctuation(Poisson(), SIGMA), detection=detection)
+    counts = scanner.counts(light.expand(DRAWS, 3), generator())[:, 0].unflatten(-1, (2, 2))
+    measured, reference = counts.unbind(dim=-1)
+    divided = measured / reference * 1e4
+    # given ε the photon noise is r (1 + ε), over (1 + ε)²: E 1 / (1 + ε) = 1 + σ² of a log-normal
+    power = (rates + rates**2 / 1e4) * (1 + SIGMA**2)
+    assert float(divided.var(dim=0).sub(power).abs().max()) <= 0.03 * power
+    assert float(measured.var(dim=0).min()) > 8 * power
+
+
+def test_the_virtual_camera_draws_by_the_same_law():
+    """Equal levels, in a test of two samples; taken over from the camera's field."""
+    noise = Fluctuation(make_noise("none"), SIGMA)
+    drawn = noise.draw(torch.ones(20_000, dtype=torch.float64), generator()).numpy()
+    light = VirtualCamera.of(Camera(fluctuation=SIGMA)).light(np.random.default_rng(0))
+    assert light is not None
+    factors = light.factors(np.arange(20_000.0))
+    assert ks_2samp(drawn, factors).pvalue > 1e-6
+    assert abs(factors.std() - SIGMA) < 5 * SIGMA / (2 * 20_000) ** 0.5 * 1.2  # its kurtosis
+
+
+def test_steady_light_is_left_out_of_files():
+    """So that keys and files of cameras without it are the same."""
+    assert "fluctuation" not in Camera(sigma=0.0).model_dump(mode="json")
+    camera = Camera(fluctuation=0.05)
+    fields = camera.model_dump(mode="json")
+    assert fields["fluctuation"] == 0.05
+    assert Camera.restored(fields) == camera
+    job = Job(photons=1e3, masks=4, camera=camera)
+    assert "sigma" not in job.model_dump(exclude={"camera": {"sigma"}})["camera"]
+
+
+def test_what_is_of_steady_light_says_so():
+    with pytest.raises(InputError, match="column shows all masks at once"):
+        Camera.load("paper", fluctuation=0.1)
+    with pytest.raises(InputError, match="leave fluctuation or noise out"):
+        Camera.load(noise="click", fluctuation=0.1)
+    assert Camera.load(Camera(fluctuation=0.1), noise="click").fluctuation == 0
+    with pytest.raises(InputError, match="steady light: leave fluctuation out"):
+        AdaptiveMasks.check_camera(Camera(fluctuation=0.1))
+    job = Job(photons=1e3, masks=4, camera=Camera(fluctuation=0.1), exposure=Range(span=10))
+    assert any("leave out fluctuation" in str(fault) for fault in job.exposure.faults(job))
+    assert not Camera(fluctuation=0.1).noise_facts.exact
+    assert Camera().noise_facts.exact
