@@ -32,13 +32,12 @@ def under(design: Design, data: Dataset, learned: float, share: float) -> Design
     """
     stray = design.rails.difference.mean(dim=-1)
     mean = design.mean * (1 + learned) + (share - learned) * stray
-    return replace(
-        design,
+    exposure = design.mask_exposure.with_optics(
         summed_reflectance=summed_reflectance(ambient(data, share).x_train),
         mean=mean / (1 + share),
         std=design.std * (1 + learned) / (1 + share),
-        shares=design.shares,
     )
+    return replace(design, exposure=exposure)
 
 
 def displaced(data: Dataset) -> Dataset:

@@ -9,7 +9,7 @@ import pytest
 import torch
 from selenium.webdriver.common.by import By
 
-from conftest import generator, synthetic
+from conftest import exposing, generator, synthetic
 from deepfsi import Camera, evaluate, learn
 from deepfsi.evaluation import of_page, playable, with_rule
 from deepfsi.evaluation import page_data as payload
@@ -50,7 +50,7 @@ def designs(digits):
         data = synthetic((24,)) if kind == "spectra" else few
         made[kind] = learn(data, design="adaptive", masks=LOOKS, photons=PHOTONS, **settings)
     known = AdaptiveMasks(looks=LOOKS, spread=0.0)
-    made["among"] = replace(made["among"], prior=prior_of(few, known), settings=known)
+    made["among"] = exposing(made["among"], prior=prior_of(few, known), settings=known)
     rule = StoppingRule(after=tuple(range(1, LOOKS + 1)), threshold=SURE, photons=PHOTONS)
     made["one"] = with_rule(made["one"], rule)
     return made

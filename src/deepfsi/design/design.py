@@ -35,7 +35,6 @@ from deepfsi.designfile import (
     trained_camera,
 )
 from deepfsi.exposure import (
-    MASKS_ARE_MADE,
     AdaptiveExposure,
     Answer,
     ExposureKind,
@@ -121,8 +120,8 @@ class Design:
     @property
     def mask_exposure(self) -> MaskExposure:
         """The exposure of masks that are known before, or `InputError` where they are made."""
-        if not isinstance(self.exposure, MaskExposure):
-            raise InputError(MASKS_ARE_MADE, name="this design")
+        self.exposure.check("masks")
+        assert isinstance(self.exposure, MaskExposure)
         return self.exposure
 
     @property

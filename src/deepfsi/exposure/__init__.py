@@ -1,7 +1,6 @@
 """What is shown when, and what it tells: a kind of exposure each."""
 
 from deepfsi.exposure.adaptive import (
-    MASKS_ARE_MADE,
     MISFIT_BUDGETS,
     MISFIT_SCENES,
     AdaptiveExposure,
@@ -29,7 +28,6 @@ from deepfsi.exposure.training_set import Matrices, TrainingSet, dtypes, network
 
 __all__ = [
     "CHUNK",
-    "MASKS_ARE_MADE",
     "MASK_KINDS",
     "MISFIT_BUDGETS",
     "MISFIT_SCENES",

@@ -423,7 +423,7 @@ class AdaptiveExposure(ExposureKind):
 
     def first(self, masks: int) -> NoReturn:
         """Raise `InputError`: all looks are needed."""
-        raise InputError(POSTERIOR_ANSWERS, setting=("ideal", "first"))
+        raise InputError(self.refusals["ideal observer"], setting=("ideal", "first"))
 
     def stopping_at(self, threshold: float) -> "AdaptiveExposure":
         """The kind whose exposures stop at a probability of a class."""

@@ -350,7 +350,7 @@ def simulate_transits(
     def expect() -> np.ndarray:
         x = torch.from_numpy(np.ascontiguousarray(scenes, dtype=np.float32))
         edges = (path.shifts - 1) / 2 + step * (torch.arange(steps + 1) - steps / 2)
-        rates = passing_of(design).rates(design.scanner(), x / design.summed_reflectance)
+        rates = passing_of(design).rates(design.scanner(), x)
         traces = path.means(rates[:, 0], edges).double().numpy()
         return np.asarray(traces * photons / FINE)
 
