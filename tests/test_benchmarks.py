@@ -11,11 +11,12 @@ from torch import Tensor
 from torch.nn import functional
 
 from conftest import generator, quick
-from deepfsi import Mlp
+from deepfsi import Mlp, load_design
 from deepfsi.exposure import JobGroup, TrainingSet, build
 from deepfsi.hardware.patterns import unpack
 from deepfsi.hardware.patterns.frames import recount
 from deepfsi.jobs import Job, Training
+from deepfsi.physics import SLACK, light_law
 from deepfsi.physics.noise import attach_gradient
 from deepfsi.training import train
 from shared.benchmarks import benchmark
@@ -273,6 +274,17 @@ def test_the_bound_rises_with_the_budget(capsys):
     dim, bright = (float(row[2]) for row in rows)
     assert 0.1 < dim < bright - 0.1
     assert bright > 0.85
+
+
+def test_light_that_falls_where_it_tells_reads_more(capsys, tmp_path):
+    """A dose of structured light against impulse imaging of the same dose, alike everywhere."""
+    words = ["--data", "digits", "--epochs", "15", "--batch", "50"]
+    benchmark("dose").main([*words, "--dose", "250", "--out", str(tmp_path / "lit.safetensors")])
+    lit = float(capsys.readouterr().out.splitlines()[2].split("|")[4])
+    rails = load_design(tmp_path / "lit.safetensors").rails.stacked
+    assert light_law("dose").excess(rails) == pytest.approx(0, abs=SLACK)
+    assert rails.max() > 1  # more than `column` would give to any pixel
+    assert lit > 0.8
 
 
 @pytest.mark.slow

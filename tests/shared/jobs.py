@@ -9,7 +9,17 @@ from typing import Any
 from deepfsi import learn as learned
 from deepfsi.jobs import Job, sorted_settings
 
-OF_LEARN = ("counts", "matrix", "device", "report", "checkpoint")
+OF_LEARN = (
+    "counts",
+    "matrix",
+    "device",
+    "report",
+    "checkpoint",
+    "callback",
+    "patience",
+    "optimiser",
+    "schedule",
+)
 
 
 def nested(**settings: Any) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from deepfsi.base import (
     plain_keywords,
     write_atomically,
 )
-from deepfsi.base.numeric import mask_picture
+from deepfsi.base.numeric import loss_curve, mask_picture
 from deepfsi.camera import Camera, LightLawName, check_budget
 from deepfsi.design import check_counts
 from deepfsi.design.file import fields_of, file_of
@@ -113,7 +113,10 @@ class Design:
         text = f"<p>{escape(repr(self))}</p>"
         if self.exposure.makes_masks:
             return text
-        return f"{text}{mask_picture(self.matrix, self.mask_shape)}"
+        history = self.info.get("history", [])
+        epochs = [(each["epoch"], each["loss"], each["validation_loss"]) for each in history]
+        curve = loss_curve(epochs) if epochs else ""
+        return f"{text}{mask_picture(self.matrix, self.mask_shape)}{curve}"
 
     # What it shows
 

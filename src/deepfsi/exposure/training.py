@@ -60,6 +60,8 @@ class JobGroup:
         A user's own, for ``design="custom"``.
     masks : FixedMasks or LearnedMasks, optional
         That were learned before, of a control group.
+    start : array, shape (m, N), optional
+        That learned masks start from, in place of a named design's.
     """
 
     training_set: TrainingSet
@@ -67,6 +69,7 @@ class JobGroup:
     noise: TrainingNoise
     matrix: np.ndarray | None = None
     masks: FixedMasks | LearnedMasks | None = None
+    start: np.ndarray | None = None
 
     @classmethod
     def of(
@@ -74,7 +77,7 @@ class JobGroup:
         training_set: TrainingSet,
         jobs: Sequence[Job],
         matrix: np.ndarray | None = None,
-        masks: FixedMasks | LearnedMasks | None = None,
+        start: np.ndarray | None = None,
     ) -> "JobGroup":
         """Group with the noise that its jobs ask for; parameters as of the class."""
         job = jobs[0]
@@ -86,7 +89,7 @@ class JobGroup:
         gains = [each.photons / training_set.summed_reflectance for each in jobs]
         seeds = [each.seed for each in jobs]
         noise = TrainingNoise.of(noises, gains, seeds, training_set.device)
-        return cls(training_set, jobs, noise, matrix=matrix, masks=masks)
+        return cls(training_set, jobs, noise, matrix=matrix, start=start)
 
 
 class FeatureStatistics(NamedTuple):
@@ -134,6 +137,7 @@ class ExposureTraining(ABC):
         self.noise = group.noise
         self.training_set = group.training_set
         self.job = group.jobs[0]
+        self.group = group
         self.camera = self.job.optics
         self.scale = self.job.training.scale
         self.law = light_law(self.camera.light)
@@ -190,7 +194,9 @@ class ExposureTraining(ABC):
     def start(self) -> Tensor:
         """Matrices (R, m, P) that masks learn from, of the pixels that they may light."""
         pixels = self.scenes.pixels(self.camera.light).cpu()
-        signed = self.detection.of_pixels(pixels).arrange(self._matrices()[..., pixels])
+        own = self.group.start
+        matrices = self._matrices() if own is None else torch.from_numpy(own).unsqueeze(0)
+        signed = self.detection.of_pixels(pixels).arrange(matrices[..., pixels])
         return signed.expand(len(self.jobs), -1, -1).clone()
 
     def all_pixels(self) -> Tensor:

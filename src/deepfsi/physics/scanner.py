@@ -15,7 +15,8 @@ from deepfsi.physics.rails import Rails
 class Scanner(nn.Module):
     """Masks, detectors and their noise: (..., N) photons → (..., k) feature counts y⁺ − y⁻.
 
-    An ordinary module: put it in front of any network and train both.
+    An ordinary module: put it in front of any network and train both. Images (..., H, W) of as many
+    pixels as the masks have are flattened.
 
     Parameters
     ----------
@@ -75,7 +76,7 @@ class Scanner(nn.Module):
         return cls(FixedMasks(rails), noise, sigma, dark, detection)
 
     def forward(self, photons: Tensor, generator: torch.Generator | None = None) -> Tensor:
-        """Noisy features (..., [replicas,] k) of expected photons (..., N), in counts.
+        """Noisy features (..., [replicas,] k) of photons (..., N) or (..., H, W), in counts.
 
         Differentiable in the masks. Under gaussian noise and `ml_gauss` the two rails' noise is
         drawn at once, which is the same in distribution.
@@ -174,12 +175,11 @@ class Scanner(nn.Module):
 
     def _light(self, photons: Tensor) -> Tensor:
         """Photons with the pixels of each detector together, checked."""
-        _check_light(photons, self.masks().difference.shape[-1])
-        return self.detection.arrange(photons)
+        return self.detection.arrange(_flat(photons, self.masks().difference.shape[-1]))
 
 
-def _check_light(photons: Any, pixels: int) -> None:
-    """Raise `InputError` unless photons (..., N) are those of scenes of so many pixels."""
+def _flat(photons: Any, pixels: int) -> Tensor:
+    """Photons (..., N) of scenes of so many pixels, which may be images (..., H, W)."""
     if not isinstance(photons, Tensor):
         raise InputError(
             f"photons were given as {type(photons).__name__}: give a tensor, such as "
@@ -187,11 +187,14 @@ def _check_light(photons: Any, pixels: int) -> None:
         )
     if not photons.is_floating_point():
         raise InputError(f"photons of type {photons.dtype} were given: give photons.float()")
-    if photons.ndim == 0 or photons.shape[-1] != pixels:
-        raise InputError(
-            f"photons of shape {tuple(photons.shape)} do not fit masks of {pixels} pixels: give "
-            f"(..., {pixels}), images flattened"
-        )
+    if photons.ndim > 0 and photons.shape[-1] == pixels:
+        return photons
+    if photons.ndim > 1 and photons.shape[-2] * photons.shape[-1] == pixels:
+        return photons.flatten(-2)
+    raise InputError(
+        f"photons of shape {tuple(photons.shape)} do not fit masks of {pixels} pixels: give "
+        f"(..., {pixels}), or images of so many"
+    )
 
 
 def project(photons: Tensor, masks: Tensor, parts: int = 1) -> Tensor:

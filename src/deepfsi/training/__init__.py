@@ -3,6 +3,7 @@
 from deepfsi.training.assembly import design_of
 from deepfsi.training.characterisation import find_temperatures
 from deepfsi.training.checkpoint import NO_CHECKPOINT, Checkpoint
+from deepfsi.training.hooks import Epoch
 from deepfsi.training.learning import (
     Diverged,
     check_fits,
@@ -19,6 +20,7 @@ __all__ = [
     "NO_CHECKPOINT",
     "Checkpoint",
     "Diverged",
+    "Epoch",
     "ReadoutsResult",
     "batch_of",
     "check_fits",

@@ -85,7 +85,7 @@ class LoopState:
     def __post_init__(self) -> None:
         self.generators = [*(each.generator for each in self.draws.streams), *self.generators]
 
-    def _learned(self) -> dict[str, Tensor]:
+    def learned(self) -> dict[str, Tensor]:
         """Parameters and buffers of the modules, as they are now."""
         return {
             f"module.{place}.{name}": tensor.detach()
@@ -95,7 +95,7 @@ class LoopState:
 
     def arrays(self) -> Arrays:
         """State of a loop, of which a step at least was done."""
-        tensors = self._learned()
+        tensors = self.learned()
         for index, generator in enumerate(self.generators):
             tensors[f"generator.{index}"] = generator.get_state()
         if self.cost is not None:
@@ -111,7 +111,9 @@ class LoopState:
 
     def restore(self, step: int, arrays: Mapping[str, np.ndarray]) -> None:
         """Go to a step of the loop, whose state this is."""
-        for name, tensor in self._learned().items():
+        if "rows.0" not in arrays:  # it ended there
+            self.total = step
+        for name, tensor in self.learned().items():
             tensor.copy_(_tensor(arrays[name], tensor))
         for index, generator in enumerate(self.generators):
             generator.set_state(torch.from_numpy(arrays[f"generator.{index}"]))
@@ -182,6 +184,7 @@ class Checkpoint:
         jobs: Sequence[Job],
         matrix: np.ndarray | None = None,
         counts: float | None = None,
+        start: np.ndarray | None = None,
     ) -> "Checkpoint":
         """Checkpoint of jobs that train together, read if its file is there.
 
@@ -190,15 +193,16 @@ class Checkpoint:
         path : path, optional
         training_set : TrainingSet
         jobs : sequence of Job
-        matrix, counts
-            As of `learn`.
+        matrix, counts, start
+            As of `learn`, the start as a matrix.
         """
         if path is None:
             return cls()
         job = jobs[0]
         name = training_set.data.name
         title = f"{job.design}, {job.masks} masks, {job.photons:g} photons on {name}"
-        checkpoint = cls(Path(path), _key(training_set, jobs, matrix, counts), title)
+        masks = {"matrix": matrix} if start is None else {"matrix": matrix, "start": start}
+        checkpoint = cls(Path(path), _key(training_set, jobs, masks, counts), title)
         if os.path.lexists(path):
             checkpoint._read()
         return checkpoint
@@ -291,7 +295,10 @@ NO_CHECKPOINT = Checkpoint()
 
 
 def _key(
-    training_set: TrainingSet, jobs: Sequence[Job], matrix: np.ndarray | None, counts: float | None
+    training_set: TrainingSet,
+    jobs: Sequence[Job],
+    masks: Mapping[str, np.ndarray | None],
+    counts: float | None,
 ) -> str:
     """Hash of all that the bits of a training depend on."""
     names = custom_parts(jobs[0])
@@ -305,12 +312,17 @@ def _key(
         "jobs": [each.model_dump(mode="json") for each in jobs],
         "sources": [source_hash(name) for name in names],
         "data": (training_set.data.hash, training_set.data.held_out),
-        "matrix": None if matrix is None else _content({"matrix": np.asarray(matrix, np.float32)}),
+        **{name: None if each is None else array_hash(each) for name, each in masks.items()},
         "counts": counts,
         "torch": torch.__version__,
         "device": training_set.device.type,
     }
     return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()
+
+
+def array_hash(matrix: np.ndarray) -> str:
+    """SHA-256 in hex over a matrix in float32."""
+    return _content({"matrix": np.asarray(matrix, np.float32)})
 
 
 def _content(arrays: Mapping[str, np.ndarray]) -> str:

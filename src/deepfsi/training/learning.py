@@ -10,15 +10,17 @@ for, until these are the same.
 import os
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import torch
+from torch.optim.lr_scheduler import LRScheduler
 
 from deepfsi.base import SILENT, InputError, Message, Progress, plain_keywords, progress_bar
 from deepfsi.base.numeric import check_memory, free_memory
 from deepfsi.camera import CameraSource, check_budget
-from deepfsi.datasets import Source, as_dataset
+from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design import Design
 from deepfsi.exposure import (
     AdaptiveExposure,
@@ -31,7 +33,15 @@ from deepfsi.exposure import (
     dtypes,
     matrix_seeds,
 )
-from deepfsi.jobs import AdaptiveMasks, ExposureSource, Job, TrainingSource, find_job, table_advice
+from deepfsi.jobs import (
+    AdaptiveMasks,
+    ExposureSource,
+    Job,
+    Passing,
+    TrainingSource,
+    find_job,
+    table_advice,
+)
 from deepfsi.physics import library_defaults
 from deepfsi.training.characterisation import (
     calibrated_prior,
@@ -41,7 +51,8 @@ from deepfsi.training.characterisation import (
     prior_without,
     provenance,
 )
-from deepfsi.training.checkpoint import NO_CHECKPOINT, Checkpoint
+from deepfsi.training.checkpoint import NO_CHECKPOINT, Checkpoint, array_hash
+from deepfsi.training.hooks import Epoch, LoopHooks
 from deepfsi.training.loop import AnyClassifier, batch_of, optimise
 
 MASK_COPIES = 16
@@ -69,6 +80,10 @@ ADAPTIVE_SHARE = 0.5
 """Share of the budget that adaptive masks count, nearly: half of the mirrors are ON."""
 
 
+HOOKS = ("callback", "patience", "optimiser", "schedule")
+"""What a user may add to the loop."""
+
+
 class Diverged(InputError):
     """Training ended in numbers that are not finite."""
 
@@ -90,6 +105,11 @@ def learn(
     device: str | torch.device = "auto",
     report: Progress | None = None,
     checkpoint: str | os.PathLike[str] | None = None,
+    start: Design | np.ndarray | None = None,
+    callback: Callable[[Epoch], bool | None] | None = None,
+    patience: int | None = None,
+    optimiser: Callable[[list[dict[str, Any]]], torch.optim.Optimizer] | None = None,
+    schedule: Callable[[torch.optim.Optimizer, int], LRScheduler] | None = None,
 ) -> Design:
     """Train one design on all training scenes of a data set.
 
@@ -125,6 +145,21 @@ def learn(
         File of the training's state, written every two minutes and at Ctrl-C, removed at the end.
         If it is there, the training is resumed from it, to the same bits. Parts of your own are
         given by their import paths then; modules keep their state in parameters and buffers.
+    start : Design or array, shape (m, N), optional
+        Whose masks learned masks start from; those of `training.start` unless given.
+    callback : callable, optional
+        Called after each epoch with an `Epoch`: its number, loss, learning rate, and loss and
+        accuracy of held-out scenes, which ``data.hold_out()`` has. If it returns true, the training
+        ends there. No bit of a training depends on it. `Design.info` keeps the ``history``.
+    patience : int, optional
+        Epochs without a lower loss of held-out scenes after which the training ends. The weights
+        of the best epoch are kept, also where it lasts all its epochs.
+    optimiser : callable, optional
+        Gives a torch optimiser of groups of parameters, which have their ``lr`` and
+        ``weight_decay``, such as ``torch.optim.SGD``; AdamW unless given.
+    schedule : callable, optional
+        Gives a torch schedule of the optimiser and the number of all steps, and is stepped in each;
+        ``OneCycleLR`` unless given.
 
     Raises
     ------
@@ -147,19 +182,35 @@ def learn(
         "training": training,
         "seed": seed,
     }
+    if start is not None:
+        start = _start_matrix(start)
+        settings["masks"] = len(start) if masks is None else masks
+    hooks = LoopHooks(callback, patience, optimiser=optimiser, schedule=schedule)
     job = find_job(settings, counts)
     training_set = TrainingSet(as_dataset(data), device)
-    state = Checkpoint.of(checkpoint, training_set, [job], matrix=matrix, counts=counts)
+    _check_hooks(hooks, job, training_set.data, resumable=checkpoint is not None)
+    state = Checkpoint.of(
+        checkpoint, training_set, [job], matrix=matrix, counts=counts, start=start
+    )
 
     def train_at(photons: float, bar: Progress) -> Design:
         at_budget = job.model_copy(update={"photons": check_budget(photons)})
-        return train(training_set, [at_budget], matrix, report=bar, checkpoint=state)[0]
+        [made] = train(
+            training_set,
+            [at_budget],
+            matrix,
+            report=bar,
+            checkpoint=state,
+            start=start,
+            hooks=hooks,
+        )
+        return made
 
     with progress_bar(report, f"{job.design}, {job.masks} masks") as bar:
         if counts is None or job.training.counts is not None:
             made = train_at(job.photons, bar)
         else:
-            share = _first_share(training_set, job, matrix)
+            share = _first_share(training_set, job, matrix, start)
             made = train_for_counts(counts, share, train_at, bar)
     state.remove()
     return made
@@ -172,6 +223,8 @@ def train(
     matrix: np.ndarray | None = None,
     report: Progress = SILENT,
     checkpoint: Checkpoint = NO_CHECKPOINT,
+    start: np.ndarray | None = None,
+    hooks: LoopHooks | None = None,
 ) -> Sequence[Design]:
     """Train designs side by side that differ in budget, sigma and seed only, in their order.
 
@@ -185,6 +238,10 @@ def train(
     report : Progress
     checkpoint : Checkpoint
         Whoever keeps the designs removes it.
+    start : array, shape (m, N), optional
+        That learned masks start from.
+    hooks : LoopHooks, optional
+        What a user adds to the loop.
 
     Returns
     -------
@@ -192,21 +249,30 @@ def train(
         One for each job.
     """
     began = time.perf_counter()
-    _check(training_set, jobs, matrix)
+    hooks = hooks or LoopHooks()
+    _check(training_set, jobs, matrix, start)
     if jobs[0].code.adaptive:
         return _adaptive_designs(training_set, jobs, report)
     folds = [] if training_set.data.held_out else folds_of(training_set.data)
     own, *others = report.split(1 + len(folds))
-    designs = _designs(training_set, jobs, matrix, report=own, checkpoint=checkpoint)
-    for job, design in zip(jobs, designs, strict=True):
+    masks = {"matrix": matrix, "start": start}
+    hooks.lengths.clear()
+    designs = _designs(
+        JobGroup.of(training_set, jobs, **masks), own, checkpoint=checkpoint, hooks=hooks
+    )
+    for place, (job, design) in enumerate(zip(jobs, designs, strict=True)):
         design.info = provenance(job, training_set.data, training_set.device, 0.0)
+        design.info |= hooks.info(place)
+        if start is not None:
+            design.info["start"] = array_hash(start)
         clicks = Clicks.of(design.info)
         design.exposure = design.mask_exposure.with_optics(clicks=clicks)
         design.training_scenes = training_set.scenes
-    left_out = [
-        (fold, _designs(training_set.of(fold), jobs, matrix, report=span, checkpoint=checkpoint))
-        for fold, span in zip(folds, others, strict=True)
-    ]
+    left_out = []
+    for fold, span in zip(folds, others, strict=True):
+        group = JobGroup.of(training_set.of(fold), jobs, **masks)
+        without = _designs(group, span, checkpoint=checkpoint, hooks=hooks.for_fold())
+        left_out.append((fold, without))
     characterise(training_set, jobs, designs, left_out)
     seconds = (checkpoint.seconds + time.perf_counter() - began) / len(jobs)
     for design in designs:
@@ -249,35 +315,81 @@ def companions(job: Job, device: torch.device) -> tuple[Any, ...]:
     return (job.model_dump_json(exclude=apart), dtypes(job, device))
 
 
-def _check(training_set: TrainingSet, jobs: Sequence[Job], matrix: np.ndarray | None) -> None:
+def _check(
+    training_set: TrainingSet,
+    jobs: Sequence[Job],
+    matrix: np.ndarray | None,
+    start: np.ndarray | None,
+) -> None:
     """Raise an error unless jobs can train together on the data, in the memory that is free."""
     # Jobs that learn the masks of others before ask for nothing that these do not
     if len({companions(each, training_set.device) for each in jobs}) > 1:
         raise ValueError("jobs that train together may differ in photons, sigma and seed only")
     for each in jobs:
         each.check(training_set.data, matrix)
+        if start is not None:
+            _check_start(start, each, training_set)
     check_fits(training_set, jobs)
 
 
+def _start_matrix(start: Design | np.ndarray) -> np.ndarray:
+    """Matrix (m, N) of a design or a user's own."""
+    matrix = np.asarray(start.matrix if isinstance(start, Design) else start)
+    if matrix.ndim != 2 or matrix.dtype.kind not in "biuf" or not np.isfinite(matrix).all():
+        raise InputError(
+            f"masks cannot start from an array of shape {matrix.shape} and type {matrix.dtype}: "
+            "give a design, or finite numbers (masks, pixels)"
+        )
+    return matrix.astype(np.float32)
+
+
+def _check_start(start: np.ndarray, job: Job, training_set: TrainingSet) -> None:
+    """Raise `InputError` unless the masks of a job learn, and can start from such a matrix."""
+    if not job.mask_job().code.learned:
+        raise InputError(f"masks of {job.design} do not learn: leave `start` out")
+    if isinstance(job.exposure, Passing):
+        raise InputError("the pattern of passing scenes starts at random: leave `start` out")
+    shape = job.masks, training_set.view(job.exposure).data.pixels
+    if start.shape != shape:
+        raise InputError(f"a start of shape {start.shape} does not fit: give {shape}")
+    if job.optics.rails == "single" and (start < 0).any():
+        raise InputError("a start of a single rail has negative entries: give 0 or more")
+
+
+def _check_hooks(hooks: LoopHooks, job: Job, data: Dataset, resumable: bool) -> None:
+    """Raise `InputError` where a training cannot have what a user adds to its loop."""
+    extra = [name for name in HOOKS if getattr(hooks, name) is not None]
+    if extra and job.code.adaptive:
+        raise InputError(f"adaptive masks learn by no steps: leave {' and '.join(extra)} out")
+    apart = [name for name in extra if name != "callback"]
+    if resumable and apart:
+        raise InputError(
+            f"a training with {' and '.join(apart)} is not resumed: leave {' and '.join(apart)}, "
+            "or `checkpoint`, out"
+        )
+    if hooks.patience is not None and not data.held_out:
+        raise InputError(
+            f"patience is measured on held-out scenes, and {data.name} has none: give "
+            "`data.hold_out()`"
+        )
+
+
 def _designs(
-    training_set: TrainingSet,
-    jobs: Sequence[Job],
-    matrix: np.ndarray | None,
-    report: Progress,
-    checkpoint: Checkpoint,
+    group: JobGroup, report: Progress, *, checkpoint: Checkpoint, hooks: LoopHooks
 ) -> list[Design]:
     """Designs of jobs that train side by side."""
-    job = jobs[0]
-    data = training_set.data
-    masks = None
-    if job.code.learned_under:
+    jobs = group.jobs
+    data = group.training_set.data
+    if jobs[0].code.learned_under:
         # those of the control group are learned before, under gaussian noise and with a network of
         # their own
         before, report = report.split(2)
-        teachers = JobGroup.of(training_set, [each.mask_job() for each in jobs])
-        masks = _optimised(teachers, before, checkpoint)[0].masks
-    group = JobGroup.of(training_set, jobs, matrix=matrix, masks=masks)
-    exposure, classifiers = _optimised(group, report, checkpoint)
+        teachers = JobGroup.of(
+            group.training_set, [each.mask_job() for each in jobs], start=group.start
+        )
+        taught = _optimised(teachers, before, checkpoint=checkpoint, hooks=hooks)[0]
+        group = replace(group, masks=taught.masks)
+    exposure, classifiers = _optimised(group, report, checkpoint=checkpoint, hooks=hooks)
     with torch.no_grad():
         trained = exposure.finish()
     return [
@@ -286,18 +398,18 @@ def _designs(
             classes=data.classes,
             exposure=own,
             classifier=classifier,
-            values=training_set.values,
+            values=group.training_set.values,
         )
         for each, own, classifier in zip(jobs, trained, classifiers, strict=True)
     ]
 
 
 def _optimised(
-    group: JobGroup, report: Progress, checkpoint: Checkpoint
+    group: JobGroup, report: Progress, *, checkpoint: Checkpoint, hooks: LoopHooks
 ) -> tuple[ExposureTraining, list[AnyClassifier]]:
     """Masks, which are fixed from here on, and networks after training."""
     exposure = build(group)
-    classifiers = optimise(exposure, report, checkpoint)
+    classifiers = optimise(exposure, report, checkpoint, hooks)
     exposure.fix()
     networks = [*classifiers, *exposure.choose.networks]
     weights = [parameter for network in networks for parameter in network.parameters()]
@@ -307,12 +419,14 @@ def _optimised(
     return exposure, classifiers
 
 
-def _first_share(training_set: TrainingSet, job: Job, matrix: np.ndarray | None) -> float:
+def _first_share(
+    training_set: TrainingSet, job: Job, matrix: np.ndarray | None, start: np.ndarray | None
+) -> float:
     """Share of the budget that the masks count before training; parameters as for `train`."""
-    job.check(training_set.data, matrix)
+    _check(training_set, [job], matrix, start)
     if job.code.adaptive:
         return ADAPTIVE_SHARE
-    exposure = build(JobGroup.of(training_set, [job], matrix=matrix))
+    exposure = build(JobGroup.of(training_set, [job], matrix=matrix, start=start))
     exposure.fix()
     light = exposure.masks().total[0] @ exposure.scenes.full.mean(dim=0)
     return float(light.sum()) * exposure.tokens / training_set.summed_reflectance

@@ -16,6 +16,7 @@ from typing import Any
 
 import torch
 from torch import nn
+from torch.optim.lr_scheduler import LRScheduler, OneCycleLR
 
 from deepfsi.base import SILENT, InputError, Progress
 from deepfsi.exposure import ExposureTraining, network_dtype
@@ -23,7 +24,8 @@ from deepfsi.jobs import VIT, Training
 from deepfsi.networks import Mlp, OwnClassifier, Replicas, Vit, make, seeded
 from deepfsi.physics import Draws
 from deepfsi.training.checkpoint import NO_CHECKPOINT, Checkpoint, LoopState
-from deepfsi.training.losses import CountsCost, find_loss, sum_over
+from deepfsi.training.hooks import LoopHooks, check_made
+from deepfsi.training.losses import CountsCost, answer_losses, find_loss, sum_over
 
 AnyClassifier = Mlp | Vit | OwnClassifier
 """What is trained to classify."""
@@ -42,6 +44,7 @@ def optimise(
     exposure: ExposureTraining,
     report: Progress = SILENT,
     checkpoint: Checkpoint = NO_CHECKPOINT,
+    hooks: LoopHooks | None = None,
 ) -> list[AnyClassifier]:
     """Train classifiers of jobs side by side, with masks that learn and choosers of dwells.
 
@@ -53,12 +56,15 @@ def optimise(
     report : Progress
     checkpoint : Checkpoint
         Where the state of the loop is kept, from which it may be resumed.
+    hooks : LoopHooks, optional
+        Who is told of epochs, and other ways to step.
 
     Returns
     -------
     list of modules
         Classifier of each job.
     """
+    hooks = hooks or LoopHooks()
     job = exposure.job
     settings = job.training
     device = exposure.training_set.device
@@ -79,10 +85,9 @@ def optimise(
         groups.append(parameter_group(choose, CHOOSER_LR * settings.lr, settings.decay))
     if exposure.learns:
         groups.append(parameter_group(exposure.masks, settings.mask_lr))
-    optimiser = torch.optim.AdamW(groups, fused=True)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(
-        optimiser, [each["lr"] for each in groups], total_steps=total
-    )
+    made = (hooks.optimiser or adamw)(groups)
+    optimiser = check_made("optimiser", made, torch.optim.Optimizer)
+    schedule = check_made("schedule", (hooks.schedule or one_cycle)(optimiser, total), LRScheduler)
     modules = [classify, choose, *([exposure.masks] if exposure.learns else [])]
     generators = exposure.noise.generators + _generators(
         settings, [*classifiers, *choose.networks], device
@@ -98,16 +103,19 @@ def optimise(
     )
     elements = batch * len(exposure.jobs) * exposure.tokens * max(job.masks, *settings.hidden, 1)
     of_torch = seeded(job.seed) if settings.is_custom else nullcontext()
-    with _threads(elements), of_torch, checkpoint.of_loop(state):
+    watching = hooks.of_loop(exposure, state, scene_loss, [*classifiers, *choose.networks])
+    with _threads(elements), of_torch, checkpoint.of_loop(state), watching as watch:
         report(state.step / total)
         due = time.monotonic() + REPORT_SECONDS
-        for number in range(state.step, total):
+        for number in range(state.step, state.total):
             if number % steps == 0:
                 draws.shuffle()
             truth = draws.gather(number % steps)  # gather: (B, R)
             inputs = exposure.inputs(draws)  # expose: (B, R, …), of K looks (K · B, R, …)
             outputs = classify(inputs)  # classify: (B, R, C)
-            loss = sum_over(scene_loss, outputs, truth) / batch
+            losses = answer_losses(scene_loss, outputs, truth)
+            watch.take(losses[-1])
+            loss = sum_over(losses) / batch
             if cost is not None and exposure.counts is not None:
                 loss = loss + cost(exposure.counts).sum()
             loss.backward()  # step
@@ -119,6 +127,9 @@ def optimise(
             if state.step % steps == 0 or time.monotonic() > due:
                 report(state.step / total)
                 due = time.monotonic() + REPORT_SECONDS
+            if watch.ends():
+                state.total = state.step
+                break
     for replicas in (classify, choose):
         replicas.hand_back()
     for network in [*classifiers, *choose.networks]:
@@ -138,6 +149,17 @@ def batch_of(settings: Training, count: int) -> int:
         Scenes in all.
     """
     return min(settings.batch or min(max(count // 100, 32), 500), count)
+
+
+def adamw(groups: list[dict[str, Any]]) -> torch.optim.Optimizer:
+    """Optimiser of groups of parameters with their rates."""
+    return torch.optim.AdamW(groups, fused=True)
+
+
+def one_cycle(optimiser: torch.optim.Optimizer, steps: int) -> LRScheduler:
+    """One cycle of so many steps up to the rates of the groups."""
+    rates = [group["lr"] for group in optimiser.param_groups]
+    return OneCycleLR(optimiser, rates, total_steps=steps)
 
 
 def parameter_group(module: nn.Module, lr: float, decay: float = 0.0) -> dict[str, Any]:

@@ -69,14 +69,16 @@ def squared_error(outputs: Tensor, values: Tensor) -> Tensor:
     return (outputs - values).square().mean(dim=-1)
 
 
-def sum_over(loss: SceneLoss, outputs: Tensor, truth: Tensor) -> Tensor:
-    """Sum of a loss over scenes and replicas: outputs (K · B, R, C) of K answers, truth (B, R).
-
-    Truth of values is (B, R, q). Answers before the last look count `EARLY_LOOKS_WEIGHT`.
-    """
+def answer_losses(loss: SceneLoss, outputs: Tensor, truth: Tensor) -> Tensor:
+    """Losses (K, B · R) of K answers, outputs (K · B, R, C), whose truth is (B, R [, q])."""
     answers = len(outputs) // len(truth)
     wanted = truth.repeat(answers, *[1] * (truth.ndim - 1)).flatten(0, 1)
-    *early, last = loss(outputs.flatten(0, 1), wanted).view(answers, -1).sum(dim=1)
+    return loss(outputs.flatten(0, 1), wanted).view(answers, -1)
+
+
+def sum_over(losses: Tensor) -> Tensor:
+    """Sum of losses (K, n) of K answers; those before the last look count `EARLY_LOOKS_WEIGHT`."""
+    *early, last = losses.sum(dim=1)
     if not early:
         return last
     return last + EARLY_LOOKS_WEIGHT / len(early) * sum(early)

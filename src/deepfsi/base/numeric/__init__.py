@@ -18,7 +18,7 @@ from deepfsi.base.numeric.arrays import (
     read_zip_entry,
     split_variable,
 )
-from deepfsi.base.numeric.html import accuracy_curve, confusion_table, mask_picture
+from deepfsi.base.numeric.html import accuracy_curve, confusion_table, loss_curve, mask_picture
 from deepfsi.base.numeric.intervals import (
     CONFIDENCE,
     MOST_CLASSES,
@@ -99,6 +99,7 @@ __all__ = [
     "is_table",
     "is_whole_number",
     "list_variables",
+    "loss_curve",
     "mask_picture",
     "mean_of_trials",
     "normal_name",

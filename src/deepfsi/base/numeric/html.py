@@ -141,3 +141,53 @@ def accuracy_curve(points: Sequence[tuple[float, float, float, float]]) -> str:
         f"<svg role='img' aria-label='accuracy against photons' width='{WIDTH}' "
         f"height='{HEIGHT}' style='{look}'>{''.join(lines)}</svg>"
     )
+
+
+def loss_curve(epochs: Sequence[tuple[int, float, float | None]]) -> str:
+    """Curves of the loss of a training over its epochs.
+
+    Parameters
+    ----------
+    epochs : sequence of (int, float, float or None)
+        Number of an epoch, its loss, and the loss of held-out scenes where there are any.
+    """
+    first = epochs[0][0]
+    span = epochs[-1][0] - first or 1
+    highest = max(loss for _, *losses in epochs for loss in losses if loss is not None) or 1.0
+
+    def x(number: int) -> float:
+        return LEFT + 20 + (number - first) / span * (WIDTH - LEFT - 40)
+
+    def y(loss: float) -> float:
+        return 10 + (1 - max(loss, 0.0) / highest) * (HEIGHT - FOOT - 10)
+
+    lines = [
+        f"<path d='M{LEFT} {y(tick):.1f}H{WIDTH}' stroke='#8884'/>"
+        f"<text x='{LEFT - 6}' y='{y(tick) + 4:.1f}' text-anchor='end'>{tick:.2g}</text>"
+        for tick in (0.0, highest / 2, highest)
+    ]
+    for number in sorted({first, epochs[-1][0]}):
+        lines.append(
+            f"<text x='{x(number):.1f}' y='{HEIGHT - FOOT + 14}' text-anchor='middle'>{number}"
+            "</text>"
+        )
+    curves = [("training", "stroke-dasharray='4 3'"), ("held-out scenes", "")]
+    for column, (title, dashes) in enumerate(curves):
+        points = [
+            f"{x(number):.1f},{y(loss):.1f}"
+            for number, *losses in epochs
+            if (loss := losses[column]) is not None
+        ]
+        if points:
+            way = " ".join(points)
+            lines.append(
+                f"<polyline points='{way}' fill='none' stroke='rgb({TINT})' {dashes}>"
+                f"<title>{title}</title></polyline>"
+            )
+    words = "epoch (dashed: loss of training; solid: of held-out scenes)"
+    lines.append(f"<text x='{WIDTH / 2:.0f}' y='{HEIGHT - 4}' text-anchor='middle'>{words}</text>")
+    look = "font: 12px sans-serif; fill: currentColor"
+    return (
+        f"<svg role='img' aria-label='loss over epochs' width='{WIDTH}' "
+        f"height='{HEIGHT}' style='{look}'>{''.join(lines)}</svg>"
+    )

@@ -1,0 +1,297 @@
+"""Hooks of a user in the loop of a training: who hears of epochs, where it ends, how it steps.
+
+Held-out scenes (`Dataset.hold_out`) are answered after each epoch by the designs as they would be
+if the training ended there. Their exposures have a generator of their own, and the generators of
+the training are set back, so that no bit of a training depends on who looks on.
+"""
+
+import copy
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field
+from typing import Any, TypeVar
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.optim.lr_scheduler import LRScheduler
+
+from deepfsi.base import InputError
+from deepfsi.design import Design
+from deepfsi.exposure import CHUNK, Clicks, ExposureTraining
+from deepfsi.networks import Replicas
+from deepfsi.training.checkpoint import LoopState
+from deepfsi.training.losses import SceneLoss
+
+Made = TypeVar("Made")
+
+
+@dataclass(frozen=True)
+class Epoch:
+    """One epoch of a training.
+
+    Attributes
+    ----------
+    epoch, epochs : int
+        Number of the epoch, from 1, and how many were asked for.
+    loss : float
+        Mean over the scenes of the epoch, under noise and while weights change: of the answer at
+        the end of an exposure, without the cost of counts.
+    lr : float
+        Learning rate of the classifier in the last step.
+    design : str
+        What is trained: of a control group its masks first, ``"deepfsi"``.
+    photons : float
+        Budget of the training, the lowest of a range.
+    seed : int
+    validation_loss, validation_accuracy : float or None
+        Of held-out scenes under the camera's noise, at the middle budget of a range; None without
+        such scenes. Values have no accuracy.
+    """
+
+    epoch: int
+    epochs: int
+    loss: float
+    lr: float
+    design: str
+    photons: float
+    seed: int
+    validation_loss: float | None = None
+    validation_accuracy: float | None = None
+
+
+@dataclass
+class LoopHooks:
+    """Hooks of a user in the loops of a training.
+
+    Attributes
+    ----------
+    callback : callable, optional
+        Called with an `Epoch` of each design after each epoch; true ends the training there.
+    patience : int, optional
+        Epochs without a lower validation loss, in the mean over designs, after which a training
+        ends. The weights of the best epoch are kept.
+    optimiser : callable, optional
+        Gives a torch optimiser of groups of parameters with their ``lr`` and ``weight_decay``.
+    schedule : callable, optional
+        Gives a torch schedule of an optimiser and the number of steps; it is stepped in each.
+    lengths : list of int
+        Epochs of each loop that has ended.
+    history : list of list of Epoch
+        Of the last loop, for each design.
+    """
+
+    callback: Callable[[Epoch], bool | None] | None = None
+    patience: int | None = None
+    optimiser: Callable[[list[dict[str, Any]]], torch.optim.Optimizer] | None = None
+    schedule: Callable[[torch.optim.Optimizer, int], LRScheduler] | None = None
+    lengths: list[int] = field(default_factory=list)
+    history: list[list[Epoch]] = field(default_factory=list)
+    _most: tuple[int, ...] = ()  # epochs of each loop at most
+
+    def __post_init__(self) -> None:
+        for name in ("callback", "optimiser", "schedule"):
+            hook = getattr(self, name)
+            if not (hook is None or callable(hook)):
+                raise InputError(f"{name} = {hook!r}: give a function")
+        counts = isinstance(self.patience, int | np.integer) and self.patience >= 1
+        if self.patience is not None and not counts:
+            raise InputError(
+                f"patience = {self.patience!r}: give a whole number of epochs, 1 or more"
+            )
+
+    @property
+    def watched(self) -> bool:
+        """True if somebody asks for epochs."""
+        return self.callback is not None or self.patience is not None
+
+    def for_fold(self) -> "LoopHooks":
+        """Hooks of the same training on other scenes: as long as this one, and nobody is told."""
+        most = tuple(self.lengths) if self.watched else ()
+        return LoopHooks(optimiser=self.optimiser, schedule=self.schedule, _most=most)
+
+    def info(self, place: int) -> dict[str, Any]:
+        """Entries of `Design.info` of a design of the last loop; JSON types only."""
+        entry: dict[str, Any] = {}
+        if self.watched:
+            entry["history"] = [asdict(epoch) for epoch in self.history[place]]
+        for name in ("optimiser", "schedule"):
+            if (made := getattr(self, name)) is not None:
+                entry[name] = getattr(made, "__qualname__", type(made).__name__)
+        return entry
+
+    @contextmanager
+    def of_loop(
+        self, exposure: ExposureTraining, state: LoopState, loss: SceneLoss, networks: Sequence[Any]
+    ) -> Iterator["LoopWatch"]:
+        """Watch a loop, which goes back to its best epoch at the end where there is patience."""
+        most = self._most[len(self.lengths)] if self._most else None
+        watch = LoopWatch(self, exposure, state=state, loss=loss, networks=networks, most=most)
+        yield watch
+        if watch.best is not None:
+            for name, tensor in state.learned().items():
+                tensor.copy_(watch.best[name])
+        self.lengths.append(watch.number)
+        self.history = watch.history
+
+
+def check_made(name: str, made: Any, kind: type[Made]) -> Made:
+    """Object that a user's function has made, or `InputError` unless it is of its kind."""
+    if not isinstance(made, kind):
+        raise InputError(f"{name} gives {made!r}: give a function that makes a torch {name}")
+    return made
+
+
+class LoopWatch:
+    """Epochs of one loop, in which R designs are trained side by side.
+
+    Parameters
+    ----------
+    hooks : LoopHooks
+    exposure : ExposureTraining
+    state : LoopState
+    loss : SceneLoss
+    networks : sequence of modules
+        Classifiers, one for each design, and networks beside them.
+    most : int, optional
+        Epochs after which the loop ends.
+    """
+
+    def __init__(
+        self,
+        hooks: LoopHooks,
+        exposure: ExposureTraining,
+        *,
+        state: LoopState,
+        loss: SceneLoss,
+        networks: Sequence[nn.Module],
+        most: int | None = None,
+    ) -> None:
+        self.hooks = hooks
+        self.exposure = exposure
+        self.state = state
+        self.loss = loss
+        self.networks = networks
+        self.most = most
+        self.steps = state.draws.steps
+        self.number = state.step // self.steps
+        self.history: list[list[Epoch]] = [[] for _ in exposure.jobs]
+        self.best: dict[str, Tensor] | None = None
+        self._lowest = float("inf")
+        self._best_number = self.number
+        self._losses: list[Tensor] = []
+        self._lr = 0.0
+        self._fixed: list[Design] | None = None
+
+    def take(self, losses: Tensor) -> None:
+        """Note losses (B · R,) of a step, before its weights change."""
+        if self.hooks.watched:
+            # on the device: they are read once an epoch
+            self._losses.append(losses.detach().view(-1, len(self.exposure.jobs)).mean(dim=0))
+            self._lr = self.state.optimiser.param_groups[0]["lr"]
+
+    def ends(self) -> bool:
+        """True if the loop ends after this step, which may end an epoch."""
+        if self.state.step % self.steps:
+            return False
+        self.number = self.state.step // self.steps
+        if not self.hooks.watched:
+            return self.number == self.most
+        means = torch.stack(self._losses).mean(dim=0).tolist()
+        self._losses = []
+        tests = self._validated()
+        stop = False
+        for job, mean, test, history in zip(
+            self.exposure.jobs, means, tests, self.history, strict=True
+        ):
+            epoch = Epoch(
+                epoch=self.number,
+                epochs=job.training.epochs,
+                loss=mean,
+                lr=self._lr,
+                design=job.design,
+                photons=job.photons,
+                seed=job.seed,
+                **test,
+            )
+            history.append(epoch)
+            stop |= self.hooks.callback is not None and bool(self.hooks.callback(epoch))
+        return self._out_of_patience() or stop
+
+    def _out_of_patience(self) -> bool:
+        """Keep weights that are the best so far; true if none have been for too long."""
+        if self.hooks.patience is None:
+            return False
+        loss = float(np.mean([epochs[-1].validation_loss for epochs in self.history]))
+        if loss < self._lowest or self.best is None:
+            self._lowest = loss
+            self._best_number = self.number
+            self.best = {name: each.clone() for name, each in self.state.learned().items()}
+        return self.number - self._best_number >= self.hooks.patience
+
+    def _validated(self) -> list[dict[str, float]]:
+        """Validation loss and accuracy of each design; none without held-out scenes."""
+        if not self.exposure.training_set.data.held_out:
+            return [{} for _ in self.exposure.jobs]
+        before = [generator.get_state() for generator in self.state.generators]
+        modes = [(each, each.training) for network in self.networks for each in network.modules()]
+        for module in self.state.modules:
+            if isinstance(module, Replicas):
+                module.hand_back()
+        for network in self.networks:
+            network.eval()
+        with torch.no_grad():
+            tests = [
+                self._tested(*pair)
+                for pair in zip(self.exposure.jobs, self._designs(), strict=True)
+            ]
+        for module, mode in modes:
+            module.training = mode
+        for generator, state in zip(self.state.generators, before, strict=True):
+            generator.set_state(state)
+        return tests
+
+    def _designs(self) -> list[Design]:
+        """Designs as they would be if the training ended here."""
+        if self._fixed is not None:
+            return self._fixed
+        exposure = copy.copy(self.exposure)  # which keeps masks that learn
+        exposure.fix()
+        training_set = exposure.training_set
+        designs = []
+        for job, kind, classifier in zip(
+            exposure.jobs, exposure.finish(), self.networks, strict=False
+        ):
+            clicks = Clicks.of({"job": job.model_dump(mode="json")})
+            kind = kind.with_optics(clicks=clicks)
+            classes = training_set.data.classes
+            designs.append(Design(job.design, classes, kind, classifier))
+        self._fixed = None if exposure.learns else designs
+        return designs
+
+    def _tested(self, job: Any, design: Design) -> dict[str, float]:
+        """Loss and accuracy of a design, of one exposure of each held-out scene."""
+        training_set = self.exposure.training_set
+        device = training_set.device
+        photons = (job.photons * job.exposure.highest(job.photons)) ** 0.5
+        truth = torch.from_numpy(np.require(training_set.data.y_test, requirements="W"))
+        values = training_set.values
+        truth = (values.standardised(truth) if values else truth).to(device)
+        front = design.front_end(job.camera)
+        generator = torch.Generator(device).manual_seed(job.seed)
+        losses = []
+        right = []
+        scenes = torch.from_numpy(np.require(training_set.data.x_test, requirements="W"))
+        for x, answers in zip(scenes.split(CHUNK), truth.split(CHUNK), strict=True):
+            seen = design.exposure.expose(front, design.rates(front, x), photons, generator)
+            logits = design.logits_of(seen, photons)
+            with torch.enable_grad():  # a loss of a user's own must follow its outputs
+                losses.append(self.loss(logits.requires_grad_(), answers).detach())
+            if values is None:
+                right.append(logits.argmax(dim=-1) == answers)
+        test = {"validation_loss": float(torch.cat(losses).mean())}
+        return (
+            test
+            if values
+            else {**test, "validation_accuracy": float(torch.cat(right).float().mean())}
+        )
