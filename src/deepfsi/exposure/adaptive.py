@@ -9,13 +9,13 @@ clusters stay, as each stands for many scenes.
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
-from typing import Any, ClassVar, NamedTuple, NoReturn
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from deepfsi.base import InputError, as_input_error
+from deepfsi.base import InputError, Message, as_input_error
 from deepfsi.base.numeric import check_memory, free_memory
 from deepfsi.camera import Camera
 from deepfsi.datasets import Dataset
@@ -45,14 +45,15 @@ PRIOR_COPIES = 6
 
 
 MASKS_ARE_MADE = (
-    "{name} makes its masks while the camera looks, and this takes masks that are known before: "
+    "this design makes its masks while the camera looks, and this takes masks that are known before: "
     "`deepfsi evaluate`, `stop`, `show`, `page`, `dmd export` and `camera live` take it"
 )
 """Why adaptive masks are not for what needs masks."""
 
-POSTERIOR_ANSWERS = (
+POSTERIOR_ANSWERS = Message(
     "adaptive masks are answered by the posterior of the ideal observer, after all looks: leave "
-    "{ideal} and {first} out"
+    "{ideal} and {first} out",
+    setting=("ideal", "first"),
 )
 """Why adaptive masks have no ideal observer beside them."""
 
@@ -421,9 +422,10 @@ class AdaptiveExposure(ExposureKind):
         """Numbers of looks after which an exposure may stop, and the share taken then."""
         return Stops(tuple(range(1, self.count + 1)), np.cumsum(self.settings.shares))
 
-    def first(self, masks: int) -> NoReturn:
+    def first(self, masks: int) -> tuple["AdaptiveExposure", float]:
         """Raise `InputError`: all looks are needed."""
-        raise InputError(self.refusals["ideal observer"], setting=("ideal", "first"))
+        self.check("ideal observer")
+        raise AssertionError("the first masks are not refused")
 
     def stopping_at(self, threshold: float) -> "AdaptiveExposure":
         """The kind whose exposures stop at a probability of a class."""

@@ -171,10 +171,11 @@ class ExposureKind(ABC):
     own_draws: ClassVar[bool] = False
     """Whether each draw of a scene is an exposure of its own from the first look on."""
 
-    def check(self, use: Use, name: str = "this design") -> None:
+    def check(self, use: Use, name: str | None = None) -> None:
         """Raise `InputError` where a design, of such a name, cannot be used for something."""
-        if use in self.refusals:
-            raise InputError(self.refusals[use], setting=("ideal", "first"), name=name)
+        text = self.refusals.get(use)
+        if text is not None:
+            raise InputError(text if name is None else text.replace("this design", name, 1))
 
     @property
     @abstractmethod
