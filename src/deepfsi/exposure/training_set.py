@@ -106,7 +106,7 @@ class TrainingSet:
             mean = torch.where(self.varying, self.full.mean(dim=0), self.full[0])
             seen = detection.of_pixels(pixels)
             if isinstance(self.full, ReadScenes):
-                every = CentredScenes(self.full, mean, pixels, kind, seen)
+                every = CentredScenes(self.full, mean, pixels, kind=kind, detection=seen)
                 self._centred[key] = cast(Tensor, every)
             else:
                 centred = torch.cat([self.full - mean, mean.unsqueeze(0)])
@@ -140,7 +140,7 @@ class TrainingSet:
         return self.matrices[key][:masks]
 
 
-AT_ONCE = 2**24
+READ_VALUES = 2**24
 """Values of scenes that are read at once."""
 
 
@@ -173,7 +173,7 @@ class ReadScenes:
 
     def split(self, most: int) -> Iterator[Tensor]:
         """All scenes in their order, so many at once, or fewer large ones."""
-        step = max(1, min(most, AT_ONCE // self.shape[1]))
+        step = max(1, min(most, READ_VALUES // self.shape[1]))
         for rows in torch.arange(len(self)).split(step):
             yield self[rows]
 
