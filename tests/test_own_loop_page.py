@@ -45,6 +45,7 @@ def test_plain_torch_and_what_learn_takes(names):
     run(names)
     assert names["plain"] > 0.85
     assert names["design"].masks == 12
+    assert names["chances"].shape == (5, 10)
     assert len(names["brief"].info["history"]) == 3
     assert len(names["best"].info["history"]) <= 40
     assert names["other"].info["schedule"] == "cosine"

@@ -4,6 +4,7 @@ import copy
 import os
 import pickle
 import random
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,7 @@ from deepfsi.training import train
 from shared import vectors
 from shared.design_files import refused, rewrite
 from shared.jobs import job
+from shared.jobs import learn as learned
 
 
 @pytest.fixture
@@ -355,3 +357,33 @@ def test_it_answers_the_vectors(kind, tmp_path):
             dwell = exposure.next_dwell(exposure.network, inputs, left).double().detach().numpy()
             dwell = share_out(dwell, exposure.shortest)
             np.testing.assert_allclose(dwell, vector.next_dwell, atol=vectors.AGREES)
+
+
+@pytest.mark.parametrize("exposure", [{}, {"bins": 8}, {"looks": 2}, {"design": "adaptive"}])
+@pytest.mark.usefixtures("uncharacterised")
+def test_a_design_predicts_what_it_classifies_of_its_counts(digits, exposure):
+    """Both as a test of the same scenes by the same noise; images and flat scenes alike."""
+    few = replace(digits, x_test=digits.x_test[:40], y_test=digits.y_test[:40])
+    given = {"camera": "dmd", "photons": 1e4, "masks": None if "bins" in exposure else 4}
+    made = learned(few, epochs=1, device="cpu", **{**given, **exposure})
+    images = few.x_test.reshape(5, 8, 8, 8)
+    classes = made.predict(images, 1e4)
+    assert classes.shape == (5, 8)
+    assert (classes.ravel() == made.predict(torch.from_numpy(few.x_test), 1e4)).all()
+    right = (classes.ravel() == np.array(few.classes)[few.y_test]).mean()
+    assert right == pytest.approx(evaluate(made, few, 1e4, draws=1, seed=0)[0].accuracy)
+    if exposure.keys() & {"looks", "design"}:
+        with pytest.raises(InputError, match=r"its masks while|use `predict`"):
+            made.expose(images, 1e4)
+        return
+    counts = made.expose(images, 1e4)
+    assert counts.shape == (5, 8, *made.counts_shape)
+    answers = made.classify(counts, 1e4).argmax(axis=-1)
+    assert (np.array(made.classes)[answers] == classes).all()
+    assert (counts != made.expose(images, 1e4, seed=1)).any()
+    for bad, words in (
+        (images[..., :7], r"give \(..., 8, 8\) or \(..., 64\)"),
+        (2 * images, "in .0, 1.$"),
+    ):
+        with pytest.raises(InputError, match=words):
+            made.expose(bad, 1e4)

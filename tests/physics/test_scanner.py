@@ -357,3 +357,13 @@ def test_masks_of_another_shape_or_kind_are_one_line(make, match):
     with pytest.raises(InputError, match=match) as error:
         make()
     assert "\n" not in str(error.value)
+
+
+def test_images_are_scenes_of_as_many_pixels():
+    rails = torch.rand(2, 3, 12, generator=generator()) / 12
+    scanner = Scanner.from_rails(rails, noise="none")
+    flat = torch.rand(5, 12, generator=generator(1))
+    assert torch.equal(scanner(flat.view(5, 3, 4)), scanner(flat))
+    assert torch.equal(scanner.counts(flat.view(5, 3, 4)), scanner.counts(flat))
+    with pytest.raises(InputError, match="or images of so many"):
+        scanner(flat.view(5, 2, 6)[..., :5])

@@ -21,12 +21,14 @@ from deepfsi.datasets.load import (
     takes,
 )
 from deepfsi.datasets.spectra import SpectralImage
+from deepfsi.datasets.values import StoredScenes, is_stored
 
 __all__ = [
     "Dataset",
     "Origin",
     "Source",
     "SpectralImage",
+    "StoredScenes",
     "absolute",
     "ambient",
     "array_display",
@@ -36,6 +38,7 @@ __all__ = [
     "check_source",
     "download",
     "from_arrays",
+    "is_stored",
     "jitter",
     "list_datasets",
     "load_dataset",

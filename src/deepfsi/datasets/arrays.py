@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from math import prod
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias, cast
 from unicodedata import category, normalize
 
 import numpy as np
@@ -13,7 +13,17 @@ import numpy.typing as npt
 from deepfsi.base import InputError, Message, plain_keywords
 from deepfsi.base.numeric import check_memory, free_memory, is_whole_number, normal_name, read_npz
 from deepfsi.datasets.dataset import Dataset, Labels, Reflectance, Truth
-from deepfsi.datasets.values import Values, grey, measure, reflectance
+from deepfsi.datasets.values import (
+    LARGE,
+    Levels,
+    StoredScenes,
+    Values,
+    grey,
+    is_stored,
+    mapped,
+    measure,
+    reflectance,
+)
 
 Range: TypeAlias = tuple[float, float]
 Scenes: TypeAlias = tuple[npt.ArrayLike, npt.ArrayLike]
@@ -141,7 +151,7 @@ def as_test_part(
     given = np.asarray(x)
     if given.ndim == 2 and given.shape[1] == prod(image_shape):
         x = given.reshape(-1, *image_shape)
-    [scenes], described, white = _scenes([x], name, None)
+    [scenes], described, levels = _scenes([x], name)
     truth: Truth
     if values:
         truth, _, called = _values(y, None, Names(values=values), [len(scenes)], name)
@@ -153,7 +163,7 @@ def as_test_part(
         truth, called = _class_numbers(labels, numbers, f"{name}: y"), {"classes": names}
     both = (scenes, truth)
     data = assemble(name, both, both, described=described, rescale=None, **called)
-    return replace(data, x_train=data.x_train[:0], y_train=truth[:0], white=white)
+    return replace(data, x_train=data.x_train[:0], y_train=truth[:0], white=levels.chosen_white)
 
 
 class Names(NamedTuple):
@@ -176,16 +186,18 @@ def split_arrays(
     rescale: Range | None,
     described: str | None = None,
     white: float | None = None,
+    levels: Levels | None = None,
 ) -> Dataset:
     """`from_arrays` with a description of the scenes, for `Dataset.preprocessing`."""
     # Parameters as of `from_arrays` and `load_dataset`; without a test part, it is drawn from the
-    # training part, and without a description the scenes are described as they are
+    # training part, without a description the scenes are described as they are, and without
+    # levels they are measured
     check_seed(seed)
     x_test, y_test = test
     if (x_test is None) != (y_test is None):
         raise InputError(f"{name}: only one of x_test and y_test is there; give both or neither")
     given = [train[0]] if x_test is None else [train[0], x_test]
-    scenes, words, white = _scenes(given, name, white)
+    scenes, words, levels = _scenes(given, name, white, levels)
     found = _values if np.asarray(train[1]).dtype.kind == "f" else _classes
     y, tested, called = found(train[1], y_test, names, [len(part) for part in scenes], name)
     if tested is None:
@@ -197,14 +209,19 @@ def split_arrays(
             stratify=y if "classes" in called else None,
             random_state=seed,
         )
-        held = scenes[0][drawn], y[drawn]
+        held = _taken(scenes[0], drawn), y[drawn]
     else:
         order = np.random.default_rng(seed).permutation(len(y))
         held = scenes[1], tested
-    trained = scenes[0][order], y[order]
+    trained = _taken(scenes[0], order), y[order]
     said = described or words
     data = assemble(name, trained, held, described=said, rescale=rescale, **called)
-    return replace(data, white=white, drawn=tested is None)
+    return replace(data, white=levels.chosen_white, drawn=tested is None)
+
+
+def _taken(x: Reflectance, rows: npt.NDArray[np.intp]) -> Reflectance:
+    """Some scenes, read where they are stored only when they are needed."""
+    return cast(Reflectance, x.taken(rows)) if is_stored(x) else x[rows]
 
 
 Answers: TypeAlias = tuple[Truth, Truth | None, dict[str, Any]]
@@ -318,9 +335,13 @@ def check_seed(seed: object) -> None:
 
 
 def _scenes(
-    parts: Sequence[npt.ArrayLike], name: str, white: float | None
-) -> tuple[list[Reflectance], str, float | None]:
-    """Reflectance but for rounding, (n, H, W) or (n, N); what was done; white, if it was chosen."""
+    parts: Sequence[npt.ArrayLike],
+    name: str,
+    white: float | None = None,
+    levels: Levels | None = None,
+) -> tuple[list[Reflectance], str, Levels]:
+    """Reflectance but for rounding, (n, H, W) or (n, N); what was done; levels."""
+    # Large scenes are stored as they are
     given: dict[str, Values] = {}
     said = ""
     for part, what in zip(parts, (f"{name}: x", f"{name}: x_test"), strict=False):
@@ -341,17 +362,20 @@ def _scenes(
             f"{name}: a scene has shape {shapes[0]} in x but {shapes[-1]} in x_test; bring both "
             "to one shape"
         )
+    levels = levels or measure(given, white)
+    words = levels.words[0].upper() + levels.words[1:]
+    size = sum(part.size for part in given.values())
+    if 4 * size > LARGE:
+        stored = [cast(Reflectance, StoredScenes(part, levels)) for part in given.values()]
+        return stored, words + said, levels
     count = sum(len(part) for part in given.values())
     check_memory(
-        SCENE_BYTES * sum(part.size for part in given.values()),
+        SCENE_BYTES * size,
         free_memory(),
         f"{name}: {count} scenes of {shapes[0]} values",
         "give fewer or smaller ones",
     )
-    levels = measure(given, white)
-    words = levels.words[0].upper() + levels.words[1:]
-    ready = [reflectance(part, levels) for part in given.values()]
-    return ready, words + said, levels.white if levels.chosen else None
+    return [reflectance(part, levels) for part in given.values()], words + said, levels
 
 
 def _labels(given: npt.ArrayLike, scenes: int, what: str) -> npt.NDArray[Any]:
@@ -443,22 +467,24 @@ def assemble(
         raise InputError(f"rescale ({low}, {high}): give low and high with 0 <= low < high <= 1")
     if not train[0].any():
         raise InputError(f"{name}: every training scene is dark, all 0; give scenes with light")
-    for x, _ in (train, test):
-        x *= high - low
-        x += low
-        np.clip(x, low, high, out=x)
-    mapped = "" if (low, high) == (0, 1) else f", then mapped from [0, 1] to [{low:g}, {high:g}]"
+    x_train, x_test = (
+        cast(Reflectance, x.mapped(low, high))
+        if is_stored(x)
+        else mapped(x, low, high).reshape(len(x), -1)
+        for x, _ in (train, test)
+    )
+    said = "" if (low, high) == (0, 1) else f", then mapped from [0, 1] to [{low:g}, {high:g}]"
     return Dataset(
         name=name,
-        x_train=train[0].reshape(len(train[0]), -1),
+        x_train=x_train,
         y_train=train[1],
-        x_test=test[0].reshape(len(test[0]), -1),
+        x_test=x_test,
         y_test=test[1],
         image_shape=train[0].shape[1:],
         classes=classes,
         values=values,
         measure="R²" if values else "accuracy",
-        preprocessing=f"{described}{mapped}.",
+        preprocessing=f"{described}{said}.",
         wavelengths=wavelengths,
     )
 

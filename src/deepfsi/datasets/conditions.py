@@ -24,7 +24,8 @@ def ambient(data: Dataset, share: float) -> Dataset:
         raise InputError(f"ambient light {share!r} is not allowed: give a share, 0 or more")
     stray = share * float(data.x_train.mean(dtype=np.float64))
     x_train, x_test = (
-        ((x + stray) / (1 + stray)).astype(np.float32) for x in (data.x_train, data.x_test)
+        ((x + stray) / (1 + stray)).astype(np.float32)
+        for x in map(np.asarray, (data.x_train, data.x_test))
     )
     said = f"{data.preprocessing}; ambient light of {share:g} times the scenes' mean"
     return replace(data, x_train=x_train, x_test=x_test, preprocessing=said, origin=None)
@@ -38,7 +39,8 @@ def jitter(data: Dataset, shift: float, turn: float = 0.0, *, seed: int = 0) -> 
         raise InputError(f"jitter by {shift!r} pixels and {turn!r}° is not allowed: give 0 or more")
     rng = np.random.default_rng(seed)
     x_train, x_test = (
-        _displaced(x, data.image_shape, shift, turn, rng) for x in (data.x_train, data.x_test)
+        _displaced(x, data.image_shape, shift, turn, rng)
+        for x in map(np.asarray, (data.x_train, data.x_test))
     )
     said = f"{data.preprocessing}; displaced at random by {shift:g} pixels and {turn:g}° (1 σ)"
     return replace(data, x_train=x_train, x_test=x_test, preprocessing=said, origin=None)

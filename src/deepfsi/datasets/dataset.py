@@ -11,6 +11,7 @@ import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, SerializerFunctionWrapHandler, model_serializer
 
 from deepfsi.base import InputError
+from deepfsi.datasets.values import is_stored
 
 Reflectance: TypeAlias = npt.NDArray[np.float32]
 Labels: TypeAlias = npt.NDArray[np.int64]
@@ -65,7 +66,8 @@ class Dataset:
     name : str
         Name in tables and records.
     x_train, x_test : array, shape (n, N), float32
-        Reflectance after preprocessing, dimensionless in [0, 1].
+        Reflectance after preprocessing, dimensionless in [0, 1]. Of large data it is a
+        `datasets.values.StoredScenes`, whose rows are read from the values as they came.
     y_train, y_test : array
         Class of each scene, 0 .. C-1, (n,) int64; or its values, (n, q) float32.
     image_shape : tuple of int
@@ -156,7 +158,8 @@ class Dataset:
         words = json.dumps([shapes, self.image_shape, self.classes or self.values])
         digest = hashlib.sha256(words.encode())
         for array in arrays:
-            digest.update(np.ascontiguousarray(array).data)
+            for part in array.parts() if is_stored(array) else [array]:
+                digest.update(np.ascontiguousarray(part).data)
         return digest.hexdigest()
 
     def hold_out(self, count: int | None = None) -> "Dataset":

@@ -8,12 +8,14 @@ sizes it declares and the images' own sizes are all checked before memory is spe
 
 import io
 import os
+import shutil
+import tempfile
 import warnings
 import zipfile
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import replace
 from functools import partial
+from math import prod
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
@@ -21,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from deepfsi.base import InputError, Message, check_unpacked, read_regular, readable_name
-from deepfsi.base.numeric import normal_name, open_zip, read_zip_entry
+from deepfsi.base.numeric import check_memory, normal_name, open_zip, read_zip_entry
 from deepfsi.datasets.arrays import (
     Names,
     Options,
@@ -31,7 +33,7 @@ from deepfsi.datasets.arrays import (
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.datasets.decoding import Shape, Tally, unread_kind
 from deepfsi.datasets.picture_lists import IMAGE_SUFFIXES, Label, is_image, list_labels, listed
-from deepfsi.datasets.values import reflectance
+from deepfsi.datasets.values import LARGE
 
 FORMATS = ("PNG", "JPEG", "BMP", "GIF", "PPM", "TIFF", "WEBP")
 """Formats that are decoded, by Pillow's names."""
@@ -39,8 +41,8 @@ FORMATS = ("PNG", "JPEG", "BMP", "GIF", "PPM", "TIFF", "WEBP")
 MAX_FILE = 2**28
 """Bytes at most of one image."""
 
-MAX_PIXELS = 2**30
-"""Pixels at most of all images together: 4.3 GB as float32."""
+MAX_PIXELS = 2**34
+"""Pixels at most of all images together: 17 GB of bytes."""
 
 
 SPLITS = ("train", "test", "training", "testing", "val", "valid", "validation", "eval")
@@ -103,19 +105,19 @@ def from_listings(
     pixels, tally, kept_places = read_all(wanted, shape, bilinear, options.skip_bad)
     levels = tally.levels(options.white)
     labels = np.array([wanted[place].label for place in kept_places])
-    x, n = reflectance(pixels, levels), sum(place < len(train) for place in kept_places)
+    n = sum(place < len(train) for place in kept_places)
     drawn = "" if images is None else f"{images} training images drawn by class; "
     sized = sized_text(shape, bilinear, tally.sizes)
-    data = split_arrays(
-        (x[:n], labels[:n]),
-        (x[n:], labels[n:]) if test else (None, None),
+    return split_arrays(
+        (pixels[:n], labels[:n]),
+        (pixels[n:], labels[n:]) if test else (None, None),
         names=Names(values=values or None),
         name=name,
         seed=options.seed,
         rescale=options.rescale,
         described=f"{drawn}{tally.words}{sized}; {levels.words}",
+        levels=levels,
     )
-    return replace(data, white=levels.white if levels.chosen else None)
 
 
 def sized_text(shape: Shape | None, bilinear: bool, sizes: set[Shape]) -> str:
@@ -324,7 +326,7 @@ def read_all(
                 continue
             if not kept:
                 _check_total(len(pictures), image.shape)
-                grey = np.empty((len(pictures), *image.shape), image.dtype)
+                grey = _room((len(pictures), *image.shape), image.dtype)
             if image.shape != grey.shape[1:]:
                 raise InputError(
                     f"images differ in size: {tally.first} is {grey.shape[1]}x{grey.shape[2]}, "
@@ -339,6 +341,22 @@ def read_all(
         raise InputError(_bad_text(bad, skip_bad is False))
     tally.bad = tuple(where for where, _ in bad)
     return grey[: len(kept)], tally, kept
+
+
+def _room(shape: tuple[int, ...], kind: np.dtype[Any]) -> npt.NDArray[Any]:
+    """Array for the values of images; of many a file that has no name and ends with it."""
+    if 4 * prod(shape) <= LARGE:
+        return np.empty(shape, kind)
+    needed = prod(shape) * kind.itemsize
+    place = tempfile.gettempdir()
+    check_memory(
+        needed,
+        shutil.disk_usage(place).free,
+        f"{shape[0]} images of {shape[1]}x{shape[2]} pixels, in {place}",
+        "give a smaller size or fewer images, or set TMPDIR to a folder with more room",
+    )
+    with tempfile.TemporaryFile() as file:
+        return np.memmap(file, kind, "w+", shape=shape)
 
 
 def _bad_text(bad: list[tuple[str, str]], may_skip: bool) -> str:

@@ -7,8 +7,9 @@ scenes together, unless it is given. A data set and a design remember it, so tha
 divided by the same.
 """
 
-from collections.abc import Mapping
-from typing import Any, Literal, NamedTuple
+from collections.abc import Iterator, Mapping
+from functools import cached_property
+from typing import Any, Literal, NamedTuple, TypeGuard
 
 import numpy as np
 import numpy.typing as npt
@@ -27,6 +28,12 @@ ROUNDING = 1e-6
 CHUNK = 4096
 """Scenes whose colours are turned to grey at once."""
 
+LARGE = 2**28
+"""Bytes as float32 above which scenes keep their type, and are read part by part."""
+
+PART = 2**22
+"""Values that are read at once."""
+
 Values = npt.NDArray[Any]
 
 Family = Literal["truth", "byte", "integer", "float"]
@@ -41,6 +48,11 @@ class Levels(NamedTuple):
     high: float
     white: float  # value that is reflectance 1
     chosen: bool  # true if `white` is no property of the type: other scenes need to be told it
+
+    @property
+    def chosen_white(self) -> float | None:
+        """White, where other scenes need to be told it."""
+        return self.white if self.chosen else None
 
     @property
     def words(self) -> str:
@@ -112,6 +124,141 @@ def reflectance(values: Values, levels: Levels) -> npt.NDArray[np.float32]:
     if levels.white == 1:
         return values.astype(np.float32)
     return np.divide(values, levels.white, dtype=np.float32)
+
+
+class StoredScenes:
+    """Scenes in the type that they came in, which are reflectance where they are read.
+
+    They stand for the float32 array of their reflectance, which may be too large for the memory:
+    `len`, `shape` and `dtype` are those of that array, a slice is a view, and rows by index or by
+    truth values, and ``numpy.asarray``, are float32 arrays. Sums and means are taken in float64.
+
+    Parameters
+    ----------
+    values : array, shape (n, ...)
+        In memory or mapped from a file, of any type. It is not copied, and must not be changed.
+    levels : Levels
+        Of the values.
+    rows : array of int, optional
+        Scenes that are meant, in their order; all unless given.
+    ends : (float, float)
+        What reflectance 0 and 1 are mapped to.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> x = np.array([[0, 51], [255, 102]], np.uint8)
+    >>> stored = StoredScenes(x, measure({"x": x}))
+    >>> stored.shape, stored[1].tolist(), len(stored[:1])
+    ((2, 2), [1.0, 0.4000000059604645], 1)
+    """
+
+    dtype = np.dtype(np.float32)
+
+    def __init__(
+        self,
+        values: Values,
+        levels: Levels,
+        rows: npt.NDArray[np.integer[Any]] | None = None,
+        ends: tuple[float, float] = (0.0, 1.0),
+    ) -> None:
+        self._values = values
+        self._levels = levels
+        self._rows = np.arange(len(values)) if rows is None else rows
+        self._ends = ends
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Scenes, and the shape of one."""
+        return len(self), *self._values.shape[1:]
+
+    @property
+    def size(self) -> int:
+        """Values of all scenes."""
+        return int(np.prod(self.shape))
+
+    def __getitem__(self, key: Any) -> Any:
+        if isinstance(key, slice):
+            return self.taken(np.arange(len(self))[key])
+        if isinstance(key, tuple):
+            rows, columns = key
+            return np.concatenate([part[:, columns] for part in self[rows].parts()])
+        x = reflectance(self._values[self._rows[key]], self._levels)
+        low, high = self._ends
+        # bytes are in [0, 1], as they would be after it
+        bytes_as_they_are = _family(self._values.dtype, "x") == "byte" and high - low == 1
+        return x if bytes_as_they_are else mapped(x, low, high)
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> npt.NDArray[Any]:
+        whole = np.empty(self.shape, np.float32)
+        first = 0
+        for part in self.parts():
+            whole[first : first + len(part)] = part
+            first += len(part)
+        return whole if dtype is None else whole.astype(dtype, copy=False)
+
+    @property
+    def step(self) -> int:
+        """Scenes of a part."""
+        return max(1, PART * len(self) // max(1, self.size))
+
+    def parts(self) -> Iterator[npt.NDArray[np.float32]]:
+        """All scenes, some after others."""
+        for first in range(0, len(self), self.step):
+            yield self[np.arange(first, min(first + self.step, len(self)))]
+
+    def taken(self, rows: npt.NDArray[Any]) -> "StoredScenes":
+        """Some scenes, by index or truth values."""
+        return StoredScenes(self._values, self._levels, self._rows[rows], self._ends)
+
+    def mapped(self, low: float, high: float) -> "StoredScenes":
+        """The scenes as rows (n, N), with [0, 1] mapped to low and high."""
+        rows = self._values.reshape(len(self._values), -1)
+        return StoredScenes(rows, self._levels, self._rows, (low, high))
+
+    def any(self) -> bool:
+        """True if any scene has light."""
+        return any(bool(part.any()) for part in self.parts())
+
+    @cached_property
+    def _reach(self) -> npt.NDArray[np.float32]:
+        """Smallest and largest value (2, N) of each pixel."""
+        reach = [(part.min(axis=0), part.max(axis=0)) for part in self.parts()]
+        low, high = zip(*reach, strict=True)
+        return np.stack([np.min(low, axis=0), np.max(high, axis=0)])
+
+    def min(self, axis: int | None = None) -> Any:
+        """Smallest value of each pixel (N,) for axis 0, or of all."""
+        return self._reach[0] if axis == 0 else self._reach[0].min()
+
+    def max(self, axis: int | None = None) -> Any:
+        """Largest value of each pixel (N,) for axis 0, or of all."""
+        return self._reach[1] if axis == 0 else self._reach[1].max()
+
+    def sum(self, axis: int | None = None, dtype: Any = np.float64) -> Any:
+        """Sums over scenes (N,) for axis 0, over pixels (n,) for axis 1, or of all."""
+        sums = [part.sum(axis=axis, dtype=np.float64) for part in self.parts()]
+        return np.concatenate(sums) if axis == 1 else np.sum(sums, axis=0)
+
+    def mean(self, axis: int | None = None, dtype: Any = np.float32) -> Any:
+        """Means, as of `sum`, in a type."""
+        count = self.size if axis is None else self.shape[axis]
+        return np.divide(self.sum(axis), count).astype(dtype)
+
+
+def is_stored(x: object) -> TypeGuard[StoredScenes]:
+    """True for scenes that are read part by part."""
+    return isinstance(x, StoredScenes)
+
+
+def mapped(x: npt.NDArray[np.float32], low: float, high: float) -> npt.NDArray[np.float32]:
+    """Reflectance but for rounding, mapped in place from [0, 1] to low and high."""
+    x *= high - low
+    x += low
+    return np.clip(x, low, high, out=x)
 
 
 def grey(values: Values, what: str) -> Values:

@@ -4,8 +4,9 @@ import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from html import escape
+from math import prod
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Self, get_args
 
 import numpy as np
 import torch
@@ -19,7 +20,7 @@ from deepfsi.base import (
     write_atomically,
 )
 from deepfsi.base.numeric import loss_curve, mask_picture
-from deepfsi.camera import Camera, LightLawName, check_budget
+from deepfsi.camera import Camera, LightLawName, NoiseName, check_budget
 from deepfsi.design import check_counts
 from deepfsi.design.file import fields_of, file_of
 from deepfsi.designfile import (
@@ -51,6 +52,9 @@ from deepfsi.physics import (
     library_defaults,
     torch_device,
 )
+
+EXPOSED_AT_ONCE = 1024
+"""Scenes that are exposed at a time."""
 
 
 @dataclass(repr=False)
@@ -284,6 +288,88 @@ class Design:
         """
         generator = torch.Generator().manual_seed(seed)
         return self.prior_exposure.look_by_look(torch.from_numpy(scene), photons, generator)
+
+    @library_defaults(grad=False)
+    def expose(self, x: Any, photons: float, seed: int = 0) -> np.ndarray:
+        """Counts of one simulated exposure of each scene, in the shape that `classify` takes.
+
+        Parameters
+        ----------
+        x : array or tensor, shape (..., H, W) or (..., N)
+            Reflectance, in [0, 1].
+        photons : float
+            Budget Φ.
+        seed : int
+            Of the noise, which is that of the design's camera.
+
+        Returns
+        -------
+        array, shape (..., [P,] [2,] m [, D])
+
+        Raises
+        ------
+        InputError
+            If scenes or photons are not as above; if masks or dwells follow from the counts, which
+            `predict` and `looks_at` expose.
+        """
+        exposure = self.mask_exposure
+        if exposure.chooses:
+            raise InputError("dwells of this design follow from its counts: use `predict`")
+        scenes, lead = self._scenes(x)
+        budget = check_budget(photons)
+        front = self.front_end(self._named_camera)
+        generator = torch.Generator(self.rails.device).manual_seed(seed)
+        parts = [
+            front.read(exposure.placed(self.rates(front, some), generator) * budget, generator)
+            for some in scenes.split(EXPOSED_AT_ONCE)
+        ]
+        counts = torch.cat(parts)
+        return counts.view(*lead, *exposure.patch_axis, *self.counts_shape).cpu().numpy()
+
+    @library_defaults(grad=False)
+    def predict(self, x: Any, photons: float, seed: int = 0) -> np.ndarray:
+        """Names (...) of the classes of scenes, each from one simulated exposure.
+
+        Parameters as for `expose`; adaptive masks and several looks are exposed, too. Raises
+        `InputError` as that, or if the design estimates values.
+        """
+        check_classes(self.values, "predict")
+        scenes, lead = self._scenes(x)
+        budget = check_budget(photons)
+        front = self.front_end(self._named_camera)
+        generator = torch.Generator(self.exposure.shares.device).manual_seed(seed)
+        classes = []
+        for some in scenes.split(EXPOSED_AT_ONCE):
+            seen = self.exposure.expose(front, self.rates(front, some), budget, generator)
+            classes.append(self.answer(seen, budget).classes.cpu().numpy())
+        return np.array(self.classes)[np.concatenate(classes)].reshape(lead)
+
+    @property
+    def _named_camera(self) -> Camera:
+        """The design's camera, or `InputError` if its noise is code, which a file does not run."""
+        camera = self.camera
+        if camera.noise_name not in get_args(NoiseName):
+            raise InputError(
+                f"this design is for {camera.noise_name} noise, code of its maker's that a file "
+                "does not run: use deepfsi.predict or evaluate with `noise`"
+            )
+        return camera
+
+    def _scenes(self, x: Any) -> tuple[Tensor, tuple[int, ...]]:
+        """Reflectances (n, N) of scenes (..., H, W) or (..., N), checked, and their lead (...)."""
+        scenes = torch.as_tensor(x).detach().cpu()
+        shape = self.image_shape
+        pixels = prod(shape)
+        axes = len(shape) if tuple(scenes.shape[-len(shape) :]) == shape else 1
+        if scenes.numel() == 0 or prod(scenes.shape[-axes:]) != pixels:
+            raise InputError(
+                f"scenes of shape {tuple(scenes.shape)} do not fit the design: give (..., "
+                f"{', '.join(map(str, shape))}) or (..., {pixels})"
+            )
+        scenes = scenes.float()
+        if not bool(((scenes >= 0) & (scenes <= 1)).all()):
+            raise InputError("scenes are reflectance: give numbers in [0, 1]")
+        return scenes.reshape(-1, pixels), tuple(scenes.shape[:-axes])
 
     # Answering
 

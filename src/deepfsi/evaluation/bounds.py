@@ -48,7 +48,7 @@ def linear_bound(
     if not (_fixed(design) and scanner.noise.has_moments):
         return None
     with torch.no_grad():
-        rates = photons * design.rates(scanner, torch.from_numpy(data.x_test))
+        rates = photons * design.rates(scanner, torch.from_numpy(np.asarray(data.x_test)))
         means, noise = (each.double().cpu().numpy() for each in scanner.moments(rates))
     joint = np.cov(np.concatenate([means, data.y_test], axis=1).T, ddof=0)
     features = slice(means.shape[1])

@@ -160,7 +160,7 @@ def ideal_observer(
         return design.rates(scanner, x)
 
     with torch.no_grad(), progress_bar(report, "ideal observer") as bar:
-        rates = rates_of(torch.from_numpy(scenes.x_train))
+        rates = rates_of(torch.from_numpy(np.asarray(scenes.x_train)))
         needed = COPIES * rates.numel() * rates.element_size()
         check_memory(needed, free_memory(), "likelihoods of these scenes", "give fewer scenes")
         observer = IdealObserver(rates, torch.from_numpy(scenes.y_train), len(scenes.classes))

@@ -290,7 +290,7 @@ def _scenes(data: Dataset, seed: int) -> dict[str, Any]:
     return {
         "clearest": _clearest(data, rows),
         "sums": [float(sums.min()), float(sums.max())],
-        "flattest": float(data.x_train.std(axis=1).min()),
+        "flattest": float(np.asarray(data.x_train).std(axis=1).min()),
         "low": low,
         "high": high,
         "levels": pack(levels),

@@ -72,7 +72,7 @@ def prior_of(data: Dataset, settings: AdaptiveMasks) -> ScenePrior:
     )
     check_memory(needed, free_memory(), "the prior of these scenes", "give fewer scenes")
     return ScenePrior(
-        data.x_train,
+        np.asarray(data.x_train),
         data.y_train,
         len(data.classes),
         components=settings.components,

@@ -145,7 +145,9 @@ class LearnedTraining(ExposureTraining):
         # x (n + 1, P): centred scenes, and their mean
         masks = self.masks
         detection = self.detection
-        scenes = (self.x[:-1][:CHUNK] + self.x[-1]).float()
+        first = torch.arange(min(CHUNK, len(self.training_set.labels)), device=self.x.device)
+        mean = self.x.index_select(0, first.new_tensor([len(self.training_set.labels)]))
+        scenes = (self.x.index_select(0, first) + mean).float()
 
         def counted() -> Tensor:
             light = project_rails(scenes, detection.read_of(masks()), detection.count)

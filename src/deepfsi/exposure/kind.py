@@ -608,7 +608,12 @@ class MaskExposure(ExposureKind):
         self, front: Scanner, rates: Tensor, photons: float, generator: torch.Generator
     ) -> Iterator[Observation]:
         """Exposures of all masks, the one stop; parameters as of the base class."""
+        rates = self.placed(rates, generator)
         yield Observation(self.read(front, rates * photons, generator, photons))
+
+    def placed(self, rates: Tensor, generator: torch.Generator | None) -> Tensor:
+        """Expected counts (..., rails, m · D) of exposures of `rates`, each where its scene is."""
+        return rates
 
     def expected(self, rates: Tensor, seen: Observation) -> Tensor:
         """Photons (..., rails, m · D) of an exposure that are expected, for a budget of one."""

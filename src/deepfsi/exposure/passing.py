@@ -144,12 +144,6 @@ class PassingExposure(MaskExposure):
             self.transit.bins
         )
 
-    def observe(
-        self, front: Scanner, rates: Tensor, photons: float, generator: torch.Generator
-    ) -> Iterator[Observation]:
-        """Exposures, each at a place of its own; parameters as of the base class."""
-        return super().observe(front, self.placed(rates, generator), photons, generator)
-
     def placed(self, rates: Tensor, generator: torch.Generator | None) -> Tensor:
         """Expected counts (..., 1, T) of exposures, each at a place of its own."""
         edges = self.transit.edges(rates.shape[:-1], generator, rates.device)

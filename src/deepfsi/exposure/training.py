@@ -250,8 +250,10 @@ class ExposureTraining(ABC):
             std = deviation(power, self.scale)
             return FeatureStatistics(first, std, light.expand_as(std))
         power = torch.zeros_like(mean)
-        for index, x in enumerate(scenes.split(CHUNK)):
-            rows = slice(index * CHUNK, index * CHUNK + len(x))
+        start = 0
+        for x in scenes.split(CHUNK):
+            rows = slice(start, start + len(x))
+            start = rows.stop
             expected = (
                 project(detection.arrange(x), masks.difference, detection.count)
                 if means is None

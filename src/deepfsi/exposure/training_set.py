@@ -3,7 +3,10 @@
 Products are of bfloat16 where its rounding stays under the noise.
 """
 
+from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import cached_property
+from typing import cast
 
 import numpy as np
 import torch
@@ -17,7 +20,7 @@ from deepfsi.camera import (
     find_noise,
     summed_reflectance,
 )
-from deepfsi.datasets import Dataset
+from deepfsi.datasets import Dataset, StoredScenes, is_stored
 from deepfsi.designfile import TrainingScenes
 from deepfsi.jobs import (
     DESIGNS,
@@ -55,8 +58,7 @@ class TrainingSet:
         # (n,) classes, or (n, q) standardised values
         truth = torch.from_numpy(np.require(data.y_train, requirements="W"))
         self.labels = (self.values.standardised(truth) if self.values else truth).to(self.device)
-        x = np.require(data.x_train, requirements="W")  # a cluster shares arrays read-only
-        self.full = torch.from_numpy(x).to(self.device)
+        self.full = _on_device(data.x_train, self.device)
         self.matrices = {} if matrices is None else matrices
         self._centred: dict[tuple[torch.dtype, bool, bytes], Tensor] = {}
         self._views: dict[Exposure, TrainingSet] = {}
@@ -80,7 +82,11 @@ class TrainingSet:
     @cached_property
     def varying(self) -> Tensor:
         """Which pixels (N,) differ anywhere in the training set; the first if none does."""
-        varying = (self.full != self.full[0]).any(dim=0)
+        varying = (
+            torch.from_numpy(self.full.stored.min(axis=0) != self.full.stored.max(axis=0))
+            if isinstance(self.full, ReadScenes)
+            else (self.full != self.full[0]).any(dim=0)
+        )
         varying[0] |= not varying.any()
         return varying
 
@@ -98,9 +104,13 @@ class TrainingSet:
         key = (kind, bool(pixels.all()), detection.key)
         if key not in self._centred:
             mean = torch.where(self.varying, self.full.mean(dim=0), self.full[0])
-            centred = torch.cat([self.full - mean, mean.unsqueeze(0)])
-            arranged = detection.of_pixels(pixels).arrange(centred[:, pixels])
-            self._centred[key] = arranged.to(kind)
+            seen = detection.of_pixels(pixels)
+            if isinstance(self.full, ReadScenes):
+                every = CentredScenes(self.full, mean, pixels, kind=kind, detection=seen)
+                self._centred[key] = cast(Tensor, every)
+            else:
+                centred = torch.cat([self.full - mean, mean.unsqueeze(0)])
+                self._centred[key] = seen.arrange(centred[:, pixels]).to(kind)
         return self._centred[key]
 
     @cached_property
@@ -128,6 +138,98 @@ class TrainingSet:
         if key not in self.matrices:
             self.matrices[key] = sensing_matrix(name, whole, self.data, seed, detectors=detectors)
         return self.matrices[key][:masks]
+
+
+READ_VALUES = 2**24
+"""Values of scenes that are read at once."""
+
+
+class ReadScenes:
+    """Scenes (n, N) that are read where they are needed, used as a tensor of all would be.
+
+    Parameters
+    ----------
+    stored : StoredScenes
+    """
+
+    device = torch.device("cpu")
+    nbytes = 0
+    """Bytes of reflectance that it keeps."""
+
+    def __init__(self, stored: StoredScenes) -> None:
+        self.stored = stored
+        self.shape = torch.Size(stored.shape)
+
+    def __len__(self) -> int:
+        return len(self.stored)
+
+    def __getitem__(self, rows: Tensor | np.ndarray | int) -> Tensor:
+        places = rows.numpy() if isinstance(rows, Tensor) else rows
+        return torch.from_numpy(self.stored[places])
+
+    def index_select(self, dim: int, rows: Tensor) -> Tensor:
+        """Scenes (B, N) of places (B,)."""
+        return self[rows]
+
+    def split(self, most: int) -> Iterator[Tensor]:
+        """All scenes in their order, so many at once, or fewer large ones."""
+        step = max(1, min(most, READ_VALUES // self.shape[1]))
+        for rows in torch.arange(len(self)).split(step):
+            yield self[rows]
+
+    def mean(self, dim: int) -> Tensor:
+        """Mean scene (N,)."""
+        return torch.from_numpy(self.stored.mean(axis=dim))
+
+
+@dataclass(frozen=True, eq=False)
+class CentredScenes:
+    """Pixels (n + 1, P) of scenes that are read where they are needed, less their mean.
+
+    Attributes
+    ----------
+    scenes : ReadScenes, shape (n, N)
+    mean : tensor, shape (N,)
+        Which is the last row.
+    pixels : tensor, shape (N,)
+        True for those that are kept.
+    kind : torch.dtype
+    detection : Detection
+        Of these pixels, which are arranged by it.
+    """
+
+    scenes: ReadScenes
+    mean: Tensor
+    pixels: Tensor
+    kind: torch.dtype
+    detection: Detection
+
+    device = ReadScenes.device
+
+    def index_select(self, dim: int, rows: Tensor) -> Tensor:
+        """Rows (B, P) of places (B,), of which that of the mean is the last, if it is there."""
+        count = len(self.scenes)
+        whole = bool(rows[-1] == count)
+        x = self.scenes[rows[:-1] if whole else rows].sub_(self.mean)
+        if whole:
+            x = torch.cat([x, self.mean.unsqueeze(0)])
+        if not self.pixels.all():
+            x = x[:, self.pixels]
+        return self.detection.arrange(x).to(self.kind)
+
+
+def _on_device(x: np.ndarray, device: torch.device) -> Tensor:
+    """Scenes (n, N) on a device; stored ones of the processor stay where they are."""
+    if not is_stored(x):
+        # a cluster shares arrays read-only
+        return torch.from_numpy(np.require(x, requirements="W")).to(device)
+    if device.type == "cpu":
+        return cast(Tensor, ReadScenes(x))
+    parts = map(torch.from_numpy, x.parts())
+    whole = torch.empty(x.shape, device=device)
+    for rows, part in zip(whole.split(x.step), parts, strict=True):
+        rows.copy_(part)
+    return whole
 
 
 BFLOAT16_COUNTS = 2.0**14

@@ -5,7 +5,7 @@ is arbitrary here (`LightLaw.fit` brings it to a light law) but for `impulse` an
 `raster`, whose scale is what defines them.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import ClassVar
@@ -14,11 +14,14 @@ import numpy as np
 
 from deepfsi.base import InputError, Message, check_choice
 from deepfsi.camera import RailsKind
-from deepfsi.datasets import Dataset
+from deepfsi.datasets import Dataset, StoredScenes, is_stored
 
 FULL_BASIS_PIXELS = 2048
 """Pixels up to which all principal components are computed at once, which takes their cube; of
 larger scenes only those that are asked for."""
+
+SCATTER_PIXELS = 4096
+"""Pixels up to which the scatter matrix of large data is made whole: 134 MB."""
 
 
 Shape = tuple[int, ...]
@@ -206,7 +209,7 @@ DESIGNS: dict[str, Code] = {
     "lda": ClassCode(
         "LDA",
         "linear discriminants",
-        lambda data, masks, seed: discriminants(data.x_train, data.y_train, masks),
+        lambda data, masks, seed: discriminants(np.asarray(data.x_train), data.y_train, masks),
         most=lambda shape, classes: min(classes - 1, int(np.prod(shape))),
     ),
     "class-pairs": ClassCode(
@@ -367,12 +370,23 @@ def principal_components(x: np.ndarray, masks: int) -> np.ndarray:
     import scipy.linalg
 
     pixels = x.shape[1]
-    varying = np.flatnonzero(np.ptp(x, axis=0))
-    mean = x[:, varying].mean(axis=0, dtype=np.float64)
-    if FULL_BASIS_PIXELS < len(varying) > 4 * masks < len(x):
-        power, directions = _leading(x[:, varying], mean, masks)
+    varying = np.flatnonzero(x.max(axis=0) != x.min(axis=0))
+    few = FULL_BASIS_PIXELS < len(varying) > 4 * masks < len(x)
+    if is_stored(x):
+        mean = x.mean(axis=0, dtype=np.float64)[varying]
+        if few:
+            power, directions = _leading_of_parts(x, varying, mean, count=masks)
+        else:
+            read = (part[:, varying] for part in x.parts())
+            power, directions = scipy.linalg.eigh(_scatter(read, mean))
     else:
-        power, directions = scipy.linalg.eigh(_scatter(x[:, varying], mean))
+        lit = x[:, varying]
+        mean = lit.mean(axis=0, dtype=np.float64)
+        if few:
+            power, directions = _leading(lit, mean, masks)
+        else:
+            parts = iter(np.array_split(lit, -(-len(lit) // 8192)))
+            power, directions = scipy.linalg.eigh(_scatter(parts, mean))
     known = power > pixels * np.finfo(np.float64).eps * power.max(initial=0)
     rows = np.zeros((min(masks, int(known.sum())), pixels))
     rows[:, varying] = directions[:, known].T[::-1][:masks]
@@ -386,11 +400,12 @@ def principal_components(x: np.ndarray, masks: int) -> np.ndarray:
     return np.concatenate([rows, rest])
 
 
-def _scatter(x: np.ndarray, mean: np.ndarray) -> np.ndarray:
-    """Scatter matrix (N, N) of scenes (n, N) about their mean."""
-    scatter = np.zeros((x.shape[1], x.shape[1]))
-    for chunk in np.array_split(x, -(-len(x) // 8192)):
-        centred = chunk - mean
+def _scatter(parts: Iterator[np.ndarray], mean: np.ndarray) -> np.ndarray:
+    """Scatter matrix (N, N) of scenes, parts of which are (n, N), about their mean."""
+    # products have the type of the mean, sums are of float64
+    scatter = np.zeros((len(mean), len(mean)))
+    for part in parts:
+        centred = part - mean
         scatter += centred.T @ centred
     return scatter
 
@@ -408,6 +423,30 @@ def _leading(x: np.ndarray, mean: np.ndarray, count: int) -> tuple[np.ndarray, n
         dtype=x.dtype,
     )
     start = np.random.default_rng(0).standard_normal(x.shape[1], dtype=np.float32)
+    power, directions = eigsh(scatter, k=count, v0=start)
+    return power.astype(np.float64), directions.astype(np.float64)
+
+
+def _leading_of_parts(
+    x: StoredScenes, varying: np.ndarray, mean: np.ndarray, count: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """`_leading` of some pixels of scenes that are read part by part."""
+    # Every product with a vector would read all scenes: up to some size the matrix takes less time
+    from scipy.sparse.linalg import LinearOperator, eigsh
+
+    middle = mean.astype(np.float32)
+
+    def product(vector: np.ndarray) -> np.ndarray:
+        flat = vector.ravel().astype(np.float32)
+        centred = (part[:, varying] - middle for part in x.parts())
+        return np.sum([part.T @ (part @ flat) for part in centred], axis=0)
+
+    scatter = (
+        _scatter((part[:, varying] for part in x.parts()), middle)
+        if len(mean) <= SCATTER_PIXELS
+        else LinearOperator((len(mean), len(mean)), matvec=product, dtype=np.float32)
+    )
+    start = np.random.default_rng(0).standard_normal(len(mean), dtype=np.float32)
     power, directions = eigsh(scatter, k=count, v0=start)
     return power.astype(np.float64), directions.astype(np.float64)
 

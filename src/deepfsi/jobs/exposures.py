@@ -362,7 +362,7 @@ class Patches(Exposure):
         """Every patch of the training images as a scene of its own; no test scenes."""
         if len(data.image_shape) != 2:
             raise InputError(f"{data.name} holds no images: patches need two sides")
-        patches = cut_patches(data.x_train, data.image_shape, self.patch)
+        patches = cut_patches(np.asarray(data.x_train), data.image_shape, self.patch)
         return replace(
             data,
             x_train=patches.reshape(-1, self.patch**2),

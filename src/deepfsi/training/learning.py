@@ -509,7 +509,7 @@ def footprint(training_set: TrainingSet, jobs: Sequence[Job]) -> float:
     jobs : sequence of Job
     """
     job = jobs[0]
-    scene = training_set.full[0].numel()
+    scene = training_set.full.shape[1]
     count = len(training_set.labels)
     replicas = len(jobs)
     masks = replicas * job.masks
@@ -521,4 +521,4 @@ def footprint(training_set: TrainingSet, jobs: Sequence[Job]) -> float:
     products_of_all = 0 if job.code.learned else 5 * own * count * job.masks
     step = FEATURE_COPIES * batch * (masks + replicas * sum(job.training.hidden))
     step *= job.exposure.parts
-    return FLOAT_BYTES * (3 * training_set.full.numel() + learned + products_of_all + step)
+    return 3 * training_set.full.nbytes + FLOAT_BYTES * (learned + products_of_all + step)

@@ -103,8 +103,8 @@ def view_dataset(data: Dataset, camera: Calibration | Path) -> Dataset:
     return replace(
         data,
         origin=origin,
-        x_train=camera_view(data.x_train, data.image_shape, calibration),
-        x_test=camera_view(data.x_test, data.image_shape, calibration),
+        x_train=camera_view(np.asarray(data.x_train), data.image_shape, calibration),
+        x_test=camera_view(np.asarray(data.x_test), data.image_shape, calibration),
         preprocessing=(
             f"{data.preprocessing} Then as {'x'.join(map(str, data.image_shape))} cells of a "
             f"camera see it (calibration {digest[:12]})."
