@@ -34,7 +34,8 @@ OPTIONS = options(typer.main.get_command(app))
 
 def test_learn_takes_the_fields_of_a_job_and_its_words_name_each():
     keywords = inspect.signature(deepfsi.learn).parameters
-    own = {"data", "counts", "matrix", "device", "report", "checkpoint"}
+    own = {"data", "counts", "matrix", "start", "device", "report", "checkpoint", "callback"}
+    own |= {"patience", "optimiser", "schedule"}
     assert set(keywords) == own | set(Job.model_fields)
     assert all(f"\n    {name} : " in deepfsi.learn.__doc__ for name in keywords)
     assert all(

@@ -45,8 +45,8 @@ PRIOR_COPIES = 6
 
 
 MASKS_ARE_MADE = (
-    "this design makes its masks while the camera looks, and this takes masks that are known before: "
-    "`deepfsi evaluate`, `stop`, `show`, `page`, `dmd export` and `camera live` take it"
+    "this design makes its masks while the camera looks, and this takes masks that are known "
+    "before: `deepfsi evaluate`, `stop`, `show`, `page`, `dmd export` and `camera live` take it"
 )
 """Why adaptive masks are not for what needs masks."""
 

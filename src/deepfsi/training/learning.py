@@ -346,9 +346,13 @@ def _start_matrix(start: Design | np.ndarray) -> np.ndarray:
 def _check_start(start: np.ndarray, job: Job, training_set: TrainingSet) -> None:
     """Raise `InputError` unless the masks of a job learn, and can start from such a matrix."""
     if not job.mask_job().code.learned:
-        raise InputError(f"masks of {job.design} do not learn: leave `start` out")
+        raise InputError(
+            "masks of {design} do not learn: leave {start} out", setting="start", design=job.design
+        )
     if isinstance(job.exposure, Passing):
-        raise InputError("the pattern of passing scenes starts at random: leave `start` out")
+        raise InputError(
+            "the pattern of passing scenes starts at random: leave {start} out", setting="start"
+        )
     shape = job.masks, training_set.view(job.exposure).data.pixels
     if start.shape != shape:
         raise InputError(f"a start of shape {start.shape} does not fit: give {shape}")
