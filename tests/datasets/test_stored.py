@@ -159,6 +159,7 @@ def test_a_folder_of_large_pictures_leaves_no_file(tmp_path, large, monkeypatch)
         load_dataset(source)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 def test_memory_of_a_training_is_that_of_its_data_and_little_more(tmp_path):
     """At most the data's bytes and 0.5 GB, beyond a training of few scenes."""
