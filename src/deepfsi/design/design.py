@@ -350,8 +350,8 @@ class Design:
         camera = self.camera
         if camera.noise_name not in get_args(NoiseName):
             raise InputError(
-                "this design is for {name} noise, code of its maker's that a file does not run: use "
-                "deepfsi.predict or evaluate with {noise}",
+                "this design is for {name} noise, code of its maker's that a file does not run: "
+                "use deepfsi.predict or evaluate with {noise}",
                 setting="noise",
                 name=camera.noise_name,
             )
