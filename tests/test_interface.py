@@ -108,7 +108,7 @@ MISTAKES = [
     (evaluate, {"draws": 1.5}, "1.5 noise draws are not allowed: give 1 to"),
     (evaluate, {"photons": [1e3, None]}, "photon budget None is not allowed"),
     (deepfsi.Training, {"precision": "float16"}, "precision = 'float16': did you mean 'bfloat16'?"),
-    (deepfsi.Camera, {"light": 3}, "light = 3: give 'column', 'equal-dwell', 'free-dwell' or"),
+    (deepfsi.Camera, {"light": 3}, "light = 3: give 'column', 'equal-dwell', 'free-dwell', "),
     (deepfsi.Camera, {"device": {"columns": 3}}, "device.name: it is missing: give one"),
     (deepfsi.Range, {"span": "x"}, "span = 'x': give a number"),
     (recipe, {"trials": 1.5}, "trials = 1.5: give a whole number"),

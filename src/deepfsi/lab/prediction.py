@@ -181,9 +181,9 @@ def _predict(
     check_draws(1, seed)
     camera = camera_for(design, **tested)
     budget = check_budget(_budget(design, camera) if photons is None else photons)
-    scanner = design.mask_exposure.front_end(camera)
+    scanner = design.front_end(camera)
     shown = design_scenes(design.info, design.image_shape, source, skip_bad)
-    generator = torch.Generator(design.mean.device).manual_seed(seed)
+    generator = torch.Generator(design.exposure.device).manual_seed(seed)
     scenes = torch.from_numpy(np.ascontiguousarray(shown.x.reshape(len(shown.x), -1)))
     chances = []
     clicks = 0.0

@@ -484,7 +484,7 @@ class Fluctuation(Noise):
     Examples
     --------
     >>> y = Fluctuation(Poisson(), 0.1).draw(torch.full((10_000,), 1e4), torch.manual_seed(0))
-    >>> round(float(y.mean()), -2), round(float(y.std()), -1)  # √(1e4 + (0.1 · 1e4)²)
+    >>> round(float(y.mean()), -2), round(float(y.std()), -2)  # √(1e4 + (0.1 · 1e4)²)
     (10000.0, 1000.0)
     """
 

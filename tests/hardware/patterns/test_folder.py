@@ -19,7 +19,7 @@ from scipy.linalg import hadamard
 
 from conftest import FLOAT32, OPTICS
 from deepfsi.base import InputError, Progress
-from deepfsi.camera import DEVICES, Device, find_device
+from deepfsi.camera import DEVICES, LIGHT_LAWS, Device, find_device
 from deepfsi.hardware.patterns import (
     check_patterns,
     make_frames,
@@ -59,7 +59,7 @@ def test_the_realised_matrix_is_the_design_in_steps_of_each_peak(
     )
     manifest = shown.manifest
     # `quantise` also mends what rounding breaks of a column design; dimming leaves no need for it
-    law = "free-dwell" if light == "column" else light
+    law = light if LIGHT_LAWS[light].one_device else "free-dwell"
     wanted = light_law(law).quantise(given, manifest.grid.mirrors + 1) * manifest.dimmed
     tolerance = FLOAT32 if light == "two-arm" else 1e-12  # arms sum to one time in float32 only
     assert np.allclose(shown.rails, wanted.numpy(), rtol=tolerance, atol=1e-15)
@@ -70,7 +70,7 @@ def test_the_realised_matrix_is_the_design_in_steps_of_each_peak(
     assert manifest.shares == pytest.approx((lit[lit > 0] * manifest.dimmed).tolist(), rel=1e-12)
     assert manifest.shares.sum() <= 1 + 1e-12
     assert light_law(law).excess(torch.from_numpy(shown.rails)) <= FLOAT32
-    if light != "column":
+    if LIGHT_LAWS[light].one_device:
         assert manifest.dimmed >= 1 - SLACK
     else:
         assert manifest.dimmed == pytest.approx(min(1, 1 / float(lit.sum())), rel=1e-12)
