@@ -1,7 +1,7 @@
 """Base of all kinds of exposure: what each shows of a scene, and what its counts tell.
 
-One class for each kind, and nobody but these asks which one a design has. Most hold masks that are
-known before (`MaskExposure`); adaptive masks hold a prior of scenes, of which they make theirs.
+One class for each kind. Most hold masks that are known before (`MaskExposure`); adaptive masks hold
+a prior of scenes, of which they make theirs. What needs one or the other asks `makes_masks`.
 """
 
 from abc import ABC, abstractmethod

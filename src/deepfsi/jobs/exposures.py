@@ -10,7 +10,7 @@
 A kind is here what is asked for, its settings, and what a design file's header says of it, its
 entry. An entry and the tensors beside it rebuild the exposure of a trained design: nothing of a
 field's name, order or default may change, as files are read again by them. What a trained design
-does with its masks is in `design.exposure`.
+does with its masks is in `exposure`.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
