@@ -7,6 +7,7 @@ a prior of scenes, of which they make theirs. What needs one or the other asks `
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from math import prod
 from typing import Any, ClassVar, Literal, NamedTuple, Protocol, Self, TypeVar
 
 import numpy as np
@@ -492,10 +493,6 @@ class MaskExposure(ExposureKind):
         """Shape of a mask."""
         return self.image_shape
 
-    def tokens(self, image_shape: tuple[int, ...]) -> int:
-        """Number of parts of an image that are exposed by themselves."""
-        return 1
-
     @property
     def patch_axis(self) -> tuple[int, ...]:
         """Axis (P,) of counts that comes before those of a patch; none of whole images."""
@@ -672,7 +669,7 @@ class MaskExposure(ExposureKind):
             gain, offset = to_training_light(
                 photons / trained,
                 optics.mean * trained,
-                optics.shares * trained / self.tokens(self.image_shape),
+                optics.shares * trained / prod(self.patch_axis),
                 optics.clicks.gates,
             )
             seen = replace(seen, features=seen.features * gain + offset / trained)

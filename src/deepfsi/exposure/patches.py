@@ -53,14 +53,10 @@ class PatchExposure(MaskExposure):
         """Shape of a mask, that of a patch."""
         return self.side, self.side
 
-    def tokens(self, image_shape: tuple[int, ...]) -> int:
-        """Number of patches of an image."""
-        return prod(image_shape) // self.side**2
-
     @property
     def patch_axis(self) -> tuple[int, ...]:
         """Axis (P,) of counts, in which patches follow row by row."""
-        return (self.tokens(self.image_shape),)
+        return (prod(self.image_shape) // self.side**2,)
 
     def rates(self, front: Scanner, scenes: Tensor) -> Tensor:
         """Expected counts (..., P, rails, m) of the patches of images (..., H · W)."""
@@ -78,9 +74,7 @@ class PatchTraining(ExposureTraining):
         super().__init__(group)
         asked = self.job.exposure
         assert isinstance(asked, Patches)
-        exposure = PatchExposure(asked.patch)
-        self.exposures = [exposure]
-        self.tokens = exposure.tokens(self.training_set.data.image_shape)
+        self.exposures = [PatchExposure(asked.patch)]
         self.masks = self.learned_masks() if self.learns else self.fixed_masks(self.named_rails())
 
     def prepare(self) -> None:

@@ -147,7 +147,7 @@ class ExposureTraining(ABC):
         self.detection = Detection.of(self.camera, self.training_set.data.image_shape)
         self.choose = Replicas([], stacked=False)
         self.input_count = self.job.features(self.training_set.data.image_shape)
-        self.tokens = 1
+        self.tokens = self.training_set.data.pixels // self.scenes.data.pixels
 
     @abstractmethod
     def prepare(self) -> None:
