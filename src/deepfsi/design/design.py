@@ -36,6 +36,7 @@ from deepfsi.designfile import (
     trained_camera,
 )
 from deepfsi.exposure import (
+    EXPOSED_AT_ONCE,
     AdaptiveExposure,
     Answer,
     ExposureKind,
@@ -52,9 +53,6 @@ from deepfsi.physics import (
     library_defaults,
     torch_device,
 )
-
-EXPOSED_AT_ONCE = 1024
-"""Scenes that are exposed at a time."""
 
 
 @dataclass(repr=False)
@@ -318,7 +316,7 @@ class Design:
         scenes, lead = self._scenes(x)
         budget = check_budget(photons)
         front = self.front_end(self._named_camera)
-        generator = torch.Generator(self.rails.device).manual_seed(seed)
+        generator = torch.Generator(exposure.device).manual_seed(seed)
         parts = [
             front.read(exposure.placed(self.rates(front, some), generator) * budget, generator)
             for some in scenes.split(EXPOSED_AT_ONCE)
@@ -337,12 +335,10 @@ class Design:
         scenes, lead = self._scenes(x)
         budget = check_budget(photons)
         front = self.front_end(self._named_camera)
-        generator = torch.Generator(self.exposure.shares.device).manual_seed(seed)
-        classes = []
-        for some in scenes.split(EXPOSED_AT_ONCE):
-            seen = self.exposure.expose(front, self.rates(front, some), budget, generator)
-            classes.append(self.answer(seen, budget).classes.cpu().numpy())
-        return np.array(self.classes)[np.concatenate(classes)].reshape(lead)
+        generator = torch.Generator(self.exposure.device).manual_seed(seed)
+        exposures = self.exposure.expose_in_parts(front, scenes, budget, generator)
+        classes = torch.cat([self.answer(seen, budget).classes for _, seen in exposures])
+        return np.array(self.classes)[classes.cpu().numpy()].reshape(lead)
 
     @property
     def _named_camera(self) -> Camera:

@@ -16,6 +16,7 @@ from deepfsi.datasets import Dataset, Source, as_dataset, as_test_part
 from deepfsi.design import Design
 from deepfsi.designfile import new_scenes
 from deepfsi.evaluation.bounds import linear_bound
+from deepfsi.exposure import EXPOSED_AT_ONCE
 from deepfsi.measures import (
     MOST_DRAWS,
     Answers,
@@ -234,7 +235,7 @@ def expose_scenes(
     outputs: list[list[list[np.ndarray]]] = [[] for _ in budgets]
     light = np.zeros((len(budgets), 2))  # counts and photons
     exposed = []
-    chunks = torch.arange(len(data.x_test)).split(1024)
+    chunks = torch.arange(len(data.x_test)).split(EXPOSED_AT_ONCE)
     with torch.no_grad():
         for done, rows in enumerate(chunks, start=1):
             some = rows.numpy()  # NumPy takes a tensor of one number for the number itself

@@ -12,6 +12,7 @@ from deepfsi.exposure.adaptive import (
 from deepfsi.exposure.choice import look_at, next_masks
 from deepfsi.exposure.fixed import FixedExposure
 from deepfsi.exposure.kind import (
+    EXPOSED_AT_ONCE,
     Answer,
     Clicks,
     ExposureKind,
@@ -28,6 +29,7 @@ from deepfsi.exposure.training_set import Matrices, TrainingSet, dtypes, network
 
 __all__ = [
     "CHUNK",
+    "EXPOSED_AT_ONCE",
     "MASK_KINDS",
     "MISFIT_BUDGETS",
     "MISFIT_SCENES",

@@ -17,10 +17,7 @@ from torch import Tensor
 from deepfsi.base import InputError, as_input_error
 from deepfsi.camera import LIGHT_LAWS, Camera, LightLawName
 from deepfsi.designfile import click_gates
-from deepfsi.jobs import (
-    AdaptiveMasks,
-    ExposureEntry,
-)
+from deepfsi.jobs import AdaptiveMasks, ExposureEntry
 from deepfsi.networks import Mlp
 from deepfsi.physics import (
     Detection,
@@ -43,6 +40,10 @@ Show = Callable[[Tensor], tuple[Tensor, Tensor]]
 
 Counting = Callable[[float, np.random.Generator], list[tuple[np.ndarray, np.ndarray]]]
 """Exposures (n, R) of scenes at a budget: their counts and weights after each look."""
+
+
+EXPOSED_AT_ONCE = 1024
+"""Scenes that are exposed at a time."""
 
 
 @dataclass(frozen=True)
@@ -166,7 +167,7 @@ class ExposureKind(ABC):
     looks: int = 1
     """K, number of looks of an exposure."""
 
-    exposed_at_once: ClassVar[int] = 1024
+    exposed_at_once: ClassVar[int] = EXPOSED_AT_ONCE
     """Scenes of which a test holds the counts at a time, at most."""
 
     own_draws: ClassVar[bool] = False
@@ -265,6 +266,15 @@ class ExposureKind(ABC):
         """Exposures at their end; parameters of `observe`."""
         *_, seen = self.observe(front, rates, photons, generator)
         return seen
+
+    def expose_in_parts(
+        self, front: Any, scenes: Tensor, photons: float, generator: torch.Generator
+    ) -> Iterator[tuple[Tensor, Observation]]:
+        """Exposures at their end of scenes (n, N), some at a time, each with its `rates`."""
+        # other parameters as of `observe`
+        for some in scenes.split(EXPOSED_AT_ONCE):
+            rates = self.rates(front, some)
+            yield rates, self.expose(front, rates, photons, generator)
 
     @abstractmethod
     def light(self, front: Any, rates: Tensor, seen: Observation, photons: float) -> CountedLight:

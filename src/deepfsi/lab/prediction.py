@@ -20,9 +20,6 @@ from deepfsi.lab.design_data import design_scenes
 if TYPE_CHECKING:  # it imports torch, which those who predict nothing do without
     from deepfsi.design import Design
 
-AT_ONCE = 1024
-"""Pictures that are exposed together."""
-
 
 @dataclass(frozen=True)
 class Predicted:
@@ -187,9 +184,7 @@ def _predict(
     scenes = torch.from_numpy(np.ascontiguousarray(shown.x.reshape(len(shown.x), -1)))
     chances = []
     clicks = 0.0
-    for some in scenes.split(AT_ONCE):
-        rates = design.rates(scanner, some)
-        seen = design.exposure.expose(scanner, rates, budget, generator)
+    for rates, seen in design.exposure.expose_in_parts(scanner, scenes, budget, generator):
         chances.append(design.chances(seen, budget).cpu())
         if design.gates is not None:
             clicks += float(scanner.noise.mean(budget * rates).sum())
