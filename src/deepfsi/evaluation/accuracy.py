@@ -16,7 +16,7 @@ from deepfsi.datasets import Dataset, Source, as_dataset, as_test_part
 from deepfsi.design import Design
 from deepfsi.designfile import new_scenes
 from deepfsi.evaluation.bounds import linear_bound
-from deepfsi.exposure import EXPOSED_AT_ONCE
+from deepfsi.exposure import EXPOSED_AT_ONCE, CountedLight
 from deepfsi.measures import (
     MOST_DRAWS,
     Answers,
@@ -26,7 +26,7 @@ from deepfsi.measures import (
     ResultList,
     ValueAnswers,
 )
-from deepfsi.physics import Scanner, library_defaults
+from deepfsi.physics import library_defaults
 
 AnyAnswers = TypeVar("AnyAnswers", bound=Answers)
 
@@ -105,15 +105,14 @@ def evaluate(
     title = f"{design.name}, {design.masks} masks"
     front = design.front_end(camera)
     light = design.shares.view(design.masks, -1).sum(dim=1)
+    answer = partial(_answering, design, front)
     with progress_bar(report, title) as bar:
         if design.values is None:
-            answer = partial(_answering, design, front)
             classes = expose_scenes(
                 scenes, answer, conditions, light, kind=ClassAnswers, report=bar
             )
             return ResultList(map(Result.of, classes))
-        estimate = partial(_estimating, design, front)
-        every = expose_scenes(scenes, estimate, conditions, light, kind=ValueAnswers, report=bar)
+        every = expose_scenes(scenes, answer, conditions, light, kind=ValueAnswers, report=bar)
     names = design.values.names
     return [
         Estimates.of(
@@ -132,20 +131,25 @@ def covered(covers: str, left: str | None) -> str:
     return covers if left is None else f"{covers}; {left}"
 
 
-Guess = Callable[[torch.Generator, float], tuple[Tensor, Tensor, float, float]]
-"""Exposes scenes once at a budget: classes (b,), which rounded probabilities may not tell apart,
-probabilities (b, C), and the sums of expected counts and of the photons that arrive."""
+Guessed = tuple[tuple[Tensor, ...], CountedLight]
+"""Answers to scenes, and the light of their exposures: classes (b,), which rounded probabilities
+may not tell apart, and probabilities (b, C); or values (b, q)."""
+
+Guess = Callable[[torch.Generator, float], Guessed]
+"""Exposes scenes once at a budget, and answers."""
 
 
 def _answering(design: Design, front: Any, x: Tensor) -> Guess:
-    """Rule that exposes scenes (b, N) and answers their classes."""
+    """Rule that exposes scenes (b, N) and answers their classes, or their values."""
     rates = design.rates(front, x)
 
-    def guess(generator: torch.Generator, budget: float) -> tuple[Tensor, Tensor, float, float]:
+    def guess(generator: torch.Generator, budget: float) -> Guessed:
         seen = design.exposure.expose(front, rates, budget, generator)
-        answer = design.answer(seen, budget)
         light = design.exposure.light(front, rates, seen, budget)
-        return answer.classes, answer.chances, light.counts, light.photons
+        if design.values is not None:
+            return (design.values.estimated(design.logits_of(seen, budget)),), light
+        answer = design.answer(seen, budget)
+        return (answer.classes, answer.chances), light
 
     return guess
 
@@ -190,25 +194,9 @@ class Conditions:
     covers: str = COVERS
 
 
-def _estimating(
-    design: Design, scanner: Scanner, x: Tensor
-) -> Callable[[torch.Generator, float], tuple[Tensor, float, float]]:
-    """Rule that exposes scenes (b, N) and estimates their values, as `Guess` does their classes."""
-    values = design.values
-    assert values is not None
-    rates = design.rates(scanner, x)
-
-    def estimate(generator: torch.Generator, budget: float) -> tuple[Tensor, float, float]:
-        seen = design.exposure.expose(scanner, rates, budget, generator)
-        light = design.exposure.light(scanner, rates, seen, budget)
-        return values.estimated(design.logits_of(seen, budget)), light.counts, light.photons
-
-    return estimate
-
-
 def expose_scenes(
     data: Dataset,
-    answer_of: Callable[[Tensor], Callable[[torch.Generator, float], Any]],
+    answer_of: Callable[[Tensor], Guess],
     conditions: Conditions,
     shares: Tensor,
     *,
@@ -221,8 +209,8 @@ def expose_scenes(
     ----------
     data : Dataset
     answer_of : callable
-        Gives for scenes (b, N) what exposes them once: outputs (b, …), which are those of `kind` in
-        their order, and sums of expected counts and of photons.
+        Gives for scenes (b, N) what exposes them once: its answers are those of `kind`, in their
+        order.
     conditions : Conditions
     shares : tensor, shape (m,)
         Of the budget that each mask counts.
@@ -243,9 +231,9 @@ def expose_scenes(
             exposed += [some] * conditions.draws
             for place, (budget, generator) in enumerate(zip(budgets, generators, strict=True)):
                 for _ in range(conditions.draws):
-                    *tensors, counted, arriving = answer(generator, budget)
-                    outputs[place].append([each.cpu().numpy() for each in tensors])
-                    light[place] += counted, arriving
+                    answers, counted = answer(generator, budget)
+                    outputs[place].append([each.cpu().numpy() for each in answers])
+                    light[place] += counted
             report(done / len(chunks))
     means = light / (conditions.draws * len(data.x_test))
     return [

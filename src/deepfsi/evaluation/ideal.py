@@ -18,8 +18,15 @@ from deepfsi.camera import check_budget, summed_reflectance
 from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design import Design
 from deepfsi.designfile import new_scenes
-from deepfsi.evaluation.accuracy import Conditions, Guess, check_data, check_draws, expose_scenes
-from deepfsi.exposure import class_chances
+from deepfsi.evaluation.accuracy import (
+    Conditions,
+    Guess,
+    Guessed,
+    check_data,
+    check_draws,
+    expose_scenes,
+)
+from deepfsi.exposure import CountedLight, class_chances
 from deepfsi.measures import ClassAnswers, Result, ResultList
 from deepfsi.networks import check_classes
 from deepfsi.physics import Scanner, library_defaults
@@ -170,13 +177,11 @@ def ideal_observer(
         def guess_of(x: Tensor) -> Guess:
             rates = rates_of(x)
 
-            def guess(
-                generator: torch.Generator, budget: float
-            ) -> tuple[Tensor, Tensor, float, float]:
+            def guess(generator: torch.Generator, budget: float) -> Guessed:
                 expected = rates * budget
                 chances = observer.chances(scanner.read(expected, generator), budget)
                 counted = float(expected.sum())
-                return chances.argmax(dim=-1), chances, counted, counted
+                return (chances.argmax(dim=-1), chances), CountedLight(counted, counted)
 
             return guess
 

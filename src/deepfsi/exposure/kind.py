@@ -143,7 +143,13 @@ class Dwells:
 
 
 class CountedLight(NamedTuple):
-    """Light of exposures together: counts that are expected, and photons that arrive."""
+    """Light of exposures together.
+
+    Attributes
+    ----------
+    counts, photons : float
+        Counts that are expected, and photons that arrive.
+    """
 
     counts: float
     photons: float
