@@ -68,7 +68,6 @@ LONELY: dict[str, str] = {
     "deepfsi.hardware.photons.scan": "a microscope's scan is no run, and has markers of its own",
     "deepfsi.hardware.photons.timestamps": "a new make's file is a class and a line in it",
     "deepfsi.physics.transit": "scenes that pass a pattern, which one kind of exposure needs",
-    "deepfsi.training.assembly": "a training elsewhere, which needs no loop",
     "deepfsi.training.readouts": "networks of measured readouts, which need no masks",
 }
 """Modules with one importer, each with the reason why it is a module: ``deepfsi.base.html``."""

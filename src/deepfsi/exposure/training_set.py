@@ -55,13 +55,16 @@ class TrainingSet:
         self.device = torch_device(device)
         self.summed_reflectance = summed_reflectance(data.x_train)
         self.values = Values.of(data)
-        # (n,) classes, or (n, q) standardised values
-        truth = torch.from_numpy(np.require(data.y_train, requirements="W"))
-        self.labels = (self.values.standardised(truth) if self.values else truth).to(self.device)
+        self.labels = self.truth_of(data.y_train)
         self.full = _on_device(data.x_train, self.device)
         self.matrices = {} if matrices is None else matrices
         self._centred: dict[tuple[torch.dtype, bool, bytes], Tensor] = {}
         self._views: dict[Exposure, TrainingSet] = {}
+
+    def truth_of(self, labels: np.ndarray) -> Tensor:
+        """Classes (n,) of scenes on the device, or their standardised values (n, q)."""
+        truth = torch.from_numpy(np.require(labels, requirements="W"))
+        return (self.values.standardised(truth) if self.values else truth).to(self.device)
 
     def of(self, data: Dataset) -> "TrainingSet":
         """Other scenes on the same device."""

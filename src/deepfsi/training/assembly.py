@@ -1,5 +1,6 @@
-"""A design from masks and a classifier that a training loop of the user's own has made."""
+"""Designs from masks and classifiers that a training loop has made, this one or a user's own."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -10,7 +11,7 @@ from deepfsi.camera import Camera, LightLawName, check_budget, summed_reflectanc
 from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design import Design
 from deepfsi.designfile import TrainingScenes
-from deepfsi.exposure import Clicks, FixedExposure, TrainedMasks, TrainingSet
+from deepfsi.exposure import Clicks, ExposureTraining, FixedExposure, TrainedMasks, TrainingSet
 from deepfsi.jobs import Job
 from deepfsi.networks import OwnClassifier, Values, make
 from deepfsi.physics import LearnedMasks, Rails, Scanner, library_defaults, light_law
@@ -88,6 +89,30 @@ def design_of(
     del design.info["job"]["training"], design.info["seconds"]  # not known of a training elsewhere
     characterise(TrainingSet(scenes, rails.device), [job], [design])
     return design
+
+
+def designs_of(exposure: ExposureTraining, classifiers: Sequence[nn.Module]) -> list[Design]:
+    """Designs of jobs that train side by side, of masks that are fixed.
+
+    Parameters
+    ----------
+    exposure : ExposureTraining
+    classifiers : sequence of modules
+        One of each job.
+    """
+    training_set = exposure.training_set
+    with torch.no_grad():
+        trained = exposure.finish()
+    return [
+        Design(
+            name=job.design,
+            classes=training_set.data.classes,
+            exposure=own,
+            classifier=classifier,
+            values=training_set.values,
+        )
+        for job, own, classifier in zip(exposure.jobs, trained, classifiers, strict=True)
+    ]
 
 
 def _job(scanner: Scanner, rails: Rails, photons: float, light: LightLawName) -> Job:

@@ -20,6 +20,7 @@ from deepfsi.base import InputError
 from deepfsi.design import Design
 from deepfsi.exposure import CHUNK, Clicks, ExposureTraining
 from deepfsi.networks import Replicas
+from deepfsi.training.assembly import designs_of
 from deepfsi.training.checkpoint import LoopState
 from deepfsi.training.losses import SceneLoss
 
@@ -257,15 +258,10 @@ class LoopWatch:
             return self._fixed
         exposure = copy.copy(self.exposure)  # which keeps masks that learn
         exposure.fix()
-        training_set = exposure.training_set
-        designs = []
-        for job, kind, classifier in zip(
-            exposure.jobs, exposure.finish(), self.networks, strict=False
-        ):
+        designs = designs_of(exposure, self.networks[: len(exposure.jobs)])
+        for job, design in zip(exposure.jobs, designs, strict=True):
             clicks = Clicks.of({"job": job.model_dump(mode="json")})
-            kind = kind.with_optics(clicks=clicks)
-            classes = training_set.data.classes
-            designs.append(Design(job.design, classes, kind, classifier))
+            design.exposure = design.mask_exposure.with_optics(clicks=clicks)
         self._fixed = None if exposure.learns else designs
         return designs
 
@@ -274,9 +270,7 @@ class LoopWatch:
         training_set = self.exposure.training_set
         device = training_set.device
         photons = (job.photons * job.exposure.highest(job.photons)) ** 0.5
-        truth = torch.from_numpy(np.require(training_set.data.y_test, requirements="W"))
-        values = training_set.values
-        truth = (values.standardised(truth) if values else truth).to(device)
+        truth = training_set.truth_of(training_set.data.y_test)
         front = design.front_end(job.camera)
         generator = torch.Generator(device).manual_seed(job.seed)
         losses = []
@@ -287,11 +281,11 @@ class LoopWatch:
             logits = design.logits_of(seen, photons)
             with torch.enable_grad():  # a loss of a user's own must follow its outputs
                 losses.append(self.loss(logits.requires_grad_(), answers).detach())
-            if values is None:
+            if design.values is None:
                 right.append(logits.argmax(dim=-1) == answers)
         test = {"validation_loss": float(torch.cat(losses).mean())}
         return (
             test
-            if values
+            if design.values
             else {**test, "validation_accuracy": float(torch.cat(right).float().mean())}
         )

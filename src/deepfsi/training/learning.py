@@ -43,6 +43,7 @@ from deepfsi.jobs import (
     table_advice,
 )
 from deepfsi.physics import library_defaults
+from deepfsi.training.assembly import designs_of
 from deepfsi.training.characterisation import (
     calibrated_prior,
     characterise,
@@ -383,7 +384,6 @@ def _designs(
 ) -> list[Design]:
     """Designs of jobs that train side by side."""
     jobs = group.jobs
-    data = group.training_set.data
     if jobs[0].code.learned_under:
         # those of the control group are learned before, under gaussian noise and with a network of
         # their own
@@ -393,19 +393,7 @@ def _designs(
         )
         taught = _optimised(teachers, before, checkpoint=checkpoint, hooks=hooks)[0]
         group = replace(group, masks=taught.masks)
-    exposure, classifiers = _optimised(group, report, checkpoint=checkpoint, hooks=hooks)
-    with torch.no_grad():
-        trained = exposure.finish()
-    return [
-        Design(
-            name=each.design,
-            classes=data.classes,
-            exposure=own,
-            classifier=classifier,
-            values=group.training_set.values,
-        )
-        for each, own, classifier in zip(jobs, trained, classifiers, strict=True)
-    ]
+    return designs_of(*_optimised(group, report, checkpoint=checkpoint, hooks=hooks))
 
 
 def _optimised(
