@@ -1,6 +1,6 @@
 """Power of the test of counts for what a design was trained for, by fault and budget.
 
-    python benchmarks/consistency.py                # the table of docs/understand/camera.md
+    python benchmarks/consistency.py                # the table of docs/notebook/run-checks.md
     python benchmarks/consistency.py --masks 32 --epochs 5
 
 A design and one of another seed are trained on MNIST. Its test scenes, drawn in acquisitions of

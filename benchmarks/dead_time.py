@@ -1,6 +1,6 @@
 """Accuracy at 10⁷ counts/s with a counter's dead time, as it is counted and corrected.
 
-    python benchmarks/dead_time.py  # table of docs/understand/dead-time.md
+    python benchmarks/dead_time.py  # table of docs/notebook/dead-time.md
     python benchmarks/dead_time.py --figure docs/figures/dead-time.png
 
 Designs for one device are trained on MNIST. Test scenes are counted in exposures of 10 ms by the

@@ -1,6 +1,6 @@
 """Rules from the literature for few detected photons or clicks, beside which designs are compared.
 
-    python benchmarks/few_photons.py FOLDER  # table of docs/understand/published.md, some minutes
+    python benchmarks/few_photons.py FOLDER  # table of docs/notebook/published.md, some minutes
     python benchmarks/few_photons.py FOLDER --data digits --neurons 10
 
 FOLDER holds the published networks as `published.py` reads them. Masks are not trained here.

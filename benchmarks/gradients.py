@@ -1,13 +1,13 @@
 """Compare estimators of the gradient of a mask under photon noise, on equal trainings.
 
-    python benchmarks/gradients.py --csv gradients.csv  # one study of docs/understand/gradients.md
+    python benchmarks/gradients.py --csv gradients.csv  # one study of docs/notebook/gradients.md
     python benchmarks/gradients.py --data digits --quick  # the same in a moment
 
 Poisson counts have no derivative by their rate. `ml_gauss` (the package's) trains on Gaussian noise
 instead; the others draw exact counts and estimate how the loss changes with the rate of each
 readout. All have the same scenes, order, initial weights, steps, schedule and choice of learning
 rates, made on the validation part of the training set with other seeds; the test set is read once.
-Formulas and what came out: docs/understand/gradients.md.
+Formulas and what came out: docs/notebook/gradients.md.
 """
 
 import argparse

@@ -1,6 +1,6 @@
 """Designs beside published masks of a single-photon-detection neural network, on the same light.
 
-    python benchmarks/published.py FOLDER -o runs/published  # table of docs/understand/published.md
+    python benchmarks/published.py FOLDER -o runs/published  # table of docs/notebook/published.md
     python benchmarks/published.py FOLDER --neurons 10 --epochs 1 -o runs/short
     python benchmarks/published.py FOLDER --few --seeds 0 1 2  # the table for clicks alone
 

@@ -1,6 +1,6 @@
 """Faults of the view in runs of 40 scenes: which are refused or named, and how often sound ones.
 
-    python benchmarks/view.py                      # the table of docs/understand/camera.md
+    python benchmarks/view.py                      # the table of docs/notebook/run-checks.md
     python benchmarks/view.py --runs 3 --sound 20  # a short look
 
 Designs are learned on digits at 10^4 photons. The virtual camera shows test scenes with a fault of

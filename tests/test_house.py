@@ -256,7 +256,7 @@ def documented(tree: ast.AST) -> list[tuple[str, str]]:
 @pytest.mark.parametrize(
     ("page", "named"),
     [
-        ("docs/understand/architecture.md", r"^- \*\*`([\w.]+)`\*\* "),
+        ("docs/develop/architecture.md", r"^- \*\*`([\w.]+)`\*\* "),
         ("CONTRIBUTING.md", r"^\| `([\w/]+)/` \|"),
     ],
 )

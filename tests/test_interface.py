@@ -170,7 +170,7 @@ BEFORE = {
     "docs/do/own-noise": DATA,
     "docs/do/own-optics": DATA,
     "docs/do/live": ANYTHING.format("my_projector = my_counter = my_display = my_recording"),
-    "docs/understand/looks": ANYTHING.format("my_device"),
+    "docs/notebook/looks": ANYTHING.format("my_device"),
 }
 """Names that a page leaves to its reader."""
 

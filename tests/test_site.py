@@ -71,7 +71,7 @@ def test_a_bad_link_and_a_file_from_elsewhere_are_found(tmp_path):
 @pytest.mark.parametrize(
     ("link", "page"),
     [
-        ("[a](../../CONTRIBUTING.md#b)", "[a](/lookup/contributing.md#b)"),
+        ("[a](../../CONTRIBUTING.md#b)", "[a](/develop/contributing.md#b)"),
         ("[a](../gallery/b/plot_c.py)", "[a](/generated/gallery/b/plot_c.rst)"),
         ("[a](../../tutorial/plot_b.py)", "[a](/generated/tutorial/plot_b.rst)"),
         ("[a](b.md#c)", "[a](b.md#c)"),

@@ -10,9 +10,10 @@ from pathlib import Path
 ROOT = Path(__file__).parents[2]
 WHOLE = re.compile(r"```\{include\} \.\./\.\./(\w+\.md)\n```")
 HOMES = (
+    (r"(?:\.\./)*CHANGELOG\.md", lambda path: "/lookup/changelog.md"),
     (
-        r"(?:\.\./)*(?:CHANGELOG|CONTRIBUTING|RELEASING|SECURITY)\.md",
-        lambda path: f"/lookup/{path.split('/')[-1].lower()}",
+        r"(?:\.\./)*(?:CONTRIBUTING|RELEASING|SECURITY)\.md",
+        lambda path: f"/develop/{path.split('/')[-1].lower()}",
     ),
     (
         r"(?:\.\./)*(?:gallery/\w+|tutorial)/plot_\w+\.py",

@@ -289,7 +289,7 @@ class Poisson(Noise):
 
     Mean and variance are the rate. Above `POISSON_LIMIT` it is the rounded Gaussian limit. Counts
     have no gradient; `gradient` gives them that of their mean and variance. Source: PN of the
-    paper, arXiv 2508.01981, and docs/understand/gradients.md.
+    paper, arXiv 2508.01981, and docs/notebook/gradients.md.
 
     Examples
     --------
@@ -472,7 +472,7 @@ class Fluctuation(Noise):
     The rates of a frame are r (1 + ε), with an ε of the mean 0 and the standard deviation σ, alike
     for all detectors, and for both rails where two arms see them at once: then a feature has the
     variance of the other noise and σ² (r⁺ − r⁻)²; of frames one after another, σ² (r⁺² + r⁻²).
-    1 + ε is log-normal, so that no light is negative. Source: DeepFSI, docs/understand/flicker.md.
+    1 + ε is log-normal, so that no light is negative. Source: DeepFSI, docs/notebook/flicker.md.
 
     Parameters
     ----------

@@ -36,7 +36,7 @@ START_S = 1e-3
 
 
 class Latencies(StrictModel):
-    """Times of the steps of a loop, seconds; docs/understand/live-timing.md says their sources."""
+    """Times of the steps of a loop, seconds; docs/notebook/live-timing.md says their sources."""
 
     # Of each pattern into the device: known masks once before the first scene, adaptive ones each
     # before its look
