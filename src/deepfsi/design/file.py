@@ -20,7 +20,7 @@ from deepfsi.designfile import (
 )
 from deepfsi.exposure import MASK_KINDS, AdaptiveExposure, Clicks, TrainedMasks
 from deepfsi.jobs import AdaptiveMasks
-from deepfsi.networks import Mlp, OwnClassifier, Values, Vit, restore_network
+from deepfsi.networks import CLASSIFIER_TYPES, Classifier, OwnClassifier, Values, restore_network
 from deepfsi.physics import Detection, Rails, light_law
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ def file_of(design: "Design") -> DesignFile:
 
 def _entry_of(classifier: nn.Module | None) -> dict[str, Any]:
     """Entry of a header for a classifier, or `InputError` if it cannot be described."""
-    if not isinstance(classifier, Mlp | Vit | OwnClassifier):
+    if not isinstance(classifier, Classifier):
         raise InputError(
             f"a design with a {type(classifier).__name__} classifier cannot be saved: "
             "give it as deepfsi.OwnClassifier(module)"
@@ -159,7 +159,7 @@ def _classifier(file: DesignFile, header: MaskHeader, inputs: int) -> nn.Module:
     if isinstance(sizes, CustomEntry):
         return OwnClassifier(None, sizes.factory, sizes.arguments, weights)
     return restore_network(
-        {"mlp": Mlp, "vit": Vit}[sizes.kind],
+        CLASSIFIER_TYPES[sizes.kind],
         weights,
         inputs=inputs,
         classes=len(header.classes or header.values),

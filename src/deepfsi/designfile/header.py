@@ -47,6 +47,7 @@ class MlpEntry(StrictModel, strict=True):
     hidden: Widths
     dropout: float = Field(ge=0, lt=1)
     patches: ClassVar = 1
+    reads_patches: ClassVar = False
 
 
 class VitEntry(StrictModel, strict=True):
@@ -72,6 +73,7 @@ class VitEntry(StrictModel, strict=True):
     depth: int = Field(ge=1, le=MOST_LAYERS)
     heads: Count
     hidden: Count
+    reads_patches: ClassVar = True
 
 
 class CustomEntry(StrictModel, strict=True):
@@ -89,6 +91,7 @@ class CustomEntry(StrictModel, strict=True):
     factory: str = Field(pattern=f"^({IMPORT_PATH})?$")
     arguments: dict[str, Any]
     patches: ClassVar = 1
+    reads_patches: ClassVar = False
 
 
 class MaskHeader(StrictModel, strict=True, populate_by_name=True):
@@ -135,7 +138,7 @@ class MaskHeader(StrictModel, strict=True, populate_by_name=True):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        if (self.classifier.kind == "vit") != (self.exposure.kind == "patches"):
+        if self.classifier.reads_patches != (self.exposure.kind == "patches"):
             raise ValueError("a transformer reads patches, and nothing else does")
         if bool(self.classes) == bool(self.values):
             raise ValueError("a design answers either classes or values")

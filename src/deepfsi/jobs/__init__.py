@@ -49,7 +49,6 @@ from deepfsi.jobs.tiles import check_count, count_allowed, sensing_matrix
 from deepfsi.jobs.training import (
     MLP,
     MOST_LAYERS,
-    VIT,
     Precision,
     Scale,
     Training,
@@ -71,7 +70,6 @@ __all__ = [
     "REVISION",
     "SETTING_ALIASES",
     "STATIC",
-    "VIT",
     "AdaptiveMasks",
     "Code",
     "ConditionedEntry",

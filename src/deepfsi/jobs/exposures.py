@@ -25,7 +25,7 @@ from deepfsi.base import InputError, Message, as_input_error, closest_choice
 from deepfsi.base.models import Amount, Count, Positive, StrictModel, UserModel, WholeNumber
 from deepfsi.camera import LIGHT_LAWS, Camera, find_noise
 from deepfsi.datasets import Dataset
-from deepfsi.jobs.training import VIT, Widths
+from deepfsi.jobs.training import Widths
 
 if TYPE_CHECKING:
     from deepfsi.jobs.job import Job
@@ -60,6 +60,12 @@ class Exposure(UserModel):
 
     of_classes: ClassVar[bool] = False
     """Whether it is decided by the probabilities of classes."""
+
+    of_patches: ClassVar[bool] = False
+    """Whether classifiers get the features of every patch of an image."""
+
+    takes_start: ClassVar[bool] = True
+    """Whether masks that learn can start from a design or a matrix."""
 
     allow_bf16: ClassVar[bool] = True
     """Whether products of masks in bfloat16 were tried."""
@@ -354,6 +360,7 @@ class Patches(Exposure):
     }
 
     side_by_side: ClassVar[bool] = False
+    of_patches: ClassVar[bool] = True
     allow_bf16: ClassVar[bool] = False
 
     patch: int = Field(ge=2, description="side of a patch, pixels, of an image seen by patches")
@@ -385,7 +392,7 @@ class Patches(Exposure):
             yield f"{job.design} is not for patches: give deepfsi or a named design"
         if not find_noise(job.noise).stands_for or camera.mask_levels((self.patch, self.patch)):
             yield "patches are trained under photon noise, with continuous masks"
-        if job.training.classifier != VIT:
+        if not job.training.classifier_facts.reads_patches:
             yield "patches are classified by a transformer: give classifier vit"
 
 
@@ -448,6 +455,7 @@ class Passing(Exposure):
     """
 
     training: ClassVar[dict[str, Any]] = {"start": "random"}
+    takes_start: ClassVar[bool] = False
     allow_bf16: ClassVar[bool] = False
 
     bins: int = Field(

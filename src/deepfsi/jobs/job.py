@@ -34,16 +34,14 @@ from deepfsi.jobs.exposures import (
     Exposure,
     ExposureSource,
     Fixed,
-    Patches,
     find_exposure,
 )
 from deepfsi.jobs.tiles import check_count
 from deepfsi.jobs.training import (
+    CLASSIFIERS,
     FEW_COUNTS,
     MLP,
     TUNED,
-    VIT,
-    VIT_SIZES,
     Training,
     TrainingSource,
     classifier_name,
@@ -260,26 +258,33 @@ class Job(UserModel):
 
     def _classifier_faults(self) -> Iterator[str]:
         mine = self.training
+        facts = mine.classifier_facts
         usual = Training()
-        if mine.classifier != MLP and (mine.hidden, mine.dropout) != (usual.hidden, usual.dropout):
+        others = [name for name in CLASSIFIERS[MLP].settings if name not in facts.settings]
+        if any(getattr(mine, name) != getattr(usual, name) for name in others):
             yield Message(
                 "{hidden} and {dropout} are of the usual classifier: give them to a "
                 "classifier of your own as its arguments",
                 setting=("hidden", "dropout"),
             )
-        if mine.classifier == VIT:
-            if not isinstance(self.exposure, Patches):
-                yield Message(
-                    "vit reads patches, and nothing else does: give {patch}, or mlp",
-                    setting="patch",
-                )
-            sizes = mine.classifier_arguments.items()
-            if any(n not in VIT_SIZES or type(size) is not int or size < 1 for n, size in sizes):
-                yield (
-                    f"vit cannot have {mine.classifier_arguments}: give whole numbers of "
-                    f"{', '.join(VIT_SIZES)}"
-                )
-        if mine.classifier_arguments and mine.classifier == MLP:
+        if facts.reads_patches and not self.exposure.of_patches:
+            yield Message(
+                "{name} reads patches, and nothing else does: give {patch}, or {usual}",
+                setting="patch",
+                name=mine.classifier,
+                usual=MLP,
+            )
+        if mine.is_custom:
+            return
+        sizes = mine.classifier_arguments.items()
+        if facts.sizes and any(
+            name not in facts.sizes or type(size) is not int or size < 1 for name, size in sizes
+        ):
+            yield (
+                f"{mine.classifier} cannot have {mine.classifier_arguments}: give whole numbers of "
+                f"{', '.join(facts.sizes)}"
+            )
+        if mine.classifier_arguments and not facts.sizes:
             yield Message(
                 "arguments of a classifier go with one of your own: give {classifier}",
                 setting="classifier",

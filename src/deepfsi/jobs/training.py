@@ -6,6 +6,7 @@ A classifier and a loss of a user's own are a name, an import path, or the objec
 import re
 import sys
 from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import partial
 from typing import Annotated, Any, Literal
 
@@ -24,13 +25,36 @@ from deepfsi.camera import NoiseSetting
 from deepfsi.jobs.designs import DESIGNS, check_design
 
 MLP = "mlp"
-"""Name of the paper's classifier in settings."""
+"""Name of the paper's classifier in settings, which is the usual one."""
 
-VIT = "vit"
-"""Name of the transformer of patches in settings."""
 
-VIT_SIZES = ("width", "depth", "heads", "hidden")
-"""Arguments of that transformer."""
+@dataclass(frozen=True)
+class ClassifierFacts:
+    """Facts of a classifier: the settings of a training that are its own, and its inputs.
+
+    Attributes
+    ----------
+    settings : tuple of str
+        Settings of `Training` that are of this classifier.
+    sizes : tuple of str
+        Its arguments, whole numbers of 1 or more.
+    reads_patches : bool
+        Whether it reads the features of all patches of an image, and nothing else.
+    """
+
+    settings: tuple[str, ...] = ()
+    sizes: tuple[str, ...] = ()
+    reads_patches: bool = False
+
+
+CLASSIFIERS = {
+    MLP: ClassifierFacts(settings=("hidden", "dropout")),
+    "vit": ClassifierFacts(sizes=("width", "depth", "heads", "hidden"), reads_patches=True),
+}
+"""Classifiers of the package by name; `networks.CLASSIFIER_TYPES` has their classes."""
+
+CUSTOM_CLASSIFIER = ClassifierFacts(settings=("classifier_arguments",))
+"""A user's own."""
 
 MOST_LAYERS = 64
 """Hidden layers of a network at most."""
@@ -98,7 +122,7 @@ def _classifier(given: Any) -> Any:
     if not (isinstance(given, str) or callable(given)):
         raise ValueError(f"give {MLP}, or a module or factory of your own")
     name = classifier_name(given)
-    if name not in (MLP, VIT, UNNAMED_PLUGIN) and not re.fullmatch(IMPORT_PATH, name):
+    if name not in (*CLASSIFIERS, UNNAMED_PLUGIN) and not re.fullmatch(IMPORT_PATH, name):
         raise ValueError(f"give {MLP}, or module:factory of your own")
     return given
 
@@ -110,7 +134,7 @@ def _loss(given: Any) -> Any:
     return given
 
 
-Classifier = Annotated[
+ClassifierSetting = Annotated[
     Any,
     AfterValidator(_classifier),
     PlainSerializer(classifier_name, return_type=str),
@@ -169,7 +193,7 @@ class Training(UserModel):
     dropout: float = Field(
         default=0.0, ge=0, lt=1, description="share of hidden units left out in a step"
     )
-    classifier: Classifier = Field(
+    classifier: ClassifierSetting = Field(
         default=MLP, description="mlp, or module:factory of a torch module of your own"
     )
     classifier_arguments: dict[str, Any] = Field(
@@ -238,7 +262,12 @@ class Training(UserModel):
     @property
     def is_custom(self) -> bool:
         """True if the classifier is a user's own."""
-        return classifier_name(self.classifier) not in (MLP, VIT)
+        return classifier_name(self.classifier) not in CLASSIFIERS
+
+    @property
+    def classifier_facts(self) -> ClassifierFacts:
+        """Facts of the classifier."""
+        return CLASSIFIERS.get(classifier_name(self.classifier), CUSTOM_CLASSIFIER)
 
 
 TrainingSource = Training | Mapping[str, Any]

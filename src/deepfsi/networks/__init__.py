@@ -1,11 +1,20 @@
 """Networks that read counts, and what their answers mean."""
 
-from deepfsi.networks.classifiers import Mlp, Replicas, Vit, restore_network
+from deepfsi.networks.classifiers import (
+    CLASSIFIER_TYPES,
+    Classifier,
+    Mlp,
+    Replicas,
+    Vit,
+    restore_network,
+)
 from deepfsi.networks.custom import Given, OwnClassifier, make, rebuilt, seeded
 from deepfsi.networks.temperatures import stop_temperatures, temperatures_at
 from deepfsi.networks.values import Values, check_classes
 
 __all__ = [
+    "CLASSIFIER_TYPES",
+    "Classifier",
     "Given",
     "Mlp",
     "OwnClassifier",

@@ -2,17 +2,63 @@
 
 import itertools
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import Any, TypeVar
+from typing import Any, Self, TypeVar
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
 from deepfsi.base import InputError
+from deepfsi.jobs import Training
 
 
-class Mlp(nn.Module):
+class Classifier(nn.Module, ABC):
+    """A classifier that a design file can hold."""
+
+    @property
+    @abstractmethod
+    def header(self) -> dict[str, Any]:
+        """Entry of the file's header: kind, and parameters but inputs and classes."""
+
+    @property
+    @abstractmethod
+    def title(self) -> str:
+        """Name for people."""
+
+
+class NamedClassifier(Classifier):
+    """A classifier of the package, which settings name: one of `CLASSIFIER_TYPES`."""
+
+    @classmethod
+    @abstractmethod
+    def of_settings(
+        cls,
+        settings: Training,
+        *,
+        inputs: int,
+        classes: int,
+        parts: int,
+        generator: torch.Generator,
+    ) -> Self:
+        """Untrained classifier of a training.
+
+        Parameters
+        ----------
+        settings : Training
+        inputs : int
+            m, features of a scene, or of each of its parts.
+        classes : int
+            C, outputs.
+        parts : int
+            Parts of a scene that are exposed by themselves, such as patches.
+        generator : torch.Generator
+            For the initial weights.
+        """
+
+
+class Mlp(NamedClassifier):
     """The paper's classifier: fully connected hidden layers, each with dropout, then ReLU.
 
     Parameters
@@ -57,6 +103,19 @@ class Mlp(nn.Module):
                 nn.init.uniform_(parameter, -bound, bound, generator=generator)
             self.layers.append(layer)
 
+    @classmethod
+    def of_settings(
+        cls,
+        settings: Training,
+        *,
+        inputs: int,
+        classes: int,
+        parts: int,
+        generator: torch.Generator,
+    ) -> Self:
+        """Untrained classifier of a training, as `NamedClassifier` says."""
+        return cls(inputs, classes, settings.hidden, settings.dropout, generator)
+
     @property
     def arrays(self) -> list[tuple[np.ndarray, np.ndarray]]:
         """Weights (outputs, inputs) and biases (outputs,) of the layers, in their order."""
@@ -99,7 +158,7 @@ class Mlp(nn.Module):
         return kept * (1 / (1 - self.dropout))
 
 
-class Vit(nn.Module):
+class Vit(NamedClassifier):
     """A vision transformer on the features of image patches: torch's own encoder, before a mean.
 
     Each patch's features are embedded by one linear layer and get a learned position; `depth`
@@ -140,8 +199,8 @@ class Vit(nn.Module):
         super().__init__()
         if width % heads:
             raise InputError(f"{heads} heads cannot share a width of {width}: give a multiple")
-        self.header = {"kind": "vit", "patches": patches, "width": width}
-        self.header |= {"depth": depth, "heads": heads, "hidden": hidden}
+        self.sizes = {"patches": patches, "width": width, "depth": depth}
+        self.sizes |= {"heads": heads, "hidden": hidden}
         with torch.device("meta"):  # torch would draw weights from its global generator
             layer = nn.TransformerEncoderLayer(
                 width, heads, hidden, 0.0, "gelu", batch_first=True, norm_first=True
@@ -161,6 +220,25 @@ class Vit(nn.Module):
             else:
                 nn.init.constant_(parameter, float("norm" in name and "weight" in name))
 
+    @classmethod
+    def of_settings(
+        cls,
+        settings: Training,
+        *,
+        inputs: int,
+        classes: int,
+        parts: int,
+        generator: torch.Generator,
+    ) -> Self:
+        """Untrained classifier of a training, as `NamedClassifier` says."""
+        sizes = {"patches": parts, **settings.classifier_arguments}
+        return cls(inputs, classes=classes, **sizes, generator=generator)
+
+    @property
+    def header(self) -> dict[str, Any]:
+        """Entry of a design file's header: kind, and parameters but inputs and classes."""
+        return {"kind": "vit", **self.sizes}
+
     @property
     def title(self) -> str:
         """Name."""
@@ -172,7 +250,10 @@ class Vit(nn.Module):
         return self.head(tokens.mean(dim=1))
 
 
-Network = TypeVar("Network", Mlp, Vit)
+CLASSIFIER_TYPES: dict[str, type[NamedClassifier]] = {"mlp": Mlp, "vit": Vit}
+"""Classifiers of the package, by the name that settings and design files have for them."""
+
+Network = TypeVar("Network", bound=NamedClassifier)
 
 
 def restore_network(kind: type[Network], weights: Mapping[str, Tensor], **sizes: Any) -> Network:

@@ -18,6 +18,7 @@ from torch import Tensor, nn
 
 from deepfsi.base import UNNAMED_PLUGIN, InputError, load_plugin
 from deepfsi.jobs import describe_classifier
+from deepfsi.networks.classifiers import Classifier
 
 Factory = Callable[..., nn.Module]
 """Makes a module of the number of features and, if it takes two numbers, that of classes."""
@@ -26,7 +27,7 @@ Given = nn.Module | Factory | str
 """A module, a factory or the import path of one."""
 
 
-class OwnClassifier(nn.Module):
+class OwnClassifier(Classifier):
     """A user's module as the classifier of a design.
 
     Parameters

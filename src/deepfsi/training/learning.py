@@ -37,11 +37,11 @@ from deepfsi.jobs import (
     AdaptiveMasks,
     ExposureSource,
     Job,
-    Passing,
     TrainingSource,
     find_job,
     table_advice,
 )
+from deepfsi.networks import Classifier
 from deepfsi.physics import library_defaults
 from deepfsi.training.assembly import designs_of
 from deepfsi.training.characterisation import (
@@ -54,7 +54,7 @@ from deepfsi.training.characterisation import (
 )
 from deepfsi.training.checkpoint import NO_CHECKPOINT, Checkpoint, array_hash
 from deepfsi.training.hooks import Epoch, LoopHooks
-from deepfsi.training.loop import AnyClassifier, batch_of, optimise
+from deepfsi.training.loop import batch_of, optimise
 
 MASK_COPIES = 16
 """Copies of the masks alive in a step: weights, gradients, moments, their stages and products."""
@@ -350,7 +350,7 @@ def _check_start(start: np.ndarray, job: Job, training_set: TrainingSet) -> None
         raise InputError(
             "masks of {design} do not learn: leave {start} out", setting="start", design=job.design
         )
-    if isinstance(job.exposure, Passing):
+    if not job.exposure.takes_start:
         raise InputError(
             "the pattern of passing scenes starts at random: leave {start} out", setting="start"
         )
@@ -398,7 +398,7 @@ def _designs(
 
 def _optimised(
     group: JobGroup, report: Progress, *, checkpoint: Checkpoint, hooks: LoopHooks
-) -> tuple[ExposureTraining, list[AnyClassifier]]:
+) -> tuple[ExposureTraining, list[Classifier]]:
     """Masks, which are fixed from here on, and networks after training."""
     exposure = build(group)
     classifiers = optimise(exposure, report, checkpoint, hooks)

@@ -20,15 +20,12 @@ from torch.optim.lr_scheduler import LRScheduler, OneCycleLR
 
 from deepfsi.base import SILENT, InputError, Progress
 from deepfsi.exposure import ExposureTraining, network_dtype
-from deepfsi.jobs import VIT, Training
-from deepfsi.networks import Mlp, OwnClassifier, Replicas, Vit, make, seeded
+from deepfsi.jobs import Training
+from deepfsi.networks import CLASSIFIER_TYPES, Classifier, Mlp, Replicas, make, seeded
 from deepfsi.physics import Draws
 from deepfsi.training.checkpoint import NO_CHECKPOINT, Checkpoint, LoopState
 from deepfsi.training.hooks import LoopHooks, check_made
 from deepfsi.training.losses import CountsCost, answer_losses, find_loss, sum_over
-
-AnyClassifier = Mlp | Vit | OwnClassifier
-"""What is trained to classify."""
 
 CHOOSER_LR = 0.2
 """Learning rate of the network that chooses dwells, over that of the classifier."""
@@ -45,7 +42,7 @@ def optimise(
     report: Progress = SILENT,
     checkpoint: Checkpoint = NO_CHECKPOINT,
     hooks: LoopHooks | None = None,
-) -> list[AnyClassifier]:
+) -> list[Classifier]:
     """Train classifiers of jobs side by side, with masks that learn and choosers of dwells.
 
     Parameters
@@ -78,7 +75,7 @@ def optimise(
     steps = draws.steps
     total = settings.epochs * steps
     exposure.prepare()
-    scene_loss = find_loss(settings, exposure.training_set, isinstance(classifiers[0], Vit))
+    scene_loss = find_loss(settings, exposure.training_set, settings.classifier_facts.reads_patches)
     cost = None if settings.counts is None else CountsCost(settings.counts, total)
     groups = [parameter_group(classify, settings.lr, settings.decay)]
     if choose.networks:
@@ -180,7 +177,7 @@ def _generators(
     return generators
 
 
-def _classifiers(exposure: ExposureTraining) -> list[AnyClassifier]:
+def _classifiers(exposure: ExposureTraining) -> list[Classifier]:
     """Classifiers of jobs, untrained."""
     settings = exposure.job.training
     device = exposure.training_set.device
@@ -198,12 +195,9 @@ def _classifiers(exposure: ExposureTraining) -> list[AnyClassifier]:
             raise InputError("the classifier has no parameter that learns: give another module")
         return [made.to(device).train()]
     seeds = [torch.Generator(device).manual_seed(each.seed) for each in exposure.jobs]
-    if settings.classifier == VIT:
-        sizes = {"patches": exposure.tokens, **settings.classifier_arguments}
-        return [Vit(inputs, classes=classes, **sizes, generator=seed) for seed in seeds]
-    return [
-        Mlp(inputs, classes, settings.hidden, settings.dropout, generator=seed) for seed in seeds
-    ]
+    network = CLASSIFIER_TYPES[settings.classifier]
+    sizes = {"inputs": inputs, "classes": classes, "parts": exposure.tokens}
+    return [network.of_settings(settings, **sizes, generator=seed) for seed in seeds]
 
 
 @contextmanager
