@@ -10,12 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-import typer
 
 import deepfsi
+import shared.commands
 from conftest import RECIPE, quick, same
 from deepfsi.base import Progress, progress_bar
-from deepfsi.cli import app
 from deepfsi.jobs import Job, Training
 from deepfsi.jobs.training import TUNED
 from shared.jobs import learn
@@ -24,12 +23,7 @@ BRIEF = {**RECIPE, "photons": 1e4, "masks": 5, "device": "cpu"}
 SOURCE = Path(deepfsi.__file__).parent
 
 
-def options(command: typer.core.TyperCommand | typer.core.TyperGroup) -> set[str]:
-    own = {name for parameter in command.params for name in parameter.opts}
-    return own.union(*map(options, getattr(command, "commands", {}).values()))
-
-
-OPTIONS = options(typer.main.get_command(app))
+OPTIONS = set().union(*shared.commands.OPTIONS.values())
 
 
 def test_learn_takes_the_fields_of_a_job_and_its_words_name_each():
@@ -163,7 +157,7 @@ def test_settings_are_named_in_templates_alone():
             node
             for node in ast.walk(tree)
             if isinstance(node, ast.Call)
-            and ast.unparse(node.func) in ("typer.Option", "typer.Argument", "Field")
+            and ast.unparse(node.func) in ("typer.Option", "typer.Argument", "Field", "argument")
         ]
         docs |= {id(n) for each in helps for n in ast.walk(each)}
         texts = [n for n in ast.walk(tree) if isinstance(n, ast.Constant) and id(n) not in docs]

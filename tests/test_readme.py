@@ -5,16 +5,14 @@ import re
 import shlex
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-import typer
 from PIL import Image
 from scipy import stats
 
-from deepfsi.cli import app
 from deepfsi.datasets import idx
+from shared.commands import OPTIONS
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text()
@@ -104,12 +102,11 @@ PAGES = [ROOT / "README.md", *(ROOT / "docs").glob("[!_g]*/*.md")]
 def test_commands_and_files_that_a_page_names_exist(page):
     text = re.sub(r"\\\n\s*", "", page.read_text())
     for line in re.findall(r"^(deepfsi .+)$|`(deepfsi [^`]+)`", text, flags=re.MULTILINE):
-        command: Any = typer.main.get_command(app)
         words = " ".join(line).split("#")[0].split()[1:]
-        while words and words[0] in getattr(command, "commands", {}):
-            command = command.commands[words.pop(0)]
-        assert not getattr(command, "commands", {}) or not words or words[0][0] in "-C", line
-        known = {name for parameter in command.params for name in parameter.opts} | {"--help"}
+        path = next((p for n in (2, 1) if (p := " ".join(words[:n])) in OPTIONS), None)
+        group = {each.split()[0] for each in OPTIONS} & set(words[:1])
+        assert path or len(words) == len(group) or words[len(group)][0] in "-C", line
+        known = OPTIONS.get(str(path), set()) | {"--help"}
         given = {word.split("=")[0] for word in words if re.match("--?[a-z]", word)}
         assert given <= known, line
     for path in re.findall(r"\b(?:tests|benchmarks|docs)/[\w/]+\.(?:py|png|svg)\b", text):

@@ -7,30 +7,24 @@ their groups and every option; the directive `overview` makes a table of these c
 import inspect
 import re
 
-import typer
+import click
 from markdown import Made, table
 
 from deepfsi.cli import app
-from deepfsi.cli.settings import AXES, FIRST
 
-NOTES = re.compile(r"\s*\[([^\[]*(?:default: |required|<=|>=)[^\[]*)\]$")
-LIST, RANGE = re.compile(r"list\[(\w+)\]"), re.compile(r"(?<=int|oat) range(?=>)")
 REQUIRED = "*required*"
+FIRST = "Options"
 
 
 def headings():
     """Commands of ``deepfsi`` by their heading, in its order: heading → names."""
-    found = {}
-    for name, command in typer.main.get_command(app).commands.items():
-        found.setdefault(command.rich_help_panel, []).append(name)
-    return found
+    return {heading: list(entries) for heading, entries in app.headings.items()}
 
 
 def named(heading):
     """Commands and groups under a heading, each with its context."""
-    whole = typer.main.get_command(app)
-    top = whole.context_class(whole, info_name="deepfsi")
-    return [pair for name in headings()[heading] for pair in below(whole.commands[name], name, top)]
+    top = click.Context(app, info_name="deepfsi")
+    return [pair for name in headings()[heading] for pair in below(app, name, top)]
 
 
 def reference(heading):
@@ -43,17 +37,19 @@ def overview(heading):
     rows = [
         (f"[`{context.command_path}`](#{anchor(context)})", said(command.help).partition("\n\n")[0])
         for command, context in named(heading)
-        if not hasattr(command, "commands")
+        if not isinstance(command, click.Group)
     ]
     return table(["command", "what it does"], rows, "options")
 
 
-def below(command, name, above):
-    """A command and those of its group, each with its context."""
-    context = command.context_class(command, info_name=name, parent=above)
+def below(group, name, above):
+    """A command of a group and those of its own group, each with its context."""
+    command = group.get_command(above, name)
+    context = click.Context(command, info_name=name, parent=above)
     yield command, context
-    for own, each in getattr(command, "commands", {}).items():
-        yield from below(each, own, context)
+    if isinstance(command, click.Group):
+        for each in command.list_commands(context):
+            yield from below(command, each, context)
 
 
 def anchor(context):
@@ -66,19 +62,16 @@ def section(command, context):
     words, level = context.command_path, context.command_path.count(" ") + 1
     usage = " ".join([words, *command.collect_usage_pieces(context)])
     parts = [f"{'#' * level} `{words}`", f"```text\n{usage}\n```", said(command.help or "")]
-    if not hasattr(command, "commands"):
-        parts += tables(command, context)
+    if not isinstance(command, click.Group):
+        parts += tables(command)
     return "\n\n".join(parts)
 
 
-def tables(command, context):
+def tables(command):
     """Tables of arguments and options, each after the first below the heading of its options."""
     panels = {}
-    for each in command.get_params(context):
-        record = each.get_help_record(context)
-        if record and "--help" not in record[0]:
-            panel = getattr(each, "rich_help_panel", None) or FIRST
-            panels.setdefault(panel, []).append(row(*record))
+    for each in command.declared:
+        panels.setdefault(FIRST if each.is_argument else each.heading, []).append(row(each))
     for name, rows in panels.items():
         if name != FIRST:
             yield f"**{name}**"
@@ -86,20 +79,19 @@ def tables(command, context):
         yield table(["option", "meaning", "default"], rows, "options")
 
 
-def row(declaration, text):
+def row(parameter):
     """Option, its meaning with the numbers allowed, and its default.
 
-    ``<str,…>`` stands for several values between commas, ``<int …>`` for an option given often.
+    ``<number,…>`` stands for several values between commas, ``<int …>`` for an option given often.
     """
-    notes = NOTES.search(text)
-    told = notes[1].split("; ") if notes else []
-    default = next((f"`{each[9:]}`" for each in told if each.startswith("default: ")), "")
-    allowed = next((f" (`{each}`)" for each in told if "=" in each and each[:8] != "default:"), "")
-    meaning = escaped(NOTES.sub("", text)) + allowed
-    words = RANGE.sub("", LIST.sub(r"\1 …", declaration))
-    if meaning.endswith(AXES):
-        meaning, words = meaning.removesuffix(AXES), words.replace(">", ",…>")
-    return f"`{words}`", meaning, REQUIRED if "required" in told else default
+    words = f"{', '.join(sorted(parameter.names, key=len))} {parameter.metavar}".rstrip()
+    allowed = f" ({parameter.bounds})" if parameter.bounds else ""
+    default = f"`{parameter.default}`" if parameter.default else ""
+    return (
+        f"`{words}`",
+        escaped(parameter.words) + allowed,
+        REQUIRED if parameter.required else default,
+    )
 
 
 def said(text):

@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import typer
+from click.testing import CliRunner
 from PIL import Image
-from typer.testing import CliRunner
 
 from conftest import quick
 from deepfsi import Design, evaluate

@@ -5,9 +5,9 @@ import os
 import subprocess
 import sys
 
+import click
 import numpy as np
 import pytest
-import typer
 from PIL import Image
 
 from deepfsi import Design
@@ -54,9 +54,10 @@ def test_help_of_a_group_has_headings_and_whole_sentences(done, group):
     assert all(len(line) <= 80 for line in lines)
     headings = [line for line in lines if line.endswith(":") and not line.startswith(" ")]
     assert headings == ["Options:", *HEADINGS[group]]
-    commands = typer.main.get_command(app)
-    commands = commands.commands[group].commands if group else commands.commands
-    for name, command in commands.items():
+    context = click.Context(app)
+    of_group = app.get_command(context, group) if group else app
+    for name in of_group.list_commands(context):
+        command = of_group.get_command(context, name)
         sentence = command.help.split("\n\n")[0]
         assert sentence.endswith(".")
         assert f"{name} {sentence}" in " ".join(out.split())

@@ -3,27 +3,15 @@
 import json
 
 import pytest
-import typer
 
-from deepfsi.cli import app
+from shared.commands import OPTIONS
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
 
-def commands(group: typer.core.TyperGroup, before: str = "") -> dict[str, typer.core.TyperCommand]:
-    found = {}
-    for name, command in group.commands.items():
-        path = f"{before} {name}".strip()
-        found |= commands(command, path) if hasattr(command, "commands") else {path: command}
-    return found
-
-
-EVERY_COMMAND = commands(typer.main.get_command(app))
-
-
-@pytest.mark.parametrize("path", EVERY_COMMAND)
+@pytest.mark.parametrize("path", OPTIONS)
 def test_every_command_takes_json(path):
-    assert "--json" in {name for option in EVERY_COMMAND[path].params for name in option.opts}
+    assert "--json" in OPTIONS[path]
 
 
 def test_figures_of_classes_stand_beside_their_names(done, made, tmp_path):

@@ -8,9 +8,9 @@ import typer
 from pydantic import BaseModel, Field
 
 from deepfsi.camera import Camera
-from deepfsi.cli import app
 from deepfsi.cli.settings import NO_OPTIONS, SettingsCommand, with_settings
 from deepfsi.jobs import EXPOSURE_KINDS, SETTING_ALIASES, Job, Training
+from shared.commands import COMMANDS
 
 OWN = {"design", "masks", "photons", "camera", "seed"}
 RANGED = {"span"}  # a range of budgets is given as --photons LOW:HIGH
@@ -34,10 +34,10 @@ def declared() -> dict[str, str]:
 
 @pytest.mark.parametrize("command", OF_COMMANDS)
 def test_every_field_has_one_option_with_its_text(command):
-    params = typer.main.get_command(app).commands[command].params
-    count = Counter(option for each in params for option in each.opts)
+    declared_options = COMMANDS[command].declared
+    count = Counter(option for each in declared_options for option in each.names)
     assert set(count.values()) == {1}
-    texts = {each.opts[0]: each.help for each in params}
+    texts = {each.names[0]: each.words for each in declared_options}
     for name, text in declared().items():
         if name not in OF_COMMANDS[command]:
             assert texts[f"--{name.replace('_', '-')}"].startswith(text)

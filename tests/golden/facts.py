@@ -44,9 +44,12 @@ class Said:
         return json.loads(self.out)
 
     def refused(self) -> dict[str, Any]:
-        """Exit code, number of lines, and the options that the line names; its words may change."""
+        """Exit code, number of lines, and the options that the line names; its words may change.
+
+        That it also leads to the command's help is left out.
+        """
         lines = [line for line in self.errors.splitlines() if line.startswith("deepfsi: ")]
-        options = sorted(set(OPTION.findall(" ".join(lines))))
+        options = sorted(set(OPTION.findall(" ".join(lines))) - {"--help"})
         printed = bool(self.out)
         return {"code": self.code, "lines": len(lines), "printed": printed, "options": options}
 

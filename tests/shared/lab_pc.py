@@ -39,6 +39,7 @@ def as_windows() -> None:
     import shutil
     import subprocess  # noqa: F401
 
+    import click  # noqa: F401
     import matplotlib.pyplot  # noqa: F401  so are compiled packages
     import polars  # noqa: F401
     import psutil  # noqa: F401
@@ -47,7 +48,6 @@ def as_windows() -> None:
     import skimage.measure
     import skimage.transform  # noqa: F401
     import sklearn.datasets  # noqa: F401
-    import typer.main  # noqa: F401
 
     usage = shutil.disk_usage(".")
     shutil.disk_usage = lambda path: usage  # there without statvfs

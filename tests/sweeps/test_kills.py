@@ -14,8 +14,8 @@ from pathlib import Path
 
 import psutil
 import pytest
+from click.testing import CliRunner
 from safetensors.numpy import load_file
-from typer.testing import CliRunner
 
 from deepfsi.cli import app
 from shared.waiting import PATIENCE, until

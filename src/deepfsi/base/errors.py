@@ -261,10 +261,20 @@ def as_input_error(
         ) from None
 
 
-def field_errors(error: "ValidationError") -> list[str]:
-    """Every bad field of pydantic's error, with what was given."""
+def field_errors(
+    error: "ValidationError", name: "Callable[[ErrorDetails], str] | None" = None
+) -> list[str]:
+    """Every bad field of pydantic's error, with what was given.
+
+    Parameters
+    ----------
+    error : ValidationError
+    name : callable, optional
+        Of a fault, the field and what was given as a message begins; that of Python unless given.
+    """
+    name = name or _given
     return [
-        Message("{field}{words}", field=_given(fault), words=_words(fault, error.title))
+        Message("{field}{words}", field=name(fault), words=_words(fault, error.title))
         for fault in error.errors()
         if fault["type"] != "default_factory_not_called"  # what follows from a bad field
     ]

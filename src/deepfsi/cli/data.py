@@ -4,37 +4,33 @@ import os
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from pydantic import Field
 
-from deepfsi.cli import common, options, paths
-from deepfsi.cli.groups import Group
-
-app = typer.Typer(
-    cls=Group,
-    invoke_without_command=True,
-    callback=common.help_if_bare,
-    help="Data sets that have a name: list, download, check and export them.\n\n"
-    "Example: deepfsi data list",
-)
+from deepfsi.base.models import Count, WholeNumber
+from deepfsi.cli.command import Command
+from deepfsi.cli.fields import Output, Size, argument, check_design
+from deepfsi.cli.terminal import Outcome, Table, Terminal
+from deepfsi.datasets import check, download, list_datasets, load_dataset, write_display
 
 
-@app.command("list")
-def data_list(as_json: options.Json = False) -> None:
-    """List the data sets that have a name, and where they are.
+class DataList(Command):
+    """`deepfsi data list`.
 
     Example: deepfsi data list --json
     """
-    from deepfsi.datasets import list_datasets
 
-    known = list_datasets()
-    if as_json:
-        common.print_json("data.list", {"data_sets": [entry._asdict() for entry in known]})
-        return
-    rows = [(*map(str, entry[:-1]), _shown(entry.where)) for entry in known]
-    common.print_table("data sets", ("name", "images", "pixels", "classes", "where"), rows)
+    def run(self, terminal: Terminal) -> Outcome:
+        """Names, sizes and places of all data sets."""
+        entries = list_datasets()
+        rows = [(*map(str, entry[:-1]), _short_path(entry.where)) for entry in entries]
+        heads = ("name", "images", "pixels", "classes", "where")
+        return Outcome(
+            {"data_sets": [entry._asdict() for entry in entries]},
+            [Table("data sets", heads, rows)],
+        )
 
 
-def _shown(where: str) -> str:
+def _short_path(where: str) -> str:
     """A folder from $DEEPFSI_DATA or the home folder on, for a table."""
     for folder, name in ((os.environ.get("DEEPFSI_DATA"), "$DEEPFSI_DATA"), (Path.home(), "~")):
         if folder and Path(where).is_relative_to(folder):
@@ -42,73 +38,78 @@ def _shown(where: str) -> str:
     return where
 
 
-@app.command("download")
-def data_download(
-    name: Annotated[str, typer.Argument(help="name of a data set")], as_json: options.Json = False
-) -> None:
-    """Fetch a data set once, checked by hash.
+class DataDownload(Command):
+    """`deepfsi data download`.
 
     Example: deepfsi data download mnist
     """
-    from deepfsi.datasets import download
 
-    where = download(name)
-    if as_json:
-        common.print_json("data.download", {"name": name, "where": str(where)})
-    else:
-        print(f"{name}: {where}")
+    name: Annotated[str, argument("name of a data set")]
+
+    def run(self, terminal: Terminal) -> Outcome:
+        """Files that are there now."""
+        where = download(self.name)
+        return Outcome({"name": self.name, "where": str(where)}, [f"{self.name}: {where}"])
 
 
-@app.command("check")
-def data_check(
-    name: Annotated[str, typer.Argument(help="name of a data set")], as_json: options.Json = False
-) -> None:
-    """Compare a data set's files with their known hashes.
+class DataCheck(Command):
+    """`deepfsi data check`.
 
     Example: deepfsi data check mnist
     """
-    from deepfsi.datasets import check
 
-    files = check(name)
-    if as_json:
-        common.print_json(
-            "data.check", {"name": name, "files": [entry._asdict() for entry in files]}
-        )
-    else:
+    name: Annotated[str, argument("name of a data set")]
+
+    def run(self, terminal: Terminal) -> Outcome:
+        """State of every file."""
+        files = check(self.name)
         rows = [(str(f.file), "good" if f.ok else "BAD", f.detail) for f in files]
-        common.print_table(name, ("file", "state", "detail"), rows)
-    if not all(entry.ok for entry in files):
-        raise typer.Exit(1)
+        return Outcome(
+            {"name": self.name, "files": [entry._asdict() for entry in files]},
+            [Table(self.name, ("file", "state", "detail"), rows)],
+            failed=not all(entry.ok for entry in files),
+        )
 
 
-@app.command("export")
-def data_export(
-    name: Annotated[
-        str,
-        typer.Argument(
-            help="name, folder of images or .npz file; or a design file, for the test scenes of "
-            "what it was trained on, at its size"
-        ),
-    ],
-    out: Annotated[Path, typer.Option("--out", "-o", help="folder for the pictures, new")],
-    per_class: Annotated[int, typer.Option(min=1, help="test scenes of each class")] = 1,
-    seed: Annotated[int, typer.Option(min=0, help="seed of their choice")] = 0,
-    size: options.Size = None,
-    as_json: options.Json = False,
-) -> None:
-    """Write test scenes as pictures to show to a camera, in a folder for each class.
+class DataExport(Command):
+    """`deepfsi data export`.
 
     Example: deepfsi data export mnist --per-class 2 -o images
     """
-    paths.check_new_folder(out)
-    from deepfsi.datasets import write_display
 
-    shown = options.size_of(size)
-    if name.endswith(".safetensors"):
-        from deepfsi.lab import data_of_file
+    name: Annotated[
+        str,
+        argument(
+            "name, folder of images or .npz file; or a design file, for the test scenes of what it "
+            "was trained on, at its size"
+        ),
+    ]
+    out: Annotated[Path, Output(new=True), Field(description="folder for the pictures, new")]
+    per_class: Annotated[Count, Field(description="test scenes of each class")] = 1
+    seed: Annotated[WholeNumber, Field(description="seed of their choice")] = 0
+    size: Size = None
 
-        scenes = data_of_file(paths.check_design(Path(name)), shown)
-    else:
-        scenes = common.load(name, shown)
-    written = write_display(scenes, out, per_class, seed)
-    common.print_pictures("data.export", written, out, as_json)
+    def run(self, terminal: Terminal) -> Outcome:
+        """Pictures that were written."""
+        if self.name.endswith(".safetensors"):
+            from deepfsi.lab import data_of_file
+
+            scenes = data_of_file(check_design(Path(self.name)), self.size)
+        else:
+            scenes = load_dataset(self.name, size=self.size)
+        written = write_display(scenes, self.out, self.per_class, self.seed)
+        return pictures_written(written, self.out)
+
+
+def pictures_written(written: list[Path], folder: Path) -> Outcome:
+    """Pictures that a command wrote to a folder.
+
+    Parameters
+    ----------
+    written : list of Path
+    folder : Path
+    """
+    return Outcome(
+        {"folder": str(folder), "pictures": [str(path) for path in written]},
+        [f"{len(written)} pictures: {folder}"],
+    )

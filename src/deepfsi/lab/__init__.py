@@ -2,7 +2,7 @@
 
 from deepfsi.lab.calibration import calibrate, check_view, gains_of
 from deepfsi.lab.classify import ClassifiedRun, ClassifiedScene, classify_run, classify_table
-from deepfsi.lab.design_data import data_of, data_of_file, displayed, picture_hashes
+from deepfsi.lab.design_data import data_of, data_of_file, displayed, open_design, picture_hashes
 from deepfsi.lab.looks import design_rails, open_looks
 from deepfsi.lab.prediction import predict
 from deepfsi.lab.transits import classify_transits, simulate_transits
@@ -20,6 +20,7 @@ __all__ = [
     "design_rails",
     "displayed",
     "gains_of",
+    "open_design",
     "open_looks",
     "picture_hashes",
     "predict",

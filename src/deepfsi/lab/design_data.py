@@ -33,7 +33,7 @@ from deepfsi.designfile import (
 )
 from deepfsi.hardware.calibration import camera_view, view_dataset
 from deepfsi.hardware.counting import Calibration
-from deepfsi.hardware.patterns import Patterns, read_patterns
+from deepfsi.hardware.patterns import Patterns, check_patterns, read_patterns
 
 if TYPE_CHECKING:
     from deepfsi.datasets.display import Display
@@ -45,6 +45,33 @@ class DesignData(NamedTuple):
 
     data: Dataset
     notes: tuple[str, ...]
+
+
+def open_design(path: Path, *, trust: bool = False, static: bool = False) -> "Design":
+    """Open a design file, or what a folder of patterns realises of the design in it.
+
+    Parameters
+    ----------
+    path : path
+        Design file, or folder of patterns.
+    trust : bool
+        Run the factory of a classifier of one's own.
+    static : bool
+        Refuse a design that makes its masks while it looks, as a folder of patterns does anyway.
+
+    Raises
+    ------
+    InputError
+        If there is no design, or none that can be used.
+    """
+    from deepfsi.design import load_design
+
+    folder = path.is_dir()
+    file = path / Patterns.DESIGN if folder else path
+    design = load_design(file, trust=trust)
+    if folder or static:
+        design.exposure.check("masks", str(file))
+    return design.as_shown(*check_patterns(path).realised) if folder else design
 
 
 def data_of(

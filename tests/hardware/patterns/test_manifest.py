@@ -49,7 +49,7 @@ OPTICS = {
 @pytest.fixture(scope="module", params=OPTICS)
 def patterns(request, digits, tmp_path_factory):
     """Folder of the design and its patterns, exported by the command."""
-    from typer.testing import CliRunner
+    from click.testing import CliRunner
 
     from deepfsi.cli import app
 

@@ -1,0 +1,206 @@
+"""The commands by their names, and how a command line is run.
+
+Names and summaries are in `commands.toml`, so that `--help` of a group loads none of its commands.
+"""
+
+import contextlib
+import io
+import os
+import sys
+import tomllib
+from collections.abc import Mapping
+from importlib import import_module
+from pathlib import Path
+from typing import Any, NoReturn
+
+import click
+
+import deepfsi
+from deepfsi.base import STOPPED_EXIT_CODE, InputError, require_torch, say_stopped
+from deepfsi.cli.terminal import error_line
+
+
+@click.pass_context
+def _print_help(ctx: click.Context, version: bool = False) -> None:
+    """Print the version, or the help of a group that is given without a command."""
+    if version:
+        print(f"deepfsi {deepfsi.__version__}")
+        ctx.exit()
+    if ctx.invoked_subcommand is None:
+        print(ctx.get_help())
+
+
+class Group(click.Group):
+    """Commands under headings, each with its whole sentence, none of it cut.
+
+    Parameters
+    ----------
+    name, help : str
+    headings : mapping
+        Commands by name under each heading, as `commands.toml` has them.
+    """
+
+    def __init__(self, name: str, help: str, headings: Mapping[str, Mapping[str, Any]]) -> None:
+        super().__init__(
+            name,
+            help=help,
+            callback=_print_help,
+            invoke_without_command=True,
+            subcommand_metavar="COMMAND [ARGS]...",
+            context_settings={"help_option_names": ["-h", "--help"]},
+        )
+        self.headings = headings
+        self.entries = {name: entry for those in headings.values() for name, entry in those.items()}
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Names in the order of the help."""
+        return list(self.entries)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """The command of a name, or the group."""
+        entry = self.entries.get(cmd_name)
+        if entry is None:
+            return None
+        if isinstance(entry, dict):
+            summary, example, *headings = entry
+            text = f"{entry[summary]}\n\nExample: {entry[example]}"
+            return Group(cmd_name, text, {heading: entry[heading] for heading in headings})
+        target, summary = entry
+        module, _, name = target.partition(":")
+        if module == "old":
+            return Old(name, summary)
+        from deepfsi.cli.command import ClickCommand  # slow: pydantic
+
+        command = getattr(import_module(f"deepfsi.cli.{module}"), name)
+        return ClickCommand(command, cmd_name, summary)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the commands under their headings."""
+        width = max(map(len, self.entries))
+        for heading, entries in self.headings.items():
+            with formatter.section(heading):
+                formatter.write_dl(
+                    [
+                        (
+                            name.ljust(width),
+                            entry["summary"] if isinstance(entry, dict) else entry[1],
+                        )
+                        for name, entry in entries.items()
+                    ]
+                )
+
+
+def _summary(entry: Any) -> str:
+    """First sentence of the help of a command, or of a group."""
+    return entry["summary"] if isinstance(entry, dict) else entry[1]
+
+
+class Old(click.Command):
+    """A command that is not yet written as settings."""
+
+    def __init__(self, path: str, summary: str) -> None:
+        import typer
+
+        from deepfsi.cli.old import old
+
+        self.path = path
+        command: Any = typer.main.get_command(old)
+        for word in path.split():
+            command = command.commands[word]
+        self.typer_command = command
+        super().__init__(path, help=summary, add_help_option=False)
+
+    @property
+    def declared(self) -> list[Any]:
+        """Arguments and options."""
+        from deepfsi.cli.command import Parameter
+        from deepfsi.cli.fields import FIRST
+
+        context = self.typer_command.context_class(self.typer_command, info_name=self.path)
+        out = []
+        for each in self.typer_command.params:
+            record = each.get_help_record(context) or ("", "")
+            words, _, notes = record[1].partition("  [")
+            out.append(
+                Parameter(
+                    key=each.name,
+                    names=tuple(each.opts),
+                    words=words,
+                    kind=record[0].partition("<")[2].removesuffix(">"),
+                    bounds=notes.removesuffix("]"),
+                    heading=getattr(each, "rich_help_panel", None) or FIRST,
+                    required=each.required,
+                    is_argument=each.param_type_name == "argument",
+                )
+            )
+        return out
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:  # noqa: D102
+        ctx.args = args
+        return args
+
+    def invoke(self, ctx: click.Context) -> Any:  # noqa: D102
+        import typer
+
+        try:
+            code = self.typer_command.main(
+                args=ctx.args, prog_name=ctx.command_path, standalone_mode=False
+            )
+        except typer.TyperException as error:
+            raise click.UsageError(getattr(error, "format_message", error.__str__)(), ctx) from None
+        if code:
+            ctx.exit(code)
+
+
+app = Group(
+    "deepfsi",
+    "Design the masks of a photon-limited single-pixel camera with the network that reads them."
+    "\n\nStart with: deepfsi compare",
+    tomllib.loads(Path(__file__).with_name("commands.toml").read_text(encoding="utf-8")),
+)
+"""The command line."""
+app.params.append(click.Option(["--version"], is_flag=True, help="print the version and stop"))
+
+
+def main() -> NoReturn:
+    """Entry point: 0 done, 1 a check failed, 2 bad input, 130 or 143 stopped."""
+    # Figures are files here: a notebook's backend, or settings of a user's own, would break them
+    os.environ |= {"MPLBACKEND": "agg", "MATPLOTLIBRC": os.devnull}
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # a console may lack a letter of a name
+    code: Any = 0
+    try:
+        _check_here()
+        with require_torch():
+            code = app(standalone_mode=False)
+    except (KeyboardInterrupt, click.Abort):
+        code = STOPPED_EXIT_CODE
+    except InputError as error:
+        _fail(error.message)
+    except click.ClickException as error:
+        words, context = error.format_message(), getattr(error, "ctx", None)
+        _fail(f"{words.rstrip('.')}; see `{context.command_path} --help`" if context else words)
+    except ValueError as error:
+        if not isinstance(error.__cause__, KeyboardInterrupt):  # what pydantic makes of Ctrl-C
+            raise
+        code = STOPPED_EXIT_CODE
+    except OSError as error:
+        _fail(f"{error.filename or 'cannot write the output'}: {error.strerror or error}")
+    if code == STOPPED_EXIT_CODE:
+        say_stopped()
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+def _check_here() -> None:
+    """Raise `InputError` in a folder that was removed, in which libraries end the process."""
+    try:
+        os.getcwd()
+    except FileNotFoundError:
+        raise InputError("the current folder is no longer there: go to another one") from None
+
+
+def _fail(message: str) -> NoReturn:
+    with contextlib.suppress(OSError):  # a full disk takes no message
+        print(f"deepfsi: {error_line(message)}", file=sys.stderr, flush=True)
+    sys.exit(2)

@@ -1,0 +1,385 @@
+"""Settings of commands: how one is declared, the kinds that many have, and their checks.
+
+A setting is a field of a model. Its type is what is read of a text; its bounds and its words are
+what `--help` shows. Options of what has a model in a lower room are not written again: `OptionsOf`
+takes them from there.
+"""
+
+import math
+import tempfile
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import AfterValidator, BeforeValidator, Field
+from pydantic.fields import FieldInfo
+
+from deepfsi.base import InputError, check_ending, seconds
+from deepfsi.base.models import Count
+from deepfsi.camera import Camera, find_noise
+from deepfsi.designfile import find_design
+from deepfsi.jobs import EXPOSURE_FIELDS, EXPOSURE_KINDS, SETTING_ALIASES, Job, Training
+
+FIRST = "Options"
+"""Heading of the options that most need, first of all."""
+
+JOB_FIELDS = ("design", "masks", "photons", "camera", "seed")
+"""Fields of a job that are settings themselves."""
+
+NO_OPTIONS = ("classifier_arguments",)
+"""Fields that a recipe or Python gives."""
+
+COUNTER_EFFECTS = ("dead_time", "dead_time_model")
+"""Fields of a camera that say what its counts are corrected for."""
+
+MOST_PIXELS = 10_000
+"""Pixels of a side of an image."""
+
+PROBE = 2**20
+"""Bytes that must fit a disk before any work whose result goes there."""
+
+PICTURES = (".png", ".svg", ".pdf")
+TABLES = (".csv", ".parquet")
+"""Ends of the names of files."""
+
+
+def argument(words: str, metavar: str = "") -> Any:
+    """Field of a value that stands without a name on the command line.
+
+    Parameters
+    ----------
+    words : str
+        Help.
+    metavar : str
+        Name in the usage, where it is not that of the field.
+    """
+    return Field(description=words, json_schema_extra={"argument": metavar})
+
+
+@dataclass(frozen=True)
+class Written:
+    """How a text of an option is written, for its help: ``Written("HEIGHTxWIDTH")``."""
+
+    form: str
+
+
+@dataclass(frozen=True)
+class OptionsOf:
+    """Options made from fields of models, for a command's `dict` of those that were given, as text.
+
+    Parameters
+    ----------
+    fields : mapping
+        Heading in the help and field of each option, by its name.
+    axes : bool
+        True if an option takes several values, separated by commas.
+    """
+
+    fields: Mapping[str, tuple[str, FieldInfo]]
+    axes: bool = False
+
+
+@dataclass(frozen=True)
+class Output:
+    """Where a command writes, checked before its work.
+
+    Parameters
+    ----------
+    endings : tuple of str
+        Of a file's name. Of a folder there are none.
+    new : bool
+        True of a folder that may not be there, or is empty.
+    """
+
+    endings: tuple[str, ...] = ()
+    new: bool = False
+
+    def check(self, path: Path, force: bool) -> None:
+        """Raise `InputError` unless this can be written there; `force` lets it replace a file."""
+        if self.endings:
+            check_file(path, self.endings, force)
+        elif self.new:
+            check_new_folder(path)
+        else:
+            check_folder(path)
+
+
+def job_options(*, axes: bool = False, leave: Iterable[str] = ()) -> OptionsOf:
+    """Options of the settings of a job: its camera, its exposure and its training.
+
+    Parameters
+    ----------
+    axes : bool
+        True if they take several values.
+    leave : iterable of str
+        Options that the command does not have.
+    """
+    names = {field: option for option, field in SETTING_ALIASES.items()}
+    fields = {name: (FIRST, Job.model_fields[name]) for name in JOB_FIELDS}
+    for table, model in (("camera", Camera), ("training", Training)):
+        if table == "training":
+            fields |= {
+                name: ("Exposure", EXPOSURE_KINDS[name].model_fields[name])
+                for name in EXPOSURE_FIELDS
+            }
+        fields |= {
+            names.get((table, name), name): (table.capitalize(), field)
+            for name, field in model.model_fields.items()
+            if name not in NO_OPTIONS
+        }
+    return OptionsOf({name: each for name, each in fields.items() if name not in leave}, axes)
+
+
+def run_options(*names: str) -> OptionsOf:
+    """Options of the camera of a run, and some of its fields.
+
+    Parameters
+    ----------
+    *names : str
+        Fields of a camera.
+    """
+    fields = {"camera": Job.model_fields["camera"]}
+    fields |= {name: Camera.model_fields[name] for name in names}
+    return OptionsOf({name: ("Camera", field) for name, field in fields.items()})
+
+
+def check_there(path: Path, what: str) -> None:
+    """Raise `InputError` unless there is something at the path, which should be `what`."""
+    if not path.exists():
+        raise InputError(f"there is nothing at {path}: give {what}")
+
+
+def check_file(path: Path, endings: tuple[str, ...], force: bool, made: Path | None = None) -> None:
+    """Raise `InputError` unless a file can be written to a path.
+
+    Parameters
+    ----------
+    path : Path
+        Of the file.
+    endings : tuple of str
+        One of which its name must have.
+    force : bool
+        True to replace a file.
+    made : Path, optional
+        Folder that the command makes.
+    """
+    if path.is_dir():
+        raise InputError(f"{path} is a folder: give a file name ending in {' or '.join(endings)}")
+    check_ending(path, endings)
+    check_free(path, force)
+    if (made is None or path.parent not in (made, *made.parents)) and not path.parent.is_dir():
+        raise InputError(f"cannot write {path}: there is no folder {path.parent}; make it first")
+    _check_writable(path, path.parent)
+
+
+def check_free(path: Path, force: bool) -> None:
+    """Raise `InputError` if there is something at the path that may not be replaced."""
+    if path.exists() and not force:
+        raise InputError(f"{path} exists already: give another name, or --force to replace it")
+
+
+def check_folder(path: Path) -> None:
+    """Raise `InputError` unless a command can write into a folder, which it makes if need be."""
+    _check_writable(path, path)
+
+
+def check_new_folder(path: Path) -> None:
+    """Raise `InputError` unless a command can make a folder, or fill an empty one."""
+    if path.exists() and (not path.is_dir() or any(path.iterdir())):
+        raise InputError(f"{path} exists already: give a new folder")
+    _check_writable(path, path.parent)
+
+
+def _check_writable(path: Path, folder: Path) -> None:
+    """Write a file in the folder, or in the lowest one above that is there, and leave nothing."""
+    there = next(each for each in (folder, *folder.parents) if each.exists())
+    if not there.is_dir():
+        raise InputError(f"cannot write to {path}: {there} is a file; give another place")
+    try:
+        with tempfile.TemporaryFile(dir=there) as file:
+            file.write(bytes(PROBE))  # a file may be made where nothing can be written into it
+    except OSError as error:
+        raise InputError(f"cannot write to {path}: {error.strerror}; give another place") from None
+
+
+def check_design(path: Path) -> Path:
+    """Path of a design file, of a folder of patterns, or of a published design by its name."""
+    file = find_design(path)
+    if not file.exists():
+        raise InputError(f"no design file at {path}: make one with `deepfsi design`")
+    return file
+
+
+def check_sigma(options: Mapping[str, Any], noises: Iterable[str]) -> None:
+    """Raise `InputError` if read noise is given and none of these noises has any.
+
+    Parameters
+    ----------
+    options : mapping
+        Those that were given.
+    noises : iterable of str
+        Names of the noises that are in force.
+    """
+    # a stand-in is of what it stands for
+    named = [noise for noise in dict.fromkeys(noises) if not find_noise(noise).stands_for]
+    if "sigma" in options and not any(find_noise(noise).read_noise for noise in named):
+        raise InputError(
+            f"--sigma is not of {' and '.join(named)} noise: leave it out, or give --noise "
+            "gaussian or camera"
+        )
+
+
+def split_commas(text: Any) -> Any:
+    """Parts of a text between commas; `ValueError` if one is empty."""
+    if not isinstance(text, str):
+        return text
+    parts = [part.strip() for part in text.split(",")]
+    if not all(parts):
+        raise ValueError(
+            f"{text!r} has an empty place: give one value or more, separated by commas"
+        )
+    return parts
+
+
+def number(text: str) -> float:
+    """Number of a text; `ValueError` if it is none, or not finite."""
+    try:
+        value = float(text)
+    except ValueError:
+        raise ValueError(f"{text!r} is not a number") from None
+    if not math.isfinite(value):
+        raise ValueError(f"{text!r} is not allowed: give a finite number")
+    return value
+
+
+def whole_number(text: str) -> int:
+    """Whole number of a text, which may be written as 1e3; `ValueError` if it is none."""
+    value = number(text)
+    if not value.is_integer():
+        raise ValueError(f"{text!r} is not a whole number")
+    return int(value)
+
+
+def _size(text: Any) -> Any:
+    if not isinstance(text, str):
+        return text
+    sides = text.lower().split("x")
+    sound = all(side.isdecimal() and 0 < int(side) <= MOST_PIXELS for side in sides)
+    if not sound or len(sides) > 2:
+        raise ValueError(
+            f"{text!r} is not allowed: give HEIGHTxWIDTH, such as 32x32, of at most "
+            f"{MOST_PIXELS} pixels each"
+        )
+    return int(sides[0]), int(sides[-1])
+
+
+Number = Annotated[float, BeforeValidator(number)]
+"""A finite number."""
+
+Numbers = Annotated[tuple[Number, ...], BeforeValidator(split_commas)]
+"""Numbers, separated by commas."""
+
+Names = Annotated[tuple[str, ...], BeforeValidator(split_commas)]
+"""Names, separated by commas."""
+
+Time = Annotated[float, BeforeValidator(seconds)]
+"""Seconds, of a text such as 0.01, 10ms or 44us."""
+
+Shape = Annotated[tuple[int, int], BeforeValidator(_size), Written("HEIGHTxWIDTH")]
+"""Height and width of an image, of HEIGHTxWIDTH or one number for both."""
+
+# scenes
+
+Size = Annotated[
+    Shape | None, Field(description="resize images to HEIGHTxWIDTH, or one number for both")
+]
+Data = Annotated[
+    str,
+    Field(
+        description="name (deepfsi data list), folder or .zip of images, .csv of file names and "
+        "labels or values, cube, or .npz"
+    ),
+]
+TestData = Annotated[
+    str | None,
+    Field(description="name or path, as for `design`; the design's own unless given"),
+]
+SkipBad = Annotated[
+    bool, Field(description="leave pictures that cannot be read out, and name them")
+]
+Normal = Annotated[
+    str | None,
+    Field(description="class to be told from anomalies; these are made from its own scenes"),
+]
+View = Annotated[
+    Path | None,
+    Field(description="folder of a camera's calibration: take the scenes as this camera sees them"),
+]
+
+# a design and its test
+
+DesignPath = Annotated[Path, AfterValidator(check_design)]
+"""Design file, folder of patterns or name of a published design, which is there."""
+
+DesignOrPatterns = Annotated[
+    DesignPath, argument("design file, or a folder of patterns that `dmd export` wrote")
+]
+DesignFile = Annotated[
+    Path, Output((".safetensors",)), Field(description="design file, .safetensors")
+]
+NoiseName = Annotated[
+    str | None,
+    Field(description="noise of the tests; that of the design's camera unless given"),
+]
+Sigma = Annotated[
+    float | None,
+    Field(description="read noise of gaussian and camera noise, counts rms per readout"),
+]
+Dark = Annotated[
+    float | None,
+    Field(description="dark counts/s of a detector; in an exposure, where no time is given"),
+]
+LightFluctuation = Annotated[
+    float | None,
+    Field(description="relative standard deviation of the light from frame to frame"),
+]
+Draws = Annotated[int, Field(description="noise draws of each scene")]
+NoiseSeed = Annotated[int, Field(description="seed of the noise")]
+Matrix = Annotated[
+    str | None,
+    Field(
+        description="your own masks: .npy or .mat (FILE.mat:VARIABLE) of shape (m, N) or "
+        "(m, H, W), a folder of images, or a TIFF of m pages"
+    ),
+]
+
+# how it runs
+
+Trust = Annotated[bool, Field(description="run the code of the classifier that the design names")]
+TorchDevice = Annotated[
+    str, Field(description="auto, cpu, cuda, one of several GPUs such as cuda:1, or mps")
+]
+WorkerCount = Annotated[
+    Count | None, Field(description="processes; one for each core unless given")
+]
+Ray = Annotated[str | None, Field(description="work on a Ray cluster: its address, or auto")]
+Force = Annotated[bool, Field(description="replace what is at --out")]
+
+# studies
+
+Ratios = Annotated[
+    Numbers | None,
+    Field(description="readouts divided by pixels, m/N for one detector, such as 0.01,0.04,0.09"),
+]
+Designs = Annotated[Names | None, Field(description="names, separated by commas")]
+Trials = Annotated[int | None, Field(description="training seeds for each point")]
+Folds = Annotated[
+    Annotated[int, Field(ge=1, le=100)] | None,
+    Field(
+        description="parts of the scenes, each tested by designs that are trained on the others, "
+        "so that every scene is tested once; 1 for none. Unless given 5 where a test part was "
+        "drawn from the scenes and has fewer than 300"
+    ),
+]
+StudyFolder = Annotated[Path, Output(), Field(description="output folder")]

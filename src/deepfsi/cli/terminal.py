@@ -1,0 +1,171 @@
+"""What a command says, and to whom: lines and tables for a reader, JSON for a script."""
+
+import json
+import re
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from typing import Any
+
+from deepfsi.base import InputError, Message, Progress, one_line, terminal_bar
+
+JSON_SCHEMA = 1
+"""Version of what every command prints with --json; raised where a field changes or goes."""
+
+NAME_WIDTH = 13
+"""Characters of a name in a table, such as that of a class."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of text under heads; the first column is words, the others stand at the right."""
+
+    title: str
+    heads: Sequence[str]
+    rows: Sequence[Sequence[str]]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a command found: as a dict for scripts, and in lines for a reader.
+
+    Parameters
+    ----------
+    content : mapping
+        JSON types.
+    lines : iterable of str or Table
+        May be a generator, which does not run where JSON is asked for.
+    failed : bool
+        True if something that was checked is not as it should be: exit code 1.
+    refusal : str
+        Why what was found cannot be used, which ends the command as an `InputError`.
+    schema : str
+        Name of the content, where it is not that of the command.
+    """
+
+    content: Mapping[str, Any]
+    lines: Iterable[str | Table] = ()
+    failed: bool = False
+    refusal: str = ""
+    schema: str = ""
+
+
+class Terminal:
+    """Where a command runs: it shows progress, says and asks.
+
+    Parameters
+    ----------
+    as_json : bool
+        True if nothing is printed but JSON.
+    command_line : str
+        Command as it was typed, for records and pages.
+    """
+
+    def __init__(self, as_json: bool = False, command_line: str = "") -> None:
+        self.as_json = as_json
+        self.command_line = command_line
+
+    def progress(self, what: str) -> AbstractContextManager[Progress]:
+        """Progress bar on standard error with the time left."""
+        return terminal_bar(what, self.as_json)
+
+    def say(self, line: "str | Table") -> None:
+        """Print a part of a result at once, which JSON has at the end."""
+        if not self.as_json:
+            _print(line)
+
+    def warn(self, text: str) -> None:
+        """Say on standard error what a reader should know in any case."""
+        print(as_options(text), file=sys.stderr, flush=True)
+
+    def ask(self, what: str) -> None:
+        """Ask someone to do something, and wait until it is done."""
+        print(f"{what}, then press Enter", file=sys.stderr, flush=True)
+        if not sys.stdin.readline():
+            raise InputError("nobody is there to show the scenes: run this in a terminal")
+
+    def confirm(self, question: str) -> bool:
+        """Ask whether to go on; False where there is no one to ask."""
+        if not sys.stdin.isatty():
+            return False
+        print(f"{question} [y/N]: ", end="", file=sys.stderr, flush=True)
+        return sys.stdin.readline().strip().lower() in ("y", "yes")
+
+    def write(self, outcome: Outcome, command: str) -> None:
+        """Print what a command found, as JSON with its schema first: "deepfsi.camera.count/1"."""
+        if self.as_json:
+            print_json(outcome.schema or command, outcome.content)
+            return
+        for line in outcome.lines:
+            _print(line)
+
+
+def as_options(text: str) -> str:
+    """A message with the settings that it names as options: `size` is --size."""
+    return text.write(_as_option) if isinstance(text, Message) else text
+
+
+def _as_option(setting: str, value: str) -> str:
+    return f"--{setting.replace('_', '-')} {value}".rstrip()
+
+
+def budget_text(photons: float) -> str:
+    """Photons as all commands print and take them: 1e4, 3.16e4."""
+    mantissa, exponent = f"{photons:.2e}".split("e")
+    return f"{mantissa.rstrip('0').rstrip('.')}e{int(exponent)}"
+
+
+def rate_text(mean: float, low: float, high: float) -> str:
+    """A rate with half the width of its interval: 0.565 ± 0.027."""
+    return f"{mean:.3f} ± {(high - low) / 2:.3f}"
+
+
+def plural(number: int, what: str) -> str:
+    """A number of things: 1 exposure, 2 exposures."""
+    return f"{number} {what}{'' if number == 1 else 's'}"
+
+
+def short_name(name: str, width: int = NAME_WIDTH) -> str:
+    """Beginning of a long name, for a table."""
+    return name if len(name) <= width else f"{name[: width - 1]}…"
+
+
+def error_line(text: str) -> str:
+    """Message of an error in one line."""
+    return " ".join(one_line(as_options(text)).split())
+
+
+def print_json(schema: str, content: Mapping[str, Any]) -> None:
+    """Print what a command found for scripts."""
+    first = {"schema": f"deepfsi.{schema}/{JSON_SCHEMA}"}
+    text = json.dumps({**first, **content, **first}, ensure_ascii=False)
+    # bytes of a path that are no UTF-8, which no reader of JSON takes
+    text = re.sub("[\udc80-\udcff]", lambda byte: f"\\\\x{ord(byte[0]) - 0xDC00:02x}", text)
+    print(json.dumps(json.loads(text), indent=1))
+
+
+def _print(line: "str | Table") -> None:
+    if isinstance(line, Table):
+        print_table(line)
+    else:
+        print(as_options(line), flush=True)
+
+
+def print_table(content: Table) -> None:
+    """Print a table, one line a row where the width allows it."""
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table as Grid
+
+    grid = Grid(title=content.title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    grid.padding, grid.min_width = (0, 1, 0, 0), len(content.title)
+    for number, head in enumerate(content.heads):
+        grid.add_column(head, justify="right" if number else "left", overflow="fold")
+    for row in content.rows:
+        grid.add_row(*row)
+    console = Console(markup=False, emoji=False, highlight=False)
+    if not console.is_terminal:  # a file or a pipe has no width
+        unbounded = console.options.update(max_width=sys.maxsize)
+        console.width = max(console.width, console.measure(grid, options=unbounded).maximum)
+    console.print(grid)

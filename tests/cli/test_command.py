@@ -1,0 +1,150 @@
+"""A command is a model: its fields are options, with their types and bounds in the help."""
+
+import json
+from typing import Annotated, Any, Literal
+
+import click
+import pytest
+from click.testing import CliRunner
+from pydantic import BaseModel, Field
+
+from deepfsi.base import InputError
+from deepfsi.base.models import Share, WholeNumber
+from deepfsi.cli.command import ClickCommand, Command, read_parameters
+from deepfsi.cli.fields import Numbers, OptionsOf, Size, Time, argument
+from deepfsi.cli.terminal import Outcome, Table, Terminal
+
+
+class Thing(BaseModel):
+    width: int = Field(3, ge=1, le=9, description="how wide it is")
+    folded: bool = Field(False, description="fold it")
+    kind: Literal["oak", "ash"] = Field("oak", description="its wood")
+    weight: float = Field(description="its weight", gt=0)
+
+
+class Show(Command):
+    """`show`.
+
+    What it shows.
+    """
+
+    name: Annotated[str, argument("of the thing", "THING")]
+    settings: Annotated[
+        dict[str, Any], OptionsOf({n: ("Things", f) for n, f in Thing.model_fields.items()})
+    ]
+    times: Annotated[Time | None, Field(gt=0, description="how long")] = None
+    part: Annotated[Share, Field(description="share of it")] = 0.5
+    places: Annotated[tuple[WholeNumber, ...], Field(alias="place", description="where")] = ()
+    budgets: Annotated[Numbers, Field(description="light")] = (1.0,)
+    size: Size = None
+    deep: Annotated[bool, Field(description="all of it")] = False
+
+    def run(self, terminal: Terminal) -> Outcome:
+        """What was read."""
+        terminal.say("at once")
+        return Outcome(
+            self.model_dump(mode="json"),
+            [f"shown: {self.name}", Table("things", ("name",), [(self.name,)])],
+            failed=self.name == "bad",
+            refusal="it is torn" if self.name == "torn" else "",
+        )
+
+
+def run(*words: str) -> tuple[int, str]:
+    result = CliRunner().invoke(ClickCommand(Show, "show", "Show a thing."), words)
+    if isinstance(result.exception, InputError):
+        raise result.exception
+    return result.exit_code, result.output
+
+
+def test_texts_are_read_as_the_types_say():
+    words = "--json it --times 10ms --part 1 --place 3 --place 0 --budgets 1,2e3 --size 4x5"
+    code, out = run(*words.split(), "--width", "5", "--folded")
+    assert code == 0
+    assert json.loads(out) == {
+        "schema": "deepfsi./1", "name": "it", "settings": {"width": "5", "folded": True},
+        "times": 0.01, "part": 1.0, "places": [3, 0], "budgets": [1.0, 2e3], "size": [4, 5],
+        "deep": False,
+    }  # fmt: skip
+
+
+def test_a_result_says_itself_and_its_exit_code():
+    code, out = run("it")
+    assert code == 0
+    assert [line for line in out.split("\n") if line.strip()][:3] == [
+        "at once", "shown: it", "things",
+    ]  # fmt: skip
+    assert run("bad")[0] == 1
+    assert "at once" not in run("bad", "--json")[1]
+    with pytest.raises(InputError, match="it is torn"):
+        run("torn")
+
+
+HELP = (
+    "Show a thing. What it shows.",
+    "THING <text> of the thing [required]",
+    "--times <time> how long [above 0 s]",
+    "--part <number> share of it [default: 0.5; 0 to 1]",
+    "--place <int …> where",
+    "--budgets <number,…> light",
+    "--size <HEIGHTxWIDTH> resize",
+    "--deep all of it",
+    "--json print JSON",
+    "--width <int> how wide it is [default: 3; 1 to 9]",
+    "--folded fold it",
+    "--kind <oak|ash> its wood [default: oak]",
+    "--weight <number> its weight [above 0]",
+)
+
+
+@pytest.mark.parametrize("words", HELP)
+def test_help_shows_types_and_bounds(words):
+    assert words in " ".join(run("--help")[1].split())
+
+
+def test_options_stand_under_headings_those_of_the_command_first():
+    out = run("--help")[1]
+    assert [line for line in out.splitlines() if line.endswith(":")] == [
+        "Arguments:", "Options:", "Things:",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("it --part 2", "--part 2: give 1 or less; see `show --help`"),
+        ("it --part x", "--part x: give a number; see `show --help`"),
+        ("it --place 1.5", "--place 1.5: give a whole number; see `show --help`"),
+        ("it --budgets 1,,2", "--budgets: '1,,2' has an empty place: give one value or more"),
+        ("it --budgets 1,many", "--budgets: 'many' is not a number"),
+        ("it --times soon", "--times: 'soon' is not a time"),
+        ("it --size 4x --part -1", "--size: '4x' is not allowed"),
+        ("it --size 4x --part -1", "--part -1: give 0 or more; "),
+    ],
+)
+def test_what_cannot_be_read_is_named_by_its_option(words, message):
+    with pytest.raises(InputError) as error:
+        run(*words.split())
+    assert message in str(error.value)
+
+
+def test_an_axis_takes_several_values():
+    fields = {"width": ("Things", Thing.model_fields["width"])}
+
+    class Compare(Command):
+        """`compare`."""
+
+        settings: Annotated[dict[str, Any], OptionsOf(fields, axes=True)]
+
+    [_, width] = read_parameters(Compare)
+    assert width.metavar == "<int,…>"
+    assert not width.default
+
+
+def test_a_missing_argument_is_named_by_click():
+    result = CliRunner().invoke(ClickCommand(Show, "show", "Show a thing."), [])
+    assert result.exit_code == 2
+    assert "THING" in result.output
+    assert isinstance(result.exception, SystemExit)
+    with pytest.raises(click.MissingParameter):
+        ClickCommand(Show, "show", "").main([], standalone_mode=False)
