@@ -40,6 +40,7 @@ extensions = [
     "modules",
     "playable",
     "rooms",
+    "terms",
     "words",
 ]
 exclude_patterns = [

@@ -167,14 +167,17 @@ PAGES = {
 DATA = 'import deepfsi\ndata = deepfsi.load_dataset("digits")'
 ANYTHING = "from typing import Any, cast\n{0} = cast(Any, ...)"
 BEFORE = {
-    "docs/do/own-noise": DATA,
-    "docs/do/own-optics": DATA,
-    "docs/do/live": ANYTHING.format("my_projector = my_counter = my_display = my_recording"),
+    "docs/do/live": ANYTHING.format("my_projector = my_counter = my_display"),
+    "docs/lookup/devices": """from pathlib import Path
+from deepfsi.hardware.counting import Acquisition, Scene
+"""
+    + ANYTHING.format("my_display = my_recording")
+    + "\nscenes: list[Scene] = []\nacquisition = cast(Acquisition, ...)",
     "docs/notebook/looks": ANYTHING.format("my_device"),
 }
 """Names that a page leaves to its reader."""
 
-MODULES = {"docs/do/own-classifier": "mynets"}
+MODULES = {"docs/do/own-loop": "mynets"}
 """Pages whose first block is a module of the reader's, and its name."""
 
 

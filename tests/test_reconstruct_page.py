@@ -25,7 +25,7 @@ from deepfsi.hardware.patterns import DesignRails, FrameSettings, export_pattern
 from deepfsi.hardware.virtual import RecordingSettings, VirtualCamera, record_scenes
 from deepfsi.physics import light_law
 
-PAGE = (Path(__file__).parents[1] / "docs/do/reconstruct.md").read_text()
+PAGE = (Path(__file__).parents[1] / "docs/notebook/pictures.md").read_text()
 READ, DEEPINV, SPYRIT, SHOW = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)
 [SHELL] = re.findall(r"```\n(deepfsi .*?)```", PAGE, flags=re.DOTALL)
 LINES = SHELL.replace("\\\n", "").splitlines()

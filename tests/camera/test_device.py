@@ -82,7 +82,7 @@ def test_devices_that_cannot_be_are_refused(fields):
 
 
 def test_the_page_on_devices_has_their_numbers():
-    page = (Path(__file__).parents[2] / "docs" / "do" / "devices.md").read_text()
+    page = (Path(__file__).parents[2] / "docs/lookup/devices.md").read_text()
     rows = re.findall(r"^\| `(dlp[\w-]+)` \| ((?:[^|]+ \| ){2}[^|]+) \|$", page, re.M)
     assert rows == [
         (

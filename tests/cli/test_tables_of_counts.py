@@ -99,7 +99,7 @@ def test_what_is_no_table_of_these_patterns_is_one_line(refuse, lab, tmp_path):
 
 def matlab_lines() -> dict[str, str]:
     """Command and variables of the page's lines for MATLAB."""
-    page = (Path(__file__).parents[2] / "docs/do/matlab.md").read_text()
+    page = (Path(__file__).parents[2] / "docs/do/counts.md").read_text()
     block = re.search(r"```matlab\n(.*?)```", page, re.S)[1]
     return {
         "save": re.search(r"save\('(\S+)', '(\w+)'\)", block).groups(),

@@ -159,7 +159,7 @@ def test_small_designs_come_with_the_package(monkeypatch, tmp_path):
         assert len(design.classes) == 10
         assert design.info["job"]["photons"] == entry.photons
         assert find_design(name).stat().st_size < 9e5
-    page = (Path(__file__).parents[2] / "docs/do/published-designs.md").read_text()
+    page = (Path(__file__).parents[2] / "docs/notebook/designs.md").read_text()
     for name, entry in designs.items():
         half = (entry.high - entry.low) / 2
         [row] = [line for line in page.splitlines() if line.startswith(f"| `{name}`")]
