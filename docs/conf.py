@@ -33,6 +33,7 @@ extensions = [
     "mathml",
     "chart",
     "commands",
+    "devices",
     "formats",
     "lessons",
     "links",

@@ -50,6 +50,39 @@ def test_every_link_of_the_built_site_leads_somewhere_and_nothing_comes_from_els
     assert not list(check_site.faults(site))
 
 
+@pytest.mark.slow
+def test_a_search_of_the_built_site_gives_the_right_page_first(site):
+    assert not list(check_site.lost(site))
+
+
+@pytest.mark.slow
+def test_a_link_to_a_term_says_what_the_term_means(site):
+    page = (site / "do/compare.html").read_text()
+    [link] = re.findall(
+        r'<a class="reference internal" href="\S+#term-impulse-imaging"[^>]*>', page
+    )
+    assert 'title="Imaging with one detector for each pixel' in link
+
+
+def test_searches_rank_entries_before_titles_and_titles_before_text():
+    index = {
+        "docnames": ["a", "b", "c"],
+        "titles": ["Trains", "Resume a train", "Other"],
+        "alltitles": {"Trains": [[0, None]], "Resume a train": [[1, None]], "Other": [[2, None]]},
+        "indexentries": {"resume": [[0, "index-0", True]], "train": [[2, "index-0", False]]},
+        "terms": {"train": [0, 1, 2], "wheel": 2},
+        "titleterms": {"train": [0, 1], "resum": 1},
+    }
+    queries = ("resume", "train", "trains", "wheel", "trained wheels", "plane")
+    found = [check_site.first(index, query) for query in queries]
+    assert found == ["a", "b", "a", "c", "c", "no page"]
+
+
+@pytest.mark.parametrize("page", sorted((DOCS / "do").glob("*.md")), ids=lambda page: page.stem)
+def test_a_how_to_page_is_short(page):
+    assert len(page.read_text().split()) <= 700
+
+
 def test_a_bad_link_and_a_file_from_elsewhere_are_found(tmp_path):
     (tmp_path / "a.html").write_text(
         '<p id="here"></p><a href="b.html"></a><a href="#here"></a><a href="#gone"></a>'

@@ -3,12 +3,11 @@
 ===========================
 
 At the end of this tutorial you know which masks, how many photons and how long an exposure your
-task needs. It takes an hour and has five pages. This one turns your pictures into photon counts.
+task needs. It has five pages. This one turns your pictures into photon counts.
 
-Every number on these pages was computed when the site was built, with small settings. Each page is
-a Python script. Download it at the end of the page, and run it in the folder that holds your
-pictures. Commands are those that you type in a terminal there; the script runs them by
-``os.system``.
+Every number was computed when the site was built, with small settings. Each page is a Python
+script: download it at its end, and run it in the folder that holds your pictures. Commands are
+those that you type in a terminal there.
 """
 
 import matplotlib.pyplot as plt

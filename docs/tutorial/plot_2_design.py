@@ -42,9 +42,8 @@ print(design)
 # What the command prints:
 #
 # - *Test accuracy* is the share of test pictures that are classified rightly from noisy counts.
-# - ± is half of the **95 % interval**. If you repeated the test with other pictures of the same
-#   kind, intervals made in this way would hold the true accuracy in 95 of 100 repetitions. The
-#   interval says nothing about another training; page 3 trains several times for that.
+# - ± is half of the **95 % interval** over test pictures. It says nothing about another training;
+#   page 3 trains several times for that.
 # - *Counts* are the photons that the detector counts. They are a share of the budget, since each
 #   mask is shown for a part of the time and has a part of the mirrors ON.
 # - *Balanced accuracy* is the mean of the classes' accuracies. The worst class is named after its
@@ -126,8 +125,7 @@ plt.show()
 #
 # .. dropdown:: Answer
 #
-#    Compare the two picture by picture: ``Result.right`` of `evaluate` has the share of right draws
-#    of each, and ``deepfsi.base.numeric.paired_difference`` gives their mean difference with its
-#    interval. If that contains 0, 360 pictures do not decide. On one device a single rail can be
-#    better. Each frame is then a feature of its own, and the network can subtract by itself. A mask
-#    of two rails needs two frames for one number.
+#    Compare the two picture by picture with ``deepfsi.base.numeric.paired_difference`` of
+#    ``Result.right``. If its interval contains 0, 360 pictures do not decide. On one device a
+#    single rail can be better: each frame is a feature of its own, and the network can subtract by
+#    itself.

@@ -67,12 +67,10 @@ plt.show()
 # ----------------
 #
 # Ask of every interval what it **covers**. A line below the tables says it: *test images, noise
-# draws and training seeds (3 trainings)*. So these bars tell how far another training, tested with
-# other pictures of the same kind, would differ. None covers pictures of another kind than yours.
+# draws and training seeds (3 trainings)*. None covers pictures of another kind than yours.
 #
-# Where two intervals are far apart, the designs differ. Where they overlap, the designs may still
-# differ: all are tested with the same pictures. The report compares them picture by picture, and
-# says which cannot be told apart. Then more test pictures or more trials must decide.
+# Where two intervals overlap, the designs may still differ, as all are tested with the same
+# pictures. The report compares them picture by picture, and says which cannot be told apart.
 #
 # The best design at one budget need not be the best at another, so compare at the budgets of your
 # own camera. Here the raster scan comes close at 10⁴ photons. The pictures have only 64 pixels,
@@ -120,9 +118,8 @@ for light in ("column", "two-arm", "free-dwell", "equal-dwell"):
 #
 # .. dropdown:: Answer
 #
-#    It may be; these two intervals do not decide it. Both designs were tested on the same pictures,
-#    so their difference is known better than each accuracy. A paired comparison or more test
-#    pictures can decide.
+#    These two intervals do not decide it. Both designs were tested on the same pictures: a paired
+#    comparison can decide.
 #
 # **2.** Add ``impulse`` to the designs, with ``--camera paper`` (``column``, dual rails). Why is
 # impulse imaging the best, and why is it not possible here?

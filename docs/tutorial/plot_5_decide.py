@@ -120,8 +120,7 @@ print(f"We take {most:.0f}: at 10⁶ photons/s, {1e3 * most / 1e6:.1f} ms an exp
 print(f"At 10⁴ photons, stopping early uses {found.used.mean:.0%} of the light in the mean.")
 
 # %%
-# These numbers hold for pictures like yours, for one device with one detector, and for a camera
-# without stray light. Test the last two with the commands of page 4 before you build.
+# These numbers hold for pictures like yours, one device with one detector, and no stray light.
 #
 # Exercises
 # ---------
@@ -137,9 +136,8 @@ print(f"At 10⁴ photons, stopping early uses {found.used.mean:.0%} of the light
 #
 # .. dropdown:: Answer
 #
-#    Higher budgets (``--photons 1e3,1e4,1e5,1e6``), and more masks (``--masks 8,16,32``), because
-#    with much light more masks tell more. If the curve stays flat below 0.99, more photons do not
-#    help. Then try more training pictures, larger pictures or another network.
+#    Higher budgets (``--photons 1e3,1e4,1e5,1e6``), and more masks (``--masks 8,16,32``). If the
+#    curve stays flat below 0.99, try more training pictures, larger ones or another network.
 #
 # **3.** Why are the threshold and the number of masks not chosen on the test pictures?
 #
