@@ -130,7 +130,9 @@ def run(tmp_path, monkeypatch, done, digits, trained_once):
     recipes = tiny(starts.EXPERIMENT, 1)
     monkeypatch.setitem(studies.STUDIES, "mnist", (starts.EXPERIMENT,))
     monkeypatch.setattr(experiment.Experiment, "recipes", lambda *_: recipes)
-    monkeypatch.setattr("deepfsi.cli.recipes.shipped", lambda: {"mnist": tmp_path / "small.toml"})
+    monkeypatch.setattr(
+        "deepfsi.cli.studies.shipped_recipes", lambda: {"mnist": tmp_path / "small.toml"}
+    )
     (tmp_path / "small.toml").write_text(
         'designs = ["pca"]\nphotons = [1e2, 1e4]\nmasks = 3\n[quick]\ntraining.epochs = 1\n'
     )

@@ -23,6 +23,20 @@ def test_times_are_read_back():
 
 
 @pytest.mark.parametrize(
+    ("text", "value"),
+    [("0.01", 0.01), ("10ms", 0.01), ("44us", 44e-6), ("44 µs", 44e-6), ("1e-3s", 1e-3)],
+)
+def test_times_have_units(text, value):
+    assert seconds(text) == pytest.approx(value)
+
+
+@pytest.mark.parametrize("text", ["", "ms", "-1", "nan", "inf", "1 hour"])
+def test_what_is_no_time_is_refused(text):
+    with pytest.raises(ValueError, match="is not a time"):
+        seconds(text)
+
+
+@pytest.mark.parametrize(
     ("counts", "text"),
     [(99.9, "99.9"), (0.25, "0.25"), (1634.2, "1634"), (163421.0, "163400"), (9999.9, "10000"),
      (1.634e7, "1.63e7"), (1e6, "1e6"), (0.0, "0"), (3.0, "3"), (999.6, "1000")],

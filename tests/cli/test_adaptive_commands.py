@@ -5,7 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from deepfsi import load_design
+from deepfsi import load_design, predict
+from deepfsi.datasets import write_display
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +49,6 @@ def test_one_exposure_is_drawn(done, file, tmp_path):
     "words",
     [
         "export FILE -o a.onnx",
-        "predict FILE . --photons 1e4",
         "camera classify FILE counts.csv --photons 1e4",
     ],
 )
@@ -57,6 +57,16 @@ def test_what_needs_masks_beforehand_refuses_it(refuse, file, tmp_path, monkeypa
     told = refuse(*words.replace("FILE", str(file)).split())
     assert "makes its masks while the camera looks" in told
     assert not list(tmp_path.iterdir())
+
+
+def test_it_classifies_pictures_as_the_function_does(done, file, digits, tmp_path):
+    """Masks are made for each picture while it is exposed."""
+    write_display(digits, tmp_path / "p", per_class=1)
+    told = json.loads(done("predict", file, tmp_path / "p", "--photons", "1e4", "--json"))
+    found = predict(load_design(file), tmp_path / "p", 1e4)
+    assert [each["class"] for each in told["pictures"]] == [p.predicted for p in found.pictures]
+    assert told["score"]["new"] == found.score.new.as_dict()
+    assert f"{len(found.pictures)} pictures" in done("predict", file, tmp_path / "p")
 
 
 @pytest.mark.parametrize("option", [("--ideal",), ("--first", 2)])

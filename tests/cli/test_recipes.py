@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from deepfsi.base import InputError
-from deepfsi.cli.recipes import read_recipe, shipped
+from deepfsi.cli.studies import read_recipe, shipped_recipes
 
 
 def test_a_recipe_of_the_package_goes_by_its_name():
@@ -22,7 +22,7 @@ def test_a_file_of_the_name_is_asked_for_by_its_path(tmp_path, monkeypatch):
 
 def test_a_sweep_by_name(done, tmp_path, monkeypatch):
     """The recipe is found from any folder; what it says is shrunk to a moment."""
-    from deepfsi.cli import recipes
+    from deepfsi.cli import studies
 
     tiny = {
         "data": "digits",
@@ -31,7 +31,7 @@ def test_a_sweep_by_name(done, tmp_path, monkeypatch):
         "photons": 1e3,
         "training": {"epochs": 1},
     }
-    monkeypatch.setattr(recipes, "read_toml", lambda file: {**tiny, "draws": 1})
+    monkeypatch.setattr(studies, "read_toml", lambda file: {**tiny, "draws": 1})
     monkeypatch.chdir(tmp_path)
     assert json.loads(done("sweep", "baseline", "--dry-run", "--json"))["trials"] == 1
 
@@ -55,7 +55,7 @@ def test_what_is_no_recipe_is_refused(tmp_path, monkeypatch, source, words):
 
 def test_the_package_works_without_the_papers_experiments(monkeypatch, refuse, done, tmp_path):
     monkeypatch.setitem(sys.modules, "deepfsi_paper", None)
-    assert set(shipped()) == {"arms", "baseline", "limits"}
+    assert set(shipped_recipes()) == {"arms", "baseline", "limits"}
     assert read_recipe("baseline")["data"] == "mnist"
     assert "install deepfsi again" in refuse("reproduce", "mnist", "-o", tmp_path / "paper")
     words = ("--designs", "pca", "--photons", "1e3", "--masks", "3", "--epochs", "1")
@@ -67,4 +67,4 @@ def test_the_package_works_without_the_papers_experiments(monkeypatch, refuse, d
 
 def test_every_recipe_says_how_it_is_run():
     """A recipe's own words name it as `sweep` knows it, not as a file beside the source."""
-    assert not [name for name, each in shipped().items() if "recipes/" in each.read_text()]
+    assert not [name for name, each in shipped_recipes().items() if "recipes/" in each.read_text()]

@@ -4,11 +4,9 @@ import json
 from collections import Counter
 
 import pytest
-import typer
-from pydantic import BaseModel, Field
 
 from deepfsi.camera import Camera
-from deepfsi.cli.settings import NO_OPTIONS, SettingsCommand, with_settings
+from deepfsi.cli.fields import NO_OPTIONS
 from deepfsi.jobs import EXPOSURE_KINDS, SETTING_ALIASES, Job, Training
 from shared.commands import COMMANDS
 
@@ -43,40 +41,6 @@ def test_every_field_has_one_option_with_its_text(command):
             assert texts[f"--{name.replace('_', '-')}"].startswith(text)
 
 
-def test_a_field_that_is_added_adds_its_option(capsys):
-    class Thing(BaseModel):
-        width: int = Field(3, description="how wide it is")
-        folded: bool = Field(False, description="fold it")
-
-    class Larger(Thing):
-        deep_end: str | None = Field(None, description="its deep end")
-
-    def run(model: type[BaseModel], *words: str) -> None:
-        def fields(*names: str) -> dict:
-            return {name: ("Things", model.model_fields[name]) for name in names}
-
-        @with_settings(fields, *model.model_fields)
-        def show(settings: dict, name: str = "it") -> None:
-            """Show a thing."""
-            print(json.dumps([name, settings]))
-
-        made = typer.Typer(rich_markup_mode=None)
-        made.command(cls=SettingsCommand)(show)
-        made(list(words), standalone_mode=False)
-
-    run(Thing, "--width", "5")
-    assert json.loads(capsys.readouterr().out) == ["it", {"width": "5"}]
-    run(Larger, "--folded", "--deep-end", "left", "--name", "that")
-    assert json.loads(capsys.readouterr().out) == ["that", {"folded": True, "deep_end": "left"}]
-    with pytest.raises(typer.TyperException, match="deep-end"):
-        run(Thing, "--deep-end", "left")
-    run(Larger, "--help")
-    said = " ".join(capsys.readouterr().out.split())
-    assert "--deep-end <str> its deep end" in said
-    assert "how wide it is [default: 3]" in said
-    assert said.index("Options:") < said.index("Things:") < said.index("how wide")
-
-
 @pytest.mark.parametrize("command", OF_COMMANDS)
 def test_options_stand_under_headings_those_that_most_need_first(done, command):
     out = done(command, "--help")
@@ -88,7 +52,7 @@ def test_options_stand_under_headings_those_that_most_need_first(done, command):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ("--photons abc --masks 3", "--photons 'abc' is not a number"),
+        ("--photons abc --masks 3", "--photons: 'abc' is not a number"),
         ("--photons 1e3 --masks 0", "masks = 0: give 1 or more"),
         ("--masks 3", "photons"),
         ("--photons 1e3 --masks 3 --light colum", "light = 'colum'"),

@@ -8,7 +8,8 @@ import sys
 import pytest
 
 from deepfsi.base import InputError
-from deepfsi.cli import common, paths
+from deepfsi.cli.fields import check_new_folder
+from deepfsi.cli.terminal import print_json
 from shared.disks import nearly_full
 
 
@@ -32,13 +33,13 @@ def test_figures_are_drawn_whatever_matplotlib_is_told(made, tmp_path):
 
 def test_a_full_disk_is_said_before_the_work(tmp_path):
     with nearly_full(1000), pytest.raises(InputError, match=r"cannot write to .*: File"):
-        paths.check_new_folder(tmp_path / "run")
-    paths.check_new_folder(tmp_path / "run")
+        check_new_folder(tmp_path / "run")
+    check_new_folder(tmp_path / "run")
     assert not [*tmp_path.iterdir()]
 
 
 def test_json_of_a_path_that_is_not_utf_8_can_be_read(capsys):
-    common.print_json("show", {"picture": os.fsdecode(b"s\xff.png"), "size": 0.1, "é": "𝄞"})
+    print_json("show", {"picture": os.fsdecode(b"s\xff.png"), "size": 0.1, "é": "𝄞"})
     found = json.loads(capsys.readouterr().out.encode())
     assert found == {
         "schema": "deepfsi.show/1", "picture": r"s\xff.png", "size": 0.1, "é": "𝄞",

@@ -6,7 +6,9 @@ import re
 import numpy as np
 import pytest
 
-from deepfsi.cli import common
+from deepfsi.base import budget_text
+from deepfsi.cli.fields import number
+from deepfsi.cli.terminal import Table, print_table
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
@@ -26,10 +28,8 @@ def lines_of(printed: str, width: int = WIDTH) -> list[str]:
     [(1, "1e0"), (100, "1e2"), (31623, "3.16e4"), (1e6, "1e6"), (250, "2.5e2"), (0.13, "1.3e-1")],
 )
 def test_photons_have_one_notation_that_options_take(photons, text):
-    from deepfsi.cli.options import number
-
-    assert common.budget(photons) == text
-    assert number("photons", text) == pytest.approx(photons, rel=5e-3)
+    assert budget_text(photons) == text
+    assert number(text) == pytest.approx(photons, rel=5e-3)
 
 
 def test_a_comparison_is_one_matrix_one_sentence_and_one_path(done, tmp_path, monkeypatch):
@@ -107,7 +107,7 @@ def test_a_terminal_that_is_too_narrow_loses_nothing(capsys, monkeypatch):
     monkeypatch.setenv("NO_COLOR", "1")
     heads = ("design", "photons", "masks", "accuracy", "counted")
     row = ("impulse imaging", "1.27e3", "64", "0.279 ± 0.020", "0.016")
-    common.print_table("a table", heads, [row])
+    print_table(Table("a table", heads, [row]))
     words = re.sub(r"\x1b\[[0-9;]*m", "", capsys.readouterr().out).split()
     assert "".join(sorted("".join((*heads, *row)).replace(" ", ""))) == "".join(
         sorted("".join(words).replace("atable", "").replace("─", ""))
@@ -115,7 +115,7 @@ def test_a_terminal_that_is_too_narrow_loses_nothing(capsys, monkeypatch):
 
 
 def test_names_in_brackets_are_text(capsys):
-    common.print_table("[bold]title", ("name",), [("[red]class",), (":smile:",)])
+    print_table(Table("[bold]title", ("name",), [("[red]class",), (":smile:",)]))
     printed = capsys.readouterr().out
     for text in ("[bold]title", "[red]class", ":smile:"):
         assert text in printed

@@ -150,7 +150,7 @@ def read_virtual(path: Path) -> None:
 
 def read_recipe(path: Path) -> None:
     from deepfsi import from_arrays
-    from deepfsi.cli.recipes import read_recipe
+    from deepfsi.cli.studies import read_recipe
     from deepfsi.sweeps.recipe import only
     from deepfsi.sweeps.recipe_check import check_recipe
 

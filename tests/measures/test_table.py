@@ -5,7 +5,7 @@ import pytest
 
 from conftest import quick
 from deepfsi import evaluate
-from deepfsi.cli.results import details, print_tests
+from deepfsi.cli.evaluate import details_text, result_lines
 from deepfsi.measures import MEASURES, ClassAnswers, MainMeasure, Measure, main_measure
 from deepfsi.report.comparison_page import build
 from deepfsi.sweeps.records import rows
@@ -38,13 +38,12 @@ def with_top_2(monkeypatch):
 
 
 @pytest.mark.usefixtures("with_top_2", "uncharacterised", "undrawn")
-def test_a_new_measure_is_one_entry(digits, tmp_path, capsys):
+def test_a_new_measure_is_one_entry(digits, tmp_path):
     design = quick(digits, "pca", masks=3, epochs=2)
     [result] = evaluate(design, digits, 1e3, draws=1)
     assert result.accuracy < result.further["top_2"] < 1
     assert list(result.as_dict())[-1] == "top_2"
-    print_tests(design, "poisson", [result])
-    table = capsys.readouterr().out
+    table = str([*result_lines(design, "poisson", [result])])
     assert "top 2" in table
     assert f"{result.score('top_2'):.3f}" in table
     recipe = small(designs=("pca",), photons=(1e3,), masks=(3,))
@@ -64,7 +63,7 @@ def test_an_entry_that_goes_is_nowhere_and_files_have_no_further_measures(digits
     design = quick(digits, "pca", masks=3, epochs=2)
     [result] = evaluate(design, digits, 1e3, draws=1)
     assert not result.further
-    assert "top" not in details(result, digits.classes)
+    assert "top" not in details_text(result, digits.classes)
     assert list(result.as_dict())[2:5] == ["accuracy", "low", "high"]
 
 

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from deepfsi.base.numeric import unpack_values
-from deepfsi.cli.recipes import shipped
+from deepfsi.cli.studies import shipped_recipes
 from deepfsi.sweeps.recipe import Recipe, parts
 from deepfsi.sweeps.records import rows
 from deepfsi.sweeps.run import compare
 from deepfsi.sweeps.trial import Trial, plan
 from shared.trials import small, train_trials
 
-FILES = {name: tomllib.loads(file.read_text()) for name, file in sorted(shipped().items())}
+FILES = {name: tomllib.loads(file.read_text()) for name, file in sorted(shipped_recipes().items())}
 
 
 RECIPES = {

@@ -62,7 +62,7 @@ from deepfsi.base.progress import (
     progress_bar,
     terminal_bar,
 )
-from deepfsi.base.quantities import count_text, seconds, time_text
+from deepfsi.base.quantities import budget_text, count_text, seconds, time_text
 
 __all__ = [
     "DESIGN_ENDINGS",
@@ -80,6 +80,7 @@ __all__ = [
     "Progress",
     "as_input_error",
     "block_ctrl_c",
+    "budget_text",
     "check_choice",
     "check_disk_space",
     "check_ending",

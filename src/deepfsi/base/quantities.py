@@ -28,11 +28,16 @@ def time_text(time_s: float) -> str:
     return f"{float(number):.0f} {unit}" if "e+" in number else f"{number} {unit}"
 
 
+def budget_text(photons: float) -> str:
+    """Photons as the command line prints and takes them: 1e4, 3.16e4."""
+    mantissa, exponent = f"{photons:.2e}".split("e")
+    return f"{mantissa.rstrip('0').rstrip('.')}e{int(exponent)}"
+
+
 def count_text(counts: float) -> str:
     """A number of counts or photons: 0.25, 99.9, 1634, 163400, 1.63e7."""
     if counts < 999.5:
         return f"{counts:.3g}" if counts >= 1e-3 else f"{counts:.1g}"
     if counts < 1e6:
         return f"{float(f'{counts:.4g}'):.0f}"
-    mantissa, exponent = f"{counts:.2e}".split("e")
-    return f"{mantissa.rstrip('0').rstrip('.')}e{int(exponent)}"
+    return budget_text(counts)

@@ -173,7 +173,7 @@ def main() -> NoReturn:
     try:
         _check_here()
         with require_torch():
-            code = app(standalone_mode=False)
+            code = app(prog_name="deepfsi", standalone_mode=False)
     except (KeyboardInterrupt, click.Abort):
         code = STOPPED_EXIT_CODE
     except InputError as error:

@@ -8,7 +8,7 @@ from pydantic import Field
 
 from deepfsi.base.models import Count, WholeNumber
 from deepfsi.cli.command import Command
-from deepfsi.cli.fields import Output, Size, argument, check_design
+from deepfsi.cli.fields import Output, Size, argument, check_design_file
 from deepfsi.cli.terminal import Outcome, Table, Terminal
 from deepfsi.datasets import check, download, list_datasets, load_dataset, write_display
 
@@ -94,7 +94,7 @@ class DataExport(Command):
         if self.name.endswith(".safetensors"):
             from deepfsi.lab import data_of_file
 
-            scenes = data_of_file(check_design(Path(self.name)), self.size)
+            scenes = data_of_file(check_design_file(Path(self.name)), self.size)
         else:
             scenes = load_dataset(self.name, size=self.size)
         written = write_display(scenes, self.out, self.per_class, self.seed)

@@ -1,6 +1,5 @@
 """Commands that test a design: under simulated light, and on pictures."""
 
-import math
 from collections.abc import Iterator, Sequence
 from itertools import zip_longest
 from pathlib import Path
@@ -8,12 +7,20 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import Field
 
-from deepfsi.base import InputError, Message, count_text, write_atomically
+from deepfsi.base import (
+    DESIGN_ENDINGS,
+    InputError,
+    Message,
+    budget_text,
+    count_text,
+    write_atomically,
+)
 from deepfsi.base.numeric import MOST_CLASSES, confusion_shares, frequent_confusions
 from deepfsi.cli.command import Command
 from deepfsi.cli.fields import (
     Dark,
     DesignOrPatterns,
+    DesignPath,
     Draws,
     Force,
     LightFluctuation,
@@ -38,7 +45,6 @@ from deepfsi.cli.terminal import (
     Outcome,
     Table,
     Terminal,
-    budget_text,
     rate_text,
     short_name,
 )
@@ -48,14 +54,15 @@ from deepfsi.measures import Estimates, Measure, Result
 if TYPE_CHECKING:
     from deepfsi.datasets import Dataset
     from deepfsi.design import Design
+    from deepfsi.evaluation import Stopped
     from deepfsi.lab.prediction import Predictions
-    from deepfsi.sweeps.results import Point
+    from deepfsi.sweeps.results import Data, Point
 
 FEW_CLASSES = 5
 """Classes whose names head the columns of a confusion matrix in full."""
 
 
-class Evaluate(Command):
+class EvaluateDesign(Command):
     """`deepfsi evaluate`.
 
     The test scenes are those of the data that it was trained on, which the design remembers.
@@ -128,7 +135,100 @@ class Evaluate(Command):
         )
 
 
-class Predict(Command):
+class StopEarly(Command):
+    """`deepfsi stop`.
+
+    Data and left-out scenes are those that the design remembers.
+
+    Example: deepfsi stop nested.safetensors --photons 1e5
+    """
+
+    file: Annotated[DesignPath, argument("design file for one device, nested or of several looks")]
+    photons: Annotated[Number, Field(description="budget of a whole exposure")]
+    data: TestData = None
+    size: Size = None
+    hold_out: Annotated[
+        int | None,
+        Field(
+            description="number of last training scenes that the training left out; that of the "
+            "design unless given"
+        ),
+    ] = None
+    threshold: Annotated[
+        float | None,
+        Field(description="confidence above which to stop; chosen on left-out scenes unless given"),
+    ] = None
+    out: Annotated[
+        Path | None,
+        Output(DESIGN_ENDINGS),
+        Field(description="write the design with this rule, for `camera live`"),
+    ] = None
+    draws: Draws = 3
+    seed: NoiseSeed = 0
+    trust: Trust = False
+    device: TorchDevice = "auto"
+    force: Force = False
+
+    def run(self, terminal: Terminal) -> Outcome:
+        """Light that stopped exposures take, and their accuracy."""
+        check_data(self.data)
+        from deepfsi.design import load_design
+        from deepfsi.evaluation import stop, with_rule
+        from deepfsi.lab import data_of
+        from deepfsi.physics import torch_device
+
+        design = load_design(self.file, torch_device(self.device), trust=self.trust)
+        if self.out is not None:
+            design.exposure.stopping_at(1.0)
+        scenes, notes = data_of(design, self.data, self.size)
+        with terminal.progress("stop"):
+            stopped = stop(
+                design,
+                scenes,
+                self.photons,
+                held_out=self.hold_out,
+                threshold=self.threshold,
+                draws=self.draws,
+                seed=self.seed,
+            )
+        if self.out is not None:
+            with_rule(design, stopped.rule).save(self.out)
+        return Outcome(
+            {"design": str(self.file), "notes": notes, **stopped.as_dict()},
+            [*data_lines(scenes, notes), *self._lines(design, stopped)],
+        )
+
+    def _lines(self, design: "Design", stopped: "Stopped") -> Iterator[str | Table]:
+        rates = {
+            "share of photons used": stopped.used,
+            "accuracy, whole exposures": stopped.whole,
+            "accuracy, stopped": stopped.stopped,
+            "difference, paired": stopped.difference,
+        }
+        yield Table(
+            f"{design.size_text}, {budget_text(stopped.photons)} photons, stopped above "
+            f"{stopped.rule.threshold:.5g}",
+            ("", "mean", "95 % interval"),
+            [
+                (head, f"{rate.mean:.4f}", f"[{rate.low:.4f}, {rate.high:.4f}]")
+                for head, rate in rates.items()
+            ],
+        )
+        yield (
+            f"calibration error of the answers: {stopped.calibration_error:.4f} "
+            f"({stopped.uncalibrated_error:.4f} without temperatures)"
+        )
+        surest = {round(each["accepted"], 2): each["stopped"] for each in stopped.rejection}
+        yield (
+            f"the surest 90 % of the answers: {surest[0.9]:.4f} right; the surest half: "
+            f"{surest[0.5]:.4f}"
+        )
+        yield f"interval: {stopped.covers}"
+        if self.out is not None:
+            yield f"saved with this rule: {self.out}"
+
+
+class PredictClasses(Command):
     """`deepfsi predict`.
 
     They get the preprocessing of the data that the design was trained on, which it remembers.
@@ -196,7 +296,7 @@ class Predict(Command):
         yield f"pictures: {predictions.preprocessing}."
         light = f"{budget_text(predictions.photons)} photons"
         yield Table(
-            f"{design.name}, {size_text(design)}, {light}, {predictions.noise} noise",
+            f"{design.name}, {design.size_text}, {light}, {predictions.noise} noise",
             ("picture", "class", "confidence", "labelled"),
             [
                 (each.name, each.predicted, f"{each.confidence:.3f}", each.label or "")
@@ -223,7 +323,7 @@ def check_data(source: str | None, view: Path | None = None) -> None:
         check_there(view, "the folder of a camera's calibration")
 
 
-def data_lines(data: "Dataset", notes: Sequence[str] = ()) -> list[str]:
+def data_lines(data: "Dataset | Data", notes: Sequence[str] = ()) -> list[str]:
     """Say in one line what was done to the scenes of a data set, and notes on it."""
     return [f"data: {data.name}. {data.preprocessing}", *(f"note: {note}" for note in notes)]
 
@@ -231,20 +331,6 @@ def data_lines(data: "Dataset", notes: Sequence[str] = ()) -> list[str]:
 def with_classes(design: "Design", result: Result | Estimates) -> dict[str, Any]:
     """A test as JSON, with the classes that its lists are of."""
     return {"classes": design.classes, **result.as_dict()}
-
-
-def size_text(design: "Design") -> str:
-    """Masks, looks and detectors of a design: 5 masks, 2 looks, 4 detectors, both rails read."""
-    if design.exposure.makes_masks:
-        return f"{design.masks} looks"
-    parts = [f"{design.masks} masks"]
-    if design.exposure.chooses:
-        parts.append(f"{design.exposure.looks} looks")
-    if design.detection.count > 1:
-        parts.append(f"{design.detection.count} detectors")
-    if design.rails.count == 2 and design.detection.readout == "both":
-        parts.append("both rails read")
-    return ", ".join(parts)
 
 
 def score_text(result: Result | Estimates) -> str:
@@ -269,13 +355,8 @@ def details_text(result: Result | Estimates, classes: Sequence[str]) -> str:
 
 def full_gates_lines(design: "Design", results: Sequence[Result | Estimates]) -> Iterator[str]:
     """Say at which budgets nearly all gates click, so that clicks tell little of a scene."""
-    from deepfsi.physics import full_gates
-
-    if design.gates is None:
-        return
-    gates = math.prod(design.counts_shape) * design.gates
     for result in results:
-        if result.clicks and (remark := full_gates(result.counts / gates, result.photons)):
+        if result.clicks and (remark := design.full_gates(result.counts, result.photons)):
             yield Message("note: {remark}", remark=remark)
 
 
@@ -330,7 +411,7 @@ def result_lines(
     names = map(short_name, design.values.names) if design.values else ("worst class",)
     heads = (*(each.column for each in (main, *others)), *names, *light_heads, "counted")
     heads = ("photons", *heads, *(each.column for each in last))
-    yield Table(f"{design.name}, {size_text(design)}, {noise} noise", heads, rows)
+    yield Table(f"{design.name}, {design.size_text}, {noise} noise", heads, rows)
     if design.values:
         yield "of each value: root mean squared error (that of the best linear estimator)"
     for result in results:

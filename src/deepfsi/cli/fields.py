@@ -7,10 +7,10 @@ takes them from there.
 
 import math
 import tempfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 from pydantic import AfterValidator, BeforeValidator, Field
 from pydantic.fields import FieldInfo
@@ -20,6 +20,8 @@ from deepfsi.base.models import Count
 from deepfsi.camera import Camera, find_noise
 from deepfsi.designfile import find_design
 from deepfsi.jobs import EXPOSURE_FIELDS, EXPOSURE_KINDS, SETTING_ALIASES, Job, Training
+
+T = TypeVar("T")
 
 FIRST = "Options"
 """Heading of the options that most need, first of all."""
@@ -203,7 +205,7 @@ def _check_writable(path: Path, folder: Path) -> None:
         raise InputError(f"cannot write to {path}: {error.strerror}; give another place") from None
 
 
-def check_design(path: Path) -> Path:
+def check_design_file(path: Path) -> Path:
     """Path of a design file, of a folder of patterns, or of a published design by its name."""
     file = find_design(path)
     if not file.exists():
@@ -251,6 +253,23 @@ def number(text: str) -> float:
     if not math.isfinite(value):
         raise ValueError(f"{text!r} is not allowed: give a finite number")
     return value
+
+
+def read_text(option: str, read: Callable[[str], T], text: str) -> T:
+    """What is read of an option that a command has of a model, or `InputError` that names it.
+
+    Parameters
+    ----------
+    option : str
+        Its name.
+    read : callable
+        Raises `ValueError` for texts that it does not take.
+    text : str
+    """
+    try:
+        return read(text)
+    except ValueError as error:
+        raise InputError(f"--{option}: {error}") from None
 
 
 def whole_number(text: str) -> int:
@@ -319,15 +338,13 @@ View = Annotated[
 
 # a design and its test
 
-DesignPath = Annotated[Path, AfterValidator(check_design)]
+DesignPath = Annotated[Path, AfterValidator(check_design_file)]
 """Design file, folder of patterns or name of a published design, which is there."""
 
 DesignOrPatterns = Annotated[
     DesignPath, argument("design file, or a folder of patterns that `dmd export` wrote")
 ]
-DesignFile = Annotated[
-    Path, Output((".safetensors",)), Field(description="design file, .safetensors")
-]
+DesignFile = Annotated[Path, Field(description="design file, .safetensors")]
 NoiseName = Annotated[
     str | None,
     Field(description="noise of the tests; that of the design's camera unless given"),

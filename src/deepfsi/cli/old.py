@@ -17,12 +17,8 @@ from deepfsi.cli import (
     table_pictures,
     transits,
 )
-from deepfsi.cli.deploy import export, plan
-from deepfsi.cli.designs import design, page, show, stop
-from deepfsi.cli.mask import mask
 from deepfsi.cli.readouts import readouts
 from deepfsi.cli.settings import SettingsCommand
-from deepfsi.cli.studies import compare, report, reproduce, sweep
 
 old = typer.Typer(
     add_completion=False,
@@ -31,20 +27,7 @@ old = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
-for _command in (
-    design,
-    readouts,
-    show,
-    page,
-    stop,
-    export,
-    mask,
-    compare,
-    plan,
-    sweep,
-    reproduce,
-    report,
-):
+for _command in (readouts,):
     old.command(cls=SettingsCommand)(_command)
 old.add_typer(collection.app, name="designs")
 old.add_typer(dmd.dmd, name="dmd")

@@ -1,48 +1,94 @@
-"""Commands that train many designs: compare, sweep, reproduce, report."""
+"""Commands that train many designs: compare, plan, sweep, reproduce, report."""
 
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import nullcontext
+from dataclasses import asdict, replace
+from importlib import import_module
+from importlib.resources import as_file, files
+from importlib.util import find_spec
 from itertools import zip_longest
 from pathlib import Path
-from types import ModuleType
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from pydantic import Field
 
-from deepfsi.base import duration_text
-from deepfsi.cli import common, options, paper, paths
-from deepfsi.cli.recipes import check_recipe, read_recipe
-from deepfsi.cli.settings import job_fields, with_settings
+from deepfsi.base import (
+    InputError,
+    budget_text,
+    closest_choice,
+    duration_text,
+    read_toml,
+    write_atomically,
+)
+from deepfsi.base.models import Count
+from deepfsi.camera import Camera
+from deepfsi.cli.command import Command
+from deepfsi.cli.evaluate import check_data, data_lines, error_text, worst_text
+from deepfsi.cli.fields import (
+    TABLES,
+    Data,
+    Designs,
+    Folds,
+    Force,
+    Matrix,
+    Normal,
+    Number,
+    Ratios,
+    Ray,
+    Size,
+    SkipBad,
+    StudyFolder,
+    TorchDevice,
+    Trials,
+    WorkerCount,
+    argument,
+    check_file,
+    check_folder,
+    check_sigma,
+    check_there,
+    job_options,
+    number,
+    read_text,
+    split_commas,
+    whole_number,
+)
+from deepfsi.cli.terminal import Outcome, Table, Terminal, rate_text, short_name
+from deepfsi.datasets import load_dataset
+from deepfsi.jobs import DESIGNS, EVERY_PIXEL, find_table, read_matrix
+from deepfsi.measures import main_measure
 
 if TYPE_CHECKING:
+    from importlib.resources.abc import Traversable
+    from types import ModuleType
+
     import numpy as np
 
     from deepfsi.datasets import Dataset
+    from deepfsi.sweeps.forecast import Forecast
     from deepfsi.sweeps.recipe import Recipe
     from deepfsi.sweeps.results import Point, Results
 
+PAPER = "deepfsi_paper"
+"""The paper's experiments: a package of their own, beside this one, which works without it."""
 
-@with_settings(job_fields, axes=True, leave=("design", "seed"))
-def compare(
-    settings: dict[str, Any],
-    out: options.Folder = Path("runs/compare"),
-    data: options.Data = "digits",
-    size: options.Size = None,
-    skip_bad: options.SkipBad = False,
-    normal: options.Normal = None,
-    designs: options.Designs = None,
-    ratios: options.Ratios = None,
-    trials: options.Trials = None,
-    folds: options.Folds = None,
-    matrix: options.Matrix = None,
-    recipe: Annotated[
-        str | None,
-        typer.Option(help="name of a recipe, or TOML file; options given here override it"),
-    ] = None,
-    device: options.Device = "auto",
-    workers: options.Workers = None,
-    force: options.Force = False,
-    as_json: options.Json = False,
-) -> None:
-    """Train every design at every photon budget, and report the accuracy of each.
+QUICK: dict[str, Any] = {"ratios": (0.06, 0.16, 0.36), "trials": 3, "training": {"epochs": 30}}
+"""Recipe of a comparison on digits, where no ratios, masks or trials are given."""
+
+PLANNED: dict[str, Any] = {
+    "designs": ("impulse", "raster", "truncated-hadamard", "pca", "deepfsi"),
+    "photons": (1e2, 1e3, 1e4, 1e5, 1e6),
+    "ratios": (0.01, 0.04, 0.16),
+    "trials": 2,
+}
+"""Recipe of a plan where nothing else is given; budgets are added where the target is met."""
+
+PLAN_AXES = ("light", "rails", "detectors", "readout")
+"""Axes of a plan besides the designs."""
+
+
+class CompareDesigns(Command):
+    """`deepfsi compare`.
 
     Adaptive masks are among the designs where the camera can show them and the data has at most
     5000 scenes. Data with values (an .npz whose y are floats) are reported by R², --normal by the
@@ -56,63 +102,175 @@ def compare(
 
     Example: deepfsi compare --data mnist --photons 1e3,1e4 --ratios 0.01,0.04 -o runs/mnist
     """
-    paths.check_folder(out)
-    common.check_data(data)
-    base: dict[str, Any] = {}
-    if recipe:
-        base = read_recipe(recipe)
-    from deepfsi.sweeps.recipe import only
-    from deepfsi.sweeps.recipe_check import with_adaptive
-    from deepfsi.sweeps.run import check_kept
 
-    own = common.read_matrix(matrix)
-    if recipe:
-        base = only(base)
-    else:
-        base = {"data": data}
-        if data == "digits" and not (ratios or trials or "masks" in settings):
-            base |= QUICK
-    unnamed = not (designs or matrix or "designs" in base)
-    fields = options.recipe_fields(
-        data if data != "digits" else None,
-        *(size, skip_bad, normal, designs, ratios, trials, folds),
-    )
-    chosen = check_recipe(options.recipe_settings(settings, fields, base), own)
-    if unnamed:
-        chosen = with_adaptive(*chosen), chosen[1]
-    options.check_sigma(settings, (*chosen[0].noises, *chosen[0].test_noise))
-    if not force:
-        check_kept(out, *chosen, own)
-    results, _ = _run(chosen, out, "compare", as_json, matrix=own, device=device, workers=workers)
-    _finish("compare", results, out, as_json)
-
-
-def sweep(
+    settings: Annotated[dict[str, Any], job_options(axes=True, leave=("design", "seed"))]
+    out: StudyFolder = Path("runs/compare")
+    data: Data = "digits"
+    size: Size = None
+    skip_bad: SkipBad = False
+    normal: Normal = None
+    designs: Designs = None
+    ratios: Ratios = None
+    trials: Trials = None
+    folds: Folds = None
+    matrix: Matrix = None
     recipe: Annotated[
-        str, typer.Argument(help="name of a recipe, such as mnist, or TOML file; lists are axes")
-    ],
-    part: Annotated[str | None, typer.Option(help="part of a recipe that has several")] = None,
-    camera: Annotated[
-        str | None, typer.Option(help="a camera in place of the recipe's: a preset, or a TOML file")
-    ] = None,
-    quick: Annotated[
-        bool, typer.Option("--quick", help="the recipe's coarse version, where it has one")
-    ] = False,
-    out: options.Folder = Path("runs/sweep"),
-    folds: options.Folds = None,
-    workers: options.Workers = None,
-    ray: options.Ray = None,
-    device: options.Device = "auto",
-    dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="estimate the time on this machine, and stop")
-    ] = False,
-    table: Annotated[
-        Path | None, typer.Option(help="write all records as one table, .csv or .parquet")
-    ] = None,
-    force: options.Force = False,
-    as_json: options.Json = False,
-) -> None:
-    """Run all trials of a recipe, on all cores, a GPU or a Ray cluster.
+        str | None,
+        Field(description="name of a recipe, or TOML file; options given here override it"),
+    ] = None
+    device: TorchDevice = "auto"
+    workers: WorkerCount = None
+    force: Force = False
+
+    def run(self, terminal: Terminal) -> Outcome:
+        """Results, a page of them and the verdict."""
+        check_data(self.data)
+        base: dict[str, Any] = {"data": self.data}
+        file = read_recipe(self.recipe) if self.recipe else {}
+        from deepfsi.sweeps.recipe import only
+        from deepfsi.sweeps.recipe_check import with_adaptive
+        from deepfsi.sweeps.run import check_kept, compare
+        from deepfsi.sweeps.workers import Workers
+
+        matrix = None if self.matrix is None else read_matrix(self.matrix)
+        if self.recipe:
+            base = only(file)
+        elif self.data == "digits" and not (self.ratios or self.trials or "masks" in self.settings):
+            base |= QUICK
+        unnamed = not (self.designs or self.matrix or "designs" in base)
+        fields = self.given("size", "skip_bad", "normal", "designs", "ratios", "trials", "folds")
+        if self.data != "digits":
+            fields["data"] = self.data
+        recipe, scenes = _checked(recipe_settings(self.settings, fields, base), matrix)
+        if unnamed:
+            recipe = with_adaptive(recipe, scenes)
+        check_sigma(self.settings, (*recipe.noises, *recipe.test_noise))
+        if not self.force:
+            check_kept(self.out, recipe, scenes, matrix)
+        with terminal.progress("compare") as report:
+            results, _ = compare(
+                recipe,
+                scenes,
+                self.out,
+                command=terminal.command_line,
+                matrix=matrix,
+                device=self.device,
+                workers=Workers(self.workers),
+                report=report,
+            )
+        return results_outcome(results, self.out)
+
+
+class PlanPhotons(Command):
+    """`deepfsi plan`.
+
+    Every design is trained at a few budgets, then near the budget at which its accuracy meets the
+    target. Accuracies in between are interpolated; the interval covers any shape that the curve may
+    plausibly have there.
+
+    A stopped plan goes on when it is run again with the same output folder, also with another
+    target.
+
+    Example: deepfsi plan --data mnist --target 0.9 --designs pca,deepfsi -o runs/plan
+    """
+
+    settings: Annotated[dict[str, Any], job_options(axes=True, leave=("design", "seed"))]
+    target: Annotated[Number, Field(description="target accuracy, such as 0.95")]
+    out: StudyFolder = Path("runs/plan")
+    data: Data = "digits"
+    size: Size = None
+    skip_bad: SkipBad = False
+    designs: Designs = None
+    ratios: Ratios = None
+    trials: Trials = None
+    device: TorchDevice = "auto"
+    workers: WorkerCount = None
+    force: Force = False
+
+    def run(self, terminal: Terminal) -> Outcome:
+        """Photons, masks and detectors that each design needs."""
+        check_data(self.data)
+        from deepfsi.sweeps.planning import check_plan, photons_needed
+        from deepfsi.sweeps.results import write_results
+        from deepfsi.sweeps.run import check_kept
+        from deepfsi.sweeps.workers import Workers
+
+        fields = self.given("size", "skip_bad", "designs", "ratios", "trials")
+        fields["data"] = self.data
+        recipe, scenes = _checked(recipe_settings(self.settings, fields, PLANNED))
+        check_sigma(self.settings, recipe.noises)
+        check_plan(recipe, scenes, self.target)
+        if not self.force:
+            check_kept(self.out, recipe, scenes)
+        with terminal.progress("plan") as report:
+            plan, results = photons_needed(
+                recipe,
+                scenes,
+                self.target,
+                self.out,
+                command=terminal.command_line,
+                device=self.device,
+                workers=Workers(self.workers),
+                report=report,
+            )
+        write_atomically(self.out / "plan.json", json.dumps(plan, indent=1).encode())
+        write_results(self.out / "results.json", results)
+        return Outcome(plan, self._lines(scenes, plan))
+
+    def _lines(self, scenes: "Dataset", plan: Mapping[str, Any]) -> Iterator[str | Table]:
+        yield from data_lines(scenes)
+        axes = [name for name in PLAN_AXES if len({need[name] for need in plan["needs"]}) > 1]
+        yield Table(
+            f"{plan['data']['name']}: accuracy {plan['target']:g} needs",
+            ("design", "photons", "95 % interval", "masks", "tried", *axes),
+            [
+                (
+                    DESIGNS[need["design"]].title,
+                    _photons_of(need),
+                    _interval_of(need),
+                    str(need["masks"]),
+                    str(len(need["tried"])),
+                    *(_axis_of(need, axis) for axis in axes),
+                )
+                for need in sorted(plan["needs"], key=lambda need: need["photons"] or float("inf"))
+            ],
+        )
+        yield f"interval: {plan['covers']}; tried: budgets of its curve"
+        yield (
+            "mask counts and added budgets were chosen on validation data; accuracies are of test "
+            "data"
+        )
+        yield f"plan: {self.out / 'plan.json'}"
+
+
+def _two_digits(photons: float) -> str:
+    return budget_text(float(f"{photons:.1e}"))
+
+
+def _photons_of(need: Mapping[str, Any]) -> str:
+    tried = need["tried"]
+    if need["found"] == "below":
+        return f"{budget_text(tried[0]['photons'])} or fewer"
+    if need["photons"]:
+        return _two_digits(need["photons"])
+    return f"above {budget_text(tried[-1]['photons'])}"
+
+
+def _interval_of(need: Mapping[str, Any]) -> str:
+    low, high = (end and _two_digits(end) for end in (need["low"], need["high"]))
+    if low is None:
+        return "any" if high is None else f"{high} or fewer"
+    return f"{low} or more" if high is None else f"{low} to {high}"
+
+
+def _axis_of(need: Mapping[str, Any], axis: str) -> str:
+    if axis == "detectors" and need["design"] in EVERY_PIXEL:
+        return "each pixel"
+    return need[axis] or "–"
+
+
+class SweepRecipe(Command):
+    """`deepfsi sweep`.
 
     It may be stopped at any moment: run again with the same output folder, it goes on where it
     was. After a change of the recipe, trials that are still in it are used; where others would be
@@ -120,289 +278,407 @@ def sweep(
 
     Example: deepfsi sweep baseline -o runs/baseline --table runs/baseline.csv
     """
-    if not dry_run:
-        paths.check_folder(out)
-    if table is not None:
-        paths.check_file(table, paths.TABLES, force, made=out)
-    file = read_recipe(recipe)
-    from deepfsi.sweeps.recipe import only
-    from deepfsi.sweeps.records import write_table
-    from deepfsi.sweeps.run import check_kept
 
-    base = only(file, part, quick)
-    told = {"camera": camera, "folds": folds}
-    told = {name: value for name, value in told.items() if value is not None}
-    chosen = check_recipe({**base, **told})
-    if dry_run:
-        _forecast(chosen, out, device, workers, as_json)
-        return
-    if not force:
-        check_kept(out, *chosen)
-    results, records = _run(chosen, out, "sweep", as_json, device=device, workers=workers, ray=ray)
-    _finish("sweep", results, out, as_json)
-    if table is not None:
-        write_table(records, table)
-        if not as_json:
-            print(f"table: {table}")
-
-
-def reproduce(
-    name: Annotated[
-        str,
-        typer.Argument(
-            help="mnist, compression, mlgauss, quantization, indian-pines, ovit, hardware, "
-            "flexible, detectors, adaptive, or list"
-        ),
-    ],
-    out: options.Folder = Path("runs/paper"),
-    quick: Annotated[
-        bool, typer.Option("--quick", help="a coarse grid, in a fraction of the time")
-    ] = False,
-    trials: Annotated[
-        int | None, typer.Option(min=1, help="training seeds for each point, if not the recipe's")
-    ] = None,
-    ratios: Annotated[
+    recipe: Annotated[
+        str, argument("name of a recipe, such as mnist, or TOML file; lists are axes")
+    ]
+    part_name: Annotated[
+        str | None, Field(alias="part", description="part of a recipe that has several")
+    ] = None
+    camera: Annotated[
         str | None,
-        typer.Option(help="compression ratios, if not the recipe's: 0.01,0.16,1"),
-    ] = None,
-    part: Annotated[
-        str | None, typer.Option(help="the only part to run, of a recipe with several parts")
-    ] = None,
-    workers: options.Workers = None,
-    ray: options.Ray = None,
-    device: options.Device = "auto",
-    as_json: options.Json = False,
-) -> None:
-    """Repeat an experiment of the paper: figures, the numbers behind them, and its claims.
+        Field(description="a camera in place of the recipe's: a preset, or a TOML file"),
+    ] = None
+    quick: Annotated[bool, Field(description="the recipe's coarse version, where it has one")] = (
+        False
+    )
+    out: Annotated[Path, Field(description="output folder")] = Path("runs/sweep")
+    folds: Folds = None
+    workers: WorkerCount = None
+    ray: Ray = None
+    device: TorchDevice = "auto"
+    dry_run: Annotated[bool, Field(description="estimate the time on this machine, and stop")] = (
+        False
+    )
+    table: Annotated[
+        Path | None, Field(description="write all records as one table, .csv or .parquet")
+    ] = None
+    force: Force = False
+
+    def run(self, terminal: Terminal) -> Outcome:
+        """Results and a page of them; or how long they would take."""
+        if not self.dry_run:
+            check_folder(self.out)
+        if self.table is not None:
+            check_file(self.table, TABLES, self.force, made=self.out)
+        file = read_recipe(self.recipe)
+        from deepfsi.sweeps.recipe import only
+        from deepfsi.sweeps.records import write_table
+        from deepfsi.sweeps.run import check_kept, compare
+        from deepfsi.sweeps.workers import Workers
+
+        recipe, scenes = _checked(
+            {**only(file, self.part_name, self.quick), **self.given("camera", "folds")}
+        )
+        workers = Workers(self.workers, self.ray)
+        if self.dry_run:
+            return self._forecast(recipe, scenes, terminal)
+        if not self.force:
+            check_kept(self.out, recipe, scenes)
+        with terminal.progress("sweep") as report:
+            results, records = compare(
+                recipe,
+                scenes,
+                self.out,
+                command=terminal.command_line,
+                device=self.device,
+                workers=workers,
+                report=report,
+            )
+        outcome = results_outcome(results, self.out)
+        if self.table is None:
+            return outcome
+        write_table(records, self.table)
+        return replace(outcome, lines=[*outcome.lines, f"table: {self.table}"])
+
+    def _forecast(self, recipe: "Recipe", scenes: "Dataset", terminal: Terminal) -> Outcome:
+        """How long the trials would take here."""
+        from deepfsi.sweeps.forecast import forecast_cost
+
+        with terminal.progress("timing a few steps of each kind") as report:
+            cost = forecast_cost(recipe, scenes, self.out, self.device, self.workers, report)
+        return Outcome(asdict(cost), _forecast_lines(cost), schema="sweep.forecast")
+
+
+def _forecast_lines(cost: "Forecast") -> list[str]:
+    return [
+        f"{cost.trials} trials, {cost.done} of them done",
+        f"batches: {cost.batches}, by {cost.workers} processes",
+        f"products: {cost.operations:.2g} floating-point operations",
+        f"expected here: {duration_text(cost.seconds)} beside other programs as now, which keep "
+        f"{cost.others:.1f} of {cost.cores} cores busy; {duration_text(cost.seconds_free)} without "
+        "them",
+    ]
+
+
+class ReproducePaper(Command):
+    """`deepfsi reproduce`.
 
     Experiments in one folder share one page, and the trials that several of them need. A stopped
     experiment goes on when it is run again; with more --trials it adds those that are missing.
 
     Example: deepfsi reproduce mnist --quick -o runs/paper
     """
-    from dataclasses import asdict, replace
 
-    studies = paper.studies()
-    if name == "list":
-        _list_experiments(studies, as_json)
-        return
-    changes = {} if ratios is None else {"ratios": options.numbers("ratios", ratios)}
-    chosen = [replace(each, changes=changes, part=part) for each in studies.find(name)]
-    for each in chosen:
-        each.recipes(quick, trials)
-    paths.check_folder(out)
-    for each in chosen:
-        with common.progress(each.name, quiet=as_json) as report:
-            each.run(
-                out,
-                command=common.command_line(),
-                quick=quick,
-                trials=trials,
-                device=device,
-                workers=workers,
-                ray=ray,
-                report=report,
-            )
-    page = studies.page(out)
-    sections = [section for each in chosen if (section := each.section(out))]
-    if as_json:
-        claims = {
-            section.name: [{**asdict(claim), "why": claim.reason} for claim in section.claims]
-            for section in sections
-        }
-        common.print_json("reproduce", {"report": str(page), "claims": claims})
-        return
-    for section in sections:
-        _print_claims(section)
-    print(f"report: {page}")
+    name: Annotated[
+        str,
+        argument(
+            "mnist, compression, mlgauss, quantization, indian-pines, ovit, hardware, flexible, "
+            "detectors, adaptive, or list"
+        ),
+    ]
+    out: Annotated[Path, Field(description="output folder")] = Path("runs/paper")
+    quick: Annotated[bool, Field(description="a coarse grid, in a fraction of the time")] = False
+    trials: Annotated[
+        Count | None, Field(description="training seeds for each point, if not the recipe's")
+    ] = None
+    ratios: Annotated[
+        Ratios, Field(description="compression ratios, if not the recipe's: 0.01,0.16,1")
+    ] = None
+    part_name: Annotated[
+        str | None,
+        Field(alias="part", description="the only part to run, of a recipe with several parts"),
+    ] = None
+    workers: WorkerCount = None
+    ray: Ray = None
+    device: TorchDevice = "auto"
 
+    def run(self, terminal: Terminal) -> Outcome:
+        """The page of the experiments, and which claims hold."""
+        studies = paper_studies()
+        if self.name == "list":
+            return self._list(studies)
+        changes = {} if self.ratios is None else {"ratios": list(self.ratios)}
+        experiments = [
+            replace(each, changes=changes, part=self.part_name) for each in studies.find(self.name)
+        ]
+        for experiment in experiments:
+            experiment.recipes(self.quick, self.trials)
+        check_folder(self.out)
+        for experiment in experiments:
+            with terminal.progress(experiment.name) as report:
+                experiment.run(
+                    self.out,
+                    command=terminal.command_line,
+                    quick=self.quick,
+                    trials=self.trials,
+                    device=self.device,
+                    workers=self.workers,
+                    ray=self.ray,
+                    report=report,
+                )
+        page = studies.page(self.out)
+        sections = [section for each in experiments if (section := each.section(self.out))]
+        answers = {True: "yes", False: "no", None: "open"}
+        return Outcome(
+            {
+                "report": str(page),
+                "claims": {
+                    section.name: [
+                        {**asdict(claim), "why": claim.reason} for claim in section.claims
+                    ]
+                    for section in sections
+                },
+            },
+            [
+                *(
+                    Table(
+                        section.title,
+                        ("claim", "holds", "measured", "why"),
+                        [
+                            (claim.text, answers[claim.holds], claim.measured, claim.reason)
+                            for claim in section.claims
+                        ],
+                        sentences=True,
+                    )
+                    for section in sections
+                ),
+                f"report: {page}",
+            ],
+        )
 
-def report(
-    folder: Annotated[Path, typer.Argument(help="output of compare, sweep or reproduce")],
-    as_json: options.Json = False,
-) -> None:
-    """Write the report of a comparison, or of all experiments in a folder, again.
-
-    Example: deepfsi report runs/paper
-    """
-    paths.check_there(folder, "the output of compare, sweep or reproduce")
-    from deepfsi.report.comparison_page import build
-
-    is_study = paper.installed() and paper.studies().is_study(folder)
-    page = paper.studies().page(folder) if is_study else build(folder)
-    if as_json:
-        common.print_json("report", {"report": str(page)})
-    else:
-        print(f"report: {page}")
-
-
-def _list_experiments(studies: ModuleType, as_json: bool) -> None:
-    known = [(study, each) for study, every in studies.STUDIES.items() for each in every]
-    if as_json:
-        listed = [{"name": s, "part": each.name, "title": each.title} for s, each in known]
-        common.print_json("reproduce.list", {"experiments": listed})
-        return
-    for study, each in known:
-        print(f"{study if each is studies.STUDIES[study][0] else '':14s}{each.title}")
-
-
-def _print_claims(section: Any) -> None:
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table(title=section.title, title_justify="left", show_lines=True)
-    for head in ("claim", "holds", "measured", "why"):
-        table.add_column(head)
-    answers = {True: "yes", False: "no", None: "open"}
-    for claim in section.claims:
-        table.add_row(claim.text, answers[claim.holds], claim.measured, claim.reason)
-    Console(markup=False, emoji=False).print(table)
-
-
-def _run(
-    chosen: "tuple[Recipe, Dataset]",
-    out: Path,
-    what: str,
-    quiet: bool,
-    *,
-    matrix: "np.ndarray | None" = None,
-    device: str,
-    workers: int | None,
-    ray: str | None = None,
-) -> "tuple[Results, list[dict[str, Any]]]":
-    from deepfsi.sweeps.run import compare as run
-    from deepfsi.sweeps.workers import Workers
-
-    with common.progress(what, quiet=quiet) as report:
-        return run(
-            *chosen,
-            out,
-            command=common.command_line(),
-            matrix=matrix,
-            device=device,
-            workers=Workers(workers, ray),
-            report=report,
+    def _list(self, studies: "ModuleType") -> Outcome:
+        """Experiments by name, and their parts."""
+        parts = [(study, each) for study, every in studies.STUDIES.items() for each in every]
+        return Outcome(
+            {
+                "experiments": [
+                    {"name": study, "part": each.name, "title": each.title} for study, each in parts
+                ]
+            },
+            [
+                f"{study if each is studies.STUDIES[study][0] else '':14s}{each.title}"
+                for study, each in parts
+            ],
+            schema="reproduce.list",
         )
 
 
-def _finish(command: str, results: "Results", out: Path, as_json: bool) -> None:
+class WriteReport(Command):
+    """`deepfsi report`.
+
+    Example: deepfsi report runs/paper
+    """
+
+    folder: Annotated[Path, argument("output of compare, sweep or reproduce")]
+
+    def run(self, terminal: Terminal) -> Outcome:
+        """The page, written again."""
+        check_there(self.folder, "the output of compare, sweep or reproduce")
+        from deepfsi.report.comparison_page import build
+
+        is_study = _has_paper() and paper_studies().is_study(self.folder)
+        page = paper_studies().page(self.folder) if is_study else build(self.folder)
+        return Outcome({"report": str(page)}, [f"report: {page}"])
+
+
+# recipes
+
+
+def shipped_recipes() -> "dict[str, Traversable]":
+    """Recipes that come with the package and with the paper's experiments, by name."""
+    own = (files("deepfsi") / "sweeps" / "recipes").iterdir()
+    papers = (files(PAPER) / "recipes").iterdir() if _has_paper() else ()
+    return {Path(each.name).stem: each for each in (*own, *papers)}
+
+
+def _has_paper() -> bool:
+    return find_spec(PAPER) is not None
+
+
+def paper_studies() -> "ModuleType":
+    """The paper's experiments by name, or `InputError` where they are missing."""
+    if not _has_paper():
+        raise InputError(
+            f"the paper's experiments are missing: {PAPER}, which comes with deepfsi, is not "
+            "installed; install deepfsi again"
+        )
+    return import_module(f"{PAPER}.studies")
+
+
+def read_recipe(source: str) -> dict[str, Any]:
+    """Settings of a recipe with that name, or of a file; ``./mnist`` is a file of that name."""
+    recipes, path = shipped_recipes(), Path(source)
+    if source not in recipes and not path.exists():
+        advice = closest_choice(source, sorted(recipes))
+        raise InputError(f"no recipe at {source}: {advice}; or give a TOML file")
+    with as_file(recipes[source]) if source in recipes else nullcontext(path) as file:
+        settings = read_toml(file)
+    if not settings:
+        raise InputError(f"{source} is empty: give a recipe at least one setting, such as designs")
+    return settings
+
+
+def recipe_settings(
+    options: Mapping[str, Any], fields: Mapping[str, Any], base: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Settings of the recipe that the options of a command ask for.
+
+    Parameters
+    ----------
+    options : mapping
+        Those of a job that were given, as text: axes.
+    fields : mapping
+        Fields of the recipe itself that were given.
+    base : mapping
+        Settings that hold where no option overrides them.
+    """
+    given = dict(fields)
+    if "masks" in options and "ratios" in given:
+        raise InputError("--masks and --ratios are two ways to say one thing: give one, not both")
+    tables: dict[str, dict[str, Any]] = {"camera": {}, "exposure": {}, "training": {}}
+    for name, text in options.items():
+        table, key = find_table(name)
+        axis: list[Any] = read_text(name, split_commas, text) if isinstance(text, str) else [text]
+        if name == "camera":
+            tables["camera"] = {**Camera.load(text).given_fields, **tables["camera"]}
+        elif name == "hidden":  # widths of one network
+            tables[table][key] = [[read_text(name, whole_number, width) for width in axis]]
+        elif table:
+            tables[table][key] = axis
+        else:
+            read = whole_number if name == "masks" else number
+            given[key] = [read_text(name, read, value) for value in axis]
+    replaced = {"masks": "ratios", "ratios": "masks"}
+    left_out = {replaced[name] for name in given if name in replaced}
+    merged = {name: value for name, value in base.items() if name not in left_out} | given
+    for table, axes in tables.items():
+        if axes and isinstance(of_base := merged.get(table, {}), dict):
+            merged[table] = {**of_base, **axes}
+    if isinstance(tuned := merged.get("tuned"), dict):
+        merged["tuned"] = {
+            design: {name: value for name, value in of.items() if name not in tables["training"]}
+            if isinstance(of, dict)
+            else of
+            for design, of in tuned.items()
+        }
+    return merged
+
+
+def _checked(
+    settings: Mapping[str, Any], matrix: "np.ndarray | None" = None
+) -> "tuple[Recipe, Dataset]":
+    """Recipe of settings and its data, or `InputError` that names every mistake."""
+    from deepfsi.sweeps.recipe_check import check_recipe
+
+    def load(recipe: "Recipe") -> "Dataset":
+        names = ("size", "split", "images", "skip_bad", "normal")
+        return load_dataset(recipe.data, **{name: getattr(recipe, name) for name in names})
+
+    return check_recipe(settings, load, matrix)
+
+
+# results
+
+
+def results_outcome(results: "Results", folder: Path) -> Outcome:
+    """Write the results of trials and their page, and say them.
+
+    Parameters
+    ----------
+    results : Results
+    folder : Path
+        Of the records.
+    """
     from deepfsi.report.comparison_page import build, leader_differences, scenes_text
     from deepfsi.report.verdict import verdict_of
     from deepfsi.sweeps.results import write_results
 
-    write_results(out / "results.json", results)
-    page = build(out)
-    said = verdict_of(results)
-    if as_json:
-        found = results.as_dict()
-        for point in found["points"]:
-            point.pop("terms", None)
-        told = {
-            "notes": [scenes_text(results.data)],
+    write_results(folder / "results.json", results)
+    page = build(folder)
+    verdict = verdict_of(results)
+    notes = [scenes_text(results.data)]
+    content = results.as_dict()
+    for point in content["points"]:
+        point.pop("terms", None)
+    return Outcome(
+        {
+            "report": str(page),
+            "verdict": verdict.text,
+            **content,
+            "notes": notes,
             "differences": list(leader_differences(results)),
-        }
-        common.print_json(command, {"report": str(page), "verdict": said.text, **found, **told})
-        return
-    common.print_data(results.data, [scenes_text(results.data)])
-    _print_matrix(results)
-    print(f"{said.text}\nreport: {page}")
-
-
-def _forecast(
-    chosen: "tuple[Recipe, Dataset]",
-    out: Path,
-    device: str,
-    workers: int | None,
-    as_json: bool,
-) -> None:
-    from dataclasses import asdict
-
-    from deepfsi.sweeps.forecast import forecast_cost
-
-    with common.progress("timing a few steps of each kind", quiet=as_json) as report:
-        expected = forecast_cost(*chosen, out, device, workers, report)
-    if as_json:
-        common.print_json("sweep.forecast", asdict(expected))
-        return
-    print(
-        f"{expected.trials} trials, {expected.done} of them done\n"
-        f"batches: {expected.batches}, by {expected.workers} processes\n"
-        f"products: {expected.operations:.2g} floating-point operations\n"
-        f"expected here: {duration_text(expected.seconds)} beside other programs as now, which "
-        f"keep {expected.others:.1f} of {expected.cores} cores busy; "
-        f"{duration_text(expected.seconds_free)} without them"
+        },
+        [
+            *data_lines(results.data, notes),
+            *_results_lines(results),
+            verdict.text,
+            f"report: {page}",
+        ],
     )
 
 
-QUICK: dict[str, Any] = {"ratios": (0.06, 0.16, 0.36), "trials": 3, "training": {"epochs": 30}}
-"""Recipe of a comparison on digits, where no ratios, masks or trials are given."""
-
-
-UNEVEN = 0.02
-"""Difference of an accuracy from the balanced one, each class counting alike, that is said."""
-
-
-def _print_matrix(results: "Results") -> None:
-    """Print accuracies, a row for each design and a column for each budget."""
-    from deepfsi.measures import main_measure
+def _results_lines(results: "Results") -> Iterator[str | Table]:
+    """Accuracies, a row for each design and a column for each budget, and what they cover."""
     from deepfsi.report.accuracy import noises
     from deepfsi.report.comparison_page import best_table
+    from deepfsi.report.verdict import uneven_point
 
     tables = {noise: best_table(results, noise) for noise in noises(results)}
     budgets = sorted({photons for table in tables.values() for photons in table["budgets"]})
-    several, rows = len(tables) > 1, []
+    several = len(tables) > 1
+    rows = []
     for noise, table in tables.items():
         for name, _, cells in table["rows"]:
             at = {
-                cell.photons: common.share(cell.accuracy, cell.low, cell.high).replace(" ", "")
+                cell.photons: rate_text(cell.accuracy, cell.low, cell.high).replace(" ", "")
                 + " *"[cell in table["leaders"][cell.photons]]
                 for cell in cells
                 if cell
             }
             under = (noise,) if several else ()
             rows.append((name, *under, *(at.get(photons, "– ") for photons in budgets)))
-    measure, heads = main_measure(results.data.measure), ("design", *("noise",) * several)
-    heads += tuple(common.budget(photons) + " " for photons in budgets)
-    common.print_table(f"{measure.title} by photon budget", heads, rows)
-    best = [point for point in results.points if point.best]
-    for p in best:
-        if p.one_class:
-            print(f"{p.title} at {common.budget(p.photons)} photons answers one class only")
-    aside = ", impulse imaging aside" if any(p.every_pixel for p in best) else ""
-    print(
-        f"* the highest{aside}, and all that cannot be told apart from it; chance is "
-        f"{results.data.chance:.3f}\n± half of the 95 % interval: "
-        + "; ".join(dict.fromkeys(p.covers for p in best))
+    yield Table(
+        f"{main_measure(results.data.measure).title} by photon budget",
+        ("design", *("noise",) * several, *(f"{budget_text(photons)} " for photons in budgets)),
+        rows,
     )
-    uneven = max(best, key=_unevenness)
-    if _unevenness(uneven) >= UNEVEN:
-        worst = common.worst_class(uneven.worst, results.data.classes[uneven.worst_class])
-        print(
-            f"each class counting alike, {uneven.title} at {common.budget(uneven.photons)} photons "
+    best = [point for point in results.points if point.best]
+    for point in best:
+        if point.one_class:
+            yield f"{point.title} at {budget_text(point.photons)} photons answers one class only"
+    aside = ", impulse imaging aside" if any(point.every_pixel for point in best) else ""
+    yield (
+        f"* the highest{aside}, and all that cannot be told apart from it; chance is "
+        f"{results.data.chance:.3f}"
+    )
+    covers = "; ".join(dict.fromkeys(point.covers for point in best))
+    yield f"± half of the 95 % interval: {covers}"
+    if (uneven := uneven_point(best)) is not None:
+        worst = worst_text(uneven.worst, results.data.classes[uneven.worst_class])
+        yield (
+            f"each class counting alike, {uneven.title} at {budget_text(uneven.photons)} photons "
             f"has a balanced accuracy of {uneven.balanced or 0:.3f}, worst class {worst}; the "
             "report has those of all"
         )
     if results.data.values:
-        _value_by_value(results, best)
+        yield _table_of_values(results, best)
 
 
-def _unevenness(point: "Point") -> float:
-    """Difference of an accuracy from the balanced one; 0 where there is none, as of values."""
-    return 0.0 if point.balanced is None else abs(point.accuracy - point.balanced)
-
-
-def _value_by_value(results: "Results", best: "list[Point]") -> None:
-    """Print the errors of each value, beside those of the best linear estimator."""
+def _table_of_values(results: "Results", best: "Sequence[Point]") -> Table:
+    """Errors of each value, beside those of the best linear estimator."""
     from deepfsi.report.accuracy import key_of, series_axes, series_names
 
     axes = series_axes(results)
     names = series_names(best, axes)
-    rows = [
-        (
-            *(names[key_of(p, axes)], common.budget(p.photons)),
-            *(common.error(e, b) for e, b in zip_longest(p.rmse, p.bound)),
-        )
-        for p in sorted(best, key=lambda p: (p.photons, -p.accuracy))
-    ]
-    columns = ("design", "photons", *map(common.short, results.data.values))
-    common.print_table("root mean squared error (best linear estimator)", columns, rows)
+    return Table(
+        "root mean squared error (best linear estimator)",
+        ("design", "photons", *map(short_name, results.data.values)),
+        [
+            (
+                *(names[key_of(point, axes)], budget_text(point.photons)),
+                *(error_text(*each) for each in zip_longest(point.rmse, point.bound)),
+            )
+            for point in sorted(best, key=lambda point: (point.photons, -point.accuracy))
+        ],
+    )

@@ -19,11 +19,22 @@ NAME_WIDTH = 13
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of text under heads; the first column is words, the others stand at the right."""
+    """Rows of text under heads.
+
+    Parameters
+    ----------
+    title : str
+    heads : sequence of str
+    rows : sequence of sequence of str
+    sentences : bool
+        True of sentences, which are broken into lines. Else the first column is words, and the
+        others stand at the right.
+    """
 
     title: str
     heads: Sequence[str]
     rows: Sequence[Sequence[str]]
+    sentences: bool = False
 
 
 @dataclass(frozen=True)
@@ -110,12 +121,6 @@ def _as_option(setting: str, value: str) -> str:
     return f"--{setting.replace('_', '-')} {value}".rstrip()
 
 
-def budget_text(photons: float) -> str:
-    """Photons as all commands print and take them: 1e4, 3.16e4."""
-    mantissa, exponent = f"{photons:.2e}".split("e")
-    return f"{mantissa.rstrip('0').rstrip('.')}e{int(exponent)}"
-
-
 def rate_text(mean: float, low: float, high: float) -> str:
     """A rate with half the width of its interval: 0.565 ± 0.027."""
     return f"{mean:.3f} ± {(high - low) / 2:.3f}"
@@ -160,12 +165,14 @@ def print_table(content: Table) -> None:
 
     grid = Grid(title=content.title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
     grid.padding, grid.min_width = (0, 1, 0, 0), len(content.title)
+    grid.show_lines = content.sentences
     for number, head in enumerate(content.heads):
-        grid.add_column(head, justify="right" if number else "left", overflow="fold")
+        right = number and not content.sentences
+        grid.add_column(head, justify="right" if right else "left", overflow="fold")
     for row in content.rows:
         grid.add_row(*row)
     console = Console(markup=False, emoji=False, highlight=False)
-    if not console.is_terminal:  # a file or a pipe has no width
+    if not console.is_terminal and not content.sentences:  # a file or a pipe has no width
         unbounded = console.options.update(max_width=sys.maxsize)
         console.width = max(console.width, console.measure(grid, options=unbounded).maximum)
     console.print(grid)

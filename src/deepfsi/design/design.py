@@ -50,6 +50,7 @@ from deepfsi.physics import (
     NoiseFunction,
     Rails,
     Scanner,
+    full_gates,
     library_defaults,
     torch_device,
 )
@@ -226,6 +227,34 @@ class Design:
     def gates(self) -> int | None:
         """Clicks of a readout at most, where its detectors click."""
         return click_gates(self.info)
+
+    def full_gates(self, counts: float, photons: float) -> str | None:
+        """Remark on clicks in nearly all gates of an exposure; None where they are not that many.
+
+        Parameters
+        ----------
+        counts : float
+            Clicks of an exposure.
+        photons : float
+            Budget Φ.
+        """
+        if self.gates is None:
+            return None
+        return full_gates(counts / (prod(self.counts_shape) * self.gates), photons)
+
+    @property
+    def size_text(self) -> str:
+        """Masks, looks and detectors: 5 masks, 2 looks, 4 detectors, both rails read."""
+        if self.exposure.makes_masks:
+            return f"{self.masks} looks"
+        parts = [f"{self.masks} masks"]
+        if self.exposure.chooses:
+            parts.append(f"{self.exposure.looks} looks")
+        if self.detection.count > 1:
+            parts.append(f"{self.detection.count} detectors")
+        if self.rails.count == 2 and self.detection.readout == "both":
+            parts.append("both rails read")
+        return ", ".join(parts)
 
     # Exposing
 

@@ -4,7 +4,6 @@ import csv
 import io
 import os
 from dataclasses import dataclass
-from math import prod
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
 
@@ -172,7 +171,6 @@ def _predict(
 
     from deepfsi.evaluation import camera_for, check_draws
     from deepfsi.networks import check_classes
-    from deepfsi.physics import full_gates
 
     check_classes(design.values, "predict")
     check_draws(1, seed)
@@ -191,8 +189,7 @@ def _predict(
     confidence, best = torch.cat(chances).max(dim=-1)
     remarks = [fault.detail for fault in dim_scenes(design, np.array([budget]))]
     if design.gates is not None:
-        share = clicks / (len(scenes) * prod(design.counts_shape) * design.gates)
-        remarks += filter(None, [full_gates(share, budget)])
+        remarks += filter(None, [design.full_gates(clicks / len(scenes), budget)])
     labels = shown.labels or [None] * len(shown.names)
     trained = was_trained_on(design.training_scenes, scene_hashes(shown.x, design.image_shape))
     return Predictions(

@@ -2,6 +2,7 @@
 
 import textwrap
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -10,8 +11,12 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
+from deepfsi.base import budget_text
 from deepfsi.report.masks import mask_axes
 from deepfsi.report.style import COLOURS, GREYS, GRID, styled
+
+if TYPE_CHECKING:  # it imports torch
+    from deepfsi.design import Design
 
 COLUMNS = 8
 """Looks that are drawn, at most."""
@@ -28,16 +33,26 @@ def drawn_looks(looks: int) -> list[int]:
 
 
 @styled
-def exposure_figure(
-    scene: np.ndarray,
-    masks: np.ndarray,
-    scenes: np.ndarray,
-    chances: np.ndarray,
-    classes: Sequence[str],
-    title: str,
-) -> Figure:
-    """Looks at a scene: each mask, and the scene and the class as they are known after it."""
-    # scene (H, W); after K looks masks and mean scenes (K, N), and chances (K, C)
+def looks_figure(design: "Design", scene: np.ndarray, label: str, photons: float) -> Figure:
+    """Looks at a scene with adaptive masks: each mask, and the scene and class as known after it.
+
+    Parameters
+    ----------
+    design : Design
+    scene : array, shape (N,)
+        Reflectance.
+    label : str
+        Its class.
+    photons : float
+        Budget Φ.
+    """
+    masks, scenes, chances = design.looks_at(scene, photons)  # (K, N), (K, N) and (K, C)
+    answer = design.classes[chances[-1].argmax()]
+    title = (
+        f"one exposure of {budget_text(photons)} photons in {design.masks} looks. Class: {label}. "
+        f"Answer: {answer}, with probability {chances[-1].max():.3f}"
+    )
+    scene = scene.reshape(design.image_shape)
     places, shape = drawn_looks(len(masks)), scene.shape
     layout = ConstrainedLayoutEngine(w_pad=0.02, h_pad=0.03, wspace=0.02, hspace=0.02)
     wide = TILE * (len(places) + 1)
@@ -54,7 +69,7 @@ def exposure_figure(
         mask_axes(top, masks[place].reshape(shape), ScalarMappable(Normalize(0, 1), GREYS))
         top.set_title(f"look {place + 1}", fontsize=9, fontweight="normal", pad=2)
         mask_axes(middle, scenes[place].clip(0).reshape(shape), light)
-        _bars(bottom, chances[place], classes, place == 0)
+        _bars(bottom, chances[place], design.classes, place == 0)
     for ax, words in zip(grid[:, 1], ROWS, strict=True):
         ax.set_ylabel(words, fontsize=8)
     return figure

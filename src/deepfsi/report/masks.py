@@ -1,5 +1,7 @@
 """Pictures of one design's masks, and the distribution of their values."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
@@ -9,6 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
+from deepfsi.base import budget_text
 from deepfsi.report.style import (
     COLOURS,
     DIVERGING,
@@ -18,6 +21,10 @@ from deepfsi.report.style import (
     MUTED,
     styled,
 )
+from deepfsi.report.terms import lit_text
+
+if TYPE_CHECKING:  # it imports torch
+    from deepfsi.design import Design
 
 BAR_LABEL = "share of a pixel's photons, Mᵢⱼ"
 
@@ -98,6 +105,43 @@ def masks_figure(
         figure.supxlabel("band", fontsize=9)
         figure.supylabel(BAR_LABEL.replace("pixel", "band"), fontsize=9)
     return figure
+
+
+def design_figure(design: "Design", count: int) -> Figure:
+    """Masks of a design, with its light, its dwells and what its detectors see.
+
+    Parameters
+    ----------
+    design : Design
+        Of masks that are known before.
+    count : int
+        Masks that are drawn, at most.
+    """
+    exposure = design.mask_exposure
+    dwells = exposure.mask_dwells()
+    labels = design.detection.labels
+    matrix, shape = exposure.drawing()
+    budget = design.info.get("job", {}).get("photons")
+    title = f"{design.name}, {design.size_text}, {design.light}" + (
+        f", {budget_text(budget)} photons" if budget else ""
+    )
+    lit = lit_masks(design.rails.stacked.cpu().numpy())
+    if lit < design.masks:
+        title += f"\n{lit_text(design.masks, lit)}"
+    if count < lit:
+        title += f"; the {count} that count most photons"
+    if dwells is not None:
+        title += f"\ndwell: {exposure.dwell_words}"
+    if labels is not None:
+        title += "\nlines: parts of the device that one detector sees"
+    return masks_figure(
+        matrix.cpu().numpy(),
+        shape,
+        title,
+        count,
+        dwells=None if dwells is None else dwells.detach().cpu().numpy(),
+        parts=None if labels is None else labels.cpu().numpy(),
+    )
 
 
 def _grid(

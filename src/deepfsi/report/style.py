@@ -7,11 +7,14 @@ from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager
 from functools import wraps
 from html import escape
+from pathlib import Path
 from typing import Any, ParamSpec
 
 import matplotlib.style
 from matplotlib.colorbar import Colorbar
 from matplotlib.figure import Figure
+
+from deepfsi.base import write_atomically
 
 P = ParamSpec("P")
 
@@ -92,6 +95,21 @@ def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
             return draw(*args, **kwargs)
 
     return wrapper
+
+
+def write_figure(figure: Figure, path: Path) -> None:
+    """Write a figure as the kind that its name ends in, all or nothing.
+
+    Parameters
+    ----------
+    figure : Figure
+    path : Path
+        Ends in .png, .svg or .pdf.
+    """
+    picture = io.BytesIO()
+    with drawing():
+        figure.savefig(picture, dpi=160, format=path.suffix.lower()[1:])
+    write_atomically(path, picture.getvalue())
 
 
 def photons_text(photons: float) -> str:

@@ -19,6 +19,23 @@ LEAST_RATIO = 1.15
 """Smallest ratio of light that is said as a number of times."""
 
 
+UNEVEN = 0.02
+"""Difference of an accuracy from the balanced one, each class counting alike, that is said."""
+
+
+def uneven_point(points: Sequence[Point]) -> Point | None:
+    """Point whose accuracy differs most from the balanced one; None where all are near it."""
+    judged = [point for point in points if point.balanced is not None]
+    if not judged:
+        return None
+    uneven = max(judged, key=_unevenness)
+    return uneven if _unevenness(uneven) >= UNEVEN else None
+
+
+def _unevenness(point: Point) -> float:
+    return abs(point.accuracy - (point.balanced or 0.0))
+
+
 @dataclass(frozen=True)
 class Verdict:
     """The verdict of a comparison.

@@ -1,0 +1,450 @@
+"""Commands that make a design, and that draw it or write it for others."""
+
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+from pydantic import Field
+
+from deepfsi.base import (
+    DESIGN_ENDINGS,
+    InputError,
+    budget_text,
+    count_text,
+    join_messages,
+    write_atomically,
+)
+from deepfsi.camera import ONE_DETECTOR, Camera
+from deepfsi.cli.command import Command
+from deepfsi.cli.evaluate import (
+    check_data,
+    data_lines,
+    details_text,
+    full_gates_lines,
+    score_text,
+    with_classes,
+)
+from deepfsi.cli.fields import (
+    PICTURES,
+    Data,
+    DesignFile,
+    DesignOrPatterns,
+    DesignPath,
+    Force,
+    Matrix,
+    NoiseSeed,
+    Normal,
+    Output,
+    Size,
+    SkipBad,
+    TestData,
+    TorchDevice,
+    Trust,
+    View,
+    argument,
+    check_design_file,
+    check_file,
+    check_sigma,
+    job_options,
+    number,
+    read_text,
+    whole_number,
+)
+from deepfsi.cli.terminal import Outcome, Terminal
+from deepfsi.datasets import Dataset, load_dataset
+from deepfsi.designfile import check_masks, trained_on
+from deepfsi.hardware.calibration import view_dataset
+from deepfsi.hardware.patterns import write_photomask
+from deepfsi.jobs import (
+    DESIGNS,
+    Job,
+    check_design,
+    count_allowed,
+    find_exposure,
+    find_job,
+    read_matrix,
+    sorted_settings,
+)
+
+if TYPE_CHECKING:
+    from deepfsi.design import Design
+    from deepfsi.measures import Result
+
+
+class LearnDesign(Command):
+    """`deepfsi design`.
+
+    Example: deepfsi design --data mnist --photons 1e4 --masks 10 -o digits.safetensors
+    """
+
+    settings: Annotated[dict[str, Any], job_options()]
+    out: DesignFile
+    data: Data = "digits"
+    size: Size = None
+    skip_bad: SkipBad = False
+    normal: Normal = None
+    hold_out: Annotated[
+        int,
+        Field(
+            description="number of last training scenes to leave out, which `deepfsi stop` needs"
+        ),
+    ] = 0
+    matrix: Matrix = None
+    view: View = None
+    device: TorchDevice = "auto"
+    resume: Annotated[
+        bool,
+        Field(
+            description="go on with a training of these settings that was stopped, if there is "
+            "one: its state is in a file beside --out, whose name ends in .checkpoint"
+        ),
+    ] = False
+    force: Force = False
+
+    def run(self, terminal: Terminal) -> Outcome:
+        """Train, save and test."""
+        check_file(self.out, DESIGN_ENDINGS, force=True)  # one of the same settings is replaced
+        check_data(self.data, self.view)
+        from deepfsi.evaluation import evaluate
+        from deepfsi.training import learn
+
+        matrix = None if self.matrix is None else read_matrix(self.matrix)
+        settings = dict(self.settings)
+        counts = settings.pop("counts", None)
+        counts = None if counts is None else read_text("counts", number, counts)
+        scenes = load_dataset(self.data, size=self.size, skip_bad=self.skip_bad, normal=self.normal)
+        if self.view is not None:
+            scenes = view_dataset(scenes, self.view)
+        fields = _job_fields(settings, scenes, matrix)
+        job = find_job(fields, counts)
+        check_sigma(settings, (job.camera.noise_name, job.noise))
+        _check_test(job)
+        trained = scenes.hold_out(self.hold_out) if self.hold_out else scenes
+        if self.out.exists() and not self.force:
+            _check_same(self.out, job, trained, matrix)
+        with terminal.progress(f"{job.design}, {job.masks} masks") as report:
+            design = learn(
+                trained,
+                report=report,
+                counts=counts,
+                matrix=matrix,
+                device=self.device,
+                checkpoint=self._checkpoint(),
+                **fields,
+            )
+        lowest = design.info["job"]["photons"]
+        design.save(self.out)
+        budgets = list(dict.fromkeys((lowest, job.exposure.highest(lowest))))
+        with terminal.progress("test") as report:
+            results = evaluate(design, scenes, budgets, draws=job.draws, report=report)
+        lit = min(sum(light > 0 for light in each.photons_per_mask) for each in results)
+        notes = [_scenes_text(trained, scenes)]
+        return Outcome(
+            {
+                "design": str(self.out),
+                "info": design.info,
+                "notes": notes,
+                "tests": [with_classes(design, result) for result in results],
+                "lit_masks": lit,
+            },
+            [
+                *data_lines(scenes, notes),
+                job.exposure.describe(job.optics),
+                *_test_lines(design, results, lit),
+                f"saved: {self.out}",
+            ],
+        )
+
+    def _checkpoint(self) -> Path:
+        """File of a training's state, beside its design; one that is there is for `--resume`."""
+        path = self.out.with_name(f"{self.out.name}.checkpoint")
+        if path.exists() and not self.resume:
+            if not self.force:
+                raise InputError(
+                    f"{path} is of a training that was stopped: --resume goes on with it, --force "
+                    "begins anew"
+                )
+            path.unlink()
+        return path
+
+
+def _job_fields(
+    options: Mapping[str, Any], data: Dataset, matrix: np.ndarray | None
+) -> dict[str, Any]:
+    """Fields of the job of options, for `learn`; the matrix (m, N) is the user's own."""
+    settings = dict(options)
+    if "photons" in settings:
+        text = settings["photons"]
+        ends = [read_text("photons", number, end) for end in text.split(":")]
+        if len(ends) > 2 or not 0 < ends[0] <= ends[-1]:
+            raise InputError(
+                f"--photons {text!r} is not allowed: give a number above 0, or LOW:HIGH such as "
+                "1e3:1e6"
+            )
+        settings |= {"photons": ends[0], "span": ends[-1] / ends[0]}
+    if "masks" in settings:
+        settings["masks"] = read_text("masks", whole_number, settings["masks"])
+    job = sorted_settings(settings)
+    job["camera"] = Camera.load(job.get("camera"))
+    if matrix is not None:
+        if "masks" in job or job.get("design", "custom") != "custom":
+            raise InputError(
+                "--matrix is a design with its own masks: leave --masks and --design out"
+            )
+        return {**job, "design": "custom", "masks": len(matrix)}
+    return job if "masks" in job else {**job, "masks": _usual_count(job, data)}
+
+
+def _usual_count(job: Mapping[str, Any], data: Dataset) -> int:
+    """Number of masks of a design that has no choice, or `InputError`."""
+    exposure = find_exposure(job.get("exposure", {}))
+    if exposure.fixed_mask_count:
+        return exposure.fixed_mask_count
+    design = check_design(job.get("design", "deepfsi"))
+    code = DESIGNS[design]
+    if not code.complete:
+        raise InputError(f"{design} needs a number of masks: add --masks, for instance --masks 10")
+    scene = exposure.scene(data)
+    detectors = ONE_DETECTOR if code.every_pixel else job["camera"].detector_map(scene.image_shape)
+    return count_allowed(design, scene, detectors)[1]
+
+
+def _check_test(job: Job) -> None:
+    """Raise `InputError` unless a design can be tested under its camera's noise."""
+    from deepfsi.physics import noise_of
+
+    noise_of(job.camera)
+    if faults := job.exposure.test_faults((job.camera.noise_name,)):
+        raise InputError(join_messages(faults))
+
+
+def _check_same(file: Path, job: Job, data: Dataset, matrix: np.ndarray | None) -> None:
+    """Raise `InputError` unless a design file is what training this job would write again."""
+    from deepfsi.design import load_design
+
+    with suppress(InputError):
+        design = load_design(file)
+        training = trained_on(design.info)
+        of_data = training is not None and training.hash == data.hash
+        if of_data and matrix is None and design.info["job"] == job.model_dump(mode="json"):
+            return
+    raise InputError(
+        f"{file} exists already, of other settings: give another name, or --force to replace it"
+    )
+
+
+def _scenes_text(trained: Dataset, tested: Dataset) -> str:
+    """Scenes of a training and its test in words, and what `compare` does otherwise."""
+    from deepfsi.sweeps.recipe import Recipe
+
+    count = len(trained.x_train)
+    words = (
+        f"trained on all {count} scenes, tested on {len(tested.x_test)}; deepfsi compare holds "
+        f"{Recipe().held_out(trained)} of them out to choose numbers of masks"
+    )
+    folds = len(Recipe().parts(tested))
+    return words if folds == 1 else f"{words}, and tests every scene once, in {folds} folds"
+
+
+def _test_lines(design: "Design", results: "list[Result]", lit: int) -> Iterator[str]:
+    """Tests of a new design, of whose masks so many have light, and what may be done better."""
+    for result in results:
+        counts = f"{count_text(result.counts)} counts"
+        if result.clicks:
+            counts = (
+                f"{count_text(result.counts)} clicks of {count_text(result.arriving)} photons that "
+                "arrive"
+            )
+        yield (
+            f"{design.name} with {design.size_text} at {budget_text(result.photons)} photons: "
+            f"{score_text(result)}, {counts} (a share of {result.throughput:.3f})\n"
+            f"{details_text(result, design.classes)}"
+        )
+    yield from full_gates_lines(design, results)
+    masks = len(results[0].photons_per_mask)
+    if lit < masks:
+        from deepfsi.report.terms import lit_text
+
+        yield f"masks: {lit_text(masks, lit)}; give a longer --exposure, or --masks {lit}"
+    left_out = design.info.get("left_out")
+    if left_out and left_out["guesses"]:
+        other = "--clusters" if design.name == "adaptive" else "fewer --masks"
+        yield (
+            f"note: on {left_out['scenes']} scenes that the training left out the probabilities "
+            f"are no better than guessing (log loss {left_out['log_loss']:.2f} nats, guessing "
+            f"{left_out['guessing']:.2f}): give more scenes, more --photons, {other}, or another "
+            "--design"
+        )
+
+
+class ShowDesign(Command):
+    """`deepfsi show`.
+
+    Adaptive masks are drawn for one exposure of a test scene, with what was known after each.
+
+    Example: deepfsi show digits.safetensors -o masks.png
+    """
+
+    file: Annotated[Path, argument("design file")]
+    out: Annotated[
+        Path | None,
+        Field(description="picture: .png, .svg or .pdf; .png beside the design unless given"),
+    ] = None
+    count: Annotated[int, Field(description="at most this many masks")] = 24
+    force: Force = False
+
+    def run(self, terminal: Terminal) -> Outcome:
+        """Picture of the masks."""
+        out = self.out
+        if out is None:  # beside a file; of a published design's name here
+            name = Path(f"{self.file.name}.png")
+            out = self.file.with_suffix(".png") if self.file.exists() else name
+        file = check_design_file(self.file)
+        check_file(out, PICTURES, self.force)
+        from deepfsi.design import load_design
+        from deepfsi.lab import data_of
+        from deepfsi.report.looks import looks_figure
+        from deepfsi.report.masks import design_figure
+        from deepfsi.report.style import write_figure
+
+        if self.count < 1:
+            raise InputError(f"{self.count} masks cannot be drawn: give at least 1")
+        design = load_design(file)
+        check_masks(design.info, "a picture of masks")
+        lines = [f"drawn: {out}"]
+        if design.exposure.makes_masks:
+            scenes, _ = data_of(design)
+            label = design.classes[scenes.y_test[0]]
+            photons = design.info.get("job", {}).get("photons")
+            figure = looks_figure(design, scenes.x_test[0], label, photons)
+        else:
+            figure = design_figure(design, self.count)
+            if training := trained_on(design.info):
+                lines.append(f"trained on: {training.words}")
+        write_figure(figure, out)
+        return Outcome({"picture": str(out)}, lines)
+
+
+class WritePage(Command):
+    """`deepfsi page`.
+
+    One HTML file that needs no server: draw a scene, set the light, start an exposure. Its accuracy
+    is measured on the test scenes of the data that the design remembers.
+
+    Example: deepfsi page digits.safetensors -o digits.html
+    """
+
+    file: DesignOrPatterns
+    out: Annotated[Path, Output((".html",)), Field(description="the page, .html")]
+    data: TestData = None
+    size: Size = None
+    seed: NoiseSeed = 0
+    force: Force = False
+
+    def run(self, terminal: Terminal) -> Outcome:
+        """The page, with its measured accuracy."""
+        check_data(self.data)
+        from deepfsi.evaluation import check_playable, playable
+        from deepfsi.lab import data_of, open_design
+        from deepfsi.report.playground.page import write_page
+
+        design = open_design(self.file)
+        check_playable(design)
+        scenes, notes = data_of(design, self.data, self.size)
+        with terminal.progress("page") as report:
+            payload = playable(design, scenes, seed=self.seed, report=report)
+        write_page(self.out, payload)
+        measured = {name: payload[name] for name in ("curve", "test", "rules")}
+        return Outcome(
+            {"design": str(self.file), "page": str(self.out), "notes": notes, **measured},
+            [*data_lines(scenes, notes), f"page to play with: {self.out}"],
+        )
+
+
+class ExportClassifier(Command):
+    """`deepfsi export`.
+
+    Counts and budget in, class probabilities out; all scaling is inside. `dmd export` writes the
+    masks.
+
+    Example: deepfsi export digits.safetensors -o digits.onnx
+    """
+
+    file: Annotated[Path, argument("design file, or a folder of patterns that `dmd export` wrote")]
+    out: Annotated[Path | None, Field(description="the design's name with .onnx unless given")] = (
+        None
+    )
+    trust: Trust = False
+    force: Force = False
+
+    def run(self, terminal: Terminal) -> Outcome:
+        """The graph, and the shapes of what goes in and out."""
+        target, file = self.out or self.file.with_suffix(".onnx"), check_design_file(self.file)
+        check_file(target, (".onnx",), self.force)
+        from deepfsi.design import to_onnx
+        from deepfsi.lab import open_design
+
+        design = open_design(file, trust=self.trust, static=True)
+        write_atomically(target, to_onnx(design))
+        shape = ", ".join(map(str, ("batch", *design.counts_shape)))
+        looks = design.exposure.chooses
+        return Outcome(
+            {
+                "graph": str(target),
+                "rails": design.rails.count,
+                "masks": design.masks,
+                "detectors": design.detection.count,
+                "classes": design.classes,
+                "looks": design.exposure.looks,
+            },
+            [
+                f"in: counts ({shape}), photons (batch,){', dwell, left, shortest' * looks}",
+                f"out: probabilities (batch, {len(design.classes)}){', next' * looks}",
+                f"saved: {target}",
+            ],
+        )
+
+
+class WriteMask(Command):
+    """`deepfsi mask`.
+
+    In an .svg, polygons mark what is open, in micrometres; a .png has a dot for each pixel. Learn
+    the design with --levels 2 for a binary pattern.
+
+    Example: deepfsi mask passing.safetensors --pixel 5 -o pattern.svg
+    """
+
+    file: Annotated[DesignPath, argument("design file of scenes that pass a pattern")]
+    out: Annotated[
+        Path,
+        Output((".svg", ".png")),
+        Field(description="photomask: .svg (polygons, binary patterns) or .png"),
+    ]
+    pixel: Annotated[
+        float, Field(description="side of a pixel on the mask, micrometres: that of a scene there")
+    ]
+    force: Force = False
+
+    def run(self, terminal: Terminal) -> Outcome:
+        """The pattern, with its size."""
+        pattern = write_photomask(self.file, self.out, self.pixel)
+        rows, columns = pattern.shape
+        height, width = rows * self.pixel, columns * self.pixel
+        open_share = float(pattern.mean())
+        return Outcome(
+            {
+                "design": str(self.file),
+                "mask": str(self.out),
+                "pixels": [rows, columns],
+                "pixel_um": self.pixel,
+                "um": [height, width],
+                "open": open_share,
+            },
+            [
+                f"{rows} x {columns} pixels of {self.pixel:g} µm, {height:g} x {width:g} µm in "
+                f"all, {open_share:.1%} open",
+                f"photomask: {self.out}",
+            ],
+        )
