@@ -1,16 +1,19 @@
-"""Commands of data sets by name."""
+"""Commands of data sets and of published designs, which go by a name."""
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from pydantic import Field
 
+from deepfsi.base import budget_text
 from deepfsi.base.models import Count, WholeNumber
 from deepfsi.cli.command import Command
-from deepfsi.cli.fields import Output, Size, argument, check_design_file
-from deepfsi.cli.terminal import Outcome, Table, Terminal
+from deepfsi.cli.fields import Names, Output, Size, argument, check_design_file
+from deepfsi.cli.terminal import Outcome, Table, Terminal, rate_text
 from deepfsi.datasets import check, download, list_datasets, load_dataset, write_display
+from deepfsi.designfile import SHIPPED_DESIGNS, PublishedDesign, read_indexes
 
 
 class DataList(Command):
@@ -113,3 +116,88 @@ def pictures_written(written: list[Path], folder: Path) -> Outcome:
         {"folder": str(folder), "pictures": [str(path) for path in written]},
         [f"{len(written)} pictures: {folder}"],
     )
+
+
+class DesignsMake(Command):
+    """`deepfsi designs make`.
+
+    Designs that are already in the folder are kept. Ctrl-C keeps those that are finished, and the
+    same command goes on.
+
+    Example: deepfsi designs make -o published
+    """
+
+    out: Annotated[Path, Output(), Field(description="output folder")]
+    source: Annotated[
+        Path | None, argument("your own list, TOML; the package's unless given", "[LIST]")
+    ] = None
+    only: Annotated[
+        Names | None, Field(description="names, separated by commas; all unless given")
+    ] = None
+
+    def run(self, terminal: Terminal) -> Outcome:
+        """Designs of the list, each with its test."""
+        from deepfsi.sweeps.collection import Collection, make
+
+        entries = {}
+        command = "deepfsi designs make" + (f" {self.source.name}" if self.source else "")
+        names = None if self.only is None else list(self.only)
+        collection = Collection.read(self.source)
+        for one in make(collection, self.out, names, command, terminal.progress):
+            entries[one.name] = one.entry
+            accuracy = rate_text(one.entry.accuracy, one.entry.low, one.entry.high)
+            terminal.say(
+                f"{one.name}: {'there already, ' * one.there}test accuracy {accuracy} at "
+                f"{budget_text(one.entry.photons)} photons"
+            )
+        last = next(reversed(entries))
+        return Outcome(
+            {"folder": str(self.out), "designs": _dumped(entries)},
+            [
+                f"open one with DEEPFSI_DESIGNS={self.out} and its name, as "
+                f'deepfsi.load_design("{last}")'
+            ],
+        )
+
+
+class DesignsList(Command):
+    """`deepfsi designs list`.
+
+    They are those that come with the package, and those in the folder, or at the address, that
+    DEEPFSI_DESIGNS names.
+
+    Example: deepfsi designs list
+    """
+
+    def run(self, terminal: Terminal) -> Outcome:
+        """Designs of every collection at hand."""
+        collections = {
+            "shipped with the package" if where == str(SHIPPED_DESIGNS) else where: designs
+            for where, designs in read_indexes().items()
+        }
+        content = [
+            {"where": where, "designs": _dumped(designs)} for where, designs in collections.items()
+        ]
+        return Outcome(
+            {**content[0], "collections": content},
+            [
+                Table(
+                    where,
+                    ("name", "recognises", "photons", "accuracy"),
+                    [
+                        (
+                            name,
+                            each.recognises,
+                            budget_text(each.photons),
+                            rate_text(each.accuracy, each.low, each.high),
+                        )
+                        for name, each in designs.items()
+                    ],
+                )
+                for where, designs in collections.items()
+            ],
+        )
+
+
+def _dumped(designs: Mapping[str, PublishedDesign]) -> dict[str, dict[str, Any]]:
+    return {name: entry.model_dump() for name, entry in designs.items()}

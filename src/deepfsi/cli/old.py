@@ -9,7 +9,6 @@ from deepfsi.cli import (
     calibrations,
     camera,
     classify,
-    collection,
     dmd,
     live,
     record,
@@ -29,7 +28,6 @@ old = typer.Typer(
 
 for _command in (readouts,):
     old.command(cls=SettingsCommand)(_command)
-old.add_typer(collection.app, name="designs")
 old.add_typer(dmd.dmd, name="dmd")
 old.add_typer(camera.camera, name="camera")
 
