@@ -8,11 +8,11 @@ import pytest
 from click.testing import CliRunner
 from pydantic import BaseModel, Field
 
-from deepfsi.base import InputError
+from deepfsi.base import InputError, Table
 from deepfsi.base.models import Share, WholeNumber
 from deepfsi.cli.command import ClickCommand, Command, read_parameters
 from deepfsi.cli.fields import Numbers, OptionsOf, Size, Time, argument
-from deepfsi.cli.terminal import Outcome, Table, Terminal
+from deepfsi.cli.terminal import Outcome, Terminal
 
 
 class Thing(BaseModel):

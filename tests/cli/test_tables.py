@@ -6,9 +6,9 @@ import re
 import numpy as np
 import pytest
 
-from deepfsi.base import budget_text
+from deepfsi.base import Table, budget_text
 from deepfsi.cli.fields import number
-from deepfsi.cli.terminal import Table, print_table
+from deepfsi.cli.terminal import print_table
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 

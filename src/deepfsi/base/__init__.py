@@ -62,11 +62,22 @@ from deepfsi.base.progress import (
     progress_bar,
     terminal_bar,
 )
-from deepfsi.base.quantities import budget_text, count_text, seconds, time_text
+from deepfsi.base.quantities import (
+    NAME_WIDTH,
+    Table,
+    budget_text,
+    count_text,
+    plural,
+    rate_text,
+    seconds,
+    short_name,
+    time_text,
+)
 
 __all__ = [
     "DESIGN_ENDINGS",
     "IMPORT_PATH",
+    "NAME_WIDTH",
     "SILENT",
     "STOPPED_EXIT_CODE",
     "UNNAMED_PLUGIN",
@@ -78,6 +89,7 @@ __all__ = [
     "Moments",
     "PostponedSignals",
     "Progress",
+    "Table",
     "as_input_error",
     "block_ctrl_c",
     "budget_text",
@@ -106,8 +118,10 @@ __all__ = [
     "open_regular",
     "other_version",
     "plain_keywords",
+    "plural",
     "postpone_signals",
     "progress_bar",
+    "rate_text",
     "read_regular",
     "read_text",
     "read_toml",
@@ -118,6 +132,7 @@ __all__ = [
     "saved_work_text",
     "say_stopped",
     "seconds",
+    "short_name",
     "source_hash",
     "terminal_bar",
     "time_text",

@@ -1,10 +1,16 @@
-"""Times as a laboratory writes them, in seconds or with a unit."""
+"""Times, numbers and tables as people write them."""
 
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 TIME_UNITS = {"ps": 1e-12, "ns": 1e-9, "us": 1e-6, "µs": 1e-6, "ms": 1e-3, "s": 1.0, "": 1.0}
 """Seconds of a unit of time; longer names first."""
+
+
+NAME_WIDTH = 13
+"""Characters of a name in a table, such as that of a class."""
 
 
 def seconds(time: Any) -> float:
@@ -41,3 +47,38 @@ def count_text(counts: float) -> str:
     if counts < 1e6:
         return f"{float(f'{counts:.4g}'):.0f}"
     return budget_text(counts)
+
+
+def rate_text(mean: float, low: float, high: float) -> str:
+    """A rate with half the width of its interval: 0.565 ± 0.027."""
+    return f"{mean:.3f} ± {(high - low) / 2:.3f}"
+
+
+def plural(number: int, what: str) -> str:
+    """A number of things: 1 exposure, 2 exposures."""
+    return f"{number} {what}{'' if number == 1 else 's'}"
+
+
+def short_name(name: str, width: int = NAME_WIDTH) -> str:
+    """Beginning of a long name, for a table."""
+    return name if len(name) <= width else f"{name[: width - 1]}…"
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of text under heads.
+
+    Parameters
+    ----------
+    title : str
+    heads : sequence of str
+    rows : sequence of sequence of str
+    sentences : bool
+        True of sentences, which are broken into lines. Else the first column is words, and the
+        others stand at the right.
+    """
+
+    title: str
+    heads: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    sentences: bool = False

@@ -7,11 +7,11 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from deepfsi.base import budget_text
+from deepfsi.base import Table, budget_text, rate_text
 from deepfsi.base.models import Count, WholeNumber
 from deepfsi.cli.command import Command
 from deepfsi.cli.fields import Names, Output, Size, argument, check_design_file
-from deepfsi.cli.terminal import Outcome, Table, Terminal, rate_text
+from deepfsi.cli.terminal import Outcome, Terminal
 from deepfsi.datasets import check, download, list_datasets, load_dataset, write_display
 from deepfsi.designfile import SHIPPED_DESIGNS, PublishedDesign, read_indexes
 

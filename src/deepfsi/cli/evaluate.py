@@ -9,10 +9,14 @@ from pydantic import Field
 
 from deepfsi.base import (
     DESIGN_ENDINGS,
+    NAME_WIDTH,
     InputError,
     Message,
+    Table,
     budget_text,
     count_text,
+    rate_text,
+    short_name,
     write_atomically,
 )
 from deepfsi.base.numeric import MOST_CLASSES, confusion_shares, frequent_confusions
@@ -40,14 +44,7 @@ from deepfsi.cli.fields import (
     check_sigma,
     check_there,
 )
-from deepfsi.cli.terminal import (
-    NAME_WIDTH,
-    Outcome,
-    Table,
-    Terminal,
-    rate_text,
-    short_name,
-)
+from deepfsi.cli.terminal import Outcome, Terminal
 from deepfsi.datasets import check_source
 from deepfsi.measures import Estimates, Measure, Result
 

@@ -15,10 +15,13 @@ from pydantic import Field
 
 from deepfsi.base import (
     InputError,
+    Table,
     budget_text,
     closest_choice,
     duration_text,
+    rate_text,
     read_toml,
+    short_name,
     write_atomically,
 )
 from deepfsi.base.models import Count
@@ -53,7 +56,7 @@ from deepfsi.cli.fields import (
     split_commas,
     whole_number,
 )
-from deepfsi.cli.terminal import Outcome, Table, Terminal, rate_text, short_name
+from deepfsi.cli.terminal import Outcome, Terminal
 from deepfsi.datasets import load_dataset
 from deepfsi.jobs import DESIGNS, EVERY_PIXEL, find_table, read_matrix
 from deepfsi.measures import main_measure

@@ -3,38 +3,15 @@
 import json
 import re
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Any
 
-from deepfsi.base import InputError, Message, Progress, one_line, terminal_bar
+from deepfsi.base import InputError, Message, Progress, Table, one_line, terminal_bar
 
 JSON_SCHEMA = 1
 """Version of what every command prints with --json; raised where a field changes or goes."""
-
-NAME_WIDTH = 13
-"""Characters of a name in a table, such as that of a class."""
-
-
-@dataclass(frozen=True)
-class Table:
-    """Rows of text under heads.
-
-    Parameters
-    ----------
-    title : str
-    heads : sequence of str
-    rows : sequence of sequence of str
-    sentences : bool
-        True of sentences, which are broken into lines. Else the first column is words, and the
-        others stand at the right.
-    """
-
-    title: str
-    heads: Sequence[str]
-    rows: Sequence[Sequence[str]]
-    sentences: bool = False
 
 
 @dataclass(frozen=True)
@@ -81,7 +58,7 @@ class Terminal:
         """Progress bar on standard error with the time left."""
         return terminal_bar(what, self.as_json)
 
-    def say(self, line: "str | Table") -> None:
+    def say(self, line: str | Table) -> None:
         """Print a part of a result at once, which JSON has at the end."""
         if not self.as_json:
             _print(line)
@@ -121,21 +98,6 @@ def _as_option(setting: str, value: str) -> str:
     return f"--{setting.replace('_', '-')} {value}".rstrip()
 
 
-def rate_text(mean: float, low: float, high: float) -> str:
-    """A rate with half the width of its interval: 0.565 ± 0.027."""
-    return f"{mean:.3f} ± {(high - low) / 2:.3f}"
-
-
-def plural(number: int, what: str) -> str:
-    """A number of things: 1 exposure, 2 exposures."""
-    return f"{number} {what}{'' if number == 1 else 's'}"
-
-
-def short_name(name: str, width: int = NAME_WIDTH) -> str:
-    """Beginning of a long name, for a table."""
-    return name if len(name) <= width else f"{name[: width - 1]}…"
-
-
 def error_line(text: str) -> str:
     """Message of an error in one line."""
     return " ".join(one_line(as_options(text)).split())
@@ -150,7 +112,7 @@ def print_json(schema: str, content: Mapping[str, Any]) -> None:
     print(json.dumps(json.loads(text), indent=1))
 
 
-def _print(line: "str | Table") -> None:
+def _print(line: str | Table) -> None:
     if isinstance(line, Table):
         print_table(line)
     else:
