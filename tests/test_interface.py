@@ -168,7 +168,7 @@ DATA = 'import deepfsi\ndata = deepfsi.load_dataset("digits")'
 ANYTHING = "from typing import Any, cast\n{0} = cast(Any, ...)"
 BEFORE = {
     "docs/do/live": ANYTHING.format("my_projector = my_counter = my_display"),
-    "docs/lookup/devices": """from pathlib import Path
+    "docs/develop/drivers": """from pathlib import Path
 from deepfsi.hardware.counting import Acquisition, Scene
 """
     + ANYTHING.format("my_display = my_recording")

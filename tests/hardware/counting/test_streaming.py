@@ -263,7 +263,7 @@ def test_damage_is_named_as_when_a_whole_file_is_read(tmp_path):
 
 
 def test_the_lines_of_the_page_run(tmp_path, monkeypatch, capsys):
-    page = (Path(__file__).parents[3] / "docs/lookup/devices.md").read_text()
+    page = (Path(__file__).parents[3] / "docs/develop/drivers.md").read_text()
     (lines,) = re.findall(r"^```python\n(.*?FrameCounter.*?)^```", page, re.M | re.S)
     record(tmp_path / "photons.ptu", [54e-6, 110e-6], 1e6)
     content = (tmp_path / "photons.ptu").read_bytes()

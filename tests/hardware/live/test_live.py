@@ -389,7 +389,7 @@ def test_counts_that_do_not_come_are_missed(digits, patterns, tmp_path, monkeypa
 def test_the_lines_of_the_page_run(digits, patterns, tmp_path, monkeypatch, capsys):
     """Both programs of the pages, word for word, on a laboratory of two scenes."""
     docs = Path(__file__).parents[3] / "docs"
-    pages = [(docs / name).read_text() for name in ("do/live.md", "lookup/devices.md")]
+    pages = [(docs / name).read_text() for name in ("do/live.md", "develop/drivers.md")]
     loop, _, groups = re.findall(r"^```python\n(.*?)^```", "\n".join(pages), re.M | re.S)
     monkeypatch.chdir(tmp_path)
     Path("looks").symlink_to(patterns)
