@@ -4,7 +4,6 @@ import json
 import re
 import shlex
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -271,41 +270,51 @@ def test_unbalanced_data_shows_its_worst_class(done, tmp_path):
     assert "by balanced accuracy" in page
 
 
-DOCS = Path(__file__).parents[2] / "docs" / "do"
-PYTHON = re.compile(r"```python\n(.*?)```", re.DOTALL)
-SMALL = {"32x32": "8x8", "dlp7000": "64x48", "[32, 32]": "[8, 8]", "[1e4, 1e5]": "[1e5]"}
-"""What the lines of the docs are made smaller by, besides fewer masks in the comparison."""
+NETWORK = """
+from torch import nn
 
-
-def of_docs(page, begin, end="```"):
-    """Block of a page that begins so, with small sizes."""
-    block = begin + page.split(begin, 1)[1].split(end, 1)[0]
-    block = block.replace("\\\n    ", "")
-    for large, small in SMALL.items():
-        block = block.replace(large, small)
-    return block
+def Small(inputs, classes):
+    return nn.Sequential(nn.Linear(inputs, 32), nn.GELU(), nn.Linear(32, classes))
+"""
+RECIPE = """
+data = "my-pictures"
+size = [8, 8]
+designs = ["pca", "deepfsi"]
+photons = [1e5]
+masks = [6]
+camera = "dmd"
+training.classifier = ["mlp", "mynets:Small"]
+training.balance = true
+"""
+LINES = """
+compare --recipe mine.toml -o runs/mine
+design --data my-pictures/ --size 8x8 --photons 1e5 --masks 20 --balance \\
+    --classifier mynets:Small -o small.safetensors
+dmd export small.safetensors --device 64x48 --exposure 10ms -o my-frames/
+data export small.safetensors --per-class 3 -o my-images/
+camera simulate my-frames/ --scene my-images/ --flux 1e7 --exposure 10ms --virtual ideal -o my-run/
+camera count my-run/
+camera classify small.safetensors my-run/ --trust
+"""
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("trained_once", "undrawn")
 def test_a_new_user_goes_from_pictures_to_counted_classes(done, refuse, tmp_path, monkeypatch):
-    """By the lines of docs/do/data.md: 16 bits, unequal classes, a network of one's own."""
+    """From pictures to classes: 16 bits, unequal classes, a network of one's own."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     save_pictures(tmp_path / "my-pictures", {"ash": 200, "oak": 24, "yew": 20}, side=16)
-    page = (DOCS / "data.md").read_text(encoding="utf-8")
-    network = PYTHON.findall((DOCS / "own-classifier.md").read_text(encoding="utf-8"))[0]
-    (tmp_path / "mynets.py").write_text(network, encoding="utf-8")
-    recipe = of_docs(page, 'data = "my-pictures"').replace("[10, 20]", "[6]")
-    (tmp_path / "mine.toml").write_text(recipe, encoding="utf-8")
-    lines = of_docs(page, "deepfsi compare --recipe mine.toml").splitlines()
-    compare, design, *rest, classify = (shlex.split(line)[1:] for line in lines)
+    (tmp_path / "mynets.py").write_text(NETWORK, encoding="utf-8")
+    (tmp_path / "mine.toml").write_text(RECIPE, encoding="utf-8")
+    lines = LINES.replace("\\\n", "").strip().splitlines()
+    compare, design, *rest, classify = map(shlex.split, lines)
 
     printed = done(*compare, "--epochs", 3, "--workers", 1)
-    assert "classifier mynets:Cnn" in printed
+    assert "classifier mynets:Small" in printed
     assert "mask counts were chosen" not in printed  # there is but one number of masks
     report = (tmp_path / "runs" / "mine" / "report.html").read_text(encoding="utf-8")
-    assert "mynets:Cnn" in report
+    assert "mynets:Small" in report
     assert '<td title="balanced ' in report
     assert "Each design had one number of masks" in report
     assert "best number of masks" not in report.lower()
