@@ -157,7 +157,7 @@ def call(monkeypatch, capsys) -> Callable[..., tuple[object, str, str]]:
     def run(*words):
         monkeypatch.setattr(sys, "argv", ["deepfsi", *map(str, words)])
         with pytest.raises(SystemExit) as stop:
-            cli.main()
+            cli.run_command_line()
         printed = capsys.readouterr()
         return stop.value.code, printed.out, printed.err
 

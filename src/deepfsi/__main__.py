@@ -17,7 +17,7 @@ def main() -> NoReturn:
     from deepfsi import cli
 
     try:
-        cli.main()
+        cli.run_command_line()
     except KeyboardInterrupt:  # before the command's own handler
         end_process()
     except SystemExit as end:

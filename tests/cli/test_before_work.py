@@ -178,12 +178,12 @@ MISSING = [
 
 WITHOUT_TORCH = """
 import sys
-from deepfsi.cli import main
+from deepfsi.cli import run_command_line
 sys.modules["torch"] = None  # importing it is now an error
 for line in sys.stdin:
     sys.argv = ["deepfsi", *line.split()]
     try:
-        main()
+        run_command_line()
     except SystemExit as stop:
         print(stop.code)
 """

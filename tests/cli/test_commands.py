@@ -74,8 +74,8 @@ def test_words_that_no_command_knows_lead_to_its_help(refuse, words, page):
 def test_help_imports_nothing_heavy():
     script = (
         "import sys; sys.argv = ['deepfsi', '--help']\n"
-        "from deepfsi.cli import main\n"
-        "try:\n    main()\nexcept SystemExit:\n    pass\n"
+        "from deepfsi.cli import run_command_line\n"
+        "try:\n    run_command_line()\nexcept SystemExit:\n    pass\n"
         "heavy = {'torch', 'numpy', 'scipy', 'sklearn', 'matplotlib', 'pydantic', 'PIL'}\n"
         "assert not heavy & set(sys.modules), heavy & set(sys.modules)\n"
     )

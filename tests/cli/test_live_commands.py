@@ -232,10 +232,10 @@ def test_a_run_and_its_replay_need_no_torch(lab, tmp_path):
     ]
     code = (
         "import contextlib, sys\n"
-        "from deepfsi.cli import main\n"
+        "from deepfsi.cli import run_command_line\n"
         f"for sys.argv in {commands!r}:\n"
         "    with contextlib.suppress(SystemExit):\n"
-        "        main()\n"
+        "        run_command_line()\n"
         "assert 'torch' not in sys.modules\n"
     )
     told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)

@@ -48,7 +48,7 @@ def say(*words: object) -> str:
     out = io.StringIO()
     try:
         with contextlib.redirect_stdout(out):
-            cli.main()
+            cli.run_command_line()
     except SystemExit as stop:
         if stop.code:
             raise

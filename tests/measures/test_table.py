@@ -5,8 +5,15 @@ import pytest
 
 from conftest import quick
 from deepfsi import evaluate
-from deepfsi.cli.evaluate import details_text, result_lines
-from deepfsi.measures import MEASURES, ClassAnswers, MainMeasure, Measure, main_measure
+from deepfsi.measures import (
+    MEASURES,
+    ClassAnswers,
+    MainMeasure,
+    Measure,
+    details_text,
+    main_measure,
+    results_lines,
+)
 from deepfsi.report.comparison_page import build
 from deepfsi.sweeps.records import rows
 from deepfsi.sweeps.results import read_results, write_results
@@ -43,7 +50,7 @@ def test_a_new_measure_is_one_entry(digits, tmp_path):
     [result] = evaluate(design, digits, 1e3, draws=1)
     assert result.accuracy < result.further["top_2"] < 1
     assert list(result.as_dict())[-1] == "top_2"
-    table = str([*result_lines(design, "poisson", [result])])
+    table = str([*results_lines([result], title="", classes=digits.classes)])
     assert "top 2" in table
     assert f"{result.score('top_2'):.3f}" in table
     recipe = small(designs=("pca",), photons=(1e3,), masks=(3,))

@@ -87,12 +87,12 @@ def _opened() -> set[Path]:
 
 def run(lines: list[str]) -> None:
     """Run commands, one after another."""
-    from deepfsi.cli import main
+    from deepfsi.cli import run_command_line
 
     for line in lines:
         sys.argv = ["deepfsi", *line.split()]
         try:
-            main()
+            run_command_line()
         except SystemExit as stop:
             print(f"exit {stop.code or 0}: {line}", flush=True)
 

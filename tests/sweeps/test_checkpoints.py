@@ -156,12 +156,13 @@ def test_a_kill_within_a_training_costs_no_bit(done, tmp_path, command):
     for out in ("killed", "whole"):
         (tmp_path / out / "designs").mkdir(parents=True)
     kill = (
-        "import os, sys; from deepfsi.cli import main; from deepfsi.training import checkpoint\n"
+        "import os, sys; from deepfsi.cli import run_command_line\n"
+        "from deepfsi.training import checkpoint\n"
         "checkpoint.CHECKPOINT_SECONDS, calls = 0.0, []\n"
         f"write, sys.argv = checkpoint.write_atomically, ['deepfsi', *{killed_words}]\n"
         "def written(*given):\n"
         "    calls.append(write(*given)); os.kill(os.getpid(), 9) if len(calls) == 5 else None\n"
-        "checkpoint.write_atomically = written; main()"
+        "checkpoint.write_atomically = written; run_command_line()"
     )
     killed = subprocess.run([sys.executable, "-c", kill], capture_output=True)
     assert killed.returncode == -signal.SIGKILL, killed.stderr
@@ -178,14 +179,15 @@ def test_ctrl_c_within_a_training_keeps_it(done, refuse, tmp_path):
     out = tmp_path / "a.safetensors"
     again = ["design", "--masks", "4", "--photons", "1e3", "-o", str(out)]
     code = (
-        "import os, sys; from deepfsi.cli import main; from deepfsi.training import checkpoint\n"
+        "import os, sys; from deepfsi.cli import run_command_line\n"
+        "from deepfsi.training import checkpoint\n"
         "checkpoint.STOP_SECONDS = 0.0\n"
         f"sys.argv = ['deepfsi', *{again!r}]\n"
         "keep = checkpoint.Checkpoint.keep\n"
         "def after(self, loop):\n"
         "    os.kill(os.getpid(), 2) if loop.step == 7 else None\n"
         "    keep(self, loop)\n"
-        "checkpoint.Checkpoint.keep = after; main()"
+        "checkpoint.Checkpoint.keep = after; run_command_line()"
     )
     stopped = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert stopped.returncode == 130

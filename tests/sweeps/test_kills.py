@@ -118,12 +118,12 @@ def test_a_kill_while_files_are_written_leaves_nothing_and_changes_no_bit(
     """Trials that were trained together are kept together: alone one of them rounds otherwise."""
     recipe = sweep(tmp_path, trials=1, workers=1, masks=(1, 2), batch=500)
     kill = (
-        "import os, sys; from deepfsi.base import files; from deepfsi.cli import main\n"
+        "import os, sys; from deepfsi.base import files; from deepfsi.cli import run_command_line\n"
         f"real, calls = os.replace, []; sys.argv = ['deepfsi', *{recipe!r}]\n"
         "def replace(*paths):\n"
         f"    calls.append(paths); os.kill(os.getpid(), 9) if len(calls) == {moves} else None\n"
         "    real(*paths)\n"
-        "os.replace = replace; main()"
+        "os.replace = replace; run_command_line()"
     )
     killed = subprocess.run([sys.executable, "-c", kill], capture_output=True)
     assert killed.returncode == -signal.SIGKILL

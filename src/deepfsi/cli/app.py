@@ -162,7 +162,7 @@ app = Group(
 app.params.append(click.Option(["--version"], is_flag=True, help="print the version and stop"))
 
 
-def main() -> NoReturn:
+def run_command_line() -> NoReturn:
     """Entry point: 0 done, 1 a check failed, 2 bad input, 130 or 143 stopped."""
     # Figures are files here: a notebook's backend, or settings of a user's own, would break them
     os.environ |= {"MPLBACKEND": "agg", "MATPLOTLIBRC": os.devnull}

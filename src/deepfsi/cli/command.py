@@ -35,7 +35,7 @@ from deepfsi.cli.terminal import Outcome, Terminal
 ONE_VALUE = ("camera", "hidden")
 """Options of one value where others are axes."""
 
-KINDS = {int: "int", float: "number", Path: "path"}
+KIND_WORDS = {int: "int", float: "number", Path: "path"}
 """Words for what is written of a type; others are text."""
 
 
@@ -220,11 +220,11 @@ def _written(field: FieldInfo) -> tuple[str, str, bool]:
         return "|".join(map(str, get_args(kind))), "", False
     if get_origin(kind) in (tuple, list):
         of_each, _ = next(_leaves(get_args(kind)[0]))
-        word = KINDS.get(of_each, "text")
+        word = KIND_WORDS.get(of_each, "text")
         return (f"{word},…", "", False) if readers else (word, "", True)
     if kind is bool:
         return "", "", False
-    return KINDS.get(kind, "text"), _bounds(metadata, lambda number: f"{number:g}"), False
+    return KIND_WORDS.get(kind, "text"), _bounds(metadata, lambda number: f"{number:g}"), False
 
 
 def _leaves(annotation: Any, metadata: tuple[Any, ...] = ()) -> Iterator[tuple[Any, list[Any]]]:

@@ -17,40 +17,13 @@ from deepfsi.base import (
     write_atomically,
 )
 from deepfsi.camera import ONE_DETECTOR, Camera
+from deepfsi.cli import fields
 from deepfsi.cli.command import Command
 from deepfsi.cli.evaluate import (
-    check_data,
+    check_scenes,
     data_lines,
-    details_text,
     full_gates_lines,
-    score_text,
     with_classes,
-)
-from deepfsi.cli.fields import (
-    PICTURES,
-    Data,
-    DesignFile,
-    DesignOrPatterns,
-    DesignPath,
-    Force,
-    Matrix,
-    NoiseSeed,
-    Normal,
-    Output,
-    Size,
-    SkipBad,
-    TestData,
-    TorchDevice,
-    Trust,
-    View,
-    argument,
-    check_design_file,
-    check_file,
-    check_sigma,
-    job_options,
-    number,
-    read_text,
-    whole_number,
 )
 from deepfsi.cli.terminal import Outcome, Terminal
 from deepfsi.datasets import Dataset, load_dataset
@@ -67,6 +40,7 @@ from deepfsi.jobs import (
     read_matrix,
     sorted_settings,
 )
+from deepfsi.measures import details_text, score_text
 
 if TYPE_CHECKING:
     from deepfsi.design import Design
@@ -79,21 +53,21 @@ class LearnDesign(Command):
     Example: deepfsi design --data mnist --photons 1e4 --masks 10 -o digits.safetensors
     """
 
-    settings: Annotated[dict[str, Any], job_options()]
-    out: DesignFile
-    data: Data = "digits"
-    size: Size = None
-    skip_bad: SkipBad = False
-    normal: Normal = None
+    settings: Annotated[dict[str, Any], fields.job_options()]
+    out: fields.DesignFile
+    data: fields.Data = "digits"
+    size: fields.Size = None
+    skip_bad: fields.SkipBad = False
+    normal: fields.Normal = None
     hold_out: Annotated[
         int,
         Field(
             description="number of last training scenes to leave out, which `deepfsi stop` needs"
         ),
     ] = 0
-    matrix: Matrix = None
-    view: View = None
-    device: TorchDevice = "auto"
+    matrix: fields.Matrix = None
+    view: fields.View = None
+    device: fields.TorchDevice = "auto"
     resume: Annotated[
         bool,
         Field(
@@ -101,25 +75,27 @@ class LearnDesign(Command):
             "one: its state is in a file beside --out, whose name ends in .checkpoint"
         ),
     ] = False
-    force: Force = False
+    force: fields.Force = False
 
     def run(self, terminal: Terminal) -> Outcome:
         """Train, save and test."""
-        check_file(self.out, DESIGN_ENDINGS, force=True)  # one of the same settings is replaced
-        check_data(self.data, self.view)
+        fields.check_file(
+            self.out, DESIGN_ENDINGS, force=True
+        )  # one of the same settings is replaced
+        check_scenes(self.data, self.view)
         from deepfsi.evaluation import evaluate
         from deepfsi.training import learn
 
         matrix = None if self.matrix is None else read_matrix(self.matrix)
         settings = dict(self.settings)
         counts = settings.pop("counts", None)
-        counts = None if counts is None else read_text("counts", number, counts)
+        counts = None if counts is None else fields.parse_option("counts", fields.number, counts)
         scenes = load_dataset(self.data, size=self.size, skip_bad=self.skip_bad, normal=self.normal)
         if self.view is not None:
             scenes = view_dataset(scenes, self.view)
-        fields = _job_fields(settings, scenes, matrix)
-        job = find_job(fields, counts)
-        check_sigma(settings, (job.camera.noise_name, job.noise))
+        asked = _job_fields(settings, scenes, matrix)
+        job = find_job(asked, counts)
+        fields.check_sigma(settings, (job.camera.noise_name, job.noise))
         _check_test(job)
         trained = scenes.hold_out(self.hold_out) if self.hold_out else scenes
         if self.out.exists() and not self.force:
@@ -132,7 +108,7 @@ class LearnDesign(Command):
                 matrix=matrix,
                 device=self.device,
                 checkpoint=self._checkpoint(),
-                **fields,
+                **asked,
             )
         lowest = design.info["job"]["photons"]
         design.save(self.out)
@@ -177,7 +153,7 @@ def _job_fields(
     settings = dict(options)
     if "photons" in settings:
         text = settings["photons"]
-        ends = [read_text("photons", number, end) for end in text.split(":")]
+        ends = [fields.parse_option("photons", fields.number, end) for end in text.split(":")]
         if len(ends) > 2 or not 0 < ends[0] <= ends[-1]:
             raise InputError(
                 f"--photons {text!r} is not allowed: give a number above 0, or LOW:HIGH such as "
@@ -185,7 +161,7 @@ def _job_fields(
             )
         settings |= {"photons": ends[0], "span": ends[-1] / ends[0]}
     if "masks" in settings:
-        settings["masks"] = read_text("masks", whole_number, settings["masks"])
+        settings["masks"] = fields.parse_option("masks", fields.whole_number, settings["masks"])
     job = sorted_settings(settings)
     job["camera"] = Camera.load(job.get("camera"))
     if matrix is not None:
@@ -287,13 +263,13 @@ class ShowDesign(Command):
     Example: deepfsi show digits.safetensors -o masks.png
     """
 
-    file: Annotated[Path, argument("design file")]
+    file: Annotated[Path, fields.argument("design file")]
     out: Annotated[
         Path | None,
         Field(description="picture: .png, .svg or .pdf; .png beside the design unless given"),
     ] = None
     count: Annotated[int, Field(description="at most this many masks")] = 24
-    force: Force = False
+    force: fields.Force = False
 
     def run(self, terminal: Terminal) -> Outcome:
         """Picture of the masks."""
@@ -301,8 +277,8 @@ class ShowDesign(Command):
         if out is None:  # beside a file; of a published design's name here
             name = Path(f"{self.file.name}.png")
             out = self.file.with_suffix(".png") if self.file.exists() else name
-        file = check_design_file(self.file)
-        check_file(out, PICTURES, self.force)
+        file = fields.check_design_file(self.file)
+        fields.check_file(out, fields.PICTURES, self.force)
         from deepfsi.design import load_design
         from deepfsi.lab import data_of
         from deepfsi.report.looks import looks_figure
@@ -336,16 +312,16 @@ class WritePage(Command):
     Example: deepfsi page digits.safetensors -o digits.html
     """
 
-    file: DesignOrPatterns
-    out: Annotated[Path, Output((".html",)), Field(description="the page, .html")]
-    data: TestData = None
-    size: Size = None
-    seed: NoiseSeed = 0
-    force: Force = False
+    file: fields.DesignOrPatterns
+    out: Annotated[Path, fields.Output((".html",)), Field(description="the page, .html")]
+    data: fields.TestData = None
+    size: fields.Size = None
+    seed: fields.NoiseSeed = 0
+    force: fields.Force = False
 
     def run(self, terminal: Terminal) -> Outcome:
         """The page, with its measured accuracy."""
-        check_data(self.data)
+        check_scenes(self.data)
         from deepfsi.evaluation import check_playable, playable
         from deepfsi.lab import data_of, open_design
         from deepfsi.report.playground.page import write_page
@@ -372,17 +348,22 @@ class ExportClassifier(Command):
     Example: deepfsi export digits.safetensors -o digits.onnx
     """
 
-    file: Annotated[Path, argument("design file, or a folder of patterns that `dmd export` wrote")]
+    file: Annotated[
+        Path, fields.argument("design file, or a folder of patterns that `dmd export` wrote")
+    ]
     out: Annotated[Path | None, Field(description="the design's name with .onnx unless given")] = (
         None
     )
-    trust: Trust = False
-    force: Force = False
+    trust: fields.Trust = False
+    force: fields.Force = False
 
     def run(self, terminal: Terminal) -> Outcome:
         """The graph, and the shapes of what goes in and out."""
-        target, file = self.out or self.file.with_suffix(".onnx"), check_design_file(self.file)
-        check_file(target, (".onnx",), self.force)
+        target, file = (
+            self.out or self.file.with_suffix(".onnx"),
+            fields.check_design_file(self.file),
+        )
+        fields.check_file(target, (".onnx",), self.force)
         from deepfsi.design import to_onnx
         from deepfsi.lab import open_design
 
@@ -416,16 +397,16 @@ class WriteMask(Command):
     Example: deepfsi mask passing.safetensors --pixel 5 -o pattern.svg
     """
 
-    file: Annotated[DesignPath, argument("design file of scenes that pass a pattern")]
+    file: Annotated[fields.DesignPath, fields.argument("design file of scenes that pass a pattern")]
     out: Annotated[
         Path,
-        Output((".svg", ".png")),
+        fields.Output((".svg", ".png")),
         Field(description="photomask: .svg (polygons, binary patterns) or .png"),
     ]
     pixel: Annotated[
         float, Field(description="side of a pixel on the mask, micrometres: that of a scene there")
     ]
-    force: Force = False
+    force: fields.Force = False
 
     def run(self, terminal: Terminal) -> Outcome:
         """The pattern, with its size."""

@@ -42,7 +42,7 @@ PROBE = 2**20
 """Bytes that must fit a disk before any work whose result goes there."""
 
 PICTURES = (".png", ".svg", ".pdf")
-TABLES = (".csv", ".parquet")
+TABLE_FILES = (".csv", ".parquet")
 """Ends of the names of files."""
 
 
@@ -255,7 +255,7 @@ def number(text: str) -> float:
     return value
 
 
-def read_text(option: str, read: Callable[[str], T], text: str) -> T:
+def parse_option(option: str, read: Callable[[str], T], text: str) -> T:
     """What is read of an option that a command has of a model, or `InputError` that names it.
 
     Parameters

@@ -1,13 +1,12 @@
 """Commands that train many designs: compare, plan, sweep, reproduce, report."""
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import nullcontext
 from dataclasses import asdict, replace
 from importlib import import_module
 from importlib.resources import as_file, files
 from importlib.util import find_spec
-from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -19,47 +18,17 @@ from deepfsi.base import (
     budget_text,
     closest_choice,
     duration_text,
-    rate_text,
     read_toml,
-    short_name,
     write_atomically,
 )
 from deepfsi.base.models import Count
 from deepfsi.camera import Camera
+from deepfsi.cli import fields
 from deepfsi.cli.command import Command
-from deepfsi.cli.evaluate import check_data, data_lines, error_text, worst_text
-from deepfsi.cli.fields import (
-    TABLES,
-    Data,
-    Designs,
-    Folds,
-    Force,
-    Matrix,
-    Normal,
-    Number,
-    Ratios,
-    Ray,
-    Size,
-    SkipBad,
-    StudyFolder,
-    TorchDevice,
-    Trials,
-    WorkerCount,
-    argument,
-    check_file,
-    check_folder,
-    check_sigma,
-    check_there,
-    job_options,
-    number,
-    read_text,
-    split_commas,
-    whole_number,
-)
+from deepfsi.cli.evaluate import check_scenes, data_lines
 from deepfsi.cli.terminal import Outcome, Terminal
 from deepfsi.datasets import load_dataset
 from deepfsi.jobs import DESIGNS, EVERY_PIXEL, find_table, read_matrix
-from deepfsi.measures import main_measure
 
 if TYPE_CHECKING:
     from importlib.resources.abc import Traversable
@@ -70,7 +39,7 @@ if TYPE_CHECKING:
     from deepfsi.datasets import Dataset
     from deepfsi.sweeps.forecast import Forecast
     from deepfsi.sweeps.recipe import Recipe
-    from deepfsi.sweeps.results import Point, Results
+    from deepfsi.sweeps.results import Results
 
 PAPER = "deepfsi_paper"
 """The paper's experiments: a package of their own, beside this one, which works without it."""
@@ -106,28 +75,28 @@ class CompareDesigns(Command):
     Example: deepfsi compare --data mnist --photons 1e3,1e4 --ratios 0.01,0.04 -o runs/mnist
     """
 
-    settings: Annotated[dict[str, Any], job_options(axes=True, leave=("design", "seed"))]
-    out: StudyFolder = Path("runs/compare")
-    data: Data = "digits"
-    size: Size = None
-    skip_bad: SkipBad = False
-    normal: Normal = None
-    designs: Designs = None
-    ratios: Ratios = None
-    trials: Trials = None
-    folds: Folds = None
-    matrix: Matrix = None
+    settings: Annotated[dict[str, Any], fields.job_options(axes=True, leave=("design", "seed"))]
+    out: fields.StudyFolder = Path("runs/compare")
+    data: fields.Data = "digits"
+    size: fields.Size = None
+    skip_bad: fields.SkipBad = False
+    normal: fields.Normal = None
+    designs: fields.Designs = None
+    ratios: fields.Ratios = None
+    trials: fields.Trials = None
+    folds: fields.Folds = None
+    matrix: fields.Matrix = None
     recipe: Annotated[
         str | None,
         Field(description="name of a recipe, or TOML file; options given here override it"),
     ] = None
-    device: TorchDevice = "auto"
-    workers: WorkerCount = None
-    force: Force = False
+    device: fields.TorchDevice = "auto"
+    workers: fields.WorkerCount = None
+    force: fields.Force = False
 
     def run(self, terminal: Terminal) -> Outcome:
         """Results, a page of them and the verdict."""
-        check_data(self.data)
+        check_scenes(self.data)
         base: dict[str, Any] = {"data": self.data}
         file = read_recipe(self.recipe) if self.recipe else {}
         from deepfsi.sweeps.recipe import only
@@ -141,13 +110,13 @@ class CompareDesigns(Command):
         elif self.data == "digits" and not (self.ratios or self.trials or "masks" in self.settings):
             base |= QUICK
         unnamed = not (self.designs or self.matrix or "designs" in base)
-        fields = self.given("size", "skip_bad", "normal", "designs", "ratios", "trials", "folds")
+        chosen = self.given("size", "skip_bad", "normal", "designs", "ratios", "trials", "folds")
         if self.data != "digits":
-            fields["data"] = self.data
-        recipe, scenes = _checked(recipe_settings(self.settings, fields, base), matrix)
+            chosen["data"] = self.data
+        recipe, scenes = _checked(recipe_settings(self.settings, chosen, base), matrix)
         if unnamed:
             recipe = with_adaptive(recipe, scenes)
-        check_sigma(self.settings, (*recipe.noises, *recipe.test_noise))
+        fields.check_sigma(self.settings, (*recipe.noises, *recipe.test_noise))
         if not self.force:
             check_kept(self.out, recipe, scenes, matrix)
         with terminal.progress("compare") as report:
@@ -177,31 +146,31 @@ class PlanPhotons(Command):
     Example: deepfsi plan --data mnist --target 0.9 --designs pca,deepfsi -o runs/plan
     """
 
-    settings: Annotated[dict[str, Any], job_options(axes=True, leave=("design", "seed"))]
-    target: Annotated[Number, Field(description="target accuracy, such as 0.95")]
-    out: StudyFolder = Path("runs/plan")
-    data: Data = "digits"
-    size: Size = None
-    skip_bad: SkipBad = False
-    designs: Designs = None
-    ratios: Ratios = None
-    trials: Trials = None
-    device: TorchDevice = "auto"
-    workers: WorkerCount = None
-    force: Force = False
+    settings: Annotated[dict[str, Any], fields.job_options(axes=True, leave=("design", "seed"))]
+    target: Annotated[fields.Number, Field(description="target accuracy, such as 0.95")]
+    out: fields.StudyFolder = Path("runs/plan")
+    data: fields.Data = "digits"
+    size: fields.Size = None
+    skip_bad: fields.SkipBad = False
+    designs: fields.Designs = None
+    ratios: fields.Ratios = None
+    trials: fields.Trials = None
+    device: fields.TorchDevice = "auto"
+    workers: fields.WorkerCount = None
+    force: fields.Force = False
 
     def run(self, terminal: Terminal) -> Outcome:
         """Photons, masks and detectors that each design needs."""
-        check_data(self.data)
+        check_scenes(self.data)
         from deepfsi.sweeps.planning import check_plan, photons_needed
         from deepfsi.sweeps.results import write_results
         from deepfsi.sweeps.run import check_kept
         from deepfsi.sweeps.workers import Workers
 
-        fields = self.given("size", "skip_bad", "designs", "ratios", "trials")
-        fields["data"] = self.data
-        recipe, scenes = _checked(recipe_settings(self.settings, fields, PLANNED))
-        check_sigma(self.settings, recipe.noises)
+        chosen = self.given("size", "skip_bad", "designs", "ratios", "trials")
+        chosen["data"] = self.data
+        recipe, scenes = _checked(recipe_settings(self.settings, chosen, PLANNED))
+        fields.check_sigma(self.settings, recipe.noises)
         check_plan(recipe, scenes, self.target)
         if not self.force:
             check_kept(self.out, recipe, scenes)
@@ -283,7 +252,7 @@ class SweepRecipe(Command):
     """
 
     recipe: Annotated[
-        str, argument("name of a recipe, such as mnist, or TOML file; lists are axes")
+        str, fields.argument("name of a recipe, such as mnist, or TOML file; lists are axes")
     ]
     part_name: Annotated[
         str | None, Field(alias="part", description="part of a recipe that has several")
@@ -296,24 +265,24 @@ class SweepRecipe(Command):
         False
     )
     out: Annotated[Path, Field(description="output folder")] = Path("runs/sweep")
-    folds: Folds = None
-    workers: WorkerCount = None
-    ray: Ray = None
-    device: TorchDevice = "auto"
+    folds: fields.Folds = None
+    workers: fields.WorkerCount = None
+    ray: fields.Ray = None
+    device: fields.TorchDevice = "auto"
     dry_run: Annotated[bool, Field(description="estimate the time on this machine, and stop")] = (
         False
     )
     table: Annotated[
         Path | None, Field(description="write all records as one table, .csv or .parquet")
     ] = None
-    force: Force = False
+    force: fields.Force = False
 
     def run(self, terminal: Terminal) -> Outcome:
         """Results and a page of them; or how long they would take."""
         if not self.dry_run:
-            check_folder(self.out)
+            fields.check_folder(self.out)
         if self.table is not None:
-            check_file(self.table, TABLES, self.force, made=self.out)
+            fields.check_file(self.table, fields.TABLE_FILES, self.force, made=self.out)
         file = read_recipe(self.recipe)
         from deepfsi.sweeps.recipe import only
         from deepfsi.sweeps.records import write_table
@@ -375,7 +344,7 @@ class ReproducePaper(Command):
 
     name: Annotated[
         str,
-        argument(
+        fields.argument(
             "mnist, compression, mlgauss, quantization, indian-pines, ovit, hardware, flexible, "
             "detectors, adaptive, or list"
         ),
@@ -386,15 +355,15 @@ class ReproducePaper(Command):
         Count | None, Field(description="training seeds for each point, if not the recipe's")
     ] = None
     ratios: Annotated[
-        Ratios, Field(description="compression ratios, if not the recipe's: 0.01,0.16,1")
+        fields.Ratios, Field(description="compression ratios, if not the recipe's: 0.01,0.16,1")
     ] = None
     part_name: Annotated[
         str | None,
         Field(alias="part", description="the only part to run, of a recipe with several parts"),
     ] = None
-    workers: WorkerCount = None
-    ray: Ray = None
-    device: TorchDevice = "auto"
+    workers: fields.WorkerCount = None
+    ray: fields.Ray = None
+    device: fields.TorchDevice = "auto"
 
     def run(self, terminal: Terminal) -> Outcome:
         """The page of the experiments, and which claims hold."""
@@ -407,7 +376,7 @@ class ReproducePaper(Command):
         ]
         for experiment in experiments:
             experiment.recipes(self.quick, self.trials)
-        check_folder(self.out)
+        fields.check_folder(self.out)
         for experiment in experiments:
             with terminal.progress(experiment.name) as report:
                 experiment.run(
@@ -473,11 +442,11 @@ class WriteReport(Command):
     Example: deepfsi report runs/paper
     """
 
-    folder: Annotated[Path, argument("output of compare, sweep or reproduce")]
+    folder: Annotated[Path, fields.argument("output of compare, sweep or reproduce")]
 
     def run(self, terminal: Terminal) -> Outcome:
         """The page, written again."""
-        check_there(self.folder, "the output of compare, sweep or reproduce")
+        fields.check_there(self.folder, "the output of compare, sweep or reproduce")
         from deepfsi.report.comparison_page import build
 
         is_study = _has_paper() and paper_studies().is_study(self.folder)
@@ -523,7 +492,7 @@ def read_recipe(source: str) -> dict[str, Any]:
 
 
 def recipe_settings(
-    options: Mapping[str, Any], fields: Mapping[str, Any], base: Mapping[str, Any]
+    options: Mapping[str, Any], chosen: Mapping[str, Any], base: Mapping[str, Any]
 ) -> dict[str, Any]:
     """Settings of the recipe that the options of a command ask for.
 
@@ -531,27 +500,28 @@ def recipe_settings(
     ----------
     options : mapping
         Those of a job that were given, as text: axes.
-    fields : mapping
+    chosen : mapping
         Fields of the recipe itself that were given.
     base : mapping
         Settings that hold where no option overrides them.
     """
-    given = dict(fields)
-    if "masks" in options and "ratios" in given:
+    if "masks" in options and "ratios" in chosen:
         raise InputError("--masks and --ratios are two ways to say one thing: give one, not both")
+    given = dict(chosen)
     tables: dict[str, dict[str, Any]] = {"camera": {}, "exposure": {}, "training": {}}
     for name, text in options.items():
         table, key = find_table(name)
-        axis: list[Any] = read_text(name, split_commas, text) if isinstance(text, str) else [text]
+        axis: list[Any] = [text]  # of a flag
+        if isinstance(text, str):
+            axis = fields.parse_option(name, fields.split_commas, text)
         if name == "camera":
-            tables["camera"] = {**Camera.load(text).given_fields, **tables["camera"]}
+            tables["camera"] = Camera.load(text).given_fields
         elif name == "hidden":  # widths of one network
-            tables[table][key] = [[read_text(name, whole_number, width) for width in axis]]
+            tables[table][key] = [[_read(name, width) for width in axis]]
         elif table:
             tables[table][key] = axis
         else:
-            read = whole_number if name == "masks" else number
-            given[key] = [read_text(name, read, value) for value in axis]
+            given[key] = [_read(name, value) for value in axis]
     replaced = {"masks": "ratios", "ratios": "masks"}
     left_out = {replaced[name] for name in given if name in replaced}
     merged = {name: value for name, value in base.items() if name not in left_out} | given
@@ -566,6 +536,12 @@ def recipe_settings(
             for design, of in tuned.items()
         }
     return merged
+
+
+def _read(option: str, text: str) -> float:
+    """Number of an option, a whole one of masks and of widths."""
+    read = fields.number if option == "photons" else fields.whole_number
+    return fields.parse_option(option, read, text)
 
 
 def _checked(
@@ -593,7 +569,12 @@ def results_outcome(results: "Results", folder: Path) -> Outcome:
     folder : Path
         Of the records.
     """
-    from deepfsi.report.comparison_page import build, leader_differences, scenes_text
+    from deepfsi.report.comparison_page import (
+        build,
+        comparison_lines,
+        leader_differences,
+        scenes_text,
+    )
     from deepfsi.report.verdict import verdict_of
     from deepfsi.sweeps.results import write_results
 
@@ -614,74 +595,7 @@ def results_outcome(results: "Results", folder: Path) -> Outcome:
         },
         [
             *data_lines(results.data, notes),
-            *_results_lines(results),
-            verdict.text,
+            *comparison_lines(results),
             f"report: {page}",
-        ],
-    )
-
-
-def _results_lines(results: "Results") -> Iterator[str | Table]:
-    """Accuracies, a row for each design and a column for each budget, and what they cover."""
-    from deepfsi.report.accuracy import noises
-    from deepfsi.report.comparison_page import best_table
-    from deepfsi.report.verdict import uneven_point
-
-    tables = {noise: best_table(results, noise) for noise in noises(results)}
-    budgets = sorted({photons for table in tables.values() for photons in table["budgets"]})
-    several = len(tables) > 1
-    rows = []
-    for noise, table in tables.items():
-        for name, _, cells in table["rows"]:
-            at = {
-                cell.photons: rate_text(cell.accuracy, cell.low, cell.high).replace(" ", "")
-                + " *"[cell in table["leaders"][cell.photons]]
-                for cell in cells
-                if cell
-            }
-            under = (noise,) if several else ()
-            rows.append((name, *under, *(at.get(photons, "– ") for photons in budgets)))
-    yield Table(
-        f"{main_measure(results.data.measure).title} by photon budget",
-        ("design", *("noise",) * several, *(f"{budget_text(photons)} " for photons in budgets)),
-        rows,
-    )
-    best = [point for point in results.points if point.best]
-    for point in best:
-        if point.one_class:
-            yield f"{point.title} at {budget_text(point.photons)} photons answers one class only"
-    aside = ", impulse imaging aside" if any(point.every_pixel for point in best) else ""
-    yield (
-        f"* the highest{aside}, and all that cannot be told apart from it; chance is "
-        f"{results.data.chance:.3f}"
-    )
-    covers = "; ".join(dict.fromkeys(point.covers for point in best))
-    yield f"± half of the 95 % interval: {covers}"
-    if (uneven := uneven_point(best)) is not None:
-        worst = worst_text(uneven.worst, results.data.classes[uneven.worst_class])
-        yield (
-            f"each class counting alike, {uneven.title} at {budget_text(uneven.photons)} photons "
-            f"has a balanced accuracy of {uneven.balanced or 0:.3f}, worst class {worst}; the "
-            "report has those of all"
-        )
-    if results.data.values:
-        yield _table_of_values(results, best)
-
-
-def _table_of_values(results: "Results", best: "Sequence[Point]") -> Table:
-    """Errors of each value, beside those of the best linear estimator."""
-    from deepfsi.report.accuracy import key_of, series_axes, series_names
-
-    axes = series_axes(results)
-    names = series_names(best, axes)
-    return Table(
-        "root mean squared error (best linear estimator)",
-        ("design", "photons", *map(short_name, results.data.values)),
-        [
-            (
-                *(names[key_of(point, axes)], budget_text(point.photons)),
-                *(error_text(*each) for each in zip_longest(point.rmse, point.bound)),
-            )
-            for point in sorted(best, key=lambda point: (point.photons, -point.accuracy))
         ],
     )

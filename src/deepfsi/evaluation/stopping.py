@@ -10,6 +10,7 @@ The probabilities are calibrated (`confidence`). The threshold is chosen on scen
 out of the training, at one budget, and holds near that one only. The test scenes are used once.
 """
 
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -18,7 +19,7 @@ from numpy.typing import ArrayLike
 from pydantic import model_serializer
 from scipy.special import log_softmax
 
-from deepfsi.base import InputError, as_input_error
+from deepfsi.base import InputError, Table, as_input_error, budget_text
 from deepfsi.base.numeric import accuracy_interval
 from deepfsi.camera import StopRule, check_budget
 from deepfsi.datasets import Dataset, Source, as_dataset
@@ -188,6 +189,33 @@ class Stopped:
     def as_dict(self) -> dict[str, Any]:
         """JSON types only."""
         return asdict(self) | {"rule": self.rule.as_dict()}
+
+    def lines(self, size: str) -> Iterator[str | Table]:
+        """Say what stopping saves and costs, of a design whose size is said in words."""
+        rates = {
+            "share of photons used": self.used,
+            "accuracy, whole exposures": self.whole,
+            "accuracy, stopped": self.stopped,
+            "difference, paired": self.difference,
+        }
+        yield Table(
+            f"{size}, {budget_text(self.photons)} photons, stopped above {self.rule.threshold:.5g}",
+            ("", "mean", "95 % interval"),
+            [
+                (head, f"{rate.mean:.4f}", f"[{rate.low:.4f}, {rate.high:.4f}]")
+                for head, rate in rates.items()
+            ],
+        )
+        yield (
+            f"calibration error of the answers: {self.calibration_error:.4f} "
+            f"({self.uncalibrated_error:.4f} without temperatures)"
+        )
+        surest = {round(each["accepted"], 2): each["stopped"] for each in self.rejection}
+        yield (
+            f"the surest 90 % of the answers: {surest[0.9]:.4f} right; the surest half: "
+            f"{surest[0.5]:.4f}"
+        )
+        yield f"interval: {self.covers}"
 
 
 class _Confidence:

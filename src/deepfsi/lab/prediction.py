@@ -3,6 +3,7 @@
 import csv
 import io
 import os
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 import numpy as np
 import numpy.typing as npt
 
-from deepfsi.base import InputError, plain_keywords
+from deepfsi.base import InputError, Message, Table, budget_text, plain_keywords
 from deepfsi.camera import Camera, CameraSettings, CameraSource, check_budget
 from deepfsi.designfile import Score, scene_hashes, was_trained_on
 from deepfsi.lab.classify import dim_scenes
@@ -74,6 +75,24 @@ class Predictions:
         """JSON types only."""
         pictures = [picture.as_dict() for picture in self.pictures]
         return vars(self) | {"score": self.score.as_dict(), "pictures": pictures}
+
+    def lines(self, design: str) -> Iterator[str | Table]:
+        """Say the class of each picture, by a design whose name and size are said in words."""
+        yield f"pictures: {self.preprocessing}."
+        yield Table(
+            f"{design}, {budget_text(self.photons)} photons, {self.noise} noise",
+            ("picture", "class", "confidence", "labelled"),
+            [
+                (each.name, each.predicted, f"{each.confidence:.3f}", each.label or "")
+                for each in self.pictures
+            ],
+        )
+        labelled = sum(each.label is not None for each in self.pictures)
+        if foreign := labelled - self.score.answers:
+            yield f"{foreign} pictures have labels that are none of the design's classes: left out"
+        for remark in self.remarks:
+            yield Message("note: {remark}", remark=remark)
+        yield from self.score.lines("picture")
 
     def as_csv(self) -> str:
         """Table with a line for each picture."""

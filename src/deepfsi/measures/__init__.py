@@ -1,6 +1,13 @@
 """What answers are measured by: one table, and the results of tests made with it (no torch)."""
 
 from deepfsi.measures.answers import MOST_DRAWS, Answers, ClassAnswers, ValueAnswers
+from deepfsi.measures.lines import (
+    details_text,
+    error_text,
+    results_lines,
+    score_text,
+    worst_text,
+)
 from deepfsi.measures.reliability import (
     calibration_error,
     chance_error,
@@ -25,5 +32,10 @@ __all__ = [
     "chance_error",
     "confidence_error",
     "confidence_groups",
+    "details_text",
+    "error_text",
     "main_measure",
+    "results_lines",
+    "score_text",
+    "worst_text",
 ]

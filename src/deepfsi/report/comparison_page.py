@@ -3,25 +3,33 @@
 import os
 import shlex
 from collections.abc import Iterable, Iterator
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from markupsafe import Markup
 
-from deepfsi.base import InputError, write_atomically
+from deepfsi.base import (
+    InputError,
+    Table,
+    budget_text,
+    rate_text,
+    short_name,
+    write_atomically,
+)
 from deepfsi.base.numeric import accuracy_difference, confusion_table
 from deepfsi.camera import LIGHT_LAWS, noise_text
 from deepfsi.designfile import DesignFile
 from deepfsi.jobs import ADAPTIVE
-from deepfsi.measures import MEASURES, main_measure
+from deepfsi.measures import MEASURES, error_text, main_measure, worst_text
 from deepfsi.report import accuracy
 from deepfsi.report.figures import Figures
 from deepfsi.report.masks import lit_masks, masks_figure, peak, signed, values_figure
 from deepfsi.report.rendering import capital, flat, render, share_text
 from deepfsi.report.style import photons_text
 from deepfsi.report.terms import DESIGNS, lit_text
-from deepfsi.report.verdict import Verdict, better, ranking, verdict_of
+from deepfsi.report.verdict import Verdict, better, ranking, uneven_point, verdict_of
 from deepfsi.sweeps.results import Data, Point, Results, read_results
 
 MASKS_SHOWN = 12
@@ -451,3 +459,69 @@ def _mask_panel(point: Point, design: DesignFile, number: str, figures: Figures)
         "drawn": figures.add(f"masks-{number}", drawn, f"{words}, {shown}."),
         "spread": figures.add(f"values-{number}", values, said),
     }
+
+
+def comparison_lines(results: Results) -> Iterator[str | Table]:
+    """A comparison for a terminal: a row for each design, a column for each budget, the verdict.
+
+    Parameters
+    ----------
+    results : Results
+    """
+    tables = {noise: best_table(results, noise) for noise in accuracy.noises(results)}
+    budgets = sorted({photons for table in tables.values() for photons in table["budgets"]})
+    several = len(tables) > 1
+    rows = []
+    for noise, table in tables.items():
+        for name, _, cells in table["rows"]:
+            at = {
+                cell.photons: rate_text(cell.accuracy, cell.low, cell.high).replace(" ", "")
+                + " *"[cell in table["leaders"][cell.photons]]
+                for cell in cells
+                if cell
+            }
+            under = (noise,) if several else ()
+            rows.append((name, *under, *(at.get(photons, "– ") for photons in budgets)))
+    yield Table(
+        f"{main_measure(results.data.measure).title} by photon budget",
+        ("design", *("noise",) * several, *(f"{budget_text(photons)} " for photons in budgets)),
+        rows,
+    )
+    best = [point for point in results.points if point.best]
+    for point in best:
+        if point.one_class:
+            yield f"{point.title} at {budget_text(point.photons)} photons answers one class only"
+    aside = ", impulse imaging aside" if any(point.every_pixel for point in best) else ""
+    yield (
+        f"* the highest{aside}, and all that cannot be told apart from it; chance is "
+        f"{results.data.chance:.3f}"
+    )
+    covers = "; ".join(dict.fromkeys(point.covers for point in best))
+    yield f"± half of the 95 % interval: {covers}"
+    if (uneven := uneven_point(best)) is not None:
+        worst = worst_text(uneven.worst, results.data.classes[uneven.worst_class])
+        yield (
+            f"each class counting alike, {uneven.title} at {budget_text(uneven.photons)} photons "
+            f"has a balanced accuracy of {uneven.balanced or 0:.3f}, worst class {worst}; the "
+            "report has those of all"
+        )
+    if results.data.values:
+        yield _table_of_values(results, best)
+    yield verdict_of(results).text
+
+
+def _table_of_values(results: Results, best: Iterable[Point]) -> Table:
+    """Errors of each value, beside those of the best linear estimator."""
+    axes = accuracy.series_axes(results)
+    names = accuracy.series_names(best, axes)
+    return Table(
+        "root mean squared error (best linear estimator)",
+        ("design", "photons", *map(short_name, results.data.values)),
+        [
+            (
+                *(names[accuracy.key_of(point, axes)], budget_text(point.photons)),
+                *(error_text(*each) for each in zip_longest(point.rmse, point.bound)),
+            )
+            for point in sorted(best, key=lambda point: (point.photons, -point.accuracy))
+        ],
+    )

@@ -54,7 +54,7 @@ class Usb:
     FAILED = 1 << 5
 
 
-class Command:
+class CommandCode:
     """Commands, and what they are sent with."""
 
     ERROR_CODE = 0x0100
@@ -131,7 +131,7 @@ class _Link:
 
     def check(self, command: int) -> None:
         """Raise what the last command refused, if it did."""
-        if code := self.read(Command.ERROR_CODE):
+        if code := self.read(CommandCode.ERROR_CODE):
             reason = ERRORS.get(code, f"error {code}")
             raise InputError(f"the DLPC900 refused command 0x{command:04X}: {reason}")
 
@@ -164,7 +164,7 @@ class _Link:
                 f"the DLPC900 does not answer command 0x{command:04X}: switch the board off and on"
             )
         if reply[0] & Usb.FAILED:
-            if command != Command.ERROR_CODE:
+            if command != CommandCode.ERROR_CODE:
                 self.check(command)
             raise InputError(f"the DLPC900 refused command 0x{command:04X} and gives no reason")
         return reply[4 : 4 + int.from_bytes(reply[2:4], "little")]
@@ -190,7 +190,7 @@ class Dlpc900Projector:
             device.open(Usb.VENDOR, Usb.PRODUCT)
             try:
                 link = _Link(device)
-                kind = link.read(Command.HARDWARE)
+                kind = link.read(CommandCode.HARDWARE)
                 if kind not in DMDS:
                     raise InputError(
                         f"the DLPC900 has a device of hardware type {kind}, which is none of "
@@ -229,11 +229,11 @@ class Dlpc900Projector:
         if not self._pass_s:
             raise InputError("no patterns on the DLPC900: load a pattern folder first")
         with _refusals("show patterns"):
-            if link.read(Command.MAIN_STATUS) & Status.RUNS:
+            if link.read(CommandCode.MAIN_STATUS) & Status.RUNS:
                 raise InputError("the DLPC900 still shows a pass: wait for it or halt it")
             # Stopped first, so that a start begins with the first pattern
-            link.write(Command.START_STOP, Command.STOP)
-            link.write(Command.START_STOP, Command.START)
+            link.write(CommandCode.START_STOP, CommandCode.STOP)
+            link.write(CommandCode.START_STOP, CommandCode.START)
         self._due = time.monotonic() + self._pass_s
 
     def wait(self) -> None:
@@ -241,7 +241,7 @@ class Dlpc900Projector:
         link, _, _ = self._open()
         with _refusals("show patterns"):
             # It may say that it stands before the first pattern is shown
-            while time.monotonic() < self._due or link.read(Command.MAIN_STATUS) & Status.RUNS:
+            while time.monotonic() < self._due or link.read(CommandCode.MAIN_STATUS) & Status.RUNS:
                 if time.monotonic() > self._due + LATEST_S:
                     raise InputError(
                         f"the frames should have ended {LATEST_S:g} s ago and have not: check that "
@@ -254,7 +254,7 @@ class Dlpc900Projector:
         """Stop at once."""
         link, _, _ = self._open()
         with _refusals("be halted"):
-            link.write(Command.START_STOP, Command.STOP)
+            link.write(CommandCode.START_STOP, CommandCode.STOP)
 
     def _open(self) -> tuple[_Link, Device, int]:
         if self._board is None:
@@ -270,7 +270,7 @@ class Dlpc900Projector:
 
 def _healthy(link: _Link) -> int:
     """Hardware status, if it has no fault."""
-    status = link.read(Command.HARDWARE_STATUS)
+    status = link.read(CommandCode.HARDWARE_STATUS)
     if status & Status.FAULTS or not status & Status.READY:
         raise InputError(
             f"the DLPC900 reports a fault, hardware status 0x{status:02X}: check the board and its "
@@ -311,7 +311,7 @@ def _load(link: _Link, pictures: list[tuple[bytes, ...]], report: Progress) -> N
     total = sum(len(half) for halves in pictures for half in halves)
     sent = 0
     for index, halves in reversed(list(enumerate(pictures))):
-        for content, (begin, fill) in zip(halves, Command.LOADS, strict=False):
+        for content, (begin, fill) in zip(halves, CommandCode.LOADS, strict=False):
             link.write(begin, index.to_bytes(2, "little") + len(content).to_bytes(4, "little"))
             for place in range(0, len(content), Usb.PACKET_BYTES):
                 packet = content[place : place + Usb.PACKET_BYTES]

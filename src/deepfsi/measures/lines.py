@@ -1,0 +1,156 @@
+"""Results of tests in lines and tables, as a terminal shows them."""
+
+from collections.abc import Iterator, Sequence
+from itertools import zip_longest
+
+from deepfsi.base import NAME_WIDTH, Table, budget_text, count_text, rate_text, short_name
+from deepfsi.base.numeric import MOST_CLASSES, confusion_shares, frequent_confusions
+from deepfsi.measures.results import Estimates, Result
+from deepfsi.measures.table import Measure
+
+FEW_CLASSES = 5
+"""Classes whose names head the columns of a confusion matrix in full."""
+
+
+def score_text(result: Result | Estimates) -> str:
+    """Test accuracy, or R² of values, with its interval."""
+    main, *_ = result.measures()
+    words = f"{main.title} {_interval(result, main)}"
+    return words if isinstance(result, Estimates) else f"test {words}"
+
+
+def details_text(result: Result | Estimates, classes: Sequence[str]) -> str:
+    """Test of each class in words, or of each value."""
+    if isinstance(result, Estimates):
+        told = ", ".join(map(" ".join, zip(result.values, _answers(result, ()), strict=True)))
+        return f"root mean squared error (of the best linear estimator): {told}"
+    _, balanced, *others = (
+        f"{each.title} {_interval(result, each)}"
+        for each in result.measures()
+        if each.interval and result.score(each.key) is not None
+    )
+    return ", ".join((balanced, f"worst class {_worst(result, classes)}", *others))
+
+
+def results_lines(
+    tests: Sequence[Result | Estimates],
+    *,
+    title: str,
+    classes: Sequence[str] = (),
+    bounds: Sequence[Result] = (),
+) -> Iterator[str | Table]:
+    """Tests of a design in a table, its mistakes, and what the numbers mean.
+
+    Parameters
+    ----------
+    tests : sequence of Result or Estimates
+        At several budgets.
+    title : str
+        Of the table.
+    classes : sequence of str
+        Names of the classes that results are of.
+    bounds : sequence of Result
+        Of the ideal observer of the same counts.
+    """
+    results = sorted(tests, key=lambda r: r.photons)
+    values = results[0].values if isinstance(results[0], Estimates) else []
+    clicks = any(result.clicks for result in results)
+    light = ("counts", "arriving") if clicks else ("counts",)
+    measures = [each for each in results[0].measures() if each.column]
+    main, *others = (each for each in measures if each.interval)
+    last = [each for each in measures if not each.interval]
+    rows = [
+        (
+            budget_text(r.photons),
+            _interval(r, main),
+            *(_number(r.score(each.key)) for each in others),
+            *_answers(r, classes),
+            *(count_text(getattr(r, each)) for each in light),
+            f"{r.throughput:.3f}",
+            *(_number(r.score(each.key)) for each in last),
+        )
+        for r in results
+    ]
+    names = map(short_name, values) if values else ("worst class",)
+    heads = (*(each.column for each in (main, *others)), *names, *light, "counted")
+    heads = ("photons", *heads, *(each.column for each in last))
+    yield Table(title, heads, rows)
+    if values:
+        yield "of each value: root mean squared error (that of the best linear estimator)"
+    for result in results:
+        if isinstance(result, Result):
+            for each in result.measures():
+                if each.interval and not each.column and result.score(each.key) is not None:
+                    where = f"{budget_text(result.photons)} photons"
+                    yield f"{each.title} at {where}: {_interval(result, each)}"
+            yield _confusion_table(result, classes)
+    if bounds:
+        yield Table(
+            "ideal observer of these counts, training scenes as prior",
+            ("photons", main.column),
+            [
+                (budget_text(r.photons), _interval(r, main))
+                for r in sorted(bounds, key=lambda r: r.photons)
+            ],
+        )
+    yield f"± half of the 95 % interval: {results[0].covers}"
+    yield (
+        "counts: clicks of the detectors, arriving: photons that reach them, in the mean over test "
+        "scenes"
+        if clicks
+        else "counts: photons that detectors count, in the mean over test scenes"
+    )
+    reached = "reaches them" if clicks else "they count"
+    yield f"counted: share of the budget that {reached}, in the mean over training scenes"
+    if not values:
+        yield "ECE: expected calibration error, between probabilities and how often they are right"
+
+
+def _confusion_table(result: Result, classes: Sequence[str]) -> Table:
+    """Which classes are taken for which; of many, the most frequent mistakes."""
+    where = f"at {budget_text(result.photons)} photons, % of the true class"
+    if len(classes) > MOST_CLASSES:
+        mistakes = [
+            (classes[i], classes[j], f"{100 * x:.1f}")
+            for i, j, x in frequent_confusions(result.confusion)
+        ]
+        return Table(f"most frequent mistakes {where}", ("true", "answered", "share"), mistakes)
+    rows = [
+        (short_name(name), *(f"{100 * x:.0f}" if x else "" for x in row))
+        for name, row in zip(classes, confusion_shares(result.confusion), strict=True)
+    ]
+    width = NAME_WIDTH if len(classes) <= FEW_CLASSES else 5
+    heads = ("true \\ answered", *(short_name(name, width) for name in classes))
+    return Table(f"answers {where}", heads, rows)
+
+
+def _interval(result: Result | Estimates, measure: Measure) -> str:
+    """A measure that has an interval, with half the width of it."""
+    return rate_text(*(result.score(key) or 0.0 for key in measure.keys))
+
+
+def _number(value: float | None) -> str:
+    """A measure without an interval, of answers that may not have it."""
+    return "–" if value is None else f"{value:.3f}"
+
+
+def _answers(result: Result | Estimates, classes: Sequence[str]) -> tuple[str, ...]:
+    """The worst class; or the error of each value, and that of the best linear estimator."""
+    if isinstance(result, Estimates):
+        errors = zip_longest(result.rmse, result.bound or ())
+        return tuple(error_text(*each) for each in errors)
+    return (_worst(result, classes),)
+
+
+def _worst(result: Result, classes: Sequence[str]) -> str:
+    return worst_text(result.rates[result.worst] or 0.0, classes[result.worst])
+
+
+def error_text(rmse: float, bound: float | None) -> str:
+    """A root mean squared error, and in brackets a bound where there is one: 0.052 (0.071)."""
+    return f"{rmse:.3g}" if bound is None else f"{rmse:.3g} ({bound:.3g})"
+
+
+def worst_text(rate: float, name: str) -> str:
+    """Accuracy of the worst class with its name: 0.083 (oak)."""
+    return f"{rate:.3f} ({short_name(name)})"
