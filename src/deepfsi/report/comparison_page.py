@@ -510,7 +510,7 @@ def comparison_lines(results: Results) -> Iterator[str | Table]:
     yield verdict_of(results).text
 
 
-def _table_of_values(results: Results, best: Iterable[Point]) -> Table:
+def _table_of_values(results: Results, best: list[Point]) -> Table:
     """Errors of each value, beside those of the best linear estimator."""
     axes = accuracy.series_axes(results)
     names = accuracy.series_names(best, axes)
