@@ -134,7 +134,12 @@ def check_playable(design: Design) -> None:
     check_masks(design.info, "a page")
     if design.exposure.makes_masks:
         design.prior_exposure.optics_at(1.0)
-    else:
+    if not design.camera.noise_facts.steady:
+        raise InputError(
+            "this design is for light that fluctuates, and a page draws photon and dark counts of "
+            "steady light: give a design of fluctuation 0"
+        )
+    if not design.exposure.makes_masks:
         _classifier(design)
 
 
@@ -149,11 +154,6 @@ def _classifier(design: Design) -> Mlp:
         )
     camera = design.camera
     noise = camera.noise_facts
-    if not noise.steady:
-        raise InputError(
-            "this design is for light that fluctuates, and a page draws photon and dark counts of "
-            "steady light: give a design of fluctuation 0"
-        )
     if noise.shot and noise.read_noise and camera.sigma:
         raise InputError(
             f"this design is for read noise of {camera.sigma:g} counts, and a page draws photon "

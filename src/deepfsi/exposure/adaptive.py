@@ -120,6 +120,9 @@ def squared_distance(
     covariance = (apart * weights[:, None, :, 0]) @ apart.transpose(1, 2)
     if state.prior.spread:
         covariance = covariance + left @ parts.transpose(1, 2)
+    if state.optics.fluctuation:
+        bright = state.optics.fluctuation * light[..., None]
+        covariance = covariance + bright @ bright.transpose(1, 2)
     noise = torch.diag_embed(expected.clamp(min=1e-6))
     away = (counts - expected)[..., None]
     solved = torch.linalg.solve(covariance * gain**2 + noise, away)

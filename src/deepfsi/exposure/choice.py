@@ -16,7 +16,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from deepfsi.exposure.posterior import AdaptivePosterior
-from deepfsi.physics import Poisson
+from deepfsi.physics import Fluctuation, Poisson
 
 LIKELIEST = 4
 """Classes that the next mask is to separate at most."""
@@ -55,8 +55,12 @@ def next_masks(state: AdaptivePosterior, share: float, generator: torch.Generato
     unknown = left @ parts.transpose(2, 3) if prior.spread else None
     if unknown is not None:
         usual = (counts * drawn[:, None, None]).sum(dim=-1, keepdim=True)
-        usual = usual.clamp(min=1e-6).rsqrt() * gain
-        unknown = unknown * usual * usual.transpose(2, 3)
+        steps = usual.clamp(min=1e-6).rsqrt()
+        scale = steps * gain
+        unknown = unknown * scale * scale.transpose(2, 3)
+        if state.optics.fluctuation:  # alike for all readouts of a look
+            bright = state.optics.fluctuation * (usual - dark) * steps
+            unknown = unknown + bright * bright.transpose(2, 3)
     members = functional.one_hot(prior.labels[places], prior.classes) * drawn[..., None]
     best = information(counts, members, unknown).argmax(dim=1)
     return masks[torch.arange(len(masks)), best]
@@ -171,4 +175,9 @@ def look_at(state: AdaptivePosterior, x: Tensor, share: float, generator: torch.
     """
     masks = next_masks(state, share, generator)
     expected = state.expected(masks, x, share)
-    return Look(masks, Poisson().draw(expected, generator), expected - state.optics.dark * share)
+    dark = state.optics.dark * share
+    light = expected - dark
+    if state.optics.fluctuation:
+        noise = Fluctuation(Poisson(), state.optics.fluctuation)
+        expected = light * noise.brightness(light[:, :1], generator) + dark
+    return Look(masks, Poisson().draw(expected, generator), light)

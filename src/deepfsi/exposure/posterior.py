@@ -7,6 +7,9 @@ k. What the counts tell of e is the same for all k, too, but for a term that is 
 the likelihood of all scenes takes one product a readout, as for e = 0. Counts are then those of a
 negative binomial law, Poisson counts of a light that varies about its mean as e makes it; with
 e = 0 they are Poisson counts, and this is the posterior of the ideal observer of the same masks.
+
+Light that fluctuates is one more number ε of each look, normal and the same for all its readouts,
+which is learned with e while the readouts of the look are taken in, and is then forgotten.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,6 +22,7 @@ from threadpoolctl import threadpool_limits
 from torch import Tensor
 from torch.nn import functional
 
+from deepfsi.base import InputError
 from deepfsi.camera import LIGHT_LAWS, Camera, summed_reflectance
 from deepfsi.designfile import SceneModel, Temperatures
 from deepfsi.jobs import AdaptiveMasks
@@ -275,12 +279,15 @@ class LookOptics:
         2 if the light of mirrors that are OFF is counted, too.
     detectors : tensor, shape (N,), optional
         Detector of each pixel, 0 .. D-1; one detector unless given.
+    fluctuation : float
+        Relative standard deviation of the light from look to look.
     """
 
     photons: float
     dark: float | Tensor = 0.0
     arms: int = 1
     detectors: Tensor | None = None
+    fluctuation: float = 0.0
 
     @classmethod
     def of(cls, camera: Camera, image_shape: tuple[int, ...], photons: float) -> "LookOptics":
@@ -289,7 +296,9 @@ class LookOptics:
         labels = camera.detector_map(image_shape).labels
         arms = LIGHT_LAWS[camera.light].arms
         detectors = None if labels is None else torch.from_numpy(labels)
-        return cls(photons, camera.dark_counts, arms, detectors)
+        return cls(
+            photons, camera.dark_counts, arms, detectors=detectors, fluctuation=camera.fluctuation
+        )
 
     def areas(self, masks: Tensor) -> Tensor:
         """Pixels (D, N) of each detector, 1 where it sees them."""
@@ -333,9 +342,16 @@ class AdaptivePosterior:
     exposures : int
         b.
     optics : LookOptics
+
+    Raises
+    ------
+    InputError
+        If light fluctuates, and the prior has no spread.
     """
 
     def __init__(self, prior: ScenePrior, exposures: int, optics: LookOptics) -> None:
+        if optics.fluctuation and not prior.spread:
+            raise InputError("light that fluctuates needs a prior with a spread: give one above 0")
         self.prior = prior
         self.optics = optics
         self.gain = optics.photons / prior.summed_reflectance
@@ -371,6 +387,14 @@ class AdaptivePosterior:
         """Take in counts (b, Q) behind masks (b, N) that were shown for a share of the exposure."""
         here = self.class_sums.sum(dim=1)  # (b, d): mean scene of the posterior before this look
         mean, parts = self.prior.light(self.optics.readouts(masks))
+        size = here.shape[1]
+        if self.optics.fluctuation:  # ε, one more number that is unknown, of this look
+            usual = mean + self.offset_light(parts)
+            usual = usual + (self.unknown(parts) @ here[..., None])[..., 0]
+            bright = self.optics.fluctuation * usual.clamp(min=0)
+            parts = torch.cat([parts, bright[..., None]], dim=-1)
+            self._known = functional.pad(self._known, (0, 1))
+            self._shift = functional.pad(self._shift, (0, 1))
         dark = torch.as_tensor(self.optics.dark * share, dtype=torch.double)
         darks = dark.expand(counts.shape[1]).tolist()
         for each, at_mean, through, own in zip(
@@ -384,6 +408,8 @@ class AdaptivePosterior:
                 gain=self.gain * share,
                 dark=own,
             )
+        self._known = self._known[..., :size]
+        self._shift = self._shift[:, :size]
         self._weights = self._class_sums = None
         self._looks += 1
 
@@ -396,12 +422,13 @@ class AdaptivePosterior:
         gain: float,
         dark: float,
     ) -> None:
-        """One readout: counts (b,), light of the mean scene (b,) and of the components (b, d)."""
+        """One readout: counts (b,), light of the mean scene (b,) and of e (b, d), or e and ε."""
         least = LEAST_LIGHT * float(self.prior.mean.sum())
         left = self.unknown(through)  # what scenes change of the light, given all before
         offset = at_mean + (through * self._shift).sum(dim=1)
-        usual = (offset + (left * here).sum(dim=1)).clamp(min=least) * gain + dark
-        light = torch.addmm(offset[:, None], left, self.prior.coefficients.T).clamp_(min=least)
+        own = left[:, : here.shape[1]]  # scenes of the prior differ in e alone
+        usual = (offset + (own * here).sum(dim=1)).clamp(min=least) * gain + dark
+        light = torch.addmm(offset[:, None], own, self.prior.coefficients.T).clamp_(min=least)
         # relative to the mean scene: differences of likelihoods alone need float32's digits
         ratio = light.mul_(gain).add_(dark).div_(usual[:, None])
         self.logs.addcmul_(ratio.log(), counts[:, None])

@@ -657,10 +657,6 @@ class AdaptiveMasks(UserModel):
                 "free-dwell or two-arm"
             )
         noise = camera.noise_facts
-        if not noise.steady:
-            raise InputError(
-                "adaptive masks are for photon counts of steady light: leave fluctuation out"
-            )
         exact = noise.counting and not noise.gates
         if not exact or (noise.read_noise and camera.sigma):
             raise InputError(

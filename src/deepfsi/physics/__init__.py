@@ -4,7 +4,7 @@ from deepfsi.physics.clicks import full_gates, to_training_light
 from deepfsi.physics.detection import Detection
 from deepfsi.physics.laws import SLACK, frames, light_law, peak, signed_parts, through
 from deepfsi.physics.masks import FixedMasks, LearnedMasks
-from deepfsi.physics.noise import Click, NoiseFunction, Poisson, noise_of, root
+from deepfsi.physics.noise import Click, Fluctuation, NoiseFunction, Poisson, noise_of, root
 from deepfsi.physics.rails import Rails
 from deepfsi.physics.scanner import Scanner, project, project_rails
 from deepfsi.physics.surroundings import library_defaults, torch_device
@@ -24,6 +24,7 @@ __all__ = [
     "Draws",
     "FixedMasks",
     "FixedPattern",
+    "Fluctuation",
     "LearnedMasks",
     "LearnedPattern",
     "NoiseFunction",

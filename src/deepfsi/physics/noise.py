@@ -515,7 +515,7 @@ class Fluctuation(Noise):
 
     def draw(self, rates: Tensor, random: Random = None, dark: Tensor | float = 0.0) -> Tensor:
         """Counts of rails that are each in a frame of their own."""
-        return self.inner.draw(rates * self._light(_normal(rates, random)), random, dark)
+        return self.inner.draw(rates * self.brightness(rates, random), random, dark)
 
     def sample(
         self,
@@ -529,7 +529,7 @@ class Fluctuation(Noise):
         shape = rates.movedim(rails, -2).shape
         every = rates.new_empty(*shape[:-2], 2 * shape[-1])  # of no more frames than that
         frame = read.frame.movedim(rails, -2).expand(shape).flatten(-2)
-        light = self._light(_normal(every, random)).gather(-1, frame)
+        light = self.brightness(every, random).gather(-1, frame)
         factor = light.unflatten(-1, shape[-2:]).movedim(-2, rails)
         return self.inner.sample(rates * factor, read, dark=dark, random=random, rails=rails)
 
@@ -566,10 +566,10 @@ class Fluctuation(Noise):
         inner = [each.inner for each in noises if isinstance(each, Fluctuation)]
         return replace(noises[0], inner=type(inner[0]).side_by_side(inner, device))  # type: ignore[type-var]
 
-    def _light(self, normal: Tensor) -> Tensor:
-        """1 + ε, log-normal, of normal numbers."""
+    def brightness(self, like: Tensor, random: Random = None) -> Tensor:
+        """1 + ε of frames, log-normal, in the shape of a tensor."""
         sigma = math.sqrt(math.log1p(self.fluctuation**2))
-        return torch.exp(sigma * normal - sigma**2 / 2)
+        return torch.exp(sigma * _normal(like, random) - sigma**2 / 2)
 
 
 NOISE_CLASSES: dict[str, type[Noise]] = {
