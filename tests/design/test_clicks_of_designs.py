@@ -94,5 +94,5 @@ def test_more_counts_than_gates_are_no_clicks(clicking):
 
 
 def test_no_distribution_is_known_of_clicks(clicking):
-    with pytest.raises(InputError, match="it takes photons of steady light, 100 scenes"):
+    with pytest.raises(InputError, match="it takes photons that are counted, 100 scenes"):
         clicking.consistency(np.ones((3, clicking.masks)), FEW)

@@ -10,7 +10,7 @@ from conftest import quick
 from deepfsi import Design
 from deepfsi.base import InputError
 from deepfsi.datasets import Dataset, from_arrays
-from deepfsi.designfile import REFUSED, UNSURE
+from deepfsi.designfile import REFUSED, UNSURE, FrameLight
 from deepfsi.evaluation import find_distribution, sample_scenes
 from deepfsi.evaluation.distribution_fit import FEWEST_OF_A_CLASS, MOST_SCENES
 from shared.design_files import refused, rewrite
@@ -69,6 +69,51 @@ def test_sound_exposures_are_unsure_as_often_as_stated(known, photons, dark):
     # counts of one or two take few values, so that fewer may be unsure
     least = UNSURE - error if photons > 100 else 0.0
     assert least <= found.unsure.mean() <= UNSURE + error
+
+
+FRAMES = {
+    "one after another": np.arange(18).reshape(READOUTS),
+    "two arms": np.tile(np.arange(9), (2, 1)),
+    "three detectors": np.tile(np.arange(6), 3).reshape(READOUTS) // 2,
+}
+
+
+@pytest.mark.parametrize("frames", FRAMES)
+def test_sound_exposures_of_fluctuating_light_are_unsure_as_often_as_stated(frames):
+    """All together they are refused by a distribution that takes the light for steady."""
+    light = FrameLight(0.1, FRAMES[frames])
+    rates, labels = scenes_of(MOST_SCENES, seed=2)
+    aware, unaware = (
+        find_distribution(torch.from_numpy(rates), labels, CLASSES, light=each)
+        for each in (light, None)
+    )
+    rng = np.random.default_rng(3)
+    rates, _ = scenes_of(8000, seed=4)
+    error = 5 * np.sqrt(UNSURE * (1 / len(rates) + 1 / MOST_SCENES))
+    for photons in (30.0, 1e3, 2e4, 1e9):
+        sigma = np.sqrt(np.log1p(0.1**2))
+        level = rng.lognormal(-(sigma**2) / 2, sigma, (len(rates), 18))[:, light.frame]
+        counts = rng.poisson(rates * photons * level)
+        budgets = np.full(len(rates), photons)
+        unsure = aware.test(counts, budgets, 0.0).unsure.mean()
+        assert (UNSURE - error if photons > 100 else 0.0) <= unsure <= UNSURE + error
+    assert not aware.test(counts, budgets, 0.0).refused
+    assert unaware.test(counts, budgets, 0.0).refused
+    wrong = counts[:20, :, ::-1], budgets[:20], 0.0
+    assert aware.test(*wrong).refused
+
+
+def test_scenes_that_are_alike_are_told_under_fluctuating_light():
+    light = FrameLight(0.03, FRAMES["one after another"])
+    rates, labels = scenes_of(MOST_SCENES, seed=2)
+    known = find_distribution(torch.from_numpy(rates), labels, CLASSES, light=light)
+    rng = np.random.default_rng(8)
+    sigma = np.sqrt(np.log1p(0.03**2))
+    level = rng.lognormal(-(sigma**2) / 2, sigma, (40, *READOUTS))
+    one = rng.poisson(np.repeat(rates[:1], 40, axis=0) * 1e6 * level)
+    others = rng.poisson(rates[:40] * 1e6 * level)
+    assert known.test(one, np.full(40, 1e6), 0.0).alike < REFUSED
+    assert known.test(others, np.full(40, 1e6), 0.0).alike == 1
 
 
 @pytest.mark.parametrize("mixture", ["as trained", "one class", "two classes"])

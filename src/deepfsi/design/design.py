@@ -564,7 +564,7 @@ class Design:
         self.exposure.check("comparison")
         if self.distribution is None:
             raise InputError(
-                "no distribution is held: it takes photons of steady light, 100 scenes, 50 a class"
+                "no distribution is held: it takes photons that are counted, 100 scenes, 50 a class"
             )
         read, budget, _ = check_counts.check_readouts(counts, photons, None, self.counts_shape)
         if not read.numel():

@@ -10,10 +10,13 @@ of false alarms holds whatever classes are shown.
 
 Scenes whose patterns do not differ by more than photon noise, where those of two of one class
 would, are *alike*: then they count as one.
+
+Where the light fluctuates from frame to frame its noise stands beside that of the photons, in the
+metric and in the simulated counts; the metric takes readouts of one frame for independent.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -129,6 +132,36 @@ class ConsistencyResult:
 
 
 @dataclass(frozen=True)
+class FrameLight:
+    """Light of the frames of simulated exposures.
+
+    Attributes
+    ----------
+    fluctuation : float
+        Relative standard deviation from frame to frame; 0 of steady light.
+    frame : array, shape (rails, m)
+        Number of the frame in which each readout is counted.
+    """
+
+    fluctuation: float
+    frame: np.ndarray
+
+    def counts(self, expected: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        """Counts of exposures (n, rails, m) that expect so many; readouts of a frame share it."""
+        if not self.fluctuation:
+            return rng.poisson(expected)
+        light = self.levels((len(expected), int(self.frame.max()) + 1), rng)
+        return rng.poisson(expected * light[:, self.frame])
+
+    def levels(self, shape: tuple[int, ...], rng: np.random.Generator) -> np.ndarray:
+        """Light of frames over the mean: log-normal; 1 where it is steady."""
+        if not self.fluctuation:
+            return np.ones(shape)
+        sigma = np.sqrt(np.log1p(self.fluctuation**2))
+        return rng.lognormal(-(sigma**2) / 2, sigma, shape)
+
+
+@dataclass(frozen=True)
 class ReadoutCounts:
     """Counts of n exposures in R readouts that are lit.
 
@@ -170,6 +203,8 @@ class ReadoutModel:
         Patterns of one standard deviation each, along the principal axes of their covariance.
     rest : array, shape (R,)
         Variance of the patterns beyond these.
+    fluctuation : float
+        Relative standard deviation of the light from frame to frame.
     """
 
     total: float
@@ -177,9 +212,10 @@ class ReadoutModel:
     spread: float
     directions: np.ndarray
     rest: np.ndarray
+    fluctuation: float = 0.0
 
     @classmethod
-    def fit(cls, rates: np.ndarray) -> "ReadoutModel":
+    def fit(cls, rates: np.ndarray, fluctuation: float = 0.0) -> "ReadoutModel":
         """Model of the expected readouts (n, R) of scenes for a budget of one photon."""
         mean = rates.mean(axis=0)
         total = float(mean.sum())
@@ -194,6 +230,7 @@ class ReadoutModel:
             spread=float(sums.std()),
             directions=axes * np.sqrt(share),
             rest=rest * share,
+            fluctuation=fluctuation,
         )
 
     def statistics(self, exposures: ReadoutCounts) -> tuple[np.ndarray, np.ndarray]:
@@ -204,12 +241,14 @@ class ReadoutModel:
         complete = exposures.expected * (weights @ self.share)
         power = (1 + dark.sum(axis=1) / complete) / complete
         power += self.spread**2 + BRIGHTNESS_ERROR**2
+        power += self.fluctuation**2 * np.square(self.share).sum()
         bright = counts.sum(axis=1) / complete
         brightness = np.square(bright - 1) / power
         counted = weights > 0
         scale = np.where(counted, weights, 1.0) * exposures.expected[:, None]
         off = np.where(counted, counts / scale - bright[:, None] * self.share, 0.0)
         floor = self.rest + np.square(READOUT_ERROR * self.share)
+        floor = floor + np.square(self.fluctuation * self.share)
         noise = np.where(counted, (self.share + dark / scale) / scale + floor, np.inf)
         if (noise == noise[0]).all():  # most often of fixed dwells: one matrix serves them all
             return brightness, _distance(off, noise[0], self.directions)
@@ -228,6 +267,7 @@ class ReadoutModel:
             mean = exposures.counts.sum(axis=1, keepdims=True) * self.share
             off = off + sign * (exposures.counts - mean) / scale
             noise = np.maximum(mean, self.share) + exposures.dark
+            noise = noise + np.square(self.fluctuation * mean)
             power = power + noise / np.square(scale)
         return 1 / np.maximum((np.square(off) / power).mean(axis=1), SMALLEST_STATISTIC)
 
@@ -254,6 +294,8 @@ class ReadoutDistribution:
     pairs : array, shape (counts, chances)
         The same of the likeness of two scenes, in the class whose scenes are most alike; of no
         counts where dwells are chosen, and it is not tested.
+    fluctuation : array, shape ()
+        Relative standard deviation of the light from frame to frame.
     """
 
     mean: np.ndarray
@@ -262,11 +304,13 @@ class ReadoutDistribution:
     rest: np.ndarray
     tails: np.ndarray
     pairs: np.ndarray
+    fluctuation: np.ndarray = field(default_factory=lambda: np.array(0.0, np.float32))
 
     @property
     def arrays(self) -> dict[str, np.ndarray]:
-        """Fields by name, as a design file takes them."""
-        return {field.name: np.asarray(getattr(self, field.name)) for field in fields(self)}
+        """Fields by name, as a design file takes them: a fluctuation where there is one."""
+        every = {each.name: np.asarray(getattr(self, each.name)) for each in fields(self)}
+        return {name: each for name, each in every.items() if name != "fluctuation" or each > 0}
 
     @classmethod
     def restored(
@@ -297,9 +341,12 @@ class ReadoutDistribution:
             "tails": (*([looks] if looks else []), 2, 2, *levels),
             "pairs": (0 if looks else len(TAIL_COUNTS), len(TAIL_CHANCES)),
         }
+        if "fluctuation" in arrays:
+            shapes["fluctuation"] = ()
         if {name: array.shape for name, array in arrays.items()} != shapes:
             raise ValueError("the distribution of the readouts is not of these masks")
-        least = min(float(arrays[name].min()) for name in ("mean", "spread", "rest"))
+        positive = ("mean", "spread", "rest", "fluctuation")
+        least = min(float(arrays[name].min()) for name in positive if name in arrays)
         shares = [arrays[name] for name in ("mean", "directions", "rest") if arrays[name].size]
         most = max(float(np.abs(share).max()) for share in shares)
         falling = any((np.diff(arrays[name]) < 0).any() for name in ("tails", "pairs"))
@@ -319,6 +366,7 @@ class ReadoutDistribution:
             spread=float(fitted["spread"]),
             directions=fitted["directions"][:, lit],
             rest=fitted["rest"][lit],
+            fluctuation=float(self.fluctuation),
         )
 
     def dimmed(self, factor: float) -> "ReadoutDistribution":
@@ -397,7 +445,7 @@ class ReadoutDistribution:
 
     def _alike(self, model: ReadoutModel, exposures: ReadoutCounts) -> float:
         """p-value of the likeness of exposures, taken two by two."""
-        if not len(self.pairs) or _dispersion(exposures) > OVER_DISPERSED:
+        if not len(self.pairs) or _dispersion(exposures, model.fluctuation) > OVER_DISPERSED:
             return 1.0
         pairs = len(exposures.counts) // 2
         first = slice(0, pairs)
@@ -434,15 +482,15 @@ def _mean_counts(expected: np.ndarray, dark: np.ndarray) -> np.ndarray:
     return expected**2 / (expected + dark.sum(axis=1)) / dark.shape[1]
 
 
-def _dispersion(exposures: ReadoutCounts) -> float:
-    """Squared differences of exposures' patterns beyond photon noise, in standard deviations."""
+def _dispersion(exposures: ReadoutCounts, fluctuation: float) -> float:
+    """Squared differences of exposures' patterns beyond noise, in standard deviations."""
     counts = exposures.counts  # whose patterns are compared with their mean
     dark = exposures.dark
     total = max(float(counts.sum()), SMALLEST_STATISTIC)
     by_readout = counts.sum(axis=0) / total
     by_exposure = counts.sum(axis=1, keepdims=True) / total
     mean = total * by_exposure * by_readout
-    power = mean.clip(min=0) + dark
+    power = mean.clip(min=0) + dark + np.square(fluctuation * mean)
     beyond = np.square(counts - mean) - power * (1 - by_readout) * (1 - by_exposure)
     weight = np.maximum(power, 1)
     error = np.sqrt(((2 * np.square(power) + power) / np.square(weight)).sum())

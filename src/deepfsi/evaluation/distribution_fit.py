@@ -9,6 +9,7 @@ from deepfsi.designfile import (
     SMALLEST_STATISTIC,
     TAIL_CHANCES,
     TAIL_COUNTS,
+    FrameLight,
     ReadoutCounts,
     ReadoutDistribution,
     ReadoutModel,
@@ -59,6 +60,7 @@ def find_distribution(
     classes: int,
     seed: int = 0,
     expose: Expose | None = None,
+    light: FrameLight | None = None,
 ) -> ReadoutDistribution | None:
     """Distribution of the readouts of training scenes, or None where there are too few scenes.
 
@@ -73,7 +75,10 @@ def find_distribution(
     seed : int
     expose : callable, optional
         Exposures of several looks; each readout is counted for its usual time without it.
+    light : FrameLight, optional
+        Of the frames; steady unless given. `expose` has it, too.
     """
+    fluctuation = 0.0 if light is None else light.fluctuation
     every = rates.double().cpu().numpy()
     rng = np.random.default_rng([seed, 12])
     folds = np.array_split(rng.permutation(len(every)), FIT_FOLDS)
@@ -87,12 +92,15 @@ def find_distribution(
     live = expose is not None
 
     def exposed(expected: float) -> list[tuple[np.ndarray, np.ndarray]]:
+        if expose is None and light is not None:
+            counts = light.counts(every * (expected / total), rng)[:, lit]
+            return [(counts.astype(float), np.ones_like(held))]
         if expose is None:
             return [(rng.poisson(held * (expected / total)).astype(float), np.ones_like(held))]
         seen = expose(expected / total, rng)
         return [tuple(each[:, lit.ravel()] for each in pair) for pair in seen]  # type: ignore[misc]
 
-    model = ReadoutModel.fit(held)
+    model = ReadoutModel.fit(held, fluctuation)
     tails, pairs = _calibrate(model, held, np.asarray(labels), folds, exposed=exposed)
 
     def spread_out(part: np.ndarray) -> np.ndarray:
@@ -107,6 +115,7 @@ def find_distribution(
         rest=spread_out(model.rest),
         tails=(tails if live else tails[0]).astype(np.float32),
         pairs=pairs[: 0 if live else None].astype(np.float32),
+        fluctuation=np.array(fluctuation, np.float32),
     )
 
 
@@ -121,7 +130,7 @@ def _calibrate(
     # Each scene is compared with the model of the other folds
     members = [np.flatnonzero(labels == k) for k in np.unique(labels)]
     couples = [each[: len(each) // 2 * 2].reshape(2, -1) for each in members]
-    models = [ReadoutModel.fit(np.delete(rates, fold, axis=0)) for fold in folds]
+    models = [ReadoutModel.fit(np.delete(rates, fold, axis=0), whole.fluctuation) for fold in folds]
     likeness = [np.empty((len(TAIL_COUNTS), couple.shape[1])) for couple in couples]
     levels = []
     for place, counts in enumerate(TAIL_COUNTS):

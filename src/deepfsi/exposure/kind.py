@@ -16,7 +16,7 @@ from torch import Tensor
 
 from deepfsi.base import InputError, as_input_error
 from deepfsi.camera import LIGHT_LAWS, Camera, LightLawName
-from deepfsi.designfile import click_gates
+from deepfsi.designfile import FrameLight, click_gates
 from deepfsi.jobs import AdaptiveMasks, ExposureEntry
 from deepfsi.networks import Mlp
 from deepfsi.physics import (
@@ -712,7 +712,9 @@ class MaskExposure(ExposureKind):
                 "dwells go with a design that chooses them, and only with it: leave dwell out"
             )
 
-    def usual_readouts(self, rates: Tensor, lit: Tensor) -> tuple[Tensor, Counting | None]:
+    def usual_readouts(
+        self, rates: Tensor, lit: Tensor, light: FrameLight | None = None
+    ) -> tuple[Tensor, Counting | None]:
         """Readouts (n, rails, m · D) that counts are compared in, and how they are exposed.
 
         Parameters
@@ -721,6 +723,8 @@ class MaskExposure(ExposureKind):
             As from `rates`, of the training scenes.
         lit : tensor, shape (n,)
             Light of the scenes for a budget of one photon.
+        light : FrameLight, optional
+            Of the frames; steady unless given.
 
         Returns
         -------

@@ -20,6 +20,7 @@ from torch import Tensor
 
 from deepfsi.base import InputError
 from deepfsi.camera import LIGHT_LAWS, Camera, share_out
+from deepfsi.designfile import FrameLight
 from deepfsi.exposure.kind import (
     UNTRAINED,
     Counting,
@@ -169,18 +170,22 @@ class LooksExposure(MaskExposure):
             seen = Observation(features, total)
             yield seen
 
-    def usual_readouts(self, rates: Tensor, lit: Tensor) -> tuple[Tensor, Counting | None]:
+    def usual_readouts(
+        self, rates: Tensor, lit: Tensor, light: FrameLight | None = None
+    ) -> tuple[Tensor, Counting | None]:
         """Readouts of all rails and of all mirrors ON; parameters as of the base class."""
 
         def expose(photons: float, rng: np.random.Generator) -> list[tuple[np.ndarray, np.ndarray]]:
             every = torch.zeros_like(rates)
             ones = torch.ones_like(rates)
             bright = lit.double().cpu().numpy()[:, None]
-            on = rng.poisson(ON_WEIGHT * photons * bright), np.full(bright.shape, ON_WEIGHT)
+            level = light.levels(bright.shape, rng) if light else 1.0
+            on = rng.poisson(ON_WEIGHT * photons * bright * level), np.full(bright.shape, ON_WEIGHT)
 
             def show(dwell: Tensor) -> tuple[Tensor, Tensor]:
                 expected = (self.dwells.scaled(rates, dwell) * photons).double().cpu().numpy()
-                counts = torch.from_numpy(rng.poisson(expected)).to(rates)
+                drawn = light.counts(expected, rng) if light else rng.poisson(expected)
+                counts = torch.from_numpy(drawn).to(rates)
                 every.add_(counts)
                 return self.detection.features(counts) / photons, dwell
 

@@ -119,6 +119,11 @@ class Detection:
         """Numbers (..., m · 2 · D) of rails (..., 2, m · D)."""
         return rails.unflatten(-1, (-1, self.count)).transpose(-3, -2).flatten(-3)
 
+    def frames(self, rails: Rails) -> Tensor:
+        """Number of the frame (rails, ..., m · D) in which each rail of masks is counted."""
+        apart = replace(self, readout="difference")
+        return apart.readouts(rails).frame[: rails.count]
+
     def readouts(self, rails: Rails) -> "Readouts":
         """Readouts of rails of masks (..., m, D · P), arranged."""
         total = rails.total

@@ -18,6 +18,7 @@ from deepfsi.datasets import Dataset
 from deepfsi.design import Design
 from deepfsi.designfile import (
     CALIBRATION_REACH,
+    FrameLight,
     ReadoutDistribution,
     SceneModel,
     Temperatures,
@@ -166,9 +167,17 @@ def _shares(design: Design, scenes: Tensor, photons: float, seed: int) -> Tensor
 
 
 def _compared(design: Design) -> bool:
-    """True of designs whose counts are tested: the tests know photon noise alone."""
-    steady = design.gates is None and not design.camera.fluctuation
-    return design.exposure.comparable and steady
+    """True of designs whose counts are tested: the tests know no clicks."""
+    return design.exposure.comparable and design.gates is None
+
+
+def _frame_light(design: Design) -> FrameLight | None:
+    """Light of the frames of a design whose light fluctuates."""
+    fluctuation = design.camera.fluctuation
+    if not fluctuation:
+        return None
+    rails = design.rails.map(design.detection.arrange)
+    return FrameLight(fluctuation, design.detection.frames(rails).cpu().numpy())
 
 
 def _distribution(design: Design, scenes: Tensor, labels: np.ndarray) -> ReadoutDistribution | None:
@@ -180,8 +189,11 @@ def _distribution(design: Design, scenes: Tensor, labels: np.ndarray) -> Readout
     with torch.no_grad():
         rates = design.rates(design.scanner(), x)
         light = x.sum(dim=-1) / design.summed_reflectance
-        readouts, expose = design.mask_exposure.usual_readouts(rates, light)
-        return find_distribution(readouts, labels[rows], len(design.classes) or 1, expose=expose)
+        frames = _frame_light(design)
+        readouts, expose = design.mask_exposure.usual_readouts(rates, light, frames)
+        return find_distribution(
+            readouts, labels[rows], len(design.classes) or 1, expose=expose, light=frames
+        )
 
 
 def prior_without(fold: Dataset, settings: AdaptiveMasks) -> ScenePrior:
