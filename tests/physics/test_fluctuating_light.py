@@ -10,7 +10,7 @@ from conftest import generator
 from deepfsi import Camera, Scanner
 from deepfsi.base import InputError
 from deepfsi.hardware.virtual import VirtualCamera
-from deepfsi.jobs import AdaptiveMasks, Job, Range
+from deepfsi.jobs import Job, Range
 from deepfsi.physics import Detection, Poisson, Rails, noise_of
 from deepfsi.physics.noise import Fluctuation, MlGauss, make_noise
 from deepfsi.physics.training_noise import TrainingNoise
@@ -175,8 +175,6 @@ def test_what_is_of_steady_light_says_so():
     with pytest.raises(InputError, match="leave fluctuation or noise out"):
         Camera.load(noise="click", fluctuation=0.1)
     assert Camera.load(Camera(fluctuation=0.1), noise="click").fluctuation == 0
-    with pytest.raises(InputError, match="steady light: leave fluctuation out"):
-        AdaptiveMasks.check_camera(Camera(fluctuation=0.1))
     job = Job(photons=1e3, masks=4, camera=Camera(fluctuation=0.1), exposure=Range(span=10))
     assert any("leave out fluctuation" in str(fault) for fault in job.exposure.faults(job))
     assert not Camera(fluctuation=0.1).noise_facts.exact
