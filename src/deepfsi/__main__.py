@@ -14,10 +14,10 @@ def main() -> NoReturn:
     install_handler()
     if sys.platform != "win32":
         signal.pthread_sigmask(signal.SIG_SETMASK, usual)
-    from deepfsi import cli
+    from deepfsi.cli import run_command_line
 
     try:
-        cli.run_command_line()
+        run_command_line()
     except KeyboardInterrupt:  # before the command's own handler
         end_process()
     except SystemExit as end:

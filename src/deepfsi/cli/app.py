@@ -179,7 +179,8 @@ def run_command_line() -> NoReturn:
     except InputError as error:
         _fail(error.message)
     except click.ClickException as error:
-        words, context = error.format_message(), getattr(error, "ctx", None)
+        words = error.format_message()
+        context = getattr(error, "ctx", None)
         _fail(f"{words.rstrip('.')}; see `{context.command_path} --help`" if context else words)
     except ValueError as error:
         if not isinstance(error.__cause__, KeyboardInterrupt):  # what pydantic makes of Ctrl-C

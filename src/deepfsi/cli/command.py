@@ -9,7 +9,7 @@ import inspect
 import shlex
 import sys
 from abc import abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import NoneType, UnionType
@@ -57,7 +57,7 @@ class Command(StrictModel):
             Where progress is shown, and what is found before the end is said.
         """
 
-    def given(self, *fields: str) -> dict[str, Any]:
+    def explicit(self, fields: Iterable[str]) -> dict[str, Any]:
         """Those of these fields that stand on the command line, by name."""
         return {name: getattr(self, name) for name in fields if name in self.model_fields_set}
 

@@ -143,7 +143,7 @@ class DesignsMake(Command):
         command = "deepfsi designs make" + (f" {self.source.name}" if self.source else "")
         names = None if self.only is None else list(self.only)
         collection = Collection.read(self.source)
-        for one in make(collection, self.out, names, command, terminal.progress):
+        for one in make(collection, self.out, names, command, bar=terminal.progress):
             entries[one.name] = one.entry
             accuracy = rate_text(one.entry.accuracy, one.entry.low, one.entry.high)
             terminal.say(

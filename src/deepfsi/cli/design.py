@@ -20,7 +20,6 @@ from deepfsi.camera import ONE_DETECTOR, Camera
 from deepfsi.cli import fields
 from deepfsi.cli.command import Command
 from deepfsi.cli.evaluate import (
-    check_scenes,
     data_lines,
     full_gates_lines,
     with_classes,
@@ -82,7 +81,6 @@ class LearnDesign(Command):
         fields.check_file(
             self.out, DESIGN_ENDINGS, force=True
         )  # one of the same settings is replaced
-        check_scenes(self.data, self.view)
         from deepfsi.evaluation import evaluate
         from deepfsi.training import learn
 
@@ -321,7 +319,6 @@ class WritePage(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """The page, with its measured accuracy."""
-        check_scenes(self.data)
         from deepfsi.evaluation import check_playable, playable
         from deepfsi.lab import data_of, open_design
         from deepfsi.report.playground.page import write_page
@@ -359,10 +356,8 @@ class ExportClassifier(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """The graph, and the shapes of what goes in and out."""
-        target, file = (
-            self.out or self.file.with_suffix(".onnx"),
-            fields.check_design_file(self.file),
-        )
+        target = self.out or self.file.with_suffix(".onnx")
+        file = fields.check_design_file(self.file)
         fields.check_file(target, (".onnx",), self.force)
         from deepfsi.design import to_onnx
         from deepfsi.lab import open_design
@@ -412,7 +407,8 @@ class WriteMask(Command):
         """The pattern, with its size."""
         pattern = write_photomask(self.file, self.out, self.pixel)
         rows, columns = pattern.shape
-        height, width = rows * self.pixel, columns * self.pixel
+        height = rows * self.pixel
+        width = columns * self.pixel
         open_share = float(pattern.mean())
         return Outcome(
             {

@@ -15,16 +15,12 @@ from deepfsi.base import (
 from deepfsi.cli import fields
 from deepfsi.cli.command import Command
 from deepfsi.cli.terminal import Outcome, Terminal
-from deepfsi.datasets import check_source
 from deepfsi.measures import Estimates, Result, results_lines
 
 if TYPE_CHECKING:
     from deepfsi.datasets import Dataset
     from deepfsi.design import Design
     from deepfsi.sweeps.results import Data
-
-FEW_CLASSES = 5
-"""Classes whose names head the columns of a confusion matrix in full."""
 
 
 class EvaluateDesign(Command):
@@ -57,13 +53,12 @@ class EvaluateDesign(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Accuracy, or errors of values, at each budget."""
-        check_scenes(self.data, self.view)
         from deepfsi.evaluation import camera_for, evaluate, ideal_observer
         from deepfsi.lab import data_of, open_design
         from deepfsi.physics import torch_device
 
         design = open_design(self.file, trust=self.trust).to(torch_device(self.device))
-        options = self.given("noise", "sigma", "dark", "fluctuation")
+        options = self.explicit(("noise", "sigma", "dark", "fluctuation"))
         camera = camera_for(design, None, **options)
         fields.check_sigma(options, [camera.noise_name])
         if self.ideal and not camera.noise_facts.exact:
@@ -143,7 +138,6 @@ class StopEarly(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Light that stopped exposures take, and their accuracy."""
-        check_scenes(self.data)
         from deepfsi.design import load_design
         from deepfsi.evaluation import stop, with_rule
         from deepfsi.lab import data_of
@@ -184,6 +178,7 @@ class PredictClasses(Command):
     file: fields.DesignOrPatterns
     pictures: Annotated[
         Path,
+        fields.existing("a picture, or a folder of pictures"),
         fields.argument(
             "picture, or folder of pictures, with or without a folder for each class, or .csv of "
             "file names and labels"
@@ -212,13 +207,12 @@ class PredictClasses(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Class of each picture."""
-        fields.check_there(self.pictures, "a picture, or a folder of pictures")
         from deepfsi.evaluation import camera_for
         from deepfsi.lab import open_design, predict
         from deepfsi.physics import torch_device
 
         design = open_design(self.file, trust=self.trust).to(torch_device(self.device))
-        options = self.given("noise", "sigma", "dark")
+        options = self.explicit(("noise", "sigma", "dark"))
         fields.check_sigma(options, [camera_for(design, None, **options).noise_name])
         with terminal.progress("predict"):
             predictions = predict(
@@ -239,14 +233,6 @@ class PredictClasses(Command):
                 *([] if self.out is None else [f"table: {self.out}"]),
             ],
         )
-
-
-def check_scenes(source: str | None, view: Path | None = None) -> None:
-    """Raise `InputError` unless there is such data, if given, and the folder of a camera's view."""
-    if source is not None:
-        check_source(source)
-    if view is not None:
-        fields.check_there(view, "the folder of a camera's calibration")
 
 
 def data_lines(data: "Dataset | Data", notes: Sequence[str] = ()) -> list[str]:

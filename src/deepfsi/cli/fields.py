@@ -18,6 +18,7 @@ from pydantic.fields import FieldInfo
 from deepfsi.base import InputError, check_ending, seconds
 from deepfsi.base.models import Count
 from deepfsi.camera import Camera, find_noise
+from deepfsi.datasets import check_source
 from deepfsi.designfile import find_design
 from deepfsi.jobs import EXPOSURE_FIELDS, EXPOSURE_KINDS, SETTING_ALIASES, Job, Training
 
@@ -150,6 +151,21 @@ def check_there(path: Path, what: str) -> None:
     """Raise `InputError` unless there is something at the path, which should be `what`."""
     if not path.exists():
         raise InputError(f"there is nothing at {path}: give {what}")
+
+
+def existing(what: str) -> AfterValidator:
+    """Validator of a path at which there must be something, said in words."""
+
+    def there(path: Path) -> Path:
+        check_there(path, what)
+        return path
+
+    return AfterValidator(there)
+
+
+def _source(name: str) -> str:
+    check_source(name)
+    return name
 
 
 def check_file(path: Path, endings: tuple[str, ...], force: bool, made: Path | None = None) -> None:
@@ -313,15 +329,18 @@ Shape = Annotated[tuple[int, int], BeforeValidator(_size), Written("HEIGHTxWIDTH
 Size = Annotated[
     Shape | None, Field(description="resize images to HEIGHTxWIDTH, or one number for both")
 ]
+DataSource = Annotated[str, AfterValidator(_source)]
+"""Name or path of data that are there."""
+
 Data = Annotated[
-    str,
+    DataSource,
     Field(
         description="name (deepfsi data list), folder or .zip of images, .csv of file names and "
         "labels or values, cube, or .npz"
     ),
 ]
 TestData = Annotated[
-    str | None,
+    DataSource | None,
     Field(description="name or path, as for `design`; the design's own unless given"),
 ]
 SkipBad = Annotated[
@@ -332,7 +351,7 @@ Normal = Annotated[
     Field(description="class to be told from anomalies; these are made from its own scenes"),
 ]
 View = Annotated[
-    Path | None,
+    Annotated[Path, existing("the folder of a camera's calibration")] | None,
     Field(description="folder of a camera's calibration: take the scenes as this camera sees them"),
 ]
 

@@ -25,7 +25,7 @@ from deepfsi.base.models import Count
 from deepfsi.camera import Camera
 from deepfsi.cli import fields
 from deepfsi.cli.command import Command
-from deepfsi.cli.evaluate import check_scenes, data_lines
+from deepfsi.cli.evaluate import data_lines
 from deepfsi.cli.terminal import Outcome, Terminal
 from deepfsi.datasets import load_dataset
 from deepfsi.jobs import DESIGNS, EVERY_PIXEL, find_table, read_matrix
@@ -96,7 +96,6 @@ class CompareDesigns(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Results, a page of them and the verdict."""
-        check_scenes(self.data)
         base: dict[str, Any] = {"data": self.data}
         file = read_recipe(self.recipe) if self.recipe else {}
         from deepfsi.sweeps.recipe import only
@@ -110,7 +109,9 @@ class CompareDesigns(Command):
         elif self.data == "digits" and not (self.ratios or self.trials or "masks" in self.settings):
             base |= QUICK
         unnamed = not (self.designs or self.matrix or "designs" in base)
-        chosen = self.given("size", "skip_bad", "normal", "designs", "ratios", "trials", "folds")
+        chosen = self.explicit(
+            ("size", "skip_bad", "normal", "designs", "ratios", "trials", "folds")
+        )
         if self.data != "digits":
             chosen["data"] = self.data
         recipe, scenes = _checked(recipe_settings(self.settings, chosen, base), matrix)
@@ -161,13 +162,12 @@ class PlanPhotons(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Photons, masks and detectors that each design needs."""
-        check_scenes(self.data)
         from deepfsi.sweeps.planning import check_plan, photons_needed
         from deepfsi.sweeps.results import write_results
         from deepfsi.sweeps.run import check_kept
         from deepfsi.sweeps.workers import Workers
 
-        chosen = self.given("size", "skip_bad", "designs", "ratios", "trials")
+        chosen = self.explicit(("size", "skip_bad", "designs", "ratios", "trials"))
         chosen["data"] = self.data
         recipe, scenes = _checked(recipe_settings(self.settings, chosen, PLANNED))
         fields.check_sigma(self.settings, recipe.noises)
@@ -290,7 +290,7 @@ class SweepRecipe(Command):
         from deepfsi.sweeps.workers import Workers
 
         recipe, scenes = _checked(
-            {**only(file, self.part_name, self.quick), **self.given("camera", "folds")}
+            {**only(file, self.part_name, self.quick), **self.explicit(("camera", "folds"))}
         )
         workers = Workers(self.workers, self.ray)
         if self.dry_run:
@@ -318,7 +318,9 @@ class SweepRecipe(Command):
         from deepfsi.sweeps.forecast import forecast_cost
 
         with terminal.progress("timing a few steps of each kind") as report:
-            cost = forecast_cost(recipe, scenes, self.out, self.device, self.workers, report)
+            cost = forecast_cost(
+                recipe, scenes, self.out, device=self.device, workers=self.workers, report=report
+            )
         return Outcome(asdict(cost), _forecast_lines(cost), schema="sweep.forecast")
 
 
@@ -442,11 +444,14 @@ class WriteReport(Command):
     Example: deepfsi report runs/paper
     """
 
-    folder: Annotated[Path, fields.argument("output of compare, sweep or reproduce")]
+    folder: Annotated[
+        Path,
+        fields.existing("the output of compare, sweep or reproduce"),
+        fields.argument("output of compare, sweep or reproduce"),
+    ]
 
     def run(self, terminal: Terminal) -> Outcome:
         """The page, written again."""
-        fields.check_there(self.folder, "the output of compare, sweep or reproduce")
         from deepfsi.report.comparison_page import build
 
         is_study = _has_paper() and paper_studies().is_study(self.folder)
@@ -480,7 +485,8 @@ def paper_studies() -> "ModuleType":
 
 def read_recipe(source: str) -> dict[str, Any]:
     """Settings of a recipe with that name, or of a file; ``./mnist`` is a file of that name."""
-    recipes, path = shipped_recipes(), Path(source)
+    recipes = shipped_recipes()
+    path = Path(source)
     if source not in recipes and not path.exists():
         advice = closest_choice(source, sorted(recipes))
         raise InputError(f"no recipe at {source}: {advice}; or give a TOML file")

@@ -126,7 +126,8 @@ def print_table(content: Table) -> None:
     from rich.table import Table as Grid
 
     grid = Grid(title=content.title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
-    grid.padding, grid.min_width = (0, 1, 0, 0), len(content.title)
+    grid.padding = (0, 1, 0, 0)
+    grid.min_width = len(content.title)
     grid.show_lines = content.sentences
     for number, head in enumerate(content.heads):
         right = number and not content.sentences
