@@ -55,6 +55,9 @@ PLANNED: dict[str, Any] = {
 }
 """Recipe of a plan where nothing else is given; budgets are added where the target is met."""
 
+RECIPE_FIELDS = ("size", "skip_bad", "normal", "designs", "ratios", "trials", "folds")
+"""Fields of a recipe, besides the data, that are options by themselves."""
+
 PLAN_AXES = ("light", "rails", "detectors", "readout")
 """Axes of a plan besides the designs."""
 
@@ -109,9 +112,7 @@ class CompareDesigns(Command):
         elif self.data == "digits" and not (self.ratios or self.trials or "masks" in self.settings):
             base |= QUICK
         unnamed = not (self.designs or self.matrix or "designs" in base)
-        chosen = self.explicit(
-            ("size", "skip_bad", "normal", "designs", "ratios", "trials", "folds")
-        )
+        chosen = self.explicit(RECIPE_FIELDS)
         if self.data != "digits":
             chosen["data"] = self.data
         recipe, scenes = _checked(recipe_settings(self.settings, chosen, base), matrix)
@@ -167,7 +168,7 @@ class PlanPhotons(Command):
         from deepfsi.sweeps.run import check_kept
         from deepfsi.sweeps.workers import Workers
 
-        chosen = self.explicit(("size", "skip_bad", "designs", "ratios", "trials"))
+        chosen = self.explicit(RECIPE_FIELDS)
         chosen["data"] = self.data
         recipe, scenes = _checked(recipe_settings(self.settings, chosen, PLANNED))
         fields.check_sigma(self.settings, recipe.noises)
