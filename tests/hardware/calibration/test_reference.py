@@ -1,24 +1,19 @@
 """The reference target: what a camera makes of it is found from counts behind few masks."""
 
-import csv
-
 import numpy as np
 import pytest
-from PIL import Image
 from scipy import ndimage
 
 from deepfsi.base import InputError
 from deepfsi.camera import Device, DmdLayout
 from deepfsi.datasets import read_display
-from deepfsi.hardware.calibration import find_reference, write_reference
-from deepfsi.hardware.calibration.reference import EXPECTED, REFERENCE, reference_picture
+from deepfsi.hardware.calibration import find_reference, reference, write_reference
 from deepfsi.hardware.counting import count_run
 from deepfsi.hardware.patterns import DesignRails, FrameSettings, export_patterns
 from deepfsi.hardware.virtual import (
     CAMERAS,
     RecordingSettings,
     VirtualCamera,
-    arrival_rates,
     record_scenes,
 )
 
@@ -51,7 +46,7 @@ def view(layout=PLAIN, scale=1.0, shift=(0.0, 0.0), turn=0.0):
 
 
 def found(tmp_path, shown, camera, flux=3e8, picture=None, exposure=0.01):
-    x = read_display(tmp_path / "p" / REFERENCE).x if picture is None else picture
+    x = read_display(tmp_path / "p" / reference.REFERENCE).x if picture is None else picture
     settings = RecordingSettings(camera, flux, exposure)
     record_scenes(tmp_path / "p", x, ["reference"], None, tmp_path / "run", settings)
     return find_reference(count_run(tmp_path / "run"), shown)
@@ -82,45 +77,10 @@ def test_law_the_place_of_a_scene_is_found_with_stray_light(tmp_path, layout, pl
     assert (abs(off) < 5 * np.array(fit.errors) + (0.003, 0.003, 0.003, 0.2)).all()
 
 
-def test_an_export_with_what_it_says_fits(tmp_path):
-    turned = DmdLayout(flip=True, rotate=90)
-    camera = VirtualCamera(view=view(turned))
-    first = found(tmp_path, export(tmp_path / "p"), camera)
-    assert "export again with --flip --rotate 90" in first.findings[0][1]
-    assert not first.fits
-    (tmp_path / "again").mkdir()
-    assert found(tmp_path / "again", export(tmp_path / "again/p", first.layout), camera).fits
-
-
 def test_little_light_is_said_to_be_too_little(tmp_path):
     fit = found(tmp_path, export(tmp_path / "p"), CAMERAS["ideal"], flux=1e6)
     assert not fit.fits
     assert "too little light to be certain: record the reference with" in fit.doubt
-
-
-def test_another_picture_is_no_reference(tmp_path):
-    other = np.random.default_rng(5).random((1, 8, 8))
-    fit = found(tmp_path, export(tmp_path / "p"), CAMERAS["ideal"], flux=1e9, picture=other)
-    assert "no place of the reference explains these counts" in fit.doubt
-
-
-def test_the_folder_has_the_target_and_its_counts(tmp_path):
-    """The expected counts are those of the virtual camera, within the model's error."""
-    shown = export(tmp_path / "p")
-    with Image.open(tmp_path / "p" / REFERENCE) as picture:
-        assert np.array_equal(np.asarray(picture) > 0, reference_picture((8, 8)) > 0)
-    flow = arrival_rates(tmp_path / "p", reference_picture((8, 8))[None], CAMERAS["ideal"], 1.0)
-    with (tmp_path / "p" / EXPECTED).open() as file:
-        rows = list(csv.reader(file))[1:]
-    assert [row[1] for row in rows] == [str(frame) for frame in shown.manifest.frames]
-    shares = [float(row[2]) for row in rows]
-    assert shares == pytest.approx(flow[0, :, 0] / flow[0, 0, 0], abs=3e-3)
-
-
-def test_a_reference_has_no_symmetry():
-    picture = reference_picture((8, 8))
-    every = {np.rot90(side, k).tobytes() for side in (picture, picture[:, ::-1]) for k in range(4)}
-    assert len(every) == 8
 
 
 def test_few_masks_and_spectra_are_refused(tmp_path):

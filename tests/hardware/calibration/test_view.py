@@ -1,11 +1,10 @@
 """Calibrations read as saved; views against point by point averages and the virtual camera."""
 
 import json
-import time
 
 import numpy as np
 import pytest
-from calibration_samples import IDENTITY, VIEW, apply, calibration_of, vignette
+from calibration_samples import VIEW, apply, calibration_of, vignette
 from scipy import ndimage
 
 from deepfsi.base import InputError
@@ -49,37 +48,6 @@ def test_view_is_the_area_average_of_the_blurred_image(blur, shape):
     assert wanted.std() > 0.1
 
 
-def test_identity_is_no_change():
-    x = np.random.default_rng(2).random((5, 48), dtype=np.float32)
-    seen = camera_view(x, (6, 8), calibration_of(IDENTITY))
-    np.testing.assert_allclose(seen, x, atol=1e-6)
-    assert seen.dtype == np.float32
-
-
-def test_down_and_across_keep_their_places():
-    """A display shifted to the right and down by a quarter, on cells of another number."""
-    shift = [[1, 0, 0.25], [0, 1, 0.5], [0, 0, 1]]
-    scene = np.zeros((4, 4), dtype=np.float32)
-    scene[0, 1] = 1
-    seen = camera_view(scene.reshape(1, -1), (4, 4), calibration_of(shift), (2, 8))
-    wanted = np.zeros((2, 8))
-    wanted[1, 4:6] = 0.5
-    np.testing.assert_allclose(seen.reshape(2, 8), wanted, atol=1e-6)
-
-
-def test_rows_sum_to_what_the_display_fills():
-    half = [[0.5, 0, 0], [0, 1, 0], [0, 0, 1]]
-    view = view_matrix((8, 8), calibration_of(half), (4, 4))
-    np.testing.assert_allclose(view.sum(axis=1).reshape(4, 4), [[1, 1, 0, 0]] * 4, atol=1e-12)
-
-
-def test_flat_field_of_another_size_is_interpolated():
-    at = (32, 32)
-    fine = view_matrix(at, calibration_of(IDENTITY, flat=vignette((64, 64))), at)
-    same = view_matrix(at, calibration_of(IDENTITY, flat=vignette(at)), at)
-    assert abs(fine - same).max() < 2e-3
-
-
 def test_a_data_set_in_the_cameras_view():
     data = load_dataset("digits")
     calibration = calibration_of(VIEW, (0.03, 0.03), vignette((8, 8)))
@@ -92,16 +60,6 @@ def test_a_data_set_in_the_cameras_view():
     assert view.preprocessing != view_dataset(data, calibration_of()).preprocessing
     assert view.hash != data.hash
     np.testing.assert_array_equal(view.y_train, data.y_train)
-
-
-def test_sixty_thousand_images_in_seconds():
-    x = np.random.default_rng(0).random((60_000, 1024), dtype=np.float32)
-    calibration = calibration_of(VIEW, (0.02, 0.015), vignette((32, 32)))
-    start = time.process_time()
-    seen = camera_view(x, (32, 32), calibration)
-    assert time.process_time() - start < 30
-    one = camera_view(x[-1:], (32, 32), calibration)
-    np.testing.assert_allclose(seen[-1:], one, rtol=1e-6)
 
 
 def test_shapes_that_do_not_fit_are_refused():
@@ -136,13 +94,6 @@ def test_the_virtual_camera_and_the_operator_agree(device, shape, tolerance, blu
     seen = camera_view(scenes.reshape(3, -1), (16, 16), calibration, shape)
     np.testing.assert_allclose(seen.reshape(cells.shape), cells, atol=tolerance)
     assert cells.std() > 0.1
-
-
-def test_saved_and_loaded(tmp_path):
-    calibration = calibration_of(flat=vignette((3, 4)), dark=1.5)
-    path = calibration.save(tmp_path / "calibration")
-    assert path.name == "calibration.json"
-    assert Calibration.load(tmp_path / "calibration") == calibration
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from deepfsi.base import InputError
 from deepfsi.camera import DEVICES, find_device
 from deepfsi.hardware.counting import Acquisition, CountSettings, Scene, count_run, prepare_run
-from deepfsi.hardware.counting.markers import Counter
+from deepfsi.hardware.counting import markers as markers_module
 from deepfsi.hardware.patterns import (
     DesignRails,
     Frame,
@@ -87,7 +87,7 @@ def train(
     return starts + rng.uniform(-jitter, jitter, starts.shape)
 
 
-def lamp(manifest: Manifest, starts: np.ndarray, seed: int = 0) -> Counter:
+def lamp(manifest: Manifest, starts: np.ndarray, seed: int = 0) -> markers_module.Counter:
     """Photons as a detector would count them: 1e6/s at all ON, 1e3/s at all OFF."""
     rng = np.random.default_rng(seed)
     rates = rng.uniform(0.1, 0.9, starts.shape) * 1e6

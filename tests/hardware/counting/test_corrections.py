@@ -10,11 +10,11 @@ from deepfsi.camera import DetectorMap, Device
 from deepfsi.hardware.counting import (
     CountSettings,
     TableSettings,
+    corrections,
     count_run,
     count_table,
     read_counts,
 )
-from deepfsi.hardware.counting.corrections import Ambient, Estimate, GainCorrection, correct
 from deepfsi.hardware.patterns import DesignRails, FrameSettings, export_patterns, read_patterns
 from deepfsi.hardware.virtual import (
     RecordingSettings,
@@ -96,26 +96,6 @@ def test_scenes_are_rid_of_ambient_light_as_strong_as_they(tmp_path, law, where)
     np.testing.assert_array_equal(again.ambient_variance, counts.ambient_variance)
 
 
-def test_dead_time_is_corrected_in_the_background_too(tmp_path):
-    patterns(tmp_path / "patterns", "single")
-    x = np.concatenate([np.repeat(STEADY[None], SCENES, axis=0), np.zeros((1, *SHAPE))])
-    x = x.astype(np.float32)
-    from deepfsi.camera import CounterEffects, DeadTime
-
-    lost = recorded(tmp_path / "lost", tmp_path / "patterns", x, FLUX, dead=20e-9)
-    sound = recorded(tmp_path / "sound", tmp_path / "patterns", x, FLUX)
-    with_dead = count_run(
-        lost,
-        CountSettings(
-            background="black", effects=CounterEffects(dead_time=DeadTime(seconds=20e-9))
-        ),
-    ).ambient
-    without = count_run(sound, CountSettings(background="black"))
-    assert with_dead.sum() == pytest.approx(
-        without.ambient.sum(), abs=5 * np.sqrt(3 * without.ambient_variance.sum())
-    )
-
-
 def test_a_table_of_the_dark_scene_is_subtracted_alike(tmp_path):
     shown = patterns(tmp_path / "patterns", "single")
     manifest, rng = shown.manifest, np.random.default_rng(0)
@@ -138,18 +118,6 @@ def test_a_table_of_the_dark_scene_is_subtracted_alike(tmp_path):
         count_table(Table(settings.dark.values), manifest, TableSettings(dark=table))
 
 
-def test_a_background_that_does_not_fit_is_one_line(tmp_path, refuse):
-    patterns(tmp_path / "patterns", "single")
-    patterns(tmp_path / "other", "two-arm")
-    x = np.repeat(STEADY[None], 2, axis=0)
-    run = recorded(tmp_path / "run", tmp_path / "patterns", x, 0.0)
-    other = recorded(tmp_path / "2", tmp_path / "other", x, 0.0)
-    assert "no scene and no folder" in refuse("camera", "count", run, "--background", "black")
-    assert "other patterns" in refuse("camera", "count", run, "--background", other)
-    assert "no light beyond" in refuse("camera", "count", run, "--background", run)
-    assert not (run / "counts.npz").exists()
-
-
 @pytest.mark.parametrize("exposures", [1, 5])
 def test_law_the_variance_that_is_stated_is_that_of_draws(exposures):
     """Of the mean of exposures in gates, less dark counts that all-OFF frames tell."""
@@ -161,8 +129,8 @@ def test_law_the_variance_that_is_stated_is_that_of_draws(exposures):
     for _ in range(draws):
         gates = rng.poisson(rates * lengths, (exposures, 4))[..., None].astype(float)
         frames = rng.poisson(means * seconds)[:, None].astype(float)
-        each = Ambient.of(
-            manifest, Estimate(gates, gates), lengths, frames=frames, frames_s=seconds
+        each = corrections.Ambient.of(
+            manifest, corrections.Estimate(gates, gates), lengths, frames=frames, frames_s=seconds
         )
         found.append((each.counts.ravel(), each.variance.ravel()))
     counts, variance = np.array(found).swapaxes(0, 1)
@@ -176,7 +144,7 @@ def test_law_the_variance_that_is_stated_is_that_of_draws(exposures):
 def test_law_counts_divided_by_a_gain_have_their_variance(gain):
     """Of μ photons gμ are counted: arrivals have the mean μ and the variance μ / g."""
     mean, draws = 2000.0, 20_000
-    factors = correct(np.zeros(1), [GainCorrection(np.array([gain]))])
+    factors = corrections.correct(np.zeros(1), [corrections.GainCorrection(np.array([gain]))])
     seen = np.random.default_rng(4).poisson(gain * mean, draws)
     found = seen * factors.arrivals
     assert abs(found.mean() - mean) < 5 * found.std() / draws**0.5

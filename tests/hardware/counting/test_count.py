@@ -7,9 +7,9 @@ import pytest
 import recording_samples
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from recording_samples import DWELL, TICK, made, many, named, patterns_of, train, troubles, unseen
+from recording_samples import DWELL, TICK, many, named, patterns_of, train, troubles, unseen
 
-from deepfsi.base import InputError, Progress
+from deepfsi.base import InputError
 from deepfsi.hardware.counting import (
     CountSettings,
     acquisition,
@@ -48,29 +48,6 @@ def test_every_photon_of_a_frame_is_counted_for_its_readout(run):
     assert (counts.signal() == counts.counts - dark[:, None]).all()
 
 
-def test_gates_of_one_frame_are_exposures_of_their_own(run):
-    """Photons come evenly, so each of equal gates counts its part, and edges one more or less."""
-    counts = count_run(run.folder, CountSettings(exposure_s=11e-4, settle_s=1e-4, repeats=8))
-    manifest = run.patterns.manifest
-    assert counts.counts.shape == (3, 8, 2, 6)
-    assert counts.counts[:, :, 1, 0].sum() == 0
-    for place, gate in zip(manifest.shown, counts.gate_s, strict=True):
-        frame = manifest.frames[place]
-        here = counts.counts[:, :, 0 if frame.rail == "plus" else 1, frame.mask]
-        wanted = run.photons[:, place, 0] * gate / (DWELL - 4e-5)
-        assert (np.abs(here - wanted[:, None]) < 1.5).all()
-        full = run.photons[:, place, 0] * 8 * gate / (DWELL - 4e-5)
-        assert (np.abs(here.sum(axis=1) - full) < 1.5).all()
-    assert (
-        count_run(run.folder, CountSettings(exposure_s=11e-4, settle_s=1e-4)).counts.shape[1]
-        == 8 + 1
-    )
-    assert (
-        count_run(run.folder, CountSettings(exposure_s=11e-4, settle_s=6e-4)).counts.shape[1] == 4
-    )
-    assert count_run(run.folder).counts.shape[1] == 1
-
-
 def test_gates_open_and_close_when_they_should(tmp_path):
     """One photon a microsecond: which of them are counted tells the gate's edges."""
     patterns = patterns_of(tmp_path / "patterns")
@@ -97,21 +74,6 @@ def test_gates_open_and_close_when_they_should(tmp_path):
             assert abs(counts.counts[0, gate, rail, frame.mask] - wanted) == 0
 
 
-@pytest.mark.parametrize("drift", [-2e-4, 2e-4])
-def test_gates_that_fill_their_frames_do_not_overlap(run, drift):
-    starts = train(run.patterns.manifest, 3, drift)
-    wanted = read_counts(run.folder).counts
-    run.record(starts, starts.ravel(), run.photons)
-    counts = count_run(run.folder, CountSettings(exposure_s=11 * DWELL, settle_s=0.0))
-    assert (counts.counts == wanted).all()
-    assert (
-        count_run(run.folder, CountSettings(exposure_s=11 * DWELL / 8, settle_s=0.0)).counts.shape[
-            1
-        ]
-        == 8
-    )
-
-
 @pytest.mark.parametrize(("missing", "counted"), [(1, True), (2, False)])
 def test_a_pass_is_whole_if_a_marker_came_after_its_last_mask(run, missing, counted):
     """Else nothing tells that its light was shown, and recorded, up to its end."""
@@ -119,41 +81,6 @@ def test_a_pass_is_whole_if_a_marker_came_after_its_last_mask(run, missing, coun
     counts = count_run(run.folder)
     assert counts.valid[:2].all()
     assert counts.valid[2].all() == counts.valid[2].any() == counted
-
-
-@pytest.mark.parametrize("light", ["free-dwell", "two-arm"])
-def test_every_light_constraint_is_counted(tmp_path, light):
-    run = made(tmp_path, light, exposure_s=1e-3, repeats=2)
-    counts = count_run(run.folder)
-    manifest = run.patterns.manifest
-    arms = 2 if light == "two-arm" else 1
-    assert counts.counts.shape == (3, 2, arms, 6)
-    for place, gate in zip(manifest.shown, counts.gate_s, strict=True):
-        for arm in range(arms):
-            part = gate / (manifest.picture_s[place] - 4e-5)
-            wanted = run.photons[:, place, arm] * part
-            here = counts.counts[:, 1, arm, manifest.frames[place].mask]
-            assert (np.abs(here - wanted) < 1.5).all()
-    assert counts.gate_s == pytest.approx(manifest.shares * 1e-3)
-    rate = 3 / (DWELL - 3e-5)  # less settling and guard
-    assert np.allclose(counts.dark_rate, [rate] * arms, rtol=2e-3)
-
-
-def test_a_scene_with_faults_is_counted_or_given_up(whole, tmp_path):
-    """Frames are told by their photons, so a shifted one would be seen."""
-    markers = np.delete(whole.starts.ravel(), [7, whole.starts.shape[1]])
-    markers[20] += 2e-4
-    prepare_run(tmp_path / "run", whole.folder / "patterns", read_run(whole.folder).acquisition)
-    replace(whole, folder=tmp_path / "run").record(whole.starts, markers, whole.photons)
-    counts, wanted = count_run(tmp_path / "run"), read_counts(whole.folder)
-    assert counts.valid.all()
-    assert np.abs(counts.counts - wanted.counts).max() <= 1
-    assert [(f.kind, f.scene, f.frame) for f in counts.faults] == [
-        ("missing", 0, 7),
-        ("missing", 1, 0),
-        ("late", 1, 7),
-    ]
-    assert read_counts(tmp_path / "run").faults == counts.faults
 
 
 @many
@@ -216,13 +143,6 @@ def test_a_file_cut_while_recording_keeps_whole_exposures(run):
     assert np.isnan(counts.on_rate).tolist() == [False, False, True]
     assert np.isnan(reconstruct(run.folder)).all(axis=(1, 2)).tolist() == [False, False, True]
     assert counts.faults[-1].scene == 2
-
-
-def test_progress_rises_to_one(run):
-    shares: list[float] = []
-    count_run(run.folder, progress=Progress(lambda share, what: shares.append(share)))
-    assert shares == sorted(shares)
-    assert shares[-1] == pytest.approx(1)
 
 
 def test_gates_that_do_not_fit_are_refused(run):

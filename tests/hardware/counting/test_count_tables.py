@@ -2,18 +2,15 @@
 
 import json
 import re
-import tracemalloc
 
 import numpy as np
 import pytest
 import torch
-from recording_samples import patterns_of
 
 from deepfsi.base import InputError
 from deepfsi.base.numeric import Table, read_table
-from deepfsi.camera import CounterEffects, DeadTime, DetectorMap, Device
-from deepfsi.hardware.counting import TableSettings, count_table, table_of_series
-from deepfsi.hardware.counting.tables import ROLL_OVER, column_names, pass_gains
+from deepfsi.camera import DetectorMap, Device
+from deepfsi.hardware.counting import TableSettings, count_table, table_of_series, tables
 from deepfsi.hardware.patterns import (
     DesignRails,
     FrameSettings,
@@ -87,7 +84,7 @@ def test_counts_between_markers_give_the_scanners_readouts(tmp_path, light, rail
     manifest = patterns.manifest
     rates = arrival_rates(tmp_path / "p", SCENES, VirtualCamera(dark=DARK), FLUX)
     values = np.rint(rates * manifest.picture_s[:, None]).reshape(len(SCENES), -1)
-    assert values.shape[1] == len(column_names(manifest))
+    assert values.shape[1] == len(tables.column_names(manifest))
     counts, scenes = count_table(Table(values), manifest, TableSettings())
     assert [scene.name for scene in scenes] == ["1", "2", "3"]
     assert counts.faults == ()
@@ -107,26 +104,6 @@ def test_counts_between_markers_give_the_scanners_readouts(tmp_path, light, rail
     given = TableSettings(photons=photons, background=background)
     again, _ = count_table(Table(bare), manifest, given)
     close(again, expected(patterns.rails, cells))
-
-
-@every_optics
-@every_count
-def test_a_design_file_has_the_order_of_its_patterns(tmp_path, light, rails, cells):
-    design = design_of(light, rails, cells)
-    nominal, shown = Manifest.from_design(design), exported(tmp_path / "p", light, rails, cells)
-    assert column_names(nominal) == column_names(shown.manifest)
-    names = [(frame.role, frame.mask, frame.rail) for frame in nominal.frames]
-    assert names == [(frame.role, frame.mask, frame.rail) for frame in shown.manifest.frames]
-    assert nominal.shares == pytest.approx(shown.manifest.shares)
-    flat = SCENES.reshape(len(SCENES), -1).astype(float)
-    wanted = expected(design.rails, cells)
-    by_frame = []
-    for frame in nominal.frames:
-        if frame.role == "mask":
-            arms = {"plus": [0], "minus": [1], "both": [0, 1]}[frame.rail]
-            by_frame.append(wanted[:, arms, frame.mask].reshape(len(flat), -1))
-    values = np.rint(1e9 * np.concatenate(by_frame, axis=1))
-    close(count_table(Table(values), nominal, TableSettings(photons=1e9))[0], wanted)
 
 
 def test_a_column_design_is_shown_by_no_one_device():
@@ -150,52 +127,6 @@ def signal(counted, table, **settings) -> np.ndarray:
     return count_table(table, counted[0], TableSettings(**settings), "t.csv")[0].signal()
 
 
-def test_rows_columns_and_names_are_one_table(counted):
-    manifest, values = counted
-    names = column_names(manifest)
-    wanted = signal(counted, Table(values))
-    assert np.array_equal(signal(counted, Table(values.T)), wanted)
-    mixed = np.random.default_rng(1).permutation(len(names))
-    named = Table(values[:, mixed], tuple(names[k].upper() for k in mixed))
-    assert np.array_equal(signal(counted, named), wanted)
-    masks = Table(values[:, 2:-2], tuple(names[2:-2]))
-    assert np.array_equal(signal(counted, masks, photons=1e4, background=0), wanted)
-    other = tuple(f"channel {k}" for k in range(len(names)))
-    assert np.array_equal(signal(counted, Table(values, other)), wanted)
-
-
-def test_exposures_of_one_scene_are_told_by_number_or_by_name(counted):
-    manifest, values = counted
-    rows = np.repeat(values, [2, 1, 2], axis=0)
-    words = {"scene": ("a", "a", "b", "c", "c"), "label": ("x", "x", "", "y", "y")}
-    counts, scenes = count_table(Table(rows, (), words), manifest, TableSettings())
-    assert [(scene.name, scene.label) for scene in scenes] == [("a", "x"), ("b", None), ("c", "y")]
-    assert counts.valid.tolist() == [[True, True], [True, False], [True, True]]
-    single, _ = count_table(Table(values), manifest, TableSettings())
-    assert np.array_equal(counts.counts[:, 0], single.counts[:, 0])
-    assert not counts.counts[1, 1].any()
-    pairs, scenes = count_table(Table(rows[[0, 1, 3, 4]]), manifest, TableSettings(repeats=2))
-    assert pairs.counts.shape[:2] == (2, 2)
-    assert [scene.name for scene in scenes] == ["1", "2"]
-
-
-def test_light_that_is_wrong_is_named_as_in_a_photon_file(counted):
-    manifest, values = counted
-    assert count_table(Table(values), manifest, TableSettings())[0].faults == ()
-    for change, kind in (
-        ((1, -2, 0.7), "unsteady"),
-        ((1, 4, 100.0), "brighter"),
-        ((1, [0, -2], 0.0), "dark"),
-    ):
-        wrong = values.copy()
-        wrong[change[0], change[1]] = np.rint(wrong[change[0], change[1]] * change[2])
-        if kind == "dark":
-            wrong[1] = 0
-        counts, _ = count_table(Table(wrong), manifest, TableSettings())
-        assert {(fault.kind, fault.scene) for fault in counts.faults} >= {(kind, 1)}
-        assert counts.spoilt.tolist() == [False, True, False]
-
-
 @pytest.mark.parametrize(
     ("shape", "settings", "said"),
     [
@@ -215,7 +146,7 @@ def test_what_does_not_fit_is_one_line(counted, shape, settings, said):
 
 def test_names_and_values_that_do_not_fit_are_one_line(counted):
     manifest, values = counted
-    names = column_names(manifest)
+    names = tables.column_names(manifest)
     for table, said in (
         (Table(values, ("time", *names[1:])), "'time' that is no frame"),
         (Table(values[:, 1:], tuple(names[1:])), "no column 'on'"),
@@ -256,11 +187,6 @@ def test_law_units_of_an_analogue_detector_are_counts_with_read_noise(tmp_path):
     assert (counts.excess[:, 0, 0] > 0.5 * noise**2).any()
 
 
-def test_an_analogue_detector_has_no_dead_time():
-    with pytest.raises(InputError, match="counts no photons: leave `dead_time` out"):
-        TableSettings(gain=2.0, effects=CounterEffects(dead_time=DeadTime(seconds=1e-8)))
-
-
 # Clicks
 def clicks_table(manifest, rate: float, scenes: int = 60, gates: int = 8) -> Table:
     """Clicks of exposures at a rate of photons/s with all ON, half of it behind masks."""
@@ -268,7 +194,7 @@ def clicks_table(manifest, rate: float, scenes: int = 60, gates: int = 8) -> Tab
     photons = manifest.picture_s * [light[frame.role] for frame in manifest.frames]
     chance = -np.expm1(-photons / gates)
     drawn = np.random.default_rng(2).binomial(gates, chance, (scenes, len(photons)))
-    return Table(drawn.astype(float), tuple(column_names(manifest)))
+    return Table(drawn.astype(float), tuple(tables.column_names(manifest)))
 
 
 def test_clicks_of_a_table_are_read_as_they_are_and_tell_the_budget(tmp_path):
@@ -312,29 +238,6 @@ def test_clicks_that_tell_no_budget_need_it(tmp_path):
     bare = Table(table.values[:, 2:-2], table.names[2:-2])
     with pytest.raises(InputError, match="no all-ON and all-OFF frames, which tell the budget"):
         count_table(bare, manifest, TableSettings(clicks=8))
-
-
-@pytest.mark.parametrize(
-    ("settings", "name"),
-    [
-        ({"background": 3.0}, "`background`"),
-        ({"effects": CounterEffects(dead_time=DeadTime(seconds=1e-8))}, "`dead_time`"),
-        ({"gain": 2.0}, "`gain` or `read_noise`"),
-    ],
-)
-def test_clicks_are_corrected_for_nothing(settings, name):
-    with pytest.raises(InputError, match=f"{name} is of photon counts, and this design reads cl"):
-        TableSettings(clicks=8, **settings)
-
-
-@pytest.mark.parametrize("light", ["equal-dwell", "two-arm", "free-dwell"])
-def test_every_value_of_a_table_has_a_name_of_its_own(light, tmp_path):
-    """Frames of two rails by their sign; on two arms a frame is of both, and has none."""
-    manifest = patterns_of(tmp_path / "patterns", light).manifest
-    names = column_names(manifest)
-    assert len(set(names)) == len(names) == len(manifest.frames) * manifest.inputs
-    signed = {name.split("/")[0][-1] for name in names} & {"+", "-"}
-    assert signed == ({"+", "-"} if light == "equal-dwell" else set())
 
 
 MASKS, BRIGHT, BIN_US = 8, 2e7, 100
@@ -381,7 +284,7 @@ def test_passes_in_bins_are_found_where_they_are(shown, seed):
     _, manifest, rates = shown
     counts, starts = in_bins(manifest, rates, seed)
     rows, names = table_of_series(counts.astype(float), manifest, bin_s=BIN_US * 1e-6)
-    assert names == column_names(manifest)
+    assert names == tables.column_names(manifest)
     frames = 10 * np.arange(MASKS + 4)
     for row, start in zip(rows, starts, strict=True):
         firsts = start + frames + 1
@@ -430,18 +333,7 @@ def test_bins_that_do_not_tell_are_refused(shown):
         table_of_series(np.repeat(alike, counts.shape[1], axis=1), manifest, bin_s=BIN_US * 1e-6)
 
 
-def test_passes_are_found_in_memory_that_does_not_grow_with_their_frames():
-    total = np.arange(40_000.0)[:, None]
-    peaks = []
-    for frames in (12, 96):
-        tracemalloc.start()
-        pass_gains(total, np.full(frames, 4), slice(1))
-        peaks.append(tracemalloc.get_traced_memory()[1])
-        tracemalloc.stop()
-    assert peaks[1] < 1.2 * peaks[0]
-
-
-@pytest.mark.parametrize("first", [0, ROLL_OVER - 1000])
+@pytest.mark.parametrize("first", [0, tables.ROLL_OVER - 1000])
 def test_cumulative_counts_become_those_of_frames(shown, first):
     """Also where the counter begins again within a pass."""
     _, manifest, rates = shown
@@ -449,13 +341,13 @@ def test_cumulative_counts_become_those_of_frames(shown, first):
     counts = rng.poisson(rates * manifest.picture_s[:, None])
     pauses = rng.poisson(50, (len(rates), 1, inputs))
     steps = np.concatenate([pauses, counts], axis=1)  # from the trigger before each latch
-    latched = (first + steps.reshape(-1, inputs).cumsum(axis=0)) % ROLL_OVER
+    latched = (first + steps.reshape(-1, inputs).cumsum(axis=0)) % tables.ROLL_OVER
     rows, names = table_of_series(latched.astype(float), manifest)
-    assert names == column_names(manifest)
+    assert names == tables.column_names(manifest)
     np.testing.assert_array_equal(rows, counts.reshape(len(rates), -1))
     starts = latched.reshape(len(rates), -1, inputs)[:, :-1]  # no trigger at the end of a pass
     rows, names = table_of_series(starts.reshape(-1, inputs).astype(float), manifest)
-    assert names == column_names(manifest)[2 * inputs : -2 * inputs]
+    assert names == tables.column_names(manifest)[2 * inputs : -2 * inputs]
     np.testing.assert_array_equal(rows, counts[:, 2:-2].reshape(len(rates), -1))
 
 

@@ -15,16 +15,6 @@ from deepfsi.hardware.pictures import reconstruct
 run, whole = recording_samples.run, recording_samples.whole
 
 
-def test_counts_are_read_as_they_were_written(run):
-    counts, again = count_run(run.folder), read_counts(run.folder)
-    for name in ("counts", "valid", "gate_s", "on_rate", "off_rate", "dark_rate", "lengths_s"):
-        assert np.array_equal(getattr(counts, name), getattr(again, name))
-        assert getattr(counts, name).dtype == getattr(again, name).dtype
-    assert again.exposure_s == counts.exposure_s
-    assert again.settle_s == counts.settle_s
-    assert again.faults == counts.faults
-
-
 def test_counts_of_another_acquisition_are_refused(run):
     run.edit(settle_s=1e-5)
     with pytest.raises(InputError, match=r"counts\.npz is of another acquisition"):
@@ -39,22 +29,6 @@ def rewrite(run: Run, compression: int = zipfile.ZIP_STORED, **arrays: np.ndarra
         content = dict(held) | arrays
     write = np.savez if compression == zipfile.ZIP_STORED else np.savez_compressed
     write(path, **content)
-
-
-@pytest.mark.parametrize(
-    "arrays",
-    [
-        {"counts": np.zeros((3, 1, 2, 5), np.int64)},
-        {"counts": np.zeros((3, 1, 2, 6), np.int32)},
-        {"valid": np.full((3, 1), 2, np.uint8)},
-        {"about": np.frombuffer(b"{}", np.uint8)},
-        {"sha256": np.zeros(3, np.uint8)},
-    ],
-)
-def test_damaged_counts_are_refused(run, arrays):
-    rewrite(run, **arrays)
-    with pytest.raises(InputError, match=r"counts\.npz is not a whole file"):
-        read_counts(run.folder)
 
 
 @pytest.mark.parametrize("name", ["swapped", "large", "bright", "valid", "exposure", "faults"])

@@ -10,7 +10,6 @@ from recording_samples import (
     JITTER,
     Run,
     lamp,
-    made,
     many,
     schedule,
     train,
@@ -19,8 +18,8 @@ from recording_samples import (
 )
 
 from deepfsi.base import InputError
-from deepfsi.hardware.counting import CountSettings, count_run, read_counts
-from deepfsi.hardware.counting.markers import align, find_steps, measure_pictures
+from deepfsi.hardware.counting import CountSettings, count_run
+from deepfsi.hardware.counting import markers as markers_module
 from deepfsi.hardware.photons import PtuFile, read_markers
 
 EQUAL = schedule([1000] * 16)
@@ -37,16 +36,6 @@ def right_or_lost(found: np.ndarray, true: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("manifest", [EQUAL, FREE], ids=["equal", "free"])
-@pytest.mark.parametrize("drift", [-2e-4, 0.0, 2e-4])
-@pytest.mark.parametrize("pause", [0.0, 1e-3, 0.0374])
-def test_markers_without_faults_are_the_starts(manifest, drift, pause):
-    true = train(manifest, 4, drift, pauses=pause)
-    found = align(true.ravel()[::-1], manifest, 4)
-    assert (found.starts_s == true).all()
-    assert found.faults == ()
-
-
-@pytest.mark.parametrize("manifest", [EQUAL, FREE], ids=["equal", "free"])
 @pytest.mark.parametrize("drift", [-2e-4, 2e-4])
 @pytest.mark.parametrize("pause", [0.0, 0.0374])
 def test_faults_within_a_pass_are_named_and_mended(manifest, drift, pause):
@@ -56,7 +45,7 @@ def test_faults_within_a_pass_are_named_and_mended(manifest, drift, pause):
     given[3, 2] -= 9e-5
     markers = np.append(given.ravel(), true[1, 4] + 3e-5)
     markers = np.delete(markers, [5, 6, true.shape[1] + 9])
-    found = align(markers, manifest, 4)
+    found = markers_module.align(markers, manifest, 4)
     assert [(f.kind, f.scene, f.frame) for f in found.faults] == [
         ("missing", 0, 5),
         ("missing", 0, 6),
@@ -83,8 +72,8 @@ def test_a_pass_that_lacks_its_first_or_last_marker_is_placed_by_photons(
     true = train(EQUAL, 4, drift, pauses=pause)
     place = np.arange(true.size).reshape(true.shape)[scene, frame]
     markers = np.delete(true.ravel(), place)
-    right_or_lost(align(markers, EQUAL, 4).starts_s, true)
-    found = align(markers, EQUAL, 4, counter=lamp(EQUAL, true))
+    right_or_lost(markers_module.align(markers, EQUAL, 4).starts_s, true)
+    found = markers_module.align(markers, EQUAL, 4, counter=lamp(EQUAL, true))
     known = right_or_lost(found.starts_s, true)
     ends = scene == 3 and frame == -1
     assert known.sum() == true.size - ends
@@ -94,23 +83,6 @@ def test_a_pass_that_lacks_its_first_or_last_marker_is_placed_by_photons(
         scene,
         frame % true.shape[1],
     )
-
-
-def test_an_equal_schedule_without_photons_gives_up_what_it_cannot_tell():
-    true = train(EQUAL, 3, pauses=0.05)
-    found = align(true.ravel()[1:], EQUAL, 3)
-    assert np.isfinite(found.starts_s).all(axis=1).tolist() == [False, True, True]
-    assert found.faults[0].kind == "lost"
-    assert found.faults[0].scene == 0
-
-
-def test_photons_of_a_dark_scene_do_not_place_it():
-    true = train(EQUAL, 3, pauses=0.05)
-    dark = np.random.default_rng(0)
-    counter = lambda begin, end: dark.poisson(3.0, len(begin))  # noqa: E731
-    found = align(true.ravel()[1:], EQUAL, 3, counter=counter)
-    assert np.isnan(found.starts_s[0]).all()
-    assert np.isfinite(found.starts_s[1:]).all()
 
 
 @pytest.mark.parametrize(("mask", "placed"), [(650, False), (500, True)])
@@ -124,58 +96,18 @@ def test_a_pass_that_may_begin_at_two_frames_is_given_up(mask, placed):
         slots = np.floor((begin - true[0, 0]) / EQUAL.picture_s[0]).astype(int)
         return np.array([photons.get(slot, 0) for slot in slots.tolist()])
 
-    found = align(true.ravel()[1:], EQUAL, 1, counter=counter).starts_s
+    found = markers_module.align(true.ravel()[1:], EQUAL, 1, counter=counter).starts_s
     assert right_or_lost(found, true).any() == placed
-
-
-def test_a_schedule_of_unlike_frames_places_itself():
-    true = train(FREE, 3, 1e-4)
-    found = align(true.ravel()[1:], FREE, 3)
-    assert (right_or_lost(found.starts_s, true)).all()
-    assert [(f.kind, f.scene, f.frame) for f in found.faults] == [("missing", 0, 0)]
-
-
-@pytest.mark.parametrize("manifest", [EQUAL, FREE], ids=["equal", "free"])
-@pytest.mark.parametrize("pause", [0.0, 0.0374])
-@pytest.mark.parametrize("left", [0.3, 0.61, 0.97])
-def test_a_recording_that_ends_early_keeps_whole_passes(manifest, pause, left):
-    true = train(manifest, 4, -1e-4, pauses=pause)
-    held = round(left * true.size)
-    found = align(true.ravel()[:held], manifest, 4, counter=lamp(manifest, true))
-    known = right_or_lost(found.starts_s, true)
-    whole = held // true.shape[1]
-    assert known[:whole].all()
-    assert not known[whole + 1 :].any()
-    assert {f.scene for f in found.faults if f.kind == "lost"} == set(range(whole, 4))
-
-
-def test_passes_are_not_shifted_where_the_first_left_one_marker():
-    """The last pass lacks its end, for all that times tell: then the first may be the second."""
-    manifest = schedule([1000])
-    true = train(manifest, 4, pauses=[0, 0, 0, 1e-3])
-    markers = true.ravel()[4:]
-    with pytest.raises(InputError, match="not certain"):
-        align(markers, manifest, 4, counter=lamp(manifest, true))
 
 
 def test_a_long_hole_is_not_filled():
     true = train(EQUAL, 3, 1e-4, pauses=0.05)
-    found = align(np.delete(true.ravel(), range(25, 31)), EQUAL, 3)
+    found = markers_module.align(np.delete(true.ravel(), range(25, 31)), EQUAL, 3)
     known = right_or_lost(found.starts_s, true)
     assert known.sum() == true.size - 6
     (fault,) = found.faults
     assert (fault.kind, fault.scene, fault.frame) == ("lost", 1, 5)
     assert "frames 5 to 10" in fault.detail
-
-
-def test_a_clock_that_warms_up_is_followed():
-    manifest = schedule([100_000] * 2000, 100_000)
-    seconds = manifest.starts_s
-    true = 0.5 + seconds * (1 + 1e-4) + 2e-7 / 2 * seconds**2 / 10
-    markers = np.delete(true, [700, 1500])
-    found = align(markers, manifest, 1)
-    assert np.abs(found.starts_s[0] - true).max() < 1e-5
-    assert [f.frame for f in found.faults] == [700, 1500]
 
 
 @pytest.mark.parametrize(
@@ -192,7 +124,7 @@ def test_a_clock_that_warms_up_is_followed():
 )
 def test_markers_of_other_patterns_are_refused(markers, scenes, match):
     with pytest.raises(InputError, match=match):
-        align(markers, EQUAL, scenes)
+        markers_module.align(markers, EQUAL, scenes)
 
 
 @pytest.mark.parametrize("brightest", [0.0, 0.1, 3.0, 200.0, 1e4])
@@ -203,7 +135,9 @@ def test_a_pass_in_its_place_is_never_taken_for_a_shifted_one(brightest):
     rates[2:4] = 1.0, 0.45  # as a Hadamard basis begins
     rates[[0, -2]], rates[[1, -1]] = 1.0, 0.0
     for _ in range(500):
-        fits, clear = find_steps(rng.poisson(rates * brightest + 0.01), np.ones(1000))
+        fits, clear = markers_module.find_steps(
+            rng.poisson(rates * brightest + 0.01), np.ones(1000)
+        )
         assert fits[0]
         assert fits[-1]
         assert clear == (brightest > 10)
@@ -227,7 +161,7 @@ def test_no_fault_shifts_a_pass_silently(manifest, scenes, drift, pauses, troubl
     assume(not unseen(markers, true))
     counter = lamp(manifest, true, seed) if seen else None
     try:
-        found = align(markers, manifest, scenes, counter=counter)
+        found = markers_module.align(markers, manifest, scenes, counter=counter)
     except InputError as error:
         assert "\n" not in str(error)  # noqa: PT017 - being refused is one of two right answers
         return
@@ -237,85 +171,6 @@ def test_no_fault_shifts_a_pass_silently(manifest, scenes, drift, pauses, troubl
 
 
 run, whole = recording_samples.run, recording_samples.whole
-
-
-SHORT = schedule([44] * 180, sentinel=44)
-
-
-UNLIKE = pytest.mark.parametrize("manifest", [EQUAL, FREE, SHORT], ids=["equal", "free", "short"])
-
-
-@UNLIKE
-@pytest.mark.parametrize("pause", [0.0, 0.0374])
-@pytest.mark.parametrize(("rate", "extra"), [(5e-3, 0), (-0.01, 0), (0.01, 0), (0, 5e-6)])
-def test_frames_that_all_last_longer_than_planned_are_trusted(manifest, pause, rate, extra):
-    """5 µs on frames of 1 ms is half a percent: the file was refused whole."""
-    true = train(manifest, 4, rate, pauses=pause, extra=extra)
-    found = align(true.ravel(), manifest, 4)
-    assert (found.starts_s == true).all()
-    assert found.faults == ()
-    wanted = (1 + rate) * manifest.picture_s + extra
-    np.testing.assert_allclose(found.pictures_s, wanted, rtol=2e-4)
-
-
-@UNLIKE
-@pytest.mark.parametrize(("rate", "extra"), [(5e-3, 0), (-0.01, 0), (0, 5e-6)])
-def test_faults_are_mended_on_a_stretched_schedule(manifest, rate, extra):
-    true = train(manifest, 4, rate, pauses=0.03, extra=extra)
-    markers = np.delete(true.ravel(), [5, 6, true.shape[1] + 9])
-    found = align(markers, manifest, 4)
-    assert [(f.kind, f.scene, f.frame) for f in found.faults] == [
-        ("missing", 0, 5),
-        ("missing", 0, 6),
-        ("missing", 1, 9),
-    ]
-    assert np.abs(found.starts_s - true).max() < 10 * JITTER
-
-
-def test_a_clock_is_measured_among_faults():
-    """One marker in twenty is missing, and one doubled."""
-    rng = np.random.default_rng(3)
-    for manifest, extra in ((EQUAL, 0.0), (FREE, 0.0), (FREE, 5e-6)):
-        rate = 0.0 if extra else 7e-3
-        true = train(manifest, 40, rate, extra=extra).ravel()
-        kept = true[rng.random(len(true)) > 0.05]
-        doubled = kept[rng.random(len(kept)) < 0.05] + 3e-5
-        measured = measure_pictures(np.sort(np.append(kept, doubled)), manifest.picture_s, 1e-5)
-        assert measured is not None
-        wanted = (1 + rate) * manifest.picture_s + extra
-        np.testing.assert_allclose(measured, wanted, rtol=2e-4)
-
-
-@pytest.mark.parametrize("rate", [0.3, -0.05])
-def test_frames_of_another_length_are_refused_with_both(rate):
-    with pytest.raises(InputError, match=rf"one each {1 + rate:g} ms, planned 1 ms"):
-        align(train(EQUAL, 3, rate).ravel(), EQUAL, 3)
-
-
-def test_a_tolerance_lets_markers_be_off():
-    true = train(EQUAL, 5, jitter=1e-4, pauses=0.05)
-    with pytest.raises(InputError, match="not follow the schedule"):
-        align(true.ravel(), EQUAL, 5)
-    found = align(true.ravel(), EQUAL, 5, tolerance_s=2e-4)
-    assert (found.starts_s == true).all()
-    with pytest.raises(InputError, match="up to a fifth of the shortest frame"):
-        align(true.ravel(), EQUAL, 5, tolerance_s=3e-4)
-
-
-@pytest.mark.parametrize("rate", [-0.01, 0.005, 0.01])
-def test_frames_of_another_length_are_counted_and_the_drift_is_said(run, rate):
-    starts = train(run.patterns.manifest, 3, rate)
-    run.record(starts, starts.ravel(), run.photons)
-    counts = count_run(run.folder, CountSettings(exposure_s=11 * DWELL * 0.9))
-    assert counts.valid.all()
-    assert counts.drift == pytest.approx(rate, abs=1e-5)
-    assert read_counts(run.folder).drift == counts.drift
-    length = run.patterns.manifest.picture_s[0] - 4e-5  # in which photons come, evenly
-    for place, gate in zip(run.patterns.manifest.shown, counts.gate_s, strict=True):
-        frame = run.patterns.manifest.frames[place]
-        wanted = run.photons[:, place, 0] * (gate + 2e-5 - 3e-5) / length
-        here = counts.counts[:, 0, 0 if frame.rail == "plus" else 1, frame.mask]
-        assert (np.abs(here - wanted) < 1.5).all()
 
 
 def test_gates_that_do_not_fit_frames_as_they_were_are_refused(run):
@@ -348,7 +203,7 @@ def test_no_fault_shifts_a_stretched_pass_silently(
         markers = each.strike(markers, true)
     assume(not unseen(markers, true))
     try:
-        found = align(markers, manifest, scenes, cut=cut)
+        found = markers_module.align(markers, manifest, scenes, cut=cut)
     except InputError as error:
         assert trouble or (drift and extra), error  # noqa: PT017
         assert "\n" not in str(error)  # noqa: PT017
@@ -357,14 +212,6 @@ def test_no_fault_shifts_a_stretched_pass_silently(
     assert (np.abs(found.starts_s - true)[known] < 3e-5).all()
     if not found.faults:
         assert known.all()
-
-
-def test_made_recordings_have_no_drift(tmp_path):
-    """Jitter of the markers alone leaves the planned schedule as it is."""
-    run = made(tmp_path)
-    starts = train(run.patterns.manifest, 3)
-    run.record(starts, starts.ravel(), run.photons)
-    assert abs(count_run(run.folder).drift) < 2 * JITTER / (14 * DWELL)
 
 
 def cut_after(run: Run, markers: int, more: int) -> None:
@@ -400,36 +247,17 @@ def test_whole_passes_of_a_cut_file_are_counted(run, pause, rate):
             (run.folder / "photons.ptu").write_bytes(content)
 
 
-def test_a_recording_that_is_not_cut_has_all_passes(run):
-    """Nobody knows which pass lacks, unless the file says that its end does."""
-    manifest = run.patterns.manifest
-    true = train(manifest, 2, pauses=0.05)
-    with pytest.raises(InputError, match="2 whole passes, and there are 3 scenes"):
-        align(true.ravel(), manifest, 3)
-    found = align(true.ravel(), manifest, 3, counter=lamp(manifest, true), cut=True)
-    assert np.isfinite(found.starts_s).all(axis=1).tolist() == [True, True, False]
-
-
-def test_a_cut_file_whose_passes_are_not_certain_is_refused(run):
-    """Markers before and between the passes may be of one that was not found."""
-    manifest = run.patterns.manifest
-    true = train(manifest, 3, pauses=0.05)
-    markers = np.append(true[0, 3], true[1:].ravel())
-    with pytest.raises(InputError, match="not certain"):
-        align(markers, manifest, 4, cut=True)
-
-
 @pytest.mark.parametrize("kept", [[1, 2, 5], [1, 2, 3, 4, 5]])
 def test_the_last_pass_of_a_cut_file_is_not_made_of_two(kept):
     """Frames 1 to 4 of a pass and frame 0 of the next fit a whole pass; photons tell."""
     manifest = schedule([1000])
     true = train(manifest, 2)
     markers = true.ravel()[kept]
-    found = align(markers, manifest, 2, cut=True)
+    found = markers_module.align(markers, manifest, 2, cut=True)
     assert np.isnan(found.starts_s).all()
     assert {fault.scene for fault in found.faults if fault.kind == "lost"} == {0, 1}
     try:
-        found = align(markers, manifest, 2, counter=lamp(manifest, true), cut=True)
+        found = markers_module.align(markers, manifest, 2, counter=lamp(manifest, true), cut=True)
     except InputError as error:
         assert "not certain" in str(error)  # noqa: PT017 - one of two right answers
     else:

@@ -13,10 +13,9 @@ from deepfsi.hardware.photons import (
     PtuWriter,
     count_windows,
     marker_slack_s,
+    ptu,
     read_markers,
-    summarise,
 )
-from deepfsi.hardware.photons.ptu import KINDS
 from hardware.photons.ptu_samples import END, T2, photon, recorded, save, special, tags_of
 
 TICK_S, SETTLE = 1e-12, 10e-6
@@ -90,7 +89,7 @@ def frames_of(starts, slack, rng):
 
 
 @pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("kind", KINDS.values(), ids=lambda kind: kind.name)
+@pytest.mark.parametrize("kind", ptu.KINDS.values(), ids=lambda kind: kind.name)
 def test_frames_of_all_types_of_records_are_counted_alike(tmp_path, kind, seed):
     rng = np.random.default_rng(seed)
     path = save(tmp_path / "a.ptu", kind, recorded(kind.code, 600, seed))
@@ -130,36 +129,6 @@ def test_a_look_may_be_told_after_the_counts_of_the_last(tmp_path):
         most = max(most, told - len(found))
     assert np.array_equal(found, wanted)
     assert (told, most) == (12, 4)
-
-
-def test_counts_come_with_the_first_record_after_the_gate(tmp_path):
-    """The last frame of a look has no marker after it: a photon ends its gate, or an overflow."""
-    path = record(tmp_path / "a.ptu", [100e-6], 1e6, end_s=3e-4)
-    counter, content = FrameCounter((0,), marker_bit=2), path.read_bytes()
-    counter.expect(FrameGates.of(SETTLE, [80e-6]))
-    offset = PtuFile(path).header.offset
-    _, (start,), (when,) = feed(counter, content, [offset] + [4] * (len(content) // 4))
-    stop, last = round((start + 90e-6) / TICK_S), []
-    for end in (when - 4, when):
-        path.write_bytes(content[:end])
-        last.append(summarise(path).last)
-    assert last[0] < stop <= last[1] < stop + 10**6
-
-
-def test_a_frame_of_several_pictures_begins_with_its_first_marker(tmp_path):
-    """A device that repeats a picture to show it for longer gives a marker each time."""
-    path = record(tmp_path / "a.ptu", [44e-6] * 9, 5e6)
-    times, bits = read_markers(path)
-    starts = times[bits == 2][[0, 3, 4]]
-    pictures = np.array([3, 1, 5])
-    gates = FrameGates(np.full(3, SETTLE), 44e-6 * pictures - 1.5 * SETTLE, pictures)
-    counter = FrameCounter((0,), marker_bit=2)
-    counter.expect(gates)
-    opens = starts + round(SETTLE / TICK_S)
-    closes = opens + np.rint(gates.lengths_s / TICK_S).astype(int)
-    assert np.array_equal(
-        counter.feed(path.read_bytes()).counts, count_windows(path, opens, closes)
-    )
 
 
 EVEN = np.full(8, 44e-6)
@@ -208,19 +177,6 @@ def test_a_marker_that_is_missing_or_doubled_shifts_no_frame(place, shown_s):
         assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize("place", range(8))
-def test_a_list_that_lacks_a_marker_is_never_counted_to_its_end(place):
-    """A loop that waits for the last mask's counts, before the all-OFF frame, waits in vain."""
-    content = looks(EVEN)
-    last = FrameCounter((0,))
-    last.expect(FrameGates.of(SETTLE, EVEN - 15e-6))
-    assert len(last.feed(content[: len(content) // 2]).counts) == 8
-    counter = FrameCounter((0,))
-    counter.expect(FrameGates.of(SETTLE, EVEN - 15e-6))
-    lost = looks(EVEN, lost=place)
-    assert len(counter.feed(lost[: len(lost) // 2]).counts) == 6
-
-
 @pytest.mark.parametrize("shown_s", [EVEN, UNEVEN], ids=["even", "uneven"])
 def test_markers_that_are_a_little_off_and_clocks_that_differ_are_no_fault(shown_s):
     for off_s in (-8e-6, 0.0, 8e-6):
@@ -247,19 +203,6 @@ def test_markers_and_gates_that_do_not_fit_are_refused(tmp_path, told, message):
             counter.expect(FrameGates.of(offset, lengths))
         counter.feed(path.read_bytes())
     assert "\n" not in str(error.value)
-
-
-def test_damage_is_named_as_when_a_whole_file_is_read(tmp_path):
-    path = record(tmp_path / "a.ptu", [44e-6] * 3, 1e6)
-    content = bytearray(path.read_bytes())
-    content[-8:] = content[-4:] + content[-8:-4]
-    path.write_bytes(content)
-    with pytest.raises(InputError) as wanted:
-        count_windows(path, np.array([0]), np.array([1]))
-    counter = FrameCounter((0,), marker_bit=4, stream=path)
-    with pytest.raises(InputError) as error:
-        counter.feed(bytes(content))
-    assert str(error.value) == str(wanted.value)
 
 
 def test_the_lines_of_the_page_run(tmp_path, monkeypatch, capsys):

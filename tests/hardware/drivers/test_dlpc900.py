@@ -1,6 +1,5 @@
 """The DLPC900's driver against a fake of hidapi that reads its bytes by the vendor's guide."""
 
-import sys
 import time
 
 import numpy as np
@@ -11,7 +10,6 @@ from driver_samples import make_patterns
 from deepfsi.base import InputError, Progress
 from deepfsi.camera import DEVICES, Device
 from deepfsi.hardware.drivers import dlpc900
-from deepfsi.hardware.drivers.dlpc900 import encode_picture
 from deepfsi.hardware.patterns import read_frames, read_patterns
 
 SMALL = Device(name="small", columns=64, rows=24, shortest_us=105)
@@ -78,16 +76,6 @@ def test_two_controllers_get_a_half_each(board, tmp_path):
     assert {side for side, _ in board.pictures} == {0, 1}
 
 
-def test_rows_as_long_as_those_of_a_dlp6500(board, tmp_path, monkeypatch):
-    """Runs of more than 127 pixels."""
-    wide = SMALL.model_copy(update={"columns": 1920})
-    monkeypatch.setitem(DEVICES, "dlp6500", wide)
-    board.size = 1920, 24
-    folder = patterns(tmp_path / "patterns", masks=3, device=wide)
-    show(folder)
-    check_shown(board, folder)
-
-
 def test_every_picture_is_decoded_to_itself():
     rng = np.random.default_rng(0)
     for values in (1, 2, 3, 256):
@@ -95,7 +83,7 @@ def test_every_picture_is_decoded_to_itself():
             picture = rng.integers(0, values, (5, columns, 3), np.uint8)
             picture[3] = picture[2]
             picture[4, : columns // 2] = picture[3, : columns // 2]
-            found = decode(encode_picture(picture), columns, 5)
+            found = decode(dlpc900.encode_picture(picture), columns, 5)
             np.testing.assert_array_equal(found, picture)
 
 
@@ -103,7 +91,7 @@ def test_lines_that_repeat_cost_a_few_bytes():
     """The guide's example of its table, and a line for which the one above stands."""
     line = [4, 5, 6] * 3 + [0x77] * 15 + [4, 5, 6, 7, 8, 9, 10, 11, 12] + [1, 2, 3] * 130
     picture = np.tile(np.array(line, np.uint8).reshape(1, -1, 3), (2, 1, 1))
-    body = encode_picture(picture)[48:]
+    body = dlpc900.encode_picture(picture)[48:]
     first = bytes.fromhex("03040506 05777777 00030405060708090A0B0C 8201010203")
     columns = len(line) // 3
     assert body == first + bytes([0, 1, columns & 127 | 128, columns >> 7]) + bytes([0, 1, 0])
@@ -131,22 +119,6 @@ def test_exposures_shorter_than_the_shortest_are_refused_before_anything_is_sent
     with pytest.raises(InputError, match="lasts 104 µs, and dlp6500 shows 105"):
         show(folder)
     assert {command for command, _ in board.commands} == {0x0206, 0x1A0A, 0x1A24}
-
-
-def test_frames_of_another_device_are_refused(board, tmp_path):
-    other = SMALL.model_copy(update={"columns": 128})
-    with pytest.raises(InputError, match=r"128 x 24 mirrors.*64 x 24"):
-        show(patterns(tmp_path / "patterns", device=other))
-
-
-def test_a_frame_that_was_changed_is_found_before_anything_is_sent(board, tmp_path):
-    folder = patterns(tmp_path / "patterns")
-    frames = bytearray((folder / "frames.npy").read_bytes())
-    frames[-1] ^= 1
-    (folder / "frames.npy").write_bytes(frames)
-    with pytest.raises(InputError, match="not what was exported"):
-        show(folder)
-    assert 0x1A34 not in {command for command, _ in board.commands}
 
 
 @pytest.mark.parametrize(
@@ -191,14 +163,6 @@ def test_a_board_that_is_not_ready_is_refused(board, hardware, status, words):
     with pytest.raises(InputError, match=words), dlpc900.Dlpc900Projector():
         pass
     assert not board.opened
-
-
-def test_a_sequencer_that_aborts_is_named(board, tmp_path):
-    def abort():
-        board.status |= 64
-
-    with pytest.raises(InputError, match="hardware status 0x41"):
-        show(patterns(tmp_path / "patterns"), while_it_runs=abort)
 
 
 def test_a_board_that_is_unplugged_is_named(board, tmp_path):
@@ -288,19 +252,3 @@ def test_replies_to_earlier_commands_are_passed_over(board):
         board.replies.append([0x60, 250, *[0] * 62])  # of another command, which failed
         projector.halt()
     assert not board.replies
-
-
-def test_a_board_in_use_is_named(board):
-    board.opened = True
-    with (
-        pytest.raises(InputError, match=r"open failed.*another program"),
-        dlpc900.Dlpc900Projector(),
-    ):
-        pass
-
-
-@pytest.mark.parametrize("module", [None, "of another package"])
-def test_without_hidapi_it_says_what_to_install(monkeypatch, module):
-    monkeypatch.setitem(sys.modules, "hid", module and object())
-    with pytest.raises(InputError, match="pip install hidapi"), dlpc900.Dlpc900Projector():
-        pass

@@ -11,7 +11,6 @@ from deepfsi.base import InputError
 from deepfsi.hardware.counting import FrameCounter, FrameGates
 from deepfsi.hardware.drivers import StreamingCounter
 from deepfsi.hardware.drivers import file_tail as followed
-from deepfsi.hardware.drivers.file_tail import FollowedCounter
 from deepfsi.hardware.photons import PtuWriter
 
 GATES = FrameGates.of(10e-6, [60e-6] * 20)
@@ -46,7 +45,7 @@ def test_a_growing_file_gives_the_counts_of_the_whole_one(tmp_path, content, mak
             for first in range(0, len(content), 1777):
                 file.write(content[first : first + 1777])
 
-    with FollowedCounter() as counter:
+    with followed.FollowedCounter() as counter:
         counter.start(path)
         counter.expect(GATES)
         writer = threading.Thread(target=grow)
@@ -63,13 +62,13 @@ def test_the_wait_for_a_recording_is_announced(tmp_path, content):
         said.append((at, seconds))
         at.write_bytes(content)
 
-    with FollowedCounter(waits=record) as counter:
+    with followed.FollowedCounter(waits=record) as counter:
         counter.start(path)
     assert said == [(path, 60.0)]
 
 
 def test_what_is_not_there_is_named(tmp_path, monkeypatch):
-    with FollowedCounter(appears_s=0.0) as counter:
+    with followed.FollowedCounter(appears_s=0.0) as counter:
         with pytest.raises(InputError, match="no recording is followed"):
             counter.counts_since_marker(1.0)
         with pytest.raises(InputError, match="did not appear within 0 s"):
@@ -82,7 +81,7 @@ def test_what_is_not_there_is_named(tmp_path, monkeypatch):
 def test_frames_may_be_told_before_the_header_has_come(tmp_path, content):
     path = tmp_path / "photons.ptu"
     path.write_bytes(content[:50])
-    with FollowedCounter() as counter:
+    with followed.FollowedCounter() as counter:
         counter.start(path)
         counter.expect(FrameGates.of(10e-6, [60e-6] * 3))
         counter.expect(FrameGates.of(10e-6, [60e-6] * 17))
@@ -96,7 +95,7 @@ def test_a_file_that_is_replaced_is_not_followed_in_silence(tmp_path, content, c
     """Software that writes another file and renames it: the old one never grows again."""
     path, other = tmp_path / "photons.ptu", tmp_path / "new.ptu"
     path.write_bytes(content[: len(content) // 2])
-    with FollowedCounter() as counter:
+    with followed.FollowedCounter() as counter:
         counter.start(path)
         counter.expect(GATES)
         assert len(collect(counter, 5)) >= 5

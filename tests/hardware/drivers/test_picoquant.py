@@ -13,7 +13,6 @@ from driver_samples import check_refused_before_a_recording
 from deepfsi.base import InputError
 from deepfsi.hardware.counting import FrameGates
 from deepfsi.hardware.drivers import StreamingCounter, picoquant
-from deepfsi.hardware.drivers.picoquant import SnapiCounter
 from deepfsi.hardware.photons import PtuFile, PtuWriter, count_windows, read_markers
 
 TICK_S, FRAME = 5e-12, 10**7
@@ -147,7 +146,9 @@ def collect(counter: StreamingCounter, frames: int) -> np.ndarray:
 
 def test_counts_are_those_of_the_file_that_is_left(api, tmp_path):
     path = tmp_path / "photons.ptu"
-    with SnapiCounter((2, 0), marker_bit=2, serial="1045483", config=Path("a.ini")) as counter:
+    with picoquant.SnapiCounter(
+        (2, 0), marker_bit=2, serial="1045483", config=Path("a.ini")
+    ) as counter:
         counter.start(path)
         counter.expect(GATES)
         api.shown.set()
@@ -171,7 +172,7 @@ def test_a_refusal_is_one_line_and_lets_go_of_the_device(api, tmp_path, step):
     api.refused.add(step)
     with (
         pytest.raises(InputError, match="the PicoQuant device cannot") as caught,
-        SnapiCounter() as counter,
+        picoquant.SnapiCounter() as counter,
     ):
         counter.start(tmp_path / "photons.ptu")
     assert "\n" not in str(caught.value)
@@ -182,21 +183,23 @@ def test_a_refusal_is_one_line_and_lets_go_of_the_device(api, tmp_path, step):
 def test_a_device_that_stops_and_records_that_are_lost_are_named(api, tmp_path):
     api.dead = True
     api.shown.set()
-    with SnapiCounter(marker_bit=4) as counter:
+    with picoquant.SnapiCounter(marker_bit=4) as counter:
         counter.start(tmp_path / "photons.ptu")
         counter.expect(GATES)
         with pytest.raises(InputError, match="stopped by itself"):
             counter.counts_since_marker(60)
         with pytest.raises(InputError, match="stopped by itself"):
             counter.counts_since_marker(0.0)
-    with SnapiCounter(marker_bit=4, buffer=int(np.diff(np.sort(api.cuts)).max())) as counter:
+    with picoquant.SnapiCounter(
+        marker_bit=4, buffer=int(np.diff(np.sort(api.cuts)).max())
+    ) as counter:
         counter.start(tmp_path / "other.ptu")
         with pytest.raises(InputError, match="a larger `buffer`"):
             collect(counter, 1)
 
 
 def test_records_are_counted_while_nobody_asks(api, tmp_path):
-    with SnapiCounter(marker_bit=2) as counter:
+    with picoquant.SnapiCounter(marker_bit=2) as counter:
         counter.start(tmp_path / "photons.ptu")
         counter.expect(GATES)
         (made,) = api.made
@@ -208,17 +211,4 @@ def test_records_are_counted_while_nobody_asks(api, tmp_path):
 
 
 def test_nothing_is_counted_before_it_is_recorded(api, tmp_path):
-    check_refused_before_a_recording(SnapiCounter(), tmp_path, "start the counter first")
-
-
-def test_words_where_the_library_is_missing(monkeypatch):
-    monkeypatch.setitem(sys.modules, "snAPI.Main", None)
-    with pytest.raises(InputError, match="pip install"), SnapiCounter():
-        pass
-
-    def broken(name):
-        raise OSError("libusb is not there")
-
-    monkeypatch.setattr(picoquant.importlib, "import_module", broken)
-    with pytest.raises(InputError, match="libusb is not there"), SnapiCounter():
-        pass
+    check_refused_before_a_recording(picoquant.SnapiCounter(), tmp_path, "start the counter first")

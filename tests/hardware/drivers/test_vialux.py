@@ -1,7 +1,5 @@
 """Vialux's driver against a fake of ALP4lib that keeps its rules."""
 
-import sys
-
 import numpy as np
 import pytest
 from driver_samples import make_patterns
@@ -82,12 +80,6 @@ def test_numbers_that_the_device_is_told_are_those_of_its_header():
     told |= {"FLUT_WRITE_9BIT": 2325, "FLUT_WRITE_18BIT": 2326}
     for name, number in (asked | told).items():
         assert getattr(vialux.Alp, name) == number, name
-
-
-def test_library_output_stays_off_stdout(library, capsys):
-    with vialux.VialuxProjector():
-        pass
-    assert capsys.readouterr().out == ""
 
 
 @pytest.mark.parametrize(
@@ -198,14 +190,6 @@ def test_a_device_that_never_ends_is_not_waited_for(library, tmp_path, monkeypat
         show(folder)
 
 
-def test_words_where_the_library_or_the_context_is_missing(monkeypatch):
-    with pytest.raises(InputError, match="not open"):
-        vialux.VialuxProjector().halt()
-    monkeypatch.setitem(sys.modules, "ALP4", None)
-    with pytest.raises(InputError, match="pip install"), vialux.VialuxProjector():
-        pass
-
-
 # Lists of frames ---------------------------------------------------------------------------------
 
 
@@ -302,18 +286,6 @@ def test_lists_that_cannot_be_are_refused(library, tmp_path):
             with pytest.raises(InputError, match=words):
                 projector.show(frames, dwells)
         assert not library.lists
-
-
-@pytest.mark.parametrize("step", ["ProjControlEx", "Run"])
-def test_a_refused_list_is_one_line_and_frees_the_device(library, tmp_path, step):
-    folder = patterns(tmp_path / "patterns", masks=2)
-    with vialux.VialuxLooks() as projector:
-        projector.load(folder)
-        library.fail_at = {step: 1009}
-        with pytest.raises(InputError, match="Failure 1009") as caught:
-            projector.show(np.array([0]), np.array([44e-6]))
-    assert "\n" not in str(caught.value)
-    assert not library.allocated
 
 
 def test_a_list_waits_until_the_last_has_ended(library, tmp_path, monkeypatch):

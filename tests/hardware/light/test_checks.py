@@ -7,16 +7,13 @@ import os
 
 import numpy as np
 import pytest
-from light_faults import FAULTS, Lit, patterns_of, steady
+from light_faults import FAULTS, Lit, patterns_of
 from scipy.stats import binom
 
 from deepfsi.base import InputError
 from deepfsi.camera import DetectorMap
 from deepfsi.hardware.counting import Counts, count_run
-from deepfsi.hardware.light import FALSE_ALARMS, find_lateness
-from deepfsi.hardware.light.checks import PassLight, find_unequal_gains
-from deepfsi.hardware.light.curves import LightCurve
-from deepfsi.hardware.light.flux import Background
+from deepfsi.hardware.light import FALSE_ALARMS, checks, curves, find_lateness, flux
 
 RECORDINGS = int(os.environ.get("DEEPFSI_LIGHT", "45"))
 LIGHTS = ("free-dwell", "two-arm")
@@ -110,55 +107,6 @@ def test_a_fault_of_the_light_is_named_as_what_it_is(counted, fault, kinds):
     assert found & kinds
 
 
-@pytest.mark.parametrize("fault", ["never_lit", "wrong_input"])
-def test_no_light_on_the_input_is_an_error_that_says_where_light_is(shown, tmp_path, fault):
-    folder, patterns = shown["free-dwell"]
-    lit = Lit.sound(patterns, np.random.default_rng(3))
-    FAULTS[fault](lit)
-    lit.record(tmp_path / "run", folder)
-    where = r"3, \d+ photons on input 8" if fault == "wrong_input" else "3: "
-    with pytest.raises(InputError, match=rf"no light on input 3: .*on input {where}.*lamp"):
-        count_run(tmp_path / "run")
-
-
-def test_the_light_of_a_scene_is_that_of_its_part_of_the_recording(shown, tmp_path):
-    """A lamp that halves between two scenes halves the budget of those after it, not of others."""
-    folder, patterns = shown["free-dwell"]
-    lit = Lit.sound(patterns, np.random.default_rng(8))
-    half = lit.scenes // 2
-    lit.lamp = lambda t: np.where(t >= half * lit.pass_s, 0.5, 1.0)
-    lit.record(tmp_path / "run", folder)
-    counts = count_run(tmp_path / "run")
-    assert [(fault.kind, fault.scene) for fault in counts.faults] == [("level", half)]
-    assert np.ptp(counts.photons[:half]) == np.ptp(counts.photons[half:]) == 0
-    assert counts.photons[-1] / counts.photons[0] == pytest.approx(0.5, rel=0.06)
-    assert usable(counts).all()
-
-
-def test_dark_counts_alone_are_no_light(shown, tmp_path):
-    folder, patterns = shown["free-dwell"]
-    lit = Lit.sound(patterns, np.random.default_rng(5))
-    lit.lamp, lit.stray = steady(0.0), steady(3e4)
-    lit.record(tmp_path / "run", folder)
-    with pytest.raises(InputError, match="no all-ON frame is brighter than the all-OFF ones"):
-        count_run(tmp_path / "run")
-
-
-def test_a_mask_that_is_brighter_than_all_mirrors_on_spoils_its_scene(shown, tmp_path):
-    """Stray light that is steady while one mask is shown is told by its brightness alone."""
-    folder, patterns = shown["free-dwell"]
-    lit, place = Lit.sound(patterns, np.random.default_rng(8)), int(patterns.manifest.shown[3])
-    begin, dark = lit.starts()[2, place], lit.stray(np.zeros(1))[0]
-    end = lit.starts()[2, place + 1]
-    lit.stray = lambda t: np.where((t >= begin) & (t < end), 1.5 * lit.flux, dark)
-    lit.record(tmp_path / "run", folder)
-    counts = count_run(tmp_path / "run")
-    assert [(each.kind, each.scene, each.frame) for each in counts.faults] == [
-        ("brighter", 2, place)
-    ]
-    assert np.flatnonzero(counts.spoilt).tolist() == [2]
-
-
 @pytest.mark.parametrize("seconds", [0.01, 4.0])
 def test_law_few_photons_alone_are_no_gain(seconds):
     """Shares of 120 photons a scene err by a tenth and more; half of the light is no error."""
@@ -171,27 +119,13 @@ def test_law_few_photons_alone_are_no_gain(seconds):
             photons = rng.poisson(mean * share, (scenes, 4, 1))
             open_s = np.full((scenes, 4, 1), seconds)
             places = np.zeros((4, 1)), np.arange(scenes), (0, 2), (1, 3), ()
-            curve = LightCurve(photons, open_s, *places, "", sees_part=True)
-            none = Background(np.zeros(scenes), np.ones(scenes), [slice(0, scenes)])
-            detectors.append(PassLight.of(curve, none, 1e-4))
-        return find_unequal_gains(detectors, known)
+            curve = curves.LightCurve(photons, open_s, *places, "", sees_part=True)
+            none = flux.Background(np.zeros(scenes), np.ones(scenes), [slice(0, scenes)])
+            detectors.append(checks.PassLight.of(curve, none, 1e-4))
+        return checks.find_unequal_gains(detectors, known)
 
     assert sum(bool(found(1.0, 20)) for _ in range(300)) == 0
     assert all(found(0.3, 2e3) for _ in range(20))
-
-
-def test_stray_light_alone_is_no_late_trigger():
-    """In none of 1000 recordings of 20 scenes, at 1e5 counts/s in the dark."""
-    seconds = np.tile([[1e-5], [9.7e-4], [9.7e-4]], 20)
-    rates = np.array([[1e5], [1e5], [1e6]])
-    rng = np.random.default_rng(2)
-    for _ in range(1000):
-        assert not find_lateness(rng.poisson(rates * seconds), seconds, room_s=1.0)
-    rates[0] += 1e5  # 1 µs of light: 19 photons more, 4 of their standard errors
-    late = [find_lateness(rng.poisson(rates * seconds), seconds, room_s=1.0) for _ in range(50)]
-    assert sum(map(bool, late)) < 10
-    rates[0] += 4e5
-    assert find_lateness(rng.poisson(rates * seconds), seconds, room_s=1.0)
 
 
 @pytest.mark.parametrize("longer", [1.0, 20.0])

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from deepfsi.hardware.light.curves import LightCurve
-from deepfsi.hardware.light.flux import Background, Flux
+from deepfsi.hardware.light import curves, flux
 from deepfsi.hardware.patterns import Brightness
 
 
@@ -20,12 +19,16 @@ def test_law_the_error_of_the_background_is_in_the_test_of_levels(unit):
     for _ in range(60):
         photons = rng.poisson((stray + light) * seconds)
         places = np.zeros((4, 1)), np.arange(passes), (0, 2), (1, 3), ()
-        curve = LightCurve(photons, seconds, *places, "")
-        background = Background.of(curve, 1e-4)
+        curve = curves.LightCurve(photons, seconds, *places, "")
+        background = flux.Background.of(curve, 1e-4)
         assert len(background.segments) == 2
         every = np.ones(passes, bool)
         alarms += (
-            len(Flux.of(curve, background, used=every, brightness=brightness, chance=1e-4).levels)
+            len(
+                flux.Flux.of(
+                    curve, background, used=every, brightness=brightness, chance=1e-4
+                ).levels
+            )
             > 1
         )
     assert alarms == 0

@@ -5,10 +5,7 @@ import pytest
 from scipy.optimize import brentq
 from scipy.stats import poisson
 
-from deepfsi.hardware.light import FALSE_ALARMS, PARTS, Arrivals, LightMonitor
-from deepfsi.hardware.light.checks import CHECKS
-from deepfsi.hardware.light.curves import EXCESS
-from deepfsi.hardware.light.flux import HARMLESS
+from deepfsi.hardware.light import FALSE_ALARMS, PARTS, Arrivals, LightMonitor, checks, curves, flux
 from deepfsi.hardware.patterns import Brightness
 from hardware.counting.recording_samples import schedule
 
@@ -37,10 +34,10 @@ def test_law_a_stated_flux_is_contradicted_at_the_stated_chance(photons):
     def edge(low: float, high: float) -> float:
         return brentq(lambda s: light.contradicts(s * each) - 0.5, low, high, xtol=1e-9)
 
-    chance = FALSE_ALARMS / len(CHECKS) / SCENES / 2
+    chance = FALSE_ALARMS / len(checks.CHECKS) / SCENES / 2
     far, near = edge(1.0, 5.0), edge(0.1, 1.0)
-    read = round(photons / EXCESS)
-    fewer = poisson.cdf(read, far / (1 + HARMLESS) * read)
-    more = poisson.sf(read - 1, near * (1 + HARMLESS) * read)
+    read = round(photons / curves.EXCESS)
+    fewer = poisson.cdf(read, far / (1 + flux.HARMLESS) * read)
+    more = poisson.sf(read - 1, near * (1 + flux.HARMLESS) * read)
     assert fewer == pytest.approx(chance, rel=1e-3)
     assert more == pytest.approx(chance, rel=1e-3)

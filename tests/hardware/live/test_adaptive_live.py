@@ -13,13 +13,10 @@ from deepfsi import learn
 from deepfsi.base import InputError
 from deepfsi.camera import find_device
 from deepfsi.hardware.live import LiveCounts, plan_live, run_live
-from deepfsi.hardware.live.frame_log import FrameLog
-from deepfsi.hardware.patterns import FrameSettings, check_patterns, export_patterns, read_patterns
+from deepfsi.hardware.patterns import FrameSettings, export_patterns, read_patterns
 from deepfsi.hardware.virtual import (
     CAMERAS,
     Latencies,
-    VirtualCamera,
-    expected_events,
     virtual_setup,
 )
 from deepfsi.lab import design_rails, open_looks
@@ -125,54 +122,6 @@ def test_decisions_are_those_of_the_design(digits, patterns, tmp_path):
     assert len(faults) <= 11  # 0.04 of 100 at most, at a chance of 1 in 1000
 
 
-def test_a_look_takes_the_time_to_load_its_mask(digits, patterns, tmp_path):
-    run(tmp_path / "run", patterns, digits, count=2)
-    for shown in FrameLog.read(tmp_path / "run").scenes:
-        assert len(shown.lists) == LOOKS + 2
-        decision_s = open_looks(patterns).decision_s
-        assert shown.clock_s > EXPOSURE_S + LOOKS * (LOAD_S + decision_s)
-        assert shown.light_s == pytest.approx(EXPOSURE_S, rel=1e-6)
-
-
-def test_scenes_that_are_not_as_in_the_training_get_no_class(digits, patterns, tmp_path):
-    """Noise in place of digits at ten times the counts, and scenes of twice the stated light."""
-    strange = np.random.default_rng(0).random((40, 8, 8)) * 2 * digits.x_train.mean()
-    found = run(tmp_path / "strange", patterns, digits, 40, x=strange, flux=10 * FLUX)
-    last = [each.answer for each in found if each.answer]
-    print(sum(each.predicted is None for each in last))
-    assert sum(each.predicted is None for each in last) >= 8
-    budget = FLUX * EXPOSURE_S / 2
-    found = run(tmp_path / "bright", patterns, digits, 6, photons=budget)
-    last = [each.answer for each in found if each.answer]
-    assert all(each.predicted is None for each in last)
-
-
-def test_dark_counts_are_known_and_change_little(digits, patterns, tmp_path):
-    """As many of them as photons through half the mirrors: the masks are made with them."""
-    camera = VirtualCamera(dark=FLUX / 2)
-    noisy = run(tmp_path / "noisy", patterns, digits, 40, camera=camera)
-    right = [each.answer.predicted == each.answer.label for each in noisy if each.answer]
-    assert np.mean(right) > 0.75
-
-
-def test_an_exposure_stops_when_it_is_sure(digits, patterns, tmp_path):
-    sure = run(tmp_path / "run", patterns, digits, 8, until=0.9)
-    for each in sure:
-        last = each.decision.look == LOOKS - 1
-        assert each.decision.final == (last or each.decision.chances.max() > 0.9)
-    assert min(each.decision.look for each in sure if each.decision.final) < LOOKS - 1
-    LiveCounts.count(tmp_path / "run")
-    assert all(each.answer.agrees for each in replay(tmp_path / "run"))
-
-
-def test_the_patterns_hold_the_design_and_the_first_mask(patterns):
-    manifest = check_patterns(patterns).manifest
-    assert manifest.looks.adaptive
-    assert [frame.role for frame in manifest.frames] == ["on", "off", "mask", "on", "off"]
-    looks = open_looks(patterns)
-    assert len(looks.shares) == LOOKS
-
-
 def test_a_device_that_loads_no_frame_while_it_runs_is_refused(patterns, tmp_path):
     rails = design_rails(patterns.parent / "a.safetensors")
     frames = FrameSettings(find_device("dlp6500"), 1e-3, format="planes")
@@ -200,37 +149,6 @@ def test_the_shortest_look_must_not_be_shorter_than_the_device_allows(digits, tm
     plan_live(patterns, scenes, EXPOSURE_S, shortest_s * 0.99, looks=open_looks(patterns))
     with pytest.raises(InputError, match="shorter than the shortest dwell"):
         plan_live(patterns, scenes, EXPOSURE_S, shortest_s * 1.01, looks=open_looks(patterns))
-
-
-def test_a_background_is_refused(digits, patterns):
-    looks, (_, scenes) = open_looks(patterns), scenes_of(digits, 1)
-    with pytest.raises(InputError, match="not known before"):
-        plan_live(patterns, scenes, EXPOSURE_S, looks=looks, background=True)
-
-
-def test_the_looks_of_adaptive_masks_are_handed_in(digits, patterns):
-    with pytest.raises(InputError, match="give its `looks`"):
-        plan_live(patterns, scenes_of(digits, 1)[1], EXPOSURE_S)
-
-
-def test_a_changed_mask_is_found_in_the_replay(digits, patterns, tmp_path):
-    folder = tmp_path / "run"
-    run(folder, patterns, digits, count=1)
-    (line,) = (folder / "shown.jsonl").read_text().splitlines()
-    mask = FrameLog.read(folder).scenes[0].lists[2].masks[0]
-    other = "AAAAAAAAAAA=" if mask[0] != "A" else "/////////w8="
-    (folder / "shown.jsonl").write_text(line.replace(mask, other) + "\n")
-    LiveCounts.count(folder)
-    with pytest.raises(InputError, match="not the one that follows from its counts"):
-        replay(folder)
-
-
-def test_the_expected_size_of_the_recording_counts_its_masks(digits, patterns):
-    x, _ = scenes_of(digits, 3)
-    shown = read_patterns(patterns)
-    passes = EXPOSURE_S / shown.manifest.pass_s + 1
-    expected = expected_events(shown, x, CAMERAS["ideal"], FLUX)
-    assert expected * passes > 3 * FLUX * EXPOSURE_S * 0.2
 
 
 @pytest.fixture(autouse=True)

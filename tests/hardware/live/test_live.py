@@ -10,10 +10,8 @@ import pytest
 
 from deepfsi.base import InputError
 from deepfsi.camera import find_device
-from deepfsi.hardware.counting import read_run
-from deepfsi.hardware.live import LiveCounts
+from deepfsi.hardware.live import LiveCounts, frame_log
 from deepfsi.hardware.live import run as runs
-from deepfsi.hardware.live.frame_log import DARK_SCENE, FrameLog
 from deepfsi.hardware.patterns import read_patterns
 from deepfsi.hardware.virtual import CAMERAS, Latencies, VirtualCamera, arrival_rates
 from shared.live_samples import LOOKS, OPTICS, bench, live, make_patterns, replay, scenes_of
@@ -59,7 +57,7 @@ def copied(run, tmp_path):
 def test_each_look_has_its_time_and_no_frame_is_too_short(run, patterns):
     manifest = read_patterns(patterns).manifest
     least = manifest.device.shortest_us - manifest.device.settle_us - 2
-    for scene in FrameLog.read(run).scenes:
+    for scene in frame_log.FrameLog.read(run).scenes:
         first, *looks, last = scene.lists
         assert first.frames == last.frames == (0, 1)
         assert len(looks) == LOOKS
@@ -67,19 +65,6 @@ def test_each_look_has_its_time_and_no_frame_is_too_short(run, patterns):
             assert min(each.gate_ns) >= least * 1000
             assert abs(sum(each.gate_ns) - EXPOSURE_S * 1e9 / LOOKS) <= len(each.gate_ns)
         assert scene.light_s == pytest.approx(EXPOSURE_S, rel=1e-6)
-
-
-def test_frames_are_held_as_long_as_the_device_needs(run, patterns):
-    from deepfsi.hardware.photons import read_markers
-
-    times = read_markers(run / "photons.ptu")[0] * 1e-12
-    device = read_patterns(patterns).manifest.device
-    for scene in FrameLog.read(run).scenes:
-        for each, first in zip(scene.lists, scene.first_markers, strict=True):
-            held = np.diff(times[np.append(first, first[-1] + 1)])
-            assert (held >= device.shortest_us * 1e-6 - 1e-9).all()
-            gates = np.array(each.gate_ns) * 1e-9 + device.settle_us * 1e-6
-            assert (held >= gates).all()
 
 
 def counts_and_means(run, patterns, x):
@@ -103,29 +88,6 @@ def test_counts_are_those_of_the_light(digits, patterns, run):
     assert (counts[expected == 0] == 0).all()
 
 
-def test_decisions_are_those_of_the_design(digits, patterns, run):
-    """`Design.classify_live`, in torch, asks for the same dwells and says the same."""
-    from deepfsi import Design
-
-    design = Design.load(patterns.parent / "looks.safetensors")
-    manifest = read_patterns(patterns).manifest
-    masks = {int(at): manifest.frames[at].mask for at in manifest.shown}
-    for again, (scene, counts) in zip(replay(run), LiveCounts.read(run).by_scene, strict=True):
-        shown = iter(zip(scene.lists[1:-1], counts[1:-1], strict=True))
-
-        def read(dwell, shown=shown):
-            each, found = next(shown)
-            places = [masks[frame] for frame in each.frames]
-            gates, signal = np.zeros(design.masks), np.zeros(design.masks)
-            gates[places] = np.array(each.gate_ns) * 1e-9 / EXPOSURE_S
-            signal[places] = found.counts[:, 0]
-            assert dwell[gates > 0] == pytest.approx(gates[gates > 0], rel=0.02)
-            return signal, gates
-
-        chances = design.classify_live(read, again.decisions[-1].photons)
-        np.testing.assert_allclose(chances, again.decisions[-1].chances, atol=1e-4)
-
-
 def test_the_clock_adds_up(digits, patterns, tmp_path):
     """A scene takes its pictures and, for each list, command, block, transfer and decision."""
     slow = Latencies(display=0.5, command=0.01, block=0.1, transfer=0.003, decision=0.002)
@@ -133,7 +95,7 @@ def test_the_clock_adds_up(digits, patterns, tmp_path):
     times = {}
     for each in decided:
         times.setdefault(each.scene, []).append(each.clock_s)
-    for scene in FrameLog.read(tmp_path / "run").scenes:
+    for scene in frame_log.FrameLog.read(tmp_path / "run").scenes:
         assert scene.clock_s == times[scene.scene][-1]
         assert np.diff(times[scene.scene]).min() >= slow.command
         lists = 2 + LOOKS
@@ -142,35 +104,13 @@ def test_the_clock_adds_up(digits, patterns, tmp_path):
     quick = Latencies(display=1e-3, command=0, block=1e-6, transfer=0, decision=0)
     decided = live(tmp_path / "quick", patterns, digits, count=3, latencies=quick)
     manifest = read_patterns(patterns).manifest
-    for scene in FrameLog.read(tmp_path / "quick").scenes:
+    for scene in frame_log.FrameLog.read(tmp_path / "quick").scenes:
         gates = np.concatenate([each.gate_ns for each in scene.lists[1:-1]]) * 1e-9
         masks = np.ceil((gates * 1e6 + 12).round(6)) * 1e-6
         ends = 4 * manifest.frames[0].picture_us * 1e-6
         rests = (LOOKS + 1) * 44e-6
         assert scene.clock_s == pytest.approx(masks.sum() + ends + rests, abs=5e-6)
         assert scene.clock_s > EXPOSURE_S
-
-
-def test_an_exposure_stops_when_it_is_sure(digits, patterns, tmp_path):
-    sure = live(tmp_path / "run", patterns, digits, count=12, until=0.13)
-    ends = [each for each in sure if each.decision.final]
-    assert len(ends) == 12
-    for each in sure:
-        last = each.decision.look == LOOKS - 1
-        assert each.decision.final == (last or each.decision.chances.max() > 0.13)
-    assert {each.decision.look for each in ends} != {LOOKS - 1}
-    LiveCounts.count(tmp_path / "run")
-    assert all(each.answer.agrees for each in replay(tmp_path / "run"))
-
-
-def test_a_longer_shortest_dwell_shows_fewer_frames(digits, patterns, tmp_path):
-    live(tmp_path / "run", patterns, digits, shortest_s=0.5e-3)
-    shown = FrameLog.read(tmp_path / "run").scenes
-    gates = [each.gate_ns for scene in shown for each in scene.lists[1:-1]]
-    assert min(map(min, gates)) >= 500_000
-    assert max(map(len, gates)) < 6
-    LiveCounts.count(tmp_path / "run")
-    assert all(each.answer.agrees for each in replay(tmp_path / "run"))
 
 
 def test_a_background_is_measured_first_and_the_run_is_replayed_with_it(digits, patterns, tmp_path):
@@ -180,8 +120,8 @@ def test_a_background_is_measured_first_and_the_run_is_replayed_with_it(digits, 
     folder, words = tmp_path / "run", {"flux": 1e7, "camera": camera, "count": 8}
     decided = live(folder, patterns, digits, background=True, **words)
     sound = live(tmp_path / "sound", patterns, digits, flux=1e7, count=8)
-    (dark, *_) = FrameLog.read(folder).scenes
-    assert (dark.scene, len(dark.lists), dark.chances) == (DARK_SCENE, 1, ())
+    (dark, *_) = frame_log.FrameLog.read(folder).scenes
+    assert (dark.scene, len(dark.lists), dark.chances) == (frame_log.DARK_SCENE, 1, ())
     budgets = [[one.decision.photons for one in each if one.answer] for each in (decided, sound)]
     on, measured = 1e7 * 1e-3, 1e7 * 10e-3 / LOOKS  # counts of an all-ON frame of either pass
     np.testing.assert_allclose(*budgets, rtol=5 * np.sqrt(3 / on + 2 / measured))
@@ -191,69 +131,6 @@ def test_a_background_is_measured_first_and_the_run_is_replayed_with_it(digits, 
     assert all(each.answer.agrees for each in replayed)
     again = [one.chances for each in replayed for one in each.decisions]
     assert np.array_equal([each.decision.chances for each in decided], again)
-
-
-def test_without_light_nothing_is_decided(digits, patterns, tmp_path):
-    decided = live(tmp_path / "run", patterns, digits, count=2, flux=0.0)
-    assert [each.decision for each in decided] == [None, None]
-    LiveCounts.count(tmp_path / "run")
-    assert [each.decisions for each in replay(tmp_path / "run")] == [(), ()]
-    known = live(tmp_path / "known", patterns, digits, count=2, flux=0.0, photons=1e4)
-    assert [each.decision for each in known] == [None, None]
-
-
-def test_the_budget_is_that_of_the_light_so_far(digits, patterns, run):
-    x, _ = scenes_of(digits, 12)
-    rates = arrival_rates(patterns, x, CAMERAS["ideal"], 1e6)[:, :2, 0]
-    for k, each in enumerate(replay(run), start=1):
-        frames = np.full(k, 2.0)
-        frames[-1] = 1  # the second all-ON frame of this scene follows its looks
-        wanted = (rates[:k, 0] - rates[:k, 1]) @ frames / frames.sum() * EXPOSURE_S
-        noise = 5 * np.sqrt(wanted / EXPOSURE_S / (k * 0.9e-3)) * EXPOSURE_S
-        assert abs(each.decisions[-1].photons - wanted) < noise
-
-
-def test_a_device_that_repeats_frames_is_followed(digits, patterns, tmp_path):
-    """As a frame list of Vialux does: a dwell is a number of shortest pictures, each a marker."""
-    x, scenes = scenes_of(digits, 3)
-    devices = bench(patterns, x, 1e6)
-    whole = devices.projector.show
-
-    def repeats(dwells_s):
-        return np.ceil((dwells_s / 44e-6).round(6)).astype(int)
-
-    def show(frames, dwells_s):
-        places = np.repeat(frames, repeats(dwells_s))
-        whole(places, np.full(len(places), 44e-6))
-
-    def pictures(dwells_s):
-        return repeats(dwells_s), np.full(len(dwells_s), 44e-6)
-
-    devices.projector.show, devices.projector.pictures = show, pictures
-    acquisition = runs.plan_live(patterns, scenes, EXPOSURE_S)
-    decided = list(runs.run_live(tmp_path / "run", patterns, acquisition, devices))
-    assert len(decided) == 3 * LOOKS
-    LiveCounts.count(tmp_path / "run")
-    assert all(each.answer.agrees for each in replay(tmp_path / "run"))
-    counts, expected = counts_and_means(tmp_path / "run", patterns, x)
-    assert abs(counts.sum() - expected.sum()) < 5 * np.sqrt(expected.sum())
-
-
-def test_long_gates_end_within_their_pictures_where_clocks_differ(digits, patterns, tmp_path):
-    """A device whose clock is fast by 10⁻⁴ shortens a picture of 1 s by more than it settles."""
-    x, scenes = scenes_of(digits, 2)
-    devices = bench(patterns, x, 1e4)
-    whole = devices.projector.show
-    devices.projector.show = lambda frames, dwells_s: whole(frames, dwells_s * (1 - 1e-4))
-    acquisition = runs.plan_live(patterns, scenes, 3.0 * LOOKS)
-    decided = list(runs.run_live(tmp_path / "run", patterns, acquisition, devices))
-    assert len(decided) == 2 * LOOKS
-    gates = [
-        max(one.gate_ns)
-        for each in FrameLog.read(tmp_path / "run").scenes
-        for one in each.lists[1:-1]
-    ]
-    assert max(gates) > 0.2e9
 
 
 @pytest.mark.parametrize("stop", [KeyboardInterrupt, InputError("the device refuses")])
@@ -272,7 +149,7 @@ def test_finished_scenes_are_kept_when_a_run_is_stopped(digits, patterns, tmp_pa
     with pytest.raises(type(stop) if isinstance(stop, Exception) else stop):  # noqa: PT012
         for each in runs.run_live(folder, patterns, acquisition, devices):
             done.append(each)
-    assert len(FrameLog.read(folder).scenes) == 2
+    assert len(frame_log.FrameLog.read(folder).scenes) == 2
     LiveCounts.count(folder)
     replayed = replay(folder)
     assert [each.answer.agrees for each in replayed] == [True, True]
@@ -280,9 +157,9 @@ def test_finished_scenes_are_kept_when_a_run_is_stopped(digits, patterns, tmp_pa
 
 
 def test_a_line_that_a_killed_run_left_is_no_scene(copied):
-    path = copied / FrameLog.NAME
+    path = copied / frame_log.FrameLog.NAME
     path.write_bytes(path.read_bytes()[:-20])
-    assert len(FrameLog.read(copied).scenes) == 11
+    assert len(frame_log.FrameLog.read(copied).scenes) == 11
     LiveCounts.count(copied)
     assert all(each.answer.agrees for each in replay(copied))
 
@@ -291,13 +168,21 @@ def test_a_line_that_a_killed_run_left_is_no_scene(copied):
     ("file", "change", "words"),
     [
         (
-            FrameLog.NAME,
+            frame_log.FrameLog.NAME,
             lambda old: old.replace(b'"look":0', b'"look":1'),
             "not the one that follows",
         ),
-        (FrameLog.NAME, lambda old: old.replace(b'"markers":[1,', b'"markers":[0,'), "is damaged"),
-        (FrameLog.NAME, lambda old: old[old.index(b"\n") + 1 :], "do not follow each other"),
-        (FrameLog.NAME, lambda old: b"", "no finished scene"),
+        (
+            frame_log.FrameLog.NAME,
+            lambda old: old.replace(b'"markers":[1,', b'"markers":[0,'),
+            "is damaged",
+        ),
+        (
+            frame_log.FrameLog.NAME,
+            lambda old: old[old.index(b"\n") + 1 :],
+            "do not follow each other",
+        ),
+        (frame_log.FrameLog.NAME, lambda old: b"", "no finished scene"),
         ("photons.ptu", lambda old: old[: len(old) // 2], "markers|lack records"),
         ("acquisition.json", lambda old: old.replace(b'"live"', b'"dead"'), "cannot be used"),
     ],
@@ -322,21 +207,6 @@ def test_counts_of_other_files_are_refused(copied):
     (copied / "counts.npz").unlink()
     with pytest.raises(InputError, match="is missing"):
         LiveCounts.read(copied)
-
-
-def test_other_counts_are_found_to_disagree(copied):
-    """Photons more in one gate of the first look give another second look."""
-    import io
-
-    path = copied / "counts.npz"
-    with np.load(path) as held:
-        arrays = dict(held)
-    arrays["counts"][3] += 10
-    file = io.BytesIO()
-    np.savez(file, **arrays)
-    path.write_bytes(file.getvalue())
-    with pytest.raises(InputError, match="not the one that follows"):
-        replay(copied)
 
 
 @pytest.mark.parametrize(
@@ -365,25 +235,6 @@ def test_devices_that_cannot_show_a_look_are_refused(digits, tmp_path, limits, w
     patterns = make_patterns(tmp_path, digits, epochs=1, device=device)
     with pytest.raises(InputError, match=words):
         live(tmp_path / "run", patterns, digits)
-
-
-def test_a_live_run_is_none_of_fixed_frames(run):
-    from deepfsi.hardware.counting import count_run, read_counts
-
-    for read in (count_run, read_counts):
-        with pytest.raises(InputError, match="a live run"):
-            read(run)
-    assert read_run(run).acquisition.live is not None
-
-
-def test_counts_that_do_not_come_are_missed(digits, patterns, tmp_path, monkeypatch):
-    monkeypatch.setattr(runs, "PATIENCE_S", 0.0)
-    x, scenes = scenes_of(digits, 1)
-    devices = bench(patterns, x, 1e6)
-    devices.projector.show = lambda frames, dwells_s: None
-    acquisition = runs.plan_live(patterns, scenes, EXPOSURE_S)
-    with pytest.raises(InputError, match="did not come within"):
-        list(runs.run_live(tmp_path / "run", patterns, acquisition, devices))
 
 
 def test_the_lines_of_the_page_run(digits, patterns, tmp_path, monkeypatch, capsys):

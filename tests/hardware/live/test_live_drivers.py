@@ -5,12 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deepfsi.hardware.drivers import Setup
-from deepfsi.hardware.drivers.file_tail import FollowedCounter
-from deepfsi.hardware.drivers.swabian import TaggerCounter
-from deepfsi.hardware.drivers.vialux import VialuxLooks
-from deepfsi.hardware.live import LiveCounts, plan_live, run_live
-from deepfsi.hardware.live.frame_log import FrameLog
+from deepfsi.hardware.drivers import Setup, file_tail, swabian, vialux
+from deepfsi.hardware.live import LiveCounts, frame_log, plan_live, run_live
 from deepfsi.hardware.photons import PtuWriter
 from deepfsi.hardware.virtual import CAMERAS, arrival_rates
 from hardware.drivers import swabian_fake
@@ -52,12 +48,12 @@ def test_the_loop_runs_on_a_vialux_device_and_a_file_that_grows(
     library = install(monkeypatch)
     library.size, library.on_list, library.entries = (64, 48), laboratory.show, entries
 
-    class Counter(FollowedCounter):
+    class Counter(file_tail.FollowedCounter):
         def start(self, path):
             laboratory.written = PtuWriter(path, growing=True).__enter__()
             super().start(path)
 
-    bench = Setup(VialuxLooks(), Counter(), laboratory.display)
+    bench = Setup(vialux.VialuxLooks(), Counter(), laboratory.display)
     folder = tmp_path / "run"
     acquisition = plan_live(patterns, scenes, 20e-3)
     decided = list(run_live(folder, patterns, acquisition, bench))
@@ -66,7 +62,7 @@ def test_the_loop_runs_on_a_vialux_device_and_a_file_that_grows(
     assert library.calls.count("SeqAlloc") == 1
     assert not library.allocated
 
-    lists = [each for scene in FrameLog.read(folder).scenes for each in scene.lists]
+    lists = [each for scene in frame_log.FrameLog.read(folder).scenes for each in scene.lists]
     assert len(library.lists) == len(lists) == SCENES * (LOOKS + 2)
     for (pictures, us), each in zip(library.lists, lists, strict=True):
         assert len(pictures) <= entries
@@ -91,7 +87,7 @@ def test_the_loop_runs_on_a_time_tagger_as_on_the_virtual_counter(digits, tmp_pa
     devices = bench(patterns, x, FLUX)
     devices.projector._optics.written = device
     folder, acquisition = tmp_path / "run", plan_live(patterns, scenes, 20e-3)
-    counter = TaggerCounter(acquisition.inputs, acquisition.marker_bit, trigger=-4)
+    counter = swabian.TaggerCounter(acquisition.inputs, acquisition.marker_bit, trigger=-4)
     decided = list(run_live(folder, patterns, acquisition, replace(devices, counter=counter)))
     assert len(decided) == SCENES * LOOKS
     assert device.steps[-2:] == ["stop", "freeTimeTagger"]

@@ -10,9 +10,8 @@ from deepfsi.base import InputError
 from deepfsi.camera import CounterEffects, DeadTime
 from deepfsi.hardware.counting import FrameCounts, Scene
 from deepfsi.hardware.light import PARTS
-from deepfsi.hardware.live import SceneObserver
+from deepfsi.hardware.live import SceneObserver, run
 from deepfsi.hardware.live.observer import SCENE_ENDS
-from deepfsi.hardware.live.run import plan_live
 from deepfsi.hardware.patterns import read_patterns
 from deepfsi.hardware.virtual import CAMERAS, Detector, arrival_rates
 from deepfsi.lab import open_looks
@@ -28,7 +27,7 @@ def patterns(request, digits, tmp_path_factory):
 
 def observe(patterns, rates, scenes=1, background=None, **settings):
     """Decisions on scenes whose counts are their means, and the lists that were asked for."""
-    acquisition = plan_live(patterns, (Scene(name="a"),), EXPOSURE_S, **settings)
+    acquisition = run.plan_live(patterns, (Scene(name="a"),), EXPOSURE_S, **settings)
     manifest = read_patterns(patterns).manifest
     observer, asked = SceneObserver(open_looks(patterns), manifest, acquisition), []
     rates = rates if background is None else np.concatenate([rates, background[None]])
@@ -95,14 +94,6 @@ def test_ambient_light_changes_no_decision_where_it_was_measured(digits, pattern
     assert abs(fooled[-1].chances - clean[-1].chances).max() > 0.01
 
 
-def test_a_black_scene_in_ambient_light_is_not_decided_upon(digits, patterns):
-    rates = rates_of(patterns, digits, 2)
-    stray = rates[1].copy()
-    rates[0] = 0
-    decided, _ = observe(patterns, rates + stray, 2, background=stray)
-    assert [len(each) for each in decided] == [0, LOOKS]
-
-
 @pytest.mark.parametrize("paralysable", [False, True])
 def test_dead_time_changes_no_decision_where_it_is_known(digits, patterns, paralysable):
     """A counter that is blind for a fifth of the time at all ON, with the law that it keeps."""
@@ -137,15 +128,6 @@ def test_a_scene_is_judged_by_the_light_of_all_so_far(digits, patterns):
     assert [each.look for each in asked] == 3 * [SCENE_ENDS, *range(LOOKS), SCENE_ENDS]
 
 
-def test_a_scene_without_light_is_not_decided_upon_and_changes_no_budget(digits, patterns):
-    rates = rates_of(patterns, digits, 4) + 1e5
-    rates[:2] = 1e5
-    decided, _ = observe(patterns, rates, 4)
-    assert [len(each) for each in decided] == [0, 0, LOOKS, LOOKS]
-    (alone, *_), _ = observe(patterns, rates[2:], 2)
-    assert decided[2][-1].photons == pytest.approx(alone[-1].photons, rel=1e-6)
-
-
 @pytest.mark.parametrize("paralysable", [False, True])
 def test_an_all_on_frame_too_bright_for_its_dead_time_ends_the_run(digits, patterns, paralysable):
     dead = DeadTime(seconds=1e-6, paralysable=paralysable)
@@ -156,21 +138,11 @@ def test_an_all_on_frame_too_bright_for_its_dead_time_ends_the_run(digits, patte
     observe(patterns, 0.98 * rates, effects=CounterEffects(dead_time=dead))
 
 
-def test_a_known_budget_is_taken(digits, patterns):
-    rates = rates_of(patterns, digits)
-    (own,), _ = observe(patterns, rates)
-    (known,), _ = observe(patterns, rates, photons=own[-1].photons)
-    (other,), _ = observe(patterns, rates, photons=2 * own[-1].photons)
-    assert np.array_equal(known[-1].chances, own[-1].chances)
-    assert other[-1].photons == 2 * own[-1].photons
-    assert not np.allclose(other[-1].chances, own[-1].chances, atol=1e-4)
-
-
 def test_a_design_s_own_shortest_dwell_is_kept(digits, tmp_path):
     patterns = make_patterns(tmp_path, digits, shortest_dwell=0.1, epochs=1)
     _, asked = observe(patterns, rates_of(patterns, digits))
     gates = np.concatenate([each.gate_ns for each in asked if each.look >= 0])
-    acquisition = plan_live(patterns, scenes_of(digits, 1)[1], EXPOSURE_S)
+    acquisition = run.plan_live(patterns, scenes_of(digits, 1)[1], EXPOSURE_S)
     assert acquisition.live.shortest_ns == round(0.1 * EXPOSURE_S * 1e9)
     assert gates.min() >= 0.1 * EXPOSURE_S * 1e9 * (1 - 1e-5)
 
@@ -199,31 +171,6 @@ def test_every_optics_is_decided_upon_as_by_the_design(digits, patterns):
     np.testing.assert_allclose(chances, decided[-1].chances, atol=1e-4)
 
 
-@pytest.mark.parametrize("paralysable", [False, True])
-def test_a_mask_beyond_the_rate_that_is_sure_is_corrected_as_there(digits, patterns, paralysable):
-    """A short gate may be, by chance: its photons stay finite and above 0, and the run goes on."""
-    dead = DeadTime(seconds=25e-9, paralysable=paralysable)
-    rates, shown = rates_of(patterns, digits), read_patterns(patterns).manifest.shown
-    rates[:, shown[::2]] = 2.5 * dead.most_registered
-    (found,), asked = observe(patterns, rates, effects=CounterEffects(dead_time=dead))
-    rates *= dead.correction(np.minimum(rates, dead.most_registered)).arrivals
-    (arrived,), again = observe(patterns, rates)
-    assert len(found) == len(arrived) == LOOKS
-    for one, other in zip(found, arrived, strict=True):
-        np.testing.assert_allclose(one.chances, other.chances, atol=1e-6)
-    for one, other in zip(asked, again, strict=True):
-        assert np.array_equal(one.frames, other.frames)
-        assert np.array_equal(one.gate_ns, other.gate_ns)
-
-
-def test_the_light_of_a_decision_is_that_of_all_looks_so_far(digits, patterns):
-    rates = rates_of(patterns, digits, 2)
-    decided, asked = observe(patterns, rates, 2)
-    looks = np.array([each.gate_ns.sum() for each in asked if each.look != SCENE_ENDS])
-    for scene, own in zip(decided, looks.reshape(2, LOOKS), strict=True):
-        assert [each.light_s for each in scene] == pytest.approx(np.cumsum(own) * 1e-9)
-
-
 @pytest.mark.parametrize("dead_s", [0.0, 25e-9])
 def test_law_all_on_frames_have_the_noise_of_what_is_subtracted_and_of_a_dead_time(
     digits, patterns, dead_s
@@ -234,7 +181,7 @@ def test_law_all_on_frames_have_the_noise_of_what_is_subtracted_and_of_a_dead_ti
     arrived = rates + dark
     registered = arrived / (1 + arrived * dead_s)
     manifest = read_patterns(patterns).manifest
-    acquisition = plan_live(
+    acquisition = run.plan_live(
         patterns, (Scene(name="a"),), EXPOSURE_S, effects=CounterEffects(dead_time=dead)
     )
     observer = SceneObserver(Watched(open_looks(patterns), seen), manifest, acquisition)

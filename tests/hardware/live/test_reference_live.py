@@ -5,7 +5,7 @@ import pytest
 
 import deepfsi
 from deepfsi.camera import find_device
-from deepfsi.hardware.calibration.reference import TARGET
+from deepfsi.hardware.calibration import reference
 from deepfsi.hardware.counting import Scene
 from deepfsi.hardware.live import LiveCounts, plan_live, run_live
 from deepfsi.hardware.patterns import FrameSettings, export_patterns
@@ -25,7 +25,7 @@ def test_the_reference_of_a_live_run_tells_how_scenes_lie(digits, tmp_path, adap
         export_patterns(design_rails(tmp_path / "one.safetensors"), frames, tmp_path / "patterns")
     else:
         make_patterns(tmp_path, digits, masks=12)
-    target, places = np.repeat(TARGET[None], 2, axis=0), {}
+    target, places = np.repeat(reference.TARGET[None], 2, axis=0), {}
     turned = ((-1, 0, 1), (0, -1, 1), (0, 0, 1))
     for name, view in (("as exported", None), ("turned", turned)):
         camera = VirtualCamera.model_validate({} if view is None else {"view": view})

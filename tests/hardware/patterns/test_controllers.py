@@ -7,7 +7,7 @@ from typing import get_args
 
 import numpy as np
 import pytest
-from pattern_samples import UNEQUAL, export, grey
+from pattern_samples import export, grey
 from vendor_readers import (
     load_settings,
     play_dlpc347x,
@@ -18,8 +18,7 @@ from vendor_readers import (
 
 from deepfsi.base import InputError
 from deepfsi.camera import DEVICES, Device
-from deepfsi.hardware.patterns import check_patterns, read_frames
-from deepfsi.hardware.patterns.frames import Format
+from deepfsi.hardware.patterns import check_patterns, frames
 
 SIZE = {"columns": 37, "rows": 26}
 """Rows of no whole bytes, and of no whole 4 bytes of a bitmap."""
@@ -99,16 +98,6 @@ def test_an_alp_takes_packed_rows(tmp_path):
     assert np.array_equal(read, mirrors)
 
 
-@pytest.mark.parametrize("name", ["dlp6500", "dlp4500", "dlp4710"])
-def test_bit_planes_are_read_back_and_checked(tmp_path, name):
-    device = family(name)
-    shown = export(tmp_path / "p", grey(28, rails=1), device=device, format="planes")
-    mirrors, _ = frames_of(tmp_path / "packed", device, rails=grey(28, rails=1))
-    for packed, wanted in zip(read_frames(tmp_path / "p"), mirrors, strict=True):
-        assert np.array_equal(packed, np.packbits(wanted, axis=1))
-    assert check_patterns(tmp_path / "p").manifest == shown.manifest
-
-
 @pytest.mark.parametrize(
     ("form", "name"),
     [("planes", "patterns.csv"), ("planes", "sequence.txt"), ("bmp", "settings.txt"),
@@ -128,7 +117,7 @@ def test_tables_that_were_changed_are_found(tmp_path, form, name):
         check_patterns(tmp_path / "p")
 
 
-@pytest.mark.parametrize("form", get_args(Format))
+@pytest.mark.parametrize("form", get_args(frames.Format))
 @pytest.mark.parametrize("name", ["dlp6500", "dlp7000", "dlp4710"])
 def test_every_format_has_its_table_of_times(tmp_path, name, form):
     """Times and the file of each frame, in their order: the sum is that of a pass."""
@@ -147,19 +136,6 @@ def test_every_format_has_its_table_of_times(tmp_path, name, form):
     pictures = {"npy": 1, "raw": 1, "planes": 2}.get(form, 32)
     assert len({row["image"] for row in rows}) == pictures
     assert (tmp_path / "p" / "settings.txt").exists() == (name == "dlp6500" and form == "bmp")
-
-
-def test_the_table_of_an_earlier_version_is_as_good(tmp_path):
-    """It had no column for the time to settle."""
-    export(tmp_path / "p", device=family("dlp6500"), format="planes")
-    path = tmp_path / "p" / "patterns.csv"
-    lines = [line.rpartition(",")[0] for line in path.read_text().splitlines()]
-    assert lines[0] == "pattern,image,bit,exposure_us,dark_us,trigger_out,new_image,shows"
-    path.write_text("\n".join([*lines, ""]))
-    check_patterns(tmp_path / "p")
-    path.write_text("\n".join([*lines[:-1], ""]))
-    with pytest.raises(InputError, match=r"patterns\.csv does not say"):
-        check_patterns(tmp_path / "p")
 
 
 def test_pictures_that_were_changed_are_found(tmp_path):
@@ -182,23 +158,6 @@ def test_pictures_that_were_changed_are_found(tmp_path):
         check_patterns(tmp_path / "p")
 
 
-def test_only_controllers_that_take_pictures_get_them(tmp_path):
-    with pytest.raises(InputError, match="takes no pictures of 24 bit-planes"):
-        export(tmp_path / "p", format="planes")
-
-
-@pytest.mark.parametrize(("name", "holds"), [("dlp6500", 400), ("dlp500yx", 400), ("dlp4500", 48)])
-def test_more_frames_than_a_controller_holds_are_refused(tmp_path, name, holds):
-    """With four sentinels; nothing is written, and what to do is said."""
-    device = family(name)
-    masks = grey(holds - 3, rails=1)
-    with pytest.raises(InputError, match=rf"{holds + 1} frames do not fit .*fewer masks"):
-        export(tmp_path / "p", masks, device=device)
-    assert not list(tmp_path.iterdir())
-    export(tmp_path / "p", masks[:, 1:], device=device, format="npy")
-    check_patterns(tmp_path / "p")
-
-
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -217,8 +176,3 @@ def test_check_finds_what_the_device_cannot_show(tmp_path, changes, message):
     path.write_text(json.dumps({**manifest, "sha256": None}))
     with pytest.raises(InputError, match=message):
         check_patterns(tmp_path / "p")
-
-
-def test_no_picture_is_longer_than_its_table_can_say(tmp_path):
-    with pytest.raises(InputError, match=r"dlp6500 allows 16[.]78"):
-        export(tmp_path / "p", UNEQUAL, device=family("dlp6500"), dwell_s=10.0)

@@ -3,7 +3,6 @@
 import contextlib
 import json
 import math
-import os
 import tempfile
 import tracemalloc
 from pathlib import Path
@@ -77,49 +76,6 @@ def test_the_realised_matrix_is_the_design_in_steps_of_each_peak(
     assert np.array_equal(check_patterns(tmp_path / "p").on, shown.on)
 
 
-def test_column_designs_are_dimmed_and_say_by_how_much(tmp_path):
-    rails = light_law("column").fit(torch.from_numpy(hadamard(16)).double()).numpy()
-    shown = export(tmp_path / "p", rails, "column")
-    assert shown.manifest.dimmed == pytest.approx(16 / 31, rel=1e-12)  # 31 frames of peak 1/16
-    assert np.allclose(shown.rails, rails * 16 / 31, rtol=1e-12)
-
-
-def test_signed_masks_have_two_frames_and_dark_rails_none(tmp_path):
-    rails = np.zeros((2, 4, 16))
-    rails[0, 0], rails[1, 2], rails[0, 3, 5], rails[1, 3, 6] = 0.1, 0.2, 0.3, 0.1
-    manifest = export(tmp_path / "p", rails).manifest
-    assert [(frame.role, frame.mask, frame.rail) for frame in manifest.frames] == [
-        ("on", None, None),
-        ("off", None, None),
-        ("mask", 0, "plus"),
-        ("mask", 2, "minus"),
-        ("mask", 3, "plus"),
-        ("mask", 3, "minus"),
-        ("on", None, None),
-        ("off", None, None),
-    ]
-    assert manifest.shares == pytest.approx([0.1, 0.2, 0.3, 0.1])
-
-
-def test_one_frame_serves_both_arms(tmp_path):
-    signed = torch.from_numpy(np.random.default_rng(1).uniform(-1, 1, (3, 16)))
-    signed[1] = 0
-    signed[2] = -1  # its positive rail is dark, and is shown all the same
-    rails = light_law("two-arm").fit(signed).numpy()
-    shown = export(tmp_path / "p", rails, "two-arm")
-    masks = [frame for frame in shown.manifest.frames if frame.role == "mask"]
-    assert [(frame.mask, frame.rail) for frame in masks] == [(0, "both"), (2, "both")]
-    assert np.allclose(shown.rails.sum(axis=0), rails.sum(axis=0), rtol=1e-12)
-    assert not shown.on[1].any()
-
-
-def test_a_rail_of_two_levels_fits_one_mirror_a_pixel(tmp_path):
-    rails = (np.random.default_rng(2).random((1, 6, 16)) > 0.4) / 6
-    shown = export(tmp_path / "p", rails, device=find_device("4x4"), light="equal-dwell")
-    assert shown.manifest.grid.mirrors == 1
-    assert np.allclose(shown.rails, rails, rtol=1e-12)
-
-
 @every_selection
 @every_format
 @pytest.mark.parametrize("device", [SMALL, find_device("64x32")], ids=lambda one: one.name)
@@ -177,19 +133,6 @@ def test_an_export_that_stops_leaves_nothing(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_progress_and_rights_of_the_folder(tmp_path):
-    seen: list[float] = []
-    export(tmp_path / "deep" / "p", report=Progress(lambda share, _: seen.append(share)))
-    assert seen == sorted(seen)
-    assert seen[-1] == 1
-    checked: list[float] = []
-    check_patterns(tmp_path / "deep" / "p", Progress(lambda share, _: checked.append(share)))
-    assert checked == seen
-    umask = os.umask(0)
-    os.umask(umask)
-    assert (tmp_path / "deep" / "p").stat().st_mode & 0o777 == 0o777 & ~umask
-
-
 def damage(folder: Path, form: str, place: int) -> None:
     """Flip the first mirror of a frame."""
     if form in ("png", "bmp"):
@@ -229,12 +172,6 @@ def test_a_changed_manifest_is_found(tmp_path):
         read_patterns(tmp_path / "p")
     change(tmp_path / "p", sha256=None)
     assert read_patterns(tmp_path / "p").manifest.frames[3].share == frames[3]["share"]
-
-
-def test_a_manifest_may_be_laid_out_anew(tmp_path):
-    export(tmp_path / "p")
-    change(tmp_path / "p")
-    check_patterns(tmp_path / "p")
 
 
 @pytest.mark.parametrize(
@@ -282,16 +219,6 @@ def test_mirror_counts_that_do_not_fit_are_refused(tmp_path):
     np.save(path, np.array([{}], dtype=object))
     with pytest.raises(InputError, match="uint32 numbers"):
         read_patterns(tmp_path / "p")
-
-
-@every_format
-def test_changed_frames_are_not_shown(tmp_path, form):
-    """Who shows or simulates frames compares each with its hash, as `dmd check` does."""
-    export(tmp_path / "p", format=form)
-    damage(tmp_path / "p", form, 3)
-    frames = read_frames(tmp_path / "p")
-    with pytest.raises(InputError, match=r"frame 3 of .* is not what was exported"):
-        list(frames)
 
 
 def test_another_design_beside_the_frames_is_found(tmp_path):
@@ -376,19 +303,3 @@ def test_what_cannot_be_shown_is_refused_before_anything_is_written(tmp_path, ch
     with pytest.raises(InputError, match=message):
         export(tmp_path / "p", **changes)
     assert not list(tmp_path.iterdir())
-
-
-def test_a_folder_that_holds_something_is_left_alone(tmp_path):
-    (tmp_path / "p").mkdir()
-    export(tmp_path / "p")
-    before = sorted(path.name for path in (tmp_path / "p").iterdir())
-    with pytest.raises(InputError, match="exists already"):
-        export(tmp_path / "p")
-    assert before == sorted(path.name for path in (tmp_path / "p").iterdir())
-
-
-def test_a_folder_without_patterns_says_what_to_do(tmp_path):
-    with pytest.raises(InputError, match="deepfsi dmd export"):
-        read_patterns(tmp_path)
-    with pytest.raises(InputError, match="deepfsi dmd export"):
-        next(read_frames(tmp_path))

@@ -1,6 +1,5 @@
 """Frames: mirrors as many as counted, in an order that stands for the cell, in every file."""
 
-import hashlib
 import math
 import os
 from typing import get_args
@@ -9,14 +8,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pattern_samples import FORMATS, SMALL, every_format, export, grey
+from pattern_samples import every_format, export
 from PIL import Image
 from vendor_readers import read_one_bit
 
 from deepfsi.base import InputError
 from deepfsi.camera import DEVICES, Device, DmdLayout, find_device, find_grid
 from deepfsi.hardware.patterns import check_patterns, folder, make_frames, read_frames, unpack
-from deepfsi.hardware.patterns.frames import Format, order_mirrors, recount
+from deepfsi.hardware.patterns import frames as frames_module
 from shared.disks import nearly_full
 
 
@@ -30,35 +29,20 @@ def test_frames_are_mirrors_counted_in_cells_and_packed(data):
     grid = find_grid(device, shape, DmdLayout(stretch=True))
     seed = data.draw(st.integers(0, 9))
     on = np.random.default_rng(seed).integers(0, grid.mirrors + 1, (3, down * across))
-    order = np.tile(order_mirrors(grid.height, grid.width), (down, across))
+    order = np.tile(frames_module.order_mirrors(grid.height, grid.width), (down, across))
     for selection in ("ordered", "random"):
         for counts, frame in zip(on, make_frames(on, device, grid, selection, seed), strict=True):
             mirrors = unpack(frame, device)
             assert mirrors.shape == (device.rows, device.columns)
             assert frame.nbytes == device.frame_bytes
             assert np.array_equal(np.packbits(mirrors, axis=1), frame)
-            assert np.array_equal(recount(mirrors, grid), counts)
+            assert np.array_equal(frames_module.recount(mirrors, grid), counts)
             assert mirrors.sum() == counts.sum()  # none outside
             if selection == "ordered":
                 cells = np.kron(counts.reshape(down, across), np.ones((grid.height, grid.width)))
                 inside = np.zeros_like(mirrors)
                 inside[grid.top :, grid.left :][: len(cells), : cells.shape[1]] = order < cells
                 assert np.array_equal(mirrors, inside)
-
-
-@pytest.mark.parametrize("shape", [(1, 1), (1, 7), (24, 32), (5, 2000), (97, 130)])
-def test_every_mirror_of_a_cell_has_one_place(shape):
-    order = order_mirrors(*shape)
-    assert order.shape == shape
-    assert np.array_equal(np.sort(order, axis=None), np.arange(math.prod(shape)))
-
-
-def test_the_order_of_mirrors_is_the_same_everywhere_and_for_ever():
-    order = order_mirrors(24, 32).astype("<u4")
-    assert hashlib.sha256(order.tobytes()).hexdigest() == ORDER
-
-
-ORDER = "c0570779855637cb5afbd595f9be830ac529379054b92459fa75d9277794e9a4"
 
 
 cells = pytest.mark.parametrize("shape", [(24, 32), (6, 8), (33, 60), (64, 80), (1, 40)])
@@ -99,15 +83,6 @@ def expected_square(scenes: np.ndarray) -> np.ndarray:
 
 
 @cells
-@pytest.mark.parametrize("kind", varying(2, 2))
-def test_ordered_mirrors_err_less_than_random_ones_on_every_scene(shape, kind):
-    scenes = varying(*shape)[kind]
-    scenes = scenes[np.ptp(scenes, axis=(1, 2)) > 0]
-    ordered = np.square(errors(scenes, "ordered")).mean(axis=1)
-    assert (ordered < expected_square(scenes).mean(axis=1)).all()
-
-
-@cells
 def test_ordered_mirrors_weigh_a_gradient_to_less_than_one_mirror(shape):
     """At every grey level and angle; random ones are off by √(k (1 − k/K) / 12) of one."""
     scenes = varying(*shape)["gradient"]
@@ -136,36 +111,7 @@ def test_random_mirrors_err_as_drawn_without_replacement():
     assert (abs(drawn[:, :, 8:-8].var(axis=0) - inner) <= within).all()
 
 
-def test_random_mirrors_are_drawn_anew_for_each_cell_and_frame_and_follow_the_seed():
-    grid = find_grid(SMALL, (4, 4), DmdLayout(stretch=True))
-    on = np.full((2, 16), grid.mirrors // 2)
-
-    def draw(seed: int) -> np.ndarray:
-        frames = make_frames(on, SMALL, grid, "random", seed)
-        inside = [unpack(frame, SMALL)[grid.top : 49, grid.left : 65] for frame in frames]
-        cells = np.stack(inside).reshape(2, 4, grid.height, 4, grid.width).swapaxes(2, 3)
-        return cells.reshape(32, -1)
-
-    first = draw(3)
-    assert np.array_equal(first, draw(3))
-    assert not np.array_equal(first, draw(4))
-    assert len(np.unique(first, axis=0)) == 32
-
-
-def test_formats_hold_the_same_bits(tmp_path):
-    for form in FORMATS:
-        export(tmp_path / form, format=form)
-    frames = [list(read_frames(tmp_path / form)) for form in FORMATS]
-    for same in zip(*frames, strict=True):
-        assert np.array_equal(same[0], same[1])
-        assert all(np.array_equal(same[0], each) for each in same[2:])
-    packed = np.load(tmp_path / "npy" / "frames.npy")
-    assert packed.dtype == np.uint8
-    assert np.array_equal(packed, np.stack(frames[0]))
-    assert (tmp_path / "raw" / "frames.bin").read_bytes() == packed.tobytes()
-
-
-EVERY_FORMAT = get_args(Format)
+EVERY_FORMAT = get_args(frames_module.Format)
 BOARD = DEVICES["dlp6500"].model_copy(update={"columns": 37, "rows": 26})
 """A device of few mirrors that takes every format."""
 
@@ -220,33 +166,6 @@ def test_the_left_mirror_is_the_highest_bit_and_on_is_white(tmp_path, form):
         bits = np.unpackbits(np.frombuffer(content[-6 * 12 :], np.uint8).reshape(6, 4, 3), axis=2)
         assert np.array_equal(bits[2:4, :, :20], wanted)
         assert not bits[:, :, 20:].any()
-
-
-def test_a_frame_of_the_dlp7000_is_98304_bytes(tmp_path):
-    device = DEVICES["dlp7000"]
-    shown = export(
-        tmp_path / "p", grey(1, 1024, 1), image_shape=(32, 32), device=device, format="raw"
-    )
-    assert (shown.manifest.grid.height, shown.manifest.grid.width) == (24, 32)
-    assert (tmp_path / "p" / "frames.bin").stat().st_size == 5 * 98_304
-    assert device.frame_bytes == 98_304
-
-
-@every_format
-def test_a_missing_frame_is_found_and_named(tmp_path, form):
-    export(tmp_path / "p", format=form)
-    pictures = form in ("png", "bmp")
-    path = tmp_path / "p" / {"npy": "frames.npy", "raw": "frames.bin"}.get(form, "frames")
-    if pictures:
-        (path / f"0009.{form}").unlink()
-    else:
-        path.write_bytes(path.read_bytes()[: -4 * SMALL.frame_bytes - 3])
-    with pytest.raises(InputError, match=rf"0009\.{form} is missing" if pictures else "frame 9;"):
-        check_patterns(tmp_path / "p")
-    if not pictures:
-        path.unlink()
-        with pytest.raises(InputError, match=f"{path.name} is missing"):
-            check_patterns(tmp_path / "p")
 
 
 @every_format

@@ -1,7 +1,6 @@
 """The pattern of a design as a photomask: its files, read back, and the command."""
 
 import io
-import json
 import re
 import xml.etree.ElementTree as ET
 
@@ -12,8 +11,7 @@ from PIL import Image
 import deepfsi
 from conftest import RECIPE, once, synthetic
 from deepfsi.base import InputError
-from deepfsi.hardware.patterns import write_photomask
-from deepfsi.hardware.patterns.photomask import as_png, as_svg, read_static_pattern, rectangles
+from deepfsi.hardware.patterns import photomask
 from shared.design_files import rewrite
 
 SVG = "{http://www.w3.org/2000/svg}"
@@ -29,22 +27,8 @@ every_pattern = pytest.mark.parametrize("pattern", PATTERNS.values(), ids=PATTER
 
 
 @every_pattern
-def test_each_open_pixel_is_in_one_rectangle_and_no_dark_one(pattern):
-    covered = np.zeros(pattern.shape, int)
-    for top, left, bottom, right in rectangles(pattern):
-        covered[top:bottom, left:right] += 1
-    assert np.array_equal(covered, pattern)
-
-
-def test_rectangles_are_merged_along_rows_and_columns():
-    assert len(rectangles(PATTERNS["open"])) == 1
-    bars = np.tile([1, 1, 0, 1], (7, 3))
-    assert len(rectangles(bars)) == 4  # of 2, 3, 3 and 1 columns
-
-
-@every_pattern
 def test_polygons_drawn_at_their_scale_are_the_pattern(pattern):
-    root = ET.fromstring(as_svg(pattern, 2.5, "a mask"))
+    root = ET.fromstring(photomask.as_svg(pattern, 2.5, "a mask"))
     height, width = pattern.shape
     assert root.get("viewBox") == f"0 0 {2.5 * width:g} {2.5 * height:g}"
     for side, count in (("width", width), ("height", height)):
@@ -59,21 +43,12 @@ def test_polygons_drawn_at_their_scale_are_the_pattern(pattern):
     assert np.array_equal(covered, pattern)
 
 
-@every_pattern
-def test_a_picture_has_a_dot_for_each_pixel_and_its_scale(pattern):
-    picture = Image.open(io.BytesIO(as_png(pattern, 5.0, "a mask")))
-    assert picture.mode == "1"
-    assert np.array_equal(np.asarray(picture), pattern.astype(bool))
-    assert picture.info["dpi"] == pytest.approx((5080, 5080), rel=1e-3)
-    assert picture.info["Description"] == "a mask"
-
-
 def test_grey_levels_are_kept_in_a_picture_and_refused_as_polygons():
     grey = np.linspace(0, 1, 12).reshape(3, 4)
-    picture = np.asarray(Image.open(io.BytesIO(as_png(grey, 5.0, ""))))
+    picture = np.asarray(Image.open(io.BytesIO(photomask.as_png(grey, 5.0, ""))))
     assert np.array_equal(picture, np.rint(255 * grey))
     with pytest.raises(InputError, match="grey levels: learn it with `levels=2`"):
-        as_svg(grey, 5.0, "")
+        photomask.as_svg(grey, 5.0, "")
 
 
 @pytest.fixture(scope="module")
@@ -88,33 +63,6 @@ def made(tmp_path_factory):
             training=RECIPE,
         ).save(folder / f"{name}.safetensors")
     return folder
-
-
-def test_the_pattern_of_the_file_is_written(made, tmp_path):
-    design = deepfsi.Design.load(made / "binary.safetensors")
-    wanted = design.exposure.pattern.numpy()
-    assert np.array_equal(read_static_pattern(made / "binary.safetensors"), wanted)
-    assert np.array_equal(
-        write_photomask(made / "binary.safetensors", tmp_path / "m.png", 5.0), wanted
-    )
-    assert np.array_equal(np.asarray(Image.open(tmp_path / "m.png")), wanted.astype(bool))
-    write_photomask(made / "binary.safetensors", tmp_path / "m.svg", 5.0)
-    text = (tmp_path / "m.svg").read_text()
-    assert "4 x 15 pixels of 5 um, 20 x 75 um" in text
-    assert 'width="0.075mm" height="0.02mm"' in text
-
-
-def test_the_command_says_what_it_wrote(made, tmp_path, call):
-    code, out, _ = call("mask", made / "binary.safetensors", "--pixel", 5, "-o", tmp_path / "m.svg")
-    assert not code
-    assert "4 x 15 pixels of 5 µm, 20 x 75 µm in all" in out
-    code, out, _ = call(
-        "mask", made / "grey.safetensors", "--pixel", 5, "-o", tmp_path / "m.png", "--json"
-    )
-    said = json.loads(out)
-    assert said["pixels"] == [4, 15]
-    assert said["um"] == [20, 75]
-    assert 0 < said["open"] < 1
 
 
 @pytest.mark.parametrize(
@@ -141,9 +89,9 @@ def test_bad_input_is_one_line_and_writes_nothing(made, tmp_path, call, name, ou
 def test_designs_of_masks_at_rest_and_damaged_patterns_are_refused(made, tmp_path):
     path = once(synthetic((4, 6)), masks=3).save(tmp_path / "rest.safetensors")
     with pytest.raises(InputError, match="a photomask is one pattern that scenes pass"):
-        read_static_pattern(path)
+        photomask.read_static_pattern(path)
     bright = tmp_path / "bright.safetensors"
     bright.write_bytes((made / "grey.safetensors").read_bytes())
     rewrite(bright, lambda header, tensors: tensors["exposure.pattern"].mul_(3))
     with pytest.raises(InputError, match="not a whole deepfsi design file"):
-        read_static_pattern(bright)
+        photomask.read_static_pattern(bright)

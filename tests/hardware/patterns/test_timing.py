@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from pattern_samples import UNEQUAL, export
+from pattern_samples import export
 
 from deepfsi.hardware.patterns import GatePlan
 
@@ -23,10 +23,3 @@ def test_the_cost_is_the_clock_less_what_gates_are_open(tmp_path, exposure, ligh
     assert cost.settling * manifest.pass_s == pytest.approx(10 * 10e-6)
     assert cost.idle >= 0
     assert GatePlan.of(manifest, exposure, repeats=1).cost(manifest).idle >= cost.idle
-
-
-def test_a_short_share_costs_time(tmp_path):
-    manifest = export(tmp_path / "p", UNEQUAL, dwell_s=1e-3).manifest
-    assert [manifest.frames[place].picture_us for place in manifest.shown] == [1989, 44]
-    cost = GatePlan.of(manifest, 1.98e-3).cost(manifest)
-    assert cost.idle * manifest.pass_s == pytest.approx(1e-6 * (1989 + 44 - 20 - 1980))

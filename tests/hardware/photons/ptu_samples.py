@@ -10,10 +10,9 @@ import pytest
 from ptufile.ptufile import encode_tag
 
 from deepfsi.base import SILENT, Progress
-from deepfsi.hardware.photons import Part, PtuFile, PtuStream
-from deepfsi.hardware.photons.ptu import GENERIC_T2, KINDS, Kind, read_header
+from deepfsi.hardware.photons import Part, PtuFile, PtuStream, ptu
 
-T2 = GENERIC_T2
+T2 = ptu.GENERIC_T2
 
 
 def decode(code: int, words: list[int]) -> list[tuple[str, int, int]]:
@@ -56,7 +55,7 @@ def decode(code: int, words: list[int]) -> list[tuple[str, int, int]]:
     return out
 
 
-def encode(kind: Kind, events: list[tuple[str, int, int]], rng: np.random.Generator) -> list:
+def encode(kind: ptu.Kind, events: list[tuple[str, int, int]], rng: np.random.Generator) -> list:
     """Records of events; a long pause is one overflow record or many."""
     words, wraps = [], 0
     hydra = kind.inputs == 64
@@ -88,7 +87,7 @@ def encode(kind: Kind, events: list[tuple[str, int, int]], rng: np.random.Genera
 @cache
 def recorded(code: int, events: int = 3000, seed: int = 0) -> list[int]:
     """Records of every sort, with pauses from none to many overflows."""
-    kind, rng = KINDS[code], np.random.default_rng(seed)
+    kind, rng = ptu.KINDS[code], np.random.default_rng(seed)
     steps = rng.integers(0, kind.wrap // 40, events)
     steps[rng.random(events) < 0.1] = 0
     steps[rng.random(events) < 0.05] *= 300
@@ -102,7 +101,7 @@ def recorded(code: int, events: int = 3000, seed: int = 0) -> list[int]:
     )
 
 
-def tags_of(kind: Kind, records: int, **changes: object) -> bytes:
+def tags_of(kind: ptu.Kind, records: int, **changes: object) -> bytes:
     tags = {
         "Measurement_Mode": int(kind.mode[1]),
         "Measurement_SubMode": 1,
@@ -120,7 +119,7 @@ def tags_of(kind: Kind, records: int, **changes: object) -> bytes:
 END = encode_tag("Header_End", None)
 
 
-def save(path: Path, kind: Kind, words: list[int], **changes: object) -> Path:
+def save(path: Path, kind: ptu.Kind, words: list[int], **changes: object) -> Path:
     body = np.array(words, "<u4").tobytes()
     path.write_bytes(tags_of(kind, len(words), **changes) + END + body)
     return path
@@ -145,7 +144,7 @@ class StreamedFile(PtuStream):
             if self.begun:
                 break
         else:
-            read_header(path)  # refused, as a file that ends within its header
+            ptu.read_header(path)  # refused, as a file that ends within its header
         self.header = replace(self.header, size=path.stat().st_size)
 
     def parts(self, progress: Progress = SILENT, ordered: bool = True) -> Iterator[Part]:

@@ -106,26 +106,6 @@ def test_what_is_no_file_is_refused(tmp_path):
             PtuFile(path)
 
 
-@pytest.mark.parametrize(
-    ("name", "said"),
-    [
-        ("a.pt2", "PicoHarp"),
-        ("a.HT3", "HydraHarp"),
-        ("a.t3r", "TimeHarp"),
-        *((f"a.{end}", "histogram, which has no times") for end in ("phu", "phd", "hhd", "thd")),
-        ("a.spc", "phconvert"),
-        ("a.sdt", "record in FIFO mode"),
-        ("a.ttbin", "FileReader"),
-        ("tags.csv", "camera import"),
-        ("a.bin", "not a PTU file"),
-    ],
-)
-def test_the_name_tells_where_the_first_bytes_do_not(tmp_path, name, said):
-    (tmp_path / name).write_bytes(bytes(2000))
-    with pytest.raises(InputError, match=said):
-        PtuFile(tmp_path / name)
-
-
 # Writing ----------------------------------------------------------------------------------------
 
 
@@ -158,15 +138,6 @@ def test_what_is_written_is_read_back_by_us_and_by_ptufile(tmp_path):
     kept = (events["channel"] >= 0) | (events["marker"] > 0)
     assert np.array_equal(events["time"][kept], times)
     assert np.array_equal(np.where(photons, codes, -1), events["channel"][kept])
-
-
-def test_the_same_events_give_the_same_bytes_however_they_are_split(tmp_path, monkeypatch):
-    times, codes = np.arange(1000) * 10**6, np.zeros(1000, np.int16)
-    for name, parts in (("a", 1), ("b", 7)):
-        with PtuWriter(tmp_path / name) as writer:
-            for part in np.array_split(np.arange(1000), parts):
-                writer.write(times[part], codes[part])
-    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
 
 
 def test_a_growing_file_loses_no_record_in_silence(tmp_path):

@@ -29,8 +29,7 @@ from ptu_samples import (
 from ptufile.ptufile import encode_tag
 
 from deepfsi.base import InputError
-from deepfsi.hardware.photons import PtuWriter, count_windows, read_markers, records, summarise
-from deepfsi.hardware.photons.ptu import KINDS, PICOHARP_T2, PICOHARP_T3
+from deepfsi.hardware.photons import PtuWriter, count_windows, ptu, read_markers, records, summarise
 
 FUZZ = int(os.environ.get("DEEPFSI_FUZZ", "300"))
 """Mutated files that the fuzz test reads."""
@@ -60,17 +59,6 @@ def test_memory_does_not_grow_with_the_file(tmp_path):
     assert path.stat().st_size > 32e6
     assert gated.sum() > 7.9 * million
     assert peak < 12e6
-
-
-@pytest.mark.parametrize("word", [1 << 31, 1 << 31 | 63 << 25, 1 << 31 | 1 << 25])
-def test_memory_is_bounded_where_every_record_is_special(tmp_path, word):
-    path = save(tmp_path / "a.ptu", T2, np.full(2**21, word))
-    tracemalloc.start()
-    count_windows(path, np.array([0]), np.array([1]))
-    summarise(path)
-    _, peak = tracemalloc.get_traced_memory()
-    tracemalloc.stop()
-    assert peak < 150e6
 
 
 @every_source
@@ -111,31 +99,9 @@ def test_damaged_records_are_named_and_nothing_is_counted(
 
 
 @every_source
-@pytest.mark.parametrize(
-    ("kind", "word"),
-    [
-        (PICOHARP_T2, 5 << 28),
-        (PICOHARP_T2, 14 << 28),
-        (PICOHARP_T3, 0),
-        (PICOHARP_T3, 5 << 28),
-        (PICOHARP_T3, 15 << 28 | 16 << 16),
-        (KINDS[0x01010304], special(0)),
-    ],
-)
-def test_records_without_a_meaning_are_refused(tmp_path, kind, word, opened):
-    path = save(tmp_path / "bad.ptu", kind, [1 << 28, word])
-    for each in (
-        lambda path: read_markers(opened(path)),
-        lambda path: count_windows(opened(path), np.array([0]), np.array([9])),
-    ):
-        with pytest.raises(InputError, match="record 2 has no known meaning"):
-            each(path)
-
-
-@every_source
 def test_one_record_can_stand_for_very_many_overflows(tmp_path, opened):
     """Ptufile is no oracle here: it multiplies in 32 bits."""
-    for kind, wraps in ((T2, 200), (T2, 2**25 - 1), (KINDS[0x00010307], 1023)):
+    for kind, wraps in ((T2, 200), (T2, 2**25 - 1), (ptu.KINDS[0x00010307], 1023)):
         path = save(tmp_path / "a.ptu", kind, [special(63, wraps), special(1, 4), photon(5)])
         late = wraps * kind.wrap
         assert read_markers(opened(path))[0] == [late + 4]
@@ -177,7 +143,7 @@ def seed(code: int) -> bytes:
     more = encode_tag("Text", "µs") + encode_tag("Wide", "λ") + encode_tag("Blob", b"\1\2")
     array = struct.pack("<32siIq2d", b"Array", 0, 0x2001FFFF, 16, 1, 2)
     body = np.array(words, "<u4").tobytes()
-    return tags_of(KINDS[code], len(words)) + more + array + END + body
+    return tags_of(ptu.KINDS[code], len(words)) + more + array + END + body
 
 
 VALUES = st.sampled_from([0, 1, 2**15, 2**25, 2**31, 2**32 - 1, 2**63 - 1, 2**63, 2**64 - 1])
@@ -238,7 +204,7 @@ def scratch(tmp_path_factory):
 
 
 @settings(max_examples=FUZZ, deadline=None, derandomize="DEEPFSI_FUZZ" not in os.environ)
-@given(st.sampled_from(sorted(KINDS)), CHANGES, st.sampled_from([16, 2**17]))
+@given(st.sampled_from(sorted(ptu.KINDS)), CHANGES, st.sampled_from([16, 2**17]))
 def test_mutated_files_are_read_right_or_refused(scratch, code, changes, chunk):
     scratch.write_bytes(mutate(seed(code), changes))
     times = [time for _, time, _ in decode(code, recorded(code, 60, seed=code % 97))]

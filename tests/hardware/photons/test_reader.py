@@ -23,19 +23,18 @@ from ptu_samples import (
 from deepfsi.base import InputError, Progress
 from deepfsi.hardware.photons import (
     PtuStream,
-    PtuWriter,
     WindowCounter,
     count_windows,
+    ptu,
     read_markers,
     reader,
     records,
     summarise,
 )
-from deepfsi.hardware.photons.ptu import KINDS
 
 REAL = Path(os.environ.get("DEEPFSI_DATA", "no data")) / "ptu"
 real_ptu = pytest.mark.skipif(not REAL.is_dir(), reason="needs ptu/ in $DEEPFSI_DATA")
-every_kind = pytest.mark.parametrize("kind", KINDS.values(), ids=lambda kind: kind.name)
+every_kind = pytest.mark.parametrize("kind", ptu.KINDS.values(), ids=lambda kind: kind.name)
 
 
 def gates_over(times: list[int], gates: int, seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
@@ -146,15 +145,6 @@ def test_real_files_hold_what_their_description_says(name, wanted, opened):
         assert gated[:, n].sum() == photons.get(n, 0)
 
 
-def test_progress_ends_at_one(tmp_path, monkeypatch):
-    monkeypatch.setattr(records, "RECORDS_IN_MEMORY", 1000)
-    path, shares = save(tmp_path / "a.ptu", T2, recorded(T2.code)), []
-    summarise(path, Progress(lambda share, what: shares.append(share)))
-    assert len(shares) > 3
-    assert shares == sorted(shares)
-    assert shares[-1] == 1
-
-
 @every_source
 @pytest.mark.parametrize(
     ("starts", "stops", "inputs", "message"),
@@ -172,19 +162,6 @@ def test_gates_that_cannot_be_are_refused(tmp_path, starts, stops, inputs, messa
     path = save(tmp_path / "a.ptu", T2, [5, 6])
     with pytest.raises(InputError, match=message):
         count_windows(opened(path), np.array(starts), np.array(stops), inputs)
-
-
-@every_source
-def test_no_gates_and_no_records_give_no_counts(tmp_path, opened):
-    path = save(tmp_path / "a.ptu", T2, [5, 6])
-    assert count_windows(opened(path), np.array([]), np.array([])).shape == (0, 1)
-    empty = tmp_path / "empty.ptu"
-    with PtuWriter(empty):
-        pass
-    contents = summarise(opened(empty))
-    assert (contents.records, contents.last, contents.span_s) == (0, None, 0)
-    assert contents.problems == ()
-    assert count_windows(opened(empty), np.array([0]), np.array([9])) == [[0]]
 
 
 @every_source
@@ -234,7 +211,7 @@ def test_more_markers_than_frames_can_be_are_refused(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("size", [1, 3, 4, 7, 4096])
-@pytest.mark.parametrize("kind", KINDS.values(), ids=lambda kind: kind.name)
+@pytest.mark.parametrize("kind", ptu.KINDS.values(), ids=lambda kind: kind.name)
 def test_a_stream_is_the_file_it_becomes_whatever_its_cuts(tmp_path, kind, size):
     path = save(tmp_path / "a.ptu", kind, recorded(kind.code, 200))
     assert summarise(StreamedFile(path, size)) == summarise(path)

@@ -10,7 +10,6 @@ from ptu_samples import T2, encode, save
 
 from deepfsi.base import InputError
 from deepfsi.hardware.photons import ScanMarkers, count_scan
-from deepfsi.hardware.photons.ptu import PICOHARP_T3
 
 FRAMES, LINES, LINE, GAP = 3, 4, 1000, 100
 MARKERS = ScanMarkers(0, 1, 2)
@@ -45,21 +44,6 @@ def expected(events, number=0):
 
 def write(path, events, kind=T2, **tags):
     return save(path, kind, encode(kind, events, np.random.default_rng(1)), **tags)
-
-
-@pytest.mark.parametrize("kind", [T2, PICOHARP_T3], ids=["T2", "T3"])
-@pytest.mark.parametrize("at_end", [True, False])
-def test_counts_of_lines_and_pixels(tmp_path, kind, at_end):
-    events = scan_events(at_end)
-    file = write(tmp_path / "scan.ptu", events, kind)
-    found = count_scan(file, MARKERS, pixels=7, inputs=(0, 1))
-    assert found.counts.shape == (FRAMES * LINES, 7, 2)
-    for number in (0, 1):
-        assert found.counts[..., number].sum(axis=1).tolist() == expected(events, number)
-    assert found.frame.tolist() == np.repeat(range(FRAMES), LINES).tolist()
-    assert found.frames.shape == (FRAMES, LINES, 7)
-    assert not found.faults
-    assert np.allclose(np.diff(found.starts_s), (LINE + GAP) * (1e-12 if kind is T2 else 5e-8))
 
 
 def test_the_header_says_which_markers(tmp_path):

@@ -11,7 +11,7 @@ import ptufile
 import pytest
 
 from deepfsi.base import InputError
-from deepfsi.hardware.photons import read_photons, read_timestamps, summarise, timestamps
+from deepfsi.hardware.photons import read_photons, read_timestamps
 from deepfsi.hardware.photons.timestamps import Timestamps
 
 RNG = np.random.default_rng(5)
@@ -101,14 +101,6 @@ def test_what_tells_no_events_is_one_line(tmp_path):
     assert not (tmp_path / "p.ptu").exists()
 
 
-def test_without_a_trigger_every_channel_is_an_input(tmp_path):
-    stamps = clocked(np.arange(0, 4000, 10), np.arange(400) % 3)
-    assert stamps.write(tmp_path / "p.ptu", None) == (0, 1, 2)
-    found = summarise(tmp_path / "p.ptu")
-    assert found.photons == {0: 134, 1: 133, 2: 133}
-    assert not found.markers
-
-
 @pytest.mark.parametrize(
     ("heading", "order", "unit"),
     [
@@ -173,22 +165,6 @@ def test_events_that_stand_twice_are_refused(tmp_path):
             clocked(times, channels).write(tmp_path / "p.ptu", 8)
 
 
-def test_a_small_disorder_within_a_channel_is_put_right(tmp_path):
-    near = TIMES + RNG.integers(-400, 400, 500)
-    near[0] = near.min()
-    stamps = Timestamps(near, CHANNELS, 1e-9)
-    stamps.write(tmp_path / "p.ptu", 8)
-    with ptufile.PtuFile(tmp_path / "p.ptu") as file:
-        found = np.sort(file.decode_records()["time"])
-    assert np.array_equal(found, np.sort(near) - near.min())
-
-
-def test_many_channels_are_not_all_named(tmp_path):
-    with pytest.raises(InputError, match="and 480 more") as error:
-        Timestamps(TIMES, np.arange(500), 1e-12).write(tmp_path / "p.ptu", 999)
-    assert len(str(error.value)) < 200
-
-
 # Becker & Hickl -----------------------------------------------------------------------------------
 
 SPC = Path(os.environ.get("DEEPFSI_DATA") or ".") / "bh" / "test_noise.spc"
@@ -226,20 +202,3 @@ def test_photons_are_those_of_phconvert_and_of_the_records(done, tmp_path, capsy
     seconds, _ = read_photons(tmp_path / "run.ptu")
     unit = float(photons["timestamps_specs"]["timestamps_unit"])
     assert np.array_equal(np.rint(seconds / unit).astype(np.int64), times - times[0])
-
-
-def test_another_make_is_a_class_and_a_line_of_the_table(tmp_path, monkeypatch):
-    class Spc:
-        def matches(self, path):
-            return path.suffix == ".spc"
-
-        def read(self, path, unit_s):
-            times = decoded(path)
-            return Timestamps(times, np.zeros(len(times), int), unit_s or 1e-9)
-
-    monkeypatch.setattr(timestamps, "EVENT_FORMATS", (Spc(), *timestamps.EVENT_FORMATS))
-    path = tmp_path / "run.spc"
-    np.array([0, 5, 9, 1 << 30 | 3], "<u4").tofile(path)
-    assert read_timestamps(path).write(tmp_path / "run.ptu", None) == (0,)
-    seconds, _ = read_photons(tmp_path / "run.ptu")
-    assert np.rint(seconds * 1e9).tolist() == [0, 4, 4094]

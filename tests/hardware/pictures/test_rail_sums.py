@@ -6,18 +6,11 @@ from scipy.stats import binom
 
 from deepfsi.base import InputError
 from deepfsi.hardware.light import FALSE_ALARMS
-from deepfsi.hardware.pictures.rail_sums import (
-    LAYOUTS,
-    LEAST_PAIRS,
-    check_rail_sums,
-    find_causes,
-    fineness,
-    split_rails,
-)
-from deepfsi.jobs import formula_masks, hadamard_masks
+from deepfsi.hardware.pictures import rail_sums
+from deepfsi.jobs import formula_masks
 
 SHAPE = (16, 16)
-FINE = fineness(formula_masks("hadamard-natural", SHAPE), SHAPE)[1:]
+FINE = rail_sums.fineness(formula_masks("hadamard-natural", SHAPE), SHAPE)[1:]
 PAIRS = len(FINE)
 TRIALS = 200
 
@@ -37,7 +30,7 @@ def lognormal(spread: float, size: tuple[int, ...], rng: np.random.Generator) ->
 def test_poisson_counts_are_called_poisson(runs, mean):
     rng = np.random.default_rng(1)
     wide = np.ones((runs, PAIRS)) * np.arange(1, runs + 1)[:, None]
-    found = [check_rail_sums(counts(wide, mean, rng), FINE) for _ in range(TRIALS)]
+    found = [rail_sums.check_rail_sums(counts(wide, mean, rng), FINE) for _ in range(TRIALS)]
     alarms = sum(not one.poisson for one in found)
     assert alarms <= binom.ppf(0.999, TRIALS, FALSE_ALARMS)
     # intervals of the excess hold 0 in 95 %, the runs' in common too
@@ -50,7 +43,7 @@ def test_poisson_counts_are_called_poisson(runs, mean):
 def test_an_excess_that_was_put_in_is_measured():
     rng, spread = np.random.default_rng(2), 0.06
     found = [
-        check_rail_sums(counts(lognormal(spread, (1, PAIRS), rng), 600, rng), FINE)
+        rail_sums.check_rail_sums(counts(lognormal(spread, (1, PAIRS), rng), 600, rng), FINE)
         for _ in range(30)
     ]
     assert not any(one.poisson for one in found)
@@ -67,7 +60,7 @@ def test_what_runs_share_is_told_from_what_each_has_of_its_own():
     for _ in range(20):
         shared = lognormal(0.1, (PAIRS,), rng)
         light = shared * np.stack([lognormal(one, (PAIRS,), rng) for one in own])
-        found = check_rail_sums(counts(light, 2000, rng), FINE)
+        found = rail_sums.check_rail_sums(counts(light, 2000, rng), FINE)
         common.append(found.common.variance)
         each.append([one.variance for one in found.own])
     for measured, truth in zip(
@@ -85,7 +78,7 @@ def test_law_the_excess_of_single_pictures_is_that_of_the_virtual_camera(own):
     for _ in range(20):
         light = np.stack([lognormal(one, (2, PAIRS), rng) for one in own])
         mean = times[:, None, None] * np.stack([share, 1 - share]) * light
-        found = check_rail_sums(rng.poisson(mean).astype(float), FINE)
+        found = rail_sums.check_rail_sums(rng.poisson(mean).astype(float), FINE)
         measured.append([one.variance for one in found.pictures])
         sums.append([one.variance for one in found.own])
     truth = spread**2 if len(own) > 2 else np.full(2, (spread**2).mean())
@@ -95,21 +88,6 @@ def test_law_the_excess_of_single_pictures_is_that_of_the_virtual_camera(own):
     halves = truth * (share**2 + (1 - share) ** 2).mean()
     for each, one in zip(np.array(sums).T, halves, strict=True):
         assert abs(each.mean() - one) < 4 * each.std(ddof=1) / np.sqrt(len(each))
-
-
-def test_two_runs_that_differ_are_not_poisson_though_each_alone_may_be():
-    rng = np.random.default_rng(4)
-    light = np.ones((2, PAIRS))
-    steady = counts(light, 600, rng)
-    assert check_rail_sums(steady, FINE).poisson
-    # rails move against each other: sums stay as they are
-    moved = steady.copy()
-    shift = rng.integers(-120, 121, PAIRS)
-    moved[1] += np.stack([shift, -shift])
-    found = check_rail_sums(moved, FINE)
-    assert min(run.chance for run in found.runs) > FALSE_ALARMS
-    assert not found.poisson
-    assert found.chi2_counts > 2
 
 
 @pytest.mark.parametrize("cause", ["fineness", "block", "place in block", "sequence"])
@@ -125,56 +103,13 @@ def test_the_place_of_an_excess_in_the_sequence_is_named(cause):
     }[cause]
     effect = 1 + 0.1 * (effect - effect.mean()) / effect.std()
     rails = counts(effect[None], 4000, rng)
-    found = check_rail_sums(rails, fine, block=block)
+    found = rail_sums.check_rail_sums(rails, fine, block=block)
     shares = {name: one.share for name, one in found.causes.items()}
     assert max(shares, key=shares.get) == cause
     assert shares[cause] > 0.5
     assert found.causes[cause].chance == 0.001
     others = [one.chance for name, one in found.causes.items() if name == "fineness" != cause]
     assert all(chance > 0.001 for chance in others)
-
-
-def test_nothing_predicts_what_is_drawn_anew_for_each_pair():
-    rng = np.random.default_rng(6)
-    low = 0
-    for _ in range(5):
-        light = lognormal(0.1, (PAIRS,), rng)
-        causes = find_causes(light, FINE, np.arange(PAIRS), 64)
-        low += sum(each.chance <= 0.01 for each in causes.values())
-    assert low <= binom.ppf(0.9999, 20, 0.01)
-
-
-def test_places_count_from_the_first_pair_that_was_shown():
-    # pairs that are left out keep their place in a block
-    rng = np.random.default_rng(7)
-    place = np.flatnonzero(rng.random(400) < PAIRS / 400)[:PAIRS]
-    steps = rng.standard_normal(400)[place // 8]
-    fine = FINE[: len(place)]
-    causes = find_causes(1 + 0.1 * steps, fine, place, 16)
-    assert causes["block"].share > 0.99
-
-
-def test_too_little_gives_no_verdict():
-    rng = np.random.default_rng(8)
-    light = np.ones((1, PAIRS))
-    assert check_rail_sums(counts(light, 3, rng), FINE) is None
-    few = counts(light, 300, rng)[..., : LEAST_PAIRS - 1]
-    assert check_rail_sums(few, FINE[: LEAST_PAIRS - 1]) is None
-
-
-@pytest.mark.parametrize("layout", [None, *LAYOUTS])
-def test_a_table_of_rails_is_read_in_every_layout(layout):
-    rails = np.random.default_rng(9).poisson(100, (1 if layout == "single" else 2, 64))
-    tables = {
-        None: rails.T,
-        "columns": rails,
-        "turns": rails.T.reshape(-1, 1),
-        "halves": rails.reshape(1, -1),
-        "single": rails,
-    }
-    found = split_rails(tables[layout], layout, 64, "t.npy")
-    assert np.array_equal(found, rails)
-    assert np.array_equal(split_rails(tables[layout].T, layout, None, "t.npy"), rails)
 
 
 @pytest.mark.parametrize(
@@ -191,9 +126,4 @@ def test_a_table_of_rails_is_read_in_every_layout(layout):
 )
 def test_a_table_that_is_none_of_these_masks_is_refused(shape, layout, masks, said):
     with pytest.raises(InputError, match=said):
-        split_rails(np.ones(shape), layout, masks, "t.npy")
-
-
-def test_fineness_of_hadamard_masks_is_their_sequency():
-    fine = fineness(hadamard_masks((8, 4), 32), (8, 4))
-    assert sorted(map(tuple, fine.tolist())) == [(i, j) for i in range(8) for j in range(4)]
+        rail_sums.split_rails(np.ones(shape), layout, masks, "t.npy")

@@ -8,7 +8,7 @@ from scipy.ndimage import gaussian_filter
 
 from deepfsi.base import InputError
 from deepfsi.hardware.pictures import TableMasks, compare_picture, read_pictures
-from deepfsi.hardware.pictures.solve import solve_masks, solve_wavelets
+from deepfsi.hardware.pictures.solve import solve_wavelets
 from deepfsi.jobs import formula_masks
 
 SCENE = np.random.default_rng(0).integers(0, 50, (8, 4)).astype(float)
@@ -77,53 +77,6 @@ def test_single_masks_and_raster_give_the_scene(table):
     assert np.allclose(raster.pictures[0], SCENE)
     assert raster.light is None
     assert "without inverses" in raster.note
-
-
-def test_a_sequence_that_ends_early_gives_the_picture_of_its_masks(table):
-    masks = formula_masks("hadamard-sequency", (8, 4))
-    counts = table(rails_of(masks)[:, :12].T)
-    found = read_pictures([counts], TableMasks("hadamard-sequency", size=(8, 4)))
-    assert np.allclose(found.pictures[0].ravel(), masks[:12].T @ (masks[:12] @ SCENE.ravel()) / 32)
-
-
-@pytest.mark.parametrize("wrong", [-1.0, 2.5])
-def test_values_that_are_no_counts_give_a_picture_and_no_verdict(table, wrong):
-    values = rails_of(formula_masks("hadamard-natural", (8, 4)))
-    values[0, 3] = wrong
-    found = read_pictures([table(values.T)], TableMasks("hadamard-natural", size=(8, 4)))
-    assert found.light is None
-    assert f"{wrong:g} are no counts" in found.note
-
-
-def test_orthogonal_masks_are_solved_as_by_least_squares():
-    rng = np.random.default_rng(2)
-    read = rng.standard_normal((3, 32))
-    masks = formula_masks("hadamard-natural", (8, 4))
-    for some in (masks, masks[:20], rng.standard_normal((20, 32)), 2.0 * masks[::-1]):
-        there = read[:, : len(some)]
-        assert np.allclose(solve_masks(some, there), lstsq(some.astype(float), there.T)[0].T)
-
-
-def test_counts_over_exposure_and_dark_counts(table):
-    rng = np.random.default_rng(3)
-    masks = formula_masks("hadamard-natural", (16, 16))
-    scene = rng.random((16, 16)) * 20
-    files = [
-        table(rng.poisson(rails_of(masks, scene) * time + 3 * time).T, f"{time}.npy")
-        for time in (1, 2)
-    ]
-    settings = TableMasks("hadamard-natural", exposures_s=(0.01, 0.02))
-    found = read_pictures(files, settings)
-    assert found.light.poisson
-    rates = np.array(found.rates)
-    error = np.hypot(*found.rate_errors)
-    assert abs(rates[0] / rates[1] - 1) < 4 * error
-    assert abs(rates[0] / (100 * (scene.sum() / 2 + 3)) - 1) < 4 * found.rate_errors[0]
-    assert all(
-        low <= 3 * time <= high for (_, low, high), time in zip(found.off, (1, 2), strict=False)
-    )
-    ratio = [1 / (time * scene.sum()) * 2 for time in (1, 2)]
-    assert np.all(np.abs(np.array(found.uniform) - 1) < 4 * np.sqrt(ratio))
 
 
 @pytest.mark.parametrize(

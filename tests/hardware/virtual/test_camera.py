@@ -12,15 +12,12 @@ from virtual_samples import DEVICE, SHAPE, SUMMED_REFLECTANCE, into, patterns, s
 from deepfsi import Scanner
 from deepfsi.base import SILENT, InputError, Progress
 from deepfsi.camera import Device, DmdLayout, find_grid
-from deepfsi.hardware.counting import count_run, read_run
+from deepfsi.hardware.counting import count_run
 from deepfsi.hardware.patterns import (
-    DesignRails,
-    FrameSettings,
     GatePlan,
     Patterns,
-    export_patterns,
 )
-from deepfsi.hardware.photons import read_markers, summarise
+from deepfsi.hardware.photons import summarise
 from deepfsi.hardware.virtual import (
     CAMERAS,
     RecordingSettings,
@@ -31,8 +28,7 @@ from deepfsi.hardware.virtual import (
     record_scenes,
 )
 from deepfsi.hardware.virtual import camera as module
-from deepfsi.hardware.virtual.camera import irradiance
-from deepfsi_paper.camera.gate_counts import draw_counts
+from deepfsi_paper.camera import gate_counts
 
 GRID = find_grid(DEVICE, SHAPE, DmdLayout(stretch=True))
 MIRRORS = GRID.mirrors
@@ -74,7 +70,7 @@ def assert_poisson(counts: np.ndarray, mean: np.ndarray) -> None:
 @pytest.mark.parametrize("shape", [SHAPE, (6, 12), (24, 36)])
 def test_the_ideal_camera_gives_each_mirror_its_share_of_its_cell(shape):
     x = scenes(2, shape)
-    light = irradiance(x, IDEAL, DEVICE, GRID)
+    light = module.irradiance(x, IDEAL, DEVICE, GRID)
     assert light.shape == (2, 26, 36)
     assert light.dtype == np.float32
     wide = np.repeat(np.repeat(x, 24 // shape[0], axis=1), 36 // shape[1], axis=2)
@@ -83,26 +79,13 @@ def test_the_ideal_camera_gives_each_mirror_its_share_of_its_cell(shape):
     assert (light == 0).all()
 
 
-def test_images_need_not_be_a_multiple_of_the_cells():
-    x = np.arange(35.0).reshape(1, 5, 7)
-    light = irradiance(x, IDEAL, DEVICE, GRID)[0][AREA]
-    rows, columns = ((np.arange(24) + 0.5) * 5 / 24).astype(int), ((np.arange(36) + 0.5) * 7 / 36)
-    assert light == pytest.approx(x[0][np.ix_(rows, columns.astype(int))] / MIRRORS)
-
-
 def test_a_shifted_view_moves_the_image_by_whole_cells_and_loses_what_leaves():
     view = ((1, 0, 1 / 4), (0, 1, -1 / 3), (0, 0, 1))
     x = scenes(1)
-    moved = irradiance(x, VirtualCamera(view=view), DEVICE, GRID)[0][AREA]
+    moved = module.irradiance(x, VirtualCamera(view=view), DEVICE, GRID)[0][AREA]
     expected = np.zeros((24, 36), np.float32)
-    expected[:16, 9:] = irradiance(x, IDEAL, DEVICE, GRID)[0][AREA][8:, :27]
+    expected[:16, 9:] = module.irradiance(x, IDEAL, DEVICE, GRID)[0][AREA][8:, :27]
     assert np.array_equal(moved, expected)
-
-
-def test_a_larger_image_is_as_bright():
-    view = ((2, 0, -0.5), (0, 2, -0.5), (0, 0, 1))
-    light = irradiance(np.ones((1, 4, 4)), VirtualCamera(view=view), DEVICE, GRID)[0][AREA]
-    assert light == pytest.approx(np.full((24, 36), 1 / MIRRORS))
 
 
 def test_perspective_puts_a_spot_where_the_homography_does():
@@ -110,7 +93,9 @@ def test_perspective_puts_a_spot_where_the_homography_does():
     device = Device(name="large", columns=400, rows=300)
     spot = np.zeros((1, 50, 50))
     spot[0, 10, 35] = 1  # at (0.71, 0.21)
-    light = irradiance(spot, VirtualCamera(view=view), device, find_grid(device, (30, 40)))[0]
+    light = module.irradiance(spot, VirtualCamera(view=view), device, find_grid(device, (30, 40)))[
+        0
+    ]
     x, y, depth = np.array(view) @ (0.71, 0.21, 1)
     rows, columns = np.nonzero(light)
     assert columns.mean() + 0.5 == pytest.approx(400 * x / depth, abs=1)
@@ -120,7 +105,7 @@ def test_perspective_puts_a_spot_where_the_homography_does():
 def test_nothing_is_seen_behind_the_camera():
     """Of a display that crosses the horizon only one side is seen, that of the area's centre."""
     view = ((-0.8, -0.6, 0.6), (-0.7, -0.6, 0.6), (1, -0.7, -0.2))
-    light = irradiance(np.ones((1, 3, 4)), VirtualCamera(view=view), DEVICE, GRID)[0][AREA]
+    light = module.irradiance(np.ones((1, 3, 4)), VirtualCamera(view=view), DEVICE, GRID)[0][AREA]
     x, y = np.meshgrid((np.arange(36) + 0.5) / 36, (np.arange(24) + 0.5) / 24)
     back = np.linalg.inv(view)
     across, down, depth = (row[0] * x + row[1] * y + row[2] for row in back)
@@ -134,7 +119,7 @@ def test_nothing_is_seen_behind_the_camera():
 def test_blur_keeps_the_light_and_has_its_width():
     x = np.zeros((1, 24, 36))
     x[0, 12, 18] = 1
-    light = irradiance(x, VirtualCamera(blur=2.0), DEVICE, GRID)[0].astype(float)
+    light = module.irradiance(x, VirtualCamera(blur=2.0), DEVICE, GRID)[0].astype(float)
     assert light.sum() == pytest.approx(1 / MIRRORS, rel=1e-5)
     for axis, width in ((0, 36), (1, 26)):
         profile = light.sum(axis=axis) / light.sum()
@@ -142,20 +127,11 @@ def test_blur_keeps_the_light_and_has_its_width():
         assert (profile * (place - profile @ place) ** 2).sum() == pytest.approx(4, rel=0.02)
 
 
-def test_blur_brings_in_light_from_beside_the_area():
-    """A uniform image that reaches far beyond the area stays uniform on it."""
-    view = ((5, 0, -2), (0, 5, -2), (0, 0, 1))
-    light = irradiance(np.ones((1, 3, 4)), VirtualCamera(view=view, blur=3.0), DEVICE, GRID)[0][
-        AREA
-    ]
-    assert light == pytest.approx(np.full((24, 36), 1 / MIRRORS), rel=1e-5)
-
-
 def test_vignetting_dims_the_corners():
     device = Device(name="large", columns=200, rows=200)
     grid = find_grid(device, (2, 2))
     light = (
-        irradiance(np.ones((1, 2, 2)), VirtualCamera(vignetting=0.3), device, grid)[0]
+        module.irradiance(np.ones((1, 2, 2)), VirtualCamera(vignetting=0.3), device, grid)[0]
         * grid.mirrors
     )
     assert light[100, 100] == pytest.approx(1, abs=1e-3)
@@ -221,15 +197,6 @@ def test_dark_counts_and_ambient_light_add_to_the_signal(tmp_path, light):
     assert arrival_rates(tmp_path / "p", x, camera, 0.0)[:, 1, 0] == pytest.approx(123)
 
 
-def test_spectra_are_shown_too(tmp_path):
-    masks = np.random.default_rng(0).random((1, 3, 6)) / 3
-    design = DesignRails(masks, "equal-dwell", (6,), summed_reflectance=2.0)
-    shown = export_patterns(design, FrameSettings(DEVICE, 1e-3), tmp_path / "p")
-    x = np.random.default_rng(1).random((4, 6))
-    flow = arrival_rates(tmp_path / "p", x, IDEAL, 1e5)[:, shown.manifest.shown, 0]
-    assert flow == pytest.approx(1e5 / 2 * x @ shown.fractions.T, rel=1e-5)
-
-
 @pytest.mark.parametrize(
     ("given", "flux", "message"),
     [
@@ -265,12 +232,6 @@ def test_cameras_that_cannot_be_are_refused(settings):
         VirtualCamera(**settings)
 
 
-@pytest.mark.parametrize("name", CAMERAS)
-def test_cameras_survive_json(name):
-    camera = CAMERAS[name]
-    assert VirtualCamera.model_validate_json(camera.model_dump_json()) == camera
-
-
 # Counts in memory
 
 
@@ -279,7 +240,7 @@ def test_law_ideal_counts_are_poisson_with_the_scanners_mean(tmp_path, light, ra
     shown, x, flux, exposure = patterns(tmp_path / "p", light, rails), scenes(), 2e6, 1e-3
     gates = GatePlan(0.0, shown.manifest.shares * exposure, 20_000)
     flow = arrival_rates(tmp_path / "p", x, IDEAL, flux)
-    counts = draw_counts(flow, shown.manifest, gates, IDEAL, np.random.default_rng(0))
+    counts = gate_counts.draw_counts(flow, shown.manifest, gates, IDEAL, np.random.default_rng(0))
     mean = scanner_rates(shown, x, flux * exposure)
     assert counts.shape == (3, 20_000, *mean.shape[1:])
     for drawn, expected in zip(counts, mean, strict=True):
@@ -290,7 +251,9 @@ def test_counts_of_an_imperfect_detector_have_its_mean(tmp_path):
     shown = patterns(tmp_path / "p", "two-arm")
     flow = arrival_rates(tmp_path / "p", scenes(), CAMERAS["spad"], 1e7)
     gates = GatePlan(0.0, shown.manifest.shares * 1e-3, 5_000)
-    counts = draw_counts(flow, shown.manifest, gates, CAMERAS["spad"], np.random.default_rng(0))
+    counts = gate_counts.draw_counts(
+        flow, shown.manifest, gates, CAMERAS["spad"], np.random.default_rng(0)
+    )
     n = flow[:, shown.manifest.shown].transpose(0, 2, 1)
     mean = n / (1 + n * 28.5e-9) * 1.01 * gates.length_s
     assert np.all(abs(counts.mean(axis=1) - mean) <= 5 * counts.std(axis=1) / 5_000**0.5)
@@ -332,7 +295,7 @@ def test_counts_from_a_file_are_as_in_memory(tmp_path, name):
     counted = count_run(tmp_path / "run").counts
     flow = arrival_rates(tmp_path / "p", scenes(), camera, flux)
     gates = GatePlan(0.0, shown.manifest.shares * exposure, 4000)
-    drawn = draw_counts(flow, shown.manifest, gates, camera, np.random.default_rng(0))
+    drawn = gate_counts.draw_counts(flow, shown.manifest, gates, camera, np.random.default_rng(0))
     lit = drawn.any(axis=1)
     one, other = (np.moveaxis(c, 1, 0)[:, lit].astype(float) for c in (counted, drawn))
     assert len(one) == acquisition.repeats
@@ -342,61 +305,6 @@ def test_counts_from_a_file_are_as_in_memory(tmp_path, name):
     assert abs(off.sum()) <= 6 * len(off) ** 0.5
     power = one.var(axis=0, ddof=1).sum() / other.var(axis=0).sum()
     assert abs(power - 1) <= 5 * np.sqrt(2 / one.size) * 1.2
-
-
-def test_the_file_has_a_marker_at_the_start_of_each_frame_and_the_budget(tmp_path):
-    shown = patterns(tmp_path / "p")
-    shoot(tmp_path, flux=5e6)
-    times, bits = read_markers(tmp_path / "run" / "photons.ptu")
-    manifest = shown.manifest
-    starts = manifest.starts_s + manifest.pass_s * np.arange(3)[:, None]
-    assert times * 1e-12 == pytest.approx(starts.ravel(), abs=1e-12)
-    assert (bits == 1).all()
-    counted = count_run(tmp_path / "run")
-    whole = 5e6 * scenes().sum(axis=(1, 2)) / SUMMED_REFLECTANCE
-    seconds = manifest.picture_s[[frame.role == "on" for frame in manifest.frames]].sum()
-    assert np.all(abs(counted.on_rate - whole) <= 6 * np.sqrt(whole / seconds))
-    assert (counted.off_rate == 0).all()
-
-
-def test_dark_and_ambient_rates_are_found_in_the_sentinels(tmp_path):
-    shown = patterns(tmp_path / "p", dwell=0.05)
-    camera = VirtualCamera(dark=5e4, ambient=3e5, efficiency=0.5)
-    shoot(tmp_path, camera=camera, flux=0.0)
-    counted = count_run(tmp_path / "run")
-    manifest = shown.manifest
-    seconds = manifest.picture_s[[frame.role == "on" for frame in manifest.frames]].sum()
-    for rate, expected in ((counted.off_rate, 5e4), (counted.on_rate, 5e4 + 0.5 * 3e5 * 24 / 26)):
-        assert np.all(abs(rate - expected) <= 6 * np.sqrt(expected / seconds))
-
-
-def test_the_same_seed_gives_the_same_file(tmp_path):
-    patterns(tmp_path / "p", "two-arm")
-    files = []
-    for name, seed in (("one", 1), ("same", 1), ("other", 2)):
-        shoot(tmp_path, name, camera=CAMERAS["spad"], seed=seed)
-        files.append((tmp_path / name / "photons.ptu").read_bytes())
-    assert files[0] == files[1] != files[2]
-
-
-def test_the_acquisition_says_how_it_was_made(tmp_path):
-    shown = patterns(tmp_path / "p", "two-arm")
-    camera = CAMERAS["pmt"]
-    done: list[float] = []
-    labels = ["0", "1", "0"]
-    given = shoot(tmp_path, labels=labels, camera=camera, flux=1e6, seed=3, report=into(done))
-    recorded_run = read_run(tmp_path / "run")
-    read, patterns_read = recorded_run.acquisition, recorded_run.patterns
-    assert read == given
-    assert [(scene.name, scene.label) for scene in read.scenes] == [
-        *zip("abc", labels, strict=True)
-    ]
-    assert VirtualCamera.model_validate(read.camera) == camera
-    assert (read.flux, read.seed, read.inputs) == (1e6, 3, (0, 1))
-    assert read.repeats == GatePlan.of(shown.manifest, 1e-3).repeats
-    assert np.array_equal(patterns_read.on, shown.on)
-    assert done == sorted(done)
-    assert done[-1] == 1
 
 
 def test_a_recording_that_is_stopped_leaves_nothing(tmp_path):
@@ -417,30 +325,6 @@ def test_a_folder_that_exists_is_not_written_to(tmp_path):
     with pytest.raises(InputError, match="exists"):
         shoot(tmp_path)
     assert not list((tmp_path / "run").iterdir())
-
-
-@pytest.mark.parametrize(
-    ("given", "message"),
-    [
-        ({"names": ["a"]}, "3 scenes"),
-        ({"labels": ["0"]}, "3 scenes"),
-        ({"names": []}, "3 scenes"),
-        ({"x": np.ones((0, 3, 4)), "names": []}, "no images"),
-        ({"exposure_s": 10.0}, "exposure"),
-    ],
-)
-def test_what_cannot_be_recorded_is_refused_before_any_work(tmp_path, given, message):
-    patterns(tmp_path / "p")
-    with pytest.raises(InputError, match=message):
-        shoot(tmp_path, **given)
-    assert not (tmp_path / "run").exists()
-
-
-def test_no_more_repeats_are_noted_than_can_be_counted(tmp_path):
-    shown = patterns(tmp_path / "p", dwell=0.05)
-    acquisition = shoot(tmp_path, flux=1e3, exposure_s=3e-6)
-    assert acquisition.repeats < GatePlan.of(shown.manifest, 3e-6).repeats
-    assert count_run(tmp_path / "run").counts.shape[1] == acquisition.repeats
 
 
 def test_memory_does_not_grow_with_the_duration(tmp_path, monkeypatch):

@@ -5,23 +5,19 @@ import pytest
 from virtual_samples import patterns, scenes
 
 from deepfsi.hardware.counting import count_run
-from deepfsi.hardware.photons import PtuWriter
 from deepfsi.hardware.virtual import (
-    DETECTOR_TICK_S,
-    Latencies,
     RecordingSettings,
     VirtualCamera,
-    VirtualOptics,
+    detector,
     record_scenes,
 )
-from deepfsi.hardware.virtual.detector import LightLevels
 
 PICTURES = 20_000
 
 
 def light(relative: float, seconds: float = 0.0) -> np.ndarray:
     rng = np.random.default_rng(1)
-    fluctuation = LightLevels(relative, seconds, rng)
+    fluctuation = detector.LightLevels(relative, seconds, rng)
     first = fluctuation.factors(np.arange(PICTURES // 2) * 1e-3)
     last = fluctuation.factors(np.arange(PICTURES // 2, PICTURES) * 1e-3)
     return np.concatenate([first, last])
@@ -73,43 +69,3 @@ def test_law_counts_of_a_file_have_the_excess_of_the_light(tmp_path):
     # pictures have light of their own: rails of a mask do not share it
     correlation = np.corrcoef(lit.T)[np.triu_indices(lit.shape[1], 1)]
     assert np.abs(correlation).max() <= 5 / len(lit) ** 0.5
-
-
-def test_dark_counts_do_not_fluctuate():
-    camera = VirtualCamera(fluctuation=0.5, dark=100.0)
-    rng = np.random.default_rng(2)
-    rates = np.full((50, 2), 100.0)
-    assert np.allclose(camera.fluctuate(rates, np.arange(50.0), camera.light(rng)), 100.0)
-    bright = camera.fluctuate(rates + 1000, np.arange(50.0), camera.light(rng))
-    assert np.ptp(bright[:, 0]) > 100
-    assert np.array_equal(bright[:, 0], bright[:, 1])  # one light for all detectors
-
-
-def test_steady_light_draws_nothing_and_changes_nothing():
-    rng = np.random.default_rng(3)
-    rates = np.random.default_rng(4).random((5, 1))
-    assert VirtualCamera().light(rng) is None
-    assert VirtualCamera().fluctuate(rates, np.arange(5.0), None) is rates
-    assert rng.random() == np.random.default_rng(3).random()
-
-
-def test_the_light_of_a_live_setup_fluctuates_too(tmp_path):
-    frames, dwell = 300, 1e-3
-    rates = np.full((1, 2, 1), 2e6)
-    setup = VirtualOptics(rates, VirtualCamera(fluctuation=0.1), Latencies(), seed=5)
-    path = tmp_path / "photons.ptu"
-    with PtuWriter(path, tick_s=DETECTOR_TICK_S) as writer:
-        setup.written = writer
-        setup.show(np.arange(frames) % 2, np.full(frames, dwell))
-        start = setup._end - round(frames * dwell / DETECTOR_TICK_S)
-        setup.rest()
-        setup.written = None
-    from ptufile import PtuFile
-
-    with PtuFile(path) as file:
-        decoded = file.decode_records()
-    times = decoded["time"][decoded["channel"] == 0].astype(np.int64)
-    counts = np.histogram(times, start + np.arange(frames + 1) * round(dwell / DETECTOR_TICK_S))[0]
-    mean = counts.mean()
-    excess = (counts.var(ddof=1) - mean) / mean**2
-    assert abs(excess - 0.01) <= 5 * (0.01 + 1 / mean) * np.sqrt(2 / frames)

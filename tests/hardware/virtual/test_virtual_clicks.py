@@ -9,7 +9,6 @@ from deepfsi import Scanner
 from deepfsi.base import InputError
 from deepfsi.camera import CounterEffects, DeadTime
 from deepfsi.hardware.counting import CountSettings, count_run, read_counts
-from deepfsi.hardware.counting.corrections import light_of_clicks
 from deepfsi.hardware.patterns import Patterns
 from deepfsi.hardware.pictures import reconstruct
 from deepfsi.hardware.virtual import RecordingSettings, VirtualCamera, record_scenes
@@ -77,20 +76,6 @@ def test_a_gated_and_a_free_detector_give_the_same_clicks(tmp_path, light, rails
     assert (gated.variance <= gated.counts).all()
 
 
-def test_each_exposure_of_a_frame_has_its_own_gates(tmp_path):
-    """Half the exposure: half the photons in as many gates, for two exposures in a frame."""
-    shown = patterns(tmp_path / "p", "free-dwell", "single")
-    x = scenes(1).repeat(200, axis=0)
-    run = recorded(tmp_path, "run", VirtualCamera(), x)
-    counts = count_run(run, CountSettings(clicks=GATES, exposure_s=EXPOSURE / 2))
-    repeats = counts.counts.shape[1]
-    assert repeats >= 2
-    p = -np.expm1(-expected(shown, x[:1])[0] / 2 / GATES)
-    error = np.sqrt(GATES * p * (1 - p) / len(x))
-    for each in range(repeats):
-        assert (abs(counts.counts[:, each].mean(axis=0) - GATES * p) < 5 * error).all()
-
-
 @pytest.mark.parametrize(("gates", "flux"), [(None, FLUX), (None, 30 * FLUX), (40, FLUX)])
 def test_all_on_frames_tell_the_budget_by_clicks_or_by_photons(tmp_path, gates, flux):
     """Clicks where gates hold few photons, and the photons of a free detector where many."""
@@ -104,14 +89,6 @@ def test_all_on_frames_tell_the_budget_by_clicks_or_by_photons(tmp_path, gates, 
     error = np.sqrt(variance / number) / mean
     assert counts.flux == pytest.approx(np.full(40, wanted), rel=5 * error)
     assert error < 0.1
-
-
-def test_where_all_gates_click_the_stated_flux_is_taken(tmp_path):
-    patterns(tmp_path / "p", "equal-dwell", "dual")
-    run = recorded(tmp_path, "run", VirtualCamera(gates=2), scenes(), 100 * FLUX, repeats=1)
-    counts = count_run(run, CountSettings(clicks=2))
-    assert (counts.counts[counts.counts > 0] == 2).mean() > 0.9
-    assert (counts.flux == 100 * FLUX).all()
 
 
 def test_what_is_of_photons_refuses_clicks(tmp_path):
@@ -136,23 +113,3 @@ def test_what_is_of_photons_refuses_clicks(tmp_path):
     for use in (reconstruct, check_view, gains_of):
         with pytest.raises(InputError, match="was counted in clicks, which are not in proportion"):
             use(gated)
-
-
-def test_too_many_gates_and_too_short_ones_are_refused(tmp_path):
-    patterns(tmp_path / "p", "equal-dwell", "dual")
-    run = recorded(tmp_path, "run", VirtualCamera(), scenes(), repeats=1)
-    with pytest.raises(InputError, match="gates of 3 scenes are more than 2097152"):
-        count_run(run, CountSettings(clicks=100_000))
-    with pytest.raises(InputError, match="too coarse for gates of"):
-        count_run(run, CountSettings(clicks=10**9))
-
-
-@pytest.mark.parametrize(("unfired", "told"), [(24, False), (25, True), (400, True), (1000, False)])
-def test_few_gates_without_a_click_tell_no_budget(tmp_path, unfired, told):
-    """Of 1000 with all ON; and as many clicks with all ON as with all OFF tell none."""
-    manifest = patterns(tmp_path / "p", "equal-dwell", "dual").manifest
-    clicks = np.array([[500, 0, 500, 0]])[..., None] - np.array([[unfired, 0, 0, 0]])[..., None]
-    ends = clicks, clicks, np.full((1, 4, 1), 500)
-    light = light_of_clicks(*ends, width_s=1e-3, scenes=2, manifest=manifest)
-    wanted = -np.log(unfired / 1000) / 1e-3 if told else np.nan
-    assert light.flux == pytest.approx(np.full(2, wanted), nan_ok=True)
