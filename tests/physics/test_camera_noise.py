@@ -6,13 +6,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from conftest import OPTICS, assert_moments, generator, quick
+from conftest import assert_moments, generator, quick
 from deepfsi import Scanner
 from deepfsi.base import InputError
-from deepfsi.physics import LearnedMasks, Rails, light_law
-from deepfsi.physics.detection import ONE
-from deepfsi.physics.noise import make_noise
-from shared.noises import exact, photons, saturating, training_noise
+from deepfsi.physics import LearnedMasks, Rails, detection, noise
+from shared.noises import exact, saturating, training_noise
 
 DRAWS = 50_000
 SIGMA, DARK = 3.0, 40.0
@@ -31,17 +29,8 @@ TIMES = torch.tensor([[0.5, 0.25, 0.0, 0.0], [0.25, 0.0, 0.5, 0.0]], dtype=torch
 @pytest.mark.parametrize("sigma", [0.0, 0.5, 7.0])
 def test_variance_is_that_of_light_dark_counts_and_read_noise(rate, dark, sigma):
     rates = torch.full((DRAWS,), rate, dtype=torch.float64)
-    counts = make_noise("camera", sigma=sigma).draw(rates, generator(), dark)
+    counts = noise.make_noise("camera", sigma=sigma).draw(rates, generator(), dark)
     assert_moments(counts, rate, rate + dark + sigma**2, poisson=True, rounding=0.5 * (rate > 1e6))
-
-
-def test_every_part_is_its_own_law():
-    """Third central moment: of Poisson its mean, of read noise none."""
-    counts = make_noise("camera", sigma=1.0).draw(
-        torch.full((DRAWS,), 2.0).double(), generator(), 3.0
-    )
-    third = (counts - counts.mean()).pow(3)
-    assert abs(third.mean() - 5.0) <= 5 * float(third.std()) / math.sqrt(DRAWS)
 
 
 @pytest.mark.parametrize("light", [0.0, 30.0, 1e4])
@@ -60,40 +49,6 @@ def test_each_readout_has_dark_counts_for_its_time(light):
             )
 
 
-def test_features_have_both_rails_noise():
-    photons = torch.tensor([30.0, 60.0], dtype=torch.float64)
-    scanner = Scanner.from_rails(RAILS, "camera", SIGMA, DARK)
-    features = scanner(photons.expand(DRAWS, 2), generator())
-    lit = (RAILS.amax(dim=-1) > 0).sum(dim=0)
-    power = (RAILS @ photons).sum(dim=0) + DARK * TIMES.sum(dim=0) + SIGMA**2 * lit
-    for mask in range(4):
-        mean = float((PLUS - MINUS)[mask] @ photons)
-        assert_moments(features[:, mask], mean, float(power[mask]), poisson=True, rounding=1e-9)
-
-
-@pytest.mark.parametrize(("light", "rails"), OPTICS)
-def test_one_detector_has_all_its_dark_counts_in_one_exposure(light, rails):
-    """Times of the frames of one device sum to the exposure; on two arms each detector has all."""
-    matrix = torch.randn(6, 20, dtype=torch.float64, generator=generator())
-    fitted = light_law(light).fit(matrix if rails == "dual" else matrix.abs(), rails)
-    time = ONE.readouts(Rails.of(fitted)).time
-    if light == "column":
-        assert (time <= 1).all()
-    elif light == "two-arm":
-        assert torch.allclose(time.sum(dim=1), torch.ones(2, dtype=torch.float64))
-        assert torch.equal(time[0], time[1])
-    elif light == "dose":  # a projector needs the time of a frame's brightest pixel
-        assert float(time.sum()) == pytest.approx(float(fitted.amax(dim=-1).sum()))
-    else:
-        assert float(time.sum()) == pytest.approx(1)
-
-
-def test_impulse_imaging_has_a_detector_for_each_pixel_and_raster_one_for_all(digits):
-    for design, detectors in (("impulse", 64), ("raster", 1)):
-        rails = quick(digits, design).rails.stacked.double()
-        assert float(ONE.readouts(Rails.of(rails)).time.sum()) == pytest.approx(detectors)
-
-
 @pytest.mark.parametrize("light", ["column", "free-dwell", "two-arm"])
 def test_masks_follow_mean_and_variance(light):
     """E[y²] = μ² + L with L of light, dark counts and read noise: its slope in every weight."""
@@ -103,7 +58,7 @@ def test_masks_follow_mean_and_variance(light):
     scanner = Scanner(masks, "camera", SIGMA, DARK)
 
     shown = masks()
-    read = ONE.readouts(shown)
+    read = detection.ONE.readouts(shown)
     power = shown.total @ scene + DARK * read.time.sum(dim=0) + SIGMA**2 * read.lit
     wanted = torch.autograd.grad(
         ((shown.difference @ scene) ** 2 + power).sum(), list(masks.parameters())
@@ -131,7 +86,7 @@ def test_training_draws_what_the_scanner_does(kind):
     rails = Rails.of(RAILS.unsqueeze(0))
     scene = torch.tensor([0.4, 0.9], dtype=torch.float64)
     mean, light = (each @ scene for each in (rails.difference, rails.total))  # (1, 4)
-    read = ONE.readouts(rails)
+    read = detection.ONE.readouts(rails)
     features = drawn.counted(mean.expand(DRAWS, 2, 4), light.expand(DRAWS, 2, 4), read)
     lit = (RAILS.amax(dim=-1) > 0).sum(dim=0)
     for job, gain in enumerate(gains):
@@ -153,7 +108,7 @@ def test_training_follows_mean_light_and_time(kind):
     gain, dark = 50.0, 30.0
     noisy = training_noise(kind, [gain], [4.0], [0], torch.device("cpu"), [dark])
     rails = Rails.of(RAILS[:, :2].unsqueeze(0))
-    read = ONE.readouts(rails)
+    read = detection.ONE.readouts(rails)
     read = read._replace(time=read.time.clone().requires_grad_())
     scene = torch.tensor([0.4, 0.9], dtype=torch.float64)
     mean, light = (
@@ -169,18 +124,6 @@ def test_training_follows_mean_light_and_time(kind):
             slope, error = 1 / gain, 5 * float(by_light.std()) / math.sqrt(DRAWS)
             by_time = float(read.time.grad[0, 0, mask]) / DRAWS  # through d = D t
             assert abs(by_time - slope * dark / gain) <= error * dark / gain
-
-
-@pytest.mark.parametrize("dark", [-1.0, math.nan, math.inf])
-def test_impossible_dark_counts_are_refused(dark):
-    with pytest.raises(InputError, match="give 0 or more"):
-        Scanner.from_rails(RAILS, "camera", 1.0, dark)
-
-
-@pytest.mark.parametrize("kind", ["poisson", "gaussian", photons])
-def test_dark_counts_are_of_camera_noise_only(kind):
-    with pytest.raises(InputError, match="camera"):
-        Scanner.from_rails(RAILS, kind, 1.0, 5.0)
 
 
 def test_a_noise_of_ones_own_is_drawn_for_each_rail():
@@ -200,21 +143,6 @@ def test_a_noise_of_ones_own_is_drawn_for_each_rail():
         features[:, 0], float(seen[0, 0] - seen[1, 0]), float(seen[:, 0].sum()),
         poisson=False, rounding=1e-9,
     )  # fmt: skip
-
-
-def test_masks_learn_through_a_noise_of_ones_own():
-    """As through ml_gauss, with a dark rail that gives no NaN."""
-    masks = [LearnedMasks(torch.randn(4, 6, generator=generator(1)), "column") for _ in range(2)]
-    for each, kind in zip(masks, (photons, "ml_gauss"), strict=True):
-        grads = []
-        for seed in range(60):
-            y = Scanner(each, kind)(torch.full((500, 6), 40.0), generator(seed))
-            grads.append(torch.autograd.grad(y.square().sum(dim=1).mean(), each.weight)[0])
-        each.found = torch.stack(grads)
-    first, second = (each.found for each in masks)
-    error = (first.var(dim=0) + second.var(dim=0)).div(len(first)).sqrt()
-    assert torch.isfinite(first).all()
-    assert ((first.mean(dim=0) - second.mean(dim=0)).abs() <= 5.5 * error).all()
 
 
 def no_tensor(rates: Tensor, generator: torch.Generator | None) -> object:

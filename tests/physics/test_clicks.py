@@ -3,20 +3,14 @@
 import itertools
 import math
 
-import numpy as np
 import pytest
 import torch
 
 from conftest import generator
-from deepfsi import Scanner
-from deepfsi.base import InputError
-from deepfsi.camera import Camera
-from deepfsi.physics import Click, TrainingNoise, noise_of
-from deepfsi.physics.detection import Readouts
-from deepfsi.physics.noise import CustomNoise, Expectation, make_noise
+from deepfsi.physics import Click, TrainingNoise, detection, noise
 
 DRAWS = 200_000
-BOTH = Readouts(
+BOTH = detection.Readouts(
     torch.ones(2, 1, 2, dtype=torch.bool), torch.ones(2, 1, 2), torch.arange(4).view(2, 1, 2)
 )
 
@@ -39,8 +33,8 @@ def test_clicks_have_mean_and_variance_of_the_closed_form(rate, gates):
     assert abs(clicks.var() - variance) <= error + 1e-12
     rates = torch.tensor([rate], dtype=torch.float64)
     assert float(Click(gates).mean(rates)) == pytest.approx(mean, rel=1e-12)
-    alone = Expectation(
-        rates, rates, Readouts(torch.ones(1, 1), torch.ones(1, 1), torch.zeros(1, 1))
+    alone = noise.Expectation(
+        rates, rates, detection.Readouts(torch.ones(1, 1), torch.ones(1, 1), torch.zeros(1, 1))
     )
     assert float(Click(gates).variance(alone)) == pytest.approx(variance, rel=1e-6, abs=1e-12)
 
@@ -52,15 +46,6 @@ def test_clicks_of_many_gates_are_poisson_counts():
         share = math.exp(-3.0) * 3.0**k / math.factorial(k)
         error = 5 * math.sqrt(share / DRAWS) + 9e-5
         assert abs(float((clicks == k).double().mean()) - share) <= error
-
-
-@pytest.mark.parametrize("gates", [1, 7])
-def test_there_are_fewer_clicks_than_photons(gates):
-    rates = torch.logspace(-4, 4, 200, dtype=torch.float64)
-    mean = Click(gates).mean(rates)
-    assert ((mean < rates) & (mean <= gates)).all()
-    assert (mean.diff() >= 0).all()
-    assert torch.allclose(mean[:20], rates[:20], rtol=2e-3)
 
 
 def losses(outcomes: torch.Tensor) -> torch.Tensor:
@@ -132,10 +117,6 @@ def test_dark_and_saturated_detectors_have_a_finite_gradient(rate, gates):
     assert torch.isfinite(rates.grad).all()
 
 
-def test_masks_can_learn_under_clicks():
-    CustomNoise(Click(1)).check(learning=True)
-
-
 def test_features_of_clicks_have_their_moments():
     """Of two rails: the mean of the difference, and the sum of the variances."""
     every = TrainingNoise.of([Click(2)], [4.0], [0], torch.device("cpu"))
@@ -148,37 +129,3 @@ def test_features_of_clicks_have_their_moments():
     error = 5 * (variance / DRAWS).sqrt()
     assert ((drawn.mean(dim=0) - (wanted[0] - wanted[1]) / 4).abs() <= error).all()
     assert ((drawn.var(dim=0) / variance - 1).abs() < 5 * math.sqrt(2 / DRAWS)).all()
-
-
-def test_a_scanner_counts_clicks():
-    rails = torch.tensor([[[0.5, 0.25]], [[0.5, 0.75]]])
-    scanner, photons = Scanner.from_rails(rails, Click(3)), torch.tensor([4.0, 8.0])
-    counts = scanner.counts(photons.expand(50_000, 2), generator())
-    wanted = scanner.noise.mean(scanner.rates(photons))
-    assert torch.allclose(wanted.flatten(), 3 - 3 * torch.exp(-torch.tensor([4.0, 8.0]) / 3))
-    assert counts.max() == 3
-    assert np.allclose(counts.mean(dim=0), wanted, atol=5 * 0.9 / math.sqrt(50_000))
-
-
-def test_a_camera_has_gates_for_clicks_alone():
-    camera = Camera(noise="click", gates=4)
-    assert noise_of(camera) == Click(4)
-    assert "4 gates a frame" in camera.describe()
-    assert make_noise("click") == Click(1)
-    assert Camera.load(camera, noise="poisson").gates == 1
-    with pytest.raises(InputError, match="poisson noise has no gates: give noise click"):
-        Camera.load({"noise": "poisson", "gates": 2})
-    with pytest.raises(InputError, match="click noise has no dark counts"):
-        Camera.load({"noise": "click", "dark": 2.0})
-    with pytest.raises(InputError, match="gates"):
-        Camera.load({"noise": "click", "gates": 0})
-
-
-def test_clicks_have_no_dead_time():
-    """A detector is blind until its gate ends, whatever its dead time."""
-    for fields in ({"gates": 4}, {"noise": "click"}):
-        with pytest.raises(InputError, match="clicks have no dead time here: leave dead_time"):
-            Camera.load({"dead_time": 2e-8, **fields})
-    lab = Camera.load({"dead_time": 2e-8})
-    assert Camera.load(lab, noise="click").dead_time == 0
-    assert (lab.clicks, Camera(noise="click").clicks, Camera(gates=4).clicks) == (None, 1, 4)

@@ -8,10 +8,8 @@ from conftest import FLOAT32, every_optics, generator
 from deepfsi import Scanner
 from deepfsi.base import InputError
 from deepfsi.camera import DetectorMap
-from deepfsi.jobs import check_count, count_allowed, sensing_matrix
 from deepfsi.physics import (
     Detection,
-    FixedMasks,
     LearnedMasks,
     light_law,
     ml_gauss_features,
@@ -19,7 +17,6 @@ from deepfsi.physics import (
     project_rails,
     root,
 )
-from deepfsi.physics.detection import ONE
 
 SHAPE = (6, 8)
 MAPS = [
@@ -108,15 +105,6 @@ def test_features_have_the_mean_and_variance_of_their_readouts(light, rails, rea
     assert torch.allclose(features.var(dim=0)[some], other.var(dim=0)[some], rtol=2 * spread)
 
 
-def test_both_rails_are_read_mask_by_mask():
-    seen = Detection.by(DetectorMap.of("1x2", (1, 2)), "both")
-    rails = light_law("free-dwell").rails(torch.tensor([[0.5, -0.25], [-0.125, 0.0]]))
-    counts = Scanner.from_rails(rails, "none", detection=seen).counts(torch.tensor([16.0, 8.0]))
-    assert counts.tolist() == [[8, 0, 0, 0], [0, 2, 2, 0]]  # (rails, mask by mask: 2 detectors)
-    assert seen.features(counts).tolist() == [8, 0, 0, 2, 0, 0, 2, 0]
-    assert Detection("both").features(counts[:1]).tolist() == [8, 0, 0, 0]
-
-
 @every_optics
 @pytest.mark.parametrize("detectors", MAPS, ids=str)
 @pytest.mark.parametrize("readout", READOUTS)
@@ -167,33 +155,6 @@ def test_arranging_loses_nothing(detectors):
     assert torch.equal(part.restore(part.arrange(scenes[:, some])), scenes[:, some])
 
 
-@pytest.mark.parametrize("light", ["equal-dwell", "free-dwell", "two-arm"])
-def test_dark_counts_are_those_of_each_detector(light):
-    """Every detector counts its own dark counts for as long as a frame is shown."""
-    frames, seen = rails_for(light, "dual"), Detection.by(DetectorMap.of("2x2", SHAPE))
-    one, four = (each.readouts(FixedMasks(frames)().map(seen.arrange)) for each in (ONE, seen))
-    assert torch.equal(four.time.unflatten(-1, (5, 4)), one.time.unsqueeze(-1).expand(2, 5, 4))
-
-
-@pytest.mark.parametrize("design", ["raster", "hadamard", "truncated-hadamard", "pca", "s-matrix"])
-def test_each_part_has_the_masks_of_the_design(digits, design):
-    tiles_of = DetectorMap.of("2x4", digits.image_shape)
-    _, high = count_allowed(design, digits, tiles_of)
-    matrix = sensing_matrix(design, high, digits, detectors=tiles_of)
-    part = matrix.reshape(high, 2, 4, 4, 2).transpose(1, 3, 0, 2, 4).reshape(8, high, 8)
-    assert high == (11 if design == "s-matrix" else 8)
-    if design in ("raster", "hadamard", "truncated-hadamard", "s-matrix"):
-        assert (part == part[0]).all()
-    gram = part @ part.transpose(0, 2, 1)
-    if design != "s-matrix":
-        assert np.allclose(gram, gram[:, :1, :1] * np.eye(high), atol=1e-9)
-    if design == "raster":
-        assert matrix.sum() == pytest.approx(64 / 8)
-        assert float(matrix.max(axis=1).sum()) == 1  # frames of equal time
-    with pytest.raises(InputError, match=f"{high + 1} masks .* with 8 detectors"):
-        check_count(design, high + 1, digits, tiles_of)
-
-
 @pytest.mark.parametrize(
     ("detectors", "match"),
     [
@@ -211,9 +172,3 @@ def test_each_part_has_the_masks_of_the_design(digits, design):
 def test_detectors_that_cannot_be_are_told(detectors, match):
     with pytest.raises(InputError, match=match):
         DetectorMap.of(detectors, SHAPE)
-
-
-def test_parts_are_as_equal_as_can_be():
-    assert DetectorMap.of("4", (10,)).cells == (0, 0, 0, 1, 1, 2, 2, 2, 3, 3)
-    sizes = np.bincount(DetectorMap.of("3x3", (7, 8)).labels)  # sides of 3, 2, 2 and 3, 3, 2
-    assert sizes.tolist() == [9, 9, 6, 6, 6, 4, 6, 6, 4]

@@ -1,18 +1,15 @@
 """Light that fluctuates from frame to frame: moments, what is alike in a frame, and training."""
 
-import numpy as np
 import pytest
 import torch
-from scipy.stats import ks_2samp
 from torch import Tensor
 
 from conftest import generator
 from deepfsi import Camera, Scanner
 from deepfsi.base import InputError
-from deepfsi.hardware.virtual import VirtualCamera
 from deepfsi.jobs import Job, Range
-from deepfsi.physics import Detection, Poisson, Rails, noise_of
-from deepfsi.physics.noise import Fluctuation, MlGauss, make_noise
+from deepfsi.physics import Detection, Poisson, Rails
+from deepfsi.physics import noise as noise_module
 from deepfsi.physics.training_noise import TrainingNoise
 
 DRAWS = 100_000
@@ -52,7 +49,9 @@ def assert_covariance(counts: Tensor, mean: Tensor, expected: Tensor) -> None:
 def test_counts_of_one_frame_share_its_light(optics, detection):
     """For all detectors; for both rails where two arms see them at once."""
     rails, frames = OPTICS[optics]
-    scanner = Scanner.from_rails(rails, Fluctuation(Poisson(), SIGMA), detection=detection)
+    scanner = Scanner.from_rails(
+        rails, noise_module.Fluctuation(Poisson(), SIGMA), detection=detection
+    )
     rates = scanner.rates(LIGHT).flatten()
     frame = torch.tensor(frames).T[: len(rails)].repeat_interleave(detection.count, dim=1)
     counts = scanner.counts(LIGHT.expand(DRAWS, 4), generator()).flatten(1)
@@ -61,7 +60,7 @@ def test_counts_of_one_frame_share_its_light(optics, detection):
 
 @pytest.mark.parametrize("optics", OPTICS)
 @pytest.mark.parametrize("readout", ["difference", "both"])
-@pytest.mark.parametrize("inner", [Poisson(), MlGauss()], ids=repr)
+@pytest.mark.parametrize("inner", [Poisson(), noise_module.MlGauss()], ids=repr)
 def test_features_of_a_training_have_the_same_law(optics, readout, inner):
     """And the variance that is claimed of them: that of the photons, and of the light."""
     rails, frames = OPTICS[optics]
@@ -73,7 +72,9 @@ def test_features_of_a_training_have_the_same_law(optics, readout, inner):
     rates = scanner.rates(LIGHT)
     mean, total = detection.features(rates), detection.totals(rates)
     read = type(read)(*(each.unsqueeze(1) for each in read))
-    noise = TrainingNoise.of([Fluctuation(inner, SIGMA)], [gain], [1], torch.device("cpu"))
+    noise = TrainingNoise.of(
+        [noise_module.Fluctuation(inner, SIGMA)], [gain], [1], torch.device("cpu")
+    )
     pair = (each.expand(DRAWS, 1, len(mean)) / gain for each in (mean, total))
     drawn = noise.features(*pair, read, lambda count: torch.zeros(0))[:, 0] * gain
     frame = torch.tensor(frames).T[: len(rails)].repeat_interleave(2, dim=1)
@@ -89,21 +90,13 @@ def test_features_of_a_training_have_the_same_law(optics, readout, inner):
 
 
 def test_dark_counts_and_read_noise_do_not_fluctuate():
-    noise = make_noise("camera", sigma=2.0, dark=50.0, fluctuation=SIGMA)
+    noise = noise_module.make_noise("camera", sigma=2.0, dark=50.0, fluctuation=SIGMA)
     counts = Scanner.from_rails(APART[:1] * 0 + 0.25, noise).counts(
         LIGHT.expand(DRAWS, 4), generator()
     )
     rates = torch.full((2,), float(LIGHT.sum()) / 4).double()
     expected = covariance(rates, torch.arange(2)) + torch.eye(2) * (50.0 * 0.25 + 4.0)
     assert_covariance(counts.flatten(1), rates, expected)
-
-
-@pytest.mark.parametrize("name", ["none", "gaussian", "poisson", "ml_gauss", "camera", "click"])
-def test_steady_light_is_no_other_noise(name):
-    camera = Camera(noise=name)
-    steady, usual = noise_of(Camera.load(camera, fluctuation=0.0)), noise_of(camera)
-    assert type(steady) is type(usual)
-    assert torch.equal(*(each(LIGHT, generator()) for each in (steady, usual)))
 
 
 @pytest.mark.parametrize("optics", OPTICS)
@@ -116,7 +109,7 @@ def test_gradient_is_that_of_the_expected_square(optics):
         def forward(self) -> Rails:
             return Rails.of(rails * scale)
 
-    scanner = Scanner(Dimmed(), Fluctuation(Poisson(), SIGMA))
+    scanner = Scanner(Dimmed(), noise_module.Fluctuation(Poisson(), SIGMA))
     rates = rails @ LIGHT
     mean = rates[0] - rates[1] if len(rates) == 2 else rates[0]
     bright = mean.square() if optics == "two arms" else rates.square().sum(dim=0)
@@ -137,7 +130,9 @@ def test_a_reference_count_divides_the_light_out():
     light, rates = torch.tensor([100.0, 200.0, 1e4], dtype=torch.float64), 200.0
     rails = torch.tensor([[[1.0, 0.5, 1.0], [0.0, 1.0, 1.0]]], dtype=torch.float64) / 1.0
     detection = Detection(count=2, labels=torch.tensor([0, 0, 1]))
-    scanner = Scanner.from_rails(rails, Fluctuation(Poisson(), SIGMA), detection=detection)
+    scanner = Scanner.from_rails(
+        rails, noise_module.Fluctuation(Poisson(), SIGMA), detection=detection
+    )
     counts = scanner.counts(light.expand(DRAWS, 3), generator())[:, 0].unflatten(-1, (2, 2))
     measured, reference = counts.unbind(dim=-1)
     divided = measured / reference * 1e4
@@ -145,28 +140,6 @@ def test_a_reference_count_divides_the_light_out():
     power = (rates + rates**2 / 1e4) * (1 + SIGMA**2)
     assert float(divided.var(dim=0).sub(power).abs().max()) <= 0.03 * power
     assert float(measured.var(dim=0).min()) > 8 * power
-
-
-def test_the_virtual_camera_draws_by_the_same_law():
-    """Equal levels, in a test of two samples; taken over from the camera's field."""
-    noise = Fluctuation(make_noise("none"), SIGMA)
-    drawn = noise.draw(torch.ones(20_000, dtype=torch.float64), generator()).numpy()
-    light = VirtualCamera.of(Camera(fluctuation=SIGMA)).light(np.random.default_rng(0))
-    assert light is not None
-    factors = light.factors(np.arange(20_000.0))
-    assert ks_2samp(drawn, factors).pvalue > 1e-6
-    assert abs(factors.std() - SIGMA) < 5 * SIGMA / (2 * 20_000) ** 0.5 * 1.2  # its kurtosis
-
-
-def test_steady_light_is_left_out_of_files():
-    """So that keys and files of cameras without it are the same."""
-    assert "fluctuation" not in Camera(sigma=0.0).model_dump(mode="json")
-    camera = Camera(fluctuation=0.05)
-    fields = camera.model_dump(mode="json")
-    assert fields["fluctuation"] == 0.05
-    assert Camera.restored(fields) == camera
-    job = Job(photons=1e3, masks=4, camera=camera)
-    assert "sigma" not in job.model_dump(exclude={"camera": {"sigma"}})["camera"]
 
 
 def test_what_is_of_steady_light_says_so():

@@ -24,9 +24,8 @@ from deepfsi import Scanner, evaluate
 from deepfsi.datasets import load_dataset
 from deepfsi.exposure import TrainingSet
 from deepfsi.jobs import sensing_matrix
-from deepfsi.physics import Rails, frames, light_law
-from deepfsi.physics.detection import ONE
-from deepfsi.physics.noise import Expectation, make_noise
+from deepfsi.physics import Rails, detection, frames, light_law
+from deepfsi.physics import noise as noise_module
 from deepfsi.training import train
 from shared.jobs import job as job_of
 
@@ -132,8 +131,10 @@ def scene(name: str, digits) -> Tensor:
 def analytic_error(rails: Tensor, photons: Tensor, noise: str, sigma: float) -> float:
     """Pixel mean of the variance of the reconstruction M⁻¹ y."""
     both = Rails.of(rails)
-    light = Expectation(photons @ both.difference.T, photons @ both.total.T, ONE.readouts(both))
-    power = make_noise(noise, sigma=sigma).variance(light)
+    light = noise_module.Expectation(
+        photons @ both.difference.T, photons @ both.total.T, detection.ONE.readouts(both)
+    )
+    power = noise_module.make_noise(noise, sigma=sigma).variance(light)
     return float((torch.linalg.inv(both.difference).square() @ power).mean())
 
 

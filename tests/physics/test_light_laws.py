@@ -12,13 +12,8 @@ from torch import Tensor
 
 from conftest import FIXED, FLOAT32, OPTICS, every_optics, generator, quick, two_valued
 from deepfsi.base import InputError
-from deepfsi.camera import check_light_law
 from deepfsi.jobs import count_allowed, sensing_matrix
 from deepfsi.physics import SLACK, LearnedMasks, Rails, frames, light_law
-
-
-def rails_of(masks: torch.nn.Module, rails: str) -> Tensor:
-    return masks().stacked
 
 
 def fixed_matrix(design: str, digits) -> Tensor:
@@ -57,33 +52,6 @@ def test_fitted_designs_use_all_the_light_they_may(digits, design, light, rails)
     if light == "two-arm":  # every mask sends all of some pixel's light to one arm
         contrast = (fitted[0] - fitted[1]).abs().amax(dim=-1) * len(matrix)
         assert contrast == pytest.approx(torch.ones(len(matrix)), rel=1e-4)
-
-
-@pytest.mark.parametrize("light", ["column", "free-dwell", "dose"])
-def test_one_common_factor_keeps_the_masks_in_proportion(digits, light):
-    matrix = fixed_matrix("pca", digits)
-    difference = Rails.of(light_law(light).fit(matrix)).difference
-    factor = difference.norm() / matrix.norm()
-    assert torch.allclose(difference, matrix * factor, atol=1e-7)
-
-
-@pytest.mark.parametrize("light", ["equal-dwell", "two-arm"])
-def test_each_frame_or_mask_keeps_its_shape(digits, light):
-    matrix = fixed_matrix("pca", digits)
-    fitted = light_law(light).fit(matrix)
-    parts = light_law(light).rails(matrix) if light == "equal-dwell" else matrix[None]
-    found = fitted if light == "equal-dwell" else (fitted[0] - fitted[1])[None]
-    for part, own in zip(parts.flatten(0, 1), found.flatten(0, 1), strict=True):
-        assert torch.allclose(part / part.abs().max(), own / own.abs().max(), atol=1e-6)
-
-
-@every_optics
-def test_the_light_of_a_start_does_not_matter(light, rails):
-    matrix = torch.rand(4, 9, generator=generator()) + 0.1
-    law = light_law(light)
-    assert torch.allclose(law.fit(7 * matrix, rails), law.fit(matrix, rails))
-    small, large = (law.project(law.weights(k * matrix, rails), rails) for k in (0.01, 100))
-    assert torch.allclose(small.stacked, large.stacked, rtol=1e-5)
 
 
 @every_optics
@@ -127,15 +95,6 @@ def test_any_matrix_fits_and_passes_the_check(optics, masks, pixels, seed):
     light_law(light).check(light_law(light).fit(matrix if rails == "dual" else matrix.abs(), rails))
 
 
-def test_a_single_signed_mask_costs_one_frame():
-    matrix = torch.tensor([[1.0, 0.5], [1.0, -1.0], [-2.0, 0.0]])
-    fitted = light_law("equal-dwell").fit(matrix)
-    assert len(frames(fitted)) == 4
-    assert fitted.amax() == 1 / 4
-    assert fitted[1, 0].max() == 0
-    assert fitted[0, 2].max() == 0
-
-
 @every_optics
 def test_rails_are_not_negative_and_recombine(digits, light, rails):
     matrix = fixed_matrix("pca", digits)
@@ -145,34 +104,6 @@ def test_rails_are_not_negative_and_recombine(digits, light, rails):
     again = given.map(torch.clone).stacked  # of difference and total alone
     assert torch.allclose(again, fitted, rtol=0, atol=1e-8)
     assert (given.difference.abs() <= given.total).all()
-
-
-def test_split_gives_positive_and_negative_parts():
-    matrix = torch.randn(5, 7, generator=generator())
-    plus, minus = light_law("column").rails(matrix)
-    assert torch.equal(plus - minus, matrix)
-    assert torch.equal(plus + minus, matrix.abs())
-
-
-@every_optics
-@pytest.mark.parametrize("levels", [0, 2, 769])
-@pytest.mark.parametrize("rate", [0.03, 3.0])
-def test_learned_masks_obey_after_every_step(light, rails, rate, levels):
-    """Two replicas chase far more light than there is, with small and absurd steps."""
-    start = torch.randn(2, 6, 16, generator=generator())
-    learned = LearnedMasks(start if rails == "dual" else start.abs(), light, rails, levels)
-    target = 10 * torch.randn(2, 6, 16, generator=generator(1))
-    optimiser = torch.optim.Adam(learned.parameters(), lr=rate)
-    for _ in range(40):
-        loss = (learned().difference - target).square().mean()
-        optimiser.zero_grad()
-        loss.backward()
-        optimiser.step()
-        for replica in rails_of(learned, rails).detach():
-            assert torch.isfinite(replica).all()
-            assert replica.min() >= 0
-            assert limits(replica, light).max() <= 1 + SLACK
-            assert light_law(light).excess(replica) <= SLACK
 
 
 @every_optics
@@ -282,35 +213,11 @@ def test_gradients_go_straight_through_the_rounding(light, rails, levels):
         assert not torch.allclose(found.grad, other.grad, rtol=1e-3)
 
 
-@every_optics
-def test_learned_masks_can_move(light, rails):
-    start = torch.rand(3, 8, generator=generator()) + 0.1
-    learned = LearnedMasks(start, light, rails)
-    learned().difference.square().sum().backward()
-    for parameter in learned.parameters():
-        assert (parameter.grad != 0).any()
-
-
-def test_learned_column_masks_start_from_the_fitted_matrix(digits):
-    matrix = fixed_matrix("pca", digits)
-    assert torch.allclose(
-        rails_of(LearnedMasks(matrix, "column"), "dual"), light_law("column").fit(matrix)
-    )
-
-
 def test_a_start_without_light_is_refused():
     """Its scale is undefined under `column`, also where it is one of several replicas."""
     start = torch.stack([torch.ones(3, 4), torch.zeros(3, 4)])
     with pytest.raises(InputError, match="0 everywhere"):
         LearnedMasks(start, "column")
-
-
-def test_dwells_are_learned_shares_of_the_whole_time():
-    learned = LearnedMasks(torch.randn(4, 9, generator=generator()), "two-arm")
-    torch.nn.init.normal_(learned.dwell, generator=generator())
-    total = learned().total.detach()
-    assert total[:, 0].sum() == pytest.approx(1, rel=FLOAT32)
-    assert len(set(total[:, 0].tolist())) == 4
 
 
 @every_optics
@@ -359,18 +266,6 @@ def test_two_arms_get_what_the_other_does_not():
     uneven[0, 1, 4] *= 0.5
     with pytest.raises(InputError, match="two-arm"):
         light_law("two-arm").check(uneven)
-
-
-def test_an_unknown_constraint_names_the_closest():
-    with pytest.raises(InputError, match="did you mean 'column'"):
-        check_light_law("colum", "dual")
-    with pytest.raises(InputError, match="did you mean 'dual'"):
-        check_light_law("column", "duel")
-
-
-def test_two_arms_are_two_rails():
-    with pytest.raises(InputError, match="two-arm with a single rail"):
-        check_light_law("two-arm", "single")
 
 
 @every_optics

@@ -4,8 +4,7 @@ import pytest
 import torch
 
 from conftest import generator
-from deepfsi.base import InputError
-from deepfsi.physics import FixedMasks, Rails, project, project_rails
+from deepfsi.physics import FixedMasks, Rails
 
 FLOAT64 = 1e-15
 
@@ -13,23 +12,6 @@ FLOAT64 = 1e-15
 def rails_of(count: int) -> torch.Tensor:
     """Rails (3, count, 4, 6) of three replicas, as two arms have them: no entry is 0."""
     return torch.rand(3, count, 4, 6, dtype=torch.float64, generator=generator())
-
-
-def test_difference_and_total_are_those_of_the_rails():
-    rails = Rails.of(rails_of(2))
-    assert torch.equal(rails.difference, rails.plus - rails.minus)
-    assert torch.equal(rails.total, rails.plus + rails.minus)
-    assert (rails.count, rails.kind, rails.masks) == (2, "dual", 4)
-
-
-def test_one_rail_is_its_difference_and_its_total():
-    stacked = rails_of(1)
-    for rails in (Rails.of(stacked), Rails(stacked[:, 0])):
-        assert torch.equal(rails.difference, stacked[:, 0])
-        assert rails.total is rails.combined is rails.difference
-        assert torch.equal(rails.plus, rails.difference)
-        assert rails.minus is None
-        assert (rails.count, rails.kind, rails.masks) == (1, "single", 4)
 
 
 @pytest.mark.parametrize("count", [1, 2])
@@ -68,23 +50,9 @@ def test_rails_apart_are_frames_mask_by_mask(count):
 
 
 @pytest.mark.parametrize("count", [1, 2])
-def test_products_are_those_with_difference_and_total(count):
-    rails, scenes = Rails.of(rails_of(count)), torch.rand(5, 6, dtype=torch.float64)
-    mean, counts = project_rails(scenes, rails)
-    assert torch.allclose(mean, project(scenes, rails.difference), rtol=0, atol=10 * FLOAT64)
-    assert torch.allclose(counts, project(scenes, rails.total), rtol=0, atol=10 * FLOAT64)
-    assert (mean is counts) == (count == 1)
-
-
-@pytest.mark.parametrize("count", [1, 2])
 def test_fixed_masks_keep_their_rails(count):
     stacked = rails_of(count)
     rails = FixedMasks(stacked).float()()
     assert rails.count == count
     assert rails.difference.dtype == torch.float32
     assert torch.allclose(rails.stacked, stacked.float(), rtol=0, atol=1e-6)
-
-
-def test_three_rails_are_refused():
-    with pytest.raises(InputError, match="3 rails were given: give 2, or 1 of frames"):
-        Rails.of(rails_of(3))

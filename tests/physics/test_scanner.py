@@ -6,20 +6,17 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from conftest import assert_moments, every_design, every_optics, generator, light_on
+from conftest import assert_moments, every_optics, generator
 from deepfsi import Scanner
 from deepfsi.base import InputError
 from deepfsi.physics import (
-    FixedMasks,
     LearnedMasks,
     Rails,
-    light_law,
     ml_gauss_features,
     project,
     project_rails,
     root,
 )
-from deepfsi.physics.detection import ONE
 
 DRAWS = 50_000
 RATES = [1e-3, 1.0, 1e3, 1e6, 1.001e6, 1e8, 1e10]
@@ -88,21 +85,6 @@ def test_rails_lit_by_construction_add_read_noise_in_the_dark():
         assert_moments(scanner(dark, generator())[:, mask], 0, 9 * rails, poisson=False)
 
 
-def test_rails_of_a_mask_are_independent():
-    photons = torch.tensor([100.0, 200.0]).expand(DRAWS, 2)
-    plus, minus = Scanner.from_rails(RAILS, "poisson").counts(photons, generator())[:, :, 0].T
-    assert abs(torch.corrcoef(torch.stack([plus, minus]))[0, 1]) < 5 / math.sqrt(DRAWS)
-
-
-def test_float32_moments_hold_at_1e10():
-    photons = torch.tensor([1e10, 2e10]).expand(DRAWS, 2)
-    features = Scanner.from_rails(RAILS.float(), "poisson")(photons, generator())
-    assert features.dtype == torch.float32
-    rounding = 1024.0
-    for mask, (mean, variance) in enumerate([(0, 1e10), (7.5e9, 7.5e9), (-1.25e10, 1.25e10)]):
-        assert_moments(features[:, mask], mean, variance, poisson=True, rounding=rounding)
-
-
 @pytest.mark.parametrize("noise", NOISES)
 def test_float64_light_gives_float64_counts_whatever_the_masks(noise):
     """So that single photons can be told apart above 2²⁴ counts."""
@@ -111,50 +93,6 @@ def test_float64_light_gives_float64_counts_whatever_the_masks(noise):
     assert scanner(photons, generator()).dtype == torch.float64
     assert scanner.counts(photons, generator()).dtype == torch.float64
     assert scanner.rates(photons)[0, 0, 0] == 5e9 + 2
-
-
-@every_design
-def test_rails_are_not_negative_and_recombine(made, digits, design, light, rails):
-    made_design = made(design, light, rails)
-    photons = light_on(made_design, digits.x_test[:20])
-    scanner = made_design.scanner("none")
-    rates = scanner.rates(photons)
-    assert (rates >= 0).all()
-    features = made_design.detection.features(rates)
-    assert torch.allclose(features, scanner(photons), rtol=1e-5, atol=1e-3)
-    assert torch.equal(scanner.counts(photons), rates)
-
-
-@every_design
-def test_counts_have_the_shape_of_the_rails(made, digits, design, light, rails):
-    made_design = made(design, light, rails)
-    counts = made_design.scanner().counts(light_on(made_design, digits.x_test[:3]), generator())
-    assert counts.shape == (3, made_design.rails.count, made_design.masks)
-
-
-def test_poisson_features_are_the_difference_of_counts():
-    photons = torch.full((50, 2), 40.0)
-    scanner = Scanner.from_rails(RAILS, "poisson")
-    counts = scanner.counts(photons, generator())
-    assert torch.equal(scanner(photons, generator()), ONE.features(counts))
-
-
-@pytest.mark.parametrize("noise", NOISES)
-@pytest.mark.parametrize("lead", [(), (3,), (2, 3), (2, 0, 3)])
-def test_scenes_may_have_any_leading_shape(noise, lead):
-    scanner = Scanner.from_rails(RAILS, noise)
-    photons = torch.full((*lead, 2), 9.0)
-    assert scanner(photons, generator()).shape == (*lead, 4)
-    assert scanner.counts(photons, generator()).shape == (*lead, 2, 4)
-
-
-@pytest.mark.parametrize("noise", NOISES)
-def test_one_rail_stays_one_rail(noise):
-    scanner = Scanner.from_rails(RAILS[:1], noise)
-    photons = torch.full((5, 2), 9.0)
-    assert scanner(photons, generator()).shape == (5, 4)
-    assert scanner.counts(photons, generator()).shape == (5, 1, 4)
-    assert scanner.double().counts(photons.double(), generator()).shape == (5, 1, 4)
 
 
 @pytest.mark.parametrize("noise", NOISES)
@@ -168,18 +106,6 @@ def test_replicas_give_an_axis_before_the_masks(noise, light, rails):
     assert scanner.counts(photons, generator()).shape == (7, 3, count, 4)
     each = [Scanner(LearnedMasks(one, light, rails), "none")(photons) for one in start]
     assert torch.allclose(Scanner(scanner.masks, "none")(photons), torch.stack(each, dim=1))
-
-
-@pytest.mark.parametrize("noise", ["poisson", "ml_gauss", "gaussian"])
-def test_the_same_generator_repeats(noise):
-    photons, scanner = torch.full((9, 2), 30.0), Scanner.from_rails(RAILS, noise)
-    assert torch.equal(scanner(photons, generator(1)), scanner(photons, generator(1)))
-    assert not torch.equal(scanner(photons, generator(1)), scanner(photons, generator(2)))
-
-
-def test_an_unknown_noise_is_refused():
-    with pytest.raises(InputError, match="did you mean 'poisson'"):
-        Scanner(FixedMasks(RAILS), "poison")
 
 
 def learned(light: str, rails: str, single_signed: bool = False) -> LearnedMasks:
@@ -243,19 +169,6 @@ def test_dark_rails_and_dark_scenes_give_finite_gradients(light, rails, noise):
         assert (parameter.grad != 0).any()
 
 
-def test_a_mask_that_is_zero_everywhere_gives_finite_gradients():
-    masks = LearnedMasks(torch.tensor([[1.0, -1.0], [0.0, 0.0]]), "column")
-    Scanner(masks, "ml_gauss")(torch.full((5, 2), 9.0), generator()).square().sum().backward()
-    assert torch.isfinite(masks.weight.grad).all()
-
-
-@pytest.mark.parametrize("noise", ["ml_gauss", "gaussian"])
-def test_photons_get_a_gradient_too(noise):
-    photons = torch.full((3, 2), 9.0, dtype=torch.float64, requires_grad=True)
-    scanner = Scanner.from_rails(RAILS, noise)
-    assert torch.autograd.gradcheck(lambda light: scanner(light, generator()), photons)
-
-
 def test_masks_learn_in_front_of_a_network_of_your_own():
     rng = generator()
     labels = torch.arange(200) % 2
@@ -274,12 +187,6 @@ def test_masks_learn_in_front_of_a_network_of_your_own():
         optimiser.step()
         losses.append(loss.item())
     assert sum(losses[-5:]) < 0.6 * sum(losses[:5])
-
-
-def test_fixed_masks_move_with_the_module():
-    scanner = Scanner.from_rails(light_law("column").fit(torch.randn(3, 5, generator=generator())))
-    assert {name for name, _ in scanner.named_buffers()} == {"masks.difference", "masks.total"}
-    assert not list(scanner.parameters())
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,6 @@ from deepfsi.physics import (
     SLACK,
     FixedPattern,
     LearnedPattern,
-    Poisson,
     ScenePath,
     in_levels,
     light_law,
@@ -87,27 +86,6 @@ def test_photons_are_conserved_at_every_place_and_speed(path):
             assert light_law(law).excess(rails) <= SLACK
 
 
-def test_an_open_pattern_as_wide_as_the_path_counts_all_light_in_equal_parts():
-    path = ScenePath((3, 5), 5 + 12, 8, 1.5)
-    matrix = path.matrix(torch.ones(3, 17))
-    assert torch.allclose(matrix, torch.full_like(matrix, 1 / 8), rtol=1e-5)
-
-
-def test_rows_of_whole_speeds_are_shifts_of_one_row():
-    path = ScenePath((2, 4), 4 + 6, 6, 1.0)
-    rows = path.matrix(pattern_of(path)).view(6, 2, 4)
-    for t in range(5):
-        assert torch.allclose(rows[t, :, 1:], rows[t + 1, :, :-1], atol=1e-6)
-
-
-def test_without_jitter_every_exposure_is_that_of_the_matrix():
-    path = PATHS[1]
-    pattern, scenes = pattern_of(path).float(), torch.rand(20, 15, generator=generator())
-    edges = path.edges((20,), generator(1), scenes.device)
-    found = path.means(scenes @ path.every_shift(pattern).T, edges) / path.bins
-    assert torch.allclose(found, scenes @ path.matrix(pattern).T, atol=1e-6)
-
-
 def test_place_and_speed_jitter_as_they_say():
     path = ScenePath((2, 4), 40, 8, 1.5, jitter=2.0, speed_jitter=0.1)
     edges = path.edges((40_000,), generator(), torch.device("cpu"))
@@ -140,16 +118,6 @@ def test_the_gradient_of_the_pattern_is_that_of_finite_differences(delay):
 
     assert torch.autograd.gradcheck(counts, (pattern_of(path).requires_grad_(),), eps=1e-5)
     assert torch.autograd.gradcheck(path.matrix, (pattern_of(path).requires_grad_(),), eps=1e-5)
-
-
-def test_counts_of_a_displaced_scene_are_poisson_counts():
-    path = ScenePath((2, 4), 10, 6, 1.0)
-    scene = torch.full((8,), 40.0)
-    rates = (path.matrix(pattern_of(path).float()) @ scene).expand(20_000, -1)
-    counts = Poisson().draw(rates, generator())
-    for t in range(6):
-        rate = float(rates[0, t])
-        assert_moments(counts[:, t], rate, rate, poisson=True)
 
 
 def test_a_learned_pattern_stays_between_dark_and_open_and_learns_through_levels():
