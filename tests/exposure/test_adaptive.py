@@ -9,21 +9,15 @@ from deepfsi.exposure import (
     MISFIT_BUDGETS,
     AdaptivePosterior,
     ScenePrior,
+    adaptive,
     next_masks,
     squared_distance,
 )
-from deepfsi.exposure.adaptive import UsualMisfit, measure
 from deepfsi.exposure.posterior import LookOptics
 from deepfsi.jobs import AdaptiveMasks
 from deepfsi.physics import Poisson
 
 PIXELS, SCENES, CLASSES, DRAWS, LOOKS = 12, 60, 3, 600, 4
-OPTICS = [
-    {},
-    {"dark": 200.0},
-    {"arms": 2},
-    {"detectors": torch.arange(PIXELS) // 4},
-]
 
 
 @pytest.fixture(scope="module")
@@ -44,31 +38,14 @@ def distances(prior, x, optics, change=1.0):
     return torch.stack(found), counts.shape[1]
 
 
-@pytest.mark.parametrize("optics", OPTICS)
-@pytest.mark.parametrize("photons", [100.0, 1e4])
-def test_scenes_of_the_prior_are_as_far_as_their_counts_vary(known, optics, photons):
-    """E[r' V^-1 r] is the number of readouts in each look, whatever was counted before."""
-    x, labels = known
-    prior = ScenePrior(x, labels, CLASSES, PIXELS)
-    rows = torch.randint(SCENES, (DRAWS,), generator=generator(2))
-    away, readouts = distances(prior, torch.from_numpy(x)[rows], LookOptics(photons, **optics))
-    error = away.std(dim=1) / DRAWS**0.5
-    assert (abs(away.mean(dim=1) - readouts) < 5 * error).all()
-
-
-def test_counts_of_more_light_than_was_told_are_further(known):
-    x, labels = known
-    prior = ScenePrior(x, labels, CLASSES, PIXELS)
-    away, _ = distances(prior, torch.from_numpy(x), LookOptics(1e4), 1.5)
-    assert away.sum(dim=0).median() > 5 * LOOKS
-
-
 def test_a_scene_that_is_left_out_is_further_than_one_that_is_known(known):
     x, labels = known
     prior, scenes = ScenePrior(x, labels, CLASSES, PIXELS), torch.from_numpy(x)
     ordered = scenes[torch.from_numpy(prior.order)]
     settings, optics = AdaptiveMasks(looks=LOOKS), [LookOptics(1e5)]
-    left_out, _ = measure(prior, settings, optics, ordered, torch.arange(SCENES), generator(3))
+    left_out, _ = adaptive.measure(
+        prior, settings, optics, ordered, torch.arange(SCENES), generator(3)
+    )
     away, _ = distances(prior, scenes, optics[0])
     known_mean = away.cumsum(dim=0).log().mean(dim=1).double().numpy()
     assert left_out[0, 0, -1] > known_mean[-1] + 1
@@ -77,7 +54,7 @@ def test_a_scene_that_is_left_out_is_further_than_one_that_is_known(known):
 def test_chances_are_those_of_the_measured_distribution():
     """Half at the median, a sixth one deviation above; between budgets, and the same beyond."""
     logs = np.stack([np.log([[1.0, 2], [1, 2], [4, 8]]), np.full((3, 2), 0.5)])
-    usual = UsualMisfit(1e3 * np.array(MISFIT_BUDGETS), logs)
+    usual = adaptive.UsualMisfit(1e3 * np.array(MISFIT_BUDGETS), logs)
     assert usual.chance(2.0, 1, 1e3) == pytest.approx(0.5)
     assert usual.chance(2.0 * np.exp(0.5), 1, 1e3) == pytest.approx(0.1587, abs=1e-4)
     assert usual.chance(2.0, 0, 1e3 * 10**0.5) == pytest.approx(0.5)
@@ -91,4 +68,4 @@ def test_chances_are_those_of_the_measured_distribution():
 def test_a_damaged_misfit_is_refused(wrong):
     logs = np.ones((2, 3, LOOKS))
     with pytest.raises(ValueError, match="misfit"):
-        UsualMisfit.restored({"misfit_budgets": wrong, "misfit_logarithms": logs}, LOOKS)
+        adaptive.UsualMisfit.restored({"misfit_budgets": wrong, "misfit_logarithms": logs}, LOOKS)

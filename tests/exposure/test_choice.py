@@ -6,12 +6,10 @@ import torch
 from scipy.special import logsumexp, xlogy
 from scipy.stats import multivariate_normal, poisson, spearmanr
 
-from conftest import generator
 from deepfsi import Design, IdealObserver, Result, evaluate
 from deepfsi.base import InputError
 from deepfsi.datasets import Dataset, from_arrays
-from deepfsi.exposure import AdaptiveExposure, AdaptivePosterior, ScenePrior, next_masks, prior_of
-from deepfsi.exposure.choice import brightest, information
+from deepfsi.exposure import AdaptiveExposure, AdaptivePosterior, ScenePrior, choice, prior_of
 from deepfsi.exposure.posterior import LookOptics
 from deepfsi.jobs import AdaptiveMasks
 
@@ -151,24 +149,15 @@ def test_the_brightest_mask_is_nearly_the_best_of_all(arms):
         return np.where((signal > 0) | (arms == 2), signal**2 / noise, 0)
 
     every = worth(masks) + (worth(1 - masks) if arms == 2 else 0)
-    found = brightest(*map(torch.from_numpy, (differ, scene)), torch.ones(1, PIXELS).double(), arms)
+    found = choice.brightest(
+        *map(torch.from_numpy, (differ, scene)), torch.ones(1, PIXELS).double(), arms
+    )
     mine = np.diag(worth(found.numpy()))
     if arms == 2:
         mine = mine + np.diag(worth(1 - found.numpy()))
     worst, mean = (0.5, 0.95) if arms == 1 else (0.2, 0.85)  # local maxima of two arms
     assert (mine > worst * every.max(axis=1)).all()
     assert (mine / every.max(axis=1)).mean() > mean
-
-
-def test_each_detector_has_the_brightest_mask_of_its_pixels():
-    rng = np.random.default_rng(3)
-    differ, scene = rng.normal(size=(20, PIXELS)), rng.random((20, PIXELS)) + 0.1
-    areas = torch.nn.functional.one_hot(QUARTERS).T.double()
-    whole = brightest(torch.from_numpy(differ), torch.from_numpy(scene), areas)
-    for d in range(4):
-        own = d == QUARTERS
-        part = [torch.from_numpy(each[:, own]) for each in (differ, scene)]
-        assert torch.equal(brightest(*part, torch.ones(1, 2).double()), whole[:, own])
 
 
 def exact_information(mean, labels) -> np.ndarray:
@@ -180,20 +169,6 @@ def exact_information(mean, labels) -> np.ndarray:
     return (xlogy(joint, joint) - xlogy(joint, apart.clip(1e-300))).sum(axis=(0, 1))
 
 
-@pytest.mark.parametrize("seed", range(5))
-@pytest.mark.parametrize("photons", [30.0, 300.0])
-def test_the_first_mask_tells_nearly_as_much_as_the_best_fixed_one(seed, photons):
-    """Of all 255 masks, by brute force; it is the same for all exposures."""
-    x, labels = small(seed)
-    first = next_masks(state_of(x, labels, photons, 4), 1.0, generator()).numpy()
-    assert (first == first[0]).all()
-    masks = every_mask()
-    mean = expected(x, masks[None], photons, [1.0])[:, 0]
-    told = exact_information(mean, labels)
-    [mine] = told[(masks == first[0]).all(axis=1)]
-    assert mine > 0.85 * told.max()
-
-
 def members_of(labels) -> torch.Tensor:
     return torch.from_numpy(np.eye(CLASSES)[labels] / SCENES)[None]
 
@@ -201,62 +176,12 @@ def members_of(labels) -> torch.Tensor:
 def test_information_ranks_masks_as_that_of_all_counts_does():
     x, labels = small(3)
     mean = expected(x, every_mask()[None], 200.0, [1.0])[:, 0]
-    found = information(torch.from_numpy(mean.T)[None, :, None], members_of(labels))[0].numpy()
+    found = choice.information(torch.from_numpy(mean.T)[None, :, None], members_of(labels))[
+        0
+    ].numpy()
     exact = exact_information(mean, labels)
     assert exact[found.argmax()] > 0.9 * exact.max()
     assert spearmanr(found, exact).statistic > 0.95
-
-
-def test_information_is_exact_where_counts_tell_little():
-    """Where classes hardly differ: half their variance over that of the noise, and no more."""
-    _, labels = small(3)
-    mean = 1e3 + 3.0 * np.arange(CLASSES)[labels][:, None]
-    found = information(torch.from_numpy(mean.T)[None, :, None], members_of(labels))
-    assert float(found) == pytest.approx(exact_information(mean, labels)[0], rel=0.01)
-
-
-def test_information_of_several_readouts_counts_what_they_share_once():
-    x, labels = small(3)
-    mean = expected(x, every_mask()[None, ::9], 200.0, [1.0])[:, 0]
-    counts = torch.from_numpy(mean.T)[None]
-    one = information(counts[:, :, None], members_of(labels))
-    other = torch.full_like(counts, 50.0)  # the same for all scenes
-    with_other = information(torch.stack([counts, other], dim=2), members_of(labels))
-    torch.testing.assert_close(with_other, one)
-    both = information(torch.stack([counts, counts.flip(1)], dim=2), members_of(labels))
-    assert (both >= torch.maximum(one, one.flip(1)) - 1e-9).all()
-    blurred = information(counts[:, :, None], members_of(labels), torch.ones(1, len(one[0]), 1, 1))
-    assert (blurred <= one).all()
-
-
-@pytest.mark.parametrize("spread", [0.0, 0.7])
-def test_names_of_classes_do_not_matter(spread):
-    """All scenes are compared where they are few, so the masks are the same."""
-    x, labels = small(4)
-    other = np.array([2, 0, 1])
-    counts = torch.tensor([[40.0], [60.0]])
-    states = [state_of(x, each, 300.0, 2, spread) for each in (labels, other[labels])]
-    masks = [next_masks(state, 0.5, generator()) for state in states]
-    assert torch.equal(*masks)
-    for state in states:
-        state.update(masks[0], counts, 0.5)
-    changed = states[1].chances[:, other]
-    torch.testing.assert_close(changed, states[0].chances, atol=1e-4, rtol=0)
-    assert torch.equal(*(next_masks(state, 0.5, generator()) for state in states))
-
-
-def test_each_mask_is_of_what_its_own_exposure_counted():
-    x, labels = small(5)
-    state = state_of(x, labels, 1e3, 2)
-    first = next_masks(state, 0.5, generator())
-    mean = float(state.expected(first[:1], torch.from_numpy(x).mean(dim=0)[None], 0.5))
-    state.update(first, torch.tensor([[0.7 * mean], [1.3 * mean]]), 0.5)
-    second = next_masks(state, 0.5, generator())
-    assert not torch.equal(second[0], second[1])
-    assert set(second.unique().tolist()) <= {0.0, 1.0}
-    kept = state.rows_of(torch.tensor([False, True]))
-    assert torch.equal(kept.chances, state.chances[1:])
-    assert torch.equal(next_masks(kept, 0.5, generator()), second[1:])
 
 
 @pytest.mark.parametrize("light", ["free-dwell", "two-arm"])
@@ -284,19 +209,6 @@ def test_an_exposure_stops_where_a_class_is_sure():
     assert stopped.accuracy > min(0.95, whole.accuracy) - 5 * np.sqrt(0.05 * 0.95 / trials)
 
 
-@pytest.mark.parametrize("spread", [0.0, 0.7])
-def test_a_prior_is_stored_in_8_bits(digits, spread):
-    prior = ScenePrior(digits.x_train, digits.y_train, 10, 30, spread)
-    arrays = prior.arrays
-    assert arrays["levels"].nbytes == len(prior) * 30
-    found = ScenePrior.restored(arrays)
-    step = prior.coefficients.abs().amax(dim=0) / 127
-    assert ((found.coefficients - prior.coefficients).abs() <= 0.5001 * step).all()
-    assert torch.equal(found.labels, prior.labels)
-    first, second = (tried(digits, 1e3, prior=each, looks=8) for each in (prior, found))
-    assert abs(first.accuracy - second.accuracy) < 5 * np.sqrt(0.5 / len(digits.y_test))
-
-
 @pytest.mark.slow
 def test_adaptive_masks_tell_more_than_fixed_ones_and_as_sure_as_right(digits, made):
     found = tried(digits, 1e4, looks=16)
@@ -306,17 +218,6 @@ def test_adaptive_masks_tell_more_than_fixed_ones_and_as_sure_as_right(digits, m
     assert found.calibration_error < 0.03
     again = tried(digits, 1e4, looks=16)
     assert again == found
-
-
-@pytest.mark.slow
-def test_four_detectors_tell_more_than_one_and_two_arms_more_than_one(digits):
-    settings = {"looks": 8, "draws": 4}
-    one, four, arms = (
-        tried(digits, 300.0, camera=camera, **settings) for camera in ("dmd", "dmd-2x2", "two-arm")
-    )
-    assert four.low > one.high
-    spread = np.sqrt(0.5 / len(digits.y_test))  # images as the trials, of two tests
-    assert arms.accuracy > one.accuracy - spread
 
 
 @pytest.mark.parametrize(
@@ -335,9 +236,3 @@ def test_four_detectors_tell_more_than_one_and_two_arms_more_than_one(digits):
 def test_what_cannot_be_is_one_line(digits, settings, said):
     with pytest.raises(InputError, match=said):
         tried(digits, 1e4, **settings)
-
-
-def test_a_prior_that_the_memory_does_not_hold_is_one_line(digits, monkeypatch):
-    monkeypatch.setattr("deepfsi.exposure.adaptive.free_memory", lambda: 1e6)
-    with pytest.raises(InputError, match="give fewer scenes"):
-        tried(digits, 1e4)

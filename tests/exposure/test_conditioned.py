@@ -9,10 +9,8 @@ import torch
 
 from conftest import every_optics, generator, once, quick
 from deepfsi import evaluate
-from deepfsi.base import InputError
 from deepfsi.camera import photons_per_pixel
 from deepfsi.exposure import TrainingSet
-from deepfsi.exposure.conditioned import ConditionedExposure, mean_over_exposures
 from deepfsi.jobs import ConditionedEntry
 from deepfsi.networks import stop_temperatures
 from deepfsi.physics import light_law
@@ -89,32 +87,6 @@ def test_features_have_unit_spread_in_the_mean_of_the_training(digits, scale, sp
     assert (np.abs(power - 1) < 5 * error + 1e-3).all()
 
 
-@every_optics
-def test_nested_masks_take_the_whole_of_their_constraint(digits, light, rails):
-    design = once(digits, light=light, rails=rails, **TRAINED)
-    assert float(light_law(light).used(design.rails.stacked)[-1]) == pytest.approx(1, rel=1e-5)
-
-
-def test_the_noise_of_a_range_is_its_mean_over_budgets():
-    """∫ 1/Φ over a log-uniform range in closed form, against the mean of many draws."""
-    used = light_law("column").used(torch.rand(1, 2, 2, 5, generator=generator()))
-    factor, often = mean_over_exposures(used, 1000.0, ConditionedExposure(1.0, 1000.0, 2).chances)
-    draws = 1000.0 ** -np.random.default_rng(0).random(10**6)
-    error = 5 * draws.std() / 1000
-    assert float(factor[0, 0]) == pytest.approx(draws.mean(), abs=error)
-    assert often.tolist() == [1, 1]
-
-
-def test_a_design_for_a_range_does_where_those_for_one_budget_do_not(digits):
-    """More accurate than each far from its own budget, by three sigma of the test scenes."""
-    wide = quick(digits, masks=12, photons=100.0, span=3e4, **LONGER)
-    for own, other in ((100.0, 3e6), (3e6, 100.0)):
-        narrow = quick(digits, masks=12, photons=own, **LONGER)
-        gained = [evaluate(design, digits, other, draws=5)[0].accuracy for design in (wide, narrow)]
-        error = math.sqrt(sum(rate * (1 - rate) for rate in gained) / len(digits.x_test))
-        assert gained[0] > gained[1] + 3 * error, (own, gained)
-
-
 def test_nested_masks_do_alone_and_others_do_not(digits):
     how = {**LONGER, "masks": 20, "photons": 1e5}
     nested = quick(digits, nested=4, **how)
@@ -146,32 +118,3 @@ def test_damaged_conditioning_is_refused(digits, tmp_path, damage):
     path = once(digits, **TRAINED).save(tmp_path / "d.safetensors")
     rewrite(path, lambda header, _: header["exposure"].update(damage))
     refused(path)
-
-
-def test_a_plain_design_has_no_first_masks(digits):
-    with pytest.raises(InputError, match="`nested`"):
-        quick(digits, masks=6).first(3)
-    with pytest.raises(InputError, match="3 to 8"):
-        once(digits, **TRAINED).first(2)
-    assert quick(digits, masks=6).first(6).masks == 6
-
-
-def test_noise_over_exposures_is_the_mean_over_those_that_show_a_mask():
-    """Against the sum over numbers of masks shown and budgets, of two jobs that differ.
-
-    With n masks shown, and used(n) of their light law, the noise of a budget Φ is that of
-    Φ used(m) / used(n); budgets are drawn log-uniformly from a hundredth to all of the largest.
-    """
-    used = torch.tensor([[0.2, 0.5, 0.6, 1.0], [0.1, 0.3, 0.9, 1.5]], dtype=torch.float64)
-    chances = torch.tensor([0.4, 0.0, 0.1, 0.5], dtype=torch.float64)
-    places = (torch.arange(100_000, dtype=torch.float64) + 0.5) / 100_000
-    dim = float((100.0**-places).mean())
-    factor, often = mean_over_exposures(used, 100.0, chances)
-    for mask in range(4):
-        seen = chances[mask:]
-        assert float(often[mask]) == pytest.approx(float(seen.sum()))
-        for replica in range(2):
-            mean = float((seen * used[replica, mask:] / used[replica, -1]).sum() / seen.sum())
-            assert float(factor[replica, mask]) == pytest.approx(dim * mean, rel=1e-6)
-    one, _ = mean_over_exposures(used, 1.0, chances)
-    assert torch.allclose(one * dim, factor, rtol=1e-6)

@@ -1,9 +1,8 @@
 """Settings of an exposure: which kind they ask for, what each refuses, and what it changes."""
 
 import pytest
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel
 
-from conftest import synthetic
 from deepfsi import Fixed, Looks, Nested, Passing, Patches, Range
 from deepfsi.base import InputError
 from deepfsi.jobs import find_exposure
@@ -37,21 +36,6 @@ def test_settings_ask_for_a_kind_and_come_back_from_json(settings, wanted):
 
 
 @pytest.mark.parametrize(
-    ("settings", "wanted"),
-    [
-        ({"looks": 1}, Fixed()),
-        ({"looks": 1, "nested": 0, "span": 1.0, "patch": 0, "bins": 0}, Fixed()),
-        ({"looks": 1, "span": 10.0}, Range(span=10.0)),
-        ({"looks": 3, "nested": 0, "span": 1}, Looks(looks=3)),
-    ],
-    ids=str,
-)
-def test_settings_that_ask_for_nothing_are_left_out(settings, wanted):
-    """So that an axis of a recipe may hold them."""
-    assert find_exposure(settings) == wanted
-
-
-@pytest.mark.parametrize(
     ("settings", "match"),
     [
         ({"look": 3}, "an exposure has no setting 'look': did you mean 'looks'"),
@@ -74,15 +58,6 @@ def test_what_is_no_exposure_is_one_line(settings, match):
     with pytest.raises(InputError, match=match) as error:
         find_exposure(settings)
     assert "\n" not in str(error.value)
-
-
-@pytest.mark.parametrize("given", ["looks", 3, ["looks"]])
-def test_something_else_than_settings_is_no_exposure(given):
-    class Holder(BaseModel):
-        exposure: AnyExposure
-
-    with pytest.raises(ValidationError):
-        Holder(exposure=given)
 
 
 ONE_DMD = {"camera": "dmd"}
@@ -133,14 +108,3 @@ def test_every_fault_of_an_exposure_is_told(settings, faults):
     for told, words in zip(found, faults, strict=True):
         assert words in told
         assert "\n" not in told
-
-
-def test_patches_see_every_block_as_a_scene_of_its_own():
-    data = synthetic((8, 12))
-    seen = Patches(patch=4).view(data)
-    assert seen.x_train.shape == (6 * len(data.x_train), 16)
-    assert seen.x_train.sum() == pytest.approx(data.x_train.sum(), rel=1e-5)
-    assert (seen.y_train.reshape(-1, 6) == data.y_train[:, None]).all()
-    assert seen.image_shape == (4, 4)
-    assert len(seen.x_test) == 0
-    assert Looks(looks=2).view(data) is data

@@ -11,8 +11,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from conftest import generator, once, quick
-from deepfsi import Scanner, evaluate
+from conftest import generator, once
+from deepfsi import Scanner
 from deepfsi.datasets import from_arrays
 from deepfsi.exposure import JobGroup, TrainingSet, build
 from deepfsi.physics import Draws
@@ -97,20 +97,3 @@ def test_looks_of_a_training_have_the_same_law(optics, dark, sigma):
     assert_law(off, q * dwell + added)
     with pytest.raises(AssertionError):
         assert_law(off, q * dwell + added * (0.5 if dark else 0.0))
-
-
-@pytest.mark.usefixtures("uncharacterised")
-@pytest.mark.parametrize("optics", [OPTICS[0], OPTICS[3]], ids=str)
-def test_looks_that_know_of_dark_counts_do_no_worse_under_them(digits, optics):
-    """Trained to the end and tested under the noise of its own camera, to five sigma of draws."""
-    how = {"masks": 8, "looks": 2, "epochs": 15, "hidden": (40, 40), "lr": 1e-2, "photons": 3e3}
-    how |= {"mask_lr": 0.1, "scale": "common", **optics}
-    knows = quick(digits, noise="camera", dark=DARK, **how)
-    other = quick(digits, noise="poisson", **how)
-    [first] = evaluate(knows, digits, 3e3, draws=20)
-    [second] = evaluate(other, digits, 3e3, draws=20, dark=DARK)
-    assert first.noise == second.noise == "camera"
-    trials = first.images * first.draws
-    error = sum(each.accuracy * (1 - each.accuracy) / trials for each in (first, second)) ** 0.5
-    assert first.accuracy > second.accuracy - 5 * error
-    assert first.accuracy > 0.3

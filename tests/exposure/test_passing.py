@@ -7,13 +7,11 @@ import pytest
 import torch
 
 import deepfsi
-from conftest import RECIPE, assert_moments, generator, synthetic
+from conftest import RECIPE, generator, synthetic
 from deepfsi import Design
 from deepfsi.base import InputError
-from deepfsi.evaluation import check_playable, stop
 from deepfsi.exposure import JobGroup, TrainingSet, build
 from deepfsi.jobs import Job
-from deepfsi.lab import design_rails
 from deepfsi.physics import FixedPattern
 from deepfsi.training import train
 from shared.design_files import refused, rewrite
@@ -76,21 +74,6 @@ def test_each_exposure_of_a_test_has_a_place_of_its_own(data, learned):
     assert ((shown - placed.mean(dim=0)).abs() <= error).all()
 
 
-def test_without_jitter_counts_are_those_of_the_fixed_matrix(data):
-    still = made(data, exposure={"bins": 6, "speed": 1.5})
-    x = torch.from_numpy(data.x_test[:1])
-    scanner = still.front_end(still.camera)
-    placed = still.exposure.placed(still.rates(scanner, x), generator())[0, 0]
-    wanted = x[0] @ still.rails.difference.T / still.summed_reflectance
-    assert torch.allclose(placed, wanted, rtol=1e-4)
-    with torch.no_grad():
-        rates = still.rates(scanner, x.expand(20_000, -1))
-        [seen] = still.observe(scanner, rates, generator(), 1e4)
-    for t in range(6):
-        rate = 1e4 * float(wanted[t])
-        assert_moments(seen.features[:, t] * 1e4, rate, rate, poisson=True, rounding=1e-3)
-
-
 def test_damaged_files_are_refused(data, learned, tmp_path):
     def other(header, tensors):
         tensors["exposure.pattern"] = 1 - tensors["exposure.pattern"]
@@ -128,27 +111,6 @@ def test_statistics_are_those_of_the_exposures(data, learned):
     assert torch.allclose(light, mean)
 
 
-def test_dark_counts_are_those_of_the_whole_transit(data):
-    """Also of bins behind dark columns: the detector counts on."""
-    dim = made(data, camera={"dark": 600.0})
-    dark = dim.mask_exposure.with_optics(rails=type(dim.rails).of(torch.zeros(1, 6, 24)))
-    blind = replace(dim, exposure=replace(dark, pattern=torch.zeros(4, 15)))
-    scanner = blind.front_end(blind.camera)
-    scenes = torch.from_numpy(data.x_test[:1]).expand(20_000, -1)
-    [seen] = blind.observe(scanner, blind.rates(scanner, scenes), generator(), 1e4)
-    for t in range(6):
-        assert_moments(seen.features[:, t] * 1e4 + 100, 100, 100, poisson=True, rounding=1e-2)
-
-
-def test_a_pattern_in_grey_levels_for_a_test(learned):
-    shown = learned.quantised(2)
-    assert set(shown.exposure.pattern.unique().tolist()) == {0.0, 1.0}
-    wanted = learned.exposure.transit.matrix(shown.exposure.pattern)
-    assert torch.equal(shown.rails.difference, wanted)
-    with pytest.raises(InputError, match="1 grey levels are not allowed"):
-        learned.quantised(1)
-
-
 @pytest.mark.parametrize(
     ("settings", "match"),
     [
@@ -173,29 +135,6 @@ def test_what_does_not_apply_is_one_line(data, settings, match):
     assert "\n" not in str(error.value)
 
 
-def test_spectra_pass_no_pattern():
-    with pytest.raises(InputError, match="spectra pass no pattern"):
-        deepfsi.learn(synthetic((12,)), photons=1e4, exposure=PASSING)
-
-
-def test_what_needs_masks_at_rest_refuses_in_one_line(data, learned, tmp_path):
-    path = learned.save(tmp_path / "one.safetensors")
-    asked = {
-        "no sequence of frames shows": lambda: design_rails(path),
-        "which no sequence": lambda: learned.as_shown(learned.rails.stacked.numpy(), (4, 6), 1.0),
-        "a page shows masks": lambda: check_playable(learned),
-        "ideal observer does not know": lambda: deepfsi.ideal_observer(learned, data, 1e4),
-        "not compared with the training": lambda: learned.consistency(np.ones(6), 1e4),
-        "needs all its masks": lambda: stop(learned, data.hold_out(30), 1e4),
-        "cannot be classified alone": lambda: learned.first(3),
-        "the dwells of this design are fixed": lambda: learned.classify_live(lambda d: d, 1e4),
-    }
-    for match, ask in asked.items():
-        with pytest.raises(InputError, match=match) as error:
-            ask()
-        assert "\n" not in str(error.value)
-
-
 @pytest.mark.parametrize("design", ["deepfsi", "random"])
 def test_designs_trained_together_are_those_trained_alone(data, design):
     jobs = [
@@ -209,9 +148,3 @@ def test_designs_trained_together_are_those_trained_alone(data, design):
         [alone] = train(TrainingSet(data, "cpu"), [job])
         assert torch.allclose(found.exposure.pattern, alone.exposure.pattern, atol=1e-4)
         assert torch.allclose(found.std, alone.std, rtol=1e-3)
-
-
-def test_a_number_of_counts_is_had(data):
-    design = deepfsi.learn(data, counts=2e3, exposure=PASSING, training=RECIPE)
-    [result] = deepfsi.evaluate(design, data, design.info["job"]["photons"], draws=1)
-    assert result.counts == pytest.approx(2e3, rel=0.1)

@@ -1,6 +1,5 @@
 """Laws of exposures whose dwells are chosen while they run."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -11,10 +10,10 @@ from conftest import RECIPE
 from deepfsi import Design, evaluate
 from deepfsi.base import InputError
 from deepfsi.datasets import Dataset, from_arrays
-from deepfsi.evaluation.stopping import StoppingRule
+from deepfsi.evaluation import stopping
 from deepfsi.exposure import LooksExposure, TrainingSet
 from deepfsi.exposure.looks import Dwells
-from deepfsi.physics import SLACK, Rails, light_law
+from deepfsi.physics import SLACK, light_law
 from deepfsi.training import train
 from shared.design_files import refused, rewrite
 from shared.jobs import job, learn
@@ -55,26 +54,6 @@ def test_each_exposure_takes_its_time_and_no_more(digits, name, levels):
     peaks = design.rails.stacked.amax(dim=-1)
     assert torch.allclose(peaks, torch.full_like(peaks, 1 / masks), rtol=1e-5)
     assert light_law("free-dwell").excess(design.rails.stacked) <= SLACK
-
-
-def test_masks_that_are_all_on_count_what_a_scene_sends(digits, design):
-    """However the dwells are chosen: so that no others count more."""
-    photons, draws = 1e3, 400
-    few = digits.x_test[:20]
-    lit = torch.full_like(design.rails.stacked, 1 / design.masks)
-    design = replace(design, exposure=design.mask_exposure.with_optics(rails=Rails.of(lit)))
-    data = replace(digits, x_test=few, y_test=digits.y_test[:20])
-    seen = exposures(design, data, photons, draws)
-    counted = seen.features.sum(dim=-1).view(20, draws).mean(dim=1) * photons
-    sent = torch.from_numpy(few).sum(dim=-1) / design.summed_reflectance * photons
-    assert ((counted - sent).abs() < 5 * (sent / draws).sqrt()).all()
-
-
-def test_expected_counts_are_those_of_the_dwells(digits, design):
-    seen = exposures(design, digits, 1e3, noise="none")
-    x = torch.from_numpy(digits.x_test) / design.summed_reflectance
-    expected = 6 * seen.dwell * (x @ design.rails.plus.T)
-    assert torch.allclose(seen.features, expected, rtol=1e-5, atol=1e-7)
 
 
 def test_counts_at_known_dwells_are_poisson(digits, design):
@@ -126,29 +105,6 @@ def test_a_camera_of_ones_own_has_the_accuracy_of_the_test(digits, design):
     (tested,) = evaluate(design, digits, photons, draws=20)
     noise = (2 * tested.accuracy * (1 - tested.accuracy) / len(right)) ** 0.5
     assert abs(np.mean(right) - tested.accuracy) < 5 * noise
-
-
-def test_what_was_really_shown_is_what_counts(digits, design):
-    """A device that leaves short frames out says so."""
-    shown: list[np.ndarray] = []
-
-    def camera(dwell):
-        kept = np.where(dwell < dwell.mean(), 0, dwell)
-        shown.append(kept)
-        return 1e3 * kept, kept
-
-    chances = design.classify_live(camera, 1e3)
-    dwell = np.sum(shown, axis=0)
-    assert np.allclose(chances, design.classify(1e3 * dwell, 1e3, dwell=dwell), atol=1e-6)
-    assert not np.allclose(chances, design.classify_live(lambda dwell: 1e3 * dwell, 1e3), atol=1e-6)
-
-
-def test_exposures_read_again_are_classified_as_before(digits, design):
-    seen = exposures(design, digits, 1e4)
-    again = design.classify(seen.features * 1e4, 1e4, dwell=seen.dwell)
-    with torch.no_grad():
-        logits = design.logits_of(seen, 1e4)
-    assert np.allclose(again, logits.softmax(-1).numpy(), atol=1e-6)
 
 
 def test_gradients_through_all_looks_are_those_of_finite_differences():
@@ -221,17 +177,6 @@ def test_replicas_learn_as_they_would_alone(digits):
             assert torch.allclose(mine, other, rtol=1e-2, atol=1e-3)
 
 
-@pytest.mark.parametrize("noise", ["ml_gauss", "poisson"])
-def test_masks_dwells_and_classifier_all_learn(digits, noise):
-    short, longer = (seeing(digits, noise=noise, epochs=epochs) for epochs in (1, 20))
-    (before,), (after,) = (evaluate(each, digits, 1e3) for each in (short, longer))
-    assert after.accuracy > before.accuracy + 5 * (0.5 / before.images) ** 0.5
-    assert not torch.allclose(short.rails.stacked, longer.rails.stacked)
-    networks = short.exposure.network, longer.exposure.network
-    pairs = zip(*(network.parameters() for network in networks), strict=True)
-    assert not all(torch.allclose(one, other) for one, other in pairs)
-
-
 @pytest.mark.parametrize(
     "damage",
     [
@@ -247,13 +192,6 @@ def test_damaged_looks_are_refused(design, tmp_path, damage):
     path = design.save(tmp_path / "looks.safetensors")
     rewrite(path, lambda header, _: header.update(damage))
     refused(path)
-
-
-def test_the_light_that_is_counted_is_measured(digits, design):
-    train = replace(digits, x_test=digits.x_train, y_test=digits.y_train)
-    counted = exposures(design, train, 1e3, draws=2).features.double()
-    error = counted.std(dim=0) / len(counted) ** 0.5
-    assert ((counted.mean(dim=0) - design.shares).abs() < 5 * error * 2**0.5 + 1e-6).all()
 
 
 def test_what_a_fixed_sequence_is_for_is_refused(digits, design):
@@ -272,7 +210,7 @@ def test_what_a_fixed_sequence_is_for_is_refused(digits, design):
         design.classify_live(
             lambda dwell: np.zeros(6),
             1e3,
-            StoppingRule(after=(3, 4), threshold=0.5, photons=1e3).decide,
+            stopping.StoppingRule(after=(3, 4), threshold=0.5, photons=1e3).decide,
         )
     with pytest.raises(InputError, match="finite"):
         design.classify_live(lambda dwell: np.full(6, np.nan), 1e3)
@@ -281,37 +219,3 @@ def test_what_a_fixed_sequence_is_for_is_refused(digits, design):
         fixed.classify_live(lambda dwell: np.zeros(6), 1e3)
     with pytest.raises(InputError, match="leave dwell out"):
         fixed.classify(np.zeros(6), 1e3, dwell=np.ones(6) / 6)
-
-
-def test_at_the_command_line(call, tmp_path):
-    file = tmp_path / "looks.safetensors"
-    words = ["--photons", "3e3", "--masks", 12, "--looks", 3, "--hold-out", 300, "--epochs", 2]
-    code, _, err = call("design", *words, "--camera", "paper", "-o", file)
-    assert code == 2
-    assert "--light free-dwell" in err
-    assert not file.exists()
-    code, out, _ = call("design", *words, "-o", file, "--json")
-    assert code == 0
-    job = json.loads(out)["info"]["job"]
-    assert job["exposure"] == {"looks": 3}
-    assert job["camera"]["noise"] == "poisson"
-    assert job["training"]["start"] == "class-pairs"
-    code, out, _ = call("evaluate", file, "--photons", "3e3")
-    assert code == 0
-    assert "12 masks, 3 looks" in out
-    code, out, _ = call("stop", file, "--photons", "3e3", "--hold-out", 300, "--json")
-    assert code == 0
-    assert json.loads(out)["rule"]["after"] == [1, 2, 3]
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["looks.safetensors"]
-
-
-@pytest.mark.parametrize("before", [(), (5,), (5, 2)])
-def test_the_dwells_of_two_rails_follow_one_another(before):
-    """Of one exposure, of several, and of the looks of several."""
-    dwells = Dwells(masks=3, each_rail=True)
-    given = np.arange(np.prod((*before, 6))).reshape(*before, 6)
-    apart = dwells.by_rail(given)
-    assert apart.shape == (*before, *dwells.shape)
-    assert (apart[..., 0, :] == given[..., ::2]).all()
-    assert (apart[..., 1, :] == given[..., 1::2]).all()
-    assert (dwells.by_mask(apart) == given).all()

@@ -1,16 +1,13 @@
 """Priors of cluster centres: normal scenes about each, and as many as it stands for."""
 
 import numpy as np
-import pytest
 import torch
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
 from deepfsi import evaluate, learn
-from deepfsi.base import InputError
 from deepfsi.exposure import AdaptivePosterior, ScenePrior
 from deepfsi.exposure.posterior import LookOptics
-from deepfsi.jobs import Job
 
 PIXELS, SIZES = 8, (30, 60, 90)
 PHOTONS = 1e3
@@ -38,21 +35,6 @@ def test_before_any_count_classes_are_as_likely_as_they_are_frequent():
     wanted = torch.tensor(SIZES) / sum(SIZES)
     torch.testing.assert_close(state.chances, wanted.expand(2, 3))
     torch.testing.assert_close(state.scene, state.prior.mean.expand(2, PIXELS))
-
-
-@pytest.mark.parametrize("clusters", [1, 4, 15])
-def test_scenes_of_the_prior_vary_as_those_of_the_training(clusters):
-    """Covariance within clusters and between their centres, together; by pixels."""
-    x, labels = unequal()
-    prior = ScenePrior(x, labels, 3, clusters=clusters)
-    assert prior.sizes == [clusters] * 3
-    parts, weights = prior.components.double(), prior.members.double() / len(x)
-    centres = prior.coefficients.double() @ parts
-    between = centres.T @ (weights[:, None] * centres)
-    whole = np.cov(x.T.astype(float), bias=True)
-    off = (parts.T @ parts / prior.spread**2 + between).numpy() - whole
-    assert np.abs(off).max() < 2e-3 * np.diag(whole).mean()  # twice the least variance
-    assert prior.members.sum() == len(x)
 
 
 def test_one_centre_a_class_is_a_normal_law_of_each_class():
@@ -92,24 +74,3 @@ def test_centres_answer_as_the_scenes_do_and_more_of_them_better(digits):
     assert some > whole - 3 * spread
     assert some > one - spread
     assert one > 0.1 + 5 * np.sqrt(0.09 / len(digits.y_test))
-
-
-@pytest.mark.parametrize(("clusters", "words"), [(0, "clusters"), (1000, "give at most [0-9]+")])
-def test_centres_are_fewer_than_half_of_the_scenes_of_a_class(digits, clusters, words):
-    with pytest.raises(InputError, match=words) as error:
-        learn(digits, **settings(clusters))
-    assert "\n" not in str(error.value)
-
-
-def test_a_design_of_known_masks_has_no_clusters(digits):
-    with pytest.raises(InputError, match="`clusters` are of adaptive masks"):
-        learn(digits, masks=4, photons=PHOTONS, training={"clusters": 3})
-    assert Job(masks=4, photons=PHOTONS).training.clusters is None
-
-
-def test_light_and_misfit_are_measured_with_scenes_of_all_classes(digits):
-    """With more scenes than there are centres."""
-    design = learn(digits, **settings(4))
-    [found] = evaluate(design, digits, PHOTONS, draws=1)
-    assert found.counts / PHOTONS == pytest.approx(float(design.shares.sum()), rel=0.1)
-    assert design.prior_exposure.usual_misfit is not None
