@@ -21,6 +21,7 @@ from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
 from deepfsi.base import (
+    STOPPED_EXIT_CODE,
     InputError,
     field_errors,
     join_messages,
@@ -291,7 +292,10 @@ class ClickCommand(click.Command):
                     output.check(path, getattr(settings, "force", False))
         typed = shlex.join(["deepfsi", *map(readable_name, sys.argv[1:])])
         terminal = Terminal(as_json, typed)
-        outcome = settings.run(terminal)
+        try:
+            outcome = settings.run(terminal)
+        except KeyboardInterrupt:  # of which `click` would make an empty line
+            ctx.exit(STOPPED_EXIT_CODE)
         terminal.write(outcome, ctx.command_path.partition(" ")[2].replace(" ", "."))
         if outcome.refusal:
             raise InputError(outcome.refusal)
