@@ -4,7 +4,7 @@
     python benchmarks/answers.py anomaly   # one class of MNIST against anomalies
 
 Settings are the package's defaults but for those below, which were not tuned; the test set is read
-once. Prints the tables of docs/do/values.md.
+once. Prints the tables of docs/notebook/values.md.
 """
 
 import argparse

@@ -1,6 +1,6 @@
 """Coverage of the 95 % intervals over images and training seeds, in simulated studies.
 
-    python benchmarks/coverage.py                # the table of docs/understand/honest.md
+    python benchmarks/coverage.py                # the table of docs/notebook/intervals.md
     python benchmarks/coverage.py --studies 200  # a quick look
 
 Each study draws n images, S trainings and three noise draws. The chance that a training answers an

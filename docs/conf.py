@@ -37,6 +37,7 @@ extensions = [
     "formats",
     "lessons",
     "links",
+    "measured",
     "messages",
     "modules",
     "playable",

@@ -15,6 +15,7 @@ import matplotlib
 from docutils.parsers.rst.directives import flag, unchanged, unchanged_required
 from markdown import Made
 from matplotlib.figure import Figure
+from measured import filled
 
 from deepfsi.report import style
 
@@ -163,7 +164,7 @@ class Chart(Made):
         """An image, and a link to its numbers."""
         label, lines = "".join(self.arguments), list(self.content)
         if label:
-            page = Path(self.env.doc2path(self.env.docname)).read_text().splitlines()
+            page = filled(Path(self.env.doc2path(self.env.docname)).read_text()).splitlines()
             lines = page[page.index(f"({label})=") if f"({label})=" in page else len(page) :]
         show = [name.strip() for name in self.options.get("show", "").split(";") if name.strip()]
         try:

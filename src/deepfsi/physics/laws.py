@@ -224,7 +224,7 @@ class EqualDwell(LightLaw):
 
     A frame is a rail of a mask that is not dark; learned masks have as many frames as rails. Each
     is shown for 1/F of the exposure, and a mirror that is ON sends its light as long. Source:
-    docs/understand/light.md, as of the others of one device.
+    docs/understand/physics.md, as of the others of one device.
 
     Examples
     --------
@@ -379,7 +379,7 @@ class Dose(LightLaw):
 
     What is limited is the light that falls on the scene. A pixel may get more than its mean share,
     as what another does not get is not lost; so photons of a pixel may be counted more often than
-    `column` allows. Source: docs/understand/light.md.
+    `column` allows. Source: docs/understand/physics.md.
 
     Examples
     --------

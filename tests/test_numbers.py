@@ -1,0 +1,105 @@
+"""Numbers stand in docs/numbers.toml, and pages quote them.
+
+The file is held to the tables of the notebook, which are made from records that are not in the
+repository; all other pages, README and paper.md are held to the file. Pages of the notebook hold
+the numbers of their own experiment, tables of a page that a link leads to may repeat nothing.
+"""
+
+import re
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+sys.path.insert(0, str(DOCS / "extensions"))
+
+import measured  # noqa: E402
+
+GROUPS = measured.groups()
+NUMBERS = {
+    f"{group}.{name}": text
+    for group, entry in GROUPS.items()
+    for name, (text, _) in entry["numbers"].items()
+}
+PAGES = [
+    path
+    for path in sorted(DOCS.glob("**/*.md"))
+    if not {"notebook", "develop", "generated", "_build"} & set(path.relative_to(DOCS).parts)
+]
+"""Pages that quote numbers; those of the notebook have tables of their own."""
+
+
+def plain(text):
+    """Text of a page without what marks words, signs alike."""
+    return re.sub(r"\*\*|\\", "", text).replace("−", "-")
+
+
+@pytest.mark.parametrize("group", GROUPS)
+def test_each_number_stands_in_the_table_of_its_page(group):
+    entry = GROUPS[group]
+    assert set(entry) == {"are", "command", "cover", "page", "since", "numbers"}
+    assert re.fullmatch(r"\d{4}-\d\d-\d\d( [0-9a-f]{8})?", entry["since"])
+    page = plain((DOCS / f"{entry['page']}.md").read_text())
+    missing = [text for text, _ in entry["numbers"].values() if plain(text) not in page]
+    assert not missing
+    assert all(about for _, about in entry["numbers"].values())
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_a_page_writes_no_accuracy_of_its_own(page):
+    assert not measured.accuracies(page.read_text())
+    measured.filled(page.read_text())  # every number that it quotes is there
+
+
+@pytest.mark.parametrize("name", ["README.md", "paper.md"])
+def test_files_that_cannot_quote_have_numbers_of_the_file(name):
+    whole = " ".join(NUMBERS.values())
+    assert not [each for each in foreign((ROOT / name).read_text(), whole)]
+
+
+def foreign(text, whole):
+    """Accuracies of a text, with their intervals where it gives them, that are no numbers."""
+    shown = re.findall(r"(?<![\d.])0\.\d{3,4}(?: ± 0\.\d+)?(?![\d.])", text)
+    return [each for each in shown if not re.search(rf"(?<![\d.]){re.escape(each)}(?!\d)", whole)]
+
+
+def test_a_page_with_a_number_of_its_own_is_found(tmp_path):
+    page = tmp_path / "made.md"
+    page.write_text(
+        "Learned masks have {{ looks.8-1e4 ± }}, 0.93 of 1 and 0.931 of another.\n"
+        "Not in `--ratios 0.125`, nor after 0.135 µs, nor\n```sh\ndeepfsi --lr 0.005\n```\n"
+        "but in a chart:\n```{chart}\n| a | 0.9402 |\n```\n"
+    )
+    assert measured.accuracies(page.read_text()) == ["0.931", "0.9402"]
+    assert foreign("0.894 ± 0.009, 0.894, 0.895, 0.894 ± 0.008", "0.894 ± 0.009") == [
+        "0.895",
+        "0.894 ± 0.008",
+    ]
+
+
+def test_a_quote_is_a_value_its_interval_or_a_number_of_100():
+    found = {"a": {"numbers": {"b-1": ["0.934 ± 0.005", "what"]}}}
+    text = "{{ a.b-1 }}, {{ a.b-1 ± }}, {{ a.b-1 of 100 }}"
+    assert measured.filled(text, found) == "0.934, 0.934 ± 0.005, 93"
+    with pytest.raises(KeyError, match="c"):
+        measured.filled("{{ a.c }}", found)
+
+
+MOST_WORDS = 1000
+"""Words of a page of docs/understand, its tables among them."""
+
+
+@pytest.mark.parametrize("page", sorted((DOCS / "understand").glob("*.md")), ids=lambda p: p.stem)
+def test_a_page_to_understand_is_short(page):
+    words = [word for word in measured.filled(page.read_text()).split() if re.search(r"\w", word)]
+    assert len(words) <= MOST_WORDS
+
+
+def test_every_page_of_the_notebook_is_in_its_index_with_a_line():
+    index = (DOCS / "notebook/index.md").read_text()
+    listed = re.findall(r"^\| \[.+\]\(([\w-]+)\.md\) \| .+ \|$", index, re.M)
+    pages = {path.stem for path in (DOCS / "notebook").glob("*.md")} - {"index"}
+    assert sorted(listed) == sorted(pages)
+    assert "notebook/index.md" in (DOCS / "understand/results.md").read_text()
