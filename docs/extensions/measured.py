@@ -11,7 +11,10 @@ from pathlib import Path
 FILE = Path(__file__).parents[1] / "numbers.toml"
 QUOTE = re.compile(r"\{\{ ([\w-]+)\.([\w-]+)( ±| of 100)? \}\}")
 CODE = re.compile(r"^(`{3,})(?!\{).*?^\1|(?<!`)`[^`\n]+`(?!`)", re.M | re.S)
-ACCURACY = re.compile(r"(?<![\d.·×])0\.\d{3,4}(?![\d.])(?! ?(?:[nmµ]?s|[kMG]?B|pixels|cells)\b)")
+UNIT = r"(?! ?(?:[nmµ]?s|[kMG]?B|pixels|cells|[RGB])\b)"
+THREE = re.compile(rf"(?<![\d.·×])0\.(?!00)\d{{3,4}}(?!\d|\.\d){UNIT}")
+TWO = re.compile(rf"(?<![\d.·×])0\.\d\d(?!\d|\.\d){UNIT}|(?<=recognises )\d\d\b")
+ACCURATE = re.compile("accura|recogni|correct|rightly|classif", re.I)
 
 
 def groups():
@@ -34,8 +37,13 @@ def filled(text, found=None):
 
 
 def accuracies(text):
-    """Accuracies that a page writes itself: 0 and three or four digits, in no code or quote."""
-    return ACCURACY.findall(CODE.sub("", text))
+    """Accuracies that a page writes itself, in no code and no quote.
+
+    They are numbers 0.ddd from 0.01 on, and of the lines that speak of accuracy 0.dd and "recognises dd", too.
+    """
+    lines = CODE.sub("", text).splitlines()
+    found = [THREE.findall(line) + TWO.findall(line) * bool(ACCURATE.search(line)) for line in lines]
+    return [number for numbers in found for number in numbers]
 
 
 def fill(app, page, source):
