@@ -39,11 +39,14 @@ def filled(text, found=None):
 def accuracies(text):
     """Accuracies that a page writes itself, in no code and no quote.
 
-    They are numbers 0.ddd from 0.01 on, and of the lines that speak of accuracy 0.dd and "recognises dd", too.
+    They are numbers 0.ddd from 0.01 on. In lines that speak of accuracy they are 0.dd, too, and
+    the number of "recognises dd".
     """
-    lines = CODE.sub("", text).splitlines()
-    found = [THREE.findall(line) + TWO.findall(line) * bool(ACCURATE.search(line)) for line in lines]
-    return [number for numbers in found for number in numbers]
+    found = []
+    for line in CODE.sub("", text).splitlines():
+        found += THREE.findall(line)
+        found += TWO.findall(line) if ACCURATE.search(line) else []
+    return found
 
 
 def fill(app, page, source):
