@@ -261,7 +261,22 @@ class Design:
     def scanner(
         self, noise: str | NoiseFunction = "poisson", sigma: float = 1.0, dark: float = 0.0
     ) -> Scanner:
-        """The optical front end, with a noise of your choice; parameters as for `Scanner`."""
+        """The optical front end, with a noise of your choice.
+
+        Parameters
+        ----------
+        noise : str or callable
+            A name such as ``"poisson"``, an import path, or a function of rates and a generator.
+        sigma : float
+            Read noise of ``"gaussian"`` and ``"camera"`` noise, counts rms per readout.
+        dark : float
+            Dark counts of a detector in a whole exposure, of ``"camera"`` noise.
+
+        Raises
+        ------
+        InputError
+            For an unknown noise, impossible numbers, or adaptive masks, which have no front end.
+        """
         return self.mask_exposure.scanner(noise, sigma, dark)
 
     def front_end(self, camera: Camera | None = None) -> Any:
@@ -357,8 +372,21 @@ class Design:
     def predict(self, x: Any, photons: float, seed: int = 0) -> np.ndarray:
         """Names (...) of the classes of scenes, each from one simulated exposure.
 
-        Parameters as for `expose`; adaptive masks and several looks are exposed, too. Raises
-        `InputError` as that, or if the design estimates values.
+        Adaptive masks and several looks are exposed, too.
+
+        Parameters
+        ----------
+        x : array or tensor, shape (..., H, W) or (..., N)
+            Reflectance, in [0, 1].
+        photons : float
+            Budget Φ.
+        seed : int
+            Of the noise, which is that of the design's camera.
+
+        Raises
+        ------
+        InputError
+            If scenes or photons are not as above, or if the design estimates values.
         """
         check_classes(self.values, "predict")
         scenes, lead = self._scenes(x)
@@ -403,7 +431,17 @@ class Design:
     def logits(
         self, features: Tensor, photons: Tensor | float, dwell: Tensor | None = None
     ) -> Tensor:
-        """Logits (..., C) of features (..., k) in counts; other parameters as of `classify`."""
+        """Logits (..., C) of features.
+
+        Parameters
+        ----------
+        features : tensor, shape (..., k)
+            In counts, as from `features_of`.
+        photons : float or tensor, shape (...)
+            Budget Φ of each exposure.
+        dwell : tensor, shape (..., m), optional
+            Share of the exposure that each mask had, for designs that choose dwells.
+        """
         scale = self.mask_exposure.scale(photons)
         return self.logits_of(Observation(features / scale, dwell), photons)
 
@@ -509,7 +547,20 @@ class Design:
     def estimate(self, counts: Any, photons: Any, dwell: Any = None) -> np.ndarray:
         """Values (..., q) of one or many exposures, in the units that the training had.
 
-        Parameters as for `classify`. Raises `InputError` as that, or if it answers classes.
+        Parameters
+        ----------
+        counts : array, shape (..., [P,] [2,] m [, D])
+            Counts of each readout, in the shape that `classify` takes.
+        photons : float or array, shape (...)
+            Budget Φ of each exposure, or an estimate of it.
+        dwell : array, shape (..., [2,] m), optional
+            Share of the exposure that each mask had, for designs that choose dwells.
+
+        Raises
+        ------
+        InputError
+            If shapes do not match the design, counts are not finite, the budget is not above 0, or
+            the design answers classes.
         """
         if self.values is None:
             raise InputError("this design answers classes and estimates no values: use classify")
@@ -689,7 +740,23 @@ class Design:
         trust: bool = False,
         classifier: Given | None = None,
     ) -> "Design":
-        """Design of a file that was read; parameters as of `load`."""
+        """Design of a file that was read.
+
+        Parameters
+        ----------
+        file : DesignFile
+        device : str or torch.device
+        trust : bool
+            Import and run the factory that the file names, if its classifier has one.
+        classifier : nn.Module, callable or str, optional
+            The module, factory or import path that the classifier is made of instead.
+
+        Raises
+        ------
+        InputError
+            If header and arrays do not fit together; if its classifier cannot be imported or is
+            not the one given.
+        """
         design = cls(**fields_of(file))
         if isinstance(design.classifier, OwnClassifier) and (trust or classifier is not None):
             design = design.with_classifier(classifier or design.classifier.factory)

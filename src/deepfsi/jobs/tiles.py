@@ -58,7 +58,15 @@ def count_allowed(
 def check_count(name: str, masks: int, data: Dataset, detectors: DetectorMap = ONE_DETECTOR) -> int:
     """Return a mask count, or raise `InputError` if the design cannot have it on this data.
 
-    Parameters as of `count_allowed`.
+    Parameters
+    ----------
+    name : str
+        One of `DESIGNS`.
+    masks : int
+    data : Dataset
+        Scenes as the masks see them.
+    detectors : DetectorMap
+        Which detector sees each pixel.
     """
     low, high = count_allowed(name, data, detectors)
     whole = not isinstance(masks, bool) and float(masks).is_integer()

@@ -33,7 +33,15 @@ def calibration_error(groups: Sequence[tuple[float, float, float]]) -> float:
 
 
 def confidence_error(confidence: np.ndarray, right: np.ndarray) -> float:
-    """Calibration error of answers (E,); parameters as of `confidence_groups`."""
+    """Expected calibration error of answers.
+
+    Parameters
+    ----------
+    confidence : array, shape (E,)
+        Probability of each answer.
+    right : array, shape (E,)
+        Whether it is right.
+    """
     return calibration_error(confidence_groups(confidence, right))
 
 

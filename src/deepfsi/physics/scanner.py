@@ -72,7 +72,21 @@ class Scanner(nn.Module):
         dark: float = 0.0,
         detection: Detection | None = None,
     ) -> "Scanner":
-        """Scanner with fixed rails (2 or 1, m, N); other parameters as for the class."""
+        """Scanner with fixed rails.
+
+        Parameters
+        ----------
+        rails : tensor, shape (2 or 1, m, N)
+            Share of the light of each pixel that each readout counts.
+        noise : str or callable
+            A name such as ``"poisson"``, an import path, or a function of rates and a generator.
+        sigma : float
+            Read noise of ``"gaussian"`` and ``"camera"`` noise, counts rms per readout.
+        dark : float
+            Dark counts of a detector in a whole exposure, of ``"camera"`` noise.
+        detection : Detection, optional
+            Detectors; one unless given, which reads the difference of two rails.
+        """
         return cls(FixedMasks(rails), noise, sigma, dark, detection)
 
     def forward(self, photons: Tensor, generator: torch.Generator | None = None) -> Tensor:

@@ -123,7 +123,14 @@ def open_projector(name: str, settings: DeviceSettings) -> PassProjector:
 
 
 def open_list_projector(name: str, settings: DeviceSettings) -> StreamingProjector:
-    """Projector for lists of frames that a live run chooses; parameters as of `open_projector`.
+    """Projector for lists of frames that a live run chooses.
+
+    Parameters
+    ----------
+    name : str
+        One of `PROJECTORS`.
+    settings : DeviceSettings
+        What it takes of them.
 
     Raises
     ------
