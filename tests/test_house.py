@@ -25,6 +25,7 @@ ROOMS_DONE: set[str] = {
     "base.models",
     "base.numeric",
     "camera",
+    "datasets",
     "design",
     "designfile",
     "evaluation",
@@ -48,6 +49,7 @@ ROOMS_DONE: set[str] = {
 """Rooms that keep every rule. A finished room is added here, and never goes again."""
 
 LONELY: dict[str, str] = {
+    "deepfsi.datasets.variants": "data sets made of another one, apart from what makes those",
     "deepfsi.evaluation.bounds": "formulas of how well values can be estimated, by any network",
     "deepfsi.design.check_counts": "counts that do not fit, apart from what reads those that do",
     "deepfsi.design.file": "what a file keeps of a design, apart from what a design does",

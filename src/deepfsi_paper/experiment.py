@@ -13,8 +13,7 @@ import polars
 
 from deepfsi.base import SILENT, InputError, Progress, as_input_error, write_atomically
 from deepfsi.base.numeric import Difference, accuracy_difference, all_above
-from deepfsi.datasets import Dataset, load_dataset
-from deepfsi.datasets.cifar import where
+from deepfsi.datasets import Dataset, list_datasets, load_dataset
 from deepfsi.report.comparison_page import listed
 from deepfsi.report.style import photons_text
 from deepfsi.sweeps.recipe import Recipe, only, parts
@@ -246,7 +245,8 @@ def _load(
 
 def cifar10_here(recipe: Recipe) -> Recipe:
     """The recipe on the copy of CIFAR-10 in JPEG, where that is at hand and the original is not."""
-    if where("cifar10") or not where("cifar10-jpeg"):
+    here = {info.name for info in list_datasets() if info.where != "not here"}
+    if "cifar10" in here or "cifar10-jpeg" not in here:
         return recipe
     return recipe.model_copy(update={"data": "cifar10-jpeg"})
 

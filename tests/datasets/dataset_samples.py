@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from deepfsi.base import InputError
-from deepfsi.datasets import SpectralImage, cifar, idx
+from deepfsi.datasets import SpectralImage
+from deepfsi.datasets.catalog import Cifar10, IdxImages
 
 
 @contextmanager
@@ -47,7 +48,7 @@ TINY_LABELS = np.arange(24) % 10
 
 PARTS = (TINY_IMAGES[:20], TINY_LABELS[:20], TINY_IMAGES[20:], TINY_LABELS[20:])
 
-TINY = dict(zip(idx.IDX_FILES, map(idx_file, PARTS), strict=True))
+TINY = dict(zip(IdxImages.FILES, map(idx_file, PARTS), strict=True))
 
 # ---------------------------------------------------------------- CIFAR-10, twenty images a batch
 
@@ -59,7 +60,7 @@ RECORDS[..., 0] = np.arange(BATCH) % 10
 
 RECORDS[0, :, 0] = RECORDS[0, ::-1, 0]
 
-BINARY = {name: records.tobytes() for name, records in zip(cifar.BATCHES, RECORDS, strict=True)}
+BINARY = {name: records.tobytes() for name, records in zip(Cifar10.BATCHES, RECORDS, strict=True)}
 
 
 # ---------------------------------------------------------------- a hyperspectral image

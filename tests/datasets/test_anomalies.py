@@ -5,7 +5,7 @@ import pytest
 
 from deepfsi.base import InputError
 from deepfsi.datasets import load_dataset
-from deepfsi.datasets.anomalies import changed, one_class
+from deepfsi.datasets.variants import anomalies_of, one_class
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +46,7 @@ def test_anomalies_are_the_seeds_and_the_origin_makes_them_again(three):
 def test_spectra_and_images_are_changed_alike(shape):
     rng = np.random.default_rng(0)
     scenes = rng.random((40, *shape), dtype=np.float32)
-    made = changed(scenes, rng)
+    made = anomalies_of(scenes, rng)
     assert made.shape == scenes.shape
     assert made.dtype == scenes.dtype
     assert (made != scenes).reshape(40, -1).any(axis=1).mean() > 0.9

@@ -15,7 +15,8 @@ import pytest
 from dataset_samples import BATCH, BINARY, RECORDS, refused
 from PIL import Image
 
-from deepfsi.datasets import check, cifar, download, list_datasets, load_dataset
+from deepfsi.datasets import check, download, list_datasets, load_dataset
+from deepfsi.datasets.catalog import Cifar10, CifarJpeg
 
 DATA = Path(os.environ.get("DEEPFSI_DATA") or ".") / "cifar10"
 
@@ -35,18 +36,18 @@ def home(tmp_path, monkeypatch):
     """$DEEPFSI_DATA/cifar10, empty; batches of twenty images; nothing can be downloaded."""
     monkeypatch.setenv("DEEPFSI_DATA", str(tmp_path))
     monkeypatch.setattr(pooch, "os_cache", lambda _: tmp_path / "cache")
-    monkeypatch.setattr(cifar, "BATCH", BATCH)
-    monkeypatch.setattr(cifar, "MIRRORS", ((tmp_path / "mirror").as_uri() + "/",))
+    monkeypatch.setattr(Cifar10, "BATCH", BATCH)
+    monkeypatch.setattr(Cifar10, "mirrors", ((tmp_path / "mirror").as_uri() + "/",))
     (tmp_path / "cifar10").mkdir()
     return tmp_path / "cifar10"
 
 
 def put(home, monkeypatch):
     """Put the archive there, with the hash that goes with it."""
-    path = home / cifar.ARCHIVE
+    path = home / Cifar10.ARCHIVE
     path.write_bytes(archive())
     known = hashlib.md5(path.read_bytes()).hexdigest()
-    monkeypatch.setitem(cifar.HASHES, path.name, f"md5:{known}")
+    monkeypatch.setitem(Cifar10.hashes, path.name, f"md5:{known}")
     return path
 
 
@@ -98,7 +99,7 @@ def test_size_is_bilinear_and_images_are_drawn_by_class(home, monkeypatch):
 
 def test_the_archive_is_downloaded_and_kept(home, monkeypatch):
     whole = put(home, monkeypatch).read_bytes()
-    (home / cifar.ARCHIVE).unlink()
+    (home / Cifar10.ARCHIVE).unlink()
 
     def retrieve(url, known, name, path, **_):
         assert url.endswith("/cifar-10-binary.tar.gz")
@@ -112,7 +113,7 @@ def test_the_archive_is_downloaded_and_kept(home, monkeypatch):
 
 def test_published_hash():
     known = "md5:c32a1d4ab5d03f1284b67883e8d87530"
-    assert {"cifar-10-binary.tar.gz": known} == cifar.HASHES
+    assert {"cifar-10-binary.tar.gz": known} == Cifar10.hashes
 
 
 def test_a_damaged_archive(home, monkeypatch):
@@ -124,10 +125,10 @@ def test_a_damaged_archive(home, monkeypatch):
 
 
 def put_jpegs(home, train, test):
-    path = home / cifar.JPEG_FILE
+    path = home / CifarJpeg.FILE
     with zipfile.ZipFile(path, "w") as file:
         for part, count in (("train", train), ("test", test)):
-            for k, label in enumerate(cifar.CLASSES):
+            for k, label in enumerate(Cifar10.labels):
                 for i in range(count):
                     image = io.BytesIO()
                     Image.new("RGB", (32, 32), (20 * k, i, 0)).save(image, "JPEG")
@@ -142,7 +143,7 @@ def test_the_copy_in_jpeg_says_so(home):
     assert data.image_shape == (16, 16)
     assert np.bincount(data.y_train).tolist() == [4] * 10
     assert np.bincount(data.y_test).tolist() == [2] * 10
-    assert data.classes == cifar.CLASSES
+    assert data.classes == Cifar10.labels
     level = 0.299 * 20 * data.y_test / 255
     assert np.abs(data.x_test - level[:, None]).max() < 4 / 255
     assert all(result.ok for result in check("cifar10-jpeg"))
@@ -153,12 +154,12 @@ def test_a_copy_in_jpeg_that_is_not_whole(home):
         load_dataset("cifar10-jpeg")
     assert not check("cifar10-jpeg")[0].ok
     put_jpegs(home, 10, 1)
-    with refused(cifar.JPEG_FILE, "test folder does not hold 2 images of each of airplane"):
+    with refused(CifarJpeg.FILE, "test folder does not hold 2 images of each of airplane"):
         load_dataset("cifar10-jpeg")
     assert not check("cifar10-jpeg")[0].ok
 
 
-@pytest.mark.skipif(not (DATA / cifar.JPEG_FILE).is_file(), reason="needs $DEEPFSI_DATA/cifar10")
+@pytest.mark.skipif(not (DATA / CifarJpeg.FILE).is_file(), reason="needs $DEEPFSI_DATA/cifar10")
 def test_the_real_copy_in_jpeg():
     data = load_dataset("cifar10-jpeg", images=1000)
     assert data.x_train.shape == (1000, 1024)
@@ -174,10 +175,10 @@ LOSSLESS = DATA / "cifar-10-train-first4000-lossless.bin.gz"
 @pytest.mark.skipif(not LOSSLESS.is_file(), reason="needs $DEEPFSI_DATA/cifar10")
 def test_real_records():
     """The first training image, a frog, and the colours of its corners."""
-    pictures = cifar.list_records(gzip.decompress(LOSSLESS.read_bytes()), "first")
+    pictures = Cifar10().pictures(gzip.decompress(LOSSLESS.read_bytes()), "first")
     assert pictures[0].label == "frog"
     image = np.asarray(Image.open(pictures[0].open()))
     assert image[0, 0].tolist() == [59, 62, 63]
     assert image[31, 31].tolist() == [123, 92, 72]
     labels = Counter(picture.label for picture in pictures)
-    assert [labels[name] for name in cifar.CLASSES[:3]] == [396, 366, 420]
+    assert [labels[name] for name in Cifar10.labels[:3]] == [396, 366, 420]

@@ -8,8 +8,8 @@ from dataset_samples import IMAGE, LABELS, numbered, refused
 from scipy.io import savemat
 from spectral.io import envi
 
-from deepfsi.datasets import cubes, load_dataset
-from deepfsi.datasets.cubes import by_header, read_cube
+from deepfsi.datasets import load_dataset, spectra
+from deepfsi.datasets.spectra import by_header, read_cube
 
 
 def test_files_side_by_side(tmp_path):
@@ -78,7 +78,7 @@ def test_files_that_do_not_serve(tmp_path, monkeypatch):
     savemat(path, {"a": LABELS, "word": "cube", "cell": np.array([cube], object)})
     refuse("in 3 dimensions", "but none")
     savemat(path, {"a": np.zeros((60, 60, 2000), np.uint8)}, do_compression=True)
-    monkeypatch.setattr(cubes, "MAX_VALUES", 60 * 60 * 2000 - 1)
+    monkeypatch.setattr(spectra, "MAX_VALUES", 60 * 60 * 2000 - 1)
     refuse("(60, 60, 2000)", "or fewer")
     monkeypatch.undo()
     path.write_bytes(path.read_bytes()[:200])

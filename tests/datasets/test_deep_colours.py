@@ -9,7 +9,7 @@ from dataset_samples import refused
 from PIL import Image
 
 from deepfsi.datasets import load_dataset
-from deepfsi.datasets.values import LUMA
+from deepfsi.datasets.levels import LUMA
 
 SHAPE = (5, 7)
 

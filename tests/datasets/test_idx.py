@@ -6,10 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deepfsi.datasets import check, idx, list_datasets, load_dataset
+from deepfsi.datasets import check, list_datasets, load_dataset
+from deepfsi.datasets.catalog import IdxImages
 
 real_mnist = pytest.mark.skipif(
-    not (Path(os.environ.get("DEEPFSI_DATA") or ".") / "mnist" / idx.IDX_FILES[0]).is_file(),
+    not (Path(os.environ.get("DEEPFSI_DATA") or ".") / "mnist" / IdxImages.FILES[0]).is_file(),
     reason="needs MNIST's files in $DEEPFSI_DATA/mnist",
 )
 

@@ -9,8 +9,8 @@ import pytest
 from dataset_samples import NM, refused
 from scipy.io import savemat
 
-from deepfsi.datasets import check, download, indian_pines, list_datasets, load_dataset
-from deepfsi.datasets.indian_pines import CLASSES, CUBE, HASHES, LABELS, WATER, load_scene
+from deepfsi.datasets import check, download, list_datasets, load_dataset, load_indian_pines
+from deepfsi.datasets.catalog import INDIAN_PINES, restore_high_bytes, values_hash
 
 REAL = Path(os.environ.get("DEEPFSI_DATA") or ".") / "indian_pines"
 
@@ -20,7 +20,7 @@ def made_up():
     labels = np.kron(np.arange(1, 26).reshape(5, 5), np.ones((29, 29))).astype(np.uint8)
     labels[labels > 16] = 0
     cube = np.random.default_rng(6).integers(955, 9605, (145, 145, 200)).astype(np.uint16)
-    return {CUBE: cube, LABELS: labels}
+    return {INDIAN_PINES.CUBE: cube, INDIAN_PINES.LABELS: labels}
 
 
 def write(folder, arrays, ending):
@@ -38,7 +38,7 @@ def home(request, tmp_path, monkeypatch):
     folder.mkdir()
     monkeypatch.setenv("DEEPFSI_DATA", str(tmp_path))
     for stem, values in made_up().items():
-        monkeypatch.setitem(HASHES, stem, indian_pines.values_hash(values))
+        monkeypatch.setitem(INDIAN_PINES.hashes, stem, values_hash(values))
     write(folder, made_up(), request.param)
     rows = [f"{nm:.6f}\t9.780000\t0.920000\t0.5\t{i + 2}" for i, nm in enumerate(NM)]
     (folder / "92AV3C.spc").write_text("\n".join(["FILE x", "------", *rows]) + "\n")
@@ -49,7 +49,7 @@ def test_the_scene_of_a_folder(home):
     data = load_dataset("indian-pines")
     assert data.name == "indian-pines"
     assert data.image_shape == (256,)
-    assert data.classes == CLASSES
+    assert data.classes == INDIAN_PINES.labels
     assert len(data.x_train) + len(data.x_test) == 16 * 29 * 29
     assert "200 of 220 bands" in data.preprocessing
     assert "padded with darkness to 256" in data.preprocessing
@@ -58,9 +58,9 @@ def test_the_scene_of_a_folder(home):
     assert data.x_test[:, :200].any(axis=0).all()
     assert data.wavelengths is not None
     assert np.isnan(data.wavelengths[200:]).all()
-    assert data.wavelengths[:200].tolist() == np.delete(NM, WATER).tolist()
-    scene = load_scene()
-    assert np.array_equal(scene.cube, made_up()[CUBE])
+    assert data.wavelengths[:200].tolist() == np.delete(NM, INDIAN_PINES.WATER).tolist()
+    scene = load_indian_pines()
+    assert np.array_equal(scene.cube, made_up()[INDIAN_PINES.CUBE])
     blocks = load_dataset("indian-pines", split="blocks")
     assert np.array_equal(blocks.x_test, scene.dataset("blocks", bands=256).x_test)
     assert download("indian-pines") == home
@@ -74,14 +74,18 @@ def test_without_the_band_table_there_are_no_wavelengths(home):
 
 def test_the_corrected_bands_are_the_published_ones():
     given = [*range(104, 109), *range(150, 164), 220]  # counted from 1
-    assert (WATER + 1).tolist() == given
+    assert (INDIAN_PINES.WATER + 1).tolist() == given
 
 
 def test_other_values_are_refused(home):
     cube, labels = made_up().values()
     one_off = cube.copy()
     one_off[7, 8, 9] += 1
-    for stem, values in ((CUBE, one_off), (CUBE, cube / 9604), (LABELS, labels.T)):
+    for stem, values in (
+        (INDIAN_PINES.CUBE, one_off),
+        (INDIAN_PINES.CUBE, cube / 9604),
+        (INDIAN_PINES.LABELS, labels.T),
+    ):
         ending = next(home.glob(f"{stem}.*")).suffix
         write(home, {stem: values}, ending)
         with refused(f"{stem}{ending} does not hold the values", "replace it with the original"):
@@ -95,11 +99,14 @@ def test_other_values_are_refused(home):
 
 
 def test_files_that_are_no_scene_are_named(home):
-    cases: list[tuple[str, Any]] = [(CUBE, np.ones((145, 145))), (LABELS, np.ones((145, 144)))]
+    cases: list[tuple[str, Any]] = [
+        (INDIAN_PINES.CUBE, np.ones((145, 145))),
+        (INDIAN_PINES.LABELS, np.ones((145, 144))),
+    ]
     for stem, values in cases:
         ending = next(home.glob(f"{stem}.*")).suffix
         write(home, {stem: values}, ending)
-        with refused("dimension" if (stem, ending) == (CUBE, ".mat") else "145"):
+        with refused("dimension" if (stem, ending) == (INDIAN_PINES.CUBE, ".mat") else "145"):
             load_dataset("indian-pines")
         assert not all(each.ok for each in check("indian-pines"))
         write(home, {stem: made_up()[stem]}, ending)
@@ -107,8 +114,13 @@ def test_files_that_are_no_scene_are_named(home):
 
 def test_what_is_missing_is_named(tmp_path, monkeypatch):
     monkeypatch.setenv("DEEPFSI_DATA", str(tmp_path))
-    monkeypatch.setattr(indian_pines, "PACKAGE", ("no_such_package", "datasets/data"))
-    with refused("pip install", f"{CUBE}.mat and {LABELS}.mat", "indian_pines", "DEEPFSI_DATA"):
+    monkeypatch.setattr(INDIAN_PINES, "PACKAGE", ("no_such_package", "datasets/data"))
+    with refused(
+        "pip install",
+        f"{INDIAN_PINES.CUBE}.mat and {INDIAN_PINES.LABELS}.mat",
+        "indian_pines",
+        "DEEPFSI_DATA",
+    ):
         load_dataset("indian-pines")
     assert [result.ok for result in check("indian-pines")] == [False, False]
     assert {info.name: info.where for info in list_datasets()}["indian-pines"] == "not here"
@@ -120,7 +132,7 @@ def real(tmp_path_factory):
     pytest.importorskip("tensorly")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("DEEPFSI_DATA", str(tmp_path_factory.mktemp("empty")))
-        return load_scene()
+        return load_indian_pines()
 
 
 def test_the_scene_in_tensorly(real, tmp_path, monkeypatch):
@@ -160,8 +172,8 @@ def test_bytes_that_became_line_feeds_are_restored():
     changed = (cube >> 8) == 13
     assert changed.mean() > 0.05
     assert (((lost >> 8) == 10) & ~changed).mean() > 0.001, "both kinds are there"
-    assert indian_pines.values_hash(lost) == indian_pines.values_hash(cube)
-    wrong = np.abs(indian_pines.restored(lost).astype(int) - cube) > 3
+    assert values_hash(lost) == values_hash(cube)
+    wrong = np.abs(restore_high_bytes(lost).astype(int) - cube) > 3
     assert wrong.mean() < 1e-3
 
 
@@ -169,7 +181,7 @@ def test_the_real_copy_lost_its_carriage_returns(real):
     """Few values stick out once restored; another pair of bytes shows how many are wrong."""
     import tensorly
 
-    path = Path(tensorly.__file__).parent / "datasets" / "data" / f"{CUBE}.npy"
+    path = Path(tensorly.__file__).parent / "datasets" / "data" / f"{INDIAN_PINES.CUBE}.npy"
     assert b"\r" not in path.read_bytes()[128:]
     lost, cube = np.load(path).astype(int), real.cube.astype(int)
     dips = [(2 * each[..., 12] - each[..., 11] - each[..., 13] < -1000) for each in (lost, cube)]
@@ -178,7 +190,7 @@ def test_the_real_copy_lost_its_carriage_returns(real):
     assert set(np.unique(cube - lost)) == {0, 768}
     cube = cube[:72]  # half of the scene is enough
     undone = np.where((cube >> 8) == 18, cube - 768, cube).astype(np.uint16)
-    wrong = indian_pines.restored(undone, 15) != cube
+    wrong = restore_high_bytes(undone, 15) != cube
     assert wrong.sum() < 1e-3 * ((undone >> 8) == 15).sum()
 
 

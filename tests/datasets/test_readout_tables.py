@@ -5,7 +5,7 @@ import pytest
 from scipy.io import savemat
 
 from deepfsi.base import InputError
-from deepfsi.datasets.readouts import Variables, read_readouts
+from deepfsi.datasets import Variables, read_readouts
 
 NAMES = Variables("volts", "digit", "shown", "clock", ("laser",))
 
@@ -46,7 +46,7 @@ def test_a_folder_of_mat_files_is_one_table(matlab, files):
         table.monitors["laser"], np.concatenate([each["laser"].T for each in ordered])
     )
     assert np.array_equal(table.y, np.repeat([0, 1, 2], [13, 14, 22]))
-    assert np.array_equal(table.place, np.concatenate([each["clock"][0] for each in ordered]))
+    assert np.array_equal(table.position, np.concatenate([each["clock"][0] for each in ordered]))
     assert len(np.unique(table.picture)) == 7
 
 
@@ -75,7 +75,7 @@ def test_npz_csv_and_rows_in_place_of_columns_give_the_same(matlab, files, tmp_p
         assert np.array_equal(table.values, expected.values)
         assert np.array_equal(table.y, expected.y)
         assert table.classes == expected.classes
-        assert np.array_equal(table.place, expected.place)
+        assert np.array_equal(table.position, expected.position)
         [laser] = table.monitors.values()
         assert np.array_equal(laser, expected.monitors["laser"])
         same = lambda of: of[:, None] == of[None]  # noqa: E731
@@ -100,7 +100,7 @@ def test_splits(matlab):
     later = table.test_part("later")
     for label in range(3):
         rows = table.y == label
-        assert table.place[rows & later].min() > table.place[rows & ~later].max()
+        assert table.position[rows & later].min() > table.position[rows & ~later].max()
         assert (rows & later).sum() == rows.sum() // 5
     pictures = table.test_part("pictures")
     assert not set(table.picture[pictures]) & set(table.picture[~pictures])

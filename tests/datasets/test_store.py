@@ -11,7 +11,8 @@ import pytest
 from dataset_samples import TINY, TINY_IMAGES, TINY_LABELS, idx_file, refused
 
 from deepfsi.base import InputError, Progress
-from deepfsi.datasets import check, download, idx, indian_pines, list_datasets, load_dataset, store
+from deepfsi.datasets import check, download, list_datasets, load_dataset, store
+from deepfsi.datasets.catalog import DATASETS, INDIAN_PINES, IdxImages
 
 
 class Mirrors:
@@ -52,9 +53,9 @@ def mirrors(tmp_path, monkeypatch):
     """A tiny MNIST with empty mirrors and an empty cache, `tmp_path / "cache"`."""
     (tmp_path / "served").mkdir()
     served = Mirrors(tmp_path / "served")
-    hashes = tuple(f"sha256:{hashlib.sha256(content).hexdigest()}" for content in TINY.values())
-    tiny = idx.ORIGINALS["mnist"]._replace(mirrors=served.urls, hashes=hashes)
-    monkeypatch.setitem(idx.ORIGINALS, "mnist", tiny)
+    hashes = [f"sha256:{hashlib.sha256(content).hexdigest()}" for content in TINY.values()]
+    tiny = IdxImages("mnist", list("0123456789"), list(served.urls), hashes)
+    monkeypatch.setitem(DATASETS, "mnist", tiny)
     monkeypatch.setattr(pooch, "os_cache", lambda _: tmp_path / "cache")
     monkeypatch.delenv("DEEPFSI_DATA", raising=False)
     monkeypatch.setenv("NO_PROXY", "127.0.0.1")
@@ -91,8 +92,8 @@ def test_files_are_downloaded_once(mirrors, tmp_path, caplog, monkeypatch):
 
 def test_the_next_mirror_is_tried(mirrors):
     fill(mirrors.second)
-    fill(mirrors.first, **{idx.IDX_FILES[0]: b"damaged on the way"})
-    (mirrors.first / idx.IDX_FILES[1]).unlink()
+    fill(mirrors.first, **{IdxImages.FILES[0]: b"damaged on the way"})
+    (mirrors.first / IdxImages.FILES[1]).unlink()
     assert_tiny(load_dataset("mnist"))
     assert [path.split("/")[1] for path in mirrors.requests] == [
         *("first", "second"),
@@ -102,16 +103,16 @@ def test_the_next_mirror_is_tried(mirrors):
 
 
 def test_no_mirror_gives_a_file(mirrors, tmp_path):
-    fill(mirrors.first, **{idx.IDX_FILES[2]: b"damaged"})
+    fill(mirrors.first, **{IdxImages.FILES[2]: b"damaged"})
     host = f"127.0.0.1:{mirrors.server.server_port}"
     with refused(
-        f"mnist: cannot download {idx.IDX_FILES[2]}",
+        f"mnist: cannot download {IdxImages.FILES[2]}",
         f"{host} (wrong hash) or {host} (HTTPError)",
         "set DEEPFSI_DATA",
     ):
         load_dataset("mnist")
     kept = sorted(path.name for path in (tmp_path / "cache" / "mnist").iterdir())
-    assert kept == sorted(idx.IDX_FILES[:2]), "nothing half-written"
+    assert kept == sorted(IdxImages.FILES[:2]), "nothing half-written"
 
 
 def test_no_connection(mirrors):
@@ -123,9 +124,9 @@ def test_no_connection(mirrors):
 
 def test_a_damaged_file_in_the_cache_is_downloaded_again(mirrors, tmp_path):
     fill(mirrors.first)
-    fill(tmp_path / "cache" / "mnist", **{idx.IDX_FILES[3]: b"damaged"})
+    fill(tmp_path / "cache" / "mnist", **{IdxImages.FILES[3]: b"damaged"})
     assert_tiny(load_dataset("mnist"))
-    assert mirrors.requests == [f"/first/{idx.IDX_FILES[3]}"]
+    assert mirrors.requests == [f"/first/{IdxImages.FILES[3]}"]
 
 
 def test_deepfsi_data_comes_first_and_needs_the_folder(mirrors, tmp_path, monkeypatch):
@@ -143,8 +144,8 @@ def test_deepfsi_data_comes_first_and_needs_the_folder(mirrors, tmp_path, monkey
 
 def test_a_damaged_file_in_deepfsi_data(mirrors, tmp_path, monkeypatch):
     monkeypatch.setenv("DEEPFSI_DATA", str(tmp_path))
-    fill(tmp_path / "mnist", **{idx.IDX_FILES[1]: idx_file(TINY_LABELS[1:21])})
-    with refused(str(tmp_path / "mnist" / idx.IDX_FILES[1]), "sha256", "original"):
+    fill(tmp_path / "mnist", **{IdxImages.FILES[1]: idx_file(TINY_LABELS[1:21])})
+    with refused(str(tmp_path / "mnist" / IdxImages.FILES[1]), "sha256", "original"):
         load_dataset("mnist")
     assert [result.ok for result in check("mnist")] == [True, False, True, True]
 
@@ -156,13 +157,13 @@ def test_deepfsi_data_that_is_no_folder(mirrors, tmp_path, monkeypatch):
 
 
 def test_check_and_list(mirrors, tmp_path, monkeypatch):
-    monkeypatch.setattr(indian_pines, "PACKAGE", ("no_such_package", "data"))
+    monkeypatch.setattr(INDIAN_PINES, "PACKAGE", ("no_such_package", "data"))
     where = {info.name: info.where for info in list_datasets()}
     assert where.pop("digits") == "embedded"
     assert len(where) == 5
     assert set(where.values()) == {"not here"}
     assert [(result.file, result.ok) for result in check("mnist")] == [
-        (file, False) for file in idx.IDX_FILES
+        (file, False) for file in IdxImages.FILES
     ]
     assert "No such file" in check("mnist")[0].detail
     assert check("digits")[0].ok
@@ -193,7 +194,7 @@ def test_a_download_says_how_far_it_is(monkeypatch):
 
     monkeypatch.setattr(store, "terminal_bar", bar)
     monkeypatch.setattr(pooch, "retrieve", retrieve)
-    store.retrieve("mnist", "images.gz", "sha256:0", ("http://here/",))
+    store.download_files("mnist", {"images.gz": "sha256:0"}, ("http://here/",))
     assert shares == [("images.gz", share) for share in (0, 0.5, 1)]
 
 

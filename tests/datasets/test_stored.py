@@ -9,7 +9,7 @@ from PIL import Image
 
 import deepfsi
 from deepfsi.base import InputError
-from deepfsi.datasets import arrays, load_dataset, pictures, values
+from deepfsi.datasets import StoredScenes, arrays, levels, load_dataset, pictures
 from shared.benchmarks import benchmark
 
 SCENES = 600
@@ -21,7 +21,7 @@ def large(monkeypatch):
     """Take all scenes for large ones, and read few values at once."""
     monkeypatch.setattr(arrays, "LARGE", 0)
     monkeypatch.setattr(pictures, "LARGE", 0)
-    monkeypatch.setattr(values, "PART", 5000)
+    monkeypatch.setattr(levels, "VALUES_AT_ONCE", 5000)
 
 
 def scenes() -> tuple[np.ndarray, np.ndarray]:
@@ -62,7 +62,7 @@ def tensors(design) -> list[np.ndarray]:
 def test_large_data_are_the_same_data_set(form, tmp_path, large, monkeypatch):
     """Hash, order, parts and reflectance are those of the arrays in memory."""
     stored = load_dataset(given(form, tmp_path), rescale=(0.2, 0.9))
-    assert isinstance(stored.x_train, values.StoredScenes)
+    assert isinstance(stored.x_train, StoredScenes)
     monkeypatch.setattr(arrays, "LARGE", 2**30)
     whole = load_dataset(scenes(), rescale=(0.2, 0.9))
     assert stored.hash == whole.hash

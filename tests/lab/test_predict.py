@@ -11,8 +11,7 @@ from PIL import Image
 
 import deepfsi
 from deepfsi import InputError, load_dataset
-from deepfsi.datasets import write_display
-from deepfsi.datasets.load import DIM_BLACK
+from deepfsi.datasets import DIM_BLACK, write_display
 from shared.jobs import learn
 
 
@@ -142,10 +141,10 @@ def test_what_cannot_be_predicted_is_refused(design, digits, tmp_path):
 
 
 def test_mnist_pictures_of_28_pixels_are_framed(tmp_path):
-    from deepfsi.datasets import Origin, prepared
+    from deepfsi.datasets import Origin, prepare_display
 
     Image.fromarray(np.full((28, 28), 255, np.uint8)).save(tmp_path / "a.png")
-    shown = prepared(tmp_path / "a.png", Origin(data="mnist"))
+    shown = prepare_display(tmp_path / "a.png", Origin(data="mnist"))
     assert shown.x.shape == (1, 32, 32)
     assert shown.x[0, 0, 0] == pytest.approx(0.3)
     assert shown.x[0, 2, 2] == pytest.approx(1.0)

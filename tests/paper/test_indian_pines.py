@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from deepfsi.datasets import indian_pines as scene_files
-from deepfsi.datasets.indian_pines import load_scene
+from deepfsi.datasets import load_indian_pines
 from deepfsi.report.style import svg
 from deepfsi_paper import experiment, studies
 from deepfsi_paper.indian_pines import claims as indian_pines
@@ -104,7 +104,7 @@ def test_both_splits_are_trained_and_tested_apart(study):
     }
     assert len(keys["random"]) == len(keys["blocks"]) > 0
     assert not keys["random"] & keys["blocks"]
-    scene = load_scene()
+    scene = load_indian_pines()
     for split, part in results.extra["parts"].items():
         train, test = scene.parts(split)
         uses = Packed(**part["uses"]).values
@@ -117,7 +117,7 @@ def test_both_splits_are_trained_and_tested_apart(study):
 def test_maps_show_what_the_design_says_of_each_pixel(study):
     _, results, _ = study
     extra = results.extra
-    scene = load_scene()
+    scene = load_indian_pines()
     for row in extra["maps"]:
         seen = Packed(**row["map"]).values
         uses = Packed(**extra["parts"][row["split"]]["uses"]).values

@@ -2,12 +2,14 @@
 
 import numpy as np
 
-from deepfsi.datasets.readouts import Readouts
+from deepfsi.datasets import MeasuredReadouts
 
 CLASSES, EACH, MODES = 3, 400, 5
 
 
-def drifting(order: str, drift: float = 3.0, seed: int = 0, ordered: bool = False) -> Readouts:
+def drifting(
+    order: str, drift: float = 3.0, seed: int = 0, ordered: bool = False
+) -> MeasuredReadouts:
     """Readouts (n, k) of three classes under a random walk of the set-up, which a monitor reads."""
     # order "blocks": each file one after another; "turns": file after file at each place
     rng = np.random.default_rng(seed)
@@ -22,13 +24,13 @@ def drifting(order: str, drift: float = 3.0, seed: int = 0, ordered: bool = Fals
         centres[file] + rng.normal(size=(count, MODES)) + np.outer(state, rng.normal(size=MODES))
     )
     monitor = state[:, None] + rng.normal(scale=0.05, size=(count, 2))
-    return Readouts(
+    return MeasuredReadouts(
         name="made up",
         values=values,
         y=file,
         classes=("a", "b", "c"),
         file=file,
-        place=time.astype(float) if ordered else place,
+        position=time.astype(float) if ordered else place,
         ordered=ordered,
         picture=None,
         monitors={"laser": monitor},

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from readout_samples import CLASSES, EACH, drifting
 
-from deepfsi.datasets.readouts import Variables, read_readouts
+from deepfsi.datasets import Variables, read_readouts
 from deepfsi.design import classify_readouts
 from deepfsi.training import learn_readouts, measure_readouts
 from deepfsi.training.readouts import measure_order
@@ -87,7 +87,7 @@ def test_monitors_tell_the_class_of_blocks_and_not_of_turns():
 
 def test_a_drift_is_named_where_the_last_part_is_worse():
     table = drifting("turns", drift=0.0)
-    late = table.place > 0.8 * EACH - 1
+    late = table.position > 0.8 * EACH - 1
     moved = replace(table, values=table.values - 6.0 * late[:, None])
     words = [
         next(line for line in result_of(t).verdict if line[:5] == "drift") for t in (table, moved)

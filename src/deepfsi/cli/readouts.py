@@ -95,7 +95,7 @@ def readouts(
     if figure is not None:
         paths.check_file(figure, paths.PICTURES, force)
     from deepfsi.base import check_choice
-    from deepfsi.datasets.readouts import Variables, read_readouts
+    from deepfsi.datasets import Variables, read_readouts
     from deepfsi.training import learn_readouts, measure_readouts
 
     variables = Variables(values, label, picture, order, tuple(monitor or ()))

@@ -7,44 +7,73 @@ last of them are a fair sample to validate on (`Dataset.hold_out`).
 """
 
 from deepfsi.datasets.arrays import as_test_part, from_arrays
-from deepfsi.datasets.catalog import check, download, list_datasets
-from deepfsi.datasets.conditions import ambient, jitter
-from deepfsi.datasets.dataset import Dataset, Origin
-from deepfsi.datasets.display import array_display, read_display, write_display, write_pictures
+from deepfsi.datasets.catalog import (
+    DIM_BLACK,
+    check,
+    download,
+    list_datasets,
+    load_indian_pines,
+)
+from deepfsi.datasets.dataset import Dataset, MeasureTitle, Origin
+from deepfsi.datasets.decoding import check_grey_levels, is_deep, unread_kind
+from deepfsi.datasets.display import (
+    Display,
+    array_display,
+    read_display,
+    read_scene_list,
+    write_display,
+    write_pictures,
+)
+from deepfsi.datasets.levels import StoredScenes, is_stored
 from deepfsi.datasets.load import (
     Source,
-    absolute,
+    absolute_source,
     as_dataset,
     check_source,
     load_dataset,
-    prepared,
-    takes,
+    options_of,
+    prepare_display,
 )
+from deepfsi.datasets.readouts import MeasuredReadouts, Variables, read_readouts
 from deepfsi.datasets.spectra import SpectralImage
-from deepfsi.datasets.values import StoredScenes, is_stored
+from deepfsi.datasets.store import cache_folder, fetch
+from deepfsi.datasets.variants import ambient, jitter
 
 __all__ = [
+    "DIM_BLACK",
     "Dataset",
+    "Display",
+    "MeasureTitle",
+    "MeasuredReadouts",
     "Origin",
     "Source",
     "SpectralImage",
     "StoredScenes",
-    "absolute",
+    "Variables",
+    "absolute_source",
     "ambient",
     "array_display",
     "as_dataset",
     "as_test_part",
+    "cache_folder",
     "check",
+    "check_grey_levels",
     "check_source",
     "download",
+    "fetch",
     "from_arrays",
+    "is_deep",
     "is_stored",
     "jitter",
     "list_datasets",
     "load_dataset",
-    "prepared",
+    "load_indian_pines",
+    "options_of",
+    "prepare_display",
     "read_display",
-    "takes",
+    "read_readouts",
+    "read_scene_list",
+    "unread_kind",
     "write_display",
     "write_pictures",
 ]

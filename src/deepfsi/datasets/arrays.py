@@ -12,36 +12,21 @@ import numpy.typing as npt
 
 from deepfsi.base import InputError, Message, plain_keywords
 from deepfsi.base.numeric import check_memory, free_memory, is_whole_number, normal_name, read_npz
-from deepfsi.datasets.dataset import Dataset, Labels, Reflectance, Truth
-from deepfsi.datasets.values import (
+from deepfsi.datasets.dataset import Dataset, Ends, Labels, LoadOptions, Reflectance, Truth
+from deepfsi.datasets.levels import (
     LARGE,
-    Levels,
+    AnyArray,
     StoredScenes,
-    Values,
+    ValueRange,
     grey,
     is_stored,
     mapped,
-    measure,
+    measure_levels,
     reflectance,
 )
 
-Range: TypeAlias = tuple[float, float]
 Scenes: TypeAlias = tuple[npt.ArrayLike, npt.ArrayLike]
 """Scenes (n, H, W), (n, H, W, 3) or (n, N), and their labels (n,) or values (n, q)."""
-
-
-class Options(NamedTuple):
-    """Options of `load_dataset`, which says what they are."""
-
-    size: int | tuple[int, int] | None
-    seed: int
-    rescale: Range | None
-    images: int | None
-    split: str | None
-    white: float | None
-    skip_bad: bool = False
-    normal: str | None = None
-
 
 TEST_SHARE = 5
 """One scene in so many is for testing, wherever this package draws a test part."""
@@ -52,7 +37,7 @@ SPLIT_MINIMUM = 5
 SCENE_BYTES = 8
 """Bytes for each value of a scene while a data set is made: two copies of 32 bits."""
 
-COLOURS = (1, 3, 4)
+COLOUR_CHANNELS = (1, 3, 4)
 """Values of a pixel in an array of colours: grey, RGB, RGB with transparency."""
 
 
@@ -67,7 +52,7 @@ def from_arrays(
     values: Sequence[str] | None = None,
     name: str = "arrays",
     seed: int = 0,
-    rescale: Range | None = None,
+    rescale: Ends | None = None,
 ) -> Dataset:
     """Make a data set of arrays in memory. The training scenes are shuffled with the seed.
 
@@ -78,7 +63,7 @@ def from_arrays(
     ----------
     x : array, shape (n, H, W) or (n, H, W, 3) for images, (n, N) for spectra
         Scenes. Floats are reflectance in [0, 1], truth values 0 and 1; uint8 is divided by 255,
-        other integers by the white of their depth, as `deepfsi.datasets.values` says. Colours
+        other integers by the white of their depth, as `deepfsi.datasets.levels` says. Colours
         are turned to grey.
     y : array, shape (n,) or (n, q)
         Labels (n,), integers or strings, whose sorted values become the classes 0 .. C-1. Or
@@ -138,7 +123,7 @@ def as_test_part(
     y : array, shape (n,) or (n, q)
         Names of the classes, or their numbers from 0; or values.
     image_shape : tuple of int
-        Shape of a scene of the design.
+        PictureSize of a scene of the design.
     classes, values : sequence of str
         Names of its classes, or of its values.
 
@@ -148,22 +133,30 @@ def as_test_part(
         If the arrays do not fit each other, or hold other classes or values.
     """
     name = "arrays"
-    given = np.asarray(x)
-    if given.ndim == 2 and given.shape[1] == prod(image_shape):
-        x = given.reshape(-1, *image_shape)
+    pixels = np.asarray(x)
+    if pixels.ndim == 2 and pixels.shape[1] == prod(image_shape):
+        x = pixels.reshape(-1, *image_shape)
     [scenes], described, levels = _scenes([x], name)
-    truth: Truth
     if values:
-        truth, _, called = _values(y, None, Names(values=values), [len(scenes)], name)
+        targets = _values((y, None), Names(values=values), [len(scenes)], name)
     else:
         labels = _labels(y, len(scenes), f"{name}: y")
         words = labels.astype(str)
         labels = words if set(words.tolist()) <= set(classes) else labels
         names, numbers = _class_names(labels, classes, name)
-        truth, called = _class_numbers(labels, numbers, f"{name}: y"), {"classes": names}
-    both = (scenes, truth)
-    data = assemble(name, both, both, described=described, rescale=None, **called)
-    return replace(data, x_train=data.x_train[:0], y_train=truth[:0], white=levels.chosen_white)
+        targets = Targets(_class_numbers(labels, numbers, f"{name}: y"), None, names)
+    part = scenes, targets.y
+    data = assemble(
+        name,
+        part,
+        part,
+        described=described,
+        rescale=None,
+        classes=targets.classes,
+        values=targets.values,
+    )
+    white = levels.chosen_white
+    return replace(data, x_train=data.x_train[:0], y_train=targets.y[:0], white=white)
 
 
 class Names(NamedTuple):
@@ -176,6 +169,25 @@ class Names(NamedTuple):
 NO_NAMES = Names()
 
 
+class Targets(NamedTuple):
+    """Classes or values of the training part and, if there is one, of the test part.
+
+    Attributes
+    ----------
+    y : array
+        Classes (n,) int64, or values (n, q) float32.
+    y_test : array or None
+        Those of the test part.
+    classes, values : tuple of str
+        Names of the classes, or of the values; the other is empty.
+    """
+
+    y: Truth
+    y_test: Truth | None
+    classes: tuple[str, ...] = ()
+    values: tuple[str, ...] = ()
+
+
 def split_arrays(
     train: Scenes,
     test: Sequence[npt.ArrayLike | None] = (None, None),
@@ -183,40 +195,54 @@ def split_arrays(
     names: Names = NO_NAMES,
     name: str,
     seed: int,
-    rescale: Range | None,
+    rescale: Ends | None,
     described: str | None = None,
     white: float | None = None,
-    levels: Levels | None = None,
+    levels: ValueRange | None = None,
 ) -> Dataset:
-    """`from_arrays` with a description of the scenes, for `Dataset.preprocessing`."""
-    # Parameters as of `from_arrays` and `load_dataset`; without a test part, it is drawn from the
-    # training part, without a description the scenes are described as they are, and without
-    # levels they are measured
+    """Data set of arrays, whose test part is drawn where there is none.
+
+    Parameters
+    ----------
+    train, test : pair of arrays
+        Scenes and labels or values, as of `from_arrays`.
+    names : Names
+        Of classes or of values.
+    name, seed, rescale
+        As of `from_arrays`.
+    described : str, optional
+        Changes made to the scenes, for `Dataset.preprocessing`; unless given, it tells their
+        levels.
+    white : float, optional
+        As of `load_dataset`.
+    levels : ValueRange, optional
+        Of the scenes; measured unless given.
+    """
     check_seed(seed)
     x_test, y_test = test
     if (x_test is None) != (y_test is None):
         raise InputError(f"{name}: only one of x_test and y_test is there; give both or neither")
-    given = [train[0]] if x_test is None else [train[0], x_test]
-    scenes, words, levels = _scenes(given, name, white, levels)
-    found = _values if np.asarray(train[1]).dtype.kind == "f" else _classes
-    y, tested, called = found(train[1], y_test, names, [len(part) for part in scenes], name)
-    if tested is None:
-        from sklearn.model_selection import train_test_split
-
-        order, drawn = train_test_split(
-            np.arange(len(y)),
-            test_size=1 / TEST_SHARE,
-            stratify=y if "classes" in called else None,
-            random_state=seed,
-        )
-        held = _taken(scenes[0], drawn), y[drawn]
+    parts = [train[0]] if x_test is None else [train[0], x_test]
+    scenes, words, levels = _scenes(parts, name, white, levels)
+    find = _values if np.asarray(train[1]).dtype.kind == "f" else _classes
+    targets = find((train[1], y_test), names, [len(part) for part in scenes], name)
+    y = targets.y
+    if targets.y_test is None:
+        order, drawn = draw_fifth(len(y), y if targets.classes else None, seed)
+        tested = _taken(scenes[0], drawn), y[drawn]
     else:
         order = np.random.default_rng(seed).permutation(len(y))
-        held = scenes[1], tested
-    trained = _taken(scenes[0], order), y[order]
-    said = described or words
-    data = assemble(name, trained, held, described=said, rescale=rescale, **called)
-    return replace(data, white=levels.chosen_white, drawn=tested is None)
+        tested = scenes[1], targets.y_test
+    data = assemble(
+        name,
+        (_taken(scenes[0], order), y[order]),
+        tested,
+        described=described or words,
+        rescale=rescale,
+        classes=targets.classes,
+        values=targets.values,
+    )
+    return replace(data, white=levels.chosen_white, drawn=targets.y_test is None)
 
 
 def _taken(x: Reflectance, rows: npt.NDArray[np.intp]) -> Reflectance:
@@ -224,64 +250,71 @@ def _taken(x: Reflectance, rows: npt.NDArray[np.intp]) -> Reflectance:
     return cast(Reflectance, x.taken(rows)) if is_stored(x) else x[rows]
 
 
-Answers: TypeAlias = tuple[Truth, Truth | None, dict[str, Any]]
-"""Classes (n,) or values (n, q) of the training and the test part, and their names."""
+Parts: TypeAlias = tuple[npt.ArrayLike, npt.ArrayLike | None]
+"""Labels or values of the training and of the test part."""
 
 
-def _classes(
-    given: npt.ArrayLike, test: npt.ArrayLike | None, names: Names, scenes: list[int], name: str
-) -> Answers:
-    """Class numbers of labels, which are integers or strings."""
-    y = _labels(given, scenes[0], f"{name}: y")
+def _classes(parts: Parts, names: Names, scenes: list[int], name: str) -> Targets:
+    """Class numbers of labels, which are integers or strings, one for each of so many scenes."""
+    y, y_test = parts
+    labels = _labels(y, scenes[0], f"{name}: y")
     if names.values is not None:
         raise InputError(f"{name}: names of values go with y of floats; give `classes`, or floats")
-    called, numbers = _class_names(y, names.classes, name)
-    labels = _class_numbers(y, numbers, f"{name}: y")
-    _check_counts(labels, called, name, drawn=test is None)
-    tested = None
-    if test is not None:
-        known = _labels(test, scenes[1], f"{name}: y_test")
-        tested = _class_numbers(known, numbers, f"{name}: y_test")
-    return labels, tested, {"classes": called}
+    classes, numbers = _class_names(labels, names.classes, name)
+    truth = _class_numbers(labels, numbers, f"{name}: y")
+    sizes = np.bincount(truth, minlength=len(classes))
+    fewest = classes[sizes.argmin()]
+    count = sizes.min()
+    if y_test is None and count < SPLIT_MINIMUM:
+        raise InputError(
+            f"{name}: class '{fewest}' has {count} scenes; to draw a test part give "
+            f"{SPLIT_MINIMUM} or more of each class, or a test part of your own"
+        )
+    if count == 0:
+        raise InputError(f"{name}: class '{fewest}' has no training scenes; give some")
+    if y_test is None:
+        return Targets(truth, None, classes)
+    what = f"{name}: y_test"
+    return Targets(truth, _class_numbers(_labels(y_test, scenes[1], what), numbers, what), classes)
 
 
-def _values(
-    given: npt.ArrayLike, test: npt.ArrayLike | None, names: Names, scenes: list[int], name: str
-) -> Answers:
-    """Values of scenes, which are floats."""
+def _values(parts: Parts, names: Names, scenes: list[int], name: str) -> Targets:
+    """Values of so many scenes, which are floats."""
     if names.classes is not None:
         raise InputError(
             "{name}: names of classes go with labels; y is of floats, give {values}",
             setting="values",
             name=name,
         )
-    parts = [given] if test is None else [given, test]
-    found = []
-    for part, count, what in zip(parts, scenes, (f"{name}: y", f"{name}: y_test"), strict=False):
-        check_unmasked(part, what)
-        y = np.asarray(part, dtype=np.float32)
-        y = y[:, None] if y.ndim == 1 else y
-        if y.ndim != 2 or len(y) != count or not np.isfinite(y).all():
+    truths = []
+    for part, count, what in zip(parts, scenes, ("y", "y_test"), strict=False):
+        if part is None:
+            continue
+        check_unmasked(part, f"{name}: {what}")
+        truth = np.asarray(part, dtype=np.float32)
+        truth = truth[:, None] if truth.ndim == 1 else truth
+        if truth.ndim != 2 or len(truth) != count or not np.isfinite(truth).all():
             raise InputError(
-                f"{what} of shape {np.shape(part)} for {count} scenes; give (scenes,) or "
+                f"{name}: {what} of shape {np.shape(part)} for {count} scenes; give (scenes,) or "
                 "(scenes, values) finite numbers"
             )
-        found.append(y)
+        truths.append(truth)
+    train = truths[0]
     if names.values is None:
-        check_no_classes(found[0], f"{name}: y")
-    count = found[0].shape[1]
-    called = tuple(names.values or (f"value {k + 1}" for k in range(count)))
-    if len(set(called)) != count or any(y.shape[1] != count for y in found):
+        check_no_classes(train, f"{name}: y")
+    width = train.shape[1]
+    values = tuple(names.values or (f"value {k + 1}" for k in range(width)))
+    if len(set(values)) != width or truths[-1].shape[1] != width:
         raise InputError(
-            f"{name}: {count} values of a training scene, {found[-1].shape[1]} of a test scene, "
-            f"named {', '.join(called)}; give each value one name of its own, in both parts"
+            f"{name}: {width} values of a training scene, {truths[-1].shape[1]} of a test scene, "
+            f"named {', '.join(values)}; give each value one name of its own, in both parts"
         )
-    if len(found[0]) < SPLIT_MINIMUM or not (np.ptp(found[0], axis=0) > 0).all():
+    if len(train) < SPLIT_MINIMUM or not (np.ptp(train, axis=0) > 0).all():
         raise InputError(
             f"{name}: a value is the same of all training scenes, or they are fewer than "
             f"{SPLIT_MINIMUM}; give values that differ"
         )
-    return found[0], found[1] if test is not None else None, {"values": called}
+    return Targets(train, truths[1] if len(truths) > 1 else None, values=values)
 
 
 def check_no_classes(
@@ -315,19 +348,6 @@ def check_no_classes(
     )
 
 
-def _check_counts(labels: Labels, names: tuple[str, ...], name: str, drawn: bool) -> None:
-    """Raise `InputError` for a class of too few scenes, to draw a test part or at all."""
-    sizes = np.bincount(labels, minlength=len(names))
-    fewest, count = names[sizes.argmin()], sizes.min()
-    if drawn and count < SPLIT_MINIMUM:
-        raise InputError(
-            f"{name}: class '{fewest}' has {count} scenes; to draw a test part give "
-            f"{SPLIT_MINIMUM} or more of each class, or a test part of your own"
-        )
-    if count == 0:
-        raise InputError(f"{name}: class '{fewest}' has no training scenes; give some")
-
-
 def check_seed(seed: object) -> None:
     """Raise `InputError` for what scikit-learn cannot take as a seed."""
     if not (isinstance(seed, int | np.integer) and 0 <= seed < 2**32):
@@ -338,50 +358,52 @@ def _scenes(
     parts: Sequence[npt.ArrayLike],
     name: str,
     white: float | None = None,
-    levels: Levels | None = None,
-) -> tuple[list[Reflectance], str, Levels]:
-    """Reflectance but for rounding, (n, H, W) or (n, N); what was done; levels."""
-    # Large scenes are stored as they are
-    given: dict[str, Values] = {}
-    said = ""
+    levels: ValueRange | None = None,
+) -> tuple[list[Reflectance], str, ValueRange]:
+    """Reflectance (n, H, W) or (n, N) of each part, changes in words, levels.
+
+    Large scenes are stored as they are.
+    """
+    read: dict[str, AnyArray] = {}
+    colours = ""
     for part, what in zip(parts, (f"{name}: x", f"{name}: x_test"), strict=False):
         check_unmasked(part, what)
         scenes = np.asarray(part)
-        if scenes.ndim == 4 and scenes.shape[3] in COLOURS and scenes.size:
-            said = "; colours turned to grey" if scenes.shape[3] > 1 else ""
+        if scenes.ndim == 4 and scenes.shape[3] in COLOUR_CHANNELS and scenes.size:
+            colours = "; colours turned to grey" if scenes.shape[3] > 1 else ""
             scenes = grey(scenes, what)
         if scenes.ndim not in (2, 3) or scenes.size == 0:
             raise InputError(
                 f"{what} has shape {scenes.shape}; give (n, H, W) for grey images, (n, H, W, 3) "
                 "for RGB, (n, N) for spectra"
             )
-        given[what] = scenes
-    shapes = [part.shape[1:] for part in given.values()]
+        read[what] = scenes
+    shapes = [part.shape[1:] for part in read.values()]
     if shapes[0] != shapes[-1]:
         raise InputError(
             f"{name}: a scene has shape {shapes[0]} in x but {shapes[-1]} in x_test; bring both "
             "to one shape"
         )
-    levels = levels or measure(given, white)
+    levels = levels or measure_levels(read, white)
     words = levels.words[0].upper() + levels.words[1:]
-    size = sum(part.size for part in given.values())
+    size = sum(part.size for part in read.values())
     if 4 * size > LARGE:
-        stored = [cast(Reflectance, StoredScenes(part, levels)) for part in given.values()]
-        return stored, words + said, levels
-    count = sum(len(part) for part in given.values())
+        stored = [cast(Reflectance, StoredScenes(part, levels)) for part in read.values()]
+        return stored, words + colours, levels
+    count = sum(len(part) for part in read.values())
     check_memory(
         SCENE_BYTES * size,
         free_memory(),
         f"{name}: {count} scenes of {shapes[0]} values",
         "give fewer or smaller ones",
     )
-    return [reflectance(part, levels) for part in given.values()], words + said, levels
+    return [reflectance(part, levels) for part in read.values()], words + colours, levels
 
 
-def _labels(given: npt.ArrayLike, scenes: int, what: str) -> npt.NDArray[Any]:
+def _labels(y: npt.ArrayLike, scenes: int, what: str) -> npt.NDArray[Any]:
     """Labels (n,), integers or strings, one for each of so many scenes."""
-    check_unmasked(given, what)
-    labels = np.asarray(given)
+    check_unmasked(y, what)
+    labels = np.asarray(y)
     if labels.dtype == object and all(isinstance(label, str) for label in labels.flat):
         labels = labels.astype(str)
     if labels.shape in ((scenes, 1), (1, scenes)):  # MATLAB's vectors
@@ -404,31 +426,26 @@ def _class_names(
     labels: npt.NDArray[Any], classes: Sequence[str] | None, name: str
 ) -> tuple[tuple[str, ...], dict[int | str, int]]:
     """Class names, and the class number of each label."""
-    known = np.unique(labels).tolist()
-    names = tuple(str(label) for label in known) if classes is None else tuple(classes)
+    keys = np.unique(labels).tolist()
+    names = tuple(str(label) for label in keys) if classes is None else tuple(classes)
     if len(names) < 2:
         raise InputError(f"{name}: only one class, {', '.join(names)}; give two or more")
     if len(set(names)) < len(names):
         raise InputError(f"{name}: classes {', '.join(names)}; give each its own name")
-    _check_spellings(names, name)
-    if classes is not None:
-        known = list(names if labels.dtype.kind == "U" else range(len(names)))
-    return names, {label: number for number, label in enumerate(known)}
-
-
-def _check_spellings(names: Sequence[str], name: str) -> None:
-    """Raise `InputError` for names that differ in blanks, case, zeros or a last dot alone."""
-    by_key: dict[str, str] = {}
-    for each in names:
-        plain = "".join(one for one in normalize("NFKC", each) if category(one) != "Cf")
+    by_spelling: dict[str, str] = {}
+    for word in names:
+        plain = "".join(one for one in normalize("NFKC", word) if category(one) != "Cf")
         key = " ".join(plain.split()).rstrip(". ")
         key = key.casefold() if len(key) > 1 else key  # letters to be read may be large or small
         key = str(int(key)) if is_whole_number(key) else key
-        if (other := by_key.setdefault(key, each)) != each:
+        if (other := by_spelling.setdefault(key, word)) != word:
             raise InputError(
-                f"{name}: the classes {other!r} and {each!r} differ in case, blanks, zeros or a "
+                f"{name}: the classes {other!r} and {word!r} differ in case, blanks, zeros or a "
                 "dot alone: give both the same name, or names that differ"
             )
+    if classes is not None:
+        keys = list(names if labels.dtype.kind == "U" else range(len(names)))
+    return names, {label: number for number, label in enumerate(keys)}
 
 
 def check_unmasked(values: npt.ArrayLike, what: str) -> None:
@@ -454,14 +471,24 @@ def assemble(
     test: tuple[Reflectance, Truth],
     *,
     described: str,
-    rescale: Range | None,
+    rescale: Ends | None,
     classes: tuple[str, ...] = (),
     values: tuple[str, ...] = (),
     wavelengths: npt.NDArray[np.float64] | None = None,
 ) -> Dataset:
-    """Data set of scenes that are ready but for rescaling, which is done in place."""
-    # Parameters as of `split_arrays` and `Dataset`; each part is reflectance, (n, H, W) or (n, N),
-    # and classes, (n,), or values, (n, q)
+    """Data set of scenes that are ready but for rescaling, which is done in place.
+
+    Parameters
+    ----------
+    name, classes, values, wavelengths
+        As of `Dataset`.
+    train, test : pair of arrays
+        Reflectance, (n, H, W) or (n, N), and classes, (n,), or values, (n, q).
+    described : str
+        Changes made to the scenes.
+    rescale : (float, float) or None
+        As of `from_arrays`.
+    """
     low, high = (0.0, 1.0) if rescale is None else rescale
     if not 0 <= low < high <= 1:
         raise InputError(f"rescale ({low}, {high}): give low and high with 0 <= low < high <= 1")
@@ -473,7 +500,7 @@ def assemble(
         else mapped(x, low, high).reshape(len(x), -1)
         for x, _ in (train, test)
     )
-    said = "" if (low, high) == (0, 1) else f", then mapped from [0, 1] to [{low:g}, {high:g}]"
+    ends = "" if (low, high) == (0, 1) else f", then mapped from [0, 1] to [{low:g}, {high:g}]"
     return Dataset(
         name=name,
         x_train=x_train,
@@ -484,16 +511,46 @@ def assemble(
         classes=classes,
         values=values,
         measure="R²" if values else "accuracy",
-        preprocessing=f"{described}{said}.",
+        preprocessing=f"{described}{ends}.",
         wavelengths=wavelengths,
     )
+
+
+def draw_fifth(
+    count: int, classes: Labels | None, seed: int
+) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+    """Indices of the scenes to train on, in random order, and of a fifth of them to test on.
+
+    Parameters
+    ----------
+    count : int
+        Number of scenes n.
+    classes : array of int, shape (n,), or None
+        Of which each class gives its share.
+    seed : int
+    """
+    from sklearn.model_selection import train_test_split
+
+    train, test = train_test_split(
+        np.arange(count), test_size=1 / TEST_SHARE, stratify=classes, random_state=seed
+    )
+    return train, test
 
 
 def draw_stratified(
     labels: npt.ArrayLike, count: int, seed: int, name: str
 ) -> npt.NDArray[np.intp]:
-    """Sorted indices of scenes drawn so that each class has as nearly its share as can be."""
-    # labels (n,)
+    """Sorted indices of scenes drawn so that each class has as nearly its share as can be.
+
+    Parameters
+    ----------
+    labels : array, shape (n,)
+    count : int
+        Scenes to draw.
+    seed : int
+    name : str
+        Of the data set, for messages.
+    """
     check_seed(seed)
     labels = np.asarray(labels)
     values, numbers, sizes = np.unique(labels, return_inverse=True, return_counts=True)
@@ -508,7 +565,7 @@ def draw_stratified(
     return np.sort(order[np.argsort(rank, kind="stable")[:count]])
 
 
-def load_npz(path: Path, options: Options) -> Dataset:
+def load_npz(path: Path, options: LoadOptions) -> Dataset:
     """Data set of the arrays `x` and `y`, and of a test part where it is there."""
     arrays = read_npz(path)
     if not {"x", "y"} <= arrays.keys() <= {"x", "y", "x_test", "y_test", "values"}:
@@ -516,11 +573,11 @@ def load_npz(path: Path, options: Options) -> Dataset:
             f"{path} holds {', '.join(arrays) or 'nothing'}; "
             "give x and y, optionally x_test, y_test and names of values, and no other names"
         )
-    called = arrays.get("values")
+    values = arrays.get("values")
     return split_arrays(
         (arrays["x"], arrays["y"]),
         (arrays.get("x_test"), arrays.get("y_test")),
-        names=Names(values=None if called is None else np.atleast_1d(called).astype(str).tolist()),
+        names=Names(values=None if values is None else np.atleast_1d(values).astype(str).tolist()),
         name=path.stem,
         seed=options.seed,
         rescale=options.rescale,

@@ -4,22 +4,38 @@ import hashlib
 import json
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, SerializerFunctionWrapHandler, model_serializer
 
 from deepfsi.base import InputError
-from deepfsi.datasets.values import is_stored
+from deepfsi.datasets.levels import is_stored
 
 Reflectance: TypeAlias = npt.NDArray[np.float32]
 Labels: TypeAlias = npt.NDArray[np.int64]
 Truth: TypeAlias = npt.NDArray[Any]
 """Classes (n,) int64, or values (n, q) float32."""
 
+Ends: TypeAlias = tuple[float, float]
+"""Low and high."""
+
 MeasureTitle = Literal["accuracy", "AUC", "R²"]
 """What the answers to a data set are measured by."""
+
+
+class LoadOptions(NamedTuple):
+    """Options of `load_dataset`, which says what they are."""
+
+    size: int | tuple[int, int] | None = None
+    seed: int = 0
+    rescale: Ends | None = None
+    images: int | None = None
+    split: str | None = None
+    white: float | None = None
+    skip_bad: bool = False
+    normal: str | None = None
 
 
 class Origin(BaseModel):
@@ -31,7 +47,7 @@ class Origin(BaseModel):
     # As in `load_dataset`; white is the one in force, where the type of the values has none
     size: tuple[int, int] | None = None
     seed: int = 0
-    rescale: tuple[float, float] | None = None
+    rescale: Ends | None = None
     images: int | None = None
     split: str | None = None
     white: float | None = None
@@ -67,7 +83,7 @@ class Dataset:
         Name in tables and records.
     x_train, x_test : array, shape (n, N), float32
         Reflectance after preprocessing, dimensionless in [0, 1]. Of large data it is a
-        `datasets.values.StoredScenes`, whose rows are read from the values as they came.
+        `datasets.StoredScenes`, whose rows are read from the values as they came.
     y_train, y_test : array
         Class of each scene, 0 .. C-1, (n,) int64; or its values, (n, q) float32.
     image_shape : tuple of int
@@ -89,7 +105,7 @@ class Dataset:
         Names of the q values of a scene, such as its position; none where scenes have classes.
     measure : {"accuracy", "AUC", "R²"}
         Measure of the answers: of scenes with classes the accuracy, of one class against anomalies
-        (`datasets.anomalies`) the area under the ROC curve, of values the share of their variance
+        (`datasets.variants`) the area under the ROC curve, of values the share of their variance
         that the answers explain.
     drawn : bool
         Whether the test part was drawn from the scenes at random, so that `folds` may draw others.
@@ -223,27 +239,21 @@ class Dataset:
             raise InputError(
                 f"{self.name}: {count} folds of {fewest} {least}: give 2 to {max(fewest, 2)}"
             )
-        rng = np.random.default_rng(seed)
-        order = rng.permutation(len(y))
+        order = np.random.default_rng(seed).permutation(len(y))
         labels = y[order] if self.classes else np.zeros(len(y), dtype=np.int64)
         # the scenes of each class in turn, one to each fold
-        places = np.argsort(labels, kind="stable")
         fold = np.empty(len(y), dtype=np.int64)
-        fold[places] = np.arange(len(y)) % count
-        made = []
-        for place in range(count):
-            rest, tested = order[fold != place], order[fold == place]
-            origin = self.origin and self.origin.model_copy(update={"fold": (place, count)})
-            made.append(
-                replace(
-                    self,
-                    name=f"{self.name}, fold {place + 1} of {count}",
-                    x_train=x[rest],
-                    y_train=y[rest],
-                    x_test=x[tested],
-                    y_test=y[tested],
-                    origin=origin,
-                    drawn=False,
-                )
+        fold[np.argsort(labels, kind="stable")] = np.arange(len(y)) % count
+        return [
+            replace(
+                self,
+                name=f"{self.name}, fold {number + 1} of {count}",
+                x_train=x[order[fold != number]],
+                y_train=y[order[fold != number]],
+                x_test=x[order[fold == number]],
+                y_test=y[order[fold == number]],
+                origin=self.origin and self.origin.model_copy(update={"fold": (number, count)}),
+                drawn=False,
             )
-        return made
+            for number in range(count)
+        ]

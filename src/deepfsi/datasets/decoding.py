@@ -1,7 +1,12 @@
-"""Images that Pillow opens as grey levels of their own depth, and a tally of what they were."""
+"""Images that Pillow opens as grey levels of their own depth, and a tally of what they were.
+
+Pillow gives colours of 16 bits by their upper bytes alone. The lower ones are what it gives of the
+same file when it is told that the bytes of each value stand the other way around.
+"""
 
 import math
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
@@ -10,13 +15,12 @@ import numpy as np
 import numpy.typing as npt
 
 from deepfsi.base import InputError, kind_of_content
-from deepfsi.datasets.deep_colours import deep_values, is_deep
-from deepfsi.datasets.values import Family, Levels, levels_of
+from deepfsi.datasets.levels import Family, ValueRange, grey, levels_of
 
 if TYPE_CHECKING:
     from PIL.Image import Image as PillowImage
 
-Shape = tuple[int, int]
+PictureSize = tuple[int, int]
 
 GREY_MODES = ("1", "L", "LA", "I", "F")
 """Pillow's modes of grey images, besides those that begin with I;16."""
@@ -24,11 +28,44 @@ GREY_MODES = ("1", "L", "LA", "I", "F")
 PHOTOMETRIC_TAG = 262
 """Tag of a TIFF file that is 0 where 0 is white."""
 
-KIND_TAG, BITS_TAG, SIGNED, FLOATS = 339, 258, 2, 3
-"""Tags of a TIFF file for the kind and the bits of its samples, and two of the kinds."""
+BITS_TAG = 258
+"""Tag of a TIFF file for the bits of its samples."""
+
+KIND_TAG = 339
+"""Tag of a TIFF file for the kind of its samples."""
+
+SIGNED = 2
+"""Kind of signed integers."""
+
+FLOATS = 3
+"""Kind of floats."""
 
 ORIENTATION_TAG = 274
 """Tag of EXIF and of a TIFF file that says how a picture is to be turned."""
+
+OTHER = {"L": "B", "B": "L", "N": "B" if sys.byteorder == "little" else "L"}
+"""Orders of the bytes of a value, little-endian, big-endian and native, each with its other one."""
+
+SWAPPED = {
+    f"{mode};16{order}": f"{mode};16{other}"
+    for mode in ("RGB", "RGBA", "RGBX")
+    for order, other in OTHER.items()
+}
+"""Pillow's names of 16-bit colours in a file, and of those with the bytes of a value swapped."""
+
+WITH_TRANSPARENCY = "LA;16B"
+"""Pillow's name of grey levels of 16 bits with transparency, which PNG files have."""
+
+TURNS = {
+    2: "FLIP_LEFT_RIGHT",
+    3: "ROTATE_180",
+    4: "FLIP_TOP_BOTTOM",
+    5: "TRANSPOSE",
+    6: "ROTATE_270",
+    7: "TRANSVERSE",
+    8: "ROTATE_90",
+}
+"""Turns that set a picture upright, by EXIF orientation, in Pillow's names."""
 
 USUAL_GAMMA = 1 / 2.2
 """Gamma of a PNG file (`gAMA`) that is shown as any other."""
@@ -42,41 +79,71 @@ DEPTHS: dict[Family, str] = {"byte": "8 bits", "integer": "more than 8 bits", "f
 
 @dataclass
 class Tally:
-    """Count of pictures that were read, and their range."""
+    """Count of pictures that were read, and their range.
 
-    # Pictures; of them those in colour, with transparency, and the first of several in one file
+    Attributes
+    ----------
+    count : int
+        Pictures that were read.
+    coloured, transparent, several : int
+        Of them those in colour, with transparency, and the first of several in one file.
+    turned, gammas : int
+        Those turned as EXIF says, and those with a gamma of their own.
+    written : int
+        Those that `write_pictures` wrote, as reflectance.
+    packed : int
+        Bytes of their files.
+    sizes : set of (int, int)
+        Heights and widths.
+    family : {"byte", "integer", "float"} or None
+        Type of the values; None before the first.
+    first : str
+        Name of the first, for messages.
+    bad : tuple of str
+        Names of those that could not be read, and were left out.
+    kept : list of int
+        Which of all pictures were read.
+    low, high : float
+        Smallest and largest value, before any averaging.
+    """
+
     count: int = 0
     coloured: int = 0
     transparent: int = 0
     several: int = 0
-    turned: int = 0  # as EXIF says
-    gammas: int = 0  # with a gamma of their own
-    packed: int = 0  # bytes of their files
-    written: int = 0  # by `display.write_pictures`, as reflectance
-    sizes: set[Shape] = field(default_factory=set)  # heights and widths
-    family: Family | None = None  # "byte", "integer" or "float"; None before the first
-    first: str = ""  # name of the first, for messages
-    bad: tuple[str, ...] = ()  # names of those that could not be read, and were left out
-    low: float = math.inf  # smallest and largest value, before any averaging
+    turned: int = 0
+    gammas: int = 0
+    written: int = 0
+    packed: int = 0
+    sizes: set[PictureSize] = field(default_factory=set)
+    family: Family | None = None
+    first: str = ""
+    bad: tuple[str, ...] = ()
+    kept: list[int] = field(default_factory=list)
+    low: float = math.inf
     high: float = -math.inf
 
     def grey(
         self, image: "PillowImage", where: str, again: Callable[[], "PillowImage"]
     ) -> "PillowImage":
-        """Count an image and give it in grey: mode L of 8 bits, else F in its own values."""
-        # `again` opens it a second time
+        """Count an image and give it in grey: mode L of 8 bits, else F in its own values.
+
+        `again` opens it a second time.
+        """
         from PIL import Image
+        from PIL.Image import Transpose
 
         coloured = image.mode not in GREY_MODES and not image.mode.startswith("I;16")
         deep = coloured and is_deep(image)
-        values = deep_values(image, where, again) if deep else _values(image, where)
+        values = _deep_values(image, where, again) if deep else _values(image, where)
         family: Family = {"u": "byte", "i": "integer", "f": "float"}[values.dtype.kind]  # type: ignore[assignment]
         if self.family not in (None, family):
             raise InputError(
                 f"images differ in depth: {self.first} has {DEPTHS[self.family]}, {where} has "
                 f"{DEPTHS[family]}; save all with one depth"
             )
-        self.family, self.first = family, self.first or where
+        self.family = family
+        self.first = self.first or where
         self.count += 1
         self.coloured += coloured
         self.transparent += image.mode in ("LA", "PA", "RGBA") or "transparency" in image.info
@@ -85,15 +152,16 @@ class Tally:
         self.gammas += abs(float(image.info.get("gamma", USUAL_GAMMA)) / USUAL_GAMMA - 1) > 0.01
         self.low = min(self.low, float(values.min()))
         self.high = max(self.high, float(values.max()))
-        grey = Image.fromarray(values if family == "byte" else values.astype(np.float32))
-        turn = _turns().get(image.getexif().get(ORIENTATION_TAG, 1))  # done in TIFF files already
-        self.turned += turn is not None
-        grey = grey if turn is None else grey.transpose(turn)
-        self.sizes.add((grey.height, grey.width))
-        return grey
+        upright = Image.fromarray(values if family == "byte" else values.astype(np.float32))
+        turn = image.getexif().get(ORIENTATION_TAG, 1)  # Pillow turns TIFF files itself
+        if turn in TURNS:
+            self.turned += 1
+            upright = upright.transpose(Transpose[TURNS[turn]])
+        self.sizes.add((upright.height, upright.width))
+        return upright
 
-    def levels(self, white: float | None) -> Levels:
-        """Range of all pictures and their white; parameters as of `levels_of`."""
+    def levels(self, white: float | None) -> ValueRange:
+        """Range of all pictures and their white, which is measured unless given."""
         assert self.family is not None
         name = f"{self.first} and {self.count - 1} others" if self.count > 1 else self.first
         kind = {"byte": "8-bit", "float": "float"}.get(self.family, "16-bit")
@@ -121,24 +189,9 @@ class Tally:
         return ", ".join(parts)
 
 
-def _turns() -> dict[int, Any]:
-    """Turns that set a picture upright, by EXIF orientation; none for 1."""
-    from PIL.Image import Transpose
-
-    return {
-        2: Transpose.FLIP_LEFT_RIGHT,
-        3: Transpose.ROTATE_180,
-        4: Transpose.FLIP_TOP_BOTTOM,
-        5: Transpose.TRANSPOSE,
-        6: Transpose.ROTATE_270,
-        7: Transpose.TRANSVERSE,
-        8: Transpose.ROTATE_90,
-    }
-
-
 def _values(image: "PillowImage", where: str) -> npt.NDArray[Any]:
     """Grey levels of an image: uint8, int64 or float32."""
-    check_levels(image, where)
+    check_grey_levels(image, where)
     if image.mode == "F":
         return np.asarray(image)
     if image.mode != "I" and not image.mode.startswith("I;16"):
@@ -150,8 +203,16 @@ def _values(image: "PillowImage", where: str) -> npt.NDArray[Any]:
     return levels
 
 
-def check_levels(image: "PillowImage", where: str) -> None:
-    """Raise `InputError` for levels that Pillow gives otherwise than the file means them."""
+def check_grey_levels(image: "PillowImage", where: str) -> None:
+    """Raise `InputError` for levels that Pillow gives otherwise than the file means them.
+
+    Parameters
+    ----------
+    image : Image
+        Of Pillow's.
+    where : str
+        Its file, for a message.
+    """
     tags = getattr(image, "tag_v2", {})
     wide = image.mode in ("I", "F") or image.mode.startswith("I;16")
     if wide and tags.get(PHOTOMETRIC_TAG) == 0:  # Pillow inverts bytes alone
@@ -160,6 +221,51 @@ def check_levels(image: "PillowImage", where: str) -> None:
         raise InputError(
             f"{where} has signed integers of 8 bits; save it with unsigned ones, or floats"
         )
+
+
+def is_deep(image: Any) -> bool:
+    """True for an image of Pillow's, not yet decoded, of which it gives the upper bytes alone."""
+    if max(getattr(image, "tag_v2", {}).get(BITS_TAG, ()), default=8) > 8:
+        return True
+    return any(
+        ";16" in _kind(tile) or (tile[0] == "ppm" and tile[3][1] > 255)
+        for tile in getattr(image, "tile", ())
+    )
+
+
+def _deep_values(image: Any, where: str, again: Callable[[], Any]) -> npt.NDArray[np.int64]:
+    """Grey levels (H, W) of an image that `is_deep`, which `again` opens a second time."""
+    kinds = {_kind(tile) for tile in image.tile}
+    if kinds == {WITH_TRANSPARENCY}:
+        grey_bytes = _decoded(image, {WITH_TRANSPARENCY: "RGBA"})
+        return 256 * grey_bytes[..., 0] + grey_bytes[..., 1]
+    if not kinds <= SWAPPED.keys():
+        raise InputError(
+            f"{where} has colours of more than 8 bits in an order that is not read "
+            f"({', '.join(sorted(kinds))}): save it in RGB of 16 bits, with the three values of a "
+            "pixel side by side"
+        )
+    upper = _decoded(image, {kind: kind for kind in kinds})
+    lower = _decoded(again(), SWAPPED)
+    return grey(256 * upper[None] + lower, where)[0]
+
+
+def _kind(tile: Any) -> str:
+    """Pillow's name of the values in a part of a file."""
+    return tile[3] if isinstance(tile[3], str) else str(tile[3][0])
+
+
+def _decoded(image: Any, names: Mapping[str, str]) -> npt.NDArray[np.int64]:
+    """Values of an image as if its file had others of Pillow's names."""
+
+    def renamed(tile: Any) -> Any:
+        name = names[_kind(tile)]
+        values = (*tile[:3], name if isinstance(tile[3], str) else (name, *tile[3][1:]))
+        return getattr(type(tile), "_make", tuple)(values)  # a named tuple in newer Pillows
+
+    image.tile = [renamed(tile) for tile in image.tile]
+    image.load()  # raises what is wrong; numpy would not
+    return np.asarray(image).astype(np.int64)
 
 
 def unread_kind(content: IO[bytes]) -> str:
@@ -175,7 +281,8 @@ def unread_kind(content: IO[bytes]) -> str:
         tags = ImageFileDirectory_v2(head[:8])
         content.seek(tags.next)
         tags.load(content)
-        bits, form = tags.get(BITS_TAG, (0,))[0], tags.get(KIND_TAG, (1,))[0]
+        bits = tags.get(BITS_TAG, (0,))[0]
+        form = tags.get(KIND_TAG, (1,))[0]
     except Exception:  # of a damaged file, almost anything
         return "a damaged TIFF picture"
     kinds = {1: "unsigned integers", SIGNED: "signed integers", FLOATS: "floats"}

@@ -13,28 +13,50 @@ import numpy as np
 import numpy.typing as npt
 
 from deepfsi.base import InputError, new_folder, readable_name
+from deepfsi.base.numeric import LABEL_HEADS, normal_name
 from deepfsi.datasets.arrays import check_unmasked
 from deepfsi.datasets.dataset import Dataset, Reflectance
-from deepfsi.datasets.decoding import WRITTEN, Shape
-from deepfsi.datasets.picture_lists import is_image, list_labels
+from deepfsi.datasets.decoding import WRITTEN, PictureSize
+from deepfsi.datasets.levels import ValueRange, measure_levels, reflectance
 from deepfsi.datasets.pictures import (
-    list_folder,
+    Picture,
+    decode_pictures,
+    is_image,
+    open_listing,
     picture_file,
-    read_all,
+    read_list,
     sized_text,
 )
-from deepfsi.datasets.values import Levels, measure, reflectance
+
+NAME_HEADS = ("name", "scene")
+"""First words of a line that names the columns of a list of scenes, in lower case."""
 
 
 class Display(NamedTuple):
-    """Pictures to be shown one after another."""
+    """Pictures to be shown one after another.
 
-    names: tuple[str, ...]  # names of their files
-    labels: tuple[str, ...] | None  # class of each, if there is a folder for each class
-    x: Reflectance  # (S, H, W): Reflectance in [0, 1]
-    levels: Levels  # range of the values, and their white
-    preprocessing: str  # what was done to the pictures, in words
-    written: int  # how many `write_pictures` wrote
+    Attributes
+    ----------
+    names : tuple of str
+        Names of their files.
+    labels : tuple of str or None
+        Class of each, if there is a folder for each class.
+    x : array, shape (S, H, W)
+        Reflectance in [0, 1].
+    levels : ValueRange
+        Range of the values, and their white.
+    preprocessing : str
+        Changes made to the pictures, in words.
+    written : int
+        Those that `write_pictures` wrote.
+    """
+
+    names: tuple[str, ...]
+    labels: tuple[str, ...] | None
+    x: Reflectance
+    levels: ValueRange
+    preprocessing: str
+    written: int
 
 
 def array_display(pictures: npt.ArrayLike, white: float | None = None) -> Display:
@@ -51,7 +73,7 @@ def array_display(pictures: npt.ArrayLike, white: float | None = None) -> Displa
     values = np.asarray(pictures)
     if not values.size:
         raise InputError(f"an array of shape {values.shape} holds no pictures: give one or more")
-    levels = measure({"pictures": values}, white)
+    levels = measure_levels({"pictures": values}, white)
     return Display(
         names=tuple(map(str, range(len(values)))),
         labels=None,
@@ -65,52 +87,116 @@ def array_display(pictures: npt.ArrayLike, white: float | None = None) -> Displa
 def read_display(
     path: str | os.PathLike[str],
     white: float | None = None,
-    shape: Shape | None = None,
+    shape: PictureSize | None = None,
     bilinear: bool = False,
     skip_bad: bool | None = None,
 ) -> Display:
-    """Read a picture, a folder or ``.csv`` file of some, or a folder with one for each class."""
-    # Pictures have one size and one depth, or raise `InputError`; colours are turned to grey. Those
-    # of more than 8 bits have reflectance 1 at `white`, found as for `load_dataset` unless given
+    """Read a picture, a folder or ``.csv`` file of some, or a folder with one for each class.
+
+    Parameters
+    ----------
+    path : path
+        Pictures of one size and one depth; colours are turned to grey.
+    white : float, optional
+        Value that is reflectance 1, of more than 8 bits; measured as for `load_dataset` unless
+        given.
+    shape : (int, int), optional
+        Height and width to which they are brought.
+    bilinear : bool
+        Bring them to it bilinearly, and not by averaging over areas.
+    skip_bad : bool, optional
+        Leave damaged ones out. Unless given, the message offers no way to leave them out.
+    """
     source = Path(path)
-    if source.is_file() and source.suffix.lower() == ".csv":
-        pictures = [picture_file(each, label) for each, label in list_labels(source)[0]]
-    elif source.is_file():
+    if source.is_file() and source.suffix.lower() != ".csv":
         pictures = [picture_file(source)]
-    elif not source.is_dir():
+    elif not (source.is_file() or source.is_dir()):
         raise InputError(f"no picture at {source}: give an image file, or a folder of some")
-    elif found := sorted(file for file in source.iterdir() if is_image(file.name)):
-        pictures = [picture_file(file) for file in found]
-        _check_flat(source)
+    elif source.is_dir() and any(is_image(file.name) for file in source.iterdir()):
+        pictures = _flat_folder(source)
     else:
-        pictures = [picture for part in list_folder(source) for picture in part]
+        with open_listing(source) as listing:
+            pictures = [picture for part in listing.parts for picture in part]
     folder = source.parent if source.is_file() else source
-    pixels, tally, kept = read_all(pictures, shape, bilinear, skip_bad)
-    files = [Path(pictures[place].where).relative_to(folder).as_posix() for place in kept]
-    names = tuple(map(readable_name, files))
-    labels = [pictures[place].label for place in kept]
-    classes = tuple(label for label in labels if label and isinstance(label, str)) or None
-    levels, sized = tally.levels(white), sized_text(shape, bilinear, tally.sizes)
-    said = f"{tally.words}{sized}; {levels.words}"
-    x = reflectance(pixels, levels)
-    return Display(names, classes, x, levels, said, tally.written)
+    pixels, tally = decode_pictures(pictures, shape, bilinear, skip_bad)
+    kept = [pictures[index] for index in tally.kept]
+    names = [Path(picture.where).relative_to(folder).as_posix() for picture in kept]
+    levels = tally.levels(white)
+    return Display(
+        names=tuple(map(readable_name, names)),
+        labels=tuple(p.label for p in kept if p.label and isinstance(p.label, str)) or None,
+        x=reflectance(pixels, levels),
+        levels=levels,
+        preprocessing=f"{tally.words}{sized_text(shape, bilinear, tally.sizes)}; {levels.words}",
+        written=tally.written,
+    )
 
 
-def _check_flat(folder: Path) -> None:
-    """Raise `InputError` for folders of images beside images, as one is meant."""
-    inner = [each for each in sorted(folder.iterdir()) if each.is_dir() and each.name[0] != "."]
-    for each in inner:
-        if any(is_image(file.name) for file in each.iterdir()):
+def _flat_folder(folder: Path) -> list[Picture]:
+    """Pictures of a folder that holds no folders of images beside them, as one is meant."""
+    inside = sorted(folder.iterdir())
+    for path in inside:
+        if path.is_dir() and path.name[0] != "." and any(is_image(f.name) for f in path.iterdir()):
             raise InputError(
-                f"{folder} holds images and folders of images, such as {each.name}: give one of "
+                f"{folder} holds images and folders of images, such as {path.name}: give one of "
                 "them, or move the images that lie beside the folders"
             )
+    return [picture_file(file) for file in inside if is_image(file.name)]
+
+
+class ListedScene(NamedTuple):
+    """Scene that a list names, with its class where that is known."""
+
+    line: int
+    name: str
+    label: str | None
+
+
+def read_scene_list(path: Path) -> list[ListedScene]:
+    """Scenes of a text or CSV file, in its order.
+
+    A line is NAME or NAME,LABEL, quoted as in CSV where a name has a comma. Empty lines, and a
+    first line that names the columns (``name,label``), are left out.
+    """
+
+    def is_heading(cells: tuple[str, ...]) -> bool:
+        labels = len(cells) == 2 and cells[1].lower() in LABEL_HEADS
+        return cells[0].lower() in NAME_HEADS or labels
+
+    advice = "give a text file with a scene on each line, or a folder of pictures"
+    scenes = []
+    for line, name, cells in read_list(path, is_heading, advice).rows:
+        if len(cells) > 1 or not name:
+            raise InputError(
+                f"{path} has {','.join([name, *cells])!r} on line {line}: give NAME or NAME,LABEL"
+            )
+        scenes.append(ListedScene(line, name, normal_name(cells[0]) or None if cells else None))
+    if not scenes:
+        raise InputError(f"{path} has no scenes: {advice}")
+    return scenes
 
 
 def write_display(
     data: Dataset, folder: str | os.PathLike[str], per_class: int, seed: int = 0
 ) -> list[Path]:
-    """Write test scenes as pictures, a sub-folder for each class."""
+    """Write test scenes as pictures, a sub-folder for each class.
+
+    Parameters
+    ----------
+    data : Dataset
+        Of images.
+    folder : path
+        A new one.
+    per_class : int
+        Pictures of each class.
+    seed : int
+        Draws them.
+
+    Returns
+    -------
+    list of Path
+        Their files.
+    """
     if len(data.image_shape) != 2:
         raise InputError(f"{data.name}: scenes of shape {data.image_shape} are no images")
     rng = np.random.default_rng(seed)
@@ -121,31 +207,44 @@ def write_display(
                 f"class {label!r} of {data.name} cannot be a folder: give it a name without a "
                 "slash and a leading dot"
             )
-        places = np.flatnonzero(data.y_test == number)
-        if not 1 <= per_class <= len(places):
+        rows = np.flatnonzero(data.y_test == number)
+        if not 1 <= per_class <= len(rows):
             raise InputError(
-                f"{per_class} test scenes of class {label} are not there: give 1 to {len(places)}"
+                f"{per_class} test scenes of class {label} are not there: give 1 to {len(rows)}"
             )
-        for place in sorted(rng.choice(places, per_class, replace=False)):
-            pictures[f"{label}/{place:06d}.png"] = data.x_test[place].reshape(data.image_shape)
+        for row in sorted(rng.choice(rows, per_class, replace=False)):
+            pictures[f"{label}/{row:06d}.png"] = data.x_test[row].reshape(data.image_shape)
     return write_pictures(pictures, folder)
 
 
 def write_pictures(
     pictures: Mapping[str, np.ndarray], folder: str | os.PathLike[str]
 ) -> list[Path]:
-    """Write reflectances (H, W) in [0, 1] as grey pictures, by their names in a new folder."""
+    """Write reflectances as grey pictures.
+
+    Parameters
+    ----------
+    pictures : mapping of arrays, shape (H, W)
+        Reflectance in [0, 1], by the names of the files in the folder.
+    folder : path
+        A new one.
+
+    Returns
+    -------
+    list of Path
+        Their files.
+    """
     from PIL import Image
     from PIL.PngImagePlugin import PngInfo
 
-    said = PngInfo()
-    said.add_text(WRITTEN, "reflectance")
+    text = PngInfo()
+    text.add_text(WRITTEN, "reflectance")
     with new_folder(folder) as draft:
         for name, picture in pictures.items():
             path = draft / name
             path.parent.mkdir(parents=True, exist_ok=True)
             drawn = io.BytesIO()  # a full disk is then an error of the file, not of its format
             grey = Image.fromarray(np.rint(picture * 255).astype(np.uint8))
-            grey.save(drawn, format="PNG", pnginfo=said)
+            grey.save(drawn, format="PNG", pnginfo=text)
             path.write_bytes(drawn.getvalue())
     return [Path(folder) / name for name in pictures]

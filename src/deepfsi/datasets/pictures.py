@@ -8,44 +8,59 @@ sizes it declares and the images' own sizes are all checked before memory is spe
 
 import io
 import os
+import re
 import shutil
 import tempfile
 import warnings
 import zipfile
-from collections.abc import Callable, Iterable, Iterator
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from functools import partial
+from functools import cache, partial
 from math import prod
 from pathlib import Path
-from typing import IO, Any, NamedTuple
+from typing import IO, Any, NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from deepfsi.base import InputError, Message, check_unpacked, read_regular, readable_name
-from deepfsi.base.numeric import check_memory, normal_name, open_zip, read_zip_entry
-from deepfsi.datasets.arrays import (
-    Names,
-    Options,
-    draw_stratified,
-    split_arrays,
+from deepfsi.base.numeric import (
+    LABEL_HEADS,
+    WITHOUT_VALUE,
+    check_memory,
+    has_decimal_commas,
+    is_whole_number,
+    normal_name,
+    open_zip,
+    parse_number,
+    read_rows,
+    read_zip_entry,
 )
-from deepfsi.datasets.dataset import Dataset
-from deepfsi.datasets.decoding import Shape, Tally, unread_kind
-from deepfsi.datasets.picture_lists import IMAGE_SUFFIXES, Label, is_image, list_labels, listed
-from deepfsi.datasets.values import LARGE
+from deepfsi.datasets.arrays import Names, check_no_classes, draw_stratified, split_arrays
+from deepfsi.datasets.dataset import Dataset, LoadOptions
+from deepfsi.datasets.decoding import PictureSize, Tally, unread_kind
+from deepfsi.datasets.levels import LARGE
+
+Label: TypeAlias = str | tuple[float, ...]
+"""Class of an image, or its values."""
 
 FORMATS = ("PNG", "JPEG", "BMP", "GIF", "PPM", "TIFF", "WEBP")
 """Formats that are decoded, by Pillow's names."""
 
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".gif", ".pgm", ".tif", ".tiff", ".webp")
+"""Ends of the names of image files."""
+
 MAX_FILE = 2**28
-"""Bytes at most of one image."""
+"""Bytes at most of one image, and of a list of images."""
 
 MAX_PIXELS = 2**34
 """Pixels at most of all images together: 17 GB of bytes."""
 
+MOST_NAMES = 20
+"""Images that one line names at most."""
 
-SPLITS = ("train", "test", "training", "testing", "val", "valid", "validation", "eval")
+PART_NAMES = ("train", "test", "training", "testing", "val", "valid", "validation", "eval")
 """Names of folders, in lower case, that are parts of a data set and no classes."""
 
 OF_SYSTEMS = ("__MACOSX", "@eaDir", "$RECYCLE.BIN", "System Volume Information", "lost+found")
@@ -57,6 +72,9 @@ UTF8_FLAG = 0x800
 DEEPEST = 4
 """Folders below each other that are looked into."""
 
+LIST_ADVICE = "give a line of text for each image, its file name and its label, or its values"
+"""What to do about a list of images that cannot be used."""
+
 
 class Picture(NamedTuple):
     """An image that is not yet read."""
@@ -66,33 +84,41 @@ class Picture(NamedTuple):
     open: Callable[[], IO[bytes]]
 
 
+class Listing(NamedTuple):
+    """Images of one part, or of a training and a test part; with values, their names."""
+
+    parts: list[list[Picture]]
+    values: tuple[str, ...] = ()
+
+
 _Entry = tuple[tuple[str, ...], Picture | None]
 """Folders and name of a file with its picture, or of a folder with None."""
 
 
-def load_pictures(path: Path, options: Options) -> Dataset:
+def load_pictures(path: Path, options: LoadOptions) -> Dataset:
     """Load the images of a folder, a zip file or a ``.csv`` file."""
     name = path.resolve().stem if path.is_file() else path.resolve().name
-    if path.suffix.lower() == ".csv":
-        listing, values = list_labels(path)
-        pictures = [picture_file(each, label) for each, label in listing]
-        return from_listings([pictures], name, options, values=values)
-    with open_listings(path) as listings:
-        return from_listings(listings, name, options)
+    with open_listing(path) as listing:
+        return dataset_of_pictures(listing, name, options)
 
 
-def from_listings(
-    listings: list[list[Picture]],
-    name: str,
-    options: Options,
-    *,
-    bilinear: bool = False,
-    values: tuple[str, ...] = (),
+def dataset_of_pictures(
+    listing: Listing, name: str, options: LoadOptions, bilinear: bool = False
 ) -> Dataset:
-    """Data set of the images of one part, or of a training and a test part."""
-    # Parameters as of `load_dataset` and `read_all`
-    shape, images = as_shape(options.size), options.images
-    train, *test = listings
+    """Data set of listed images.
+
+    Parameters
+    ----------
+    listing : Listing
+    name : str
+        Of the data set.
+    options : LoadOptions
+    bilinear : bool
+        As of `decode_pictures`.
+    """
+    shape = as_shape(options.size)
+    images = options.images
+    train, *test = listing.parts
     if images is not None:
         if not test:
             raise InputError(
@@ -101,32 +127,31 @@ def from_listings(
             )
         kept = draw_stratified([p.label for p in train], images, options.seed, name)
         train = [train[i] for i in kept]
-    wanted = [*train, *(test[0] if test else [])]
-    pixels, tally, kept_places = read_all(wanted, shape, bilinear, options.skip_bad)
+    pictures = [*train, *(test[0] if test else [])]
+    pixels, tally = decode_pictures(pictures, shape, bilinear, options.skip_bad)
     levels = tally.levels(options.white)
-    labels = np.array([wanted[place].label for place in kept_places])
-    n = sum(place < len(train) for place in kept_places)
+    labels = np.array([pictures[index].label for index in tally.kept])
+    n = sum(index < len(train) for index in tally.kept)
     drawn = "" if images is None else f"{images} training images drawn by class; "
-    sized = sized_text(shape, bilinear, tally.sizes)
     return split_arrays(
         (pixels[:n], labels[:n]),
         (pixels[n:], labels[n:]) if test else (None, None),
-        names=Names(values=values or None),
+        names=Names(values=listing.values or None),
         name=name,
         seed=options.seed,
         rescale=options.rescale,
-        described=f"{drawn}{tally.words}{sized}; {levels.words}",
+        described=f"{drawn}{tally.words}{sized_text(shape, bilinear, tally.sizes)}; {levels.words}",
         levels=levels,
     )
 
 
-def sized_text(shape: Shape | None, bilinear: bool, sizes: set[Shape]) -> str:
+def sized_text(shape: PictureSize | None, bilinear: bool, sizes: set[PictureSize]) -> str:
     """Say to what size images of some sizes were brought, as the end of a phrase."""
     how = "resized bilinearly" if bilinear else "averaged"
     return f", {how} to {shape[0]}x{shape[1]} pixels" if shape and sizes != {shape} else ""
 
 
-def as_shape(size: int | tuple[int, ...] | None) -> Shape | None:
+def as_shape(size: int | tuple[int, ...] | None) -> PictureSize | None:
     """Height and width of a size that is one side or both."""
     if size is None:
         return None
@@ -136,42 +161,168 @@ def as_shape(size: int | tuple[int, ...] | None) -> Shape | None:
     return shape[0], shape[1]
 
 
-def _check_total(images: int, shape: tuple[int, ...]) -> None:
-    """Raise `InputError` for more pixels than memory is likely to hold."""
-    height, width = shape
-    if images * height * width > MAX_PIXELS:
-        raise InputError(
-            f"{images} images of {height}x{width} pixels need "
-            f"{images * height * width * 4e-9:.1f} GB; give a smaller size, or fewer images"
+# ---------------------------------------------------------------- lists
+
+
+class ListRow(NamedTuple):
+    """Row of a list: a name, and the cells behind it."""
+
+    line: int
+    name: str
+    cells: tuple[str, ...]
+
+
+class NameList(NamedTuple):
+    """A list of names with a label, or with values, behind each."""
+
+    rows: list[ListRow]
+    heads: tuple[str, ...]  # words over the columns behind the names, if there are any
+    separator: str
+
+
+def read_list(path: Path, is_heading: Callable[[tuple[str, ...]], bool], advice: str) -> NameList:
+    """Read a list of text.
+
+    Parameters
+    ----------
+    path : Path
+    is_heading : callable
+        True for the cells of a first row that names the columns.
+    advice : str
+        What to give instead, as the end of a message.
+    """
+    text = read_rows(path, MAX_FILE, advice)
+    rows = [
+        ListRow(line, name, tuple(cells))
+        for line, (name, *cells) in zip(text.lines, text.cells, strict=True)
+    ]
+    heads: tuple[str, ...] = ()
+    if text.cells and is_heading(text.cells[0]):
+        heads = rows.pop(0).cells
+    return NameList(rows, heads, text.separator)
+
+
+def list_named(path: Path) -> Listing:
+    """Images that a ``.csv`` file names, with their labels or values, and the values' names.
+
+    Names are from the folder beside it that has its name, ``pets/`` of ``pets.csv``, or else from
+    its own folder. A first line that names no file is a heading. Numbers are values where a line
+    has several, or any has a decimal point or an exponent; whole numbers are classes, as in arrays.
+    """
+    folder = path.with_suffix("") if path.with_suffix("").is_dir() else path.parent
+    names = read_list(path, lambda cells: not re.search(r"[./\\]", cells[0]), LIST_ADVICE)
+    for line, name, cells in names.rows:
+        as_many = cells and len(cells) == len(names.rows[0].cells)
+        if not (is_image(re.split(r"[/\\]", name)[-1]) and as_many and all(cells)):
+            later = ": put the column of file names first" if any(map(is_image, cells)) else ""
+            raise InputError(
+                f"{path}, line {line}: {', '.join([name, *cells])!r} is not an image "
+                f"and its label{later}: {LIST_ADVICE}"
+            )
+    if not names.rows:
+        raise InputError(f"{path} names no image: {LIST_ADVICE}")
+    values = _values_of(names, path)
+    has_name = bool(names.heads) and names.heads[0].lower() not in LABEL_HEADS
+    if values and (len(values[0]) > 1 or not has_name):
+        check_no_classes(
+            np.array(values),
+            str(path),
+            "write one column of words or of numbers without a point, 1 and not 1.0",
+            "write their name over the column",
         )
+    labels: Sequence[Label] = values or [normal_name(row.cells[0]) for row in names.rows]
+    find = _finder(folder)
+    paths = [find(row.name) for row in names.rows]
+    missing = [str(file) for file in paths if not file.is_file()]
+    if missing:
+        raise InputError(
+            f"{path} names {len(missing)} images that are not there, {names_text(missing)}: names "
+            f"are from the folder {folder} on"
+        )
+    if twice := [str(file) for file, count in Counter(paths).items() if count > 1]:
+        raise InputError(f"{path} names {names_text(twice)} twice: give each image one line")
+    pictures = list(map(picture_file, paths, labels))
+    return Listing([pictures], names.heads if values and len(names.heads) == len(values[0]) else ())
 
 
-# ---------------------------------------------------------------- what there is
+def _finder(folder: Path) -> Callable[[str], Path]:
+    r"""Function from a name to its file: as it is, or in another spelling, case, or with `\`."""
+
+    @cache
+    def spellings(inside: Path) -> dict[str, list[str]]:
+        names: dict[str, list[str]] = {}
+        for file in sorted(inside.iterdir()) if inside.is_dir() else ():
+            names.setdefault(normal_name(file.name).casefold(), []).append(file.name)
+        return names
+
+    def find(name: str) -> Path:
+        path = folder / name
+        if path.is_file():
+            return path
+        here = folder
+        for word in name.replace("\\", "/").split("/"):
+            same = spellings(here).get(normal_name(word).casefold(), [])
+            here = here / (same[0] if len(same) == 1 and word not in same else word)
+        return here if here.is_file() else path
+
+    return find
+
+
+def _values_of(names: NameList, path: Path) -> list[tuple[float, ...]]:
+    """Values of images, or none where their cells are labels."""
+    columns = len(names.rows[0].cells)
+    every = [cell for row in names.rows for cell in row.cells]
+    if columns == 1 and all(map(is_whole_number, every)):
+        return []
+    comma = has_decimal_commas(every, names.separator)
+    numbers = [parse_number(cell, comma) for cell in every]
+    wrong = [cell for cell, number in zip(every, numbers, strict=True) if number is None]
+    no_value = [cell for cell in wrong if cell.lower() in WITHOUT_VALUE]
+    if columns == 1 and wrong and (len(no_value) < len(wrong) or len(wrong) == len(every)):
+        return []
+    if wrong:
+        raise InputError(
+            f"{path} has {columns} columns beside the file name, and a cell that is no finite "
+            f"number ({(no_value or wrong)[0]!r}): {LIST_ADVICE}"
+        )
+    finite = [number for number in numbers if number is not None]
+    return [tuple(finite[at : at + columns]) for at in range(0, len(finite), columns)]
+
+
+def is_image(name: str) -> bool:
+    """True for names of image files."""
+    return name.lower().endswith(IMAGE_SUFFIXES) and not name.startswith(".")
+
+
+def names_text(names: Sequence[str]) -> str:
+    """Names for a message, the first of many."""
+    more = f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else ""
+    return ", ".join(names[:MOST_NAMES]) + more
+
+
+# ---------------------------------------------------------------- folders and zip files
 
 
 @contextmanager
-def open_listings(path: Path) -> Iterator[list[list[Picture]]]:
-    """Images of a source: of one part, or of its training and test part."""
+def open_listing(path: Path) -> Iterator[Listing]:
+    """Images of a folder, a zip file or a ``.csv`` file, which can be read within the block."""
     if path.is_dir():
-        yield list_folder(path)
-        return
-    with open_zip(path, "pack it again") as archive:
-        yield _list_zip(archive, path)
-
-
-def list_folder(folder: Path) -> list[list[Picture]]:
-    """Images of a folder: of one part, or of its training and test part."""
-    return _listings(_walk(folder), str(folder))
+        yield _listing(_walk(path), str(path))
+    elif path.suffix.lower() == ".csv":
+        yield list_named(path)
+    else:
+        with open_zip(path, "pack it again") as archive:
+            yield _listing(_zip_entries(archive, path), str(path))
 
 
 def _walk(folder: Path, above: tuple[str, ...] = ()) -> Iterator[_Entry]:
     with os.scandir(folder) as entries:
-        parts = [  # a folder among images that is called like one is refused as an image
+        inside = [  # a folder among images that is called like one is refused as an image
             (entry, entry.is_dir() and not (above and is_image(entry.name)))
             for entry in entries
             if not _is_of_system(entry.name)
         ]
-    for entry, is_dir in parts:
+    for entry, is_dir in inside:
         names = (*above, readable_name(entry.name))
         yield names, None if is_dir else picture_file(Path(entry.path))
         if is_dir and len(names) < DEEPEST:
@@ -187,7 +338,11 @@ def picture_file(path: Path, label: Label = "") -> Picture:
     return Picture(label, str(path), read)
 
 
-def _list_zip(archive: zipfile.ZipFile, path: Path) -> list[list[Picture]]:
+def _zip_entries(archive: zipfile.ZipFile, path: Path) -> Iterable[_Entry]:
+    def read(info: zipfile.ZipInfo, where: str) -> IO[bytes]:
+        content = read_zip_entry(archive, info, where=where, largest=MAX_FILE, advice="remove it")
+        return io.BytesIO(content)
+
     entries: dict[tuple[str, ...], Picture | None] = {}
     for info in archive.infolist():
         names = _safe_names(info, path)
@@ -196,45 +351,8 @@ def _list_zip(archive: zipfile.ZipFile, path: Path) -> list[list[Picture]]:
         if names in entries and not info.is_dir():
             raise InputError(f"{path} holds {'/'.join(names)} twice; pack it again")
         where = f"{path}/{'/'.join(names)}"
-        opened = partial(_open_entry, archive, info, where)
-        entries[names] = None if info.is_dir() else Picture("", where, opened)
-    return _listings(entries.items(), str(path))
-
-
-def _is_of_system(name: str) -> bool:
-    return name.startswith(".") or name in OF_SYSTEMS
-
-
-def _listings(entries: Iterable[_Entry], where: str) -> list[list[Picture]]:
-    """Images of one part, or of a training and a test part, whose folders are so called."""
-    found = list(entries)
-    while len({names[0] for names, _ in found}) == 1 and any(len(names) > 2 for names, _ in found):
-        found = [(names[1:], picture) for names, picture in found if len(names) > 1]
-    inside: dict[str, list[_Entry]] = {}
-    for names, picture in found:
-        if len(names) > 1 or picture is None:
-            entry = names[1:], picture
-            inside.setdefault(names[0], []).extend([entry] if entry[0] else [])
-    parts = {name.lower(): name for name in sorted(inside) if name.lower() in SPLITS[:2]}
-    train = inside.get(parts.get("train", ""), [])
-    if inside.get(parts.get("test", "")) and any(len(n) > 1 or not pic for n, pic in train):
-        other = [
-            "/".join(names)
-            for names, picture in found
-            if names[0] not in parts.values() and picture and is_image(names[-1])
-        ]
-        if other:
-            raise InputError(
-                f"{where} holds images outside of {' and '.join(parts.values())} "
-                f"({listed(other)}): move them into one of the two, or away"
-            )
-        return [_group(inside[parts[part]], f"{where}/{parts[part]}") for part in SPLITS[:2]]
-    if inside and all(name.lower() in SPLITS for name in inside):
-        raise InputError(
-            f"{where} holds the folders {', '.join(sorted(inside))}, which name no classes: put a "
-            "folder of each class into train and test there"
-        )
-    return [_group(found, where)]
+        entries[names] = None if info.is_dir() else Picture("", where, partial(read, info, where))
+    return entries.items()
 
 
 def _safe_names(info: zipfile.ZipInfo, path: Path) -> tuple[str, ...]:
@@ -244,7 +362,7 @@ def _safe_names(info: zipfile.ZipInfo, path: Path) -> tuple[str, ...]:
         with suppress(UnicodeError):
             name = name.encode("cp437").decode("utf-8")
     name = name.replace("\\", "/")
-    names = tuple(part for part in name.split("/") if part)
+    names = tuple(word for word in name.split("/") if word)
     absolute = name.startswith("/") or (names and names[0][1:2] == ":")
     if not names or absolute or ".." in names or not name.isprintable():
         raise InputError(
@@ -253,24 +371,57 @@ def _safe_names(info: zipfile.ZipInfo, path: Path) -> tuple[str, ...]:
     return names
 
 
-def _open_entry(archive: zipfile.ZipFile, info: zipfile.ZipInfo, where: str) -> IO[bytes]:
-    return io.BytesIO(
-        read_zip_entry(archive, info, where=where, largest=MAX_FILE, advice="remove it")
-    )
+def _is_of_system(name: str) -> bool:
+    return name.startswith(".") or name in OF_SYSTEMS
 
 
-def _group(entries: Iterable[_Entry], where: str) -> list[Picture]:
-    """Images of all class folders, in the order of their names; other files there are ignored."""
-    # `entries` are names from `where` on
+def _listing(entries: Iterable[_Entry], where: str) -> Listing:
+    """Images of one part, or of a training and a test part, whose folders are so called."""
+    files = list(entries)
+    while len({names[0] for names, _ in files}) == 1 and any(len(names) > 2 for names, _ in files):
+        files = [(names[1:], picture) for names, picture in files if len(names) > 1]
+    inside: dict[str, list[_Entry]] = {}
+    for names, picture in files:
+        if len(names) > 1 or picture is None:
+            entry = names[1:], picture
+            inside.setdefault(names[0], []).extend([entry] if entry[0] else [])
+    folders = {name.lower(): name for name in sorted(inside) if name.lower() in PART_NAMES[:2]}
+    train = inside.get(folders.get("train", ""), [])
+    if inside.get(folders.get("test", "")) and any(len(n) > 1 or not pic for n, pic in train):
+        other = [
+            "/".join(names)
+            for names, picture in files
+            if names[0] not in folders.values() and picture and is_image(names[-1])
+        ]
+        if other:
+            raise InputError(
+                f"{where} holds images outside of {' and '.join(folders.values())} "
+                f"({names_text(other)}): move them into one of the two, or away"
+            )
+        in_order = [folders[part] for part in PART_NAMES[:2]]
+        return Listing([_by_class(inside[folder], f"{where}/{folder}") for folder in in_order])
+    if inside and all(name.lower() in PART_NAMES for name in inside):
+        raise InputError(
+            f"{where} holds the folders {', '.join(sorted(inside))}, which name no classes: put a "
+            "folder of each class into train and test there"
+        )
+    return Listing([_by_class(files, where)])
+
+
+def _by_class(entries: Iterable[_Entry], where: str) -> list[Picture]:
+    """Images of all class folders, in the order of their names; other files there are ignored.
+
+    The names of the entries are from `where` on.
+    """
     classes: dict[str, list[tuple[str, Picture]]] = {}
     astray = []
     for names, picture in entries:
-        found = (
-            classes.setdefault(normal_name(names[0]), []) if len(names) > 1 or not picture else []
-        )
+        label = normal_name(names[0])
+        if len(names) > 1 or not picture:
+            classes.setdefault(label, [])
         if picture and is_image(names[-1]):
             if len(names) == 2:
-                found.append((names[1], picture._replace(label=normal_name(names[0]))))
+                classes[label].append((names[1], picture._replace(label=label)))
             else:
                 astray.append("/".join(names))
     if not classes:
@@ -281,10 +432,10 @@ def _group(entries: Iterable[_Entry], where: str) -> list[Picture]:
     if astray:
         raise InputError(
             f"{where} holds images that lie in no folder of a class, or in folders within one "
-            f"({listed(astray)}): move them into the folder of their class, or away"
+            f"({names_text(astray)}): move them into the folder of their class, or away"
         )
-    for label, found in classes.items():
-        if not found:
+    for label, images in classes.items():
+        if not images:
             raise InputError(
                 f"the class folder {where}/{label} holds no images; add some "
                 f"({' '.join(IMAGE_SUFFIXES)}) or remove it"
@@ -299,60 +450,85 @@ class _Unreadable(InputError):
     """An image that is damaged."""
 
 
-def read_all(
+def decode_pictures(
     pictures: list[Picture],
-    shape: Shape | None,
+    shape: PictureSize | None,
     bilinear: bool = False,
     skip_bad: bool | None = None,
-) -> tuple[npt.NDArray[Any], Tally, list[int]]:
-    """Grey images (n, H, W), all of one shape: uint8, or else float32 in their own values."""
-    # And the places of those that were read. Damaged ones are left out, or named, all at once;
-    # with None the message offers no way to leave them out
+) -> tuple[npt.NDArray[Any], Tally]:
+    """Grey images (n, H, W), all of one shape, and a tally of what they were.
+
+    Parameters
+    ----------
+    pictures : list of Picture
+    shape : (int, int) or None
+        Height and width to which they are brought; where none is given they have one size.
+    bilinear : bool
+        Bring them to it bilinearly, and not by averaging over areas.
+    skip_bad : bool, optional
+        Leave damaged ones out; or else name them, all at once. Unless given, the message offers no
+        way to leave them out.
+
+    Returns
+    -------
+    array
+        uint8, or else float32 in their own values; of many large ones a file.
+    Tally
+        Among others, which of them were read.
+    """
     from PIL import Image
 
     if shape is not None:
         _check_total(len(pictures), shape)
     tally = Tally()
-    kept: list[int] = []
     bad: list[tuple[str, str]] = []
     grey: npt.NDArray[Any] = np.empty(0)
     with warnings.catch_warnings():
         warnings.simplefilter("error", Image.DecompressionBombWarning)
-        for place, picture in enumerate(pictures):
+        for index, picture in enumerate(pictures):
             try:
                 image = _read(picture, tally, shape, bilinear)
             except _Unreadable as error:
                 bad.append((picture.where, str(error)))
                 continue
-            if not kept:
+            if not tally.kept:
                 _check_total(len(pictures), image.shape)
-                grey = _room((len(pictures), *image.shape), image.dtype)
+                grey = _empty((len(pictures), *image.shape), image.dtype)
             if image.shape != grey.shape[1:]:
                 raise InputError(
                     f"images differ in size: {tally.first} is {grey.shape[1]}x{grey.shape[2]}, "
                     f"{picture.where} is {image.shape[0]}x{image.shape[1]}; give a size to bring "
                     "them to one"
                 )
-            grey[len(kept)] = image
-            kept.append(place)
-            filled = len(kept) * image.size
+            grey[len(tally.kept)] = image
+            tally.kept.append(index)
+            filled = len(tally.kept) * image.size
             check_unpacked(filled, tally.packed, "these images", "give a smaller size, or fewer")
-    if bad and not (skip_bad and kept):
+    if bad and not (skip_bad and tally.kept):
         raise InputError(_bad_text(bad, skip_bad is False))
     tally.bad = tuple(where for where, _ in bad)
-    return grey[: len(kept)], tally, kept
+    return grey[: len(tally.kept)], tally
 
 
-def _room(shape: tuple[int, ...], kind: np.dtype[Any]) -> npt.NDArray[Any]:
+def _check_total(images: int, shape: tuple[int, ...]) -> None:
+    """Raise `InputError` for more pixels than memory is likely to hold."""
+    height, width = shape
+    if images * height * width > MAX_PIXELS:
+        raise InputError(
+            f"{images} images of {height}x{width} pixels need "
+            f"{images * height * width * 4e-9:.1f} GB; give a smaller size, or fewer images"
+        )
+
+
+def _empty(shape: tuple[int, ...], kind: np.dtype[Any]) -> npt.NDArray[Any]:
     """Array for the values of images; of many a file that has no name and ends with it."""
     if 4 * prod(shape) <= LARGE:
         return np.empty(shape, kind)
-    needed = prod(shape) * kind.itemsize
-    place = tempfile.gettempdir()
+    folder = tempfile.gettempdir()
     check_memory(
-        needed,
-        shutil.disk_usage(place).free,
-        f"{shape[0]} images of {shape[1]}x{shape[2]} pixels, in {place}",
+        prod(shape) * kind.itemsize,
+        shutil.disk_usage(folder).free,
+        f"{shape[0]} images of {shape[1]}x{shape[2]} pixels, in {folder}",
         "give a smaller size or fewer images, or set TMPDIR to a folder with more room",
     )
     with tempfile.TemporaryFile() as file:
@@ -362,10 +538,11 @@ def _room(shape: tuple[int, ...], kind: np.dtype[Any]) -> npt.NDArray[Any]:
 def _bad_text(bad: list[tuple[str, str]], may_skip: bool) -> str:
     """Name damaged images, each with what is wrong, and say what to do."""
     wheres, reasons = zip(*bad, strict=True)
-    named = listed([f"{where} ({reason})" for where, reason in bad])
+    named = names_text([f"{where} ({reason})" for where, reason in bad])
     if len(set(reasons)) == 1:
-        named = f"{listed(wheres)} ({reasons[0]})"
-    what, them = ("the image", "it") if len(bad) == 1 else (f"{len(bad)} images:", "them")
+        named = f"{names_text(wheres)} ({reasons[0]})"
+    what = "the image" if len(bad) == 1 else f"{len(bad)} images:"
+    them = "it" if len(bad) == 1 else "them"
     text = f"cannot read {what} {named}; replace or remove {them}"
     if not may_skip:
         return text
@@ -374,7 +551,9 @@ def _bad_text(bad: list[tuple[str, str]], may_skip: bool) -> str:
     )
 
 
-def _read(picture: Picture, tally: Tally, shape: Shape | None, bilinear: bool) -> npt.NDArray[Any]:
+def _read(
+    picture: Picture, tally: Tally, shape: PictureSize | None, bilinear: bool
+) -> npt.NDArray[Any]:
     from PIL import Image, UnidentifiedImageError
 
     try:
@@ -389,8 +568,8 @@ def _read(picture: Picture, tally: Tally, shape: Shape | None, bilinear: bool) -
                     raise _Unreadable(unread_kind(stream)) from None
 
             with again() as image:
-                pixels, advice = image.width * image.height, "replace or remove it"
-                check_unpacked(pixels, size, picture.where, advice)
+                pixels = image.width * image.height
+                check_unpacked(pixels, size, picture.where, "replace or remove it")
                 grey = tally.grey(image, picture.where, again)
         tally.packed += size
     except InputError:

@@ -6,7 +6,7 @@ files is one table; a file may hold a class, whose readouts follow one another a
 """
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -26,36 +26,54 @@ from deepfsi.base.numeric import (
     read_table,
     read_variable,
 )
-from deepfsi.datasets.arrays import SPLIT_MINIMUM, TEST_SHARE, assemble, check_seed
+from deepfsi.datasets.arrays import SPLIT_MINIMUM, TEST_SHARE, assemble, check_seed, draw_fifth
 from deepfsi.datasets.dataset import Dataset, Labels
 
-SPLITS = ("random", "later", "pictures")
+RECORDING_SPLITS = ("random", "later", "pictures")
 """Ways to divide the recordings for testing."""
 
-LARGEST = 2**27
+MAX_NUMBERS = 2**27
 """Numbers of a variable at most."""
 
-ARRAYS, TABLES = (*VARIABLE_ENDINGS, ".npz"), (*TEXT_ENDINGS, ".parquet")
-"""Ends of the names of files with variables, and with columns."""
+ARRAY_ENDINGS = (*VARIABLE_ENDINGS, ".npz")
+"""Ends of the names of files with variables."""
+
+COLUMN_ENDINGS = (*TEXT_ENDINGS, ".parquet")
+"""Ends of the names of files with columns."""
 
 Numbers = npt.NDArray[np.float64]
 
 
 class Variables(NamedTuple):
-    """Names of the variables, or of the columns, of a table of readouts."""
+    """Names of the variables, or of the columns, of a table of readouts.
 
-    values: str | None = None  # of the readouts; of columns a pattern such as mode*
-    label: str | None = None  # of the class; a folder's files are classes unless given
-    picture: str | None = None  # of the picture that was shown
-    order: str | None = None  # of the place or time of recording, which rises over all files
-    monitors: tuple[str, ...] = ()  # of the monitors of the light; of columns patterns
+    Attributes
+    ----------
+    values : str or None
+        Of the readouts; of columns a pattern such as ``mode*``. The only array, or all other
+        columns, unless given.
+    label : str or None
+        Of the class; a folder's files are classes unless given.
+    picture : str or None
+        Of the picture that was shown.
+    order : str or None
+        Of the place or time of recording, which rises over all files.
+    monitors : tuple of str
+        Of the monitors of the light; of columns patterns.
+    """
+
+    values: str | None = None
+    label: str | None = None
+    picture: str | None = None
+    order: str | None = None
+    monitors: tuple[str, ...] = ()
 
 
 NO_VARIABLES = Variables()
 
 
 @dataclass(frozen=True, eq=False)
-class Readouts:
+class MeasuredReadouts:
     """Recordings of labelled scenes, each of k readouts, in the order of their files.
 
     Attributes
@@ -68,10 +86,10 @@ class Readouts:
         Class of each, 0 .. C-1.
     classes : tuple of str
         Their C names.
-    file, place : array, shape (n,)
-        Number of its file, in natural order of names, and its place in that, or in `order`.
+    file, position : array, shape (n,)
+        Number of its file, in natural order of names, and its position in that, or in `order`.
     ordered : bool
-        True if `place` rises with the time of recording over all files.
+        True if `position` rises with the time of recording over all files.
     picture : array, shape (n,), or None
         Number of the picture that was shown.
     monitors : dict of array, shape (n, q)
@@ -83,7 +101,7 @@ class Readouts:
     y: Labels
     classes: tuple[str, ...]
     file: Labels
-    place: Numbers
+    position: Numbers
     ordered: bool
     picture: Labels | None = None
     monitors: dict[str, Numbers] = field(default_factory=dict)
@@ -92,7 +110,7 @@ class Readouts:
     def splits(self) -> tuple[str, ...]:
         """Ways to divide these recordings: by pictures only where some were recorded twice."""
         again = self.picture is not None and len(np.unique(self.picture)) < len(self.y)
-        return SPLITS if again else SPLITS[:2]
+        return RECORDING_SPLITS if again else RECORDING_SPLITS[:2]
 
     @property
     def offset(self) -> Numbers:
@@ -117,20 +135,17 @@ class Readouts:
         if split == "later":
             for label in range(len(self.classes)):
                 rows = np.flatnonzero(self.y == label)
-                rows = rows[np.argsort(self.place[rows], kind="stable")]
+                rows = rows[np.argsort(self.position[rows], kind="stable")]
                 test[rows[-(len(rows) // TEST_SHARE) :]] = True
             return test
-        from sklearn.model_selection import StratifiedGroupKFold, train_test_split
-
-        every = np.arange(len(self.y))
         if split == "random":
-            _, chosen = train_test_split(
-                every, test_size=1 / TEST_SHARE, stratify=self.y, random_state=seed
-            )
+            _, drawn = draw_fifth(len(self.y), self.y, seed)
         else:
+            from sklearn.model_selection import StratifiedGroupKFold
+
             folds = StratifiedGroupKFold(TEST_SHARE, shuffle=True, random_state=seed)
-            _, chosen = next(iter(folds.split(every, self.y, self.picture)))
-        test[chosen] = True
+            _, drawn = next(iter(folds.split(self.y, self.y, self.picture)))
+        test[drawn] = True
         return test
 
     def dataset(self, split: str = "random", seed: int = 0) -> Dataset:
@@ -153,61 +168,67 @@ class _Block(NamedTuple):
 
     values: Numbers
     labels: list[str]
-    picture: list[str] | None
+    pictures: list[str] | None
     order: Numbers | None
     monitors: dict[str, Numbers]
 
 
 def read_readouts(
     source: str | Path, variables: Variables = NO_VARIABLES, name: str | None = None
-) -> Readouts:
-    """Recordings of a file (.mat, .npz, .h5, .csv, .parquet), or of all such files of a folder."""
+) -> MeasuredReadouts:
+    """Recordings of a file (.mat, .npz, .h5, .csv, .parquet), or of all such files of a folder.
+
+    Parameters
+    ----------
+    source : path
+    variables : Variables
+        Names of the variables or of the columns.
+    name : str, optional
+        Name in tables and records; that of the file or folder unless given.
+    """
     files = _files(Path(source).expanduser())
     blocks = [_read(file, variables, alone=len(files) == 1) for file in files]
     widths = {block.values.shape[1]: file for file, block in zip(files, blocks, strict=True)}
     if len(widths) > 1:
-        told = " and ".join(f"{width} in {file.name}" for width, file in widths.items())
-        raise InputError(f"{source}: readouts differ in number, {told}: give files of one kind")
+        words = " and ".join(f"{width} in {file.name}" for width, file in widths.items())
+        raise InputError(f"{source}: readouts differ in number, {words}: give files of one kind")
     labels = [label for block in blocks for label in block.labels]
-    names = sorted(set(labels), key=_natural)
-    counts = [labels.count(each) for each in names]
-    if len(names) < 2 or min(counts) < SPLIT_MINIMUM:
+    classes = sorted(set(labels), key=_natural)
+    counts = [labels.count(label) for label in classes]
+    if len(classes) < 2 or min(counts) < SPLIT_MINIMUM:
         raise InputError(
-            f"{source}: classes {', '.join(names)} of {', '.join(map(str, counts))} recordings; "
+            f"{source}: classes {', '.join(classes)} of {', '.join(map(str, counts))} recordings; "
             f"give two classes or more, and {SPLIT_MINIMUM} recordings or more of each"
         )
-    pictures = [each for block in blocks for each in block.picture or ()]
-    ordered = variables.order is not None
-    sizes = [len(block.values) for block in blocks]
-    return Readouts(
+    pictures = [picture for block in blocks for picture in block.pictures or ()]
+    positions = [
+        np.arange(float(len(block.values))) if block.order is None else block.order
+        for block in blocks
+    ]
+    return MeasuredReadouts(
         name=name or Path(source).stem,
         values=np.concatenate([block.values for block in blocks]),
-        y=np.array([names.index(label) for label in labels], np.int64),
-        classes=tuple(names),
-        file=np.repeat(np.arange(len(files)), sizes),
-        place=np.concatenate(
-            [
-                np.arange(float(len(block.values))) if block.order is None else block.order
-                for block in blocks
-            ]
-        ),
-        ordered=ordered or len(files) == 1,
+        y=np.array([classes.index(label) for label in labels], np.int64),
+        classes=tuple(classes),
+        file=np.repeat(np.arange(len(files)), [len(block.values) for block in blocks]),
+        position=np.concatenate(positions),
+        ordered=variables.order is not None or len(files) == 1,
         picture=np.unique(pictures, return_inverse=True)[1] if pictures else None,
         monitors={
-            each: np.concatenate([block.monitors[each] for block in blocks])
-            for each in variables.monitors
+            monitor: np.concatenate([block.monitors[monitor] for block in blocks])
+            for monitor in variables.monitors
         },
     )
 
 
 def _natural(name: str) -> list[tuple[int, int, str]]:
     """Key that sorts digit2 before digit10."""
-    parts = re.split(r"(\d+)", name)
-    return [(0, int(part), "") if part.isdecimal() else (1, 0, part) for part in parts if part]
+    words = re.split(r"(\d+)", name)
+    return [(0, int(word), "") if word.isdecimal() else (1, 0, word) for word in words if word]
 
 
 def _files(source: Path) -> list[Path]:
-    ends = (*ARRAYS, *TABLES)
+    ends = (*ARRAY_ENDINGS, *COLUMN_ENDINGS)
     if source.is_file() and source.suffix.lower() in ends:
         return [source]
     if not source.is_dir():
@@ -215,10 +236,10 @@ def _files(source: Path) -> list[Path]:
             f"{source} is no table of readouts: give a file ending in {', '.join(ends)}, or a "
             "folder of such files"
         )
-    found = [each for each in source.iterdir() if each.suffix.lower() in ends]
-    if not found:
+    files = [file for file in source.iterdir() if file.suffix.lower() in ends]
+    if not files:
         raise InputError(f"{source} holds no file ending in {', '.join(ends)}: give one that does")
-    return sorted(found, key=lambda path: _natural(path.name))
+    return sorted(files, key=lambda path: _natural(path.name))
 
 
 def _read(path: Path, variables: Variables, alone: bool) -> _Block:
@@ -229,7 +250,7 @@ def _read(path: Path, variables: Variables, alone: bool) -> _Block:
             setting="label",
             path=path,
         )
-    read = _of_table if path.suffix.lower() in TABLES else _of_arrays
+    read = _of_table if path.suffix.lower() in COLUMN_ENDINGS else _of_arrays
     block = read(path, variables)
     numbers = {"readouts": block.values, "order": block.order, **block.monitors}
     for what, values in numbers.items():
@@ -242,56 +263,64 @@ def _read(path: Path, variables: Variables, alone: bool) -> _Block:
 
 
 def _of_table(path: Path, variables: Variables) -> _Block:
-    words = [each for each in (variables.label, variables.picture) if each]
+    label, picture, order = variables[1:4]
+    words = [name for name in (label, picture) if name]
     heads = read_columns(path).names
-    for each in (*words, *([variables.order] if variables.order else [])):
-        if each not in heads:
-            raise _missing(path, each, heads)
+    for name in (*words, *([order] if order else [])):
+        if name not in heads:
+            raise _missing(path, name, heads)
     table = read_table(path, words)
 
     def columns(pattern: str) -> Numbers:
-        kept = [place for place, head in enumerate(table.names) if fnmatchcase(head, pattern)]
-        if not kept:
+        columns = [column for column, head in enumerate(table.names) if fnmatchcase(head, pattern)]
+        if not columns:
             raise _missing(path, pattern, table.names)
-        return table.values[:, kept]
+        return table.values[:, columns]
 
-    monitors = {each: columns(each) for each in variables.monitors}
-    taken = (*([variables.order] if variables.order else []), *variables.monitors)
-    rest = [
-        place
-        for place, head in enumerate(table.names)
-        if not any(fnmatchcase(head, each) for each in taken)
-    ]
-    values = columns(variables.values) if variables.values else table.values[:, rest]
-    count = len(values)
-    label, picture = variables.label, variables.picture
+    monitors = {pattern: columns(pattern) for pattern in variables.monitors}
+    if variables.values:
+        values = columns(variables.values)
+    else:
+        other = (*([order] if order else []), *variables.monitors)
+        rest = [not any(fnmatchcase(head, each) for each in other) for head in table.names]
+        values = table.values[:, np.flatnonzero(rest)]
     return _Block(
-        values,
-        list(table.words[label]) if label else [path.stem] * count,
-        list(table.words[picture]) if picture else None,
-        columns(variables.order)[:, 0] if variables.order else None,
-        monitors,
+        values=values,
+        labels=list(table.words[label]) if label else [path.stem] * len(values),
+        pictures=list(table.words[picture]) if picture else None,
+        order=columns(order)[:, 0] if order else None,
+        monitors=monitors,
     )
 
 
 def _of_arrays(path: Path, variables: Variables) -> _Block:
-    asked = [each for each in (*variables[:4], *variables.monitors) if each]
-    shapes: Mapping[str, Any]
+    label, picture, order = variables[1:4]
+    names = [name for name in (*variables[:4], *variables.monitors) if name]
+    arrays: dict[str, npt.NDArray[Any]] = {}
     if path.suffix.lower() == ".npz":
         arrays = read_npz(path)
         shapes = {name: values.shape for name, values in arrays.items()}
     else:
         shapes = list_variables(path, (0, 1, 2))
-    wide = [name for name, shape in shapes.items() if len(shape) == 2 and min(shape) > 1]
-    chosen = variables.values or _only(path, [name for name in wide if name not in asked])
-    for each in (chosen, *asked):
-        if each not in shapes:
-            raise _missing(path, each, shapes)
-    if path.suffix.lower() != ".npz":
-        names = dict.fromkeys((chosen, *asked))
-        arrays = {name: read_variable(path, name, shapes[name], LARGEST) for name in names}
-    vectors = [arrays[each].ravel() for each in variables[1:4] if each]
-    counts = {len(each) for each in vectors if len(each) > 1} or {len(arrays[chosen])}
+    readouts = variables.values
+    if not readouts:
+        tables = [name for name, shape in shapes.items() if len(shape) == 2 and min(shape) > 1]
+        tables = [name for name in tables if name not in names]
+        if len(tables) != 1:
+            raise InputError(
+                "{path} has {arrays}: give {values}, the variable of the readouts",
+                setting="values",
+                path=path,
+                arrays=", ".join(tables) or "no array of rows and columns",
+            )
+        readouts = tables[0]
+    for name in dict.fromkeys((readouts, *names)):
+        if name not in shapes:
+            raise _missing(path, name, shapes)
+        if name not in arrays:
+            arrays[name] = read_variable(path, name, shapes[name], MAX_NUMBERS)
+    lengths = {arrays[name].size for name in (label, picture, order) if name}
+    counts = lengths - {0, 1} or {len(arrays[readouts])}
     if len(counts) > 1:
         raise InputError(
             f"{path}: label, picture and order are of {', '.join(map(str, sorted(counts)))} "
@@ -299,49 +328,35 @@ def _of_arrays(path: Path, variables: Variables) -> _Block:
         )
     count = counts.pop()
 
-    def words(name: str | None) -> list[str] | None:
-        return None if name is None else _words(arrays[name], count)
+    def rows(name: str) -> Numbers:
+        """Values with a row for each recording, which are columns as often."""
+        values = arrays[name]
+        table = values.reshape(-1, 1) if values.ndim < 2 else values
+        table = table if len(table) == count else table.T
+        if len(table) != count or values.dtype.kind not in "biuf":
+            raise InputError(
+                f"{path}: {name} has shape {values.shape} for {count} recordings: give numbers, a "
+                "row or a column for each"
+            )
+        return table.astype(np.float64)
+
+    def words(name: str) -> list[str]:
+        """Names of labels or pictures, of which a file of one class has one alone."""
+        flat = arrays[name].ravel()
+        flat = np.broadcast_to(flat, count) if flat.size == 1 else flat
+        return [
+            f"{word:.15g}" if isinstance(word, float) else normal_name(str(word))
+            for word in flat.tolist()
+        ]
 
     return _Block(
-        _rows(arrays[chosen], count, f"{path}: {chosen}"),
-        words(variables.label) or [path.stem] * count,
-        words(variables.picture),
-        arrays[variables.order].ravel().astype(np.float64) if variables.order else None,
-        {each: _rows(arrays[each], count, f"{path}: {each}") for each in variables.monitors},
+        values=rows(readouts),
+        labels=words(label) if label else [path.stem] * count,
+        pictures=words(picture) if picture else None,
+        order=arrays[order].ravel().astype(np.float64) if order else None,
+        monitors={monitor: rows(monitor) for monitor in variables.monitors},
     )
 
 
-def _missing(path: Path, name: str, there: Sequence[str] | Mapping[str, Any]) -> InputError:
-    return InputError(f"{path} has no {name!r}, but {', '.join(there) or 'nothing'}: name one")
-
-
-def _only(path: Path, names: list[str]) -> str:
-    if len(names) != 1:
-        raise InputError(
-            "{path} has {arrays}: give {values}, the variable of the readouts",
-            setting="values",
-            path=path,
-            arrays=", ".join(names) or "no array of rows and columns",
-        )
-    return names[0]
-
-
-def _rows(values: npt.NDArray[Any], count: int, what: str) -> Numbers:
-    """Values with a row for each of so many recordings, which are columns as often."""
-    flat = values.reshape(-1, 1) if values.ndim < 2 else values
-    flat = flat if len(flat) == count else flat.T
-    if len(flat) != count or values.dtype.kind not in "biuf":
-        raise InputError(
-            f"{what} has shape {values.shape} for {count} recordings: give numbers, a row or a "
-            "column for each"
-        )
-    return flat.astype(np.float64)
-
-
-def _words(values: npt.NDArray[Any], count: int) -> list[str]:
-    """Names (count,) of labels or pictures, of which a file of one class has one alone."""
-    flat = np.broadcast_to(values.ravel(), count) if values.size == 1 else values.ravel()
-    return [
-        f"{each:.15g}" if isinstance(each, float) else normal_name(str(each))
-        for each in flat.tolist()
-    ]
+def _missing(path: Path, name: str, names: Iterable[str]) -> InputError:
+    return InputError(f"{path} has no {name!r}, but {', '.join(names) or 'nothing'}: name one")

@@ -1,13 +1,19 @@
-"""Files of named data sets, in ``$DEEPFSI_DATA`` and the cache, and their download."""
+"""Files of data sets, in ``$DEEPFSI_DATA`` or the user's cache: find, check, download, keep."""
 
 import hashlib
+import io
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from urllib.parse import urlsplit
 
-from deepfsi.base import InputError, Progress, terminal_bar
+import numpy as np
+import numpy.typing as npt
+
+from deepfsi.base import InputError, Progress, terminal_bar, write_atomically
+from deepfsi.base.numeric import read_npy
 
 
 class FileCheck(NamedTuple):
@@ -18,82 +24,102 @@ class FileCheck(NamedTuple):
     detail: str
 
 
-def cache(name: str) -> Path:
+def cache_folder(name: str) -> Path:
     """Folder of this user's cache for the files of a data set."""
     import pooch
 
     return Path(pooch.os_cache("deepfsi")) / name
 
 
-def candidates(name: str) -> list[Path]:
+def data_folders(name: str) -> list[Path]:
     """Folders where the files of a data set may be, the first before the second."""
     root = os.environ.get("DEEPFSI_DATA")
     if not root:
-        return [cache(name)]
+        return [cache_folder(name)]
     if not Path(root).is_dir():
         raise InputError(f"DEEPFSI_DATA is '{root}', which is no folder; correct or unset it")
-    return [Path(root) / name, cache(name)]
+    return [Path(root) / name, cache_folder(name)]
 
 
 def find_folder(name: str, files: Iterable[str]) -> Path | None:
-    """First of the `candidates` that has all the files."""
-    whole = (each for each in candidates(name) if all((each / f).is_file() for f in files))
-    return next(whole, None)
+    """First of the `data_folders` that has all the files."""
+    files = tuple(files)
+    folders = data_folders(name)
+    return next((path for path in folders if all((path / f).is_file() for f in files)), None)
 
 
 def check_files(name: str, hashes: Mapping[str, str]) -> list[FileCheck]:
     """Compare the files of a data set with their hashes, "algorithm:hex"."""
-    folder = find_folder(name, hashes) or candidates(name)[0]
-    return [_check_file(folder / file, known_hash) for file, known_hash in hashes.items()]
+    folder = find_folder(name, hashes) or data_folders(name)[0]
+    return [_check_file(folder / file, expected) for file, expected in hashes.items()]
 
 
-def whole_files(name: str, hashes: Mapping[str, str], mirrors: tuple[str, ...]) -> Path:
-    """Folder of the files of a data set, downloaded where they are missing, all whole."""
-    folder = find_folder(name, hashes)
-    if folder is None or folder == cache(name):
-        for file, known_hash in hashes.items():
-            retrieve(name, file, known_hash, mirrors)
-        return cache(name)
-    for file, ok, detail in check_files(name, hashes):
-        if not ok:
-            raise InputError(f"{folder / file}: {detail}; replace it with the original")
-    return folder
-
-
-def _check_file(path: Path, known_hash: str) -> FileCheck:
-    algorithm, _, expected = known_hash.partition(":")
+def _check_file(path: Path, expected: str) -> FileCheck:
+    algorithm, _, digest = expected.partition(":")
     try:
         with path.open("rb") as file:
-            found = hashlib.file_digest(file, algorithm).hexdigest()
+            actual = hashlib.file_digest(file, algorithm).hexdigest()
     except OSError as error:
         return FileCheck(path.name, False, f"cannot be read from {path.parent} ({error.strerror})")
-    if found != expected:
-        return FileCheck(path.name, False, f"{algorithm} is {found}, not {expected}")
+    if actual != digest:
+        return FileCheck(path.name, False, f"{algorithm} is {actual}, not {digest}")
     return FileCheck(path.name, True, f"{algorithm} agrees")
 
 
-def retrieve(name: str, file: str, known_hash: str, mirrors: tuple[str, ...]) -> None:
-    """Bring one file into the cache, unless it is there whole, from the first mirror that can."""
-    failures = []
-    for mirror in mirrors:
-        if not (reason := fetch(mirror + file, known_hash, cache(name) / file)):
-            return
-        failures.append(f"{urlsplit(mirror).netloc} ({reason})")
-    raise InputError(
-        f"{name}: cannot download {file} from {' or '.join(failures)}; try again, or put the "
-        f"original files into a folder {name} and set DEEPFSI_DATA to the folder that holds it"
-    )
+def download_files(name: str, hashes: Mapping[str, str], mirrors: tuple[str, ...]) -> Path:
+    """Folder of the files of a data set, downloaded where they are missing, all undamaged.
+
+    Parameters
+    ----------
+    name : str
+        Of the data set's folder.
+    hashes : mapping
+        Of each file, "algorithm:hex".
+    mirrors : tuple of str
+        Addresses of folders, each tried after the one before it.
+    """
+    folder = find_folder(name, hashes)
+    if folder is not None and folder != cache_folder(name):
+        for file, ok, detail in check_files(name, hashes):
+            if not ok:
+                raise InputError(f"{folder / file}: {detail}; replace it with the original")
+        return folder
+    for file, expected in hashes.items():
+        failures = []
+        for mirror in mirrors:
+            if not (reason := fetch(mirror + file, expected, cache_folder(name) / file)):
+                break
+            failures.append(f"{urlsplit(mirror).netloc} ({reason})")
+        else:
+            raise InputError(
+                f"{name}: cannot download {file} from {' or '.join(failures)}; try again, or put "
+                f"the original files into a folder {name} and set DEEPFSI_DATA to the folder that "
+                "holds it"
+            )
+    return cache_folder(name)
 
 
-def fetch(url: str, known_hash: str | None, path: Path) -> str:
-    """Bring the file of an address to a path, unless it is there whole; say why it could not be."""
-    # The hash is "algorithm:hex"; without one the file may not be there yet
+def fetch(url: str, expected: str | None, path: Path) -> str:
+    """Bring the file of an address to a path, unless it is there undamaged; say why it could not.
+
+    Parameters
+    ----------
+    url : str
+    expected : str or None
+        Its hash, "algorithm:hex"; without one the file may not be there yet.
+    path : Path
+
+    Returns
+    -------
+    str
+        Reason of the failure; empty if there is none.
+    """
     import pooch
 
     pooch.get_logger().setLevel("WARNING")
     try:
         with terminal_bar(path.name) as report:
-            pooch.retrieve(url, known_hash, path.name, path.parent, progressbar=_Download(report))
+            pooch.retrieve(url, expected, path.name, path.parent, progressbar=_Download(report))
     except (OSError, ValueError) as error:  # no connection, no such file; wrong hash
         return "wrong hash" if isinstance(error, ValueError) else type(error).__name__
     return ""
@@ -117,3 +143,34 @@ class _Download:
 
     def close(self) -> None:
         """The bar ends with its block."""
+
+
+def hash_array(values: npt.NDArray[Any]) -> str:
+    """SHA-256 in hex of an array's type, shape and values."""
+    values = np.ascontiguousarray(values)
+    header = f"{values.dtype.str} {values.shape}".encode()
+    return hashlib.sha256(header + values.tobytes()).hexdigest()
+
+
+def kept_array(path: Path, expected: str, make: Callable[[], npt.NDArray[Any]]) -> npt.NDArray[Any]:
+    """Array that takes long to make, from a file if that holds it, else made and kept there.
+
+    Parameters
+    ----------
+    path : Path
+        ``.npy`` file.
+    expected : str
+        `hash_array` of the array. What is made and has another one is not kept.
+    make : callable
+        Makes it.
+    """
+    with suppress(InputError):  # there is none, or it is damaged
+        if hash_array(values := read_npy(path)) == expected:
+            return values
+    values = make()
+    if hash_array(values) == expected:
+        content = io.BytesIO()
+        np.save(content, values)
+        with suppress(OSError, InputError):  # the cache cannot be written: make it again next time
+            write_atomically(path, content.getvalue())
+    return values

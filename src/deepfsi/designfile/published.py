@@ -18,7 +18,7 @@ from pydantic import Field
 
 from deepfsi.base import InputError, as_input_error, closest_choice, hash_file, read_text
 from deepfsi.base.models import Positive, Share, StrictModel
-from deepfsi.datasets.store import cache, fetch
+from deepfsi.datasets import cache_folder, fetch
 
 DESIGNS_VARIABLE = "DEEPFSI_DESIGNS"
 """Environment variable: folder or address of a collection."""
@@ -130,7 +130,7 @@ def find_design(given: str | os.PathLike[str]) -> Path:
     folder = _folder(where)
     sha256 = collections[where][name].sha256
     if folder is None:
-        path = cache("designs") / f"{name}-{sha256[:12]}.safetensors"
+        path = cache_folder("designs") / f"{name}-{sha256[:12]}.safetensors"
         _fetch(f"{where}/{name}.safetensors", path, f"sha256:{sha256}")
         return path
     path = folder / f"{name}.safetensors"

@@ -8,8 +8,7 @@ import numpy as np
 
 from deepfsi.base import InputError, check_unpacked, open_regular
 from deepfsi.base.numeric import read_array, split_variable
-from deepfsi.datasets.decoding import check_levels, unread_kind
-from deepfsi.datasets.deep_colours import is_deep
+from deepfsi.datasets import check_grey_levels, is_deep, unread_kind
 
 IMAGES = (".png", ".tif", ".tiff", ".bmp", ".pgm", ".gif")
 """Ends of the names of image files that lose nothing."""
@@ -89,7 +88,7 @@ def _pages(file: Path) -> Iterator[np.ndarray]:
                 pixels = image.width * image.height * getattr(image, "n_frames", 1)
                 check_unpacked(pixels, file.stat().st_size, str(file), "replace it")
                 for page in ImageSequence.Iterator(image):
-                    check_levels(page, str(file))
+                    check_grey_levels(page, str(file))
                     grey = page.mode in ("F", "I") or page.mode.startswith("I;16")
                     if is_deep(page) and not grey:
                         raise InputError(

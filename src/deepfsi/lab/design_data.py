@@ -16,12 +16,12 @@ from deepfsi.base import InputError
 from deepfsi.datasets import (
     Dataset,
     Origin,
-    absolute,
+    absolute_source,
     array_display,
     load_dataset,
-    prepared,
+    options_of,
+    prepare_display,
     read_display,
-    takes,
 )
 from deepfsi.designfile import (
     DesignFile,
@@ -36,7 +36,7 @@ from deepfsi.hardware.counting import Calibration
 from deepfsi.hardware.patterns import Patterns, check_patterns, read_patterns
 
 if TYPE_CHECKING:
-    from deepfsi.datasets.display import Display
+    from deepfsi.datasets import Display
     from deepfsi.design import Design
 
 
@@ -151,12 +151,12 @@ def _asked(
     known: Origin | None, data: str | None, size: tuple[int, int] | None, view: Path | None
 ) -> Origin:
     """Source that is told, the rest of it as the design remembers."""
-    name = known.data if data is None and known else absolute(str(data))
-    told = {"size": size, "view": absolute(str(view)) if view else None}
+    name = known.data if data is None and known else absolute_source(str(data))
+    told = {"size": size, "view": absolute_source(str(view)) if view else None}
     told = {option: value for option, value in told.items() if value is not None}
     if known is None or name == known.data:
         return (known or Origin(data=name)).model_copy(update=told)
-    allowed = takes(name)
+    allowed = options_of(name)
     same = [
         "rescale",
         "view",
@@ -227,7 +227,7 @@ def design_scenes(
         if pictures.dtype.kind == "f":  # reflectance, as a data set has it
             origin = None
     if origin is not None:
-        shown = prepared(pictures, origin, skip_bad)
+        shown = prepare_display(pictures, origin, skip_bad)
     elif not isinstance(pictures, Path):
         shown = array_display(pictures)
     else:

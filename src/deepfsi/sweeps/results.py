@@ -11,7 +11,7 @@ from deepfsi.base import as_input_error, read_text, write_atomically
 from deepfsi.base.models import Positive, Share
 from deepfsi.base.numeric import unpack_values
 from deepfsi.camera import find_noise
-from deepfsi.datasets.dataset import MeasureTitle
+from deepfsi.datasets import MeasureTitle
 from deepfsi.jobs import EVERY_PIXEL
 
 SCHEMA = 5

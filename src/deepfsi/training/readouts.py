@@ -16,7 +16,7 @@ import torch
 
 from deepfsi.base import SILENT, Progress
 from deepfsi.base.numeric import Interval, accuracy_interval, student, wilson
-from deepfsi.datasets.readouts import Readouts
+from deepfsi.datasets import MeasuredReadouts
 from deepfsi.design import READOUT_PHOTONS, TRAINING, Design, classify_readouts
 from deepfsi.designfile import READOUTS
 from deepfsi.training.learning import learn
@@ -180,7 +180,7 @@ def _percent(found: Interval) -> str:
 
 
 def learn_readouts(
-    readouts: Readouts,
+    readouts: MeasuredReadouts,
     split: str = "random",
     *,
     training: Mapping[str, Any] | None = None,
@@ -195,7 +195,7 @@ def learn_readouts(
 
     Parameters
     ----------
-    readouts : Readouts
+    readouts : MeasuredReadouts
     split : str
         Which of its splits.
     training : mapping, optional
@@ -224,13 +224,13 @@ def learn_readouts(
 
 
 def measure_readouts(
-    readouts: Readouts, designs: Mapping[str, Design], seed: int = 0
+    readouts: MeasuredReadouts, designs: Mapping[str, Design], seed: int = 0
 ) -> ReadoutsResult:
     """Test designs of `learn_readouts`, and what else tells the class.
 
     Parameters
     ----------
-    readouts : Readouts
+    readouts : MeasuredReadouts
     designs : mapping of str to Design
         Of each split.
     seed : int
@@ -289,10 +289,10 @@ def _ridge(values: np.ndarray, y: np.ndarray, test: np.ndarray, seed: int) -> In
     return accuracy_interval((answers == y[test]).astype(float))
 
 
-def measure_order(readouts: Readouts) -> OrderTest:
+def measure_order(readouts: MeasuredReadouts) -> OrderTest:
     """Test whether class and time of recording can be told apart."""
     if readouts.ordered:
-        labels = readouts.y[np.argsort(readouts.place, kind="stable")]
+        labels = readouts.y[np.argsort(readouts.position, kind="stable")]
         same = float((labels[1:] == labels[:-1]).mean())
         shares = np.bincount(labels) / len(labels)
         found = Interval(same, *wilson(same, len(labels) - 1))

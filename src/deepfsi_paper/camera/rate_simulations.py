@@ -14,8 +14,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from deepfsi.base import SILENT, Progress
-from deepfsi.datasets import Dataset, load_dataset
-from deepfsi.datasets.load import DIM_BLACK
+from deepfsi.datasets import DIM_BLACK, Dataset, load_dataset
 from deepfsi.design import Design
 from deepfsi.sweeps.results import Results
 from deepfsi.sweeps.workers import cores, processes

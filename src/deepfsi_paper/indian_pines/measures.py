@@ -14,8 +14,7 @@ import numpy as np
 import torch
 
 from deepfsi.base import SILENT, Progress
-from deepfsi.datasets import Dataset, SpectralImage
-from deepfsi.datasets.indian_pines import load_scene
+from deepfsi.datasets import Dataset, SpectralImage, load_indian_pines
 from deepfsi.design import Design
 from deepfsi.designfile import DesignFile
 from deepfsi.evaluation import evaluate
@@ -149,7 +148,7 @@ def measure(
 
     Parameters as of `Experiment.measure`.
     """
-    scene = load_scene()
+    scene = load_indian_pines()
     splits = list(dict.fromkeys(point.split for point in results.points))
     parts: dict[str, Parts] = {}
     maps: list[ClassMap] = []

@@ -189,7 +189,7 @@ def read_npy(path: Path, largest: int = 2**30) -> npt.NDArray[Any]:
                 f"cannot read an array of real numbers from {path} ({error}){other}; write "
                 "it with numpy.save"
             ) from error
-    _check_values(path, values.shape, largest)
+    check_size(str(path), values.shape, values.dtype.itemsize, largest)
     return _native(np.array(values))
 
 
@@ -198,10 +198,23 @@ def _native(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
     return values.astype(values.dtype.newbyteorder("="), copy=False)
 
 
-def _check_values(what: object, shape: tuple[int, ...], largest: int) -> None:
-    """Raise `InputError` for an array of more values than its reader allows."""
-    if np.prod(shape, dtype=float) > largest:
-        raise InputError(f"{what} has the shape {shape}: give {largest} values or fewer")
+def check_size(what: str, shape: Sequence[int], itemsize: int, largest: int) -> None:
+    """Raise `InputError` for an array that is larger than its reader allows, or than the memory.
+
+    Parameters
+    ----------
+    what : str
+        File, or variable of a file, for a message.
+    shape : sequence of int
+    itemsize : int
+        Bytes of a value.
+    largest : int
+        Values at most.
+    """
+    size = float(np.prod(shape, dtype=float))
+    if size > largest:
+        raise InputError(f"{what} has the shape {tuple(shape)}: give {largest} values or fewer")
+    check_memory(itemsize * size, free_memory(), f"the values of {what}", "give fewer")
 
 
 def list_variables(path: Path, dimensions: Sequence[int]) -> dict[str, tuple[int, ...]]:
@@ -261,7 +274,7 @@ def read_variable(path: Path, name: str, shape: tuple[int, ...], largest: int) -
     """
     from scipy.io import loadmat
 
-    _check_values(f"{path}: {name}", shape, largest)
+    check_size(f"{path}: {name}", shape, DOUBLE, largest)
     size = path.stat().st_size
     check_unpacked(np.prod(shape, dtype=float), size, f"{path}: {name}", UNCOMPRESSED)
     values: npt.NDArray[Any]

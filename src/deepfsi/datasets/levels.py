@@ -1,4 +1,4 @@
-"""Values of pictures and arrays: their range, colours turned to grey, and reflectance in [0, 1].
+"""Levels of pictures and arrays: their range, colours turned to grey, reflectance in [0, 1].
 
 Reflectance 1, *white*, is 255 for bytes and true for truth values; floats are reflectance as given.
 Integers of any other type hold fewer bits than their type, as a camera of 12 bits writes uint16:
@@ -22,32 +22,44 @@ LUMA = (0.299, 0.587, 0.114)
 BITS = (1, 8, 10, 12, 14, 16, 24, 32)
 """Depths of integers in files of cameras."""
 
-ROUNDING = 1e-6
+LARGEST_ROUNDING = 1e-6
 """Distance of a float from [0, 1] at most, after scaling done elsewhere."""
 
-CHUNK = 4096
+GREY_AT_ONCE = 4096
 """Scenes whose colours are turned to grey at once."""
 
 LARGE = 2**28
 """Bytes as float32 above which scenes keep their type, and are read part by part."""
 
-PART = 2**22
+VALUES_AT_ONCE = 2**22
 """Values that are read at once."""
 
-Values = npt.NDArray[Any]
+AnyArray = npt.NDArray[Any]
 
 Family = Literal["truth", "byte", "integer", "float"]
 """Types that share a rule for white."""
 
 
-class Levels(NamedTuple):
-    """Range of the values of a source."""
+class ValueRange(NamedTuple):
+    """Range of the values of a source.
 
-    kind: str  # type of the values: "uint16", "8-bit"
-    low: float  # smallest and largest
+    Attributes
+    ----------
+    kind : str
+        Type of the values: "uint16", "8-bit".
+    low, high : float
+        Smallest and largest.
+    white : float
+        Value that is reflectance 1.
+    chosen : bool
+        True if `white` is no property of the type: other scenes need to be told it.
+    """
+
+    kind: str
+    low: float
     high: float
-    white: float  # value that is reflectance 1
-    chosen: bool  # true if `white` is no property of the type: other scenes need to be told it
+    white: float
+    chosen: bool
 
     @property
     def chosen_white(self) -> float | None:
@@ -63,14 +75,20 @@ class Levels(NamedTuple):
         return f"{self.kind} values from {self.low:.4g} to {self.high:.4g}, {done}"
 
 
-def measure(parts: Mapping[str, Values], white: float | None = None) -> Levels:
-    """Range of the values of scenes of one type, and their white."""
-    # Parameters as of `levels_of`; the parts are those to train on and, if there are any, to test
-    # on
+def measure_levels(parts: Mapping[str, AnyArray], white: float | None = None) -> ValueRange:
+    """Range of the values of scenes of one type, and their white.
+
+    Parameters
+    ----------
+    parts : mapping of arrays
+        Scenes to train on and, if there are any, to test on, by their names in messages.
+    white : float, optional
+        Value that is reflectance 1, of integers wider than a byte.
+    """
     families = {_family(part.dtype, what) for what, part in parts.items()}
     if len(families) > 1:
-        given = " and ".join(f"{what} {part.dtype}" for what, part in parts.items())
-        raise InputError(f"{given} have no white in common; give one type")
+        types = " and ".join(f"{what} {part.dtype}" for what, part in parts.items())
+        raise InputError(f"{types} have no white in common; give one type")
     kind = str(next(iter(parts.values())).dtype)
     reach = {what: (float(part.min()), float(part.max())) for what, part in parts.items()}
     return levels_of(reach, families.pop(), kind, white)
@@ -78,16 +96,48 @@ def measure(parts: Mapping[str, Values], white: float | None = None) -> Levels:
 
 def levels_of(
     reach: Mapping[str, tuple[float, float]], family: Family, kind: str, white: float | None
-) -> Levels:
-    """Levels of values that reach so far."""
+) -> ValueRange:
+    """Levels of values that reach so far.
+
+    Parameters
+    ----------
+    reach : mapping of (float, float)
+        Smallest and largest value of each part, by its name in messages.
+    family, kind : str
+        Their rule for white, and their type in words.
+    white : float or None
+        As of `measure_levels`.
+
+    Raises
+    ------
+    InputError
+        If they cannot be reflectances.
+    """
     for what, (low, high) in reach.items():
-        _check_reach(what, low, high, family, white)
-    low, high = min(low for low, _ in reach.values()), max(high for _, high in reach.values())
+        if not (np.isfinite(low) and np.isfinite(high)):
+            raise InputError(f"{what} holds NaN or infinite values; remove those scenes")
+        if family == "float" and (low < -LARGEST_ROUNDING or high > 1 + LARGEST_ROUNDING):
+            raise InputError(
+                f"{what} reaches from {low:.4g} to {high:.4g}; reflectance lies in [0, 1]: rescale "
+                "it"
+            )
+        if family == "integer" and not 0 <= low <= high < 2 ** BITS[-1]:
+            raise InputError(
+                f"{what} reaches from {low:.10g} to {high:.10g}; integers are allowed from 0 to "
+                f"2**{BITS[-1]} - 1: subtract the offset, or rescale to [0, 1]"
+            )
+        if family == "integer" and white is not None and high > white:
+            raise InputError(
+                f"{what} reaches up to {high:.10g}, above white, {white:.10g}; give a white that "
+                "no value is above"
+            )
+    low = min(low for low, _ in reach.values())
+    high = max(high for _, high in reach.values())
     if family != "integer":
         white = 255.0 if family == "byte" else 1.0
     elif white is None:
         white = float(next(2**bits - 1 for bits in BITS if high < 2**bits))
-    return Levels(kind, low, high, white, family == "integer")
+    return ValueRange(kind, low, high, white=white, chosen=family == "integer")
 
 
 def _family(dtype: np.dtype[Any], what: str) -> Family:
@@ -99,28 +149,8 @@ def _family(dtype: np.dtype[Any], what: str) -> Family:
     return kinds[dtype.kind]
 
 
-def _check_reach(what: str, low: float, high: float, family: Family, white: float | None) -> None:
-    """Raise `InputError` for values that cannot be reflectances."""
-    if not (np.isfinite(low) and np.isfinite(high)):
-        raise InputError(f"{what} holds NaN or infinite values; remove those scenes")
-    if family == "float" and (low < -ROUNDING or high > 1 + ROUNDING):
-        raise InputError(
-            f"{what} reaches from {low:.4g} to {high:.4g}; reflectance lies in [0, 1]: rescale it"
-        )
-    if family == "integer" and not 0 <= low <= high < 2 ** BITS[-1]:
-        raise InputError(
-            f"{what} reaches from {low:.10g} to {high:.10g}; integers are allowed from 0 to "
-            f"2**{BITS[-1]} - 1: subtract the offset, or rescale to [0, 1]"
-        )
-    if family == "integer" and white is not None and high > white:
-        raise InputError(
-            f"{what} reaches up to {high:.10g}, above white, {white:.10g}; give a white that no "
-            "value is above"
-        )
-
-
-def reflectance(values: Values, levels: Levels) -> npt.NDArray[np.float32]:
-    """Reflectance of values, a copy of them; of floats but for rounding."""
+def reflectance(values: AnyArray, levels: ValueRange) -> npt.NDArray[np.float32]:
+    """Reflectance of values, a copy of them, in [0, 1] but for the rounding of floats."""
     if levels.white == 1:
         return values.astype(np.float32)
     return np.divide(values, levels.white, dtype=np.float32)
@@ -137,7 +167,7 @@ class StoredScenes:
     ----------
     values : array, shape (n, ...)
         In memory or mapped from a file, of any type. It is not copied, and must not be changed.
-    levels : Levels
+    levels : ValueRange
         Of the values.
     rows : array of int, optional
         Scenes that are meant, in their order; all unless given.
@@ -157,8 +187,8 @@ class StoredScenes:
 
     def __init__(
         self,
-        values: Values,
-        levels: Levels,
+        values: AnyArray,
+        levels: ValueRange,
         rows: npt.NDArray[np.integer[Any]] | None = None,
         ends: tuple[float, float] = (0.0, 1.0),
     ) -> None:
@@ -193,17 +223,17 @@ class StoredScenes:
         return x if bytes_as_they_are else mapped(x, low, high)
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> npt.NDArray[Any]:
-        whole = np.empty(self.shape, np.float32)
+        scenes = np.empty(self.shape, np.float32)
         first = 0
         for part in self.parts():
-            whole[first : first + len(part)] = part
+            scenes[first : first + len(part)] = part
             first += len(part)
-        return whole if dtype is None else whole.astype(dtype, copy=False)
+        return scenes if dtype is None else scenes.astype(dtype, copy=False)
 
     @property
     def step(self) -> int:
         """Scenes of a part."""
-        return max(1, PART * len(self) // max(1, self.size))
+        return max(1, VALUES_AT_ONCE * len(self) // max(1, self.size))
 
     def parts(self) -> Iterator[npt.NDArray[np.float32]]:
         """All scenes, some after others."""
@@ -261,15 +291,17 @@ def mapped(x: npt.NDArray[np.float32], low: float, high: float) -> npt.NDArray[n
     return np.clip(x, low, high, out=x)
 
 
-def grey(values: Values, what: str) -> Values:
-    """Grey levels (n, H, W) of colours (n, H, W, 3), or (n, H, W, 4) whose last is left out."""
-    # Integers keep their type, rounded. `what` is their name in messages
+def grey(values: AnyArray, what: str) -> AnyArray:
+    """Grey levels (n, H, W) of colours (n, H, W, 3), or (n, H, W, 4) whose last is left out.
+
+    Integers keep their type, rounded; `what` is the name of the values in messages.
+    """
     family = _family(values.dtype, what)
     if values.shape[3] == 1:
         return values[..., 0]
     out = np.empty(values.shape[:3], np.float32 if family == "truth" else values.dtype)
-    for first in range(0, len(values), CHUNK):
-        part = slice(first, first + CHUNK)
+    for first in range(0, len(values), GREY_AT_ONCE):
+        part = slice(first, first + GREY_AT_ONCE)
         mixed = values[part, ..., :3] @ np.array(LUMA)
         out[part] = np.rint(mixed) if family in ("byte", "integer") else mixed
     return out
