@@ -517,7 +517,7 @@ def assemble(
 
 
 def draw_fifth(
-    count: int, classes: Labels | None, seed: int
+    count: int, classes: npt.NDArray[np.integer] | None, seed: int
 ) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
     """Indices of the scenes to train on, in random order, and of a fifth of them to test on.
 
