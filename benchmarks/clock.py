@@ -33,7 +33,7 @@ from deepfsi.base import write_atomically
 from deepfsi.base.numeric import wilson
 from deepfsi.exposure import Observation
 from deepfsi.physics import frames
-from deepfsi.report.style import COLOURS, photons_text, styled
+from deepfsi.report.style import DESIGN_COLOURS, photons_text, styled
 
 PICTURE_S, SETTLE_S = 44e-6, 10e-6
 """Shortest picture time and settling time of a DLP7000, seconds."""
@@ -51,11 +51,11 @@ RASTER = 0
 """In place of a number of looks: raster scan."""
 
 LINES = {
-    RASTER: ("raster scan", COLOURS["raster"], "s"),
-    1: ("fixed sequence", COLOURS["impulse"], "o"),
-    2: ("2 looks", COLOURS["pca"], "^"),
-    4: ("4 looks", COLOURS["truncated-hadamard"], "v"),
-    8: ("8 looks", COLOURS["deepfsi"], "D"),
+    RASTER: ("raster scan", DESIGN_COLOURS["raster"], "s"),
+    1: ("fixed sequence", DESIGN_COLOURS["impulse"], "o"),
+    2: ("2 looks", DESIGN_COLOURS["pca"], "^"),
+    4: ("4 looks", DESIGN_COLOURS["truncated-hadamard"], "v"),
+    8: ("8 looks", DESIGN_COLOURS["deepfsi"], "D"),
 }
 
 

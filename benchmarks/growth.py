@@ -20,14 +20,18 @@ from pathlib import Path
 import numpy as np
 
 from deepfsi.datasets import Dataset, from_arrays, load_dataset
-from deepfsi.report.comparison_page import build
-from deepfsi.sweeps.context import SweepContext
-from deepfsi.sweeps.queue import run_trials
-from deepfsi.sweeps.recipe import Recipe
-from deepfsi.sweeps.records import Records, write_table
-from deepfsi.sweeps.results import write_results
-from deepfsi.sweeps.summary import summarise
-from deepfsi.sweeps.trial import plan
+from deepfsi.report import write_report
+from deepfsi.sweeps import (
+    FinishedTrial,
+    FoldRecords,
+    Recipe,
+    Records,
+    plan_trials,
+    run_trials,
+    summarise_records,
+    write_results,
+    write_table,
+)
 from deepfsi.training import learn
 
 SIZES = {
@@ -88,23 +92,24 @@ def records(count: int) -> None:
     recipe = Recipe(designs="pca", masks=3, photons=photons, trials=seeds, **settings)
     with tempfile.TemporaryDirectory() as place:
         folder, times = Path(place), [time.process_time()]
-        trials = plan(recipe, data)
+        trials = plan_trials(recipe, data)
         times.append(time.process_time())
-        context = SweepContext(data, 200, "cpu")
-        (record,) = run_trials(trials[:1], context, folder)
+        (record,) = run_trials(trials[:1], data, folder, device="cpu")
         written, design = Records(folder), (folder / "designs" / f"{record['design']}.safetensors")
         content = design.read_bytes()
         for trial in trials[1:]:
             own = {"key": trial.key, "design": trial.design_key}
             own["trial"] = trial.model_dump(mode="json")
             written.lock([trial])
-            written.write([(trial, {**record, **own}, content)])
+            written.write([FinishedTrial(trial, {**record, **own}, content)])
         times.append(time.process_time())
-        found = run_trials(trials, context, folder)
+        found = run_trials(trials, data, folder, device="cpu")
         times.append(time.process_time())
-        results = summarise(recipe, data, found, command="", seconds=0.0)
+        results = summarise_records(
+            recipe, data, [FoldRecords(data, found)], command="", seconds=0.0
+        )
         write_results(folder / "results.json", results)
-        build(folder)
+        write_report(folder)
         times.append(time.process_time())
         write_table(found, folder / "table.csv")
         times.append(time.process_time())

@@ -26,7 +26,7 @@ from deepfsi.evaluation import playable
 from deepfsi.exposure import FixedExposure, TrainedMasks
 from deepfsi.networks import Mlp
 from deepfsi.physics import Detection, Rails, light_law
-from deepfsi.report.playground.page import write_page
+from deepfsi.report.playground import write_page
 
 MEASURE = """
 const { page, model } = window.playground;

@@ -42,9 +42,7 @@ from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.design import Design
 from deepfsi.evaluation import evaluate
 from deepfsi.physics import light_law
-from deepfsi.sweeps.recipe import Recipe
-from deepfsi.sweeps.results import Point
-from deepfsi.sweeps.run import compare
+from deepfsi.sweeps import Point, Recipe, compare
 from deepfsi.training import learn
 
 NEURONS = (10, 50, 100, 400)

@@ -29,11 +29,7 @@ from deepfsi.evaluation import evaluate
 from deepfsi.exposure import TrainingSet
 from deepfsi.jobs import Job, Training
 from deepfsi.networks import Mlp, Replicas
-from deepfsi.sweeps.context import SweepContext
-from deepfsi.sweeps.queue import run_trials
-from deepfsi.sweeps.recipe import PAPER_RATIOS, Recipe
-from deepfsi.sweeps.trial import plan
-from deepfsi.sweeps.workers import Workers, default_count
+from deepfsi.sweeps import PAPER_RATIOS, Recipe, Workers, default_count, plan_trials, run_trials
 from deepfsi.training import train
 
 BUDGETS, SEEDS, EPOCHS, BATCH = (1e3, 1e4, 1e5, 1e6), 5, 20, 500
@@ -63,11 +59,12 @@ def sweep(
         draws=1,
         training={"epochs": epochs, "batch": BATCH, "precision": PRECISIONS[precision]},
     )
-    trials = plan(recipe, data)
+    trials = plan_trials(recipe, data)
     with tempfile.TemporaryDirectory() as folder:
         began = time.perf_counter()
-        context = SweepContext(data, 0, device)
-        done = run_trials(trials, context, out or Path(folder), Workers(workers))
+        done = run_trials(
+            trials, data, out or Path(folder), device=device, workers=Workers(workers)
+        )
         seconds = time.perf_counter() - began
     accuracy = np.mean([record["test"][0]["accuracy"] for record in done])
     print(

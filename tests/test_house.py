@@ -44,6 +44,10 @@ ROOMS_DONE: set[str] = {
     "measures",
     "networks",
     "physics",
+    "report",
+    "report.playground",
+    "report.style",
+    "sweeps",
     "training",
 }
 """Rooms that keep every rule. A finished room is added here, and never goes again."""
@@ -70,6 +74,11 @@ LONELY: dict[str, str] = {
     "deepfsi.hardware.photons.scan": "a microscope's scan is no run, and has markers of its own",
     "deepfsi.hardware.photons.timestamps": "a new make's file is a class and a line in it",
     "deepfsi.physics.transit": "scenes that pass a pattern, which one kind of exposure needs",
+    "deepfsi.report.comparison_page": "a page is its file, which is given the results",
+    "deepfsi.report.playground.page": "one page, with its template and scripts beside it",
+    "deepfsi.sweeps.forecast": "what is asked before a sweep, and keeps no record of its own",
+    "deepfsi.sweeps.model_cards": "published designs are made of a list, by a command of theirs",
+    "deepfsi.sweeps.ray_cluster": "a cluster needs another package, and scripts may use it alone",
     "deepfsi.training.readouts": "networks of measured readouts, which need no masks",
 }
 """Modules with one importer, each with the reason why it is a module: ``deepfsi.base.html``."""

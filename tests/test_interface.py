@@ -12,8 +12,7 @@ import pytest
 
 import deepfsi
 from deepfsi.camera import CameraSettings
-from deepfsi.sweeps.recipe import Recipe
-from deepfsi.sweeps.recipe_check import check_recipe
+from deepfsi.sweeps import Recipe, check_settings
 
 ROOT = Path(__file__).parents[1]
 
@@ -36,7 +35,7 @@ def predict(**settings):
 
 
 def recipe(**settings):
-    return check_recipe(settings, lambda _: deepfsi.load_dataset("digits"))
+    return check_settings(settings, lambda _: deepfsi.load_dataset("digits"))
 
 
 def camera_file(text):

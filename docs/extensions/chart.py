@@ -111,15 +111,15 @@ def drawn(places, lines, x, y, scale="linear"):
     ax = figure.subplots()
     for place, (name, key) in enumerate(zip(lines, looks(lines), strict=True)):
         values, *spread = zip(*map(reach, lines[name]), strict=True)
-        look = {"color": style.COLOURS[key], "label": name}
+        look = {"color": style.DESIGN_COLOURS[key], "label": name}
         if bars:
             wide = 0.8 / len(lines)
             at = [row + wide * (place - (len(lines) - 1) / 2) for row in range(len(places))]
             if len(lines) == 1:
-                look["color"] = [style.COLOURS[looks([own])[0]] for own in places]
+                look["color"] = [style.DESIGN_COLOURS[looks([own])[0]] for own in places]
             ax.barh(at, values, wide, xerr=spread, error_kw={"elinewidth": 0.9}, **look)
         else:
-            look |= {"ls": style.LINES[key], "marker": "o", "ms": 3.5}
+            look |= {"ls": style.DESIGN_LINES[key], "marker": "o", "ms": 3.5}
             least = 0 if scale == "log" else -math.inf  # a logarithmic axis has no place for 0
             kept = [k for k, value in enumerate(values) if value > least]
             part = [[each[k] for k in kept] for each in (places, values, *spread)]

@@ -22,6 +22,6 @@ def style(gallery_conf, script):
     import matplotlib.pyplot as plt
     from cycler import cycler
 
-    from deepfsi.report import style
+    from deepfsi.report.style import STYLE as PACKAGE_STYLE
 
-    plt.rcParams.update(style.STYLE | STYLE | {"axes.prop_cycle": cycler(color=CYCLE)})
+    plt.rcParams.update(PACKAGE_STYLE | STYLE | {"axes.prop_cycle": cycler(color=CYCLE)})

@@ -6,7 +6,7 @@ import numpy as np
 
 from deepfsi.base.numeric import Difference, accuracy_difference, all_above, mean_of_trials
 from deepfsi.report.style import photons_text
-from deepfsi.sweeps.results import Point, Results
+from deepfsi.sweeps import Point, Results
 from deepfsi_paper.experiment import Experiment, Finding, budgets, points
 from deepfsi_paper.report.maps import accuracy_grid, heat_figure
 from deepfsi_paper.report.section import Claim, Picture

@@ -11,8 +11,8 @@ from itertools import pairwise
 from math import prod
 
 from deepfsi.base.numeric import Difference, accuracy_difference, all_above
-from deepfsi.report.style import BUDGET_AXIS, COLOURS, PAPER, photons_text
-from deepfsi.sweeps.results import Point, Results
+from deepfsi.report.style import BUDGET_AXIS, DESIGN_COLOURS, PAPER, photons_text
+from deepfsi.sweeps import Point, Results
 from deepfsi_paper.experiment import Experiment, Finding, budgets, cifar10_here
 from deepfsi_paper.report.lines import Line, lines_figure
 from deepfsi_paper.report.section import Claim, Picture, Table
@@ -43,7 +43,11 @@ PALETTE = ("raster", "hadamard", "truncated-hadamard", "pca", "deepfsi")
 Look = Mapping[str, object]
 """Keywords of matplotlib."""
 
-REFERENCE: Look = {"color": COLOURS["impulse"], "marker": "s", "linestyle": (0, (7, 2, 1.2, 2))}
+REFERENCE: Look = {
+    "color": DESIGN_COLOURS["impulse"],
+    "marker": "s",
+    "linestyle": (0, (7, 2, 1.2, 2)),
+}
 """Line of impulse imaging."""
 
 MASKS: Look = {"marker": "o"}
@@ -226,7 +230,7 @@ def _picture(fixed: Chosen, on: Chosen, looks: Chosen) -> Picture:
 
 
 def _coloured(look: Look, place: int) -> Look:
-    return {**look, "color": COLOURS[PALETTE[place % len(PALETTE)]]}
+    return {**look, "color": DESIGN_COLOURS[PALETTE[place % len(PALETTE)]]}
 
 
 def _by_detectors(fixed: Chosen, looks: Chosen) -> list[Line]:

@@ -14,14 +14,21 @@ import polars
 from deepfsi.base import SILENT, InputError, Progress, as_input_error, write_atomically
 from deepfsi.base.numeric import Difference, accuracy_difference, all_above
 from deepfsi.datasets import Dataset, list_datasets, load_dataset
-from deepfsi.report.comparison_page import listed
+from deepfsi.report import english_list
 from deepfsi.report.style import photons_text
-from deepfsi.sweeps.recipe import Recipe, only, parts
-from deepfsi.sweeps.records import rows
-from deepfsi.sweeps.results import Point, Results, read_results, write_results
-from deepfsi.sweeps.run import compare
-from deepfsi.sweeps.summary import provenance_of
-from deepfsi.sweeps.workers import Workers
+from deepfsi.sweeps import (
+    Point,
+    Recipe,
+    Results,
+    Workers,
+    compare,
+    only,
+    parts,
+    provenance_of,
+    read_results,
+    record_rows,
+    write_results,
+)
 from deepfsi_paper.report.maps import Cell
 from deepfsi_paper.report.section import Claim, Picture, Section, Table
 
@@ -155,7 +162,7 @@ class Experiment:
             first, designs = next(iter(data.values())), folder / "designs"
             extra = self.measure(results, first, designs, workers, spans[-1])
             results = results.model_copy(update={"extra": extra})
-        self.keep(folder, results, polars.DataFrame(rows(records), infer_schema_length=None))
+        self.keep(folder, results, polars.DataFrame(record_rows(records), infer_schema_length=None))
         return results
 
     def _named(self, point: Point, part: str, recipe: Recipe) -> Point:
@@ -227,7 +234,7 @@ class Experiment:
 
 
 def _together(
-    compared: Sequence[Results], points: Iterable[Point], records: Sequence[Mapping[str, Any]]
+    compared: Sequence[Results], points: Iterable[Point], records: Sequence[dict[str, Any]]
 ) -> Results:
     """Results of all parts: facts of the first, points, devices and times of all."""
     once = {record["key"]: record for record in records}  # parts may share a record
@@ -295,7 +302,7 @@ def no_gain(label: str, compared: Compared, why: str = "") -> Claim:
     """Claim that a code gains nothing over raster scan at any budget."""
     most = max(compared, key=lambda budget: compared[budget].mean)
     clear = [photons_text(budget) for budget, each in compared.items() if each.low > 0]
-    where = f"; above at {listed(clear)} photons" if clear else ""
+    where = f"; above at {english_list(clear)} photons" if clear else ""
     return Claim(
         f"{label} gains nothing over RS (less than {NOTHING})",
         all_above([-each for each in compared.values()], -NOTHING),

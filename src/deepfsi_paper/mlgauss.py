@@ -4,8 +4,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from deepfsi.base.numeric import Difference, all_above
-from deepfsi.report.style import COLOURS, photons_text
-from deepfsi.sweeps.results import Point, Results
+from deepfsi.report.style import DESIGN_COLOURS, photons_text
+from deepfsi.sweeps import Point, Results
 from deepfsi_paper.experiment import Experiment, Finding, points
 from deepfsi_paper.paired_maps import Pair, pair
 from deepfsi_paper.report.lines import Line, lines_figure
@@ -140,7 +140,7 @@ def _pictures(compared: Mapping[str, Compared]) -> tuple[Picture, ...]:
         for test, values, style in zip(
             TESTS, (each.pair.first, each.pair.second), ("--", "-"), strict=True
         ):
-            look = {"color": COLOURS[design], "linestyle": style, "linewidth": 1.4}
+            look = {"color": DESIGN_COLOURS[design], "linestyle": style, "linewidth": 1.4}
             lines.append(Line(f"{each.label}, {test}", look, each.pair.budgets, values[0].tolist()))
     picture = Picture(
         lines_figure({"budget Φ (photons)": lines}),

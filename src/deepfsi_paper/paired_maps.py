@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from deepfsi.base.numeric import Difference, accuracy_difference
 from deepfsi.report.style import photons_text
-from deepfsi.sweeps.results import Point
+from deepfsi.sweeps import Point
 from deepfsi_paper.experiment import budgets
 from deepfsi_paper.report.maps import accuracy_grid, contour_figure
 

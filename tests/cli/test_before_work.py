@@ -43,8 +43,7 @@ def no_training(monkeypatch):
     def train(*_, **__):
         raise AssertionError("trained before all was checked")
 
-    monkeypatch.setattr("deepfsi.sweeps.run.run_trials", train)
-    monkeypatch.setattr("deepfsi.sweeps.planning.run_trials", train)
+    monkeypatch.setattr("deepfsi.sweeps.run.SweepRun.finish", train)
     monkeypatch.setattr(learning, "learn", train)
 
 

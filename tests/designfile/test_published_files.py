@@ -24,7 +24,7 @@ from deepfsi.designfile import (
     read_indexes,
 )
 from deepfsi.designfile.published import DESIGNS_VARIABLE
-from deepfsi.sweeps.collection import Collection
+from deepfsi.sweeps import Collection
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ from deepfsi.evaluation import check_playable, of_page, playable
 from deepfsi.evaluation.page_data import COEFFICIENTS
 from deepfsi.exposure import ScenePrior
 from deepfsi.exposure.patches import PatchExposure
-from deepfsi.report.playground.page import write_page
+from deepfsi.report.playground import write_page
 from shared.playground import large_design
 
 

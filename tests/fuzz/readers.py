@@ -151,12 +151,11 @@ def read_virtual(path: Path) -> None:
 def read_recipe(path: Path) -> None:
     from deepfsi import from_arrays
     from deepfsi.cli.studies import read_recipe
-    from deepfsi.sweeps.recipe import only
-    from deepfsi.sweeps.recipe_check import check_recipe
+    from deepfsi.sweeps import check_settings, only
 
     x = np.random.default_rng(0).random((40, 4, 4))
     data = from_arrays(x, np.arange(40) % 2)
-    check_recipe(only(read_recipe(str(path))), lambda recipe: data)
+    check_settings(only(read_recipe(str(path))), lambda recipe: data)
 
 
 def read_index(path: Path) -> None:
@@ -166,14 +165,14 @@ def read_index(path: Path) -> None:
 
 
 def read_list(path: Path) -> None:
-    from deepfsi.sweeps.collection import Collection
+    from deepfsi.sweeps import Collection
 
     for recipe in Collection.read(path).designs.values():
         _ = recipe.job, recipe.hash
 
 
 def read_results(path: Path) -> None:
-    from deepfsi.sweeps.results import read_results
+    from deepfsi.sweeps import read_results
 
     read_results(path)
 
@@ -181,10 +180,10 @@ def read_results(path: Path) -> None:
 def build_report(path: Path) -> None:
     import matplotlib.pyplot as plt
 
-    from deepfsi.report.comparison_page import build
+    from deepfsi.report import write_report
 
     try:
-        build(path.parent)
+        write_report(path.parent)
     finally:
         plt.close("all")
 

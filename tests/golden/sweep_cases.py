@@ -105,10 +105,11 @@ COMPARED: dict[str, tuple[object, ...]] = {
 def keys(name: str) -> dict[str, Any]:
     """Keys of the trials of each part of a recipe, on scenes that no file holds."""
     try:
-        from deepfsi.sweeps import Recipe, only, plan
-    except ImportError:
+        from deepfsi.sweeps import Recipe, only, plan_trials
+    except ImportError:  # the package of the stored commit
+        from deepfsi.sweeps.trial import plan as plan_trials
+
         from deepfsi.sweeps.recipe import Recipe, only
-        from deepfsi.sweeps.trial import plan
     content = tomllib.loads(RECIPES[name].read_text())
     out: dict[str, Any] = {}
     for part in content.get("parts", {None: None}):
@@ -117,7 +118,8 @@ def keys(name: str) -> dict[str, Any]:
 
                 def trials(part=part, quick=quick, data=data):
                     recipe = Recipe(**{**only(content, part, quick), "validation": 0})
-                    return sorted(f"{one.key} {one.design_key}" for one in plan(recipe, data))
+                    planned = plan_trials(recipe, data)
+                    return sorted(f"{one.key} {one.design_key}" for one in planned)
 
                 out[f"{part} {quick} {scenes}"] = refused_or(trials)
     return out

@@ -18,7 +18,7 @@ MOST_NAMES = 45
 """Names of the package that all cases use at most, so that these outlast its modules."""
 
 COMMAND_LINE = {"cli"}
-PLANS = {"Recipe", "only", "plan"}
+PLANS = {"Recipe", "only", "plan", "plan_trials"}
 """Of the room of sweeps: keys of trials have no other way out."""
 
 

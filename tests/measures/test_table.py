@@ -14,11 +14,15 @@ from deepfsi.measures import (
     main_measure,
     results_lines,
 )
-from deepfsi.report.comparison_page import build
-from deepfsi.sweeps.records import rows
-from deepfsi.sweeps.results import read_results, write_results
-from deepfsi.sweeps.summary import summarise
-from deepfsi.sweeps.trial import plan
+from deepfsi.report import write_report
+from deepfsi.sweeps import (
+    FoldRecords,
+    plan_trials,
+    read_results,
+    record_rows,
+    summarise_records,
+    write_results,
+)
 from shared.trials import small, train_trials
 
 
@@ -54,14 +58,16 @@ def test_a_new_measure_is_one_entry(digits, tmp_path):
     assert "top 2" in table
     assert f"{result.score('top_2'):.3f}" in table
     recipe = small(designs=("pca",), photons=(1e3,), masks=(3,))
-    records = train_trials(plan(recipe, digits), digits, tmp_path / "runs")
-    [row] = rows(records)
+    records = train_trials(plan_trials(recipe, digits), digits, tmp_path / "runs")
+    [row] = record_rows(records)
     assert row["validation_top_2"] > row["validation_accuracy"]
-    results = summarise(recipe, digits, records, command="deepfsi", seconds=1.0)
+    results = summarise_records(
+        recipe, digits, [FoldRecords(digits, records)], command="deepfsi", seconds=1.0
+    )
     write_results(tmp_path / "results.json", results)
     [point] = read_results(tmp_path / "results.json").points
     assert point.further == {"top_2": row["top_2"]}
-    page = build(tmp_path).read_text(encoding="utf-8")
+    page = write_report(tmp_path).read_text(encoding="utf-8")
     assert '<button type="button">top 2</button>' in page
     assert f"<td>{row['top_2']:.3f}</td>" in page
 

@@ -110,7 +110,7 @@ def test_exposures_have_lines_and_published_values_open_beside(flux):
         assert line.get_ydata()[0] == pytest.approx(point.accuracy)
         assert point.exposure_s < line.get_xdata()[0] < 2 * point.exposure_s
         assert line.get_marker() == ("o" if point.specific else "s")
-        assert line.get_color() == style.COLOURS[point.design]
+        assert line.get_color() == style.DESIGN_COLOURS[point.design]
     if flux is not None:
         (top,) = ax.child_axes
         assert [tick.get_text() for tick in top.get_xticklabels()] == ["10³", "10⁴", "10⁵", "10⁶"]

@@ -12,7 +12,7 @@ import pytest
 
 from conftest import synthetic
 from deepfsi.base import InputError
-from deepfsi.sweeps.trial import plan
+from deepfsi.sweeps import plan_trials
 from deepfsi_paper import experiment, mlgauss, studies
 from deepfsi_paper.camera import claims as camera
 from deepfsi_paper.indian_pines import claims as indian_pines
@@ -152,7 +152,7 @@ def test_every_recipe_can_be_planned(each, quick):
     """On scenes of the data's shape."""
     data = synthetic(SHAPES.get(each.name, (32, 32)), SCENES.get(each.name, 120))
     for recipe in each.recipes(quick, trials=1).values():
-        trials = plan(recipe.model_copy(update={"validation": 20}), data)
+        trials = plan_trials(recipe.model_copy(update={"validation": 20}), data)
         assert {trial.job.design for trial in trials} == set(recipe.designs)
 
 

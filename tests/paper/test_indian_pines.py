@@ -10,7 +10,7 @@ import pytest
 
 from deepfsi.datasets import indian_pines as scene_files
 from deepfsi.datasets import load_indian_pines
-from deepfsi.report.style import svg
+from deepfsi.report.style.figures import svg
 from deepfsi_paper import experiment, studies
 from deepfsi_paper.indian_pines import claims as indian_pines
 from deepfsi_paper.indian_pines import figures

@@ -9,7 +9,7 @@ import pytest
 from matplotlib.collections import PathCollection, QuadMesh
 
 from deepfsi.jobs import mask_count
-from deepfsi.report.style import svg
+from deepfsi.report.style.figures import svg
 from deepfsi_paper.report import maps
 from deepfsi_paper.report.scales import ON_DARK, ON_LIGHT, SEQUENTIAL
 from shared.figures import assert_legible, assert_sound

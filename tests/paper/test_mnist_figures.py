@@ -12,7 +12,8 @@ from matplotlib.text import Annotation
 from deepfsi.base import InputError
 from deepfsi.jobs import DESIGNS as CODES
 from deepfsi.jobs import mask_count
-from deepfsi.report.style import COLOURS, svg
+from deepfsi.report.style import DESIGN_COLOURS
+from deepfsi.report.style.figures import svg
 from deepfsi_paper.measures import impulse_imaging_error
 from deepfsi_paper.mnist import figures
 from deepfsi_paper.mnist.figures import LearnedMasks, Measure, Start
@@ -293,7 +294,7 @@ def test_starts_are_drawn_beside_their_paired_differences():
     np.testing.assert_allclose(ends, [-0.064, -0.056])
     for panel in (left, right):
         colours = [bars.lines[0].get_color() for bars in panel.containers]
-        assert colours[-2:] == [COLOURS["truncated-hadamard"], COLOURS["random"]]
+        assert colours[-2:] == [DESIGN_COLOURS["truncated-hadamard"], DESIGN_COLOURS["random"]]
     legend = [text.get_text() for text in figure.legends[0].get_texts()]
     assert legend == ["from PCA", "from truncated Hadamard", "from random ±1", "chance"]
     across = [bars.lines[0].get_xdata()[0] for bars in left.containers]

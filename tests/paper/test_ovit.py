@@ -10,14 +10,11 @@ import pytest
 from conftest import synthetic
 from deepfsi import learn
 from deepfsi.base import InputError
-from deepfsi.report.accuracy import accuracy_figure
+from deepfsi.report import accuracy_figure
 from deepfsi.report.comparison_page import page_text
-from deepfsi.report.figures import Figures
-from deepfsi.sweeps import context
-from deepfsi.sweeps.recipe import Recipe
-from deepfsi.sweeps.run import compare
-from deepfsi.sweeps.trial import plan
-from deepfsi.sweeps.workers import Workers
+from deepfsi.report.style import Figures
+from deepfsi.sweeps import Recipe, Workers, compare, plan_trials
+from deepfsi.sweeps import batch as context
 from deepfsi_paper import experiment, studies
 from deepfsi_paper.ovit import claims as ovit
 from deepfsi_paper.ovit.claims import EXPERIMENT, IMAGES
@@ -124,7 +121,7 @@ def test_damaged_results_are_one_clear_line(images, tmp_path):
 def test_every_design_has_as_many_masks_as_a_patch_has_pixels(each, quick):
     """The full bases are those of a patch, too, not of the image."""
     [recipe] = each.recipes(quick).values()
-    trials = plan(recipe.model_copy(update={"validation": 24}), synthetic((64, 64)))
+    trials = plan_trials(recipe.model_copy(update={"validation": 24}), synthetic((64, 64)))
     assert {trial.job.design for trial in trials} == set(recipe.designs)
     assert {trial.job.masks for trial in trials} == {64}
     assert {trial.job.camera.light for trial in trials} == {"column"}

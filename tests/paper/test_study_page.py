@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from deepfsi.base import InputError
-from deepfsi.report.terms import ABBREVIATIONS
+from deepfsi.report.rendering import ABBREVIATIONS
 from deepfsi_paper.report.section import Claim, Section, Table
 from deepfsi_paper.report.study_page import Shown, columns, write_study
 from shared.pages import (

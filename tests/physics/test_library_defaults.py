@@ -12,8 +12,7 @@ from deepfsi.design import to_onnx
 from deepfsi.evaluation import playable, stop
 from deepfsi.hardware.counting import TableSettings
 from deepfsi.lab.adaptive_looks import adaptive_rails
-from deepfsi.sweeps.recipe import Recipe
-from deepfsi.sweeps.run import compare
+from deepfsi.sweeps import Recipe, compare
 
 FEW = deepfsi.Training(epochs=1, hidden=(8,))
 

@@ -18,7 +18,7 @@ from deepfsi.evaluation.stopping import StoppingRule
 from deepfsi.exposure import AdaptivePosterior, choice, prior_of
 from deepfsi.exposure.posterior import LookOptics
 from deepfsi.jobs import AdaptiveMasks
-from deepfsi.report.playground.page import write_page
+from deepfsi.report.playground import write_page
 from shared.playground import ask, open_playground
 
 LOOKS, PHOTONS, VECTORS = 6, 1e3, 20

@@ -13,12 +13,11 @@ import pytest
 from selenium.webdriver import ActionChains, Keys
 from selenium.webdriver.common.by import By
 
-from deepfsi.report.accuracy import accuracy_figure
-from deepfsi.report.comparison_page import build
+from deepfsi.report import accuracy_figure, pictures_figure, write_report
 from deepfsi.report.masks import masks_figure
-from deepfsi.report.pictures import pictures_figure
-from deepfsi.report.style import COLOURS, LEAST_SHARE
-from deepfsi.sweeps.results import read_results, write_results
+from deepfsi.report.style import DESIGN_COLOURS
+from deepfsi.report.style.figures import NARROWEST_SHARE
+from deepfsi.sweeps import read_results, write_results
 from deepfsi_paper.report.section import Claim, Picture, Section, Table
 from deepfsi_paper.report.study_page import write_study
 from shared.browser import CONTRASTS, CUT, OVERFLOW, SIZES, look
@@ -38,7 +37,7 @@ def pages(tmp_path_factory, all_drawn_once):
     widest = with_all(results, light="free-dwell", detectors="16x16", readout="both")
     write_results(home / "comparison" / "results.json", widest)
     study = write_study(home, "Deep feature-specific imaging, repeated", example(home))
-    return {"comparison": build(home / "comparison").as_uri(), "study": study.as_uri()}
+    return {"comparison": write_report(home / "comparison").as_uri(), "study": study.as_uri()}
 
 
 @pytest.fixture(params=KINDS)
@@ -86,7 +85,7 @@ def test_nothing_is_cut_blocked_or_hard_to_read(opened, width, scheme):
     assert {"H1", "TD", "text", "BUTTON", "FIGCAPTION"} <= {tag for _, tag, _ in contrasts}
     assert contrasts[0][0] >= 4.5, contrasts[:5]
     sizes = opened.execute_script(SIZES)
-    least = 11.99 if width == 1280 else 11.99 * LEAST_SHARE  # of figures, which shrink there
+    least = 11.99 if width == 1280 else 11.99 * NARROWEST_SHARE  # of figures, which shrink there
     assert sizes[0][0] >= least, sizes[:5]
     dark = opened.execute_script("return getComputedStyle(document.body).backgroundColor")
     assert (dark == "rgb(255, 255, 255)") == (scheme == "light")
@@ -122,7 +121,7 @@ def test_text_given_is_never_run_and_nothing_is_fetched(opened):
 HOSTILE = (
     '<img src=x onerror="window.harmed = true">',
     "</text></svg><script>window.harmed = true</script>",
-    f'id="a" url(#b) {COLOURS["deepfsi"]}',
+    f'id="a" url(#b) {DESIGN_COLOURS["deepfsi"]}',
     r"C:\data\1 $\frac$ {{ 7 }} &lt;b&gt;",
 )
 """Names of classes, data sets and folders that break careless pages."""
@@ -136,7 +135,7 @@ def hostile_pages(home, name):
     data = results.data.model_copy(update={"name": name, "classes": (name, "b")})
     changed = {"data": data, "title": name, "command": name}
     write_results(home / "results.json", results.model_copy(update=changed))
-    page, words = build(home), 3 * [name]
+    page, words = write_report(home), 3 * [name]
     matrix = np.random.default_rng(0).normal(size=(2, 16))
     figures = (
         masks_figure(matrix, (4, 4), title=name),

@@ -8,17 +8,16 @@ import pytest
 from markupsafe import escape
 
 from deepfsi.base import InputError
-from deepfsi.report.accuracy import accuracy_figure
-from deepfsi.report.comparison_page import build, compared, covered, summary
-from deepfsi.report.terms import DESIGNS, LAWS
-from deepfsi.report.verdict import verdict_of
-from deepfsi.sweeps.results import write_results
+from deepfsi.report import LAW_TERMS, accuracy_figure, verdict_of, write_report
+from deepfsi.report.comparison_page import compared_text, covers_text, summary_text
+from deepfsi.report.rendering import DESIGN_TERMS
+from deepfsi.sweeps import write_results
 from shared.pages import assert_explained, assert_headed, assert_whole, run_without_torch, words_of
 from shared.results import make_results, with_all
 
 
 def page_of(folder):
-    return build(folder).read_text(encoding="utf-8")
+    return write_report(folder).read_text(encoding="utf-8")
 
 
 words_alone = pytest.mark.usefixtures("undrawn")
@@ -132,10 +131,10 @@ def test_sections_come_in_order(tmp_path):
 @words_alone
 def test_a_page_opens_with_what_is_compared(tmp_path):
     results = make_results(tmp_path)
-    text = compared(results)
+    text = compared_text(results)
     assert text.startswith("5 ways to choose a camera’s masks, at equal light (light law column): ")
     assert "360 test scenes of digits" in text
-    said = covered(results)
+    said = covers_text(results)
     assert "Impulse imaging, with a detector for each of the 24 pixels, reaches 0.796" in said
     assert "The intervals are of 95 % and cover seeds of training (t over 3 trials)." in said
     page = page_of(tmp_path)
@@ -143,11 +142,11 @@ def test_a_page_opens_with_what_is_compared(tmp_path):
     assert page.index("<h1>") < page.index('class="plot"') < page.index("<h2") < page.index("<li>")
     assert '<a href="figures/">' in page
     single = results.with_points(p for p in results.points if p.design != "impulse")
-    assert "mpulse" not in compared(single) + covered(single)
+    assert "mpulse" not in compared_text(single) + covers_text(single)
     assert "adaptive" not in said
     adaptive = [p.model_copy(update={"design": "adaptive"}) for p in single.points]
     beside = results.with_points([*results.points, *adaptive])
-    assert "adaptive masks can be above impulse imaging" in covered(beside)
+    assert "adaptive masks can be above impulse imaging" in covers_text(beside)
 
 
 @words_alone
@@ -170,8 +169,8 @@ def test_each_design_and_light_law_of_the_page_is_a_term(tmp_path):
     text = words_of(page_of(tmp_path)).partition("Terms and abbreviations")[2]
     for point in results.points:
         assert f" {point.title} " in text
-        assert str(escape(DESIGNS[point.design])) in text
-        assert f"{point.light} , {escape(LAWS[point.light])}" in text
+        assert str(escape(DESIGN_TERMS[point.design])) in text
+        assert f"{point.light} , {escape(LAW_TERMS[point.light])}" in text
     assert "free-dwell" not in text
 
 
@@ -204,13 +203,13 @@ def test_a_cell_holds_one_number_and_its_interval_and_the_others_in_its_tip(tmp_
 
 def test_summary_follows_the_numbers(tmp_path):
     results = make_results(tmp_path)
-    text = summary(results, "poisson")
+    text = summary_text(results, "poisson")
     assert text.startswith(
         "Under photon noise: DeepFSI is the most accurate at 100 and 10⁴ photons: "
         "0.706 (0.702–0.710) at 100 with 4 masks and "
     )
     assert "told apart" not in text
-    wide = summary(with_all(results, low=0.0, high=1.0), "poisson")
+    wide = summary_text(with_all(results, low=0.0, high=1.0), "poisson")
     assert "most accurate" not in wide
     assert "PCA (FSI)" in wide
     assert "cannot be told apart on the same test scenes: they reach 0." in wide
@@ -218,7 +217,7 @@ def test_summary_follows_the_numbers(tmp_path):
         p.model_copy(update={"low": 0.5}) if (p.design, p.photons) == ("deepfsi", 1e2) else p
         for p in results.points
     ]
-    text = summary(results.with_points(few), "poisson")
+    text = summary_text(results.with_points(few), "poisson")
     assert "At 100 photons DeepFSI and PCA (FSI) cannot be told apart" in text
     assert "DeepFSI is the most accurate at 10⁴ photons" in text
 
@@ -231,8 +230,12 @@ def test_the_verb_of_adaptive_masks_is_plural(tmp_path):
         else p
         for p in results.points
     ]
-    assert "Adaptive masks are the most accurate" in summary(results.with_points(points), "poisson")
-    alone = summary(results.with_points(p for p in points if p.design == "adaptive"), "poisson")
+    assert "Adaptive masks are the most accurate" in summary_text(
+        results.with_points(points), "poisson"
+    )
+    alone = summary_text(
+        results.with_points(p for p in points if p.design == "adaptive"), "poisson"
+    )
     assert "Adaptive masks reach 0.7" in alone
 
 
@@ -252,12 +255,12 @@ def test_one_detector_is_said_of_the_optics_that_have_one(tmp_path, light, said)
     results = make_results(tmp_path, lights=(light,))
     text = words_of(page_of(tmp_path))
     assert said in text
-    assert (ONE in text) == (ONE in summary(results, "poisson")) == (light == "free-dwell")
+    assert (ONE in text) == (ONE in summary_text(results, "poisson")) == (light == "free-dwell")
     tiles = with_all(results, detectors="2x2")
     write_results(tmp_path / "results.json", tiles)
     assert ONE not in words_of(page_of(tmp_path))
     single = results.with_points(p for p in results.points if p.design != "impulse")
-    assert "impulse imaging" not in summary(single, "poisson")
+    assert "impulse imaging" not in summary_text(single, "poisson")
 
 
 @words_alone
@@ -384,7 +387,7 @@ def test_folders_without_usable_results_are_refused(tmp_path, content, told):
     if content is not None:
         file.write_text(content)
     with pytest.raises(InputError, match=told):
-        build(tmp_path)
+        write_report(tmp_path)
     assert not (tmp_path / "report.html").exists()
 
 
@@ -394,7 +397,7 @@ def test_damaged_design_file_is_named(tmp_path):
     for file in (tmp_path / "designs").iterdir():
         file.write_bytes(b"no design")
     with pytest.raises(InputError, match=r"poisson-column-deepfsi-100-4\.safetensors"):
-        build(tmp_path)
+        write_report(tmp_path)
 
 
 def test_report_needs_no_torch(tmp_path):
@@ -410,14 +413,14 @@ def test_equal_designs_are_all_named_and_bold_and_those_of_one_class_are_marked(
     data = results.data.model_copy(update={"chance": 0.891})
     equal = with_all(results, accuracy=0.891, low=0.8, high=0.95, one_class=True)
     equal = equal.model_copy(update={"data": data})
-    text = summary(equal, "poisson")
+    text = summary_text(equal, "poisson")
     for told in (
         "truncated Hadamard, PCA (FSI) and DeepFSI cannot be told apart",
         "they reach 0.891 to 0.891",
         "PCA (FSI) at 100 photons answers one class only",
     ):
         assert told in text
-    assert "Chance is 0.891, the share of the commonest class" in covered(equal)
+    assert "Chance is 0.891, the share of the commonest class" in covers_text(equal)
     write_results(tmp_path / "results.json", equal)
     page = page_of(tmp_path)
     assert page.count('class="first"') == 6

@@ -2,7 +2,7 @@
 
 import re
 
-from deepfsi.report.comparison_page import build
+from deepfsi.report import write_report
 from shared.results import make_results
 
 BEGINNINGS = {"svg": b"<?xml", "pdf": b"%PDF-", "png": b"\x89PNG"}
@@ -10,7 +10,7 @@ BEGINNINGS = {"svg": b"<?xml", "pdf": b"%PDF-", "png": b"\x89PNG"}
 
 def test_every_figure_of_the_page_is_beside_it_in_three_formats(tmp_path):
     make_results(tmp_path)
-    page = build(tmp_path).read_text()
+    page = write_report(tmp_path).read_text()
     assert re.findall(r'href="(figures/[^"]*)"', page) == ["figures/"]
     files = [*(tmp_path / "figures").iterdir()]
     assert len(files) == 3 * page.count('class="drawing"') > 9

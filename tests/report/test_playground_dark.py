@@ -5,7 +5,7 @@ import pytest
 
 from conftest import quick
 from deepfsi.evaluation import playable
-from deepfsi.report.playground.page import write_page
+from deepfsi.report.playground import write_page
 from shared.playground import DARK, DARK_KINDS, ask, open_playground
 
 AGREES = 1e-5

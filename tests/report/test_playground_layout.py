@@ -10,7 +10,7 @@ from conftest import quick, synthetic
 from deepfsi import learn
 from deepfsi.evaluation import page_data as payload
 from deepfsi.evaluation import playable
-from deepfsi.report.playground.page import write_page
+from deepfsi.report.playground import write_page
 from shared.browser import CONTRASTS, CUT, OVERFLOW, look, requests_of
 from shared.playground import KINDS, ask, open_playground, outside
 

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from conftest import quick
-from deepfsi.report.playground.words import detectors_text, way_text
+from deepfsi.report.playground.page import detector_count_text, way_text
 from shared.playground import KINDS
 
 
@@ -21,7 +21,7 @@ from shared.playground import KINDS
 )
 def test_the_detectors_are_those_of_the_optics(optics, said):
     payload = {"rails": 2, "detectors": 1, "matrix": {"shape": [7, 64]}, "exposure": {}, **optics}
-    assert detectors_text(payload) == said
+    assert detector_count_text(payload) == said
     way, column = way_text(payload), optics["light"] == "column"
     assert ("no single mirror device does this" in way) == column
     assert ("one detector counts" in way) == (said == "1")

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from deepfsi.report.masks import brightest, lit_masks, masks_figure, signed, values_figure
-from deepfsi.report.style import svg
-from deepfsi.report.terms import lit_text
+from deepfsi.measures import lit_masks, lit_text
+from deepfsi.report import brightest_masks, signed
+from deepfsi.report.masks import masks_figure, values_figure
+from deepfsi.report.style.figures import svg
 from shared.figures import assert_legible
 
 
@@ -35,8 +36,8 @@ def test_masks_have_their_number_and_their_dwell(shape):
     dwells = np.arange(14) / 100
     figure = masks_figure(matrix, shape, dwells=dwells)
     assert_legible(figure)
-    brightest = np.argsort(-np.abs(matrix).sum(axis=1))[:12]
-    for ax, mask in zip(tiles_of(figure), brightest, strict=True):
+    brightest_masks = np.argsort(-np.abs(matrix).sum(axis=1))[:12]
+    for ax, mask in zip(tiles_of(figure), brightest_masks, strict=True):
         dwell = f"dwell {mask:.2g} %"
         if len(shape) == 2:
             assert ax.get_title(loc="left") == f"mask {mask + 1}"
@@ -112,8 +113,8 @@ def test_masks_without_light_are_none_of_the_brightest():
     rails = np.random.default_rng(1).uniform(0.1, 0.3, (2, 8, 24))
     rails[:, 2], rails[0, 5], rails[:, 7] = 0, 0, 0
     assert lit_masks(rails) == lit_masks(rails[1]) == 6
-    assert set(brightest(rails, 8)) == {0, 1, 3, 4, 5, 6}
-    assert len(brightest(rails, 3)) == 3
+    assert set(brightest_masks(rails, 8)) == {0, 1, 3, 4, 5, 6}
+    assert len(brightest_masks(rails, 3)) == 3
     titles = {ax.get_title(loc="left") for ax in tiles_of(masks_figure(rails, (4, 6)))}
     assert titles == {f"mask {number}" for number in (1, 2, 4, 5, 6, 7)}
     assert lit_text(8, 6) == "8 asked, 6 lit: 2 have no time under this budget"

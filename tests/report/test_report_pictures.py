@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from deepfsi.base import InputError
-from deepfsi.report.pictures import pictures_figure
+from deepfsi.report import pictures_figure
 from shared.figures import assert_legible
 
 

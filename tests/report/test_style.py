@@ -4,9 +4,9 @@ import matplotlib.style
 import pytest
 from cycler import cycler
 
-from deepfsi.report.accuracy import accuracy_figure
-from deepfsi.report.figures import Figures
-from deepfsi.report.style import photons_text, svg
+from deepfsi.report import accuracy_figure
+from deepfsi.report.style import Figures, photons_text
+from deepfsi.report.style.figures import svg
 from shared.figures import assert_sound
 from shared.results import make_results
 

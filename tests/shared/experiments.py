@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from deepfsi.sweeps.recipe import Recipe
+from deepfsi.sweeps import Recipe
 from deepfsi.training import learning
 from deepfsi_paper import experiment, studies
 from deepfsi_paper.camera import laboratory, rate_simulations

@@ -5,7 +5,7 @@ import xml.etree.ElementTree as ElementTree
 import matplotlib
 import numpy as np
 
-from deepfsi.report.style import svg
+from deepfsi.report.style.figures import svg
 
 
 def words(figure):

@@ -8,9 +8,10 @@ from html.parser import HTMLParser
 
 import numpy as np
 
-from deepfsi.report.accuracy import accuracy_figure, count_figure
+from deepfsi.report import accuracy_figure
+from deepfsi.report.accuracy import count_figure
 from deepfsi.report.masks import masks_figure, values_figure
-from deepfsi.report.terms import ABBREVIATIONS
+from deepfsi.report.rendering import ABBREVIATIONS
 from deepfsi_paper.report.section import Claim, Picture, Section, Table
 from shared.results import make_results
 

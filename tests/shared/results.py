@@ -9,7 +9,8 @@ import numpy as np
 
 from deepfsi.designfile import DesignFile, MaskHeader
 from deepfsi.jobs import FixedEntry
-from deepfsi.sweeps.results import SCHEMA, Data, Point, Provenance, Results, write_results
+from deepfsi.sweeps import Data, Point, Provenance, Results, write_results
+from deepfsi.sweeps.results import RESULTS_SCHEMA
 
 DESIGNS = {
     "impulse": ("II", "impulse imaging", False, False, 0.97),
@@ -100,7 +101,7 @@ def some_results(
         "chosen_on": "validation",
         "points": tuple(points),
     }
-    return Results(revision=SCHEMA, **{**given, **fields})
+    return Results(revision=RESULTS_SCHEMA, **{**given, **fields})
 
 
 def make_results(

@@ -7,11 +7,7 @@ import numpy as np
 
 from deepfsi.datasets import Dataset
 from deepfsi.jobs import find_table
-from deepfsi.sweeps.context import SweepContext
-from deepfsi.sweeps.queue import run_trials
-from deepfsi.sweeps.recipe import Recipe
-from deepfsi.sweeps.trial import Trial
-from deepfsi.sweeps.workers import Workers
+from deepfsi.sweeps import Recipe, Trial, Workers, run_trials
 
 
 def train_trials(
@@ -23,8 +19,9 @@ def train_trials(
     **workers: Any,
 ) -> list[dict[str, Any]]:
     """Records of trials of one data set, by `Workers(**workers)`."""
-    context = SweepContext(data, trials[0].validation, device, matrix=matrix)
-    return run_trials(trials, context, folder, Workers(**workers))
+    return run_trials(
+        trials, data, folder, matrix=matrix, device=device, workers=Workers(**workers)
+    )
 
 
 def small(**changes: Any) -> Recipe:

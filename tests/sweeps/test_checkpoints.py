@@ -11,9 +11,8 @@ from safetensors.numpy import load_file
 
 from deepfsi.base import saved_work_text
 from deepfsi.base.locks import parse_process, this_process
-from deepfsi.sweeps.context import SweepContext
-from deepfsi.sweeps.records import Records
-from deepfsi.sweeps.trial import Trial, plan
+from deepfsi.sweeps import FinishedTrial, Records, Trial, plan_trials
+from deepfsi.sweeps.batch import BatchTrainer
 from deepfsi.training import checkpoint
 from shared.checkpoints import Stopped, write_each_step
 from shared.trials import small, train_trials
@@ -23,7 +22,7 @@ RECIPE = {"masks": (4,), "designs": ("pca", "deepfsi"), "training": {"epochs": 1
 
 @pytest.fixture
 def trials(digits) -> list[Trial]:
-    return plan(small(**RECIPE), digits)
+    return plan_trials(small(**RECIPE), digits)
 
 
 @pytest.fixture
@@ -109,11 +108,11 @@ def test_who_has_no_lock_leaves_a_checkpoint_alone(digits, trials, stop, tmp_pat
     assert parse_process(lock.name)
     lock.parent.mkdir(parents=True)
     lock.touch()  # of another host
-    asked, lost = [], lambda batch: [(trial, None, None) for trial in batch]
+    asked, lost = [], lambda batch: [FinishedTrial(trial, None, None) for trial in batch]
     monkeypatch.setattr(
-        SweepContext, "train", lambda self, batch, *_: asked.append(batch) or lost(batch)
+        BatchTrainer, "train", lambda self, batch, *_: asked.append(batch) or lost(batch)
     )
-    monkeypatch.setattr("deepfsi.sweeps.queue.time.sleep", lambda _: (_ for _ in ()).throw(Stopped))
+    monkeypatch.setattr("deepfsi.sweeps.run.time.sleep", lambda _: (_ for _ in ()).throw(Stopped))
     with pytest.raises(Stopped):
         train_trials(trials, digits, folder)
     assert file.stem not in {trial.design_key for batch in asked for trial in batch}

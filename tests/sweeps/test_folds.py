@@ -10,10 +10,7 @@ from deepfsi.base.numeric import accuracy_interval, unpack_values
 from deepfsi.datasets import from_arrays, load_dataset
 from deepfsi.designfile import trained_on
 from deepfsi.lab import data_of
-from deepfsi.sweeps.forecast import forecast_cost
-from deepfsi.sweeps.recipe_check import check_recipe
-from deepfsi.sweeps.results import write_results
-from deepfsi.sweeps.run import check_kept, compare
+from deepfsi.sweeps import check_kept, check_settings, compare, forecast_cost, write_results
 from shared.trials import small
 
 FEW = {"designs": "deepfsi", "photons": 1e3, "masks": 3, "training": {"epochs": 1}, "folds": None}
@@ -60,13 +57,13 @@ def test_one_test_part_where_it_is_large_or_asked_for(few, digits):
     own = few.hold_out()
     assert small(folds=None).parts(own) == [own]
     with pytest.raises(InputError, match="leave `folds` out"):
-        check_recipe({"folds": 3, "masks": 3}, lambda _: own)
+        check_settings({"folds": 3, "masks": 3}, lambda _: own)
     with pytest.raises(InputError, match="60 folds of 20 scenes"):
-        check_recipe({"folds": 60, "masks": 3}, lambda _: few)
+        check_settings({"folds": 60, "masks": 3}, lambda _: few)
 
 
 def test_as_many_folds_as_are_asked_for(few, tmp_path):
-    recipe, data = check_recipe(small(**{**FEW, "folds": 3}).model_dump(), lambda _: few)
+    recipe, data = check_settings(small(**{**FEW, "folds": 3}).model_dump(), lambda _: few)
     results, records = compare(recipe, data, tmp_path, command="deepfsi")
     assert (results.data.folds, results.data.test, len(records)) == (3, 60, 3)
     (point,) = results.points

@@ -5,9 +5,7 @@ import pytest
 from conftest import same
 from deepfsi import Design
 from deepfsi.base import InputError
-from deepfsi.sweeps.recipe import Recipe
-from deepfsi.sweeps.records import rows
-from deepfsi.sweeps.trial import plan
+from deepfsi.sweeps import Recipe, plan_trials, record_rows
 from shared.jobs import learn
 from shared.trials import small, train_trials
 
@@ -21,7 +19,7 @@ def recipe(**changes) -> Recipe:
 
 
 def test_a_recipe_names_classifiers_of_ones_own(digits, tmp_path):
-    trials = plan(recipe(), digits)
+    trials = plan_trials(recipe(), digits)
     assert {trial.variant for trial in trials} == {"classifier mlp", f"classifier {CNN}"}
     records = train_trials(trials, digits, tmp_path, device="cpu")
     for trial, record in zip(trials, records, strict=True):
@@ -32,23 +30,23 @@ def test_a_recipe_names_classifiers_of_ones_own(digits, tmp_path):
                 design="pca", epochs=1, classifier=CNN, device="cpu",
             )  # fmt: skip
             assert same(design, alone)
-    assert {row["classifier"] for row in rows(records)} == {"mlp", CNN}
+    assert {row["classifier"] for row in record_rows(records)} == {"mlp", CNN}
     # tested again, otherwise, without being trained again
-    again = train_trials(plan(recipe(draws=2), digits), digits, tmp_path)
+    again = train_trials(plan_trials(recipe(draws=2), digits), digits, tmp_path)
     assert [record["design"] for record in again] == [record["design"] for record in records]
     assert all(record["test"][0]["draws"] == 2 for record in again)
 
 
 def test_settings_of_one_kind_of_classifier_are_not_those_of_the_other(digits):
     own = {"hidden": [[8], [16]], "classifier_arguments": {"width": 3}}
-    trials = plan(recipe(photons=1e3, training=own), digits)
+    trials = plan_trials(recipe(photons=1e3, training=own), digits)
     found = [
         (each.classifier, each.hidden, each.classifier_arguments)
         for each in (trial.job.training for trial in trials)
     ]
     assert found == [("mlp", (8,), {}), ("mlp", (16,), {}), (CNN, (40, 128), {"width": 3})]
     with pytest.raises(InputError, match="are of the usual classifier"):
-        plan(recipe(training={**own, "classifier": CNN}), digits)
+        plan_trials(recipe(training={**own, "classifier": CNN}), digits)
 
 
 def test_records_depend_on_the_file_of_the_classifier(digits, tmp_path, monkeypatch):
@@ -59,7 +57,7 @@ def test_records_depend_on_the_file_of_the_classifier(digits, tmp_path, monkeypa
         file.write_text(
             f"from torch import nn\ndef make(i, c): return nn.Linear(i, c, bias={bias})\n"
         )
-        trials = plan(recipe(training={"classifier": "edited_nets:make"}), digits)
+        trials = plan_trials(recipe(training={"classifier": "edited_nets:make"}), digits)
         keys.append({trial.design_key for trial in trials})
     assert not keys[0] & keys[1]
 
@@ -71,7 +69,7 @@ def test_records_depend_on_the_file_of_the_classifier(digits, tmp_path, monkeypa
 )  # fmt: skip
 def test_an_unknown_classifier_is_refused_before_any_work(digits, name, match):
     with pytest.raises(InputError, match=match):
-        plan(recipe(training={"classifier": ["mlp", name]}), digits)
+        plan_trials(recipe(training={"classifier": ["mlp", name]}), digits)
 
 
 def test_a_name_that_is_no_import_path_is_a_mistake_of_the_recipe():

@@ -24,14 +24,17 @@ from ray.cluster_utils import Cluster
 from conftest import synthetic
 from deepfsi.base import InputError
 from deepfsi.datasets import load_dataset
-from deepfsi.sweeps import ray_cluster
-from deepfsi.sweeps.context import SweepContext
-from deepfsi.sweeps.queue import run_trials
-from deepfsi.sweeps.ray_cluster import answers, run_on_ray
-from deepfsi.sweeps.recipe import Recipe
-from deepfsi.sweeps.records import Records
-from deepfsi.sweeps.trial import plan
-from deepfsi.sweeps.workers import Resources, Workers
+from deepfsi.sweeps import (
+    Recipe,
+    Records,
+    Resources,
+    Workers,
+    plan_trials,
+    ray_cluster,
+    run_on_ray,
+    run_trials,
+)
+from deepfsi.sweeps.ray_cluster import answers
 from shared.trials import train_trials
 
 SEEN_SOON = {"health_check_initial_delay_ms": 0, "health_check_period_ms": 500}
@@ -91,7 +94,7 @@ def test_a_sweep_survives_the_death_of_a_node(nodes, connected, tmp_path):
         training={"epochs": 4, "batch": 32},
     )
     digits = load_dataset("digits")
-    trials = plan(recipe, digits)
+    trials = plan_trials(recipe, digits)
     second = nodes.add_node(num_cpus=2)
     raylet = psutil.Process(second.all_processes["raylet"][0].process.pid)
     killed_at_work, written = [], []
@@ -141,13 +144,13 @@ def test_patches_are_trained_on_a_cluster_as_here(connected, tmp_path):
         exposure={"patch": 4},
         training={"epochs": 1, "batch": 24},
     )
-    context = SweepContext(data, recipe.validation, "cpu")
     there, here = (
         run_trials(
-            plan(recipe, data),
-            context,
+            plan_trials(recipe, data),
+            data,
             tmp_path / folder,
-            Workers(ray=ray, resources=Resources(cpus=2)),
+            device="cpu",
+            workers=Workers(ray=ray, resources=Resources(cpus=2)),
         )
         for folder, ray in (("there", connected), ("here", None))
     )

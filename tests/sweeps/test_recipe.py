@@ -8,8 +8,8 @@ import pytest
 from conftest import synthetic
 from deepfsi.base import InputError
 from deepfsi.datasets import from_arrays
-from deepfsi.sweeps.recipe import Recipe, only
-from deepfsi.sweeps.recipe_check import ADAPTIVE_SCENES, check_recipe, with_adaptive
+from deepfsi.sweeps import Recipe, check_settings, only, with_adaptive
+from deepfsi.sweeps.plan import ADAPTIVE_SCENES
 
 FILE = {
     "data": "mnist",
@@ -70,7 +70,7 @@ def test_ratios_ask_for_one_number_of_looks_of_adaptive_masks(digits, asked, loo
     ids=str,
 )
 def test_adaptive_masks_are_compared_unasked_where_they_can_be_had(digits, settings, had):
-    recipe, _ = check_recipe({"designs": ("pca", "deepfsi"), **settings}, lambda _: digits)
+    recipe, _ = check_settings({"designs": ("pca", "deepfsi"), **settings}, lambda _: digits)
     more = with_adaptive(recipe, digits)
     assert more.designs == (*recipe.designs, *("adaptive",) * had)
 

@@ -6,14 +6,13 @@ import polars
 import pytest
 
 from deepfsi.base import InputError
-from deepfsi.sweeps.records import write_table
-from deepfsi.sweeps.trial import plan
+from deepfsi.sweeps import plan_trials, write_table
 from shared.trials import small, train_trials
 
 
 def test_a_table_has_a_row_for_each_test(digits, tmp_path):
     recipe = small(test_photons=(1e2, 1e4), test_levels=(0, 769))
-    records = train_trials(plan(recipe, digits), digits, tmp_path)
+    records = train_trials(plan_trials(recipe, digits), digits, tmp_path)
     csv = polars.read_csv(write_table(records, tmp_path / "all.csv"))
     parquet = polars.read_parquet(write_table(records, tmp_path / "all.parquet"))
     assert csv.shape == parquet.shape
@@ -29,7 +28,7 @@ def test_a_table_has_a_row_for_each_test(digits, tmp_path):
 
 
 def test_records_of_another_schema_are_tested_anew_and_not_trained(digits, tmp_path):
-    trials = plan(small(designs="pca", masks=3, photons=1e3), digits)
+    trials = plan_trials(small(designs="pca", masks=3, photons=1e3), digits)
     [first] = train_trials(trials, digits, tmp_path)
     [path] = (tmp_path / "trials").iterdir()
     [design] = (tmp_path / "designs").iterdir()
@@ -52,7 +51,7 @@ def test_records_of_another_schema_are_tested_anew_and_not_trained(digits, tmp_p
     ],
 )
 def test_a_record_without_its_numbers_or_of_another_trial_is_none(digits, tmp_path, damage):
-    trials = plan(small(designs="pca", masks=3, photons=1e3), digits)
+    trials = plan_trials(small(designs="pca", masks=3, photons=1e3), digits)
     [first] = train_trials(trials, digits, tmp_path)
     [path] = (tmp_path / "trials").iterdir()
     path.write_text(json.dumps({**first, **damage}))
@@ -65,7 +64,7 @@ def test_a_record_without_its_numbers_or_of_another_trial_is_none(digits, tmp_pa
     [("trials", None), ("designs", None), ("trials", '{"key":'), ("trials", "null")],
 )
 def test_what_is_lost_or_damaged_is_made_again(digits, tmp_path, folder, left):
-    trials = plan(small(designs="pca", masks=3, photons=1e3), digits)
+    trials = plan_trials(small(designs="pca", masks=3, photons=1e3), digits)
     train_trials(trials, digits, tmp_path)
     (path,) = (tmp_path / folder).iterdir()
     path.write_text(left) if left else path.unlink()

@@ -11,7 +11,7 @@ from deepfsi.base.numeric import (
     student,
     unpack_values,
 )
-from deepfsi.sweeps.summary import mean_lit_masks, summarise
+from deepfsi.sweeps import FoldRecords, summarise_records
 from shared.trials import small
 
 
@@ -36,8 +36,13 @@ def record(photons, masks, seed, validation, test, noise="ml_gauss", detectors="
     }
 
 
+def summarise(data, records, **changes):
+    folds = [FoldRecords(data, records)]
+    return summarise_records(small(**changes), data, folds, command="deepfsi", seconds=1.0)
+
+
 def summary(data, records, **changes):
-    return summarise(small(**changes), data, records, command="deepfsi", seconds=1.0).points
+    return summarise(data, records, **changes).points
 
 
 def test_mask_counts_are_chosen_on_validation_never_on_test(digits):
@@ -156,7 +161,7 @@ def test_a_design_that_answers_one_class_only_is_known_and_chance_is_that_class(
     confusion = np.zeros((10, 10))
     confusion[:, columns] = 1
     made["test"][0]["confusion"] = confusion.tolist()
-    results = summarise(small(), digits, [made], command="deepfsi", seconds=1.0)
+    results = summarise(digits, [made])
     assert [point.one_class for point in results.points] == [one]
     shares = [np.mean(digits.y_test == k) for k in range(10)]
     assert results.data.chance == pytest.approx(max(shares))
@@ -215,7 +220,11 @@ def test_images_are_kept_of_the_chosen_masks_alone(digits):
     assert [(p.masks, bool(p.terms)) for p in summary(digits, records)] == [(3, False), (6, True)]
 
 
-def test_lit_masks_are_those_that_get_light_in_the_mean_over_trials():
-    tests = [{"photons_per_mask": [3.0, 0.0, 1e-9]}, {"photons_per_mask": [1.0, 2.0, 3.0]}]
-    assert mean_lit_masks(tests) == 2.5
-    assert mean_lit_masks([*tests, {}]) is None  # a record of an earlier version does not say
+def test_lit_masks_are_those_that_get_light_in_the_mean_over_trials(digits):
+    records = [record(1e3, 3, seed, 0.8, 0.5) for seed in range(2)]
+    records[0]["test"][0]["photons_per_mask"] = [3.0, 0.0, 1e-9]
+    (point,) = summary(digits, records)
+    assert point.lit is None  # a record of an earlier version does not say
+    records[1]["test"][0]["photons_per_mask"] = [1.0, 2.0, 3.0]
+    (point,) = summary(digits, records)
+    assert point.lit == 2.5

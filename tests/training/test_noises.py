@@ -6,8 +6,7 @@ import pytest
 
 from conftest import PHOTONS, generator, light_on, quick, same
 from deepfsi import Design, evaluate
-from deepfsi.sweeps.recipe import Recipe
-from deepfsi.sweeps.trial import plan
+from deepfsi.sweeps import Recipe, plan_trials
 from shared.noises import exact, offset, photons, saturating
 from shared.trials import small, train_trials
 
@@ -101,7 +100,7 @@ def test_recipes_have_camera_noise_and_ones_own(digits, tmp_path):
         },
         test_noise=["camera", "poisson", "shared.noises:exact"],
     )  # fmt: skip
-    trials = plan(recipe, digits)
+    trials = plan_trials(recipe, digits)
     assert {trial.job.noise for trial in trials} == {"camera", "shared.noises:saturating"}
     assert [trial.job.camera.dark for trial in trials] == [5e3, 0.0, 0.0]  # dark counts of camera
     assert all(trial.source_hash for trial in trials)
@@ -110,7 +109,7 @@ def test_recipes_have_camera_noise_and_ones_own(digits, tmp_path):
     made = Design.load(tmp_path / f"designs/{records[0]['design']}.safetensors")
     [alone] = evaluate(made, digits, 1e4, noise="camera", sigma=2.0, dark=5e3, draws=1)
     assert records[0]["test"][0]["confusion"] == alone.confusion
-    plain = plan(small(designs="pca", photons=1e4, masks=4), digits)
+    plain = plan_trials(small(designs="pca", photons=1e4, masks=4), digits)
     assert not any(trial.source_hash for trial in plain)
 
 

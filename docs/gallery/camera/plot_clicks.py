@@ -11,7 +11,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import deepfsi
-from deepfsi.report.style import COLOURS
+from deepfsi.report.style import DESIGN_COLOURS
 
 PHOTONS = 300.0
 
@@ -58,7 +58,7 @@ ways = {
 # 360 test pictures, for one training each.
 
 figure, ax = plt.subplots(figsize=(4.8, 4.6), layout="constrained")
-colours = (COLOURS["deepfsi"], COLOURS["impulse"], "0.45")
+colours = (DESIGN_COLOURS["deepfsi"], DESIGN_COLOURS["impulse"], "0.45")
 for (name, results), colour, mark in zip(ways.items(), colours, "osD", strict=True):
     seen = [each.counts for each in results]
     share = np.array([(each.accuracy, each.low, each.high) for each in results]).T

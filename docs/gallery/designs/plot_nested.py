@@ -10,7 +10,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import deepfsi
-from deepfsi.report.style import COLOURS
+from deepfsi.report.style import DESIGN_COLOURS
 
 # %%
 # Sixteen non-negative masks for one micromirror device and one detector, each shown for its own
@@ -33,7 +33,7 @@ low = accuracy - [result.low for result in results]
 high = [result.high for result in results] - accuracy
 
 figure, ax = plt.subplots(layout="constrained")
-ax.errorbar(counts, accuracy, (low, high), color=COLOURS["deepfsi"], marker="o", capsize=3)
+ax.errorbar(counts, accuracy, (low, high), color=DESIGN_COLOURS["deepfsi"], marker="o", capsize=3)
 ax.axhline(0.1, color="0.4", linestyle=":")
 ax.text(16, 0.11, "guessing", ha="right", va="bottom")
 ax.set(xlabel="masks shown", ylabel="accuracy", ylim=(0, 1), xticks=range(2, 17, 2))

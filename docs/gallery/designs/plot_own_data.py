@@ -13,9 +13,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import deepfsi
-from deepfsi.report.style import COLOURS, LINES
-from deepfsi.sweeps.recipe import Recipe
-from deepfsi.sweeps.run import compare
+from deepfsi.report.style import DESIGN_COLOURS, DESIGN_LINES
+from deepfsi.sweeps import Recipe, compare
 
 # %%
 # Put your own pictures here: ``x`` of shape (n, height, width), ``y`` their labels. This example
@@ -63,8 +62,8 @@ for place, name in enumerate(recipe.designs):
         photons * 1.04**place,  # a little apart, so that bars do not hide each other
         accuracy,
         (low, high),
-        color=COLOURS[name],
-        linestyle=LINES.get(name, "-"),
+        color=DESIGN_COLOURS[name],
+        linestyle=DESIGN_LINES.get(name, "-"),
         marker="osD^"[place],
         capsize=3,
         label=points[0].title,

@@ -12,7 +12,7 @@ import numpy as np
 
 import deepfsi
 from deepfsi.evaluation import cramer_rao
-from deepfsi.report.style import COLOURS, photons_text
+from deepfsi.report.style import DESIGN_COLOURS, photons_text
 
 # %%
 # Three materials with spectra of 64 bands are mixed at random. The abundances of a pixel sum to 1,
@@ -66,7 +66,7 @@ for photons in budgets:
 figure, ax = plt.subplots(figsize=(4.8, 4.4), layout="constrained")
 titles = {"raster": "raster scan, 64 bands", "pca": "PCA, 4 masks", "deepfsi": "learned, 4 masks"}
 for name, values in errors.items():
-    ax.plot(budgets, values, "o-", color=COLOURS[name], label=titles[name])
+    ax.plot(budgets, values, "o-", color=DESIGN_COLOURS[name], label=titles[name])
 ax.plot(budgets, bounds, ":", color="0.4", label="bound, learned masks")
 spread = float(data.y_test.std(axis=0).mean())
 ax.axhline(spread, color="0.6", linewidth=0.9, linestyle="--", label="always the mean")

@@ -11,7 +11,7 @@ import numpy as np
 
 import deepfsi
 from deepfsi.base.numeric import paired_difference
-from deepfsi.report.style import COLOURS
+from deepfsi.report.style import DESIGN_COLOURS
 
 # %%
 # Four cameras have 16 readouts each: one detector and 16 frames, two and 8, four and 4, or 16 and
@@ -48,7 +48,7 @@ figure, ax = plt.subplots(layout="constrained")
 accuracy = [each.accuracy for each in results]
 low = [each.accuracy - each.low for each in results]
 high = [each.high - each.accuracy for each in results]
-ax.errorbar(range(4), accuracy, (low, high), fmt="o", color=COLOURS["deepfsi"], capsize=3)
+ax.errorbar(range(4), accuracy, (low, high), fmt="o", color=DESIGN_COLOURS["deepfsi"], capsize=3)
 ax.axhline(0.1, color="0.4", linestyle=":")
 ax.text(3.3, 0.11, "guessing", ha="right", va="bottom")
 names = [f"{d.replace('x', ' × ')}\n{m} frame{'s' * (m > 1)}" for d, m in parts.items()]

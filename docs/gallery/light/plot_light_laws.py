@@ -9,7 +9,7 @@ paper split each pixel's light among all masks at once. A *light law* says what 
 import matplotlib.pyplot as plt
 
 import deepfsi
-from deepfsi.report.style import COLOURS
+from deepfsi.report.style import DESIGN_COLOURS
 
 # %%
 # Eight masks are learned at 3000 photons under each of four light laws. ``column`` is the paper's.
@@ -37,7 +37,8 @@ places = range(len(cameras))
 accuracy = [each.accuracy for each in results]
 low = [each.accuracy - each.low for each in results]
 high = [each.high - each.accuracy for each in results]
-above.errorbar(accuracy, places, xerr=(low, high), fmt="o", color=COLOURS["deepfsi"], capsize=3)
+look = {"fmt": "o", "color": DESIGN_COLOURS["deepfsi"], "capsize": 3}
+above.errorbar(accuracy, places, xerr=(low, high), **look)
 above.axvline(0.1, color="0.4", linestyle=":")
 above.text(0.12, 3.4, "guessing", va="bottom")
 names = [camera.light for camera in cameras]

@@ -13,9 +13,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import deepfsi
-from deepfsi.report.style import COLOURS, LINES
-from deepfsi.sweeps.planning import photons_needed
-from deepfsi.sweeps.recipe import Recipe
+from deepfsi.report.style import DESIGN_COLOURS, DESIGN_LINES
+from deepfsi.sweeps import Recipe, photons_needed
 
 # %%
 # Three designs of ten masks are planned for digits and one micromirror device with one detector.
@@ -43,11 +42,12 @@ for place, need in enumerate(plan["needs"]):
     accuracy = np.array([each["accuracy"] for each in tried])
     low = accuracy - [each["low"] for each in tried]
     high = [each["high"] for each in tried] - accuracy
-    style = {"color": COLOURS[name], "linestyle": LINES.get(name, "-"), "marker": "osD"[place]}
+    style = {"color": DESIGN_COLOURS[name], "linestyle": DESIGN_LINES.get(name, "-")}
+    style["marker"] = "osD"[place]
     ax.errorbar(photons, accuracy, (low, high), capsize=2, label=need["title"], **style)
     ends = need["low"] or photons[0], need["high"] or photons[-1]
     height = plan["target"] + 0.025 * (place - 1)  # a little apart, to be seen
-    ax.plot(ends, [height] * 2, color=COLOURS[name], linewidth=5, alpha=0.6)
+    ax.plot(ends, [height] * 2, color=DESIGN_COLOURS[name], linewidth=5, alpha=0.6)
 ax.axhline(plan["target"], color="0.4", linestyle=":")
 ax.set(xscale="log", xlabel="photon budget", ylabel="accuracy", ylim=(0, 1))
 ax.legend(loc="lower right")

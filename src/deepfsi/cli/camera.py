@@ -390,7 +390,7 @@ def camera_image(
     paths.check_there(folder, "an acquisition folder, with photons.ptu in it")
     from deepfsi.hardware.counting import read_run
     from deepfsi.hardware.pictures import reconstruct
-    from deepfsi.report.pictures import pictures_figure
+    from deepfsi.report import pictures_figure
 
     acquisition = read_run(folder).acquisition
     figure = pictures_figure(reconstruct(folder), [scene.name for scene in acquisition.scenes])

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from deepfsi.datasets import Dataset
     from deepfsi.design import Design
     from deepfsi.measures import Estimates, Result
-    from deepfsi.sweeps.results import Data, Point
+    from deepfsi.sweeps import Data, Point
 
 
 def as_options(text: str) -> str:

@@ -137,13 +137,15 @@ class DesignsMake(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Designs of the list, each with its test."""
-        from deepfsi.sweeps.collection import Collection, make
+        from deepfsi.sweeps import Collection, make_collection
 
         entries = {}
         command = "deepfsi designs make" + (f" {self.source.name}" if self.source else "")
         names = None if self.only is None else list(self.only)
         collection = Collection.read(self.source)
-        for one in make(collection, self.out, names, command, bar=terminal.progress):
+        for one in make_collection(
+            collection, self.out, names, command=command, bar=terminal.progress
+        ):
             entries[one.name] = one.entry
             accuracy = rate_text(one.entry.accuracy, one.entry.low, one.entry.high)
             terminal.say(

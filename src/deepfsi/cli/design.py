@@ -211,7 +211,7 @@ def _check_same(file: Path, job: Job, data: Dataset, matrix: np.ndarray | None) 
 
 def _scenes_text(trained: Dataset, tested: Dataset) -> str:
     """Scenes of a training and its test in words, and what `compare` does otherwise."""
-    from deepfsi.sweeps.recipe import Recipe
+    from deepfsi.sweeps import Recipe
 
     count = len(trained.x_train)
     words = (
@@ -239,7 +239,7 @@ def _test_lines(design: "Design", results: "list[Result]", lit: int) -> Iterator
     yield from full_gates_lines(design, results)
     masks = len(results[0].photons_per_mask)
     if lit < masks:
-        from deepfsi.report.terms import lit_text
+        from deepfsi.measures import lit_text
 
         yield f"masks: {lit_text(masks, lit)}; give a longer --exposure, or --masks {lit}"
     left_out = design.info.get("left_out")
@@ -279,8 +279,7 @@ class ShowDesign(Command):
         fields.check_file(out, fields.PICTURES, self.force)
         from deepfsi.design import load_design
         from deepfsi.lab import data_of
-        from deepfsi.report.looks import looks_figure
-        from deepfsi.report.masks import design_figure
+        from deepfsi.report import design_figure, looks_figure
         from deepfsi.report.style import write_figure
 
         if self.count < 1:
@@ -321,7 +320,7 @@ class WritePage(Command):
         """The page, with its measured accuracy."""
         from deepfsi.evaluation import check_playable, playable
         from deepfsi.lab import data_of, open_design
-        from deepfsi.report.playground.page import write_page
+        from deepfsi.report.playground import write_page
 
         design = open_design(self.file)
         check_playable(design)

@@ -20,7 +20,7 @@ from deepfsi.measures import Estimates, Result, results_lines
 if TYPE_CHECKING:
     from deepfsi.datasets import Dataset
     from deepfsi.design import Design
-    from deepfsi.sweeps.results import Data
+    from deepfsi.sweeps import Data
 
 
 class EvaluateDesign(Command):

@@ -143,8 +143,8 @@ def _print(found: "ReadoutsResult", name: str) -> None:
 
 
 def _figure(found: "ReadoutsResult", name: str) -> "Figure":
-    from deepfsi.report.readouts import readouts_figure
+    from deepfsi.report import ReadoutTest, readouts_figure
 
-    rows: list[Any] = [(NAMES[each.split], each.network, each.ridge) for each in found.splits]
-    rows += [(f"{each.name} alone", None, each.ridge) for each in found.monitors]
+    rows = [ReadoutTest(NAMES[each.split], each.network, each.ridge) for each in found.splits]
+    rows += [ReadoutTest(f"{each.name} alone", None, each.ridge) for each in found.monitors]
     return readouts_figure(name, rows, found.chance)

@@ -60,7 +60,7 @@ def camera_scan(
     )
     write_atomically(out, content.getvalue())
     if figure is not None:
-        from deepfsi.report.pictures import pictures_figure
+        from deepfsi.report import pictures_figure
 
         names = [f"frame {number + 1}" for number in range(len(found.frames))]
         common.save_figure(pictures_figure(found.frames, names), figure)

@@ -37,9 +37,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from deepfsi.datasets import Dataset
-    from deepfsi.sweeps.forecast import Forecast
-    from deepfsi.sweeps.recipe import Recipe
-    from deepfsi.sweeps.results import Results
+    from deepfsi.sweeps import Forecast, Recipe, Results
 
 PAPER = "deepfsi_paper"
 """The paper's experiments: a package of their own, beside this one, which works without it."""
@@ -101,10 +99,7 @@ class CompareDesigns(Command):
         """Results, a page of them and the verdict."""
         base: dict[str, Any] = {"data": self.data}
         file = read_recipe(self.recipe) if self.recipe else {}
-        from deepfsi.sweeps.recipe import only
-        from deepfsi.sweeps.recipe_check import with_adaptive
-        from deepfsi.sweeps.run import check_kept, compare
-        from deepfsi.sweeps.workers import Workers
+        from deepfsi.sweeps import Workers, check_kept, compare, only, with_adaptive
 
         matrix = None if self.matrix is None else read_matrix(self.matrix)
         if self.recipe:
@@ -163,10 +158,7 @@ class PlanPhotons(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Photons, masks and detectors that each design needs."""
-        from deepfsi.sweeps.planning import check_plan, photons_needed
-        from deepfsi.sweeps.results import write_results
-        from deepfsi.sweeps.run import check_kept
-        from deepfsi.sweeps.workers import Workers
+        from deepfsi.sweeps import Workers, check_kept, check_plan, photons_needed, write_results
 
         chosen = self.explicit(RECIPE_FIELDS)
         chosen["data"] = self.data
@@ -285,10 +277,7 @@ class SweepRecipe(Command):
         if self.table is not None:
             fields.check_file(self.table, fields.TABLE_FILES, self.force, made=self.out)
         file = read_recipe(self.recipe)
-        from deepfsi.sweeps.recipe import only
-        from deepfsi.sweeps.records import write_table
-        from deepfsi.sweeps.run import check_kept, compare
-        from deepfsi.sweeps.workers import Workers
+        from deepfsi.sweeps import Workers, check_kept, compare, only, write_table
 
         recipe, scenes = _checked(
             {**only(file, self.part_name, self.quick), **self.explicit(("camera", "folds"))}
@@ -316,7 +305,7 @@ class SweepRecipe(Command):
 
     def _forecast(self, recipe: "Recipe", scenes: "Dataset", terminal: Terminal) -> Outcome:
         """How long the trials would take here."""
-        from deepfsi.sweeps.forecast import forecast_cost
+        from deepfsi.sweeps import forecast_cost
 
         with terminal.progress("timing a few steps of each kind") as report:
             cost = forecast_cost(
@@ -453,10 +442,10 @@ class WriteReport(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """The page, written again."""
-        from deepfsi.report.comparison_page import build
+        from deepfsi.report import write_report
 
         is_study = _has_paper() and paper_studies().is_study(self.folder)
-        page = paper_studies().page(self.folder) if is_study else build(self.folder)
+        page = paper_studies().page(self.folder) if is_study else write_report(self.folder)
         return Outcome({"report": str(page)}, [f"report: {page}"])
 
 
@@ -555,13 +544,13 @@ def _checked(
     settings: Mapping[str, Any], matrix: "np.ndarray | None" = None
 ) -> "tuple[Recipe, Dataset]":
     """Recipe of settings and its data, or `InputError` that names every mistake."""
-    from deepfsi.sweeps.recipe_check import check_recipe
+    from deepfsi.sweeps import check_settings
 
     def load(recipe: "Recipe") -> "Dataset":
         names = ("size", "split", "images", "skip_bad", "normal")
         return load_dataset(recipe.data, **{name: getattr(recipe, name) for name in names})
 
-    return check_recipe(settings, load, matrix)
+    return check_settings(settings, load, matrix)
 
 
 # results
@@ -576,17 +565,17 @@ def results_outcome(results: "Results", folder: Path) -> Outcome:
     folder : Path
         Of the records.
     """
-    from deepfsi.report.comparison_page import (
-        build,
+    from deepfsi.report import (
         comparison_lines,
         leader_differences,
         scenes_text,
+        verdict_of,
+        write_report,
     )
-    from deepfsi.report.verdict import verdict_of
-    from deepfsi.sweeps.results import write_results
+    from deepfsi.sweeps import write_results
 
     write_results(folder / "results.json", results)
-    page = build(folder)
+    page = write_report(folder)
     verdict = verdict_of(results)
     notes = [scenes_text(results.data)]
     content = results.as_dict()

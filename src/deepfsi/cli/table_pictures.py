@@ -66,8 +66,7 @@ def camera_picture(
 
     from deepfsi.base import new_folder
     from deepfsi.hardware.pictures import TableMasks, compare_picture, read_pictures
-    from deepfsi.report.pictures import pictures_figure
-    from deepfsi.report.rail_light import rail_light_figure
+    from deepfsi.report import pictures_figure, rail_light_figure
 
     times = None if exposures is None else exposures.split(",")
     settings = TableMasks(

@@ -14,7 +14,7 @@ from deepfsi.measures.reliability import (
     confidence_error,
     confidence_groups,
 )
-from deepfsi.measures.results import Estimates, Result, ResultList
+from deepfsi.measures.results import Estimates, Result, ResultList, lit_masks, lit_text
 from deepfsi.measures.table import MEASURES, MainMeasure, Measure, main_measure
 
 __all__ = [
@@ -34,6 +34,8 @@ __all__ = [
     "confidence_groups",
     "details_text",
     "error_text",
+    "lit_masks",
+    "lit_text",
     "main_measure",
     "results_lines",
     "score_text",

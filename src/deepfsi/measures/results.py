@@ -275,3 +275,23 @@ class Estimates(AnswerTest):
             rmse_high=np.sqrt(power + half).tolist(),
             bound=answers.bound,
         )
+
+
+def lit_masks(rails_or_matrix: np.ndarray) -> int:
+    """Number of masks that have light in any rail, of rails (2 or 1, m, N) or a matrix (m, N)."""
+    lit = np.asarray(rails_or_matrix).any(axis=-1)
+    return int((lit.any(axis=0) if lit.ndim == 2 else lit).sum())
+
+
+def lit_text(masks: int, lit: float) -> str:
+    """Number of masks asked and lit: 24 asked, 16 lit: 8 have no time under this budget.
+
+    Parameters
+    ----------
+    masks : int
+    lit : float
+        How many of them have light, in the mean.
+    """
+    dark = masks - lit
+    have = "has" if dark == 1 else "have"
+    return f"{masks} asked, {lit:.3g} lit: {dark:.3g} {have} no time under this budget"

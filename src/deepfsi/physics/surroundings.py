@@ -1,66 +1,49 @@
 """Torch and NumPy as they are after their import, whatever the program around the package set."""
 
-from collections.abc import Callable
-from contextlib import ExitStack
-from functools import wraps
-from typing import Any, ParamSpec, TypeVar
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from typing import Any
 
 import numpy as np
 import torch
 
 from deepfsi.base import InputError
 
-P = ParamSpec("P")
-R = TypeVar("R")
 
+@contextmanager
+def library_defaults(grad: bool | None = None) -> Iterator[None]:
+    """Context, or decorator, of what users call: what they set in torch changes no result.
 
-def library_defaults(
-    grad: bool | None = None,
-) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Decorator of what users call: their autocast, types, devices and errors change no result.
-
-    What stays as the program set it: threads, deterministic algorithms, flushing of denormals, and
-    the state of the global generator, which nothing here draws from.
+    That is their autocast, types, devices and errors. What stays as the program set it: threads,
+    deterministic algorithms, flushing of denormals, and the state of the global generator, which
+    nothing here draws from.
 
     Parameters
     ----------
     grad : bool, optional
         Whether gradients are recorded; as around the call unless given.
     """
-
-    def decorate(call: Callable[P, R]) -> Callable[P, R]:
-        @wraps(call)
-        def wrapper(*args: P.args, **kwargs: P.kwargs) -> R:
-            with ExitStack() as stack:
-                _set_defaults(stack, grad)
-                return call(*args, **kwargs)
-
-        return wrapper
-
-    return decorate
-
-
-def _set_defaults(stack: ExitStack, grad: bool | None) -> None:
-    """Enter what differs from the defaults, to be left with the stack."""
-    stack.enter_context(np.errstate(divide="warn", over="warn", under="ignore", invalid="warn"))
-    recorded = torch.is_grad_enabled() if grad is None else grad
-    if torch.is_inference_mode_enabled():
-        stack.enter_context(torch.inference_mode(False))  # which records gradients again
-    if torch.is_grad_enabled() != recorded:
-        stack.enter_context(torch.set_grad_enabled(recorded))
-    for device in ("cpu", "cuda", "mps"):
-        if torch.is_autocast_enabled(device):
-            stack.enter_context(torch.autocast(device, enabled=False))
-    if torch.is_anomaly_enabled():
-        stack.enter_context(torch.autograd.set_detect_anomaly(False))
-    if torch.get_default_device().type != "cpu":
-        stack.enter_context(torch.device("cpu"))
-    if (dtype := torch.get_default_dtype()) != torch.float32:
-        torch.set_default_dtype(torch.float32)
-        stack.callback(torch.set_default_dtype, dtype)
-    if (precision := torch.get_float32_matmul_precision()) != "highest":
-        torch.set_float32_matmul_precision("highest")
-        stack.callback(torch.set_float32_matmul_precision, precision)
+    with ExitStack() as stack:
+        stack.enter_context(np.errstate(divide="warn", over="warn", under="ignore", invalid="warn"))
+        recorded = torch.is_grad_enabled() if grad is None else grad
+        if torch.is_inference_mode_enabled():
+            stack.enter_context(torch.inference_mode(False))  # which records gradients again
+        if torch.is_grad_enabled() != recorded:
+            stack.enter_context(torch.set_grad_enabled(recorded))
+        for device in ("cpu", "cuda", "mps"):
+            if torch.is_autocast_enabled(device):
+                stack.enter_context(torch.autocast(device, enabled=False))
+        if torch.is_anomaly_enabled():
+            stack.enter_context(torch.autograd.set_detect_anomaly(False))
+        if torch.get_default_device().type != "cpu":
+            stack.enter_context(torch.device("cpu"))
+        if (dtype := torch.get_default_dtype()) != torch.float32:
+            torch.set_default_dtype(torch.float32)
+            stack.callback(torch.set_default_dtype, dtype)
+        if (precision := torch.get_float32_matmul_precision()) != "highest":
+            torch.set_float32_matmul_precision("highest")
+            stack.callback(torch.set_float32_matmul_precision, precision)
+        yield
 
 
 def torch_device(given: Any) -> torch.device:

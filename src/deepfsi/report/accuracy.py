@@ -1,9 +1,9 @@
-"""Accuracy against photons and against the number of masks."""
+"""Figures of accuracy: against photons, against the number of masks, and of measured readouts."""
 
 import math
 from collections.abc import Callable, Iterable, Sequence
 from operator import attrgetter
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,156 +11,131 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, MultipleLocator, NullLocator
 
+from deepfsi.base.numeric import Interval
 from deepfsi.camera import noise_text
 from deepfsi.measures import main_measure
 from deepfsi.report import style
-from deepfsi.sweeps.results import Results
-
-Measured: TypeAlias = Any
-"""Accuracy of a design with its interval: a `Point`, or what has its names, as other cameras do."""
+from deepfsi.report.series import DESIGN_AND_OPTICS, Measured, Series, noises, series_axes
+from deepfsi.report.style import columns, inches
+from deepfsi.sweeps import Results
 
 LINE_HEIGHT = 0.06
 """Height of a name at the right edge, in parts of the axis."""
 
-LONGEST = 32
-"""Letters of the longest name in a figure; where one is longer, all are the designs' short ones."""
-
-CHANCE: dict[str, Any] = {"color": style.MUTED, "linewidth": 0.9, "linestyle": (0, (1, 1))}
+_CHANCE: dict[str, Any] = {"color": style.MUTED, "linewidth": 0.9, "linestyle": (0, (1, 1))}
 """Line of the accuracy that chance gives."""
-
-Fields = tuple[str, ...]
-
-CHOSEN: Fields = ("design", "light", "rails", "detectors")
-
-
-def series_axes(results: Results) -> Fields:
-    """Fields that tell series apart, of those in which points differ beside noise and budget."""
-    points = results.points
-    apart = [axis for axis in ("variant", "levels") if len({getattr(p, axis) for p in points}) > 1]
-    if any(p.trained_at != p.photons for p in points):
-        apart.append("trained_at")
-    pairs = {(p.noise, p.trained_under) for p in points}
-    if len(pairs) > len({noise for noise, _ in pairs}):
-        apart.append("trained_under")
-    optics = {(p.light, p.rails, p.readout) for p in points}
-    if len(optics) > len({pair[:2] for pair in optics}):
-        apart.append("readout")
-    if results.chosen_on == "nothing":
-        apart.append("masks")
-    return (*CHOSEN, *apart)
-
-
-def axis_text(axis: str, value: Any) -> str:
-    """Value of a field as a name of a series has it."""
-    if axis == "levels":
-        return f"{value} levels" if value else "continuous"
-    if axis == "trained_at":
-        return f"from {style.photons_text(value)}"
-    if axis == "detectors":
-        return f"{value} detectors"
-    return f"from {value}" if axis == "trained_under" else str(value)
-
-
-def series(points: Iterable[Measured], axes: Fields) -> dict[tuple[str, ...], list[Measured]]:
-    """Points by the fields `axes`, the design first, in the order in which they appear."""
-    found: dict[tuple[str, ...], list[Measured]] = {}
-    for point in points:
-        found.setdefault(key_of(point, axes), []).append(point)
-    return found
-
-
-def key_of(point: Measured, axes: Fields) -> tuple[str, ...]:
-    """Values of a point's fields, which tell its series."""
-    return tuple(str(getattr(point, axis)) for axis in axes)
-
-
-def series_names(
-    points: Iterable[Measured], axes: Fields, field: str = "title"
-) -> dict[tuple[str, ...], str]:
-    """Name of each series: the design's, and the other axes where these tell two apart."""
-    groups, names = series(points, axes), {}
-    for key, members in groups.items():
-        kin = [other for other in groups if other[0] == key[0]]
-        apart = [
-            axis_text(axes[i], getattr(members[0], axes[i]))
-            for i in range(1, len(axes))
-            if len({other[i] for other in kin}) > 1
-        ]
-        names[key] = " ".join(filter(None, [getattr(members[0], field), *apart]))
-    return names
-
-
-def figure_names(points: Iterable[Measured], axes: Fields) -> dict[tuple[str, ...], str]:
-    """Name of each series in a figure: written out, or short where one would be too long."""
-    rows = list(points)
-    names = series_names(rows, axes)
-    return series_names(rows, axes, "label") if max(map(len, names.values())) > LONGEST else names
-
-
-def axis_of(results: Results) -> str:
-    """Name of the axis of what is measured."""
-    return main_measure(results.data.measure).axis
-
-
-def noises(results: Results) -> list[str]:
-    """Noise models of a comparison, in the order in which they appear."""
-    return list(dict.fromkeys(point.noise for point in results.points))
 
 
 @style.styled
 def accuracy_figure(results: Results, top: float = 1.0) -> Figure:
-    """Accuracy against photons, each design at its chosen mask count; one panel a noise."""
-    # The axis of accuracy ends at `top`, above the highest point. Error bars are the points'
-    # intervals. Circles are feature-specific designs, squares others. Where all were tested at one
-    # budget, each design has a line of its own, the most accurate on top
-    panels, chosen = noises(results), [p for p in results.points if p.best]
-    axes_apart, chance, axis = series_axes(results), results.data.chance, axis_of(results)
-    if len({p.photons for p in chosen}) == 1:
-        return _ranking_figure(chosen, panels, axes_apart, chance, top, axis)
-    figure = Figure(figsize=(5.4 * len(panels), style.PANEL_HEIGHT), layout="constrained")
-    axes = figure.subplots(1, len(panels), squeeze=False)[0]
-    for ax, noise in zip(axes, panels, strict=True):
-        points = [p for p in chosen if p.noise == noise]
-        accuracy_axes(ax, points, axes_apart, attrgetter("photons"), chance, top=top)
-        ax.set_ylabel(axis)
-        ax.set_xlabel(style.BUDGET_AXIS)
-        budgets = sorted({p.photons for p in points})
-        short = all(len(style.photons_text(budget)) <= 4 for budget in budgets)
-        ax.xaxis.set_major_locator(
-            FixedLocator(budgets) if len(budgets) <= 8 and short else LogLocator(numticks=8)
-        )
-        ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: style.photons_text(value)))
+    """Accuracy against photons, each design at its chosen mask count; one panel a noise.
+
+    Error bars are the points' intervals. Circles are feature-specific designs, squares others.
+    Where all were tested at one budget, each design has a line of its own, the most accurate on
+    top.
+
+    Parameters
+    ----------
+    results : Results
+    top : float
+        End of the axis of accuracy, above the highest point.
+    """
+    panels = noises(results)
+    chosen = [point for point in results.points if point.best]
+    one_budget = len({point.photons for point in chosen}) == 1
+    series = Series.of(results, chosen)
+    if one_budget:
+        wide = 2.5 + 0.075 * max(map(len, series.figure_names().values()))
+        figsize = (wide * len(panels), 0.26 * len(series.groups) + 1.3)
+    else:
+        figsize = (5.4 * len(panels), style.PANEL_HEIGHT)
+    figure = Figure(figsize=figsize, layout="constrained")
+    grid = figure.subplots(1, len(panels), squeeze=False)[0]
+    for ax, noise in zip(grid, panels, strict=True):
+        points = [point for point in chosen if point.noise == noise]
+        if one_budget:
+            _ranking_axes(ax, points, series, results, top=top)
+        else:
+            _budget_axes(ax, points, results, top)
         if len(panels) > 1:
-            ax.set_title(noise_text(noise))
-    marker_key(figure, chosen, _hollow(chosen))
+            ax.set_title(noise_text(noise), **({"pad": 14} if one_budget else {}))
+    kinds = {Series(chosen, DESIGN_AND_OPTICS).key(point) for point in chosen}
+    several = not one_budget and len(kinds) > len({point.design for point in chosen})
+    hollow = "hollow: further light laws, rails or detectors" if several else ""
+    marker_key(figure, chosen, hollow)
     return figure
 
 
-def _hollow(points: Iterable[Measured]) -> str:
-    """Words for hollow markers of series beside a design's first; empty where there are none."""
-    rows = list(points)
-    kinds = {key_of(p, CHOSEN) for p in rows}
-    several = len(kinds) > len({p.design for p in rows})
-    return "hollow: further light laws, rails or detectors" if several else ""
+def _budget_axes(ax: Axes, points: Sequence[Measured], results: Results, top: float) -> None:
+    """Accuracies against photons under one noise."""
+    photons = attrgetter("photons")
+    accuracy_axes(ax, points, series_axes(results), photons, chance=results.data.chance, top=top)
+    ax.set_ylabel(main_measure(results.data.measure).axis)
+    ax.set_xlabel(style.BUDGET_AXIS)
+    budgets = sorted({point.photons for point in points})
+    short = all(len(style.photons_text(budget)) <= 4 for budget in budgets)
+    ax.xaxis.set_major_locator(
+        FixedLocator(budgets) if len(budgets) <= 8 and short else LogLocator(numticks=8)
+    )
+    ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: style.photons_text(value)))
+
+
+def _ranking_axes(
+    ax: Axes, points: Sequence[Measured], series: Series, results: Results, *, top: float
+) -> None:
+    """Accuracies at one budget, under one noise: a line for each series."""
+    names = series.figure_names()
+    rows = sorted(points, key=lambda point: point.accuracy)
+    for row, point in enumerate(rows):
+        ax.errorbar(
+            point.accuracy,
+            row,
+            xerr=_bar_lengths([point]),
+            color=style.DESIGN_COLOURS.get(point.design, style.INK),
+            marker=_marker(point),
+            capsize=2,
+            elinewidth=1,
+        )
+    ax.set_yticks(range(len(rows)), [names[series.key(point)] for point in rows])
+    ax.set_ylim(-0.6, len(rows) - 0.4)
+    ax.set_xlim(0, top)
+    ax.xaxis.set_major_locator(MultipleLocator(top / 4))
+    ax.set_xlabel(main_measure(results.data.measure).axis)
+    ax.grid(axis="x")
+    chance = results.data.chance
+    ax.axvline(chance, **_CHANCE)
+    ax.annotate(
+        "chance", (chance, 1), (3, 2), xycoords=ax.get_xaxis_transform(),
+        textcoords="offset points", color=style.MUTED,
+    )  # fmt: skip
 
 
 def marker_key(figure: Figure, points: Iterable[Measured], *words: str) -> None:
-    """Say below a figure what circles, squares and bars are, and what else its words say."""
-    looks: dict[str, Any] = {"color": style.MUTED, "linestyle": "none"}
-    kinds = {point.specific: _marker(point) for point in points}
-    told = {True: "masks made from training data", False: "other masks"}
-    keys = [Line2D([], [], marker=kinds[kind], **looks) for kind in told if kind in kinds]
-    keys += [Line2D([], [], marker="|", markersize=9, **looks)]
-    names = [*(told[kind] for kind in told if kind in kinds), "95 % interval"]
+    """Say below a figure what circles, squares and bars are, and what else its words say.
+
+    Parameters
+    ----------
+    figure : Figure
+    points : iterable of Point
+        All that it shows.
+    *words : str
+        More lines of the key; empty ones are left out.
+    """
+    look: dict[str, Any] = {"color": style.MUTED, "linestyle": "none"}
+    markers = {point.specific: _marker(point) for point in points}
+    kinds = {True: "masks made from training data", False: "other masks"}
+    keys = [Line2D([], [], marker=markers[kind], **look) for kind in kinds if kind in markers]
+    keys += [Line2D([], [], marker="|", markersize=9, **look)]
+    names = [*(kinds[kind] for kind in kinds if kind in markers), "95 % interval"]
     names += filter(None, words)
     keys += [Line2D([], [], linestyle="none")] * (len(names) - len(keys))
     room = figure.get_figwidth()
-    in_a_row = sum(style.inches(name, 9) for name in names) < room
+    in_a_row = sum(inches(name, 9) for name in names) < room
     figure.legend(
         keys,
         names,
         loc="outside lower center",
-        ncols=len(keys) if in_a_row else style.columns(names, room, 9),
+        ncols=len(keys) if in_a_row else columns(names, room, 9),
         frameon=False,
         fontsize=9,
         handlelength=1.0,
@@ -168,58 +143,22 @@ def marker_key(figure: Figure, points: Iterable[Measured], *words: str) -> None:
     )
 
 
-def _ranking_figure(
-    points: Sequence[Measured],
-    panels: Sequence[str],
-    axes: Fields,
-    chance: float,
-    top: float,
-    axis: str,
-) -> Figure:
-    """Accuracies at one budget: a line for each series, a panel for each noise."""
-    names = figure_names(points, axes)
-    high = 0.26 * len(names) + 1.3
-    wide = 2.5 + 0.075 * max(map(len, names.values()))
-    figure = Figure(figsize=(wide * len(panels), high), layout="constrained")
-    for ax, noise in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True):
-        groups = series([p for p in points if getattr(p, "noise", noise) == noise], axes)
-        rows = sorted(groups.items(), key=lambda row: row[1][0].accuracy)
-        for place, (_, [point]) in enumerate(rows):
-            ax.errorbar(
-                point.accuracy,
-                place,
-                xerr=_reach([point]),
-                color=style.COLOURS.get(point.design, style.INK),
-                marker=_marker(point),
-                capsize=2,
-                elinewidth=1,
-            )
-        ax.set_yticks(range(len(rows)), [names[key] for key, _ in rows])
-        ax.set_ylim(-0.6, len(rows) - 0.4)
-        ax.set_xlim(0, top)
-        ax.xaxis.set_major_locator(MultipleLocator(top / 4))
-        ax.set_xlabel(axis)
-        ax.grid(axis="x")
-        ax.axvline(chance, **CHANCE)
-        ax.annotate(
-            "chance", (chance, 1), (3, 2), xycoords=ax.get_xaxis_transform(),
-            textcoords="offset points", color=style.MUTED,
-        )  # fmt: skip
-        if len(panels) > 1:
-            ax.set_title(noise_text(noise), pad=14)
-    marker_key(figure, points)
-    return figure
-
-
 @style.styled
 def count_figure(results: Results) -> Figure:
     """Accuracy against the number of masks, of results under one noise at one budget."""
     # Filled markers are the mask counts that were chosen; designs whose count is fixed have one
     figure = Figure(figsize=(4.9, style.PANEL_HEIGHT), layout="constrained")
-    ax, axes = figure.subplots(), tuple(a for a in series_axes(results) if a != "masks")
-    chance, masks, best = results.data.chance, attrgetter("masks"), attrgetter("best")
-    accuracy_axes(ax, results.points, axes, masks, chance, filled=best)
-    ax.set_ylabel(axis_of(results))
+    ax = figure.subplots()
+    axes = tuple(axis for axis in series_axes(results) if axis != "masks")
+    accuracy_axes(
+        ax,
+        results.points,
+        axes,
+        attrgetter("masks"),
+        chance=results.data.chance,
+        filled=attrgetter("best"),
+    )
+    ax.set_ylabel(main_measure(results.data.measure).axis)
     ax.set_xlabel("number of masks m")
     ax.xaxis.set_major_locator(LogLocator(base=2, numticks=12))
     ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
@@ -231,79 +170,98 @@ def count_figure(results: Results) -> Figure:
 def accuracy_axes(
     ax: Axes,
     points: Iterable[Measured],
-    axes: Fields,
+    axes: tuple[str, ...],
     across: Callable[[Measured], float],
-    chance: float,
     *,
+    chance: float,
     span: tuple[float, float] | None = None,
     filled: Callable[[Measured], bool] | None = None,
     top: float = 1.0,
 ) -> None:
-    """Draw accuracies over a quantity, one line for each series, named at the right edge."""
-    rows_of = list(points)
-    groups, names = series(rows_of, axes), figure_names(rows_of, axes)
-    tried = [across(point) for members in groups.values() for point in members]
-    left, right = span or (min(tried), max(tried))
+    """Draw accuracies over a quantity, one line for each series, named at the right edge.
+
+    Parameters
+    ----------
+    ax : Axes
+    points : iterable of Point
+    axes : tuple of str
+        Fields that tell series apart, the design first.
+    across : callable
+        Point → the quantity.
+    chance : float
+        Accuracy of guessing.
+    span : (float, float), optional
+        First and last value of the quantity; those of the points unless given.
+    filled : callable, optional
+        Point → whether its marker is filled; else those of a design's first series are.
+    top : float
+        End of the axis of accuracy.
+    """
+    series = Series(points, axes)
+    groups = series.groups
+    names = series.figure_names()
+    values = [across(point) for members in groups.values() for point in members]
+    left, right = span or (min(values), max(values))
     decades = max(1.0, abs(math.log10(max(left, right) / min(left, right))))
     apart = 10 ** (0.004 * decades)
-    ends: list[tuple[str, str, float, float]] = []
-    for place, (key, members) in enumerate(groups.items()):
-        variant = sum(other[0] == key[0] for other in list(groups)[:place])
+    ends = []
+    for index, (key, members) in enumerate(groups.items()):
+        variant = sum(other[0] == key[0] for other in list(groups)[:index])
         rows = sorted(members, key=across, reverse=left > right)
-        x = np.array([across(p) for p in rows]) * apart ** (place - (len(groups) - 1) / 2)
-        full = np.array([filled(p) if filled else variant == 0 for p in rows])
-        _draw_series(ax, rows, x, full, variant, place, names[key])
-        ends.append(
-            (names[key], style.COLOURS.get(key[0], style.INK), float(x[-1]), rows[-1].accuracy)
+        x = np.array([across(point) for point in rows]) * apart ** (index - (len(groups) - 1) / 2)
+        full = np.array([filled(point) if filled else variant == 0 for point in rows])
+        design = rows[0].design
+        colour = style.DESIGN_COLOURS.get(design, style.INK)
+        line = style.DESIGN_LINES.get(design, "-") if variant == 0 else (0, (1 + variant,) * 2)
+        y = np.array([point.accuracy for point in rows])
+        ax.errorbar(
+            x,
+            y,
+            yerr=_bar_lengths(rows),
+            linestyle=line,
+            zorder=3 + index / 100,
+            color=colour,
+            elinewidth=1,
+            capsize=2,
         )
+        for kind in set(full.tolist()):
+            at = full == kind
+            ax.plot(
+                x[at],
+                y[at],
+                linestyle="none",
+                marker=_marker(rows[0]),
+                label=names[key],
+                color=colour,
+                markerfacecolor=colour if kind else style.PAPER,
+                zorder=4 + index / 100,
+            )
+        ends.append(_End(names[key], colour, float(x[-1]), rows[-1].accuracy))
     ax.set_xscale("log")
     margin = 10 ** (0.06 * decades)
     edges = min(left, right) / margin, max(left, right) * margin
     ax.set_xlim(edges[::-1] if left > right else edges)
-    ax.axhline(chance, zorder=2, **CHANCE)
+    ax.axhline(chance, zorder=2, **_CHANCE)
     ax.set_ylim(0, top)
     ax.set_ylabel(style.ACCURACY_AXIS)
     ax.grid(axis="y")
     ax.xaxis.set_minor_locator(NullLocator())
-    _name_ends(ax, [*ends, ("chance", style.MUTED, ax.get_xlim()[1], chance)])
+    _name_ends(ax, [*ends, _End("chance", style.MUTED, ax.get_xlim()[1], chance)])
 
 
-def _draw_series(
-    ax: Axes,
-    rows: Sequence[Measured],
-    x: np.ndarray,
-    full: np.ndarray,
-    variant: int,
-    place: int,
-    name: str,
-) -> None:
-    """Draw one line with intervals, and its markers, filled or hollow."""
-    design, y = rows[0].design, np.array([p.accuracy for p in rows])
-    colour = style.COLOURS.get(design, style.INK)
-    line = style.LINES.get(design, "-") if variant == 0 else (0, (1 + variant, 1 + variant))
-    looks: dict[str, Any] = {"color": colour, "elinewidth": 1, "capsize": 2}
-    ax.errorbar(x, y, yerr=_reach(rows), linestyle=line, zorder=3 + place / 100, **looks)
-    for filled in set(full.tolist()):
-        face = colour if filled else style.PAPER
-        looks = {"color": colour, "markerfacecolor": face, "zorder": 4 + place / 100}
-        at = full == filled
-        ax.plot(x[at], y[at], linestyle="none", marker=_marker(rows[0]), label=name, **looks)
+class _End(NamedTuple):
+    """Last point of a line, and the name of the line."""
+
+    name: str
+    colour: str
+    x: float
+    y: float
 
 
-def _reach(points: Sequence[Measured]) -> np.ndarray:
-    """Lengths (2, n) of the bars below and above each point."""
-    ends = [(p.accuracy - p.low, p.high - p.accuracy) for p in points]
-    return np.clip(np.transpose(ends), 0, None)
-
-
-def _marker(point: Measured) -> str:
-    return "o" if point.specific else "s"
-
-
-def _name_ends(ax: Axes, ends: list[tuple[str, str, float, float]]) -> None:
+def _name_ends(ax: Axes, ends: list[_End]) -> None:
     """Write names at the right edge, beside the last points, moved apart where they would touch."""
-    ordered = sorted(ends, key=lambda end: end[3])
-    heights = np.array([end[3] for end in ordered])
+    ordered = sorted(ends, key=attrgetter("y"))
+    heights = np.array([end.y for end in ordered])
     top = ax.get_ylim()[1]
     line = LINE_HEIGHT * top
     for i in range(1, len(heights)):
@@ -311,21 +269,93 @@ def _name_ends(ax: Axes, ends: list[tuple[str, str, float, float]]) -> None:
     heights[-1] = min(heights[-1], top + line / 3)
     for i in range(len(heights) - 2, -1, -1):
         heights[i] = min(heights[i], heights[i + 1] - line)
-    for (name, colour, x, y), height in zip(ordered, heights, strict=True):
+    for end, height in zip(ordered, heights, strict=True):
         ax.annotate(
             "",
-            xy=(x, y),
+            xy=(end.x, end.y),
             xytext=(1.035, height),
             textcoords=ax.get_yaxis_transform(),
-            arrowprops={"arrowstyle": "-", "color": colour, "linewidth": 0.6, "shrinkA": 0},
+            arrowprops={"arrowstyle": "-", "color": end.colour, "linewidth": 0.6, "shrinkA": 0},
             annotation_clip=False,
         )
         ax.text(
             1.045,
             height,
-            name,
-            color=colour,
+            end.name,
+            color=end.colour,
             transform=ax.get_yaxis_transform(),
             verticalalignment="center",
-            fontweight="bold" if name != "chance" else "normal",
+            fontweight="bold" if end.name != "chance" else "normal",
         )
+
+
+def _bar_lengths(points: Sequence[Measured]) -> np.ndarray:
+    """Lengths (2, n) of the bars below and above each point."""
+    ends = [(point.accuracy - point.low, point.high - point.accuracy) for point in points]
+    return np.clip(np.transpose(ends), 0, None)
+
+
+def _marker(point: Measured) -> str:
+    return "o" if point.specific else "s"
+
+
+class ReadoutTest(NamedTuple):
+    """Accuracies of classifiers of measured readouts on one test.
+
+    Attributes
+    ----------
+    name : str
+        What was tested on.
+    network, ridge : Interval, optional
+        Accuracy of the network, and of kernel ridge; None where it was not tested.
+    """
+
+    name: str
+    network: Interval | None
+    ridge: Interval | None
+
+
+@style.styled
+def readouts_figure(title: str, tests: Sequence[ReadoutTest], chance: float) -> Figure:
+    """Accuracies with their 95 % intervals, a row for each test, and that of guessing.
+
+    Parameters
+    ----------
+    title : str
+    tests : sequence of ReadoutTest
+    chance : float
+        Accuracy of guessing.
+    """
+    size = (0.72 * style.PAGE_WIDTH, 0.5 * len(tests) + 1.3)
+    figure = Figure(figsize=size, layout="constrained")
+    ax = figure.subplots()
+    for name, design, marker, off in (
+        ("network", "deepfsi", "o", -0.12),
+        ("RBF ridge", "pca", "s", 0.12),
+    ):
+        colour = style.DESIGN_COLOURS[design]
+        for row, test in enumerate(tests):
+            interval = test.network if name == "network" else test.ridge
+            if interval is not None:
+                ax.errorbar(
+                    interval.mean,
+                    row + off,
+                    xerr=[[interval.mean - interval.low], [interval.high - interval.mean]],
+                    fmt=marker,
+                    color=colour,
+                    markersize=5,
+                    capsize=2,
+                )
+        ax.plot([], [], marker, color=colour, label=name)
+    ax.axvline(chance, color=style.MUTED, linestyle="--", linewidth=0.9, label="guessing")
+    ax.set(
+        xlim=(0, 1.02),
+        ylim=(len(tests) - 0.5, -0.5),
+        yticks=range(len(tests)),
+        yticklabels=[test.name for test in tests],
+        xlabel="accuracy, 95 % interval",
+    )
+    ax.set_title(title, loc="left")
+    ax.grid(axis="x", color=style.GRID)
+    figure.legend(loc="outside lower center", ncols=3, frameon=False)
+    return figure

@@ -22,33 +22,34 @@ from deepfsi.base.numeric import accuracy_difference, confusion_table
 from deepfsi.camera import LIGHT_LAWS, noise_text
 from deepfsi.designfile import DesignFile
 from deepfsi.jobs import ADAPTIVE
-from deepfsi.measures import MEASURES, error_text, main_measure, worst_text
-from deepfsi.report import accuracy
-from deepfsi.report.figures import Figures
-from deepfsi.report.masks import lit_masks, masks_figure, peak, signed, values_figure
-from deepfsi.report.rendering import capital, flat, render, share_text
-from deepfsi.report.style import photons_text
-from deepfsi.report.terms import DESIGNS, lit_text
-from deepfsi.report.verdict import Verdict, better, ranking, uneven_point, verdict_of
-from deepfsi.sweeps.results import Data, Point, Results, read_results
+from deepfsi.measures import (
+    MEASURES,
+    error_text,
+    lit_masks,
+    lit_text,
+    main_measure,
+    worst_text,
+)
+from deepfsi.report.accuracy import accuracy_figure, count_figure
+from deepfsi.report.masks import masks_figure, peak_value, signed, values_figure
+from deepfsi.report.rendering import DESIGN_TERMS, capital, english_list, flat, render, share_text
+from deepfsi.report.series import DESIGN_AND_OPTICS, Series, noises
+from deepfsi.report.style import Figures, photons_text
+from deepfsi.report.verdict import ComparisonVerdict, better, ranking, uneven_point, verdict_of
+from deepfsi.sweeps import Data, Point, Results, read_results
 
 MASKS_SHOWN = 12
 """Masks of a design that the page shows at most."""
 
-
-RAILS = ("rails",)
-"""Arrays of a design file that the page reads."""
-
-COUNTED = ("noise", *accuracy.CHOSEN)
-"""Fields of points that differ in their number of masks alone."""
-
-Part = dict[str, Any]
+PagePart = dict[str, Any]
 """Part of a page by the names that its template uses."""
 
 
-def build(folder: str | os.PathLike[str]) -> Path:
-    """Write `report.html` and its figures into the output folder of a comparison."""
-    # The folder holds `results.json` and, for the pictures of masks, `designs/<key>.safetensors`
+def write_report(folder: str | os.PathLike[str]) -> Path:
+    """Write `report.html` and its figures into the output folder of a comparison.
+
+    It holds `results.json` and, for the pictures of masks, `designs/KEY.safetensors`.
+    """
     home = Path(folder)
     if not (home / "results.json").is_file():
         raise InputError(f"no results in {home}: make them with `deepfsi compare -o {home}`")
@@ -59,42 +60,53 @@ def build(folder: str | os.PathLike[str]) -> Path:
 
 
 def page_text(results: Results, designs: Path, figures: Figures) -> str:
-    """Text of the page, whose figures are added to those given."""
-    data, points = results.data, results.points
-    axes = accuracy.series_axes(results)
-    learned = list(learned_masks(results, designs, figures))
-    said = verdict_of(results)
+    """Text of the page.
+
+    Parameters
+    ----------
+    results : Results
+    designs : path
+        Folder of the design files, of which some or all may be missing.
+    figures : Figures
+        To which those of the page are added.
+    """
+    data = results.data
+    points = results.points
+    learned = list(_learned_masks(results, designs, figures))
+    verdict = verdict_of(results)
     return render(
         "page.html.jinja",
         results=results,
-        title=said.title,
-        camera=camera_text(points),
+        title=verdict.title,
+        camera=_camera_text(points),
         two_rails=any(p.rails == "dual" for p in points if not p.every_pixel),
         impulse=any(p.every_pixel for p in points),
         bullets=[
-            said.text,
-            compared(results),
-            *(summary(results, noise) for noise in accuracy.noises(results)),
-            covered(results),
+            verdict.text,
+            compared_text(results),
+            *(summary_text(results, noise) for noise in noises(results)),
+            covers_text(results),
         ],
-        variants=len(accuracy.series(points, axes)) > len({p.design for p in points}),
-        accuracy=list(accuracy_panels(results, figures)),
-        counts=list(count_panels(results, figures)),
-        tables=[best_table(results, noise) for noise in accuracy.noises(results)],
-        designs=dict.fromkeys((p.title, p.label, DESIGNS.get(p.design)) for p in points),
+        variants=len(Series.of(results).groups) > len({p.design for p in points}),
+        accuracy=list(_accuracy_panels(results, figures)),
+        counts=list(_count_panels(results, figures)),
+        tables=[best_table(results, noise) for noise in noises(results)],
+        designs=dict.fromkeys((p.title, p.label, DESIGN_TERMS.get(p.design)) for p in points),
         lights=sorted({p.light for p in points}),
-        confusions=list(confusions(results, said)),
+        confusions=list(_confusions(results, verdict)),
         learned=learned,
-        following=list(following(results, designs, said)),
+        following=list(_next_steps(results, designs, verdict)),
         learned_missing=not learned and any(p.learned for p in points),
         masks_shown=MASKS_SHOWN,
-        scene=scene_text(data.image_shape),
-        answers=answers_text(data),
+        scene=_scene_text(data.image_shape),
+        answers=f"values: {english_list([*data.values])}"
+        if data.values
+        else f"{len(data.classes)} classes",
         names=data.classes or data.values,
         measure=main_measure(data.measure),
-        further=[each for each in MEASURES.values() if each.averaged and each.column],
-        errors=list(errors(results)),
-        optics=optics_text,
+        further=[measure for measure in MEASURES.values() if measure.averaged and measure.column],
+        errors=list(_value_errors(results)),
+        optics=_optics_text,
         facts=[
             ("Data", list(flat({k: v for k, v in data.as_dict().items() if k != "classes"}))),
             ("Recipe", list(flat(results.recipe))),
@@ -103,12 +115,12 @@ def page_text(results: Results, designs: Path, figures: Figures) -> str:
     )
 
 
-def compared(results: Results) -> str:
+def compared_text(results: Results) -> str:
     """Say what is compared, and how it is measured."""
     points = [p for p in results.points if not p.every_pixel] or results.points
     designs = len({p.design for p in results.points})
     many = f"{designs} ways to choose a camera’s masks" if designs > 1 else "One choice of masks"
-    laws = listed(sorted({p.light for p in points}))
+    laws = english_list(sorted({p.light for p in points}))
     scenes = f"{results.data.test} test scenes of {results.data.name}"
     task = main_measure(results.data.measure).task.format(scenes=scenes)
     parts = scenes_text(results.data)
@@ -131,7 +143,7 @@ def scenes_text(data: Data) -> str:
     )
 
 
-def covered(results: Results) -> str:
+def covers_text(results: Results) -> str:
     """Say what impulse imaging and guessing reach, and what the intervals cover."""
     ideal = sorted((p for p in results.points if p.every_pixel and p.best), key=lambda p: p.photons)
     text = ""
@@ -155,13 +167,13 @@ def covered(results: Results) -> str:
     )
 
 
-def with_one_detector(points: Iterable[Point]) -> bool:
+def _with_one_detector(points: Iterable[Point]) -> bool:
     """True if one detector does for every design but impulse imaging."""
     laws = {name for name, law in LIGHT_LAWS.items() if law.in_turn and law.arms == 1}
     return all(p.light in laws and p.detectors == "1x1" for p in points if not p.every_pixel)
 
 
-def camera_text(points: Iterable[Point]) -> str:
+def _camera_text(points: Iterable[Point]) -> str:
     """Say how the designs' masks share the light, and what counts it."""
     rows = [p for p in points if not p.every_pixel]
     lights = {p.light for p in rows}
@@ -171,7 +183,7 @@ def camera_text(points: Iterable[Point]) -> str:
             f"Under the light law {lights.pop()}, optics split the scene’s Φ photons among all "
             "masks at once, with a detector for each readout, which no single mirror device does."
         )
-    if rows and with_one_detector(rows):
+    if rows and _with_one_detector(rows):
         return (
             "A camera with one detector: each mask in turn sends it a part of the scene’s Φ "
             "photons."
@@ -179,7 +191,7 @@ def camera_text(points: Iterable[Point]) -> str:
     return "Each mask sends a part of the scene’s Φ photons to a detector."
 
 
-def optics_text(point: Point) -> str:
+def _optics_text(point: Point) -> str:
     """Light law and rails of a point, with several detectors and both rails read where it has."""
     parts = [point.light, point.rails]
     if point.detectors != "1x1":
@@ -189,28 +201,30 @@ def optics_text(point: Point) -> str:
     return ", ".join(parts)
 
 
-def following(results: Results, designs: Path, said: Verdict) -> Iterator[tuple[str, str]]:
+def _next_steps(
+    results: Results, designs: Path, verdict: ComparisonVerdict
+) -> Iterator[tuple[str, str]]:
     """Next steps, in words and as commands: to see an exposure, and to show masks on a device."""
     points = [p for p in results.points if p.best and not p.every_pixel]
     # Of a law that this package does not know, as of a later one, a device is not ruled out
-    shown = [p for p in points if p.light not in LIGHT_LAWS or LIGHT_LAWS[p.light].one_device]
+    showable = [p for p in points if p.light not in LIGHT_LAWS or LIGHT_LAWS[p.light].one_device]
 
     def file(point: Point) -> str | None:
         name = f"{point.keys[0]}.safetensors"
         return f"designs/{name}" if (designs / name).is_file() else None
 
-    played = file(said.best)
-    if played and not (results.data.values or said.best.every_pixel):
-        words = f"Watch exposures of {said.best.title}, in the folder of this page:"
+    played = file(verdict.best)
+    if played and not (results.data.values or verdict.best.every_pixel):
+        words = f"Watch exposures of {verdict.best.title}, in the folder of this page:"
         yield words, f"deepfsi page {played} -o page.html"
-    there = [p for p in shown if file(p) and p.design not in ADAPTIVE]
+    there = [p for p in showable if file(p) and p.design not in ADAPTIVE]
     if there:
-        best = max(there, key=lambda p: (p.photons == said.photons, p.photons, p.accuracy))
+        best = max(there, key=lambda p: (p.photons == verdict.photons, p.photons, p.accuracy))
         words = f"Write the masks of {best.title} for your device, in the folder of this page:"
         yield words, f"deepfsi dmd export {file(best)} --device dlp7000 --exposure 10ms -o patterns"
         return
     name = shlex.quote(str(results.recipe.get("data", results.data.name)))
-    if shown:
+    if showable:
         words = "Learn one design, whose file the commands for a device take:"
     else:
         light = points[0].light if points else "column"
@@ -218,23 +232,24 @@ def following(results: Results, designs: Path, said: Verdict) -> Iterator[tuple[
             f"No single device shows masks of the light law {light}. Compare designs that one "
             "shows:"
         )
-    command = "design --masks 16 --photons 1e4 -o d.safetensors" if shown else "compare -o runs/dmd"
+    design = "design --masks 16 --photons 1e4 -o d.safetensors"
+    command = design if showable else "compare -o runs/dmd"
     yield words, f"deepfsi {command} --camera dmd --data {name}"
 
 
-def scene_text(shape: tuple[int, ...]) -> str:
+def _scene_text(shape: tuple[int, ...]) -> str:
     """Scene's size in words."""
     if len(shape) == 1:
         return f"{shape[0]} bands"
     return f"{' × '.join(map(str, shape))} = {int(np.prod(shape))} pixels"
 
 
-def chosen(results: Results, noise: str) -> list[Point]:
+def _chosen(results: Results, noise: str) -> list[Point]:
     """Points at the chosen mask counts under a noise."""
     return [p for p in results.points if p.noise == noise and p.best]
 
 
-def leading(points: list[Point], photons: float) -> list[Point]:
+def _leaders(points: list[Point], photons: float) -> list[Point]:
     """The first of a ranking, and all that it is not told apart from on the same test images."""
     first, *others = ranking(points, photons)
     return [first, *(p for p in others if not better(first, p))]
@@ -242,68 +257,63 @@ def leading(points: list[Point], photons: float) -> list[Point]:
 
 def leader_differences(results: Results) -> Iterator[dict[str, Any]]:
     """Paired differences of the first of each ranking to the others, by noise and budget."""
-    for noise in accuracy.noises(results):
-        points, axes = chosen(results, noise), accuracy.series_axes(results)
-        names = accuracy.series_names(points, axes)
+    for noise in noises(results):
+        points = _chosen(results, noise)
+        series = Series.of(results, points)
         for photons in sorted({p.photons for p in points}):
             first, *others = ranking(points, photons)
             for other in others:
-                apart = accuracy_difference(first, other)
+                difference = accuracy_difference(first, other)
                 yield {
                     "noise": noise,
                     "photons": photons,
-                    "first": names[accuracy.key_of(first, axes)],
-                    "second": names[accuracy.key_of(other, axes)],
-                    "difference": apart.mean,
-                    "low": apart.low,
-                    "high": apart.high,
+                    "first": series.name(first),
+                    "second": series.name(other),
+                    "difference": difference.mean,
+                    "low": difference.low,
+                    "high": difference.high,
                 }
 
 
-def summary(results: Results, noise: str) -> str:
+def summary_text(results: Results, noise: str) -> str:
     """Say which designs are the most accurate under a noise, and which cannot be told apart."""
-    points = chosen(results, noise)
-    axes = accuracy.series_axes(results)
-    names = accuracy.series_names(points, axes)
-
-    def name(point: Point) -> str:
-        return names[accuracy.key_of(point, axes)]
-
+    points = _chosen(results, noise)
+    series = Series.of(results, points)
     groups: dict[tuple[str, ...], list[list[Point]]] = {}
     for photons in sorted({p.photons for p in points}):
-        together = leading(points, photons)
-        groups.setdefault(tuple(map(name, together)), []).append(together)
-    where = " with one detector" if with_one_detector(points) else ""
-    said = []
+        leaders = _leaders(points, photons)
+        groups.setdefault(tuple(map(series.name, leaders)), []).append(leaders)
+    where = " with one detector" if _with_one_detector(points) else ""
+    sentences = []
     for best, rows in groups.items():
         first = [row[0] for row in rows]
-        at = listed([photons_text(p.photons) for p in first])
+        at = english_list([photons_text(p.photons) for p in first])
         several = first[0].design in ADAPTIVE  # the name is of masks
         if len(best) > 1:
-            every = [p.accuracy for row in rows for p in row]
-            said.append(
-                f"At {at} photons {listed([*best])} cannot be told apart on the same test "
-                f"scenes: they reach {share_text(min(every))} to {share_text(max(every))}."
+            scores = [p.accuracy for row in rows for p in row]
+            sentences.append(
+                f"At {at} photons {english_list([*best])} cannot be told apart on the same test "
+                f"scenes: they reach {share_text(min(scores))} to {share_text(max(scores))}."
             )
-        elif len(names) == 1:
-            said.append(f"{best[0]} {'reach' if several else 'reaches'} {_ends(first)}.")
+        elif len(series.groups) == 1:
+            sentences.append(f"{best[0]} {'reach' if several else 'reaches'} {_ends(first)}.")
         else:
             most = "most accurate" if results.data.measure == "accuracy" else "best"
             reach = _ends(first) if len(first) > 1 else _reach(first[0])
             verb = "are" if several else "is"
-            said.append(f"{best[0]} {verb} the {most}{where} at {at} photons: {reach}.")
-    said += [
-        f"{name(p)} at {photons_text(p.photons)} photons answers one class only."
+            sentences.append(f"{best[0]} {verb} the {most}{where} at {at} photons: {reach}.")
+    sentences += [
+        f"{series.name(p)} at {photons_text(p.photons)} photons answers one class only."
         for p in sorted(points, key=lambda p: p.photons)
         if p.one_class
     ]
-    return f"Under {noise_text(noise)}: {' '.join(map(capital, said))}"
+    return f"Under {noise_text(noise)}: {' '.join(map(capital, sentences))}"
 
 
 def _ends(rows: list[Point]) -> str:
     """Accuracies and intervals of the first and the last of rows, in the order of their budgets."""
     ends = [rows[0], rows[-1]][: len(rows)]
-    return listed([_reach(p, f" at {photons_text(p.photons)}") for p in ends])
+    return english_list([_reach(p, f" at {photons_text(p.photons)}") for p in ends])
 
 
 def _reach(point: Point, where: str = "") -> str:
@@ -313,104 +323,97 @@ def _reach(point: Point, where: str = "") -> str:
     return f"{share_text(point.accuracy)} {interval}{where}{masks}"
 
 
-def listed(words: list[str]) -> str:
-    """Words as an English list."""
-    return " and ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
-
-
-def accuracy_panels(results: Results, figures: Figures) -> Iterator[Part]:
+def _accuracy_panels(results: Results, figures: Figures) -> Iterator[PagePart]:
     """Accuracy against photons, a picture for each noise."""
-    for i, noise in enumerate(accuracy.noises(results), start=1):
-        part = results.with_points(chosen(results, noise))
-        name = title_of(results)
-        words = f"{name} against photon budget under {noise_text(noise)}; numbers in the table."
-        picture = figures.add(f"accuracy-{i}", accuracy.accuracy_figure(part), words)
+    measure = capital(main_measure(results.data.measure).title)
+    for number, noise in enumerate(noises(results), start=1):
+        drawn = accuracy_figure(results.with_points(_chosen(results, noise)))
+        words = f"{measure} against photon budget under {noise_text(noise)}; numbers in the table."
+        picture = figures.add(f"accuracy-{number}", drawn, words)
         yield {"heading": noise_text(noise).capitalize(), "picture": picture}
 
 
-def count_panels(results: Results, figures: Figures) -> Iterator[tuple[str, list[Part]]]:
+def _count_panels(results: Results, figures: Figures) -> Iterator[tuple[str, list[PagePart]]]:
     """Accuracy against mask count for each noise and budget, if any design has several counts."""
-    if all(
-        len({p.masks for p in rows}) < 2
-        for rows in accuracy.series(results.points, COUNTED).values()
-    ):
+    counted = Series(results.points, ("noise", *DESIGN_AND_OPTICS)).groups.values()
+    if all(len({p.masks for p in rows}) < 2 for rows in counted):
         return
-    for i, noise in enumerate(accuracy.noises(results), start=1):
+    measure = capital(main_measure(results.data.measure).title)
+    for i, noise in enumerate(noises(results), start=1):
         points = [p for p in results.points if p.noise == noise]
         panels = []
         for j, photons in enumerate(sorted({p.photons for p in points}), start=1):
-            part = results.with_points(p for p in points if p.photons == photons)
+            drawn = count_figure(results.with_points(p for p in points if p.photons == photons))
             where = f"{photons_text(photons)} photons"
-            words = f"{title_of(results)} against number of masks at {where}; see the last table."
-            picture = figures.add(f"count-{i}-{j}", accuracy.count_figure(part), words)
+            words = f"{measure} against number of masks at {where}; see the last table."
+            picture = figures.add(f"count-{i}-{j}", drawn, words)
             panels.append({"heading": where, "picture": picture})
         yield noise_text(noise).capitalize(), panels
 
 
-def best_table(results: Results, noise: str) -> Part:
-    """Chosen mask counts under a noise: a row for each series, a column for each budget."""
-    points, axes = chosen(results, noise), accuracy.series_axes(results)
-    names = accuracy.series_names(points, axes)
+def best_table(results: Results, noise: str) -> PagePart:
+    """Chosen mask counts under a noise: a row for each series, a column for each budget.
+
+    Parameters
+    ----------
+    results : Results
+    noise : str
+        Its name.
+
+    Returns
+    -------
+    dict
+        The `heading`; the `budgets`; `rows` of a series' name, its first point, and its point at
+        each budget or None; the `leaders` by budget, which cannot be told apart.
+    """
+    points = _chosen(results, noise)
+    series = Series.of(results, points)
     budgets = sorted({p.photons for p in points})
     rows = []
-    for key, members in accuracy.series(points, axes).items():
+    for members in series.groups.values():
         at = {p.photons: p for p in members}
-        rows.append((names[key], members[0], [at.get(photons) for photons in budgets]))
+        row = [at.get(photons) for photons in budgets]
+        rows.append((series.name(members[0]), members[0], row))
     return {
         "heading": noise_text(noise).capitalize(),
         "budgets": budgets,
         "rows": rows,
-        "leaders": {photons: leading(points, photons) for photons in budgets},
+        "leaders": {photons: _leaders(points, photons) for photons in budgets},
     }
 
 
-def errors(results: Results) -> Iterator[Part]:
+def _value_errors(results: Results) -> Iterator[PagePart]:
     """Root mean squared errors of values at the chosen mask counts, by noise, series and budget."""
-    axes = accuracy.series_axes(results)
-    for noise in accuracy.noises(results):
-        points = [p for p in chosen(results, noise) if p.rmse]
+    for noise in noises(results):
+        points = [p for p in _chosen(results, noise) if p.rmse]
         if points:
-            names = accuracy.series_names(points, axes)
-            rows = [
-                (names[accuracy.key_of(p, axes)], p)
-                for p in sorted(points, key=lambda p: (p.photons, -p.accuracy))
-            ]
+            series = Series.of(results, points)
+            ordered = sorted(points, key=lambda p: (p.photons, -p.accuracy))
+            rows = [(series.name(p), p) for p in ordered]
             yield {"heading": noise_text(noise).capitalize(), "rows": rows}
 
 
-def answers_text(data: Data) -> str:
-    """Answers that are asked of a scene: its class, or its values."""
-    if data.values:
-        return f"values: {listed([*data.values])}"
-    return f"{len(data.classes)} classes"
-
-
-def title_of(results: Results) -> str:
-    """Name of the measure at the beginning of a sentence."""
-    return capital(main_measure(results.data.measure).title)
-
-
-def confusions(results: Results, said: Verdict) -> Iterator[Part]:
+def _confusions(results: Results, verdict: ComparisonVerdict) -> Iterator[PagePart]:
     """Confusion matrices by noise and budget, at the chosen mask counts; that of the verdict open.
 
     Each has its `budget` in words, and the `matrices` of the designs there, best first.
     """
-    axes, classes = accuracy.series_axes(results), results.data.classes
-    for noise in accuracy.noises(results):
-        points = [p for p in chosen(results, noise) if p.confusion]
+    classes = results.data.classes
+    for noise in noises(results):
+        points = [p for p in _chosen(results, noise) if p.confusion]
         if any([*map(len, p.confusion)] != [len(classes)] * len(classes) for p in points):
             raise InputError(
                 "a confusion matrix is not of the data's classes: run the comparison again"
             )
-        names = accuracy.series_names(points, axes)
-        opened = said.best if said.best in points else next(iter(points), None)
+        series = Series.of(results, points)
+        opened = verdict.best if verdict.best in points else next(iter(points), None)
         for photons in sorted({p.photons for p in points}):
             here = [p for p in points if p.photons == photons]
             yield {
                 "budget": f"{photons_text(photons)} photons, {noise_text(noise)}",
                 "matrices": [
                     {
-                        "name": names[accuracy.key_of(point, axes)],
+                        "name": series.name(point),
                         "open": point == opened,
                         "table": Markup(confusion_table(point.confusion, classes)),
                     }
@@ -419,45 +422,46 @@ def confusions(results: Results, said: Verdict) -> Iterator[Part]:
             }
 
 
-def learned_masks(results: Results, designs: Path, figures: Figures) -> Iterator[Part]:
+def _learned_masks(results: Results, designs: Path, figures: Figures) -> Iterator[PagePart]:
     """Masks and value distributions of every learned design whose files are there, by budget."""
-    axes = accuracy.series_axes(results)
-    for i, noise in enumerate(accuracy.noises(results), start=1):
-        points = [p for p in chosen(results, noise) if p.learned]
-        names = accuracy.series_names(points, axes)
-        for j, (key, members) in enumerate(accuracy.series(points, axes).items(), start=1):
+    for i, noise in enumerate(noises(results), start=1):
+        series = Series.of(results, [p for p in _chosen(results, noise) if p.learned])
+        for j, members in enumerate(series.groups.values(), start=1):
             # the files hold masks before they are quantised for a test
             files = {designs / f"{p.keys[0]}.safetensors": p for p in members if not p.levels}
             there = sorted((p.trained_at, path) for path, p in files.items() if path.is_file())
             panels = [
-                _mask_panel(files[path], DesignFile.read(path, RAILS), f"{i}-{j}-{number}", figures)
+                _mask_panel(files[path], path, f"{i}-{j}-{number}", figures)
                 for number, (_, path) in enumerate(there, start=1)
             ]
             if panels:
-                yield {"heading": f"{names[key]}, {noise_text(noise)}", "panels": panels}
+                name = series.name(members[0])
+                yield {"heading": f"{name}, {noise_text(noise)}", "panels": panels}
 
 
-def _mask_panel(point: Point, design: DesignFile, number: str, figures: Figures) -> Part:
+def _mask_panel(point: Point, file: Path, number: str, figures: Figures) -> PagePart:
     """Masks of one design at one budget, and the distribution of their values."""
+    design = DesignFile.read(file, ("rails",))
     rails = design.rails
     masks = design.masks
     where = f"{photons_text(point.trained_at)} photons"
     lit = lit_masks(rails)
-    shown = f"the brightest {MASKS_SHOWN} of {masks} masks"
+    which = f"the brightest {MASKS_SHOWN} of {masks} masks"
     if lit <= MASKS_SHOWN:
-        shown = f"all {masks} masks" if masks > 1 else "its one mask"
+        which = f"all {masks} masks" if masks > 1 else "its one mask"
     if lit < masks:
         most = "the brightest " if lit > MASKS_SHOWN else "these "
-        shown = f"{lit_text(masks, lit)}; {most}{min(lit, MASKS_SHOWN)}"
+        which = f"{lit_text(masks, lit)}; {most}{min(lit, MASKS_SHOWN)}"
     drawn = masks_figure(rails, design.mask_header.mask_shape, count=MASKS_SHOWN)
-    words = f"Masks learned at {where}"
-    values, said = values_figure(rails), f"Histogram of the mask values learned at {where}."
-    end, counted = peak(signed(rails)), share_text(point.throughput)
+    spread = values_figure(rails)
+    peak = f"{peak_value(signed(rails)):.2g}"
+    counted = share_text(point.throughput)
+    words = f"Histogram of the mask values learned at {where}."
     return {
         "heading": where,
-        "note": f"{shown}, peak {end:.2g}, {counted} of the budget counted",
-        "drawn": figures.add(f"masks-{number}", drawn, f"{words}, {shown}."),
-        "spread": figures.add(f"values-{number}", values, said),
+        "note": f"{which}, peak {peak}, {counted} of the budget counted",
+        "drawn": figures.add(f"masks-{number}", drawn, f"Masks learned at {where}, {which}."),
+        "spread": figures.add(f"values-{number}", spread, words),
     }
 
 
@@ -468,7 +472,7 @@ def comparison_lines(results: Results) -> Iterator[str | Table]:
     ----------
     results : Results
     """
-    tables = {noise: best_table(results, noise) for noise in accuracy.noises(results)}
+    tables = {noise: best_table(results, noise) for noise in noises(results)}
     budgets = sorted({photons for table in tables.values() for photons in table["budgets"]})
     several = len(tables) > 1
     rows = []
@@ -512,14 +516,13 @@ def comparison_lines(results: Results) -> Iterator[str | Table]:
 
 def _table_of_values(results: Results, best: list[Point]) -> Table:
     """Errors of each value, beside those of the best linear estimator."""
-    axes = accuracy.series_axes(results)
-    names = accuracy.series_names(best, axes)
+    series = Series.of(results, best)
     return Table(
         "root mean squared error (best linear estimator)",
         ("design", "photons", *map(short_name, results.data.values)),
         [
             (
-                *(names[accuracy.key_of(point, axes)], budget_text(point.photons)),
+                *(series.name(point), budget_text(point.photons)),
                 *(error_text(*each) for each in zip_longest(point.rmse, point.bound)),
             )
             for point in sorted(best, key=lambda point: (point.photons, -point.accuracy))

@@ -1,5 +1,6 @@
-"""Pictures of one design's masks, and the distribution of their values."""
+"""Pictures of one design's masks, of the distribution of their values, and of one exposure."""
 
+import textwrap
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,21 +13,21 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from deepfsi.base import budget_text
-from deepfsi.report.style import (
-    COLOURS,
-    DIVERGING,
-    GREYS,
-    GRID,
-    INK,
-    MUTED,
-    styled,
-)
-from deepfsi.report.terms import lit_text
+from deepfsi.measures import lit_masks, lit_text
+from deepfsi.report import style
+from deepfsi.report.style import DIVERGING
 
 if TYPE_CHECKING:  # it imports torch
     from deepfsi.design import Design
 
 BAR_LABEL = "share of a pixel's photons, Mᵢⱼ"
+"""Words of a scale of mask values."""
+
+_LOOK_COLUMNS = 8
+"""Looks of an exposure that are drawn, at most."""
+
+_LOOK_WIDTH = 0.75
+"""Width of a look, inches."""
 
 
 def signed(rails_or_matrix: np.ndarray) -> np.ndarray:
@@ -37,15 +38,21 @@ def signed(rails_or_matrix: np.ndarray) -> np.ndarray:
     return np.asarray(array[0] - array[1] if len(array) == 2 else array[0])
 
 
-def peak(rails_or_matrix: np.ndarray) -> float:
+def peak_value(rails_or_matrix: np.ndarray) -> float:
     """Largest |M_ij|, the end of every scale of masks; 1 where all is dark."""
     return float(np.abs(rails_or_matrix).max()) or 1.0
 
 
-def brightest(rails_or_matrix: np.ndarray, count: int) -> np.ndarray:
+def brightest_masks(rails_or_matrix: np.ndarray, count: int) -> np.ndarray:
     """Index of the masks that count most photons from a uniform scene, brightest first.
 
     Masks without light are none of them, unless all are dark.
+
+    Parameters
+    ----------
+    rails_or_matrix : array, shape (2 or 1, m, N) or (m, N)
+    count : int
+        How many, at most.
     """
     array = np.asarray(rails_or_matrix)
     light = np.abs(array).sum(axis=-1)
@@ -53,22 +60,16 @@ def brightest(rails_or_matrix: np.ndarray, count: int) -> np.ndarray:
     return np.argsort(-total, kind="stable")[: min(count, lit_masks(array) or len(total))]
 
 
-def lit_masks(rails_or_matrix: np.ndarray) -> int:
-    """Number of masks that have light in any rail, of rails (2 or 1, m, N) or a matrix (m, N)."""
-    lit = np.asarray(rails_or_matrix).any(axis=-1)
-    return int((lit.any(axis=0) if lit.ndim == 2 else lit).sum())
-
-
-def scale_of(rails_or_matrix: np.ndarray) -> ScalarMappable:
+def _scale_of(rails_or_matrix: np.ndarray) -> ScalarMappable:
     """Colours of masks: black at 0 to white at the peak; of signed ones, symmetric about white."""
     matrix = signed(rails_or_matrix)
-    end = peak(matrix)
+    end = peak_value(matrix)
     if matrix.min() < 0:
         return ScalarMappable(Normalize(-end, end), DIVERGING)
-    return ScalarMappable(Normalize(0, end), GREYS)
+    return ScalarMappable(Normalize(0, end), style.GREYS)
 
 
-@styled
+@style.styled
 def masks_figure(
     rails_or_matrix: np.ndarray,
     image_shape: tuple[int, ...],
@@ -78,16 +79,41 @@ def masks_figure(
     dwells: np.ndarray | None = None,
     parts: np.ndarray | None = None,
 ) -> Figure:
-    """Masks of one design, those that count most photons first: images, or curves for spectra."""
-    # Above each mask stands its number, from 1 in the order in which masks are shown. The scale
-    # ends at the peak, the largest |M_ij|; it begins at 0, of signed masks at −peak.
-    # rails_or_matrix (2 or 1, m, N) or (m, N); dwells (m,); parts (N,)
-    matrix, chosen = signed(rails_or_matrix), brightest(rails_or_matrix, count)
+    """Masks of one design, those that count most photons first: images, or curves for spectra.
+
+    Above each mask stands its number, from 1 in the order in which masks are shown. The scale ends
+    at the peak, the largest |M_ij|; it begins at 0, of signed masks at −peak.
+
+    Parameters
+    ----------
+    rails_or_matrix : array, shape (2 or 1, m, N) or (m, N)
+    image_shape : tuple of int
+        Rows and columns of a mask, or its bands.
+    title : str
+    count : int
+        Masks that are drawn, at most.
+    dwells : array, shape (m,), optional
+        Share of the exposure for which each mask is shown.
+    parts : array, shape (N,), optional
+        Detector that sees each pixel.
+    """
+    matrix = signed(rails_or_matrix)
+    chosen = brightest_masks(rails_or_matrix, count)
     images = len(image_shape) == 2
     columns = 6 if images else min(3, len(chosen))
-    figure, grid = _grid(len(chosen), columns, image_shape, dwells is not None, title)
-    scale = scale_of(matrix)
-    for place, (ax, number) in enumerate(zip(grid.flat, chosen, strict=False)):
+    rows = -(-len(chosen) // columns)
+    tile = 0.85 * image_shape[0] / image_shape[1] if images else 1.1
+    words = 0.19 * (1 + (images and dwells is not None))  # above each mask, and below
+    height = rows * (tile + words) + (0.6 if images else 0.3) + 0.18 * len(title.splitlines())
+    layout = ConstrainedLayoutEngine(w_pad=0.02, h_pad=0.02, wspace=0.02, hspace=0.02)
+    figure = Figure(figsize=(5.4, height), layout=layout)
+    grid = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
+    for ax in grid.flat[len(chosen) :]:
+        ax.set_visible(False)
+    if title:
+        figure.suptitle(title, fontsize=9, x=0.01, horizontalalignment="left")
+    scale = _scale_of(matrix)
+    for index, (ax, number) in enumerate(zip(grid.flat, chosen, strict=False)):
         dwell = "" if dwells is None else f"dwell {_percent(float(dwells[number]))}"
         heading = f"mask {number + 1}"
         if images:
@@ -96,7 +122,7 @@ def masks_figure(
             ax.set_xlabel(dwell, fontsize=9, labelpad=2)
         else:
             _curve_axes(ax, matrix[number], scale)
-            ax.tick_params(labelbottom=place + columns >= len(chosen))
+            ax.tick_params(labelbottom=index + columns >= len(chosen))
             heading = ", ".join(filter(None, [heading, dwell]))
         ax.set_title(heading, fontsize=9, fontweight="normal", pad=2)
     if images:
@@ -144,38 +170,26 @@ def design_figure(design: "Design", count: int) -> Figure:
     )
 
 
-def _grid(
-    count: int, columns: int, image_shape: tuple[int, ...], below: bool, title: str
-) -> tuple[Figure, np.ndarray]:
-    """Figure with a title and axes for masks, with words above each and perhaps below."""
-    images, rows = len(image_shape) == 2, -(-count // columns)
-    tile = 0.85 * image_shape[0] / image_shape[1] if images else 1.1
-    words = 0.19 * (1 + (images and below))
-    head = 0.18 * len(title.splitlines())
-    height = rows * (tile + words) + (0.6 if images else 0.3) + head
-    layout = ConstrainedLayoutEngine(w_pad=0.02, h_pad=0.02, wspace=0.02, hspace=0.02)
-    figure = Figure(figsize=(5.4, height), layout=layout)
-    grid = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
-    for ax in grid.flat[count:]:
-        ax.set_visible(False)
-    if title:
-        figure.suptitle(title, fontsize=9, x=0.01, horizontalalignment="left")
-    return figure, grid
-
-
 def _percent(share: float) -> str:
     return f"{100 * share:.2g} %" if share < 0.0995 else f"{100 * share:.0f} %"
 
 
 def mask_axes(ax: Axes, mask: np.ndarray, scale: ScalarMappable) -> None:
-    """Draw a mask as an image."""
-    # mask (height, width)
+    """Draw a mask as an image.
+
+    Parameters
+    ----------
+    ax : Axes
+    mask : array, shape (height, width)
+    scale : ScalarMappable
+        Its colours.
+    """
     finer = _finer(mask.shape)
     low, high = scale.get_clim()
     image = mask.repeat(finer, axis=0).repeat(finer, axis=1)
     ax.imshow(image, cmap=scale.cmap, vmin=low, vmax=high, interpolation="none")
     ax.set(xticks=[], yticks=[])
-    ax.spines[:].set(visible=True, color=GRID)
+    ax.spines[:].set(visible=True, color=style.GRID)
 
 
 def _finer(shape: tuple[int, ...]) -> int:
@@ -185,8 +199,8 @@ def _finer(shape: tuple[int, ...]) -> int:
 
 def _curve_axes(ax: Axes, mask: np.ndarray, scale: ScalarMappable) -> None:
     """Draw a mask for spectra as a curve over its bands."""
-    ax.axhline(0, color=MUTED, linewidth=0.6)
-    ax.plot(np.arange(1, len(mask) + 1), mask, color=COLOURS["pca"], linewidth=1.1)
+    ax.axhline(0, color=style.MUTED, linewidth=0.6)
+    ax.plot(np.arange(1, len(mask) + 1), mask, color=style.DESIGN_COLOURS["pca"], linewidth=1.1)
     low, high = scale.get_clim()
     ax.set_ylim(1.05 * low, 1.05 * high)
 
@@ -198,7 +212,8 @@ def _draw_edges(ax: Axes, parts: np.ndarray) -> None:
     across = [[(x, y + 1), (x + 1, y + 1)] for y, x in down]
     along = [[(x + 1, y), (x + 1, y + 1)] for y, x in right]
     lines = finer * np.array(across + along, dtype=float).reshape(-1, 2, 2) - 0.5
-    ax.add_collection(LineCollection(list(lines), colors=COLOURS["hadamard"], linewidths=0.8))
+    colour = style.DESIGN_COLOURS["hadamard"]
+    ax.add_collection(LineCollection(list(lines), colors=colour, linewidths=0.8))
 
 
 def _colour_bar(figure: Figure, scale: ScalarMappable, axes: np.ndarray) -> None:
@@ -209,26 +224,83 @@ def _colour_bar(figure: Figure, scale: ScalarMappable, axes: np.ndarray) -> None
     bar.ax.xaxis.set_major_formatter(
         FuncFormatter(lambda value, _: f"{value:.2g}".replace("-", "−"))
     )
-    bar.outline.set_edgecolor(MUTED)
+    bar.outline.set_edgecolor(style.MUTED)
 
 
-@styled
+@style.styled
 def values_figure(rails_or_matrix: np.ndarray) -> Figure:
     """Shares of the values of rails (2 or 1, m, N) or masks (m, N) in bins, on a log scale."""
     values = signed(rails_or_matrix).ravel()
-    low, high = scale_of(values[None]).get_clim()
+    low, high = _scale_of(values[None]).get_clim()
     counts, edges = np.histogram(values, bins=51, range=(low, high))
     figure = Figure(figsize=(5.4, 1.7), layout="constrained")
     ax = figure.subplots()
     floor = 0.5 / values.size
-    ax.stairs(counts / values.size, edges, baseline=floor, fill=True, color=MUTED)
+    ax.stairs(counts / values.size, edges, baseline=floor, fill=True, color=style.MUTED)
     ax.set_yscale("log")
     ax.set_ylim(floor, 1.5)
     ax.set_xlim(low, high)
-    ax.axvline(0, color=INK, linewidth=0.6)
+    ax.axvline(0, color=style.INK, linewidth=0.6)
     ax.yaxis.set_major_locator(LogLocator(numticks=4))
     ax.yaxis.set_minor_locator(NullLocator())
     ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     ax.set_xlabel(BAR_LABEL)
     ax.set_ylabel("share of entries")
+    return figure
+
+
+@style.styled
+def looks_figure(design: "Design", scene: np.ndarray, label: str, photons: float) -> Figure:
+    """Looks at a scene with adaptive masks: each mask, and the scene and class as known after it.
+
+    Drawn are the first look, the last, and some between.
+
+    Parameters
+    ----------
+    design : Design
+    scene : array, shape (N,)
+        Reflectance.
+    label : str
+        Its class.
+    photons : float
+        Budget Φ.
+    """
+    masks, scenes, chances = design.looks_at(scene, photons)  # (K, N), (K, N) and (K, C)
+    classes = design.classes
+    title = (
+        f"one exposure of {budget_text(photons)} photons in {design.masks} looks. Class: {label}. "
+        f"Answer: {classes[chances[-1].argmax()]}, with probability {chances[-1].max():.3f}"
+    )
+    looks = len(masks)
+    shape = design.image_shape
+    scene = scene.reshape(shape)
+    steps = np.rint(np.geomspace(1, looks, min(looks, _LOOK_COLUMNS)))
+    drawn = np.unique(steps.astype(int) - 1).tolist()
+    layout = ConstrainedLayoutEngine(w_pad=0.02, h_pad=0.03, wspace=0.02, hspace=0.02)
+    wide = _LOOK_WIDTH * (len(drawn) + 1)
+    high = 2 * _LOOK_WIDTH * shape[0] / shape[1] + 1.6
+    figure = Figure(figsize=(wide, high), layout=layout)
+    words = textwrap.fill(title, int(12 * wide))
+    figure.suptitle(words, fontsize=9, x=0.01, horizontalalignment="left")
+    grid = figure.subplots(3, len(drawn) + 1, squeeze=False)
+    light = ScalarMappable(Normalize(0, float(scene.max()) or 1.0), style.GREYS)
+    mask_axes(grid[1, 0], scene, light)
+    grid[1, 0].set_title("scene", fontsize=9, fontweight="normal", pad=2)
+    for ax in (grid[0, 0], grid[2, 0]):
+        ax.set_visible(False)
+    for look, (top, middle, bottom) in zip(drawn, grid[:, 1:].T, strict=True):
+        mask_axes(top, masks[look].reshape(shape), ScalarMappable(Normalize(0, 1), style.GREYS))
+        top.set_title(f"look {look + 1}", fontsize=9, fontweight="normal", pad=2)
+        mask_axes(middle, scenes[look].clip(0).reshape(shape), light)
+        likeliest = int(chances[look].argmax())
+        colours = [style.GRID] * len(classes)
+        colours[likeliest] = style.DESIGN_COLOURS["adaptive"]
+        bottom.bar(np.arange(len(classes)), chances[look], color=colours, edgecolor="none")
+        bottom.set(ylim=(0, 1), xlim=(-0.6, len(classes) - 0.4), xticks=[likeliest])
+        bottom.set_xticklabels([classes[likeliest]], fontsize=8)
+        bottom.set_yticks([0, 1] if look == 0 else [])
+        bottom.tick_params(length=2, labelsize=8)
+    rows = ("mask", "mean scene\nby then", "probability\nby then")
+    for ax, words in zip(grid[:, 1], rows, strict=True):
+        ax.set_ylabel(words, fontsize=8)
     return figure

@@ -1,4 +1,4 @@
-"""Least-squares pictures of an acquisition's scenes."""
+"""Figures of what a camera counted: least-squares pictures of scenes, and sums of rails."""
 
 from collections.abc import Sequence
 
@@ -8,48 +8,59 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from deepfsi.base import InputError
-from deepfsi.report.style import GREYS, GRID, PAGE_WIDTH, SMALL, plain_bar, styled
+from deepfsi.report.style import GREYS, GRID, INK, PAGE_WIDTH, SMALL, plain_bar, styled
 
-MOST_PICTURES = 48
+_MOST_PICTURES = 48
 """Pictures that one figure holds."""
 
-MOST_LETTERS = 16
+_MOST_LETTERS = 16
 """Letters of a picture's caption."""
 
 
 @styled
 def pictures_figure(pictures: np.ndarray, names: Sequence[str]) -> Figure:
-    """Least-squares pictures from the counts of an acquisition, on one scale."""
-    # Pictures (S, down, across) or (S, bands), NaN where a scene was lost; at most the first 48.
-    # The scale ends at the brightest cell, and begins at 0 or at the darkest cell below it
+    """Least-squares pictures from the counts of an acquisition, on one scale.
+
+    The scale ends at the brightest cell, and begins at 0 or at the darkest cell below it.
+
+    Parameters
+    ----------
+    pictures : array, shape (S, down, across) or (S, bands)
+        NaN where a scene was lost; at most the first 48 are drawn.
+    names : sequence of str
+        Of the scenes.
+    """
     if len(pictures) != len(names) or len(pictures) == 0:
         raise InputError(f"{len(pictures)} pictures and {len(names)} names: give one name of each")
-    shown = np.asarray(pictures, dtype=float)[:MOST_PICTURES]
-    if shown.ndim == 2:
-        shown = shown[:, None, :]
-    known = shown[np.isfinite(shown)]
-    low, high = min(0.0, known.min(initial=0.0)), known.max(initial=0.0)
+    drawn = np.asarray(pictures, dtype=float)[:_MOST_PICTURES]
+    if drawn.ndim == 2:
+        drawn = drawn[:, None, :]
+    finite = drawn[np.isfinite(drawn)]
+    low = min(0.0, finite.min(initial=0.0))
+    high = finite.max(initial=0.0)
     norm = Normalize(low, high if high > low else low + 1)
-    columns = min(6, len(shown))
-    rows = -(-len(shown) // columns)
+    columns = min(6, len(drawn))
+    rows = -(-len(drawn) // columns)
     tile = (PAGE_WIDTH - 0.8) / max(columns, 3)
-    shape = max(shown.shape[1] / shown.shape[2], 0.2)
+    shape = max(drawn.shape[1] / drawn.shape[2], 0.2)
     figure = Figure(
         figsize=(tile * columns + 0.8, rows * (tile * shape + 0.24) + 0.2), layout="constrained"
     )
     axes = figure.subplots(rows, columns, squeeze=False)
-    for ax, picture, name in zip(axes.flat, shown, names, strict=False):
+    for ax, picture, name in zip(axes.flat, drawn, names, strict=False):
         ax.imshow(
             np.ma.masked_invalid(picture),
             cmap=GREYS,
             norm=norm,
-            aspect="auto" if shown.shape[1] == 1 else "equal",
+            aspect="auto" if drawn.shape[1] == 1 else "equal",
             interpolation="none",
         )
         ax.set(xticks=[], yticks=[])
         ax.spines[:].set(visible=True, color=GRID)
-        ax.set_title(_caption(name), fontsize=SMALL)
-    for ax in list(axes.flat)[len(shown) :]:
+        # of long names of files the ends differ
+        caption = name if len(name) <= _MOST_LETTERS else f"…{name[1 - _MOST_LETTERS :]}"
+        ax.set_title(caption, fontsize=SMALL)
+    for ax in list(axes.flat)[len(drawn) :]:
         ax.remove()
     bar = figure.colorbar(
         ScalarMappable(norm, GREYS), ax=list(figure.axes), aspect=24, pad=0.015, label="light"
@@ -58,6 +69,45 @@ def pictures_figure(pictures: np.ndarray, names: Sequence[str]) -> Figure:
     return figure
 
 
-def _caption(name: str) -> str:
-    """End of a scene's name, where the names of files differ."""
-    return name if len(name) <= MOST_LETTERS else f"…{name[1 - MOST_LETTERS :]}"
+_TONES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")
+"""Colours of runs."""
+
+
+@styled
+def rail_light_figure(sums: np.ndarray, fine: np.ndarray, names: Sequence[str]) -> Figure:
+    """Rail sums over their mean, in the order in which they were shown, and by how fine masks are.
+
+    A band shows 95 % of Poisson's.
+
+    Parameters
+    ----------
+    sums : array, shape (runs, m)
+        Counts of a mask and its inverse together.
+    fine : array, shape (m, axes)
+        Edges of a mask along each axis.
+    names : sequence of str
+        Of the runs.
+    """
+    relative = sums / sums.mean(axis=1, keepdims=True)
+    figure = Figure(figsize=(PAGE_WIDTH, 3.1), layout="constrained")
+    left, right = figure.subplots(1, 2, width_ratios=(1.5, 1))
+    for run, (row, name) in enumerate(zip(relative, names, strict=True)):
+        tone = _TONES[run % len(_TONES)]
+        left.plot(row, ".", ms=2.5, color=tone, label=name, alpha=0.7)
+    half = 1.96 / np.sqrt(sums.mean(axis=1).max())
+    left.axhspan(1 - half, 1 + half, color=GRID, zorder=0)
+    left.set_xlabel("pair of mask and inverse, in order")
+    left.set_ylabel("light of the pair / mean")
+    figure.legend(fontsize=SMALL, frameon=False, markerscale=3, loc="outside upper left", ncols=4)
+    every = relative.mean(axis=0)
+    if fine.shape[1] == 1:
+        right.plot(fine[:, 0], every, ".", ms=2.5, color=INK)
+        right.set_xlabel("edges of a mask")
+        return figure
+    order = np.argsort(every)
+    dots = right.scatter(fine[order, 1], fine[order, 0], c=every[order], s=12, marker="s", lw=0)
+    right.set_aspect("equal")
+    right.set_xlabel("edges of a mask across")
+    right.set_ylabel("edges down")
+    plain_bar(figure.colorbar(dots, ax=right, label="light / mean"))
+    return figure

@@ -1,22 +1,50 @@
-"""Templates and colours of every page, and settings written as name and value."""
+"""Templates of every page: their filters, and terms and abbreviations with what they mean."""
 
+import re
+import tomllib
 from collections.abc import Iterator, Mapping
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup, escape
 
-from deepfsi.camera import noise_text
-from deepfsi.report.style import COLOURS, DARK_COLOURS, photons_text
-from deepfsi.report.terms import LAWS, WORDS, Terms
+from deepfsi.camera import LIGHT_LAWS, noise_text
+from deepfsi.report.style import DARK_COLOURS, DESIGN_COLOURS, photons_text
 
-HERE = Path(__file__).parent
+_TEMPLATES = Path(__file__).parent
+
+_TERMS = tomllib.loads(files(__package__).joinpath("terms.toml").read_text("utf-8"))
+
+DESIGN_TERMS: dict[str, str] = _TERMS["designs"]
+"""What each design is."""
+
+LAW_TERMS: dict[str, str] = {name: law.words for name, law in LIGHT_LAWS.items()}
+"""What each light law allows, and with which optics."""
+
+ABBREVIATIONS: dict[str, str] = {
+    name: words.format_map(DESIGN_TERMS) for name, words in _TERMS["abbreviations"].items()
+}
+"""Abbreviations in words and figures of the pages."""
+
+_ABBREVIATION = re.compile(rf"(?<![\w&-])({'|'.join(ABBREVIATIONS)})(?![\w])")
 
 
-def render(template: str, folder: Path = HERE, /, **values: Any) -> str:
-    """Text of a page: a template of this folder or another, filled in; every value is escaped."""
+def render(template: str, folder: Path = _TEMPLATES, /, **values: Any) -> str:
+    """Text of a page.
+
+    Parameters
+    ----------
+    template : str
+        Name of its file.
+    folder : path
+        Where it lies, if not among those of this room, which it may use.
+    **values
+        What it is filled with; every value is escaped.
+    """
     environment = Environment(
-        loader=FileSystemLoader([folder, HERE]),
+        loader=FileSystemLoader([folder, _TEMPLATES]),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
@@ -25,15 +53,51 @@ def render(template: str, folder: Path = HERE, /, **values: Any) -> str:
     terms = Terms()
     environment.filters.update(
         photons=photons_text,
-        counts=counts_text,
+        counts=lambda counts: "–" if counts is None else photons_text(float(f"{counts:.3g}")),
         noise=noise_text,
         share=share_text,
         explain=terms.explain,
         noted=terms.noted,
     )
     return environment.get_template(template).render(
-        colours=COLOURS, dark_colours=DARK_COLOURS, terms=terms, field=WORDS, laws=LAWS, **values
+        colours=DESIGN_COLOURS,
+        dark_colours=DARK_COLOURS,
+        terms=terms,
+        field=_TERMS["words"],
+        laws=LAW_TERMS,
+        **values,
     )
+
+
+class Terms:
+    """Abbreviations of one page, explained where they stand and listed at its end."""
+
+    def __init__(self) -> None:
+        self._used: set[str] = set()
+        self._linked: set[str] = set()
+
+    @property
+    def used(self) -> dict[str, str]:
+        """Abbreviations so far, with what they mean."""
+        return {name: words for name, words in ABBREVIATIONS.items() if name in self._used}
+
+    def explain(self, text: object) -> Markup:
+        """Text with its abbreviations marked; the first of each in words leads to the list."""
+        return Markup(_ABBREVIATION.sub(lambda match: self._marked(match[0]), str(escape(text))))
+
+    def noted(self, drawn: Markup) -> Markup:
+        """A figure as it is, the abbreviations of its words to be listed."""
+        for text in re.findall(r"<text[^>]*>([^<]*)<", drawn):
+            self._used.update(_ABBREVIATION.findall(text))
+        return drawn
+
+    def _marked(self, name: str) -> str:
+        marked = f'<abbr title="{escape(ABBREVIATIONS[name])}">{name}</abbr>'
+        self._used.add(name)
+        if name in self._linked:
+            return marked
+        self._linked.add(name)
+        return f'<a class="term" href="#term-{name}">{marked}</a>'
 
 
 def capital(words: str) -> str:
@@ -46,19 +110,26 @@ def share_text(value: float | None) -> str:
     return "–" if value is None else f"{value:.3f}"
 
 
-def counts_text(counts: float | None) -> str:
-    """Write a mean number of counts with three digits; a dash where it is not known."""
-    return "–" if counts is None else photons_text(float(f"{counts:.3g}"))
+def english_list(words: list[str]) -> str:
+    """Words as an English list."""
+    return " and ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
 
 
 def flat(tree: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, str]]:
-    """Yield settings that are set as name and value, nested names joined with a dot."""
+    """Yield settings that are set as name and value, nested names joined with a dot.
+
+    Parameters
+    ----------
+    tree : mapping
+    above : str
+        Names that it lies below, with a dot at the end.
+    """
     for name, value in tree.items():
         if isinstance(value, Mapping):
             yield from flat(value, f"{above}{name}.")
         else:
             items = value if isinstance(value, list | tuple) else [value]
-            if words := ", ".join(_setting(each) for each in items if each not in (None, "")):
+            if words := ", ".join(_setting(item) for item in items if item not in (None, "")):
                 yield above + name, words
 
 

@@ -2,42 +2,40 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from deepfsi.base.numeric import Crossing, accuracy_difference, find_crossing
 from deepfsi.camera import noise_text
 from deepfsi.jobs import DESIGNS
 from deepfsi.measures import main_measure
-from deepfsi.report import accuracy
 from deepfsi.report.rendering import capital, share_text
+from deepfsi.report.series import DESIGN_AND_OPTICS, Series, noises
 from deepfsi.report.style import photons_text
-from deepfsi.sweeps.results import Point, Results
+from deepfsi.sweeps import Point, Results
 
-SUBJECTS = {"deepfsi": "learned masks (DeepFSI)", "adaptive": "adaptive masks"}
+_SUBJECTS = {"deepfsi": "learned masks (DeepFSI)", "adaptive": "adaptive masks"}
 """Designs whose names in a sentence are masks."""
 
-LEAST_RATIO = 1.15
+_LEAST_RATIO = 1.15
 """Smallest ratio of light that is said as a number of times."""
 
 
-UNEVEN = 0.02
+_UNEVEN = 0.02
 """Difference of an accuracy from the balanced one, each class counting alike, that is said."""
 
 
 def uneven_point(points: Sequence[Point]) -> Point | None:
     """Point whose accuracy differs most from the balanced one; None where all are near it."""
-    judged = [point for point in points if point.balanced is not None]
-    if not judged:
-        return None
-    uneven = max(judged, key=_unevenness)
-    return uneven if _unevenness(uneven) >= UNEVEN else None
 
+    def unevenness(point: Point) -> float:
+        return 0.0 if point.balanced is None else abs(point.accuracy - point.balanced)
 
-def _unevenness(point: Point) -> float:
-    return abs(point.accuracy - (point.balanced or 0.0))
+    uneven = max(points, key=unevenness)
+    return uneven if unevenness(uneven) >= _UNEVEN else None
 
 
 @dataclass(frozen=True)
-class Verdict:
+class ComparisonVerdict:
     """The verdict of a comparison.
 
     Attributes
@@ -58,7 +56,7 @@ class Verdict:
     best: Point
 
 
-def verdict_of(results: Results) -> Verdict:
+def verdict_of(results: Results) -> ComparisonVerdict:
     """The verdict of a comparison, under the first of its noises.
 
     The most accurate design of a camera is compared with the most accurate one that is neither
@@ -66,36 +64,30 @@ def verdict_of(results: Results) -> Verdict:
     is found where the curve of the other meets its accuracy, or where its own meets that of the
     other. Where the difference is not above 0 at any budget, the verdict says so.
     """
-    noise = accuracy.noises(results)[0]
+    noise = noises(results)[0]
     points = [p for p in results.points if p.noise == noise and p.best]
-    axes = accuracy.series_axes(results)
-    names = accuracy.series_names(points, axes)
+    series = Series.of(results, points)
     budgets = sorted({p.photons for p in points})
     rankings = [ranking(points, photons) for photons in budgets]
-    several = len(accuracy.noises(results)) > 1
-    under = f" under {noise_text(noise)}" if several else ""
-    measure, images = main_measure(results.data.measure).title, results.data.test
+    under = f" under {noise_text(noise)}" if len(noises(results)) > 1 else ""
+    measure = main_measure(results.data.measure).title
 
     def name(point: Point) -> str:
-        own = names[accuracy.key_of(point, axes)]
-        return own.replace(point.title, SUBJECTS.get(point.design, point.title), 1)
+        return series.name(point).replace(point.title, _SUBJECTS.get(point.design, point.title), 1)
 
-    pairs = [(first, rival(others)) for first, *others in rankings if others]
+    pairs = [(first, _rival(others)) for first, *others in rankings if others]
     if not pairs:
         best = rankings[-1][0]
         reached = f"{_verb(best, 'reach')} {measure} {share_text(best.accuracy)}{under}"
         title = f"{capital(name(best))} {reached}"
-        return Verdict(title, f"{title} at {_photons(best)}.", best.photons, best)
+        return ComparisonVerdict(title, f"{title} at {_photons(best)}.", best.photons, best)
     pairs.sort(key=lambda pair: pair[1].accuracy - pair[0].accuracy)
     clear = [pair for pair in pairs if better(*pair)]
-    curves = accuracy.series(sorted(points, key=lambda p: p.photons), axes)
-    ratios = [
-        _times(first, other, [curves[accuracy.key_of(p, axes)] for p in (first, other)], images)
-        for first, other in clear
-    ]
-    place = next((place for place, ratio in enumerate(ratios) if ratio), 0)
-    first, other = (clear or pairs)[place]
-    one, two = capital(name(first)), name(other)
+    ratios = [_times(*pair, series, images=results.data.test) for pair in clear]
+    index = next((index for index, ratio in enumerate(ratios) if ratio), 0)
+    first, other = (clear or pairs)[index]
+    one = capital(name(first))
+    two = name(other)
     at = (
         f"at {_photons(first)} {measure} is {share_text(first.accuracy)}, and "
         f"{share_text(other.accuracy)} with {two}"
@@ -104,33 +96,32 @@ def verdict_of(results: Results) -> Verdict:
         pair = "The best designs" if len(budgets) > 1 else f"{one} and {two}"
         where = "any budget" if len(budgets) > 1 else _photons(first)
         title = f"{pair} cannot be told apart at {where}{under}"
-        return Verdict(title, f"{title}: with {name(first)}, {at}.", first.photons, first)
-    if not ratios[place]:
+        return ComparisonVerdict(title, f"{title}: with {name(first)}, {at}.", first.photons, first)
+    if not ratios[index]:
         title = f"{one} {_verb(first, 'are', 'is')} better than {two} at {_photons(first)}{under}"
-        return Verdict(title, f"{title}: {at}.", first.photons, first)
-    title = f"{one} {_verb(first, 'need')} {ratios[place]} times less light than {two}{under}"
-    return Verdict(title, f"{title} for the same {measure}: {at}.", first.photons, first)
+        return ComparisonVerdict(title, f"{title}: {at}.", first.photons, first)
+    title = f"{one} {_verb(first, 'need')} {ratios[index]} times less light than {two}{under}"
+    return ComparisonVerdict(title, f"{title} for the same {measure}: {at}.", first.photons, first)
 
 
 def ranking(points: Sequence[Point], photons: float) -> list[Point]:
     """Designs at a budget, most accurate first; impulse imaging only if alone."""
     # Of a design that was trained in several ways on the same light, the one that validation chose
-    optics: dict[tuple[str, ...], Point] = {}
+    optics: dict[tuple[Any, ...], Point] = {}
     here = [p for p in points if p.photons == photons]
     for p in sorted(here, key=lambda p: -1.0 if p.validation is None else p.validation):
-        optics[accuracy.key_of(p, (*accuracy.CHOSEN, "levels", "masks"))] = p
+        optics[tuple(getattr(p, axis) for axis in (*DESIGN_AND_OPTICS, "levels", "masks"))] = p
     single = [p for p in optics.values() if not p.every_pixel]
     return sorted(single or optics.values(), key=lambda p: -p.accuracy)
 
 
-def rival(points: Sequence[Point]) -> Point:
+def _rival(points: Sequence[Point]) -> Point:
     """The first of a ranking that is neither learned nor adaptive, or else the first."""
-    return next((p for p in points if not _made_for_the_task(p)), points[0])
-
-
-def _made_for_the_task(point: Point) -> bool:
-    code = DESIGNS.get(point.design)
-    return code is not None and (code.learns_masks or code.adaptive)
+    for point in points:
+        code = DESIGNS.get(point.design)
+        if code is None or not (code.learns_masks or code.adaptive):
+            return point
+    return points[0]
 
 
 def better(first: Point, second: Point) -> bool:
@@ -138,11 +129,12 @@ def better(first: Point, second: Point) -> bool:
     return accuracy_difference(first, second).low > 0
 
 
-def _times(
-    first: Point, other: Point, curves: Sequence[Sequence[Point]], images: int
-) -> str | None:
+def _times(first: Point, other: Point, series: Series, *, images: int) -> str | None:
     """Ratio of the light that two designs need, in words; None if it is not known."""
-    mine, theirs = curves
+    mine, theirs = (
+        sorted(series.groups[series.key(point)], key=lambda p: p.photons)
+        for point in (first, other)
+    )
     beyond = _meets(theirs, first.accuracy, images)
     if beyond.photons is not None:
         return _ratio_text(beyond.photons / first.photons)
@@ -158,12 +150,12 @@ def _meets(curve: Sequence[Point], target: float, images: int) -> Crossing:
     """Where a curve meets a target; of one budget that is not known."""
     if len(curve) < 2:
         return Crossing(None, None, None, "beyond")
-    trials = [[max(each, 0.0) for each in p.accuracies] for p in curve]  # R² may lie below 0
+    trials = [[max(score, 0.0) for score in p.accuracies] for p in curve]  # R² may lie below 0
     return find_crossing([p.photons for p in curve], trials, images, target)
 
 
 def _ratio_text(ratio: float) -> str | None:
-    if ratio < LEAST_RATIO:
+    if ratio < _LEAST_RATIO:
         return None
     return f"{ratio:.1f}" if ratio < 1.95 else f"{float(f'{ratio:.1g}'):.0f}"
 
@@ -174,6 +166,6 @@ def _photons(point: Point) -> str:
 
 def _verb(point: Point, plural: str, singular: str = "") -> str:
     """The verb that a design's name takes."""
-    if point.design in SUBJECTS:
+    if point.design in _SUBJECTS:
         return plural
     return singular or (f"{plural}es" if plural.endswith("ch") else f"{plural}s")

@@ -1,1 +1,53 @@
-"""Many trials: recipes, records on disk, worker processes, summaries and plans."""
+"""Many designs: recipes, their trials, the records of these, and their summary."""
+
+from deepfsi.sweeps.forecast import Forecast, check_plan, forecast_cost, photons_needed
+from deepfsi.sweeps.model_cards import Collection, DataTerms, DesignRecipe, make_collection
+from deepfsi.sweeps.plan import Trial, check_settings, plan_trials, with_adaptive
+from deepfsi.sweeps.ray_cluster import run_on_ray
+from deepfsi.sweeps.recipe import PAPER_RATIOS, Recipe, only, parts
+from deepfsi.sweeps.records import FinishedTrial, Records, record_rows, write_table
+from deepfsi.sweeps.results import Data, Point, Provenance, Results, read_results, write_results
+from deepfsi.sweeps.run import check_kept, compare, run_trials
+from deepfsi.sweeps.summary import FoldRecords, provenance_of, summarise_records
+from deepfsi.sweeps.workers import Resources, Workers, cores, default_count, processes
+
+__all__ = [
+    "PAPER_RATIOS",
+    "Collection",
+    "Data",
+    "DataTerms",
+    "DesignRecipe",
+    "FinishedTrial",
+    "FoldRecords",
+    "Forecast",
+    "Point",
+    "Provenance",
+    "Recipe",
+    "Records",
+    "Resources",
+    "Results",
+    "Trial",
+    "Workers",
+    "check_kept",
+    "check_plan",
+    "check_settings",
+    "compare",
+    "cores",
+    "default_count",
+    "forecast_cost",
+    "make_collection",
+    "only",
+    "parts",
+    "photons_needed",
+    "plan_trials",
+    "processes",
+    "provenance_of",
+    "read_results",
+    "record_rows",
+    "run_on_ray",
+    "run_trials",
+    "summarise_records",
+    "with_adaptive",
+    "write_results",
+    "write_table",
+]

@@ -7,13 +7,13 @@ import socket
 from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import contextmanager
 from itertools import islice
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from deepfsi.base import InputError, restore_handlers
 
-Shared = TypeVar("Shared")
-Task = TypeVar("Task")
-Result = TypeVar("Result")
+_Shared = TypeVar("_Shared")
+_Task = TypeVar("_Task")
+_Result = TypeVar("_Result")
 
 TASKS_AHEAD = 2
 """Tasks submitted for each that can run: the next one waits beside it, a growing cluster sees
@@ -23,36 +23,77 @@ ANSWER_SECONDS = 5.0
 """Seconds in which a cluster must answer. Ray itself tries for minutes."""
 
 
+class _Demand(NamedTuple):
+    """Share of a cluster that each task takes."""
+
+    cpus: float
+    gpus: float
+
+    def __str__(self) -> str:
+        return f"{self.cpus:g} CPUs and {self.gpus:g} GPUs"
+
+    def slots(self) -> int:
+        """Tasks that can run at once on the cluster that this process is connected to."""
+        needs = [(need, name) for need, name in zip(self, ("CPU", "GPU"), strict=True) if need]
+        return sum(
+            int(min(node.get(name, 0.0) / need for need, name in needs) + 1e-9) for node in _nodes()
+        )
+
+
 def run_on_ray(
-    work: Callable[[Shared, Task], Result],
-    shared: Shared,
-    tasks: Iterable[Task],
+    work: Callable[[_Shared, _Task], _Result],
+    shared: _Shared,
+    tasks: Iterable[_Task],
     *,
     address: str = "auto",
     cpus: float = 1,
     gpus: float = 0,
     retries: int = 3,
-) -> Generator[tuple[int, Result], None, None]:
-    """Index of each task and what `work(shared, task)` returned on a Ray cluster, as they finish.
+) -> Generator[tuple[int, _Result], None, None]:
+    """Do tasks on a Ray cluster, and give what they return as they finish.
 
     Stopping early cancels the rest, and stops a cluster that was started here. Where every node
     that could run a task has gone, it waits for one to come.
+
+    Parameters
+    ----------
+    work : callable
+        (shared, task) → result.
+    shared
+        Sent once to each node.
+    tasks : iterable
+        Each is taken when there is room for it.
+    address : str
+        ``"host:port"`` of a cluster, ``"local"`` to start one here, or ``"auto"``: that of the
+        environment, else a local one.
+    cpus, gpus : float
+        Share of the cluster that each task takes.
+    retries : int
+        How often a task that was lost, as with its node, is done again.
+
+    Yields
+    ------
+    index : int
+        Place of a task among `tasks`.
+    result
+        What `work` returned for it.
+
+    Raises
+    ------
+    InputError
+        If Ray is missing, no cluster answers, no task can ask for so much, or one was lost for
+        good.
     """
-    check_request(cpus, gpus)
-    with _connected(address):
-        submit = _submitter(work, shared, cpus, gpus, retries)
-        yield from _results(submit, tasks, cpus, gpus, retries)
-
-
-def check_request(cpus: float, gpus: float) -> None:
-    """Raise `InputError` where Ray is missing or no task can ask for so much."""
     if importlib.util.find_spec("ray") is None:
         raise InputError("Ray is not installed: pip install ray")
+    demand = _Demand(cpus, gpus)
     if cpus < 0 or gpus < 0 or cpus + gpus == 0 or (gpus > 1 and gpus % 1):
         raise InputError(
-            f"a task cannot ask for {cpus:g} CPUs and {gpus:g} GPUs: give numbers ≥ 0, "
-            "not both 0, and whole GPUs or a share of one"
+            f"a task cannot ask for {demand}: give numbers ≥ 0, not both 0, and whole GPUs or a "
+            "share of one"
         )
+    with _connected(address):
+        yield from _results(work, shared, tasks, demand, retries=retries)
 
 
 @contextmanager
@@ -71,45 +112,42 @@ def _connected(address: str) -> Iterator[None]:
             ray.shutdown()
 
 
-def _submitter(
-    work: Callable[[Shared, Task], Result], shared: Shared, cpus: float, gpus: float, retries: int
-) -> Callable[[Task], Any]:
-    """Function that submits a task and gives Ray's reference to its result."""
+def _results(
+    work: Callable[[_Shared, _Task], _Result],
+    shared: _Shared,
+    tasks: Iterable[_Task],
+    demand: _Demand,
+    *,
+    retries: int,
+) -> Generator[tuple[int, _Result], None, None]:
+    """Submit tasks as there is room, and yield index and result of each as they finish."""
     import ray
 
-    if not _slots(cpus, gpus):
+    if not demand.slots():
+        there = [(node.get("CPU", 0.0), node.get("GPU", 0.0)) for node in _nodes()]
         raise InputError(
-            f"no node of the cluster has the {cpus:g} CPUs and {gpus:g} GPUs that one task "
-            f"asks for (there are: {_nodes()}): ask for less, or add a node that has them"
+            f"no node of the cluster has the {demand} that one task asks for (there are: {there}): "
+            "ask for less, or add a node that has them"
         )
 
-    def run(shared: Shared, task: Task) -> Result:
+    def run(shared: _Shared, task: _Task) -> _Result:
         return work(shared, task)
 
     remote = ray.remote(run).options(
         name=getattr(work, "__name__", "work"),
-        num_cpus=cpus,
-        num_gpus=gpus,
+        num_cpus=demand.cpus,
+        num_gpus=demand.gpus,
         max_retries=retries,
-        runtime_env={"env_vars": {"OMP_NUM_THREADS": str(max(1, int(cpus)))}},
+        runtime_env={"env_vars": {"OMP_NUM_THREADS": str(max(1, int(demand.cpus)))}},
     )
     everywhere = ray.put(shared)
-    return lambda task: remote.remote(everywhere, task)
-
-
-def _results(
-    submit: Callable[[Task], Any], tasks: Iterable[Task], cpus: float, gpus: float, retries: int
-) -> Generator[tuple[int, Any], None, None]:
-    """Submit tasks as there is room, and yield index and result of each as they finish."""
-    import ray
-
     running: dict[Any, int] = {}
     waiting = iter(enumerate(tasks))
     try:
         while True:
-            room = max(1, TASKS_AHEAD * _slots(cpus, gpus)) - len(running)
+            room = max(1, TASKS_AHEAD * demand.slots()) - len(running)
             for index, task in islice(waiting, max(0, room)):
-                running[submit(task)] = index
+                running[remote.remote(everywhere, task)] = index
             if not running:
                 return
             [ready], _ = ray.wait(list(running), num_returns=1)
@@ -173,17 +211,8 @@ def answers(address: str) -> bool:
     return True
 
 
-def _nodes() -> list[tuple[float, float]]:
-    """CPUs and GPUs of each node."""
+def _nodes() -> list[dict[str, float]]:
+    """Processors and GPUs of each node of the cluster."""
     import ray
 
-    each = (node["Resources"] for node in ray.nodes() if node["Alive"])
-    return [(has.get("CPU", 0.0), has.get("GPU", 0.0)) for has in each]
-
-
-def _slots(cpus: float, gpus: float) -> int:
-    """Tasks that can run at once."""
-    return sum(
-        int(min(has / need for has, need in zip(node, (cpus, gpus), strict=True) if need) + 1e-9)
-        for node in _nodes()
-    )
+    return [node["Resources"] for node in ray.nodes() if node["Alive"]]

@@ -1,20 +1,28 @@
-"""Recipes name axes; a trial is a point of them: one training and its tests.
+"""Recipes: axes over a training and its tests, each point of which is a trial.
 
-A recipe is a TOML file or `Recipe(...)`: axes over `training.job.Job`. Every list in it is an axis,
-also in its tables `camera`, `exposure` and `training`; `plan` gives the trials of their product.
+A recipe is a TOML file or `Recipe(...)`: axes over `jobs.Job`. Every list in it is an axis, also in
+its tables `camera`, `exposure` and `training`; `plan_trials` gives the trials of their product.
 
 A file may hold several parts of a study, and a coarse version of each. Settings at its top hold for
 every part. `[parts.NAME]` overrides them in one part, `[quick]` in the coarse version, and
 `[parts.NAME.quick]` in the coarse version of one part. Tables are merged.
 """
 
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
 from itertools import product
 from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
-from pydantic import AfterValidator, BeforeValidator, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, model_validator
 
-from deepfsi.base import InputError, Message, as_input_error, closest_choice, join_messages
+from deepfsi.base import (
+    InputError,
+    Message,
+    as_input_error,
+    closest_choice,
+    field_errors,
+    join_messages,
+)
 from deepfsi.base.models import Count, UserModel
 from deepfsi.camera import (
     ONE_DETECTOR,
@@ -45,28 +53,37 @@ PAPER_RATIOS = tuple((k / 10) ** 2 for k in range(1, 11))
 Settings = dict[str, Any]
 """Fields of a recipe, as TOML gives them."""
 
-RATIOS_OR_MASKS = "give ratios or masks, not both"
-"""Said where a recipe has both."""
+_Axes = dict[str, tuple[Any, ...]]
+"""Values of each setting."""
 
-MASK_SETTINGS = ("start", "mask_lr")
+_RATIOS_OR_MASKS = "give ratios or masks, not both"
+
+_TABLES = ("camera", "exposure", "training")
+"""Fields that are tables of axes."""
+
+_MASK_SETTINGS = ("start", "mask_lr")
 """Settings of the training that only learned masks have."""
 
-MLP_SETTINGS, OWN_SETTINGS = ("hidden", "dropout"), ("classifier_arguments",)
-"""Settings of the training that only the usual classifier has, and those of one's own."""
+_MLP_SETTINGS = ("hidden", "dropout")
+"""Settings of the training that only the usual classifier has."""
 
+_CUSTOM_SETTINGS = ("classifier_arguments",)
+"""Settings of the training that only classifiers of one's own have."""
 
 MOST_LOOKS = 32
 """Looks of adaptive masks that ratios ask for, at most: more tell little and take their time."""
 
-OWN_AXES = ("light", "rails", "detectors", "readout", "noise")
-"""Fields of the camera that each point of a summary has as its own."""
+_NAMED_FIELDS = ("light", "rails", "detectors", "readout", "noise")
+"""Fields of the camera that a point of the results has as its own: no variant names them."""
+
+_FOLDS = 5
+"""Folds of data whose test part was drawn and has fewer than `_FEW_IMAGES` scenes."""
+
+_FEW_IMAGES = 300
+"""Scenes of a test part that are enough for one."""
 
 
-FOLDS, FEW_IMAGES = 5, 300
-"""Folds of data whose test part was drawn and has fewer scenes than that."""
-
-
-def axis(value: Any) -> Any:
+def _axis(value: Any) -> Any:
     """Values of an axis, each once; a single value is an axis of one."""
     if not isinstance(value, (list, tuple)):
         return (value,)
@@ -76,82 +93,103 @@ def axis(value: Any) -> Any:
         return tuple(value)
 
 
-def _is_one(name: str, value: Any) -> bool:
-    """True of a single value of a setting: widths of layers are a list themselves."""
-    if not isinstance(value, (list, tuple)):
-        return True
-    return name == "hidden" and not any(isinstance(part, (list, tuple)) for part in value)
-
-
-def _table_of_axes(given: Any, make: Callable[[Settings], Any]) -> dict[str, tuple[Any, ...]]:
+def _read_axes(table: Any, make: Callable[[Settings], Any]) -> _Axes:
     """Settings of a model, each an axis, all of whose values are allowed."""
-    if not isinstance(given, Mapping):
-        raise ValueError(f"{given!r} is no table of settings")
-    axes = {
-        name: (value,) if _is_one(name, value) else tuple(value) for name, value in given.items()
-    }
-    faults = [f"{name} is empty: give one value or more" for name in axes if not axes[name]]
-    for name, values in axes.items():
-        read = []
-        for value in values:
+    if not isinstance(table, Mapping):
+        raise ValueError(f"{table!r} is no table of settings")
+    axes: _Axes = {}
+    faults: list[str] = []
+    for name, given in table.items():
+        several = isinstance(given, (list, tuple))
+        if name == "hidden":  # widths of layers are a list themselves
+            several = several and any(isinstance(widths, (list, tuple)) for widths in given)
+        values = []
+        for value in given if several else [given]:
             try:
                 with as_input_error():
-                    read.append(_number(getattr(make({name: value}), name, value), value))
+                    read = getattr(make({name: value}), name, value)
             except InputError as error:
                 faults.append(error.message)
-        axes[name] = tuple(read)
+                continue
+            # numbers as the model reads them; other settings as they are given
+            numbers = read if isinstance(read, tuple) and not isinstance(value, str) else (read,)
+            is_number = all(isinstance(number, int | float) for number in numbers)
+            values.append(read if is_number else value)
+        if several and not given:
+            faults.append(f"{name} is empty: give one value or more")
+        axes[name] = tuple(values)
     if faults:
         raise InputError(join_messages(faults))
     return axes
 
 
-def _number(read: Any, given: Any) -> Any:
-    """Number, or several, that a model reads of a setting; of other settings the given value."""
-    numbers = read if isinstance(read, tuple) and not isinstance(given, str) else (read,)
-    return read if all(isinstance(each, int | float) for each in numbers) else given
+def _points(axes: _Axes) -> Iterator[Settings]:
+    """Yield the points of a product of axes."""
+    for values in product(*axes.values()):
+        yield dict(zip(axes, values, strict=True))
 
 
-def _camera(given: Any) -> dict[str, tuple[Any, ...]]:
-    if not isinstance(given, Mapping):
-        given = Camera.load(given).given_fields
-    axes = _table_of_axes(given, lambda one: Camera.load(one))
+def _variant(point: Settings, axes: _Axes) -> str:
+    """Name of a point: its values on axes of several."""
+    return ", ".join(f"{name} {point[name]}" for name in point if len(axes[name]) > 1)
+
+
+class CameraVariant(NamedTuple):
+    """One camera of a recipe.
+
+    Attributes
+    ----------
+    camera : Camera
+    detectors : str
+        As the recipe names them.
+    variant : str
+        Which of several, by the fields that no point of the results has as its own.
+    """
+
+    camera: Camera
+    detectors: str
+    variant: str
+
+
+def _cameras(axes: _Axes) -> list[CameraVariant]:
+    """Cameras of a product of axes, but those that cannot be; `InputError` where none can."""
+    cameras: list[CameraVariant] = []
+    faults: list[str] = []
+    for fields in _points(axes):
+        unnamed = {name: fields[name] for name in fields if name not in _NAMED_FIELDS}
+        detectors = str(fields.get("detectors", "1x1"))
+        try:
+            camera = Camera.load(fields)
+        except InputError as error:
+            faults.append(error.message)
+        else:
+            cameras.append(CameraVariant(camera, detectors, _variant(unnamed, axes)))
+    if not cameras:
+        raise InputError(faults[0])
+    return cameras
+
+
+def _read_camera(given: Any) -> _Axes:
+    fields = given if isinstance(given, Mapping) else Camera.load(given).given_fields
+    axes = _read_axes(fields, Camera.load)
     _cameras(axes)
     return axes
 
 
-class NamedCamera(NamedTuple):
-    """One camera of a recipe."""
-
-    camera: Camera
-    detectors: str  # as the recipe names them
-    variant: str  # which of several, by the fields that no point of a summary has as its own
+def _read_exposure(given: Any) -> _Axes:
+    return _read_axes(given, find_exposure)
 
 
-def _cameras(axes: Mapping[str, tuple[Any, ...]]) -> list[NamedCamera]:
-    """Cameras of a product of axes, but those that cannot be; `InputError` where none can."""
-    found, faults = list[NamedCamera](), list[str]()
-    several = [name for name in axes if len(axes[name]) > 1 and name not in OWN_AXES]
-    for _, fields in _product(axes):
-        variant = ", ".join(f"{name} {fields[name]}" for name in several)
+def _read_training(given: Any) -> _Axes:
+    return _read_axes(given, Training.model_validate)
+
+
+def _read_tuned(given: Any) -> dict[str, _Axes]:
+    axes: dict[str, _Axes] = {}
+    faults: list[str] = []
+    for design, settings in given.items() if isinstance(given, Mapping) else ():
         try:
-            camera, detectors = Camera.load(fields), str(fields.get("detectors", "1x1"))
-            found.append(NamedCamera(camera, detectors, variant))
-        except InputError as error:
-            faults.append(error.message)
-    if not found:
-        raise InputError(faults[0])
-    return found
-
-
-def _training(given: Any) -> dict[str, tuple[Any, ...]]:
-    return _table_of_axes(given, Training.model_validate)
-
-
-def _tuned(given: Any) -> dict[str, dict[str, tuple[Any, ...]]]:
-    axes, faults = {}, []
-    for design, own in given.items() if isinstance(given, Mapping) else ():
-        try:
-            axes[check_design(design)] = _training(own)
+            axes[check_design(design)] = _read_training(settings)
         except (InputError, ValueError) as error:
             faults.append(Message("{design}: {error}", design=design, error=error))
     if faults:
@@ -159,13 +197,11 @@ def _tuned(given: Any) -> dict[str, dict[str, tuple[Any, ...]]]:
     return axes
 
 
-Name = Annotated[str, AfterValidator(check_design)]
-Ratio = Annotated[float, Field(gt=0, le=1)]
+DesignKind = Annotated[str, AfterValidator(check_design)]
 TestNoise = Annotated[str, AfterValidator(check_noise)]
-Axes = dict[str, Any]
 Value = TypeVar("Value")
-Axis = Annotated[tuple[Value, ...], BeforeValidator(axis)]
-Filled = Annotated[Axis[Value], Field(min_length=1)]
+Axis = Annotated[tuple[Value, ...], BeforeValidator(_axis)]
+FilledAxis = Annotated[Axis[Value], Field(min_length=1)]
 
 
 class Recipe(UserModel):
@@ -187,7 +223,7 @@ class Recipe(UserModel):
         default=None,
         description="how a hyperspectral image is divided for testing; random unless given",
     )
-    designs: Filled[Name] = Field(
+    designs: FilledAxis[DesignKind] = Field(
         default=(
             "impulse",
             "raster",
@@ -199,23 +235,21 @@ class Recipe(UserModel):
         ),
         description="names of designs",
     )
-    photons: Filled[PhotonBudget] = Field(
+    photons: FilledAxis[PhotonBudget] = Field(
         default=(1e2, 1e3, 1e4, 1e5), description="budgets Φ: expected photons on the coding device"
     )
     gaussian_photons: Axis[PhotonBudget] = Field(
         default=(), description="budgets under gaussian noise, if others"
     )
-    ratios: Axis[Ratio] = Field(
+    ratios: Axis[Annotated[float, Field(gt=0, le=1)]] = Field(
         default=(), description="readouts over pixels, m · D / N; the paper's unless given"
     )
     masks: Axis[Count] = Field(default=(), description="mask counts, instead of ratios")
-    camera: Annotated[Axes, BeforeValidator(_camera)] = Field(
+    camera: Annotated[dict[str, Any], BeforeValidator(_read_camera)] = Field(
         default={},
         description="fields of the camera, each an axis; or a preset's name, or a TOML file",
     )
-    exposure: Annotated[
-        Axes, BeforeValidator(lambda given: _table_of_axes(given, find_exposure))
-    ] = Field(
+    exposure: Annotated[dict[str, Any], BeforeValidator(_read_exposure)] = Field(
         default={}, description="settings of the exposure, each an axis, such as looks = [1, 4]"
     )
     trials: int = Field(default=1, ge=1, le=1000, description="seeds 0, 1, …")
@@ -229,8 +263,8 @@ class Recipe(UserModel):
         ge=1,
         le=100,
         description="parts of the scenes, each tested by designs that are trained on the others; "
-        f"1 for none. Unless given {FOLDS} where a test part was drawn and has fewer than "
-        f"{FEW_IMAGES} scenes",
+        f"1 for none. Unless given {_FOLDS} where a test part was drawn and has fewer than "
+        f"{_FEW_IMAGES} scenes",
     )
     draws: int = Field(default=3, ge=1, le=MOST_DRAWS, description="noise draws of each test scene")
     test_photons: Axis[PhotonBudget] = Field(
@@ -239,14 +273,14 @@ class Recipe(UserModel):
     test_noise: Axis[TestNoise] = Field(
         default=(), description="noises of the tests; that of the camera unless given"
     )
-    test_levels: Filled[Levels] = Field(
+    test_levels: FilledAxis[Levels] = Field(
         default=(0,),
         description="grey levels, dark included, of the masks shown in the tests; 0: as trained",
     )
-    training: Annotated[Axes, BeforeValidator(_training)] = Field(
+    training: Annotated[dict[str, Any], BeforeValidator(_read_training)] = Field(
         default={}, description="settings of the training of every design, each an axis"
     )
-    tuned: Annotated[dict[str, Any], BeforeValidator(_tuned)] = Field(
+    tuned: Annotated[dict[str, Any], BeforeValidator(_read_tuned)] = Field(
         default={}, description="the same for single designs"
     )
     resources: Resources = Field(
@@ -256,27 +290,28 @@ class Recipe(UserModel):
     @model_validator(mode="after")
     def _one_or_the_other(self) -> "Recipe":
         if self.ratios and self.masks:
-            raise ValueError(RATIOS_OR_MASKS)
+            raise ValueError(_RATIOS_OR_MASKS)
         return self
 
-    def cameras(self) -> list[NamedCamera]:
+    def cameras(self) -> list[CameraVariant]:
         """Cameras of the product of its axes, but those that cannot be."""
         return _cameras(self.camera)
 
     def exposures(self) -> list[tuple[str, Exposure]]:
         """Exposures of the product of its axes, with a name where there are several."""
-        return [(variant, find_exposure(chosen)) for variant, chosen in _product(self.exposure)]
+        axes = self.exposure
+        return [(_variant(point, axes), find_exposure(point)) for point in _points(axes)]
 
     @property
     def noises(self) -> tuple[str, ...]:
         """Noises of the cameras."""
-        return tuple(dict.fromkeys(named.camera.noise_name for named in self.cameras()))
+        return tuple(dict.fromkeys(each.camera.noise_name for each in self.cameras()))
 
     def training_axes(self, design: str) -> dict[str, tuple[Any, ...]]:
         """Values of each setting of the training of a design."""
         axes = {**self.training, **self.tuned.get(design, {})}
         if not DESIGNS[design].learns_masks:
-            axes = {name: axes[name] for name in axes if name not in MASK_SETTINGS}
+            axes = {name: axes[name] for name in axes if name not in _MASK_SETTINGS}
         return axes
 
     @property
@@ -290,13 +325,11 @@ class Recipe(UserModel):
         """Every setting of the training of a design, with a name where there are several."""
         axes = self.training_axes(design)
         both = len({value == MLP for value in axes.get("classifier", ())}) > 1
-        for variant, chosen in _product(axes):
+        for point in _points(axes):
             if both:  # settings of the other kind of classifier are left out
-                others = MLP_SETTINGS if chosen["classifier"] != MLP else OWN_SETTINGS
-                chosen = {name: chosen[name] for name in chosen if name not in others}
-                several = [name for name in chosen if len(axes[name]) > 1]
-                variant = ", ".join(f"{name} {chosen[name]}" for name in several)
-            yield variant, chosen
+                others = _CUSTOM_SETTINGS if point["classifier"] == MLP else _MLP_SETTINGS
+                point = {name: point[name] for name in point if name not in others}
+            yield _variant(point, axes), point
 
     def budgets(self, noise: str) -> tuple[float, ...]:
         """Budgets to train at under a noise."""
@@ -324,7 +357,7 @@ class Recipe(UserModel):
         """The data, or its folds, on each of which all designs are trained and tested."""
         count = self.folds
         if count is None:
-            count = FOLDS if data.drawn and len(data.x_test) < FEW_IMAGES else 1
+            count = _FOLDS if data.drawn and len(data.x_test) < _FEW_IMAGES else 1
         return [data] if count == 1 else data.folds(count)
 
     def held_out(self, data: Dataset) -> int:
@@ -332,46 +365,149 @@ class Recipe(UserModel):
         return len(data.x_train) // 6 if self.validation is None else self.validation
 
 
-def _product(axes: Mapping[str, tuple[Any, ...]]) -> Iterator[tuple[str, Settings]]:
-    """Points of axes, with the values of those of several as a name."""
-    several = [name for name, values in axes.items() if len(values) > 1]
-    for values in product(*axes.values()):
-        chosen = dict(zip(axes, values, strict=True))
-        yield ", ".join(f"{name} {chosen[name]}" for name in several), chosen
+class RecipeDraft(NamedTuple):
+    """Recipe of what is sound of settings.
+
+    Attributes
+    ----------
+    recipe : Recipe
+    faults : list of str
+        Everything that is wrong.
+    lost : set of str
+        Fields that have their defaults because all that was given for them is wrong.
+    """
+
+    recipe: Recipe
+    faults: list[str]
+    lost: set[str]
+
+
+def draft_recipe(settings: Mapping[str, Any]) -> RecipeDraft:
+    """Recipe of what is sound of settings, so that the rest of its mistakes can be named, too."""
+    try:
+        return RecipeDraft(Recipe.model_validate(settings), [], set())
+    except ValidationError as error:
+        faults = field_errors(error)
+        sound = _sound(settings, error)
+    if settings.get("ratios") and settings.get("masks"):
+        faults = list(dict.fromkeys([*faults, _RATIOS_OR_MASKS]))
+        sound.pop("ratios", None)
+    try:
+        recipe = Recipe.model_validate(sound)
+    except ValidationError as error:  # what one value of a field cannot be without the other
+        wrong = {fault["loc"][0] for fault in error.errors()}
+        sound = {name: sound[name] for name in set(sound) - wrong}
+        recipe = Recipe.model_validate(sound)
+    return RecipeDraft(recipe, faults, set(settings) - set(sound))
+
+
+def _sound(settings: Mapping[str, Any], error: ValidationError) -> Settings:
+    """Settings without the wrong ones: of lists their wrong items, else the whole field."""
+    wrong = defaultdict(list)
+    for fault in error.errors():
+        if fault["loc"]:
+            wrong[fault["loc"][0]].append(fault["loc"][1:])
+    sound = dict(settings)
+    for name, places in wrong.items():
+        value = sound.pop(str(name))
+        if name in _TABLES and isinstance(value, dict):
+            sound[name] = _sound_axes(name, value)
+        elif all(where and isinstance(where[0], int) for where in places):
+            bad = {where[0] for where in places}
+            left = [item for index, item in enumerate(_axis(value)) if index not in bad]
+            sound |= {str(name): left} if left else {}
+    return sound
+
+
+def _sound_axes(table: str, axes: Settings) -> Settings:
+    """Axes of a table without the values that are wrong by themselves."""
+
+    def reads(name: str, value: Any) -> bool:
+        try:
+            return bool(Recipe.model_validate({table: {name: value}}))
+        except ValidationError:
+            return False
+
+    sound = {}
+    for name, value in axes.items():
+        if reads(name, value):
+            sound[name] = value
+        elif left := [item for item in _axis(value) if reads(name, item)]:
+            sound[name] = left
+    return sound
 
 
 def parts(file: Mapping[str, Any], quick: bool = False) -> dict[str, Settings]:
-    """Settings of each recipe of a file, by the name of its part."""
-    # A file without parts has one recipe, named "". `InputError` where `parts` or `quick` are
-    # something else than tables, or nothing says what a coarse version is
+    """Settings of each recipe of a file.
+
+    Parameters
+    ----------
+    file : mapping
+        As TOML gives it.
+    quick : bool
+        The coarse versions.
+
+    Returns
+    -------
+    dict
+        Settings by the name of the part; a file without parts has one recipe, named "".
+
+    Raises
+    ------
+    InputError
+        If `parts` or `quick` are something else than tables, or nothing says what a coarse version
+        is.
+    """
     common = {name: value for name, value in file.items() if name not in ("parts", "quick")}
-    coarse, own = _table(file, "quick"), _table(file, "parts") or {"": {}}
-    found = {}
-    for name in own:
-        part = _table(own, name)
-        quick_part = _table(part, "quick")
-        settings = _merged(common, {key: part[key] for key in part if key != "quick"})
+    coarse = _table(file, "quick")
+    tables = _table(file, "parts") or {"": {}}
+    recipes = {}
+    for name in tables:
+        changes = _table(tables, name)
+        coarse_changes = _table(changes, "quick")
+        settings = _merged(common, {key: changes[key] for key in changes if key != "quick"})
         if quick:
-            if not (coarse or quick_part):
+            if not (coarse or coarse_changes):
                 raise InputError("this recipe has no [quick] table: run it whole")
-            settings = _merged(_merged(settings, coarse), quick_part)
-        found[name] = settings
-    return found
+            settings = _merged(_merged(settings, coarse), coarse_changes)
+        recipes[name] = settings
+    return recipes
 
 
 def only(file: Mapping[str, Any], part: str | None = None, quick: bool = False) -> Settings:
-    """Settings of one recipe of a file."""
-    found = parts(file, quick)
-    if part is None and "" not in found:
+    """Settings of one recipe of a file.
+
+    Parameters
+    ----------
+    file : mapping
+        As TOML gives it.
+    part : str, optional
+        Its name, where the file has several.
+    quick : bool
+        The coarse version.
+
+    Returns
+    -------
+    dict
+        Fields of a `Recipe`.
+
+    Raises
+    ------
+    InputError
+        If the file has several parts and none is named, no parts and one is named, no such part, or
+        no coarse version.
+    """
+    recipes = parts(file, quick)
+    if part is None and "" not in recipes:
         raise InputError(
-            f"the recipe has several parts, {', '.join(found)}: name one by the option --part of "
+            f"the recipe has several parts, {', '.join(recipes)}: name one by the option --part of "
             "deepfsi sweep"
         )
-    if part is not None and "" in found:
+    if part is not None and "" in recipes:
         raise InputError(f"the recipe has no parts: leave --part {part} out")
-    if (part or "") not in found:
-        raise InputError(f"the recipe has no part {part!r}: {closest_choice(str(part), found)}")
-    return found[part or ""]
+    if (part or "") not in recipes:
+        raise InputError(f"the recipe has no part {part!r}: {closest_choice(str(part), recipes)}")
+    return recipes[part or ""]
 
 
 def _table(file: Mapping[str, Any], name: str) -> Settings:
@@ -382,10 +518,10 @@ def _table(file: Mapping[str, Any], name: str) -> Settings:
 
 
 def _merged(settings: Settings, changes: Settings) -> Settings:
-    whole = dict(settings)
+    merged = dict(settings)
     for name, value in changes.items():
-        here = whole.get(name)
-        if isinstance(here, dict) and isinstance(value, dict):
-            value = _merged(here, value)
-        whole[name] = value
-    return whole
+        before = merged.get(name)
+        if isinstance(before, dict) and isinstance(value, dict):
+            value = _merged(before, value)
+        merged[name] = value
+    return merged

@@ -17,11 +17,11 @@ are kept would be trained alone, and a sum of numbers in another order rounds ot
 import io
 import json
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pydantic import BaseModel, Field, FiniteFloat
 
@@ -36,19 +36,38 @@ from deepfsi.base import (
     remove_drafts,
     write_atomically,
 )
-from deepfsi.design import Design, load_design
 from deepfsi.measures import MEASURES, Estimates, MainMeasure, Result
-from deepfsi.sweeps.results import SCHEMA, Packed
-from deepfsi.sweeps.trial import Trial
+from deepfsi.sweeps.plan import Trial
+from deepfsi.sweeps.results import RESULTS_SCHEMA, PackedValues
 
-Finished = tuple[Trial, Mapping[str, Any], bytes | None]
-"""A trial, its record, and its design file where it was trained now."""
+if TYPE_CHECKING:
+    from deepfsi.design import Design
 
-KEPT = "finished trials are kept, run again to go on"
+Record = dict[str, Any]
+"""What a trial gave, as its file holds it: JSON types only."""
+
+_TRIALS_KEPT = "finished trials are kept, run again to go on"
 """What a command that is stopped says, once there is one."""
 
-LARGEST_FILE = 2**26
+_LARGEST_RECORD = 2**26
 """Bytes of a record at most."""
+
+
+class FinishedTrial(NamedTuple):
+    """A trial that was trained, tested, or both.
+
+    Attributes
+    ----------
+    trial : Trial
+    record : mapping, optional
+        None where the training diverged.
+    design : bytes, optional
+        Its design file; None where it was not trained now, or diverged.
+    """
+
+    trial: Trial
+    record: Record | None
+    design: bytes | None
 
 
 @dataclass(frozen=True)
@@ -56,7 +75,7 @@ class _Tested(Result):
     """Test of a trial, of masks of so many grey levels, and values of its images by measure."""
 
     levels: int = field(kw_only=True)
-    terms: dict[str, Packed] = field(default_factory=dict)
+    terms: dict[str, PackedValues] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -64,7 +83,7 @@ class _Estimated(Estimates):
     """Test of a trial whose answers are values, likewise."""
 
     levels: int = field(kw_only=True)
-    terms: dict[str, Packed] = field(default_factory=dict)
+    terms: dict[str, PackedValues] = field(default_factory=dict)
 
 
 class _Info(BaseModel):
@@ -108,45 +127,52 @@ class Records:
             return None
         path = self._record_path(trial)
         try:
-            record = json.loads(read_regular(path, LARGEST_FILE, "leave it out"))
-            whole = _Record.model_validate(record)
+            record = json.loads(read_regular(path, _LARGEST_RECORD, "leave it out"))
+            read = _Record.model_validate(record)
         except (ValueError, RecursionError):  # InputError and ValidationError are ValueErrors
             return None
-        if (whole.revision, whole.key) != (SCHEMA, trial.key):
+        if (read.revision, read.key) != (RESULTS_SCHEMA, trial.key):
             return None
-        note_saved_work(KEPT)
+        note_saved_work(_TRIALS_KEPT)
         return record
 
-    def design(self, trial: Trial) -> Design | None:
+    def design(self, trial: Trial) -> "Design | None":
         """Design of a trial that was trained already, perhaps for other tests."""
+        from deepfsi.design import load_design
+
         try:
             return load_design(self._design_path(trial))
         except InputError:
             return None
 
-    def write(self, finished: Sequence[Finished]) -> None:
-        """Keep what trials gave that were trained together, and give up the locks on them."""
+    def write(self, finished: Sequence[FinishedTrial]) -> None:
+        """Keep what trials gave that were trained together, and give up the locks on them.
+
+        Those that diverged give nothing, and no lock on them remains either.
+        """
+        self.release(each.trial for each in finished if each.record is None)
+        finished = [each for each in finished if each.record is not None]
         if not finished:
             return
-        folder = self.folder / f"finished-{finished[0][0].key}"
+        folder = self.folder / f"finished-{finished[0].trial.key}"
         with new_folder(folder) as draft:
             for trial, record, design in finished:
                 if design is not None:
                     write_atomically(draft / self._design_path(trial).name, design)
                 record_file = draft / self._record_path(trial).name
                 write_atomically(record_file, json.dumps(record, indent=1).encode())
-        note_saved_work(KEPT)  # the next process moves what this one does not
+        note_saved_work(_TRIALS_KEPT)  # the next process moves what this one does not
         self._move(folder)
         self._clear_checkpoints()
-        self.release(trial for trial, _, _ in finished)
+        self.release(each.trial for each in finished)
 
     def _move(self, finished: Path) -> None:
         """Move finished files to their places, each record after its design."""
-        for place, suffix in (("designs", ".safetensors"), ("trials", ".json")):
-            (self.folder / place).mkdir(exist_ok=True)
-            for path in (each for each in list_folder(finished) if each.suffix == suffix):
+        for name, suffix in (("designs", ".safetensors"), ("trials", ".json")):
+            (self.folder / name).mkdir(exist_ok=True)
+            for path in (file for file in list_folder(finished) if file.suffix == suffix):
                 with suppress(FileNotFoundError):  # another process that found them moved it
-                    os.replace(path, self.folder / place / path.name)
+                    os.replace(path, self.folder / name / path.name)
         with suppress(OSError):
             finished.rmdir()
 
@@ -184,9 +210,9 @@ class Records:
         return self.folder / "designs" / f"{trial.design_key}.safetensors"
 
 
-def rows(records: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+def record_rows(records: Sequence[Record]) -> list[dict[str, Any]]:
     """Records as the rows of one table: settings of the trial, then one test."""
-    table = []
+    record_rows = []
     columns = {key: measure for key, measure in MEASURES.items() if measure.chooses}
     main = [key for key, measure in columns.items() if isinstance(measure, MainMeasure)]
     others = [key for key in columns if key not in main]
@@ -202,11 +228,11 @@ def rows(records: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
         settings["hidden"] = "-".join(map(str, settings["hidden"]))
         settings["classifier_arguments"] = json.dumps(settings["classifier_arguments"])
         settings["detectors"] = trial["detectors"]
-        for part in ("camera", "exposure", "training", "noise"):
-            del settings[part]
+        for table in ("camera", "exposure", "training", "noise"):
+            del settings[table]
         for index, test in enumerate(record["test"]):
             validation = record["validation"][index] if record["validation"] else {}
-            table.append(
+            record_rows.append(
                 {
                     "key": record["key"],
                     "data": trial["data"],
@@ -220,17 +246,30 @@ def rows(records: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
                     "seconds": record["info"]["seconds"],
                 }
             )
-    return table
+    return record_rows
 
 
-def write_table(records: Sequence[Mapping[str, Any]], path: Path) -> Path:
-    """Write records as one table, to a path that ends in .csv or .parquet, else `InputError`."""
+def write_table(records: Sequence[Record], path: Path) -> Path:
+    """Write records as one table.
+
+    Parameters
+    ----------
+    records : sequence of mapping
+    path : path
+        It ends in .csv or .parquet, else `InputError` is raised.
+
+    Returns
+    -------
+    path
+        The same.
+    """
     import polars
 
     check_ending(path, (".csv", ".parquet"))
-    table, whole = polars.DataFrame(rows(records), infer_schema_length=None), io.BytesIO()
+    table = polars.DataFrame(record_rows(records), infer_schema_length=None)
+    content = io.BytesIO()
     if path.suffix.lower() == ".csv":
-        table.write_csv(whole)
+        table.write_csv(content)
     else:
-        table.write_parquet(whole)
-    return write_atomically(path, whole.getvalue())
+        table.write_parquet(content)
+    return write_atomically(path, content.getvalue())

@@ -5,42 +5,35 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat, model_validator
+from pydantic import (
+    AfterValidator,
+    ConfigDict,
+    Field,
+    FiniteFloat,
+    field_validator,
+    model_validator,
+)
 
 from deepfsi.base import as_input_error, read_text, write_atomically
-from deepfsi.base.models import Positive, Share
+from deepfsi.base.models import Positive, Share, StrictModel
 from deepfsi.base.numeric import unpack_values
 from deepfsi.camera import find_noise
 from deepfsi.datasets import MeasureTitle
 from deepfsi.jobs import EVERY_PIXEL
 
-SCHEMA = 5
+RESULTS_SCHEMA = 5
 """Schema of results and of records, the only one; tests of records of another are run anew."""
 
-
-LARGEST_FILE = 2**28
+_LARGEST_RESULTS = 2**28
 """Bytes of a file of results at most."""
 
-
-def _readable(schema: int) -> int:
-    if schema != SCHEMA:
-        raise ValueError(f"schema {schema} is not the {SCHEMA} of this version")
-    return schema
-
-
-def _some(points: tuple["Point", ...]) -> tuple["Point", ...]:
-    if not points:
-        raise ValueError("no finished point")
-    return points
-
-
-Score = Annotated[float, Field(le=1, allow_inf_nan=False)]
+_Score = Annotated[float, Field(le=1, allow_inf_nan=False)]
 """Accuracy, area under a ROC curve, or R², which a bad guess takes below 0."""
 
-StoredCount = Annotated[int, Field(ge=0, le=2**53)]
+_StoredCount = Annotated[int, Field(ge=0, le=2**53)]
 """Number of things, which JSON and floats hold."""
 
-Key = Annotated[str, Field(pattern=r"^[^/\\\x00.][^/\\\x00]*$")]
+_Key = Annotated[str, Field(pattern=r"^[^/\\\x00.][^/\\\x00]*$")]
 """Name of a design's file, in the folder of designs and no other."""
 
 
@@ -49,21 +42,21 @@ def _packed(text: str) -> str:
     return text
 
 
-Packed = Annotated[str, AfterValidator(_packed)]
-"""Values of test images, as `statistics.terms` packs them."""
+PackedValues = Annotated[str, AfterValidator(_packed)]
+"""Values of test images, as `pack_values` packs them."""
 
 
-class Frozen(BaseModel):
+class _Stored(StrictModel):
     """Part of a results file."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True)
+    model_config = ConfigDict(populate_by_name=True)
 
     def as_dict(self) -> dict[str, Any]:
         """JSON types only: fields that were given."""
         return self.model_dump(mode="json", by_alias=True, exclude_unset=True)
 
 
-class Point(Frozen):
+class Point(_Stored):
     """Trials of one setting, averaged."""
 
     recipe: str = Field("", description="name of the recipe, in an experiment that has several")
@@ -84,10 +77,10 @@ class Point(Frozen):
     variant: str = Field(description="which of several training settings, in words")
     noise: str = Field(description="noise of the test")
     photons: Positive = Field(description="budget of the test")
-    levels: StoredCount = Field(
+    levels: _StoredCount = Field(
         description="grey levels of the masks in the test; 0 for continuous ones"
     )
-    masks: StoredCount = Field(description="number of masks, m")
+    masks: _StoredCount = Field(description="number of masks, m")
     lit: FiniteFloat | None = Field(
         None,
         description="how many of the masks have light, in the mean over trials; the others have no "
@@ -98,12 +91,12 @@ class Point(Frozen):
     specific: bool = Field(description="whether the design depends on the task")
     learned: bool = Field(description="whether its masks are trained")
     ratio: FiniteFloat = Field(description="m · D / N, readouts of a rail over pixels")
-    trials: StoredCount = Field(description="trainings with different seeds that are averaged")
-    validation: Score | None = Field(
+    trials: _StoredCount = Field(description="trainings with different seeds that are averaged")
+    validation: _Score | None = Field(
         description="mean measure on validation data, if any was held out; balanced accuracy "
         "where a recipe balances its training"
     )
-    accuracy: Score = Field(
+    accuracy: _Score = Field(
         description="measure of the answers, in the mean over trials: accuracy, area under the ROC "
         "curve of one class against anomalies, or R² of values"
     )
@@ -117,10 +110,10 @@ class Point(Frozen):
         None, description="lower end of its interval, which covers the same"
     )
     balanced_high: FiniteFloat | None = Field(None, description="upper end of its interval")
-    worst: Score = Field(
+    worst: _Score = Field(
         description="lowest accuracy of a class, or R² of a value, in the mean over trials"
     )
-    worst_class: StoredCount = Field(
+    worst_class: _StoredCount = Field(
         description="place of that class or value among those of the data"
     )
     rmse: tuple[FiniteFloat, ...] = Field(
@@ -149,20 +142,20 @@ class Point(Frozen):
         "that are quantised for a test only, that of the masks before"
     )
     seconds: FiniteFloat = Field(description="mean time of a training")
-    accuracies: tuple[Score, ...] = Field(description="measure of each trial")
-    terms: tuple[Packed, ...] = Field(
+    accuracies: tuple[_Score, ...] = Field(description="measure of each trial")
+    terms: tuple[PackedValues, ...] = Field(
         (),
         description="at a chosen mask count: of each trial, values of the test scenes whose mean "
         "is its measure, such as the share of noise draws that are right; 32-bit floats, zlib, "
         "base64. None of trials of earlier versions",
     )
-    keys: tuple[Key, ...] = Field(
+    keys: tuple[_Key, ...] = Field(
         min_length=1, description="design file of each trial, or of each of its folds"
     )
     best: bool = Field(
         description="whether its mask count was chosen on validation data, or nothing was chosen"
     )
-    confusion: tuple[tuple[StoredCount, ...], ...] = Field(
+    confusion: tuple[tuple[_StoredCount, ...], ...] = Field(
         (),
         description="at a chosen mask count: rows true classes, columns answers, over all trials "
         "and noise draws",
@@ -186,12 +179,12 @@ class Point(Frozen):
         return self.design in EVERY_PIXEL
 
 
-class Data(Frozen):
+class Data(_Stored):
     """Data set of a comparison and the sizes of its parts."""
 
     name: str = Field(description="name")
     hash: str = Field(description="content hash of scenes and labels")
-    image_shape: tuple[StoredCount, ...] = Field(
+    image_shape: tuple[_StoredCount, ...] = Field(
         min_length=1, description="rows and columns of a scene, or bands of a spectrum"
     )
     classes: tuple[str, ...] = Field(description="names of the classes; none where it has values")
@@ -201,10 +194,10 @@ class Data(Frozen):
     measure: MeasureTitle = Field(
         "accuracy", description="what `accuracy` of a point is: accuracy, AUC or R²"
     )
-    train: StoredCount = Field(description="scenes trained on")
-    validation: StoredCount = Field(description="scenes held out")
-    test: StoredCount = Field(description="scenes tested on")
-    folds: StoredCount = Field(
+    train: _StoredCount = Field(description="scenes trained on")
+    validation: _StoredCount = Field(description="scenes held out")
+    test: _StoredCount = Field(description="scenes tested on")
+    folds: _StoredCount = Field(
         1,
         description="parts of the scenes, each tested by designs that were trained on the others; "
         "1 where there is one test part",
@@ -217,7 +210,7 @@ class Data(Frozen):
     mean_reflectance: FiniteFloat = Field(description="of a pixel of the training scenes")
 
 
-class Provenance(Frozen):
+class Provenance(_Stored):
     """Versions, device and times behind a comparison."""
 
     deepfsi: str = Field(description="version")
@@ -230,12 +223,10 @@ class Provenance(Frozen):
     training_seconds: FiniteFloat = Field(description="time of its trainings together")
 
 
-class Results(Frozen):
+class Results(_Stored):
     """Results of a comparison."""
 
-    revision: Annotated[int, AfterValidator(_readable)] = Field(
-        SCHEMA, alias="schema", description="version of the format"
-    )
+    revision: int = Field(RESULTS_SCHEMA, alias="schema", description="version of the format")
     title: str = Field(description="of the report")
     command: str = Field(description="that made it")
     recipe: dict[str, Any] = Field(description="its settings")
@@ -247,10 +238,22 @@ class Results(Frozen):
     chosen_by: str = Field(
         "accuracy", description="measure that they were chosen by: accuracy, balanced, auc or r2"
     )
-    points: Annotated[tuple[Point, ...], AfterValidator(_some)] = Field(
-        description="one for each setting"
-    )
+    points: tuple[Point, ...] = Field(description="one for each setting")
     extra: dict[str, Any] = Field({}, description="further numbers of an experiment")
+
+    @field_validator("revision")
+    @classmethod
+    def _of_this_version(cls, schema: int) -> int:
+        if schema != RESULTS_SCHEMA:
+            raise ValueError(f"schema {schema} is not the {RESULTS_SCHEMA} of this version")
+        return schema
+
+    @field_validator("points")
+    @classmethod
+    def _finished(cls, points: tuple[Point, ...]) -> tuple[Point, ...]:
+        if not points:
+            raise ValueError("no finished point")
+        return points
 
     @model_validator(mode="after")
     def _of_one_comparison(self) -> "Results":
@@ -270,13 +273,24 @@ class Results(Frozen):
 
 
 def write_results(path: Path, results: Results) -> Path:
-    """Write results as JSON, all or nothing."""
+    """Write results as JSON, whole or not at all.
+
+    Parameters
+    ----------
+    path : path
+    results : Results
+
+    Returns
+    -------
+    path
+        The same.
+    """
     return write_atomically(path, json.dumps(results.as_dict(), indent=1).encode())
 
 
 def read_results(path: Path) -> Results:
     """Results that `write_results` wrote, or `InputError`."""
     again = "run the comparison again"
-    content = read_text(path, LARGEST_FILE, again)
-    with as_input_error(str(path), again, content, SCHEMA):
+    content = read_text(path, _LARGEST_RESULTS, again)
+    with as_input_error(str(path), again, content, RESULTS_SCHEMA):
         return Results.model_validate_json(content)

@@ -1,32 +1,49 @@
-"""Comparisons: the trials of a recipe, trained, tested and summarised."""
+"""Runs: trials worked off and recorded, and comparisons of the trials of a recipe.
+
+Trials are locked, trained here, in processes or on a Ray cluster, and recorded. A run that was
+stopped goes on where it was, and several processes may work on one folder.
+"""
 
 import time
-from dataclasses import replace
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import closing
+from dataclasses import dataclass, replace
+from functools import partial
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
 
 from deepfsi.base import SILENT, InputError, Progress
 from deepfsi.datasets import Dataset
-from deepfsi.physics import library_defaults
-from deepfsi.sweeps.context import SweepContext
-from deepfsi.sweeps.folds import pooled, together
-from deepfsi.sweeps.queue import run_trials
+from deepfsi.sweeps.plan import Trial, plan_trials
+from deepfsi.sweeps.ray_cluster import run_on_ray
 from deepfsi.sweeps.recipe import Recipe
+from deepfsi.sweeps.records import FinishedTrial, Record, Records
 from deepfsi.sweeps.results import Results, read_results
-from deepfsi.sweeps.summary import summarise, tested_scenes
-from deepfsi.sweeps.trial import plan
-from deepfsi.sweeps.workers import HERE, Workers
+from deepfsi.sweeps.summary import FoldRecords, summarise_records
+from deepfsi.sweeps.workers import THIS_PROCESS, Workers, default_count, processes, report_of_task
+
+if TYPE_CHECKING:
+    import torch
+
+    from deepfsi.sweeps.batch import Batch, BatchTrainer
 
 
 def check_kept(
     folder: Path, recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None
 ) -> None:
-    """Raise `InputError` if results in a folder would be lost to those of a recipe."""
-    # matrix (m, N)
+    """Raise `InputError` if results in a folder would be lost to those of a recipe.
+
+    Parameters
+    ----------
+    folder : path
+    recipe : Recipe
+    data : Dataset
+    matrix : array, shape (m, N), optional
+        One's own masks.
+    """
     file = folder / "results.json"
     if not file.is_file():
         return
@@ -37,21 +54,20 @@ def check_kept(
     same = old.recipe == recipe.model_dump(mode="json") and old.data.hash == data.hash
     if same and matrix is None:
         return
-    kept = {
+    new_tests = {
         (trial.design_key, *test)
         for part in recipe.parts(data)
-        for trial in plan(recipe, part, matrix)
+        for trial in plan_trials(recipe, part, matrix)
         for test in product(trial.test_noise, trial.test_photons, trial.test_levels)
     }
-    held = {(key, p.noise, p.photons, p.levels) for p in old.points for key in p.keys}
-    if held - kept:
+    old_tests = {(key, p.noise, p.photons, p.levels) for p in old.points for key in p.keys}
+    if old_tests - new_tests:
         raise InputError(
             f"{folder} holds results of other settings ({old.command}): give another folder, or "
             "--force to replace its results and report"
         )
 
 
-@library_defaults(grad=True)
 def compare(
     recipe: Recipe,
     data: Dataset,
@@ -59,41 +75,285 @@ def compare(
     *,
     command: str,
     matrix: np.ndarray | None = None,
-    device: str | torch.device = "auto",
-    workers: Workers = HERE,
+    device: "str | torch.device" = "auto",
+    workers: Workers = THIS_PROCESS,
     report: Progress = SILENT,
-) -> tuple[Results, list[dict[str, Any]]]:
-    """Results of a recipe, and their records."""
-    # A changed recipe reuses what it still shares with the folder. matrix (m, N)
-    began = time.perf_counter()
-    parts = recipe.parts(data)
-    if len(parts) > 1 and workers.ray is None:
-        # trainings on few scenes take less than starting processes for each fold
-        workers = replace(workers, count=workers.count or 1)
-    records = [
-        run_trials(
-            plan(recipe, part, matrix),
-            SweepContext(part, recipe.held_out(part), device, matrix),
-            folder,
-            replace(workers, resources=recipe.resources),
-            span,
-        )
-        for part, span in zip(parts, report.split(len(parts)), strict=True)
-    ]
-    seconds = time.perf_counter() - began
-    tested = [
-        tested_scenes(part, recipe.held_out(part), found)
-        for part, found in zip(parts, records, strict=True)
-    ]
-    results = summarise(
-        recipe,
-        pooled(data, parts),
-        together(records),
-        command=command,
-        seconds=seconds,
-        tested=pooled(data, tested),
-    )
-    if len(parts) > 1:
-        facts = {"hash": data.hash, "folds": len(parts)}
-        results = results.model_copy(update={"data": results.data.model_copy(update=facts)})
-    return results, [record for part in records for record in part]
+) -> tuple[Results, list[Record]]:
+    """Results of a recipe, and their records.
+
+    A changed recipe reuses what it still shares with the folder.
+
+    Parameters
+    ----------
+    recipe : Recipe
+    data : Dataset
+    folder : path
+        Where records and designs are kept; it is made if need be.
+    command : str
+        Command that asks for it, for the results.
+    matrix : array, shape (m, N), optional
+        One's own masks, of the design "custom".
+    device : {"auto", "cpu", "cuda"} or torch.device
+    workers : Workers
+        Processes, or a Ray cluster, that train.
+    report : Progress
+
+    Returns
+    -------
+    results : Results
+    records : list of mapping
+        Of every trial, of all folds.
+
+    Raises
+    ------
+    InputError
+        If anything in the recipe cannot be had, or a training diverged.
+    """
+    from deepfsi.physics import library_defaults
+
+    with library_defaults(grad=True):
+        began = time.perf_counter()
+        parts = recipe.parts(data)
+        workers = replace(workers, resources=recipe.resources)
+        if len(parts) > 1 and workers.ray is None:
+            # trainings on few scenes take less than starting processes for each fold
+            workers = replace(workers, count=workers.count or 1)
+        folds = [
+            FoldRecords(
+                part,
+                run_trials(
+                    plan_trials(recipe, part, matrix),
+                    part,
+                    folder,
+                    matrix=matrix,
+                    device=device,
+                    workers=workers,
+                    report=span,
+                ),
+            )
+            for part, span in zip(parts, report.split(len(parts)), strict=True)
+        ]
+        seconds = time.perf_counter() - began
+        results = summarise_records(recipe, data, folds, command=command, seconds=seconds)
+    return results, [record for fold in folds for record in fold.records]
+
+
+def run_trials(
+    trials: Sequence[Trial],
+    data: Dataset,
+    folder: Path,
+    *,
+    matrix: np.ndarray | None = None,
+    device: "str | torch.device" = "auto",
+    workers: Workers = THIS_PROCESS,
+    report: Progress = SILENT,
+) -> list[Record]:
+    """Train and test what a folder does not hold yet of trials.
+
+    Parameters
+    ----------
+    trials : sequence of Trial
+        Of one recipe on `data`, so that all hold out as many scenes.
+    data : Dataset
+    folder : path
+        Where records and designs are kept; it is made if need be.
+    matrix : array, shape (m, N), optional
+        One's own masks, of the design "custom".
+    device : {"auto", "cpu", "cuda"} or torch.device
+    workers : Workers
+        Processes, or a Ray cluster, that train.
+    report : Progress
+
+    Returns
+    -------
+    list of mapping
+        Record of each trial.
+
+    Raises
+    ------
+    InputError
+        If a training diverged; the others are done.
+    """
+    from deepfsi.sweeps.batch import BatchTrainer
+
+    trainer = BatchTrainer(data, trials[0].validation, device, matrix)
+    return SweepRun(trainer, folder, workers).finish(trials, report)
+
+
+@dataclass(frozen=True)
+class SweepRun:
+    """Work on trials of one data set, in a folder that other processes may share.
+
+    Attributes
+    ----------
+    trainer : BatchTrainer
+    folder : path
+    workers : Workers
+    """
+
+    trainer: "BatchTrainer"
+    folder: Path
+    workers: Workers = THIS_PROCESS
+
+    def finish(self, trials: Sequence[Trial], report: Progress = SILENT) -> list[Record]:
+        """Records of trials, of which those that are not there are trained and tested."""
+        records = Records(self.folder)
+        diverged: set[str] = set()  # keys of designs
+        before = 0
+        try:
+            while missing := [
+                trial
+                for trial in trials
+                if trial.design_key not in diverged and not records.read(trial)
+            ]:
+                if len(missing) == before:
+                    time.sleep(1)  # another process tests them
+                before = len(missing)
+                untrained = self._test_trained(missing, records, report)
+                if untrained:
+                    first_of_each = {trial.design_key: trial for trial in untrained}
+                    diverged |= self._train(list(first_of_each.values()), records, report)
+                    report(1.0, "done")
+        finally:
+            records.release_all()
+        if lost := {self.trainer.title([t]) for t in trials if t.design_key in diverged}:
+            raise InputError(
+                f"training diverged and the others are done: {', '.join(sorted(lost))}; lower lr "
+                "and mask_lr"
+            )
+        # a record is found by what it depends on; its words are those of who asks
+        return [
+            {**record, "trial": trial.model_dump(mode="json")}
+            for trial in trials
+            if (record := records.read(trial))
+        ]
+
+    def _test_trained(
+        self, trials: Sequence[Trial], records: Records, report: Progress
+    ) -> list[Trial]:
+        """Test designs that are there already, from other tests; return the other trials."""
+        others = []
+        for index, trial in enumerate(trials):
+            design = records.design(trial)
+            if design is None or not records.lock([trial]):
+                others.append(trial)
+                continue
+            report(index / len(trials), f"testing {design.name} again")
+            record = self.trainer.record(trial, design.to(self.trainer.processor))
+            records.write([FinishedTrial(trial, record, None)])
+        return others
+
+    def _train(self, trials: Sequence[Trial], records: Records, report: Progress) -> set[str]:
+        """Train and record trials of different designs; return the keys of those that diverged."""
+        trainer = self.trainer
+        count = self.workers.count or default_count(trainer.processor.type)
+        todo = trainer.batches(trials, count)
+        workers = replace(self.workers, count=min(count, len(todo)))
+        if workers.ray is not None or workers.count != 1:
+            report(0.0, "matrices that all share")
+            trainer.prepare(trials)
+        bar = _EffortBar(trainer, todo, report)
+        diverged: set[str] = set()
+        while todo:
+            bar.say(f"{len(todo)} batches")
+            claims = _Claims(records, todo)
+            with closing(self._results(claims, workers, bar)) as arriving:
+                for finished in arriving:
+                    records.write(finished)
+                    diverged |= {each.trial.design_key for each in finished if not each.record}
+                    bar.finish([each.trial for each in finished])
+            todo = claims.postponed
+            if todo:
+                bar.say(f"another process works on {len(todo)} batches")
+                time.sleep(1)
+        return diverged
+
+    def _results(
+        self, claims: "_Claims", workers: Workers, bar: "_EffortBar"
+    ) -> Generator[list[FinishedTrial], None, None]:
+        """Yield what batches give, as they finish."""
+        checkpoints = claims.records.checkpoints
+        if workers.ray is not None:
+            # a node may see another disk: no checkpoints there
+            with closing(
+                run_on_ray(
+                    _train_there,
+                    self.trainer,
+                    claims,
+                    address=workers.ray,
+                    cpus=workers.resources.cpus,
+                    gpus=workers.resources.gpus,
+                )
+            ) as results:
+                yield from (finished for _, finished in results)
+        elif workers.count and workers.count > 1:
+
+            def watch(shares: dict[int, float]) -> None:
+                bar.watch([(claims.started[index], share) for index, share in shares.items()])
+
+            work = partial(_train_there, checkpoints=checkpoints)
+            yield from processes(work, self.trainer, claims, workers.count, watch=watch)
+        else:
+            for batch in claims:
+                yield self.trainer.train(batch, bar.span(batch), checkpoints)
+
+
+def _train_there(
+    trainer: "BatchTrainer", batch: "Batch", checkpoints: Path | None = None
+) -> list[FinishedTrial]:
+    return trainer.train(batch, report_of_task(), checkpoints)
+
+
+class _Claims:
+    """Batches that no other process works on, each locked when it is asked for."""
+
+    def __init__(self, records: Records, todo: "Sequence[Batch]") -> None:
+        self.records = records
+        self.todo = todo
+        self.started: list[Batch] = []
+        self.postponed: list[Batch] = []
+
+    def __iter__(self) -> "Iterator[Batch]":
+        """Yield what is left to train of each batch."""
+        for batch in self.todo:
+            left = [trial for trial in batch if self.records.design(trial) is None]
+            if left and not self.records.lock(left):
+                self.postponed.append(left)
+                continue
+            trained = [trial for trial in left if self.records.design(trial) is not None]
+            self.records.release(trained)
+            if len(trained) < len(left):
+                self.started.append([trial for trial in left if trial not in trained])
+                yield self.started[-1]
+
+
+class _EffortBar:
+    """Shows how far batches are, each of which counts by its effort."""
+
+    def __init__(self, trainer: "BatchTrainer", batches: "Sequence[Batch]", show: Progress) -> None:
+        self.trainer = trainer
+        self.show = show
+        self.total = sum(map(trainer.effort, batches))
+        self.done = 0.0
+
+    def say(self, words: str) -> None:
+        """Say what is being done."""
+        self.show(min(self.done / self.total, 1.0), words)
+
+    def span(self, batch: "Batch") -> Progress:
+        """Progress of a batch that is trained here."""
+        title = self.trainer.title(batch)
+        titled = Progress(lambda share, _: self.show(share, title))
+        end = (self.done + self.trainer.effort(batch)) / self.total
+        return titled.between(self.done / self.total, end)
+
+    def watch(self, running: "Sequence[tuple[Batch, float]]") -> None:
+        """Show how far all batches are that workers have."""
+        under_way = sum(share * self.trainer.effort(batch) for batch, share in running)
+        titles = dict.fromkeys(self.trainer.title(batch) for batch, _ in running)
+        self.show(min((self.done + under_way) / self.total, 1.0), "; ".join(titles))
+
+    def finish(self, batch: "Batch") -> None:
+        """Count a batch as done."""
+        self.done += self.trainer.effort(batch)
+        self.say(self.trainer.title(batch))

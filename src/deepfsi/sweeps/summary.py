@@ -1,30 +1,26 @@
-"""Points of a comparison: trials averaged, mask counts chosen on validation data."""
+"""Results of records: folds put together, trials averaged, mask counts chosen."""
 
 import platform
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from importlib.metadata import version
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from deepfsi.base.numeric import (
-    pack_values,
-    student,
-    unpack_values,
-    worst_class,
-)
+from deepfsi.base.numeric import pack_values, student, unpack_values, worst_class
 from deepfsi.camera import DetectorMap, noise_text
 from deepfsi.datasets import Dataset
 from deepfsi.designfile import TrainingScenes, new_scenes
 from deepfsi.jobs import DESIGNS, find_exposure
 from deepfsi.measures import MEASURES, Measure, main_measure
 from deepfsi.sweeps.recipe import Recipe
-from deepfsi.sweeps.results import SCHEMA, Data, Point, Provenance, Results
+from deepfsi.sweeps.records import Record
+from deepfsi.sweeps.results import RESULTS_SCHEMA, Data, Point, Provenance, Results
 
-AXES = (
+_AXES = (
     "trained_under",
     "light",
     "rails",
@@ -40,108 +36,102 @@ AXES = (
 )
 """Fields that tell the points of a summary apart."""
 
-ONE = "of one training"
+_TEST_LISTS = ("validation", "test")
+"""Lists of tests in a record."""
+
+_ONE_TRAINING = "of one training"
 """Words of a test for what its interval covers, before those of folds or of values."""
 
 
-def summarise(
+class FoldRecords(NamedTuple):
+    """Records of one fold of a data set, or of the whole where it has no folds.
+
+    Attributes
+    ----------
+    data : Dataset
+        The fold.
+    records : sequence of mapping
+        Of the same trials in the same order on each fold.
+    """
+
+    data: Dataset
+    records: Sequence[Record]
+
+
+def summarise_records(
     recipe: Recipe,
     data: Dataset,
-    records: Sequence[Mapping[str, Any]],
+    folds: Sequence[FoldRecords],
     *,
     command: str,
     seconds: float,
-    tested: Dataset | None = None,
 ) -> Results:
-    """Points of a comparison: trials averaged, mask counts chosen on validation data."""
-    # What was tested of the data is found from the records, unless these are of several folds
-    held_out = recipe.held_out(data)
-    tested = tested_scenes(data, held_out, records) if tested is None else tested
-    groups = defaultdict(list)
+    """Results of a recipe: trials averaged, mask counts chosen on validation data.
+
+    Folds count as if one test had seen all scenes.
+
+    Parameters
+    ----------
+    recipe : Recipe
+    data : Dataset
+        All of it.
+    folds : sequence of FoldRecords
+        One where the data has no folds.
+    command : str
+        Command that made the records.
+    seconds : float
+        Time that it took.
+    """
+    held_out = recipe.held_out(folds[0].data)
+    scenes = _pooled(data, [fold.data for fold in folds])
+    tested = _pooled(data, [_tested_scenes(recipe, fold) for fold in folds])
+    records = [_of_all_folds(trial) for trial in zip(*(f.records for f in folds), strict=True)]
+    groups: dict[tuple[Any, ...], list[_Member]] = defaultdict(list)
     for record in records:
+        trial = record["trial"]
+        job = trial["job"]
+        camera = job["camera"]
+        settings = {
+            "trained_under": trial["trained_under"],
+            "light": camera["light"],
+            "rails": camera["rails"],
+            "design": job["design"],
+            "trained_at": job["photons"],
+            "variant": trial["variant"],
+            "detectors": trial["detectors"],
+            "readout": camera["readout"] if camera["rails"] == "dual" else "",
+            "masks": job["masks"],
+        }
         for index, test in enumerate(record["test"]):
-            trial, job = record["trial"], record["trial"]["job"]
-            camera, rails = job["camera"], job["camera"]["rails"]
-            readout = camera["readout"] if rails == "dual" else ""
-            trained = (
-                *(trial["trained_under"], camera["light"], rails, job["design"], job["photons"]),
-                *(trial["variant"], trial["detectors"], readout),
-            )
-            key = (*trained, test["noise"], test["photons"], test["levels"], job["masks"])
-            groups[key].append((record, index))
-    measure = "balanced" if recipe.balances else main_measure(data.measure).key
+            at = {**settings, **{name: test[name] for name in ("noise", "photons", "levels")}}
+            groups[tuple(at[axis] for axis in _AXES)].append(_Member(record, index))
+    measure = "balanced" if recipe.balances else main_measure(scenes.measure).key
     points = [
-        point(
-            dict(zip(AXES, key, strict=True)),
-            members,
-            _pixels_seen(members[0][0], data),
-            measure,
-            tested,
-        )
+        _Setting.of(dict(zip(_AXES, key, strict=True)), members, tested).point(scenes, measure)
         for key, members in groups.items()
     ]
-    chosen = defaultdict(list)
-    for place, each in enumerate(points):
-        chosen[tuple(getattr(each, axis) for axis in AXES if axis != "masks")].append(place)
-    for rivals in chosen.values():
-        for place in rivals:
-            best = not held_out or place == max(rivals, key=lambda p: points[p].validation or 0)
-            kept = {} if best else {"confusion": (), "terms": ()}
-            points[place] = points[place].model_copy(update={"best": best, **kept})
     return Results(
-        revision=SCHEMA,
-        title=f"{data.name} under {' and '.join(map(noise_text, recipe.noises))}",
+        revision=RESULTS_SCHEMA,
+        title=f"{scenes.name} under {' and '.join(map(noise_text, recipe.noises))}",
         command=command,
         recipe=recipe.model_dump(mode="json"),
-        data=facts_of(data, held_out),
+        data=_facts(data, scenes, held_out, len(folds)),
         provenance=provenance_of(records, seconds),
         chosen_on="validation" if held_out else "nothing",
         chosen_by=measure,
-        points=tuple(points),
+        points=tuple(_chosen(points) if held_out else points),
     )
 
 
-def tested_scenes(data: Dataset, held_out: int, records: Sequence[Mapping[str, Any]]) -> Dataset:
-    """The data with the test scenes that were tested: those of the training were left out."""
-    sizes = {
-        len(unpack_values(text))
-        for each in records[:1]
-        for text in each["test"][0].get("terms", {}).values()
-    }
-    if not sizes or sizes == {len(data.x_test)}:
-        return data
-    training = data.hold_out(held_out) if held_out else data
-    return new_scenes(TrainingScenes.of(training), data)[0]
+def provenance_of(records: Sequence[Record], seconds: float) -> Provenance:
+    """Versions and devices behind records, finished now.
 
-
-def _pixels_seen(record: Mapping[str, Any], data: Dataset) -> float:
-    """Pixels that each detector of a trial sees, in the mean."""
-    job = record["trial"]["job"]
-    scene = find_exposure(job["exposure"]).scene(data)
-    return scene.pixels / DetectorMap.of(job["camera"]["detectors"], scene.image_shape).count
-
-
-def facts_of(data: Dataset, held_out: int) -> Data:
-    """Facts of a data set of which some training scenes are held out for validation."""
-    train = len(data.x_train) - held_out
-    return Data(
-        name=data.name,
-        hash=data.hash,
-        image_shape=data.image_shape,
-        classes=data.classes,
-        values=data.values,
-        measure=data.measure,
-        train=train,
-        validation=held_out,
-        test=len(data.x_test),
-        chance=data.chance,
-        preprocessing=data.preprocessing,
-        mean_reflectance=float(data.x_train[:train].mean(dtype=np.float64)),
-    )
-
-
-def provenance_of(records: Sequence[Mapping[str, Any]], seconds: float) -> Provenance:
-    """Versions and devices behind records, finished now after that many seconds."""
+    Parameters
+    ----------
+    records : sequence of mapping
+    seconds : float
+        Time that they took.
+    """
     return Provenance(
         **{name: version(name) for name in ("deepfsi", "torch", "numpy")},
         python=platform.python_version(),
@@ -152,81 +142,208 @@ def provenance_of(records: Sequence[Mapping[str, Any]], seconds: float) -> Prove
     )
 
 
-def point(
-    axes: Mapping[str, Any],
-    members: Sequence[tuple[Mapping[str, Any], int]],
-    pixels: float,
-    chosen_by: str,
-    data: Dataset,
-) -> Point:
-    """One point of a summary: trials averaged."""
-    tests = [record["test"][index] for record, index in members]
-    trials, measure = _Trials.of(tests, data), main_measure(data.measure)
-    validated = [record["validation"][index] for record, index in members if record["validation"]]
-    code = DESIGNS[axes["design"]]
-    return Point(
-        **axes,
-        label=code.label,
-        title=code.title,
-        specific=code.specific,
-        learned=code.learned,
-        lit=mean_lit_masks(tests),
-        ratio=axes["masks"] / pixels,
-        trials=len(tests),
-        validation=float(np.mean([v[chosen_by] for v in validated])) if validated else None,
-        **dict(zip(("accuracy", "low", "high"), trials.measured(measure), strict=True)),
-        covers=trials.covers,
-        **(_of_values(tests) if data.values else _of_classes(tests)),
-        **trials.averages(),
-        counts=float(np.mean([test["counts"] for test in tests])),
-        arriving=float(np.mean([test["arriving"] for test in tests])),
-        throughput=float(np.mean([test["throughput"] for test in tests])),
-        seconds=float(np.mean([record["info"]["seconds"] for record, _ in members])),
-        accuracies=tuple(float(test[measure.key]) for test in tests),
-        terms=tuple(pack_values(row) for row in trials.terms.get(measure.terms, ())),
-        keys=tuple(
-            key for record, _ in members for key in record.get("designs", [record["design"]])
-        ),
-        best=True,
+def _facts(data: Dataset, scenes: Dataset, held_out: int, folds: int) -> Data:
+    """Facts of a data set, whose `scenes` are those of its first fold, tested on those of all."""
+    train = len(scenes.x_train) - held_out
+    return Data(
+        name=scenes.name,
+        hash=data.hash,
+        image_shape=scenes.image_shape,
+        classes=scenes.classes,
+        values=scenes.values,
+        measure=scenes.measure,
+        train=train,
+        validation=held_out,
+        test=len(scenes.x_test),
+        chance=scenes.chance,
+        preprocessing=scenes.preprocessing,
+        mean_reflectance=float(scenes.x_train[:train].mean(dtype=np.float64)),
+        **({"folds": folds} if folds > 1 else {}),
     )
 
 
-def mean_lit_masks(tests: Sequence[Mapping[str, Any]]) -> float | None:
-    """Masks that have light, in the mean over trials; None where a record does not say."""
-    light = [test.get("photons_per_mask", ()) for test in tests]
-    return float(np.mean([np.count_nonzero(each) for each in light])) if all(light) else None
+def _chosen(points: Sequence[Point]) -> list[Point]:
+    """Points of which those at the mask count with the best validation keep what is of it alone."""
+    rivals: dict[tuple[Any, ...], list[Point]] = defaultdict(list)
+    for point in points:
+        rivals[_without_masks(point)].append(point)
+    best = {
+        setting: max(several, key=lambda point: point.validation or 0).masks
+        for setting, several in rivals.items()
+    }
+    left_out = {"best": False, "confusion": (), "terms": ()}
+    return [
+        point if point.masks == best[_without_masks(point)] else point.model_copy(update=left_out)
+        for point in points
+    ]
+
+
+def _without_masks(point: Point) -> tuple[Any, ...]:
+    return tuple(getattr(point, axis) for axis in _AXES if axis != "masks")
+
+
+def _pooled(data: Dataset, folds: Sequence[Dataset]) -> Dataset:
+    """A data set whose test part are those of its folds, one after the other."""
+    if len(folds) == 1:
+        return folds[0]
+    return replace(
+        folds[0],
+        name=data.name,
+        x_test=np.concatenate([fold.x_test for fold in folds]),
+        y_test=np.concatenate([fold.y_test for fold in folds]),
+    )
+
+
+def _tested_scenes(recipe: Recipe, fold: FoldRecords) -> Dataset:
+    """The data with the test scenes that were tested: those of the training were left out."""
+    data = fold.data
+    sizes = {
+        len(unpack_values(text))
+        for record in fold.records[:1]
+        for text in record["test"][0].get("terms", {}).values()
+    }
+    if not sizes or sizes == {len(data.x_test)}:
+        return data
+    held_out = recipe.held_out(data)
+    training = data.hold_out(held_out) if held_out else data
+    return new_scenes(TrainingScenes.of(training), data)[0]
+
+
+def _of_all_folds(folds: Sequence[Record]) -> Record:
+    """Record of one trial on all folds."""
+    if len(folds) == 1:
+        return folds[0]
+    info = {
+        "device": ", ".join(sorted({fold["info"]["device"] for fold in folds})),
+        "seconds": sum(fold["info"]["seconds"] for fold in folds),
+    }
+    tests = {
+        name: [*map(_test_of_all_folds, zip(*(fold[name] for fold in folds), strict=True))]
+        for name in _TEST_LISTS
+    }
+    return {**folds[0], "designs": [fold["design"] for fold in folds], **tests, "info": info}
+
+
+def _test_of_all_folds(tests: Sequence[Record]) -> Record:
+    """Tests of one setting on all folds as one: numbers are means over their scenes."""
+    images = [test["images"] for test in tests]
+    pooled: dict[str, Any] = {}
+    for name, value in tests[0].items():
+        values = [test[name] for test in tests]
+        if name == "confusion":
+            pooled[name] = np.sum(values, axis=0).tolist()
+        elif name == "terms":
+            pooled[name] = {
+                measure: pack_values(
+                    np.concatenate([unpack_values(terms[measure]) for terms in values])
+                )
+                for measure in value
+                if all(measure in terms for terms in values)
+            }
+        elif name in ("rmse", "bound") and None not in values:
+            pooled[name] = np.sqrt(np.average(np.square(values), axis=0, weights=images)).tolist()
+        elif name in ("levels", "photons", "noise", "values", "rates") or None in values:
+            pooled[name] = value
+        elif not isinstance(value, str):
+            pooled[name] = np.average(values, axis=0, weights=images).tolist()
+    if "confusion" in pooled:
+        counts = np.array(pooled["confusion"])
+        pooled["rates"] = [
+            float(count / total) if total else None
+            for count, total in zip(counts.diagonal(), counts.sum(axis=1), strict=True)
+        ]
+        there = [rate for rate in pooled["rates"] if rate is not None]
+        pooled["balanced"] = float(np.mean(there))
+    covers = f"{tests[0]['covers']} of each of {len(tests)} folds"
+    return {**pooled, "images": sum(images), "covers": covers}
+
+
+class _Member(NamedTuple):
+    """Record of a trial, and the place among its tests of that of a setting."""
+
+    record: Record
+    place: int
 
 
 @dataclass(frozen=True)
-class _Trials:
-    """Tests of one setting, with terms (S, n) of its images by measure where records keep them."""
+class _Setting:
+    """Trials of one setting: its values on `_AXES`, and what its trials gave.
 
-    tests: Sequence[Mapping[str, Any]]
+    Each measure of which records keep what the test images gave has it as `terms` (trials, images);
+    `labels` (images,) are their classes.
+    """
+
+    axes: Mapping[str, Any]
+    members: Sequence[_Member]
+    tests: Sequence[Record]
     terms: Mapping[str, np.ndarray]
-    labels: np.ndarray  # (n,) classes of the images
+    labels: np.ndarray
 
     @classmethod
-    def of(cls, tests: Sequence[Mapping[str, Any]], data: Dataset) -> "_Trials":
-        kept = [test.get("terms", {}) for test in tests]
-        shared = [name for name in kept[0] if all(name in each for each in kept)]
-        terms = {name: np.stack([unpack_values(each[name]) for each in kept]) for name in shared}
-        return cls(tests, terms, data.y_test)
+    def of(cls, axes: Mapping[str, Any], members: Sequence[_Member], tested: Dataset) -> "_Setting":
+        """A setting whose tests were on the scenes of `tested`."""
+        tests = [record["test"][place] for record, place in members]
+        packed = [test.get("terms", {}) for test in tests]
+        terms = {
+            name: np.stack([unpack_values(texts[name]) for texts in packed])
+            for name in packed[0]
+            if all(name in texts for texts in packed)
+        }
+        return cls(axes, members, tests, terms, tested.y_test)
 
-    @property
-    def covers(self) -> str:
+    def point(self, data: Dataset, chosen_by: str) -> Point:
+        """The trials, averaged."""
+        members = self.members
+        tests = self.tests
+        measure = main_measure(data.measure)
+        validated = [
+            record["validation"][place] for record, place in members if record["validation"]
+        ]
+        job = members[0].record["trial"]["job"]
+        scene = find_exposure(job["exposure"]).scene(data)
+        detectors = DetectorMap.of(job["camera"]["detectors"], scene.image_shape).count
+        code = DESIGNS[self.axes["design"]]
+        lit = [test.get("photons_per_mask", ()) for test in tests]
+        return Point(
+            **self.axes,
+            label=code.label,
+            title=code.title,
+            specific=code.specific,
+            learned=code.learned,
+            lit=float(np.mean([*map(np.count_nonzero, lit)])) if all(lit) else None,
+            ratio=self.axes["masks"] / (scene.pixels / detectors),
+            trials=len(tests),
+            validation=float(np.mean([v[chosen_by] for v in validated])) if validated else None,
+            **dict(zip(("accuracy", "low", "high"), self._measured(measure), strict=True)),
+            covers=self._covers(),
+            **(_of_values(tests) if data.values else _of_classes(tests)),
+            **self._averages(),
+            counts=float(np.mean([test["counts"] for test in tests])),
+            arriving=float(np.mean([test["arriving"] for test in tests])),
+            throughput=float(np.mean([test["throughput"] for test in tests])),
+            seconds=float(np.mean([record["info"]["seconds"] for record, _ in members])),
+            accuracies=tuple(float(test[measure.key]) for test in tests),
+            terms=tuple(pack_values(row) for row in self.terms.get(measure.terms, ())),
+            keys=tuple(
+                key for record, _ in members for key in record.get("designs", [record["design"]])
+            ),
+            best=True,
+        )
+
+    def _covers(self) -> str:
         """Sources of chance in the intervals."""
+        covers = str(self.tests[0]["covers"])
         if len(self.tests) == 1:
-            return str(self.tests[0]["covers"])
+            return covers
         if self.terms:
-            said = str(self.tests[0]["covers"]).partition(ONE)[2]  # of each fold
-            trainings = f"{len(self.tests)} trainings{said}"
+            trainings = f"{len(self.tests)} trainings{covers.partition(_ONE_TRAINING)[2]}"
             return f"test images, noise draws and training seeds ({trainings})"
         return (
             f"training seeds alone (Student's t over {len(self.tests)} trials, whose records of an "
             "earlier version keep no images)"
         )
 
-    def measured(self, measure: Measure) -> tuple[float, ...]:
+    def _measured(self, measure: Measure) -> tuple[float, ...]:
         """Mean of a measure, with both ends of its interval where it has one."""
         values = [float(test[measure.key]) for test in self.tests]
         mean = float(np.mean(values))
@@ -243,40 +360,38 @@ class _Trials:
             _, low, high = measure.interval(terms, self.labels)
         return mean, low, min(high, 1.0)
 
-    def averages(self) -> dict[str, Any]:
+    def _averages(self) -> dict[str, Any]:
         """Fields of a point: measures that are averaged over trials, where these have them."""
         means: dict[str, float] = {}
         for key, measure in MEASURES.items():
             if measure.averaged and all(test.get(key) is not None for test in self.tests):
-                means |= zip(measure.keys, self.measured(measure), strict=True)
+                means |= zip(measure.keys, self._measured(measure), strict=True)
         further = {key: means.pop(key) for key in [*means] if key not in Point.model_fields}
         return means | ({"further": further} if further else {})
 
 
-def _of_classes(tests: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def _of_classes(tests: Sequence[Record]) -> dict[str, Any]:
     """Fields of a point whose answers are classes."""
-    rates = _mean_rates(tests)
+    rates = [  # of each class, in the mean over trials; None where the test has no scene of it
+        None if None in trials else float(np.mean(trials))
+        for trials in zip(*(test["rates"] for test in tests), strict=True)
+    ]
+    worst = worst_class(rates)
     return {
-        "worst": rates[worst_class(rates)] or 0.0,
-        "worst_class": worst_class(rates),
+        "worst": rates[worst] or 0.0,
+        "worst_class": worst,
         "confusion": np.sum([test["confusion"] for test in tests], axis=0).tolist(),
         "one_class": all(np.any(test["confusion"], axis=0).sum() == 1 for test in tests),
     }
 
 
-def _of_values(tests: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def _of_values(tests: Sequence[Record]) -> dict[str, Any]:
     """Fields of a point whose answers are values."""
-    each = np.mean([test["r2_each"] for test in tests], axis=0).tolist()
-    known = [test["bound"] for test in tests if test["bound"] is not None]
+    scores = np.mean([test["r2_each"] for test in tests], axis=0).tolist()
+    bounds = [test["bound"] for test in tests if test["bound"] is not None]
     return {
-        "worst": min(each),
-        "worst_class": each.index(min(each)),
+        "worst": min(scores),
+        "worst_class": scores.index(min(scores)),
         "rmse": np.mean([test["rmse"] for test in tests], axis=0).tolist(),
-        "bound": np.mean(known, axis=0).tolist() if known else (),
+        "bound": np.mean(bounds, axis=0).tolist() if bounds else (),
     }
-
-
-def _mean_rates(tests: Sequence[Mapping[str, Any]]) -> list[float | None]:
-    """Accuracy of each class, in the mean over trials; None where the test has no scene of it."""
-    each = zip(*(test["rates"] for test in tests), strict=True)
-    return [None if None in rates else float(np.mean(rates)) for rates in each]

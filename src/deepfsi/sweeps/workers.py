@@ -12,15 +12,16 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from multiprocessing import resource_tracker
 from types import ModuleType
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from deepfsi.base import SILENT, InputError, Progress, block_ctrl_c, saved_work_text
+from deepfsi.base.models import StrictModel
 
-Task = TypeVar("Task")
-Shared = TypeVar("Shared")
-Result = TypeVar("Result")
+_Task = TypeVar("_Task")
+_Shared = TypeVar("_Shared")
+_Result = TypeVar("_Result")
 
 LOOK_SECONDS = 0.5
 """Time between two looks at how far the tasks are."""
@@ -30,10 +31,8 @@ _shares: Any = None
 _slot = 0
 
 
-class Resources(BaseModel):
+class Resources(StrictModel):
     """Share of a cluster that each batch takes."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     cpus: float = Field(1, gt=0, allow_inf_nan=False, description="processors")
     gpus: float = Field(0, ge=0, allow_inf_nan=False, description="GPUs, or a share of one")
@@ -41,15 +40,32 @@ class Resources(BaseModel):
 
 @dataclass(frozen=True)
 class Workers:
-    """Processes that train."""
+    """Processes that train.
+
+    Attributes
+    ----------
+    count : int, optional
+        Processes on this machine; None for as many as are fastest.
+    ray : str, optional
+        Address of a Ray cluster in place of them, or "auto".
+    resources : Resources
+        Share of the cluster that each batch takes.
+    """
 
     count: int | None = 1
     ray: str | None = None
     resources: Resources = field(default_factory=Resources)
 
 
-HERE = Workers()
+THIS_PROCESS = Workers()
 """This process alone."""
+
+
+class _Running(NamedTuple):
+    """Place of a task among all, and of `shares` where its process says how far it is."""
+
+    place: int
+    slot: int
 
 
 def default_count(device: str) -> int:
@@ -65,13 +81,37 @@ def cores() -> int:
 
 
 def processes(
-    work: Callable[[Shared, Task], Result],
-    shared: Shared,
-    tasks: Iterable[Task],
+    work: Callable[[_Shared, _Task], _Result],
+    shared: _Shared,
+    tasks: Iterable[_Task],
     workers: int,
     watch: Callable[[dict[int, float]], None] = lambda shares: None,
-) -> Generator[Result, None, None]:
-    """Results of tasks as they finish."""
+) -> Generator[_Result, None, None]:
+    """Results of tasks as they finish, each done by one of several processes.
+
+    Parameters
+    ----------
+    work : callable
+        (shared, task) → result; a function of a module, so that processes find it.
+    shared
+        Sent once to each process.
+    tasks : iterable
+        Each is taken when a process is free.
+    workers : int
+        Number of processes; each has its share of the cores.
+    watch : callable
+        Is told twice a second how far tasks are: shares from 0 to 1 by their index.
+
+    Yields
+    ------
+    object
+        Result of a task.
+
+    Raises
+    ------
+    InputError
+        If a process was killed.
+    """
     others = set(multiprocessing.active_children())
     spawn = multiprocessing.get_context("spawn")
     shares = spawn.RawArray("d", workers)
@@ -82,9 +122,25 @@ def processes(
         initargs=(shared, shares, max(1, cores() // workers)),
     )
     resource_tracker.ensure_running()  # which would let Ctrl-C through, were it started later
-    running: dict[Future[Result], tuple[int, int]] = {}
+    waiting = enumerate(tasks)
+    free = list(range(workers))  # places of `shares`
+    running: dict[Future[_Result], _Running] = {}
     try:
-        yield from _worked_off(pool, work, tasks, shares, running, watch)
+        while True:
+            while free and (next_task := next(waiting, None)):
+                slot = free.pop()
+                shares[slot] = 0.0
+                with block_ctrl_c(), _main_hidden():
+                    index, task = next_task
+                    running[pool.submit(_run, work, task, slot)] = _Running(index, slot)
+            if not running:
+                return
+            done, _ = wait(running, LOOK_SECONDS, return_when=FIRST_COMPLETED)
+            watch({each.place: shares[each.slot] for each in running.values()})
+            free += [running.pop(future).slot for future in done]
+            yield from [future.result() for future in done if not future.exception()]
+            for future in done:
+                future.result()
     except BrokenProcessPool:
         raise InputError(
             "one of {given} worker processes was killed, perhaps for want of memory: run again "
@@ -111,32 +167,6 @@ def _main_hidden() -> Iterator[None]:
         sys.modules["__main__"] = script
 
 
-def _worked_off(
-    pool: ProcessPoolExecutor,
-    work: Callable[[Shared, Task], Result],
-    tasks: Iterable[Task],
-    shares: Any,
-    running: dict[Future[Result], tuple[int, int]],
-    watch: Callable[[dict[int, float]], None],
-) -> Iterator[Result]:
-    """Submit tasks, each with a slot of `shares`, and yield results as they come."""
-    queue, free = iter(enumerate(tasks)), list(range(len(shares)))
-    while True:
-        while free and (task := next(queue, None)):
-            (place, given), slot = task, free.pop()
-            shares[slot] = 0.0
-            with block_ctrl_c(), _main_hidden():
-                running[pool.submit(_run, work, given, slot)] = place, slot
-        if not running:
-            return
-        done, _ = wait(running, LOOK_SECONDS, return_when=FIRST_COMPLETED)
-        watch({place: shares[slot] for place, slot in running.values()})
-        free += [running.pop(future)[1] for future in done]
-        yield from [future.result() for future in done if not future.exception()]
-        for future in done:
-            future.result()
-
-
 def report_of_task() -> Progress:
     """Report of the task that this worker process does; of any other process one that is silent."""
     if _shares is None:
@@ -154,7 +184,8 @@ def _settle(shared: Any, shares: Any, threads: int) -> None:
     from threadpoolctl import threadpool_limits
 
     global _shared, _shares
-    _shared, _shares = shared, shares
+    _shared = shared
+    _shares = shares
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     torch.set_num_threads(threads)
     threadpool_limits(threads)
@@ -168,7 +199,7 @@ def _die_with_parent() -> None:
     os._exit(1)
 
 
-def _run(work: Callable[[Any, Task], Result], task: Task, slot: int) -> Result:
+def _run(work: Callable[[Any, _Task], _Result], task: _Task, slot: int) -> _Result:
     global _slot
     _slot = slot
     return work(_shared, task)

@@ -10,8 +10,8 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from deepfsi.base.numeric import Difference, accuracy_difference, all_above, signed_text
-from deepfsi.report.style import BUDGET_AXIS, COLOURS, PAPER, photons_text
-from deepfsi.sweeps.results import Point, Results
+from deepfsi.report.style import BUDGET_AXIS, DESIGN_COLOURS, PAPER, photons_text
+from deepfsi.sweeps import Point, Results
 from deepfsi_paper.adaptive.clock import LEAST_LEFT, Measures, Rival, best_at, measure, rivals
 from deepfsi_paper.adaptive.figures import clock_figure
 from deepfsi_paper.experiment import Experiment, Finding, budgets
@@ -47,14 +47,22 @@ Look = Mapping[str, object]
 KINDS: dict[str, tuple[str, Look]] = {
     "impulse": (
         "impulse imaging",
-        {"color": COLOURS["impulse"], "marker": "s", "linestyle": (0, (7, 2, 1.2, 2))},
+        {"color": DESIGN_COLOURS["impulse"], "marker": "s", "linestyle": (0, (7, 2, 1.2, 2))},
     ),
-    "adaptive": ("adaptive masks", {"color": COLOURS["adaptive"], "marker": "o"}),
+    "adaptive": ("adaptive masks", {"color": DESIGN_COLOURS["adaptive"], "marker": "o"}),
     "looks": (
         "learned masks in looks",
-        {"color": COLOURS["deepfsi"], "marker": "o", "linestyle": "--", "markerfacecolor": PAPER},
+        {
+            "color": DESIGN_COLOURS["deepfsi"],
+            "marker": "o",
+            "linestyle": "--",
+            "markerfacecolor": PAPER,
+        },
     ),
-    "fixed": ("learned masks with fixed dwells", {"color": COLOURS["deepfsi"], "marker": "^"}),
+    "fixed": (
+        "learned masks with fixed dwells",
+        {"color": DESIGN_COLOURS["deepfsi"], "marker": "^"},
+    ),
 }
 """Names of the kinds of designs in figures, and their lines."""
 
@@ -330,7 +338,7 @@ def _against_photons(kinds: Mapping[tuple[str, str], Chosen]) -> Picture:
 
 
 def _coloured(place: int) -> Look:
-    return {"color": COLOURS[PALETTE[place % len(PALETTE)]], "marker": "o"}
+    return {"color": DESIGN_COLOURS[PALETTE[place % len(PALETTE)]], "marker": "o"}
 
 
 def _against_looks(results: Results, measures: Measures) -> Picture:
@@ -374,9 +382,12 @@ def _information(kinds: Mapping[tuple[str, str], Chosen], measures: Measures) ->
 def _clock(results: Results, measures: Measures) -> Picture:
     groups = _groups(results, measures)
     looks: dict[str, tuple[str, Look]] = {
-        "adaptive": ("adaptive masks", {"color": COLOURS["adaptive"]}),
-        "free": ("the same, made in no time", {"color": COLOURS["adaptive"], "linestyle": ":"}),
-        "known": ("learned masks", {"color": COLOURS["deepfsi"]}),
+        "adaptive": ("adaptive masks", {"color": DESIGN_COLOURS["adaptive"]}),
+        "free": (
+            "the same, made in no time",
+            {"color": DESIGN_COLOURS["adaptive"], "linestyle": ":"},
+        ),
+        "known": ("learned masks", {"color": DESIGN_COLOURS["deepfsi"]}),
     }
     panels = {}
     for wall in WALLS_S:

@@ -14,7 +14,7 @@ from deepfsi.camera import DEVICES
 from deepfsi.datasets import Dataset
 from deepfsi.design import Design
 from deepfsi.exposure import AdaptivePosterior, look_at
-from deepfsi.sweeps.results import Point, Results
+from deepfsi.sweeps import Point, Results
 
 EXPOSURES = 4
 """Exposures whose decisions are timed."""

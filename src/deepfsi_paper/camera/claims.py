@@ -12,7 +12,7 @@ from deepfsi.camera import DmdGrid, find_grid
 from deepfsi.hardware.patterns import unpack
 from deepfsi.jobs import DESIGNS
 from deepfsi.report.style import photons_text
-from deepfsi.sweeps.results import Results
+from deepfsi.sweeps import Results
 from deepfsi_paper.bootstrap import (
     cluster_bootstrap,
     studentised_bootstrap,

@@ -17,8 +17,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
 from deepfsi.base import InputError
-from deepfsi.report import style
-from deepfsi.report.accuracy import accuracy_axes
+from deepfsi.report import accuracy_axes, style
 from deepfsi_paper.report import scales
 
 MARKS = "ambient light as bright as\na scene, or the true budget"
@@ -77,7 +76,7 @@ def exposure_figure(
     figure = Figure(figsize=(5.6, 3.9), layout="constrained")
     ax = figure.subplots()
     span = min(exposures), max(exposures)
-    accuracy_axes(ax, own, ("design",), attrgetter("exposure_s"), 1 / classes, span=span)
+    accuracy_axes(ax, own, ("design",), attrgetter("exposure_s"), chance=1 / classes, span=span)
     _published(ax, own, others, exposures)
     ax.set_xlabel("total exposure (s)")
     ax.xaxis.set_major_locator(FixedLocator(exposures))
@@ -254,7 +253,7 @@ def _published(
             point.exposure_s * 10 ** (shift * decades),
             point.accuracy,
             yerr=[[point.accuracy - point.low], [point.high - point.accuracy]],
-            color=style.COLOURS.get(point.design, style.INK),
+            color=style.DESIGN_COLOURS.get(point.design, style.INK),
             marker="o" if point.specific else "s",
             markerfacecolor=style.PAPER,
             markersize=4.5,
@@ -285,8 +284,8 @@ def _effect_lines(
             [p.value * unit or ground for p in own],
             [p.accuracy for p in own],
             yerr=np.clip(reach, 0, None),
-            color=style.COLOURS.get(design, style.INK),
-            linestyle=style.LINES.get(design, "-"),
+            color=style.DESIGN_COLOURS.get(design, style.INK),
+            linestyle=style.DESIGN_LINES.get(design, "-"),
             marker="o" if own[0].specific else "s",
             markersize=3.5,
             elinewidth=0.8,

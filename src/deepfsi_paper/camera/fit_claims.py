@@ -96,7 +96,7 @@ def profiles_figure(fit: RateFit) -> Figure:
     rows = math.ceil(count / columns)
     figure = Figure(figsize=(style.PAGE_WIDTH, 0.4 + 2.1 * rows), layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False)
-    colour = style.COLOURS["pca"]
+    colour = style.DESIGN_COLOURS["pca"]
     for ax, profile in zip(axes.flat, fit.profiles, strict=False):
         ax.axvspan(profile.low, profile.high, color=colour, alpha=0.12, linewidth=0)
         marks = {"linestyle": "none", "marker": "s", "clip_on": False, "zorder": 3}

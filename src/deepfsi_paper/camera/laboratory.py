@@ -46,8 +46,7 @@ from deepfsi.hardware.virtual import (
     arrival_rates,
     record_scenes,
 )
-from deepfsi.sweeps.results import Point, Results
-from deepfsi.sweeps.workers import cores, processes
+from deepfsi.sweeps import Point, Results, cores, processes
 from deepfsi_paper.camera.gate_counts import black_rates, draw, draw_counts, subtract_background
 from deepfsi_paper.camera.rate_fit import RateFit
 

@@ -16,8 +16,7 @@ from scipy.stats import qmc
 from deepfsi.base import SILENT, Progress
 from deepfsi.datasets import DIM_BLACK, Dataset, load_dataset
 from deepfsi.design import Design
-from deepfsi.sweeps.results import Results
-from deepfsi.sweeps.workers import cores, processes
+from deepfsi.sweeps import Results, cores, processes
 from deepfsi_paper.camera import laboratory
 from deepfsi_paper.camera.laboratory import (
     ASSUMED,

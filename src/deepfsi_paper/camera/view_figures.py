@@ -13,7 +13,7 @@ from matplotlib.patches import ConnectionPatch, Rectangle
 
 from deepfsi.base import InputError
 from deepfsi.camera import DmdGrid
-from deepfsi.report.style import COLOURS, GREYS, GRID, PAGE_WIDTH, plain_bar, styled
+from deepfsi.report.style import DESIGN_COLOURS, GREYS, GRID, PAGE_WIDTH, plain_bar, styled
 
 MARGIN = 1.5
 """Width beside the scenes for words and scale, inches."""
@@ -151,7 +151,7 @@ def _join(
 ) -> None:
     """Frame the close-up in the whole frame, and join both by lines."""
     (left, top), (width, height) = corner, size
-    colour = COLOURS["deepfsi"]
+    colour = DESIGN_COLOURS["deepfsi"]
     frame = Rectangle(corner, width, height, fill=False, edgecolor=colour, linewidth=1.4, zorder=4)
     whole.add_patch(frame)
     for down in (0, 1):
@@ -165,7 +165,7 @@ def _join(
 def _number_cells(near: Axes, grid: DmdGrid, first: np.ndarray, extent: np.ndarray) -> None:
     """Border the cells of the close-up, and write which cells of the mask they are."""
     top, left = np.array([grid.top, grid.left]) + first * (grid.height, grid.width)
-    looks: dict[str, Any] = {"color": COLOURS["deepfsi"], "linewidth": 1.2, "clip_on": False}
+    looks: dict[str, Any] = {"color": DESIGN_COLOURS["deepfsi"], "linewidth": 1.2, "clip_on": False}
     for down in range(extent[0] + 1):
         near.axhline(top + down * grid.height, **looks)
     for across in range(extent[1] + 1):

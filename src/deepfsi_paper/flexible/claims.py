@@ -23,7 +23,7 @@ from deepfsi.base.numeric import (
 )
 from deepfsi.evaluation import MeanEstimate, Stopped
 from deepfsi.report.style import BUDGET_AXIS, photons_text
-from deepfsi.sweeps.results import Point, Results
+from deepfsi.sweeps import Point, Results
 from deepfsi_paper.experiment import Experiment, Finding, budgets, points
 from deepfsi_paper.flexible.figures import LOOKS, Stops, stopping_figure
 from deepfsi_paper.flexible.measures import Measures, Prefix, measure

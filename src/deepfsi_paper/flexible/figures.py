@@ -12,9 +12,9 @@ from matplotlib.ticker import FuncFormatter, PercentFormatter
 from deepfsi.evaluation import Stopped
 from deepfsi.report.style import (
     ACCURACY_AXIS,
-    COLOURS,
+    DESIGN_COLOURS,
+    DESIGN_LINES,
     INK,
-    LINES,
     MUTED,
     SMALL,
     photons_text,
@@ -23,17 +23,17 @@ from deepfsi.report.style import (
 from deepfsi_paper.report.lines import Line, draw_lines
 
 LOOKS: dict[str, dict[str, Any]] = {
-    "flexible": {"color": COLOURS["control"], "marker": "D", "linewidth": 2.0},
-    "deepfsi": {"color": COLOURS["deepfsi"], "marker": "o"},
+    "flexible": {"color": DESIGN_COLOURS["control"], "marker": "D", "linewidth": 2.0},
+    "deepfsi": {"color": DESIGN_COLOURS["deepfsi"], "marker": "o"},
     "plain": {"color": INK, "marker": "o", "linestyle": (0, (5, 1.6))},
-    "nested": {"color": COLOURS["deepfsi"]},
-    "looks": {"color": COLOURS["pca"], "linestyle": LINES["hadamard"]},
-    "elsewhere": {"color": COLOURS["deepfsi"], "linestyle": (0, (1, 1.5)), "linewidth": 1.0},
-    "pca": {"color": COLOURS["pca"], "marker": "o", "linestyle": (0, (5, 1.6))},
+    "nested": {"color": DESIGN_COLOURS["deepfsi"]},
+    "looks": {"color": DESIGN_COLOURS["pca"], "linestyle": DESIGN_LINES["hadamard"]},
+    "elsewhere": {"color": DESIGN_COLOURS["deepfsi"], "linestyle": (0, (1, 1.5)), "linewidth": 1.0},
+    "pca": {"color": DESIGN_COLOURS["pca"], "marker": "o", "linestyle": (0, (5, 1.6))},
     "truncated-hadamard": {
-        "color": COLOURS["truncated-hadamard"],
+        "color": DESIGN_COLOURS["truncated-hadamard"],
         "marker": "s",
-        "linestyle": LINES["truncated-hadamard"],
+        "linestyle": DESIGN_LINES["truncated-hadamard"],
     },
 }
 """Lines by what they show; "elsewhere" is a design for one budget, tested at others."""

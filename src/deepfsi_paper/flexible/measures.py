@@ -16,7 +16,7 @@ from deepfsi.base.numeric import accuracy_interval
 from deepfsi.datasets import Dataset
 from deepfsi.design import Design
 from deepfsi.evaluation import Stopped, evaluate, stop
-from deepfsi.sweeps.results import Point, Results
+from deepfsi.sweeps import Point, Results
 from deepfsi_paper.experiment import budgets, points
 
 

@@ -12,10 +12,9 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from deepfsi.base.numeric import Difference, accuracy_difference, all_above, mean_of_trials
-from deepfsi.report.accuracy import accuracy_figure
-from deepfsi.report.comparison_page import listed
+from deepfsi.report import accuracy_figure, english_list
 from deepfsi.report.style import INK, photons_text
-from deepfsi.sweeps.results import Point, Results
+from deepfsi.sweeps import Point, Results
 from deepfsi_paper.experiment import Compared, Experiment, Finding, best, gains, no_gain
 from deepfsi_paper.indian_pines.figures import (
     class_maps_figure,
@@ -149,7 +148,7 @@ def _no_advantage(of: str, split: str, compared: Compared) -> Claim:
     clear = [photons_text(b) for b, each in compared.items() if each.low > NOTICED]
     said = f"{of}: DeepFSI − best other at most {compared[most]} at {photons_text(most)} photons"
     if clear:
-        said += f"; beyond {NOTICED} at {listed(clear)}"
+        said += f"; beyond {NOTICED} at {english_list(clear)}"
     return Claim(
         f"AGN, {split} split: DeepFSI has no clear advantage (less than {NOTICED}) at any budget",
         all_above([-each for each in compared.values()], -NOTICED),
@@ -169,7 +168,7 @@ def _advantageous(of: str, split: str, compared: Compared, chosen: Chosen) -> Cl
         f"{compared[most]} at {photons_text(most)} photons"
     )
     if unclear:
-        said += f"; not clearly above {listed(unclear)}"
+        said += f"; not clearly above {english_list(unclear)}"
     holds = all_above(compared.values())
     return Claim(
         f"PN, {split} split: DeepFSI is above every other design of masks at every budget",

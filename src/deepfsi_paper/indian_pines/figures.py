@@ -45,10 +45,10 @@ WIDE = 4.0
 """Steps of wavelength, over the median, that are a gap of left out bands."""
 
 LOOKS: tuple[dict[str, Any], ...] = (
-    {"color": style.COLOURS["pca"], "linestyle": "-"},
-    {"color": style.COLOURS["deepfsi"], "linestyle": (0, (5, 1.6))},
+    {"color": style.DESIGN_COLOURS["pca"], "linestyle": "-"},
+    {"color": style.DESIGN_COLOURS["deepfsi"], "linestyle": (0, (5, 1.6))},
     {"color": style.INK, "linestyle": (0, (1.2, 1.2))},
-    {"color": style.COLOURS["truncated-hadamard"], "linestyle": (0, (6, 1.6, 1.2, 1.6))},
+    {"color": style.DESIGN_COLOURS["truncated-hadamard"], "linestyle": (0, (6, 1.6, 1.2, 1.6))},
 )
 """Colours and dashes of spectra and of spectral masks."""
 

@@ -18,8 +18,8 @@ from deepfsi.datasets import Dataset, SpectralImage, load_indian_pines
 from deepfsi.design import Design
 from deepfsi.designfile import DesignFile
 from deepfsi.evaluation import evaluate
-from deepfsi.report.masks import brightest
-from deepfsi.sweeps.results import Point, Results
+from deepfsi.report import brightest_masks
+from deepfsi.sweeps import Point, Results
 from deepfsi_paper.experiment import best
 
 MAPPED = (1e2, 1e4, 1e6)
@@ -240,7 +240,7 @@ def _spectral_masks(
             for own in chosen.values():
                 point = own[("deepfsi", photons)]
                 rails = DesignFile.read(designs / f"{point.keys[0]}.safetensors", ("rails",)).rails
-                masks = (rails[0] - rails[1])[brightest(rails, CURVE_COUNT), :bands]
+                masks = (rails[0] - rails[1])[brightest_masks(rails, CURVE_COUNT), :bands]
                 row += [masks.round(6).tolist(), point.masks]
             yield SpectralMasks(photons, *row)
 

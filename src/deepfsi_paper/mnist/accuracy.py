@@ -4,10 +4,9 @@ from collections.abc import Sequence
 from typing import Any
 
 from deepfsi.base.numeric import Difference, all_above
-from deepfsi.report.accuracy import accuracy_figure
-from deepfsi.report.comparison_page import listed
+from deepfsi.report import accuracy_figure, english_list
 from deepfsi.report.style import photons_text
-from deepfsi.sweeps.results import Point, Results
+from deepfsi.sweeps import Point, Results
 from deepfsi_paper.experiment import Compared, Experiment, Finding, best, gains, no_gain
 from deepfsi_paper.mnist.figures import error_figure
 from deepfsi_paper.report.section import Claim, Picture, Table
@@ -65,7 +64,7 @@ def _claim(text: str, compared: Compared, why: str = "") -> Claim:
     unclear = [photons_text(b) for b, each in compared.items() if each.low <= 0]
     said = f"lowest: {compared[least]} at {photons_text(least)} photons"
     if unclear:
-        said += f"; not clearly above at {listed(unclear)}"
+        said += f"; not clearly above at {english_list(unclear)}"
     return Claim(text, all_above(compared.values()), said, why)
 
 
@@ -127,7 +126,7 @@ def read_claims(read: dict[tuple[str, float], Point]) -> list[Claim]:
             "AGN: every multiplexed code is above RS wherever their intervals are apart",
             None if least is None else all_above(each for _, _, each in clear),
             f"{len(clear)} cases apart, lowest {least}"
-            + (f"; below: {listed(against)}" if against else ""),
+            + (f"; below: {english_list(against)}" if against else ""),
         ),
         Claim(
             "AGN: DeepFSI is the highest of the designs of masks",

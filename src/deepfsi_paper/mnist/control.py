@@ -3,8 +3,8 @@
 import math
 
 from deepfsi.base.numeric import Difference, accuracy_difference, all_above
-from deepfsi.report.style import COLOURS, photons_text
-from deepfsi.sweeps.results import Point, Results
+from deepfsi.report.style import DESIGN_COLOURS, photons_text
+from deepfsi.sweeps import Point, Results
 from deepfsi_paper.experiment import Experiment, Finding, points
 from deepfsi_paper.report.lines import Line, lines_figure
 from deepfsi_paper.report.section import Claim, Picture, Table
@@ -95,7 +95,7 @@ def _picture(lead: dict[tuple[float, float], Difference], budgets: list[float]) 
         "accuracy: DeepFSI less control group",
         across=lambda value: f"{value:g}",
     )
-    figure.axes[0].axhline(0, color=COLOURS["raster"], linewidth=0.8)
+    figure.axes[0].axhline(0, color=DESIGN_COLOURS["raster"], linewidth=0.8)
     return Picture(
         figure,
         "DeepFSI's lead over the control group against the read noise under which the group's "

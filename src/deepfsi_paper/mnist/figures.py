@@ -20,16 +20,24 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocat
 from deepfsi.base import InputError
 from deepfsi.camera import noise_text
 from deepfsi.jobs import DESIGNS
-from deepfsi.report import style
-from deepfsi.report.accuracy import accuracy_axes, marker_key, noises, series_axes
-from deepfsi.report.masks import brightest, mask_axes, peak, signed
-from deepfsi.sweeps.results import Point, Results
+from deepfsi.report import (
+    accuracy_axes,
+    brightest_masks,
+    marker_key,
+    mask_axes,
+    noises,
+    peak_value,
+    series_axes,
+    signed,
+    style,
+)
+from deepfsi.sweeps import Point, Results
 from deepfsi_paper.measures import impulse_imaging_error
 from deepfsi_paper.report import scales
 
 LOOKS: dict[str, dict[str, Any]] = {
-    "gaussian": {"color": style.COLOURS["pca"], "marker": "s", "linestyle": (0, (5, 1.6))},
-    "poisson": {"color": style.COLOURS["deepfsi"], "marker": "o", "linestyle": "-"},
+    "gaussian": {"color": style.DESIGN_COLOURS["pca"], "marker": "s", "linestyle": (0, (5, 1.6))},
+    "poisson": {"color": style.DESIGN_COLOURS["deepfsi"], "marker": "o", "linestyle": "-"},
 }
 
 ACROSS = 3
@@ -38,7 +46,11 @@ ACROSS = 3
 PLAIN: tuple[dict[str, Any], ...] = (
     {"color": style.INK, "marker": "D", "linestyle": "-"},
     {"color": style.MUTED, "marker": "", "linestyle": (0, (1, 1))},
-    {"color": style.COLOURS["truncated-hadamard"], "marker": "^", "linestyle": (0, (3, 1.6))},
+    {
+        "color": style.DESIGN_COLOURS["truncated-hadamard"],
+        "marker": "^",
+        "linestyle": (0, (3, 1.6)),
+    },
 )
 
 
@@ -145,7 +157,7 @@ def error_figure(results: Results) -> Figure:
             [point for point in chosen if point.noise == noise],
             series_axes(results),
             error,
-            1 / len(results.data.classes),
+            chance=1 / len(results.data.classes),
             span=(max(errors), min(errors)),
         )
         ax.set_title(noise_text(noise))
@@ -212,9 +224,9 @@ def _tiles(
     """
     left, top, tile, tall, gap = inches
     matrix = signed(row.under(noise))
-    end, drawn = peak(matrix), []
+    end, drawn = peak_value(matrix), []
     scale = ScalarMappable(Normalize(-end, end), style.GREYS)
-    for spot, index in enumerate(brightest(row.under(noise), count)):
+    for spot, index in enumerate(brightest_masks(row.under(noise), count)):
         below, right = divmod(spot, ACROSS)
         corner = left + right * (tile + gap), top - below * (tall + gap) - tall
         drawn.append(_axes_at(figure, *corner, tile, tall))
@@ -317,11 +329,11 @@ def starts_figure(
     handles = {}
     for (left, right), noise in zip(axes, rows, strict=True):
         left.axhline(chance, **dotted)
-        right.axhline(0, color=style.COLOURS["pca"], linewidth=1.2)
+        right.axhline(0, color=style.DESIGN_COLOURS["pca"], linewidth=1.2)
         for place, start in enumerate(starts):
             look = {
-                "color": style.COLOURS.get(start, style.INK),
-                "linestyle": style.LINES.get(start, "-"),
+                "color": style.DESIGN_COLOURS.get(start, style.INK),
+                "linestyle": style.DESIGN_LINES.get(start, "-"),
                 "marker": "os^D"[place % 4],
             }
             shift = place - (len(starts) - 1) / 2
@@ -393,7 +405,7 @@ def _value_shares(ax: Axes, row: LearnedMasks, floor: float) -> None:
     """Share of all entries per bin of M/peak, an outline for each noise; `floor` is below all."""
     for noise in scales.AXIS_NOISES:
         values = signed(row.under(noise)).ravel()
-        counts, edges = np.histogram(values / peak(values), bins=41, range=(-1, 1))
+        counts, edges = np.histogram(values / peak_value(values), bins=41, range=(-1, 1))
         look = LOOKS[noise]
         ax.stairs(
             counts / values.size,

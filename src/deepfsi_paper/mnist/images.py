@@ -4,8 +4,8 @@ from collections import defaultdict
 from collections.abc import Sequence
 
 from deepfsi.base.numeric import accuracy_difference, all_above
-from deepfsi.report.style import COLOURS, LINES, photons_text
-from deepfsi.sweeps.results import Point, Results
+from deepfsi.report.style import DESIGN_COLOURS, DESIGN_LINES, photons_text
+from deepfsi.sweeps import Point, Results
 from deepfsi_paper.experiment import Experiment, Finding
 from deepfsi_paper.report.lines import Line, lines_figure
 from deepfsi_paper.report.section import Claim, Picture, Table
@@ -121,8 +121,8 @@ def _picture(chosen: Places, budgets: Sequence[float]) -> Picture:
                 (images, p) for (n, b, images), p in chosen.items() if (n, b) == (design, photons)
             ]
             look = {
-                "color": COLOURS[design],
-                "linestyle": LINES[design],
+                "color": DESIGN_COLOURS[design],
+                "linestyle": DESIGN_LINES[design],
                 "marker": "o" if own[0][1].specific else "s",
                 "markersize": 4,
                 "linewidth": 1.4,

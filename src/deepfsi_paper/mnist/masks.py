@@ -14,7 +14,7 @@ from deepfsi.datasets import Dataset
 from deepfsi.designfile import DesignFile
 from deepfsi.jobs import sensing_matrix
 from deepfsi.report.style import photons_text
-from deepfsi.sweeps.results import Results
+from deepfsi.sweeps import Results
 from deepfsi_paper.experiment import Experiment, Finding
 from deepfsi_paper.measures import (
     effective_directions,

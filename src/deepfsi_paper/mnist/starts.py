@@ -2,7 +2,7 @@
 
 from deepfsi.base.numeric import CONFIDENCE, Difference, accuracy_difference
 from deepfsi.report.style import photons_text
-from deepfsi.sweeps.results import Results
+from deepfsi.sweeps import Results
 from deepfsi_paper.experiment import Experiment, Finding
 from deepfsi_paper.mnist.figures import Start, starts_figure
 from deepfsi_paper.report.section import Claim, Picture, Table

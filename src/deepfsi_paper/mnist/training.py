@@ -3,8 +3,8 @@
 from collections.abc import Iterable, Sequence
 
 from deepfsi.base.numeric import Difference, accuracy_difference, all_above
-from deepfsi.report.style import COLOURS, photons_text
-from deepfsi.sweeps.results import Point, Results
+from deepfsi.report.style import DESIGN_COLOURS, photons_text
+from deepfsi.sweeps import Point, Results
 from deepfsi_paper.experiment import Experiment, Finding, points
 from deepfsi_paper.report.lines import Line, lines_figure
 from deepfsi_paper.report.section import Claim, Picture, Table
@@ -41,7 +41,7 @@ def show(results: Results) -> Finding:
         ),
         *(_claim(share, gains) for share in sorted({share for *_, share in gains})),
     )
-    look = {"color": COLOURS["deepfsi"], "marker": "o", "markersize": 4, "linewidth": 1.4}
+    look = {"color": DESIGN_COLOURS["deepfsi"], "marker": "o", "markersize": 4, "linewidth": 1.4}
     line = Line.through("DeepFSI", look, [(_setting(point), point) for point in epochs])
     picture = Picture(
         lines_figure({f"epochs ({photons_text(first.photons)} photons)": [line]}),

@@ -19,10 +19,9 @@ from deepfsi.base import Progress
 from deepfsi.base.numeric import Difference, accuracy_difference, all_above, mean_of_trials
 from deepfsi.datasets import Dataset
 from deepfsi.design import Design
-from deepfsi.report.accuracy import accuracy_figure
-from deepfsi.report.comparison_page import listed
+from deepfsi.report import accuracy_figure, english_list
 from deepfsi.report.style import photons_text
-from deepfsi.sweeps.results import Point, Results
+from deepfsi.sweeps import Point, Results
 from deepfsi_paper.experiment import Experiment, Finding, cifar10_here
 from deepfsi_paper.measures import effective_directions
 from deepfsi_paper.ovit.figures import LearnedMasks, patch_masks_figure
@@ -206,7 +205,7 @@ def ahead(at: Mapping[tuple[str, float], Point], rival: str, budgets: Sequence[f
         f"{LABEL} is above {label} at every budget",
         all_above(compared.values()),
         f"{LABEL} − {label}: {said} photons",
-        f"not clearly above at {listed(unclear)} photons" if unclear else "",
+        f"not clearly above at {english_list(unclear)} photons" if unclear else "",
     )
 
 

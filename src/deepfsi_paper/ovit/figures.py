@@ -9,7 +9,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
-from deepfsi.report.masks import BAR_LABEL, brightest, mask_axes, peak, signed
+from deepfsi.report import BAR_LABEL, brightest_masks, mask_axes, peak_value, signed
 from deepfsi.report.style import GREYS, PAGE_WIDTH, SMALL, plain_bar, styled
 from deepfsi_paper.report.scales import power_text
 
@@ -51,14 +51,14 @@ def patch_masks_figure(rows: Sequence[LearnedMasks]) -> Figure:
     panels = figure.subplots(1, len(rows), squeeze=False)[0]
     for ax, row in zip(panels, rows, strict=True):
         matrix, side = signed(np.asarray(row.matrix)), row.side
-        shown = brightest(matrix, SHOWN)
+        shown = brightest_masks(matrix, SHOWN)
         across = math.ceil(math.sqrt(len(shown)))
         down = -(-len(shown) // across)
         sheet = np.full((down * (side + 1) - 1, across * (side + 1) - 1), np.nan)
         for place, index in enumerate(shown):
             y, x = (part * (side + 1) for part in divmod(place, across))
             sheet[y : y + side, x : x + side] = matrix[index].reshape(side, side)
-        end = peak(matrix)
+        end = peak_value(matrix)
         scale = ScalarMappable(Normalize(-end, end), GREYS)
         mask_axes(ax, sheet, scale)
         ax.spines[:].set_visible(False)

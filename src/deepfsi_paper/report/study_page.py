@@ -9,8 +9,8 @@ from numbers import Integral, Real
 from pathlib import Path, PurePosixPath
 
 from deepfsi.base import InputError, write_atomically
-from deepfsi.report.figures import Figures
-from deepfsi.report.rendering import flat, render
+from deepfsi.report import flat, render
+from deepfsi.report.style import Figures
 from deepfsi_paper.report.section import Cell, Claim, Section, Table
 
 WIDE = 5.5

@@ -9,9 +9,8 @@ import torch
 from deepfsi import Design
 from deepfsi.base import InputError
 from deepfsi.exposure import TrainingSet
-from deepfsi.sweeps import context
-from deepfsi.sweeps.context import SweepContext
-from deepfsi.sweeps.trial import plan
+from deepfsi.sweeps import batch, plan_trials
+from deepfsi.sweeps.batch import BatchTrainer
 from deepfsi.training import footprint, train
 from deepfsi.training import learning as memory
 from shared.jobs import learn
@@ -19,7 +18,7 @@ from shared.trials import small, train_trials
 
 
 def test_tests_count_grey_levels_as_the_training_does(digits):
-    (trial,) = plan(small(designs="pca", masks=3, photons=1e3, light="equal-dwell"), digits)
+    (trial,) = plan_trials(small(designs="pca", masks=3, photons=1e3, light="equal-dwell"), digits)
     (design,) = train(TrainingSet(digits, "cpu"), [trial.job])
     shown = design.quantised(2).rails.stacked.unique().double()
     near = torch.isclose(shown, shown.max(), rtol=1e-6) | (shown == 0)
@@ -29,8 +28,8 @@ def test_tests_count_grey_levels_as_the_training_does(digits):
 
 
 def test_batches_are_split_to_fit_the_memory(digits):
-    trials = plan(small(designs="deepfsi", masks=6, photons=(1e1, 1e2, 1e3, 1e4)), digits)
-    sweep = SweepContext(digits, 0, "cpu")
+    trials = plan_trials(small(designs="deepfsi", masks=6, photons=(1e1, 1e2, 1e3, 1e4)), digits)
+    sweep = BatchTrainer(digits, 0, "cpu")
     need = [footprint(sweep.training_set, [trial.job for trial in trials[:n]]) for n in (1, 2, 4)]
     assert need == sorted(set(need))
     for limit, sizes in ((0, [1, 1, 1, 1]), (need[1], [2, 2]), (need[2], [4])):
@@ -38,34 +37,36 @@ def test_batches_are_split_to_fit_the_memory(digits):
 
 
 def test_a_processor_is_not_crowded_with_learned_masks(digits, monkeypatch):
-    monkeypatch.setattr(context, "MASKS_AT_ONCE", 12)
+    monkeypatch.setattr(batch, "MASKS_AT_ONCE", 12)
     recipe = small(designs=("pca", "deepfsi"), masks=6, photons=(1e1, 1e2, 1e3, 1e4))
-    found = SweepContext(digits, 0, "cpu").batches_within(plan(recipe, digits), 1e12)
+    found = BatchTrainer(digits, 0, "cpu").batches_within(plan_trials(recipe, digits), 1e12)
     assert {batch[0].job.design: len(batch) for batch in found} == {"pca": 4, "deepfsi": 2}
 
 
 def test_a_gpu_out_of_memory_takes_smaller_batches(digits, tmp_path, monkeypatch):
-    real = context.train
+    real = batch.train
 
-    def train(scenes, jobs, *rest):
+    def train(scenes, jobs, *rest, **how):
         if len(jobs) > 1:
             raise torch.OutOfMemoryError
-        return real(scenes, jobs, *rest)
+        return real(scenes, jobs, *rest, **how)
 
-    trials = plan(small(photons=(1e2, 1e3, 1e4)), digits)
-    monkeypatch.setattr(context, "train", train)
+    trials = plan_trials(small(photons=(1e2, 1e3, 1e4)), digits)
+    monkeypatch.setattr(batch, "train", train)
     assert len(train_trials(trials, digits, tmp_path)) == len(trials)
 
 
 def test_a_batch_is_split_where_less_memory_is_free_than_was_planned_for(
     digits, tmp_path, monkeypatch
 ):
-    trials = plan(small(designs="deepfsi", masks=6, photons=(1e1, 1e2, 1e3, 1e4)), digits)
-    sweep, sizes, real = SweepContext(digits, 0, "cpu"), [], context.train
+    trials = plan_trials(small(designs="deepfsi", masks=6, photons=(1e1, 1e2, 1e3, 1e4)), digits)
+    sweep, sizes, real = BatchTrainer(digits, 0, "cpu"), [], batch.train
     need = footprint(sweep.training_set, [trial.job for trial in trials[:2]])
     monkeypatch.setattr(memory, "free_memory", lambda: need - sweep.training_set.full.nbytes)
     monkeypatch.setattr(
-        context, "train", lambda at, jobs, *rest: sizes.append(len(jobs)) or real(at, jobs, *rest)
+        batch,
+        "train",
+        lambda at, jobs, *rest, **how: sizes.append(len(jobs)) or real(at, jobs, *rest, **how),
     )
     assert len(sweep.train(trials)) == 4
     assert sizes == [2, 2]
@@ -73,20 +74,20 @@ def test_a_batch_is_split_where_less_memory_is_free_than_was_planned_for(
 
 def test_a_failed_batch_is_freed_before_its_parts_are_trained(digits, monkeypatch):
     """Otherwise the smaller parts find the memory full, too."""
-    real, held = context.train, []
+    real, held = batch.train, []
 
-    def train(scenes, jobs, *rest):
+    def train(scenes, jobs, *rest, **how):
         assert all(each() is None for each in held)
         if len(jobs) == 1:
-            return real(scenes, jobs, *rest)
+            return real(scenes, jobs, *rest, **how)
         work = np.zeros(3)
         held.append(weakref.ref(work))
-        raise (torch.OutOfMemoryError if len(jobs) > 2 else context.Diverged)
+        raise (torch.OutOfMemoryError if len(jobs) > 2 else batch.Diverged)
 
-    trials = plan(small(photons=(1e2, 1e3, 1e4)), digits)[:4]
-    monkeypatch.setattr(context, "train", train)
-    monkeypatch.setattr(SweepContext, "batches_within", lambda self, batch, limit: [batch])
-    assert len(SweepContext(digits, 0, "cpu").train(trials)) == len(trials)
+    trials = plan_trials(small(photons=(1e2, 1e3, 1e4)), digits)[:4]
+    monkeypatch.setattr(batch, "train", train)
+    monkeypatch.setattr(BatchTrainer, "batches_within", lambda self, batch, limit: [batch])
+    assert len(BatchTrainer(digits, 0, "cpu").train(trials)) == len(trials)
     assert len(held) == 3
 
 
@@ -99,8 +100,8 @@ def test_memory_that_torch_keeps_on_a_gpu_is_free(monkeypatch):
 
 
 def test_every_trial_is_in_one_batch(digits):
-    trials = plan(small(trials=3, photons=(1e2, 1e7)), digits)
-    sweep = SweepContext(digits, 0, "cpu")
+    trials = plan_trials(small(trials=3, photons=(1e2, 1e7)), digits)
+    sweep = BatchTrainer(digits, 0, "cpu")
     found = sweep.batches_within(trials, 1e12)
     assert sorted(trial.key for batch in found for trial in batch) == sorted(
         trial.key for trial in trials
@@ -111,14 +112,14 @@ def test_every_trial_is_in_one_batch(digits):
 
 def test_a_machine_that_batches_otherwise_still_works(digits, monkeypatch):
     """The one that planned had no bfloat16, this one has."""
-    trials = plan(small(designs="deepfsi", masks=3, photons=(1e3, 1e9)), digits)
+    trials = plan_trials(small(designs="deepfsi", masks=3, photons=(1e3, 1e9)), digits)
     monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: {"avx512_bf16": True})
-    assert len(SweepContext(digits, 0, "cpu").train(trials)) == len(trials)
+    assert len(BatchTrainer(digits, 0, "cpu").train(trials)) == len(trials)
 
 
 def test_a_trial_does_not_depend_on_its_companions(digits, tmp_path):
-    alone = plan(small(photons=1e3, masks=3), digits)
-    together = plan(small(photons=(1e2, 1e3, 1e4), masks=3), digits)
+    alone = plan_trials(small(photons=1e3, masks=3), digits)
+    together = plan_trials(small(photons=(1e2, 1e3, 1e4), masks=3), digits)
     train_trials(alone, digits, tmp_path / "alone")
     train_trials(together, digits, tmp_path / "together")
     for trial in alone:
@@ -130,9 +131,11 @@ def test_a_trial_does_not_depend_on_its_companions(digits, tmp_path):
 
 def test_validation_scenes_are_not_trained_on(digits, tmp_path, monkeypatch):
     seen = []
-    real = context.TrainingSet
-    monkeypatch.setattr(context, "TrainingSet", lambda data, *_: seen.append(data) or real(data))
-    train_trials(plan(small(designs="pca", masks=3, validation=200), digits), digits, tmp_path)
+    real = batch.TrainingSet
+    monkeypatch.setattr(batch, "TrainingSet", lambda data, *_: seen.append(data) or real(data))
+    train_trials(
+        plan_trials(small(designs="pca", masks=3, validation=200), digits), digits, tmp_path
+    )
     (parts,) = seen
     assert len(parts.x_train) == len(digits.x_train) - 200
     assert np.array_equal(parts.x_test, digits.x_train[-200:])
@@ -140,15 +143,15 @@ def test_validation_scenes_are_not_trained_on(digits, tmp_path, monkeypatch):
 
 def test_a_matrix_of_ones_own_is_compared(digits, tmp_path):
     matrix = np.eye(64)[:5] / 5
-    trials = plan(small(designs=("custom", "pca"), masks=5), digits, matrix)
+    trials = plan_trials(small(designs=("custom", "pca"), masks=5), digits, matrix)
     assert {trial.job.design: trial.job.masks for trial in trials} == {"custom": 5, "pca": 5}
     assert len(train_trials(trials, digits, tmp_path, matrix=matrix)) == len(trials)
 
 
 def test_what_does_not_fit_the_memory_is_refused_before_any_work(digits, monkeypatch):
     """By a training alone, and by a sweep for all its processes."""
-    trials = plan(small(designs="deepfsi", masks=6, photons=(1e2, 1e3)), digits)
-    sweep = SweepContext(digits, 0, "cpu")
+    trials = plan_trials(small(designs="deepfsi", masks=6, photons=(1e2, 1e3)), digits)
+    sweep = BatchTrainer(digits, 0, "cpu")
     need = footprint(sweep.training_set, [trials[0].job])
     held = sweep.training_set.full.nbytes
     monkeypatch.setattr(memory, "free_memory", lambda: need - held - 1)

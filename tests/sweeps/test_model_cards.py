@@ -9,11 +9,10 @@ from functools import cache
 import numpy as np
 import pytest
 
-from deepfsi import load_design
+from deepfsi import load_design, training
 from deepfsi.datasets import from_arrays, idx
 from deepfsi.designfile.published import DESIGNS_VARIABLE
-from deepfsi.sweeps import collection
-from deepfsi.sweeps.collection import Collection
+from deepfsi.sweeps import Collection, model_cards
 
 LIST = """
 [designs.small]
@@ -70,12 +69,12 @@ def stand_ins(tmp_path, monkeypatch):
         monkeypatch.setitem(idx.ORIGINALS, name, known)
     monkeypatch.setenv("DEEPFSI_DATA", str(tmp_path))
     spectra = from_arrays(rng.random((160, 256)), np.arange(160) % 16, name="spectra")
-    usual = collection.load_dataset
+    usual = model_cards.load_dataset
 
     def load(source, **options):
         return spectra if source == "indian-pines" else usual(source, **options)
 
-    monkeypatch.setattr(collection, "load_dataset", load)
+    monkeypatch.setattr(model_cards, "load_dataset", load)
 
 
 @pytest.mark.parametrize("name", Collection.read().designs)
@@ -126,13 +125,13 @@ def test_a_collection_is_made_once_and_opened_by_name(mine, done, tmp_path, monk
 
 
 def test_what_is_spoilt_or_of_another_recipe_is_made_again(mine, done, tmp_path, monkeypatch):
-    folder, usual, made = tmp_path / "made", collection.learn, []
+    folder, usual, made = tmp_path / "made", training.learn, []
 
     def learn(data, **settings):
         made.append(settings["masks"])
         return usual(data, **settings)
 
-    monkeypatch.setattr(collection, "learn", learn)
+    monkeypatch.setattr(training, "learn", learn)
     make = ("designs", "make", mine, "--only", "small", "-o", folder)
     done(*make)
     done(*make)
@@ -147,7 +146,7 @@ def test_what_is_spoilt_or_of_another_recipe_is_made_again(mine, done, tmp_path,
 
 
 def test_ctrl_c_keeps_what_is_finished(mine, call, done, tmp_path, monkeypatch):
-    folder, usual = tmp_path / "made", collection.learn
+    folder, usual = tmp_path / "made", training.learn
 
     def learn(data, **settings):
         if settings.get("design") == "adaptive":
@@ -155,7 +154,7 @@ def test_ctrl_c_keeps_what_is_finished(mine, call, done, tmp_path, monkeypatch):
         return usual(data, **settings)
 
     with monkeypatch.context() as stopping:
-        stopping.setattr(collection, "learn", learn)
+        stopping.setattr(training, "learn", learn)
         stopping.setattr(
             "deepfsi.base.interrupts._said", threading.Event()
         )  # a process says it once
@@ -182,6 +181,8 @@ def test_a_bad_list_is_refused_before_any_work(mine, refuse, tmp_path, old, new,
     assert words in refuse("designs", "make", mine, "-o", tmp_path / "made")
 
 
-@pytest.mark.parametrize(("only", "words"), [("smal", "did you mean 'small'"), (",", "no design")])
+@pytest.mark.parametrize(
+    ("only", "words"), [("smal", "did you mean 'small'"), (",", "empty place")]
+)
 def test_unknown_names_are_refused(mine, refuse, tmp_path, only, words):
     assert words in refuse("designs", "make", mine, "--only", only, "-o", tmp_path / "made")

@@ -1,4 +1,4 @@
-"""Trials of a sweep: batched, trained and tested."""
+"""Batches of trials that are trained together, and their tests."""
 
 from collections import defaultdict
 from collections.abc import Sequence
@@ -15,8 +15,9 @@ from deepfsi.design import Design
 from deepfsi.evaluation import camera_for, evaluate
 from deepfsi.exposure import Matrices, TrainingSet
 from deepfsi.networks import OwnClassifier
-from deepfsi.sweeps.results import SCHEMA
-from deepfsi.sweeps.trial import Trial
+from deepfsi.sweeps.plan import Trial
+from deepfsi.sweeps.records import FinishedTrial, Record
+from deepfsi.sweeps.results import RESULTS_SCHEMA
 from deepfsi.training import (
     NO_CHECKPOINT,
     Checkpoint,
@@ -31,28 +32,37 @@ from deepfsi.training import (
 MASKS_AT_ONCE = 2048
 """Learned masks that a processor trains together: with more its caches lose what batching gains."""
 
-MEMORY = 0.7
+MEMORY_SHARE = 0.7
 """Share of the free memory that is planned for."""
 
-TRAINING_SHARE, PRIOR_SHARE = 0.9, 0.1
-"""Share of a batch's time that its training takes, for the bar, and the prior of adaptive masks;
-its tests take the rest."""
+TRAINING_SHARE = 0.9
+"""Share of a batch's time that its training takes, for the bar; its tests take the rest."""
 
-LOOK = 0.4
-"""Cost of a look of adaptive masks at one scene, in units of `SweepContext.effort`."""
+PRIOR_SHARE = 0.1
+"""The same of the prior of adaptive masks."""
 
-KEPT = "what was trained is kept, run again to go on"
+LOOK_EFFORT = 0.4
+"""Cost of a look of adaptive masks at one scene, in units of `BatchTrainer.effort`."""
+
+_TRAINING_KEPT = "what was trained is kept, run again to go on"
 """What a sweep that is stopped says, once there is a checkpoint."""
 
 Batch = list[Trial]
 """Trials that are trained together."""
 
-Done = tuple[Trial, dict[str, Any] | None, bytes | None]
-"""A trial, its record and its design file; both None where it diverged."""
 
+class BatchTrainer:
+    """Trains and tests trials of one data set, here or in the process that it is sent to.
 
-class SweepContext:
-    """Work on the trials of a sweep, and what it needs; matrix (m, N)."""
+    Parameters
+    ----------
+    data : Dataset
+    held_out : int
+        Training scenes that are kept for validation.
+    device : str or torch.device
+    matrix : array, shape (m, N), optional
+        One's own masks.
+    """
 
     def __init__(
         self,
@@ -61,7 +71,10 @@ class SweepContext:
         device: str | torch.device = "auto",
         matrix: np.ndarray | None = None,
     ) -> None:
-        self.data, self.held_out, self.device, self.matrix = data, held_out, device, matrix
+        self.data = data
+        self.held_out = held_out
+        self.device = device
+        self.matrix = matrix
         self.matrices: Matrices = {}
 
     @cached_property
@@ -84,41 +97,41 @@ class SweepContext:
         return self.training_set.device
 
     def batches(self, trials: Sequence[Trial], workers: int = 1) -> list[Batch]:
-        """Trials to be trained together, the longest work first, in the free memory."""
-        # `InputError` where one of them alone takes more than all that is free
-        limit = MEMORY * memory_for(self.processor) / workers
-        found = self.batches_within(trials, limit)
-        for batch in found:
+        """Trials to be trained together, the longest work first, in the free memory.
+
+        `InputError` where one of them alone takes more than all that is free.
+        """
+        limit = MEMORY_SHARE * memory_for(self.processor) / workers
+        batches = self.batches_within(trials, limit)
+        for batch in batches:
             if len(batch) == 1:
-                check_fits(self.training_set, [batch[0].job], min(workers, len(found)))
-        return found
+                check_fits(self.training_set, [batch[0].job], min(workers, len(batches)))
+        return batches
 
     def batches_within(self, trials: Sequence[Trial], limit: float) -> list[Batch]:
-        """Trials to be trained together, the longest work first."""
-        # On a GPU all that agree in `Job.companions`; on a processor those of one seed, which share
-        # their scenes and noise, up to `MASKS_AT_ONCE`. A batch that would take more than `limit`
-        # bytes is split
+        """Trials to be trained together, the longest work first.
+
+        On a GPU those are all that are `companions`; on a processor those of one seed, which share
+        their scenes and noise, up to `MASKS_AT_ONCE`. A batch that would take more than `limit`
+        bytes is split.
+        """
         groups: dict[Any, Batch] = defaultdict(list)
         for trial in sorted(trials, key=lambda trial: (trial.job.seed, trial.job.photons)):
             seed = None if self.processor.type == "cuda" else trial.job.seed
             groups[(companions(trial.job, self.processor), seed)].append(trial)
-        found: list[Batch] = []
+        batches: list[Batch] = []
         for group in groups.values():
             batch: Batch = []
+            learned_here = group[0].job.code.learned and self.processor.type == "cpu"
             for trial in group:
-                if batch and self._too_much([*batch, trial], limit):
-                    found.append(batch)
+                jobs = [*(other.job for other in batch), trial.job]
+                too_many = learned_here and len(jobs) * trial.job.masks > MASKS_AT_ONCE
+                if batch and (too_many or footprint(self.training_set, jobs) > limit):
+                    batches.append(batch)
                     batch = []
                 batch.append(trial)
-            found.append(batch)
-        return sorted(found, key=self.effort, reverse=True)
-
-    def _too_much(self, batch: Batch, limit: float) -> bool:
-        job = batch[0].job
-        learned_here = job.code.learned and self.processor.type == "cpu"
-        if learned_here and len(batch) * job.masks > MASKS_AT_ONCE:
-            return True
-        return footprint(self.training_set, [trial.job for trial in batch]) > limit
+            batches.append(batch)
+        return sorted(batches, key=self.effort, reverse=True)
 
     def prepare(self, trials: Sequence[Trial]) -> None:
         """Compute the matrices that trials start from."""
@@ -127,10 +140,11 @@ class SweepContext:
 
     def effort(self, batch: Sequence[Trial]) -> float:
         """Relative cost of training a batch: a constant a step, products and noise."""
-        trial, job = batch[0], batch[0].job
+        trial = batch[0]
+        job = trial.job
         if job.code.adaptive:  # their tests take the time
             scenes = trial.draws * len(trial.test_photons) * (len(self.data.x_test) + self.held_out)
-            return LOOK * scenes * job.masks * len(batch)
+            return LOOK_EFFORT * scenes * job.masks * len(batch)
         cost = 20.0 + len(batch) * (20 + job.masks) * (3 if job.code.learned else 1)
         twice = 2 if job.code.learned_under else 1
         return job.training.epochs * job.exposure.parts * cost * twice
@@ -142,27 +156,30 @@ class SweepContext:
 
     def train(
         self, batch: Batch, report: Progress = SILENT, checkpoints: Path | None = None
-    ) -> list[Done]:
-        """Train and test one batch, which goes on from its file in a folder of checkpoints."""
-        # In parts where this machine would batch otherwise than the one that planned or has less
-        # memory free than was planned for, in halves where a GPU's memory does not hold it whole,
-        # and one by one where a trial diverges; that one's record is None
-        held = self.training_set.full.nbytes
-        parts = self.batches_within(batch, memory_for(self.processor) + held)
+    ) -> list[FinishedTrial]:
+        """Train and test one batch, which goes on from its file in a folder of checkpoints.
+
+        It is done in parts where this machine would batch otherwise than the one that planned or
+        has less memory free than was planned for, in halves where a GPU's memory does not hold it,
+        and one by one where a trial diverges; that one's record is None.
+        """
+        first = batch[0].job
+        taken = self.training_set.full.nbytes
+        parts = self.batches_within(batch, memory_for(self.processor) + taken)
         if len(parts) > 1:
-            each = zip(parts, report.split(len(parts)), strict=True)
-            return [done for part, span in each for done in self.train(part, span, checkpoints)]
-        own = self.matrix if batch[0].job.code.is_custom else None
-        share = PRIOR_SHARE if batch[0].job.code.adaptive else TRAINING_SHARE
-        learning, testing = report.between(0.0, share), report.between(share, 1.0)
+            spans = zip(parts, report.split(len(parts)), strict=True)
+            return [done for part, span in spans for done in self.train(part, span, checkpoints)]
+        share = PRIOR_SHARE if first.code.adaptive else TRAINING_SHARE
+        matrix = self.matrix if first.code.is_custom else None
+        jobs = [trial.job for trial in batch]
         try:
-            checkpoint = self._checkpoint(batch, own, checkpoints)
-            jobs = [trial.job for trial in batch]
-            designs = train(self.training_set, jobs, own, learning, checkpoint)
+            checkpoint = self._checkpoint(batch, matrix, checkpoints)
+            learning = report.between(0.0, share)
+            designs = train(self.training_set, jobs, matrix, report=learning, checkpoint=checkpoint)
         except Diverged:
             if len(batch) == 1:
-                return [(batch[0], None, None)]
-            again = [[trial] for trial in batch]
+                return [FinishedTrial(batch[0], None, None)]
+            parts = [[trial] for trial in batch]
         except torch.OutOfMemoryError:
             if len(batch) == 1:
                 raise InputError(
@@ -170,35 +187,42 @@ class SweepContext:
                     setting="device",
                     title=self.title(batch),
                 ) from None
-            again = [batch[: len(batch) // 2], batch[len(batch) // 2 :]]
+            parts = [batch[: len(batch) // 2], batch[len(batch) // 2 :]]
         else:
-            found: list[Done] = []
+            finished: list[FinishedTrial] = []
+            testing = report.between(share, 1.0)
             for trial, design in zip(batch, designs, strict=True):
-                found.append((trial, self.record(trial, design), design.to_bytes()))
-                testing(len(found) / len(batch))
-            return found
+                record = self.record(trial, design)
+                finished.append(FinishedTrial(trial, record, design.to_bytes()))
+                testing(len(finished) / len(batch))
+            return finished
         # after the error is gone, and with it what the failed batch held
-        return [done for part in again for done in self.train(part, SILENT, checkpoints)]
+        return [done for part in parts for done in self.train(part, SILENT, checkpoints)]
 
-    def _checkpoint(self, batch: Batch, own: np.ndarray | None, folder: Path | None) -> Checkpoint:
+    def _checkpoint(
+        self, batch: Batch, matrix: np.ndarray | None, folder: Path | None
+    ) -> Checkpoint:
         """Checkpoint of a batch, named by the first design; one that is of no use is replaced."""
         if folder is None or batch[0].job.code.adaptive:
             return NO_CHECKPOINT
         path = folder / f"{batch[0].design_key}.safetensors"
         jobs = [trial.job for trial in batch]
         try:
-            checkpoint = Checkpoint.of(path, self.training_set, jobs, own)
+            checkpoint = Checkpoint.of(path, self.training_set, jobs, matrix)
         except InputError:  # damaged, or of a batch of other trials
             path.unlink(missing_ok=True)
-            checkpoint = Checkpoint.of(path, self.training_set, jobs, own)
-        checkpoint.words = KEPT
+            checkpoint = Checkpoint.of(path, self.training_set, jobs, matrix)
+        checkpoint.words = _TRAINING_KEPT
         return checkpoint
 
-    def record(self, trial: Trial, design: Design) -> dict[str, Any]:
+    def record(self, trial: Trial, design: Design) -> Record:
         """Record of a trial whose design is tested now."""
-        design = _with_code(design, trial.job.training.classifier)
+        network = design.classifier
+        if isinstance(network, OwnClassifier) and network.module is None:
+            # the design's file does not run the code of a classifier of the user's own
+            design = design.with_classifier(trial.job.training.classifier)
         return {
-            "schema": SCHEMA,
+            "schema": RESULTS_SCHEMA,
             "key": trial.key,
             "design": trial.design_key,
             "trial": trial.model_dump(mode="json"),
@@ -206,14 +230,6 @@ class SweepContext:
             "test": _tested(trial, design, self.data),
             "info": design.info,
         }
-
-
-def _with_code(design: Design, classifier: Any) -> Design:
-    """The design, with the code of a classifier of the user's own that its file does not run."""
-    own = design.classifier
-    if isinstance(own, OwnClassifier) and own.module is None:
-        return design.with_classifier(classifier)
-    return design
 
 
 def _tested(trial: Trial, design: Design, data: Dataset) -> list[dict[str, Any]]:

@@ -1,0 +1,163 @@
+"""Figures as they are drawn: in one style, as SVG for a page, and as files beside it."""
+
+import io
+import math
+import re
+from collections.abc import Callable, Iterable
+from contextlib import AbstractContextManager
+from functools import wraps
+from html import escape
+from pathlib import Path
+from typing import Any, ParamSpec
+
+import matplotlib.style
+from markupsafe import Markup
+from matplotlib.colorbar import Colorbar
+from matplotlib.figure import Figure
+
+from deepfsi.base import write_atomically
+from deepfsi.report.style.palette import CSS_NAMES, MUTED, SMALL, STYLE
+
+_P = ParamSpec("_P")
+
+LEAST_TEXT = 12
+"""Size of the smallest words on a page, pixels."""
+
+NARROWEST_SHARE = 0.7
+"""Size of a figure on a narrow page, as a share of its size where there is room."""
+
+_FILE_KINDS: dict[str, Any] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}, "png": {}}
+"""Formats of the files, and what they leave out so that the same figure gives the same file."""
+
+
+def drawing(**changes: Any) -> AbstractContextManager[None]:
+    """Context of matplotlib's defaults and `STYLE`, whatever the caller's program or files set."""
+    return matplotlib.style.context(["default", STYLE | changes])
+
+
+def styled(draw: Callable[_P, Figure]) -> Callable[_P, Figure]:
+    """Draw in the context of `drawing`, and leave matplotlib's settings as they were."""
+
+    @wraps(draw)
+    def wrapper(*args: _P.args, **kwargs: _P.kwargs) -> Figure:
+        with drawing():
+            return draw(*args, **kwargs)
+
+    return wrapper
+
+
+def write_figure(figure: Figure, path: Path) -> None:
+    """Write a figure as the kind that its name ends in, whole or not at all.
+
+    Parameters
+    ----------
+    figure : Figure
+    path : path
+        Ends in .png, .svg or .pdf.
+    """
+    picture = io.BytesIO()
+    with drawing():
+        figure.savefig(picture, dpi=160, format=path.suffix.lower()[1:])
+    write_atomically(path, picture.getvalue())
+
+
+def svg(figure: Figure, name: str, words: str) -> str:
+    """Turn a figure into an SVG in a box for an HTML page; the same figure gives the same text.
+
+    It is at least as large as on paper, and so large that its smallest words have `LEAST_TEXT`
+    pixels. Where the page has less room it shrinks to `NARROWEST_SHARE` of that, and then scrolls.
+
+    Parameters
+    ----------
+    figure : Figure
+    name : str
+        Its ids begin with it, so that they differ on the page.
+    words : str
+        What it shows, for those who do not see it.
+    """
+    text = io.StringIO()
+    with drawing():
+        figure.savefig(text, format="svg", transparent=True, metadata={"Date": None})
+    body = text.getvalue()
+    body = body[body.index("<svg") :]
+    for part in (r"<metadata>.*?</metadata>", r"<style.*?</style>", r'\sxmlns(:xlink)?="[^"]*"'):
+        body = re.sub(part, "", body, flags=re.DOTALL)
+    body = re.sub(r"<[^>]*>", lambda tag: _of_page(tag[0], name), body)  # not what it says
+    view = re.search(r'viewBox="[^"]*"', body)
+    assert view is not None, "matplotlib gives every figure a viewBox"
+    sizes = [float(size) for size in re.findall(r"font:[^;\"]*?([\d.]+)px", body)]
+    scale = max(96 / 72, LEAST_TEXT / min(sizes, default=LEAST_TEXT))  # an SVG's unit is a point
+    width = math.ceil(72 * figure.get_figwidth() * scale)
+    size = f"--width: {width}px; --least: {math.ceil(NARROWEST_SHARE * width)}px"
+    head = f'<svg class="plot" role="img" aria-label="{escape(words)}" style="{size}" {view[0]}>'
+    drawn = re.sub(r"<svg[^>]*>", lambda _: head, body, count=1)
+    return f'<div class="drawing">{drawn}</div>'
+
+
+def _of_page(tag: str, name: str) -> str:
+    """A tag of an SVG with ids that differ on the page, and the page's colours."""
+    tag = tag.replace("xlink:href=", "href=")
+    tag = re.sub(r'\bid="', f'id="{name}-', tag)
+    tag = re.sub(r'(url\(#|href="#)', rf"\g<1>{name}-", tag)
+    return re.sub(
+        r"#[0-9a-f]{6}\b",
+        lambda found: f"var(--{CSS_NAMES[found[0]]})" if found[0] in CSS_NAMES else found[0],
+        tag,
+    )
+
+
+def inches(words: str, size: float) -> float:
+    """Width of an entry of a key in inches, about, with its mark.
+
+    Parameters
+    ----------
+    words : str
+    size : float
+        Size of the words, points.
+    """
+    return 0.5 + 0.008 * size * max(map(len, words.splitlines()))
+
+
+def columns(words: Iterable[str], width: float, size: float) -> int:
+    """Number of columns of a key that fit a figure, all as wide as the widest entry.
+
+    Parameters
+    ----------
+    words : iterable of str
+        Entries.
+    width : float
+        Of the figure, inches.
+    size : float
+        Size of the words, points.
+    """
+    return max(1, int(width / max(inches(each, size) for each in words)))
+
+
+def plain_bar(bar: Colorbar) -> None:
+    """Give a colour bar a faint outline and small numbers."""
+    bar.outline.set_edgecolor(MUTED)
+    bar.ax.tick_params(labelsize=SMALL)
+
+
+class Figures:
+    """Figures of one page by their names, which are those of their files."""
+
+    def __init__(self) -> None:
+        self.drawn: dict[str, Figure] = {}
+
+    def add(self, name: str, figure: Figure, words: str) -> Markup:
+        """Part of the page with a figure, and what it shows in words."""
+        drawing = svg(figure, name, words)
+        figure.set_layout_engine("none")  # laid out once, for the files too
+        self.drawn[name] = figure
+        return Markup(drawing)
+
+    def write(self, home: Path) -> None:
+        """Write the files of all figures into the folder `figures` of a page's folder."""
+        (home / "figures").mkdir(parents=True, exist_ok=True)
+        with drawing(**{"svg.fonttype": "path"}):
+            for name, figure in self.drawn.items():
+                for kind, left_out in _FILE_KINDS.items():
+                    file = io.BytesIO()
+                    figure.savefig(file, format=kind, dpi=160, metadata=left_out)
+                    write_atomically(home / "figures" / f"{name}.{kind}", file.getvalue())

@@ -1,0 +1,310 @@
+"""Collections of published designs: how each is made, tested and written, with its card.
+
+A card says what a design is, how well it does and whose data it knows (`card.md`). The package's
+own list is `collection.toml` beside this module; others may write one of their own.
+"""
+
+import hashlib
+import json
+import os
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
+from importlib.resources import as_file, files
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from pydantic import Field, model_validator
+
+from deepfsi.base import (
+    InputError,
+    Progress,
+    as_input_error,
+    check_choice,
+    hash_file,
+    note_saved_work,
+    read_toml,
+    write_atomically,
+)
+from deepfsi.base.models import StrictModel
+from deepfsi.datasets import Dataset, load_dataset
+from deepfsi.designfile import (
+    INDEX_NAME,
+    CollectionIndex,
+    DesignName,
+    PublishedDesign,
+    ShortText,
+    trained_on,
+)
+from deepfsi.jobs import REVISION, Job, find_job, sorted_settings
+from deepfsi.measures import Result
+
+if TYPE_CHECKING:
+    from deepfsi.design import Design
+
+_LEARNING_SHARE = 0.7
+"""Share of the progress that the training of a design takes; the rest is its test."""
+
+
+class DataTerms(StrictModel):
+    """Whose data a design was trained on.
+
+    Attributes
+    ----------
+    citation : str
+        What to cite.
+    licence : str
+        Terms of use, in words.
+    """
+
+    citation: str
+    licence: str
+
+
+class DesignRecipe(StrictModel):
+    """A published design before it is made.
+
+    Attributes
+    ----------
+    recognises : str
+        What it tells apart, in words.
+    data : str
+        Name or path of the data set.
+    rescale, split, size : optional
+        As `load_dataset` takes them.
+    note : str
+        What its card says besides.
+    settings : dict
+        Single settings of a job, as options of `deepfsi design` are.
+    """
+
+    recognises: ShortText
+    data: ShortText
+    rescale: tuple[float, float] | None = None
+    split: str | None = None
+    size: tuple[int, int] | None = None
+    note: str = ""
+    settings: dict[str, Any]
+
+    @property
+    def job(self) -> Job:
+        """The job, or `InputError` for settings that it has not."""
+        return find_job(sorted_settings(self.settings))
+
+    @property
+    def hash(self) -> str:
+        """SHA-256 of all that the design follows from, in hex."""
+        words = json.dumps([REVISION, self.model_dump(mode="json")], sort_keys=True)
+        return hashlib.sha256(words.encode()).hexdigest()
+
+    def load(self) -> Dataset:
+        """The data set, or `InputError` where it is not at hand or the job cannot be had on it."""
+        from deepfsi.networks import check_classes
+
+        options = {"rescale": self.rescale, "split": self.split, "size": self.size}
+        data = load_dataset(self.data, **options)  # type: ignore[arg-type]
+        check_classes(data.values, "a published design")
+        self.job.check(data)
+        return data
+
+
+class Collection(StrictModel):
+    """Designs to be made, and whose data they are trained on: a list in a TOML file.
+
+    Attributes
+    ----------
+    designs : dict of str to DesignRecipe
+        By name.
+    data : dict of str to DataTerms
+        By the data of the designs.
+    """
+
+    designs: dict[DesignName, DesignRecipe] = Field(min_length=1)
+    data: dict[str, DataTerms]
+
+    @model_validator(mode="after")
+    def _sound(self) -> "Collection":
+        for name, recipe in self.designs.items():
+            if recipe.data not in self.data:
+                raise ValueError(
+                    f"nothing says whose data {name} is trained on: give a table "
+                    f'[data."{recipe.data}"] with citation and licence'
+                )
+            try:
+                recipe.job  # noqa: B018 - it raises
+            except InputError as error:
+                raise InputError("settings of {name}: {error}", name=name, error=error) from None
+        return self
+
+    @classmethod
+    def read(cls, path: str | os.PathLike[str] | None = None) -> "Collection":
+        """List of a TOML file; the package's own unless given."""
+        shipped = files(__package__) / "collection.toml"
+        with as_file(shipped) as file, as_input_error(str(path or shipped), "correct the list"):
+            return cls.model_validate(read_toml(path or file))
+
+
+class CollectionEntry(NamedTuple):
+    """A design of a collection that is in its folder.
+
+    Attributes
+    ----------
+    name : str
+    entry : PublishedDesign
+        Of the index.
+    there : bool
+        Whether it was there already.
+    """
+
+    name: str
+    entry: PublishedDesign
+    there: bool
+
+
+def make_collection(
+    collection: Collection,
+    folder: Path,
+    names: list[str] | None = None,
+    *,
+    command: str,
+    bar: Callable[[str], AbstractContextManager[Progress]],
+) -> Iterator[CollectionEntry]:
+    """Make what a folder lacks of a collection, design by design, each whole or not at all.
+
+    A design is made again where its recipe has changed, or its file is not the one of the index.
+
+    Parameters
+    ----------
+    collection : Collection
+    folder : path
+        Made if need be.
+    names : list of str, optional
+        Designs to be made; all unless given.
+    command : str
+        Command that makes the list, for the cards.
+    bar : callable
+        Gives the progress of a design by its name.
+
+    Raises
+    ------
+    InputError
+        If a name is unknown, or a data set is not at hand. Designs made before remain.
+    """
+    names = list(collection.designs) if names is None else names
+    if not names:
+        raise InputError(f"no design was named: give one of {', '.join(collection.designs)}")
+    for name in names:
+        check_choice("published design", name, collection.designs)
+    for name in names:
+        if entry := _entry_there(folder, name, collection.designs[name]):
+            yield CollectionEntry(name, entry, True)
+        else:
+            with bar(name) as report:
+                entry = _make(collection, name, folder, command, report=report)
+            yield CollectionEntry(name, entry, False)
+        note_saved_work("finished designs are kept, run again to go on")
+
+
+def _entry_there(folder: Path, name: str, recipe: DesignRecipe) -> PublishedDesign | None:
+    """Entry of a design that is in a folder as the recipe asks for it, with its card."""
+    entry = _index(folder).designs.get(name)
+    file = folder / f"{name}.safetensors"
+    if entry is None or entry.recipe != recipe.hash:
+        return None
+    if not (file.is_file() and (folder / f"{name}.md").is_file()):
+        return None
+    return entry if hash_file(file) == entry.sha256 else None
+
+
+def _index(folder: Path) -> CollectionIndex:
+    return CollectionIndex.read(folder) if (folder / INDEX_NAME).exists() else CollectionIndex()
+
+
+def _make(
+    collection: Collection, name: str, folder: Path, command: str, *, report: Progress
+) -> PublishedDesign:
+    """Train, test and write a design, its card and its entry in the index."""
+    from deepfsi.evaluation import evaluate
+    from deepfsi.training import learn
+
+    recipe = collection.designs[name]
+    data = recipe.load()
+    job = recipe.job
+    learning = report.between(0.0, _LEARNING_SHARE)
+    design = learn(data, report=learning, **sorted_settings(recipe.settings))
+    testing = report.between(_LEARNING_SHARE, 1.0)
+    [result] = evaluate(design, data, job.photons, draws=job.draws, report=testing)
+    content = design.to_bytes()
+    entry = PublishedDesign(
+        sha256=hashlib.sha256(content).hexdigest(),
+        recognises=recipe.recognises,
+        data=recipe.data,
+        photons=result.photons,
+        accuracy=result.accuracy,
+        low=result.low,
+        high=result.high,
+        recipe=recipe.hash,
+    )
+    card = (
+        (files(__package__) / "card.md")
+        .read_text("utf-8")
+        .format(
+            name=name,
+            recipe=recipe,
+            note=f"\n\n{recipe.note}" if recipe.note else "",
+            terms=collection.data[recipe.data],
+            command=f"{command} --only {name} -o FOLDER",
+            settings="\n    ".join(
+                f"{key} = {json.dumps(v)}" for key, v in recipe.settings.items()
+            ),
+            sha256=entry.sha256,
+            **_design_words(recipe, data, design),
+            **_result_words(result, data),
+        )
+    )
+    write_atomically(folder / f"{name}.safetensors", content)
+    write_atomically(folder / f"{name}.md", card.encode())
+    index = _index(folder)  # as it is now: another process may have made another design
+    changed = CollectionIndex(designs={**index.designs, name: entry})
+    write_atomically(folder / INDEX_NAME, (changed.model_dump_json(indent=1) + "\n").encode())
+    return entry
+
+
+def _design_words(recipe: DesignRecipe, data: Dataset, design: "Design") -> dict[str, str]:
+    """Words of a card for a design and its data."""
+    job = recipe.job
+    levels = {None: "continuous", 0: "continuous", 2: "ON and OFF"}
+    kind = levels.get(job.optics.levels, f"{job.optics.levels} levels")
+    source = trained_on(design.info)
+    return {
+        "camera": job.optics.describe().replace("\n", "; "),
+        "masks": f"made while it looks, one for each of {job.masks} looks"
+        if job.code.adaptive
+        else f"{job.masks}, {kind}",
+        "classes": ", ".join(data.classes),
+        "data": f"{source.words if source else data.name}, {len(data.x_train)} training scenes of "
+        f"{' x '.join(map(str, data.image_shape))}, sha256 of scenes and labels {data.hash}",
+        "preprocessing": data.preprocessing,
+        "version": design.info["deepfsi"],
+        "torch": design.info["torch"],
+        "device": design.info["device"],
+        "seconds": f"{design.info['seconds']:.0f}",
+    }
+
+
+def _result_words(result: Result, data: Dataset) -> dict[str, Any]:
+    """Words of a card for the test of a design."""
+    counts = f"{result.counts:.4g} of them counted in the mean"
+    if result.clicks:
+        counts = f"{result.counts:.4g} clicks of {result.arriving:.4g} photons that arrive, mean"
+    return {
+        "result": result,
+        "photons": f"{result.photons:g}",
+        "counts": counts,
+        "accuracy": f"{result.accuracy:.4f}",
+        "interval": f"[{result.low:.4f}, {result.high:.4f}]",
+        "balanced": f"{result.balanced:.4f} "
+        f"[{result.balanced_low:.4f}, {result.balanced_high:.4f}]",
+        "worst": f"{data.classes[result.worst]}, {result.rates[result.worst]:.3f}",
+        "calibration": f"{result.calibration_error:.3f}",
+        "draws": "one noise draw" if result.draws == 1 else f"{result.draws} noise draws",
+    }
