@@ -89,7 +89,7 @@ def row(parameter):
     default = f"`{parameter.default}`" if parameter.default else ""
     return (
         f"`{words}`",
-        escaped(parameter.words) + allowed,
+        escaped(parameter.field.description) + allowed,
         REQUIRED if parameter.required else default,
     )
 

@@ -35,7 +35,7 @@ def test_every_field_has_one_option_with_its_text(command):
     declared_options = COMMANDS[command].declared
     count = Counter(option for each in declared_options for option in each.names)
     assert set(count.values()) == {1}
-    texts = {each.names[0]: each.words for each in declared_options}
+    texts = {each.names[0]: each.field.description for each in declared_options}
     for name, text in declared().items():
         if name not in OF_COMMANDS[command]:
             assert texts[f"--{name.replace('_', '-')}"].startswith(text)

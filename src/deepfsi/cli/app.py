@@ -113,7 +113,8 @@ class Old(click.Command):
     @property
     def declared(self) -> list[Any]:
         """Arguments and options."""
-        from deepfsi.cli.command import Parameter
+        from types import SimpleNamespace
+
         from deepfsi.cli.fields import FIRST
 
         context = self.typer_command.context_class(self.typer_command, info_name=self.path)
@@ -121,13 +122,16 @@ class Old(click.Command):
         for each in self.typer_command.params:
             record = each.get_help_record(context) or ("", "")
             words, _, notes = record[1].partition("  [")
+            kind = record[0].partition("<")[2].removesuffix(">")
             out.append(
-                Parameter(
+                SimpleNamespace(
                     key=each.name,
                     names=tuple(each.opts),
-                    words=words,
-                    kind=record[0].partition("<")[2].removesuffix(">"),
+                    field=SimpleNamespace(description=words),
+                    kind=kind,
+                    metavar=f"<{kind}>" * bool(kind),
                     bounds=notes.removesuffix("]"),
+                    default="",
                     heading=getattr(each, "rich_help_panel", None) or FIRST,
                     required=each.required,
                     is_argument=each.param_type_name == "argument",

@@ -18,7 +18,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 import click
 from pydantic import BeforeValidator, ConfigDict, ValidationError
 from pydantic.fields import FieldInfo
-from pydantic_core import ErrorDetails
+from pydantic_core import ErrorDetails, PydanticUndefined
 
 from deepfsi.base import (
     STOPPED_EXIT_CODE,
@@ -63,7 +63,7 @@ class Command(StrictModel):
         return {name: getattr(self, name) for name in fields if name in self.model_fields_set}
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Parameter:
     """An argument or an option of a command.
 
@@ -71,31 +71,92 @@ class Parameter:
     ----------
     key : str
         Name of its value.
-    names : tuple of str
-        As it is written: ``("--out", "-o")``; of an argument that in the usage.
-    words : str
-        Help.
-    kind : str
-        What is written: ``number``, ``time``, ``dual|single``. Empty of an option without a value.
-    bounds, default : str
-        Values that are allowed, and what holds where none is given; empty where there is nothing to
-        say.
+    field : FieldInfo
+        That declares it.
     heading : str
         In the help.
-    required, is_argument, repeated : bool
-        True if it must be given, if it has no name, if it may be given more than once.
+    source : OptionsOf, optional
+        Of a field that stands in a model of a lower room.
     """
 
     key: str
-    names: tuple[str, ...]
-    words: str
-    kind: str
-    bounds: str = ""
-    default: str = ""
+    field: FieldInfo
     heading: str = FIRST
-    required: bool = False
-    is_argument: bool = False
-    repeated: bool = False
+    source: OptionsOf | None = None
+
+    @property
+    def is_argument(self) -> bool:
+        """True if it has no name on the command line."""
+        return "argument" in self._extra
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """As it is written: ``("--out", "-o")``; of an argument that in the usage."""
+        if self.is_argument:
+            return (self._extra["argument"] or self.key,)
+        option = f"--{self.key.replace('_', '-')}"
+        return (option, "-o") if self.key == "out" else (option,)
+
+    @property
+    def kind(self) -> str:
+        """What is written: ``number``, ``time``, ``dual|single``; empty of an option alone."""
+        kind, metadata = self._value
+        word = "" if kind is bool else KIND_WORDS.get(kind, "text")
+        readers = _readers(metadata)
+        if seconds in readers:
+            word = "time"
+        elif forms := [each.form for each in metadata if isinstance(each, Written)]:
+            [word] = forms
+        elif get_origin(kind) is Literal:
+            word = "|".join(map(str, get_args(kind)))
+        elif get_origin(kind) in (tuple, list):
+            item, _ = next(_leaves(get_args(kind)[0]))
+            word = KIND_WORDS.get(item, "text") + ",…" * bool(readers)
+        axis = self.source is not None and self.source.axes and self.key not in ONE_VALUE
+        return f"{word},…" if word and axis else word
+
+    @property
+    def repeated(self) -> bool:
+        """True if it may be given more than once."""
+        kind, metadata = self._value
+        return get_origin(kind) in (tuple, list) and not _readers(metadata)
+
+    @property
+    def bounds(self) -> str:
+        """Values that are allowed, in words; empty where there is nothing to say."""
+        _, metadata = self._value
+        text = time_text if seconds in _readers(metadata) else "{:g}".format
+        limits = {
+            name: text(getattr(each, name))
+            for each in metadata
+            for name in ("ge", "gt", "le", "lt")
+            if getattr(each, name, None) is not None
+        }
+        above = f"above {limits['gt']}" if "gt" in limits else ""
+        below = f"below {limits['lt']}" if "lt" in limits else ""
+        low = limits.get("ge", above)
+        high = limits.get("le", below)
+        if low and high:
+            return f"{low} to {high}"
+        return above or below or (f"{low} or more" if low else f"{high} or less" if high else "")
+
+    @property
+    def default(self) -> str:
+        """What holds where none is given; empty where it depends on what else is given."""
+        value = self.field.default
+        words = str(self.field.description)
+        if self.source is not None and (
+            self.source.axes or self.heading == "Camera" or "unless given" in words
+        ):
+            return ""
+        if value is None or value is PydanticUndefined or isinstance(value, bool):
+            return ""
+        return ",".join(map(str, value)) if isinstance(value, tuple) else str(value)
+
+    @property
+    def required(self) -> bool:
+        """True if it must be given."""
+        return self.source is None and self.field.is_required()
 
     @property
     def metavar(self) -> str:
@@ -104,11 +165,11 @@ class Parameter:
 
     @property
     def help(self) -> str:
-        """Help with bounds and default."""
+        """Help with default and bounds."""
         default = f"default: {self.default}" if self.default else ""
-        notes = [default, self.bounds, "required" if self.required else ""]
-        notes = [note for note in notes if note]
-        return f"{self.words}  [{'; '.join(notes)}]" if notes else self.words
+        notes = filter(None, [default, self.bounds, "required" if self.required else ""])
+        text = "; ".join(notes)
+        return f"{self.field.description}  [{text}]" if text else str(self.field.description)
 
     def for_click(self) -> click.Parameter:
         """What parses it: any text, which the model reads."""
@@ -125,107 +186,23 @@ class Parameter:
             is_flag=None if self.kind else True,
             multiple=self.repeated,
             required=self.required,
-            metavar=self.metavar or None,
-            help=self.help,
             type=str if self.kind else bool,
         )
 
+    @property
+    def _extra(self) -> dict[str, Any]:
+        extra = self.field.json_schema_extra
+        return extra if isinstance(extra, dict) else {}
 
-JSON = Parameter(key="json", names=("--json",), words="print JSON and nothing else", kind="")
-"""The option that every command has."""
-
-
-def read_parameters(command: type[Command]) -> list[Parameter]:
-    """Arguments and options of a command in the order of its help, that of JSON last of the first.
-
-    Parameters
-    ----------
-    command : type of Command
-    """
-    first: list[Parameter] = []
-    own: list[Parameter] = []
-    others: list[Parameter] = []
-    for name, field in command.model_fields.items():
-        derived = next((each for each in field.metadata if isinstance(each, OptionsOf)), None)
-        if derived is None:
-            own.append(_parameter(field.alias or name, field))
-            continue
-        for option, (heading, of_model) in derived.fields.items():
-            made = _derived(option, heading, of_model, derived.axes)
-            (first if heading == FIRST else others).append(made)
-    return [*first, *own, JSON, *others]
+    @property
+    def _value(self) -> tuple[Any, list[Any]]:
+        """Type of a value, the first of several, and what is declared of it."""
+        return next(_leaves(self.field.annotation, tuple(self.field.metadata)))
 
 
-def _parameter(key: str, field: FieldInfo) -> Parameter:
-    kind, bounds, several = _written(field)
-    extra = field.json_schema_extra if isinstance(field.json_schema_extra, dict) else {}
-    is_argument = "argument" in extra
-    unset = field.is_required() or field.default is None or field.default is False
-    default = "" if unset or field.default == () else str(field.default)
-    option = f"--{key.replace('_', '-')}"
-    return Parameter(
-        key=key,
-        names=(str(extra["argument"] or key),)
-        if is_argument
-        else (option, "-o")
-        if key == "out"
-        else (option,),
-        words=field.description or "",
-        kind=kind,
-        bounds=bounds,
-        default=default,
-        required=field.is_required(),
-        is_argument=is_argument,
-        repeated=several,
-    )
-
-
-def _derived(name: str, heading: str, field: FieldInfo, axes: bool) -> Parameter:
-    kind, bounds, _ = _written(field)
-    default = ""
-    if axes:
-        kind += ",…" if kind and name not in ONE_VALUE else ""
-    elif _has_default(heading, field):
-        value = field.default
-        default = ",".join(map(str, value)) if isinstance(value, tuple) else str(value)
-    return Parameter(
-        key=name,
-        names=(f"--{name.replace('_', '-')}",),
-        words=field.description or "",
-        kind=kind,
-        bounds=bounds,
-        default=default,
-        heading=heading,
-    )
-
-
-def _has_default(heading: str, field: FieldInfo) -> bool:
-    """True where a default holds whatever else is given, as it does not in a camera."""
-    told = (
-        heading == "Camera" or field.annotation is bool or "unless given" in str(field.description)
-    )
-    return not told and isinstance(field.default, str | int | float | tuple)
-
-
-def _written(field: FieldInfo) -> tuple[str, str, bool]:
-    """Kind and bounds of what is written for a field, and whether it may be given again."""
-    leaves = list(_leaves(field.annotation, tuple(field.metadata)))
-    kind, metadata = leaves[0]
-    form = next((each.form for each in metadata if isinstance(each, Written)), "")
-    readers = [each.func for each in metadata if isinstance(each, BeforeValidator)]
-    if seconds in readers:
-        return "time", _bounds(metadata, time_text), False
-    if form:
-        return form, "", False
-    if get_origin(kind) is Literal:
-        return "|".join(map(str, get_args(kind))), "", False
-    if get_origin(kind) in (tuple, list):
-        of_each, _ = next(_leaves(get_args(kind)[0]))
-        word = KIND_WORDS.get(of_each, "text")
-        return (f"{word},…", "", False) if readers else (word, "", True)
-    if kind is bool:
-        return "", "", False
-    return KIND_WORDS.get(kind, "text"), _bounds(metadata, lambda number: f"{number:g}"), False
+def _readers(metadata: list[Any]) -> list[Any]:
+    """Functions that read a value of a text."""
+    return [each.func for each in metadata if isinstance(each, BeforeValidator)]
 
 
 def _leaves(annotation: Any, metadata: tuple[Any, ...] = ()) -> Iterator[tuple[Any, list[Any]]]:
@@ -242,21 +219,31 @@ def _leaves(annotation: Any, metadata: tuple[Any, ...] = ()) -> Iterator[tuple[A
         yield annotation, [each for group in told for each in group]
 
 
-def _bounds(metadata: list[Any], text: Any) -> str:
-    """Bounds of a number, in words."""
-    limits = {
-        name: text(getattr(each, name))
-        for each in metadata
-        for name in ("ge", "gt", "le", "lt")
-        if getattr(each, name, None) is not None
-    }
-    low = limits.get("ge") or (f"above {limits['gt']}" if "gt" in limits else "")
-    high = limits.get("le") or (f"below {limits['lt']}" if "lt" in limits else "")
-    if low and high:
-        return f"{low} to {high}"
-    if low:
-        return low if "gt" in limits else f"{low} or more"
-    return high if "lt" in limits else f"{high} or less" if high else ""
+JSON = Parameter(
+    "json", FieldInfo(annotation=bool, default=False, description="print JSON and nothing else")
+)
+"""The option that every command has."""
+
+
+def read_parameters(command: type[Command]) -> list[Parameter]:
+    """Arguments and options of a command in the order of its help.
+
+    Parameters
+    ----------
+    command : type of Command
+    """
+    first: list[Parameter] = []
+    own: list[Parameter] = []
+    others: list[Parameter] = []
+    for name, field in command.model_fields.items():
+        source = next((each for each in field.metadata if isinstance(each, OptionsOf)), None)
+        if source is None:
+            own.append(Parameter(field.alias or name, field))
+            continue
+        for option, (heading, of_model) in source.fields.items():
+            made = Parameter(option, of_model, heading, source)
+            (first if heading == FIRST else others).append(made)
+    return [*first, *own, JSON, *others]
 
 
 class ClickCommand(click.Command):
