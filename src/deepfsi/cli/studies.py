@@ -1,7 +1,7 @@
 """Commands that train many designs: compare, plan, sweep, reproduce, report."""
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from contextlib import nullcontext
 from dataclasses import asdict, replace
 from importlib import import_module
@@ -15,9 +15,7 @@ from pydantic import Field
 from deepfsi.base import (
     InputError,
     Table,
-    budget_text,
     closest_choice,
-    duration_text,
     read_toml,
     write_atomically,
 )
@@ -28,7 +26,7 @@ from deepfsi.cli.command import Command
 from deepfsi.cli.evaluate import data_lines
 from deepfsi.cli.terminal import Outcome, Terminal
 from deepfsi.datasets import load_dataset
-from deepfsi.jobs import DESIGNS, EVERY_PIXEL, find_table, read_matrix
+from deepfsi.jobs import find_table, read_matrix
 
 if TYPE_CHECKING:
     from importlib.resources.abc import Traversable
@@ -37,7 +35,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from deepfsi.datasets import Dataset
-    from deepfsi.sweeps import Forecast, Recipe, Results
+    from deepfsi.sweeps import Recipe, Results
 
 PAPER = "deepfsi_paper"
 """The paper's experiments: a package of their own, beside this one, which works without it."""
@@ -55,9 +53,6 @@ PLANNED: dict[str, Any] = {
 
 RECIPE_FIELDS = ("size", "skip_bad", "normal", "designs", "ratios", "trials", "folds")
 """Fields of a recipe, besides the data, that are options by themselves."""
-
-PLAN_AXES = ("light", "rails", "detectors", "readout")
-"""Axes of a plan besides the designs."""
 
 
 class CompareDesigns(Command):
@@ -158,7 +153,14 @@ class PlanPhotons(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Photons, masks and detectors that each design needs."""
-        from deepfsi.sweeps import Workers, check_kept, check_plan, photons_needed, write_results
+        from deepfsi.sweeps import (
+            Workers,
+            check_kept,
+            check_plan,
+            photons_needed,
+            plan_lines,
+            write_results,
+        )
 
         chosen = self.explicit(RECIPE_FIELDS)
         chosen["data"] = self.data
@@ -180,58 +182,9 @@ class PlanPhotons(Command):
             )
         write_atomically(self.out / "plan.json", json.dumps(plan, indent=1).encode())
         write_results(self.out / "results.json", results)
-        return Outcome(plan, self._lines(scenes, plan))
-
-    def _lines(self, scenes: "Dataset", plan: Mapping[str, Any]) -> Iterator[str | Table]:
-        yield from data_lines(scenes)
-        axes = [name for name in PLAN_AXES if len({need[name] for need in plan["needs"]}) > 1]
-        yield Table(
-            f"{plan['data']['name']}: accuracy {plan['target']:g} needs",
-            ("design", "photons", "95 % interval", "masks", "tried", *axes),
-            [
-                (
-                    DESIGNS[need["design"]].title,
-                    _photons_of(need),
-                    _interval_of(need),
-                    str(need["masks"]),
-                    str(len(need["tried"])),
-                    *(_axis_of(need, axis) for axis in axes),
-                )
-                for need in sorted(plan["needs"], key=lambda need: need["photons"] or float("inf"))
-            ],
+        return Outcome(
+            plan, [*data_lines(scenes), *plan_lines(plan), f"plan: {self.out / 'plan.json'}"]
         )
-        yield f"interval: {plan['covers']}; tried: budgets of its curve"
-        yield (
-            "mask counts and added budgets were chosen on validation data; accuracies are of test "
-            "data"
-        )
-        yield f"plan: {self.out / 'plan.json'}"
-
-
-def _two_digits(photons: float) -> str:
-    return budget_text(float(f"{photons:.1e}"))
-
-
-def _photons_of(need: Mapping[str, Any]) -> str:
-    tried = need["tried"]
-    if need["found"] == "below":
-        return f"{budget_text(tried[0]['photons'])} or fewer"
-    if need["photons"]:
-        return _two_digits(need["photons"])
-    return f"above {budget_text(tried[-1]['photons'])}"
-
-
-def _interval_of(need: Mapping[str, Any]) -> str:
-    low, high = (end and _two_digits(end) for end in (need["low"], need["high"]))
-    if low is None:
-        return "any" if high is None else f"{high} or fewer"
-    return f"{low} or more" if high is None else f"{low} to {high}"
-
-
-def _axis_of(need: Mapping[str, Any], axis: str) -> str:
-    if axis == "detectors" and need["design"] in EVERY_PIXEL:
-        return "each pixel"
-    return need[axis] or "–"
 
 
 class SweepRecipe(Command):
@@ -311,18 +264,7 @@ class SweepRecipe(Command):
             cost = forecast_cost(
                 recipe, scenes, self.out, device=self.device, workers=self.workers, report=report
             )
-        return Outcome(asdict(cost), _forecast_lines(cost), schema="sweep.forecast")
-
-
-def _forecast_lines(cost: "Forecast") -> list[str]:
-    return [
-        f"{cost.trials} trials, {cost.done} of them done",
-        f"batches: {cost.batches}, by {cost.workers} processes",
-        f"products: {cost.operations:.2g} floating-point operations",
-        f"expected here: {duration_text(cost.seconds)} beside other programs as now, which keep "
-        f"{cost.others:.1f} of {cost.cores} cores busy; {duration_text(cost.seconds_free)} without "
-        "them",
-    ]
+        return Outcome(asdict(cost), cost.lines(), schema="sweep.forecast")
 
 
 class ReproducePaper(Command):

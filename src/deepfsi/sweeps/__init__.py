@@ -1,6 +1,6 @@
 """Many designs: recipes, their trials, the records of these, and their summary."""
 
-from deepfsi.sweeps.forecast import Forecast, check_plan, forecast_cost, photons_needed
+from deepfsi.sweeps.forecast import Forecast, check_plan, forecast_cost, photons_needed, plan_lines
 from deepfsi.sweeps.model_cards import Collection, DataTerms, DesignRecipe, make_collection
 from deepfsi.sweeps.plan import Trial, check_settings, plan_trials, with_adaptive
 from deepfsi.sweeps.ray_cluster import run_on_ray
@@ -39,6 +39,7 @@ __all__ = [
     "only",
     "parts",
     "photons_needed",
+    "plan_lines",
     "plan_trials",
     "processes",
     "provenance_of",

@@ -7,7 +7,7 @@ spans little (`find_crossing`).
 
 import time
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from deepfsi.base import SILENT, InputError, Moments, Progress
+from deepfsi.base import SILENT, InputError, Moments, Progress, Table, budget_text, duration_text
 from deepfsi.base.numeric import find_crossing
 from deepfsi.camera import find_noise
 from deepfsi.datasets import Dataset
-from deepfsi.jobs import Job
+from deepfsi.jobs import DESIGNS, EVERY_PIXEL, Job
 from deepfsi.sweeps.plan import Trial, plan_trials
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.records import Record, Records
@@ -48,6 +48,9 @@ LEAST_DECADES = 0.2
 
 _CURVE_AXES = ("light", "rails", "detectors", "readout", "design")
 """Fields that tell two curves apart."""
+
+_SAID_AXES = ("light", "rails", "detectors", "readout")
+"""Those that a table has where they differ."""
 
 _Curve = dict[float, Point]
 """Point of a summary at the best mask count, by budget, rising."""
@@ -87,6 +90,17 @@ class Forecast:
     seconds_free: float
     others: float
     cores: int
+
+    def lines(self) -> list[str]:
+        """Say what is left, and how long it takes here."""
+        return [
+            f"{self.trials} trials, {self.done} of them done",
+            f"batches: {self.batches}, by {self.workers} processes",
+            f"products: {self.operations:.2g} floating-point operations",
+            f"expected here: {duration_text(self.seconds)} beside other programs as now, which "
+            f"keep {self.others:.1f} of {self.cores} cores busy; "
+            f"{duration_text(self.seconds_free)} without them",
+        ]
 
 
 def forecast_cost(
@@ -389,6 +403,55 @@ def photons_needed(
         "needs": [_need(kind, curves[kind], results.data.test, target) for kind in curves],
     }
     return plan, results
+
+
+def plan_lines(plan: Mapping[str, Any]) -> Iterator[str | Table]:
+    """Say what each design needs, as `photons_needed` gives it, the fewest photons first."""
+    several = [axis for axis in _SAID_AXES if len({need[axis] for need in plan["needs"]}) > 1]
+    yield Table(
+        f"{plan['data']['name']}: accuracy {plan['target']:g} needs",
+        ("design", "photons", "95 % interval", "masks", "tried", *several),
+        [
+            (
+                DESIGNS[need["design"]].title,
+                _photons_of(need),
+                _interval_of(need),
+                str(need["masks"]),
+                str(len(need["tried"])),
+                *(_axis_of(need, axis) for axis in several),
+            )
+            for need in sorted(plan["needs"], key=lambda need: need["photons"] or float("inf"))
+        ],
+    )
+    yield f"interval: {plan['covers']}; tried: budgets of its curve"
+    yield (
+        "mask counts and added budgets were chosen on validation data; accuracies are of test data"
+    )
+
+
+def _photons_of(need: Mapping[str, Any]) -> str:
+    if need["found"] == "below":
+        return f"{budget_text(need['tried'][0]['photons'])} or fewer"
+    if need["photons"]:
+        return _two_digits(need["photons"])
+    return f"above {budget_text(need['tried'][-1]['photons'])}"
+
+
+def _interval_of(need: Mapping[str, Any]) -> str:
+    low, high = (end and _two_digits(end) for end in (need["low"], need["high"]))
+    if low is None:
+        return "any" if high is None else f"{high} or fewer"
+    return f"{low} or more" if high is None else f"{low} to {high}"
+
+
+def _two_digits(photons: float) -> str:
+    return budget_text(float(f"{photons:.1e}"))
+
+
+def _axis_of(need: Mapping[str, Any], axis: str) -> str:
+    if axis == "detectors" and need["design"] in EVERY_PIXEL:
+        return "each pixel"
+    return need[axis] or "–"
 
 
 def check_plan(recipe: Recipe, data: Dataset, target: float) -> None:
