@@ -8,7 +8,7 @@ import pytest
 
 from deepfsi.base import InputError
 from deepfsi.datasets import SpectralImage
-from deepfsi.datasets.catalog import Cifar10, IdxImages
+from deepfsi.datasets.catalog import DATASETS, Cifar10
 
 
 @contextmanager
@@ -48,7 +48,7 @@ TINY_LABELS = np.arange(24) % 10
 
 PARTS = (TINY_IMAGES[:20], TINY_LABELS[:20], TINY_IMAGES[20:], TINY_LABELS[20:])
 
-TINY = dict(zip(IdxImages.FILES, map(idx_file, PARTS), strict=True))
+TINY = dict(zip(DATASETS["mnist"].hashes, map(idx_file, PARTS), strict=True))
 
 # ---------------------------------------------------------------- CIFAR-10, twenty images a batch
 

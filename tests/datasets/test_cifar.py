@@ -16,8 +16,10 @@ from dataset_samples import BATCH, BINARY, RECORDS, refused
 from PIL import Image
 
 from deepfsi.datasets import check, download, list_datasets, load_dataset
-from deepfsi.datasets.catalog import Cifar10, CifarJpeg
+from deepfsi.datasets.catalog import DATASETS, CifarJpeg
 
+CIFAR = DATASETS["cifar10"]
+ARCHIVE = "cifar-10-binary.tar.gz"
 DATA = Path(os.environ.get("DEEPFSI_DATA") or ".") / "cifar10"
 
 
@@ -36,18 +38,18 @@ def home(tmp_path, monkeypatch):
     """$DEEPFSI_DATA/cifar10, empty; batches of twenty images; nothing can be downloaded."""
     monkeypatch.setenv("DEEPFSI_DATA", str(tmp_path))
     monkeypatch.setattr(pooch, "os_cache", lambda _: tmp_path / "cache")
-    monkeypatch.setattr(Cifar10, "BATCH", BATCH)
-    monkeypatch.setattr(Cifar10, "mirrors", ((tmp_path / "mirror").as_uri() + "/",))
+    monkeypatch.setattr(CifarJpeg, "PARTS", {"train": BATCH // 2, "test": BATCH // 10})
+    monkeypatch.setattr(CIFAR, "mirrors", ((tmp_path / "mirror").as_uri() + "/",))
     (tmp_path / "cifar10").mkdir()
     return tmp_path / "cifar10"
 
 
 def put(home, monkeypatch):
     """Put the archive there, with the hash that goes with it."""
-    path = home / Cifar10.ARCHIVE
+    path = home / ARCHIVE
     path.write_bytes(archive())
     known = hashlib.md5(path.read_bytes()).hexdigest()
-    monkeypatch.setitem(Cifar10.hashes, path.name, f"md5:{known}")
+    monkeypatch.setitem(CIFAR.hashes, path.name, f"md5:{known}")
     return path
 
 
@@ -99,7 +101,7 @@ def test_size_is_bilinear_and_images_are_drawn_by_class(home, monkeypatch):
 
 def test_the_archive_is_downloaded_and_kept(home, monkeypatch):
     whole = put(home, monkeypatch).read_bytes()
-    (home / Cifar10.ARCHIVE).unlink()
+    (home / ARCHIVE).unlink()
 
     def retrieve(url, known, name, path, **_):
         assert url.endswith("/cifar-10-binary.tar.gz")
@@ -113,7 +115,7 @@ def test_the_archive_is_downloaded_and_kept(home, monkeypatch):
 
 def test_published_hash():
     known = "md5:c32a1d4ab5d03f1284b67883e8d87530"
-    assert {"cifar-10-binary.tar.gz": known} == Cifar10.hashes
+    assert {"cifar-10-binary.tar.gz": known} == CIFAR.hashes
 
 
 def test_a_damaged_archive(home, monkeypatch):
@@ -128,7 +130,7 @@ def put_jpegs(home, train, test):
     path = home / CifarJpeg.FILE
     with zipfile.ZipFile(path, "w") as file:
         for part, count in (("train", train), ("test", test)):
-            for k, label in enumerate(Cifar10.labels):
+            for k, label in enumerate(CIFAR.classes):
                 for i in range(count):
                     image = io.BytesIO()
                     Image.new("RGB", (32, 32), (20 * k, i, 0)).save(image, "JPEG")
@@ -143,7 +145,7 @@ def test_the_copy_in_jpeg_says_so(home):
     assert data.image_shape == (16, 16)
     assert np.bincount(data.y_train).tolist() == [4] * 10
     assert np.bincount(data.y_test).tolist() == [2] * 10
-    assert data.classes == Cifar10.labels
+    assert data.classes == CIFAR.classes
     level = 0.299 * 20 * data.y_test / 255
     assert np.abs(data.x_test - level[:, None]).max() < 4 / 255
     assert all(result.ok for result in check("cifar10-jpeg"))
@@ -175,10 +177,10 @@ LOSSLESS = DATA / "cifar-10-train-first4000-lossless.bin.gz"
 @pytest.mark.skipif(not LOSSLESS.is_file(), reason="needs $DEEPFSI_DATA/cifar10")
 def test_real_records():
     """The first training image, a frog, and the colours of its corners."""
-    pictures = Cifar10().pictures(gzip.decompress(LOSSLESS.read_bytes()), "first")
+    pictures = CIFAR.pictures(gzip.decompress(LOSSLESS.read_bytes()), "first")
     assert pictures[0].label == "frog"
     image = np.asarray(Image.open(pictures[0].open()))
     assert image[0, 0].tolist() == [59, 62, 63]
     assert image[31, 31].tolist() == [123, 92, 72]
     labels = Counter(picture.label for picture in pictures)
-    assert [labels[name] for name in Cifar10.labels[:3]] == [396, 366, 420]
+    assert [labels[name] for name in CIFAR.classes[:3]] == [396, 366, 420]

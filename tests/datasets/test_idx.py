@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from deepfsi.datasets import check, list_datasets, load_dataset
-from deepfsi.datasets.catalog import IdxImages
 
 real_mnist = pytest.mark.skipif(
-    not (Path(os.environ.get("DEEPFSI_DATA") or ".") / "mnist" / IdxImages.FILES[0]).is_file(),
+    not (
+        Path(os.environ.get("DEEPFSI_DATA") or ".") / "mnist" / "train-images-idx3-ubyte.gz"
+    ).is_file(),
     reason="needs MNIST's files in $DEEPFSI_DATA/mnist",
 )
 

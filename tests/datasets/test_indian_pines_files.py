@@ -10,8 +10,9 @@ from dataset_samples import NM, refused
 from scipy.io import savemat
 
 from deepfsi.datasets import check, download, list_datasets, load_dataset, load_indian_pines
-from deepfsi.datasets.catalog import INDIAN_PINES, restore_high_bytes, values_hash
+from deepfsi.datasets.catalog import DATASETS, restore_high_bytes, values_hash
 
+INDIAN_PINES = DATASETS["indian-pines"]
 REAL = Path(os.environ.get("DEEPFSI_DATA") or ".") / "indian_pines"
 
 
@@ -49,7 +50,7 @@ def test_the_scene_of_a_folder(home):
     data = load_dataset("indian-pines")
     assert data.name == "indian-pines"
     assert data.image_shape == (256,)
-    assert data.classes == INDIAN_PINES.labels
+    assert data.classes == INDIAN_PINES.classes
     assert len(data.x_train) + len(data.x_test) == 16 * 29 * 29
     assert "200 of 220 bands" in data.preprocessing
     assert "padded with darkness to 256" in data.preprocessing

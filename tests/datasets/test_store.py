@@ -12,7 +12,9 @@ from dataset_samples import TINY, TINY_IMAGES, TINY_LABELS, idx_file, refused
 
 from deepfsi.base import InputError, Progress
 from deepfsi.datasets import check, download, list_datasets, load_dataset, store
-from deepfsi.datasets.catalog import DATASETS, INDIAN_PINES, IdxImages
+from deepfsi.datasets.catalog import DATASETS
+
+FILES = list(TINY)
 
 
 class Mirrors:
@@ -53,9 +55,11 @@ def mirrors(tmp_path, monkeypatch):
     """A tiny MNIST with empty mirrors and an empty cache, `tmp_path / "cache"`."""
     (tmp_path / "served").mkdir()
     served = Mirrors(tmp_path / "served")
-    hashes = [f"sha256:{hashlib.sha256(content).hexdigest()}" for content in TINY.values()]
-    tiny = IdxImages("mnist", list("0123456789"), list(served.urls), hashes)
-    monkeypatch.setitem(DATASETS, "mnist", tiny)
+    hashes = {
+        name: f"sha256:{hashlib.sha256(content).hexdigest()}" for name, content in TINY.items()
+    }
+    monkeypatch.setattr(DATASETS["mnist"], "hashes", hashes)
+    monkeypatch.setattr(DATASETS["mnist"], "mirrors", served.urls)
     monkeypatch.setattr(pooch, "os_cache", lambda _: tmp_path / "cache")
     monkeypatch.delenv("DEEPFSI_DATA", raising=False)
     monkeypatch.setenv("NO_PROXY", "127.0.0.1")
@@ -92,8 +96,8 @@ def test_files_are_downloaded_once(mirrors, tmp_path, caplog, monkeypatch):
 
 def test_the_next_mirror_is_tried(mirrors):
     fill(mirrors.second)
-    fill(mirrors.first, **{IdxImages.FILES[0]: b"damaged on the way"})
-    (mirrors.first / IdxImages.FILES[1]).unlink()
+    fill(mirrors.first, **{FILES[0]: b"damaged on the way"})
+    (mirrors.first / FILES[1]).unlink()
     assert_tiny(load_dataset("mnist"))
     assert [path.split("/")[1] for path in mirrors.requests] == [
         *("first", "second"),
@@ -103,16 +107,16 @@ def test_the_next_mirror_is_tried(mirrors):
 
 
 def test_no_mirror_gives_a_file(mirrors, tmp_path):
-    fill(mirrors.first, **{IdxImages.FILES[2]: b"damaged"})
+    fill(mirrors.first, **{FILES[2]: b"damaged"})
     host = f"127.0.0.1:{mirrors.server.server_port}"
     with refused(
-        f"mnist: cannot download {IdxImages.FILES[2]}",
+        f"mnist: cannot download {FILES[2]}",
         f"{host} (wrong hash) or {host} (HTTPError)",
         "set DEEPFSI_DATA",
     ):
         load_dataset("mnist")
     kept = sorted(path.name for path in (tmp_path / "cache" / "mnist").iterdir())
-    assert kept == sorted(IdxImages.FILES[:2]), "nothing half-written"
+    assert kept == sorted(FILES[:2]), "nothing half-written"
 
 
 def test_no_connection(mirrors):
@@ -124,9 +128,9 @@ def test_no_connection(mirrors):
 
 def test_a_damaged_file_in_the_cache_is_downloaded_again(mirrors, tmp_path):
     fill(mirrors.first)
-    fill(tmp_path / "cache" / "mnist", **{IdxImages.FILES[3]: b"damaged"})
+    fill(tmp_path / "cache" / "mnist", **{FILES[3]: b"damaged"})
     assert_tiny(load_dataset("mnist"))
-    assert mirrors.requests == [f"/first/{IdxImages.FILES[3]}"]
+    assert mirrors.requests == [f"/first/{FILES[3]}"]
 
 
 def test_deepfsi_data_comes_first_and_needs_the_folder(mirrors, tmp_path, monkeypatch):
@@ -144,8 +148,8 @@ def test_deepfsi_data_comes_first_and_needs_the_folder(mirrors, tmp_path, monkey
 
 def test_a_damaged_file_in_deepfsi_data(mirrors, tmp_path, monkeypatch):
     monkeypatch.setenv("DEEPFSI_DATA", str(tmp_path))
-    fill(tmp_path / "mnist", **{IdxImages.FILES[1]: idx_file(TINY_LABELS[1:21])})
-    with refused(str(tmp_path / "mnist" / IdxImages.FILES[1]), "sha256", "original"):
+    fill(tmp_path / "mnist", **{FILES[1]: idx_file(TINY_LABELS[1:21])})
+    with refused(str(tmp_path / "mnist" / FILES[1]), "sha256", "original"):
         load_dataset("mnist")
     assert [result.ok for result in check("mnist")] == [True, False, True, True]
 
@@ -157,13 +161,13 @@ def test_deepfsi_data_that_is_no_folder(mirrors, tmp_path, monkeypatch):
 
 
 def test_check_and_list(mirrors, tmp_path, monkeypatch):
-    monkeypatch.setattr(INDIAN_PINES, "PACKAGE", ("no_such_package", "data"))
+    monkeypatch.setattr(DATASETS["indian-pines"], "PACKAGE", ("no_such_package", "data"))
     where = {info.name: info.where for info in list_datasets()}
     assert where.pop("digits") == "embedded"
     assert len(where) == 5
     assert set(where.values()) == {"not here"}
     assert [(result.file, result.ok) for result in check("mnist")] == [
-        (file, False) for file in IdxImages.FILES
+        (file, False) for file in FILES
     ]
     assert "No such file" in check("mnist")[0].detail
     assert check("digits")[0].ok

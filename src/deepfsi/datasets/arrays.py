@@ -101,9 +101,14 @@ def from_arrays(
     >>> deepfsi.from_arrays(x, [0.1, 0.8] * 10, values=["left pixel"]).values
     ('left pixel',)
     """
-    names = Names(classes, values)
     return split_arrays(
-        (x, y), (x_test, y_test), names=names, name=name, seed=seed, rescale=rescale
+        (x, y),
+        (x_test, y_test),
+        classes=classes,
+        values=values,
+        name=name,
+        seed=seed,
+        rescale=rescale,
     )
 
 
@@ -138,7 +143,7 @@ def as_test_part(
         x = pixels.reshape(-1, *image_shape)
     [scenes], described, levels = _scenes([x], name)
     if values:
-        targets = _values((y, None), Names(values=values), [len(scenes)], name)
+        targets = _values((y, None), values, [len(scenes)], name)
     else:
         labels = _labels(y, len(scenes), f"{name}: y")
         words = labels.astype(str)
@@ -157,16 +162,6 @@ def as_test_part(
     )
     white = levels.chosen_white
     return replace(data, x_train=data.x_train[:0], y_train=targets.y[:0], white=white)
-
-
-class Names(NamedTuple):
-    """Names of classes or of values, where they are given."""
-
-    classes: Sequence[str] | None = None
-    values: Sequence[str] | None = None
-
-
-NO_NAMES = Names()
 
 
 class Targets(NamedTuple):
@@ -192,7 +187,8 @@ def split_arrays(
     train: Scenes,
     test: Sequence[npt.ArrayLike | None] = (None, None),
     *,
-    names: Names = NO_NAMES,
+    classes: Sequence[str] | None = None,
+    values: Sequence[str] | None = None,
     name: str,
     seed: int,
     rescale: Ends | None,
@@ -206,9 +202,7 @@ def split_arrays(
     ----------
     train, test : pair of arrays
         Scenes and labels or values, as of `from_arrays`.
-    names : Names
-        Of classes or of values.
-    name, seed, rescale
+    classes, values, name, seed, rescale
         As of `from_arrays`.
     described : str, optional
         Changes made to the scenes, for `Dataset.preprocessing`; unless given, it tells their
@@ -224,8 +218,21 @@ def split_arrays(
         raise InputError(f"{name}: only one of x_test and y_test is there; give both or neither")
     parts = [train[0]] if x_test is None else [train[0], x_test]
     scenes, words, levels = _scenes(parts, name, white, levels)
-    find = _values if np.asarray(train[1]).dtype.kind == "f" else _classes
-    targets = find((train[1], y_test), names, [len(part) for part in scenes], name)
+    counts = [len(part) for part in scenes]
+    if np.asarray(train[1]).dtype.kind != "f":
+        if values is not None:
+            raise InputError(
+                f"{name}: names of values go with y of floats; give `classes`, or floats"
+            )
+        targets = _classes((train[1], y_test), classes, counts, name)
+    elif classes is not None:
+        raise InputError(
+            "{name}: names of classes go with labels; y is of floats, give {values}",
+            setting="values",
+            name=name,
+        )
+    else:
+        targets = _values((train[1], y_test), values, counts, name)
     y = targets.y
     if targets.y_test is None:
         order, drawn = draw_fifth(len(y), y if targets.classes else None, seed)
@@ -254,13 +261,11 @@ Parts: TypeAlias = tuple[npt.ArrayLike, npt.ArrayLike | None]
 """Labels or values of the training and of the test part."""
 
 
-def _classes(parts: Parts, names: Names, scenes: list[int], name: str) -> Targets:
+def _classes(parts: Parts, names: Sequence[str] | None, scenes: list[int], name: str) -> Targets:
     """Class numbers of labels, which are integers or strings, one for each of so many scenes."""
     y, y_test = parts
     labels = _labels(y, scenes[0], f"{name}: y")
-    if names.values is not None:
-        raise InputError(f"{name}: names of values go with y of floats; give `classes`, or floats")
-    classes, numbers = _class_names(labels, names.classes, name)
+    classes, numbers = _class_names(labels, names, name)
     truth = _class_numbers(labels, numbers, f"{name}: y")
     sizes = np.bincount(truth, minlength=len(classes))
     fewest = classes[sizes.argmin()]
@@ -278,14 +283,8 @@ def _classes(parts: Parts, names: Names, scenes: list[int], name: str) -> Target
     return Targets(truth, _class_numbers(_labels(y_test, scenes[1], what), numbers, what), classes)
 
 
-def _values(parts: Parts, names: Names, scenes: list[int], name: str) -> Targets:
+def _values(parts: Parts, names: Sequence[str] | None, scenes: list[int], name: str) -> Targets:
     """Values of so many scenes, which are floats."""
-    if names.classes is not None:
-        raise InputError(
-            "{name}: names of classes go with labels; y is of floats, give {values}",
-            setting="values",
-            name=name,
-        )
     truths = []
     for part, count, what in zip(parts, scenes, ("y", "y_test"), strict=False):
         if part is None:
@@ -300,10 +299,10 @@ def _values(parts: Parts, names: Names, scenes: list[int], name: str) -> Targets
             )
         truths.append(truth)
     train = truths[0]
-    if names.values is None:
+    if names is None:
         check_no_classes(train, f"{name}: y")
     width = train.shape[1]
-    values = tuple(names.values or (f"value {k + 1}" for k in range(width)))
+    values = tuple(names or (f"value {k + 1}" for k in range(width)))
     if len(set(values)) != width or truths[-1].shape[1] != width:
         raise InputError(
             f"{name}: {width} values of a training scene, {truths[-1].shape[1]} of a test scene, "
@@ -577,7 +576,7 @@ def load_npz(path: Path, options: LoadOptions) -> Dataset:
     return split_arrays(
         (arrays["x"], arrays["y"]),
         (arrays.get("x_test"), arrays.get("y_test")),
-        names=Names(values=None if values is None else np.atleast_1d(values).astype(str).tolist()),
+        values=None if values is None else np.atleast_1d(values).astype(str).tolist(),
         name=path.stem,
         seed=options.seed,
         rescale=options.rescale,

@@ -18,12 +18,12 @@ import tarfile
 import tomllib
 from abc import ABC, abstractmethod
 from collections import Counter
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -70,6 +70,7 @@ PASSES = 12
 """Passes of it, all."""
 
 
+@dataclass
 class NamedDataset(ABC):
     """A data set that has a name.
 
@@ -79,8 +80,14 @@ class NamedDataset(ABC):
         As `load_dataset` takes it.
     images, pixels : int
         Scenes, and pixels N of one.
-    labels : tuple of str
-        Names of the classes.
+    classes : tuple of str
+        Their names.
+    folder : str
+        Name of the folder of its files.
+    hashes : dict of str
+        Hash of each file, "algorithm:hex".
+    mirrors : tuple of str
+        Addresses of folders that have the files.
     options : tuple of str
         Options of `load_dataset` that it takes, and not every source does.
     ends : (float, float)
@@ -94,27 +101,34 @@ class NamedDataset(ABC):
     name: str
     images: int
     pixels: int
-    labels: tuple[str, ...]
-    options: tuple[str, ...] = ()
-    ends: Ends = (0.0, 1.0)
-    shape: PictureSize | None = None
-    bilinear = False
+    classes: tuple[str, ...]
+    folder: str = ""
+    hashes: dict[str, str] = field(default_factory=dict)
+    mirrors: tuple[str, ...] = ()
+    options: ClassVar[tuple[str, ...]] = ()
+    ends: ClassVar[Ends] = (0.0, 1.0)
+    shape: ClassVar[PictureSize | None] = None
+    bilinear: ClassVar[bool] = False
 
-    @abstractmethod
-    def find(self) -> Path | str | None:
-        """First folder that has all files, None without one, or words."""
-
-    @abstractmethod
-    def download(self) -> Path:
-        """Folder of the files, downloaded where they are missing, all undamaged."""
-
-    @abstractmethod
-    def check(self) -> list[FileCheck]:
-        """Compare the files with the hashes of the originals, or their content."""
+    def __post_init__(self) -> None:
+        self.classes = tuple(self.classes)
+        self.mirrors = tuple(self.mirrors)
 
     @abstractmethod
     def load(self, options: LoadOptions) -> Dataset:
         """Load it."""
+
+    def find(self) -> Path | str | None:
+        """First folder that has all files, None without one, or words."""
+        return find_folder(self.folder, self.hashes)
+
+    def download(self) -> Path:
+        """Folder of the files, downloaded where they are missing, all undamaged."""
+        return download_files(self.folder, self.hashes, self.mirrors)
+
+    def check(self) -> list[FileCheck]:
+        """Compare the files with the hashes of the originals, or look at their content."""
+        return check_files(self.folder, self.hashes)
 
     def frame(self, x: Reflectance) -> Reflectance:
         """Pictures (n, H, W) with the frame that those of the data set have."""
@@ -122,12 +136,8 @@ class NamedDataset(ABC):
 
 
 class Digits(NamedDataset):
-    """The digits of scikit-learn."""
+    """The digits of scikit-learn, which have no files."""
 
-    name = "digits"
-    images = 1797
-    pixels = 64
-    labels = tuple("0123456789")
     ends = DIM_BLACK
 
     def find(self) -> str:
@@ -135,7 +145,7 @@ class Digits(NamedDataset):
         return "embedded"
 
     def download(self) -> Path:
-        """They have no files."""
+        """Raise `InputError`."""
         raise InputError("digits is part of scikit-learn: there is nothing to download, load it")
 
     def check(self) -> list[FileCheck]:
@@ -157,68 +167,34 @@ class Digits(NamedDataset):
 
 
 class IdxImages(NamedDataset):
-    """MNIST or Fashion-MNIST: the original gzipped idx files, framed to 32x32.
+    """MNIST or Fashion-MNIST: the original gzipped idx files, framed to 32x32."""
 
-    Parameters
-    ----------
-    name : str
-    classes, mirrors, hashes : tuple of str
-        Names of the classes, addresses of folders, and hashes of the `FILES`, "algorithm:hex".
-    """
-
-    FILES = (
-        "train-images-idx3-ubyte.gz",
-        "train-labels-idx1-ubyte.gz",
-        "t10k-images-idx3-ubyte.gz",
-        "t10k-labels-idx1-ubyte.gz",
-    )
     FRAME = ((0, 0), (2, 2), (2, 2))  # pixels in front of and behind each axis
-    images = 70_000
-    pixels = 1024
     options = ("images",)
     ends = DIM_BLACK
-
-    def __init__(
-        self, name: str, classes: list[str], mirrors: list[str], hashes: list[str]
-    ) -> None:
-        self.name = name
-        self.labels = tuple(classes)
-        self.mirrors = tuple(mirrors)
-        self.hashes = dict(zip(self.FILES, hashes, strict=True))
-
-    def find(self) -> Path | None:
-        """First folder that has all four files."""
-        return find_folder(self.name, self.FILES)
-
-    def download(self) -> Path:
-        """Folder of the four files."""
-        return download_files(self.name, self.hashes, self.mirrors)
-
-    def check(self) -> list[FileCheck]:
-        """Compare the four files with their hashes."""
-        return check_files(self.name, self.hashes)
 
     def load(self, options: LoadOptions) -> Dataset:
         """Load the original in its own split and order."""
         folder = self.download()
-        images, labels, images_test, labels_test = (_read_idx(folder / f) for f in self.FILES)
+        images, labels, images_test, labels_test = (_read_idx(folder / f) for f in self.hashes)
         drawn = ""
         if options.images is not None:
             kept = draw_stratified(labels, options.images, options.seed, self.name)
             images = images[kept]
             labels = labels[kept]
             drawn = f"{options.images} training images drawn by class; "
+        train, test = (
+            (np.divide(np.pad(x, self.FRAME), 255, dtype=np.float32), y.astype(np.int64))
+            for x, y in ((images, labels), (images_test, labels_test))
+        )
         return assemble(
             self.name,
-            (self._scenes(images), labels.astype(np.int64)),
-            (self._scenes(images_test), labels_test.astype(np.int64)),
-            classes=self.labels,
+            train,
+            test,
+            classes=self.classes,
             described=f"{drawn}Padded from 28x28 to 32x32 with black, divided by 255",
             rescale=options.rescale or self.ends,
         )
-
-    def _scenes(self, images: npt.NDArray[np.uint8]) -> Reflectance:
-        return np.divide(np.pad(images, self.FRAME), 255, dtype=np.float32)
 
     def frame(self, x: Reflectance) -> Reflectance:
         """Pictures of 28x28 padded to 32x32, others as they are."""
@@ -234,44 +210,17 @@ def _read_idx(path: Path) -> npt.NDArray[np.uint8]:
 
 
 class Cifar10(NamedDataset):
-    """CIFAR-10 in grey: the official binary archive.
+    """CIFAR-10 in grey: the official binary archive."""
 
-    A. Krizhevsky, "Learning Multiple Layers of Features from Tiny Images", technical report,
-    University of Toronto, 2009.
-    """
-
-    FOLDER = "cifar10"
-    ARCHIVE = "cifar-10-binary.tar.gz"
     BATCHES = (*(f"data_batch_{i}.bin" for i in range(1, 6)), "test_batch.bin")
-    BATCH = 10_000  # images in each
-    mirrors: tuple[str, ...] = ("https://www.cs.toronto.edu/~kriz/",)
-    hashes = {ARCHIVE: "md5:c32a1d4ab5d03f1284b67883e8d87530"}  # noqa: RUF012
-    name = "cifar10"
-    images = 60_000
-    pixels = 1024
-    labels = (
-        *("airplane", "automobile", "bird", "cat", "deer"),
-        *("dog", "frog", "horse", "ship", "truck"),
-    )
     options = ("size", "images")
     shape = (32, 32)
     bilinear = True
 
-    def find(self) -> Path | None:
-        """First folder that has the archive."""
-        return find_folder(self.FOLDER, (self.ARCHIVE,))
-
-    def download(self) -> Path:
-        """Folder of the archive."""
-        return download_files(self.FOLDER, self.hashes, self.mirrors)
-
-    def check(self) -> list[FileCheck]:
-        """Compare the archive with its hash."""
-        return check_files(self.FOLDER, self.hashes)
-
     def load(self, options: LoadOptions) -> Dataset:
         """Load it in its own split; the training part is shuffled."""
-        path = self.download() / self.ARCHIVE
+        [archive_name] = self.hashes
+        path = self.download() / archive_name
         with tarfile.open(path, "r:gz") as archive:
             contents = {
                 Path(member.name).name: file.read()
@@ -294,7 +243,7 @@ class Cifar10(NamedDataset):
             return io.BytesIO(head + colours[index].tobytes())
 
         return [
-            Picture(self.labels[label], where, partial(as_image_file, index))
+            Picture(self.classes[label], where, partial(as_image_file, index))
             for index, label in enumerate(records[:, 0])
         ]
 
@@ -302,16 +251,12 @@ class Cifar10(NamedDataset):
 class CifarJpeg(Cifar10):
     """CIFAR-10 decoded from a copy in JPEG, which says so in its name."""
 
-    name = "cifar10-jpeg"
     FILE = "cifar10-jpeg.zip"
-
-    def find(self) -> Path | None:
-        """First folder that has the zip file."""
-        return find_folder(self.FOLDER, (self.FILE,))
+    PARTS: ClassVar = {"train": 5000, "test": 1000}  # images of each class
 
     def download(self) -> Path:
         """Folder of the zip file, which is not to be downloaded."""
-        folder = self.find()
+        folder = find_folder(self.folder, self.hashes)
         if folder is None:
             raise InputError(
                 "cifar10-jpeg is not here, and not to be downloaded: put a zip file of the JPEG "
@@ -322,7 +267,8 @@ class CifarJpeg(Cifar10):
 
     def check(self) -> list[FileCheck]:
         """Count the images of the zip file."""
-        path = (self.find() or data_folders(self.FOLDER)[0]) / self.FILE
+        folder = find_folder(self.folder, self.hashes) or data_folders(self.folder)[0]
+        path = folder / self.FILE
         try:
             with open_listing(path) as listing:
                 fault = self._fault_of(listing)
@@ -345,32 +291,19 @@ class CifarJpeg(Cifar10):
         """Say how a listing differs from CIFAR-10's images of each class, if it does."""
         if len(listing.parts) != 2:
             return "it has no train and test folders"
-        share = self.BATCH // len(self.labels)
-        for part, pictures, batches in zip(("train", "test"), listing.parts, (5, 1), strict=True):
-            count = batches * share
-            if Counter(picture.label for picture in pictures) != dict.fromkeys(self.labels, count):
-                return (
-                    f"its {part} folder does not hold {count} images of each of "
-                    f"{', '.join(self.labels)}"
-                )
+        for (part, count), pictures in zip(self.PARTS.items(), listing.parts, strict=True):
+            if Counter(picture.label for picture in pictures) != dict.fromkeys(self.classes, count):
+                names = ", ".join(self.classes)
+                return f"its {part} folder does not hold {count} images of each of {names}"
         return ""
-
-
-class SceneFiles(NamedTuple):
-    """Files of a cube and of its label map, in one folder."""
-
-    cube: Path
-    labels: Path
 
 
 class IndianPines(NamedDataset):
     """Indian Pines: the scene of the AVIRIS spectrometer, without the bands of water vapour.
 
-    M. F. Baumgardner, L. L. Biehl, D. A. Landgrebe, "220 Band AVIRIS Hyperspectral Image Data Set:
-    June 12, 1992 Indian Pine Test Site 3", Purdue University Research Repository, 2015,
-    doi:10.4231/R7RX991C. The corrected cube of the Grupo de Inteligencia Computacional, UPV/EHU,
-    has 200 of its 220 bands; the paper counts AVIRIS's 224. The cube is padded with darkness to 256
-    bands, as the paper pads its own.
+    The corrected cube of the Grupo de Inteligencia Computacional, UPV/EHU, has 200 of its 220
+    bands; the paper counts AVIRIS's 224. The cube is padded with darkness to 256 bands, as the
+    paper pads its own.
 
     The Python package ``tensorly`` (BSD 3-Clause) contains the cube and its label map. Its bytes
     were once transferred as a text: every byte 13, a carriage return, became 10, a line feed. None
@@ -379,96 +312,72 @@ class IndianPines(NamedDataset):
     restored cube is kept in the user's cache.
     """
 
-    FOLDER = "indian_pines"
     PACKAGE = ("tensorly", "datasets/data")  # that contains the files, and their folder in it
     CUBE = "Indian_pines_corrected"  # names of the files, each with the ending .npy or .mat
     LABELS = "Indian_pines_gt"
-    # SHA-256 of the values, whatever the file, as of `values_hash`. Writers of .mat files pack the
-    # same values into other bytes
-    hashes = {  # noqa: RUF012
-        CUBE: "36468dd7336c8bd37a80cced54362ea426f226703f3797ba494556fd8134e77f",
-        LABELS: "ebf20cfe0bce98f01885f0ab4fd1857925db3ef0a1f1624bbee3ffcb92425103",
-    }
     # `store.hash_array` of the restored cube
     RESTORED_HASH = "28a8d104647da9593e037a27334193c7316bce9721858b1f946427cef7197792"
     BANDS_FILE = "92AV3C.spc"  # gives the wavelengths where it lies beside the cube
     WATER = np.r_[103:108, 149:163, 219]  # bands of the 220, from 0, that the cube lacks
-    name = "indian-pines"
-    images = 10_249
-    pixels = 256  # bands after padding
-    labels = (
-        *("Alfalfa", "Corn-notill", "Corn-mintill", "Corn"),
-        *("Grass-pasture", "Grass-trees", "Grass-pasture-mowed", "Hay-windrowed", "Oats"),
-        *("Soybean-notill", "Soybean-mintill", "Soybean-clean"),
-        *("Wheat", "Woods", "Buildings-Grass-Trees-Drives", "Stone-Steel-Towers"),
-    )
     options = ("split",)
 
-    def find(self) -> Path | None:
-        """First folder that has the cube and its label map: of data sets, or of the package."""
-        scene_files = self._find_files()
-        return scene_files.cube.parent if scene_files else None
-
-    def _find_files(self) -> SceneFiles | None:
+    def _files(self) -> list[Path]:
+        """Cube and label map in the first folder that has both, one of data or the package's."""
         package, inside = self.PACKAGE
         spec = find_spec(package)
         installed = list(spec.submodule_search_locations or ()) if spec else []
-        for folder in [*data_folders(self.FOLDER), *(Path(path) / inside for path in installed)]:
-            cube, labels = (
-                next(
-                    (p for end in (".npy", ".mat") if (p := folder / f"{stem}{end}").is_file()),
-                    None,
-                )
+        for folder in [*data_folders(self.folder), *(Path(path) / inside for path in installed)]:
+            endings = [
+                [end for end in (".npy", ".mat") if (folder / f"{stem}{end}").is_file()]
                 for stem in (self.CUBE, self.LABELS)
-            )
-            if cube and labels:
-                return SceneFiles(cube, labels)
-        return None
+            ]
+            if all(endings):
+                cube, labels = endings
+                return [folder / f"{self.CUBE}{cube[0]}", folder / f"{self.LABELS}{labels[0]}"]
+        return []
 
-    def _files(self) -> SceneFiles:
-        if scene_files := self._find_files():
-            return scene_files
-        raise InputError(
-            f"{self.name} is not here: pip install {self.PACKAGE[0]}, which contains it; or put "
-            f"{self.CUBE}.mat and {self.LABELS}.mat into a folder {self.FOLDER}, and set "
-            "DEEPFSI_DATA to the folder that holds it"
-        )
+    def find(self) -> Path | None:
+        """First folder that has the cube and its label map: of data sets, or of the package."""
+        return next((path.parent for path in self._files()), None)
 
     def download(self) -> Path:
         """Folder of the files, which are not to be downloaded."""
-        return self._files().cube.parent
+        if folder := self.find():
+            return folder
+        raise InputError(
+            f"{self.name} is not here: pip install {self.PACKAGE[0]}, which contains it; or put "
+            f"{self.CUBE}.mat and {self.LABELS}.mat into a folder {self.folder}, and set "
+            "DEEPFSI_DATA to the folder that holds it"
+        )
 
     def check(self) -> list[FileCheck]:
         """Say of each file whether it is there, and whether it holds the original's values."""
-        scene_files = self._find_files()
-        if scene_files is None:
-            home = data_folders(self.FOLDER)[0]
-            return [
-                FileCheck(f"{stem}.mat", False, f"looked for in {home}") for stem in self.hashes
-            ]
+        if self.find() is None:
+            detail = f"looked for in {data_folders(self.folder)[0]}"
+            return [FileCheck(f"{stem}.mat", False, detail) for stem in self.hashes]
         try:
-            scene = self._read(scene_files)
+            return self._read()[1]
         except InputError as error:
             return [FileCheck(self.name, False, str(error))]
-        checks = []
-        for path, array in zip(scene_files, (scene.cube, scene.labels), strict=True):
-            actual = values_hash(array)
-            expected = self.hashes[path.stem]
-            ok = actual == expected
-            detail = f"sha256 of its values is {actual}, not {expected}"
-            if ok:
-                detail = "sha256 of its values agrees, bytes 13 read as 10"
-            checks.append(FileCheck(path.name, ok, detail))
-        return checks
 
-    def _read(self, scene_files: SceneFiles) -> SpectralImage:
-        return read_cube(
-            *scene_files,
+    def _read(self) -> tuple[SpectralImage, list[FileCheck]]:
+        """Image as its files have it, and the check of their values."""
+        paths = self._files()
+        image = read_cube(
+            *paths,
             variables=(self.CUBE.lower(), self.LABELS.lower()),
             name=self.name,
-            classes=self.labels,
+            classes=self.classes,
             origin="Radiance as published, 200 of 220 bands,",
         )
+        checks = []
+        for path, array in zip(paths, (image.cube, image.labels), strict=True):
+            actual = values_hash(array)
+            detail = f"sha256 of its values is {actual}, not {self.hashes[path.stem]}"
+            if ok := actual == self.hashes[path.stem]:
+                detail = "sha256 of its values agrees, bytes 13 read as 10"
+            checks.append(FileCheck(path.name, ok, detail))
+        return image, checks
 
     def load(self, options: LoadOptions) -> Dataset:
         """Load its labelled pixels."""
@@ -477,24 +386,23 @@ class IndianPines(NamedDataset):
 
     def scene(self) -> SpectralImage:
         """Whole image."""
-        scene_files = self._files()
-        scene = self._read(scene_files)
-        for path, array in zip(scene_files, (scene.cube, scene.labels), strict=True):
-            if values_hash(array) != self.hashes[path.stem]:
-                raise InputError(
-                    f"{path} does not hold the values of Indian Pines; replace it with the "
-                    "original, or give the path of a cube of your own"
-                )
+        folder = self.download()
+        scene, checks = self._read()
+        if wrong := [check.file for check in checks if not check.ok]:
+            raise InputError(
+                f"{folder / wrong[0]} does not hold the values of Indian Pines; replace it with "
+                "the original, or give the path of a cube of your own"
+            )
         if not (_high_bytes(scene.cube) == CARRIAGE_RETURN).any():
             damaged = scene.cube.astype(np.uint16)
             cube = kept_array(
-                cache_folder(self.FOLDER) / f"{self.CUBE}_restored.npy",
+                cache_folder(self.folder) / f"{self.CUBE}_restored.npy",
                 self.RESTORED_HASH,
                 lambda: restore_high_bytes(damaged),
             )
             words = f"{scene.origin} with its lost bytes restored,"
             scene = replace(scene, cube=cube, origin=words)
-        table = scene_files.cube.parent / self.BANDS_FILE
+        table = folder / self.BANDS_FILE
         if not table.is_file():
             return scene
         return replace(scene, wavelengths=np.delete(_wavelengths(table), self.WATER))
@@ -576,20 +484,18 @@ def restore_high_bytes(
     return values.reshape(cube.shape).astype(np.uint16)
 
 
-_ORIGINALS = tomllib.loads(files(__package__).joinpath("originals.toml").read_text("utf-8"))
-
-INDIAN_PINES = IndianPines()
-
-DATASETS: dict[str, NamedDataset] = {
-    named.name: named
-    for named in (
-        Digits(),
-        *(IdxImages(name, **fields) for name, fields in _ORIGINALS.items()),
-        Cifar10(),
-        CifarJpeg(),
-        INDIAN_PINES,
-    )
+_KINDS: dict[str, type[NamedDataset]] = {
+    "digits": Digits,
+    "mnist": IdxImages,
+    "fashion-mnist": IdxImages,
+    "cifar10": Cifar10,
+    "cifar10-jpeg": CifarJpeg,
+    "indian-pines": IndianPines,
 }
+
+_FACTS = tomllib.loads(files(__package__).joinpath("originals.toml").read_text("utf-8"))
+
+DATASETS = {name: kind(name, **_FACTS[name]) for name, kind in _KINDS.items()}
 """Data sets by their names."""
 
 
@@ -610,7 +516,7 @@ def list_datasets() -> list[DatasetInfo]:
             name,
             images=named.images,
             pixels=named.pixels,
-            classes=len(named.labels),
+            classes=len(named.classes),
             where=str(named.find() or "not here"),
         )
         for name, named in DATASETS.items()
@@ -651,4 +557,4 @@ def load_indian_pines() -> SpectralImage:
     InputError
         If its files are missing, cannot be read, or hold other values.
     """
-    return INDIAN_PINES.scene()
+    return cast(IndianPines, DATASETS["indian-pines"]).scene()

@@ -37,7 +37,7 @@ from deepfsi.base.numeric import (
     read_rows,
     read_zip_entry,
 )
-from deepfsi.datasets.arrays import Names, check_no_classes, draw_stratified, split_arrays
+from deepfsi.datasets.arrays import check_no_classes, draw_stratified, split_arrays
 from deepfsi.datasets.dataset import Dataset, LoadOptions
 from deepfsi.datasets.decoding import PictureSize, Tally, unread_kind
 from deepfsi.datasets.levels import LARGE
@@ -136,7 +136,7 @@ def dataset_of_pictures(
     return split_arrays(
         (pixels[:n], labels[:n]),
         (pixels[n:], labels[n:]) if test else (None, None),
-        names=Names(values=listing.values or None),
+        values=listing.values or None,
         name=name,
         seed=options.seed,
         rescale=options.rescale,

@@ -48,22 +48,22 @@ def find_folder(name: str, files: Iterable[str]) -> Path | None:
     return next((path for path in folders if all((path / f).is_file() for f in files)), None)
 
 
-def check_files(name: str, hashes: Mapping[str, str]) -> list[FileCheck]:
+def check_files(data_set: str, hashes: Mapping[str, str]) -> list[FileCheck]:
     """Compare the files of a data set with their hashes, "algorithm:hex"."""
-    folder = find_folder(name, hashes) or data_folders(name)[0]
-    return [_check_file(folder / file, expected) for file, expected in hashes.items()]
-
-
-def _check_file(path: Path, expected: str) -> FileCheck:
-    algorithm, _, digest = expected.partition(":")
-    try:
-        with path.open("rb") as file:
-            actual = hashlib.file_digest(file, algorithm).hexdigest()
-    except OSError as error:
-        return FileCheck(path.name, False, f"cannot be read from {path.parent} ({error.strerror})")
-    if actual != digest:
-        return FileCheck(path.name, False, f"{algorithm} is {actual}, not {digest}")
-    return FileCheck(path.name, True, f"{algorithm} agrees")
+    folder = find_folder(data_set, hashes) or data_folders(data_set)[0]
+    checks = []
+    for name, expected in hashes.items():
+        algorithm, _, digest = expected.partition(":")
+        try:
+            with (folder / name).open("rb") as file:
+                actual = hashlib.file_digest(file, algorithm).hexdigest()
+            detail = f"{algorithm} is {actual}, not {digest}"
+        except OSError as error:
+            detail = f"cannot be read from {folder} ({error.strerror})"
+            actual = ""
+        ok = actual == digest
+        checks.append(FileCheck(name, ok, f"{algorithm} agrees" if ok else detail))
+    return checks
 
 
 def download_files(name: str, hashes: Mapping[str, str], mirrors: tuple[str, ...]) -> Path:
