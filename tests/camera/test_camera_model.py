@@ -1,15 +1,11 @@
 """Laws of the camera: a laboratory's units, presets, what follows from what, files and refusals."""
 
 import json
-import tomllib
 
-import numpy as np
 import pytest
 
 from deepfsi.base import InputError, seconds
-from deepfsi.camera import DEVICES, PRESETS, Camera, DetectorMap
-from deepfsi.camera.camera import GUARD_S
-from deepfsi.cli.camera import CAMERA_EXAMPLES, camera_template
+from deepfsi.camera import PRESETS, Camera
 from shared.noises import saturating
 
 
@@ -31,39 +27,6 @@ from shared.noises import saturating
 )
 def test_times_are_seconds_or_have_a_unit(time, wanted):
     assert seconds(time) == pytest.approx(wanted, rel=1e-12)
-
-
-@pytest.mark.parametrize("time", ["", "ms", "10m", "10min", "-1ms", -1, "nan", "inf", True, None])
-def test_what_is_no_time_is_told(time):
-    with pytest.raises(ValueError, match="is not a time: give seconds, or such as 10ms"):
-        seconds(time)
-
-
-@pytest.mark.parametrize("name", DEVICES)
-def test_a_frame_of_a_device_is_counted_once_its_mirrors_have_settled(name):
-    device = DEVICES[name]
-    wanted = max(device.shortest_us * 1e-6 - device.settle_us * 1e-6 - GUARD_S, 0)
-    assert Camera(device=name).shortest_dwell == pytest.approx(wanted, abs=1e-12)
-    assert Camera(device=name, shortest_dwell="1ms").shortest_dwell == 1e-3
-
-
-def test_a_device_gives_the_levels_of_its_cells():
-    """16 x 16 mirrors of a pixel show 0 to 256 of them; without a device any level goes."""
-    camera = Camera(device="1024x1024")
-    assert camera.mask_levels((64, 64)) == 257
-    assert Camera(device="1024x1024", levels=2).mask_levels((64, 64)) == 2
-    assert Camera(device="1024x1024", levels=0).mask_levels((64, 64)) == 0
-    assert Camera().mask_levels((64, 64)) == 0
-    with pytest.raises(InputError, match="use a larger device or region, or fewer pixels"):
-        Camera(device="32x32").mask_levels((64, 64))
-
-
-def test_levels_are_of_square_cells_unless_they_are_stretched():
-    given = {}, {"stretch": True}, {"region": "640x384"}
-    levels = [Camera(device="dlp7000", **each).mask_levels((32, 32)) for each in given]
-    assert levels == [24 * 24 + 1, 24 * 32 + 1, 12 * 12 + 1]
-    with pytest.raises(InputError, match=r"region = '640': give COLUMNSxROWS"):
-        Camera.load(region="640")
 
 
 def test_a_camera_of_an_older_file_keeps_its_stretched_cells_and_levels():
@@ -100,56 +63,6 @@ def test_a_camera_comes_back_from_json(given):
     assert set(Camera.restored(fields).given_fields) <= set(camera.given_fields)
     louder = {"dark": 70.0, "noise": "camera"}
     assert Camera.load(Camera.restored(fields), **louder) == Camera.load(camera, **louder)
-
-
-def test_a_noise_of_ones_own_is_kept_as_it_is_and_written_by_its_path():
-    camera = Camera(noise=saturating)
-    assert camera.noise is saturating
-    assert camera == Camera(noise=saturating) != Camera()
-    assert camera.model_dump(mode="json")["noise"] == "shared.noises:saturating"
-    assert Camera(noise=lambda rates, generator: rates).noise_name == "own"
-    assert Camera(noise="own").noise_name == "own"  # of a file, whose function is not known
-
-
-def test_detectors_may_be_a_map_or_a_number(tmp_path):
-    tiles = DetectorMap.of("2x2", (8, 8)).labels
-    np.save(tmp_path / "map.npy", tiles)
-    for given in (tiles, tiles, tiles.tolist(), str(tmp_path / "map.npy")):
-        camera = Camera(detectors=given)
-        assert camera.detectors == tuple(tiles.tolist())
-        assert np.array_equal(camera.detector_map((8, 8)).labels, tiles)
-        assert Camera.model_validate_json(camera.model_dump_json()) == camera
-    assert Camera(detectors=4).detectors == "4"
-
-
-def test_the_template_is_a_camera_file(tmp_path):
-    """As it is that of the usual camera; with every line in force, one of each field."""
-    file = tmp_path / "camera.toml"
-    file.write_text(camera_template(), "utf-8")
-    assert Camera.load(file) == Camera.load(str(file)) == Camera.load("dmd")
-    every = {"light", *CAMERA_EXAMPLES}
-    assert every == set(Camera.model_fields)
-    lines = [line.removeprefix("# ") for line in camera_template().splitlines()]
-    whole = "\n".join(line for line in lines if line.partition(" = ")[0] in every)
-    file.write_text(whole, "utf-8")
-    camera = Camera.load(file)
-    assert set(camera.given_fields) == set(tomllib.loads(whole)) == every
-    assert (camera.device.name, camera.exposure, camera.dark_counts) == ("dlp7000", 0.01, 2.0)
-    assert Camera.load(file, exposure="20ms").budget == 2e4
-
-
-def test_files_that_a_camera_file_names_are_beside_it(tmp_path, monkeypatch):
-    """Wherever the program runs."""
-    (tmp_path / "lab").mkdir()
-    np.save(tmp_path / "lab" / "map.npy", np.arange(64) % 4)
-    (tmp_path / "lab" / "mirrors.toml").write_text("columns = 64\nrows = 64\nshortest_us = 100\n")
-    file = tmp_path / "lab" / "camera.toml"
-    file.write_text('detectors = "map.npy"\ndevice = "mirrors.toml"\n')
-    monkeypatch.chdir(tmp_path)
-    camera = Camera.load("lab/camera.toml")
-    assert camera.detector_map((8, 8)).count == 4
-    assert (camera.device.name, camera.device.columns) == ("mirrors", 64)
-    assert camera.shortest_dwell == pytest.approx(88e-6)
 
 
 @pytest.mark.parametrize(
@@ -217,17 +130,3 @@ def test_a_bad_camera_file_is_named(tmp_path, text, match):
     with pytest.raises(InputError, match=match) as error:
         Camera.load(file)
     assert "\n" not in str(error.value)
-
-
-def test_words_say_optics_frames_and_light():
-    lines = Camera(**{**FULL, "device": "dlp7000", "noise": "camera"}).describe().splitlines()
-    assert lines == [
-        "one DMD with a detector on each arm (light law two-arm); signed masks of two rails",
-        "2x2 detectors on each arm",
-        "device dlp7000: 1024 x 768 mirrors, square cells in the middle of the device",
-        "frames are counted for 32 µs or longer: up to 312 in an exposure of 10 ms",
-        "budget 10000 counts in 10 ms, at 1e6 counts/s with all mirrors of the region ON",
-        "2 dark counts of a detector in an exposure",
-        "read noise of 0.5 counts rms a readout",
-        "dead time 20 ns, paralysable",
-    ]

@@ -58,13 +58,6 @@ def test_names_are_found_in_any_case_and_the_nearest_is_told():
         find_device("dlp650")
 
 
-def test_times_are_changed_within_what_the_device_can():
-    changed = find_device("dlp6500", 24e-6, 5e-6)
-    assert (changed.shortest_us, changed.settle_us, changed.patterns) == (24, 5, 400)
-    with pytest.raises(InputError, match=r"`shortest` 2e\+07 µs .* 1 to 1\.67772e\+07"):
-        find_device("dlp6500", 20.0)
-
-
 @pytest.mark.parametrize(
     "fields",
     [

@@ -6,37 +6,22 @@ import numpy as np
 import pytest
 import torch
 
-import deepfsi
-from conftest import PHOTONS, RECIPE, quick, same
-from deepfsi import Camera, Looks, Range, evaluate
+from deepfsi import Camera
 from deepfsi.base import InputError, Progress
-from deepfsi.exposure import TrainingSet, network_dtype
-from deepfsi.exposure.training_set import BFLOAT16_COUNTS, BFLOAT16_WIDTH, product_dtype
+from deepfsi.exposure import training_set
 from deepfsi.jobs import (
     Job,
     Training,
     find_job,
     sensing_matrix,
-    sorted_settings,
 )
 from deepfsi.physics import Rails, light_law
-from deepfsi.training import companions, train
 from shared.jobs import job as job_of
 from shared.jobs import learn
 from shared.networks import Cnn
 from shared.noises import photons, saturating
 
-SETTINGS = {**RECIPE, "epochs": 3, "dropout": 0.1}
 CPU = torch.device("cpu")
-
-
-@pytest.mark.parametrize(
-    "change", [{"masks": 7}, {"light": "free-dwell"}, {"epochs": 4}, {"looks": 2}, {"dark": 1.0}]
-)
-def test_jobs_that_differ_in_more_cannot_share_a_training(digits, change):
-    jobs = [job_of(**{"masks": 6, "photons": 1e3, **SETTINGS, **more}) for more in ({}, change)]
-    with pytest.raises(ValueError, match="may differ in photons, sigma and seed only"):
-        train(TrainingSet(digits, "cpu"), jobs)
 
 
 @pytest.mark.parametrize(
@@ -101,11 +86,6 @@ def test_a_bad_matrix_is_refused_before_training(digits, matrix, match):
     assert not seen
 
 
-def test_a_matrix_goes_only_with_the_custom_design(digits):
-    with pytest.raises(InputError, match="a matrix goes with"):
-        learn(digits, design="pca", matrix=np.full((7, 64), 0.1), photons=1e4, masks=7)
-
-
 @pytest.fixture
 def fast_processor(monkeypatch):
     monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: {"avx512_bf16": True})
@@ -114,51 +94,22 @@ def fast_processor(monkeypatch):
 @pytest.mark.parametrize(
     ("limit", "settings"),
     [
-        (20 * BFLOAT16_COUNTS, {}),
-        (20 * BFLOAT16_COUNTS, {"noise": "poisson"}),
-        (10 * BFLOAT16_COUNTS, {"rails": "single"}),
+        (20 * training_set.BFLOAT16_COUNTS, {}),
+        (20 * training_set.BFLOAT16_COUNTS, {"noise": "poisson"}),
+        (10 * training_set.BFLOAT16_COUNTS, {"rails": "single"}),
         (20 * 128, {"noise": "gaussian"}),
         (20 * 128 * 5, {"noise": "gaussian", "sigma": 5.0}),
     ],
 )
 def test_bfloat16_only_where_rounding_stays_under_the_noise(fast_processor, limit, settings):
-    assert product_dtype(job_of(masks=10, photons=limit, **settings), CPU) == torch.bfloat16
-    assert product_dtype(job_of(masks=10, photons=limit * 1.01, **settings), CPU) == torch.float32
-
-
-def test_rounding_is_that_of_the_readout_with_most_light(fast_processor):
-    """Nested masks may give all light to the first, looks to one, and raster has one rail."""
-
-    def limit(design="deepfsi", **settings) -> float:
-        alike = {"design": design, "masks": 8, "hidden": (BFLOAT16_WIDTH,), **settings}
-        jobs = {
-            masks: job_of(photons=masks * BFLOAT16_COUNTS, **alike) for masks in (1, 2, 4, 8, 16)
-        }
-        return max(masks for masks in jobs if network_dtype(jobs[masks], CPU) == torch.bfloat16)
-
-    assert limit() == 16
-    assert limit(nested=2) == 4
-    assert limit(looks=4) == 2
-    assert limit("raster") == 8
-
-
-def test_no_noise_or_no_fast_processor_means_float32(fast_processor, monkeypatch):
-    assert product_dtype(job_of(masks=10, photons=1e2, noise="none"), CPU) == torch.float32
-    monkeypatch.setattr(torch.cpu, "get_capabilities", dict)
-    assert product_dtype(job_of(masks=10, photons=1e2), CPU) == torch.float32
-
-
-def test_networks_are_in_bfloat16_where_they_are_wide_and_not_a_users_own(fast_processor):
-    def kind(photons=1e4, device=CPU, **settings) -> torch.dtype:
-        settings = {"hidden": (BFLOAT16_WIDTH, 40), **settings}
-        return network_dtype(job_of(masks=10, photons=photons, **settings), device)
-
-    assert kind() == torch.bfloat16
-    assert kind(hidden=(BFLOAT16_WIDTH - 1, 40)) == kind(hidden=()) == torch.float32
-    assert kind(photons=20.01 * BFLOAT16_COUNTS) == torch.float32
-    assert kind(photons=1e8, precision="bfloat16") == torch.bfloat16
-    assert kind(precision="float32") == kind(device=torch.device("cuda")) == torch.float32
-    assert kind(classifier="module:factory") == torch.float32
+    assert (
+        training_set.product_dtype(job_of(masks=10, photons=limit, **settings), CPU)
+        == torch.bfloat16
+    )
+    assert (
+        training_set.product_dtype(job_of(masks=10, photons=limit * 1.01, **settings), CPU)
+        == torch.float32
+    )
 
 
 def rounding(digits, masks: int, photons: float) -> float:
@@ -174,16 +125,8 @@ def rounding(digits, masks: int, photons: float) -> float:
 
 
 def test_bfloat16_error_is_under_the_photon_noise_where_allowed(digits):
-    assert rounding(digits, 10, 20 * BFLOAT16_COUNTS) < 0.5
+    assert rounding(digits, 10, 20 * training_set.BFLOAT16_COUNTS) < 0.5
     assert rounding(digits, 2, 1e8) > 1  # and would not be here
-
-
-def test_training_in_bfloat16_reads_as_well(digits):
-    designs = (
-        quick(digits, masks=10, epochs=8, precision=each) for each in ("float32", "bfloat16")
-    )
-    accuracy = [evaluate(design, digits, PHOTONS)[0].accuracy for design in designs]
-    assert accuracy[0] == pytest.approx(accuracy[1], abs=0.05)
 
 
 def test_a_job_comes_back_from_json():
@@ -200,24 +143,6 @@ def test_a_job_comes_back_from_json():
     assert written.camera.noise == "shared.noises:saturating"
     assert written.training.classifier == "shared.networks:Cnn"
     assert mine == mine.model_copy() != written
-
-
-def test_single_settings_are_sorted_into_the_tables_that_declare_them():
-    found = sorted_settings(
-        {
-            "masks": 4, "camera": "two-arm", "dmd": "dlp7000", "exposure": "10ms", "looks": 3,
-            "epochs": 2, "noise": "camera", "train_noise": "poisson",
-        }
-    )  # fmt: skip
-    camera = Camera(light="two-arm", device="dlp7000", exposure="10ms", noise="camera")
-    assert found == {
-        "masks": 4,
-        "camera": camera,
-        "exposure": {"looks": 3},
-        "training": {"epochs": 2, "noise": "poisson"},
-    }
-    assert sorted_settings({"masks": 4}) == {"masks": 4}
-    assert sorted_settings({"camera": "paper"}) == {"camera": "paper"}
 
 
 @pytest.mark.parametrize(
@@ -256,18 +181,6 @@ def test_what_is_no_job_is_one_line(settings, match):
     with pytest.raises(InputError, match=match) as error:
         find_job(given, counts)
     assert "\n" not in str(error.value)
-
-
-def test_the_budget_of_a_job_is_its_cameras_unless_given():
-    camera = {"flux": 1e6, "exposure": "10ms"}
-    assert find_job({"masks": 6, "camera": camera}).photons == 1e4
-    assert Job(masks=6, camera=camera) == Job(masks=6, camera=camera, photons=1e4)
-    with pytest.raises(InputError, match=r"no setting 'epochs': give `training="):
-        Job(masks=6, photons=1e4, epochs=3)
-    assert find_job({"masks": 6, "camera": camera, "photons": 3.0}).photons == 3
-    assert find_job({"masks": 6, "camera": camera}, counts=30.0).photons == 30
-    made = find_job({"masks": 6, "photons": 1e3, "exposure": Range(span=3.0), "camera": "paper"})
-    assert (made.camera, made.exposure) == (Camera.load("paper"), Range(span=3.0))
 
 
 @pytest.mark.parametrize(
@@ -320,37 +233,8 @@ def test_a_job_trains_under_its_cameras_noise_unless_told(settings, noise):
     assert job.mask_job() is job
 
 
-def test_companions_differ_in_budget_sigma_and_seed():
-    def key(**settings):
-        return companions(job_of(**{"masks": 6, "photons": 1e3, **settings}), CPU)
-
-    alike = [{}, {"photons": 2e3}, {"sigma": 3.0}, {"seed": 5}]
-    assert len({key(**settings) for settings in alike}) == 1
-    other = [{"masks": 7}, {"dark": 1.0}, {"light": "free-dwell"}, {"looks": 2}, {"epochs": 3}]
-    assert len({key(**settings) for settings in [{}, *other]}) == 6
-    alone = {"classifier": "shared.networks:Cnn"}
-    assert key(**alone) != key(**alone, seed=5)
-    assert key(patch=4) != key(patch=4, seed=5)
-
-
 def test_a_device_that_cannot_show_the_scenes_is_a_fault_of_the_job(digits):
     job = Job(masks=6, photons=1e3, camera={"device": "4x4"})
     [fault] = job.faults(digits)
     assert "use a larger device or region, or fewer pixels" in fault
     assert not Job(masks=6, photons=1e3, camera={"device": "dlp7000"}).faults(digits)
-
-
-def test_settings_may_be_models_or_their_fields(digits):
-    given = {"photons": 1e3, "masks": 4, "device": "cpu"}
-    one = deepfsi.learn(
-        digits, camera=Camera(light="two-arm"), exposure=Looks(looks=2),
-        training=Training(epochs=1, batch=100), **given,
-    )  # fmt: skip
-    other = deepfsi.learn(
-        digits, camera="two-arm", exposure={"looks": 2}, training={"epochs": 1, "batch": 100},
-        **given,
-    )  # fmt: skip
-    assert same(one, other)
-    for name in ("camera", "exposure", "training"):
-        assert one.info["job"][name] == other.info["job"][name]
-    assert one.camera == Camera(light="two-arm")

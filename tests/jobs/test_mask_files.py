@@ -1,8 +1,6 @@
 """Masks of one's own, from everything that holds them."""
 
 import struct
-import subprocess
-import sys
 
 import h5py
 import numpy as np
@@ -80,27 +78,11 @@ def test_images(tmp_path, stack, wanted):
         np.testing.assert_allclose(read_matrix(str(source)), wanted, rtol=1e-12)
 
 
-def test_pages_of_floats_and_of_single_bits(tmp_path):
-    pages = [Image.fromarray(page.astype(np.float32)) for page in SIGNED.reshape(3, 2, 4)]
-    pages[0].save(tmp_path / "f.tiff", save_all=True, append_images=pages[1:])
-    np.testing.assert_array_equal(read_matrix(f"{tmp_path}/f.tiff"), SIGNED.astype(np.float32))
-    bits = [Image.fromarray(page > 127) for page in GREY]
-    bits[0].save(tmp_path / "b.tif", save_all=True, append_images=bits[1:])
-    np.testing.assert_allclose(
-        read_matrix(f"{tmp_path}/b.tif"), (GREY > 127).reshape(3, 8) / 3, rtol=1e-12
-    )
-
-
 @pytest.mark.parametrize(("light", "rails"), OPTICS)
 def test_grey_levels_obey_every_constraint(tmp_path, light, rails):
     np.save(tmp_path / "m.npy", np.full((5, 4, 4), 255, dtype=np.uint8))
     own = torch.from_numpy(read_matrix(f"{tmp_path}/m.npy"))
     light_law(light).check(light_law(light).rails(own, rails))
-
-
-def test_it_needs_no_torch():
-    script = "import sys; sys.modules['torch'] = None; import deepfsi.jobs.mask_files"
-    subprocess.run([sys.executable, "-c", script], check=True, capture_output=True)
 
 
 def write_bad(folder):
