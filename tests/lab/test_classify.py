@@ -1,6 +1,5 @@
 """Classes of runs and tables in Python: those of the command line, and what is refused."""
 
-import json
 import re
 from pathlib import Path
 
@@ -9,11 +8,8 @@ import pytest
 
 import deepfsi
 from conftest import quick
-from deepfsi.cli.scenes import listed, scenes_of
 from deepfsi.datasets import read_display, write_pictures
-from deepfsi.hardware.counting import TableSettings, Verdict, count_run, read_counts, read_run
-from deepfsi.hardware.counting.acquisition import VERDICT
-from deepfsi.hardware.live import LiveCounts
+from deepfsi.hardware.counting import Verdict, acquisition, count_run, read_counts, read_run
 from deepfsi.hardware.patterns import read_patterns
 from deepfsi.hardware.virtual import (
     CAMERAS,
@@ -22,7 +18,6 @@ from deepfsi.hardware.virtual import (
     arrival_rates,
     record_scenes,
 )
-from shared.live_samples import live, make_patterns
 
 PAGE = Path(__file__).parents[2] / "docs/do/camera.md"
 DESIGN, RUN = "small-dmd.safetensors", "run_0001"
@@ -46,24 +41,6 @@ def lab(tmp_path_factory, digits):
     return folder
 
 
-def in_json(done, *words):
-    said = json.loads(done("camera", "classify", *words, "--json"))
-    assert said.pop("schema") == "deepfsi.camera.classify/1"
-    return said
-
-
-def test_a_run_has_the_classes_of_the_command_line(done, lab):
-    found = deepfsi.classify_run(lab / DESIGN, lab / RUN)
-    assert json.loads(json.dumps(found.as_dict())) == in_json(done, lab / DESIGN, lab / RUN)
-    counts = read_counts(lab / RUN)
-    assert [scene.photons for scene in found.scenes] == counts.photons.tolist()
-    assert [scene.name for scene in found.scenes] == list(read_display(lab / "images").names)
-    assert found.consistency.whole > 0.001
-    assert not found.faults
-    by_patterns = deepfsi.classify_run(str(lab / "frames"), str(lab / RUN))
-    assert by_patterns.as_dict() == found.as_dict()
-
-
 def test_classes_are_those_of_the_design_as_it_was_shown(lab):
     patterns = read_run(lab / RUN).patterns
     shown = deepfsi.Design.load(lab / DESIGN).as_shown(*patterns.realised)
@@ -71,16 +48,6 @@ def test_classes_are_those_of_the_design_as_it_was_shown(lab):
     wanted = shown.classify(shown.readouts(counts.signal()), counts.photons[:, None])
     found = deepfsi.classify_run(lab / DESIGN, lab / RUN).scenes
     assert [scene.probability for scene in found] == wanted.mean(axis=1).max(axis=-1).tolist()
-
-
-def test_a_table_has_the_classes_of_the_command_line(done, lab):
-    counts = read_counts(lab / RUN).counts[:, 0, 0]
-    np.save(lab / "counts.npy", counts)
-    found = deepfsi.classify_table(lab / DESIGN, lab / "counts.npy", TableSettings(photons=1e5))
-    words = [lab / DESIGN, lab / "counts.npy", "--photons", "1e5"]
-    assert json.loads(json.dumps(found.as_dict())) == in_json(done, *words)
-    with pytest.raises(deepfsi.InputError, match="`settle` and `dead_time` need the times"):
-        deepfsi.classify_table(lab / DESIGN, lab / "counts.npy", TableSettings(1e5, settle_s=1e-6))
 
 
 def test_counts_that_are_not_of_the_training_are_refused_unless_forced(lab):
@@ -91,35 +58,6 @@ def test_counts_that_are_not_of_the_training_are_refused_unless_forced(lab):
     assert "do not look like" in found.remarks[0]
     with pytest.raises(deepfsi.InputError, match=r"photon budget 0 is not allowed"):
         deepfsi.classify_run(lab / DESIGN, lab / RUN, photons=0)
-
-
-def test_a_live_run_is_decided_as_it_was(done, digits, tmp_path):
-    patterns = make_patterns(tmp_path, digits)
-    decided = live(tmp_path / "run", patterns, digits, count=3)
-    with pytest.raises(deepfsi.InputError, match=r"counts\.npz is missing"):
-        deepfsi.classify_run(tmp_path / "looks.safetensors", tmp_path / "run")
-    LiveCounts.count(tmp_path / "run")
-    found = deepfsi.classify_run(tmp_path / "looks.safetensors", tmp_path / "run")
-    answers = [each.answer for each in decided if each.answer]
-    assert all(scene.agrees for scene in found.scenes)
-    for scene, answer in zip(found.scenes, answers, strict=True):
-        assert {**scene.as_dict(), "agrees": None} == {**answer.as_dict(), "agrees": None}
-    assert found.as_dict() == in_json(done, tmp_path / "looks.safetensors", tmp_path / "run")
-    with pytest.raises(deepfsi.InputError, match="as it was"):
-        deepfsi.classify_run(tmp_path / "looks.safetensors", tmp_path / "run", photons=1e4)
-
-
-def test_scenes_are_a_list_or_pictures(lab, tmp_path):
-    (tmp_path / "scenes.csv").write_text("first,3\nsecond\n")
-    assert [(one.name, one.label) for one in listed(tmp_path / "scenes.csv", lab / "frames")] == [
-        ("first", "3"),
-        ("second", None),
-    ]
-    assert listed(lab / "images", lab / "frames") == scenes_of(
-        read_display(lab / "images"), lab / "images", lab / "frames"
-    )
-    with pytest.raises(deepfsi.InputError, match="there is nothing at"):
-        listed(tmp_path / "none.csv", lab / "frames")
 
 
 def test_the_error_of_a_background_is_in_the_test_of_the_counts(lab, monkeypatch):
@@ -217,6 +155,6 @@ def test_the_verdict_of_the_reference_is_kept_with_a_run_and_refuses_it(forty, l
     assert deepfsi.classify_run(shown, tmp_path / "run", force=True).scenes
     kept.model_copy(update={"fits": True, "reasons": ()}).keep(tmp_path / "run")
     assert "lies as the masks do" in deepfsi.classify_run(shown, tmp_path / "run").remarks[-1]
-    (tmp_path / "run" / VERDICT).write_text("{")
+    (tmp_path / "run" / acquisition.VERDICT).write_text("{")
     with pytest.raises(deepfsi.InputError, match="check again"):
         deepfsi.classify_run(shown, tmp_path / "run")

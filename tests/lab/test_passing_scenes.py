@@ -1,16 +1,13 @@
 """From a simulated photon file of passing scenes to their classes."""
 
-import json
-
 import numpy as np
 import pytest
 
 import deepfsi
-from conftest import once, synthetic
+from conftest import synthetic
 from deepfsi.base import InputError
-from deepfsi.hardware.photons import PtuWriter, read_photons
-from deepfsi.lab import classify_transits, simulate_transits
-from deepfsi.lab.transits import count_bins
+from deepfsi.hardware.photons import read_photons
+from deepfsi.lab import classify_transits, simulate_transits, transits
 
 BIN_S, PHOTONS, BACKGROUND = 1e-3, 1e4, 200.0
 
@@ -65,25 +62,10 @@ def test_a_scene_of_the_simulation_counts_in_its_bins_what_the_design_expects(
     path, starts = recorded
 
     times, _ = read_photons(path)
-    counts = count_bins(times, starts, BIN_S, 12) - BACKGROUND * BIN_S
+    counts = transits.count_bins(times, starts, BIN_S, 12) - BACKGROUND * BIN_S
     wanted = PHOTONS * data.x_test @ design.matrix.T / design.summed_reflectance
     error = 5 * (wanted + BACKGROUND * BIN_S) ** 0.5
     assert (abs(counts - wanted) < error + 1).all()
-
-
-def test_the_command_prints_and_writes_what_was_found(design, recorded, tmp_path, call):
-    path, _ = recorded
-    file = design.save(tmp_path / "one.safetensors")
-    table = tmp_path / "found.csv"
-    code, out, _ = call("camera", "transits", file, path, "--bin", "1ms", "-o", table)
-    assert not code
-    assert "false alarms are expected" in out
-    lines = table.read_text().splitlines()
-    assert lines[0].startswith("start_s,class,confidence,bin1,bin2")
-    code, out, _ = call("camera", "transits", file, path, "--bin", "1ms", "--json")
-    said = json.loads(out)
-    assert len(said["transits"]) == len(lines) - 1
-    assert said["threshold"]["false_alarms"] <= 0.01
 
 
 @pytest.mark.parametrize(
@@ -102,18 +84,3 @@ def test_bad_input_is_one_line(design, recorded, settings, match):
     with pytest.raises(InputError, match=match) as error:
         classify_transits(design, recorded[0], **{"bin_s": BIN_S, **settings})
     assert "\n" not in str(error.value)
-
-
-def test_background_alone_has_no_transits(design, tmp_path):
-    rng = np.random.default_rng(0)
-    times = np.sort(rng.integers(0, 20 * 10**9, 20_000))
-    with PtuWriter(tmp_path / "dark.ptu", 1e-9) as writer:
-        writer.write(times, np.zeros(20_000, np.int64))
-    found = classify_transits(design, tmp_path / "dark.ptu", BIN_S, false_alarms=1e-4)
-    assert found.transits == ()
-    assert found.as_csv().splitlines() == ["start_s,class,confidence"]
-
-
-def test_masks_at_rest_have_no_transits(recorded):
-    with pytest.raises(InputError, match="learn one of scenes that pass a pattern"):
-        classify_transits(once(synthetic((6, 8)), masks=4), recorded[0], BIN_S)

@@ -1,8 +1,5 @@
 """New pictures get the preprocessing that their design remembers, and exact counts."""
 
-import csv
-import io
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +8,7 @@ from PIL import Image
 
 import deepfsi
 from deepfsi import InputError, load_dataset
-from deepfsi.datasets import DIM_BLACK, write_display
+from deepfsi.datasets import DIM_BLACK
 from shared.jobs import learn
 
 
@@ -54,15 +51,6 @@ def test_new_pictures_are_classified_as_often_as_the_test_scenes(design, digits,
     assert "then mapped from [0, 1] to [0.3, 1]" in found.preprocessing
 
 
-@pytest.mark.parametrize("photons", [1e2, 1e4])
-def test_confidence_is_calibrated_for_the_light(design, raw, photons):
-    """It agrees with accuracy within five standard deviations, and 0.08 of few training scenes."""
-    found = deepfsi.predict(design, raw, photons, seed=3).pictures
-    [accuracy] = (each.accuracy for each in deepfsi.evaluate(design, "digits", photons, draws=1))
-    error = 5 * (accuracy * (1 - accuracy) / len(found)) ** 0.5 + 0.08
-    assert abs(np.mean([each.confidence for each in found]) - accuracy) < error
-
-
 def test_without_noise_the_answer_is_that_of_the_expected_counts(design, digits, raw):
     found = deepfsi.predict(design, raw, 1e4, noise="none")
     features = design.rates(design.scanner("none"), design.mean.new_tensor(digits.x_test)) * 1e4
@@ -72,30 +60,6 @@ def test_without_noise_the_answer_is_that_of_the_expected_counts(design, digits,
     assert [each.predicted for each in found.pictures] == [
         digits.classes[place] for place in chances.argmax(axis=-1)
     ]
-
-
-def test_the_same_seed_gives_the_same_classes(design, raw):
-    first, again, other = (deepfsi.predict(design, raw, 30, seed=seed) for seed in (0, 0, 1))
-    assert first == again
-    assert first != other
-
-
-def test_too_little_light_is_said(design, raw):
-    assert deepfsi.predict(design, raw, 1e4).remarks == ()
-    [said] = deepfsi.predict(design, raw, 10).remarks
-    assert "10 photons are too little light for this design" in said
-
-
-def test_pictures_that_data_export_wrote_are_not_mapped_twice(design, digits, raw, tmp_path):
-    write_display(digits, tmp_path / "shown", per_class=2)
-    found = deepfsi.predict(design, tmp_path / "shown", 1e6)
-    assert "mapped" not in found.preprocessing
-    assert {each.label for each in found.pictures} == set(digits.classes)
-    assert found.score.new.answers == 20
-    assert found.score.new.right >= 17
-    (raw / "0000.png").rename(tmp_path / "shown" / "0" / "x.png")
-    with pytest.raises(InputError, match=r"20 of 21 pictures .* give them apart"):
-        deepfsi.predict(design, tmp_path / "shown", 1e6)
 
 
 def test_size_white_and_damaged_pictures(tmp_path):
@@ -138,36 +102,6 @@ def test_what_cannot_be_predicted_is_refused(design, digits, tmp_path):
     unknown = learn(deepfsi.from_arrays(*arrays), photons=1e4, masks=4, epochs=1)
     with pytest.raises(InputError, match="does not know what to do to pictures"):
         deepfsi.predict(unknown, tmp_path / "a.png", 1e4)
-
-
-def test_mnist_pictures_of_28_pixels_are_framed(tmp_path):
-    from deepfsi.datasets import Origin, prepare_display
-
-    Image.fromarray(np.full((28, 28), 255, np.uint8)).save(tmp_path / "a.png")
-    shown = prepare_display(tmp_path / "a.png", Origin(data="mnist"))
-    assert shown.x.shape == (1, 32, 32)
-    assert shown.x[0, 0, 0] == pytest.approx(0.3)
-    assert shown.x[0, 2, 2] == pytest.approx(1.0)
-    assert shown.x.mean() == pytest.approx(0.3 + 0.7 * (28 / 32) ** 2)
-
-
-def test_the_command(done, refuse, file, digits, tmp_path):
-    write_display(digits, tmp_path / "shown", per_class=1)
-    words = ["predict", file, tmp_path / "shown", "--photons", "1e6"]
-    out = done(*words, "-o", tmp_path / "c.csv")
-    assert "of 10 pictures" in out
-    rows = list(csv.DictReader(io.StringIO((tmp_path / "c.csv").read_text())))
-    said = json.loads(done(*words, "--json"))
-    assert said["schema"] == "deepfsi.predict/1"
-    assert len(rows) == len(said["pictures"]) == 10
-    for row, each in zip(rows, said["pictures"], strict=True):
-        assert row == {name: str(value) for name, value in each.items()}
-        assert each["picture"].split("/")[0] == each["label"]
-        assert 0.1 <= each["confidence"] <= 1
-    assert "c.csv exists already" in refuse(*words, "-o", tmp_path / "c.csv")
-    assert done(*words, "-o", tmp_path / "c.csv", "--force")
-    assert "end the name in .csv" in refuse(*words, "-o", tmp_path / "c.txt")
-    assert "there is nothing at" in refuse("predict", file, tmp_path / "no", "--photons", 1)
 
 
 def test_light_is_that_of_the_camera_unless_it_is_told(digits, raw, design):

@@ -5,15 +5,7 @@ import pytest
 
 from deepfsi.base import InputError
 from deepfsi.hardware.photons import PtuWriter, read_photons, summarise
-from deepfsi.lab.transits import (
-    align_transits,
-    count_bins,
-    false_alarms,
-    find_background,
-    find_threshold,
-    find_transits,
-    write_transits,
-)
+from deepfsi.lab import transits
 
 BACKGROUND, WINDOW, DURATION = 40.0, 0.1, 20.0
 """Counts/s, seconds, seconds: a mean of four photons in a window."""
@@ -38,7 +30,7 @@ def test_background_rises_to_a_level_as_often_as_derived(level):
     """A rise to k is an arrival that finds k − 1: also where the record begins empty."""
     rng = np.random.default_rng(level)
     found = np.array([rises(dark(rng), level) for _ in range(400)])
-    wanted = false_alarms(level, BACKGROUND, WINDOW, DURATION)
+    wanted = transits.false_alarms(level, BACKGROUND, WINDOW, DURATION)
     error = 5 * found.std() / 20
     # of a record that begins empty the first window holds less, and the last term is left out
     assert abs(found.mean() - wanted) < error + 2 * WINDOW / DURATION * wanted + 0.03
@@ -46,9 +38,9 @@ def test_background_rises_to_a_level_as_often_as_derived(level):
 
 def test_records_of_background_have_no_more_false_alarms_than_are_allowed():
     rng, allowed, records = np.random.default_rng(0), 0.2, 1000
-    threshold = find_threshold(BACKGROUND, WINDOW, DURATION, allowed)
+    threshold = transits.find_threshold(BACKGROUND, WINDOW, DURATION, allowed)
     alarms = np.array(
-        [len(find_transits(dark(rng), WINDOW, threshold.photons)) for _ in range(records)]
+        [len(transits.find_transits(dark(rng), WINDOW, threshold.photons)) for _ in range(records)]
     )
     share = (alarms > 0).mean()
     error = 5 * (allowed * (1 - allowed) / records) ** 0.5
@@ -62,12 +54,12 @@ def test_records_of_background_have_no_more_false_alarms_than_are_allowed():
 @pytest.mark.parametrize("background", [0.0, 0.5, 40.0, 3e4])
 @pytest.mark.parametrize("allowed", [1e-6, 0.01, 0.5])
 def test_a_threshold_is_the_least_that_keeps_what_is_allowed(background, allowed):
-    found = find_threshold(background, WINDOW, DURATION, allowed)
+    found = transits.find_threshold(background, WINDOW, DURATION, allowed)
     assert found.false_alarms <= allowed
     assert found.photons >= 2
     below = found.photons - 1
     if below > background * WINDOW + 1 and below >= 2:
-        assert false_alarms(below, background, WINDOW, DURATION) > allowed
+        assert transits.false_alarms(below, background, WINDOW, DURATION) > allowed
 
 
 @pytest.fixture
@@ -79,7 +71,7 @@ def recorded(tmp_path):
     path = tmp_path / "photons.ptu"
     traces = np.tile(trace / 8, (40, 1))
     step_s = WINDOW / 48
-    write_transits(
+    transits.write_transits(
         path, traces, starts, step_s=step_s, background=BACKGROUND, seconds=15.0, rng=rng
     )
     return path, trace[::8], starts
@@ -91,30 +83,17 @@ def test_simulated_transits_are_found_where_they_are(recorded):
     assert len(times) == summarise(path).photons[0]
     assert (np.diff(times) >= 0).all()
     assert 14 < end <= 15
-    background = find_background(times, WINDOW, end, 0.01)
+    background = transits.find_background(times, WINDOW, end, 0.01)
     assert background == pytest.approx(BACKGROUND, rel=5 / (BACKGROUND * 8) ** 0.5)
-    level = find_threshold(background, WINDOW, end, 0.01).photons
-    rough = find_transits(times, WINDOW, level)
+    level = transits.find_threshold(background, WINDOW, end, 0.01).photons
+    rough = transits.find_transits(times, WINDOW, level)
     assert len(rough) == 40
-    found = align_transits(times, rough, WINDOW / 6, trace, background)
+    found = transits.align_transits(times, rough, WINDOW / 6, trace, background)
     assert abs(found - starts).max() < WINDOW / 6
     assert abs(found - starts).std() < WINDOW / 30
-    counts = count_bins(times, found, WINDOW / 6, 6)
+    counts = transits.count_bins(times, found, WINDOW / 6, 6)
     wanted = trace + BACKGROUND * WINDOW / 6
     assert (abs(counts.mean(axis=0) - wanted) < 5 * (wanted / 40) ** 0.5 + 0.1 * wanted).all()
-
-
-def test_photons_of_one_transit_are_not_a_second_one():
-    times = np.concatenate([[0.01], 1 + 0.1 * np.linspace(0, 1, 30), 1.15 + np.arange(3)])
-    assert len(find_transits(times, WINDOW, 8)) == 1
-    two = np.concatenate([1 + 0.1 * np.linspace(0, 1, 30), 1.3 + 0.1 * np.linspace(0, 1, 30)])
-    assert find_transits(two, WINDOW, 8) == pytest.approx([1.0, 1.3], abs=0.01)
-
-
-def test_a_record_that_is_full_of_transits_does_not_tell_its_background():
-    crowded = np.sort(np.concatenate([0.3 * k + 0.1 * np.linspace(0, 1, 99) for k in range(9)]))
-    with pytest.raises(InputError, match="give `background`"):
-        find_background(crowded, 0.1, 2.7, 0.01)
 
 
 def test_photons_on_each_input_are_read_between_markers(tmp_path):

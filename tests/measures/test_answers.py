@@ -26,17 +26,6 @@ def test_the_log_loss_of_knowing_nothing_or_the_wrong_is_finite(right):
     assert Result.of(classes(chances, truth)).log_loss == pytest.approx(loss, rel=1e-5)
 
 
-def test_draws_of_a_scene_stand_together_in_their_order():
-    scenes = np.array([0, 1, 0, 1, 2, 2])  # a chunk of two scenes, then one of one
-    answers = classes(np.eye(2)[[0, 1, 0, 0, 1, 1]], np.array([0, 1, 1]), 2, scenes)
-    assert answers.by_scene(np.arange(6)).tolist() == [[0, 2], [1, 3], [4, 5]]
-    assert answers.right.tolist() == [1, 0.5, 1]
-    assert answers.confusion.tolist() == [[2, 0], [1, 3]]
-    result = Result.of(answers)
-    assert (result.images, result.draws, result.accuracy) == (3, 2, 5 / 6)
-    assert (result.throughput, result.photons_per_mask) == (0.75, [500, 250])
-
-
 def test_the_answer_is_that_of_the_design_where_rounded_chances_are_alike():
     answered = np.array([1, 1])
     answers = classes(np.full((2, 2), 0.5), np.array([0, 1]), answered=answered)
