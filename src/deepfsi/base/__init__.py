@@ -49,9 +49,10 @@ from deepfsi.base.locks import Locks, list_folder
 from deepfsi.base.plugins import (
     IMPORT_PATH,
     UNNAMED_PLUGIN,
+    check_report,
     import_path,
     load_plugin,
-    require_torch,
+    require_extras,
     source_hash,
 )
 from deepfsi.base.progress import (
@@ -97,6 +98,7 @@ __all__ = [
     "check_disk_space",
     "check_ending",
     "check_readable_name",
+    "check_report",
     "check_unpacked",
     "closest_choice",
     "content_of",
@@ -127,7 +129,7 @@ __all__ = [
     "read_toml",
     "readable_name",
     "remove_drafts",
-    "require_torch",
+    "require_extras",
     "restore_handlers",
     "saved_work_text",
     "say_stopped",

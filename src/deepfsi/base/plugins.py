@@ -7,6 +7,7 @@ a design file that the user says to trust.
 
 import contextlib
 import importlib
+import importlib.util
 import os
 import sys
 from collections.abc import Iterator
@@ -28,16 +29,35 @@ TORCH_MISSING = (
 )
 """Message where torch is missing."""
 
+REPORT_MISSING = (
+    'pages and figures need matplotlib and jinja2, which are not both installed: pip install "deepf'
+    'si[report]"'
+)
+"""Message where what draws is missing."""
+
+_REPORT_PACKAGES = ("jinja2", "markupsafe", "matplotlib")
+
+_MISSING = {"torch": TORCH_MISSING, **dict.fromkeys(_REPORT_PACKAGES, REPORT_MISSING)}
+"""Messages by the package that is missing."""
+
 
 @contextlib.contextmanager
-def require_torch() -> Iterator[None]:
-    """Say in one line what to install where torch is missing."""
+def require_extras() -> Iterator[None]:
+    """Say in one line what to install where torch, or what draws, is missing."""
     try:
         yield
     except ModuleNotFoundError as error:
-        if error.name != "torch":
+        if error.name not in _MISSING:
             raise
-        raise InputError(TORCH_MISSING) from None
+        raise InputError(_MISSING[error.name]) from None
+
+
+def check_report() -> None:
+    """Raise `InputError` where what draws pages and figures is missing, before any work."""
+    with require_extras():
+        for name in _REPORT_PACKAGES:
+            if importlib.util.find_spec(name) is None:
+                raise ModuleNotFoundError(name=name)
 
 
 def load_plugin(path: str) -> Any:

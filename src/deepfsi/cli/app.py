@@ -16,7 +16,7 @@ from typing import Any, NoReturn
 import click
 
 import deepfsi
-from deepfsi.base import STOPPED_EXIT_CODE, InputError, require_torch, say_stopped
+from deepfsi.base import STOPPED_EXIT_CODE, InputError, require_extras, say_stopped
 from deepfsi.cli.terminal import error_line
 
 
@@ -176,7 +176,7 @@ def run_command_line() -> NoReturn:
     code: Any = 0
     try:
         _check_here()
-        with require_torch():
+        with require_extras():
             code = app(prog_name="deepfsi", standalone_mode=False)
     except (KeyboardInterrupt, click.Abort):
         code = STOPPED_EXIT_CODE

@@ -15,7 +15,7 @@ from typing import Annotated, Any, TypeVar
 from pydantic import AfterValidator, BeforeValidator, Field
 from pydantic.fields import FieldInfo
 
-from deepfsi.base import InputError, check_ending, seconds
+from deepfsi.base import InputError, check_ending, check_report, seconds
 from deepfsi.base.models import Count
 from deepfsi.camera import Camera, find_noise
 from deepfsi.datasets import check_source
@@ -185,6 +185,8 @@ def check_file(path: Path, endings: tuple[str, ...], force: bool, made: Path | N
     if path.is_dir():
         raise InputError(f"{path} is a folder: give a file name ending in {' or '.join(endings)}")
     check_ending(path, endings)
+    if endings == PICTURES:
+        check_report()
     check_free(path, force)
     if (made is None or path.parent not in (made, *made.parents)) and not path.parent.is_dir():
         raise InputError(f"cannot write {path}: there is no folder {path.parent}; make it first")

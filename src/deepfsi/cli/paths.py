@@ -4,7 +4,7 @@ import tempfile
 from pathlib import Path
 
 from deepfsi.base import DESIGN_ENDINGS as DESIGN_ENDINGS
-from deepfsi.base import InputError, check_ending
+from deepfsi.base import InputError, check_ending, check_report
 
 PICTURES = (".png", ".svg", ".pdf")
 TABLES = (".csv", ".parquet")
@@ -35,6 +35,8 @@ def check_file(path: Path, ends: tuple[str, ...], force: bool, made: Path | None
     if path.is_dir():
         raise InputError(f"{path} is a folder: give a file name ending in {' or '.join(ends)}")
     check_ending(path, ends)
+    if ends == PICTURES:
+        check_report()
     check_free(path, force)
     if (made is None or path.parent not in (made, *made.parents)) and not path.parent.is_dir():
         raise InputError(f"cannot write {path}: there is no folder {path.parent}; make it first")

@@ -15,6 +15,7 @@ from pydantic import Field
 from deepfsi.base import (
     InputError,
     Table,
+    check_report,
     closest_choice,
     read_toml,
     write_atomically,
@@ -92,6 +93,7 @@ class CompareDesigns(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Results, a page of them and the verdict."""
+        check_report()
         base: dict[str, Any] = {"data": self.data}
         file = read_recipe(self.recipe) if self.recipe else {}
         from deepfsi.sweeps import Workers, check_kept, compare, only, with_adaptive
@@ -226,6 +228,7 @@ class SweepRecipe(Command):
     def run(self, terminal: Terminal) -> Outcome:
         """Results and a page of them; or how long they would take."""
         if not self.dry_run:
+            check_report()
             fields.check_folder(self.out)
         if self.table is not None:
             fields.check_file(self.table, fields.TABLE_FILES, self.force, made=self.out)

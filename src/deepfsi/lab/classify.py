@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from deepfsi.base import InputError, hash_file, plain_keywords, require_torch
+from deepfsi.base import InputError, hash_file, plain_keywords, require_extras
 from deepfsi.base.numeric import read_table
 from deepfsi.camera import NO_EFFECTS, TOO_DIM, Camera, check_budget
 from deepfsi.designfile import (
@@ -362,7 +362,7 @@ def _classified_readouts(
 
 def _opened(design: str | os.PathLike[str], patterns: Patterns | None, trust: bool) -> "Design":
     """Design of a file or a folder of patterns, of fixed dwells, as its patterns realise it."""
-    with require_torch():
+    with require_extras():
         from deepfsi.design import Design
         from deepfsi.networks import check_classes
 

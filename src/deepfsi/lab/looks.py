@@ -3,7 +3,7 @@
 import os
 from pathlib import Path
 
-from deepfsi.base import read_regular, require_torch
+from deepfsi.base import read_regular, require_extras
 from deepfsi.base.numeric import LARGEST_TENSORS
 from deepfsi.designfile import AdaptiveHeader, DesignFile
 from deepfsi.hardware.live import FixedMaskLooks, LookChooser
@@ -14,7 +14,7 @@ def design_rails(file: str | os.PathLike[str]) -> DesignRails:
     """Rails of a design file, as `export_patterns` takes them; only adaptive masks need torch."""
     path = Path(file)
     if isinstance(DesignFile.read(path, ()).header, AdaptiveHeader):
-        with require_torch():
+        with require_extras():
             from deepfsi.lab.adaptive_looks import adaptive_rails
         return adaptive_rails(path)
     return DesignRails.of(
@@ -39,6 +39,6 @@ def open_looks(folder: Path) -> LookChooser:
     looks = patterns.manifest.looks
     if looks is None or not looks.adaptive:
         return FixedMaskLooks.read(folder, patterns)
-    with require_torch():
+    with require_extras():
         from deepfsi.lab.adaptive_looks import AdaptiveLooks
     return AdaptiveLooks.read(folder, patterns.manifest)

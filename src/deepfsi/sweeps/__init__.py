@@ -1,6 +1,6 @@
 """Many designs: recipes, their trials, the records of these, and their summary."""
 
-from deepfsi.sweeps.forecast import Forecast, check_plan, forecast_cost, photons_needed, plan_lines
+from deepfsi.sweeps.forecast import check_plan, forecast_cost, photons_needed, plan_lines
 from deepfsi.sweeps.model_cards import Collection, DataTerms, DesignRecipe, make_collection
 from deepfsi.sweeps.plan import Trial, check_settings, plan_trials, with_adaptive
 from deepfsi.sweeps.ray_cluster import run_on_ray
@@ -19,7 +19,6 @@ __all__ = [
     "DesignRecipe",
     "FinishedTrial",
     "FoldRecords",
-    "Forecast",
     "Point",
     "Provenance",
     "Recipe",
