@@ -50,17 +50,36 @@ def count_text(counts: float) -> str:
 
 
 def rate_text(mean: float, low: float, high: float) -> str:
-    """A rate with half the width of its interval: 0.565 ± 0.027."""
+    """A rate with half the width of its interval: 0.565 ± 0.027.
+
+    Parameters
+    ----------
+    mean, low, high : float
+    """
     return f"{mean:.3f} ± {(high - low) / 2:.3f}"
 
 
 def plural(number: int, what: str) -> str:
-    """A number of things: 1 exposure, 2 exposures."""
+    """A number of things: 1 exposure, 2 exposures.
+
+    Parameters
+    ----------
+    number : int
+    what : str
+        One of them.
+    """
     return f"{number} {what}{'' if number == 1 else 's'}"
 
 
 def short_name(name: str, width: int = NAME_WIDTH) -> str:
-    """Beginning of a long name, for a table."""
+    """Beginning of a long name, for a table.
+
+    Parameters
+    ----------
+    name : str
+    width : int
+        Characters at most.
+    """
     return name if len(name) <= width else f"{name[: width - 1]}…"
 
 

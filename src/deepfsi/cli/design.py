@@ -16,7 +16,7 @@ from deepfsi.base import (
     join_messages,
     write_atomically,
 )
-from deepfsi.camera import ONE_DETECTOR, Camera
+from deepfsi.camera import Camera
 from deepfsi.cli import fields
 from deepfsi.cli.command import Command
 from deepfsi.cli.evaluate import (
@@ -29,16 +29,7 @@ from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.designfile import check_masks, trained_on
 from deepfsi.hardware.calibration import view_dataset
 from deepfsi.hardware.patterns import write_photomask
-from deepfsi.jobs import (
-    DESIGNS,
-    Job,
-    check_design,
-    count_allowed,
-    find_exposure,
-    find_job,
-    read_matrix,
-    sorted_settings,
-)
+from deepfsi.jobs import Job, find_job, read_matrix, sorted_settings, usual_mask_count
 from deepfsi.measures import details_text, score_text
 
 if TYPE_CHECKING:
@@ -78,9 +69,8 @@ class LearnDesign(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Train, save and test."""
-        fields.check_file(
-            self.out, DESIGN_ENDINGS, force=True
-        )  # one of the same settings is replaced
+        # one of the same settings may be replaced
+        fields.check_file(self.out, DESIGN_ENDINGS, force=True)
         from deepfsi.evaluation import evaluate
         from deepfsi.training import learn
 
@@ -168,21 +158,7 @@ def _job_fields(
                 "--matrix is a design with its own masks: leave --masks and --design out"
             )
         return {**job, "design": "custom", "masks": len(matrix)}
-    return job if "masks" in job else {**job, "masks": _usual_count(job, data)}
-
-
-def _usual_count(job: Mapping[str, Any], data: Dataset) -> int:
-    """Number of masks of a design that has no choice, or `InputError`."""
-    exposure = find_exposure(job.get("exposure", {}))
-    if exposure.fixed_mask_count:
-        return exposure.fixed_mask_count
-    design = check_design(job.get("design", "deepfsi"))
-    code = DESIGNS[design]
-    if not code.complete:
-        raise InputError(f"{design} needs a number of masks: add --masks, for instance --masks 10")
-    scene = exposure.scene(data)
-    detectors = ONE_DETECTOR if code.every_pixel else job["camera"].detector_map(scene.image_shape)
-    return count_allowed(design, scene, detectors)[1]
+    return job if "masks" in job else {**job, "masks": usual_mask_count(job, data)}
 
 
 def _check_test(job: Job) -> None:

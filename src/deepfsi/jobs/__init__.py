@@ -42,6 +42,7 @@ from deepfsi.jobs.job import (
     find_table,
     sorted_settings,
     table_advice,
+    usual_mask_count,
 )
 from deepfsi.jobs.mask_files import read_matrix
 from deepfsi.jobs.tiles import check_count, count_allowed, sensing_matrix
@@ -106,4 +107,5 @@ __all__ = [
     "sensing_matrix",
     "sorted_settings",
     "table_advice",
+    "usual_mask_count",
 ]

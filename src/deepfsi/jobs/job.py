@@ -16,6 +16,7 @@ from deepfsi.base.models import UserModel
 from deepfsi.camera import (
     LIGHT_LAWS,
     NOISES,
+    ONE_DETECTOR,
     Camera,
     CameraSource,
     PhotonBudget,
@@ -36,7 +37,7 @@ from deepfsi.jobs.exposures import (
     Fixed,
     find_exposure,
 )
-from deepfsi.jobs.tiles import check_count
+from deepfsi.jobs.tiles import check_count, count_allowed
 from deepfsi.jobs.training import (
     CLASSIFIERS,
     FEW_COUNTS,
@@ -407,6 +408,37 @@ def sorted_settings(flat: Mapping[str, Any]) -> dict[str, Any]:
     if fields := tables.pop("camera"):
         job["camera"] = Camera.load(job.get("camera"), **fields)
     return job | {name: table for name, table in tables.items() if table}
+
+
+def usual_mask_count(settings: Mapping[str, Any], data: Dataset) -> int:
+    """Number of masks of a design that has no choice of it.
+
+    Parameters
+    ----------
+    settings : mapping
+        Fields of `Job`, with a camera.
+    data : Dataset
+
+    Raises
+    ------
+    InputError
+        If the design has a choice.
+    """
+    exposure = find_exposure(settings.get("exposure", {}))
+    if exposure.fixed_mask_count:
+        return exposure.fixed_mask_count
+    design = check_design(settings.get("design", "deepfsi"))
+    code = DESIGNS[design]
+    if not code.complete:
+        raise InputError(
+            "{design} needs a number of masks: add {masks}, for instance {masks:10}",
+            setting="masks",
+            design=design,
+        )
+    scene = exposure.scene(data)
+    camera = Camera.load(settings["camera"])
+    detectors = ONE_DETECTOR if code.every_pixel else camera.detector_map(scene.image_shape)
+    return count_allowed(design, scene, detectors)[1]
 
 
 def find_job(settings: Mapping[str, Any], counts: float | None = None) -> Job:

@@ -20,7 +20,14 @@ def score_text(result: Result | Estimates) -> str:
 
 
 def details_text(result: Result | Estimates, classes: Sequence[str]) -> str:
-    """Test of each class in words, or of each value."""
+    """Test of each class in words, or of each value.
+
+    Parameters
+    ----------
+    result : Result or Estimates
+    classes : sequence of str
+        Names of the classes.
+    """
     if isinstance(result, Estimates):
         told = ", ".join(map(" ".join, zip(result.values, _answers(result, ()), strict=True)))
         return f"root mean squared error (of the best linear estimator): {told}"
@@ -147,10 +154,24 @@ def _worst(result: Result, classes: Sequence[str]) -> str:
 
 
 def error_text(rmse: float, bound: float | None) -> str:
-    """A root mean squared error, and in brackets a bound where there is one: 0.052 (0.071)."""
+    """A root mean squared error, and in brackets a bound where there is one: 0.052 (0.071).
+
+    Parameters
+    ----------
+    rmse : float
+    bound : float, optional
+        That of the best linear estimator.
+    """
     return f"{rmse:.3g}" if bound is None else f"{rmse:.3g} ({bound:.3g})"
 
 
 def worst_text(rate: float, name: str) -> str:
-    """Accuracy of the worst class with its name: 0.083 (oak)."""
+    """Accuracy of the worst class with its name: 0.083 (oak).
+
+    Parameters
+    ----------
+    rate : float
+    name : str
+        Of the class.
+    """
     return f"{rate:.3f} ({short_name(name)})"
