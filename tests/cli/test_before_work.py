@@ -3,6 +3,7 @@
 import errno
 import json
 import os
+import re
 import struct
 import subprocess
 import sys
@@ -222,6 +223,22 @@ def test_a_design_whose_header_is_nested_deeply_is_damaged(refuse, file, tmp_pat
     bad = tmp_path / "deep.safetensors"
     bad.write_bytes(struct.pack("<Q", len(header)) + header)
     assert "deep.safetensors is not a whole" in refuse("evaluate", bad, "--photons", "1e3")
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "evaluate FILE --photons 1e4 --draws 0",
+        "evaluate FILE --photons 1e4 --sigma -1 --noise gaussian",
+        "show FILE --count 0 -o m.png",
+        "stop FILE --photons 1e4 --threshold 2",
+        "compare --photons 1e4 --trials 0 -o OUT",
+    ],
+)
+def test_numbers_beyond_their_bounds_name_the_option(refuse, tmp_path, file, words):
+    told = refuse(*words.replace("OUT", str(tmp_path / "out")).replace("FILE", str(file)).split())
+    option = re.findall("--[a-z]+ [-0-9]+", words)[-1]
+    assert f"{option}: give " in told
 
 
 @pytest.mark.parametrize(

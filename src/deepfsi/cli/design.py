@@ -16,6 +16,7 @@ from deepfsi.base import (
     join_messages,
     write_atomically,
 )
+from deepfsi.base.models import Count, Positive, WholeNumber
 from deepfsi.camera import Camera
 from deepfsi.cli import fields
 from deepfsi.cli.command import Command
@@ -50,7 +51,7 @@ class LearnDesign(Command):
     skip_bad: fields.SkipBad = False
     normal: fields.Normal = None
     hold_out: Annotated[
-        int,
+        WholeNumber,
         Field(
             description="number of last training scenes to leave out, which `deepfsi stop` needs"
         ),
@@ -242,7 +243,7 @@ class ShowDesign(Command):
         Path | None,
         Field(description="picture: .png, .svg or .pdf; .png beside the design unless given"),
     ] = None
-    count: Annotated[int, Field(description="at most this many masks")] = 24
+    count: Annotated[Count, Field(description="at most this many masks")] = 24
     force: fields.Force = False
 
     def run(self, terminal: Terminal) -> Outcome:
@@ -258,8 +259,6 @@ class ShowDesign(Command):
         from deepfsi.report import design_figure, looks_figure
         from deepfsi.report.style import write_figure
 
-        if self.count < 1:
-            raise InputError(f"{self.count} masks cannot be drawn: give at least 1")
         design = load_design(file)
         check_masks(design.info, "a picture of masks")
         lines = [f"drawn: {out}"]
@@ -374,7 +373,8 @@ class WriteMask(Command):
         Field(description="photomask: .svg (polygons, binary patterns) or .png"),
     ]
     pixel: Annotated[
-        float, Field(description="side of a pixel on the mask, micrometres: that of a scene there")
+        Positive,
+        Field(description="side of a pixel on the mask, micrometres: that of a scene there"),
     ]
     force: fields.Force = False
 

@@ -12,6 +12,7 @@ from deepfsi.base import (
     Message,
     write_atomically,
 )
+from deepfsi.base.models import Count, Share
 from deepfsi.cli import fields
 from deepfsi.cli.command import Command
 from deepfsi.cli.terminal import Outcome, Terminal
@@ -40,7 +41,7 @@ class EvaluateDesign(Command):
     dark: fields.Dark = None
     fluctuation: fields.LightFluctuation = None
     first: Annotated[
-        int | None, Field(description="use only this many first masks of a nested design")
+        Count | None, Field(description="use only this many first masks of a nested design")
     ] = None
     draws: fields.Draws = 3
     ideal: Annotated[
@@ -115,14 +116,14 @@ class StopEarly(Command):
     data: fields.TestData = None
     size: fields.Size = None
     hold_out: Annotated[
-        int | None,
+        Count | None,
         Field(
             description="number of last training scenes that the training left out; that of the "
             "design unless given"
         ),
     ] = None
     threshold: Annotated[
-        float | None,
+        Share | None,
         Field(description="confidence above which to stop; chosen on left-out scenes unless given"),
     ] = None
     out: Annotated[

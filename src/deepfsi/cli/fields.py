@@ -16,11 +16,12 @@ from pydantic import AfterValidator, BeforeValidator, Field
 from pydantic.fields import FieldInfo
 
 from deepfsi.base import InputError, check_ending, check_report, seconds
-from deepfsi.base.models import Count
+from deepfsi.base.models import Amount, Count, WholeNumber
 from deepfsi.camera import Camera, find_noise
 from deepfsi.datasets import check_source
 from deepfsi.designfile import find_design
 from deepfsi.jobs import EXPOSURE_FIELDS, EXPOSURE_KINDS, SETTING_ALIASES, Job, Training
+from deepfsi.measures import MOST_DRAWS
 
 T = TypeVar("T")
 
@@ -371,19 +372,19 @@ NoiseName = Annotated[
     Field(description="noise of the tests; that of the design's camera unless given"),
 ]
 Sigma = Annotated[
-    float | None,
+    Amount | None,
     Field(description="read noise of gaussian and camera noise, counts rms per readout"),
 ]
 Dark = Annotated[
-    float | None,
+    Amount | None,
     Field(description="dark counts/s of a detector; in an exposure, where no time is given"),
 ]
 LightFluctuation = Annotated[
-    float | None,
+    Amount | None,
     Field(description="relative standard deviation of the light from frame to frame"),
 ]
-Draws = Annotated[int, Field(description="noise draws of each scene")]
-NoiseSeed = Annotated[int, Field(description="seed of the noise")]
+Draws = Annotated[int, Field(ge=1, le=MOST_DRAWS, description="noise draws of each scene")]
+NoiseSeed = Annotated[WholeNumber, Field(description="seed of the noise")]
 Matrix = Annotated[
     str | None,
     Field(
@@ -411,7 +412,7 @@ Ratios = Annotated[
     Field(description="readouts divided by pixels, m/N for one detector, such as 0.01,0.04,0.09"),
 ]
 Designs = Annotated[Names | None, Field(description="names, separated by commas")]
-Trials = Annotated[int | None, Field(description="training seeds for each point")]
+Trials = Annotated[Count | None, Field(description="training seeds for each point")]
 Folds = Annotated[
     Annotated[int, Field(ge=1, le=100)] | None,
     Field(
