@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deepfsi.base import InputError
-from deepfsi.base.numeric import Table
+from deepfsi.base.numeric import NumberTable
 from deepfsi.camera import CounterEffects, DeadTime, find_device
 from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.design import Design
@@ -90,7 +90,7 @@ def classify(shown: Shown, detector: Detector, dead: DeadTime, labels: np.ndarra
     manifest, made = shown.patterns.manifest, shown.design
     counts = draw(detector, shown.rates, manifest.picture_s, np.random.default_rng(1))
     table, settings = (
-        Table(counts.astype(float)),
+        NumberTable(counts.astype(float)),
         TableSettings(effects=CounterEffects(dead_time=dead)),
     )
     try:

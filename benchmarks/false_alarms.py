@@ -23,7 +23,7 @@ from deepfsi.evaluation import find_distribution
 from deepfsi.exposure import AdaptivePosterior, look_at, squared_distance
 from deepfsi.hardware.light import (
     FALSE_ALARMS,
-    PARTS,
+    PARTS_OF_FRAME,
     Arrivals,
     LightMonitor,
     check_light,
@@ -93,7 +93,9 @@ def drawn(
     The lamp is a factor, and stray light a rate, of the time (P, F, K) in seconds.
     """
     frames, count = MASKS + 4, len(gains)
-    middles = (np.arange(frames)[:, None] + (np.arange(PARTS) + 0.5) / PARTS) * FRAME_S
+    middles = (
+        np.arange(frames)[:, None] + (np.arange(PARTS_OF_FRAME) + 0.5) / PARTS_OF_FRAME
+    ) * FRAME_S
     time = np.arange(PASSES)[:, None, None] * frames * FRAME_S + middles
     bright = rng.normal(1, 0.04, PASSES).clip(0.88, 1.12)
     shown = rng.uniform(0.3, 0.7, (PASSES, frames))
@@ -103,7 +105,7 @@ def drawn(
     dark = DARK if stray is None else stray(time)
     parts = rng.dirichlet(np.full(count, 2500.0 / count), PASSES)[:, None, None] * np.array(gains)
     rates = light[..., None] * parts + np.broadcast_to(dark, time.shape)[..., None]
-    seconds = np.full(time.shape, FRAME_S / PARTS)
+    seconds = np.full(time.shape, FRAME_S / PARTS_OF_FRAME)
     return rng.poisson(rates * seconds[..., None]), seconds, middles
 
 

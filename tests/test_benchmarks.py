@@ -12,11 +12,11 @@ from torch.nn import functional
 
 from conftest import generator, quick
 from deepfsi import Mlp, load_design
-from deepfsi.exposure import JobGroup, TrainingSet, build
+from deepfsi.exposure import JobGroup, TrainingSet, build_training
 from deepfsi.hardware.patterns import unpack
 from deepfsi.hardware.patterns.frames import recount
 from deepfsi.jobs import Job, Training
-from deepfsi.physics import SLACK, light_law
+from deepfsi.physics import ROUNDING_SLACK, light_law
 from deepfsi.physics.noise import attach_gradient
 from deepfsi.training import train
 from shared.benchmarks import benchmark
@@ -226,7 +226,7 @@ def test_both_trainings_of_ovit_do_the_same_work(capsys):
     )
     plain = ovit.Plain(job, data, scenes.summed_reflectance)
     matrix = plain.masks.detach() * plain.unit
-    start = build(JobGroup.of(scenes, [job])).masks()
+    start = build_training(JobGroup.of(scenes, [job])).masks()
     assert torch.allclose(matrix, start.difference[0], atol=1e-6)
     rows = torch.from_numpy(data.x_train) * (ovit.BUDGET / scenes.summed_reflectance)
     seen = torch.nn.functional.unfold(rows.view(-1, 1, 16, 16), 4, stride=4).transpose(1, 2)
@@ -282,7 +282,7 @@ def test_light_that_falls_where_it_tells_reads_more(capsys, tmp_path):
     benchmark("dose").main([*words, "--dose", "250", "--out", str(tmp_path / "lit.safetensors")])
     lit = float(capsys.readouterr().out.splitlines()[2].split("|")[4])
     rails = load_design(tmp_path / "lit.safetensors").rails.stacked
-    assert light_law("dose").excess(rails) == pytest.approx(0, abs=SLACK)
+    assert light_law("dose").excess(rails) == pytest.approx(0, abs=ROUNDING_SLACK)
     assert rails.max() > 1  # more than `column` would give to any pixel
     assert lit > 0.8
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from deepfsi.base import InputError
-from deepfsi.base.numeric import Table
+from deepfsi.base.numeric import NumberTable
 from deepfsi.camera import CounterEffects, DeadTime
 from deepfsi.camera.dead_time import MOST_BLIND
 from deepfsi.hardware.counting import (
@@ -126,7 +126,7 @@ def test_sound_light_gives_no_false_fault(tmp_path, paralysable):
     for seed in range(20):
         rng = np.random.default_rng(seed)
         values = gate_counts.draw(detector, rates, shown.picture_s, rng).astype(float)
-        assert count_table(Table(values), shown, settings)[0].faults == ()
+        assert count_table(NumberTable(values), shown, settings)[0].faults == ()
 
 
 def test_a_counter_near_saturation_is_named(run):
@@ -140,5 +140,7 @@ def test_a_counter_near_saturation_is_named(run):
     values = np.rint(rates * shown.manifest.picture_s)
     with pytest.raises(InputError, match="all ON"):
         count_table(
-            Table(values), shown.manifest, TableSettings(effects=CounterEffects(dead_time=slow))
+            NumberTable(values),
+            shown.manifest,
+            TableSettings(effects=CounterEffects(dead_time=slow)),
         )

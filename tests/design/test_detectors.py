@@ -12,7 +12,7 @@ from deepfsi.base import InputError
 from deepfsi.camera import DetectorMap
 from deepfsi.design import to_onnx
 from deepfsi.networks import stop_temperatures
-from deepfsi.physics import SLACK, Detection, light_law
+from deepfsi.physics import ROUNDING_SLACK, Detection, light_law
 from shared.design_files import refused, rewrite
 from shared.jobs import learn
 
@@ -50,7 +50,7 @@ def test_every_kind_of_design_works_with_several_detectors(
 ):
     """It obeys its law, is read back from its file, and classifies counts as it was tested."""
     design = trained(digits, kind, light, rails, readout)
-    assert light_law(light).excess(design.rails.stacked) <= SLACK
+    assert light_law(light).excess(design.rails.stacked) <= ROUNDING_SLACK
     assert design.counts_shape == ((5, 4) if rails == "single" else (2, 5, 4))
     read = "both" if light == "two-arm" else "difference"
     assert design.detection.readout == (readout or read)

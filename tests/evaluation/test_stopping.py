@@ -11,7 +11,7 @@ from deepfsi import evaluate
 from deepfsi.base import InputError
 from deepfsi.camera import StopRule
 from deepfsi.evaluation import stop, stopping
-from deepfsi.physics.detection import ONE
+from deepfsi.physics.detection import SINGLE_DETECTION
 
 HELD_OUT = 400
 PHOTONS = 2e5
@@ -208,7 +208,7 @@ def test_logits_at_stops_are_those_of_the_first_masks(digits):
     draw, scanner = generator(3), nested.scanner()
     head = scanner.rates(torch.from_numpy(x)[:1024] / nested.summed_reflectance) * 1e3
     for place in range(2):
-        features = ONE.features(scanner.read(head, draw))
+        features = SINGLE_DETECTION.features(scanner.read(head, draw))
         mine = logits[:, place:2048:2]
         with torch.no_grad():
             assert np.array_equal(mine[-1], nested.logits(features, 1e3).numpy())

@@ -149,7 +149,7 @@ def test_the_brightest_mask_is_nearly_the_best_of_all(arms):
         return np.where((signal > 0) | (arms == 2), signal**2 / noise, 0)
 
     every = worth(masks) + (worth(1 - masks) if arms == 2 else 0)
-    found = choice.brightest(
+    found = choice.difference_masks(
         *map(torch.from_numpy, (differ, scene)), torch.ones(1, PIXELS).double(), arms
     )
     mine = np.diag(worth(found.numpy()))

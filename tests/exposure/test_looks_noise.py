@@ -14,7 +14,7 @@ from torch import Tensor
 from conftest import generator, once
 from deepfsi import Scanner
 from deepfsi.datasets import from_arrays
-from deepfsi.exposure import JobGroup, TrainingSet, build
+from deepfsi.exposure import JobGroup, TrainingSet, build_training
 from deepfsi.physics import Draws
 from shared.jobs import job
 
@@ -80,7 +80,7 @@ def test_looks_of_a_training_have_the_same_law(optics, dark, sigma):
     )  # fmt: skip
     one.check(data)
     group, gain = JobGroup.of(scenes, [one]), PHOTONS / scenes.summed_reflectance
-    training = build(group)
+    training = build_training(group)
     draws = Draws([one.seed], group.noise, scenes.labels, count)
     draws.shuffle()
     draws.gather(0)

@@ -10,7 +10,7 @@ import deepfsi
 from conftest import RECIPE, generator, synthetic
 from deepfsi import Design
 from deepfsi.base import InputError
-from deepfsi.exposure import JobGroup, TrainingSet, build
+from deepfsi.exposure import JobGroup, TrainingSet, build_training
 from deepfsi.jobs import Job
 from deepfsi.physics import FixedPattern
 from deepfsi.training import train
@@ -97,7 +97,7 @@ def test_statistics_are_those_of_the_exposures(data, learned):
     scenes = torch.from_numpy(data.x_train).repeat(100, 1)
     many = replace(data, x_train=scenes.numpy(), y_train=np.tile(data.y_train, 100))
     asked = {"training": {"noise": "poisson", "scale": "each"}, "exposure": PASSING, "seed": 3}
-    training = build(JobGroup.of(TrainingSet(many, "cpu"), [Job(photons=1e4, **asked)]))
+    training = build_training(JobGroup.of(TrainingSet(many, "cpu"), [Job(photons=1e4, **asked)]))
     training.masks = FixedPattern(learned.exposure.pattern.unsqueeze(0), learned.exposure.transit)
     training.fix()
     [found] = training.finish()

@@ -13,7 +13,7 @@ from deepfsi.datasets import Dataset, from_arrays
 from deepfsi.evaluation import stopping
 from deepfsi.exposure import LooksExposure, TrainingSet
 from deepfsi.exposure.looks import Dwells
-from deepfsi.physics import SLACK, light_law
+from deepfsi.physics import ROUNDING_SLACK, light_law
 from deepfsi.training import train
 from shared.design_files import refused, rewrite
 from shared.jobs import job, learn
@@ -53,7 +53,7 @@ def test_each_exposure_takes_its_time_and_no_more(digits, name, levels):
     assert (dwell >= 0).all()
     peaks = design.rails.stacked.amax(dim=-1)
     assert torch.allclose(peaks, torch.full_like(peaks, 1 / masks), rtol=1e-5)
-    assert light_law("free-dwell").excess(design.rails.stacked) <= SLACK
+    assert light_law("free-dwell").excess(design.rails.stacked) <= ROUNDING_SLACK
 
 
 def test_counts_at_known_dwells_are_poisson(digits, design):

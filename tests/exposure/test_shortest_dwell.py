@@ -7,7 +7,7 @@ import pytest
 
 from conftest import RECIPE
 from deepfsi import Design
-from deepfsi.physics import SLACK, light_law
+from deepfsi.physics import ROUNDING_SLACK, light_law
 from shared.jobs import learn
 
 SHORTEST = 0.06
@@ -62,4 +62,4 @@ def test_no_frame_of_a_sequence_is_below_the_shortest(digits, optics, levels):
     rails = design.rails.total[None] if "two-arm" in optics.values() else design.rails.stacked
     dwells = rails.amax(dim=-1).numpy()
     check_dwells(dwells, float(dwells.sum()))
-    assert light_law(optics["light"]).excess(design.rails.stacked) <= SLACK
+    assert light_law(optics["light"]).excess(design.rails.stacked) <= ROUNDING_SLACK

@@ -9,7 +9,13 @@ import pytest
 import deepfsi
 from conftest import quick
 from deepfsi.datasets import read_display, write_pictures
-from deepfsi.hardware.counting import Verdict, acquisition, count_run, read_counts, read_run
+from deepfsi.hardware.counting import (
+    ReferenceVerdict,
+    acquisition,
+    count_run,
+    read_counts,
+    read_run,
+)
 from deepfsi.hardware.patterns import read_patterns
 from deepfsi.hardware.virtual import (
     CAMERAS,
@@ -147,7 +153,7 @@ def test_a_sound_run_is_classified_and_a_short_one_says_what_it_does_not_exclude
 
 def test_the_verdict_of_the_reference_is_kept_with_a_run_and_refuses_it(forty, lab, tmp_path):
     forty(tmp_path / "run", scenes=3)
-    kept = Verdict(reference=str(tmp_path / "run"), fits=False, reasons=("blur 1.0",))
+    kept = ReferenceVerdict(reference=str(tmp_path / "run"), fits=False, reasons=("blur 1.0",))
     kept.keep(tmp_path / "run")
     shown = tmp_path / "run" / "patterns"
     with pytest.raises(deepfsi.InputError, match=r"does not fit \(blur 1.0\)"):

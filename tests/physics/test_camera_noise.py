@@ -58,7 +58,7 @@ def test_masks_follow_mean_and_variance(light):
     scanner = Scanner(masks, "camera", SIGMA, DARK)
 
     shown = masks()
-    read = detection.ONE.readouts(shown)
+    read = detection.SINGLE_DETECTION.readouts(shown)
     power = shown.total @ scene + DARK * read.time.sum(dim=0) + SIGMA**2 * read.lit
     wanted = torch.autograd.grad(
         ((shown.difference @ scene) ** 2 + power).sum(), list(masks.parameters())
@@ -86,7 +86,7 @@ def test_training_draws_what_the_scanner_does(kind):
     rails = Rails.of(RAILS.unsqueeze(0))
     scene = torch.tensor([0.4, 0.9], dtype=torch.float64)
     mean, light = (each @ scene for each in (rails.difference, rails.total))  # (1, 4)
-    read = detection.ONE.readouts(rails)
+    read = detection.SINGLE_DETECTION.readouts(rails)
     features = drawn.counted(mean.expand(DRAWS, 2, 4), light.expand(DRAWS, 2, 4), read)
     lit = (RAILS.amax(dim=-1) > 0).sum(dim=0)
     for job, gain in enumerate(gains):
@@ -108,7 +108,7 @@ def test_training_follows_mean_light_and_time(kind):
     gain, dark = 50.0, 30.0
     noisy = training_noise(kind, [gain], [4.0], [0], torch.device("cpu"), [dark])
     rails = Rails.of(RAILS[:, :2].unsqueeze(0))
-    read = detection.ONE.readouts(rails)
+    read = detection.SINGLE_DETECTION.readouts(rails)
     read = read._replace(time=read.time.clone().requires_grad_())
     scene = torch.tensor([0.4, 0.9], dtype=torch.float64)
     mean, light = (

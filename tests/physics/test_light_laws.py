@@ -13,7 +13,7 @@ from torch import Tensor
 from conftest import FIXED, FLOAT32, OPTICS, every_optics, generator, quick, two_valued
 from deepfsi.base import InputError
 from deepfsi.jobs import count_allowed, sensing_matrix
-from deepfsi.physics import SLACK, LearnedMasks, Rails, frames, light_law
+from deepfsi.physics import ROUNDING_SLACK, LearnedMasks, Rails, frames, light_law
 
 
 def fixed_matrix(design: str, digits) -> Tensor:
@@ -83,7 +83,7 @@ def test_any_free_numbers_obey(optics, size, seed):
     }
     rails = law.project(wild, optics[1]).stacked
     assert torch.isfinite(rails).all()
-    assert law.excess(rails) <= SLACK
+    assert law.excess(rails) <= ROUNDING_SLACK
 
 
 @settings(max_examples=150, deadline=None, derandomize=True)
@@ -126,7 +126,7 @@ def test_learned_masks_obey_in_every_step_of_a_training(digits, light, rails, le
     for module in snapshots:
         split = module().stacked.detach()
         assert split.min() >= 0
-        assert max(limits(replica, light).max() for replica in split) <= 1 + SLACK
+        assert max(limits(replica, light).max() for replica in split) <= 1 + ROUNDING_SLACK
         if levels:
             assert two_valued(split)
 
@@ -151,7 +151,7 @@ def test_quantised_rails_are_whole_steps_of_their_frames_peak_and_obey(light, ra
     assert share == pytest.approx(share.round(), abs=steps * FLOAT32)
     assert share.amax() == pytest.approx(steps)
     for rails_before, rails_shown in zip(before, shown, strict=True):
-        assert light_law(light).excess(rails_shown) <= SLACK
+        assert light_law(light).excess(rails_shown) <= ROUNDING_SLACK
         if light not in ("column", "dose"):  # which may have to be dimmed
             time = (before if light == "two-arm" else rails_before).amax() * (1 + FLOAT32)
             assert (rails_shown - rails_before).abs().max() <= time / (2 * steps)

@@ -6,7 +6,7 @@ import torch
 
 from conftest import FLOAT32, assert_moments, generator
 from deepfsi.physics import (
-    SLACK,
+    ROUNDING_SLACK,
     FixedPattern,
     LearnedPattern,
     ScenePath,
@@ -83,7 +83,7 @@ def test_photons_are_conserved_at_every_place_and_speed(path):
         assert (counts.sum(dim=-1) / path.bins).max() <= scene.sum() * (1 + 10 * FLOAT32)
         rails = path.matrix(pattern).unsqueeze(0)
         for law in ("equal-dwell", "free-dwell", "column"):
-            assert light_law(law).excess(rails) <= SLACK
+            assert light_law(law).excess(rails) <= ROUNDING_SLACK
 
 
 def test_place_and_speed_jitter_as_they_say():

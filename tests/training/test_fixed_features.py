@@ -5,7 +5,7 @@ from collections import Counter
 import pytest
 from torch.profiler import ProfilerActivity, profile
 
-from deepfsi.exposure import JobGroup, TrainingSet, build
+from deepfsi.exposure import JobGroup, TrainingSet, build_training
 from deepfsi.physics import Draws
 from shared.jobs import job
 
@@ -20,7 +20,7 @@ def test_a_step_passes_over_its_features_twice(digits, seeds):
     training_set = TrainingSet(digits, "cpu")
     jobs = [job(design="random", masks=MASKS, photons=1e3, seed=seed) for seed in seeds]
     group = JobGroup.of(training_set, jobs)
-    training = build(group)
+    training = build_training(group)
     training.prepare()
     draws = Draws(seeds, group.noise, training_set.labels, BATCH)
     draws.shuffle()

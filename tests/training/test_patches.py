@@ -10,7 +10,7 @@ from deepfsi.base import InputError
 from deepfsi.camera import photons_per_pixel
 from deepfsi.design import to_onnx
 from deepfsi.evaluation import stop
-from deepfsi.exposure import JobGroup, TrainingSet, build
+from deepfsi.exposure import JobGroup, TrainingSet, build_training
 from deepfsi.jobs import DESIGNS as CODES
 from deepfsi.jobs import cut_patches
 from deepfsi.physics import FixedMasks, LearnedMasks
@@ -48,7 +48,7 @@ class Cut:
         self.x = cut_patches(self.training_set.full, data.image_shape, 4)
 
     def masks(self, design: str) -> FixedMasks | LearnedMasks:
-        return build(JobGroup.of(self.training_set, [job(**SMALL, design=design)])).masks
+        return build_training(JobGroup.of(self.training_set, [job(**SMALL, design=design)])).masks
 
     def counts(self, design: str, photons: torch.Tensor, noise: str = "poisson") -> torch.Tensor:
         """Features (..., m) of photons (..., N)."""

@@ -69,7 +69,7 @@ FIRST_LINE_SECONDS = 2.0
 MOST_LINE_SECONDS = 300.0
 """Longest time between two lines; each time is twice the one before."""
 
-LEAST_SHARE = 0.05
+LEAST_PROGRESS = 0.05
 """Share of a task after which the time left is estimated, at the pace of what was done of it."""
 
 WHOLE_TASK = 1e7
@@ -130,7 +130,7 @@ def _lines(what: str) -> Iterator[Progress]:
             now = time.monotonic()
             before, since = first
             pace = (share - before) / max(now - since, 1e-9)
-            left = (1 - share) / pace if share - before >= LEAST_SHARE else None
+            left = (1 - share) / pace if share - before >= LEAST_PROGRESS else None
             print(f"{what}: {progress_text(share, now - began, left)}", file=sys.stderr)
             pause = min(time.monotonic() - began, MOST_LINE_SECONDS)
 

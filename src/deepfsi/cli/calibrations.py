@@ -92,13 +92,13 @@ def camera_check(
     Example: deepfsi camera check run_reference
     """
     paths.check_there(folder, "an acquisition folder, with photons.ptu in it")
-    from deepfsi.hardware.counting import Verdict
+    from deepfsi.hardware.counting import ReferenceVerdict
     from deepfsi.lab import check_view
 
     with common.progress("reference", quiet=as_json) as report:
         found = check_view(folder, report)
     if keep is not None:
-        Verdict(reference=str(folder), fits=found.fits, reasons=found.reasons).keep(keep)
+        ReferenceVerdict(reference=str(folder), fits=found.fits, reasons=found.reasons).keep(keep)
     if as_json:
         common.print_json(
             "camera.check",

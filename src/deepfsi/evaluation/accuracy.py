@@ -100,7 +100,7 @@ def evaluate(
         draws,
         seed,
         noise=camera.noise_name,
-        covers=covered(VALUES_COVER if design.values else COVERS, left),
+        covers=coverage_text(VALUES_COVER if design.values else COVERS, left),
     )
     title = f"{design.name}, {design.masks} masks"
     front = design.front_end(camera)
@@ -126,7 +126,7 @@ def evaluate(
     ]
 
 
-def covered(covers: str, left: str | None) -> str:
+def coverage_text(covers: str, left: str | None) -> str:
     """Words on what an interval covers, with the scenes that were left out."""
     return covers if left is None else f"{covers}; {left}"
 

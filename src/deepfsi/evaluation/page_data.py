@@ -24,7 +24,7 @@ from deepfsi.evaluation.accuracy import check_data, evaluate
 from deepfsi.evaluation.stopping import rule_of, stop
 from deepfsi.jobs import LARGEST_SCORE
 from deepfsi.networks import Mlp, check_classes
-from deepfsi.physics import SLACK, library_defaults
+from deepfsi.physics import ROUNDING_SLACK, library_defaults
 
 SLIDER_BUDGETS = tuple(float(f"{10**power:.3g}") for power in np.arange(1, 7.1, 0.5))
 """Budgets at which the accuracy is measured, the whole range of the page's slider."""
@@ -184,7 +184,7 @@ def _networks(design: Design) -> dict[str, Any]:
     difference, total = (each.cpu().numpy() for each in (rails.difference, rails.total))
     sums = None
     if rails.count == 2 and not np.array_equal(total, np.abs(difference)):
-        flat = np.ptp(total, axis=1).max() < SLACK * total.max()
+        flat = np.ptp(total, axis=1).max() < ROUNDING_SLACK * total.max()
         sums = pack(total.mean(axis=1, keepdims=True) if flat else total)
     scanner = design.front_end(design.camera)
     dark = scanner.noise.settings.get("dark", 0.0)  # of a detector in an exposure

@@ -25,7 +25,7 @@ from deepfsi.camera import StopRule, check_budget
 from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design import Design
 from deepfsi.designfile import new_scenes, trained_on
-from deepfsi.evaluation.accuracy import check_data, check_draws, covered
+from deepfsi.evaluation.accuracy import check_data, check_draws, coverage_text
 from deepfsi.evaluation.confidence import logits_at_stops
 from deepfsi.measures import calibration_error, confidence_error, confidence_groups
 from deepfsi.networks import check_classes, stop_temperatures
@@ -382,7 +382,7 @@ def stop(
         },
         images=len(fresh.y_test),
         draws=draws,
-        covers=covered(STOPPED_COVER, left),
+        covers=coverage_text(STOPPED_COVER, left),
     )
 
 

@@ -21,7 +21,7 @@ from deepfsi.exposure.kind import (
     Observation,
     TrainedMasks,
 )
-from deepfsi.exposure.kinds import MASK_KINDS, build
+from deepfsi.exposure.kinds import MASK_KINDS, build_training
 from deepfsi.exposure.looks import LooksExposure
 from deepfsi.exposure.passing import PassingExposure
 from deepfsi.exposure.posterior import AdaptivePosterior, ScenePrior, class_chances
@@ -53,7 +53,7 @@ __all__ = [
     "ScenePrior",
     "TrainedMasks",
     "TrainingSet",
-    "build",
+    "build_training",
     "class_chances",
     "dtypes",
     "look_at",

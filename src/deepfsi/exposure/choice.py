@@ -83,10 +83,10 @@ def candidates(state: AdaptivePosterior) -> Tensor:
     if state.optics.arms == 1:
         differ = torch.cat([differ, -differ], dim=1)
     areas = state.optics.areas(scene)
-    return brightest(differ, scene.expand_as(differ), areas, state.optics.arms)
+    return difference_masks(differ, scene.expand_as(differ), areas, state.optics.arms)
 
 
-def brightest(differ: Tensor, scene: Tensor, areas: Tensor, arms: int = 1) -> Tensor:
+def difference_masks(differ: Tensor, scene: Tensor, areas: Tensor, arms: int = 1) -> Tensor:
     """Masks (..., N) of 0 and 1 with the largest difference over its photon noise.
 
     Of pixels with differences d (..., N) and light μ (..., N) these are those of a mask F that

@@ -34,6 +34,6 @@ MASK_KINDS: dict[str, type[MaskExposure]] = {
 """Exposure of the masks of a design file, by the kind of their entry."""
 
 
-def build(group: JobGroup) -> ExposureTraining:
+def build_training(group: JobGroup) -> ExposureTraining:
     """Masks of jobs before their training, and networks beside the classifiers."""
     return TRAININGS[type(group.jobs[0].exposure)](group)

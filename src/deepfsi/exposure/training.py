@@ -29,10 +29,10 @@ from deepfsi.physics import (
     LearnedMasks,
     Rails,
     TrainingNoise,
+    frame_peaks,
     frames,
     light_law,
     noise_of,
-    peak,
     project,
     project_rails,
     signed_parts,
@@ -309,7 +309,7 @@ class ExposureTraining(ABC):
             lit = frames(signed_parts(signed))
             if len(lit) >= job.masks:
                 first = lit[: job.masks]
-                return 2 * first / peak(first) - 1 if both_arms else first
+                return 2 * first / frame_peaks(first) - 1 if both_arms else first
         raise InputError(f"{job.masks} frames are not allowed for {name}: give at most {len(lit)}")
 
 

@@ -13,7 +13,7 @@ from deepfsi.datasets import check_grey_levels, is_deep, unread_kind
 IMAGES = (".png", ".tif", ".tiff", ".bmp", ".pgm", ".gif")
 """Ends of the names of image files that lose nothing."""
 
-LARGEST_FILE = 2**31
+LARGEST_MASK_IMAGE = 2**31
 """Bytes of an image file at most."""
 
 LARGEST = 2**28
@@ -83,7 +83,7 @@ def _pages(file: Path) -> Iterator[np.ndarray]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error", Image.DecompressionBombWarning)
-            opened = open_regular(file, LARGEST_FILE, "replace it")
+            opened = open_regular(file, LARGEST_MASK_IMAGE, "replace it")
             with opened as stream, Image.open(stream) as image:
                 pixels = image.width * image.height * getattr(image, "n_frames", 1)
                 check_unpacked(pixels, file.stat().st_size, str(file), "replace it")

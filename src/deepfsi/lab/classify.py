@@ -27,9 +27,9 @@ from deepfsi.designfile import (
 )
 from deepfsi.hardware.counting import (
     Counts,
+    ReferenceVerdict,
     Scene,
     TableSettings,
-    Verdict,
     count_table,
     read_counts,
     read_run,
@@ -205,7 +205,7 @@ def classify_run(
     ['0', '1']
     """
     path = Path(folder)
-    verdict = None if force else Verdict.of(path)
+    verdict = None if force else ReferenceVerdict.of(path)
     if verdict is not None and not verdict.fits:
         raise InputError(
             "{words}; {force} classifies them all the same", setting="force", words=verdict.words

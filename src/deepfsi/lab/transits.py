@@ -43,7 +43,7 @@ DIMMEST = 0.01
 LEAST_WINDOWS = 10
 """Windows without transits that the background is estimated from at least."""
 
-ROUNDS = 50
+BACKGROUND_ROUNDS = 50
 """Rounds in which the background is estimated from what is left beside transits, at most."""
 
 
@@ -100,7 +100,7 @@ def find_background(times: np.ndarray, window: float, duration: float, allowed: 
     # One photon is added, so that none in a short stretch is not taken for none at all
     count = len(times)
     left = duration
-    for _ in range(ROUNDS):
+    for _ in range(BACKGROUND_ROUNDS):
         level = find_threshold(count / left, window, duration, allowed).photons
         starts = find_transits(times, window, level)
         spans = _joined(starts - window, starts + 2 * window, duration)

@@ -8,7 +8,7 @@ from deepfsi.networks.classifiers import (
     Vit,
     restore_network,
 )
-from deepfsi.networks.custom import Given, OwnClassifier, make, rebuilt, seeded
+from deepfsi.networks.custom import Given, OwnClassifier, make_custom, rebuilt, seeded
 from deepfsi.networks.temperatures import stop_temperatures, temperatures_at
 from deepfsi.networks.values import Values, check_classes
 
@@ -22,7 +22,7 @@ __all__ = [
     "Values",
     "Vit",
     "check_classes",
-    "make",
+    "make_custom",
     "rebuilt",
     "restore_network",
     "seeded",

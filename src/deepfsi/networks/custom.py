@@ -111,7 +111,7 @@ class OwnClassifier(Classifier):
         return logits.reshape(*features.shape[:-1], logits.shape[-1])
 
 
-def make(
+def make_custom(
     given: Given, arguments: Mapping[str, Any], inputs: int, classes: int, seed: int = 0
 ) -> OwnClassifier:
     """Classifier for so many inputs and classes, tried on zeros.
@@ -223,4 +223,4 @@ def rebuilt(
             setting="classifier",
         )
     arguments = {} if isinstance(classifier, nn.Module) else known.arguments
-    return _load(make(classifier, arguments, inputs, classes), known.weights)
+    return _load(make_custom(classifier, arguments, inputs, classes), known.weights)

@@ -2,7 +2,14 @@
 
 from deepfsi.physics.clicks import full_gates, to_training_light
 from deepfsi.physics.detection import Detection
-from deepfsi.physics.laws import SLACK, frames, light_law, peak, signed_parts, through
+from deepfsi.physics.laws import (
+    ROUNDING_SLACK,
+    frame_peaks,
+    frames,
+    light_law,
+    signed_parts,
+    through,
+)
 from deepfsi.physics.masks import FixedMasks, LearnedMasks
 from deepfsi.physics.noise import Click, Fluctuation, NoiseFunction, Poisson, noise_of, root
 from deepfsi.physics.rails import Rails
@@ -18,7 +25,7 @@ from deepfsi.physics.training_noise import (
 from deepfsi.physics.transit import FixedPattern, LearnedPattern, ScenePath, in_levels
 
 __all__ = [
-    "SLACK",
+    "ROUNDING_SLACK",
     "Click",
     "Detection",
     "Draws",
@@ -34,6 +41,7 @@ __all__ = [
     "ScenePath",
     "SeedStream",
     "TrainingNoise",
+    "frame_peaks",
     "frames",
     "full_gates",
     "in_levels",
@@ -41,7 +49,6 @@ __all__ = [
     "light_law",
     "ml_gauss_features",
     "noise_of",
-    "peak",
     "project",
     "project_rails",
     "root",

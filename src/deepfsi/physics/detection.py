@@ -141,7 +141,7 @@ class Detection:
         return Readouts(*(torch.stack([each, torch.zeros_like(each)]) for each in one))
 
 
-ONE = Detection()
+SINGLE_DETECTION = Detection()
 """One detector that sees all, of whose rails the difference is read."""
 
 

@@ -24,7 +24,7 @@ from deepfsi.base import InputError
 from deepfsi.camera import LightLawName, RailsKind, check_light_law, share_out
 from deepfsi.physics.rails import Rails
 
-SLACK = 1e-5
+ROUNDING_SLACK = 1e-5
 """Relative excess that float32 rounding may cause and `LightLaw.check` forgives."""
 
 BRIGHTEST = 1e30
@@ -84,7 +84,7 @@ class LightLaw(ABC):
         Each frame has `levels` grey levels from dark to its own peak.
         """
         check_levels(levels)
-        step = peak(rails) / (levels - 1)
+        step = frame_peaks(rails) / (levels - 1)
         return (rails / step).round() * step
 
     def weights(self, start: Tensor, kind: RailsKind) -> dict[str, Tensor]:
@@ -95,7 +95,7 @@ class LightLaw(ABC):
         at first equal, both before the functions that bound them.
         """
         *replicas, masks, _ = start.shape
-        pattern = 0.9 * start / peak(start.abs())
+        pattern = 0.9 * start / frame_peaks(start.abs())
         free = torch.atanh(pattern) if kind == "dual" else torch.logit(pattern.clamp(min=0.05))
         weights: dict[str, Tensor] = {"weight": nn.Parameter(free)}
         if dwells := self.dwells_of_mask(kind):
@@ -126,11 +126,11 @@ class LightLaw(ABC):
 
     def equalise(self, rails: Tensor) -> Tensor:
         """Rails (..., 2 or 1, m, N) of which every frame has the same dwell and peak."""
-        return rails / (peak(rails) * rails.shape[-2] * rails.shape[-3])
+        return rails / (frame_peaks(rails) * rails.shape[-2] * rails.shape[-3])
 
     def has_equal_dwells(self, rails: Tensor) -> bool:
         """True if all frames of rails (2 or 1, m, N) have the same dwell."""
-        return self.of_equal_dwells.excess(rails) < SLACK
+        return self.of_equal_dwells.excess(rails) < ROUNDING_SLACK
 
     def check(self, rails: Tensor) -> Tensor:
         """Return rails (2 or 1, m, N), or raise `InputError` if they are no shares or too bright.
@@ -150,7 +150,7 @@ class LightLaw(ABC):
                 f"the matrix has entries above {BRIGHTEST:g}: give shares of each pixel's photons"
             )
         factor = 1 + self.excess(rails)
-        if factor > 1 + SLACK:
+        if factor > 1 + ROUNDING_SLACK:
             step = 10.0 ** (math.floor(math.log10(factor)) - 3)
             above = math.ceil(factor / step) * step  # at least the factor, in four digits
             raise InputError(
@@ -237,7 +237,7 @@ class EqualDwell(LightLaw):
     def fit(self, matrix: Tensor, kind: RailsKind = "dual") -> Tensor:
         """Each frame over its own peak and F."""
         parts = self.rails(matrix, kind)
-        return parts / (peak(parts) * len(frames(parts)))
+        return parts / (frame_peaks(parts) * len(frames(parts)))
 
     def excess(self, rails: Tensor) -> float:
         """F max M± − 1."""
@@ -324,7 +324,7 @@ class TwoArm(LightLaw):
 
     def fit(self, matrix: Tensor, kind: RailsKind = "dual") -> Tensor:
         """Each mask over its own peak and m."""
-        return self.rails(matrix / (peak(matrix.abs()) * len(matrix)), kind)
+        return self.rails(matrix / (frame_peaks(matrix.abs()) * len(matrix)), kind)
 
     def excess(self, rails: Tensor) -> float:
         """Σ t − 1, or by how much the sum of the arms differs among the pixels of a mask, times m.
@@ -345,7 +345,7 @@ class TwoArm(LightLaw):
         steps = levels - 1
         total = rails.sum(dim=-3)
         time = total.amax(dim=-1, keepdim=True)
-        plus = (rails[..., 0, :, :] / peak(total) * steps).round() / steps * time
+        plus = (rails[..., 0, :, :] / frame_peaks(total) * steps).round() / steps * time
         return torch.stack([plus, time - plus], dim=-3)
 
     def dwells_of_mask(self, kind: RailsKind) -> int:
@@ -371,7 +371,7 @@ class TwoArm(LightLaw):
     def has_equal_dwells(self, rails: Tensor) -> bool:
         """True if no time is above 1 / m."""
         longest = float(Rails.of(rails).total.max()) * rails.shape[-2]
-        return super().has_equal_dwells(rails) and longest < 1 + SLACK
+        return super().has_equal_dwells(rails) and longest < 1 + ROUNDING_SLACK
 
 
 class Dose(LightLaw):
@@ -465,7 +465,7 @@ def frames(rails: Tensor) -> Tensor:
     return every[every.amax(dim=-1) > 0]
 
 
-def peak(parts: Tensor) -> Tensor:
+def frame_peaks(parts: Tensor) -> Tensor:
     """Largest entry of each frame (..., m, 1), 1 where it is dark."""
     largest = parts.amax(dim=-1, keepdim=True)
     return torch.where(largest > 0, largest, 1.0)

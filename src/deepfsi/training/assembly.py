@@ -13,7 +13,7 @@ from deepfsi.design import Design
 from deepfsi.designfile import TrainingScenes
 from deepfsi.exposure import Clicks, ExposureTraining, FixedExposure, TrainedMasks, TrainingSet
 from deepfsi.jobs import Job
-from deepfsi.networks import OwnClassifier, Values, make
+from deepfsi.networks import OwnClassifier, Values, make_custom
 from deepfsi.physics import LearnedMasks, Rails, Scanner, library_defaults, light_law
 from deepfsi.training.characterisation import characterise, provenance
 
@@ -143,10 +143,10 @@ def _rails(scanner: Scanner, data: Dataset, light: LightLawName) -> Rails:
 def _copy(classifier: nn.Module, features: int, classes: int) -> OwnClassifier:
     """Copy of a user's module, with the import path that it has."""
     if not isinstance(classifier, OwnClassifier):
-        return make(classifier, {}, features, classes)
+        return make_custom(classifier, {}, features, classes)
     if classifier.module is None:
         raise InputError("the classifier's code was not run: give its module")
-    own = make(classifier.module, {}, features, classes)
+    own = make_custom(classifier.module, {}, features, classes)
     own.factory = classifier.factory
     own.arguments = classifier.arguments
     return own

@@ -29,7 +29,7 @@ from deepfsi.exposure import (
     ExposureTraining,
     JobGroup,
     TrainingSet,
-    build,
+    build_training,
     dtypes,
     matrix_seeds,
 )
@@ -400,7 +400,7 @@ def _optimised(
     group: JobGroup, report: Progress, *, checkpoint: Checkpoint, hooks: LoopHooks
 ) -> tuple[ExposureTraining, list[Classifier]]:
     """Masks, which are fixed from here on, and networks after training."""
-    exposure = build(group)
+    exposure = build_training(group)
     classifiers = optimise(exposure, report, checkpoint, hooks)
     exposure.fix()
     networks = [*classifiers, *exposure.choose.networks]
@@ -418,7 +418,7 @@ def _first_share(
     _check(training_set, [job], matrix, start)
     if job.code.adaptive:
         return ADAPTIVE_SHARE
-    exposure = build(JobGroup.of(training_set, [job], matrix=matrix, start=start))
+    exposure = build_training(JobGroup.of(training_set, [job], matrix=matrix, start=start))
     exposure.fix()
     light = exposure.masks().total[0] @ exposure.scenes.full.mean(dim=0)
     return float(light.sum()) * exposure.tokens / training_set.summed_reflectance

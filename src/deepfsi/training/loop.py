@@ -21,7 +21,7 @@ from torch.optim.lr_scheduler import LRScheduler, OneCycleLR
 from deepfsi.base import SILENT, InputError, Progress
 from deepfsi.exposure import ExposureTraining, network_dtype
 from deepfsi.jobs import Training
-from deepfsi.networks import CLASSIFIER_TYPES, Classifier, Mlp, Replicas, make, seeded
+from deepfsi.networks import CLASSIFIER_TYPES, Classifier, Mlp, Replicas, make_custom, seeded
 from deepfsi.physics import Draws
 from deepfsi.training.checkpoint import NO_CHECKPOINT, Checkpoint, LoopState
 from deepfsi.training.hooks import LoopHooks, check_made
@@ -184,7 +184,7 @@ def _classifiers(exposure: ExposureTraining) -> list[Classifier]:
     inputs = exposure.input_count
     classes = exposure.training_set.data.answers
     if settings.is_custom:
-        made = make(
+        made = make_custom(
             settings.classifier,
             settings.classifier_arguments,
             inputs,

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from deepfsi.base import InputError
-from deepfsi.base.numeric import Table, read_table
+from deepfsi.base.numeric import NumberTable, read_table
 from deepfsi.camera import DetectorMap, Device
 from deepfsi.hardware.counting import TableSettings, count_table, table_of_series, tables
 from deepfsi.hardware.patterns import (
@@ -85,16 +85,16 @@ def test_counts_between_markers_give_the_scanners_readouts(tmp_path, light, rail
     rates = arrival_rates(tmp_path / "p", SCENES, VirtualCamera(dark=DARK), FLUX)
     values = np.rint(rates * manifest.picture_s[:, None]).reshape(len(SCENES), -1)
     assert values.shape[1] == len(tables.column_names(manifest))
-    counts, scenes = count_table(Table(values), manifest, TableSettings())
+    counts, scenes = count_table(NumberTable(values), manifest, TableSettings())
     assert [scene.name for scene in scenes] == ["1", "2", "3"]
     assert counts.faults == ()
     assert counts.dark_rate == pytest.approx(DARK, rel=1e-3)
     close(counts, expected(patterns.rails, cells))
     late = np.rint(rates * (manifest.picture_s - 3e-6)[:, None]).reshape(len(SCENES), -1)
-    settled, _ = count_table(Table(late), manifest, TableSettings(settle_s=3e-6))
+    settled, _ = count_table(NumberTable(late), manifest, TableSettings(settle_s=3e-6))
     assert settled.settle_s == 3e-6
     close(settled, expected(patterns.rails, cells))
-    analogue, _ = count_table(Table(values / 8), manifest, TableSettings(gain=8.0))
+    analogue, _ = count_table(NumberTable(values / 8), manifest, TableSettings(gain=8.0))
     assert analogue.dark_rate == pytest.approx(DARK, rel=1e-3)
     scale = counts.photons / analogue.photons  # of each scene its own light, or of all the mean
     close(analogue, expected(patterns.rails, cells) * by_scene(scale, counts.counts.ndim - 1))
@@ -102,7 +102,7 @@ def test_counts_between_markers_give_the_scanners_readouts(tmp_path, light, rail
     bare = values[:, 2 * manifest.inputs : -2 * manifest.inputs]
     photons = float(counts.photons[0])
     given = TableSettings(photons=photons, background=background)
-    again, _ = count_table(Table(bare), manifest, given)
+    again, _ = count_table(NumberTable(bare), manifest, given)
     close(again, expected(patterns.rails, cells))
 
 
@@ -140,7 +140,7 @@ def signal(counted, table, **settings) -> np.ndarray:
 )
 def test_what_does_not_fit_is_one_line(counted, shape, settings, said):
     with pytest.raises(InputError, match=re.escape(said)) as error:
-        count_table(Table(np.ones(shape)), counted[0], TableSettings(**settings), "t.csv")
+        count_table(NumberTable(np.ones(shape)), counted[0], TableSettings(**settings), "t.csv")
     assert "\n" not in str(error.value)
 
 
@@ -148,13 +148,13 @@ def test_names_and_values_that_do_not_fit_are_one_line(counted):
     manifest, values = counted
     names = tables.column_names(manifest)
     for table, said in (
-        (Table(values, ("time", *names[1:])), "'time' that is no frame"),
-        (Table(values[:, 1:], tuple(names[1:])), "no column 'on'"),
-        (Table(np.delete(values, 3, 1), tuple(np.delete(names, 3))), "no column 'mask1'"),
-        (Table(values + 0.5), "which is no count of photons"),
-        (Table(values - 1e9), "which is no count of photons"),
-        (Table(values, (), {"scene": ("a", "b", "a")}), "scene twice"),
-        (Table(0 * values), "no light"),
+        (NumberTable(values, ("time", *names[1:])), "'time' that is no frame"),
+        (NumberTable(values[:, 1:], tuple(names[1:])), "no column 'on'"),
+        (NumberTable(np.delete(values, 3, 1), tuple(np.delete(names, 3))), "no column 'mask1'"),
+        (NumberTable(values + 0.5), "which is no count of photons"),
+        (NumberTable(values - 1e9), "which is no count of photons"),
+        (NumberTable(values, (), {"scene": ("a", "b", "a")}), "scene twice"),
+        (NumberTable(0 * values), "no light"),
     ):
         with pytest.raises(InputError, match=said) as error:
             count_table(table, manifest, TableSettings())
@@ -173,7 +173,7 @@ def test_law_units_of_an_analogue_detector_are_counts_with_read_noise(tmp_path):
     photons = rng.poisson(rates * manifest.picture_s, (draws, len(rates)))
     values = (photons + noise * rng.standard_normal(photons.shape)) / gain
     settings = TableSettings(gain=gain, read_noise=noise)
-    counts, _ = count_table(Table(values), manifest, settings)
+    counts, _ = count_table(NumberTable(values), manifest, settings)
     assert counts.faults == ()
     found, variance = counts.arrivals[:, 0, 0], counts.variance[:, 0, 0]
     wanted = rates[manifest.shown] * counts.lengths_s[0]
@@ -188,13 +188,13 @@ def test_law_units_of_an_analogue_detector_are_counts_with_read_noise(tmp_path):
 
 
 # Clicks
-def clicks_table(manifest, rate: float, scenes: int = 60, gates: int = 8) -> Table:
+def clicks_table(manifest, rate: float, scenes: int = 60, gates: int = 8) -> NumberTable:
     """Clicks of exposures at a rate of photons/s with all ON, half of it behind masks."""
     light = {"on": rate, "off": 0.0, "mask": rate / 2}
     photons = manifest.picture_s * [light[frame.role] for frame in manifest.frames]
     chance = -np.expm1(-photons / gates)
     drawn = np.random.default_rng(2).binomial(gates, chance, (scenes, len(photons)))
-    return Table(drawn.astype(float), tuple(tables.column_names(manifest)))
+    return NumberTable(drawn.astype(float), tuple(tables.column_names(manifest)))
 
 
 def test_clicks_of_a_table_are_read_as_they_are_and_tell_the_budget(tmp_path):
@@ -235,7 +235,7 @@ def test_clicks_that_tell_no_budget_need_it(tmp_path):
         with pytest.raises(InputError, match="does not tell its budget: all-ON frames leave less"):
             count_table(table, manifest, TableSettings(clicks=8))
         assert count_table(table, manifest, TableSettings(clicks=8, photons=9.0))[0].valid.all()
-    bare = Table(table.values[:, 2:-2], table.names[2:-2])
+    bare = NumberTable(table.values[:, 2:-2], table.names[2:-2])
     with pytest.raises(InputError, match="no all-ON and all-OFF frames, which tell the budget"):
         count_table(bare, manifest, TableSettings(clicks=8))
 

@@ -5,7 +5,15 @@ import pytest
 from scipy.optimize import brentq
 from scipy.stats import poisson
 
-from deepfsi.hardware.light import FALSE_ALARMS, PARTS, Arrivals, LightMonitor, checks, curves, flux
+from deepfsi.hardware.light import (
+    FALSE_ALARMS,
+    PARTS_OF_FRAME,
+    Arrivals,
+    LightMonitor,
+    checks,
+    curves,
+    flux,
+)
 from deepfsi.hardware.patterns import Brightness
 from hardware.counting.recording_samples import schedule
 
@@ -16,10 +24,13 @@ def all_on(photons: int) -> LightMonitor:
     """Light after the first all-ON frame of a run of scenes of one brightness; none is dark."""
     same = Brightness(low=1, high=1, between=1, within=0)
     manifest = schedule([1000] * 4).model_copy(update={"brightness": same})
-    light, parts = LightMonitor(manifest, (0,), SCENES), np.full((2, PARTS), SECONDS / PARTS)
-    counts = np.zeros((2, PARTS, 1))
-    counts[0] = photons / PARTS
-    middles = (np.arange(2)[:, None] + (np.arange(PARTS) + 0.5) / PARTS) * SECONDS
+    light, parts = (
+        LightMonitor(manifest, (0,), SCENES),
+        np.full((2, PARTS_OF_FRAME), SECONDS / PARTS_OF_FRAME),
+    )
+    counts = np.zeros((2, PARTS_OF_FRAME, 1))
+    counts[0] = photons / PARTS_OF_FRAME
+    middles = (np.arange(2)[:, None] + (np.arange(PARTS_OF_FRAME) + 0.5) / PARTS_OF_FRAME) * SECONDS
     lit, faults = light.begin(Arrivals(manifest.frames[:2], counts, counts, parts, middles))
     assert lit
     assert not faults

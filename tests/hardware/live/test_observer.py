@@ -9,7 +9,7 @@ from deepfsi import Design
 from deepfsi.base import InputError
 from deepfsi.camera import CounterEffects, DeadTime
 from deepfsi.hardware.counting import FrameCounts, Scene
-from deepfsi.hardware.light import PARTS
+from deepfsi.hardware.light import PARTS_OF_FRAME
 from deepfsi.hardware.live import SceneObserver, run
 from deepfsi.hardware.live.observer import SCENE_ENDS
 from deepfsi.hardware.patterns import read_patterns
@@ -37,7 +37,9 @@ def observe(patterns, rates, scenes=1, background=None, **settings):
             asked.append(lists)
             photons = rates[scene][lists.frames] * lists.gate_ns[:, None] * 1e-9
             starts_s = 0.1 * scene + 5e-3 * len(asked) + np.arange(len(photons)) * 1e-3
-            return FrameCounts(starts_s, np.repeat(photons[:, None] / PARTS, PARTS, axis=1))
+            return FrameCounts(
+                starts_s, np.repeat(photons[:, None] / PARTS_OF_FRAME, PARTS_OF_FRAME, axis=1)
+            )
 
         return SimpleNamespace(count=counts)
 
@@ -191,7 +193,9 @@ def test_law_all_on_frames_have_the_noise_of_what_is_subtracted_and_of_a_dead_ti
         times.append(lists)
         photons = registered[lists.frames] * lists.gate_ns[:, None] * 1e-9
         starts_s = 5e-3 * len(times) + np.arange(len(photons)) * 1e-3
-        return FrameCounts(starts_s, np.repeat(photons[:, None] / PARTS, PARTS, axis=1))
+        return FrameCounts(
+            starts_s, np.repeat(photons[:, None] / PARTS_OF_FRAME, PARTS_OF_FRAME, axis=1)
+        )
 
     list(observer.observe(0, SimpleNamespace(count=counts)))
     [on], arm = seen, slice(0, manifest.detector_count)

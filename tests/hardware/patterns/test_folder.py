@@ -27,7 +27,7 @@ from deepfsi.hardware.patterns import (
     unpack,
 )
 from deepfsi.hardware.patterns.folder import hash_mirrors
-from deepfsi.physics import SLACK, light_law
+from deepfsi.physics import ROUNDING_SLACK, light_law
 
 every_shown = pytest.mark.parametrize(
     ("design", "light", "rails"),
@@ -70,7 +70,7 @@ def test_the_realised_matrix_is_the_design_in_steps_of_each_peak(
     assert manifest.shares.sum() <= 1 + 1e-12
     assert light_law(law).excess(torch.from_numpy(shown.rails)) <= FLOAT32
     if LIGHT_LAWS[light].one_device:
-        assert manifest.dimmed >= 1 - SLACK
+        assert manifest.dimmed >= 1 - ROUNDING_SLACK
     else:
         assert manifest.dimmed == pytest.approx(min(1, 1 / float(lit.sum())), rel=1e-12)
     assert np.array_equal(check_patterns(tmp_path / "p").on, shown.on)

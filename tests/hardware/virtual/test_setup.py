@@ -54,7 +54,7 @@ def test_lists_follow_each_other_on_one_clock_and_every_photon_is_kept(tmp_path)
     )
     counter.stop()
     times, bits = read_markers(path)
-    assert (bits == camera_module.MARKER).all()
+    assert (bits == camera_module.FRAME_MARKER).all()
     np.testing.assert_allclose(
         times * DETECTOR_TICK_S, np.concatenate(starts) + 1e-6, atol=2 * DETECTOR_TICK_S
     )

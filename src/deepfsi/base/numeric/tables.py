@@ -75,7 +75,7 @@ SEPARATOR_LINES = 1000
 
 
 @dataclass(frozen=True)
-class Table:
+class NumberTable:
     """Numbers in rows and columns, and columns of words beside them.
 
     Attributes
@@ -97,7 +97,7 @@ def is_table(source: str | Path) -> bool:
     return split_variable(str(source))[0].suffix.lower() in TABLE_ENDINGS
 
 
-def read_table(source: str | Path, words: Sequence[str] = ()) -> Table:
+def read_table(source: str | Path, words: Sequence[str] = ()) -> NumberTable:
     """Read a table.
 
     Parameters
@@ -114,7 +114,7 @@ def read_table(source: str | Path, words: Sequence[str] = ()) -> Table:
     """
     path, columns = _read(source)
     if isinstance(columns, np.ndarray):
-        return Table(_finite(columns.astype(np.float64), path))
+        return NumberTable(_finite(columns.astype(np.float64), path))
     word_columns = {
         name: tuple("" if cell is None else normal_name(str(cell)) for cell in columns.cells(index))
         for index, name in enumerate(columns.names)
@@ -127,13 +127,13 @@ def read_table(source: str | Path, words: Sequence[str] = ()) -> Table:
     ]
     heads = tuple(columns.names[index] for index in numeric) if columns.names else ()
     if not numeric:
-        return Table(np.empty((0, 0)), heads, word_columns)
+        return NumberTable(np.empty((0, 0)), heads, word_columns)
     values = columns.numbers(numeric)
     wrong = np.argwhere(~np.isfinite(values))
     if wrong.size:
         row, column = wrong[0].tolist()
         raise InputError(_no_number(path, columns, row, numeric[column]))
-    return Table(values, heads, word_columns)
+    return NumberTable(values, heads, word_columns)
 
 
 def read_whole_numbers(

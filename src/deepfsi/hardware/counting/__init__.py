@@ -3,8 +3,8 @@
 from deepfsi.hardware.counting.acquisition import (
     Acquisition,
     Calibration,
+    ReferenceVerdict,
     Scene,
-    Verdict,
     prepare_run,
     read_run,
 )
@@ -21,9 +21,9 @@ __all__ = [
     "FrameCounter",
     "FrameCounts",
     "FrameGates",
+    "ReferenceVerdict",
     "Scene",
     "TableSettings",
-    "Verdict",
     "count_run",
     "count_table",
     "prepare_run",

@@ -219,7 +219,7 @@ class Acquisition(StrictModel):
         write_atomically(folder / "acquisition.json", kept.model_dump_json(indent=1).encode())
 
 
-class Verdict(StrictModel):
+class ReferenceVerdict(StrictModel):
     """Findings of `camera check` on a run of the reference target, kept with a run of scenes."""
 
     reference: str  # folder of that run

@@ -35,7 +35,14 @@ from deepfsi.hardware.counting.windows import (
     count_in_windows,
     sum_exposures,
 )
-from deepfsi.hardware.light import PARTS, Arrivals, Fault, check_light, find_lateness, name_inputs
+from deepfsi.hardware.light import (
+    PARTS_OF_FRAME,
+    Arrivals,
+    Fault,
+    check_light,
+    find_lateness,
+    name_inputs,
+)
 from deepfsi.hardware.patterns import GatePlan
 from deepfsi.hardware.photons import PhotonSource, summarise
 
@@ -297,7 +304,7 @@ def _count_photons(
     source = str(recording.source.path)
     gated, parted = recording.count_in(
         Windows.of_gates(manifest, gates, starts),
-        Windows.of_parts(starts, gates.settle_s, PARTS),
+        Windows.of_parts(starts, gates.settle_s, PARTS_OF_FRAME),
         progress=progress.between(0.4, 1.0),
     )
     faults = list(starts.faults)

@@ -19,7 +19,7 @@ from deepfsi.base import InputError, time_text
 from deepfsi.camera import CorrectionFactors, LiveSettings
 from deepfsi.hardware.counting.corrections import correct, corrections_of
 from deepfsi.hardware.counting.markers import MOST_EXTRA, MOST_RATE
-from deepfsi.hardware.light import PARTS
+from deepfsi.hardware.light import PARTS_OF_FRAME
 from deepfsi.hardware.patterns import Frame, Manifest
 from deepfsi.hardware.photons import (
     Part,
@@ -135,7 +135,9 @@ class FrameCounts:
     def join(cls, parts: "Sequence[FrameCounts]", inputs: int) -> "FrameCounts":
         """Frames of parts that follow each other, of which there may be none."""
         starts = [np.zeros(0), *(counts.starts_s for counts in parts)]
-        photons = [counts.parts for counts in parts] or [np.zeros((0, PARTS, inputs), np.int64)]
+        photons = [counts.parts for counts in parts] or [
+            np.zeros((0, PARTS_OF_FRAME, inputs), np.int64)
+        ]
         return cls(np.concatenate(starts), np.concatenate(photons))
 
 
@@ -237,15 +239,15 @@ class FrameCounter:
         times, bits = part.markers
         begun = map(self._begin, times[bits & self._bit != 0].tolist())
         gates = np.array([gate for gate in begun if gate], np.int64).reshape(-1, 2)
-        windows.expect(*cut_windows(gates[:, 0], gates[:, 1], PARTS))
+        windows.expect(*cut_windows(gates[:, 0], gates[:, 1], PARTS_OF_FRAME))
         windows.add(part)
         counts = np.concatenate([self._counts, windows.take()])
-        ended = len(counts) // PARTS
+        ended = len(counts) // PARTS_OF_FRAME
         waits = 0 < ended == len(self._begun) and self._followed
         ready = ended - waits
-        self._counts = counts[ready * PARTS :]
+        self._counts = counts[ready * PARTS_OF_FRAME :]
         starts = [self._begun.popleft() for _ in range(ready)]
-        parts = counts[: ready * PARTS].reshape(ready, PARTS, counts.shape[1])
+        parts = counts[: ready * PARTS_OF_FRAME].reshape(ready, PARTS_OF_FRAME, counts.shape[1])
         return FrameCounts(np.array(starts, np.float64) * self._stream.tick_s, parts)
 
     @property

@@ -27,7 +27,7 @@ from typing import ClassVar, Literal, Self, get_args
 import numpy as np
 
 from deepfsi.base import InputError, Message, check_choice, closest_choice, time_text
-from deepfsi.base.numeric import Table
+from deepfsi.base.numeric import NumberTable
 from deepfsi.camera import NO_EFFECTS, CounterEffects
 from deepfsi.hardware.counting.acquisition import MOST_READOUTS, Scene
 from deepfsi.hardware.counting.corrections import (
@@ -101,7 +101,7 @@ class TableSettings:
     gain: float | None = None
     read_noise: float | None = None
     effects: CounterEffects = NO_EFFECTS
-    dark: Table | None = None
+    dark: NumberTable | None = None
     clicks: int | None = None
 
     def __post_init__(self) -> None:
@@ -163,7 +163,7 @@ def column_names(manifest: Manifest) -> list[str]:
 
 
 def count_table(
-    table: Table, manifest: Manifest, settings: TableSettings, name: str = "the table"
+    table: NumberTable, manifest: Manifest, settings: TableSettings, name: str = "the table"
 ) -> tuple[Counts, tuple[Scene, ...]]:
     """Counts of the exposures in a table, and their scenes.
 
@@ -255,7 +255,9 @@ class _Exposures:
     name: str
 
     @classmethod
-    def read(cls, table: Table, manifest: Manifest, settings: TableSettings, name: str) -> Self:
+    def read(
+        cls, table: NumberTable, manifest: Manifest, settings: TableSettings, name: str
+    ) -> Self:
         """Exposures of a table, or `InputError` if it does not hold them."""
         values = _arrange(table, manifest, settings, name)
         sentinels = values.shape[1] == len(manifest.frames)
@@ -324,7 +326,9 @@ class _Exposures:
         )
 
 
-def _arrange(table: Table, manifest: Manifest, settings: TableSettings, name: str) -> np.ndarray:
+def _arrange(
+    table: NumberTable, manifest: Manifest, settings: TableSettings, name: str
+) -> np.ndarray:
     """Values (E, F, inputs), or without sentinels where there are none, by their names or shape."""
     names = column_names(manifest)
     inputs = manifest.inputs
@@ -376,7 +380,7 @@ def _arrange(table: Table, manifest: Manifest, settings: TableSettings, name: st
 
 
 def _find_scenes(
-    table: Table, exposures: int, settings: TableSettings, name: str
+    table: NumberTable, exposures: int, settings: TableSettings, name: str
 ) -> tuple[tuple[Scene, ...], np.ndarray]:
     """Scenes, and which of them each exposure (E,) is of: those of one scene follow each other."""
     names = table.words.get(settings.SCENE)

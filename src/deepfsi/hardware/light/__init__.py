@@ -4,7 +4,7 @@ from deepfsi.hardware.light.checks import SPOILING, Fault, check_light, find_lat
 from deepfsi.hardware.light.curves import (
     CERTAIN_SIGMAS,
     FALSE_ALARMS,
-    PARTS,
+    PARTS_OF_FRAME,
     Arrivals,
     excess_chance,
     name_inputs,
@@ -15,7 +15,7 @@ __all__ = [
     "CERTAIN_SIGMAS",
     "FALSE_ALARMS",
     "NO_LIGHT",
-    "PARTS",
+    "PARTS_OF_FRAME",
     "SPOILING",
     "Arrivals",
     "Fault",

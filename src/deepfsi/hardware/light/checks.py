@@ -30,7 +30,7 @@ from deepfsi.hardware.light.curves import (
     CERTAIN_SIGMAS,
     EXCESS,
     FALSE_ALARMS,
-    PARTS,
+    PARTS_OF_FRAME,
     Arrivals,
     Curves,
     LightCurve,
@@ -297,10 +297,10 @@ class UnsteadyFrame(LightCheck):
     # Parts of a frame that are compared with its others, each way, (ways, PARTS)
     SPLITS = np.array(
         [
-            (np.arange(PARTS) >= first) & (np.arange(PARTS) < stop)
-            for first in range(PARTS)
-            for stop in range(first + 1, PARTS + 1)
-            if stop - first < PARTS and (first == 0 or stop < PARTS)
+            (np.arange(PARTS_OF_FRAME) >= first) & (np.arange(PARTS_OF_FRAME) < stop)
+            for first in range(PARTS_OF_FRAME)
+            for stop in range(first + 1, PARTS_OF_FRAME + 1)
+            if stop - first < PARTS_OF_FRAME and (first == 0 or stop < PARTS_OF_FRAME)
         ],
         float,
     )
@@ -328,7 +328,7 @@ class UnsteadyFrame(LightCheck):
         total = curve.photons.sum(axis=2)
         total_s = curve.seconds.sum(axis=2)
         restless = np.zeros(total.shape, bool)
-        if curve.photons.shape[2] < PARTS:
+        if curve.photons.shape[2] < PARTS_OF_FRAME:
             return restless  # frames were counted whole
         rate = (total + 1) / np.where(total_s > 0, total_s, np.inf)
         harmless = HARMLESS_DARK * light.bright_rate[:, None] / np.maximum(rate, 1e-300)

@@ -13,7 +13,7 @@ import numpy as np
 
 from deepfsi.hardware.patterns import Frame
 
-PARTS = 8
+PARTS_OF_FRAME = 8
 """Parts of each frame that are counted by themselves."""
 
 FALSE_ALARMS = 1e-3

@@ -19,7 +19,7 @@ from deepfsi.base import SILENT, InputError, Progress, hash_file, write_atomical
 from deepfsi.base.numeric import read_npz
 from deepfsi.designfile import SceneReadouts
 from deepfsi.hardware.counting import Acquisition, FrameCounts, read_run
-from deepfsi.hardware.light import PARTS
+from deepfsi.hardware.light import PARTS_OF_FRAME
 from deepfsi.hardware.live.frame_log import DARK_SCENE, FrameLog, LoggedList, LoggedScene
 from deepfsi.hardware.live.looks import FrameList, LookChooser
 from deepfsi.hardware.live.observer import Decision, SceneObserver
@@ -30,7 +30,7 @@ from deepfsi.hardware.photons import count_windows, cut_windows, read_markers
 PHOTONS = "photons.ptu"
 """File of the recording."""
 
-COUNTED = ("acquisition.json", FrameLog.NAME, PHOTONS)
+HASHED_FILES = ("acquisition.json", FrameLog.NAME, PHOTONS)
 """Files whose hashes the counts hold."""
 
 
@@ -111,11 +111,11 @@ class LiveCounts:
         markers = times[numbers]
         starts = markers + round(run.acquisition.settle_s / photons.tick_s)
         lengths = np.rint(gate_ns * 1e-9 / photons.tick_s).astype(np.int64)
-        starts, stops = cut_windows(starts, starts + lengths, PARTS)
+        starts, stops = cut_windows(starts, starts + lengths, PARTS_OF_FRAME)
         counts = count_windows(
             photons.path, starts, stops, run.acquisition.inputs, progress=report.between(0.4, 1.0)
         )
-        counts = counts.reshape(len(markers), PARTS, -1)
+        counts = counts.reshape(len(markers), PARTS_OF_FRAME, -1)
         frames = FrameCounts(markers.astype(np.float64) * photons.tick_s, counts)
         about = np.frombuffer(json.dumps(_hashes(folder)).encode(), np.uint8)
         file = io.BytesIO()
@@ -150,7 +150,7 @@ class LiveCounts:
         except (KeyError, ValueError, RecursionError):
             raise InputError(f"{path} is not a whole file of counts: {again}") from None
         frames = sum(len(shown.frames) for scene in log.scenes for shown in scene.lists)
-        wanted = frames, PARTS, len(run.acquisition.inputs)
+        wanted = frames, PARTS_OF_FRAME, len(run.acquisition.inputs)
         fits = counts.shape == wanted and counts.dtype == np.int64
         fits &= starts.shape == (frames,) and starts.dtype == np.float64
         if not fits or about != _hashes(folder):
@@ -172,7 +172,7 @@ class LiveCounts:
 
 def _hashes(folder: Path) -> dict[str, str]:
     """Hashes of the files that counts are of."""
-    return {name: hash_file(folder / name) for name in COUNTED}
+    return {name: hash_file(folder / name) for name in HASHED_FILES}
 
 
 class LoggedFrames:

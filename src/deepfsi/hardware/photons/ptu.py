@@ -59,7 +59,7 @@ FOREIGN = {
 }
 """What else counters write, by the first bytes."""
 
-TABLES = (".txt", ".csv", ".tsv", ".dat", ".npy", ".mat", ".parquet")
+TABLE_ENDS = (".txt", ".csv", ".tsv", ".dat", ".npy", ".mat", ".parquet")
 """Ends of the names of tables, which may hold events."""
 
 _TO_TAGS = "save times and channels as two columns, and give these to `deepfsi camera import`"
@@ -73,7 +73,7 @@ FOREIGN_ENDS = {
     "file of those of some cards, which `deepfsi camera import` reads",
     ".sdt": "is by its name a file of Becker & Hickl with histograms or pictures, which have no "
     "times of photons: record in FIFO mode, as .spc",
-    **dict.fromkeys(TABLES, f"is no PTU file: {_TO_TAGS}"),
+    **dict.fromkeys(TABLE_ENDS, f"is no PTU file: {_TO_TAGS}"),
 }
 """What else counters write, by the ends of names."""
 
@@ -294,7 +294,7 @@ def parse_header(path: str | os.PathLike[str]) -> HeaderParser:
 
 def refuse_foreign(path: Path) -> None:
     """Raise `InputError` for a file of another counter, which no table of events is."""
-    if path.suffix.lower() in TABLES or not path.is_file():
+    if path.suffix.lower() in TABLE_ENDS or not path.is_file():
         return
     with open_regular(path) as file:
         start = file.read(16)

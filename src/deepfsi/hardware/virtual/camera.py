@@ -48,7 +48,7 @@ from deepfsi.hardware.virtual.detector import (
 Row = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 """Row of a homography."""
 
-MARKER = 1
+FRAME_MARKER = 1
 """Bits of the marker at the start of each frame."""
 
 MOST_FLUX = 1e12
@@ -449,7 +449,7 @@ def record_scenes(
         exposure_s=settings.exposure_s,
         settle_s=settings.settle_s,
         repeats=settings.repeats,
-        marker_bit=MARKER,
+        marker_bit=FRAME_MARKER,
         **({} if settings.inputs is None else {"inputs": settings.inputs}),
         flux=settings.flux or None,
         camera=camera.model_dump(mode="json"),
@@ -530,7 +530,7 @@ def write_photons(
             events = [
                 stream.events(start, pieces, flow[:, place]) for place, stream in enumerate(streams)
             ]
-            kinds = [np.full(len(marked), -MARKER), codes]
+            kinds = [np.full(len(marked), -FRAME_MARKER), codes]
             kinds += [np.full(len(some), each) for each, some in zip(wired, events, strict=True)]
             times = np.maximum(np.concatenate([marked, times, *events]), 0)
             order = np.argsort(times, kind="stable")

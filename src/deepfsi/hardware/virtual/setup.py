@@ -22,7 +22,7 @@ from deepfsi.hardware.drivers import Setup
 from deepfsi.hardware.patterns import check_patterns, read_patterns
 from deepfsi.hardware.photons import PtuWriter
 from deepfsi.hardware.virtual.camera import (
-    MARKER,
+    FRAME_MARKER,
     MirrorLight,
     VirtualCamera,
     arrival_rates,
@@ -103,7 +103,7 @@ class VirtualOptics:
         self._codes = np.zeros(0, np.int64)
         self.written: PtuWriter | None = None  # of the counter that records
         # Its inputs, one for each detector, and the bits of its markers
-        self.wiring: tuple[tuple[int, ...], int] = tuple(range(rates.shape[2])), MARKER
+        self.wiring: tuple[tuple[int, ...], int] = tuple(range(rates.shape[2])), FRAME_MARKER
 
     def display(self, scene: int) -> None:
         """Show a scene on the display."""
@@ -231,7 +231,7 @@ class VirtualCounter(AbstractContextManager["VirtualCounter"]):
     """
 
     def __init__(
-        self, optics: VirtualOptics, inputs: tuple[int, ...], marker_bit: int = MARKER
+        self, optics: VirtualOptics, inputs: tuple[int, ...], marker_bit: int = FRAME_MARKER
     ) -> None:
         self._optics = optics
         self._inputs = inputs
