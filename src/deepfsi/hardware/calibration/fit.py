@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy import ndimage, optimize, special
 
 from deepfsi.base import InputError
 from deepfsi.camera import DmdGrid
@@ -265,6 +264,8 @@ def calibrate_run(
 def find_spots(pictures: np.ndarray) -> np.ndarray:
     """Places (n, 2) of the spots in pictures (n, down, across), NaN where none is seen."""
     # (across, down) in the unit square. A spot is seen where it stands out of the noise
+    from scipy import ndimage
+
     pictures = np.asarray(pictures, dtype=float)
     down, across = np.indices(pictures.shape[1:])
     out = np.full((len(pictures), 2), np.nan)
@@ -340,6 +341,8 @@ def find_flat(
     # fills less than half have the value of the nearest cell that it fills. The picture's shape is
     # (down, across), as the flat field's, which is relative to its largest value. Other parameters
     # as for `geometry_matrix`
+    from scipy import ndimage
+
     white = np.asarray(white, dtype=float)
     view = geometry_matrix(image_shape, white.shape, homography, blur)
     filled = view.sum(axis=1).reshape(white.shape)
@@ -409,6 +412,8 @@ class DisplayedScenes:
 
     def images(self, view: np.ndarray, shift: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
         """Pictures (spots, down, across), all of brightness 1; shifted by cells down and across."""
+        from scipy import special
+
         matrix = np.append(view[:8], 1).reshape(3, 3)
         width = np.hypot(view[8] * self.side, self.spacing)
         out = np.empty((len(self.points), *self.cells))
@@ -456,6 +461,8 @@ def _solve(
     spots: DisplayedScenes, pictures: np.ndarray, view: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """Least-squares view, the Jacobian of its weighted misfit, and the misfit's variance."""
+    from scipy import optimize
+
     weight = np.ones_like(pictures)
 
     def fitted(view: np.ndarray) -> np.ndarray:
@@ -486,6 +493,8 @@ def _solve(
 
 def _weights(pictures: np.ndarray, model: np.ndarray) -> np.ndarray:
     """One over the noise of each cell: a variance of its own for darkness, and more with light."""
+    from scipy import optimize
+
     squares = (pictures - model).ravel() ** 2
     (dark, light), _ = optimize.nnls(np.stack([np.ones(model.size), model.ravel()], 1), squares)
     variance = dark + light * model.ravel()

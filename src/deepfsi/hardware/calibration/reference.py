@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 from PIL import Image
-from scipy import optimize
 
 from deepfsi.base import SILENT, InputError, Progress, write_atomically
 from deepfsi.camera import DmdLayout
@@ -270,6 +269,8 @@ class ReferenceReadouts:
 
     def misfit(self, image: np.ndarray) -> np.ndarray:
         """Counts less those of an image and of light spread evenly, over their noise (k,)."""
+        from scipy import optimize
+
         model = self.masks @ np.stack([image, np.ones_like(image)], axis=1) / self.noise[:, None]
         size = np.maximum(np.linalg.norm(model, axis=0), 1e-300)
         wanted = self.counts / self.noise
@@ -345,6 +346,7 @@ def _fit_place(
     readouts: ReferenceReadouts, manifest: Manifest, report: Progress = SILENT
 ) -> ReferenceFit:
     """Place of the target that explains its counts behind masks best."""
+    from scipy import optimize
     from scipy.stats import chi2
 
     model = _Model(manifest)

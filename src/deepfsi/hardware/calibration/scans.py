@@ -5,7 +5,6 @@ import math
 from pathlib import Path
 
 import numpy as np
-from scipy.linalg import hadamard, solve
 
 from deepfsi.base import InputError, check_choice, write_atomically
 from deepfsi.camera import DetectorMap
@@ -44,6 +43,8 @@ def scan_rails(name: str, cells: tuple[int, int], detectors: int = 1) -> DesignR
     InputError
         For another name, or too many cells.
     """
+    from scipy.linalg import hadamard
+
     check_choice("scan", name, SCAN_NAMES)
     down, across = cells
     pixels = down * across
@@ -77,6 +78,8 @@ def find_detectors(counts: Counts, patterns: Patterns) -> np.ndarray:
     InputError
         If a cell is seen clearly by no detector, or a detector sees none.
     """
+    from scipy.linalg import solve
+
     shape = patterns.manifest.image_shape
     read = counts.lengths_s > 0
     usable = counts.by_readout(counts.valid & ~counts.spoilt[:, None])

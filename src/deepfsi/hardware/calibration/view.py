@@ -11,14 +11,16 @@ scenes is what makes a design fit the camera.
 import hashlib
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy import ndimage, sparse
 
 from deepfsi.base import InputError
 from deepfsi.datasets import Dataset
 from deepfsi.hardware.counting import Calibration
+
+if TYPE_CHECKING:
+    from scipy import sparse
 
 POINTS_PER_CELL = 24, 32
 """Points of a cell's average, down and across: a DLP7000's mirrors of 32 x 32 cells."""
@@ -29,8 +31,10 @@ VIEWED_AT_ONCE = 4096
 
 def view_matrix(
     image_shape: tuple[int, ...], calibration: Calibration, cells_shape: tuple[int, ...]
-) -> sparse.csr_array:
+) -> "sparse.csr_array":
     """Matrix (down * across, h * w) from a scene to what each cell sees: rows sum to 1 or less."""
+    from scipy import sparse
+
     if len(image_shape) != 2:
         raise InputError(f"scenes of shape {image_shape} are no images: a camera's view needs two")
     view = geometry_matrix(image_shape, cells_shape, calibration.homography, calibration.blur)
@@ -117,7 +121,7 @@ def geometry_matrix(
     cells_shape: tuple[int, ...],
     homography: Any,
     blur: tuple[float, float],
-) -> sparse.csr_array:
+) -> "sparse.csr_array":
     """Matrix (down * across, h * w) of geometry and blur: cell averages over points.
 
     Each point sees one pixel, or nothing beside the display. `homography` (3, 3) leads from the
@@ -126,6 +130,8 @@ def geometry_matrix(
     """
     # The average over a cell of the blurred image is separable, so it is applied to the points'
     # pixels one axis after the other
+    from scipy import sparse
+
     h, w = image_shape
     down, across = cells_shape
     average_down, tops = _axis_average(down, blur[0], POINTS_PER_CELL[0])
@@ -156,9 +162,11 @@ def geometry_matrix(
     )
 
 
-def _axis_average(cells: int, blur: float, each: int) -> tuple[sparse.csr_array, np.ndarray]:
+def _axis_average(cells: int, blur: float, each: int) -> tuple["sparse.csr_array", np.ndarray]:
     """Average of blurred light over each cell of an axis (cells, points), and the points."""
     # Points lie beyond the cells as far as the blur reaches
+    from scipy import sparse
+
     step = 1 / (cells * each)
     beyond = int(np.ceil(4 * blur / step))
     places = (np.arange(-beyond, cells * each + beyond) + 0.5) * step
@@ -174,6 +182,8 @@ def _axis_average(cells: int, blur: float, each: int) -> tuple[sparse.csr_array,
 
 def _at_cells(values: np.ndarray, cells_shape: tuple[int, ...]) -> np.ndarray:
     """Values of a grid over the unit square at the centres of another's cells, linear between."""
+    from scipy import ndimage
+
     if values.shape == cells_shape:
         return values
     places = [
