@@ -403,7 +403,7 @@ def test_damaged_design_file_is_named(tmp_path):
 def test_report_needs_no_torch(tmp_path):
     make_results(tmp_path)
     run_without_torch(
-        "from deepfsi.report.comparison_page import build; build(sys.argv[1])", tmp_path
+        "from deepfsi.report import write_report; write_report(sys.argv[1])", tmp_path
     )
 
 

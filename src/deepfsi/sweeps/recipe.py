@@ -10,6 +10,7 @@ every part. `[parts.NAME]` overrides them in one part, `[quick]` in the coarse v
 
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from itertools import product
 from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
@@ -176,12 +177,8 @@ def _read_camera(given: Any) -> _Axes:
     return axes
 
 
-def _read_exposure(given: Any) -> _Axes:
-    return _read_axes(given, find_exposure)
-
-
-def _read_training(given: Any) -> _Axes:
-    return _read_axes(given, Training.model_validate)
+_read_exposure = partial(_read_axes, make=find_exposure)
+_read_training = partial(_read_axes, make=Training.model_validate)
 
 
 def _read_tuned(given: Any) -> dict[str, _Axes]:
