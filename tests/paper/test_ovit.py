@@ -13,8 +13,7 @@ from deepfsi.base import InputError
 from deepfsi.report import accuracy_figure
 from deepfsi.report.comparison_page import page_text
 from deepfsi.report.style import Figures
-from deepfsi.sweeps import Recipe, Workers, compare, plan_trials
-from deepfsi.sweeps import batch as context
+from deepfsi.sweeps import Recipe, Workers, batch, compare, plan_trials
 from deepfsi_paper import experiment, studies
 from deepfsi_paper.ovit import claims as ovit
 from deepfsi_paper.ovit.claims import EXPERIMENT, IMAGES
@@ -76,15 +75,15 @@ def test_a_study_ends_in_a_page_with_figures_and_claims(images, tmp_path):
 
 def test_a_stopped_study_goes_on_where_it_was(images, tmp_path, monkeypatch):
     trained, most = [], 3
-    train = context.train
+    train = batch.train
 
-    def counted(training_set, jobs, *others):
+    def counted(training_set, jobs, *others, **how):
         if len(trained) == most:
             raise KeyboardInterrupt
         trained.extend(jobs)
-        return train(training_set, jobs, *others)
+        return train(training_set, jobs, *others, **how)
 
-    monkeypatch.setattr(context, "train", counted)
+    monkeypatch.setattr(batch, "train", counted)
     with pytest.raises(KeyboardInterrupt):
         EXPERIMENT.run(tmp_path, command="deepfsi reproduce ovit", device="cpu")
     assert len(list((tmp_path / "trials").glob("*.json"))) == 3
