@@ -5,14 +5,10 @@ import pytest
 import torch
 from torch.nn import functional
 
-from conftest import PHOTONS, quick, same
-from deepfsi import evaluate
 from deepfsi.datasets import from_arrays
 from deepfsi.exposure import TrainingSet
 
 pytestmark = pytest.mark.usefixtures("trained_once")
-
-LOOKS = {"looks": 2, "light": "free-dwell", "rails": "single", "noise": "poisson", "batch": 30}
 
 
 def unbalanced(counts=(300, 6, 5)):
@@ -44,26 +40,3 @@ def test_the_weighted_loss_is_that_of_scenes_repeated():
     weights = TrainingSet(data, "cpu").class_weights
     weighted = functional.cross_entropy(logits, labels, weights, reduction="sum") / len(labels)
     assert weighted.item() == pytest.approx(repeated.item(), rel=1e-6)
-
-
-@pytest.mark.parametrize("settings", [{}, {"precision": "bfloat16"}, LOOKS])
-def test_where_classes_are_of_one_size_nothing_changes(settings):
-    x, labels = np.random.default_rng(2).random((90, 4, 4)), np.arange(90) % 3
-    data = from_arrays(x, labels, x[:9], labels[:9])
-    assert same(quick(data, masks=3, **settings), quick(data, masks=3, balance=True, **settings))
-
-
-@pytest.mark.parametrize("settings", [{}, LOOKS], ids=["one look", "two looks"])
-def test_it_finds_the_rare_classes(settings):
-    """Without it nearly every scene is given the common class."""
-    data = unbalanced()
-    plain, balanced = (
-        evaluate(
-            quick(data, masks=4, epochs=30, balance=balance, **{"batch": 30, **settings}),
-            data,
-            PHOTONS,
-        )[0]
-        for balance in (False, True)
-    )
-    assert balanced.balanced > plain.balanced + 0.15
-    assert balanced.rates[balanced.worst] > plain.rates[plain.worst] + 0.15

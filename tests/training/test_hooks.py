@@ -1,6 +1,5 @@
 """What a user adds to the loop: epochs are told without moving a bit, and may end a training."""
 
-import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
 
 import numpy as np
@@ -8,14 +7,10 @@ import pytest
 import torch
 
 from conftest import RECIPE, same
-from deepfsi import Design, evaluate
+from deepfsi import evaluate
 from deepfsi import learn as learned
 from deepfsi.base import InputError
-from deepfsi.exposure import TrainingSet
-from deepfsi.training import train
-from deepfsi.training.hooks import Epoch, LoopHooks
 from shared.checkpoints import Stopped, write_each_step
-from shared.jobs import job as job_of
 from shared.jobs import learn
 
 SHORT = {**RECIPE, "epochs": 3, "batch": 64, "photons": 1e3, "masks": 5, "device": "cpu"}
@@ -62,42 +57,6 @@ def test_no_bit_of_a_training_depends_on_who_looks_on(held, changes):
     if "span" not in changes and "shared" not in str(changes.get("noise")):
         [result] = evaluate(watched, held, 1e3, draws=1, seed=0)
         assert last.validation_accuracy == pytest.approx(result.accuracy, abs=1e-6)
-
-
-@pytest.mark.usefixtures("uncharacterised")
-def test_an_epoch_says_loss_and_rate(held):
-    epochs: list[Epoch] = []
-    learn(held, callback=epochs.append, **{**SHORT, "epochs": 6, "lr": 2e-2})
-    rates = [each.lr for each in epochs]
-    assert 2e-2 >= max(rates) == rates[1] > rates[2] > rates[-1]  # one cycle
-    assert epochs[0].loss == pytest.approx(np.log(10), rel=0.2)
-    assert epochs[-1].loss < 0.9 * epochs[0].loss
-    assert epochs[-1].validation_loss < epochs[0].validation_loss
-    assert {(each.epochs, each.design, each.photons, each.seed) for each in epochs} == {
-        (6, "deepfsi", 1e3, 0)
-    }
-
-
-@pytest.mark.usefixtures("uncharacterised")
-def test_without_held_out_scenes_there_is_no_validation(digits):
-    epochs = []
-    made = learn(digits, callback=epochs.append, **{**SHORT, "epochs": 1})
-    assert epochs[0].validation_loss is epochs[0].validation_accuracy is None
-    assert made._repr_html_().count("<polyline") == 1
-
-
-@pytest.mark.usefixtures("uncharacterised")
-def test_designs_side_by_side_have_an_epoch_each(held):
-    jobs = [job_of(**{**SHORT, "device": None, "photons": budget}) for budget in (1e2, 1e4)]
-    epochs = []
-    hooks = LoopHooks(epochs.append)
-    designs = train(TrainingSet(held, "cpu"), jobs, hooks=hooks)
-    assert [(each.epoch, each.photons) for each in epochs[:3]] == [(1, 1e2), (1, 1e4), (2, 1e2)]
-    alone = []
-    train(TrainingSet(held, "cpu"), jobs[1:], hooks=LoopHooks(alone.append))
-    assert epochs[-1].loss == pytest.approx(alone[-1].loss, rel=1e-3)
-    for design, job in zip(designs, jobs, strict=True):
-        assert {each["photons"] for each in design.info["history"]} == {job.photons}
 
 
 def test_a_callback_ends_a_training_and_those_of_its_folds(digits):
@@ -183,16 +142,6 @@ def test_what_cannot_be_is_refused_in_one_line(digits, given, words):
     with pytest.raises(InputError, match=words) as error:
         learned(digits, **{"masks": 3, "photons": 1e3, **given})
     assert "\n" not in str(error.value)
-
-
-@pytest.mark.usefixtures("uncharacterised")
-def test_a_design_draws_its_history_again_after_it_was_saved(held, tmp_path):
-    made = learn(held, callback=lambda _: False, **SHORT)
-    again = Design.load(made.save(tmp_path / "d.safetensors"))
-    assert again.info["history"] == made.info["history"]
-    html = again._repr_html_()
-    curve = ElementTree.fromstring(html[html.index("<svg") :])
-    assert len(curve.findall("polyline")) == 2
 
 
 @pytest.mark.usefixtures("uncharacterised")

@@ -20,7 +20,6 @@ from conftest import (
     two_valued,
 )
 from deepfsi import evaluate
-from deepfsi.base import InputError
 from deepfsi.exposure import TrainingSet
 from deepfsi.physics import light_law
 from deepfsi.training import train
@@ -59,32 +58,12 @@ def test_training_reads_no_test_scene(digits, design):
     assert found.summed_reflectance == wanted.summed_reflectance == pytest.approx(summed)
 
 
-@pytest.mark.usefixtures("uncharacterised")
-@pytest.mark.parametrize("start", ["pca", "truncated-hadamard", "random", "lda"])
-@every_optics
-def test_masks_may_start_from_any_design(digits, start, light, rails):
-    assert quick(digits, start=start, light=light, rails=rails).masks == 7
-
-
-@pytest.mark.usefixtures("uncharacterised")
-@pytest.mark.parametrize("rails", ["dual", "single"])
-@pytest.mark.parametrize("start", ["impulse", "raster", "hadamard"])
-def test_masks_may_start_from_a_design_of_all_pixels(digits, start, rails):
-    assert quick(digits, masks=64, start=start, rails=rails).masks == 64
-
-
 @every_optics
 def test_a_designs_matrix_can_be_given_back_as_your_own(digits, made, light, rails):
     matrix = made("deepfsi", light, rails).matrix
     settings = {"photons": 1e4, "masks": len(matrix), "epochs": 1, "device": "cpu"}
     again = learn(digits, design="custom", matrix=matrix, light=light, rails=rails, **settings)
     assert again.matrix == pytest.approx(matrix, abs=1e-6)
-
-
-def test_a_negative_matrix_cannot_be_a_single_rail(digits):
-    settings = {"photons": 1, "masks": 2, "rails": "single"}
-    with pytest.raises(InputError, match="negative entries"):
-        learn(digits, design="custom", matrix=np.full((2, 64), -0.1), **settings)
 
 
 @every_optics
@@ -99,23 +78,6 @@ def test_a_two_level_design_shows_dark_and_peak_alone(digits, made, light, rails
     assert torch.allclose(one.quantised(2).rails.stacked, one.rails.stacked, rtol=FLOAT32, atol=0)
     assert not two_valued(made("deepfsi", light, rails).rails.stacked)
     light_law(light).check(one.rails.stacked)
-
-
-@pytest.mark.usefixtures("uncharacterised")
-@pytest.mark.parametrize("design", ["control", "pca", "random", "s-matrix", "raster", "custom"])
-def test_levels_hold_for_masks_that_are_not_learned_here(digits, design):
-    assert two_valued(quick(digits, design, light="equal-dwell", levels=2).rails.stacked)
-
-
-@pytest.mark.usefixtures("uncharacterised")
-@every_optics
-@pytest.mark.parametrize("levels", [3, 17])
-def test_a_design_has_no_more_levels_than_its_device(digits, light, rails, levels):
-    rails = quick(digits, light=light, rails=rails, levels=levels).rails.stacked.double()
-    peak = (rails.sum(dim=0) if light == "two-arm" else rails).amax(dim=-1, keepdim=True)
-    level = (levels - 1) * rails / torch.where(peak > 0, peak, 1.0)
-    assert level.numpy() == pytest.approx(level.round().numpy(), abs=1e-4)
-    assert 2 < len(level.round().unique()) <= levels
 
 
 @pytest.mark.usefixtures("uncharacterised")
@@ -134,32 +96,6 @@ def test_two_level_designs_train_together_as_alone(digits, light, rails):
         lit, alone = one.rails.stacked > 0, train(training_set, [job])[0].rails.stacked > 0
         assert (lit != alone).double().mean() <= 0.01
     assert ((together[0].rails.stacked > 0) != (together[1].rails.stacked > 0)).any()
-
-
-@pytest.mark.usefixtures("uncharacterised")
-@pytest.mark.parametrize(
-    ("light", "rails"),
-    [("equal-dwell", "single"), ("free-dwell", "single"), ("two-arm", "dual"), ("column", "dual")],
-)
-def test_learning_two_levels_beats_rounding_to_them(digits, light, rails):
-    """By more than five sigma of the noise draws, in which alone the two tests differ.
-
-    Where both arms are read, continuous masks have nearly two levels from their start on.
-    """
-    draws = 20
-    settings = {"light": light, "rails": rails, "hidden": (40, 128), "lr": 1e-2}
-    settings |= {"readout": "difference"}
-    learned, continuous = (
-        quick(digits, masks=10, epochs=30, mask_lr=1e-1, scale="common", levels=levels, **settings)
-        for levels in (2, 0)
-    )
-    trained, rounded = (
-        evaluate(design, digits, PHOTONS, draws=draws)[0].accuracy
-        for design in (learned, continuous.quantised(2))
-    )
-    trials = draws * len(digits.x_test)
-    variance = (trained * (1 - trained) + rounded * (1 - rounded)) / trials
-    assert trained - rounded > 5 * variance**0.5
 
 
 def test_scenes_that_are_all_alike_can_still_be_trained_on():
@@ -187,65 +123,9 @@ def test_features_are_standardised_over_scenes_and_noise(digits, noise, rails, d
     assert_standardised(one, digits, noise)
 
 
-def test_a_common_scale_is_the_same_for_all_features(digits):
-    each, common = (quick(digits, "pca", scale=scale) for scale in ("each", "common"))
-    assert len(set(common.std.tolist())) == 1
-    assert common.std[0].square() == pytest.approx(float(each.std.square().mean()), rel=1e-5)
-    assert torch.equal(each.mean, common.mean)
-
-
-def test_designs_that_do_not_learn_have_no_start(digits):
-    with pytest.raises(InputError, match="pca has its own: leave it out"):
-        quick(digits, "pca", start="random")
-    with pytest.raises(InputError, match="did you mean 'hadamard'"):
-        quick(digits, "hadamrd", masks=7, start="random")
-    assert quick(digits, "control", start="random").masks
-
-
-def test_the_control_group_is_refused_what_its_masks_cannot_be_learned_for(digits):
-    """They are learned under gaussian noise, and nested masks are not."""
-    with pytest.raises(InputError, match="trained under ml_gauss: leave out control, whose masks"):
-        quick(digits, "control", nested=2)
-
-
-@pytest.mark.usefixtures("trained_once")
-@pytest.mark.parametrize("shape", [(12, 10), (10,), (3, 8)])
-@pytest.mark.parametrize("design", ["deepfsi", "truncated-hadamard", "hadamard", "s-matrix", "pca"])
-def test_scenes_may_have_any_shape(shape, design):
-    data = synthetic(shape)
-    one = quick(data, design, photons=1e7, epochs=30, batch=16)
-    assert one.image_shape == shape
-    assert evaluate(one, data, 1e7)[0].accuracy > 0.5
-
-
 def test_learned_masks_beat_their_start_in_dim_light(digits):
     accuracy = [
         evaluate(quick(digits, design, 6, photons=1e3, epochs=15), digits, 1e3)[0].accuracy
         for design in ("deepfsi", "pca")
     ]
     assert accuracy[0] > accuracy[1]
-
-
-@pytest.mark.parametrize("noise", ["ml_gauss", "gaussian"])
-@every_optics
-def test_statistics_of_a_two_level_design_are_of_its_own_masks(digits, noise, light, rails):
-    one = quick(digits, noise=noise, sigma=4.0, light=light, rails=rails, levels=2)
-    assert_standardised(one, digits, noise)
-
-
-def test_two_arms_that_are_both_read_start_where_one_arm_does(digits):
-    """Masks that hardly learn are the frames of one arm, within the range of a start."""
-    words = {**RECIPE, "photons": 1e3, "masks": 6, "epochs": 1, "mask_lr": 1e-9}
-    one = learn(digits, light="free-dwell", rails="single", **words).rails.plus
-    both, difference = (
-        learn(digits, light="two-arm", readout=readout, **words).rails.stacked
-        for readout in ("both", "difference")
-    )
-
-    def patterns(rail, dwell):
-        return (rail / dwell)[:, one.amax(dim=0) > 0]
-
-    start = patterns(one, one.amax(dim=-1, keepdim=True))
-    for rails, alike in ((both, True), (difference, False)):
-        shown = patterns(rails[0], rails.sum(dim=0).amax(dim=-1, keepdim=True))
-        assert bool((shown - start).abs().max() < 0.11) == alike

@@ -1,23 +1,18 @@
 """Laws of designs of few scenes: folds that no training saw make their confidence honest."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
 from scipy.special import softmax
 
-from conftest import exposing
-from deepfsi import Design, evaluate, learn
-from deepfsi.base import InputError
-from deepfsi.designfile import Temperatures
-from deepfsi.evaluation import fit_temperatures, logits_at_stops
+from deepfsi import evaluate, learn
+from deepfsi.evaluation import logits_at_stops
 from deepfsi.exposure import AdaptivePosterior, next_masks
 from deepfsi.exposure.posterior import LookOptics
 from deepfsi.networks import stop_temperatures
-from deepfsi.training.characterisation import FEW_SCENES, FOLDS, folds_of
-from shared.design_files import rewrite
+from deepfsi.training import characterisation
 
 PHOTONS, LOOKS = 1e4, 6
 EACH = 16
@@ -68,35 +63,17 @@ def rows_of(x):
 
 def test_each_fold_leaves_out_what_its_training_does_not_hold(digits):
     few = replace(digits, x_train=digits.x_train[:90], y_train=digits.y_train[:90])
-    folds = folds_of(few)
-    assert len(folds) == FOLDS
+    folds = characterisation.folds_of(few)
+    assert len(folds) == characterisation.FOLDS
     for fold in folds:
         assert not rows_of(fold.x_train) & rows_of(fold.x_test)
         assert rows_of(fold.x_train) | rows_of(fold.x_test) == rows_of(few.x_train)
         part = (
-            np.bincount(fold.y_test, minlength=10) - np.bincount(few.y_train, minlength=10) / FOLDS
+            np.bincount(fold.y_test, minlength=10)
+            - np.bincount(few.y_train, minlength=10) / characterisation.FOLDS
         )
         assert np.abs(part).max() < 1
     assert sum(len(fold.x_test) for fold in folds) == 90
-
-
-def test_more_scenes_need_fewer_folds_and_many_none(digits):
-    def of(count):
-        return folds_of(
-            replace(digits, x_train=digits.x_train[:count], y_train=digits.y_train[:count])
-        )
-
-    counts = [len(of(count)) for count in (50, 300, FEW_SCENES - 1, FEW_SCENES)]
-    assert counts == [FOLDS, 5, 2, 0]
-    values = replace(digits, y_train=np.zeros((len(digits.x_train), 1)), classes=(), values=("a",))
-    assert folds_of(replace(values, x_train=digits.x_train[:50], y_train=values.y_train[:50])) == []
-
-
-def test_a_scene_alone_in_its_class_is_never_left_out(few):
-    alone = replace(few, y_train=np.where(np.arange(48) == 7, 2, few.y_train.clip(max=1)))
-    for fold in folds_of(alone):
-        assert 2 in fold.y_train
-        assert 2 not in fold.y_test
 
 
 def chances(design, data, photons=PHOTONS, seed=3):
@@ -135,40 +112,6 @@ def test_its_test_says_what_new_scenes_give(design, few):
     assert test["log_loss"] <= test["uncalibrated_log_loss"] + 0.02
 
 
-def test_scenes_that_are_all_answered_rightly_leave_a_doubt():
-    """One scene of any class in n + 1: the least log loss has a share of 2 / 3 / (n + 1) wrong."""
-    logits, n = np.tile([10.0, 0.0, 0.0], (20, 1)), 20
-    scenes = SimpleNamespace(labels=np.zeros(n, int), base=0.0, draws=1, stops=1)
-    scenes.logits = lambda *_: [logits]
-    sure = []
-    for scenes.doubt in (1.0, 0.0):
-        found = fit_temperatures(scenes, np.array([1.0, 10.0]), trained_on=False, seed=0)
-        sure.append(softmax(logits[0] / stop_temperatures(found, 1.0)[0])[0])
-    assert sure[0] == pytest.approx(1 - 2 / 3 / (n + 1), abs=1e-3)
-    assert sure[1] > 1 - 1e-6
-
-
-def test_labels_that_scenes_do_not_tell_are_only_guessed(few):
-    rng = np.random.default_rng(2)
-    mixed = replace(few, y_train=rng.permutation(few.y_train), y_test=rng.permutation(few.y_test))
-    for name in ("adaptive", "learned"):
-        test = learn(mixed, photons=PHOTONS, **SETTINGS[name]).info["left_out"]
-        assert test["guesses"]
-        assert test["log_loss"] <= test["guessing"] + 2 * test["error"]
-        assert test["uncalibrated_log_loss"] > test["guessing"] + 3 * test["error"]
-
-
-def test_fewer_scenes_are_less_sure(digits):
-    logs = [
-        stop_temperatures(
-            learn(drawn(digits, each, 7), photons=PHOTONS, **SETTINGS["adaptive"])
-            .prior_exposure.prior.temperatures, PHOTONS
-        )[-1]
-        for each in (10, 100)
-    ]  # fmt: skip
-    assert logs[0] > logs[1]
-
-
 def test_temperatures_change_confidence_and_no_mask_or_answer(adaptive, few):
     plain = replace(
         adaptive,
@@ -198,46 +141,3 @@ def test_temperatures_change_confidence_and_no_mask_or_answer(adaptive, few):
     found, wanted = (evaluate(each, few, PHOTONS, draws=1)[0] for each in (adaptive, plain))
     assert found.confusion == wanted.confusion
     assert found.log_loss < wanted.log_loss
-
-
-def test_without_light_classes_keep_their_shares(few):
-    kept = np.concatenate([np.arange(16), np.arange(16, 24), np.arange(32, 36)])
-    uneven = replace(few, x_train=few.x_train[kept], y_train=few.y_train[kept])
-    design = learn(uneven, photons=PHOTONS, **SETTINGS["adaptive"])
-    assert design.prior_exposure.prior.temperatures is not None
-    given = chances(design, few, 1e-4)
-    np.testing.assert_allclose(
-        given, np.tile([16 / 28, 8 / 28, 4 / 28], (len(given), 1)), atol=1e-3
-    )
-
-
-def test_a_file_keeps_the_temperatures_of_a_prior(adaptive, tmp_path):
-    path = adaptive.save(tmp_path / "a.safetensors")
-    again = Design.load(path)
-    assert np.array_equal(
-        again.prior_exposure.prior.temperatures.logs,
-        adaptive.prior_exposure.prior.temperatures.logs,
-    )
-    assert again.to_bytes() == path.read_bytes()
-    older = replace(
-        adaptive,
-        exposure=replace(
-            adaptive.exposure, prior=adaptive.prior_exposure.prior.with_temperatures(None)
-        ),
-    )
-    assert Design.load(older.save(path)).prior_exposure.prior.temperatures is None
-    budgets = adaptive.prior_exposure.prior.temperatures.budgets
-    for logs in (np.zeros((LOOKS - 1, 5)), np.full((LOOKS, 5), np.nan), np.full((LOOKS, 5), 99.0)):
-        wrong = adaptive.prior_exposure.prior.with_temperatures(Temperatures(logs, budgets))
-        with pytest.raises(InputError, match="not a whole deepfsi design file"):
-            Design.load(exposing(adaptive, prior=wrong).save(path))
-    adaptive.save(path)
-    rewrite(path, lambda _, tensors: tensors.pop("temperature_budgets"))
-    with pytest.raises(InputError, match="not a whole deepfsi design file"):
-        Design.load(path)
-
-
-def test_many_scenes_have_no_folds(digits):
-    design = learn(digits, photons=PHOTONS, design="adaptive", masks=2)
-    assert design.prior_exposure.prior.temperatures is None
-    assert "left_out" not in design.info

@@ -9,12 +9,9 @@ from dataclasses import replace
 import pytest
 import torch
 
-from conftest import RECIPE, every_optics, quick, same, synthetic
-from deepfsi import Design, Mlp, evaluate
-from deepfsi.base import Progress
+from conftest import RECIPE, every_optics, quick, same
+from deepfsi import Design
 from deepfsi.exposure import TrainingSet
-from deepfsi.exposure import training as masks_training
-from deepfsi.exposure.training_set import BFLOAT16_WIDTH
 from deepfsi.networks import Replicas
 from deepfsi.training import loop, train
 from shared.jobs import job as job_of
@@ -88,26 +85,6 @@ def test_replicas_draw_the_same_counts_together_as_alone(few, light, rails):
         assert apart(one, alone, torch.arange(64)) <= 1e-6
 
 
-def test_random_masks_of_one_seed_are_measured_once(digits, monkeypatch):
-    """Photons do not change them; seeds do."""
-    made, fixed = [], masks_training.FixedMasks
-    monkeypatch.setattr(
-        masks_training, "FixedMasks", lambda rails: made.append(len(rails)) or fixed(rails)
-    )
-    alike = {"design": "random", "masks": 6, **SETTINGS}
-    for seeds in ((3, 3, 3), (3, 4, 5)):
-        pairs = zip(seeds, (1e2, 1e3, 1e4), strict=True)
-        jobs = [job_of(seed=seed, photons=photons, **alike) for seed, photons in pairs]
-        train(TrainingSet(digits, "cpu"), jobs)
-    assert made == [1, 3]
-
-
-def test_rounding_does_not_move_masks_where_pixels_never_vary(few):
-    """On two arms their gradient is all but 0; Adam must not blow its rounding up to steps."""
-    for one, alone in together_and_alone(few, "deepfsi", "two-arm", "dual"):
-        assert apart(one, alone, torch.arange(64)) <= 1e-3
-
-
 @pytest.mark.usefixtures("uncharacterised")
 @pytest.mark.parametrize("seeds", [(3, 4, 7), (3, 3, 4)])
 @pytest.mark.parametrize(
@@ -142,43 +119,6 @@ def test_seeds_train_together_as_alone(few, varies, monkeypatch, design, change,
         assert apart(together[0], together[2], varies) > 0.01
 
 
-@pytest.mark.usefixtures("uncharacterised")
-@pytest.mark.parametrize("looks", [1, 2])
-@pytest.mark.parametrize("precision", ["float32", "bfloat16"])
-def test_wide_networks_have_products_of_the_type_asked_for(digits, monkeypatch, looks, precision):
-    """Also the one that chooses dwells; the seed repeats exactly, and the design reads digits."""
-    wide = {"hidden": (BFLOAT16_WIDTH,), "looks": looks, "precision": precision}
-    optics = {"light": "free-dwell", "rails": "single", "noise": "poisson"}
-    job = job_of(masks=6, photons=1e4, **{**SETTINGS, **wide}, **optics)
-    dtypes, forward = set(), Mlp.forward
-
-    def watched(self, features):
-        logits = forward(self, features)
-        if self.training:
-            dtypes.add(logits.dtype)
-        return logits
-
-    monkeypatch.setattr(Mlp, "forward", watched)
-    first, again = (train(TrainingSet(digits, "cpu"), [job])[0] for _ in range(2))
-    assert dtypes == {getattr(torch, precision)}
-    monkeypatch.undo()
-    assert same(first, again)
-    assert evaluate(first, digits, 1e4, draws=1)[0].accuracy > 0.5
-
-
-def test_a_batch_may_be_larger_than_the_data():
-    assert quick(synthetic((4, 4), scenes=30), batch=500).masks == 7
-
-
-@pytest.mark.parametrize("design", ["deepfsi", "pca", "control"])
-def test_progress_rises_to_one(digits, design):
-    seen = []
-    quick(digits, design, epochs=3, report=Progress(lambda share, what: seen.append(share)))
-    assert seen == sorted(seen)
-    assert 0 == seen[0] < seen[-1] == 1
-    assert len(set(seen)) > 2
-
-
 def test_small_steps_take_one_thread_and_give_the_others_back(digits, monkeypatch):
     seen = []
     monkeypatch.setattr(torch, "set_num_threads", seen.append)
@@ -202,12 +142,3 @@ def test_threads_wait_asleep_unless_the_user_says_otherwise(given, spins):
         text=True,
     ).stderr
     assert re.search(r"GOMP_SPINCOUNT = '(\d+)'", said).group(1) == str(spins)
-
-
-def test_progress_rises_within_an_epoch_that_takes_long(digits, monkeypatch):
-    monkeypatch.setattr(loop, "REPORT_SECONDS", 0.0)
-    seen = []
-    quick(digits, epochs=1, batch=100, report=Progress(lambda share, what: seen.append(share)))
-    steps = len(digits.x_train) // 100
-    assert len([share for share in seen if 0 < share < 1]) >= steps - 1
-    assert seen == sorted(seen)

@@ -2,7 +2,6 @@
 
 import pytest
 import torch
-from torch.nn import functional
 
 from deepfsi import evaluate, learn
 from deepfsi.base import InputError
@@ -27,17 +26,6 @@ def test_a_loss_of_ones_own_that_is_the_usual_one_trains_the_same_design():
     other = learn(data, **few, training={"epochs": 2, "loss": absolute})
     assert not torch.equal(usual.rails.stacked, other.rails.stacked)
     assert evaluate(other, data, 1e4, draws=1)[0].r2 > 0.3
-
-
-def test_a_loss_of_ones_own_serves_classes_too(digits):
-    def focal(logits, labels):
-        log = functional.cross_entropy(logits, labels, reduction="none")
-        return (1 - (-log).exp()).square() * log
-
-    training = {"epochs": 8, "loss": focal}
-    made = learn(digits, camera="dmd", photons=1e5, masks=8, training=training)
-    assert evaluate(made, digits, 1e5, draws=1)[0].accuracy > 0.6
-    assert made.info["job"]["training"]["loss"] == "own"
 
 
 @pytest.mark.parametrize(

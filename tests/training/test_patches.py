@@ -1,20 +1,16 @@
 """Images seen patch by patch: the physics of the masks, and the training behind them."""
 
-import numpy as np
 import pytest
 import torch
 
 from conftest import FLOAT32, assert_moments, generator, synthetic
-from deepfsi import Patches, Scanner
+from deepfsi import Scanner
 from deepfsi.base import InputError
 from deepfsi.camera import photons_per_pixel
-from deepfsi.design import to_onnx
-from deepfsi.evaluation import stop
 from deepfsi.exposure import JobGroup, TrainingSet, build_training
 from deepfsi.jobs import DESIGNS as CODES
 from deepfsi.jobs import cut_patches
 from deepfsi.physics import FixedMasks, LearnedMasks
-from deepfsi.training import train
 from shared.design_files import refused, rewrite
 from shared.jobs import job, learn
 
@@ -66,11 +62,6 @@ def learned(data):
     return learn(data, **SMALL)
 
 
-def test_spectra_have_no_patches():
-    with pytest.raises(InputError, match="no images"):
-        learn(synthetic((16,)), **SMALL)
-
-
 @pytest.mark.parametrize(
     ("settings", "match"),
     [
@@ -109,15 +100,6 @@ def test_all_readouts_together_count_at_most_the_images_light(patches, design):
 
 
 @every_design
-def test_each_patch_gets_its_own_light(patches, design):
-    """The counts of a patch do not depend on the other patches of its image."""
-    together = patches.counts(design, patches.x[:3], "none")
-    every = patches.x[:3].flatten(0, 1)
-    alone = torch.stack([patches.counts(design, patch, "none") for patch in every])
-    assert torch.allclose(together.flatten(0, 1), alone, rtol=1e-5, atol=1e-6)
-
-
-@every_design
 @pytest.mark.parametrize("noise", ["poisson", "ml_gauss"])
 def test_noise_of_a_patchs_readout_is_its_light(patches, design, noise):
     draws, place = 20_000, (5, 3)
@@ -133,38 +115,6 @@ def test_noise_of_a_patchs_readout_is_its_light(patches, design, noise):
         assert_moments(
             counts[:, mask], mean, variance, poisson=noise == "poisson", rounding=FLOAT32 * BUDGET
         )
-
-
-def test_principal_components_are_those_of_the_patches(data, patches):
-    blocks = data.x_train.reshape(-1, 4, 4, 2, 4).transpose(0, 1, 3, 2, 4).reshape(-1, 16)
-    _, _, axes = np.linalg.svd(blocks - blocks.mean(axis=0), full_matrices=False)
-    seen = patches.training_set.view(Patches(patch=4))
-    assert np.abs(seen.matrix("pca", 16, 0)[0] @ axes[0]) == pytest.approx(1, abs=1e-4)
-
-
-@every_design
-def test_features_are_standardised_as_they_were_in_training(data, patches, design):
-    made = learn(data, **SMALL, design=design)
-    x = photons_per_pixel(patches.x, BUDGET, patches.summed_reflectance)
-    features = made.scanner("ml_gauss")(x, generator(4))
-    scaled = (features / BUDGET - made.mean) / made.std
-    readouts = scaled.numel() / scaled.shape[-1]
-    assert scaled.mean(dim=(0, 1)).abs().max() < 6 * scaled.std(dim=(0, 1)).max() / readouts**0.5
-    assert float(scaled.square().mean()) == pytest.approx(1, abs=0.05)
-
-
-def test_jobs_of_patches_train_one_by_one(patches):
-    """Their transformers are not stacked: jobs of two budgets are no companions."""
-    jobs = [job(**{**SMALL, "photons": photons}) for photons in (BUDGET, 2 * BUDGET)]
-    with pytest.raises(ValueError, match="may differ in"):
-        train(patches.training_set, jobs)
-
-
-def test_the_throughput_is_what_is_counted(data, patches, learned):
-    light = photons_per_pixel(torch.from_numpy(data.x_train), 1.0, learned.summed_reflectance)
-    rates = learned.scanner().rates(cut_patches(light, data.image_shape, 4))
-    counted = rates.sum(dim=(1, 2, 3)).mean()
-    assert float(learned.shares.sum()) == pytest.approx(float(counted), rel=1e-4)
 
 
 @pytest.mark.parametrize(
@@ -183,39 +133,6 @@ def test_a_damaged_file_is_one_clear_line(learned, tmp_path, change):
     path = learned.save(tmp_path / "made.safetensors")
     rewrite(path, lambda header, _: change(header))
     refused(path)
-
-
-def test_what_patches_cannot_do_is_refused(data, learned):
-    refused = [
-        (
-            lambda: learned.as_shown(learned.rails.stacked.numpy(), learned.image_shape, 1.0),
-            "patches",
-        ),
-        (
-            lambda: learned.classify(np.ones((5, *learned.counts_shape)), BUDGET),
-            r"counts of shape \(5, .* do not fit this design: give \(\.\.\., 8, ",
-        ),
-        (lambda: learned.classify_live(lambda dwell: dwell, BUDGET), "`looks`"),
-        (lambda: learned.first(3), "`nested`"),
-        (lambda: stop(learned, data, BUDGET), "`nested`"),
-        (lambda: to_onnx(learned), "Vit classifier"),
-    ]
-    for attempt, words in refused:
-        with pytest.raises(InputError, match=words):
-            attempt()
-
-
-def test_a_hadamard_basis_is_whole():
-    """64 functions of 8 x 8 pixels are needed for patches of 6 x 6; the first 36 are no basis."""
-    words = {**SMALL, "patch": 6, "masks": 36, "design": "hadamard"}
-    with pytest.raises(InputError, match="36 masks are not allowed for hadamard"):
-        learn(synthetic((12, 12)), **words)
-
-
-def test_counts_are_those_of_whole_images(data):
-    """A budget of counts is met by all patches together."""
-    made = learn(data, counts=500.0, design="pca", **{**SMALL, "photons": None})
-    assert made.info["job"]["photons"] * float(made.shares.sum()) == pytest.approx(500, rel=1e-4)
 
 
 def test_diverging_is_said(data):

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from readout_samples import CLASSES, EACH, drifting
+from readout_samples import EACH, drifting
 
 from deepfsi.datasets import Variables, read_readouts
 from deepfsi.design import classify_readouts
@@ -41,48 +41,12 @@ def test_the_unit_changes_nothing():
     assert far.scenes.max() < 0
 
 
-def test_classes_far_apart_are_told():
-    table = drifting("turns", drift=0.0)
-    apart = replace(table, values=table.values + 20 * table.y[:, None])
-    found = result_of(apart)
-    assert all(each.network.mean == 1 for each in found.splits)
-    assert found.chance == pytest.approx(1 / CLASSES)
-
-
 @pytest.mark.parametrize(("order", "word"), [("blocks", "as a block"), ("turns", "took turns")])
 def test_monitors_tell_the_order_of_files(order, word):
     for seed in range(5):
         found = measure_order(drifting(order, seed=seed))
         assert word in found.words
         assert (found.ratio.low > 1) == (order == "blocks")
-
-
-def test_monitors_that_do_not_drift_tell_no_order():
-    told = 0
-    for seed in range(40):
-        table = drifting("turns", seed=seed)
-        noise = np.random.default_rng(seed).normal(size=(CLASSES * EACH, 2))
-        found = measure_order(replace(table, monitors={"laser": noise}))
-        told += not found.ratio.low < 1 < found.ratio.high
-    assert told <= 6  # 2 of 40 at 95 %, up to 6 with probability 0.997
-
-
-def test_a_known_order_tells_blocks_by_itself():
-    blocks, turns = (measure_order(drifting(order, ordered=True)) for order in ("blocks", "turns"))
-    changes = CLASSES - 1
-    assert blocks.neighbour.mean == pytest.approx(1 - changes / (CLASSES * EACH - 1))
-    assert turns.neighbour.mean == 0
-    assert blocks.by_chance == turns.by_chance == pytest.approx(1 / CLASSES)
-    assert "class and time cannot be told apart" in blocks.words
-    assert "class and time differ" in turns.words
-
-
-def test_monitors_tell_the_class_of_blocks_and_not_of_turns():
-    blocks, turns = (result_of(drifting(order, seed=4)) for order in ("blocks", "turns"))
-    assert blocks.monitors[0].ridge.low > 1.5 / CLASSES
-    assert turns.monitors[0].ridge.low < 1 / CLASSES
-    assert "laser alone tells the class" in str(blocks.verdict)
-    assert "laser alone does not tell the class" in str(turns.verdict)
 
 
 def test_a_drift_is_named_where_the_last_part_is_worse():

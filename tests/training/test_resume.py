@@ -3,19 +3,14 @@
 import os
 import re
 import signal
-import threading
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
-import torch
 from safetensors.numpy import load_file, save_file
 
 from conftest import RECIPE
-from deepfsi import Training
-from deepfsi import learn as learned
-from deepfsi.base import InputError, Progress
-from deepfsi.base.interrupts import STOP_SIGNALS
+from deepfsi.base import InputError, Progress, interrupts
 from deepfsi.exposure import TrainingSet
 from deepfsi.training import Checkpoint, Diverged, learning, loop, train
 from deepfsi.training import checkpoint as module
@@ -137,12 +132,6 @@ def test_trainings_that_leave_folds_out_are_resumed(digits, writes, tmp_path):
     )
 
 
-@pytest.mark.usefixtures("unfolded", "uncharacterised")
-def test_a_short_training_writes_no_checkpoint(few, monkeypatch, tmp_path):
-    monkeypatch.setattr(module, "write_atomically", lambda *_: pytest.fail("written"))
-    learn(few, checkpoint=tmp_path / "training.checkpoint", **SHORT)
-
-
 @pytest.fixture
 def stopped(few, writes, tmp_path, unfolded):
     """Checkpoint of a training that was stopped after three steps."""
@@ -186,14 +175,6 @@ def test_a_checkpoint_of_another_source_file_is_refused(few, writes, tmp_path, m
         learn(few, checkpoint=path, **given)
 
 
-def test_parts_without_an_import_path_have_no_checkpoint(few, tmp_path):
-    own = Training(epochs=1, classifier=torch.nn.Linear(5, 10))
-    with pytest.raises(InputError, match=r"give it as module:name, or leave out `checkpoint`"):
-        learned(
-            few, masks=5, photons=1e3, training=own, checkpoint=tmp_path / "training.checkpoint"
-        )
-
-
 def damages(path: Path):
     content, tensors = path.read_bytes(), load_file(path)
     yield content[: len(content) // 2]
@@ -213,11 +194,6 @@ def test_a_damaged_checkpoint_is_named(few, stopped):
             learn(few, checkpoint=stopped, **SHORT)
     stopped.write_bytes(sound)
     learn(few, checkpoint=stopped, **SHORT)
-
-
-def test_a_folder_is_refused_before_any_work(few, tmp_path):
-    with pytest.raises(InputError, match="cannot be read"):
-        learn(few, checkpoint=tmp_path, **SHORT)
 
 
 @pytest.mark.usefixtures("unfolded")
@@ -253,7 +229,7 @@ def test_a_training_that_diverged_leaves_no_checkpoint(few, writes, tmp_path):
 
 
 @pytest.mark.usefixtures("unfolded")
-@pytest.mark.parametrize("number", STOP_SIGNALS)
+@pytest.mark.parametrize("number", interrupts.STOP_SIGNALS)
 def test_a_signal_ends_a_training_after_its_step_and_writes_it(few, monkeypatch, tmp_path, number):
     """A handler that a command line has: it raises. The resumed training is the whole one."""
     path, usual = tmp_path / "training.checkpoint", signal.getsignal(number)
@@ -277,13 +253,3 @@ def test_a_signal_ends_a_training_after_its_step_and_writes_it(few, monkeypatch,
         signal.signal(number, usual)
     assert path.exists()
     assert bits(learn(few, checkpoint=path, **SHORT)) == bits(learn(few, **SHORT))
-
-
-@pytest.mark.usefixtures("unfolded")
-def test_a_training_in_a_thread_takes_no_signals(few, writes, tmp_path):
-    made = []
-    path = tmp_path / "training.checkpoint"
-    work = threading.Thread(target=lambda: made.append(learn(few, checkpoint=path, **SHORT)))
-    work.start()
-    work.join()
-    assert bits(made[0]) == bits(learn(few, **SHORT))
