@@ -9,16 +9,7 @@ import pytest
 import deepfsi
 from deepfsi.base import SILENT
 from deepfsi_paper.adaptive import claims as study
-from deepfsi_paper.adaptive.clock import (
-    Measures,
-    Prior,
-    Rival,
-    best_at,
-    decision_time,
-    measure,
-    rivals,
-)
-from shared.figures import assert_legible, assert_sound
+from deepfsi_paper.adaptive import clock
 from shared.results import a_point, some_results
 
 LIGHTS = (1e2, 1e3, 1e4, 1e5)
@@ -62,9 +53,9 @@ def results(priors=(("adaptive-1x1", 3000), ("scenes-1x1", 60000)), **changed):
         points.append(point("scenes-1x1", photons, scenes, **one))
         impulse = {"design": "impulse", "light": "column", "masks": 1024, "ratio": 1.0}
         points.append(point("impulse", photons, 0.99, **impulse))
-    known = [Prior(recipe, "", size, DECISION_S) for recipe, size in priors]
-    two = Prior("adaptive-2x2", "", 3000, DECISION_S)
-    return some_results(points, extra=asdict(Measures(np.log2(10), LOAD_S, [*known, two])))
+    known = [clock.Prior(recipe, "", size, DECISION_S) for recipe, size in priors]
+    two = clock.Prior("adaptive-2x2", "", 3000, DECISION_S)
+    return some_results(points, extra=asdict(clock.Measures(np.log2(10), LOAD_S, [*known, two])))
 
 
 def answers(**changed):
@@ -96,7 +87,7 @@ def test_claims_answer_to_the_numbers(words, changes, usual, changed):
 
 
 def test_information_is_entropy_less_cross_entropy():
-    measures = Measures(np.log2(10), LOAD_S, [])
+    measures = clock.Measures(np.log2(10), LOAD_S, [])
     sure = point("adaptive-1x1", 1e4, 1.0, log_loss=0.0)
     blind = point("adaptive-1x1", 1e4, 0.1, log_loss=float(np.log(10)))
     worse = point("adaptive-1x1", 1e4, 0.1, log_loss=5.0)
@@ -107,7 +98,7 @@ def test_information_is_entropy_less_cross_entropy():
 
 def test_by_the_clock_light_is_lost_while_masks_are_made():
     points = [point("adaptive-1x1", each, ADAPTIVE[each], masks=10) for each in LIGHTS]
-    free, timed = Rival(points), Rival(points, 0.02)
+    free, timed = clock.Rival(points), clock.Rival(points, 0.02)
     assert free.at(1e4, 1.0)[1] == ADAPTIVE[1e4]
     assert timed.at(1.25e4, 1.0)[1] == pytest.approx(ADAPTIVE[1e4])  # 0.2 of 1 s is lost
     assert timed.at(1e4, 0.39) is None  # more than half of it
@@ -122,34 +113,9 @@ def test_the_number_of_looks_is_chosen_on_validation_images():
         ]
         for looks, accuracy, validation in ((4, 0.9, 0.8), (16, 0.7, 0.85))
     )
-    assert best_at(rivals([*better, *chosen]), 1e3, 1.0) == pytest.approx(0.7)
-    measures = Measures(3.3, LOAD_S, [Prior("adaptive-1x1", "", 3000, 0.03)])
-    assert best_at(rivals([*better, *chosen], measures), 1e3, 1.0) == pytest.approx(0.9)
-
-
-def test_designs_that_lack_a_budget_are_not_compared_by_the_clock():
-    whole = [point("fixed-1x1", each, KNOWN[each], masks=24) for each in LIGHTS]
-    part = [point("looks-1x1", each, 0.99, masks=96) for each in LIGHTS[1:3]]
-    assert [each.points for each in rivals([*part, *whole])] == [whole]
-
-
-def test_the_table_says_what_each_kind_reads_and_tells():
-    [table] = study.EXPERIMENT.show(results()).tables
-    rows = {row[:2]: row[2:] for row in table.rows}
-    bits = np.log2(10) - 0.035 * 2 / np.log(2)
-    assert rows["one detector", "adaptive masks"][2] == f"0.965 (16), {bits:.2f} bits"
-    assert rows["one for each pixel", "impulse imaging"][0].startswith("0.990, ")
-    assert len(rows) == 7
-
-
-def test_pictures_are_legible():
-    pictures = study.EXPERIMENT.show(results()).pictures
-    assert [len(picture.figure.axes) for picture in pictures] == [2, 2, 2, 2]
-    assert [len(ax.lines) for ax in pictures[0].figure.axes] == [4, 4]
-    assert [len(ax.lines) for ax in pictures[-1].figure.axes] == [3, 3]
-    for picture in pictures:
-        assert_legible(picture.figure)
-    assert_sound(lambda: study.EXPERIMENT.show(results()).pictures[0].figure)
+    assert clock.best_at(clock.rivals([*better, *chosen]), 1e3, 1.0) == pytest.approx(0.7)
+    measures = clock.Measures(3.3, LOAD_S, [clock.Prior("adaptive-1x1", "", 3000, 0.03)])
+    assert clock.best_at(clock.rivals([*better, *chosen], measures), 1e3, 1.0) == pytest.approx(0.9)
 
 
 def test_priors_and_entropy_are_measured(tmp_path, digits):
@@ -159,10 +125,10 @@ def test_priors_and_entropy_are_measured(tmp_path, digits):
     )
     design.save(tmp_path / "key.safetensors")
     made = some_results([point("adaptive-1x1", 1e3, 0.9, design="adaptive", masks=2)])
-    found = measure(made, digits, tmp_path, 1, SILENT)
+    found = clock.measure(made, digits, tmp_path, 1, SILENT)
     [prior] = found["priors"]
     assert prior["scenes"] == 50
     assert prior["decision_s"] > 0
     assert found["entropy"] == pytest.approx(np.log2(10), abs=0.01)
     assert found["load_s"] == 3.3e-3
-    assert decision_time(design, 1e3, exposures=1) > 0
+    assert clock.decision_time(design, 1e3, exposures=1) > 0

@@ -7,12 +7,9 @@ import pytest
 from matplotlib.collections import QuadMesh
 
 from deepfsi.base import InputError
-from deepfsi.camera import Device, DmdLayout, find_device, find_grid
 from deepfsi.jobs import DESIGNS as CODES
 from deepfsi.report import style
 from deepfsi_paper.camera import figures
-from deepfsi_paper.camera.figures import Accuracy
-from deepfsi_paper.camera.view_figures import mirrors_figure, views_figure
 from shared.figures import assert_legible
 
 DESIGNS = {
@@ -30,7 +27,7 @@ DIGITS = [str(digit) for digit in range(10)]
 
 def points(reach=0.03, offset=0.0):
     return [
-        Accuracy(
+        figures.Accuracy(
             design,
             label,
             TITLES[design],
@@ -44,52 +41,6 @@ def points(reach=0.03, offset=0.0):
         for step, exposure in enumerate(EXPOSURES)
         for accuracy in [0.3 + 0.2 * step - 0.05 * place + offset]
     ]
-
-
-@pytest.mark.parametrize("count", [3, 10])
-def test_views_show_scenes_above_and_views_below_on_one_scale(count):
-    rng = np.random.default_rng(0)
-    raw, seen = rng.random((count, 16, 12)), rng.random((count, 8, 10))
-    figure = views_figure(raw, seen, DIGITS[:count], cell=(24, 32))
-    assert_legible(figure)
-    images = [image for ax in figure.axes for image in ax.get_images()]
-    assert len(images) == 2 * count
-    for image, wanted in zip(images, [*raw, *seen], strict=True):
-        np.testing.assert_array_equal(image.get_array(), wanted)
-        assert image.get_clim() == (0, 1)
-    assert images[-1].axes.get_aspect() == 24 / 32
-    with pytest.raises(InputError, match="one view of each"):
-        views_figure(raw, seen[:-1])
-
-
-def test_a_frame_is_shown_whole_and_its_close_up_mirror_by_mirror():
-    grid = find_grid(find_device("dlp7000"), (32, 32), DmdLayout(stretch=True))
-    mirrors = np.random.default_rng(0).random((768, 1024)) < 0.3
-    figure = mirrors_figure(mirrors, grid, (4, 9), (2, 3))
-    assert_legible(figure)
-    whole, near = (ax.get_images()[0] for ax in figure.axes)
-    assert whole.get_array().mean() == pytest.approx(mirrors.mean())
-    close = mirrors[4 * 24 : 6 * 24, 9 * 32 : 12 * 32]
-    shown = np.asarray(near.get_array())
-    finer = shown.shape[0] // close.shape[0]
-    np.testing.assert_array_equal(shown, close.repeat(finer, 0).repeat(finer, 1))
-    assert tuple(near.get_extent()) == (9 * 32, 12 * 32, 6 * 24, 4 * 24)
-    borders = figure.axes[1].get_lines()
-    assert [line.get_ydata()[0] for line in borders[:3]] == [96, 120, 144]
-    assert [line.get_xdata()[0] for line in borders[3:]] == [288, 320, 352, 384]
-    assert [tick.get_text() for tick in figure.axes[1].get_xticklabels()] == ["10", "11", "12"]
-
-
-def test_the_close_up_lies_within_masks_that_leave_a_margin():
-    device = Device(name="d", columns=103, rows=77)
-    grid = find_grid(device, (2, 5), DmdLayout(stretch=True))
-    figure = mirrors_figure(np.ones((77, 103), bool), grid)
-    assert_legible(figure)
-    left, right, bottom, top = figure.axes[1].get_images()[0].get_extent()
-    assert (left, right) == (grid.left + grid.width, grid.left + 4 * grid.width)
-    assert (top, bottom) == (grid.top, grid.top + 2 * grid.height)
-    with pytest.raises(InputError, match="leaves a mask of 2 x 5"):
-        mirrors_figure(np.ones((77, 103), bool), grid, (0, 3))
 
 
 @pytest.mark.parametrize("flux", [None, 1e7])
@@ -116,12 +67,6 @@ def test_exposures_have_lines_and_published_values_open_beside(flux):
         assert [tick.get_text() for tick in top.get_xticklabels()] == ["10³", "10⁴", "10⁵", "10⁶"]
 
 
-def test_exposures_without_published_values_need_no_key():
-    figure = figures.exposure_figure(points())
-    assert_legible(figure)
-    assert not figure.legends
-
-
 def test_squares_have_the_success_rate_as_grey_and_as_number():
     rng = np.random.default_rng(0)
     panels = {f"{exposure:g} s": rng.random((5, 10)) for exposure in EXPOSURES}
@@ -141,11 +86,6 @@ def test_squares_have_the_success_rate_as_grey_and_as_number():
         assert ax.get_ylim() == (5, 0)
     with pytest.raises(InputError, match="5 designs and 10 classes"):
         figures.digits_figure({"a": np.ones((4, 10))}, labels, DIGITS)
-
-
-def test_one_exposure_and_longer_names():
-    figure = figures.digits_figure({"0.1 s": np.eye(2, 3)}, ["DeepFSI", "FSI"], ["a", "b", "c"])
-    assert_legible(figure)
 
 
 AXES = {

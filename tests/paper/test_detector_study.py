@@ -7,7 +7,6 @@ import pytest
 
 from deepfsi_paper import detectors as study
 from deepfsi_paper import experiment
-from shared.figures import assert_legible, assert_sound
 from shared.results import a_point, some_results
 
 LIGHTS = (1e2, 1e3, 1e4, 1e5)
@@ -71,25 +70,6 @@ def test_claims_answer_to_the_numbers(changes, answers):
     assert len(study.CIFAR10.show(results(**changes)).claims) == len(answers) - 4
 
 
-def test_the_fewest_detectors_that_are_near_impulse_imaging_are_told():
-    found = study.MNIST.show(results()).found
-    near = "1024 at 100 photons, 1024 at 1000 photons, 16 at 10⁴ photons, 1 at 10⁵ photons"
-    assert near in found
-
-
-def test_the_table_has_a_row_for_each_number_of_detectors_and_kind_of_dwells():
-    [table] = study.MNIST.show(results()).tables
-    assert [row[:2] for row in table.rows] == [
-        *((detectors, "fixed") for detectors in (1, 4, 16, 64)),
-        (1024, "impulse imaging"),
-        *((detectors, "one frame, all ON") for detectors in (4, 16, 256)),
-        *((detectors, "looks") for detectors in (1, 4)),
-    ]
-    assert table.rows[1][3] == "0.700 (4)"
-    assert table.rows[-1][3] == "0.720 (32)"
-    assert table.rows[4][3] == "0.930"
-
-
 def test_the_start_is_chosen_on_validation_images_and_not_on_those_of_the_test():
     better = {"validation": 0.9, "masks": 12, "variant": "start truncated-hadamard"}
     made = results()
@@ -97,24 +77,6 @@ def test_the_start_is_chosen_on_validation_images_and_not_on_those_of_the_test()
     for points in ([other, *made.points], [*made.points, other]):
         [table] = study.MNIST.show(made.with_points(points)).tables
         assert table.rows[1][3] == "0.650 (12)"
-
-
-def test_a_line_for_each_number_of_detectors_and_for_each_budget():
-    [picture] = study.MNIST.show(results()).pictures
-    by_photons, by_detectors = picture.figure.axes
-    assert len(by_photons.lines) == 5 + 2
-    assert len(by_detectors.lines) == len(LIGHTS) * 3
-    assert [list(line.get_xdata()) for line in by_detectors.lines[:1]] == [[1, 4, 16, 64, 1024]]
-    assert_legible(picture.figure)
-    assert_sound(lambda: study.MNIST.show(results()).pictures[0].figure)
-
-
-@pytest.mark.parametrize("quick", [False, True])
-def test_both_data_sets_have_the_same_designs(quick):
-    first, second = (each.recipes(quick) for each in (study.MNIST, study.CIFAR10))
-    assert list(first) == list(second)
-    for one, other in zip(first.values(), second.values(), strict=True):
-        assert one == other.model_copy(update={"data": "mnist"})
 
 
 @pytest.mark.parametrize(

@@ -10,8 +10,7 @@ from scipy.stats import chi2
 
 from deepfsi.base import InputError
 from deepfsi.hardware.virtual import DETECTOR_TICK_S, Detector, Stream, divide
-from deepfsi_paper.camera import gate_counts as module
-from deepfsi_paper.camera.gate_counts import black_rates, draw, subtract_background
+from deepfsi_paper.camera import gate_counts
 
 TAU = 5e-8
 DEAD = round(TAU / DETECTOR_TICK_S)
@@ -108,31 +107,15 @@ def non_paralysable_chances(load: float, length: float) -> np.ndarray:
 @pytest.mark.parametrize("load", [0.05, 0.5, 2.0])
 @pytest.mark.parametrize("length", [0.5, 1.5, 4.0, 20.0])
 def test_few_paralysable_counts_have_their_exact_distribution(load, length):
-    counts = draw(PARALYSABLE, load / TAU, np.full(200_000, length * TAU), rng())
+    counts = gate_counts.draw(PARALYSABLE, load / TAU, np.full(200_000, length * TAU), rng())
     chances = paralysable_chances(load, length)
     assert_drawn_from(counts, chances)
-
-
-@pytest.mark.parametrize("load", [0.1, 0.3, 1.0])
-def test_many_paralysable_counts_are_close_to_their_exact_distribution(load):
-    """The smallest variance at which they are drawn from cumulants, the worst."""
-    rate = load * np.exp(-load)
-    length = (module.LEAST_DRAWN_VARIANCE * 1.01 - rate**2) / (rate - 2 * rate**2)
-    chances = paralysable_chances(load, length)
-    counts = draw(PARALYSABLE, load / TAU, np.full(4_000_000, length * TAU), rng())
-    seen = np.bincount(counts, minlength=len(chances)) / len(counts)
-    sampling = np.sqrt(chances.clip(0) / len(counts)).sum() / np.sqrt(2 * np.pi)
-    assert abs(seen - chances).sum() / 2 <= 0.0011 + 1.3 * sampling
-    mean = rate * length
-    variance = mean - rate**2 * (2 * length - 1)
-    assert abs(counts.mean() - mean) <= 5 * np.sqrt(variance / len(counts))
-    assert abs(counts.var() - variance) <= 5 * variance * np.sqrt(2 / len(counts))
 
 
 @pytest.mark.parametrize("load", [0.05, 0.5, 5.0])
 @pytest.mark.parametrize("length", [0.5, 1.5, 4.0, 20.0])
 def test_non_paralysable_counts_have_their_exact_distribution(load, length):
-    counts = draw(NON_PARALYSABLE, load / TAU, np.full(200_000, length * TAU), rng())
+    counts = gate_counts.draw(NON_PARALYSABLE, load / TAU, np.full(200_000, length * TAU), rng())
     assert_drawn_from(counts, non_paralysable_chances(load, length))
 
 
@@ -140,38 +123,14 @@ def test_non_paralysable_counts_have_their_exact_distribution(load, length):
 @pytest.mark.parametrize(("rate", "length_s"), [(1e7, 4e-8), (1e7, 2e-6), (4e6, 3e-5)])
 def test_counts_in_sum_are_as_event_by_event(detector, rate, length_s):
     one_by_one = steady(detector, rate, 20_000, length_s)
-    assert_alike(draw(detector, rate, np.full(100_000, length_s), rng(1)), one_by_one)
+    assert_alike(gate_counts.draw(detector, rate, np.full(100_000, length_s), rng(1)), one_by_one)
     mean = detector.registered(rate) * length_s * (1 + detector.afterpulse_probability)
     assert abs(one_by_one.mean() - mean) <= 5 * one_by_one.std() / len(one_by_one) ** 0.5
-
-
-@pytest.mark.parametrize("detector", [PARALYSABLE, NON_PARALYSABLE], ids=["pmt", "spad"])
-def test_gates_know_nothing_of_their_neighbours(detector):
-    """Dim gates between bright ones count what they should, and independently."""
-    rate = np.tile([0.1 / TAU, 3 / TAU], 200_000)
-    counts = draw(detector, rate, np.full(len(rate), 1.5 * TAU), rng())
-    mean = detector.registered(rate[:2]) * 1.5 * TAU
-    pairs = counts.reshape(-1, 2)
-    assert np.all(abs(pairs.mean(axis=0) - mean) <= 5 * pairs.std(axis=0) / len(pairs) ** 0.5)
-    assert abs(np.corrcoef(counts[:-1:2], counts[1::2])[0, 1]) <= 5 / len(pairs) ** 0.5
-
-
-def test_no_light_gives_no_counts():
-    for each in DETECTORS.values():
-        assert (draw(each, np.zeros(5), np.full(5, 1e-3), rng()) == 0).all()
-
-
-def test_rates_of_a_black_run():
-    on, off = np.array([12.0, np.nan, 14.0]), np.array([4.0, 5.0, 6.0])
-    assert black_rates(on, off) == (5.0, 8.0)
-    assert black_rates(off, off + 1) == (6.0, 0.0)
-    with pytest.raises(InputError, match="no pass"):
-        black_rates(np.array([np.nan]), np.array([1.0]))
 
 
 def test_background_is_taken_off_counts_of_the_same_patterns():
     counts, background = np.full((3, 2, 2, 2), 1000), np.array([[60.0, 0], [0, 320]])
     left = np.broadcast_to(1000 - background, counts.shape)
-    np.testing.assert_allclose(subtract_background(counts, background), left)
+    np.testing.assert_allclose(gate_counts.subtract_background(counts, background), left)
     with pytest.raises(InputError, match="not of these patterns"):
-        subtract_background(counts[..., :1], background)
+        gate_counts.subtract_background(counts[..., :1], background)

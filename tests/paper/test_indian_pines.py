@@ -2,30 +2,15 @@
 
 import csv
 import itertools
-import json
 from dataclasses import asdict
 
 import numpy as np
 import pytest
 
-from deepfsi.datasets import indian_pines as scene_files
-from deepfsi.datasets import load_indian_pines
-from deepfsi.report.style.figures import svg
+from deepfsi.datasets import catalog, load_indian_pines
 from deepfsi_paper import experiment, studies
 from deepfsi_paper.indian_pines import claims as indian_pines
-from deepfsi_paper.indian_pines import figures
-from deepfsi_paper.indian_pines.claims import EXPERIMENT
-from deepfsi_paper.indian_pines.measures import (
-    ClassMap,
-    Measures,
-    Overview,
-    Packed,
-    Parts,
-    Recall,
-    SpectralMasks,
-    pack,
-)
-from shared.figures import assert_legible
+from deepfsi_paper.indian_pines import measures as measures_module
 from shared.results import a_point, some_results
 
 NM = np.linspace(400, 2500, 220)
@@ -47,9 +32,10 @@ def make_home(root, patch, table=True):
     patch.setenv("DEEPFSI_DATA", str(folder.parent))
     cube = np.random.default_rng(0).integers(955, 2000, (145, 145, 200)).astype(np.uint16)
     cube += (label_map()[..., None] * (100 + np.arange(200))).astype(np.uint16)
-    for stem, values in ((scene_files.CUBE, cube), (scene_files.LABELS, label_map())):
+    scene = catalog.DATASETS["indian-pines"]
+    for stem, values in ((scene.CUBE, cube), (scene.LABELS, label_map())):
         np.save(folder / f"{stem}.npy", values)
-        patch.setitem(scene_files.HASHES, stem, scene_files.values_hash(values))
+        patch.setitem(scene.hashes, stem, catalog.values_hash(values))
     rows = [f"{nm:.6f}\t9.78\t0.92\t0.5\t{i + 2}" for i, nm in enumerate(NM)]
     if table:
         (folder / "92AV3C.spc").write_text("\n".join(["FILE x", "------", *rows]) + "\n")
@@ -68,9 +54,11 @@ def run(folder, patch, **grid):
         return {part: recipe.model_copy(update=changes) for part, recipe in coarse.items()}
 
     patch.setattr(experiment.Experiment, "recipes", recipes)
-    results = EXPERIMENT.run(folder, command="deepfsi reproduce indian-pines", trials=1)
+    results = indian_pines.EXPERIMENT.run(
+        folder, command="deepfsi reproduce indian-pines", trials=1
+    )
     patch.setattr(experiment.Experiment, "recipes", whole)
-    return results, EXPERIMENT.section(folder)
+    return results, indian_pines.EXPERIMENT.section(folder)
 
 
 @pytest.fixture(scope="module")
@@ -107,7 +95,7 @@ def test_both_splits_are_trained_and_tested_apart(study):
     scene = load_indian_pines()
     for split, part in results.extra["parts"].items():
         train, test = scene.parts(split)
-        uses = Packed(**part["uses"]).values
+        uses = measures_module.Packed(**part["uses"]).values
         assert np.array_equal(uses == 1, train)
         assert np.array_equal(uses == 2, test)
         assert np.array_equal(uses > 0, scene.labels > 0)
@@ -119,37 +107,12 @@ def test_maps_show_what_the_design_says_of_each_pixel(study):
     extra = results.extra
     scene = load_indian_pines()
     for row in extra["maps"]:
-        seen = Packed(**row["map"]).values
-        uses = Packed(**extra["parts"][row["split"]]["uses"]).values
+        seen = measures_module.Packed(**row["map"]).values
+        uses = measures_module.Packed(**extra["parts"][row["split"]]["uses"]).values
         assert np.array_equal(seen > 0, scene.labels > 0)
         right = seen == scene.labels
         assert row["test"] == right[uses == 2].mean()
         assert row["train"] == right[uses == 1].mean()
-
-
-def test_without_a_band_table_the_axes_are_bands(tmp_path, monkeypatch):
-    make_home(tmp_path, monkeypatch, table=False)
-    _, section = run(tmp_path / "out", monkeypatch, photons=(1e4,))
-    for picture in section.pictures[2:]:
-        labels = [ax.get_xlabel() for ax in picture.figure.axes] + [picture.figure.get_supxlabel()]
-        assert "wavelength (nm)" not in labels
-
-
-@pytest.mark.parametrize("quick", [False, True])
-def test_the_recipes_differ_in_their_split_alone(quick):
-    one, other = EXPERIMENT.recipes(quick).values()
-    assert (one.split, other.split) == ("random", "blocks")
-    assert one.model_dump(exclude={"split"}) == other.model_dump(exclude={"split"})
-    assert min(one.photons) == 10
-    assert max(one.photons) == 1e10
-
-
-def test_the_full_recipe_is_the_papers():
-    recipe = EXPERIMENT.recipes(quick=False)["random"]
-    assert recipe.training == {"epochs": (2000,), "batch": (5000,), "lr": (5e-3,)}
-    assert recipe.photons == tuple(10.0**k for k in range(1, 11))
-    assert not recipe.ratios
-    assert set(recipe.noises) == {"poisson", "gaussian"}
 
 
 LEVEL = {"deepfsi": 0.8, "pca": 0.7, "truncated-hadamard": 0.3, "control": 0.65,
@@ -161,12 +124,23 @@ def overview(labels, classes, wavelengths=None, spectra=None):
     labels = np.array(labels)
     spectra = spectra or {classes[0]: [[0.1, 0.2, 0.3]] * 3}
     bands = np.shape(next(iter(spectra.values())))[1]
-    return Overview(classes, pack(labels), pack(labels), None, bands, wavelengths, spectra)
+    return measures_module.Overview(
+        classes,
+        measures_module.pack(labels),
+        measures_module.pack(labels),
+        None,
+        bands,
+        wavelengths,
+        spectra,
+    )
 
 
 def measured(labels, *recalls):
-    scene, parts = overview(labels, ["a", "b"]), Parts(pack(np.array(labels)), 3, 2, 0, 2)
-    return Measures(scene, {"random": parts, "blocks": parts}, [], [], recalls)
+    scene, parts = (
+        overview(labels, ["a", "b"]),
+        measures_module.Parts(measures_module.pack(np.array(labels)), 3, 2, 0, 2),
+    )
+    return measures_module.Measures(scene, {"random": parts, "blocks": parts}, [], [], recalls)
 
 
 def answers(recall=(0.9, 0.8), **changed):
@@ -200,7 +174,7 @@ def answers(recall=(0.9, 0.8), **changed):
             measured(
                 [[0, 1, 1], [2, 2, 2]],
                 *(
-                    Recall(split, photons, [[rate - 0.001, None], [rate, 0.0]])
+                    measures_module.Recall(split, photons, [[rate - 0.001, None], [rate, 0.0]])
                     for split, rate in zip(("random", "blocks"), recall, strict=True)
                     for photons in BUDGETS
                 ),
@@ -249,114 +223,10 @@ def test_leakage_weighs_classes_by_their_share_of_the_scene():
     """A class that one split does not test counts in neither."""
     measures = measured(
         [1] * 6 + [2] * 2 + [3] * 9,
-        Recall("random", 1e4, [[1.0, 0.6, 0.0]]),
-        Recall("blocks", 1e4, [[0.5, 0.2, None]]),
+        measures_module.Recall("random", 1e4, [[1.0, 0.6, 0.0]]),
+        measures_module.Recall("blocks", 1e4, [[0.5, 0.2, None]]),
     )
     found = indian_pines.leakage(measures)[1e4]
     assert found.random == pytest.approx((6 * 1 + 2 * 0.6) / 8)
     assert found.blocks == pytest.approx((6 * 0.5 + 2 * 0.2) / 8)
     assert found.difference.mean == pytest.approx(found.random - found.blocks)
-
-
-def test_small_numbers_survive_json():
-    values = np.arange(12).reshape(3, 4) * 20
-    assert np.array_equal(Packed(**json.loads(json.dumps(asdict(pack(values))))).values, values)
-
-
-def names(count):
-    return [f"Class of some length {k}" for k in range(1, count + 1)]
-
-
-def mask_rows(count=2, bands=220):
-    rng = np.random.default_rng(1)
-    return [
-        SpectralMasks(
-            10.0 ** (2 + 3 * row), rng.normal(size=(4, bands)), 10, rng.normal(size=(3, bands)), 3
-        )
-        for row in range(count)
-    ]
-
-
-@pytest.mark.parametrize("count", [2, 16])
-@pytest.mark.parametrize("wavelengths", [NM, None])
-def test_the_overview_can_be_read(count, wavelengths):
-    labels = np.minimum(label_map(), count)
-    spectrum = np.linspace(0.1, 0.3, 3)[:, None] * np.ones(220)
-    scene = overview(labels, names(count), wavelengths, {"a": spectrum, "b": 2 * spectrum})
-    figure = figures.overview_figure(scene, title="farm", band_name="band 12")
-    figure.draw_without_rendering()
-    counts = [patch.get_width() for patch in figure.axes[2].patches]
-    assert counts == np.bincount(labels.ravel())[1:].tolist()
-    xs = figure.axes[3].lines[0].get_xdata()
-    assert (np.diff(xs) > 0).all()
-    assert len({text.get_text() for text in figure.axes[1].texts}) == count
-    assert "farm" in svg(figure, "overview", "words")
-
-
-def test_maps_stand_beside_the_truth():
-    labels = label_map()
-    rows = [
-        ClassMap(split, photons, pack(np.roll(labels, k, 0)), 1.0, 0.5)
-        for split in ("random", "blocks")
-        for k, photons in enumerate((1e2, 1e4, 1e6))
-    ]
-    uses = {"random": np.minimum(labels, 3), "blocks": np.minimum(labels, 2)}
-    figure = figures.class_maps_figure(overview(labels, names(16)), rows, uses, title="farm")
-    shown = [ax.get_images()[0].get_array() for ax in figure.axes]
-    assert len(shown) == 10
-    for line, split in ((shown[:5], "random"), (shown[5:], "blocks")):
-        wanted = [labels, uses[split], *(r.map.values for r in rows if r.split == split)]
-        for got, each in zip(line, wanted, strict=True):
-            np.testing.assert_array_equal(got, each)
-    said = {text.get_text() for legend in figure.legends for text in legend.get_texts()}
-    assert {"16 Class of some length 16", "pixels: training"} <= said
-
-
-@pytest.mark.parametrize("wavelengths", [NM, None])
-def test_masks_are_curves_over_rising_wavelengths(wavelengths):
-    rows = mask_rows()
-    scene = overview(label_map(), names(16), wavelengths)
-    figure = figures.spectral_masks_figure(rows, scene, title="farm")
-    assert_legible(figure)
-    line = figure.axes[0].lines[0]
-    assert (np.diff(line.get_xdata()) > 0).all()
-    order = np.arange(220) if wavelengths is None else np.argsort(NM, kind="stable")
-    np.testing.assert_array_equal(line.get_ydata(), rows[0].gaussian[0][order])
-    assert figure.get_supxlabel() == ("band" if wavelengths is None else "wavelength (nm)")
-
-
-SEEN = {
-    "all cones": (np.eye(3), 20),
-    "no red cones": (
-        ((0.152, 1.053, -0.205), (0.115, 0.786, 0.099), (-0.004, -0.048, 1.052)),
-        10,
-    ),
-    "no green cones": (
-        ((0.367, 0.861, -0.228), (0.280, 0.673, 0.047), (-0.012, 0.043, 0.969)),
-        10,
-    ),
-}
-"""What eyes see of linear RGB (Machado, Oliveira and Fernandes 2009), and the least distance."""
-
-
-@pytest.mark.parametrize("eyes", SEEN)
-def test_class_colours_are_apart(eyes):
-    from matplotlib.colors import to_rgb
-    from skimage.color import deltaE_ciede2000, rgb2lab
-
-    matrix, least = SEEN[eyes]
-    rgb = np.array([to_rgb(colour) for colour in (*figures.CLASS_COLOURS, figures.NO_CLASS)])
-    linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
-    seen = np.clip(linear @ np.transpose(matrix), 0, 1)
-    back = np.where(seen <= 0.0031308, 12.92 * seen, 1.055 * seen ** (1 / 2.4) - 0.055)
-    lab = rgb2lab(back[None])[0]
-    apart = deltaE_ciede2000(lab[:, None], lab[None])
-    assert apart[~np.eye(17, dtype=bool)].min() > least
-
-
-def test_curves_end_where_bands_are_left_out():
-    left = np.delete(np.sort(NM), np.r_[103:108, 149:163])
-    scene = overview(label_map(), names(16), left)
-    figure = figures.spectral_masks_figure(mask_rows(bands=201), scene, title="farm")
-    drawn = figure.axes[0].lines[0].get_ydata()
-    assert np.flatnonzero(np.isnan(drawn)).tolist() == [102, 143]
