@@ -1,6 +1,5 @@
 """Files are written whole or not at all, and text is read as any editor saves it."""
 
-import json
 import os
 import subprocess
 import sys
@@ -11,13 +10,10 @@ from deepfsi.base import (
     WINDOWS_ENCODING,
     GrowingFile,
     InputError,
-    check_disk_space,
-    check_readable_name,
     content_of,
     new_folder,
     read_text,
     read_toml,
-    readable_name,
     remove_drafts,
     write_atomically,
 )
@@ -29,19 +25,6 @@ def test_a_write_onto_a_folder_leaves_nothing(tmp_path):
     with pytest.raises(InputError, match=r"cannot write .*folder: Is a directory"):
         write_atomically(tmp_path / "folder", b"content")
     assert [path.name for path in tmp_path.iterdir()] == ["folder"]
-
-
-def test_a_write_makes_parent_folders_and_a_readable_file(tmp_path):
-    path = write_atomically(tmp_path / "a" / "b" / "file", b"content")
-    assert path.read_bytes() == b"content"
-    umask = os.umask(0)
-    os.umask(umask)
-    assert path.stat().st_mode & 0o777 == 0o666 & ~umask
-
-
-def test_writing_files_needs_no_torch():
-    code = "import sys; import deepfsi.base.files; assert 'torch' not in sys.modules"
-    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 WRITES = """
@@ -127,12 +110,6 @@ def test_nothing_is_left_of_what_a_disk_does_not_take(tmp_path):
         assert os.listdir(tmp_path) == []
 
 
-def test_room_is_asked_for_before_the_work(tmp_path):
-    check_disk_space(tmp_path / "not" / "there" / "yet", 1e3, "write less")
-    with pytest.raises(InputError, match=r"1e\+12 MB, and its disk has .* MB free: .* write less"):
-        check_disk_space(tmp_path / "not" / "there" / "yet", 1e18, "write less")
-
-
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-32"])
 @pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
 def test_text_is_the_same_from_every_editor(tmp_path, encoding, end):
@@ -140,19 +117,6 @@ def test_text_is_the_same_from_every_editor(tmp_path, encoding, end):
     path.write_bytes(f"a = 'ü'{end}b = 2{end}".encode(encoding))
     assert read_text(path, 100, "") == "a = 'ü'\nb = 2\n"
     assert read_toml(path) == {"a": "ü", "b": 2}
-
-
-def test_the_mark_says_the_order_of_bytes(tmp_path):
-    (tmp_path / "big").write_bytes(b"\xfe\xff\x00a\x00\xe9")
-    assert read_text(tmp_path / "big", 100, "") == "aé"
-
-
-def test_text_of_windows_is_read_where_tables_are(tmp_path):
-    path = tmp_path / "names"
-    path.write_bytes("müsli, 5 µm, €".encode("cp1252"))
-    assert read_text(path, 100, "", WINDOWS_ENCODING) == "müsli, 5 µm, €"
-    with pytest.raises(InputError, match="holds text of another encoding, not text in UTF-8: save"):
-        read_text(path, 100, "save it again")
 
 
 @pytest.mark.parametrize(
@@ -181,23 +145,3 @@ def test_what_is_no_text_is_one_line(tmp_path, content):
     with pytest.raises(InputError, match="not text in UTF-8: save it again") as error:
         read_text(tmp_path / "file", 100, "save it again", WINDOWS_ENCODING)
     assert "\n" not in str(error.value)
-
-
-NAMES = [b"s\xff", b"two\nlines", b" a ", b"-a", b"=1+1", "é".encode() * 127, b"x" * 255]
-"""Names that files may have."""
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_files_of_any_name_are_written(tmp_path, name):
-    """Also of the longest, whose draft has a longer name, and which may be cut within a letter."""
-    path = write_atomically(tmp_path / os.fsdecode(name), b"content")
-    assert os.listdir(os.fsencode(tmp_path)) == [name]
-    assert path.read_bytes() == b"content"
-    assert json.loads(json.dumps(readable_name(path.name)).encode()) == readable_name(path.name)
-
-
-def test_a_name_that_is_not_utf_8_is_told_as_it_can_be(tmp_path):
-    assert readable_name(os.fsdecode(b"s\xff.png")) == r"s\xff.png"
-    assert check_readable_name("é") == readable_name("é") == "é"
-    with pytest.raises(InputError, match=r"the name a/s\\xff is not UTF-8: rename"):
-        check_readable_name(os.fsdecode(b"a/s\xff"))

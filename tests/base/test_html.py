@@ -12,51 +12,11 @@ from PIL import Image
 
 import deepfsi
 from deepfsi import InputError, evaluate
-from deepfsi.base.numeric import (
-    confusion_shares,
-    confusion_table,
-    frequent_confusions,
-    mask_picture,
-)
-
-CONFUSION = [[8, 2, 0], [0, 10, 0], [5, 0, 15]]
 
 
 def pixels(html):
     found = re.search(r"base64,([^\']+)", html)
     return np.asarray(Image.open(io.BytesIO(base64.b64decode(found[1]))))
-
-
-def test_shares_are_of_the_true_classes():
-    assert confusion_shares(CONFUSION) == pytest.approx(
-        np.array([[0.8, 0.2, 0], [0, 1, 0], [0.25, 0, 0.75]])
-    )
-    assert confusion_shares([[0, 0], [1, 1]]).tolist() == [[0, 0], [0.5, 0.5]]
-    assert frequent_confusions(CONFUSION) == [(2, 0, 0.25), (0, 1, 0.2)]
-
-
-def test_a_confusion_matrix_is_a_table():
-    table = ElementTree.fromstring(confusion_table(CONFUSION, ("a", "<b>", "c")))
-    rows = [[cell.text for cell in row] for row in table.iter("tr")]
-    assert rows[0][1:] == ["a", "<b>", "c"]
-    assert rows[1] == ["a", "80.0", "20.0", None]
-    assert rows[3] == ["c", "25.0", None, "75.0"]
-    many = np.eye(21, dtype=int)
-    many[4, 7] = 3
-    text = confusion_table(many.tolist(), [f"class{k}" for k in range(21)])
-    assert "<th scope='row'>class4</th><td>class7</td><td>75.0%</td>" in text
-    assert "class5" not in text
-
-
-def test_masks_are_drawn_with_their_signs():
-    masks = np.zeros((2, 4))
-    masks[0, 0], masks[1, 3] = 1, -1
-    drawn = pixels(mask_picture(masks, (2, 2)))
-    assert drawn.shape == (3, 6, 3), "two masks side by side, a line around each"
-    assert drawn[0, 0].tolist() == [178, 24, 43]
-    assert drawn[1, 4].tolist() == [33, 102, 172]
-    assert (drawn[0, 1] == 255).all()
-    assert pixels(mask_picture(np.ones((3, 5)), (5,))).shape == (3, 5, 3)
 
 
 def test_a_design_and_results_are_shown_in_a_notebook(good, digits):
@@ -71,11 +31,6 @@ def test_a_design_and_results_are_shown_in_a_notebook(good, digits):
     assert f"accuracy {results[0].accuracy:.3f}" in results[0]._repr_html_()
     assert "<table" in results[0]._repr_html_()
     assert results == list(results)
-
-
-def test_representations_are_short_and_names_public(digits):
-    assert repr(digits) == "<Dataset digits: 1437 training and 360 test scenes of 8x8, 10 classes>"
-    assert sorted(dir(deepfsi)) == sorted([*deepfsi.__all__, "__version__"])
 
 
 class Pairs(torch.utils.data.Dataset):

@@ -10,7 +10,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import threading
 import time
 from pathlib import Path
 
@@ -138,20 +137,3 @@ def test_a_worker_sees_no_signal_while_it_is_started(monkeypatch):
     finally:
         for number, handler in usual.items():
             signal.signal(number, handler)
-
-
-def test_signals_are_taken_again_from_a_library_that_takes_them():
-    usual = signal.getsignal(signal.SIGTERM)
-    with interrupts.restore_handlers():
-        signal.signal(signal.SIGTERM, signal.SIG_IGN)
-    assert signal.getsignal(signal.SIGTERM) == usual
-
-
-def test_what_is_kept_is_said_once_there_is_something(capsys, monkeypatch):
-    monkeypatch.setattr(interrupts, "_saved_work", "")
-    monkeypatch.setattr(interrupts, "_said", threading.Event())
-    assert interrupts.saved_work_text() == ""
-    interrupts.note_saved_work("finished scenes are kept")
-    interrupts.say_stopped()
-    interrupts.say_stopped()
-    assert capsys.readouterr().err == "deepfsi: stopped; finished scenes are kept\n"

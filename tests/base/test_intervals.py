@@ -1,7 +1,6 @@
 """Intervals of what a test measures, differences of them, where a curve crosses a target."""
 
 import math
-from itertools import product
 
 import numpy as np
 import pytest
@@ -23,11 +22,8 @@ from deepfsi.base.numeric import (
     student,
     unpack_values,
     wilson,
-    worst_class,
 )
 from deepfsi.base.numeric import auc as auc_of
-from deepfsi.base.numeric import intervals as differences
-from deepfsi.base.numeric.intervals import balanced_terms, seeds_error
 from shared.results import a_point
 
 
@@ -46,20 +42,6 @@ def shares(rates, images):
     counts = [round(rate * count) for rate, count in zip(rates, images, strict=True)]
     right = np.concatenate([np.arange(n) < k for k, n in zip(counts, images, strict=True)])
     return right.astype(float), labels
-
-
-@pytest.mark.parametrize("images", [1, 2, 7, 500])
-def test_of_one_draw_and_one_training_the_interval_is_wilsons(images):
-    for right in {0, 1, images // 3, images - 1, images}:
-        found = accuracy_interval(np.arange(images) < right)
-        assert found == pytest.approx((right / images, *wilson(right / images, images)))
-
-
-def test_draws_that_are_averaged_narrow_it():
-    """Of images that are all alike, 30 draws vary by a thirtieth of right and wrong."""
-    rng = np.random.default_rng(0)
-    one, many = (accuracy_interval(rng.binomial(k, 0.7, 4000) / k) for k in (1, 30))
-    assert many.high - many.low == pytest.approx((one.high - one.low) / 30**0.5, rel=0.1)
 
 
 def crossed(rng, images, seeds, rate, spread=0.3, draws=3):
@@ -85,55 +67,6 @@ def test_it_covers_images_seeds_and_draws(images, seeds, rate):
     assert all(0 <= low <= mean <= high <= 1 for mean, low, high in ends)
 
 
-def test_seeds_alone_or_images_alone_are_not_enough():
-    """An interval over three seeds of the same 24 images misses, and so does one over images."""
-    rng = np.random.default_rng(4)
-    studies = [crossed(rng, 24, 3, 0.8, spread=0.05) for _ in range(300)]
-    seeds = np.mean([low <= 0.8 <= high for low, high in (student(s.mean(1)) for s in studies)])
-    assert seeds < 0.8
-    wide = [crossed(rng, 1000, 3, 0.8) for _ in range(300)]
-    images = np.mean(
-        [low <= 0.8 <= high for _, low, high in (accuracy_interval(s.mean(0)) for s in wide)]
-    )
-    assert images < 0.6
-
-
-def test_images_and_draws_count_once_where_trainings_are_alike():
-    """Then (S − 1) spread / crossed is χ² of S − 1: below it, 0.632 of three alike trainings."""
-    rng = np.random.default_rng(0)
-    none = [seeds_error(rng.binomial(3, 0.8, (3, 200)) / 3) == 0 for _ in range(1000)]
-    assert np.mean(none) == pytest.approx(
-        stats.chi2.cdf(2, 2), abs=5 * (0.632 * 0.368 / 1000) ** 0.5
-    )
-    apart = 0.8 + 0.1 * np.array([[-1], [0], [1]]) + np.zeros((3, 50))
-    assert seeds_error(apart) == pytest.approx(0.1 / 3**0.5)
-
-
-def test_every_class_counts_alike():
-    right, labels = shares([0.99, 0.0, 0.6], [600, 6, 5])
-    mean, low, high = balanced_interval(right, labels)
-    assert mean == pytest.approx(1.59 / 3)
-    assert low < mean < high
-    assert balanced_terms(right, labels).mean() == pytest.approx(mean)
-
-
-def test_of_one_class_it_is_wilsons():
-    assert balanced_interval(*shares([0.8], [50])) == pytest.approx((0.8, *wilson(0.8, 50)))
-
-
-def test_of_alike_classes_it_narrows_with_the_root_of_their_number():
-    """C classes of n images, far from 0 and 1, are known as well as one of C · n, but for z²/2n."""
-    _, low, high = balanced_interval(*shares([0.5] * 9, [400] * 9))
-    assert high - low == pytest.approx(np.diff(wilson(0.5, 3600))[0], rel=1.96**2 / 800)
-
-
-def test_a_class_of_one_image_widens_it():
-    for rate in (0.0, 1.0):
-        _, low, high = balanced_interval(*shares([0.9, rate], [1000, 1]))
-        assert high - low > 0.3
-        assert 0 <= low <= (0.9 + rate) / 2 <= high <= 1
-
-
 @pytest.mark.parametrize(
     ("truth", "images", "share"),
     [
@@ -154,14 +87,6 @@ def test_it_covers_the_truth(truth, images, share):
     assert covered >= binom.ppf(3e-7, 1000, share) / 1000
 
 
-def test_the_balanced_accuracy_covers_seeds_too():
-    rng = np.random.default_rng(2)
-    labels = np.arange(120) % 3
-    ends = [balanced_interval(crossed(rng, 120, 3, 0.8), labels) for _ in range(400)]
-    covered = sum(low <= 0.8 <= high for _, low, high in ends)
-    assert binom.ppf(3e-5, 400, 0.95) <= covered
-
-
 def test_means_without_bounds_cover_images_and_seeds():
     rng = np.random.default_rng(5)
 
@@ -175,10 +100,6 @@ def test_means_without_bounds_cover_images_and_seeds():
     assert image_interval(np.full((2, 5), 0.4)) == pytest.approx((0.4, 0.4, 0.4))
 
 
-def test_the_worst_class_is_among_those_that_are_tested():
-    assert worst_class([0.9, None, 0.2, 0.3]) == 2
-
-
 def test_an_interval_over_trials_covers_what_it_says():
     """Student's interval of five normal values holds their mean in 95 % of cases."""
     runs = 2000
@@ -189,13 +110,6 @@ def test_an_interval_over_trials_covers_what_it_says():
 
 def point(accuracies, half=0.01):
     return a_point(float(np.mean(accuracies)), half, accuracies=tuple(accuracies))
-
-
-def test_trials_are_paired():
-    """What all trials share cancels: a constant difference has no width."""
-    shared = np.array([0.5, 0.7, 0.9])
-    found = accuracy_difference(point(shared + 0.02), point(shared))
-    assert (found.mean, found.low, found.high) == pytest.approx((0.02, 0.02, 0.02))
 
 
 def test_an_interval_of_a_mean_of_trials_covers_what_it_says():
@@ -240,24 +154,6 @@ def test_pairs_tell_apart_what_intervals_beside_each_other_do_not():
     assert overlapping >= 80
 
 
-def test_few_images_that_differ_may_be_of_one_sign_by_chance():
-    """By the sign test five of one sign have p = 0.06, six have 0.03; so for thirds of draws."""
-    for images, size in product((24, 200, 10_000), (1, 1 / 3)):
-        wrong = np.zeros((1, images))
-        for more, told in ((5, False), (6, True)):
-            right = wrong + size * (np.arange(images) < more)
-            assert (paired_difference(right, wrong).low > 0) is told
-
-
-def test_as_many_trainings_are_paired_and_others_are_not():
-    rng = np.random.default_rng(0)
-    image, seed = rng.random((1, 50)), 0.1 * rng.random((4, 1))
-    assert paired_difference(image + seed, image + seed).seeds_error == pytest.approx(0, abs=1e-12)
-    alone = paired_difference(image + seed, image)
-    assert alone.seeds_error == pytest.approx(float(stats.sem(seed[:, 0])))
-    assert alone.seeds_freedom == 3
-
-
 def test_points_are_paired_by_the_terms_of_their_images():
     one, other = answers(np.random.default_rng(0), 60, 2, 0.5)
     points = [point(rows.mean(axis=1)).model_copy(update={"terms": tuple(map(pack_values, rows))})
@@ -287,11 +183,6 @@ def spread(low, high):
     return Difference((low + high) / 2, (high - low) / 2 / stats.norm.ppf(0.975))
 
 
-def test_single_trials_combine_the_intervals_over_images():
-    found = accuracy_difference(point([0.8], 0.03), point([0.7], 0.04))
-    assert (found.mean, found.high - found.mean) == pytest.approx((0.1, 0.05))
-
-
 @pytest.mark.parametrize(
     ("intervals", "answer"),
     [
@@ -305,12 +196,6 @@ def test_single_trials_combine_the_intervals_over_images():
 def test_a_claim_holds_only_where_every_interval_says_so(intervals, answer):
     """One of several intervals just below 0 is no surprise, and leaves the claim open."""
     assert all_above(spread(low, high) for low, high in intervals) is answer
-
-
-def test_signs_are_as_wide_as_each_other():
-    assert differences.signed_text(-0.01) == "−0.010"
-    assert str(spread(-0.2, 0.4)) == "+0.100 [−0.200, +0.400]"
-    assert str(mean_of_trials([0.1])) == "+0.100 (one trial, no interval)"
 
 
 def auc(scores, positive):
@@ -340,19 +225,6 @@ def test_the_interval_covers_the_true_area_in_95_of_100_samples():
         for _, low, high in (auc(*normal_scores(seed, draws=2)) for seed in range(400))
     ]
     assert stats.binomtest(sum(covered), 400, 0.95).pvalue > 1e-3
-
-
-def test_draws_of_one_image_are_no_images():
-    scores, positive = normal_scores(1, draws=1)
-    _, low, high = auc(scores, positive)
-    again = auc(np.repeat(scores, 5, axis=1), positive)
-    assert again[1:] == pytest.approx((low, high), rel=1e-9)
-
-
-def test_an_area_of_one_has_an_interval():
-    area, low, high = auc(np.array([[0.0], [0.1], [0.9], [1.0]]), np.array([0, 0, 1, 1], bool))
-    assert (area, high) == (1.0, 1.0)
-    assert low < 1
 
 
 def test_it_covers_training_seeds_too():

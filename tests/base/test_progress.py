@@ -9,8 +9,7 @@ import time
 
 import pytest
 
-from deepfsi.base import Moments, duration_text, progress, terminal_bar
-from deepfsi.base.progress import progress_text
+from deepfsi.base import Moments, progress, terminal_bar
 from shared.waiting import until
 
 
@@ -54,16 +53,6 @@ def test_the_time_left_is_that_of_the_work_without_its_start(capsys, monkeypatch
     assert "40% after 50 s, about 60 s left\n" in said
 
 
-def test_a_short_or_hidden_task_says_nothing(capsys, monkeypatch):
-    with terminal_bar("plan") as report:
-        report(0.5)
-    monkeypatch.setattr(progress, "FIRST_LINE_SECONDS", 0.0)
-    with terminal_bar("plan", hidden=True) as report:
-        report(0.5)
-        time.sleep(0.01)
-    assert capsys.readouterr().err == ""
-
-
 def test_a_bar_on_a_terminal_shows_the_time_left_however_rarely_work_ends(tmp_path):
     """Two reports, an hour apart by the clock that the bar sees."""
     code = (
@@ -81,14 +70,6 @@ def test_a_bar_on_a_terminal_shows_the_time_left_however_rarely_work_ends(tmp_pa
     os.close(screen)
     assert "[a class]" in shown
     assert re.search(r"\d:\d\d:\d\d \S*\s*\S*\d:\d\d:\d\d", re.sub(r"\x1b\[[\d;?]*\w", "", shown))
-
-
-def test_times_are_written_as_people_do():
-    assert [duration_text(seconds) for seconds in (4.4, 89, 720, 12600)] == [
-        "4 s", "89 s", "12 min", "3.5 h",
-    ]  # fmt: skip
-    assert progress_text(0.0, 7) == "0% after 7 s"
-    assert progress_text(0.5, 7, 7) == "50% after 7 s, about 7 s left"
 
 
 def test_moments_are_those_at_which_a_share_is_first_reached(monkeypatch):

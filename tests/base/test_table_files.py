@@ -1,6 +1,5 @@
 """Tables of numbers: the same table from every kind of file, and one line for what is none."""
 
-import datetime
 import os
 import struct
 import subprocess
@@ -18,13 +17,9 @@ from scipy.io import savemat
 from deepfsi.base import InputError
 from deepfsi.base.numeric import (
     is_table,
-    parse_number,
-    read_npy,
-    read_npz,
     read_table,
     read_whole_numbers,
 )
-from deepfsi.base.numeric import tables as table_files
 
 VALUES = np.random.default_rng(2).integers(0, 1000, (3, 5))
 NAMES = tuple("abcde")
@@ -80,15 +75,6 @@ def test_every_kind_of_file_holds_the_same_table(tmp_path, kind):
     assert table.names == (NAMES if kind in ("csv named", "parquet") else ())
 
 
-def test_columns_of_words_stand_apart(tmp_path):
-    path = tmp_path / "t.csv"
-    path.write_text("scene,a,b\none,1,2\n two ,3,4\n")
-    table = read_table(path, ("scene", "label"))
-    assert table.words == {"scene": ("one", "two")}
-    assert table.names == ("a", "b")
-    assert np.array_equal(table.values, [[1, 2], [3, 4]])
-
-
 @pytest.mark.parametrize(
     "text",
     [
@@ -111,28 +97,6 @@ def test_text_is_read_as_other_programs_write_it(tmp_path, text):
     for encoding in ("utf-8", "utf-16"):
         path.write_bytes(text.encode(encoding))
         assert np.array_equal(read_table(path).values, [[1, 2], [3, 4]])
-
-
-def test_names_of_windows_are_read(tmp_path):
-    path = tmp_path / "t.csv"
-    path.write_bytes("scene,\xb5\n\xfc,1\n".encode("cp1252"))
-    table = read_table(path, ("scene",))
-    assert (table.names, table.words) == (("\xb5",), {"scene": ("\xfc",)})
-
-
-SPELLINGS = "1_0;1e3; 5 ;\uff10;nan;+1;0x10;True;1.;.5;1d3;1e400;--1;1 2;-0.5E-3;infinity;.;1e;7"
-
-
-@pytest.mark.parametrize("text", SPELLINGS.split(";"))
-def test_tables_and_lists_agree_on_what_is_a_number(tmp_path, text):
-    path = tmp_path / "t.csv"
-    path.write_text(f"a,b\n1,{text}\n", "utf-8")
-    value = parse_number(text)
-    if value is None:
-        with pytest.raises(InputError, match="row 2 of column b holds"):
-            read_table(path)
-    else:
-        assert read_table(path).values.tolist() == [[1.0, value]]
 
 
 def test_a_wide_table_costs_little_more_than_its_numbers(tmp_path):
@@ -185,25 +149,6 @@ def test_whole_numbers_that_may_be_rounded_are_refused(tmp_path, values, said):
     np.save(tmp_path / "t.npy", values)
     with pytest.raises(InputError, match=said):
         read_whole_numbers(tmp_path / "t.npy", lambda names, width: range(width))
-
-
-def test_whole_numbers_of_text_may_have_exponents_below_2_to_53(tmp_path):
-    path = tmp_path / "t.txt"
-    np.savetxt(path, [[1e12, 8.0]])
-    assert read_whole_numbers(path, lambda names, width: [0, 1]).tolist() == [[10**12, 8]]
-    path.write_text("1.5 8\n")
-    with pytest.raises(InputError, match=r"column column_1, holds 1\.5: give whole numbers"):
-        read_whole_numbers(path, lambda names, width: [0, 1])
-    np.savetxt(path, [[1e16, 8.0]])
-    with pytest.raises(InputError, match="save them as whole numbers of 64 bits"):
-        read_whole_numbers(path, lambda names, width: [0, 1])
-
-
-def test_times_of_day_in_parquet_are_no_numbers(tmp_path):
-    path = tmp_path / "t.parquet"
-    pl.DataFrame({"a": [1], "when": [datetime.datetime(2020, 1, 1)]}).write_parquet(path)
-    with pytest.raises(InputError, match="column when holds Datetime"):
-        read_table(path)
 
 
 @pytest.mark.parametrize(
@@ -289,19 +234,6 @@ def test_no_damage_of_a_parquet_file_prints_more_than_a_line(tmp_path, capfd):
     assert capfd.readouterr().err == ""
 
 
-def test_hdf5_without_its_package_says_what_to_install(tmp_path, monkeypatch):
-    matlab_73(tmp_path / "new.mat", counts=VALUES)
-    monkeypatch.setitem(__import__("sys").modules, "h5py", None)
-    with pytest.raises(InputError, match=r"pip install h5py, or save it .* '-v7'"):
-        read_table(tmp_path / "new.mat")
-
-
-def test_a_vector_is_one_row(tmp_path):
-    np.save(tmp_path / "one.npy", VALUES[0])
-    assert read_table(tmp_path / "one.npy").values.shape == (1, 5)
-    assert table_files.TABLE_ENDINGS[0] == ".csv"
-
-
 def mat_element(kind, data) -> bytes:
     return struct.pack("<II", kind, len(data)) + data + bytes(-len(data) % 8)
 
@@ -365,32 +297,3 @@ def test_what_matlab_has_besides_full_numbers_is_named(tmp_path):
     savemat(tmp_path / "z.mat", {"counts": VALUES * 1j})
     with pytest.raises(InputError, match="complex numbers: give real ones"):
         read_table(tmp_path / "z.mat")
-
-
-def test_an_empty_variable_of_matlab_7_3_is_no_table(tmp_path):
-    """Its data set holds the lengths of its axes."""
-    matlab_73(tmp_path / "new.mat", counts=VALUES)
-    with h5py.File(tmp_path / "new.mat", "a") as file:
-        file["empty"] = np.array([[0.0, 5.0]])
-        file["empty"].attrs["MATLAB_class"] = np.bytes_("double")
-        file["empty"].attrs["MATLAB_empty"] = 1
-    assert np.array_equal(read_table(tmp_path / "new.mat").values, VALUES)
-
-
-@pytest.mark.parametrize("values", [VALUES.astype(">f8"), np.asfortranarray(VALUES), VALUES > 500])
-def test_arrays_come_in_the_order_of_this_machine(tmp_path, values):
-    np.save(tmp_path / "a.npy", values)
-    np.savez(tmp_path / "a.npz", x=values)
-    for found in (read_npy(tmp_path / "a.npy"), read_npz(tmp_path / "a.npz")["x"]):
-        assert found.dtype.isnative
-        assert np.array_equal(found, values)
-
-
-@pytest.mark.parametrize(
-    "values", [np.array([[1, None]]), np.zeros(2, [("a", "f4")]), np.array(["a"]), np.ones(2) * 1j]
-)
-def test_arrays_of_other_than_real_numbers_are_one_line(tmp_path, values):
-    np.save(tmp_path / "a.npy", values, allow_pickle=True)
-    with pytest.raises(InputError, match="cannot read an array of real numbers") as error:
-        read_npy(tmp_path / "a.npy")
-    assert "\n" not in str(error.value)
