@@ -1,13 +1,11 @@
 """Designs for detectors that click: counts that are clicks, and what takes photons alone."""
 
-import numpy as np
 import pytest
 import torch
 
 from conftest import quick
 from deepfsi import evaluate
-from deepfsi.base import InputError
-from deepfsi.physics import noise_of, to_training_light
+from deepfsi.physics import to_training_light
 
 FEW = 60.0
 
@@ -53,16 +51,6 @@ def test_clicks_of_any_light_have_mean_and_noise_of_the_training(gates, ratio):
     torch.testing.assert_close(seen.std(dim=0), wanted.std(dim=0), rtol=0.02, atol=0)
 
 
-def test_with_many_gates_clicks_are_photon_counts():
-    """Their mean becomes that of counts, and their noise √r of any light that of the training."""
-    photons, q = torch.tensor([0.2, 4.0, 30.0]), 2.5
-    gain, offset = to_training_light(q, photons * 0.6, photons, 10**6)
-    torch.testing.assert_close(gain, torch.full((3,), q**-0.5), rtol=1e-2, atol=0)
-    torch.testing.assert_close(
-        q * 0.6 * photons * gain + offset, 0.6 * photons, rtol=1e-2, atol=1e-2
-    )
-
-
 def test_clicks_off_their_budget_are_answered_as_their_light_allows(digits):
     """Three times the light lost three answers of four; a confidence is the share that is right."""
     bright = {"noise": "click", "gates": 4, "light": "free-dwell", "rails": "single"}
@@ -74,25 +62,3 @@ def test_clicks_off_their_budget_are_answered_as_their_light_allows(digits):
     assert 0.2 < dim < trained
     for result in results:  # groups of 48 answers: their error at chance, and 0.05
         assert result.calibration_error < 0.8 * (0.25 / 48) ** 0.5 + 0.05
-
-
-def test_clicks_train_features_of_mean_0_and_variance_1(clicking, digits):
-    scanner = clicking.scanner(noise_of(clicking.camera))
-    rates = clicking.rates(scanner, torch.from_numpy(digits.x_train)).float()
-    generator = torch.Generator().manual_seed(1)
-    seen = scanner.read((rates * FEW).repeat(10, 1, 1), generator)[:, 0] / FEW
-    scaled = ((seen - clicking.mean) / clicking.std).double()
-    share = 1 / len(scaled) + 1 / len(digits.x_train)
-    assert scaled.mean(dim=0).abs().max() <= 5 * share**0.5
-
-
-def test_more_counts_than_gates_are_no_clicks(clicking):
-    photons = np.full((3, clicking.masks), 7)
-    with pytest.raises(InputError, match="at most 2 times in a frame, and a readout has 7 counts"):
-        clicking.classify(photons, FEW)
-    assert clicking.classify(np.full(clicking.masks, 2), FEW).shape == (10,)
-
-
-def test_no_distribution_is_known_of_clicks(clicking):
-    with pytest.raises(InputError, match="it takes photons that are counted, 100 scenes"):
-        clicking.consistency(np.ones((3, clicking.masks)), FEW)

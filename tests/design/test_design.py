@@ -15,78 +15,20 @@ import torch
 from safetensors.torch import save_file
 from torch import nn
 
-from conftest import PHOTONS, RECIPE, every_optics, light_on, quick
-from deepfsi import Camera, Design, evaluate
+from conftest import PHOTONS, every_optics, light_on
+from deepfsi import Design, evaluate
 from deepfsi.base import InputError
 from deepfsi.camera import share_out
 from deepfsi.designfile.header import DESIGN_SCHEMA
-from deepfsi.evaluation import camera_for
-from deepfsi.exposure import Observation, TrainingSet
-from deepfsi.physics import Detection
-from deepfsi.training import train
+from deepfsi.exposure import Observation
 from shared import vectors
 from shared.design_files import refused, rewrite
-from shared.jobs import job
 from shared.jobs import learn as learned
 
 
 @pytest.fixture
 def saved(made, tmp_path) -> Path:
     return made("deepfsi", "column", "dual").save(tmp_path / "design.safetensors")
-
-
-def test_a_design_trained_with_others_saves_only_itself(digits, tmp_path):
-    jobs = [job(masks=5, photons=photons, **RECIPE) for photons in (1e3, 1e5)]
-    for design in train(TrainingSet(digits, "cpu"), jobs):
-        path = design.save(tmp_path / "design.safetensors")
-        assert path.stat().st_size < 25_000
-        assert torch.equal(Design.load(path).rails.stacked, design.rails.stacked)
-
-
-@every_optics
-def test_the_file_keeps_the_camera_that_it_was_trained_for(digits, tmp_path, light, rails):
-    given = Camera(light=light, rails=rails, exposure="10ms", flux=1e6, dark=300, sigma=2, levels=2)
-    made = quick(digits, camera=given, masks=5)
-    loaded = Design.load(made.save(tmp_path / "design.safetensors"))
-    assert loaded.camera == made.camera == given
-    assert camera_for(loaded, noise="gaussian").sigma == 2
-    assert camera_for(loaded, noise="poisson").dark == 0
-    assert camera_for(loaded, dark=700).dark_counts == 7
-
-
-@every_optics
-def test_a_file_that_knows_no_camera_has_its_optics(made, tmp_path, light, rails):
-    """Files of before there were cameras."""
-    path = made("deepfsi", light, rails).save(tmp_path / "design.safetensors")
-    rewrite(path, lambda header, _: header["info"]["job"].pop("camera"))
-    camera = Design.load(path).camera
-    assert (camera.light, camera.rails) == (light, rails)
-    assert (camera.noise, camera.dark) == ("poisson", 0)
-    rewrite(path, lambda header, _: header.update(info={}))
-    assert Design.load(path).camera == camera
-
-
-def test_a_file_that_knows_no_camera_has_its_detectors(digits, tmp_path):
-    path = quick(digits, light="two-arm", detectors="2x2").save(tmp_path / "design.safetensors")
-    rewrite(path, lambda header, _: header.update(info={}))
-    loaded = Design.load(path)
-    assert Detection.of(loaded.camera, (8, 8)).key == loaded.detection.key
-    assert loaded.camera.readout == loaded.detection.readout
-
-
-def test_a_camera_that_cannot_be_is_one_line(saved):
-    rewrite(saved, lambda header, _: header["info"]["job"]["camera"].update(light="colum"))
-    with pytest.raises(InputError, match="the design's camera cannot be used at light") as error:
-        Design.load(saved).camera  # noqa: B018
-    assert "\n" not in str(error.value)
-
-
-def test_noise_follows_again_from_what_a_file_keeps(digits, saved):
-    """Of a camera that gave neither noise nor sigma."""
-    loaded = Design.load(saved)
-    assert (camera_for(loaded, dark=5.0).noise, camera_for(loaded, dark=5.0).sigma) == ("camera", 0)
-    noisy = quick(digits, dark=5.0)
-    assert camera_for(noisy, noise="gaussian").sigma == 1
 
 
 def test_a_noise_that_a_file_names_is_not_run(digits, saved, tmp_path, monkeypatch):
@@ -101,11 +43,6 @@ def test_a_noise_that_a_file_names_is_not_run(digits, saved, tmp_path, monkeypat
         evaluate(loaded, digits, 1e4)
     assert evaluate(loaded, digits, 1e4, draws=1, noise="poisson")[0].noise == "poisson"
     assert not (tmp_path / "ran").exists()
-
-
-def test_a_missing_file_is_named(tmp_path):
-    refused(tmp_path / "none.safetensors", "no design file at .*none.safetensors")
-    refused(tmp_path, "cannot be read")
 
 
 @pytest.mark.parametrize("share", [0, 1e-9, 0.001, 0.02, 0.1, 0.5, 0.9, 1 - 1e-9])
@@ -138,11 +75,6 @@ def test_a_pickle_in_disguise_is_refused_and_not_run(tmp_path, write):
     write(Bomb(tmp_path / "ran"), path)
     refused(path)
     assert not (tmp_path / "ran").exists()
-
-
-def test_a_newer_schema_is_said_even_if_all_else_changed(saved):
-    rewrite(saved, lambda header, tensors: (header.clear(), header.update(schema=99)))
-    refused(saved, "upgrade deepfsi")
 
 
 def test_a_file_of_another_version_is_called_so_and_a_damaged_one_is_not(saved):
@@ -226,11 +158,6 @@ def test_rails_that_no_design_can_have_are_refused(saved, change):
         Design.load(saved)
 
 
-def test_a_spread_of_zero_is_refused(saved):
-    rewrite(saved, lambda _, tensors: tensors["std"].zero_())
-    refused(saved)
-
-
 def test_only_mlps_can_be_saved(made, tmp_path):
     design = copy.copy(made("deepfsi", "column", "dual"))
     design.classifier = nn.Linear(7, 10)
@@ -262,14 +189,6 @@ def some_counts(design: Design, *lead: int) -> np.ndarray:
     return np.random.default_rng(0).poisson(50, (*lead, *rails, design.masks))
 
 
-@pytest.mark.parametrize("lead", [(), (1,), (4,), (3, 2), (0,)])
-def test_classify_gives_probabilities_for_any_leading_shape(camera, lead):
-    chances = camera.classify(some_counts(camera, *lead), photons=1e4)
-    assert chances.shape == (*lead, 10)
-    assert np.allclose(chances.sum(axis=-1), 1, atol=1e-5)
-    assert (chances >= 0).all()
-
-
 def test_classify_takes_one_budget_or_one_for_each_exposure(camera):
     counts, budgets = some_counts(camera, 3, 2), np.array([[1e3, 1e4], [1e5, 2e3], [3e4, 1e4]])
     together = camera.classify(counts, budgets)
@@ -279,46 +198,6 @@ def test_classify_takes_one_budget_or_one_for_each_exposure(camera):
     assert np.allclose(
         camera.classify(counts, [1e3, 1e4])[:, 0], camera.classify(counts[:, 0], 1e3)
     )
-
-
-@pytest.mark.parametrize("kind", [list, np.uint16, np.int64, np.float64, torch.tensor])
-def test_classify_takes_any_array_of_counts(camera, kind):
-    counts = some_counts(camera, 3)
-    given = counts.tolist() if kind is list else kind(counts)
-    assert (camera.classify(given, 1e4) == camera.classify(counts, 1e4)).all()
-
-
-def test_classify_refuses_counts_of_another_shape(camera):
-    good = some_counts(camera, 3)
-    for bad in (good[..., 1:], good[0, ..., 0], 5.0, [], [[1.0, 2.0]]):
-        with pytest.raises(InputError, match="do not fit this design"):
-            camera.classify(bad, 1e4)
-
-
-@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-def test_classify_refuses_counts_that_are_not_finite(camera, bad):
-    counts = some_counts(camera, 3).astype(float)
-    counts[1, ..., 2] = bad
-    with pytest.raises(InputError, match="finite counts"):
-        camera.classify(counts, 1e4)
-
-
-@pytest.mark.parametrize("bad", [0, -1, np.nan, np.inf, [1e4, 0, 1e4], "abc", None])
-def test_classify_refuses_budgets_that_are_not_above_zero(camera, bad):
-    with pytest.raises(InputError):
-        camera.classify(some_counts(camera, 3), bad)
-
-
-@pytest.mark.parametrize("bad", ["abc", [[1, 2], [3]], None])
-def test_classify_refuses_counts_that_are_not_numbers(camera, bad):
-    with pytest.raises(InputError):
-        camera.classify(bad, 1e4)
-
-
-def test_classify_refuses_budgets_of_another_shape(camera):
-    for bad in ([1e4, 1e4], [[1e4], [1e4], [1e4]]):
-        with pytest.raises(InputError, match="photons of shape"):
-            camera.classify(some_counts(camera, 3), bad)
 
 
 @every_optics

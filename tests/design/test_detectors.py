@@ -6,15 +6,12 @@ import numpy as np
 import pytest
 import torch
 
-from conftest import RECIPE, generator, once
+from conftest import generator, once
 from deepfsi import Design, evaluate
 from deepfsi.base import InputError
-from deepfsi.camera import DetectorMap
-from deepfsi.design import to_onnx
 from deepfsi.networks import stop_temperatures
 from deepfsi.physics import ROUNDING_SLACK, Detection, light_law
 from shared.design_files import refused, rewrite
-from shared.jobs import learn
 
 KINDS = {
     "fixed": {},
@@ -103,42 +100,6 @@ def test_the_light_of_all_detectors_is_that_of_one(digits):
     rates = [each.rates(each.scanner("none"), x) for each in (design, one)]
     assert torch.allclose(rates[0].unflatten(-1, (6, 4)).sum(dim=-1), rates[1], rtol=1e-5)
     assert float(design.shares.sum()) <= 1 + 1e-6
-
-
-def test_more_detectors_read_more_of_the_same_light(digits):
-    """With equal frames and dwells: more is known of where the light came from."""
-    how = {**RECIPE, "epochs": 30, "hidden": (64,), "scale": "common", "noise": "ml_gauss"}
-    found = []
-    for detectors in ("1x1", "4x4"):
-        design = learn(
-            digits, photons=1e3, masks=2, light="free-dwell", rails="single", detectors=detectors,
-            **how,
-        )  # fmt: skip
-        (result,) = evaluate(design, digits, 1e3, draws=4)
-        found.append(result)
-    assert found[1].low > found[0].high + 0.2
-
-
-def test_a_map_of_detectors_trains_as_its_tiles(digits):
-    tiles = Detection.by(DetectorMap.of("2x2", digits.image_shape)).labels.numpy()
-    one = trained(digits)
-    other = trained(digits, detectors=tuple(tiles.tolist()))
-    assert torch.equal(one.rails.stacked, other.rails.stacked)
-    assert one.info["job"]["camera"]["detectors"] == "2x2"
-    assert other.info["job"]["camera"]["detectors"] == tiles.tolist()
-
-
-@pytest.mark.parametrize("kind", ["fixed", "range"])
-@pytest.mark.parametrize(("light", "rails", "readout"), OPTICS)
-def test_a_graph_reads_every_detector(digits, kind, light, rails, readout):
-    onnxruntime = pytest.importorskip("onnxruntime")
-    design = trained(digits, kind, light, rails, readout)
-    rates = design.rates(design.scanner(), torch.from_numpy(digits.x_test[:20]))
-    counts = design.scanner().read(1e4 * rates, generator()).reshape(20, *design.counts_shape)
-    photons = np.full(20, 1e4, dtype=np.float32)
-    session = onnxruntime.InferenceSession(to_onnx(design), providers=["CPUExecutionProvider"])
-    [found] = session.run(None, {"counts": counts.numpy(), "photons": photons})
-    np.testing.assert_allclose(found, design.classify(counts, photons), atol=1e-4)
 
 
 @pytest.mark.parametrize(

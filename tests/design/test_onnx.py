@@ -8,11 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from torch import nn
 
-from conftest import PHOTONS, every_optics, once, quick
+from conftest import PHOTONS, every_optics
 from deepfsi import Design
-from deepfsi.base import InputError
 from deepfsi.camera import photons_per_pixel
 from deepfsi.design import to_onnx
 from deepfsi.exposure.conditioned import ConditionedExposure
@@ -70,14 +68,6 @@ def test_every_optics_as_torch_has_it(digits, made, light, rails):
     assert_same(made("deepfsi", light, rails), digits.x_test[:40], budgets)
 
 
-@every_optics
-def test_conditioning_is_inside(digits, light, rails):
-    design = once(digits, light=light, rails=rails, masks=8, photons=1e3, span=100.0, nested=3)
-    budgets = np.geomspace(1e3, 1e5, 40).astype(np.float32)
-    for masks in (8, 5, 3):
-        assert_same(design.first(masks), digits.x_test[:40], budgets)
-
-
 def test_a_design_that_is_right_stays_right(digits, good):
     """Not only near torch: the graph itself classifies."""
     budgets = np.full(len(digits.x_test), PHOTONS, dtype=np.float32)
@@ -85,19 +75,6 @@ def test_a_design_that_is_right_stays_right(digits, good):
     [found] = opened(to_onnx(good)).run(None, feed)
     assert (found.argmax(axis=1) == digits.y_test).mean() > 0.7
     np.testing.assert_allclose(found.sum(axis=1), 1, rtol=1e-6)
-
-
-def test_a_module_of_your_own_is_refused(digits):
-    design = quick(digits, masks=3)
-    design.classifier = nn.Linear(3, 10)
-    with pytest.raises(InputError, match="only Mlp"):
-        to_onnx(design)
-
-
-def test_without_onnx_it_says_what_to_install(made, monkeypatch):
-    monkeypatch.setitem(sys.modules, "onnx", None)
-    with pytest.raises(InputError, match="pip install onnx onnxruntime"):
-        to_onnx(made("deepfsi", "column", "dual"))
 
 
 def test_the_example_in_the_docs(good, digits, tmp_path):

@@ -54,10 +54,3 @@ def test_a_graph_says_and_chooses_what_the_file_does(design, shortest):
         dwell = dwell + chosen
         mean = photons * float(design.shares.mean()) / LOOKS
         counts = counts + rng.poisson(mean, counts.shape).astype(np.float32)
-
-
-def test_at_the_command_line(design, done, tmp_path):
-    file = design.save(tmp_path / "looks.safetensors")
-    out = done("export", file, "-o", tmp_path / "looks.onnx")
-    assert "dwell, left, shortest" in out
-    assert (tmp_path / "looks.onnx").read_bytes() == to_onnx(design)

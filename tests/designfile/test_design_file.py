@@ -10,10 +10,8 @@ import pytest
 from conftest import quick
 from deepfsi import Design
 from deepfsi.base import InputError
-from deepfsi.camera import StopRule
 from deepfsi.designfile import DesignFile, find_design
 from shared.design_files import file_of
-from shared.vectors import AGREES, KINDS, read_vectors
 
 OPTICS = {
     "single": {"light": "free-dwell", "rails": "single"},
@@ -55,38 +53,10 @@ def test_it_says_and_chooses_what_the_design_does(design):
     np.testing.assert_allclose(file.first_dwell, asked[0], rtol=1e-4)
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_it_answers_the_vectors(kind, tmp_path):
-    content, matrix, vectors = read_vectors(kind)
-    path = tmp_path / "design.safetensors"
-    path.write_bytes(content)
-    file = DesignFile.read(path)
-    assert file.to_bytes() == content
-    signed = file.rails[0] - (file.rails[1] if file.rail_count == 2 else 0)
-    np.testing.assert_allclose(signed, matrix, atol=1e-7)
-    for vector in vectors:
-        features = file.features(vector.counts[:, : vector.masks]) / vector.photons
-        inputs = file.inputs(features, vector.dwell)
-        chances = file.chances(inputs, vector.photons)
-        np.testing.assert_allclose(chances, vector.chances, atol=AGREES)
-        if vector.look is not None:
-            dwell = file.next_dwell(inputs, vector.look)
-            np.testing.assert_allclose(dwell, vector.next_dwell, atol=AGREES)
-
-
 @pytest.mark.parametrize("name", ["dmd-mnist", "adaptive-mnist"])
 def test_a_file_comes_back_byte_by_byte(name):
     path = find_design(name)
     assert DesignFile.read(path).to_bytes() == path.read_bytes()
-
-
-def test_a_rule_is_read_with_the_design(good):
-    rule = {"threshold": 0.9, "photons": 1e3}
-    stopping = replace(good, info={**good.info, "stopping": rule})
-    assert file_of(stopping).stop_rule == StopRule(**rule)
-    assert file_of(good).stop_rule is None
-    with pytest.raises(InputError, match="make it again with `deepfsi stop`"):
-        _ = file_of(replace(good, info={**good.info, "stopping": {"threshold": 2}})).stop_rule
 
 
 def test_what_it_cannot_do_is_said(good):

@@ -11,8 +11,7 @@ from deepfsi import Design
 from deepfsi.base import InputError
 from deepfsi.datasets import Dataset, from_arrays
 from deepfsi.designfile import REFUSED, UNSURE, FrameLight
-from deepfsi.evaluation import find_distribution, sample_scenes
-from deepfsi.evaluation.distribution_fit import FEWEST_OF_A_CLASS, MOST_SCENES
+from deepfsi.evaluation import distribution_fit, find_distribution
 from shared.design_files import refused, rewrite
 
 READOUTS = (2, 9)
@@ -34,7 +33,7 @@ def scenes_of(count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.fixture(scope="module")
 def known():
-    rates, labels = scenes_of(MOST_SCENES, seed=2)
+    rates, labels = scenes_of(distribution_fit.MOST_SCENES, seed=2)
     return find_distribution(torch.from_numpy(rates), labels, CLASSES)
 
 
@@ -65,7 +64,7 @@ def test_sound_exposures_are_unsure_as_often_as_stated(known, photons, dark):
     counts = rng.poisson(rates * photons + background) - background
     counts[:, 1, 3] = 0
     found = known.test(counts, np.full(len(counts), photons), background)
-    error = 5 * np.sqrt(UNSURE * (1 / len(counts) + 1 / MOST_SCENES))
+    error = 5 * np.sqrt(UNSURE * (1 / len(counts) + 1 / distribution_fit.MOST_SCENES))
     # counts of one or two take few values, so that fewer may be unsure
     least = UNSURE - error if photons > 100 else 0.0
     assert least <= found.unsure.mean() <= UNSURE + error
@@ -82,14 +81,14 @@ FRAMES = {
 def test_sound_exposures_of_fluctuating_light_are_unsure_as_often_as_stated(frames):
     """All together they are refused by a distribution that takes the light for steady."""
     light = FrameLight(0.1, FRAMES[frames])
-    rates, labels = scenes_of(MOST_SCENES, seed=2)
+    rates, labels = scenes_of(distribution_fit.MOST_SCENES, seed=2)
     aware, unaware = (
         find_distribution(torch.from_numpy(rates), labels, CLASSES, light=each)
         for each in (light, None)
     )
     rng = np.random.default_rng(3)
     rates, _ = scenes_of(8000, seed=4)
-    error = 5 * np.sqrt(UNSURE * (1 / len(rates) + 1 / MOST_SCENES))
+    error = 5 * np.sqrt(UNSURE * (1 / len(rates) + 1 / distribution_fit.MOST_SCENES))
     for photons in (30.0, 1e3, 2e4, 1e9):
         sigma = np.sqrt(np.log1p(0.1**2))
         level = rng.lognormal(-(sigma**2) / 2, sigma, (len(rates), 18))[:, light.frame]
@@ -105,7 +104,7 @@ def test_sound_exposures_of_fluctuating_light_are_unsure_as_often_as_stated(fram
 
 def test_scenes_that_are_alike_are_told_under_fluctuating_light():
     light = FrameLight(0.03, FRAMES["one after another"])
-    rates, labels = scenes_of(MOST_SCENES, seed=2)
+    rates, labels = scenes_of(distribution_fit.MOST_SCENES, seed=2)
     known = find_distribution(torch.from_numpy(rates), labels, CLASSES, light=light)
     rng = np.random.default_rng(8)
     sigma = np.sqrt(np.log1p(0.03**2))
@@ -160,16 +159,6 @@ def shape_rates(kinds: list[int], counts: list[int], rng: np.random.Generator) -
     return np.stack([x @ masks.T, x @ (1 - masks).T], axis=1) / masks.size
 
 
-def test_a_readout_that_one_scene_alone_lights_is_not_tested():
-    """As a raster scan has where pictures have a black border and one reaches into it."""
-    rates = np.random.default_rng(3).gamma(4.0, size=(300, 1, 6)) / 100
-    rates[:, :, 4:] = 0
-    rates[7, :, 5] = 0.01
-    found = find_distribution(torch.from_numpy(rates), np.arange(300) % CLASSES, CLASSES)
-    assert (found.mean > 0).tolist() == [[True] * 4 + [False] * 2]
-    assert all(np.isfinite(part).all() for part in found.arrays.values())
-
-
 @pytest.mark.parametrize("sizes", [[200, 15, 12], [200, 50, 50], [200, 80, 60]])
 def test_unbalanced_classes_refuse_no_more_sound_acquisitions(sizes):
     """New scenes of any classes; classes that are too few to tell are not tested."""
@@ -179,7 +168,7 @@ def test_unbalanced_classes_refuse_no_more_sound_acquisitions(sizes):
         rates, labels = shape_rates([0, 1, 2], sizes, rng), np.repeat(range(3), sizes)
         found = find_distribution(torch.from_numpy(rates), labels, 3)
         assert find_distribution(torch.from_numpy(rates), labels, 4) is None  # one has no scenes
-        assert (found is None) == (min(sizes) < FEWEST_OF_A_CLASS)
+        assert (found is None) == (min(sizes) < distribution_fit.FEWEST_OF_A_CLASS)
         for kinds in ([0], [1], [2], [0, 1, 2]) if found else ():
             fresh = shape_rates(kinds, [36 // len(kinds)] * len(kinds), rng)
             for photons in (1e4, 1e6):
@@ -217,16 +206,6 @@ def whole(design: Design, rates: np.ndarray, photons: float) -> list[bool]:
     counts = np.random.default_rng(7).poisson(rates * photons)
     parts = np.split(counts, len(counts) // 40)
     return [design.consistency(part, photons).refused for part in parts]
-
-
-@pytest.mark.parametrize("photons", [1e2, 1e3, 1e4, 1e5, 1e7])
-def test_held_out_scenes_pass(design, data, photons):
-    rates = rates_of(design, data.x_test)
-    assert not any(whole(design, rates, photons))
-    counts = np.random.default_rng(8).poisson(rates * photons)
-    unsure = design.consistency(counts, photons).unsure.mean()
-    error = 5 * np.sqrt(UNSURE * (1 / len(counts) + 1 / len(data.x_train)))
-    assert unsure <= UNSURE + error
 
 
 @pytest.mark.parametrize(
@@ -271,64 +250,6 @@ def test_a_scene_with_stray_light_in_some_frames_is_unsure(design, data):
     assert not found.refused
 
 
-def test_a_uniform_display_is_alike(design, data):
-    rates = rates_of(design, np.full_like(data.x_test, data.x_train.mean()))
-    counts = np.random.default_rng(9).poisson(rates[:40] * 1e6)
-    assert design.consistency(counts, 1e6).alike < REFUSED
-    sound = np.random.default_rng(9).poisson(rates_of(design, data.x_test[:40]) * 1e6)
-    assert design.consistency(sound, 1e6).alike > REFUSED
-
-
-def test_scenes_that_differ_beyond_photon_noise_are_never_alike(design, data):
-    """Each is a little other than the mean scene: far less than the training's, more than noise."""
-    rng = np.random.default_rng(16)
-    mean = rates_of(design, data.x_train).mean(axis=0)
-    scenes = mean * (1 + 0.02 * rng.normal(size=(40, *mean.shape)))
-    assert design.consistency(rng.poisson(scenes * 1e6), 1e6).alike == 1
-    repeated = rng.poisson(np.repeat(mean[None], 40, axis=0) * 1e6)
-    assert design.consistency(repeated, 1e6).alike < REFUSED
-
-
-@pytest.mark.parametrize("photons", [1e2, 1e4, 1e7])
-def test_photon_noise_alone_is_seldom_taken_for_a_difference(design, data, photons):
-    """With a background and a budget of each exposure, within five sigma of one in 100."""
-    rng = np.random.default_rng(17)
-    mean, trials, differ = rates_of(design, data.x_train).mean(axis=0), 200, 0
-    for _ in range(trials):
-        budgets = photons * rng.uniform(0.7, 1.4, size=40)
-        dark = 0.2 * photons * mean.mean()
-        counts = rng.poisson(mean * budgets[:, None, None] + dark) - dark
-        differ += design.consistency(counts, budgets, dark).alike == 1
-    assert differ <= 0.01 * trials + 5 * np.sqrt(0.01 * trials)
-
-
-def test_one_scene_shown_often_counts_as_one(design, data):
-    """Its p-values are all the same draw: together they tell no more than one."""
-    rates = rates_of(design, data.x_test)
-    once = design.consistency(rates * 1e7, 1e7).exposures
-    odd = rates[np.flatnonzero((once > 0.01) & (once < 0.03))[0]]
-    counts = np.random.default_rng(10).poisson(np.repeat(odd[None], 40, axis=0) * 1e7)
-    assert not design.consistency(counts, 1e7).refused
-
-
-def test_brightness_is_that_of_the_mean_scene(design, data):
-    rates = rates_of(design, data.x_train)
-    assert design.consistency(rates * 1e5, 1e5).brightness == pytest.approx(1, rel=0.01)
-    assert design.consistency(rates * 3e5, 1e5).brightness == pytest.approx(3, rel=0.01)
-
-
-def test_the_design_file_holds_the_distribution(design, data, tmp_path):
-    path = design.save(tmp_path / "design.safetensors")
-    again = Design.load(path)
-    for name, held in design.distribution.arrays.items():
-        assert np.array_equal(getattr(again.distribution, name), held), name
-    bare = replace(design, distribution=None).save(tmp_path / "bare.safetensors")
-    assert Design.load(bare).distribution is None
-    readouts = 2 * design.masks
-    added = 4 * (readouts * (readouts + 2) + 5 * 8 * 11 + 1)
-    assert path.stat().st_size - bare.stat().st_size < added + 1000  # names and places of tensors
-
-
 @pytest.mark.parametrize(
     "change",
     [
@@ -347,14 +268,6 @@ def test_a_damaged_distribution_is_refused(design, tmp_path, change):
     refused(path)
 
 
-def test_a_dimmed_design_expects_less_light(design, data):
-    shown = design.as_shown(0.1 * design.rails.stacked.numpy(), design.image_shape, 0.1)
-    counts = np.random.default_rng(11).poisson(0.1 * rates_of(design, data.x_test[:40]) * 1e6)
-    assert not shown.consistency(counts, 1e6).refused
-    assert shown.consistency(counts, 1e6).brightness == pytest.approx(1, abs=0.1)
-    assert design.consistency(counts, 1e6).refused
-
-
 def test_what_has_no_distribution_says_so(data, design):
     few = from_arrays(data.x_train[:60].reshape(-1, 8, 8), data.y_train[:60] % 2)
     small = quick(few, masks=4, batch=32)
@@ -365,24 +278,6 @@ def test_what_has_no_distribution_says_so(data, design):
             each.consistency(np.ones((1, *each.rails.stacked.shape[:2])), 1e3)
     with pytest.raises(InputError, match="live run"):  # which has the all-ON frames, too
         looks.consistency(np.ones((1, 4)), 1e3)
-
-
-def test_designs_of_one_readout_or_of_a_range_are_tested(data):
-    for settings in ({"masks": 1, "rails": "single"}, {"masks": 6, "span": 100.0, "nested": 2}):
-        made = quick(data, light="free-dwell", **settings)
-        rates = made.readouts(rates_of(made, data.x_test[:40]))
-        counts = np.random.default_rng(12).poisson(rates * 1e5)
-        assert not made.consistency(counts, 1e5).refused
-        assert made.consistency(3 * counts, 1e5).refused
-        if "nested" in settings:
-            assert made.first(3).distribution is None
-
-
-def test_a_design_is_calibrated_alike_with_others_and_alone(data):
-    assert len(sample_scenes(10**6, 184)) == MOST_SCENES
-    one, two = (quick(data, "pca", masks=5, seed=seed).distribution for seed in (0, 1))
-    for name, held in one.arrays.items():
-        assert np.array_equal(getattr(two, name), held)
 
 
 @pytest.mark.parametrize(

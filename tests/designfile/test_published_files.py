@@ -64,18 +64,6 @@ def address(collection, monkeypatch):
         server.shutdown()
 
 
-def test_a_name_is_looked_for_in_the_folder(collection, monkeypatch):
-    assert load_design("small").masks == load_design(collection / "small.safetensors").masks
-    monkeypatch.setenv(DESIGNS_VARIABLE, collection.as_uri())
-    assert find_design("small") == collection / "small.safetensors"
-
-
-def test_what_is_there_comes_before_a_published_name(collection, tmp_path):
-    (tmp_path / "small").mkdir()
-    assert str(find_design("small")) == "small"
-    assert str(find_design("small.safetensors")) == "small.safetensors"
-
-
 def test_an_address_is_asked_for_a_file_once(address, collection, tmp_path):
     path = find_design("small")
     assert path.parent == tmp_path / "cache" / "designs"
@@ -131,13 +119,6 @@ def test_a_spoilt_index_is_refused(collection, spoilt, said):
     (collection / INDEX_NAME).write_text(spoilt)
     with pytest.raises(InputError, match=f"{INDEX_NAME} .*{said}"):
         read_indexes()
-
-
-def test_commands_take_a_name(collection, done, refuse, tmp_path):
-    assert "small" in done("designs", "list")
-    words = ("small", "--data", "digits", "--photons", "1e4", "--draws", "1", "--json")
-    assert json.loads(done("evaluate", *words))["results"]
-    assert "did you mean 'small'" in refuse("page", "smal", "-o", tmp_path / "page.html")
 
 
 NAMES = {"dmd-mnist", "adaptive-mnist"}

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from deepfsi.designfile import Temperatures, calibration_budgets
-from deepfsi.networks import stop_temperatures, temperatures_at
+from deepfsi.designfile import Temperatures
+from deepfsi.networks import temperatures_at
 
 FITTED = Temperatures(np.array([[4.0, 2.0, 0.0], [2.0, 1.0, 0.0]]), np.array([1.0, 10.0, 100.0]))
 
@@ -26,16 +26,6 @@ def test_their_logarithm_is_interpolated(temperature):
     assert temperature(1.5, 10.0) == pytest.approx(np.exp(1.5))
     assert temperature(8, 1e9) == pytest.approx(1)  # the last look, the highest budget
     assert temperature(1, 0.01) == pytest.approx(np.exp(4) * 100)  # as 1 / Φ
-
-
-def test_those_of_all_stops():
-    assert stop_temperatures(FITTED, 1.0) == pytest.approx(np.exp([4, 2]))
-
-
-def test_budgets_of_a_calibration_reach_beyond_the_training():
-    budgets = calibration_budgets(1e3, 1e4)
-    assert budgets[[0, -1]] == pytest.approx([10, 1e6])
-    assert np.diff(np.log10(budgets)) == pytest.approx(0.5)
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,6 @@ from scipy.stats import multivariate_normal
 from conftest import quick
 from deepfsi import Design
 from deepfsi.designfile import SceneModel, SceneReadouts, ViewTest, view_test
-from deepfsi.designfile.view_test import FALSE_ALARM, orientation_faults, view_faults
 
 SHAPE, PHOTONS, MASKS = (8, 8), 1e4, 16
 
@@ -49,16 +48,6 @@ def test_densities_are_those_of_scenes_and_noise_together():
     np.testing.assert_allclose(found, whole + 7 / 2 * np.log(2 * np.pi))
 
 
-def test_the_model_has_the_moments_of_its_scenes(digits, model):
-    """To 16-bit numbers: the mean of a class, and the variance of each pixel within classes."""
-    labels = digits.y_train
-    wanted = digits.x_train[labels == 3].mean(axis=0)
-    np.testing.assert_allclose(model.means[3], wanted, atol=1e-3)
-    away = digits.x_train - model.means[labels].astype(float)
-    spread = (model.axes.astype(float) ** 2).sum(axis=0) + model.rest
-    np.testing.assert_allclose(spread, (away**2).sum(axis=0) / (len(away) - 10), atol=2e-3)
-
-
 def test_a_likelihood_ratio_is_1_in_the_mean_of_sound_runs(model, masks):
     """The law behind the rate of false alarms, of scenes that are as the model has them.
 
@@ -97,7 +86,9 @@ def test_sound_runs_are_let_pass_whatever_their_classes(digits, model, masks):
 
 
 @pytest.mark.parametrize(
-    "view", [*orientation_faults(SHAPE), *view_faults(SHAPE)], ids=lambda view: view.words
+    "view",
+    [*view_test.orientation_faults(SHAPE), *view_test.view_faults(SHAPE)],
+    ids=lambda view: view.words,
 )
 def test_each_fault_is_refused_and_named_in_40_scenes(digits, model, masks, view):
     rng = np.random.default_rng(4)
@@ -109,51 +100,6 @@ def test_each_fault_is_refused_and_named_in_40_scenes(digits, model, masks, view
     assert view.words in found.remark
 
 
-def test_two_frames_that_are_exchanged_are_named(digits, model, masks):
-    rng = np.random.default_rng(5)
-    order = np.arange(MASKS)
-    order[[5, 10]] = 10, 5
-    found = exposed(model, masks, chosen(digits, rng), rng, MASKS, masks[order])
-    assert found.refused
-    assert found.likeliest == "of masks whose frames 5 and 10 were exchanged"
-    assert not exposed(model, masks, chosen(digits, rng), rng, MASKS).named
-
-
-def test_one_scene_shown_again_and_again_is_not_refused(digits, model, masks):
-    rng = np.random.default_rng(6)
-    for x in chosen(digits, rng, 10):
-        assert not exposed(model, masks, np.tile(x, (40, 1)), rng).refused
-
-
-def test_a_short_run_says_which_faults_stay_possible_and_how_many_scenes_would_do(
-    digits, model, masks
-):
-    rng = np.random.default_rng(7)
-    short, long = (exposed(model, masks, chosen(digits, rng, n), rng) for n in (2, 200))
-    assert len(short.open) > len(long.open)
-    assert "2 scenes do not exclude" in short.remark
-    known = [scenes for scenes in short.open.values() if np.isfinite(scenes)]
-    assert min(known) > 2
-    assert long.remark is None
-    assert short.as_dict()["open"] == list(short.open)
-
-
-def test_an_alarm_stays(digits, model, masks):
-    """A run that was refused is so whatever follows."""
-    rng = np.random.default_rng(8)
-    test, none = ViewTest(model, SHAPE), np.zeros(MASKS)
-    scenes = chosen(digits, rng, 300)
-    scenes[:30] = scenes[:30].reshape(-1, 8, 8)[:, :, ::-1].reshape(-1, 64)
-    for x in scenes:
-        test.add(SceneReadouts(masks, rng.poisson(masks @ x).astype(float), none, none.astype(int)))
-    assert test.result.evidence < -np.log(FALSE_ALARM)
-    assert test.result.refused
-
-
-def test_few_scenes_make_no_model(digits):
-    assert SceneModel.fit(digits.x_train[:99], digits.y_train[:99], 10) is None
-
-
 def test_the_file_of_a_design_keeps_the_model_and_one_without_reads(digits, tmp_path):
     design = quick(digits, masks=4, epochs=1, photons=1e4)
     again = Design.load(design.save(tmp_path / "one.safetensors"))
@@ -161,12 +107,3 @@ def test_the_file_of_a_design_keeps_the_model_and_one_without_reads(digits, tmp_
         np.testing.assert_array_equal(again.scene_model.arrays[name], held)
     design.scene_model = None
     assert Design.load(design.save(tmp_path / "old.safetensors")).scene_model is None
-
-
-def test_a_spectrum_is_a_picture_of_one_row():
-    every = (*orientation_faults((20,)), *view_faults((20,)))
-    names = [view.words for view in every]
-    assert "mirrored left to right" in names
-    assert not any("top" in name or "degrees" in name for name in names)
-    for view in every:
-        assert view.see(np.ones((3, 1, 20))).shape == (3, 1, 20)
