@@ -8,10 +8,8 @@ import torch
 from scipy.special import softmax
 
 from conftest import quick
-from deepfsi import Design, evaluate
-from deepfsi.base import InputError
-from deepfsi.designfile import Temperatures, calibration_budgets
-from deepfsi.evaluation import CalibrationScenes, Exposed, fit_temperatures, logits_at_stops
+from deepfsi import evaluate
+from deepfsi.evaluation import logits_at_stops
 from deepfsi.jobs import Job
 from deepfsi.measures.reliability import BINS
 from deepfsi.networks import stop_temperatures
@@ -74,20 +72,6 @@ def test_two_photons_make_nobody_sure(design):
     assert told[1].mean() > 0.6
 
 
-def test_without_light_all_classes_are_alike(fixed):
-    chances = fixed.classify(np.zeros(fixed.counts_shape), photons=1e-3)
-    np.testing.assert_allclose(chances, 0.1, atol=1e-3)
-    assert replace(fixed, temperatures=None).classify(np.zeros((2, 8)), 1e-3).max() > 0.2
-
-
-def test_temperatures_move_no_class_past_another(design, digits):
-    plain = replace(design, temperatures=None)
-    budgets = [1e2, 1e3, 1e4, 1e5]
-    found, wanted = (evaluate(each, digits, budgets, draws=1) for each in (design, plain))
-    assert [each.confusion for each in found] == [each.confusion for each in wanted]
-    assert found[0].calibration_error < wanted[0].calibration_error
-
-
 def test_the_error_of_a_result_is_that_of_its_answers(fixed, digits):
     counts = []
     [found] = evaluate(fixed, digits, 3e3, draws=1, seed=5)
@@ -99,36 +83,6 @@ def test_the_error_of_a_result_is_that_of_its_answers(fixed, digits):
     for part in np.array_split(np.arange(len(right)), BINS):
         counts.append(len(part) * abs(sure[order][part].mean() - right[part].mean()))
     assert found.calibration_error == pytest.approx(sum(counts) / len(right), abs=1e-5)
-
-
-class _Times(torch.nn.Module):
-    def __init__(self, factor: float) -> None:
-        super().__init__()
-        self.factor = factor
-
-    def forward(self, logits: torch.Tensor) -> torch.Tensor:
-        return self.factor * logits
-
-
-def fitted(design, data, trained_on):
-    scenes = CalibrationScenes([Exposed(design, design.scanner(), data.x_test, data.y_test)], 1)
-    budgets = calibration_budgets(PHOTONS, PHOTONS)
-    return fit_temperatures(scenes, budgets, trained_on=trained_on, seed=0)
-
-
-def test_a_network_three_times_as_sure_says_what_it_said_before(fixed, digits):
-    kept = digits.hold_out(HELD_OUT)
-    loud = replace(fixed, classifier=torch.nn.Sequential(fixed.classifier, _Times(3.0)))
-    logs = [fitted(each, kept, False).logs for each in (fixed, loud)]
-    np.testing.assert_allclose(logs[1] - logs[0], np.log(3), atol=0.03)
-
-
-def test_scenes_of_the_training_make_no_network_surer(fixed, digits):
-    """One that is three times less sure than it could be stays so, unless scenes were held out."""
-    kept = digits.hold_out(HELD_OUT)
-    shy = replace(fixed, classifier=torch.nn.Sequential(fixed.classifier, _Times(0.2)))
-    assert fitted(shy, kept, False).logs.min() < -0.5
-    assert fitted(shy, kept, True).logs.min() == 0
 
 
 def test_held_out_scenes_calibrate_where_there_are_any(fixed, digits):
@@ -146,47 +100,3 @@ def test_held_out_scenes_calibrate_where_there_are_any(fixed, digits):
     test = replace(digits, y_test=rng.permutation(digits.y_test))  # of none held out: no test scene
     own, its = (find_temperatures(fixed, job, each)[0].logs for each in (digits, test))
     assert np.array_equal(own, its)
-
-
-def test_first_masks_and_dimmer_devices_have_the_temperatures_of_their_light(digits, tmp_path):
-    design = quick(digits.hold_out(HELD_OUT), **KINDS["nested"])
-    for shown in (2, 5, 8):
-        part = design.first(shown)
-        share = part.exposure.used / design.exposure.used
-        wanted = stop_temperatures(design.temperatures, 3e3)[shown - 2]
-        assert stop_temperatures(part.temperatures, 3e3 * share)[-1] == pytest.approx(wanted)
-        again = Design.load(part.save(tmp_path / "part.safetensors"))
-        assert np.array_equal(again.temperatures.logs, part.temperatures.logs)
-    shown = design.as_shown(design.rails.stacked.numpy() / 2, design.image_shape, 0.5)
-    counts = np.full(design.counts_shape, 40.0)
-    np.testing.assert_allclose(
-        shown.classify(counts, 2 * PHOTONS), design.classify(counts, PHOTONS), atol=1e-5
-    )
-
-
-def test_a_design_file_holds_them(design, tmp_path):
-    again = Design.load(design.save(tmp_path / "a.safetensors"))
-    assert np.array_equal(again.temperatures.logs, design.temperatures.logs)
-    for wrong in (
-        Temperatures(design.temperatures.logs[:, 1:], design.temperatures.budgets),
-        Temperatures(design.temperatures.logs, design.temperatures.budgets[::-1].copy()),
-        Temperatures(design.temperatures.logs * np.nan, design.temperatures.budgets),
-        Temperatures(design.temperatures.logs, design.temperatures.budgets * -1),
-    ):
-        bad = replace(design, temperatures=wrong).save(tmp_path / "b.safetensors")
-        with pytest.raises(InputError, match="not a whole deepfsi design file"):
-            Design.load(bad)
-    older = Design.load(replace(design, temperatures=None).save(tmp_path / "c.safetensors"))
-    assert older.temperatures is None
-
-
-def test_one_scene_alone_is_a_scene(digits):
-    """Of a fold of few scenes, or the last of 1025."""
-    design, one = (
-        quick(digits, masks=3),
-        replace(digits, x_test=digits.x_test[:1], y_test=digits.y_test[:1]),
-    )
-    logits = logits_at_stops(design, design.scanner(), one.x_test, 1e3, 5, 0)
-    assert logits.shape == (1, 5, 10)
-    [result] = evaluate(design, one, 1e3, draws=5)
-    assert (result.images, sum(map(sum, result.confusion))) == (1, 5)

@@ -81,36 +81,6 @@ def test_two_scenes_are_told_apart_as_by_the_likelihood_ratio():
     assert abs(1 - found.accuracy - error) < 5 * spread
 
 
-def test_without_light_the_prior_is_left(digits):
-    observer = IdealObserver(torch.from_numpy(digits.x_train), torch.from_numpy(digits.y_train), 10)
-    shares = np.bincount(digits.y_train) / len(digits.y_train)
-    chances = observer.chances(torch.zeros(3, 64), 1e-9).numpy()
-    np.testing.assert_allclose(chances, np.tile(shares, (3, 1)), atol=1e-6)
-
-
-def test_the_order_of_readouts_and_of_scenes_changes_nothing(digits):
-    x, labels = torch.from_numpy(digits.x_train / 20), torch.from_numpy(digits.y_train)
-    counts = drawn(digits.x_test[:100] / 20, 300.0)
-    found = IdealObserver(x, labels, 10).chances(counts, 300.0)
-    moved = torch.randperm(64, generator=generator(1))
-    other = IdealObserver(x[:, moved], labels, 10).chances(counts[:, moved], 300.0)
-    torch.testing.assert_close(found, other, rtol=0, atol=1e-5)
-    rows = torch.randperm(len(x), generator=generator(2))
-    other = IdealObserver(x[rows], labels[rows], 10).chances(counts, 300.0)
-    torch.testing.assert_close(found, other, rtol=0, atol=1e-5)
-
-
-def test_counts_that_a_scene_cannot_give_exclude_it():
-    rates = torch.tensor([[0.5, 0.0, 0.0], [0.3, 0.2, 0.0], [0.1, 0.2, 0.2]])
-    observer = IdealObserver(rates, torch.arange(3), 4)
-    chances = observer.chances(torch.tensor([[3.0, 1, 0], [3, 0, 1], [9, 0, 0]]), 10.0)
-    assert chances[0, 0] == 0
-    assert (chances[0, 1:3] > 0).all()
-    assert chances[1].tolist() == [0, 0, 1, 0]
-    assert (chances[2, :3] > 0).all()
-    assert (chances[:, 3] == 0).all(), "a class without a scene"
-
-
 def test_where_no_scene_can_give_the_counts_the_fewest_impossible_ones_count():
     """The limit of a background that vanishes, and readouts that no scene lights say nothing."""
     rates = torch.tensor([[0.5, 0.0, 0.2, 0.0], [0.0, 0.4, 0.2, 0.0], [0.5, 0.2, 0.0, 0.0]])
@@ -132,28 +102,6 @@ def test_no_other_rule_is_better_on_scenes_of_the_prior(good, digits, photons):
     assert ideal.accuracy > network.accuracy - 5 * spread
     [bound] = ideal_observer(impulse(known), known, photons, draws=draws)
     assert bound.accuracy > ideal.accuracy - 5 * spread, "column designs route impulse imaging's"
-
-
-@pytest.mark.parametrize("readout", ["difference", "both"])
-def test_several_detectors_tell_more_than_one(digits, readout):
-    """Frames are those of one detector: tiles seen apart hold what their sum holds, and more."""
-    settings = {"light": "two-arm", "readout": readout, "design": "pca", "masks": 4}
-    one = quick(digits, **settings)
-    several = quick(digits, detectors="2x2", **settings)
-    sums, apart = (ideal_observer(each, digits, 1e3)[0] for each in (one, several))
-    assert apart.accuracy > sums.accuracy + 0.1
-    assert apart.counts == pytest.approx(1e3 * apart.throughput, rel=0.03)
-
-
-def test_results_are_those_of_an_evaluation(good, digits):
-    """Accuracy with its interval, throughput and counts of each mask; the same seed repeats."""
-    one, two = ideal_observer(good, digits, [100.0, 1e4], draws=2)
-    [other] = evaluate(good, digits, 1e4, draws=2)
-    assert (two.images, two.draws, two.covers) == (other.images, other.draws, other.covers)
-    assert two.throughput == pytest.approx(other.throughput, rel=1e-4)
-    assert two.photons_per_mask == pytest.approx(other.photons_per_mask, rel=1e-3)
-    assert one.low < one.accuracy < one.high < two.accuracy
-    assert ideal_observer(good, digits, 100.0, draws=2) == [one]
 
 
 def test_what_cannot_be_had_is_refused(good, digits):

@@ -8,21 +8,12 @@ import numpy as np
 import pytest
 import torch
 
-from conftest import exposing, synthetic
+from conftest import synthetic
 from deepfsi import learn
 from deepfsi.base import InputError
-from deepfsi.evaluation import check_playable, of_page, playable
-from deepfsi.evaluation.page_data import COEFFICIENTS
+from deepfsi.evaluation import check_playable, playable
 from deepfsi.exposure import ScenePrior
 from deepfsi.exposure.patches import PatchExposure
-from deepfsi.report.playground import write_page
-from shared.playground import large_design
-
-
-def test_the_page_of_a_large_design_is_small(tmp_path):
-    data = replace(synthetic((32, 32), scenes=100, classes=10), classes=tuple("0123456789"))
-    page = write_page(tmp_path / "page.html", playable(large_design(), data))
-    assert 1e6 < page.stat().st_size < 3e6
 
 
 def test_what_a_page_cannot_play_is_refused(made):
@@ -46,13 +37,6 @@ def test_what_a_page_cannot_play_is_refused(made):
     with pytest.raises(InputError, match="of image patches"):
         check_playable(replace(good, exposure=PatchExposure(4)))
     check_playable(good)
-
-
-def test_the_flattest_training_scene_is_the_one_of_the_least_spread(made, digits):
-    """The page says where what is drawn is flatter than that."""
-    held = playable(made("deepfsi", "column", "dual"), digits)["scenes"]
-    spreads = [np.sqrt(((scene - scene.mean()) ** 2).mean()) for scene in digits.x_train]
-    assert held["flattest"] == pytest.approx(min(spreads), rel=1e-5)
 
 
 def test_a_design_that_does_not_say_what_it_was_learned_for(made, digits):
@@ -85,30 +69,6 @@ def test_a_page_knows_scenes_of_each_class_by_lot():
     assert len(found) == 100  # each is one of them, and no other
     assert torch.equal(few.labels, prior.labels[found])
     assert prior.few(10**6).sizes == prior.sizes
-
-
-def test_the_page_of_adaptive_masks_is_small_and_plays_the_whole_exposure(digits, tmp_path):
-    made = learn(digits, design="adaptive", masks=2, photons=1e3)
-    rng = np.random.default_rng(0)
-    scenes, parts = 20000, 120
-    held = made.prior_exposure.prior.arrays | {
-        "components": rng.normal(size=(parts, 64)).astype(np.float32) / 1e3,
-        "steps": np.full(parts, 1e-3, np.float32),
-        "levels": rng.integers(-127, 128, (scenes, parts)).astype(np.int8),
-        "members": np.ones(scenes, np.int32),
-        "sizes": np.full(10, scenes // 10),
-    }
-    prior = ScenePrior.restored(held)
-    stopping = made.prior_exposure.settings.model_copy(update={"until": 0.5})
-    known = of_page(exposing(made, prior=prior, settings=stopping))
-    assert len(known.prior_exposure.prior) == COEFFICIENTS // parts - COEFFICIENTS // parts % 10
-    assert known.prior_exposure.settings.until == 1
-    few = replace(digits, x_test=digits.x_test[:20], y_test=digits.y_test[:20])
-    page = write_page(
-        tmp_path / "page.html",
-        playable(exposing(made, prior=prior), few),
-    )
-    assert 1e6 < page.stat().st_size < 2e6
 
 
 def test_the_first_scene_is_nearest_to_its_class(digits):

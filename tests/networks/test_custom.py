@@ -15,11 +15,10 @@ from deepfsi.base import InputError
 from deepfsi.camera import DetectorMap
 from deepfsi.design import to_onnx
 from deepfsi.networks import custom as own
-from deepfsi.networks import stop_temperatures
 from deepfsi.physics import Detection, LearnedMasks
-from shared.design_files import header_of, refused, rewrite
+from shared.design_files import header_of
 from shared.jobs import learn
-from shared.networks import Branching, Cnn, Tied, linear
+from shared.networks import Cnn, Tied, linear
 
 BRIEF = {name: value for name, value in RECIPE.items() if name != "hidden"}
 
@@ -60,12 +59,6 @@ def test_any_module_or_factory_learns_and_survives_its_file(digits, tmp_path, ki
     assert same(before, after)
 
 
-@pytest.mark.parametrize("design", ["deepfsi", "pca", "control"])
-def test_it_learns_well_enough_to_read_digits(digits, design):
-    one = learned(digits, Cnn, design=design, epochs=12, photons=1e6, mask_lr=1e-1)
-    assert evaluate(one, digits, 1e6)[0].accuracy > 0.7
-
-
 @pytest.mark.parametrize(
     "settings",
     [
@@ -79,15 +72,6 @@ def test_conditioned_designs_and_several_looks_take_one(digits, settings):
     assert evaluate(one, digits, 1e4, draws=1)[0].accuracy > 0.05
     if "nested" in settings:
         assert evaluate(one.first(3), digits, 1e4, draws=1)[0].images == len(digits.x_test)
-
-
-def test_the_module_given_stays_as_it_was(digits):
-    module = nn.Linear(6, 10)
-    before = module.weight.detach().clone()
-    one = learned(digits, module)
-    assert torch.equal(module.weight, before)
-    assert not torch.equal(one.classifier.module.weight, before)
-    assert not one.classifier.training
 
 
 def leaving(inputs, classes):
@@ -138,27 +122,6 @@ def test_what_is_no_classifier_is_refused_in_one_line(digits, given, match):
     assert "\n" not in str(error.value)
 
 
-def test_settings_of_the_usual_classifier_are_not_ignored(digits):
-    for settings in ({"hidden": (8,)}, {"dropout": 0.1}):
-        with pytest.raises(InputError, match="are of the usual classifier"):
-            learned(digits, Cnn, **settings)
-    with pytest.raises(InputError, match="go with one of your own"):
-        learned(digits, "mlp", classifier_arguments={"width": 3})
-    with pytest.raises(InputError, match="go with a factory"):
-        learned(digits, nn.Linear(6, 10), classifier_arguments={"width": 3})
-
-
-def test_arguments_of_a_partial_are_settings_of_the_job(digits):
-    given = functools.partial(Cnn, width=3)
-    one = learned(digits, given, classifier_arguments={"width": 4})
-    assert one.info["job"]["training"]["classifier_arguments"] == {"width": 4}
-    other = learned(digits, given)
-    assert other.info["job"]["training"]["classifier_arguments"] == {"width": 3}
-    assert other.classifier.arguments == {"width": 3}
-    with pytest.raises(InputError, match="give them as keywords"):
-        learned(digits, functools.partial(Cnn, 3))
-
-
 @pytest.fixture
 def foreign(digits, tmp_path, monkeypatch):
     """A design file whose classifier's module says that it was imported; and that module's name."""
@@ -194,15 +157,6 @@ def test_loading_runs_no_code_unless_told_to(foreign, tmp_path, made):
         made("deepfsi", "column", "dual").with_classifier(nn.Linear(7, 10))
 
 
-def test_the_command_line_asks_for_trust(foreign, call, done, refuse, tmp_path):
-    words = ("evaluate", foreign, "--photons", "1e4", "--json")
-    assert "--trust" in call(*words)[2]
-    assert not (tmp_path / "ran").exists()
-    assert '"accuracy"' in done(*words, "--trust")
-    done("show", foreign, "-o", tmp_path / "masks.png")
-    done("export", foreign, "-o", tmp_path / "own.onnx", "--trust")
-
-
 def test_a_classifier_that_is_not_the_one_is_refused(cnn, digits, tmp_path):
     file = cnn.save(tmp_path / "cnn.safetensors")
     assert Design.load(file, trust=True).classifier.module.width == 5
@@ -211,20 +165,6 @@ def test_a_classifier_that_is_not_the_one_is_refused(cnn, digits, tmp_path):
     unnamed = learned(digits, nn.Linear(6, 10)).save(tmp_path / "unnamed.safetensors")
     with pytest.raises(InputError, match="does not say where its classifier is imported from"):
         Design.load(unnamed, trust=True)
-
-
-@pytest.mark.parametrize("factory", ["os.system", "a:b;c", "import os", "../x:y"])
-def test_a_header_with_no_import_path_is_refused(cnn, tmp_path, factory):
-    file = cnn.save(tmp_path / "cnn.safetensors")
-    rewrite(file, lambda header, _: header["classifier"].update(factory=factory))
-    refused(file)
-
-
-def test_arguments_that_json_does_not_hold_are_refused_when_saved(digits, tmp_path):
-    one = learned(digits, linear)
-    one.classifier.arguments["activation"] = nn.ReLU()
-    with pytest.raises(InputError, match="cannot be saved"):
-        one.save(tmp_path / "x.safetensors")
 
 
 @pytest.mark.parametrize("rails", ["dual", "single"])
@@ -240,19 +180,6 @@ def test_the_graph_gives_what_torch_gives(digits, kind, rails):
     # a hundred sums of tens of float32 terms, in standardised features up to some hundreds
     assert np.abs(found - one.classify(counts, budgets)).max() < 1e-3
     assert session.get_modelmeta().custom_metadata_map["name"] == '"deepfsi"'
-
-
-def test_the_graph_of_a_look_has_it_too(digits):
-    onnxruntime = pytest.importorskip("onnxruntime")
-    one = learned(digits, Cnn, rails="single", light="free-dwell", looks=2)
-    session = onnxruntime.InferenceSession(to_onnx(one), providers=["CPUExecutionProvider"])
-    assert [each.name for each in session.get_outputs()] == ["probabilities", "next"]
-
-
-def test_a_graph_that_follows_one_path_only_is_refused(digits):
-    pytest.importorskip("onnxruntime")
-    with pytest.raises(InputError, match="without conditions on values"):
-        to_onnx(learned(digits, Branching))
 
 
 def test_a_loop_of_ones_own_makes_a_design(digits, tmp_path):
@@ -288,34 +215,6 @@ def test_a_loop_of_ones_own_makes_a_design(digits, tmp_path):
     assert np.allclose(again.classify(counts, 1e5), mine, atol=1e-5)
     assert not again.consistency(counts[:40], 1e5).refused
     assert again.consistency(counts[:40].flip(1), 1e5).refused
-
-
-@pytest.mark.parametrize(
-    ("detectors", "readout", "rails"),
-    [("1x1", "both", 2), ("2x2", "difference", 2), ("2x2", "both", 2), ("2x2", "difference", 1)],
-)
-def test_a_loop_of_ones_own_keeps_its_detectors(digits, tmp_path, detectors, readout, rails):
-    detection = Detection.by(DetectorMap.of(detectors, (8, 8)), readout)
-    masks = torch.rand(rails, 3, 64, generator=generator()) / 6
-    scanner = deepfsi.Scanner.from_rails(masks, "none", detection=detection)
-    with own.seeded(0):
-        network = nn.Linear(3 * detection.width(rails), 10)
-        network.weight.data /= 1e3
-    made = deepfsi.design_of(scanner, network, digits, 1e4, light="free-dwell")
-    path = made.save(tmp_path / "mine.safetensors")
-    design = Design.load(path, classifier=network)
-    x = torch.from_numpy(digits.x_test[:20])
-    photons = deepfsi.photons_per_pixel(x, 1e4, design.summed_reflectance)
-    [temperature] = stop_temperatures(design.temperatures, 1e4)  # of a network that knows nothing
-    mine = (network(scanner(photons)) / temperature).softmax(dim=-1).detach().numpy()
-    counts = design.scanner("none").counts(photons)
-    counts = counts if detectors == "1x1" else counts.unflatten(-1, (3, 4))
-    counts = counts if rails == 2 else counts[:, 0]
-    assert np.allclose(design.classify(counts, 1e4), mine, atol=1e-5)
-    assert design.shares.sum() == pytest.approx(float(masks.sum(dim=(0, 1)).mean()), rel=0.2)
-    assert design.detection.count == detection.count
-    assert design.camera.readout == readout
-    assert design.camera.rails == ("dual" if rails == 2 else "single")
 
 
 def test_a_loop_of_ones_own_is_checked(digits):

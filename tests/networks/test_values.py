@@ -103,30 +103,6 @@ def test_moments_are_those_of_drawn_counts(noise):
     assert ((drawn.var(dim=0) - power).abs() <= 5 * (fourth / draws).sqrt() + 1e-6).all()
 
 
-def test_units_are_the_users_own(placed, design):
-    """The same training in other units: errors in these, R² as it was."""
-    other = placed_digits(scale=7.0, offset=100.0)
-    again = learn(other, camera="dmd", photons=1e4, masks=8, training={"epochs": 15})
-    [one], [two] = evaluate(design, placed, 1e4), evaluate(again, other, 1e4)
-    assert two.r2 == pytest.approx(one.r2, abs=0.01)
-    assert two.rmse == pytest.approx([7 * each for each in one.rmse], rel=0.05)
-    assert two.bound == pytest.approx([7 * each for each in one.bound], rel=0.05)
-
-
-def test_without_light_the_mean_is_answered(placed):
-    dark = learn(placed, camera="dmd", photons=1e-3, masks=4, training={"epochs": 3})
-    [result] = evaluate(dark, placed, 1e-3, draws=1)
-    assert abs(result.r2) < 0.02
-    assert result.bound == pytest.approx(placed.y_test.std(axis=0).tolist(), rel=1e-3)
-
-
-def test_learned_masks_estimate_better_than_a_raster_scan(placed, design):
-    raster = learn(placed, camera="dmd", photons=1e4, masks=64, design="raster",
-                   training={"epochs": 15})  # fmt: skip
-    [learned], [scanned] = evaluate(design, placed, 1e4), evaluate(raster, placed, 1e4)
-    assert learned.low > scanned.high
-
-
 def test_estimates_of_the_scanners_counts_are_those_of_the_test(placed, design):
     """By hand: counts of the scanner, `estimate`, and the errors; its interval holds both."""
     scenes = torch.from_numpy(placed.x_test) * (1e4 / placed.x_train.sum(axis=1).mean())
@@ -156,18 +132,3 @@ def test_what_is_of_classes_is_refused_in_one_line(placed, design, digits, tmp_p
     with pytest.raises(InputError, match="answers classes and estimates no values"):
         learn(digits, camera="dmd", photons=1e4, masks=2, design="pca",
               training={"epochs": 1}).estimate(np.ones((2, 2)), 1e4)  # fmt: skip
-
-
-@pytest.mark.parametrize(
-    ("settings", "told"),
-    [
-        ({"design": "lda", "masks": 1}, "lda is made of classes"),
-        ({"design": "adaptive"}, "adaptive is made of classes"),
-        ({"training": {"start": "class-pairs"}}, 'give `start="pca"`'),
-        ({"exposure": {"looks": 2}}, "leave `looks` out"),
-        ({"training": {"balance": True}}, "`balance` is of classes"),
-    ],
-)
-def test_jobs_that_need_classes_are_refused(placed, settings, told):
-    with pytest.raises(InputError, match=told):
-        learn(placed, **{"camera": "dmd", "photons": 1e4, "masks": 4, **settings})
