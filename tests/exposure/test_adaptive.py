@@ -11,9 +11,9 @@ from deepfsi.exposure import (
     ScenePrior,
     adaptive,
     next_masks,
+    posterior,
     squared_distance,
 )
-from deepfsi.exposure.posterior import LookOptics
 from deepfsi.jobs import AdaptiveMasks
 from deepfsi.physics import Poisson
 
@@ -42,7 +42,7 @@ def test_a_scene_that_is_left_out_is_further_than_one_that_is_known(known):
     x, labels = known
     prior, scenes = ScenePrior(x, labels, CLASSES, PIXELS), torch.from_numpy(x)
     ordered = scenes[torch.from_numpy(prior.order)]
-    settings, optics = AdaptiveMasks(looks=LOOKS), [LookOptics(1e5)]
+    settings, optics = AdaptiveMasks(looks=LOOKS), [posterior.LookOptics(1e5)]
     left_out, _ = adaptive.measure(
         prior, settings, optics, ordered, torch.arange(SCENES), generator(3)
     )

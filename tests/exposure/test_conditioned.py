@@ -1,17 +1,14 @@
 """Designs for a range of budgets, and nested masks."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
-from conftest import every_optics, generator, once, quick
-from deepfsi import evaluate
+from conftest import every_optics, generator, once
 from deepfsi.camera import photons_per_pixel
 from deepfsi.exposure import TrainingSet
-from deepfsi.jobs import ConditionedEntry
 from deepfsi.networks import stop_temperatures
 from deepfsi.physics import light_law
 from deepfsi.training import train
@@ -19,7 +16,6 @@ from shared.design_files import refused, rewrite
 from shared.jobs import job
 
 TRAINED = {"masks": 8, "photons": 1e3, "span": 100.0, "nested": 3}
-LONGER = {"epochs": 40, "hidden": (64, 64), "lr": 1e-2, "mask_lr": 0.1, "scale": "common"}
 
 
 @every_optics
@@ -85,29 +81,6 @@ def test_features_have_unit_spread_in_the_mean_of_the_training(digits, scale, sp
     power = np.nanmean(every, axis=axis)
     error = np.nanstd(every, axis=axis) / np.sqrt((~np.isnan(every)).sum(axis=axis) / 6)
     assert (np.abs(power - 1) < 5 * error + 1e-3).all()
-
-
-def test_nested_masks_do_alone_and_others_do_not(digits):
-    how = {**LONGER, "masks": 20, "photons": 1e5}
-    nested = quick(digits, nested=4, **how)
-    whole = quick(digits, nested=20, **how)
-    few = nested.first(4)
-    alone = evaluate(few, digits, 1e5)[0].accuracy
-    whole.exposure = replace(whole.exposure, nested=4)  # ask it for what it has not learned
-    error = math.sqrt(0.25 / len(digits.x_test))
-    assert alone > evaluate(whole.first(4), digits, 1e5)[0].accuracy + 5 * error
-
-
-def test_designs_of_two_lowest_budgets_train_together_as_alone(digits):
-    how = {"epochs": 2, "span": 30.0, "nested": 2, "precision": "float32", "hidden": (8,)}
-    jobs = [job(masks=5, photons=p, **how) for p in (100.0, 1e4)]
-    scenes = TrainingSet(digits, "cpu")
-    together = train(scenes, jobs)
-    for each, design in zip(jobs, together, strict=True):
-        [alone] = train(scenes, [each])
-        torch.testing.assert_close(design.rails.stacked, alone.rails.stacked, rtol=1e-3, atol=1e-5)
-        wanted = ConditionedEntry(photons=each.photons, span=30.0, masks=5, nested=2)
-        assert design.exposure.entry() == alone.exposure.entry() == wanted
 
 
 @pytest.mark.parametrize(

@@ -9,17 +9,18 @@ from scipy.stats import nbinom
 
 import deepfsi
 from deepfsi.base import InputError
-from deepfsi.exposure.choice import look_at
-from deepfsi.exposure.posterior import AdaptivePosterior, LookOptics, ScenePrior
+from deepfsi.exposure import choice, posterior
 
 PIXELS = 12
 SIGMA = 0.2
 
 
 @pytest.fixture(scope="module")
-def prior() -> ScenePrior:
+def prior() -> posterior.ScenePrior:
     rng = np.random.default_rng(0)
-    return ScenePrior(rng.random((40, PIXELS)), np.arange(40) % 2, 2, components=PIXELS, spread=0.5)
+    return posterior.ScenePrior(
+        rng.random((40, PIXELS)), np.arange(40) % 2, 2, components=PIXELS, spread=0.5
+    )
 
 
 def masks(*looks: int) -> torch.Tensor:
@@ -28,13 +29,13 @@ def masks(*looks: int) -> torch.Tensor:
     return torch.stack([torch.rand(1, PIXELS, generator=g) > 0.5 for g in generators]).float()
 
 
-def optics(**fields) -> LookOptics:
-    return LookOptics(**{"photons": 3e3, "fluctuation": SIGMA, **fields})
+def optics(**fields) -> posterior.LookOptics:
+    return posterior.LookOptics(**{"photons": 3e3, "fluctuation": SIGMA, **fields})
 
 
 def test_one_detector_counts_as_its_light_varies(prior):
     """The law is a negative binomial whose relative variance is σ² and what scenes have."""
-    state = AdaptivePosterior(prior, 1, optics(dark=20.0))
+    state = posterior.AdaptivePosterior(prior, 1, optics(dark=20.0))
     (mask,) = masks(1)
     before = state.logs.clone()
     mean, parts = prior.light(mask)
@@ -54,7 +55,7 @@ def test_one_detector_counts_as_its_light_varies(prior):
 @pytest.mark.parametrize("fields", [{"arms": 2}, {"detectors": torch.arange(PIXELS) % 3}])
 def test_readouts_of_a_look_have_one_light_and_looks_have_their_own(prior, fields):
     """With many photons e is known after two looks as of the normal law of all readouts."""
-    state = AdaptivePosterior(prior, 1, optics(photons=1e9, **fields))
+    state = posterior.AdaptivePosterior(prior, 1, optics(photons=1e9, **fields))
     gain = state.gain / 2
     known = []  # (through, mean, reading) of each look
     for look, mask in enumerate(masks(1, 2)):
@@ -81,10 +82,10 @@ def test_readouts_of_a_look_have_one_light_and_looks_have_their_own(prior, field
 def test_looks_vary_as_their_light_does(prior):
     """Counts of both arms have the variance r + (σ r)² and the covariance σ² r r'."""
     exposures = 20_000
-    state = AdaptivePosterior(prior, exposures, optics(arms=2, dark=100.0))
+    state = posterior.AdaptivePosterior(prior, exposures, optics(arms=2, dark=100.0))
     x = torch.full((1, PIXELS), 0.4).expand(exposures, -1)
     state.logs = state.logs[:1].expand(exposures, -1)
-    look = look_at(state, x, 0.5, torch.Generator().manual_seed(3))
+    look = choice.look_at(state, x, 0.5, torch.Generator().manual_seed(3))
     light = look.light[0].double()
     of_mask = (look.masks == look.masks[0]).all(dim=1)
     counts = look.counts[of_mask].double()
@@ -106,16 +107,16 @@ def test_a_posterior_that_takes_the_light_for_steady_is_too_sure(digits):
         digits, design="adaptive", masks=8, photons=photons, camera=camera, seed=0
     )
     [result] = deepfsi.evaluate(design, digits, photons)
-    state = AdaptivePosterior(
+    state = posterior.AdaptivePosterior(
         design.exposure.prior, len(digits.x_test), design.exposure.optics_at(photons)
     )
-    unaware = AdaptivePosterior(
+    unaware = posterior.AdaptivePosterior(
         design.exposure.prior, len(digits.x_test), replace(state.optics, fluctuation=0.0)
     )
     generator = torch.Generator().manual_seed(0)
     scenes = torch.from_numpy(digits.x_test)
     for share in design.exposure.settings.shares:
-        look = look_at(state, scenes, share, generator)
+        look = choice.look_at(state, scenes, share, generator)
         for each in (state, unaware):
             each.update(look.masks, look.counts, share)
     truth = torch.from_numpy(digits.y_test)[:, None]
@@ -129,6 +130,6 @@ def test_a_posterior_that_takes_the_light_for_steady_is_too_sure(digits):
 
 def test_a_prior_without_spread_is_refused():
     rng = np.random.default_rng(0)
-    exact = ScenePrior(rng.random((10, PIXELS)), np.arange(10) % 2, 2, components=PIXELS)
+    exact = posterior.ScenePrior(rng.random((10, PIXELS)), np.arange(10) % 2, 2, components=PIXELS)
     with pytest.raises(InputError, match="light that fluctuates needs a prior with a spread"):
-        AdaptivePosterior(exact, 1, optics())
+        posterior.AdaptivePosterior(exact, 1, optics())

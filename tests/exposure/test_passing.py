@@ -1,8 +1,5 @@
 """Designs of scenes that pass a pattern: training, test, file, and what does not apply."""
 
-from dataclasses import replace
-
-import numpy as np
 import pytest
 import torch
 
@@ -10,10 +7,6 @@ import deepfsi
 from conftest import RECIPE, generator, synthetic
 from deepfsi import Design
 from deepfsi.base import InputError
-from deepfsi.exposure import JobGroup, TrainingSet, build_training
-from deepfsi.jobs import Job
-from deepfsi.physics import FixedPattern
-from deepfsi.training import train
 from shared.design_files import refused, rewrite
 
 pytestmark = pytest.mark.usefixtures("all_trained_once")
@@ -93,24 +86,6 @@ def test_damaged_files_are_refused(data, learned, tmp_path):
         refused(path)
 
 
-def test_statistics_are_those_of_the_exposures(data, learned):
-    scenes = torch.from_numpy(data.x_train).repeat(100, 1)
-    many = replace(data, x_train=scenes.numpy(), y_train=np.tile(data.y_train, 100))
-    asked = {"training": {"noise": "poisson", "scale": "each"}, "exposure": PASSING, "seed": 3}
-    training = build_training(JobGroup.of(TrainingSet(many, "cpu"), [Job(photons=1e4, **asked)]))
-    training.masks = FixedPattern(learned.exposure.pattern.unsqueeze(0), learned.exposure.transit)
-    training.fix()
-    [found] = training.finish()
-    optics = found.optics
-    mean, std, light = optics.mean, optics.std, optics.shares
-    scanner = learned.front_end(learned.camera)
-    [seen] = learned.observe(scanner, learned.rates(scanner, scenes), generator(), 1e4)
-    error = 5 * std * (2 / len(scenes)) ** 0.5
-    assert ((seen.features.mean(dim=0) - mean).abs() < error).all()
-    assert torch.allclose(seen.features.std(dim=0), std, rtol=0.1)
-    assert torch.allclose(light, mean)
-
-
 @pytest.mark.parametrize(
     ("settings", "match"),
     [
@@ -133,18 +108,3 @@ def test_what_does_not_apply_is_one_line(data, settings, match):
     with pytest.raises(InputError, match=match) as error:
         deepfsi.learn(data, **{"photons": 1e4, "exposure": PASSING, **settings})
     assert "\n" not in str(error.value)
-
-
-@pytest.mark.parametrize("design", ["deepfsi", "random"])
-def test_designs_trained_together_are_those_trained_alone(data, design):
-    jobs = [
-        deepfsi.Job(
-            design=design, photons=photons, exposure=PASSING, training={**RECIPE, "batch": 32}
-        )
-        for photons in (1e3, 1e4)
-    ]
-    together = train(TrainingSet(data, "cpu"), jobs)
-    for job, found in zip(jobs, together, strict=True):
-        [alone] = train(TrainingSet(data, "cpu"), [job])
-        assert torch.allclose(found.exposure.pattern, alone.exposure.pattern, atol=1e-4)
-        assert torch.allclose(found.std, alone.std, rtol=1e-3)

@@ -11,12 +11,11 @@ from deepfsi import Design, evaluate
 from deepfsi.base import InputError
 from deepfsi.datasets import Dataset, from_arrays
 from deepfsi.evaluation import stopping
-from deepfsi.exposure import LooksExposure, TrainingSet
+from deepfsi.exposure import LooksExposure
 from deepfsi.exposure.looks import Dwells
 from deepfsi.physics import ROUNDING_SLACK, light_law
-from deepfsi.training import train
 from shared.design_files import refused, rewrite
-from shared.jobs import job, learn
+from shared.jobs import learn
 
 LOOKS = 3
 ONE_DMD = {"light": "free-dwell", "rails": "single"}
@@ -90,23 +89,6 @@ def test_dwells_follow_the_counts_and_only_from_the_second_look(design):
         assert dwell.sum() == pytest.approx(1 / LOOKS, rel=1e-5)
 
 
-def test_a_camera_of_ones_own_has_the_accuracy_of_the_test(digits, design):
-    photons, rng = 1e4, np.random.default_rng(0)
-    patterns = design.rails.plus.numpy() * 6
-
-    def camera(scene):
-        rates = patterns @ scene * photons / design.summed_reflectance
-        return lambda dwell: rng.poisson(dwell * rates)
-
-    right = [
-        design.classify_live(camera(scene), photons).argmax() == label
-        for scene, label in zip(digits.x_test, digits.y_test, strict=True)
-    ]
-    (tested,) = evaluate(design, digits, photons, draws=20)
-    noise = (2 * tested.accuracy * (1 - tested.accuracy) / len(right)) ** 0.5
-    assert abs(np.mean(right) - tested.accuracy) < 5 * noise
-
-
 def test_gradients_through_all_looks_are_those_of_finite_differences():
     """Of the mean and of the variance, since the draws are fixed and rates move both."""
     generator = torch.Generator().manual_seed(0)
@@ -159,22 +141,6 @@ def test_two_looks_tell_what_one_cannot():
         accuracy[looks] = result.accuracy
     noise = sum(share * (1 - share) / 12000 for share in accuracy.values()) ** 0.5
     assert accuracy[2] - accuracy[1] > 5 * noise
-
-
-def test_replicas_learn_as_they_would_alone(digits):
-    jobs = [
-        job(photons=photons, masks=4, looks=2, seed=seed, **RECIPE, **ONE_DMD)
-        for seed in (0, 1)
-        for photons in (1e3, 1e5)
-    ]
-    together = train(TrainingSet(digits, "cpu"), jobs)
-    for each, design in zip(jobs, together, strict=True):
-        (alone,) = train(TrainingSet(digits, "cpu"), [each])
-        assert torch.allclose(alone.rails.stacked, design.rails.stacked, rtol=1e-3, atol=1e-5)
-        for mine, other in zip(
-            alone.exposure.network.parameters(), design.exposure.network.parameters(), strict=True
-        ):
-            assert torch.allclose(mine, other, rtol=1e-2, atol=1e-3)
 
 
 @pytest.mark.parametrize(

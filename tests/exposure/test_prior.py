@@ -6,8 +6,7 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
 from deepfsi import evaluate, learn
-from deepfsi.exposure import AdaptivePosterior, ScenePrior
-from deepfsi.exposure.posterior import LookOptics
+from deepfsi.exposure import AdaptivePosterior, ScenePrior, posterior
 
 PIXELS, SIZES = 8, (30, 60, 90)
 PHOTONS = 1e3
@@ -31,7 +30,9 @@ def settings(clusters=None) -> dict:
 
 
 def test_before_any_count_classes_are_as_likely_as_they_are_frequent():
-    state = AdaptivePosterior(ScenePrior(*unequal(), 3, clusters=4), 2, LookOptics(PHOTONS))
+    state = AdaptivePosterior(
+        ScenePrior(*unequal(), 3, clusters=4), 2, posterior.LookOptics(PHOTONS)
+    )
     wanted = torch.tensor(SIZES) / sum(SIZES)
     torch.testing.assert_close(state.chances, wanted.expand(2, 3))
     torch.testing.assert_close(state.scene, state.prior.mean.expand(2, PIXELS))
@@ -45,7 +46,7 @@ def test_one_centre_a_class_is_a_normal_law_of_each_class():
     lit = masks * (photons * shares[:, None] / x.sum(axis=1).mean())
     counts = rng.poisson(x[::9] @ lit.T)
     prior = ScenePrior(x, labels, 3, clusters=1)
-    state = AdaptivePosterior(prior, len(counts), LookOptics(photons))
+    state = AdaptivePosterior(prior, len(counts), posterior.LookOptics(photons))
     for mask, count, share in zip(masks, counts.T, shares, strict=True):
         row = torch.from_numpy(mask).expand(len(counts), -1)
         state.update(row, torch.from_numpy(count[:, None]).float(), share)

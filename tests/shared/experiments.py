@@ -9,7 +9,6 @@ from deepfsi.sweeps import Recipe
 from deepfsi.training import learning
 from deepfsi_paper import experiment, studies
 from deepfsi_paper.camera import laboratory, rate_simulations
-from deepfsi_paper.experiment import Experiment
 from deepfsi_paper.flexible import claims as flexible
 from deepfsi_paper.indian_pines import claims as indian_pines
 from deepfsi_paper.mnist import images
@@ -60,7 +59,7 @@ def here(work, shared, tasks, count):
         yield pickle.loads(pickle.dumps(work(shared, pickle.loads(pickle.dumps(task)))))
 
 
-def run_all(folder: Path, trials: int, chosen: list[Experiment] = EVERY) -> Path:
+def run_all(folder: Path, trials: int, chosen: list[experiment.Experiment] = EVERY) -> Path:
     """Run experiments on digits into a folder, which may hold some of their trials."""
     recipes = {each.name: tiny(each, trials) for each in chosen}
     with pytest.MonkeyPatch.context() as patch:

@@ -8,9 +8,8 @@ from conftest import quick
 from deepfsi.camera import find_device
 from deepfsi.hardware.counting import Scene
 from deepfsi.hardware.drivers import Setup
-from deepfsi.hardware.live import LiveCounts, plan_live, replay_run, run_live
+from deepfsi.hardware.live import LiveCounts, plan_live, replay_run, run, run_live
 from deepfsi.hardware.live.replay import ReplayedScene
-from deepfsi.hardware.live.run import LiveStep
 from deepfsi.hardware.patterns import FrameSettings, export_patterns
 from deepfsi.hardware.virtual import (
     CAMERAS,
@@ -75,7 +74,7 @@ def live(
     folder: Path, patterns: Path, digits, count: int = 5, flux: float = 1e6,
     exposure_s: float = 10e-3, camera: VirtualCamera = CAMERAS["ideal"],
     latencies: Latencies | None = None, **settings,
-) -> list[LiveStep]:  # fmt: skip
+) -> list[run.LiveStep]:  # fmt: skip
     """Run a few scenes."""
     x, scenes = scenes_of(digits, count)
     looks = open_looks(patterns)

@@ -6,8 +6,7 @@ import torch
 from torch import Tensor
 
 from deepfsi.camera import find_noise
-from deepfsi.physics import TrainingNoise, root
-from deepfsi.physics.noise import make_noise
+from deepfsi.physics import TrainingNoise, noise, root
 
 
 def photons(rates: Tensor, generator: torch.Generator | None = None) -> Tensor:
@@ -42,5 +41,5 @@ def training_noise(
     """A noise of trainings side by side, of the numbers of each."""
     darks = darks if find_noise(kind).dark else None
     each = zip(sigmas, darks or [0.0] * len(sigmas), strict=True)
-    noises = [make_noise(kind, sigma=sigma, dark=dark) for sigma, dark in each]
+    noises = [noise.make_noise(kind, sigma=sigma, dark=dark) for sigma, dark in each]
     return TrainingNoise.of(noises, gains, seeds, device)
