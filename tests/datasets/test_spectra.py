@@ -1,11 +1,16 @@
-"""Hyperspectral images become scenes with honest splits."""
+"""Hyperspectral images of any file become scenes with honest splits."""
+
+from pathlib import Path
 
 import numpy as np
 import pytest
 from dataset_samples import IMAGE, LABELS, fields, numbered, refused
+from scipy.io import savemat
 from scipy.ndimage import distance_transform_cdt
+from spectral.io import envi
 
-from deepfsi.datasets import SpectralImage
+from deepfsi.datasets import SpectralImage, load_dataset, spectra
+from deepfsi.datasets.spectra import by_header, read_cube
 
 
 def pixels(x):
@@ -144,3 +149,233 @@ def test_options_that_cannot_be():
     ):
         with refused(*parts):
             attempt()
+
+
+def test_files_side_by_side(tmp_path):
+    cube = numbered(LABELS)
+    savemat(tmp_path / "farm_corrected.mat", {"farm_corrected": cube, "note": "a word"})
+    savemat(tmp_path / "farm_gt.mat", {"farm_gt": LABELS.astype(float)}, do_compression=True)
+    np.save(tmp_path / "plot.npy", cube)
+    np.save(tmp_path / "plot_gt.npy", LABELS)
+    for name in ("farm_corrected.mat", "plot.npy"):
+        data = load_dataset(tmp_path / name, split="blocks", seed=2)
+        assert data.hash == IMAGE.dataset("blocks", 2).hash
+        assert data.name == Path(name).stem
+        assert load_dataset(tmp_path / name).hash == IMAGE.dataset().hash
+        assert np.array_equal(read_cube(tmp_path / name).labels, LABELS)
+    mixed = read_cube(tmp_path / "plot.npy", tmp_path / "farm_gt.mat", name="mixed")
+    assert mixed.dataset().hash == IMAGE.dataset().hash
+
+
+@pytest.mark.parametrize("interleave", ["bsq", "bil", "bip"])
+def test_envi(tmp_path, interleave):
+    metadata = {"wavelength": [0.4, 0.5, 0.6, 0.7, 0.8], "wavelength units": "Micrometers"}
+    envi.save_image(
+        str(tmp_path / "farm.hdr"), numbered(LABELS), metadata=metadata, interleave=interleave
+    )
+    envi.save_classification(
+        str(tmp_path / "farm_gt.hdr"), LABELS, class_names=["none", "oak", "ash", "elm", "yew"]
+    )
+    image = read_cube(tmp_path / "farm.hdr")
+    assert image.class_names == ("oak", "ash", "elm", "yew")
+    assert image.wavelengths is not None
+    assert image.wavelengths == pytest.approx([400, 500, 600, 700, 800])
+    assert np.array_equal(image.cube, numbered(LABELS))
+    assert np.array_equal(load_dataset(tmp_path / "farm.hdr").x_test, IMAGE.dataset().x_test)
+
+    data_file = tmp_path / "farm.img"
+    data_file.write_bytes(data_file.read_bytes()[:-10])
+    with refused("farm.hdr as ENVI", "less than the header says"):
+        load_dataset(tmp_path / "farm.hdr")
+    (tmp_path / "farm.hdr").write_text("not ENVI")
+    with refused("farm.hdr as ENVI"):
+        load_dataset(tmp_path / "farm.hdr")
+
+
+def test_envi_without_its_package(tmp_path, monkeypatch):
+    (tmp_path / "a.hdr").write_text("ENVI")
+    np.save(tmp_path / "a_gt.npy", LABELS)
+    monkeypatch.setitem(__import__("sys").modules, "spectral.io", None)
+    with refused("pip install spectral"):
+        load_dataset(tmp_path / "a.hdr")
+
+
+def test_files_that_do_not_serve(tmp_path, monkeypatch):
+    cube = numbered(LABELS)
+    path = tmp_path / "a.mat"
+
+    def refuse(*parts):
+        with refused(*parts):
+            load_dataset(path)
+
+    savemat(path, {"a": cube})
+    refuse("no label map beside it", "a_gt", ".mat or .npy or .hdr")
+    np.save(tmp_path / "a_gt.npy", LABELS)
+    load_dataset(path)
+    savemat(path, {"a": cube, "b": cube})
+    refuse("not one variable alone", "a, b: save a 3-dimensional one alone")
+    savemat(path, {"a": LABELS, "word": "cube", "cell": np.array([cube], object)})
+    refuse("in 3 dimensions", "but none")
+    savemat(path, {"a": np.zeros((60, 60, 2000), np.uint8)}, do_compression=True)
+    monkeypatch.setattr(spectra, "MAX_VALUES", 60 * 60 * 2000 - 1)
+    refuse("(60, 60, 2000)", "or fewer")
+    monkeypatch.undo()
+    path.write_bytes(path.read_bytes()[:200])
+    refuse("cannot read", "a.mat")
+    path.write_bytes(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM" + bytes(400))
+    refuse("7.3", "-v7")
+    path.write_bytes(b"")
+    refuse("cannot read", "a.mat")
+
+    path = tmp_path / "a.npy"
+    np.save(path, np.full((60, 60, 5), None), allow_pickle=True)
+    refuse("cannot read", "a.npy")
+    np.save(path, cube)
+    path.write_bytes(path.read_bytes()[:-5])
+    refuse("cannot read", "a.npy")
+    np.save(path, cube[..., 0])
+    refuse("(60, 60)", "(height, width, bands)")
+
+
+def test_a_missing_file(tmp_path):
+    with refused("a.mat", "no file"):
+        load_dataset(tmp_path / "a.mat")
+    with refused("'indian-pines'?"):
+        load_dataset("indian-pine")
+
+
+CUBE = np.arange(24.0).reshape(2, 3, 4)
+
+
+def test_a_header_says_how_its_data_are_read():
+    """No spectral is needed for what a header means."""
+    made = by_header(
+        CUBE.astype(np.int16),
+        {
+            "bbl": ["1", "0", "1.0", "1"],
+            "data gain values": ["2", "5", "2", "2"],
+            "data offset values": ["1", "7", "1", "1"],
+            "reflectance scale factor": "100",
+            "wavelength": ["0.4", "0.5", "0.6", "0.7"],
+            "wavelength units": "Micrometers",
+        },
+    )
+    assert made.values.dtype == np.float32
+    assert made.values == pytest.approx((2 * CUBE[..., [0, 2, 3]] + 1) / 100)
+    assert made.wavelengths == pytest.approx([400, 600, 700])
+    assert made.notes == (
+        "1 bad bands left out",
+        "with the header's gains",
+        "with the header's offsets",
+        "divided by the reflectance scale factor 100",
+    )
+    assert by_header(CUBE, {}).notes == ()
+
+
+@pytest.mark.parametrize(
+    ("dtype", "ignored"),
+    [
+        ("f4", "-9999"),
+        ("f4", "nan"),
+        ("u2", "65535"),
+        ("i2", "-32768"),
+        ("f8", "-9999.0"),
+        ("f4", "-3.4028235e+38"),
+    ],
+)
+def test_pixels_without_data_set_no_range(dtype, ignored):
+    cube = (CUBE + 1).astype(dtype)
+    spoilt = cube.copy()
+    spoilt[0, 1, 2] = float(ignored)
+    spoilt[1, 0] = float(ignored)
+    made = by_header(spoilt.copy(), {"data ignore value": ignored})
+    assert made.missing.tolist() == [[False, True, False], [True, False, False]]
+    assert np.array_equal(made.values[~made.missing], cube[~made.missing].astype(made.values.dtype))
+    assert (made.values.min(), made.values.max()) == (1, 24)
+    assert made.notes == ("2 pixels without data left out",)
+
+
+@pytest.mark.parametrize(
+    ("header", "said"),
+    [
+        ({"bbl": ["0"] * 4}, "leaves none"),
+        ({"bbl": ["1"] * 3}, "'bbl' does not hold a number for each of 4 bands"),
+        ({"data gain values": ["a"] * 4}, "'data gain values' does not hold a number"),
+        ({"reflectance scale factor": "0"}, "scale factor is 0"),
+        ({"file compression": "1"}, "compressed"),
+    ],
+)
+def test_a_header_that_does_not_fit_its_cube_is_refused(header, said):
+    with pytest.raises(ValueError, match=said):
+        by_header(CUBE.copy(), header)
+    assert not by_header(CUBE.astype("i2"), {"data ignore value": "65535"}).missing.any()
+    with pytest.raises(ValueError, match="every pixel"):
+        by_header(np.ones((2, 3, 4)), {"data ignore value": "1"})
+
+
+@pytest.mark.parametrize(
+    ("unit", "scale"),
+    [
+        ("Nanometers", 1),
+        ("um", 1000),
+        ("\u00b5m", 1000),
+        ("", 1),
+        ("Wavenumber", None),
+        ("GHz", None),
+    ],
+)
+def test_wavelengths_are_those_of_the_unit(unit, scale):
+    given = [500, 600, 700, 800]
+    header = {"wavelength": list(map(str, given)), "wavelength units": unit}
+    found = by_header(CUBE, header).wavelengths
+    assert found is None if scale is None else found.tolist() == [scale * one for one in given]
+    header = {"wavelength": ["0.5", "0.6", "0.7", "0.8"]}
+    assert by_header(CUBE, header).wavelengths is None  # no unit, and none are nm
+
+
+def test_no_data_of_an_envi_file_is_left_out_of_the_data_set(tmp_path):
+    cube = numbered(LABELS).astype(np.float32)
+    whole = cube.copy()
+    cube[:2] = -9999
+    envi.save_image(str(tmp_path / "farm.hdr"), cube, metadata={"data ignore value": -9999})
+    envi.save_classification(str(tmp_path / "farm_gt.hdr"), LABELS)
+    image = read_cube(tmp_path / "farm.hdr")
+    assert not image.labels[:2].any()
+    assert np.array_equal(image.labels[2:], LABELS[2:])
+    assert np.array_equal(image.cube[2:], whole[2:])
+    assert image.reach == (whole[2:].min(), whole[2:].max())
+    assert f"{2 * LABELS.shape[1]} pixels without data left out" in image.dataset().preprocessing
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "cp1252"])
+def test_a_header_is_read_as_any_editor_saves_it(tmp_path, encoding):
+    envi.save_image(str(tmp_path / "farm.hdr"), numbered(LABELS))
+    envi.save_classification(str(tmp_path / "farm_gt.hdr"), LABELS)
+    whole = load_dataset(tmp_path / "farm.hdr").hash
+    header = tmp_path / "farm.hdr"
+    text = header.read_text() + "sensor type = \u00fcber\n"
+    header.write_bytes(text.replace("\n", "\r\n").encode(encoding))
+    assert load_dataset(header).hash == whole
+
+
+def test_upper_case_endings_are_the_same(tmp_path):
+    np.save(tmp_path / "farm.npy", numbered(LABELS))
+    np.save(tmp_path / "farm_gt.npy", LABELS)
+    whole = load_dataset(tmp_path / "farm.npy")
+    (tmp_path / "farm.npy").rename(tmp_path / "FARM.NPY")
+    (tmp_path / "farm_gt.npy").rename(tmp_path / "FARM_GT.NPY")
+    assert load_dataset(tmp_path / "FARM.NPY").hash == whole.hash
+
+
+def test_the_size_of_an_envi_file_is_checked_before_it_is_read(tmp_path, monkeypatch):
+    envi.save_image(str(tmp_path / "farm.hdr"), numbered(LABELS))
+    envi.save_classification(str(tmp_path / "farm_gt.hdr"), LABELS)
+    monkeypatch.setattr(spectra, "MAX_VALUES", numbered(LABELS).size - 1)
+    with refused("farm.hdr has the shape (60, 60, 5)", "or fewer"):
+        load_dataset(tmp_path / "farm.hdr")
+    monkeypatch.undo()
+    monkeypatch.setattr("deepfsi.base.numeric.arrays.free_memory", lambda: 100.0)
+    for name in ("farm.hdr", "farm.npy"):
+        np.save(tmp_path / "farm.npy", numbered(LABELS))
+        with refused("the values of", name, "GB of memory"):
+            load_dataset(tmp_path / name)

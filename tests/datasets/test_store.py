@@ -215,3 +215,21 @@ def test_fewer_training_images_keep_the_classes_shares_and_the_test_part(mirrors
     assert few.origin.images == 10
     with refused("21 of 20 training images were asked for", "give 10"):
         load_dataset("mnist", images=21)
+
+
+def test_an_array_that_cannot_be_kept_is_made_again(tmp_path):
+    """A cache that cannot be written, and an array that is not the expected one."""
+    made = []
+
+    def make():
+        made.append(1)
+        return np.arange(6.0)
+
+    (tmp_path / "file").write_text("in the way of a folder")
+    expected = store.hash_array(np.arange(6.0))
+    for path, digest in ((tmp_path / "file" / "a.npy", expected), (tmp_path / "b.npy", "other")):
+        for _ in range(2):
+            assert np.array_equal(store.kept_array(path, digest, make), np.arange(6.0))
+    assert len(made) == 4
+    assert not (tmp_path / "b.npy").exists()
+    assert store.hash_array(np.arange(6.0)) != store.hash_array(np.arange(6.0).reshape(2, 3))
