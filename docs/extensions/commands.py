@@ -71,6 +71,8 @@ def tables(command):
     """Tables of arguments and options, each after the first below the heading of its options."""
     panels = {}
     for each in command.declared:
+        if each.hidden:
+            continue
         panels.setdefault(FIRST if each.is_argument else each.heading, []).append(row(each))
     for name, rows in panels.items():
         if name != FIRST:

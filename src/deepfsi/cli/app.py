@@ -134,6 +134,7 @@ class Old(click.Command):
                     default="",
                     heading=getattr(each, "rich_help_panel", None) or FIRST,
                     required=each.required,
+                    hidden=getattr(each, "hidden", False),
                     is_argument=each.param_type_name == "argument",
                 )
             )

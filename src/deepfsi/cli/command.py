@@ -90,6 +90,11 @@ class Parameter:
         return "argument" in self._extra
 
     @property
+    def hidden(self) -> bool:
+        """True if no help lists it."""
+        return "hidden" in self._extra
+
+    @property
     def names(self) -> tuple[str, ...]:
         """As it is written: ``("--out", "-o")``; of an argument that in the usage."""
         if self.is_argument:
@@ -186,6 +191,7 @@ class Parameter:
             is_flag=None if self.kind else True,
             multiple=self.repeated,
             required=self.required,
+            hidden=self.hidden,
             type=str if self.kind else bool,
         )
 
@@ -298,7 +304,7 @@ class ClickCommand(click.Command):
                 headings.setdefault("Arguments", []).append(row)
         help_option = self.get_help_option(ctx)
         for each in self.declared:
-            if not each.is_argument:
+            if not (each.is_argument or each.hidden):
                 names = ", ".join(sorted(each.names, key=len))
                 row = f"{names} {each.metavar}".rstrip(), each.help
                 headings.setdefault(each.heading, []).append(row)

@@ -61,6 +61,17 @@ def argument(words: str, metavar: str = "") -> Any:
     return Field(description=words, json_schema_extra={"argument": metavar})
 
 
+def hidden(words: str) -> Any:
+    """Field of an option that no help lists, since another took its place.
+
+    Parameters
+    ----------
+    words : str
+        What it is.
+    """
+    return Field(description=words, json_schema_extra={"hidden": True})
+
+
 @dataclass(frozen=True)
 class Written:
     """How a text of an option is written, for its help: ``Written("HEIGHTxWIDTH")``."""
@@ -324,13 +335,13 @@ Names = Annotated[tuple[str, ...], BeforeValidator(split_commas)]
 Time = Annotated[float, BeforeValidator(seconds)]
 """Seconds, of a text such as 0.01, 10ms or 44us."""
 
-Shape = Annotated[tuple[int, int], BeforeValidator(_size), Written("HEIGHTxWIDTH")]
+HeightWidth = Annotated[tuple[int, int], BeforeValidator(_size), Written("HEIGHTxWIDTH")]
 """Height and width of an image, of HEIGHTxWIDTH or one number for both."""
 
 # scenes
 
 Size = Annotated[
-    Shape | None, Field(description="resize images to HEIGHTxWIDTH, or one number for both")
+    HeightWidth | None, Field(description="resize images to HEIGHTxWIDTH, or one number for both")
 ]
 DataSource = Annotated[str, AfterValidator(_source)]
 """Name or path of data that are there."""
