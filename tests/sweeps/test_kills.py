@@ -11,6 +11,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import psutil
 import pytest
@@ -51,6 +52,14 @@ def tensors(folder: Path) -> dict[str, dict[str, bytes]]:
         path.name: {name: held.tobytes() for name, held in load_file(path).items()}
         for path in folder.glob("designs/*")
     }
+
+
+def records(folder: Path) -> dict[str, Any]:
+    """Content of each record by the name of its file, but for the time that its training took."""
+    contents = {path.name: json.loads(path.read_text()) for path in folder.glob("trials/*")}
+    for record in contents.values():
+        record["info"]["seconds"] = 0.0
+    return contents
 
 
 def sweep(
@@ -102,12 +111,12 @@ def test_random_kills_lose_no_record_and_repeat_none(done, tmp_path):
 
 
 @pytest.fixture(scope="module")
-def sound(tmp_path_factory) -> dict[str, dict[str, bytes]]:
-    """Give the tensors of a small sweep that nobody killed."""
+def sound(tmp_path_factory) -> tuple[dict[str, dict[str, bytes]], dict[str, Any]]:
+    """Give the tensors and the records of a small sweep that nobody killed."""
     folder = tmp_path_factory.mktemp("sound")
     words = sweep(folder, trials=1, workers=1, masks=(1, 2), batch=500)
     assert CliRunner().invoke(app, words).exit_code == 0
-    return tensors(folder / "out")
+    return tensors(folder / "out"), records(folder / "out")
 
 
 @pytest.mark.slow
@@ -131,7 +140,7 @@ def test_a_kill_while_files_are_written_leaves_nothing_and_changes_no_bit(
     done(*recipe)
     assert not left_over(tmp_path / "out")
     assert len(written(tmp_path / "out")) == 2 * 2 * 2
-    assert tensors(tmp_path / "out") == sound
+    assert (tensors(tmp_path / "out"), records(tmp_path / "out")) == sound
 
 
 def working(process: subprocess.Popen, folder: Path) -> list[psutil.Process]:

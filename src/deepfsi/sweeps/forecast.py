@@ -130,19 +130,19 @@ def forecast_cost(
     """
     from deepfsi.sweeps.batch import BatchTrainer
 
-    parts = recipe.parts(data)
+    folds = recipe.parts(data)
     records = Records(folder)
     costs = []
-    for part, span in zip(parts, report.split(len(parts)), strict=True):
-        trainer = BatchTrainer(part, recipe.held_out(part), device)
+    for fold, span in zip(folds, report.split(len(folds)), strict=True):
+        trainer = BatchTrainer(fold, recipe.held_out(fold), device)
         count = workers or default_count(trainer.processor.type)
-        costs.append(_part_cost(plan_trials(recipe, part), trainer, records, count, report=span))
+        costs.append(_fold_cost(plan_trials(recipe, fold), trainer, records, count, report=span))
     added = ("trials", "done", "batches", "operations", "seconds", "seconds_free")
     sums = {name: sum(getattr(cost, name) for cost in costs) for name in added}
     return replace(costs[0], **sums)
 
 
-def _part_cost(
+def _fold_cost(
     trials: Sequence[Trial],
     trainer: "BatchTrainer",
     records: Records,
@@ -375,7 +375,7 @@ def photons_needed(
     records: list[Record] = []
     recipes = [recipe]
     for span in report.split(ADDED_BUDGETS + 1):
-        trials = {trial.key: trial for each in recipes for trial in plan_trials(each, data)}
+        trials = {trial.key: trial for one in recipes for trial in plan_trials(one, data)}
         records += run.finish(list(trials.values()), span)
         results = summarise_records(
             recipe,

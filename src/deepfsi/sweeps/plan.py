@@ -192,7 +192,7 @@ def with_adaptive(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = Non
 def _fold_faults(recipe: Recipe, data: Dataset) -> list[str]:
     """Folds that the data cannot have, or what the first that has any lacks."""
     try:
-        every = [_scene_faults(recipe, part) for part in recipe.parts(data)]
+        every = [_scene_faults(recipe, fold) for fold in recipe.parts(data)]
     except InputError as error:
         return [error.message, *_scene_faults(recipe, data)]
     return next((faults for faults in every if faults), [])

@@ -302,7 +302,7 @@ class Recipe(UserModel):
     @property
     def noises(self) -> tuple[str, ...]:
         """Noises of the cameras."""
-        return tuple(dict.fromkeys(each.camera.noise_name for each in self.cameras()))
+        return tuple(dict.fromkeys(named.camera.noise_name for named in self.cameras()))
 
     def training_axes(self, design: str) -> dict[str, tuple[Any, ...]]:
         """Values of each setting of the training of a design."""
@@ -336,10 +336,20 @@ class Recipe(UserModel):
     def mask_counts(
         self, design: str, data: Dataset, detectors: DetectorMap = ONE_DETECTOR
     ) -> list[int]:
-        """Mask counts of one design: those asked for that it can have, else the most it can."""
-        # a ratio is that of readouts, m · D / N, so that it means as much under several detectors.
-        # Of adaptive masks, which share the light among their looks, ratios ask for one count: more
-        # looks tell more
+        """Mask counts of one design: those asked for that it can have, else the most it can.
+
+        A ratio is that of readouts, m · D / N, so that it means as much under several detectors. Of
+        adaptive masks, which share the light among their looks, ratios ask for one count: more
+        looks tell more.
+
+        Parameters
+        ----------
+        design : str
+            Its name.
+        data : Dataset
+            Scenes as its masks see them.
+        detectors : DetectorMap
+        """
         low, high = count_allowed(design, data, detectors)
         asked = self.masks or [
             mask_count(ratio, data.pixels / detectors.count)

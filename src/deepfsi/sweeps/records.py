@@ -150,8 +150,8 @@ class Records:
 
         Those that diverged give nothing, and no lock on them remains either.
         """
-        self.release(each.trial for each in finished if each.record is None)
-        finished = [each for each in finished if each.record is not None]
+        self.release(done.trial for done in finished if done.record is None)
+        finished = [done for done in finished if done.record is not None]
         if not finished:
             return
         folder = self.folder / f"finished-{finished[0].trial.key}"
@@ -164,7 +164,7 @@ class Records:
         note_saved_work(_TRIALS_KEPT)  # the next process moves what this one does not
         self._move(folder)
         self._clear_checkpoints()
-        self.release(each.trial for each in finished)
+        self.release(done.trial for done in finished)
 
     def _move(self, finished: Path) -> None:
         """Move finished files to their places, each record after its design."""

@@ -56,8 +56,8 @@ def check_kept(
         return
     new_tests = {
         (trial.design_key, *test)
-        for part in recipe.parts(data)
-        for trial in plan_trials(recipe, part, matrix)
+        for fold in recipe.parts(data)
+        for trial in plan_trials(recipe, fold, matrix)
         for test in product(trial.test_noise, trial.test_photons, trial.test_levels)
     }
     old_tests = {(key, p.noise, p.photons, p.levels) for p in old.points for key in p.keys}
@@ -113,17 +113,17 @@ def compare(
 
     with library_defaults(grad=True):
         began = time.perf_counter()
-        parts = recipe.parts(data)
+        scenes = recipe.parts(data)
         workers = replace(workers, resources=recipe.resources)
-        if len(parts) > 1 and workers.ray is None:
+        if len(scenes) > 1 and workers.ray is None:
             # trainings on few scenes take less than starting processes for each fold
             workers = replace(workers, count=workers.count or 1)
         folds = [
             FoldRecords(
-                part,
+                fold,
                 run_trials(
-                    plan_trials(recipe, part, matrix),
-                    part,
+                    plan_trials(recipe, fold, matrix),
+                    fold,
                     folder,
                     matrix=matrix,
                     device=device,
@@ -131,7 +131,7 @@ def compare(
                     report=span,
                 ),
             )
-            for part, span in zip(parts, report.split(len(parts)), strict=True)
+            for fold, span in zip(scenes, report.split(len(scenes)), strict=True)
         ]
         seconds = time.perf_counter() - began
         results = summarise_records(recipe, data, folds, command=command, seconds=seconds)
@@ -260,8 +260,8 @@ class SweepRun:
             with closing(self._results(claims, workers, bar)) as arriving:
                 for finished in arriving:
                     records.write(finished)
-                    diverged |= {each.trial.design_key for each in finished if not each.record}
-                    bar.finish([each.trial for each in finished])
+                    diverged |= {done.trial.design_key for done in finished if not done.record}
+                    bar.finish([done.trial for done in finished])
             todo = claims.postponed
             if todo:
                 bar.say(f"another process works on {len(todo)} batches")

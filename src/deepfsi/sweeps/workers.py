@@ -136,7 +136,7 @@ def processes(
             if not running:
                 return
             done, _ = wait(running, LOOK_SECONDS, return_when=FIRST_COMPLETED)
-            watch({each.place: shares[each.slot] for each in running.values()})
+            watch({now.place: shares[now.slot] for now in running.values()})
             free += [running.pop(future).slot for future in done]
             yield from [future.result() for future in done if not future.exception()]
             for future in done:

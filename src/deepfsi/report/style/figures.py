@@ -130,7 +130,7 @@ def columns(words: Iterable[str], width: float, size: float) -> int:
     size : float
         Size of the words, points.
     """
-    return max(1, int(width / max(inches(each, size) for each in words)))
+    return max(1, int(width / max(inches(entry, size) for entry in words)))
 
 
 def plain_bar(bar: Colorbar) -> None:
