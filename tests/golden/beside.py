@@ -18,6 +18,7 @@ import sys
 import tarfile
 import tempfile
 import traceback
+from collections.abc import Iterator
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -55,10 +56,31 @@ def facts(module: str, name: str) -> dict[str, Any]:
     from golden.sizes import sizes
 
     case = cases(module)[name]
-    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
+    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder), version_of_the_files():
         value = case()
         exact, bits = parts(value)
     return json.loads(json.dumps({"exact": exact, "bits": bits, "sizes": sizes(value)}))
+
+
+@contextlib.contextmanager
+def version_of_the_files() -> Iterator[None]:
+    """Let the package say the version that made the stored files, so that a release changes none.
+
+    Files hold the version, and hashes of files hold it, too. It is read from the first folder of
+    `sys.path` that has metadata of the package.
+    """
+    from golden.file_cases import MADE_BY
+
+    with tempfile.TemporaryDirectory() as folder:
+        about = Path(folder) / f"deepfsi-{MADE_BY}.dist-info"
+        about.mkdir()
+        text = f"Metadata-Version: 2.1\nName: deepfsi\nVersion: {MADE_BY}\n"
+        (about / "METADATA").write_text(text)
+        sys.path.insert(0, folder)
+        try:
+            yield
+        finally:
+            sys.path.remove(folder)
 
 
 def to_be_stored(module: str, of_case: dict[str, Any]) -> Any:
