@@ -97,6 +97,7 @@ def write_bad(folder):
     (folder / "cut.mat").write_bytes((folder / "two.mat").read_bytes()[:150])
     (folder / "cut.npy").write_bytes((folder / "flat.npy").read_bytes()[:100])
     (folder / "junk.png").write_bytes(b"no image")
+    Image.new("L", (8, 6)).save(folder / "postscript.png", format="EPS")
     (folder / "new.mat").write_bytes(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM" + bytes(99))
     (folder / "empty").mkdir()
     (folder / "mixed").mkdir()
@@ -123,6 +124,7 @@ def write_bad(folder):
         ("cut.mat", "save it again"),
         ("new.mat", "-v7"),
         ("junk.png", "cannot read the image"),
+        ("postscript.png", "no image"),  # decoding it would start another program
         ("deep.tif", "32 bits"),
         ("empty", "no images in"),
         ("mixed", "2x2 pixels of uint8"),

@@ -15,7 +15,7 @@ from deepfsi.datasets.catalog import (
     load_indian_pines,
 )
 from deepfsi.datasets.dataset import Dataset, MeasureTitle, Origin
-from deepfsi.datasets.decoding import check_grey_levels, is_deep, unread_kind
+from deepfsi.datasets.decoding import PICTURE_FORMATS, check_grey_levels, is_deep, unread_kind
 from deepfsi.datasets.display import (
     Display,
     array_display,
@@ -41,6 +41,7 @@ from deepfsi.datasets.variants import ambient, jitter
 
 __all__ = [
     "DIM_BLACK",
+    "PICTURE_FORMATS",
     "Dataset",
     "Display",
     "MeasureTitle",

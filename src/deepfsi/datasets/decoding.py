@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 
 PictureSize = tuple[int, int]
 
+PICTURE_FORMATS = ("PNG", "JPEG", "BMP", "GIF", "PPM", "TIFF", "WEBP")
+"""Formats that are decoded, by Pillow's names: those of others may start programs, as EPS does."""
+
 GREY_MODES = ("1", "L", "LA", "I", "F")
 """Pillow's modes of grey images, besides those that begin with I;16."""
 

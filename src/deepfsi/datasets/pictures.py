@@ -39,14 +39,11 @@ from deepfsi.base.numeric import (
 )
 from deepfsi.datasets.arrays import check_no_classes, draw_stratified, split_arrays
 from deepfsi.datasets.dataset import Dataset, LoadOptions
-from deepfsi.datasets.decoding import PictureSize, Tally, unread_kind
+from deepfsi.datasets.decoding import PICTURE_FORMATS, PictureSize, Tally, unread_kind
 from deepfsi.datasets.levels import LARGE
 
 Label: TypeAlias = str | tuple[float, ...]
 """Class of an image, or its values."""
-
-FORMATS = ("PNG", "JPEG", "BMP", "GIF", "PPM", "TIFF", "WEBP")
-"""Formats that are decoded, by Pillow's names."""
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".gif", ".pgm", ".tif", ".tiff", ".webp")
 """Ends of the names of image files."""
@@ -563,7 +560,7 @@ def _read(
             def again() -> Image.Image:
                 stream.seek(0)
                 try:
-                    return Image.open(stream, formats=FORMATS)
+                    return Image.open(stream, formats=PICTURE_FORMATS)
                 except UnidentifiedImageError:
                     raise _Unreadable(unread_kind(stream)) from None
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from deepfsi.base import InputError, check_unpacked, open_regular
 from deepfsi.base.numeric import read_array, split_variable
-from deepfsi.datasets import check_grey_levels, is_deep, unread_kind
+from deepfsi.datasets import PICTURE_FORMATS, check_grey_levels, is_deep, unread_kind
 
 IMAGES = (".png", ".tif", ".tiff", ".bmp", ".pgm", ".gif")
 """Ends of the names of image files that lose nothing."""
@@ -84,7 +84,7 @@ def _pages(file: Path) -> Iterator[np.ndarray]:
         with warnings.catch_warnings():
             warnings.simplefilter("error", Image.DecompressionBombWarning)
             opened = open_regular(file, LARGEST_MASK_IMAGE, "replace it")
-            with opened as stream, Image.open(stream) as image:
+            with opened as stream, Image.open(stream, formats=PICTURE_FORMATS) as image:
                 pixels = image.width * image.height * getattr(image, "n_frames", 1)
                 check_unpacked(pixels, file.stat().st_size, str(file), "replace it")
                 for page in ImageSequence.Iterator(image):
