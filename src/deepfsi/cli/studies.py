@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from deepfsi.datasets import Dataset
     from deepfsi.sweeps import Recipe, Results
 
-PAPER = "deepfsi_paper"
+PAPER_PACKAGE = "deepfsi_paper"
 """The paper's experiments: a package of their own, beside this one, which works without it."""
 
 QUICK: dict[str, Any] = {"ratios": (0.06, 0.16, 0.36), "trials": 3, "training": {"epochs": 30}}
@@ -400,22 +400,22 @@ class WriteReport(Command):
 def shipped_recipes() -> "dict[str, Traversable]":
     """Recipes that come with the package and with the paper's experiments, by name."""
     own = (files("deepfsi") / "sweeps" / "recipes").iterdir()
-    papers = (files(PAPER) / "recipes").iterdir() if _has_paper() else ()
+    papers = (files(PAPER_PACKAGE) / "recipes").iterdir() if _has_paper() else ()
     return {Path(each.name).stem: each for each in (*own, *papers)}
 
 
 def _has_paper() -> bool:
-    return find_spec(PAPER) is not None
+    return find_spec(PAPER_PACKAGE) is not None
 
 
 def paper_studies() -> "ModuleType":
     """The paper's experiments by name, or `InputError` where they are missing."""
     if not _has_paper():
         raise InputError(
-            f"the paper's experiments are missing: {PAPER}, which comes with deepfsi, is not "
-            "installed; install deepfsi again"
+            f"the paper's experiments are missing: {PAPER_PACKAGE}, which comes with deepfsi, is "
+            "not installed; install deepfsi again"
         )
-    return import_module(f"{PAPER}.studies")
+    return import_module(f"{PAPER_PACKAGE}.studies")
 
 
 def read_recipe(source: str) -> dict[str, Any]:

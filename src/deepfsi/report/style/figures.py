@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from deepfsi.base import write_atomically
 from deepfsi.report.style.palette import CSS_NAMES, MUTED, SMALL, STYLE
 
-_P = ParamSpec("_P")
+_Args = ParamSpec("_Args")
 
 LEAST_TEXT = 12
 """Size of the smallest words on a page, pixels."""
@@ -35,11 +35,11 @@ def drawing(**changes: Any) -> AbstractContextManager[None]:
     return matplotlib.style.context(["default", STYLE | changes])
 
 
-def styled(draw: Callable[_P, Figure]) -> Callable[_P, Figure]:
+def styled(draw: Callable[_Args, Figure]) -> Callable[_Args, Figure]:
     """Draw in the context of `drawing`, and leave matplotlib's settings as they were."""
 
     @wraps(draw)
-    def wrapper(*args: _P.args, **kwargs: _P.kwargs) -> Figure:
+    def wrapper(*args: _Args.args, **kwargs: _Args.kwargs) -> Figure:
         with drawing():
             return draw(*args, **kwargs)
 
