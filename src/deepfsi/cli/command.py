@@ -36,6 +36,9 @@ from deepfsi.cli.terminal import Outcome, Terminal
 ONE_VALUE = ("camera", "hidden")
 """Options of one value where others are axes."""
 
+MOST_DIGITS = 1e10
+"""Bound from which on bounds have an exponent."""
+
 KIND_WORDS = {int: "int", float: "number", Path: "path"}
 """Words for what is written of a type; others are text."""
 
@@ -130,7 +133,7 @@ class Parameter:
     def bounds(self) -> str:
         """Values that are allowed, in words; empty where there is nothing to say."""
         _, metadata = self._value
-        text = time_text if seconds in _readers(metadata) else "{:g}".format
+        text = time_text if seconds in _readers(metadata) else _number_text
         limits = {
             name: text(getattr(each, name))
             for each in metadata
@@ -204,6 +207,12 @@ class Parameter:
     def _value(self) -> tuple[Any, list[Any]]:
         """Type of a value, the first of several, and what is declared of it."""
         return next(_leaves(self.field.annotation, tuple(self.field.metadata)))
+
+
+def _number_text(number: float) -> str:
+    """A bound: 4096, 0.3, 1e15."""
+    exact = float(number).is_integer() and abs(number) < MOST_DIGITS
+    return str(int(number)) if exact else f"{number:g}".replace("e+", "e")
 
 
 def _readers(metadata: list[Any]) -> list[Any]:
