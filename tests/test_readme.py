@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 from scipy import stats
 
-from deepfsi.datasets import idx
+from deepfsi.datasets import catalog
 from shared.commands import OPTIONS
 
 ROOT = Path(__file__).parent.parent
@@ -125,7 +125,7 @@ def run(tmp_path, monkeypatch, done, digits, trained_once):
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0}, raising=False)
-    monkeypatch.setattr(idx, "load_idx", lambda name, *_: replace(digits, name=name))
+    monkeypatch.setattr(catalog.IdxImages, "load", lambda self, _: replace(digits, name=self.name))
     monkeypatch.setattr("deepfsi.evaluation.page_data.TESTED", 20)
     recipes = tiny(starts.EXPERIMENT, 1)
     monkeypatch.setitem(studies.STUDIES, "mnist", (starts.EXPERIMENT,))

@@ -92,10 +92,10 @@ def test_names_of_data_sets_are_whole(done, monkeypatch, tmp_path):
     root = tmp_path / "a-long-way-to-the-data-of-everybody"
     (root / "indian_pines").mkdir(parents=True)
     monkeypatch.setenv("DEEPFSI_DATA", str(root))
-    monkeypatch.setattr(catalog.indian_pines, "where", lambda name="": root / "indian_pines")
+    monkeypatch.setattr(catalog.IndianPines, "find", lambda _: root / "indian_pines")
     printed = done("data", "list")
     rows = lines_of(printed)
-    assert len(rows) == len(catalog.NAMES)
+    assert len(rows) == len(catalog.list_datasets())
     assert max(map(len, rows)) <= WIDTH
     assert "fashion-mnist" in printed
     assert "$DEEPFSI_DATA/indian_pines" in printed
