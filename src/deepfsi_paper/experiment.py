@@ -26,8 +26,8 @@ from deepfsi.sweeps import (
     parts,
     provenance_of,
     read_results,
-    record_rows,
     write_results,
+    write_table,
 )
 from deepfsi_paper.report.maps import Cell
 from deepfsi_paper.report.section import Claim, Picture, Section, Table
@@ -162,7 +162,15 @@ class Experiment:
             first, designs = next(iter(data.values())), folder / "designs"
             extra = self.measure(results, first, designs, workers, spans[-1])
             results = results.model_copy(update={"extra": extra})
-        self.keep(folder, results, polars.DataFrame(record_rows(records), infer_schema_length=None))
+        averaged = [
+            {name: value for name, value in point.as_dict().items() if not isinstance(value, list)}
+            for point in results.points
+        ]
+        table = io.BytesIO()
+        polars.DataFrame(averaged, infer_schema_length=None).write_csv(table)
+        write_atomically(folder / f"{self.name}.csv", table.getvalue())
+        write_table(records, folder / f"{self.name}-trials.csv")
+        write_results(folder / f"{self.name}.json", results)
         return results
 
     def _named(self, point: Point, part: str, recipe: Recipe) -> Point:
@@ -180,28 +188,6 @@ class Experiment:
             name: load(each.data, each.size, each.images, each.split)
             for name, each in recipes.items()
         }
-
-    def keep(self, folder: Path, results: Results, trials: polars.DataFrame) -> None:
-        """Write the results, a row for each point, and one for each test of a trial.
-
-        Parameters
-        ----------
-        folder : Path
-        results : Results
-        trials : polars.DataFrame
-        """
-        averaged = [
-            {name: value for name, value in point.as_dict().items() if not isinstance(value, list)}
-            for point in results.points
-        ]
-        for table, name in (
-            (polars.DataFrame(averaged, infer_schema_length=None), self.name),
-            (trials, f"{self.name}-trials"),
-        ):
-            text = io.BytesIO()
-            table.write_csv(text)
-            write_atomically(folder / f"{name}.csv", text.getvalue())
-        write_results(folder / f"{self.name}.json", results)
 
     def section(self, folder: Path) -> Section | None:
         """The experiment's part of the page, or None where it was not run."""

@@ -15,14 +15,8 @@ from deepfsi.measures import (
     results_lines,
 )
 from deepfsi.report import write_report
-from deepfsi.sweeps import (
-    FoldRecords,
-    plan_trials,
-    read_results,
-    record_rows,
-    summarise_records,
-    write_results,
-)
+from deepfsi.sweeps import FoldRecords, plan_trials, read_results, summarise_records, write_results
+from deepfsi.sweeps.records import record_rows
 from shared.trials import small, train_trials
 
 

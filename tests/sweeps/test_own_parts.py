@@ -5,7 +5,8 @@ import pytest
 from conftest import same
 from deepfsi import Design
 from deepfsi.base import InputError
-from deepfsi.sweeps import Recipe, plan_trials, record_rows
+from deepfsi.sweeps import Recipe, plan_trials
+from deepfsi.sweeps.records import record_rows
 from shared.jobs import learn
 from shared.trials import small, train_trials
 

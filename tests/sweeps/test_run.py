@@ -15,7 +15,8 @@ from deepfsi import Design, evaluate
 from deepfsi.base import InputError
 from deepfsi.base.numeric import unpack_values
 from deepfsi.cli.studies import shipped_recipes
-from deepfsi.sweeps import Recipe, Trial, batch, compare, parts, plan_trials, record_rows
+from deepfsi.sweeps import Recipe, Trial, batch, compare, parts, plan_trials
+from deepfsi.sweeps.records import record_rows
 from shared.trials import small, train_trials
 
 FILES = {name: tomllib.loads(file.read_text()) for name, file in sorted(shipped_recipes().items())}

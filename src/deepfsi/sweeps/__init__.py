@@ -5,7 +5,7 @@ from deepfsi.sweeps.model_cards import Collection, DataTerms, DesignRecipe, make
 from deepfsi.sweeps.plan import Trial, check_settings, plan_trials, with_adaptive
 from deepfsi.sweeps.ray_cluster import run_on_ray
 from deepfsi.sweeps.recipe import PAPER_RATIOS, Recipe, only, parts
-from deepfsi.sweeps.records import FinishedTrial, Records, record_rows, write_table
+from deepfsi.sweeps.records import FinishedTrial, Records, write_table
 from deepfsi.sweeps.results import Data, Point, Provenance, Results, read_results, write_results
 from deepfsi.sweeps.run import check_kept, compare, run_trials
 from deepfsi.sweeps.summary import FoldRecords, provenance_of, summarise_records
@@ -43,7 +43,6 @@ __all__ = [
     "processes",
     "provenance_of",
     "read_results",
-    "record_rows",
     "run_on_ray",
     "run_trials",
     "summarise_records",
