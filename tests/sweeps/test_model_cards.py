@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from deepfsi import load_design, training
-from deepfsi.datasets import from_arrays, idx
+from deepfsi.datasets import from_arrays
+from deepfsi.datasets.catalog import DATASETS
 from deepfsi.designfile.published import DESIGNS_VARIABLE
 from deepfsi.sweeps import Collection, model_cards
 
@@ -53,20 +54,19 @@ def idx_files():
     images, labels = np.tile(drawn, (301, 1, 1)), np.arange(6020, dtype=np.uint64) % 10
     labels = labels.astype(np.uint8)
     parts = (images[20:], labels[20:], images[:20], labels[:20])
-    return dict(zip(idx.IDX_FILES, map(idx_gz, parts), strict=True))
+    return dict(zip(DATASETS["mnist"].hashes, map(idx_gz, parts), strict=True))
 
 
 @pytest.fixture
 def stand_ins(tmp_path, monkeypatch):
     """Small data in the place, and in the format, of those that the package's list names."""
     rng, contents = np.random.default_rng(2), idx_files()
-    hashes = tuple(f"md5:{hashlib.md5(each).hexdigest()}" for each in contents.values())
-    for name in idx.ORIGINALS:
+    hashes = {name: f"md5:{hashlib.md5(file).hexdigest()}" for name, file in contents.items()}
+    for name in ("mnist", "fashion-mnist"):
         (tmp_path / name).mkdir()
         for file, content in contents.items():
             (tmp_path / name / file).write_bytes(content)
-        known = idx.ORIGINALS[name]._replace(hashes=hashes)
-        monkeypatch.setitem(idx.ORIGINALS, name, known)
+        monkeypatch.setattr(DATASETS[name], "hashes", hashes)
     monkeypatch.setenv("DEEPFSI_DATA", str(tmp_path))
     spectra = from_arrays(rng.random((160, 256)), np.arange(160) % 16, name="spectra")
     usual = model_cards.load_dataset
