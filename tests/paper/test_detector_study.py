@@ -1,6 +1,7 @@
 """The study of detectors answers to the numbers."""
 
 from itertools import product
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -88,5 +89,6 @@ def test_the_start_is_chosen_on_validation_images_and_not_on_those_of_the_test()
     ],
 )
 def test_a_copy_in_jpeg_is_taken_where_the_original_is_not_here(monkeypatch, here, taken):
-    monkeypatch.setattr(experiment, "where", lambda name: name in here)
+    found = [SimpleNamespace(name=name, where="a folder") for name in here]
+    monkeypatch.setattr(experiment, "list_datasets", lambda: found)
     assert {each.data for each in study.CIFAR10.recipes(True).values()} == {taken}
