@@ -93,6 +93,7 @@ html_context = {"default_mode": "auto"}
 html_static_path = ["static", f"{get_data_path()}/fonts/ttf/STIXGeneral.ttf"]
 html_css_files = ["site.css"]
 html_js_files = ["site.js"]
+html_sidebars = {"notebook/**": []}  # in no navigation, but in the search
 html_math_renderer = "mathml"
 html_show_sourcelink = False
 html_copy_source = False
