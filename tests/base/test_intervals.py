@@ -1,6 +1,7 @@
 """Intervals of what a test measures, differences of them, where a curve crosses a target."""
 
 import math
+from itertools import product
 
 import numpy as np
 import pytest
@@ -24,6 +25,7 @@ from deepfsi.base.numeric import (
     wilson,
 )
 from deepfsi.base.numeric import auc as auc_of
+from deepfsi.base.numeric.intervals import seeds_error
 from shared.results import a_point
 
 
@@ -242,3 +244,23 @@ def test_it_covers_training_seeds_too():
         _, low, high = auc_of(np.array(rows), positive)
         covered += low <= truth <= high
     assert covered >= stats.binom.ppf(3e-5, runs, 0.95)
+
+
+def test_images_and_draws_count_once_where_trainings_are_alike():
+    """Then (S − 1) spread / crossed is χ² of S − 1: below it, 0.632 of three alike trainings."""
+    rng = np.random.default_rng(0)
+    none = [seeds_error(rng.binomial(3, 0.8, (3, 200)) / 3) == 0 for _ in range(1000)]
+    assert np.mean(none) == pytest.approx(
+        stats.chi2.cdf(2, 2), abs=5 * (0.632 * 0.368 / 1000) ** 0.5
+    )
+    apart = 0.8 + 0.1 * np.array([[-1], [0], [1]]) + np.zeros((3, 50))
+    assert seeds_error(apart) == pytest.approx(0.1 / 3**0.5)
+
+
+def test_few_images_that_differ_may_be_of_one_sign_by_chance():
+    """By the sign test five of one sign have p = 0.06, six have 0.03; so for thirds of draws."""
+    for images, size in product((24, 200, 10_000), (1, 1 / 3)):
+        wrong = np.zeros((1, images))
+        for more, told in ((5, False), (6, True)):
+            right = wrong + size * (np.arange(images) < more)
+            assert (paired_difference(right, wrong).low > 0) is told

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from deepfsi.base import Locks, locks
+from shared.waiting import until
 
 ELSEWHERE = "0123456789ab-1-1-00000000"
 """Name of a process of another host."""
@@ -111,3 +112,13 @@ def test_another_host_keeps_its_lock_while_its_file_changes(tmp_path, monkeypatc
     time.sleep(0.001)
     assert mine.take("a")
     assert not path.exists()
+
+
+def test_a_lock_shows_that_its_process_lives(tmp_path, monkeypatch):
+    monkeypatch.setattr(locks, "BEAT_SECONDS", 0.001)
+    mine = Locks(tmp_path)
+    assert mine.take("a")
+    (path,) = tmp_path.glob("locks/a/*")
+    os.utime(path, (1, 1))
+    until(lambda: path.stat().st_mtime > 1)
+    mine.give_up_all()

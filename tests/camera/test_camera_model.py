@@ -5,7 +5,8 @@ import json
 import pytest
 
 from deepfsi.base import InputError, seconds
-from deepfsi.camera import PRESETS, Camera
+from deepfsi.camera import DEVICES, PRESETS, Camera
+from deepfsi.camera.camera import GUARD_S
 from shared.noises import saturating
 
 
@@ -130,3 +131,25 @@ def test_a_bad_camera_file_is_named(tmp_path, text, match):
     with pytest.raises(InputError, match=match) as error:
         Camera.load(file)
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("name", DEVICES)
+def test_a_frame_of_a_device_is_counted_once_its_mirrors_have_settled(name):
+    device = DEVICES[name]
+    wanted = max(device.shortest_us * 1e-6 - device.settle_us * 1e-6 - GUARD_S, 0)
+    assert Camera(device=name).shortest_dwell == pytest.approx(wanted, abs=1e-12)
+    assert Camera(device=name, shortest_dwell="1ms").shortest_dwell == 1e-3
+
+
+def test_words_say_optics_frames_and_light():
+    lines = Camera(**{**FULL, "device": "dlp7000", "noise": "camera"}).describe().splitlines()
+    assert lines == [
+        "one DMD with a detector on each arm (light law two-arm); signed masks of two rails",
+        "2x2 detectors on each arm",
+        "device dlp7000: 1024 x 768 mirrors, square cells in the middle of the device",
+        "frames are counted for 32 µs or longer: up to 312 in an exposure of 10 ms",
+        "budget 10000 counts in 10 ms, at 1e6 counts/s with all mirrors of the region ON",
+        "2 dark counts of a detector in an exposure",
+        "read noise of 0.5 counts rms a readout",
+        "dead time 20 ns, paralysable",
+    ]

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from deepfsi.base import InputError
 from deepfsi.base.numeric import NumberTable
@@ -144,3 +145,10 @@ def test_a_counter_near_saturation_is_named(run):
             shown.manifest,
             TableSettings(effects=CounterEffects(dead_time=slow)),
         )
+
+
+def test_a_dead_time_of_more_than_ten_microseconds_is_refused():
+    """Gates of a shortest picture time, some 100 µs, must hold many of them."""
+    assert DeadTime(seconds=1e-5).most_registered == pytest.approx(5e4)
+    with pytest.raises(ValidationError, match="less than or equal to"):
+        DeadTime(seconds=1.01e-5)

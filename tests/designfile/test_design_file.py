@@ -12,6 +12,7 @@ from deepfsi import Design
 from deepfsi.base import InputError
 from deepfsi.designfile import DesignFile, find_design
 from shared.design_files import file_of
+from shared.vectors import AGREES, KINDS, read_vectors
 
 OPTICS = {
     "single": {"light": "free-dwell", "rails": "single"},
@@ -81,3 +82,22 @@ def test_torch_is_not_needed():
         "assert 'torch' not in sys.modules and 'scipy.stats' not in sys.modules"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_it_answers_the_vectors(kind, tmp_path):
+    content, matrix, vectors = read_vectors(kind)
+    path = tmp_path / "design.safetensors"
+    path.write_bytes(content)
+    file = DesignFile.read(path)
+    assert file.to_bytes() == content
+    signed = file.rails[0] - (file.rails[1] if file.rail_count == 2 else 0)
+    np.testing.assert_allclose(signed, matrix, atol=1e-7)
+    for vector in vectors:
+        features = file.features(vector.counts[:, : vector.masks]) / vector.photons
+        inputs = file.inputs(features, vector.dwell)
+        chances = file.chances(inputs, vector.photons)
+        np.testing.assert_allclose(chances, vector.chances, atol=AGREES)
+        if vector.look is not None:
+            dwell = file.next_dwell(inputs, vector.look)
+            np.testing.assert_allclose(dwell, vector.next_dwell, atol=AGREES)

@@ -8,12 +8,29 @@ import torch
 from scipy.special import softmax
 
 from conftest import quick
-from deepfsi import evaluate
-from deepfsi.evaluation import logits_at_stops
+from deepfsi import Design, evaluate
+from deepfsi.designfile import calibration_budgets
+from deepfsi.evaluation import CalibrationScenes, Exposed, fit_temperatures, logits_at_stops
 from deepfsi.jobs import Job
 from deepfsi.measures.reliability import BINS
 from deepfsi.networks import stop_temperatures
 from deepfsi.training import find_temperatures
+
+
+class _Times(torch.nn.Module):
+    def __init__(self, factor: float) -> None:
+        super().__init__()
+        self.factor = factor
+
+    def forward(self, logits: torch.Tensor) -> torch.Tensor:
+        return self.factor * logits
+
+
+def fitted(design, data, trained_on):
+    scenes = CalibrationScenes([Exposed(design, design.scanner(), data.x_test, data.y_test)], 1)
+    budgets = calibration_budgets(PHOTONS, PHOTONS)
+    return fit_temperatures(scenes, budgets, trained_on=trained_on, seed=0)
+
 
 PHOTONS = 1e4
 HELD_OUT = 437
@@ -100,3 +117,27 @@ def test_held_out_scenes_calibrate_where_there_are_any(fixed, digits):
     test = replace(digits, y_test=rng.permutation(digits.y_test))  # of none held out: no test scene
     own, its = (find_temperatures(fixed, job, each)[0].logs for each in (digits, test))
     assert np.array_equal(own, its)
+
+
+def test_scenes_of_the_training_make_no_network_surer(fixed, digits):
+    """One that is three times less sure than it could be stays so, unless scenes were held out."""
+    kept = digits.hold_out(HELD_OUT)
+    shy = replace(fixed, classifier=torch.nn.Sequential(fixed.classifier, _Times(0.2)))
+    assert fitted(shy, kept, False).logs.min() < -0.5
+    assert fitted(shy, kept, True).logs.min() == 0
+
+
+def test_first_masks_and_dimmer_devices_have_the_temperatures_of_their_light(digits, tmp_path):
+    design = quick(digits.hold_out(HELD_OUT), **KINDS["nested"])
+    for shown in (2, 5, 8):
+        part = design.first(shown)
+        share = part.exposure.used / design.exposure.used
+        wanted = stop_temperatures(design.temperatures, 3e3)[shown - 2]
+        assert stop_temperatures(part.temperatures, 3e3 * share)[-1] == pytest.approx(wanted)
+        again = Design.load(part.save(tmp_path / "part.safetensors"))
+        assert np.array_equal(again.temperatures.logs, part.temperatures.logs)
+    shown = design.as_shown(design.rails.stacked.numpy() / 2, design.image_shape, 0.5)
+    counts = np.full(design.counts_shape, 40.0)
+    np.testing.assert_allclose(
+        shown.classify(counts, 2 * PHOTONS), design.classify(counts, PHOTONS), atol=1e-5
+    )

@@ -164,3 +164,21 @@ def test_a_pair_of_arrays_is_all_test(digits):
     ]:
         with pytest.raises(InputError, match=match):
             evaluate(design, wrong, 1e4)
+
+
+def test_counts_of_chosen_dwells_are_those_that_were_drawn(digits):
+    """Sum of single counts of every look, within the Poisson error of all."""
+    looks = quick(digits, light="free-dwell", rails="single", looks=3, noise="poisson")
+    scanner, bright = looks.scanner(), looks.shares.argmax()
+    with torch.no_grad():
+        list(looks.exposure.network.parameters())[-1][bright] += (
+            3.0  # of the scores: far from equal
+        )
+    [result] = evaluate(looks, digits, 300.0, draws=1)
+    rates = looks.rates(scanner, torch.from_numpy(digits.x_test))
+    with torch.no_grad():
+        *_, seen = looks.observe(scanner, rates, generator(4), 300.0)
+    drawn, n = float(seen.features.sum()) * 300 / len(rates), len(rates)
+    # dwells differ between draws: the counts of a scene vary by more than photon noise
+    spread = 300 * float(seen.features.sum(dim=1).std()) / math.sqrt(n)
+    assert abs(drawn - result.counts) < 5 * math.sqrt(2) * spread

@@ -138,3 +138,14 @@ def test_one_photon_tells_what_was_published_first():
 
     assert accuracy(data.x_test, data.y_test) == pytest.approx(0.2296, abs=5e-5)
     assert accuracy(data.x_train, data.y_train) == pytest.approx(0.2284, abs=5e-5)
+
+
+def test_counts_that_a_scene_cannot_give_exclude_it():
+    rates = torch.tensor([[0.5, 0.0, 0.0], [0.3, 0.2, 0.0], [0.1, 0.2, 0.2]])
+    observer = IdealObserver(rates, torch.arange(3), 4)
+    chances = observer.chances(torch.tensor([[3.0, 1, 0], [3, 0, 1], [9, 0, 0]]), 10.0)
+    assert chances[0, 0] == 0
+    assert (chances[0, 1:3] > 0).all()
+    assert chances[1].tolist() == [0, 0, 1, 0]
+    assert (chances[2, :3] > 0).all()
+    assert (chances[:, 3] == 0).all(), "a class without a scene"

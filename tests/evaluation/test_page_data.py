@@ -89,3 +89,10 @@ def test_the_first_scene_is_nearest_to_its_class(digits):
     levels = planes.reshape(2, -1).T.copy().view("<u2").reshape(packed["shape"])[held["clearest"]]
     scene = held["low"] + levels / 65535 * (held["high"] - held["low"])
     np.testing.assert_allclose(scene, tests[3], atol=1e-4)
+
+
+def test_the_flattest_training_scene_is_the_one_of_the_least_spread(made, digits):
+    """The page says where what is drawn is flatter than that."""
+    held = playable(made("deepfsi", "column", "dual"), digits)["scenes"]
+    spreads = [np.sqrt(((scene - scene.mean()) ** 2).mean()) for scene in digits.x_train]
+    assert held["flattest"] == pytest.approx(min(spreads), rel=1e-5)

@@ -17,6 +17,15 @@ from deepfsi.exposure import (
 from deepfsi.jobs import AdaptiveMasks
 from deepfsi.physics import Poisson
 
+PIXELS = 12
+OPTICS = [
+    {},
+    {"dark": 200.0},
+    {"arms": 2},
+    {"detectors": torch.arange(PIXELS) // 4},
+]
+
+
 PIXELS, SCENES, CLASSES, DRAWS, LOOKS = 12, 60, 3, 600, 4
 
 
@@ -69,3 +78,17 @@ def test_a_damaged_misfit_is_refused(wrong):
     logs = np.ones((2, 3, LOOKS))
     with pytest.raises(ValueError, match="misfit"):
         adaptive.UsualMisfit.restored({"misfit_budgets": wrong, "misfit_logarithms": logs}, LOOKS)
+
+
+@pytest.mark.parametrize("optics", OPTICS)
+@pytest.mark.parametrize("photons", [100.0, 1e4])
+def test_scenes_of_the_prior_are_as_far_as_their_counts_vary(known, optics, photons):
+    """E[r' V^-1 r] is the number of readouts in each look, whatever was counted before."""
+    x, labels = known
+    prior = ScenePrior(x, labels, CLASSES, PIXELS)
+    rows = torch.randint(SCENES, (DRAWS,), generator=generator(2))
+    away, readouts = distances(
+        prior, torch.from_numpy(x)[rows], posterior.LookOptics(photons, **optics)
+    )
+    error = away.std(dim=1) / DRAWS**0.5
+    assert (abs(away.mean(dim=1) - readouts) < 5 * error).all()

@@ -8,7 +8,7 @@ import torch
 
 from conftest import every_optics, generator, once
 from deepfsi.camera import photons_per_pixel
-from deepfsi.exposure import TrainingSet
+from deepfsi.exposure import TrainingSet, conditioned
 from deepfsi.networks import stop_temperatures
 from deepfsi.physics import light_law
 from deepfsi.training import train
@@ -91,3 +91,30 @@ def test_damaged_conditioning_is_refused(digits, tmp_path, damage):
     path = once(digits, **TRAINED).save(tmp_path / "d.safetensors")
     rewrite(path, lambda header, _: header["exposure"].update(damage))
     refused(path)
+
+
+@every_optics
+def test_nested_masks_take_the_whole_of_their_constraint(digits, light, rails):
+    design = once(digits, light=light, rails=rails, **TRAINED)
+    assert float(light_law(light).used(design.rails.stacked)[-1]) == pytest.approx(1, rel=1e-5)
+
+
+def test_noise_over_exposures_is_the_mean_over_those_that_show_a_mask():
+    """Against the sum over numbers of masks shown and budgets, of two jobs that differ.
+
+    With n masks shown, and used(n) of their light law, the noise of a budget Φ is that of
+    Φ used(m) / used(n); budgets are drawn log-uniformly from a hundredth to all of the largest.
+    """
+    used = torch.tensor([[0.2, 0.5, 0.6, 1.0], [0.1, 0.3, 0.9, 1.5]], dtype=torch.float64)
+    chances = torch.tensor([0.4, 0.0, 0.1, 0.5], dtype=torch.float64)
+    places = (torch.arange(100_000, dtype=torch.float64) + 0.5) / 100_000
+    dim = float((100.0**-places).mean())
+    factor, often = conditioned.mean_over_exposures(used, 100.0, chances)
+    for mask in range(4):
+        seen = chances[mask:]
+        assert float(often[mask]) == pytest.approx(float(seen.sum()))
+        for replica in range(2):
+            mean = float((seen * used[replica, mask:] / used[replica, -1]).sum() / seen.sum())
+            assert float(factor[replica, mask]) == pytest.approx(dim * mean, rel=1e-6)
+    one, _ = conditioned.mean_over_exposures(used, 1.0, chances)
+    assert torch.allclose(one * dim, factor, rtol=1e-6)

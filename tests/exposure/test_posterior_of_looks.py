@@ -185,3 +185,15 @@ def test_what_a_fixed_sequence_is_for_is_refused(digits, design):
         fixed.classify_live(lambda dwell: np.zeros(6), 1e3)
     with pytest.raises(InputError, match="leave dwell out"):
         fixed.classify(np.zeros(6), 1e3, dwell=np.ones(6) / 6)
+
+
+@pytest.mark.parametrize("before", [(), (5,), (5, 2)])
+def test_the_dwells_of_two_rails_follow_one_another(before):
+    """Of one exposure, of several, and of the looks of several."""
+    dwells = Dwells(masks=3, each_rail=True)
+    given = np.arange(np.prod((*before, 6))).reshape(*before, 6)
+    apart = dwells.by_rail(given)
+    assert apart.shape == (*before, *dwells.shape)
+    assert (apart[..., 0, :] == given[..., ::2]).all()
+    assert (apart[..., 1, :] == given[..., 1::2]).all()
+    assert (dwells.by_mask(apart) == given).all()

@@ -145,3 +145,10 @@ def test_every_allowed_count_gives_that_many_masks(design, digits):
         assert matrix.shape == (masks, 64)
         assert np.isfinite(matrix).all()
         assert DESIGNS[design].rails != "single" or matrix.min() >= 0
+
+
+def test_principal_components_hold_the_most_variance(digits):
+    rows = sensing_matrix("pca", 5, digits)
+    centred = digits.x_train.astype(float) - digits.x_train.mean(axis=0, dtype=float)
+    best = (np.linalg.svd(centred, compute_uv=False)[:5] ** 2).sum()
+    assert ((centred @ rows.T) ** 2).sum() == pytest.approx(best)

@@ -16,6 +16,10 @@ from deepfsi.jobs import count_allowed, sensing_matrix
 from deepfsi.physics import ROUNDING_SLACK, LearnedMasks, Rails, frames, light_law
 
 
+def rails_of(masks: torch.nn.Module, rails: str) -> Tensor:
+    return masks().stacked
+
+
 def fixed_matrix(design: str, digits) -> Tensor:
     low, high = count_allowed(design, digits)
     return torch.from_numpy(sensing_matrix(design, min(max(low, 9), high), digits)).float()
@@ -292,3 +296,31 @@ def test_free_numbers_begin_like_the_start(light, rails):
     shape = start if light in ("column", "dose") else parts
     assert torch.allclose(matrix / matrix.max(), shape / shape.max(), atol=1e-6)
     assert all(tensor.shape[-2:] == (4, 9) for name, tensor in weights.items() if name == "weight")
+
+
+@every_optics
+@pytest.mark.parametrize("levels", [0, 2, 769])
+@pytest.mark.parametrize("rate", [0.03, 3.0])
+def test_learned_masks_obey_after_every_step(light, rails, rate, levels):
+    """Two replicas chase far more light than there is, with small and absurd steps."""
+    start = torch.randn(2, 6, 16, generator=generator())
+    learned = LearnedMasks(start if rails == "dual" else start.abs(), light, rails, levels)
+    target = 10 * torch.randn(2, 6, 16, generator=generator(1))
+    optimiser = torch.optim.Adam(learned.parameters(), lr=rate)
+    for _ in range(40):
+        loss = (learned().difference - target).square().mean()
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+        for replica in learned().stacked.detach():
+            assert torch.isfinite(replica).all()
+            assert replica.min() >= 0
+            assert limits(replica, light).max() <= 1 + ROUNDING_SLACK
+            assert light_law(light).excess(replica) <= ROUNDING_SLACK
+
+
+def test_learned_column_masks_start_from_the_fitted_matrix(digits):
+    matrix = fixed_matrix("pca", digits)
+    assert torch.allclose(
+        rails_of(LearnedMasks(matrix, "column"), "dual"), light_law("column").fit(matrix)
+    )

@@ -6,6 +6,16 @@ import torch
 from deepfsi.physics import TrainingNoise, detection
 from shared.noises import training_noise
 
+READ = detection.Readouts(
+    torch.tensor([[[True] * 3], [[True, True, False]]]),
+    torch.ones(2, 1, 3),
+    torch.arange(6).view(2, 1, 3),
+)
+
+
+LIT = READ.lit
+
+
 DRAWS = 200_000
 GAINS, SIGMAS = [4.0, 50.0], [3.0, 0.5]
 MEAN = torch.tensor([[0.4, -0.2, 0.5], [0.4, -0.2, 0.5]])
@@ -39,3 +49,11 @@ def test_a_part_of_the_trainings_has_their_own_noise(kind):
     part = noise(kind).of_jobs(slice(1, 2))
     assert part.gain.tolist() == [[50.0]]
     assert part.unit.item() == pytest.approx(50**-0.5)
+
+
+def test_mlgauss_and_read_noise_deviate_as_counts_over_the_gain():
+    gain, sigma = torch.tensor(GAINS)[:, None], torch.tensor(SIGMAS)[:, None]
+    photons = noise("ml_gauss").deviation(MEAN, TOTAL, READ).square()
+    assert torch.allclose(photons, TOTAL * gain / gain**2)
+    read = noise("gaussian").deviation(MEAN, TOTAL, READ).square()
+    assert torch.allclose(read, LIT * sigma**2 / gain**2)

@@ -129,3 +129,21 @@ def test_learned_masks_beat_their_start_in_dim_light(digits):
         for design in ("deepfsi", "pca")
     ]
     assert accuracy[0] > accuracy[1]
+
+
+def test_two_arms_that_are_both_read_start_where_one_arm_does(digits):
+    """Masks that hardly learn are the frames of one arm, within the range of a start."""
+    words = {**RECIPE, "photons": 1e3, "masks": 6, "epochs": 1, "mask_lr": 1e-9}
+    one = learn(digits, light="free-dwell", rails="single", **words).rails.plus
+    both, difference = (
+        learn(digits, light="two-arm", readout=readout, **words).rails.stacked
+        for readout in ("both", "difference")
+    )
+
+    def patterns(rail, dwell):
+        return (rail / dwell)[:, one.amax(dim=0) > 0]
+
+    start = patterns(one, one.amax(dim=-1, keepdim=True))
+    for rails, alike in ((both, True), (difference, False)):
+        shown = patterns(rails[0], rails.sum(dim=0).amax(dim=-1, keepdim=True))
+        assert bool((shown - start).abs().max() < 0.11) == alike

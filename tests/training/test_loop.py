@@ -12,6 +12,7 @@ import torch
 from conftest import RECIPE, every_optics, quick, same
 from deepfsi import Design
 from deepfsi.exposure import TrainingSet
+from deepfsi.exposure import training as masks_training
 from deepfsi.networks import Replicas
 from deepfsi.training import loop, train
 from shared.jobs import job as job_of
@@ -142,3 +143,17 @@ def test_threads_wait_asleep_unless_the_user_says_otherwise(given, spins):
         text=True,
     ).stderr
     assert re.search(r"GOMP_SPINCOUNT = '(\d+)'", said).group(1) == str(spins)
+
+
+def test_random_masks_of_one_seed_are_measured_once(digits, monkeypatch):
+    """Photons do not change them; seeds do."""
+    made, fixed = [], masks_training.FixedMasks
+    monkeypatch.setattr(
+        masks_training, "FixedMasks", lambda rails: made.append(len(rails)) or fixed(rails)
+    )
+    alike = {"design": "random", "masks": 6, **SETTINGS}
+    for seeds in ((3, 3, 3), (3, 4, 5)):
+        pairs = zip(seeds, (1e2, 1e3, 1e4), strict=True)
+        jobs = [job_of(seed=seed, photons=photons, **alike) for seed, photons in pairs]
+        train(TrainingSet(digits, "cpu"), jobs)
+    assert made == [1, 3]

@@ -35,3 +35,11 @@ def test_background_counts_dark_always_and_ambient_through_open_mirrors():
     wanted = [[0.2 * 10 * (5 + 100 * 0.25), 0], [0, 0.4 * 10 * (5 + 100 * 0.75)]]
     found = expected_background(patterns, 10.0, 5.0, 100.0)
     np.testing.assert_allclose(found, wanted)
+
+
+def test_background_on_two_arms():
+    frames = [(0, "both", 0.3), (1, "both", 0.7)]
+    patterns = patterns_of(frames, [[16, 0, 0, 0], [16, 16, 16, 0]], 2)
+    found = expected_background(patterns, 1.0, np.array([5.0, 7.0]), np.array([100.0, 10.0]))
+    wanted = [[0.3 * (5 + 25), 0.7 * (5 + 75)], [0.3 * (7 + 7.5), 0.7 * (7 + 2.5)]]
+    np.testing.assert_allclose(found, wanted)

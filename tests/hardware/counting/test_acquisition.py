@@ -9,10 +9,12 @@ import pytest
 import recording_samples
 from hypothesis import given
 from hypothesis import strategies as st
-from recording_samples import made, many, named
+from recording_samples import made, many, named, patterns_of
 
 from deepfsi.base import InputError
 from deepfsi.hardware.counting import (
+    Acquisition,
+    Scene,
     acquisition,
     count_run,
     prepare_run,
@@ -171,3 +173,17 @@ def sign(folder: Path) -> None:
     digest = sha256(path.read_bytes()).hexdigest()
     about = json.loads((folder / "acquisition.json").read_text())
     (folder / "acquisition.json").write_text(json.dumps(about | {"manifest_sha256": digest}))
+
+
+@pytest.mark.parametrize("light", ["equal-dwell", "free-dwell"])
+@pytest.mark.parametrize("repeats", [None, 3])
+def test_gates_of_the_usual_exposure_end_before_a_late_marker_could_cut_one(
+    tmp_path, light, repeats
+):
+    """In the frame with the least room they leave just the usual tolerance, in none less."""
+    manifest = patterns_of(tmp_path / "p", light).manifest
+    found = Acquisition.plan(manifest, (Scene(name="a"),), settle_s=1e-5, repeats=repeats)
+    assert found.repeats == (repeats or 1)
+    opened = 1e-5 + manifest.shares * found.exposure_s * found.repeats
+    left = manifest.picture_s[manifest.shown] - opened
+    assert left.min() == pytest.approx(manifest.usual_tolerance_s, rel=1e-6)

@@ -18,7 +18,7 @@ from recording_samples import (
 )
 
 from deepfsi.base import InputError
-from deepfsi.hardware.counting import CountSettings, count_run
+from deepfsi.hardware.counting import CountSettings, count_run, read_counts
 from deepfsi.hardware.counting import markers as markers_module
 from deepfsi.hardware.photons import PtuFile, read_markers
 
@@ -263,3 +263,19 @@ def test_the_last_pass_of_a_cut_file_is_not_made_of_two(kept):
     else:
         known = np.isfinite(found.starts_s)
         assert (np.abs(found.starts_s - true)[known] < 3e-5).all()
+
+
+@pytest.mark.parametrize("rate", [-0.01, 0.005, 0.01])
+def test_frames_of_another_length_are_counted_and_the_drift_is_said(run, rate):
+    starts = train(run.patterns.manifest, 3, rate)
+    run.record(starts, starts.ravel(), run.photons)
+    counts = count_run(run.folder, CountSettings(exposure_s=11 * DWELL * 0.9))
+    assert counts.valid.all()
+    assert counts.drift == pytest.approx(rate, abs=1e-5)
+    assert read_counts(run.folder).drift == counts.drift
+    length = run.patterns.manifest.picture_s[0] - 4e-5  # in which photons come, evenly
+    for place, gate in zip(run.patterns.manifest.shown, counts.gate_s, strict=True):
+        frame = run.patterns.manifest.frames[place]
+        wanted = run.photons[:, place, 0] * (gate + 2e-5 - 3e-5) / length
+        here = counts.counts[:, 0, 0 if frame.rail == "plus" else 1, frame.mask]
+        assert (np.abs(here - wanted) < 1.5).all()

@@ -217,3 +217,32 @@ def test_the_lines_of_the_page_run(tmp_path, monkeypatch, capsys):
     found = counter.feed(content)
     assert len(found.counts) == 2
     assert f"{found.starts_s} {found.counts}" in capsys.readouterr().out
+
+
+def test_a_frame_of_several_pictures_begins_with_its_first_marker(tmp_path):
+    """A device that repeats a picture to show it for longer gives a marker each time."""
+    path = record(tmp_path / "a.ptu", [44e-6] * 9, 5e6)
+    times, bits = read_markers(path)
+    starts = times[bits == 2][[0, 3, 4]]
+    pictures = np.array([3, 1, 5])
+    gates = FrameGates(np.full(3, SETTLE), 44e-6 * pictures - 1.5 * SETTLE, pictures)
+    counter = FrameCounter((0,), marker_bit=2)
+    counter.expect(gates)
+    opens = starts + round(SETTLE / TICK_S)
+    closes = opens + np.rint(gates.lengths_s / TICK_S).astype(int)
+    assert np.array_equal(
+        counter.feed(path.read_bytes()).counts, count_windows(path, opens, closes)
+    )
+
+
+@pytest.mark.parametrize("place", range(8))
+def test_a_list_that_lacks_a_marker_is_never_counted_to_its_end(place):
+    """A loop that waits for the last mask's counts, before the all-OFF frame, waits in vain."""
+    content = looks(EVEN)
+    last = FrameCounter((0,))
+    last.expect(FrameGates.of(SETTLE, EVEN - 15e-6))
+    assert len(last.feed(content[: len(content) // 2]).counts) == 8
+    counter = FrameCounter((0,))
+    counter.expect(FrameGates.of(SETTLE, EVEN - 15e-6))
+    lost = looks(EVEN, lost=place)
+    assert len(counter.feed(lost[: len(lost) // 2]).counts) == 6

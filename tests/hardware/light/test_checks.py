@@ -148,3 +148,32 @@ def test_law_lateness_is_certain_at_six_standard_deviations_of_sound_draws(longe
 
     assert not named(5.3 * spread)
     assert named(6.7 * spread)
+
+
+def test_a_mask_that_is_brighter_than_all_mirrors_on_spoils_its_scene(shown, tmp_path):
+    """Stray light that is steady while one mask is shown is told by its brightness alone."""
+    folder, patterns = shown["free-dwell"]
+    lit, place = Lit.sound(patterns, np.random.default_rng(8)), int(patterns.manifest.shown[3])
+    begin, dark = lit.starts()[2, place], lit.stray(np.zeros(1))[0]
+    end = lit.starts()[2, place + 1]
+    lit.stray = lambda t: np.where((t >= begin) & (t < end), 1.5 * lit.flux, dark)
+    lit.record(tmp_path / "run", folder)
+    counts = count_run(tmp_path / "run")
+    assert [(each.kind, each.scene, each.frame) for each in counts.faults] == [
+        ("brighter", 2, place)
+    ]
+    assert np.flatnonzero(counts.spoilt).tolist() == [2]
+
+
+def test_the_light_of_a_scene_is_that_of_its_part_of_the_recording(shown, tmp_path):
+    """A lamp that halves between two scenes halves the budget of those after it, not of others."""
+    folder, patterns = shown["free-dwell"]
+    lit = Lit.sound(patterns, np.random.default_rng(8))
+    half = lit.scenes // 2
+    lit.lamp = lambda t: np.where(t >= half * lit.pass_s, 0.5, 1.0)
+    lit.record(tmp_path / "run", folder)
+    counts = count_run(tmp_path / "run")
+    assert [(fault.kind, fault.scene) for fault in counts.faults] == [("level", half)]
+    assert np.ptp(counts.photons[:half]) == np.ptp(counts.photons[half:]) == 0
+    assert counts.photons[-1] / counts.photons[0] == pytest.approx(0.5, rel=0.06)
+    assert usable(counts).all()

@@ -12,11 +12,12 @@ from conftest import exposing
 from deepfsi import learn
 from deepfsi.base import InputError
 from deepfsi.camera import find_device
-from deepfsi.hardware.live import LiveCounts, plan_live, run_live
+from deepfsi.hardware.live import LiveCounts, frame_log, plan_live, run_live
 from deepfsi.hardware.patterns import FrameSettings, export_patterns, read_patterns
 from deepfsi.hardware.virtual import (
     CAMERAS,
     Latencies,
+    VirtualCamera,
     virtual_setup,
 )
 from deepfsi.lab import design_rails, open_looks
@@ -158,3 +159,23 @@ def one_thread():
     torch.set_num_threads(1)
     yield
     torch.set_num_threads(before)
+
+
+def test_dark_counts_are_known_and_change_little(digits, patterns, tmp_path):
+    """As many of them as photons through half the mirrors: the masks are made with them."""
+    camera = VirtualCamera(dark=FLUX / 2)
+    noisy = run(tmp_path / "noisy", patterns, digits, 40, camera=camera)
+    right = [each.answer.predicted == each.answer.label for each in noisy if each.answer]
+    assert np.mean(right) > 0.75
+
+
+def test_a_changed_mask_is_found_in_the_replay(digits, patterns, tmp_path):
+    folder = tmp_path / "run"
+    run(folder, patterns, digits, count=1)
+    (line,) = (folder / "shown.jsonl").read_text().splitlines()
+    mask = frame_log.FrameLog.read(folder).scenes[0].lists[2].masks[0]
+    other = "AAAAAAAAAAA=" if mask[0] != "A" else "/////////w8="
+    (folder / "shown.jsonl").write_text(line.replace(mask, other) + "\n")
+    LiveCounts.count(folder)
+    with pytest.raises(InputError, match="not the one that follows from its counts"):
+        replay(folder)

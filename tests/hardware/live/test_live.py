@@ -275,3 +275,69 @@ def test_the_lines_of_the_page_run(digits, patterns, tmp_path, monkeypatch, caps
         (scene, look) for scene in range(2) for look in range(LOOKS)
     ]
     assert len(shown) == 2 * (2 + LOOKS)
+
+
+def test_decisions_are_those_of_the_design(digits, patterns, run):
+    """`Design.classify_live`, in torch, asks for the same dwells and says the same."""
+    from deepfsi import Design
+
+    design = Design.load(patterns.parent / "looks.safetensors")
+    manifest = read_patterns(patterns).manifest
+    masks = {int(at): manifest.frames[at].mask for at in manifest.shown}
+    for again, (scene, counts) in zip(replay(run), LiveCounts.read(run).by_scene, strict=True):
+        shown = iter(zip(scene.lists[1:-1], counts[1:-1], strict=True))
+
+        def read(dwell, shown=shown):
+            each, found = next(shown)
+            places = [masks[frame] for frame in each.frames]
+            gates, signal = np.zeros(design.masks), np.zeros(design.masks)
+            gates[places] = np.array(each.gate_ns) * 1e-9 / EXPOSURE_S
+            signal[places] = found.counts[:, 0]
+            assert dwell[gates > 0] == pytest.approx(gates[gates > 0], rel=0.02)
+            return signal, gates
+
+        chances = design.classify_live(read, again.decisions[-1].photons)
+        np.testing.assert_allclose(chances, again.decisions[-1].chances, atol=1e-4)
+
+
+def test_long_gates_end_within_their_pictures_where_clocks_differ(digits, patterns, tmp_path):
+    """A device whose clock is fast by 10⁻⁴ shortens a picture of 1 s by more than it settles."""
+    x, scenes = scenes_of(digits, 2)
+    devices = bench(patterns, x, 1e4)
+    whole = devices.projector.show
+    devices.projector.show = lambda frames, dwells_s: whole(frames, dwells_s * (1 - 1e-4))
+    acquisition = runs.plan_live(patterns, scenes, 3.0 * LOOKS)
+    decided = list(runs.run_live(tmp_path / "run", patterns, acquisition, devices))
+    assert len(decided) == 2 * LOOKS
+    gates = [
+        max(one.gate_ns)
+        for each in frame_log.FrameLog.read(tmp_path / "run").scenes
+        for one in each.lists[1:-1]
+    ]
+    assert max(gates) > 0.2e9
+
+
+def test_a_device_that_repeats_frames_is_followed(digits, patterns, tmp_path):
+    """As a frame list of Vialux does: a dwell is a number of shortest pictures, each a marker."""
+    x, scenes = scenes_of(digits, 3)
+    devices = bench(patterns, x, 1e6)
+    whole = devices.projector.show
+
+    def repeats(dwells_s):
+        return np.ceil((dwells_s / 44e-6).round(6)).astype(int)
+
+    def show(frames, dwells_s):
+        places = np.repeat(frames, repeats(dwells_s))
+        whole(places, np.full(len(places), 44e-6))
+
+    def pictures(dwells_s):
+        return repeats(dwells_s), np.full(len(dwells_s), 44e-6)
+
+    devices.projector.show, devices.projector.pictures = show, pictures
+    acquisition = runs.plan_live(patterns, scenes, EXPOSURE_S)
+    decided = list(runs.run_live(tmp_path / "run", patterns, acquisition, devices))
+    assert len(decided) == 3 * LOOKS
+    LiveCounts.count(tmp_path / "run")
+    assert all(each.answer.agrees for each in replay(tmp_path / "run"))
+    counts, expected = counts_and_means(tmp_path / "run", patterns, x)
+    assert abs(counts.sum() - expected.sum()) < 5 * np.sqrt(expected.sum())

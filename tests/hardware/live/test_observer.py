@@ -226,3 +226,37 @@ class Watched:
                 return exposure.compare(on)
 
         return Exposure()
+
+
+def test_a_scene_without_light_is_not_decided_upon_and_changes_no_budget(digits, patterns):
+    rates = rates_of(patterns, digits, 4) + 1e5
+    rates[:2] = 1e5
+    decided, _ = observe(patterns, rates, 4)
+    assert [len(each) for each in decided] == [0, 0, LOOKS, LOOKS]
+    (alone, *_), _ = observe(patterns, rates[2:], 2)
+    assert decided[2][-1].photons == pytest.approx(alone[-1].photons, rel=1e-6)
+
+
+@pytest.mark.parametrize("paralysable", [False, True])
+def test_a_mask_beyond_the_rate_that_is_sure_is_corrected_as_there(digits, patterns, paralysable):
+    """A short gate may be, by chance: its photons stay finite and above 0, and the run goes on."""
+    dead = DeadTime(seconds=25e-9, paralysable=paralysable)
+    rates, shown = rates_of(patterns, digits), read_patterns(patterns).manifest.shown
+    rates[:, shown[::2]] = 2.5 * dead.most_registered
+    (found,), asked = observe(patterns, rates, effects=CounterEffects(dead_time=dead))
+    rates *= dead.correction(np.minimum(rates, dead.most_registered)).arrivals
+    (arrived,), again = observe(patterns, rates)
+    assert len(found) == len(arrived) == LOOKS
+    for one, other in zip(found, arrived, strict=True):
+        np.testing.assert_allclose(one.chances, other.chances, atol=1e-6)
+    for one, other in zip(asked, again, strict=True):
+        assert np.array_equal(one.frames, other.frames)
+        assert np.array_equal(one.gate_ns, other.gate_ns)
+
+
+def test_the_light_of_a_decision_is_that_of_all_looks_so_far(digits, patterns):
+    rates = rates_of(patterns, digits, 2)
+    decided, asked = observe(patterns, rates, 2)
+    looks = np.array([each.gate_ns.sum() for each in asked if each.look != SCENE_ENDS])
+    for scene, own in zip(decided, looks.reshape(2, LOOKS), strict=True):
+        assert [each.light_s for each in scene] == pytest.approx(np.cumsum(own) * 1e-9)

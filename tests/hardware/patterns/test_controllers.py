@@ -176,3 +176,15 @@ def test_check_finds_what_the_device_cannot_show(tmp_path, changes, message):
     path.write_text(json.dumps({**manifest, "sha256": None}))
     with pytest.raises(InputError, match=message):
         check_patterns(tmp_path / "p")
+
+
+@pytest.mark.parametrize(("name", "holds"), [("dlp6500", 400), ("dlp500yx", 400), ("dlp4500", 48)])
+def test_more_frames_than_a_controller_holds_are_refused(tmp_path, name, holds):
+    """With four sentinels; nothing is written, and what to do is said."""
+    device = family(name)
+    masks = grey(holds - 3, rails=1)
+    with pytest.raises(InputError, match=rf"{holds + 1} frames do not fit .*fewer masks"):
+        export(tmp_path / "p", masks, device=device)
+    assert not list(tmp_path.iterdir())
+    export(tmp_path / "p", masks[:, 1:], device=device, format="npy")
+    check_patterns(tmp_path / "p")

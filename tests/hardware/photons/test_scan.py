@@ -9,7 +9,7 @@ import pytest
 from ptu_samples import T2, encode, save
 
 from deepfsi.base import InputError
-from deepfsi.hardware.photons import ScanMarkers, count_scan
+from deepfsi.hardware.photons import ScanMarkers, count_scan, ptu
 
 FRAMES, LINES, LINE, GAP = 3, 4, 1000, 100
 MARKERS = ScanMarkers(0, 1, 2)
@@ -148,3 +148,18 @@ def test_a_real_file_that_is_damaged_is_named_in_one_line(tmp_path, damage):
     }
     assert said[damage] in faults[0]
     assert all("\n" not in fault for fault in faults)
+
+
+@pytest.mark.parametrize("kind", [T2, ptu.PICOHARP_T3], ids=["T2", "T3"])
+@pytest.mark.parametrize("at_end", [True, False])
+def test_counts_of_lines_and_pixels(tmp_path, kind, at_end):
+    events = scan_events(at_end)
+    file = write(tmp_path / "scan.ptu", events, kind)
+    found = count_scan(file, MARKERS, pixels=7, inputs=(0, 1))
+    assert found.counts.shape == (FRAMES * LINES, 7, 2)
+    for number in (0, 1):
+        assert found.counts[..., number].sum(axis=1).tolist() == expected(events, number)
+    assert found.frame.tolist() == np.repeat(range(FRAMES), LINES).tolist()
+    assert found.frames.shape == (FRAMES, LINES, 7)
+    assert not found.faults
+    assert np.allclose(np.diff(found.starts_s), (LINE + GAP) * (1e-12 if kind is T2 else 5e-8))

@@ -127,3 +127,18 @@ def test_the_place_of_an_excess_in_the_sequence_is_named(cause):
 def test_a_table_that_is_none_of_these_masks_is_refused(shape, layout, masks, said):
     with pytest.raises(InputError, match=said):
         rail_sums.split_rails(np.ones(shape), layout, masks, "t.npy")
+
+
+@pytest.mark.parametrize("layout", [None, *rail_sums.LAYOUTS])
+def test_a_table_of_rails_is_read_in_every_layout(layout):
+    rails = np.random.default_rng(9).poisson(100, (1 if layout == "single" else 2, 64))
+    tables = {
+        None: rails.T,
+        "columns": rails,
+        "turns": rails.T.reshape(-1, 1),
+        "halves": rails.reshape(1, -1),
+        "single": rails,
+    }
+    found = rail_sums.split_rails(tables[layout], layout, 64, "t.npy")
+    assert np.array_equal(found, rails)
+    assert np.array_equal(rail_sums.split_rails(tables[layout].T, layout, None, "t.npy"), rails)

@@ -69,3 +69,13 @@ def test_law_counts_of_a_file_have_the_excess_of_the_light(tmp_path):
     # pictures have light of their own: rails of a mask do not share it
     correlation = np.corrcoef(lit.T)[np.triu_indices(lit.shape[1], 1)]
     assert np.abs(correlation).max() <= 5 / len(lit) ** 0.5
+
+
+def test_dark_counts_do_not_fluctuate():
+    camera = VirtualCamera(fluctuation=0.5, dark=100.0)
+    rng = np.random.default_rng(2)
+    rates = np.full((50, 2), 100.0)
+    assert np.allclose(camera.fluctuate(rates, np.arange(50.0), camera.light(rng)), 100.0)
+    bright = camera.fluctuate(rates + 1000, np.arange(50.0), camera.light(rng))
+    assert np.ptp(bright[:, 0]) > 100
+    assert np.array_equal(bright[:, 0], bright[:, 1])  # one light for all detectors
