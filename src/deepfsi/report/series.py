@@ -3,7 +3,6 @@
 from collections.abc import Iterable
 from typing import Any, TypeAlias
 
-from deepfsi.measures import main_measure
 from deepfsi.report.style import photons_text
 from deepfsi.sweeps import Results
 
@@ -101,8 +100,3 @@ def _axis_text(axis: str, value: Any) -> str:
 def noises(results: Results) -> list[str]:
     """Noise models of a comparison, in the order in which they appear."""
     return list(dict.fromkeys(point.noise for point in results.points))
-
-
-def measure_axis(results: Results) -> str:
-    """Name of the axis of what is measured."""
-    return main_measure(results.data.measure).axis

@@ -8,7 +8,6 @@ spans little (`find_crossing`).
 import time
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -151,6 +150,8 @@ def _fold_cost(
     report: Progress,
 ) -> Forecast:
     """Cost of the trials of one data set, or of one fold."""
+    import torch
+
     open_trials = [trial for trial in trials if records.read(trial) is None]
     untrained = [trial for trial in open_trials if records.design(trial) is None]
     left = list({trial.design_key: trial for trial in untrained}.values())
@@ -161,10 +162,14 @@ def _fold_cost(
         kinds[_kind(batch, trainer)].append(batch)
     costs: list[float] = []
     load = _Load()
-    with _threads_of_a_worker(workers):
+    threads = torch.get_num_threads()
+    torch.set_num_threads(max(1, threads // workers))
+    try:
         for index, members in enumerate(kinds.values()):
             report(index / len(kinds), trainer.title(members[0]))
             costs += _seconds(members, trainer)
+    finally:
+        torch.set_num_threads(threads)
     others = load.of_others()
     timed = max(max(costs, default=0.0), sum(costs) / workers)
     free = timed / slowdown(others, 1, cores())
@@ -179,19 +184,6 @@ def _fold_cost(
         others=others,
         cores=cores(),
     )
-
-
-@contextmanager
-def _threads_of_a_worker(workers: int) -> Iterator[None]:
-    """Compute with as many threads as one of several processes has."""
-    import torch
-
-    threads = torch.get_num_threads()
-    torch.set_num_threads(max(1, threads // workers))
-    try:
-        yield
-    finally:
-        torch.set_num_threads(threads)
 
 
 def slowdown(others: float, workers: int, cores: int) -> float:
