@@ -244,22 +244,17 @@ def _make(
         high=result.high,
         recipe=recipe.hash,
     )
-    card = (
-        (files(__package__) / "card.md")
-        .read_text("utf-8")
-        .format(
-            name=name,
-            recipe=recipe,
-            note=f"\n\n{recipe.note}" if recipe.note else "",
-            terms=collection.data[recipe.data],
-            command=f"{command} --only {name} -o FOLDER",
-            settings="\n    ".join(
-                f"{key} = {json.dumps(v)}" for key, v in recipe.settings.items()
-            ),
-            sha256=entry.sha256,
-            **_design_words(recipe, data, design),
-            **_result_words(result, data),
-        )
+    template = (files(__package__) / "card.md").read_text("utf-8")
+    card = template.format(
+        name=name,
+        recipe=recipe,
+        terms=collection.data[recipe.data],
+        data=data,
+        design=design,
+        result=result,
+        entry=entry,
+        command=f"{command} --only {name} -o FOLDER",
+        **_card_words(recipe, data, design, result),
     )
     write_atomically(folder / f"{name}.safetensors", content)
     write_atomically(folder / f"{name}.md", card.encode())
@@ -269,42 +264,28 @@ def _make(
     return entry
 
 
-def _design_words(recipe: DesignRecipe, data: Dataset, design: "Design") -> dict[str, str]:
-    """Words of a card for a design and its data."""
+def _card_words(
+    recipe: DesignRecipe, data: Dataset, design: "Design", result: Result
+) -> dict[str, str]:
+    """Words of a card that are made of several values."""
     job = recipe.job
-    levels = {None: "continuous", 0: "continuous", 2: "ON and OFF"}
-    kind = levels.get(job.optics.levels, f"{job.optics.levels} levels")
-    source = trained_on(design.info)
-    return {
-        "camera": job.optics.describe().replace("\n", "; "),
-        "masks": f"made while it looks, one for each of {job.masks} looks"
-        if job.code.adaptive
-        else f"{job.masks}, {kind}",
-        "classes": ", ".join(data.classes),
-        "data": f"{source.words if source else data.name}, {len(data.x_train)} training scenes of "
-        f"{' x '.join(map(str, data.image_shape))}, sha256 of scenes and labels {data.hash}",
-        "preprocessing": data.preprocessing,
-        "version": design.info["deepfsi"],
-        "torch": design.info["torch"],
-        "device": design.info["device"],
-        "seconds": f"{design.info['seconds']:.0f}",
-    }
-
-
-def _result_words(result: Result, data: Dataset) -> dict[str, Any]:
-    """Words of a card for the test of a design."""
+    kind = {None: "continuous", 0: "continuous", 2: "ON and OFF"}
+    masks = f"{job.masks}, {kind.get(job.optics.levels, f'{job.optics.levels} levels')}"
+    if job.code.adaptive:
+        masks = f"made while it looks, one for each of {job.masks} looks"
     counts = f"{result.counts:.4g} of them counted in the mean"
     if result.clicks:
         counts = f"{result.counts:.4g} clicks of {result.arriving:.4g} photons that arrive, mean"
+    source = trained_on(design.info)
     return {
-        "result": result,
-        "photons": f"{result.photons:g}",
+        "note": f"\n\n{recipe.note}" if recipe.note else "",
+        "classes": ", ".join(data.classes),
+        "camera": job.optics.describe().replace("\n", "; "),
+        "masks": masks,
         "counts": counts,
-        "accuracy": f"{result.accuracy:.4f}",
-        "interval": f"[{result.low:.4f}, {result.high:.4f}]",
-        "balanced": f"{result.balanced:.4f} "
-        f"[{result.balanced_low:.4f}, {result.balanced_high:.4f}]",
         "worst": f"{data.classes[result.worst]}, {result.rates[result.worst]:.3f}",
-        "calibration": f"{result.calibration_error:.3f}",
         "draws": "one noise draw" if result.draws == 1 else f"{result.draws} noise draws",
+        "scenes": f"{source.words if source else data.name}, {len(data.x_train)} training scenes "
+        f"of {' x '.join(map(str, data.image_shape))}, sha256 of scenes and labels {data.hash}",
+        "settings": "\n    ".join(f"{key} = {json.dumps(v)}" for key, v in recipe.settings.items()),
     }
