@@ -3,12 +3,10 @@
 import json
 import re
 import shutil
-import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
-import typer
 from click.testing import CliRunner
 from PIL import Image
 
@@ -16,6 +14,7 @@ from conftest import quick
 from deepfsi import Design, evaluate
 from deepfsi.base import InputError
 from deepfsi.cli import app
+from deepfsi.cli.terminal import Terminal
 from deepfsi.datasets import read_display, write_pictures
 from deepfsi.hardware.calibration import calibrate_run
 from deepfsi.hardware.counting import acquisition, read_counts, read_run
@@ -260,9 +259,8 @@ def test_a_large_recording_is_asked_for(done, refuse, lab, patterns, tmp_path, m
     assert not (tmp_path / "run").exists()
     monkeypatch.setattr("deepfsi.cli.camera.MOST_EVENTS", 1e3)
     assert "--yes" in refuse(*words, "--flux", 1e6)
-    monkeypatch.setattr(sys.stdin, "isatty", lambda: True, raising=False)
     answers = iter([False, True])
-    monkeypatch.setattr(typer, "confirm", lambda question, err: next(answers))
+    monkeypatch.setattr(Terminal, "confirm", lambda terminal, question: next(answers))
     assert "--yes" in refuse(*words, "--flux", 1e6)
     done(*words, "--flux", 1e6)
     assert next(answers, "asked twice") == "asked twice"

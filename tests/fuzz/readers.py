@@ -37,9 +37,9 @@ class Reader:
 
 def read_design(path: Path) -> None:
     from deepfsi import Design
-    from deepfsi.cli.camera import camera_of
     from deepfsi.designfile import trained_on
     from deepfsi.evaluation.stopping import rule_of
+    from deepfsi.lab import camera_of
 
     design = Design.load(path)
     camera_of(path)
@@ -129,7 +129,7 @@ def read_calibration(path: Path) -> None:
 
 
 def read_scenes(path: Path) -> None:
-    from deepfsi.cli.scenes import read_scenes
+    from deepfsi.lab.scenes import read_scenes
 
     read_scenes(path)
 

@@ -3,6 +3,7 @@
 from deepfsi.camera.camera import PRESETS, Camera, CameraSettings, CameraSource, Levels
 from deepfsi.camera.dead_time import NO_EFFECTS, CorrectionFactors, CounterEffects, DeadTime
 from deepfsi.camera.detectors import (
+    MOST_INPUTS,
     ONE_DETECTOR,
     DetectorMap,
     SeveralDetectors,
@@ -49,6 +50,7 @@ __all__ = [
     "DEVICE_SOURCES",
     "LIGHT_LAWS",
     "LONGEST_PICTURE_S",
+    "MOST_INPUTS",
     "NOISES",
     "NO_EFFECTS",
     "ONE_DETECTOR",

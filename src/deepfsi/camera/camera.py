@@ -52,6 +52,27 @@ from deepfsi.camera.names import (
     noise_name,
 )
 
+FILE_EXAMPLES = {
+    "rails": '"single"',
+    "detectors": '"1x1"',
+    "readout": '"difference"',
+    "device": '"dlp7000"',
+    "exposure": '"10ms"',
+    "region": '"768x768"',
+    "stretch": "false",
+    "shortest_dwell": '"32us"',
+    "levels": "2",
+    "flux": "1e6",
+    "dark": "200",
+    "dead_time": '"20ns"',
+    "dead_time_model": '"non-paralysable"',
+    "noise": '"camera"',
+    "gates": "1",
+    "sigma": "0.0",
+    "fluctuation": "0.05",
+}
+"""Values of a camera file, as TOML writes them."""
+
 UNIT_EXPOSURE_S = 1.0
 """Exposure where none is given, seconds: rates are then the counts of an exposure."""
 
@@ -509,6 +530,18 @@ class Camera(UserModel):
                 setting=("dead_time_model", "dead_time"),
             )
         return None
+
+    @classmethod
+    def template(cls) -> str:
+        """A camera file with a comment on each field, as a laboratory may fill it in."""
+        lines = ["# A camera: leave out what you do not know, or what follows from the rest.", ""]
+        for name, field in cls.model_fields.items():
+            lines.append(f"# {field.description}")
+            lines.append(
+                f'{name} = "free-dwell"' if name == "light" else f"# {name} = {FILE_EXAMPLES[name]}"
+            )
+            lines.append("")
+        return "\n".join(lines)
 
     def describe(self) -> str:
         """The camera in a few lines: its optics, what it can show, its light."""

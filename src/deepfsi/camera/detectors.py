@@ -15,6 +15,9 @@ from deepfsi.base.numeric import read_npy
 MOST_DETECTORS = 2**16
 """Detectors of an arm at most."""
 
+MOST_INPUTS = 64
+"""Inputs of a counter at most."""
+
 DetectorSetting = str | Sequence[int] | np.ndarray
 """ROWSxCOLUMNS, bands of a spectrum as one number, or the detector of each pixel."""
 

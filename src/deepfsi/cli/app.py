@@ -67,8 +67,6 @@ class Group(click.Group):
             return Group(cmd_name, text, {heading: entry[heading] for heading in headings})
         target, summary = entry
         module, _, name = target.partition(":")
-        if module == "old":
-            return Old(name, summary)
         from deepfsi.cli.command import ClickCommand  # slow: pydantic
 
         command = getattr(import_module(f"deepfsi.cli.{module}"), name)
@@ -88,73 +86,6 @@ class Group(click.Group):
                         for name, entry in entries.items()
                     ]
                 )
-
-
-def _summary(entry: Any) -> str:
-    """First sentence of the help of a command, or of a group."""
-    return entry["summary"] if isinstance(entry, dict) else entry[1]
-
-
-class Old(click.Command):
-    """A command that is not yet written as settings."""
-
-    def __init__(self, path: str, summary: str) -> None:
-        import typer
-
-        from deepfsi.cli.old import old
-
-        self.path = path
-        command: Any = typer.main.get_command(old)
-        for word in path.split():
-            command = command.commands[word]
-        self.typer_command = command
-        super().__init__(path, help=summary, add_help_option=False)
-
-    @property
-    def declared(self) -> list[Any]:
-        """Arguments and options."""
-        from types import SimpleNamespace
-
-        from deepfsi.cli.fields import FIRST
-
-        context = self.typer_command.context_class(self.typer_command, info_name=self.path)
-        out = []
-        for each in self.typer_command.params:
-            record = each.get_help_record(context) or ("", "")
-            words, _, notes = record[1].partition("  [")
-            kind = record[0].partition("<")[2].removesuffix(">")
-            out.append(
-                SimpleNamespace(
-                    key=each.name,
-                    names=tuple(each.opts),
-                    field=SimpleNamespace(description=words),
-                    kind=kind,
-                    metavar=f"<{kind}>" * bool(kind),
-                    bounds=notes.removesuffix("]"),
-                    default="",
-                    heading=getattr(each, "rich_help_panel", None) or FIRST,
-                    required=each.required,
-                    hidden=getattr(each, "hidden", False),
-                    is_argument=each.param_type_name == "argument",
-                )
-            )
-        return out
-
-    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:  # noqa: D102
-        ctx.args = args
-        return args
-
-    def invoke(self, ctx: click.Context) -> Any:  # noqa: D102
-        import typer
-
-        try:
-            code = self.typer_command.main(
-                args=ctx.args, prog_name=ctx.command_path, standalone_mode=False
-            )
-        except typer.TyperException as error:
-            raise click.UsageError(getattr(error, "format_message", error.__str__)(), ctx) from None
-        if code:
-            ctx.exit(code)
 
 
 app = Group(

@@ -1,49 +1,62 @@
-"""Commands of the camera: virtual and real acquisitions, photon files, calibration."""
+"""Commands that describe, plan, simulate, show and calibrate a camera."""
 
-import contextlib
-import math
-import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
+from dataclasses import replace
 from pathlib import Path
-from types import MappingProxyType
-from typing import TYPE_CHECKING, Annotated, Any
+from tempfile import TemporaryDirectory
+from typing import Annotated, Any, ClassVar
 
-import typer
+from pydantic import Field
 
 from deepfsi.base import (
+    SILENT,
     InputError,
     as_input_error,
-    closest_choice,
-    count_text,
-    read_toml,
+    check_choice,
+    plural,
+    seconds,
     time_text,
     write_atomically,
 )
-from deepfsi.cli import common, options, paths
-from deepfsi.cli.groups import Group
-from deepfsi.cli.settings import COUNTER_EFFECTS, laboratory_fields, with_settings
-
-if TYPE_CHECKING:
-    import numpy as np
-
-    from deepfsi.camera import Camera
-    from deepfsi.hardware.counting import Counts
-    from deepfsi.hardware.live import LiveCounts
-    from deepfsi.hardware.photons import PtuSummary
-    from deepfsi.hardware.virtual import VirtualCamera
-
-NO_DRIFT = 1e-7
-"""Drift of clocks that is printed as none, as a share."""
-
-SMALL_DRIFT = 1e-3
-"""Drift of clocks that is printed in ppm, as a share."""
-
-camera = typer.Typer(
-    cls=Group,
-    invoke_without_command=True,
-    callback=common.help_if_bare,
-    help="Runs of a camera, virtual or real: from photon files to counts, classes and pictures.\n\n"
-    "Example: deepfsi camera count run_0001",
+from deepfsi.base.models import Count, WholeNumber
+from deepfsi.base.numeric import read_table
+from deepfsi.camera import PRESETS, Camera, find_device
+from deepfsi.cli import fields
+from deepfsi.cli.command import Command
+from deepfsi.cli.data import pictures_written
+from deepfsi.cli.terminal import Outcome, Terminal
+from deepfsi.hardware.calibration import write_spots
+from deepfsi.hardware.counting import (
+    Acquisition,
+    CountSettings,
+    ReferenceVerdict,
+    count_run,
+    prepare_run,
+    read_run,
+    table_of_series,
+)
+from deepfsi.hardware.drivers import (
+    COUNTERS,
+    PROJECTORS,
+    DeviceSettings,
+    PassProjector,
+    Setup,
+    StreamingProjector,
+    open_counter,
+    open_list_projector,
+    open_projector,
+)
+from deepfsi.hardware.light import name_inputs
+from deepfsi.hardware.live import LiveAnswers, plan_live, record_run, run_live
+from deepfsi.hardware.patterns import FrameSettings, export_patterns, read_patterns
+from deepfsi.hardware.photons import read_timestamps, summarise
+from deepfsi.hardware.virtual import (
+    Latencies,
+    RecordingSettings,
+    expected_events,
+    record_scenes,
+    virtual_setup,
 )
 
 MOST_EVENTS = 1e8
@@ -52,472 +65,780 @@ MOST_EVENTS = 1e8
 EVENT_BYTES = 4
 """Bytes of a photon in its file."""
 
+SERIES = "--cumulative or --bins"
+"""Options of counts that are no events."""
 
-CAMERA_EXAMPLES = {
-    "rails": '"single"',
-    "detectors": '"1x1"',
-    "readout": '"difference"',
-    "device": '"dlp7000"',
-    "exposure": '"10ms"',
-    "region": '"768x768"',
-    "stretch": "false",
-    "shortest_dwell": '"32us"',
-    "levels": "2",
-    "flux": "1e6",
-    "dark": "200",
-    "dead_time": '"20ns"',
-    "dead_time_model": '"non-paralysable"',
-    "noise": '"camera"',
-    "gates": "1",
-    "sigma": "0.0",
-    "fluctuation": "0.05",
-}
-"""Values of a camera file, as TOML writes them."""
-
-
-def camera_template() -> str:
-    """A camera file with a comment on each field, as a laboratory may fill it in."""
-    from deepfsi.camera import Camera
-
-    lines = ["# A camera: leave out what you do not know, or what follows from the rest.", ""]
-    usual = {"light": '"free-dwell"'}
-    for name, field in Camera.model_fields.items():
-        lines.append(f"# {field.description}")
-        lines.append(
-            f"{name} = {usual[name]}" if name in usual else f"# {name} = {CAMERA_EXAMPLES[name]}"
-        )
-        lines.append("")
-    return "\n".join(lines)
+PatternFolder = Annotated[
+    Path, fields.existing("a folder of patterns"), fields.argument("folder of patterns")
+]
+NewRun = Annotated[Path, fields.Output(new=True), Field(description="acquisition folder, new")]
+ShownScenes = Annotated[
+    Path,
+    Field(description="image, or folder of images, with or without a folder for each class"),
+]
+VirtualName = Annotated[
+    str | None,
+    Field(
+        description="virtual camera: ideal, pmt, spad, or a TOML file; with the dark counts and "
+        "dead time of the design's camera unless given, or pmt where that is no laboratory's"
+    ),
+]
+RunSeed = Annotated[
+    WholeNumber,
+    Field(description="seed of the random numbers: the same one repeats the run exactly"),
+]
+LargeFile = Annotated[bool, Field(description="write a large file without asking")]
 
 
-@with_settings(laboratory_fields, leave=("camera",))
-def camera_describe(
-    settings: dict[str, Any],
-    source: Annotated[
-        Path | None,
-        typer.Argument(
-            help="camera: a preset (dmd, dmd-2x2, dmd-4x4, two-arm, paper), a TOML file, a design "
-            "file, or a folder of patterns or of a run; dmd unless given"
-        ),
-    ] = None,
-    template: Annotated[
-        Path | None, typer.Option(help="write a camera file, .toml, with a comment on each field")
-    ] = None,
-    force: options.Force = False,
-    as_json: options.Json = False,
-) -> None:
-    """Say in words what a camera is, what it can show and what light it has.
+class DescribeCamera(Command):
+    """`deepfsi camera describe`.
 
     Example: deepfsi camera describe --template my-lab.toml
     """
-    from deepfsi.camera import PRESETS, Camera
 
-    if template is not None:
-        paths.check_file(template, (".toml",), force)
-        write_atomically(template, camera_template().encode())
-        print(f"camera file: {template}; then: deepfsi camera describe {template}")
-        return
-    name = "dmd" if source is None else str(source)
-    if name in PRESETS or name.lower().endswith(".toml") or not Path(name).exists():
-        found = Camera.load(name, **settings)
-    else:
-        found = camera_of(Path(name), settings)
-    if as_json:
-        held = found.model_dump(mode="json")
-        counted = {"budget": found.budget, "dark_counts": found.dark_counts}
-        shown = {"shortest_share": found.shortest_share}
-        common.print_json("camera.describe", {"camera": held, **counted, **shown})
-        return
-    print(found.describe())
+    settings: Annotated[
+        dict[str, Any],
+        fields.OptionsOf({name: ("Camera", each) for name, each in Camera.model_fields.items()}),
+    ]
+    source: Annotated[
+        Path | None,
+        fields.argument(
+            "camera: a preset (dmd, dmd-2x2, dmd-4x4, two-arm, paper), a TOML file, a design file, "
+            "or a folder of patterns or of a run; dmd unless given",
+            "[source]",
+        ),
+    ] = None
+    template: Annotated[
+        Path | None,
+        fields.Output((".toml",)),
+        Field(description="write a camera file, .toml, with a comment on each field"),
+    ] = None
+    force: fields.Force = False
+
+    def run(self, terminal: Terminal) -> Outcome:
+        """The camera, or a file to describe one in."""
+        from deepfsi.lab import camera_of
+
+        if self.template is not None:
+            write_atomically(self.template, Camera.template().encode())
+            return Outcome(
+                {"template": str(self.template)},
+                [f"camera file: {self.template}; then: deepfsi camera describe {self.template}"],
+            )
+        name = "dmd" if self.source is None else str(self.source)
+        if name in PRESETS or name.lower().endswith(".toml") or not Path(name).exists():
+            camera = Camera.load(name, **self.settings)
+        else:
+            camera = camera_of(Path(name), self.settings)
+        return Outcome(
+            {
+                "camera": camera.model_dump(mode="json"),
+                "budget": camera.budget,
+                "dark_counts": camera.dark_counts,
+                "shortest_share": camera.shortest_share,
+            },
+            [camera.describe()],
+        )
 
 
-@with_settings(laboratory_fields, "exposure", "flux", "dark", *COUNTER_EFFECTS)
-def camera_simulate(
-    patterns: Annotated[Path, typer.Argument(help="folder of patterns")],
-    settings: dict[str, Any],
-    scene: options.Scenes,
-    out: Annotated[Path, typer.Option("--out", "-o", help="acquisition folder, new")],
-    virtual: options.Virtual = None,
-    settle: options.Settle = None,
-    repeats: options.Repeats = None,
-    inputs: options.Inputs = None,
-    seed: options.CameraSeed = 0,
-    yes: options.LargeFile = False,
-    as_json: options.Json = False,
-) -> None:
-    """Record scenes with a virtual camera, in a photon file such as a real counter writes.
+class PrepareRun(Command):
+    """`deepfsi camera prepare`.
+
+    Exposure and flux are those of the design's camera unless given; the longest exposure that fits
+    where it has none.
+
+    Example: deepfsi camera prepare patterns --scenes scenes.csv --input 1 --marker 0 -o run_lab
+    """
+
+    patterns: PatternFolder
+    scenes: Annotated[
+        Path,
+        Field(
+            description="text file with NAME or NAME,LABEL on each line; or a folder of the "
+            "pictures, with or without a folder for each class"
+        ),
+    ]
+    settings: Annotated[dict[str, Any], fields.run_options("exposure", "flux")]
+    out: NewRun
+    inputs: fields.Inputs = ()
+    marker_bit: fields.MarkerBit = None
+    settle_s: fields.SettleTime = None
+    repeats: fields.Repeats = None
+
+    def run(self, terminal: Terminal) -> Outcome:
+        """Plan of the run, in its folder."""
+        from deepfsi.lab import camera_of, listed_scenes
+
+        manifest = read_patterns(self.patterns).manifest
+        camera = camera_of(self.patterns, self.settings)
+        planned = Acquisition.plan(
+            manifest,
+            listed_scenes(self.scenes, self.patterns),
+            exposure_s=camera.exposure,
+            flux=camera.flux,
+            **self.explicit(("inputs", "marker_bit", "settle_s", "repeats")),
+        )
+        acquisition = prepare_run(self.out, self.patterns, planned)
+        return Outcome(
+            {"folder": str(self.out), "acquisition": acquisition.model_dump(mode="json")},
+            [
+                f"{_exposures(acquisition)}, {time_text(manifest.pass_s)} a pass",
+                f"photons on input {name_inputs(acquisition.inputs)}, a trigger on marker input "
+                f"{acquisition.marker_bit.bit_length() - 1}",
+                f"acquisition: {self.out}; show the patterns once for each scene, put the "
+                f"recording there as photons.ptu, then: deepfsi camera count {self.out}",
+            ],
+        )
+
+
+def _exposures(acquisition: Acquisition) -> str:
+    return (
+        f"{plural(len(acquisition.scenes), 'scene')}, {plural(acquisition.repeats, 'exposure')} of "
+        f"{time_text(acquisition.exposure_s)} for each"
+    )
+
+
+class SimulateRun(Command):
+    """`deepfsi camera simulate`.
 
     Exposure, flux, dark counts, dead time and gates are those of the design's camera unless given.
 
     Example: deepfsi camera simulate patterns --scene images --flux 1e7 --exposure 10ms -o run_0001
     """
-    paths.check_new_folder(out)
-    from deepfsi.hardware.patterns import read_patterns
-    from deepfsi.hardware.virtual import RecordingSettings, expected_events, record_scenes
-    from deepfsi.lab import displayed, picture_hashes
 
-    known = camera_of(patterns, settings)
-    seen = find_camera(virtual, patterns, settings)
-    if virtual is None:
-        seen = seen.model_copy(update={"gates": camera_of(patterns).clicks})
-    recording = RecordingSettings(
-        seen,
-        flux_of(known),
-        exposure_of(known),
-        options.optional_seconds("settle", settle),
-        repeats,
-        seed,
-        **options.wiring(inputs, None),
-    )
-    shown = read_patterns(patterns)
-    images = displayed(scene, patterns)
-    if not yes:
-        ask_for_room(expected_events(shown, images.x, recording.camera, recording.flux))
-    with common.progress("photons", quiet=as_json) as report:
-        hashes = picture_hashes(scene, patterns)
-        told = images.x, images.names, images.labels
-        made = record_scenes(patterns, *told, out, recording, report, hashes)
-    if as_json:
-        common.print_json(
-            "camera.simulate",
-            {
-                "folder": str(out),
-                "preprocessing": images.preprocessing,
-                "acquisition": made.model_dump(mode="json"),
-            },
-        )
-        return
-    print(
-        f"scenes: {scene}. {images.preprocessing}\n"
-        f"{common.several(len(made.scenes), 'scene')}, {common.several(made.repeats, 'exposure')} "
-        f"of {time_text(made.exposure_s)} for each\n"
-        f"recorded: {out}"
-    )
-
-
-@with_settings(laboratory_fields, *COUNTER_EFFECTS)
-def camera_count(
-    folder: options.Run,
-    settings: dict[str, Any],
-    exposure: options.Exposure = None,
-    settle: options.Settle = None,
-    repeats: options.Repeats = None,
-    tolerance: Annotated[
-        str | None,
-        typer.Option(help="how far a marker may be off; 10us or a tenth of a frame unless given"),
-    ] = None,
-    background: Annotated[
-        str | None,
-        typer.Option(
-            help="scene of this run that was dark, or folder of a run with the scene dark: its "
-            "counts are subtracted"
-        ),
-    ] = None,
-    inputs: options.Inputs = None,
-    marker: options.Marker = None,
-    flat: Annotated[
-        Path | None,
-        typer.Option(
-            help="several detectors: counted run of a uniform white scene with the same patterns, "
-            "by which their efficiencies are corrected"
-        ),
-    ] = None,
-    as_json: options.Json = False,
-) -> None:
-    """Count the photons in each frame's gate; name missing, doubled and late markers.
-
-    An exposure shorter than the recorded one is counted in more and shorter gates. If all frames
-    last longer or shorter than planned, they are counted as they are, and the drift is printed.
-
-    Unless given, inputs and marker are those of the acquisition, and the dead time is that of the
-    folder's calibration or of the design's camera.
-
-    For a design of detectors that click, the exposure of a frame is divided into equal gates, and
-    only the first photon of each gate counts.
-
-    Example: deepfsi camera count run_0001 --exposure 1ms
-    """
-    from deepfsi.hardware.counting import CountSettings, count_run
-    from deepfsi.hardware.live import LiveCounts, is_live
-    from deepfsi.lab import gains_of
-
-    if folder.suffix.lower() == ".ptu":
-        raise InputError(
-            f"{folder} is a photon file without patterns: give the folder of an acquisition, or "
-            "use `deepfsi camera transits` for scenes that pass a pattern"
-        )
-    given = (exposure, settle, repeats, tolerance, background, inputs, marker, flat)
-    if is_live(folder, *given, *settings.values()):
-        with common.progress("counting", quiet=as_json) as report:
-            _print_live_counts(LiveCounts.count(folder, report), folder, as_json)
-        return
-    with common.progress("counting", quiet=as_json) as report:
-        counts = count_run(
-            folder,
-            CountSettings(
-                exposure_s=options.optional_seconds("exposure", exposure),
-                settle_s=options.optional_seconds("settle", settle),
-                repeats=repeats,
-                tolerance_s=options.optional_seconds("tolerance", tolerance),
-                **options.wiring(inputs, marker),
-                effects=camera_of(folder, settings).counter_effects(settings),
-                background=background,
-                gains=() if flat is None else gains_of(flat),
-                clicks=camera_of(folder).clicks,
-            ),
-            progress=report,
-        )
-    print_counts(counts, folder, as_json)
-
-
-def print_counts(
-    counts: "Counts", folder: Path, as_json: bool, command: str = "camera.count"
-) -> None:
-    """Print what was counted, and every fault."""
-    from deepfsi.hardware.counting import read_run
-    from deepfsi.hardware.photons import PtuFile
-
-    run = read_run(folder).acquisition
-    names = [scene.name for scene in run.scenes]
-    problems = PtuFile(folder / "photons.ptu").problems
-    summary: dict[str, Any] = {
-        "scenes": len(counts.counts),
-        "exposures": int(counts.valid.size),
-        "whole": int(counts.valid.sum()),
-        "exposure_s": counts.exposure_s,
-        "photons_counted": int(counts.counts.sum()),
-        "photons": [None if math.isnan(each) else each for each in counts.photons.tolist()],
-        "dark_rate": counts.dark_rate.tolist(),
-        "drift": counts.drift,
-        "inputs": [each + 1 for each in counts.inputs],
-        "dead_time_s": counts.effects.dead_time.seconds,
-        "paralysable": counts.effects.dead_time.paralysable,
-        "arrivals": float(counts.arrivals.sum()),
-        "ambient": float(counts.ambient.sum()),
-        "gains": list(counts.gains),
-        "gates": counts.gates,
-        "problems": list(problems),
-    }
-    if as_json:
-        faults = [
-            fault.model_dump() | {"name": None if fault.scene is None else names[fault.scene]}
-            for fault in counts.faults
-        ]
-        measured = {"counts": counts.counts.tolist(), "valid": counts.valid.tolist()}
-        common.print_json(command, {**summary, "faults": faults, **measured})
-        return
-    for problem in problems:
-        print(f"photons.ptu: {problem}")
-    for fault in counts.faults:
-        print(fault.line(names))
-    if counts.effects.dead_time.seconds:
-        lost = 1 - summary["photons_counted"] / max(summary["arrivals"], 1.0)
-        print(
-            f"dead time of {counts.effects.dead_time}: {lost:.1%} of the photons were lost, and "
-            "are added"
-        )
-    if counts.gains:
-        print(f"efficiencies corrected: {', '.join(f'{gain:.3f}' for gain in counts.gains)}")
-    kind = "photons" if counts.gates is None else f"clicks of up to {counts.gates} a frame"
-    stated = counts.gates is not None and run.flux in counts.flux
-    source = "that acquisition.json states" if stated else "by the all-ON frames"
-    print(
-        f"{summary['scenes']} scenes, {summary['exposures']} exposures of "
-        f"{time_text(counts.exposure_s)}, {summary['whole']} of them whole\n"
-        f"{summary['photons_counted']} {kind} counted\n"
-        f"budget {source}: {_span(counts.photons)} photons an exposure\n"
-        f"dark counts: {_span(counts.dark_rate[counts.valid.any(axis=1)])} a second\n"
-        f"clocks: frames last {_drifted(counts.drift)}\n"
-        f"{_ambient(counts)}"
-        f"counts: {folder / 'counts.npz'}"
-    )
-
-
-def _print_live_counts(counts: "LiveCounts", folder: Path, as_json: bool) -> None:
-    looks = [shown.look for scene in counts.log.scenes for shown in scene.lists]
-    summary = {
-        "scenes": len(counts.log.scenes),
-        "looks": sum(look >= 0 for look in looks),
-        "frames": len(counts.frames.starts_s),
-        "photons_counted": int(counts.frames.parts.sum()),
-    }
-    if as_json:
-        rows = [
-            [{"look": shown.look, "frames": shown.frames, "counts": counted.counts.tolist()}
-             for shown, counted in zip(scene.lists, lists, strict=True)]
-            for scene, lists in counts.by_scene
-        ]  # fmt: skip
-        common.print_json("camera.count", {**summary, "counts": rows})
-        return
-    print(
-        f"a live run: {summary['scenes']} scenes, {summary['looks']} looks, {summary['frames']} "
-        f"frames\n{summary['photons_counted']} photons counted\n"
-        f"counts: {folder / 'counts.npz'}"
-    )
-
-
-def _ambient(counts: "Counts") -> str:
-    """Line on the background that was measured; nothing where none was."""
-    if not counts.ambient_variance.any():
-        return ""
-    error = math.sqrt(counts.ambient_variance.sum())
-    return f"background subtracted: {counts.ambient.sum():.4g} ± {error:.2g} counts an exposure\n"
-
-
-def _drifted(drift: float) -> str:
-    if abs(drift) < NO_DRIFT:
-        return "as planned"
-    size = f"{abs(drift) * 1e6:.1f} ppm" if abs(drift) < SMALL_DRIFT else f"{abs(drift):.2%}"
-    return f"{size} {'shorter' if drift < 0 else 'longer'} than planned"
-
-
-def camera_image(
-    folder: options.Run,
-    out: Annotated[
-        Path | None,
-        typer.Option("--out", "-o", help="picture; picture.png in the folder unless given"),
-    ] = None,
-    force: options.Force = False,
-    as_json: options.Json = False,
-) -> None:
-    """Draw the least-squares reconstruction of each scene from its counts, to align the camera.
-
-    Example: deepfsi camera image run_0001 -o picture.png
-    """
-    target = out or folder / "picture.png"
-    if out is not None:
-        paths.check_file(out, paths.PICTURES, force)
-    paths.check_there(folder, "an acquisition folder, with photons.ptu in it")
-    from deepfsi.hardware.counting import read_run
-    from deepfsi.hardware.pictures import reconstruct
-    from deepfsi.report import pictures_figure
-
-    acquisition = read_run(folder).acquisition
-    figure = pictures_figure(reconstruct(folder), [scene.name for scene in acquisition.scenes])
-    common.draw("camera.image", figure, target, as_json)
-
-
-def camera_inspect(
-    file: Annotated[Path, typer.Argument(help="PicoQuant .ptu file")], as_json: options.Json = False
-) -> None:
-    """List what a photon file holds: records, photons and markers by channel, overflows, duration.
-
-    A file that is cut or damaged is described as far as it goes, and the exit code is 2.
-
-    Example: deepfsi camera inspect photons.ptu
-    """
-    from deepfsi.hardware.photons import summarise
-
-    with common.progress("records", quiet=as_json) as report:
-        contents = summarise(file, report)
-    if as_json:
-        common.print_json(
-            "camera.inspect",
-            contents.model_dump()
-            | {"photons": {each + 1: n for each, n in contents.photons.items()}}
-            | {"markers": {bit.bit_length() - 1: n for bit, n in contents.markers.items()}},
-        )
-    else:
-        _print_contents(file, contents)
-    if contents.problems:
-        raise InputError(f"{file} is not whole: {'; '.join(contents.problems)}")
-
-
-def _print_contents(file: Path, contents: "PtuSummary") -> None:
-    rows = [
-        ("record type", contents.kind),
-        ("time unit", time_text(contents.tick_s)),
-        ("records", str(contents.records)),
-        *((f"photons on input {k + 1}", str(n)) for k, n in contents.photons.items()),
-        *((f"markers on {k.bit_length() - 1}", str(n)) for k, n in contents.markers.items()),
-        ("overflow records", str(contents.overflows)),
-        ("sync records", str(contents.syncs)),
-        ("span", time_text(contents.span_s)),
-        *(("problem", problem) for problem in contents.problems),
+    patterns: PatternFolder
+    settings: Annotated[
+        dict[str, Any],
+        fields.run_options("exposure", "flux", "dark", *fields.COUNTER_EFFECTS),
     ]
-    common.print_table(str(file), ("what", "value"), rows)
+    scene: ShownScenes
+    out: NewRun
+    virtual: VirtualName = None
+    settle_s: fields.SettleTime = None
+    repeats: fields.Repeats = None
+    inputs: fields.Inputs = ()
+    seed: RunSeed = 0
+    yes: LargeFile = False
+
+    def run(self, terminal: Terminal) -> Outcome:
+        """Run as it was recorded."""
+        from deepfsi.lab import camera_of, displayed, picture_hashes, virtual_camera
+
+        camera = camera_of(self.patterns, self.settings)
+        virtual = virtual_camera(self.virtual, self.patterns, self.settings)
+        if self.virtual is None:
+            clicks = camera_of(self.patterns).clicks
+            virtual = virtual.model_copy(update={"gates": clicks})
+        recording = RecordingSettings(
+            virtual,
+            flux_of(camera),
+            exposure_of(camera),
+            seed=self.seed,
+            **self.explicit(("settle_s", "repeats", "inputs")),
+        )
+        patterns = read_patterns(self.patterns)
+        images = displayed(self.scene, self.patterns)
+        if not self.yes:
+            ask_for_room(terminal, expected_events(patterns, images.x, virtual, recording.flux))
+        with terminal.progress("photons") as report:
+            acquisition = record_scenes(
+                self.patterns,
+                images.x,
+                images.names,
+                images.labels,
+                out=self.out,
+                settings=recording,
+                report=report,
+                hashes=picture_hashes(self.scene, self.patterns),
+            )
+        return Outcome(
+            {
+                "folder": str(self.out),
+                "preprocessing": images.preprocessing,
+                "acquisition": acquisition.model_dump(mode="json"),
+            },
+            [
+                f"scenes: {self.scene}. {images.preprocessing}",
+                _exposures(acquisition),
+                f"recorded: {self.out}",
+            ],
+        )
 
 
-def ask_for_room(events: float) -> None:
+def ask_for_room(terminal: Terminal, events: float) -> None:
     """Ask before a photon file beyond `MOST_EVENTS`; `InputError` where there is no one to ask."""
     if events <= MOST_EVENTS:
         return
     size = f"{events:.2g} photons, {events * EVENT_BYTES / 1e9:.2g} GB"
-    if sys.stdin.isatty() and typer.confirm(f"The recording will hold {size}. Go on?", err=True):
-        return
-    raise InputError(
-        f"the recording would hold {size}: lower --flux, show fewer scenes, export with a shorter "
-        "--exposure (all of a pass is recorded), or add --yes"
-    )
+    if not terminal.confirm(f"The recording will hold {size}. Go on?"):
+        raise InputError(
+            f"the recording would hold {size}: lower --flux, show fewer scenes, export with a "
+            "shorter --exposure (all of a pass is recorded), or add --yes"
+        )
 
 
-def camera_of(source: Path, settings: Mapping[str, Any] = MappingProxyType({})) -> "Camera":
-    """Camera of a design file, its patterns or a run, with other settings.
-
-    It is the preset `dmd` where none is known. `camera` among the settings names another.
-    """
-    from deepfsi.camera import Camera
-    from deepfsi.designfile import DesignFile
-    from deepfsi.hardware.patterns import Patterns
-
-    folders = (source, source / "patterns") if source.is_dir() else ()
-    files = (folder / Patterns.DESIGN for folder in folders)
-    file = next((file for file in files if file.is_file()), source)
-    known = None
-    if file.is_file():
-        with contextlib.suppress(InputError):  # whoever opens the design says what is wrong with it
-            known = DesignFile.read(file, ()).camera
-    return Camera.of_run(known, **settings)
-
-
-def exposure_of(known: "Camera") -> float:
+def exposure_of(camera: Camera) -> float:
     """Time of a whole exposure in seconds, or `InputError` where the camera has none."""
-    if known.exposure is None:
+    if camera.exposure is None:
         raise InputError(
             "an exposure needs a time: give {exposure}, such as 10ms, or a camera",
             setting="exposure",
         )
-    return known.exposure
+    return camera.exposure
 
 
-def flux_of(known: "Camera") -> float:
+def flux_of(camera: Camera) -> float:
     """Flux in counts/s, or `InputError` where the camera has none."""
-    if known.flux is None:
+    if camera.flux is None:
         raise InputError(
             "a virtual camera needs its light: give {flux}, such as 1e6, or a camera",
             setting="flux",
         )
-    return known.flux
+    return camera.flux
 
 
-def find_camera(name: str | None, source: Path, settings: dict[str, Any]) -> "VirtualCamera":
-    """Virtual camera of a name or a TOML file, else as the design's camera is described.
+class _DeviceRun(Command):
+    """What runs with devices, virtual or real, have in common."""
 
-    Where that has neither an exposure time, gates nor a fluctuation it is no laboratory's, and a
-    photomultiplier is taken.
-    """
-    from deepfsi.hardware.virtual import CAMERAS, VirtualCamera
+    OF_VIRTUAL: ClassVar = ("flux", "dark", "virtual", "latency", "seed", "yes")
+    """Settings that only virtual devices take."""
 
-    if name is None:
-        known = camera_of(source, {"camera": settings.get("camera")})
-        laboratory = known.exposure is not None or known.clicks is not None
-        described = laboratory or known.fluctuation > 0
-        return VirtualCamera.of(camera_of(source, settings)) if described else CAMERAS["pmt"]
-    if name in CAMERAS:
-        return CAMERAS[name]
-    if not name.lower().endswith(".toml"):
-        raise InputError(
-            f"unknown camera {name!r}: {closest_choice(name, CAMERAS)}; or give a TOML file"
+    settings: dict[str, Any]
+    scene: Path
+    out: NewRun
+    projector: Annotated[
+        str, Field(description="virtual, vialux; for recorded runs also dlpc900")
+    ] = "virtual"
+    counter: Annotated[
+        str,
+        Field(
+            description="virtual, picoquant, swabian, or followed: its software writes "
+            "OUT/photons.ptu"
+        ),
+    ] = "virtual"
+    counter_config: Annotated[
+        Path | None,
+        Field(
+            description="file with the trigger levels of the inputs. picoquant: snAPI's .ini file; "
+            "swabian: TOML, a table [trigger_levels] of channels and volts"
+        ),
+    ] = None
+    marker_channel: Annotated[
+        int | None,
+        Field(description="swabian: channel of the trigger, negative for falling edges"),
+    ] = None
+    alp_version: Annotated[
+        str | None, Field(description="vialux: version of the ALP interface, 4.3 unless given")
+    ] = None
+    virtual: VirtualName = None
+    latency: Annotated[
+        tuple[str, ...],
+        Field(
+            description="NAME=TIME of a virtual device: load, display, command, trigger, block, "
+            "transfer or decision, such as command=1ms"
+        ),
+    ] = ()
+
+    @property
+    def is_virtual(self) -> bool:
+        """True of virtual devices."""
+        return self.projector == "virtual"
+
+    def check_devices(self) -> None:
+        """Raise `InputError` for devices or options that do not go together."""
+        check_choice("projector", self.projector, ("virtual", *PROJECTORS))
+        check_choice("counter", self.counter, ("virtual", *COUNTERS))
+        if self.is_virtual != (self.counter == "virtual"):
+            raise InputError("virtual and real devices do not go together: give both, or neither")
+        takers: dict[str, list[str]] = {name: ["virtual devices"] for name in self.OF_VIRTUAL}
+        for option, drivers in (("--counter", COUNTERS), ("--projector", PROJECTORS)):
+            for name, driver in drivers.items():
+                for setting in driver.settings:
+                    takers.setdefault(setting, []).append(f"{option} {name}")
+        chosen = {
+            f"--counter {self.counter}",
+            "virtual devices" if self.is_virtual else f"--projector {self.projector}",
+        }
+        given = self.settings.keys() | self.model_fields_set
+        for setting, devices in takers.items():
+            if setting in given and not chosen & set(devices):
+                option = f"--{setting.replace('_', '-')}"
+                raise InputError(f"{option} is for {' or '.join(devices)}: leave it out")
+        if self.counter_config is not None:
+            fields.check_there(self.counter_config, "counter configuration")
+
+    def devices(self, terminal: Terminal) -> DeviceSettings:
+        """Settings of real devices, before they are wired."""
+
+        def ask_to_record(path: Path, seconds: float) -> None:
+            terminal.warn(f"record {path} with the counter's software: begin within {seconds:g} s")
+
+        return DeviceSettings(
+            counter_config=self.counter_config,
+            marker_channel=self.marker_channel,
+            alp_version=self.alp_version,
+            ask_to_record=ask_to_record,
         )
-    with as_input_error():
-        return VirtualCamera.model_validate(read_toml(name))
+
+    @property
+    def latencies(self) -> Latencies:
+        """Latencies of virtual devices."""
+        times = {}
+        for text in self.latency:
+            name, _, time = text.partition("=")
+            check_choice("latency", name, Latencies.model_fields)
+            times[name] = fields.parse_option(f"latency {name}", seconds, time)
+        with as_input_error():
+            return Latencies(**times)
 
 
-def _span(values: "np.ndarray") -> str:
-    """The numbers among some, from the least to the largest."""
-    import numpy as np
+def _asked_for(acquisition: Acquisition, terminal: Terminal) -> Callable[[int], None]:
+    """Display of a run with real devices: someone shows the scenes, whose names are asked for."""
 
-    if np.isnan(values).all():
-        return "unknown"
-    ends = [count_text(end) for end in (np.nanmin(values), np.nanmax(values))]
-    return " to ".join(dict.fromkeys(ends))
+    def display(scene: int) -> None:
+        name = acquisition.scenes[scene].name
+        terminal.ask(f"show {name}" if scene >= 0 else "make the scenes dark")
+
+    return display
+
+
+class RecordRun(_DeviceRun):
+    """`deepfsi camera record`.
+
+    Prints a line for each scene as it is recorded. Ctrl-C keeps the scenes that are finished.
+
+    Example: deepfsi camera record patterns --scene images --exposure 10ms --flux 1e7 -o run_0001
+    """
+
+    patterns: PatternFolder
+    settings: Annotated[
+        dict[str, Any],
+        fields.run_options("exposure", "flux", "dark", *fields.COUNTER_EFFECTS),
+    ]
+    scene: Annotated[
+        Path,
+        Field(
+            description="picture, folder or .zip of the scenes; with real devices also a text file "
+            "with NAME or NAME,LABEL on each line"
+        ),
+    ]
+    settle_s: fields.SettleTime = None
+    repeats: fields.Repeats = None
+    inputs: fields.Inputs = ()
+    marker_bit: fields.MarkerBit = None
+    seed: RunSeed = 0
+    yes: LargeFile = False
+
+    def run(self, terminal: Terminal) -> Outcome:
+        """Counts of the run."""
+        from deepfsi.lab import camera_of, displayed, listed_scenes, scenes_of, virtual_camera
+
+        self.check_devices()
+        latencies = self.latencies
+        patterns = read_patterns(self.patterns)
+        camera = camera_of(self.patterns, self.settings)
+        wiring = self.explicit(("settle_s", "repeats", "inputs", "marker_bit"))
+        if self.is_virtual:
+            flux = flux_of(camera)
+            images = displayed(self.scene, self.patterns)
+            virtual = virtual_camera(self.virtual, self.patterns, self.settings)
+            if not self.yes:
+                ask_for_room(terminal, expected_events(patterns, images.x, virtual, flux))
+            scenes = scenes_of(images, self.scene, self.patterns)
+            wiring |= {"seed": self.seed, "camera": virtual.model_dump(mode="json")}
+        else:
+            scenes = listed_scenes(self.scene, self.patterns)
+        acquisition = Acquisition.plan(
+            patterns.manifest, scenes, exposure_s=camera.exposure, flux=camera.flux, **wiring
+        )
+        setup: Setup[PassProjector]
+        if self.is_virtual:
+            with terminal.progress("light of the scenes") as report:
+                setup = virtual_setup(self.patterns, images.x, acquisition, latencies, report)
+        else:
+            devices = replace(
+                self.devices(terminal),
+                inputs=acquisition.inputs,
+                marker_bit=acquisition.marker_bit,
+            )
+            setup = Setup(
+                open_projector(self.projector, devices),
+                open_counter(self.counter, devices),
+                _asked_for(acquisition, terminal),
+            )
+        loading = SILENT if terminal.as_json else None
+        with closing(record_run(self.out, self.patterns, acquisition, setup, loading)) as recorded:
+            for scene in recorded:
+                terminal.say(str(scene))
+        if self.counter == "followed":
+            terminal.ask("end the recording in the counter's software")
+        settings = CountSettings(
+            effects=camera.counter_effects(self.settings), clicks=camera_of(self.patterns).clicks
+        )
+        with terminal.progress("counting") as report:
+            counts = count_run(self.out, settings, progress=report)
+        run = read_run(self.out)
+        after = f"run: {self.out}; then: deepfsi camera classify {self.patterns} {self.out}"
+        return Outcome(counts.as_dict(run), [*counts.lines(run), after])
+
+
+class RunLive(_DeviceRun):
+    """`deepfsi camera live`.
+
+    A design of several looks chooses the next dwells, a design of adaptive masks makes the next
+    mask.
+
+    Prints each decision when it is made. Ctrl-C keeps the scenes that are finished.
+
+    Example: deepfsi camera live patterns --scene images --exposure 10ms --flux 1e6 -o run_0002
+    """
+
+    settings: Annotated[
+        dict[str, Any],
+        fields.run_options("exposure", "flux", "dark", *fields.COUNTER_EFFECTS, "shortest_dwell"),
+    ]
+    source: Annotated[
+        fields.DesignPath,
+        fields.argument("folder of patterns; or a design file, shown on a DLP7000"),
+    ]
+    scene: ShownScenes
+    until: Annotated[
+        float | None,
+        Field(
+            description="confidence above which an exposure stops; that of the design's rule "
+            "unless given"
+        ),
+    ] = None
+    photons: fields.ExposureBudget = None
+    background: Annotated[
+        bool,
+        Field(
+            description="first show all masks with the scenes dark, and subtract what they count"
+        ),
+    ] = False
+    inputs: fields.Inputs = ()
+    marker_bit: fields.MarkerBit = None
+    seed: RunSeed = 0
+    yes: LargeFile = False
+
+    def run(self, terminal: Terminal) -> Outcome:
+        """Classes of the scenes, each said as it is decided."""
+        from deepfsi.lab import camera_of, displayed, open_looks, scenes_of, virtual_camera
+
+        self.check_devices()
+        latencies = self.latencies
+        devices = self.devices(terminal)
+        projector = None if self.is_virtual else open_list_projector(self.projector, devices)
+        camera = camera_of(self.source, self.settings)
+        exposure_s = exposure_of(camera)
+        others = self.explicit(("inputs", "marker_bit"))
+        if effects := camera.counter_effects(self.settings):
+            others["effects"] = effects
+        if self.is_virtual:
+            flux = flux_of(camera)
+            virtual = virtual_camera(self.virtual, self.source, self.settings)
+            others |= {"seed": self.seed, "camera": virtual.model_dump(mode="json")}
+        with self._patterns(terminal) as patterns:
+            images = displayed(self.scene, patterns)
+            looks = open_looks(patterns)
+            acquisition = plan_live(
+                patterns,
+                scenes_of(images, self.scene, patterns),
+                exposure_s,
+                camera.shortest_dwell or None,
+                looks=looks,
+                photons=self.photons,
+                until=self.until,
+                background=self.background,
+                flux=camera.flux,
+                **others,
+            )
+            setup: Setup[StreamingProjector]
+            if projector is None:
+                if not self.yes:
+                    shown = read_patterns(patterns)
+                    passes = exposure_s / shown.manifest.pass_s + 1  # at most
+                    events = expected_events(shown, images.x, virtual, flux)
+                    ask_for_room(terminal, events * passes)
+                with terminal.progress("light of the scenes") as report:
+                    setup = virtual_setup(
+                        patterns,
+                        images.x,
+                        acquisition,
+                        latencies,
+                        report=report,
+                        decision_s=looks.decision_s,
+                    )
+            else:
+                wired = replace(
+                    devices, inputs=acquisition.inputs, marker_bit=acquisition.marker_bit
+                )
+                setup = Setup(
+                    projector,
+                    open_counter(self.counter, wired),
+                    _asked_for(acquisition, terminal),
+                )
+            answers, decisions = [], []
+            live = run_live(self.out, patterns, acquisition, setup, looks=looks)
+            with closing(live) as steps:
+                for step in steps:
+                    if step.answer is not None:
+                        answers.append(step.answer)
+                        decisions.append(step.decision)
+                        for line in step.answer.lines(exposure_s):
+                            terminal.say(line)
+            if self.counter == "followed":
+                terminal.warn("end the recording in the counter's software")
+        run = LiveAnswers.of(exposure_s, answers, decisions)
+        run.check_classes(self.out)
+        content = run.as_dict()
+        del content["live"]  # as every run of this command is
+        return Outcome(
+            {
+                "folder": str(self.out),
+                "preprocessing": images.preprocessing,
+                "exposure_s": exposure_s,
+                **content,
+            },
+            [f"scenes: {images.preprocessing}", *run.run_lines(), f"run: {self.out}"],
+        )
+
+    @contextmanager
+    def _patterns(self, terminal: Terminal) -> Iterator[Path]:
+        """Folder of patterns, or those of a design file for the moment."""
+        from deepfsi.lab import design_rails
+
+        if self.source.is_dir():
+            yield self.source
+            return
+        with TemporaryDirectory() as folder:
+            patterns = Path(folder) / "patterns"
+            frames = FrameSettings(find_device("dlp7000"), 1e-3)
+            with terminal.progress("patterns") as report:
+                export_patterns(design_rails(self.source), frames, patterns, report)
+            yield patterns
+
+
+class ImportRecording(Command):
+    """`deepfsi camera import`.
+
+    Time stamps become a photon file, their trigger marker 0. Without a trigger it has no markers,
+    as for `camera transits`. Cumulative counts, and counts in even
+    time bins, become a table with a row for each pass, for `camera classify`.
+
+    Example: deepfsi camera import tags.txt --unit 81ps --marker-channel 8 -o run_lab/photons.ptu
+    """
+
+    events: Annotated[
+        Path,
+        fields.argument(
+            "time stamps: two columns, time and channel (.txt .csv .npy .parquet), or a "
+            "Photon-HDF5 file; with --cumulative or --bins a table with a column for each input"
+        ),
+    ]
+    out: Annotated[
+        Path,
+        Field(description="photon file, .ptu, new; with --cumulative or --bins a table, .csv"),
+    ]
+    marker_channel: Annotated[
+        int | None,
+        Field(description="time stamps: channel of the device's trigger; none unless given"),
+    ] = None
+    channels: Annotated[
+        tuple[int, ...],
+        Field(
+            alias="channel",
+            description="channel of each detector, in order; all others unless given",
+        ),
+    ] = ()
+    unit: Annotated[
+        fields.Time | None,
+        Field(description="unit of the times, such as 1ps; the file's own unless given"),
+    ] = None
+    cumulative: Annotated[
+        bool, Field(description="cumulative counts, latched by the trigger of each frame (NI)")
+    ] = False
+    bins: Annotated[
+        fields.Time | None,
+        Field(description="counts in even bins of this time, such as 100us (Hamamatsu units)"),
+    ] = None
+    patterns: Annotated[
+        Path | None, Field(description="--cumulative and --bins: folder of the patterns shown")
+    ] = None
+    passes: Annotated[
+        Count | None, Field(description="--cumulative and --bins: passes; as many as there are")
+    ] = None
+    force: fields.Force = False
+
+    def run(self, terminal: Terminal) -> Outcome:
+        """Photon file or table that was written."""
+        if self.cumulative or self.bins is not None:
+            return self._import_series()
+        if self.patterns is not None or self.passes is not None:
+            raise InputError(f"--patterns and --passes are for {SERIES}: leave them out")
+        fields.check_file(self.out, (".ptu",), self.force)
+        events = read_timestamps(self.events, self.unit)
+        channels = events.write(self.out, self.marker_channel, self.channels or None)
+        contents = summarise(self.out)
+        photons = {number + 1: contents.photons.get(number, 0) for number in range(len(channels))}
+        triggers = contents.markers.get(1, 0)
+        left_out = len(events.times) - sum(photons.values()) - triggers
+        marker = f"channel {self.marker_channel}: {triggers} markers on 0"
+        if self.marker_channel is None:
+            marker = (
+                f"no trigger, so no markers: give --marker-channel if a channel has it, or {SERIES}"
+            )
+        return Outcome(
+            {
+                "file": str(self.out),
+                "channels": channels,
+                "photons": photons,
+                "markers": triggers,
+                "left_out": left_out,
+                "span_s": contents.span_s,
+            },
+            [
+                *(
+                    f"channel {channel}: {count} photons on input {number}"
+                    for channel, (number, count) in zip(channels, photons.items(), strict=True)
+                ),
+                marker,
+                f"{left_out} events of other channels left out",
+                f"time from the first event to the last: {contents.span_s:.6g} s",
+                f"photons: {self.out}",
+            ],
+        )
+
+    def _import_series(self) -> Outcome:
+        """Table of cumulative counts, or of counts in bins."""
+        events = self.explicit(("marker_channel", "channels", "unit"))
+        for name in events:
+            option = {"channels": "channel"}.get(name, name).replace("_", "-")
+            raise InputError(f"--{option} is for time stamps: leave it out, or {SERIES}")
+        fields.check_file(self.out, (".csv",), self.force)
+        if self.patterns is None:
+            raise InputError(f"{SERIES} need the patterns that were shown: give --patterns")
+        table, names = table_of_series(
+            read_table(self.events).values,
+            read_patterns(self.patterns).manifest,
+            bin_s=self.bins,
+            passes=self.passes,
+            name=str(self.events),
+        )
+        rows = [",".join(names), *(",".join(map(str, row)) for row in table.tolist())]
+        write_atomically(self.out, "\n".join([*rows, ""]).encode())
+        has_ends = "on" in {name.split("/")[0] for name in names}
+        needs = [] if has_ends else ["--photons", "--background"]
+        settle = "" if self.bins is None else f" --settle {self.bins:g}"
+        return Outcome(
+            {
+                "file": str(self.out),
+                "passes": len(table),
+                "values": len(names),
+                "settle_s": self.bins or 0.0,
+                "needs": needs,
+            },
+            [
+                f"{len(table)} passes of {len(names)} values",
+                f"table: {self.out}",
+                *(
+                    ["the last frame of a pass has no end: all-ON and all-OFF frames are left out; "
+                     f"give {' and '.join(needs)} to classify"]
+                    if needs
+                    else []
+                ),
+                f"then: deepfsi camera classify {self.patterns} {self.out}{settle}",
+            ],
+        )  # fmt: skip
+
+
+class WriteSpots(Command):
+    """`deepfsi camera spots`.
+
+    Show them to the camera with the patterns of `deepfsi dmd export hadamard`, count, and give the
+    run to `deepfsi camera calibrate`.
+
+    Example: deepfsi camera spots --size 32x32 -o spots
+    """
+
+    out: Annotated[Path, fields.Output(new=True), Field(description="folder for the pictures, new")]
+    size: Annotated[
+        fields.HeightWidth, Field(description="pixels of the display, HEIGHTxWIDTH")
+    ] = (
+        32,
+        32,
+    )
+    side: Annotated[Count, Field(description="pixels of a spot; larger is brighter")] = 2
+
+    def run(self, terminal: Terminal) -> Outcome:
+        """Pictures that were written."""
+        return pictures_written(write_spots(self.out, self.size, self.side), self.out)
+
+
+class CalibrateCamera(Command):
+    """`deepfsi camera calibrate`.
+
+    `deepfsi design --view` then trains on what the camera sees. Of several detectors, the cells
+    that each sees are written to detectors.npy, for `deepfsi design --detectors`.
+
+    Example: deepfsi camera calibrate run_spots --spots spots -o calibration
+    """
+
+    folder: fields.RunFolder
+    spots: Annotated[Path, Field(description="the pictures that were shown")]
+    out: Annotated[Path, fields.Output(), Field(description="folder for calibration.json")]
+    force: fields.Force = False
+
+    def run(self, terminal: Terminal) -> Outcome:
+        """View of the camera, in its file."""
+        from deepfsi.lab import calibrate
+
+        fields.check_free(self.out / "calibration.json", self.force)
+        calibration, file, detectors = calibrate(self.folder, self.spots, self.out)
+        if not terminal.as_json:
+            for doubt in calibration.doubts:
+                terminal.warn(f"deepfsi: warning: {doubt}")
+        cells = [] if detectors is None else [f"cells of each detector: {detectors}"]
+        return Outcome(
+            {
+                "calibration": str(file),
+                **calibration.model_dump(mode="json", exclude={"flat"}),
+                "detectors": detectors and str(detectors),
+                "warnings": calibration.doubts,
+            },
+            [*calibration.lines(), f"calibration: {file}", *cells],
+        )
+
+
+class CheckView(Command):
+    """`deepfsi camera check`.
+
+    Put reference.png of the folder of patterns in the place of the scenes, alone and on black,
+    record a pass and count it; a design that looks several times shows it with `camera live`. If
+    orientation, scale, shift or rotation differ from those of the masks, the target is blurred, or
+    the counts do not show them, the exit code is 1.
+
+    Example: deepfsi camera check run_reference
+    """
+
+    folder: fields.RunFolder
+    keep: Annotated[
+        Path | None,
+        Field(
+            description="acquisition folder of scenes with the same patterns, with which what is "
+            "found is kept: `camera classify` then refuses the run if the reference did not fit"
+        ),
+    ] = None
+
+    def run(self, terminal: Terminal) -> Outcome:
+        """Place of the scenes on the device."""
+        from deepfsi.lab import check_view
+
+        with terminal.progress("reference") as report:
+            fit = check_view(self.folder, report)
+        if self.keep is not None:
+            verdict = ReferenceVerdict(
+                reference=str(self.folder), fits=fit.fits, reasons=fit.reasons
+            )
+            verdict.keep(self.keep)
+        return Outcome(fit.as_dict(), fit.lines(), failed=not fit.fits)

@@ -159,7 +159,8 @@ class Parameter:
             return ""
         if value is None or value is PydanticUndefined or isinstance(value, bool):
             return ""
-        return ",".join(map(str, value)) if isinstance(value, tuple) else str(value)
+        between = next((each.between for each in self._value[1] if isinstance(each, Written)), ",")
+        return between.join(map(str, value)) if isinstance(value, tuple) else str(value)
 
     @property
     def required(self) -> bool:

@@ -17,7 +17,7 @@ from pydantic.fields import FieldInfo
 
 from deepfsi.base import InputError, check_ending, check_report, seconds
 from deepfsi.base.models import Amount, Count, WholeNumber
-from deepfsi.camera import Camera, find_noise
+from deepfsi.camera import MOST_INPUTS, Camera, find_noise
 from deepfsi.datasets import check_source
 from deepfsi.designfile import find_design
 from deepfsi.jobs import EXPOSURE_FIELDS, EXPOSURE_KINDS, SETTING_ALIASES, Job, Training
@@ -74,9 +74,10 @@ def hidden(words: str) -> Any:
 
 @dataclass(frozen=True)
 class Written:
-    """How a text of an option is written, for its help: ``Written("HEIGHTxWIDTH")``."""
+    """How a text of an option is written, for its help: ``Written("HEIGHTxWIDTH", "x")``."""
 
     form: str
+    between: str = ","
 
 
 @dataclass(frozen=True)
@@ -335,7 +336,7 @@ Names = Annotated[tuple[str, ...], BeforeValidator(split_commas)]
 Time = Annotated[float, BeforeValidator(seconds)]
 """Seconds, of a text such as 0.01, 10ms or 44us."""
 
-HeightWidth = Annotated[tuple[int, int], BeforeValidator(_size), Written("HEIGHTxWIDTH")]
+HeightWidth = Annotated[tuple[int, int], BeforeValidator(_size), Written("HEIGHTxWIDTH", "x")]
 """Height and width of an image, of HEIGHTxWIDTH or one number for both."""
 
 # scenes
@@ -415,6 +416,58 @@ WorkerCount = Annotated[
 ]
 Ray = Annotated[str | None, Field(description="work on a Ray cluster: its address, or auto")]
 Force = Annotated[bool, Field(description="replace what is at --out")]
+
+# acquisitions
+
+RunFolder = Annotated[
+    Path,
+    existing("an acquisition folder, with photons.ptu in it"),
+    argument("acquisition folder, with photons.ptu in it"),
+]
+SettleTime = Annotated[
+    Time | None,
+    Field(
+        alias="settle",
+        description="time for mirrors to settle in each frame; the device's, or the recorded one, "
+        "unless given",
+    ),
+]
+Repeats = Annotated[
+    Count | None,
+    Field(description="exposures in one pass; as many as fit, or were recorded, unless given"),
+]
+Inputs = Annotated[
+    tuple[
+        Annotated[int, Field(ge=1, le=MOST_INPUTS), AfterValidator(lambda number: number - 1)],
+        ...,
+    ],
+    Field(
+        alias="input",
+        description="input, or channel, of the counter, 1 for the first, as `inspect` numbers them;"
+        " one for each detector, on two arms first those that see mirrors ON",
+    ),
+]
+"""Inputs of a counter, from 0, where people count from 1."""
+
+MarkerNumber = Annotated[int, Field(ge=0, le=3)]
+"""Number of a marker input."""
+
+MarkerBit = Annotated[
+    Annotated[MarkerNumber, AfterValidator(lambda number: 1 << number)] | None,
+    Field(
+        alias="marker",
+        description="marker input of the trigger, 0 for the first, as `inspect` numbers them",
+    ),
+]
+"""Bit of a marker input, of its number."""
+
+ExposureBudget = Annotated[
+    float | None,
+    Field(
+        description="budget of an exposure in counts, detector efficiency included; that of the "
+        "all-ON frames unless given"
+    ),
+]
 
 # studies
 

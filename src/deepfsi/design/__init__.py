@@ -3,11 +3,10 @@
 from deepfsi.design.design import Design, load_design
 from deepfsi.design.judgement import RunCounts, judge
 from deepfsi.design.onnx import to_onnx
-from deepfsi.design.readouts import READOUT_PHOTONS, TRAINING, classify_readouts
+from deepfsi.design.readouts import READOUT_PHOTONS, classify_readouts
 
 __all__ = [
     "READOUT_PHOTONS",
-    "TRAINING",
     "Design",
     "RunCounts",
     "classify_readouts",

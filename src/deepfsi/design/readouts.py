@@ -4,7 +4,7 @@ Such a design is one of impulse imaging without noise, whose "pixels" are the re
 from its span to [0, 1]. Offset and gain of that map stand in `Design.info`.
 """
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -16,11 +16,6 @@ if TYPE_CHECKING:
 
 READOUT_PHOTONS = 1e4
 """Budget that the design needs and that, without noise, nothing depends on."""
-
-TRAINING: dict[str, Any] = {
-    "hidden": (256, 256), "epochs": 200, "lr": 5e-3, "dropout": 0.3, "scale": "each"
-}  # fmt: skip
-"""Settings of a training of readouts unless given, chosen on parts left out of the training."""
 
 
 class ReadoutClasses(NamedTuple):

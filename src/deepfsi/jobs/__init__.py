@@ -49,6 +49,7 @@ from deepfsi.jobs.tiles import check_count, count_allowed, sensing_matrix
 from deepfsi.jobs.training import (
     MLP,
     MOST_LAYERS,
+    READOUTS_TRAINING,
     Precision,
     Scale,
     Training,
@@ -67,6 +68,7 @@ __all__ = [
     "LARGEST_SCORE",
     "MLP",
     "MOST_LAYERS",
+    "READOUTS_TRAINING",
     "REVISION",
     "SETTING_ALIASES",
     "STATIC",

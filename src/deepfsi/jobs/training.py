@@ -56,6 +56,11 @@ CLASSIFIERS = {
 CUSTOM_CLASSIFIER = ClassifierFacts(settings=("classifier_arguments",))
 """A user's own."""
 
+READOUTS_TRAINING: dict[str, Any] = {
+    "hidden": (256, 256), "epochs": 200, "lr": 5e-3, "dropout": 0.3, "scale": "each"
+}  # fmt: skip
+"""Settings of a training of measured readouts unless given, chosen on parts that were left out."""
+
 MOST_LAYERS = 64
 """Hidden layers of a network at most."""
 

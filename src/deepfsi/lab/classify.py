@@ -6,7 +6,7 @@ is decided again, from its own counts, as it was.
 """
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from deepfsi.base import InputError, hash_file, plain_keywords, require_extras
+from deepfsi.base import InputError, Table, hash_file, plain_keywords, require_extras
 from deepfsi.base.numeric import read_table
 from deepfsi.camera import NO_EFFECTS, TOO_DIM, Camera, check_budget
 from deepfsi.designfile import (
@@ -107,6 +107,21 @@ class ClassifiedScene:
         content = {names.get(name, name): value for name, value in vars(self).items()}
         return content | {"faults": [str(fault) for fault in self.faults]}
 
+    def row(self, several: bool) -> tuple[str, ...]:
+        """Cells of a table, with the exposures that have its class if some have several."""
+        agreeing = ""
+        if self.predicted:
+            agreeing = f"{self.guesses.count(self.predicted)} of {self.exposures}"
+        kinds = sorted({fault.kind for fault in self.faults})
+        return (
+            self.name,
+            self.predicted or "none",
+            "" if self.probability is None else f"{self.probability:.3f}",
+            *([agreeing] if several else []),
+            self.label or "",
+            ", ".join(kinds + ["unsure"] * bool(self.unsure)),
+        )
+
 
 @dataclass(frozen=True)
 class ClassifiedRun:
@@ -139,6 +154,26 @@ class ClassifiedRun:
     faults: tuple[Fault, ...] = ()
     consistency: ConsistencyResult | None = None
     view: ViewResult | None = None
+
+    def lines(self) -> Iterator[str | Table]:
+        """Say the class of each scene, what is wrong with it, and how many are right."""
+        several = any(scene.exposures > 1 for scene in self.scenes)
+        chances = ("mean probability", "of its exposures") if several else ("probability",)
+        yield Table(
+            f"{self.design}, {self.masks} masks",
+            ("scene", "class", *chances, "labelled", "remarks"),
+            [scene.row(several) for scene in self.scenes],
+        )
+        names = [scene.name for scene in self.scenes]
+        for fault in self.faults:
+            yield fault.line(names)
+        yield from self.remarks
+        labelled = sum(len(scene.guesses) for scene in self.scenes if scene.label)
+        if foreign := labelled - self.score.answers:
+            yield (
+                f"{foreign} exposures have labels that are none of the design's classes: left out"
+            )
+        yield from self.score.lines("exposure")
 
     @property
     def score(self) -> Score:

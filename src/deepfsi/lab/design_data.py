@@ -4,7 +4,6 @@ A camera's calibration may view them. Where they are not what the design was tra
 noted.
 """
 
-import os
 from collections.abc import Mapping
 from math import prod
 from pathlib import Path
@@ -21,19 +20,16 @@ from deepfsi.datasets import (
     load_dataset,
     options_of,
     prepare_display,
-    read_display,
 )
 from deepfsi.designfile import (
     DesignFile,
-    DesignHeader,
     TrainedOn,
     new_scenes,
-    scene_hashes,
     trained_on,
 )
 from deepfsi.hardware.calibration import camera_view, view_dataset
 from deepfsi.hardware.counting import Calibration
-from deepfsi.hardware.patterns import Patterns, check_patterns, read_patterns
+from deepfsi.hardware.patterns import Patterns, check_patterns
 
 if TYPE_CHECKING:
     from deepfsi.datasets import Display
@@ -187,31 +183,6 @@ def _notes(training: TrainedOn | None, asked: Origin, data: Dataset) -> list[str
     return [f"the design was trained on {known.words}; this is {asked.words}"]
 
 
-def _design_of(patterns: Path) -> DesignHeader | None:
-    """Header of the design in a folder of patterns; None where it has none."""
-    if read_patterns(patterns).manifest.design_sha256 is None:
-        return None
-    return DesignFile.read(patterns / Patterns.DESIGN, ()).header
-
-
-def displayed(source: Path, patterns: Path) -> "Display":
-    """Pictures of scenes, with the white of the patterns' design where their type has none.
-
-    Parameters
-    ----------
-    source : path
-        The pictures.
-    patterns : path
-        Folder of the patterns.
-    """
-    images = read_display(source)
-    if not images.levels.chosen or (design := _design_of(patterns)) is None:
-        return images
-    known = trained_on(design.info)
-    white = known.origin.white if known and known.origin else None
-    return images if white is None else read_display(source, white)
-
-
 def design_scenes(
     info: Mapping[str, Any],
     image_shape: tuple[int, ...],
@@ -249,25 +220,3 @@ def design_scenes(
     calibration = Calibration.load(Path(origin.view))
     x = camera_view(shown.x.reshape(len(shown.x), -1), image_shape, calibration)
     return shown._replace(x=x, preprocessing=f"{shown.preprocessing}, then as the camera sees it")
-
-
-def picture_hashes(
-    source: str | os.PathLike[str], patterns: str | os.PathLike[str]
-) -> tuple[str, ...] | None:
-    """Hashes of pictures as the patterns' design sees them; None where it cannot see them.
-
-    Parameters
-    ----------
-    source : str or path
-        The pictures.
-    patterns : str or path
-        Folder of the patterns.
-    """
-    design = _design_of(Path(patterns))
-    if design is None:
-        return None
-    try:
-        shown = design_scenes(design.info, design.image_shape, Path(source))
-    except InputError:  # it was made of arrays, or of pictures of another size
-        return None
-    return scene_hashes(shown.x, design.image_shape)

@@ -1,13 +1,70 @@
-"""Rails and looks of a design, of masks that do not change or of a design that makes them."""
+"""Cameras, rails and looks of a design, of masks that do not change or that it makes itself."""
 
 import os
+from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
+from types import MappingProxyType
+from typing import Any
 
-from deepfsi.base import read_regular, require_extras
+from deepfsi.base import InputError, read_regular, require_extras
 from deepfsi.base.numeric import LARGEST_TENSORS
+from deepfsi.camera import Camera
 from deepfsi.designfile import AdaptiveHeader, DesignFile
 from deepfsi.hardware.live import FixedMaskLooks, LookChooser
-from deepfsi.hardware.patterns import DesignRails, read_patterns
+from deepfsi.hardware.patterns import DesignRails, Patterns, read_patterns
+from deepfsi.hardware.virtual import CAMERAS, VirtualCamera
+
+
+def camera_of(source: Path, settings: Mapping[str, Any] = MappingProxyType({})) -> Camera:
+    """Camera of a design, with other settings; the preset `dmd` where none is known.
+
+    Parameters
+    ----------
+    source : path
+        Design file, folder of its patterns, or of a run.
+    settings : mapping
+        Fields of a camera, and another camera as ``camera``.
+
+    Raises
+    ------
+    InputError
+        If a setting is not allowed.
+    """
+    folders = (source, source / "patterns") if source.is_dir() else ()
+    files = (folder / Patterns.DESIGN for folder in folders)
+    file = next((file for file in files if file.is_file()), source)
+    camera = None
+    if file.is_file():
+        with suppress(InputError):  # whoever opens the design says what is wrong with it
+            camera = DesignFile.read(file, ()).camera
+    return Camera.of_run(camera, **settings)
+
+
+def virtual_camera(
+    name: str | None, source: Path, settings: Mapping[str, Any] = MappingProxyType({})
+) -> VirtualCamera:
+    """Virtual camera of a run of a design.
+
+    Parameters
+    ----------
+    name : str, optional
+        Name of a virtual camera, or a TOML file; as the design's camera is described unless given.
+        Where that has neither an exposure time, gates nor a fluctuation it is no laboratory's, and
+        a photomultiplier is taken.
+    source, settings : path and mapping
+        Design file or folder, and fields of its camera.
+
+    Raises
+    ------
+    InputError
+        If the camera is none, or a setting is not allowed.
+    """
+    if name is not None:
+        return VirtualCamera.load(name)
+    camera = camera_of(source, {"camera": settings.get("camera")})
+    described = camera.exposure is not None or camera.clicks is not None or camera.fluctuation > 0
+    return VirtualCamera.of(camera_of(source, settings)) if described else CAMERAS["pmt"]
 
 
 def design_rails(file: str | os.PathLike[str]) -> DesignRails:

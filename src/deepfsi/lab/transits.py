@@ -15,12 +15,13 @@ import csv
 import io
 import math
 import os
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from deepfsi.base import SILENT, InputError, Progress, time_text
+from deepfsi.base import SILENT, InputError, Progress, Table, time_text
 from deepfsi.camera import check_budget
 from deepfsi.hardware.photons import PtuWriter, read_photons
 
@@ -183,6 +184,24 @@ class ClassifiedTransits:
         """JSON types only."""
         content = vars(self) | {"threshold": vars(self.threshold)}
         return content | {"transits": [vars(transit) for transit in self.transits]}
+
+    def lines(self) -> Iterator[str | Table]:
+        """Say each transit, and what a transit is here."""
+        rows = [
+            (
+                f"{transit.start_s:.6g}",
+                f"{sum(transit.counts)}",
+                transit.predicted,
+                f"{transit.confidence:.3f}",
+            )
+            for transit in self.transits
+        ]
+        yield Table("Transits", ("start, s", "photons", "class", "confidence"), rows)
+        yield (
+            f"{len(rows)} transits in {time_text(self.seconds)}: {self.threshold.photons} photons "
+            f"or more within a transit, at a background of {self.background:.4g} counts/s; "
+            f"{self.threshold.false_alarms:.2g} false alarms are expected in the record"
+        )
 
     def as_csv(self) -> str:
         """Table with a line for each transit: start, class, confidence, counts of the bins."""

@@ -14,14 +14,14 @@ from deepfsi.training.learning import (
     train,
 )
 from deepfsi.training.loop import batch_of
-from deepfsi.training.readouts import ReadoutsResult, learn_readouts, measure_readouts
+from deepfsi.training.readouts import SPLIT_WORDS, learn_readouts, measure_readouts
 
 __all__ = [
     "NO_CHECKPOINT",
+    "SPLIT_WORDS",
     "Checkpoint",
     "Diverged",
     "Epoch",
-    "ReadoutsResult",
     "batch_of",
     "check_fits",
     "companions",

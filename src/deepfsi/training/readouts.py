@@ -7,19 +7,27 @@ too, and whether the order of recording or the monitors of the light tell the cl
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import torch
 
-from deepfsi.base import SILENT, Progress
+from deepfsi.base import SILENT, Progress, Table
 from deepfsi.base.numeric import Interval, accuracy_interval, student, wilson
 from deepfsi.datasets import MeasuredReadouts
-from deepfsi.design import READOUT_PHOTONS, TRAINING, Design, classify_readouts
+from deepfsi.design import READOUT_PHOTONS, Design, classify_readouts
 from deepfsi.designfile import READOUTS
+from deepfsi.jobs import READOUTS_TRAINING
 from deepfsi.training.learning import learn
+
+SPLIT_WORDS = {
+    "random": "a random fifth",
+    "later": "the last fifth of each class",
+    "pictures": "pictures not seen",
+}
+"""Splits in words."""
 
 MOST_RIDGE = 5000
 """Recordings that kernel ridge is fitted to, at most: its memory is their square."""
@@ -159,6 +167,38 @@ class ReadoutsResult:
         )
         return tuple(lines)
 
+    def lines(self, name: str) -> Iterator[str | Table]:
+        """Say what the classifiers of a table with this name are worth."""
+        rows = [
+            (
+                SPLIT_WORDS[split.split],
+                str(split.train),
+                str(split.test),
+                split.network.text,
+                split.ridge.text,
+            )
+            for split in self.splits
+        ]
+        rows += [
+            (f"{monitor.name} alone, a random fifth", "", "", "", monitor.ridge.text)
+            for monitor in self.monitors
+        ]
+        yield Table(
+            f"{name}: {self.recordings} recordings of {self.readouts} readouts, "
+            f"{len(self.classes)} classes, guessing {self.chance:.3f}",
+            ("tested on", "trained", "tested", "network (95 %)", "RBF ridge (95 %)"),
+            rows,
+        )
+        yield from self.verdict
+
+    @property
+    def figure_rows(self) -> list[tuple[str, Interval | None, Interval | None]]:
+        """What was tested on, and the accuracies of the network and of kernel ridge there."""
+        return [
+            *((SPLIT_WORDS[each.split], each.network, each.ridge) for each in self.splits),
+            *((f"{each.name} alone", None, each.ridge) for each in self.monitors),
+        ]
+
     def as_dict(self) -> dict[str, Any]:
         """JSON types only."""
         order = {
@@ -199,7 +239,7 @@ def learn_readouts(
     split : str
         Which of its splits.
     training : mapping, optional
-        Fields of `Training`, in place of those of `TRAINING`.
+        Fields of `Training`, in place of those of `READOUTS_TRAINING`.
     seed : int
         Of split and training.
     device : str
@@ -212,7 +252,7 @@ def learn_readouts(
         masks=readouts.values.shape[1],
         photons=READOUT_PHOTONS,
         camera={"noise": "none"},
-        training={**TRAINING, **(training or {})},
+        training={**READOUTS_TRAINING, **(training or {})},
         seed=seed,
         device=device,
         report=report,

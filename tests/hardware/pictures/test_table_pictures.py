@@ -139,12 +139,12 @@ def test_the_scatter_of_details_is_poisson_s_for_poisson_counts(table):
 def test_agreement_with_a_picture_of_another_camera(table):
     settings = TableMasks("raster", size=(8, 4))
     found = read_pictures([table(SCENE.reshape(-1, 1))], settings)
-    same, agreement = compare_picture(found, table(3 * SCENE + 7, "other.npy"))
-    assert np.allclose(same, SCENE)
-    assert agreement[0]["correlation"] == pytest.approx(1)
-    assert agreement[0]["residual"] == pytest.approx(0, abs=1e-9)
+    same = compare_picture(found, table(3 * SCENE + 7, "other.npy")).agreement
+    assert np.allclose(same.reference, SCENE)
+    assert same.tables[0]["correlation"] == pytest.approx(1)
+    assert same.tables[0]["residual"] == pytest.approx(0, abs=1e-9)
     noise = np.random.default_rng(6).standard_normal(SCENE.shape) * SCENE.std()
-    rest = compare_picture(found, table(SCENE + noise, "n.npy"))[1][0]
+    rest = compare_picture(found, table(SCENE + noise, "n.npy")).agreement.tables[0]
     r = np.corrcoef(SCENE.ravel(), (SCENE + noise).ravel())[0, 1]
     assert rest["correlation"] == pytest.approx(r)
     assert rest["residual"] == pytest.approx(np.sqrt(1 / r**2 - 1))

@@ -6,9 +6,11 @@ any data are taken: a similarity in one of eight orientations is fitted to the c
 """
 
 import io
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -192,6 +194,32 @@ class ReferenceFit:
         if self.doubt is not None:
             return (self.doubt,)
         return tuple(f"{what} {words}" for what, words, departs in self.findings if departs)
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON types only."""
+        layouts = {"exported": self.exported, "found": self.layout}
+        return {
+            "fits": self.fits,
+            "doubt": self.doubt,
+            "orientation": {
+                name: {"flip": layout.flip, "rotate": layout.rotate}
+                for name, layout in layouts.items()
+            },
+            "scale": self.scale,
+            "shift": list(self.shift),
+            "rotation": self.rotation,
+            "blur": self.blur,
+            "blur_error": self.blur_error,
+            "errors": list(self.errors),
+        }
+
+    def lines(self) -> Iterator[str]:
+        """Say how scenes lie, and whether as the masks do."""
+        for what, words, departs in self.findings:
+            far = ": too far" if departs and what != "orientation" else ""
+            yield f"{what}: {words}{far}"
+        fits = "the scenes lie as the masks do" if self.fits else "the scenes do not fit the masks"
+        yield self.doubt or fits
 
     @property
     def findings(self) -> list[tuple[str, str, bool]]:

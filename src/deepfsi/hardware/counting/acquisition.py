@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from hashlib import sha256
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import (
@@ -38,7 +38,7 @@ from deepfsi.base import (
     write_atomically,
 )
 from deepfsi.base.models import Amount, Positive, Share, StrictModel
-from deepfsi.camera import CounterEffects, DeadTime, LiveSettings
+from deepfsi.camera import MOST_INPUTS, CounterEffects, DeadTime, LiveSettings
 from deepfsi.hardware.patterns import GatePlan, Manifest, Patterns, read_patterns
 from deepfsi.hardware.photons import PtuFile
 
@@ -77,8 +77,6 @@ class Scene(StrictModel):
 class Acquisition(StrictModel):
     """Settings of a recording: one pass over the patterns for each scene, one after another."""
 
-    MOST_INPUTS: ClassVar[int] = 64  # of a photon counter
-
     schema_version: Literal[1] = 1
     # In the order of their passes
     scenes: tuple[Scene, ...] = Field(min_length=1, max_length=2**16)
@@ -90,8 +88,8 @@ class Acquisition(StrictModel):
     marker_bit: Literal[1, 2, 4, 8] = 1
     # Of the counter, 0 for input 1: one for each detector; on two arms first those that see mirrors
     # ON, then those that see mirrors OFF
-    inputs: tuple[Annotated[int, Field(ge=0, lt=64)], ...] = Field(
-        default=(0,), min_length=1, max_length=64
+    inputs: tuple[Annotated[int, Field(ge=0, lt=MOST_INPUTS)], ...] = Field(
+        default=(0,), min_length=1, max_length=MOST_INPUTS
     )
     # Photons/s on the device for the training scenes' mean, where known
     flux: Positive | None = None
@@ -159,7 +157,7 @@ class Acquisition(StrictModel):
         gates = GatePlan.of(manifest, exposure, settle, repeats)
         readouts = len(scenes) * manifest.readouts
         countable = max(MOST_READOUTS // max(readouts, 1), 1)
-        check_inputs(manifest, cls.MOST_INPUTS, "a counter")
+        check_inputs(manifest, MOST_INPUTS, "a counter")
         with as_input_error():
             return cls(
                 scenes=scenes,
@@ -478,6 +476,14 @@ class Calibration(StrictModel):
                 f"wanted: give {(self.error / LARGEST_ERROR_CELLS) ** 2:.2g} times the light"
             )
         return said
+
+    def lines(self) -> list[str]:
+        """Say what the view was found of, how well it is known, and its dark counts."""
+        return [
+            f"{self.spots} of {self.shown} spots, {self.residual:.2f} cells from the fit (rms); "
+            f"the view is known to {self.error:.2f} cells at the display's corners",
+            f"dark {self.dark:.4g} counts/s, ambient {self.ambient:.4g} counts/s",
+        ]
 
     def save(self, folder: Path) -> Path:
         """Write `calibration.json` into a folder, which is made if need be."""

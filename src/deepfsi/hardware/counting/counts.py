@@ -10,6 +10,7 @@ import math
 import os
 import struct
 import zipfile
+from collections.abc import Iterator
 from dataclasses import dataclass
 from hashlib import sha256
 from typing import Any, Self
@@ -17,7 +18,14 @@ from typing import Any, Self
 import numpy as np
 from pydantic import Field
 
-from deepfsi.base import InputError, hash_file, read_regular, write_atomically
+from deepfsi.base import (
+    InputError,
+    count_text,
+    hash_file,
+    read_regular,
+    time_text,
+    write_atomically,
+)
 from deepfsi.base.models import Amount, Count, Positive, StrictModel
 from deepfsi.base.numeric import npy_header
 from deepfsi.camera import NO_EFFECTS, CounterEffects
@@ -27,12 +35,19 @@ from deepfsi.hardware.counting.acquisition import (
     read_run,
 )
 from deepfsi.hardware.light import SPOILING, Fault
+from deepfsi.hardware.photons import PtuFile
 
 LARGEST_COUNTS = 2**27
 """Bytes of counts.npz at most."""
 
 LEAST_UNFIRED = 25
 """Gates of all ON without a click that tell the light, at least: to 1 / 5 of a photon in each."""
+
+NO_DRIFT = 1e-7
+"""Drift of clocks that is said to be none, as a share."""
+
+SMALL_DRIFT = 1e-3
+"""Drift of clocks that is said in ppm, as a share."""
 
 NPY_HEADER = 128
 """Bytes of the header of a vector in numpy's format."""
@@ -177,6 +192,70 @@ class Counts:
                 least_unfired=LEAST_UNFIRED,
             )
 
+    def as_dict(self, run: Run) -> dict[str, Any]:
+        """JSON types only, with the names of the scenes of the run that was counted."""
+        names = [scene.name for scene in run.acquisition.scenes]
+        faults = [
+            fault.model_dump() | {"name": None if fault.scene is None else names[fault.scene]}
+            for fault in self.faults
+        ]
+        return {
+            "scenes": len(self.counts),
+            "exposures": int(self.valid.size),
+            "whole": int(self.valid.sum()),
+            "exposure_s": self.exposure_s,
+            "photons_counted": int(self.counts.sum()),
+            "photons": [None if math.isnan(flux) else flux for flux in self.photons.tolist()],
+            "dark_rate": self.dark_rate.tolist(),
+            "drift": self.drift,
+            "inputs": [number + 1 for number in self.inputs],
+            "dead_time_s": self.effects.dead_time.seconds,
+            "paralysable": self.effects.dead_time.paralysable,
+            "arrivals": float(self.arrivals.sum()),
+            "ambient": float(self.ambient.sum()),
+            "gains": list(self.gains),
+            "gates": self.gates,
+            "problems": list(PtuFile(run.photons).problems),
+            "faults": faults,
+            "counts": self.counts.tolist(),
+            "valid": self.valid.tolist(),
+        }
+
+    def lines(self, run: Run) -> Iterator[str]:
+        """Say what of a run was counted, its faults, and what was corrected."""
+        for problem in PtuFile(run.photons).problems:
+            yield f"{run.photons.name}: {problem}"
+        names = [scene.name for scene in run.acquisition.scenes]
+        for fault in self.faults:
+            yield fault.line(names)
+        counted = int(self.counts.sum())
+        if self.effects.dead_time.seconds:
+            lost = 1 - counted / max(float(self.arrivals.sum()), 1.0)
+            yield (
+                f"dead time of {self.effects.dead_time}: {lost:.1%} of the photons were lost, and "
+                "are added"
+            )
+        if self.gains:
+            gains = ", ".join(f"{gain:.3f}" for gain in self.gains)
+            yield f"efficiencies corrected: {gains}"
+        kind = "photons" if self.gates is None else f"clicks of up to {self.gates} a frame"
+        stated = self.gates is not None and run.acquisition.flux in self.flux
+        source = "that acquisition.json states" if stated else "by the all-ON frames"
+        yield (
+            f"{len(self.counts)} scenes, {self.valid.size} exposures of "
+            f"{time_text(self.exposure_s)}, {int(self.valid.sum())} of them whole"
+        )
+        yield f"{counted} {kind} counted"
+        yield f"budget {source}: {_span(self.photons)} photons an exposure"
+        yield f"dark counts: {_span(self.dark_rate[self.valid.any(axis=1)])} a second"
+        yield f"clocks: frames last {_drift_text(self.drift)}"
+        if self.ambient_variance.any():
+            error = math.sqrt(self.ambient_variance.sum())
+            yield (
+                f"background subtracted: {self.ambient.sum():.4g} ± {error:.2g} counts an exposure"
+            )
+        yield f"counts: {run.folder / 'counts.npz'}"
+
     def save(self, run: Run) -> None:
         """Write counts.npz to the folder of the run that was counted."""
         fields = {**vars(self), **dict(self.effects)}
@@ -194,6 +273,22 @@ class Counts:
         file = io.BytesIO()
         np.savez(file, sha256=_hash_arrays(arrays), **arrays)
         write_atomically(run.folder / "counts.npz", file.getvalue())
+
+
+def _span(values: np.ndarray) -> str:
+    """Least and largest of the numbers among some."""
+    if np.isnan(values).all():
+        return "unknown"
+    ends = [count_text(end) for end in (np.nanmin(values), np.nanmax(values))]
+    return " to ".join(dict.fromkeys(ends))
+
+
+def _drift_text(drift: float) -> str:
+    """Drift of clocks, a share, in words."""
+    if abs(drift) < NO_DRIFT:
+        return "as planned"
+    size = f"{abs(drift) * 1e6:.1f} ppm" if abs(drift) < SMALL_DRIFT else f"{abs(drift):.2%}"
+    return f"{size} {'shorter' if drift < 0 else 'longer'} than planned"
 
 
 def read_counts(run: str | os.PathLike[str] | Run) -> Counts:

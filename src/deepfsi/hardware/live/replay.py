@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -156,6 +156,32 @@ class LiveCounts:
         if not fits or about != _hashes(folder):
             raise InputError(f"{path} is of other files than those beside it: {again}")
         return cls(run.acquisition, manifest, log, FrameCounts(starts, counts))
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON types only: numbers of all, and the counts of each list of frames."""
+        looks = [shown.look for scene in self.log.scenes for shown in scene.lists]
+        return {
+            "scenes": len(self.log.scenes),
+            "looks": sum(look >= 0 for look in looks),
+            "frames": len(self.frames.starts_s),
+            "photons_counted": int(self.frames.parts.sum()),
+            "counts": [
+                [
+                    {"look": shown.look, "frames": shown.frames, "counts": counts.counts.tolist()}
+                    for shown, counts in zip(scene.lists, lists, strict=True)
+                ]
+                for scene, lists in self.by_scene
+            ],
+        }
+
+    def lines(self) -> list[str]:
+        """Say how much was counted."""
+        content = self.as_dict()
+        return [
+            f"a live run: {content['scenes']} scenes, {content['looks']} looks, "
+            f"{content['frames']} frames",
+            f"{content['photons_counted']} photons counted",
+        ]
 
     @property
     def by_scene(self) -> Iterator[tuple[LoggedScene, list[FrameCounts]]]:

@@ -1,9 +1,11 @@
 """Answers of a live run: the class of each scene, as the run and its replay give it."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Self
 
+from deepfsi.base import InputError, Message, Table, plural
 from deepfsi.designfile import Score, ViewResult, was_trained_on
 from deepfsi.hardware.counting import Scene
 from deepfsi.hardware.light import SPOILING, Fault
@@ -83,6 +85,20 @@ class LiveScene:
             del content["agrees"]
         return content
 
+    def lines(self, exposure_s: float) -> list[str]:
+        """Say the answer and each fault, of a whole exposure of so many seconds."""
+        if not self.looks:
+            return [f"{self.name}: no light"]
+        faults = [Message("  {fault}", fault=fault.words()) for fault in self.faults]
+        if self.predicted is None:
+            return [f"{self.name}: no class", *faults]
+        return [
+            f"{self.name}: {self.predicted}, confidence {self.probability:.3f}, "
+            f"{plural(self.looks, 'look')}, light {self.light_s * 1e3:.4g} ms "
+            f"({self.light_s / exposure_s:.0%}), clock {self.clock_s * 1e3:.4g} ms",
+            *faults,
+        ]
+
 
 @dataclass(frozen=True)
 class LiveAnswers:
@@ -108,6 +124,66 @@ class LiveAnswers:
         """Answers of a run with its last decisions, the latest of which tells of the view."""
         views = [decision.view for decision in decisions if decision and decision.view]
         return cls(exposure_s, tuple(scenes), views[-1] if views else None)
+
+    def check_classes(self, folder: Path) -> None:
+        """Raise `InputError` if no scene of a run has light, or none has a class."""
+        if not any(scene.looks for scene in self.scenes):
+            raise InputError(
+                "no scene of {folder} has light: no all-ON frame is brighter than the all-OFF "
+                "ones; check the lamp, the inputs and the counter's trigger levels, or export with "
+                "a longer {exposure}",
+                setting="exposure",
+                folder=folder,
+            )
+        if all(scene.predicted is None for scene in self.scenes):
+            first = next(fault for scene in self.scenes for fault in scene.faults)
+            raise InputError(
+                "no scene of {folder} has a class: {fault}", folder=folder, fault=first.words()
+            )
+
+    def _score_lines(self) -> Iterator[str]:
+        """Say how many scenes have no class, how many are right, and how the camera saw them."""
+        none = sum(scene.predicted is None for scene in self.scenes)
+        if none:
+            yield f"no class: {none} of {len(self.scenes)} scenes"
+        yield from self.score.lines("scene")
+        if self.view is not None and self.view.remark:
+            yield self.view.remark
+
+    def run_lines(self) -> Iterator[str]:
+        """Say how a run went that was just made, with the light and the time that it took."""
+        yield from self._score_lines()
+        count = len(self.scenes)
+        light_s = sum(scene.light_s for scene in self.scenes) / count
+        clock_s = sum(scene.clock_s for scene in self.scenes) / count
+        yield (
+            f"light used {light_s / self.exposure_s:.1%} of the exposures, clock time "
+            f"{clock_s * 1e3:.4g} ms a scene"
+        )
+
+    def lines(self) -> Iterator[str | Table]:
+        """Say the classes of a run that was replayed, and how often it decides as before."""
+        heads = ("scene", "class", "confidence", "looks", "light", "labelled", "remarks")
+        rows = [
+            (
+                scene.name,
+                scene.predicted or "none",
+                "" if scene.probability is None else f"{scene.probability:.3f}",
+                str(scene.looks),
+                f"{scene.light_s / self.exposure_s:.0%}",
+                scene.label or "",
+                ", ".join(sorted({fault.kind for fault in scene.faults})),
+            )
+            for scene in self.scenes
+        ]
+        yield Table("a live run, replayed from its counts", heads, rows)
+        names = [scene.name for scene in self.scenes]
+        for scene in self.scenes:
+            for fault in scene.faults:
+                yield fault.words(names)
+        yield from self._score_lines()
+        agree = sum(bool(scene.agrees) for scene in self.scenes)
+        yield f"as decided in the run, bit for bit: {agree} of {len(rows)} scenes"
 
     @property
     def score(self) -> Score:

@@ -376,6 +376,12 @@ class RecordedScene:
     masks_rate: float
     lit: bool
 
+    def __str__(self) -> str:
+        return (
+            f"{self.scene.name}: {self.masks_rate:.4g} counts/s in the masks' frames, all ON "
+            f"{self.on_rate:.4g}, all OFF {self.off_rate:.4g}{'' if self.lit else ': NO LIGHT'}"
+        )
+
     @classmethod
     def of(cls, scene: Scene, counts: np.ndarray, times: np.ndarray, manifest: Manifest) -> Self:
         """Scene by counts (F, inputs) of its pass's frames but the last, and their times (F,)."""

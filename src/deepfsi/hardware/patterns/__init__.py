@@ -3,6 +3,7 @@
 from deepfsi.hardware.patterns.controllers import Dlpc900
 from deepfsi.hardware.patterns.folder import (
     FrameSettings,
+    Patterns,
     check_patterns,
     export_patterns,
     read_frames,
@@ -15,7 +16,6 @@ from deepfsi.hardware.patterns.manifest import (
     Frame,
     LookPlan,
     Manifest,
-    Patterns,
 )
 from deepfsi.hardware.patterns.photomask import write_photomask
 from deepfsi.hardware.patterns.timing import GatePlan

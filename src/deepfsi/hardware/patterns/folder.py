@@ -9,17 +9,18 @@ import json
 import math
 import os
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from hashlib import sha256
 from itertools import chain
 from pathlib import Path
-from typing import get_args
+from typing import Any, ClassVar, get_args
 
 import numpy as np
 
 from deepfsi.base import (
     SILENT,
     InputError,
+    Message,
     Progress,
     as_input_error,
     check_choice,
@@ -27,6 +28,7 @@ from deepfsi.base import (
     check_unpacked,
     hash_file,
     new_folder,
+    plural,
     read_text,
     time_text,
 )
@@ -51,18 +53,189 @@ from deepfsi.hardware.patterns.frames import (
     unpack,
 )
 from deepfsi.hardware.patterns.manifest import (
+    DESIGN_NAME,
+    LEAST_DIMMED,
+    LOOP_NAME,
     MOST_FRAMES,
     SENTINELS,
     DesignRails,
     Manifest,
     MaskFrames,
-    Patterns,
     check_stored,
     hash_mirrors,
 )
+from deepfsi.hardware.patterns.timing import GatePlan
 
 LARGEST_MANIFEST = 2**29
 """Bytes of a manifest at most."""
+
+EVEN = 1e-9
+"""Departure of a cell's aspect from 1 below which it is square."""
+
+
+@dataclass(frozen=True)
+class Patterns:
+    """Manifest and mirror counts of a folder of patterns.
+
+    Parameters
+    ----------
+    manifest
+        Device, and frames in the order in which they are shown.
+    on
+        Mirrors ON in each cell of each mask's frame, uint32 (f, N), in the order of
+        `Manifest.shown`.
+    """
+
+    DESIGN: ClassVar[str] = DESIGN_NAME
+    """File of the design in a folder of patterns."""
+
+    LOOP: ClassVar[str] = LOOP_NAME
+    """File of the networks that choose its dwells."""
+
+    manifest: Manifest
+    on: np.ndarray
+
+    @property
+    def fractions(self) -> np.ndarray:
+        """Share of each cell's mirrors that are ON, k / K, float64 (f, N)."""
+        return self.on / self.manifest.grid.mirrors
+
+    @property
+    def rails(self) -> np.ndarray:
+        """Realised rails, float64 (rails, m, N): share of each pixel's photons."""
+        manifest = self.manifest
+        lit = np.stack([self.fractions, 1 - self.fractions])
+        rail, mask, column, arm = manifest.read
+        out = np.zeros((manifest.rails, manifest.masks, self.on.shape[1]))
+        out[rail, mask] = manifest.shares[column, None] * lit[arm, column]
+        return out
+
+    @property
+    def realised(self) -> tuple[np.ndarray, tuple[int, ...], float]:
+        """Rails, image shape and dimming, as `Design.as_shown` takes them."""
+        return self.rails, self.manifest.image_shape, self.manifest.dimmed
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON types only: what is shown, for how long, and what it costs."""
+        manifest = self.manifest
+        device = manifest.device
+        times = [frame.picture_us for frame in manifest.frames]
+        gates = self._longest_gates
+        return {
+            "frames": len(manifest.frames),
+            "mask_frames": len(manifest.shown),
+            "mean_picture_s": float(manifest.picture_s[manifest.shown].mean()),
+            "pass_s": manifest.pass_s,
+            "longest_exposure_s": None if gates is None else self._longest_s,
+            "uncounted": None if gates is None else asdict(gates.cost(manifest)),
+            "dimmed": manifest.dimmed,
+            "looks": manifest.looks.count if manifest.looks else 1,
+            "load_s": device.load_us and device.load_us * 1e-6,
+            "device": device.name,
+            "cell": [manifest.grid.height, manifest.grid.width],
+            "aspect": manifest.grid.aspect,
+            "used": manifest.used,
+            "layout": manifest.layout.model_dump(),
+            "most_frames": device.patterns,
+            "picture_us": [min(times), max(times)],
+            "departures": manifest.departures,
+        }
+
+    def lines(self) -> Iterator[str]:
+        """Say what is shown, for how long, what it costs, and whether the device can."""
+        manifest = self.manifest
+        device = manifest.device
+        times = [frame.picture_us for frame in manifest.frames]
+        longest = f" to {device.longest_us}"
+        if device.longest_us == LONGEST_PICTURE_S * 1e6:
+            longest = " or more"
+        yield from self._pass_lines()
+        yield self._place_line
+        yield (
+            f"limits of {device.name}: {len(manifest.frames)} frames"
+            f"{'' if device.patterns is None else f' of {device.patterns}'}, pictures of "
+            f"{min(times)} to {max(times)} µs ({device.shortest_us}{longest} allowed)"
+        )
+        for departure in manifest.departures:
+            yield f"beyond its documents: {departure}"
+        if manifest.dimmed < LEAST_DIMMED:
+            yield Message(
+                "cost in light: one device shows a {law} design with {dimmed:.3g} of its light; "
+                "learn it with {light:free-dwell} or equal-dwell instead",
+                setting="light",
+                law=manifest.light,
+                dimmed=manifest.dimmed,
+            )
+
+    @property
+    def _longest_s(self) -> float:
+        """Longest exposure that the frames hold, seconds."""
+        return self.manifest.longest_exposure_s(self.manifest.device.settle_us * 1e-6)
+
+    @property
+    def _longest_gates(self) -> GatePlan | None:
+        """Gates of that exposure; None where dwells are chosen while it runs."""
+        if self.manifest.looks is not None:
+            return None
+        return GatePlan.of(self.manifest, self._longest_s)
+
+    def _pass_lines(self) -> Iterator[str]:
+        """Say the frames of a pass, its longest exposure and what it costs."""
+        manifest = self.manifest
+        device = manifest.device
+        looks = manifest.looks
+        frames = (
+            f"{plural(len(manifest.shown), 'frame')} of masks and "
+            f"{len(manifest.frames) - len(manifest.shown)} all-ON and all-OFF ones"
+        )
+        gates = self._longest_gates
+        if looks and looks.adaptive:
+            yield (
+                f"{frames}: the mask of the first look, of {looks.count}; a live run loads a new "
+                f"one before each look, {device.load_us} µs a frame on {device.name}, in which no "
+                "photon is counted; show them with `deepfsi camera live`"
+            )
+        elif looks or gates is None:
+            yield (
+                f"{frames}, {looks.count if looks else 1} looks: the times written are of the "
+                "first, those of the others follow from counts; show them with `deepfsi camera "
+                "live`"
+            )
+        else:
+            reason = f"no picture is shorter than {device.shortest_us} µs"
+            if device.video_us:
+                reason = "all pictures last as long as the longest"
+            cost = gates.cost(manifest)
+            yield (
+                f"{frames}, {time_text(manifest.pass_s)} a pass, exposures up to "
+                f"{time_text(self._longest_s)}"
+            )
+            yield (
+                f"cost in time: at that exposure {cost.total:.1%} of a pass is not counted: "
+                f"{cost.sentinels:.1%} for all-ON and all-OFF frames, {cost.settling:.1%} for "
+                f"mirrors to settle, {cost.idle:.1%} since {reason}"
+            )
+
+    @property
+    def _place_line(self) -> str:
+        """Cells on the device, in words."""
+        manifest = self.manifest
+        device = manifest.device
+        grid = manifest.grid
+        layout = manifest.layout
+        even = abs(grid.aspect - 1) < EVEN
+        shape = "square" if even else f"{grid.aspect:.3g} times as wide as high"
+        turned = [
+            *(["flipped"] if layout.flip else []),
+            *([f"turned by {layout.rotate} degrees clockwise"] if layout.rotate else []),
+            *(["1 is OFF in the files"] if layout.invert else []),
+        ]
+        return (
+            f"cells of {grid.width} x {grid.height} mirrors, {shape}, on "
+            f"{grid.across * grid.width} x {grid.down * grid.height} of {device.columns} x "
+            f"{device.rows} mirrors: {manifest.used:.1%} of the device's light is used"
+            f"{''.join(f'; {words}' for words in turned)}"
+        )
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib.metadata import version
-from typing import Any, ClassVar, Literal, Self, get_args
+from typing import Any, Literal, Self, get_args
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -52,6 +52,10 @@ MOST_FRAMES = 2**20
 SENTINELS = 4
 """Frames of a pass that show no mask."""
 
+DESIGN_NAME = "design.safetensors"
+LOOP_NAME = "loop.safetensors"
+"""Files beside a manifest: the design, and the networks that choose its dwells."""
+
 SHARES_SLACK = 1e-4
 """Sum of the frames' shares of the exposure beyond 1 that rounding may leave."""
 
@@ -69,6 +73,15 @@ FINEST_LEVELS = 2**16
 
 FINEST_PASS_US = 10**9
 """Time of the masks' frames of a pass without a device, µs: long, so that their ratios stay."""
+
+USUAL_PICTURE_S = 1e-3
+"""Mean picture time of a frame where no exposure is given, seconds."""
+
+PICTURE_SLACK = 1.01
+"""Time of pictures over what the gates of an exposure take: pictures are of whole microseconds."""
+
+SENTINEL_SHARE = 0.1
+"""Time of an all-ON frame of several looks, as a share of the exposure: it measures their light."""
 
 LEAST_DIMMED = 0.999
 """Share of a design's light that one device must show."""
@@ -307,6 +320,15 @@ class DesignRails:
     def rail_count(self) -> Literal[1, 2]:
         """Number of rails: 2 of signed masks, or 1."""
         return 2 if len(self.rails) == 2 else 1
+
+    def picture_s(self, device: Device, exposure_s: float | None) -> float:
+        """Mean picture time of a frame, seconds: what an exposure takes, or 1 ms without one."""
+        if exposure_s is None:
+            return USUAL_PICTURE_S
+        if self.looks is not None:  # a live run times the masks itself
+            return max(SENTINEL_SHARE * exposure_s, device.shortest_us * 1e-6)
+        frames = int((self.rails.max(axis=-1) > 0).sum())
+        return PICTURE_SLACK * exposure_s / frames + device.settle_us * 1e-6
 
     def first_dwells(self, frames: "MaskFrames") -> np.ndarray:
         """Shares of the exposure (f,) for which a fixed sequence, or a first look, shows frames."""
@@ -554,7 +576,7 @@ class Manifest(StrictModel):
     def companions(self) -> dict[str, str]:
         """Files beside the manifest that say what was shown, by their hashes."""
         loop = None if self.looks is None else self.looks.loop_sha256
-        hashes = {Patterns.DESIGN: self.design_sha256, Patterns.LOOP: loop}
+        hashes = {DESIGN_NAME: self.design_sha256, LOOP_NAME: loop}
         return {name: digest for name, digest in hashes.items() if digest is not None}
 
     @property
@@ -707,46 +729,3 @@ def check_stored(device: Device, frames: int) -> None:
 def hash_mirrors(on: np.ndarray) -> str:
     """Hash of mirror counts (f, N), as a manifest holds it."""
     return hashlib.sha256(np.ascontiguousarray(on, "<u4").data).hexdigest()
-
-
-@dataclass(frozen=True)
-class Patterns:
-    """Manifest and mirror counts of a folder of patterns.
-
-    Parameters
-    ----------
-    manifest
-        Device, and frames in the order in which they are shown.
-    on
-        Mirrors ON in each cell of each mask's frame, uint32 (f, N), in the order of
-        `Manifest.shown`.
-    """
-
-    DESIGN: ClassVar[str] = "design.safetensors"
-    """File of the design in a folder of patterns."""
-
-    LOOP: ClassVar[str] = "loop.safetensors"
-    """File of the networks that choose its dwells."""
-
-    manifest: Manifest
-    on: np.ndarray
-
-    @property
-    def fractions(self) -> np.ndarray:
-        """Share of each cell's mirrors that are ON, k / K, float64 (f, N)."""
-        return self.on / self.manifest.grid.mirrors
-
-    @property
-    def rails(self) -> np.ndarray:
-        """Realised rails, float64 (rails, m, N): share of each pixel's photons."""
-        manifest = self.manifest
-        lit = np.stack([self.fractions, 1 - self.fractions])
-        rail, mask, column, arm = manifest.read
-        out = np.zeros((manifest.rails, manifest.masks, self.on.shape[1]))
-        out[rail, mask] = manifest.shares[column, None] * lit[arm, column]
-        return out
-
-    @property
-    def realised(self) -> tuple[np.ndarray, tuple[int, ...], float]:
-        """Rails, image shape and dimming, as `Design.as_shown` takes them."""
-        return self.rails, self.manifest.image_shape, self.manifest.dimmed

@@ -17,11 +17,11 @@ import os
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
-from deepfsi.base import SILENT, InputError, Progress, open_regular
+from deepfsi.base import SILENT, InputError, Progress, Table, open_regular, time_text
 from deepfsi.base.models import StrictModel
 from deepfsi.hardware.photons import records
 from deepfsi.hardware.photons.ptu import GENERIC_T2, Header, parse_header, read_header
@@ -215,6 +215,30 @@ class PtuSummary(StrictModel):
     last: int | None
     span_s: float  # seconds from the start of the recording to the latest of them
     problems: tuple[str, ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON types only, inputs and markers by their numbers on the counter."""
+        return self.model_dump() | {
+            "photons": {number + 1: count for number, count in self.photons.items()},
+            "markers": {bit.bit_length() - 1: count for bit, count in self.markers.items()},
+        }
+
+    def table(self, title: str) -> Table:
+        """All of it under a title."""
+        inputs = self.photons.items()
+        markers = self.markers.items()
+        rows = [
+            ("record type", self.kind),
+            ("time unit", time_text(self.tick_s)),
+            ("records", str(self.records)),
+            *((f"photons on input {number + 1}", str(count)) for number, count in inputs),
+            *((f"markers on {bit.bit_length() - 1}", str(count)) for bit, count in markers),
+            ("overflow records", str(self.overflows)),
+            ("sync records", str(self.syncs)),
+            ("span", time_text(self.span_s)),
+            *(("problem", problem) for problem in self.problems),
+        ]
+        return Table(title, ("what", "value"), rows)
 
 
 def summarise(photons: Photons, progress: Progress = SILENT) -> PtuSummary:

@@ -6,14 +6,17 @@ runs back. Lines without either marker are
 left out and named, as are frames of an unusual number of lines.
 """
 
+import io
 import os
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from deepfsi.base import SILENT, InputError, Progress
+from deepfsi.base import SILENT, InputError, Progress, plural, write_atomically
 from deepfsi.hardware.photons.ptu import Header
 from deepfsi.hardware.photons.reader import PtuFile, count_windows, cut_windows, read_markers
 
@@ -94,6 +97,35 @@ class Scan:
         usual = np.flatnonzero(sizes == _commonest(sizes))
         light = self.counts.sum(axis=2)
         return np.stack([light[self.frame == number] for number in usual])
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON types only, without the counts."""
+        sizes = np.bincount(self.frame).tolist()
+        return {
+            "photons": int(self.counts.sum()),
+            "lines": len(self.frame),
+            "frames": len(sizes),
+            "pixels": self.counts.shape[1],
+            "lines_of_frames": sizes,
+            "faults": list(self.faults),
+        }
+
+    def lines(self) -> list[str]:
+        """Say what was counted, and what was left out."""
+        content = self.as_dict()
+        sizes = ", ".join(plural(content[name], name[:-1]) for name in ("frames", "lines"))
+        return [
+            *self.faults,
+            f"{sizes} of {plural(content['pixels'], 'pixel')}",
+            f"{content['photons']} photons between the markers of lines",
+        ]
+
+    def save(self, path: Path) -> None:
+        """Write counts, frames and times of the lines, .npz."""
+        content = io.BytesIO()
+        arrays = {name: value for name, value in vars(self).items() if name != "faults"}
+        np.savez_compressed(content, **arrays)
+        write_atomically(path, content.getvalue())
 
 
 def count_scan(

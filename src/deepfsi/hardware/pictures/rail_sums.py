@@ -12,7 +12,7 @@ predicting it from others: its neighbours in time, its block, its place in the b
 that are as fine as it.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from itertools import combinations
 from typing import Any, Literal, get_args
@@ -40,6 +40,17 @@ ORDERS = 999
 ALIKE = 8
 """Masks of like fineness that predict one."""
 
+CAUSES = {
+    "fineness": "masks of like fineness",
+    "sequence": "pictures before and after",
+    "block": "the block",
+    "place in block": "the place in the block",
+}
+"""Words for what predicts rail sums."""
+
+LEAST_CHANCE = 1e-300
+"""Chance below which no number is said."""
+
 
 @dataclass(frozen=True)
 class Excess:
@@ -61,6 +72,10 @@ class Excess:
     def spread(self) -> float:
         """Relative standard deviation; 0 where Poisson counts scatter as much."""
         return float(np.sqrt(max(self.variance, 0.0)))
+
+    def __str__(self) -> str:
+        low, high = (max(end, 0.0) ** 0.5 for end in (self.low, self.high))
+        return f"{self.spread:.1%} ({low:.1%} to {high:.1%})"
 
 
 @dataclass(frozen=True)
@@ -129,6 +144,66 @@ class RailSums:
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers for JSON."""
         return asdict(self) | {"lags": LAGS}
+
+    def lines(self, names: Sequence[str]) -> Iterator[str]:
+        """Say whether the counts of runs with these names are Poisson, and what else they are."""
+        yield (
+            "these counts are Poisson, as far as they tell"
+            if self.poisson
+            else "THESE COUNTS ARE NOT POISSON"
+        )
+        for name, run in zip(names, self.runs, strict=True):
+            yield (
+                f"  {name}: sums of a mask and its inverse, {run.mean:.0f} in the mean, scatter by "
+                f"{run.spread:.1%} where Poisson allows {run.allowed:.1%} (chi2/dof "
+                f"{run.chi2:.3g}, p {_chance_text(run.chance)}); excess {run.excess}"
+            )
+        if self.common is not None:
+            yield from self._lines_between(self.common)
+        for name, cause in self.causes.items():
+            rest = "" if cause.rest is None else f"; {max(cause.rest, 0):.0%} of what is left then"
+            yield (
+                f"  predicted by {CAUSES[name]}: {max(cause.share, 0):.0%} of the scatter "
+                f"(p {_chance_text(cause.chance)}){rest}"
+            )
+
+    def _lines_between(self, common: Excess) -> Iterator[str]:
+        """Say what several runs have in common, and what each has by itself."""
+        variances = [
+            1 + excess.variance * run.mean for excess, run in zip(self.own, self.runs, strict=True)
+        ]
+        fluctuation = max(excess.spread for excess in self.pictures)
+        yield (
+            f"  alike in all tables (r {range_text(self.correlations, '.2f')}): {common}, of the "
+            "masks or the sequence"
+        )
+        yield (
+            f"  of each table by itself: {', '.join(map(str, self.own))}: variance "
+            f"{range_text(variances, '.2f')} times Poisson's"
+        )
+        yield (
+            f"  of single pictures: {', '.join(map(str, self.pictures))}; the virtual camera draws "
+            f"it with fluctuation = {fluctuation:.2g}"
+        )
+        yield (
+            f"  between tables: chi2/dof of single counts {self.chi2_counts:.2f} "
+            f"(p {_chance_text(self.chance_counts or 0)}), of sums {self.chi2_sums:.2f}"
+        )
+        yield (
+            "  autocorrelation of what differs, at a lag of 1 pair "
+            f"{self.own_autocorrelation[0]:.2f}, of 8 pairs {self.own_autocorrelation[3]:.2f}"
+        )
+
+
+def range_text(values: Iterable[float], form: str) -> str:
+    """Least and largest of some numbers, each in this form; once if they are alike."""
+    numbers = list(values)
+    ends = [format(end, form) for end in (min(numbers), max(numbers))]
+    return " to ".join(dict.fromkeys(ends))
+
+
+def _chance_text(chance: float) -> str:
+    return f"{chance:.1g}" if chance > LEAST_CHANCE else f"< {LEAST_CHANCE:.0e}"
 
 
 def fineness(masks: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:

@@ -1,7 +1,7 @@
 """Pictures and a verdict on the light from tables of counts behind masks that are known."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from itertools import combinations
 from math import isqrt
 from pathlib import Path
@@ -9,12 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from deepfsi.base import InputError
+from deepfsi.base import InputError, plural
 from deepfsi.base.numeric import read_table, split_variable
 from deepfsi.hardware.pictures.rail_sums import (
     RailSums,
     check_rail_sums,
     fineness,
+    range_text,
     split_rails,
 )
 from deepfsi.hardware.pictures.solve import (
@@ -56,6 +57,34 @@ class TableMasks:
 
 
 @dataclass(frozen=True)
+class Agreement:
+    """Agreement of the pictures of some tables with that of another camera.
+
+    Attributes
+    ----------
+    source : str
+        Where that is from.
+    reference : array (H, W)
+        The other picture, by the line of best fit to the first table's.
+    tables : tuple of dict
+        Of each table the correlation, and the residual: the rms of its picture less that line, over
+        the reference's standard deviation in the unit of the picture.
+    """
+
+    source: str
+    reference: np.ndarray
+    tables: tuple[dict[str, float], ...]
+
+    def lines(self, names: Sequence[str]) -> list[str]:
+        """Say how well the pictures of tables with these names agree with it."""
+        return [
+            f"{name} beside {self.source}: correlation {table['correlation']:.3f}, residual "
+            f"{table['residual']:.2f} of its contrast"
+            for name, table in zip(names, self.tables, strict=True)
+        ]
+
+
+@dataclass(frozen=True)
 class TablePictures:
     """Pictures from tables of counts, and what the counts say of the light.
 
@@ -85,6 +114,8 @@ class TablePictures:
         Light of all ON and OFF over that of other pairs.
     wavelets : tuple of dict, optional
         Scatter of each table's coefficients.
+    agreement : Agreement, optional
+        With the picture of another camera.
     """
 
     names: tuple[str, ...]
@@ -100,12 +131,66 @@ class TablePictures:
     off: tuple[tuple[float, float, float], ...] | None = None
     uniform: tuple[float, ...] | None = None
     wavelets: tuple[dict[str, Any], ...] | None = None
+    agreement: Agreement | None = None
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain values for JSON, without pictures."""
-        left = ("pictures", "sums", "fine", "light")
+        """Plain values for JSON, without pictures; None for what is no number."""
+        left = ("pictures", "sums", "fine", "light", "agreement")
         content = {name: value for name, value in vars(self).items() if name not in left}
-        return content | {"light": None if self.light is None else self.light.as_dict()}
+        light = None if self.light is None else self.light.as_dict()
+        agreement = () if self.agreement is None else self.agreement.tables
+        plain: dict[str, Any] = _plain(content | {"light": light, "agreement": agreement})
+        return plain
+
+    @property
+    def brightness(self) -> np.ndarray:
+        """Divisors (tables, 1, 1) that bring pictures of several exposures to one brightness."""
+        scale = np.abs(self.pictures).mean(axis=(1, 2), keepdims=True)
+        return np.where((scale > 0) & (len(scale) > 1), scale, 1.0)
+
+    def lines(self) -> Iterator[str]:
+        """Say how the pictures agree, and what the counts say of the light."""
+        shape = "x".join(map(str, self.pictures.shape[1:]))
+        yield f"{plural(len(self.names), 'picture')} of {shape}"
+        if self.correlations:
+            yield f"pictures agree: correlation {range_text(self.correlations, '.2f')}"
+        for name, scatter in zip(self.names, self.wavelets or (), strict=False):
+            yield f"{name}: {scatter['measured']:.0%} of the coefficients were measured"
+            if scatter["level"] and (ratio := scatter["variance_over_poisson"]):
+                yield (
+                    f"  details of level {scatter['level']} scatter with at most {min(ratio):.3g} "
+                    f"to {max(ratio):.3g} times the variance of Poisson counts, if a unit of the "
+                    "table were a count (tenths of like light)"
+                )
+        if self.note:
+            yield f"note: {self.note}"
+        if self.light is not None:
+            yield from self.light.lines(self.names)
+        if self.rates is not None and self.rate_errors is not None:
+            mean = sum(self.rates) / len(self.rates)
+            worst = max(abs(rate / mean - 1) for rate in self.rates)
+            yield (
+                f"mean picture: {range_text(self.rates, '.4g')} counts a second, {worst:.1%} from "
+                f"their mean at most (photon noise {max(self.rate_errors):.2%})"
+            )
+        if self.on is not None and self.off is not None and self.uniform is not None:
+            dark = ", ".join(f"{one:g} ({low:.1f} to {high:.1f})" for one, low, high in self.off)
+            yield (f"all ON: {', '.join(f'{one:g}' for one in self.on)} counts; all OFF: {dark}")
+            yield (
+                f"all ON and all OFF together have {range_text(self.uniform, '.2f')} times the "
+                "light of a mask and its inverse in the mean: 1 if no light is lost"
+            )
+        if self.agreement is not None:
+            yield from self.agreement.lines(self.names)
+
+
+def _plain(value: Any) -> Any:
+    """Values as JSON holds them: no NaN."""
+    if isinstance(value, dict):
+        return {key: _plain(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(entry) for entry in value]
+    return None if isinstance(value, float) and value != value else value
 
 
 def read_pictures(sources: Sequence[str], settings: TableMasks) -> TablePictures:
@@ -259,10 +344,8 @@ def _correlations(pictures: np.ndarray) -> tuple[float, ...]:
     return tuple(float(np.corrcoef(a, b)[0, 1]) for a, b in combinations(flat, 2))
 
 
-def compare_picture(
-    pictures: TablePictures, source: str
-) -> tuple[np.ndarray, tuple[dict[str, float], ...]]:
-    """Picture of another camera in the unit of the first one, and the agreement of each with it.
+def compare_picture(pictures: TablePictures, source: str) -> TablePictures:
+    """Compare pictures with that of another camera; they then have their agreement with it.
 
     Parameters
     ----------
@@ -270,14 +353,6 @@ def compare_picture(
         Of the first camera.
     source : str
         Picture of the other, FILE or FILE:VARIABLE.
-
-    Returns
-    -------
-    array (H, W)
-        The other picture, by the line of best fit to the first table's.
-    tuple of dict
-        Of each table the correlation, and the residual: the rms of its picture less that line, over
-        the reference's standard deviation in the unit of the picture.
 
     Raises
     ------
@@ -300,7 +375,7 @@ def compare_picture(
         agreement.append(
             {"correlation": r, "residual": float(rest.std() / abs(slope) / reference.std())}
         )
-    return lines[0], tuple(agreement)
+    return replace(pictures, agreement=Agreement(source, lines[0], tuple(agreement)))
 
 
 def _of_wavelets(

@@ -23,7 +23,17 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field, FiniteFloat, field_validator
 
-from deepfsi.base import SILENT, InputError, Message, Progress, check_disk_space, new_folder
+from deepfsi.base import (
+    SILENT,
+    InputError,
+    Message,
+    Progress,
+    as_input_error,
+    check_disk_space,
+    closest_choice,
+    new_folder,
+    read_toml,
+)
 from deepfsi.base.models import WholeNumber
 from deepfsi.camera import Camera, Device, DmdGrid
 from deepfsi.hardware.counting import Acquisition, Scene, prepare_run
@@ -107,6 +117,18 @@ class VirtualCamera(Detector):
         if labels != set(range(len(labels))):
             raise ValueError("the detectors are not numbered from 0 without a gap")
         return rows
+
+    @classmethod
+    def load(cls, source: str) -> "VirtualCamera":
+        """One of `CAMERAS` by its name, or of a TOML file; `InputError` if it is neither."""
+        if source in CAMERAS:
+            return CAMERAS[source]
+        if not source.lower().endswith(".toml"):
+            raise InputError(
+                f"unknown camera {source!r}: {closest_choice(source, CAMERAS)}; or give a TOML file"
+            )
+        with as_input_error():
+            return cls.model_validate(read_toml(source))
 
     @classmethod
     def of(cls, camera: Camera) -> "VirtualCamera":

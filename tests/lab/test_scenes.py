@@ -3,7 +3,7 @@
 import pytest
 
 from deepfsi.base import InputError
-from deepfsi.cli.scenes import read_scenes
+from deepfsi.lab.scenes import read_scenes
 
 
 @pytest.mark.parametrize(

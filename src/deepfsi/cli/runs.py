@@ -1,0 +1,587 @@
+"""Commands that read what was recorded: photon files, runs, tables of counts, and readouts."""
+
+from copy import copy
+from json import dumps
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import Field
+
+from deepfsi.base import (
+    DESIGN_ENDINGS,
+    InputError,
+    check_choice,
+    new_folder,
+    seconds,
+    write_atomically,
+)
+from deepfsi.base.models import Count
+from deepfsi.base.numeric import TABLE_ENDINGS, is_table, read_table
+from deepfsi.cli import fields
+from deepfsi.cli.command import Command
+from deepfsi.cli.terminal import Outcome, Terminal
+from deepfsi.datasets import Variables, read_readouts
+from deepfsi.hardware.counting import CountSettings, TableSettings, count_run, read_run
+from deepfsi.hardware.live import LiveCounts, is_live
+from deepfsi.hardware.photons import ScanMarkers, count_scan, summarise
+from deepfsi.hardware.pictures import TableMasks, compare_picture, read_pictures, reconstruct
+from deepfsi.jobs import READOUTS_TRAINING
+
+OF_HEADER = "marker input, 0 to 3; that of the header unless given"
+
+READOUTS_SETTINGS = ("epochs", "batch", "lr", "hidden", "dropout", "decay")
+"""Settings of a job that a training of readouts has."""
+
+
+class InspectPhotons(Command):
+    """`deepfsi camera inspect`.
+
+    A file that is cut or damaged is described as far as it goes, and the exit code is 2.
+
+    Example: deepfsi camera inspect photons.ptu
+    """
+
+    file: Annotated[Path, fields.argument("PicoQuant .ptu file")]
+
+    def run(self, terminal: Terminal) -> Outcome:
+        """Contents of the file."""
+        with terminal.progress("records") as report:
+            contents = summarise(self.file, report)
+        problems = "; ".join(contents.problems)
+        return Outcome(
+            contents.as_dict(),
+            [contents.table(str(self.file))],
+            refusal=f"{self.file} is not whole: {problems}" if problems else "",
+        )
+
+
+class CountRun(Command):
+    """`deepfsi camera count`.
+
+    An exposure shorter than the recorded one is counted in more and shorter gates. If all frames
+    last longer or shorter than planned, they are counted as they are, and the drift is printed.
+
+    Unless given, inputs and marker are those of the acquisition, and the dead time is that of the
+    folder's calibration or of the design's camera.
+
+    For a design of detectors that click, the exposure of a frame is divided into equal gates, and
+    only the first photon of each gate counts.
+
+    Example: deepfsi camera count run_0001 --exposure 1ms
+    """
+
+    folder: fields.RunFolder
+    settings: Annotated[dict[str, Any], fields.run_options(*fields.COUNTER_EFFECTS)]
+    exposure_s: Annotated[
+        fields.Time | None,
+        Field(
+            alias="exposure",
+            description="total exposure, such as 0.01 or 10ms; the recorded one unless given",
+        ),
+    ] = None
+    settle_s: fields.SettleTime = None
+    repeats: fields.Repeats = None
+    tolerance_s: Annotated[
+        fields.Time | None,
+        Field(
+            alias="tolerance",
+            description="how far a marker may be off; 10us or a tenth of a frame unless given",
+        ),
+    ] = None
+    background: Annotated[
+        str | None,
+        Field(
+            description="scene of this run that was dark, or folder of a run with the scene dark: "
+            "its counts are subtracted"
+        ),
+    ] = None
+    inputs: fields.Inputs = ()
+    marker_bit: fields.MarkerBit = None
+    flat: Annotated[
+        Path | None,
+        Field(
+            description="several detectors: counted run of a uniform white scene with the same "
+            "patterns, by which their efficiencies are corrected"
+        ),
+    ] = None
+
+    def run(self, terminal: Terminal) -> Outcome:
+        """Counts of the run."""
+        from deepfsi.lab import camera_of, gains_of
+
+        if self.folder.suffix.lower() == ".ptu":
+            raise InputError(
+                f"{self.folder} is a photon file without patterns: give the folder of an "
+                "acquisition, or use `deepfsi camera transits` for scenes that pass a pattern"
+            )
+        options = self.model_dump(exclude={"folder", "settings", "flat"}, exclude_unset=True)
+        if is_live(self.folder, self.flat, *options.values(), *self.settings.values()):
+            with terminal.progress("counting") as report:
+                live = LiveCounts.count(self.folder, report)
+            return Outcome(
+                live.as_dict(), [*live.lines(), f"counts: {self.folder / LiveCounts.NAME}"]
+            )
+        with terminal.progress("counting") as report:
+            settings = CountSettings(
+                **options,
+                effects=camera_of(self.folder, self.settings).counter_effects(self.settings),
+                gains=() if self.flat is None else gains_of(self.flat),
+                clicks=camera_of(self.folder).clicks,
+            )
+            counts = count_run(self.folder, settings, progress=report)
+        run = read_run(self.folder)
+        return Outcome(counts.as_dict(run), counts.lines(run))
+
+
+class ClassifyRun(Command):
+    """`deepfsi camera classify`.
+
+    Counts that do not look like what the design was trained for are refused, and single scenes
+    that do not are unsure. A table has a value for each frame, in the order of the patterns.
+
+    Example: deepfsi camera classify one-dmd.safetensors run_0001
+    """
+
+    settings: Annotated[dict[str, Any], fields.run_options(*fields.COUNTER_EFFECTS)]
+    file: Annotated[
+        fields.DesignPath,
+        fields.argument("design file whose patterns were shown, or the folder of its patterns"),
+    ]
+    counted: Annotated[
+        Path,
+        fields.argument(
+            "acquisition folder that was counted; or counts of any counter, .csv .parquet .npy "
+            ".mat .h5 (FILE:VARIABLE), a row for each exposure",
+            "RUN|TABLE",
+        ),
+    ]
+    photons: fields.ExposureBudget = None
+    background: Annotated[
+        str | None,
+        Field(
+            description="table: dark counts of an input in one exposure, those of the all-OFF "
+            "frames unless given; or a table of exposures with the scene dark, to be subtracted"
+        ),
+    ] = None
+    settle_s: Annotated[
+        fields.Time | None,
+        Field(
+            alias="settle",
+            description="table: time after each marker without counting; 0 unless given",
+        ),
+    ] = None
+    exposures: Annotated[
+        str | None,
+        Field(description="table: exposures are rows or columns; by its shape unless given"),
+    ] = None
+    repeats: Annotated[
+        Count, Field(description="table: number of consecutive exposures of each scene")
+    ] = 1
+    gain: Annotated[
+        float | None,
+        Field(description="table of an analogue detector: counts that one unit stands for"),
+    ] = None
+    read_noise: Annotated[
+        float | None,
+        Field(description="table of an analogue detector: read noise of a value, counts rms"),
+    ] = None
+    trust: fields.Trust = False
+    force: Annotated[
+        bool,
+        Field(description="classify even if the counts do not look like those of the training"),
+    ] = False
+
+    def run(self, terminal: Terminal) -> Outcome:
+        """Classes of the exposures."""
+        from deepfsi.lab import classify_run, classify_table
+
+        if self.counted.is_dir():
+            self._check_of_run()
+            if is_live(self.counted) and not (self.counted / LiveCounts.NAME).exists():
+                with terminal.progress("counting") as report:
+                    LiveCounts.count(self.counted, report)
+            answers = classify_run(
+                self.file, self.counted, photons=self.photons, force=self.force, trust=self.trust
+            )
+            return Outcome(answers.as_dict(), answers.lines())
+        if not is_table(self.counted):
+            raise InputError(
+                f"{self.counted} is nothing that was counted: give an acquisition folder, with "
+                f"photons.ptu in it, or a table ending in {', '.join(TABLE_ENDINGS)}"
+            )
+        table = classify_table(
+            self.file,
+            self.counted,
+            self._table_settings(),
+            camera=self.settings,
+            force=self.force,
+            trust=self.trust,
+        )
+        return Outcome(table.as_dict(), table.lines())
+
+    def _check_of_run(self) -> None:
+        """Raise `InputError` for options of a table."""
+        names = ("background", "settle_s", "exposures", "gain", "read_noise", "repeats")
+        for name in (*self.explicit(names), *self.settings):
+            option = name.removesuffix("_s").replace("_", "-")
+            raise InputError(
+                f"--{option} is for tables, and {self.counted} is a folder: leave it out"
+            )
+
+    def _table_settings(self) -> TableSettings:
+        names = ("photons", "settle_s", "exposures", "repeats", "gain", "read_noise")
+        settings = self.explicit(names)
+        if self.background is not None and is_table(self.background):
+            settings["dark"] = read_table(self.background, TableSettings.WORDS)
+        elif self.background is not None:
+            settings["background"] = fields.parse_option(
+                "background", fields.number, self.background
+            )
+        return TableSettings(**settings)
+
+
+class ReconstructScenes(Command):
+    """`deepfsi camera image`.
+
+    Example: deepfsi camera image run_0001 -o picture.png
+    """
+
+    folder: fields.RunFolder
+    out: Annotated[
+        Path | None,
+        fields.Output(fields.PICTURES),
+        Field(description="picture; picture.png in the folder unless given"),
+    ] = None
+    force: fields.Force = False
+
+    def run(self, terminal: Terminal) -> Outcome:
+        """Picture of each scene."""
+        from deepfsi.report import pictures_figure
+        from deepfsi.report.style import write_figure
+
+        out = self.out or self.folder / "picture.png"
+        names = [scene.name for scene in read_run(self.folder).acquisition.scenes]
+        write_figure(pictures_figure(reconstruct(self.folder), names), out)
+        return Outcome({"picture": str(out)}, [f"drawn: {out}"])
+
+
+class DrawTables(Command):
+    """`deepfsi camera picture`.
+
+    A mask and its inverse together see all the light. So their sums have one mean, and scatter as
+    Poisson counts do if the light is steady. Any excess is measured, and the command says where in
+    the sequence it lies. Of several tables it says what is alike in them.
+
+    Example: deepfsi camera picture counts.npy --masks hadamard-natural -o picture
+    """
+
+    tables: Annotated[
+        tuple[str, ...],
+        fields.argument(
+            "table of counts behind each mask, .npy .csv .mat .parquet .h5 (FILE:VARIABLE); "
+            "several of the same masks are compared",
+            "COUNTS...",
+        ),
+    ]
+    masks: Annotated[
+        str,
+        Field(
+            description="hadamard-natural (of scipy.linalg.hadamard), hadamard-sequency or "
+            "hadamard-walsh, hadamard (of the design), raster; wavelet-haar-4 and the like, of "
+            "coefficients; or a file of masks (m, N) or (m, H, W)"
+        ),
+    ]
+    out: Annotated[Path, fields.Output(new=True), Field(description="folder of the pictures, new")]
+    size: Annotated[
+        fields.HeightWidth | None,
+        Field(description="HEIGHTxWIDTH of the picture; a square unless given"),
+    ] = None
+    rails: Annotated[
+        str | None,
+        Field(
+            description="mask and inverse as two columns, in one column in turns or as two halves, "
+            "or single masks: columns, turns, halves, single; by the shape unless given"
+        ),
+    ] = None
+    exposures: Annotated[
+        fields.Names | None,
+        Field(description="time of a picture in each table, such as 20ms,40ms"),
+    ] = None
+    block: Annotated[
+        Annotated[int, Field(ge=2)] | None,
+        Field(description="pictures that were uploaded and shown at a time, such as 64"),
+    ] = None
+    compare: Annotated[
+        str | None,
+        Field(description="picture of another camera, FILE or FILE:VARIABLE, to compare with"),
+    ] = None
+
+    def run(self, terminal: Terminal) -> Outcome:
+        """Pictures, and the verdict on their light."""
+        from deepfsi.report import pictures_figure, rail_light_figure
+        from deepfsi.report.style import write_figure
+
+        times = self.exposures or ()
+        exposures_s = [fields.parse_option("exposures", seconds, time) for time in times]
+        settings = TableMasks(
+            self.masks,
+            self.size,
+            self.rails,
+            exposures_s=tuple(exposures_s) or None,
+            block=self.block,
+        )
+        tables = read_pictures(self.tables, settings)
+        names = list(times if len(set(times)) == len(self.tables) else tables.names)
+        pictures = tables.pictures / tables.brightness
+        if self.compare is not None:
+            tables = compare_picture(tables, self.compare)
+        figures = {}
+        if tables.sums is not None and tables.fine is not None:
+            figures["light.png"] = rail_light_figure(tables.sums, tables.fine, names)
+        if tables.agreement is not None:
+            other = tables.agreement.reference / tables.brightness[0]
+            pictures = np.concatenate([pictures, other[None]])
+            names.append("compared with")
+        figures["picture.png"] = pictures_figure(pictures, names)
+        content = tables.as_dict()
+        with new_folder(self.out) as draft:
+            np.save(draft / "pictures.npy", tables.pictures)
+            for name, figure in figures.items():
+                write_figure(figure, draft / name)
+            (draft / "verdict.json").write_text(dumps(content, indent=1))
+        return Outcome(
+            {"folder": str(self.out), **content}, [*tables.lines(), f"pictures: {self.out}"]
+        )
+
+
+class CountScan(Command):
+    """`deepfsi camera scan`.
+
+    Lines that lack a marker are left out and named, as are frames of an unusual number of lines.
+
+    Example: deepfsi camera scan leaf.ptu --pixels 256 -o leaf.npz --figure leaf.png
+    """
+
+    file: Annotated[Path, fields.argument("PicoQuant .ptu file of an image scan")]
+    out: Annotated[Path, fields.Output((".npz",)), Field(description="counts of the lines, .npz")]
+    pixels: Annotated[Count, Field(description="equal pixels of a line")] = 1
+    inputs: fields.Inputs = ()
+    line_start: Annotated[
+        fields.MarkerNumber | None, Field(description=f"start of a line: {OF_HEADER}")
+    ] = None
+    line_end: Annotated[
+        fields.MarkerNumber | None, Field(description=f"end of a line: {OF_HEADER}")
+    ] = None
+    frame: Annotated[
+        fields.MarkerNumber | None, Field(description=f"start or end of a frame: {OF_HEADER}")
+    ] = None
+    figure: Annotated[
+        Path | None,
+        fields.Output(fields.PICTURES),
+        Field(description="picture of the frames, .png"),
+    ] = None
+    force: fields.Force = False
+
+    def run(self, terminal: Terminal) -> Outcome:
+        """Counts of the scan."""
+        if self.figure is not None and self.pixels == 1:
+            raise InputError(
+                "a picture needs pixels: give --pixels, 2 or more, or leave --figure out"
+            )
+        markers = ScanMarkers(self.line_start, self.line_end, self.frame)
+        with terminal.progress("lines") as report:
+            scan = count_scan(self.file, markers, self.pixels, self.inputs or (0,), progress=report)
+        scan.save(self.out)
+        drawn = []
+        if self.figure is not None:
+            from deepfsi.report import pictures_figure
+            from deepfsi.report.style import write_figure
+
+            names = [f"frame {number + 1}" for number in range(len(scan.frames))]
+            write_figure(pictures_figure(scan.frames, names), self.figure)
+            drawn = [f"drawn: {self.figure}"]
+        return Outcome(
+            {"counts": str(self.out), **scan.as_dict()},
+            [*scan.lines(), f"counts: {self.out}", *drawn],
+        )
+
+
+class FindTransits(Command):
+    """`deepfsi camera transits`.
+
+    A transit is a rise of the rate: the photons within the time of all bins exceed a threshold,
+    which background alone exceeds as often as --false-alarms says.
+
+    Example: deepfsi camera transits passing.safetensors photons.ptu --bin 100us
+    """
+
+    design: Annotated[
+        fields.DesignPath, fields.argument("design file of scenes that pass a pattern")
+    ]
+    file: Annotated[
+        Path,
+        fields.existing("a .ptu file"),
+        fields.argument("photon file, without markers", "PTU"),
+    ]
+    bin_s: Annotated[
+        fields.Time, Field(alias="bin", description="length of a time bin, such as 100us")
+    ]
+    photons: Annotated[
+        float | None,
+        Field(description="budget of a transit; that of the training unless given"),
+    ] = None
+    background: Annotated[
+        float | None,
+        Field(description="counts/s without a scene; from the record unless given"),
+    ] = None
+    false_alarms: Annotated[
+        float, Field(description="expected false alarms in the whole record, at most")
+    ] = 0.01
+    counter_input: Annotated[
+        Count, Field(alias="input", description="input of the counter, 1 for the first")
+    ] = 1
+    out: Annotated[
+        Path | None,
+        fields.Output((".csv",)),
+        Field(description="table of starts, classes and counts of bins, .csv"),
+    ] = None
+    trust: fields.Trust = False
+    force: fields.Force = False
+
+    def run(self, terminal: Terminal) -> Outcome:
+        """Transits and their classes."""
+        from deepfsi.lab import classify_transits, open_design
+
+        design = open_design(self.design, trust=self.trust)
+        with terminal.progress("transits") as report:
+            record = classify_transits(
+                design,
+                self.file,
+                self.bin_s,
+                photons=self.photons,
+                background=self.background,
+                false_alarms=self.false_alarms,
+                counter_input=self.counter_input - 1,
+                report=report,
+            )
+        saved = []
+        if self.out is not None:
+            write_atomically(self.out, record.as_csv().encode())
+            saved = [f"saved: {self.out}"]
+        return Outcome(record.as_dict(), [*record.lines(), *saved])
+
+
+def _readouts_options() -> fields.OptionsOf:
+    """Options of a training, with the defaults of readouts."""
+    options = fields.job_options().fields
+    changed = {}
+    for name in READOUTS_SETTINGS:
+        heading, field = options[name]
+        field = copy(field)
+        field.default = READOUTS_TRAINING.get(name, field.default)
+        changed[name] = (heading, field)
+    return fields.OptionsOf(changed)
+
+
+class LearnReadouts(Command):
+    """`deepfsi readouts`.
+
+    It is tested on a random fifth, on the last fifth of each class, and on pictures not seen; and
+    whether the order of recording, or monitors of the light, tell the class alone. Readouts may be
+    in any unit and signed. Classify others with `deepfsi camera classify`.
+
+    Example: deepfsi readouts run7/ --values volts --label digit --monitor laser -o run7.safetensors
+    """
+
+    source: Annotated[
+        Path,
+        fields.argument(
+            "table of readouts, .mat .npz .h5 .csv .parquet; or a folder of such files"
+        ),
+    ]
+    out: Annotated[fields.DesignFile, fields.Output(DESIGN_ENDINGS)]
+    settings: Annotated[dict[str, Any], _readouts_options()]
+    values: Annotated[
+        str | None,
+        Field(
+            description="variable of the readouts, or pattern of columns such as mode*; the only "
+            "array, or all other columns, unless given"
+        ),
+    ] = None
+    label: Annotated[
+        str | None,
+        Field(description="variable or column of the class; each file is one unless given"),
+    ] = None
+    picture: Annotated[
+        str | None, Field(description="variable or column of the picture that was shown")
+    ] = None
+    order: Annotated[
+        str | None,
+        Field(description="variable or column that rises with the time of recording, over all"),
+    ] = None
+    monitors: Annotated[
+        tuple[str, ...],
+        Field(
+            alias="monitor",
+            description="variable or columns of a monitor of the light; may be given again",
+        ),
+    ] = ()
+    split: Annotated[
+        str,
+        Field(
+            description="split whose training part trains the saved design: random, later or "
+            "pictures"
+        ),
+    ] = "random"
+    figure: Annotated[
+        Path | None,
+        fields.Output(fields.PICTURES),
+        Field(description="picture of the accuracies: .png, .svg or .pdf"),
+    ] = None
+    seed: Annotated[int, Field(ge=0, le=2**32 - 1, description="seed of splits and training")] = 0
+    device: fields.TorchDevice = "auto"
+    force: fields.Force = False
+
+    def run(self, terminal: Terminal) -> Outcome:
+        """Design, and what its accuracy is worth."""
+        from deepfsi.training import SPLIT_WORDS, learn_readouts, measure_readouts
+
+        variables = self.model_dump(include={*Variables._fields})
+        table = read_readouts(self.source, Variables(**variables))
+        check_choice("split", self.split, table.splits)
+        designs = {}
+        with terminal.progress("readouts") as report:
+            for name, part in zip(table.splits, report.split(len(table.splits)), strict=True):
+                designs[name] = learn_readouts(
+                    table,
+                    name,
+                    training=self.settings,
+                    seed=self.seed,
+                    device=self.device,
+                    report=part,
+                )
+                if name == self.split:
+                    designs[name].save(self.out)
+        result = measure_readouts(table, designs, self.seed)
+        drawn = []
+        if self.figure is not None:
+            from deepfsi.report import ReadoutTest, readouts_figure
+            from deepfsi.report.style import write_figure
+
+            tests = [ReadoutTest(*row) for row in result.figure_rows]
+            figure = readouts_figure(self.source.name, tests, result.chance)
+            write_figure(figure, self.figure)
+            drawn = [f"drawn: {self.figure}"]
+        return Outcome(
+            {
+                "design": str(self.out),
+                "figure": None if self.figure is None else str(self.figure),
+                **result.as_dict(),
+            },
+            [
+                *result.lines(self.source.name),
+                *drawn,
+                f"saved: {self.out}, trained on what {SPLIT_WORDS[self.split]} leaves",
+            ],
+        )
