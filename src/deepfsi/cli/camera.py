@@ -30,7 +30,6 @@ from deepfsi.hardware.calibration import write_spots
 from deepfsi.hardware.counting import (
     Acquisition,
     CountSettings,
-    ReferenceVerdict,
     count_run,
     prepare_run,
     read_run,
@@ -298,7 +297,7 @@ def flux_of(camera: Camera) -> float:
 
 
 class _DeviceRun(Command):
-    """What runs with devices, virtual or real, have in common."""
+    """A run with devices, virtual or real."""
 
     OF_VIRTUAL: ClassVar = ("flux", "dark", "virtual", "latency", "seed", "yes")
     """Settings that only virtual devices take."""
@@ -454,7 +453,9 @@ class RecordRun(_DeviceRun):
         setup: Setup[PassProjector]
         if self.is_virtual:
             with terminal.progress("light of the scenes") as report:
-                setup = virtual_setup(self.patterns, images.x, acquisition, latencies, report)
+                setup = virtual_setup(
+                    self.patterns, images.x, acquisition, latencies, report=report
+                )
         else:
             devices = replace(
                 self.devices(terminal),
@@ -467,8 +468,9 @@ class RecordRun(_DeviceRun):
                 _asked_for(acquisition, terminal),
             )
         loading = SILENT if terminal.as_json else None
-        with closing(record_run(self.out, self.patterns, acquisition, setup, loading)) as recorded:
-            for scene in recorded:
+        recorded = record_run(self.out, self.patterns, acquisition, setup, report=loading)
+        with closing(recorded) as scenes_so_far:
+            for scene in scenes_so_far:
                 terminal.say(str(scene))
         if self.counter == "followed":
             terminal.ask("end the recording in the counter's software")
@@ -578,7 +580,8 @@ class RunLive(_DeviceRun):
                     open_counter(self.counter, wired),
                     _asked_for(acquisition, terminal),
                 )
-            answers, decisions = [], []
+            answers = []
+            decisions = []
             live = run_live(self.out, patterns, acquisition, setup, looks=looks)
             with closing(live) as steps:
                 for step in steps:
@@ -837,8 +840,5 @@ class CheckView(Command):
         with terminal.progress("reference") as report:
             fit = check_view(self.folder, report)
         if self.keep is not None:
-            verdict = ReferenceVerdict(
-                reference=str(self.folder), fits=fit.fits, reasons=fit.reasons
-            )
-            verdict.keep(self.keep)
+            fit.verdict(self.folder).keep(self.keep)
         return Outcome(fit.as_dict(), fit.lines(), failed=not fit.fits)

@@ -1,7 +1,7 @@
 """Design and camera together: counts to classes, data of a design, calibration, looks."""
 
 from deepfsi.lab.calibration import calibrate, check_view, gains_of
-from deepfsi.lab.classify import ClassifiedRun, ClassifiedScene, classify_run, classify_table
+from deepfsi.lab.classify import classify_run, classify_table
 from deepfsi.lab.design_data import data_of, data_of_file, open_design
 from deepfsi.lab.looks import camera_of, design_rails, open_looks, virtual_camera
 from deepfsi.lab.prediction import predict
@@ -9,8 +9,6 @@ from deepfsi.lab.scenes import displayed, listed_scenes, picture_hashes, scenes_
 from deepfsi.lab.transits import classify_transits, simulate_transits
 
 __all__ = [
-    "ClassifiedRun",
-    "ClassifiedScene",
     "calibrate",
     "camera_of",
     "check_view",

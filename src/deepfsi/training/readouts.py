@@ -193,7 +193,7 @@ class ReadoutsResult:
 
     @property
     def figure_rows(self) -> list[tuple[str, Interval | None, Interval | None]]:
-        """What was tested on, and the accuracies of the network and of kernel ridge there."""
+        """Accuracies of the network and of kernel ridge, each after what they were tested on."""
         return [
             *((SPLIT_WORDS[each.split], each.network, each.ridge) for each in self.splits),
             *((f"{each.name} alone", None, each.ridge) for each in self.monitors),

@@ -18,7 +18,7 @@ from PIL import Image
 from deepfsi.base import SILENT, InputError, Progress, write_atomically
 from deepfsi.camera import DmdLayout
 from deepfsi.hardware.calibration.fit import DisplayedScenes
-from deepfsi.hardware.counting import Counts
+from deepfsi.hardware.counting import Counts, ReferenceVerdict
 from deepfsi.hardware.patterns import Manifest, Patterns
 
 REFERENCE = "reference.png"
@@ -194,6 +194,10 @@ class ReferenceFit:
         if self.doubt is not None:
             return (self.doubt,)
         return tuple(f"{what} {words}" for what, words, departs in self.findings if departs)
+
+    def verdict(self, folder: Path) -> ReferenceVerdict:
+        """Verdict that is kept with a run of scenes, with the folder of the reference's run."""
+        return ReferenceVerdict(reference=str(folder), fits=self.fits, reasons=self.reasons)
 
     def as_dict(self) -> dict[str, Any]:
         """JSON types only."""

@@ -48,7 +48,7 @@ CAUSES = {
 }
 """Words for what predicts rail sums."""
 
-LEAST_CHANCE = 1e-300
+LEAST_PRINTED_CHANCE = 1e-300
 """Chance below which no number is said."""
 
 
@@ -203,7 +203,7 @@ def range_text(values: Iterable[float], form: str) -> str:
 
 
 def _chance_text(chance: float) -> str:
-    return f"{chance:.1g}" if chance > LEAST_CHANCE else f"< {LEAST_CHANCE:.0e}"
+    return f"{chance:.1g}" if chance > LEAST_PRINTED_CHANCE else f"< {LEAST_PRINTED_CHANCE:.0e}"
 
 
 def fineness(masks: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:

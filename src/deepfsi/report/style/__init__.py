@@ -3,7 +3,6 @@
 from deepfsi.report.style.figures import (
     Figures,
     columns,
-    drawing,
     inches,
     plain_bar,
     styled,
@@ -46,7 +45,6 @@ __all__ = [
     "STYLE",
     "Figures",
     "columns",
-    "drawing",
     "inches",
     "photons_text",
     "plain_bar",
