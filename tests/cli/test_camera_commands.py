@@ -257,7 +257,7 @@ def test_a_large_recording_is_asked_for(done, refuse, lab, patterns, tmp_path, m
     assert "GB" in said
     assert "--yes" in said
     assert not (tmp_path / "run").exists()
-    monkeypatch.setattr("deepfsi.cli.camera.MOST_EVENTS", 1e3)
+    monkeypatch.setattr("deepfsi.cli.recording.MOST_EVENTS", 1e3)
     assert "--yes" in refuse(*words, "--flux", 1e6)
     answers = iter([False, True])
     monkeypatch.setattr(Terminal, "confirm", lambda terminal, question: next(answers))

@@ -419,11 +419,7 @@ Force = Annotated[bool, Field(description="replace what is at --out")]
 
 # acquisitions
 
-RunFolder = Annotated[
-    Path,
-    existing("an acquisition folder, with photons.ptu in it"),
-    argument("acquisition folder, with photons.ptu in it"),
-]
+RunFolder = Annotated[Path, argument("acquisition folder, with photons.ptu in it")]
 SettleTime = Annotated[
     Time | None,
     Field(

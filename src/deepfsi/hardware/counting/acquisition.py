@@ -32,6 +32,7 @@ from deepfsi.base import (
     as_input_error,
     hash_file,
     new_folder,
+    plural,
     read_regular,
     read_text,
     time_text,
@@ -105,6 +106,14 @@ class Acquisition(StrictModel):
         if len(set(self.inputs)) < len(self.inputs):
             raise ValueError("each detector needs an input of its own")
         return self
+
+    @property
+    def exposures_text(self) -> str:
+        """Number of scenes, and of the exposures of each, in words."""
+        return (
+            f"{plural(len(self.scenes), 'scene')}, {plural(self.repeats, 'exposure')} of "
+            f"{time_text(self.exposure_s)} for each"
+        )
 
     def rewired(self, inputs: tuple[int, ...] | None, marker_bit: int | None) -> Self:
         """Settings with other inputs of the counter, as far as given, or `InputError`."""

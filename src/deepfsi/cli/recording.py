@@ -1,0 +1,692 @@
+"""Commands that record a run, with a virtual camera or with devices, or import what others did."""
+
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Annotated, Any, ClassVar
+
+from pydantic import Field
+
+from deepfsi.base import (
+    SILENT,
+    InputError,
+    as_input_error,
+    check_choice,
+    seconds,
+    time_text,
+    write_atomically,
+)
+from deepfsi.base.models import Count, WholeNumber
+from deepfsi.base.numeric import read_table
+from deepfsi.camera import Camera, find_device
+from deepfsi.cli import fields
+from deepfsi.cli.command import Command
+from deepfsi.cli.terminal import Outcome, Terminal
+from deepfsi.hardware.counting import (
+    Acquisition,
+    CountSettings,
+    count_run,
+    prepare_run,
+    read_run,
+    table_of_series,
+)
+from deepfsi.hardware.drivers import (
+    COUNTERS,
+    PROJECTORS,
+    DeviceSettings,
+    PassProjector,
+    Setup,
+    StreamingProjector,
+    open_counter,
+    open_list_projector,
+    open_projector,
+)
+from deepfsi.hardware.light import name_inputs
+from deepfsi.hardware.live import LiveAnswers, plan_live, record_run, run_live
+from deepfsi.hardware.patterns import FrameSettings, export_patterns, read_patterns
+from deepfsi.hardware.photons import read_timestamps, summarise
+from deepfsi.hardware.virtual import (
+    Latencies,
+    RecordingSettings,
+    expected_events,
+    record_scenes,
+    virtual_setup,
+)
+
+MOST_EVENTS = 1e8
+"""Photons of a simulated recording that are written without asking."""
+
+EVENT_BYTES = 4
+"""Bytes of a photon in its file."""
+
+SERIES = "--cumulative or --bins"
+"""Options of counts that are no events."""
+
+PatternFolder = Annotated[Path, fields.argument("folder of patterns")]
+NewRun = Annotated[Path, fields.Output(new=True), Field(description="acquisition folder, new")]
+ShownScenes = Annotated[
+    Path,
+    Field(description="image, or folder of images, with or without a folder for each class"),
+]
+VirtualName = Annotated[
+    str | None,
+    Field(
+        description="virtual camera: ideal, pmt, spad, or a TOML file; with the dark counts and "
+        "dead time of the design's camera unless given, or pmt where that is no laboratory's"
+    ),
+]
+RunSeed = Annotated[
+    WholeNumber,
+    Field(description="seed of the random numbers: the same one repeats the run exactly"),
+]
+LargeFile = Annotated[bool, Field(description="write a large file without asking")]
+
+
+class PrepareRun(Command):
+    """`deepfsi camera prepare`.
+
+    Exposure and flux are those of the design's camera unless given; the longest exposure that fits
+    where it has none.
+
+    Example: deepfsi camera prepare patterns --scenes scenes.csv --input 1 --marker 0 -o run_lab
+    """
+
+    patterns: PatternFolder
+    scenes: Annotated[
+        Path,
+        Field(
+            description="text file with NAME or NAME,LABEL on each line; or a folder of the "
+            "pictures, with or without a folder for each class"
+        ),
+    ]
+    settings: Annotated[dict[str, Any], fields.run_options("exposure", "flux")]
+    out: NewRun
+    inputs: fields.Inputs = ()
+    marker_bit: fields.MarkerBit = None
+    settle_s: fields.SettleTime = None
+    repeats: fields.Repeats = None
+
+    def run(self, terminal: Terminal) -> Outcome:
+        """Plan of the run, in its folder."""
+        from deepfsi.lab import camera_of, listed_scenes
+
+        manifest = read_patterns(self.patterns).manifest
+        camera = camera_of(self.patterns, self.settings)
+        planned = Acquisition.plan(
+            manifest,
+            listed_scenes(self.scenes, self.patterns),
+            exposure_s=camera.exposure,
+            flux=camera.flux,
+            **self.explicit(("inputs", "marker_bit", "settle_s", "repeats")),
+        )
+        acquisition = prepare_run(self.out, self.patterns, planned)
+        return Outcome(
+            {"folder": str(self.out), "acquisition": acquisition.model_dump(mode="json")},
+            [
+                f"{acquisition.exposures_text}, {time_text(manifest.pass_s)} a pass",
+                f"photons on input {name_inputs(acquisition.inputs)}, a trigger on marker input "
+                f"{acquisition.marker_bit.bit_length() - 1}",
+                f"acquisition: {self.out}; show the patterns once for each scene, put the "
+                f"recording there as photons.ptu, then: deepfsi camera count {self.out}",
+            ],
+        )
+
+
+class SimulateRun(Command):
+    """`deepfsi camera simulate`.
+
+    Exposure, flux, dark counts, dead time and gates are those of the design's camera unless given.
+
+    Example: deepfsi camera simulate patterns --scene images --flux 1e7 --exposure 10ms -o run_0001
+    """
+
+    patterns: PatternFolder
+    settings: Annotated[
+        dict[str, Any],
+        fields.run_options("exposure", "flux", "dark", *fields.COUNTER_EFFECTS),
+    ]
+    scene: ShownScenes
+    out: NewRun
+    virtual: VirtualName = None
+    settle_s: fields.SettleTime = None
+    repeats: fields.Repeats = None
+    inputs: fields.Inputs = ()
+    seed: RunSeed = 0
+    yes: LargeFile = False
+
+    def run(self, terminal: Terminal) -> Outcome:
+        """Run as it was recorded."""
+        from deepfsi.lab import camera_of, displayed, picture_hashes, virtual_camera
+
+        camera = camera_of(self.patterns, self.settings)
+        virtual = virtual_camera(self.virtual, self.patterns, self.settings)
+        if self.virtual is None:
+            clicks = camera_of(self.patterns).clicks
+            virtual = virtual.model_copy(update={"gates": clicks})
+        recording = RecordingSettings(
+            virtual,
+            flux_of(camera),
+            exposure_of(camera),
+            seed=self.seed,
+            **self.explicit(("settle_s", "repeats", "inputs")),
+        )
+        patterns = read_patterns(self.patterns)
+        images = displayed(self.scene, self.patterns)
+        if not self.yes:
+            ask_for_room(terminal, expected_events(patterns, images.x, virtual, recording.flux))
+        with terminal.progress("photons") as report:
+            acquisition = record_scenes(
+                self.patterns,
+                images.x,
+                images.names,
+                images.labels,
+                out=self.out,
+                settings=recording,
+                report=report,
+                hashes=picture_hashes(self.scene, self.patterns),
+            )
+        return Outcome(
+            {
+                "folder": str(self.out),
+                "preprocessing": images.preprocessing,
+                "acquisition": acquisition.model_dump(mode="json"),
+            },
+            [
+                f"scenes: {self.scene}. {images.preprocessing}",
+                acquisition.exposures_text,
+                f"recorded: {self.out}",
+            ],
+        )
+
+
+def ask_for_room(terminal: Terminal, events: float) -> None:
+    """Ask before a photon file beyond `MOST_EVENTS`; `InputError` where there is no one to ask."""
+    if events <= MOST_EVENTS:
+        return
+    size = f"{events:.2g} photons, {events * EVENT_BYTES / 1e9:.2g} GB"
+    if not terminal.confirm(f"The recording will hold {size}. Go on?"):
+        raise InputError(
+            f"the recording would hold {size}: lower --flux, show fewer scenes, export with a "
+            "shorter --exposure (all of a pass is recorded), or add --yes"
+        )
+
+
+def exposure_of(camera: Camera) -> float:
+    """Time of a whole exposure in seconds, or `InputError` where the camera has none."""
+    if camera.exposure is None:
+        raise InputError(
+            "an exposure needs a time: give {exposure}, such as 10ms, or a camera",
+            setting="exposure",
+        )
+    return camera.exposure
+
+
+def flux_of(camera: Camera) -> float:
+    """Flux in counts/s, or `InputError` where the camera has none."""
+    if camera.flux is None:
+        raise InputError(
+            "a virtual camera needs its light: give {flux}, such as 1e6, or a camera",
+            setting="flux",
+        )
+    return camera.flux
+
+
+class _DeviceRun(Command):
+    """A run with devices, virtual or real."""
+
+    OF_VIRTUAL: ClassVar = ("flux", "dark", "virtual", "latency", "seed", "yes")
+    """Settings that only virtual devices take."""
+
+    settings: dict[str, Any]
+    scene: Path
+    out: NewRun
+    projector: Annotated[
+        str, Field(description="virtual, vialux; for recorded runs also dlpc900")
+    ] = "virtual"
+    counter: Annotated[
+        str,
+        Field(
+            description="virtual, picoquant, swabian, or followed: its software writes "
+            "OUT/photons.ptu"
+        ),
+    ] = "virtual"
+    counter_config: Annotated[
+        Path | None,
+        Field(
+            description="file with the trigger levels of the inputs. picoquant: snAPI's .ini file; "
+            "swabian: TOML, a table [trigger_levels] of channels and volts"
+        ),
+    ] = None
+    marker_channel: Annotated[
+        int | None,
+        Field(description="swabian: channel of the trigger, negative for falling edges"),
+    ] = None
+    alp_version: Annotated[
+        str | None, Field(description="vialux: version of the ALP interface, 4.3 unless given")
+    ] = None
+    virtual: VirtualName = None
+    latency: Annotated[
+        tuple[str, ...],
+        Field(
+            description="NAME=TIME of a virtual device: load, display, command, trigger, block, "
+            "transfer or decision, such as command=1ms"
+        ),
+    ] = ()
+
+    @property
+    def is_virtual(self) -> bool:
+        """True of virtual devices."""
+        return self.projector == "virtual"
+
+    def check_devices(self) -> None:
+        """Raise `InputError` for devices or options that do not go together."""
+        check_choice("projector", self.projector, ("virtual", *PROJECTORS))
+        check_choice("counter", self.counter, ("virtual", *COUNTERS))
+        if self.is_virtual != (self.counter == "virtual"):
+            raise InputError("virtual and real devices do not go together: give both, or neither")
+        takers: dict[str, list[str]] = {name: ["virtual devices"] for name in self.OF_VIRTUAL}
+        for option, drivers in (("--counter", COUNTERS), ("--projector", PROJECTORS)):
+            for name, driver in drivers.items():
+                for setting in driver.settings:
+                    takers.setdefault(setting, []).append(f"{option} {name}")
+        chosen = {
+            f"--counter {self.counter}",
+            "virtual devices" if self.is_virtual else f"--projector {self.projector}",
+        }
+        given = self.settings.keys() | self.model_fields_set
+        for setting, devices in takers.items():
+            if setting in given and not chosen & set(devices):
+                option = f"--{setting.replace('_', '-')}"
+                raise InputError(f"{option} is for {' or '.join(devices)}: leave it out")
+        if self.counter_config is not None:
+            fields.check_there(self.counter_config, "counter configuration")
+
+    def devices(self, terminal: Terminal) -> DeviceSettings:
+        """Settings of real devices, before they are wired."""
+
+        def ask_to_record(path: Path, seconds: float) -> None:
+            terminal.warn(f"record {path} with the counter's software: begin within {seconds:g} s")
+
+        return DeviceSettings(
+            counter_config=self.counter_config,
+            marker_channel=self.marker_channel,
+            alp_version=self.alp_version,
+            ask_to_record=ask_to_record,
+        )
+
+    @property
+    def latencies(self) -> Latencies:
+        """Latencies of virtual devices."""
+        times = {}
+        for text in self.latency:
+            name, _, time = text.partition("=")
+            check_choice("latency", name, Latencies.model_fields)
+            times[name] = fields.parse_option(f"latency {name}", seconds, time)
+        with as_input_error():
+            return Latencies(**times)
+
+
+def _asked_for(acquisition: Acquisition, terminal: Terminal) -> Callable[[int], None]:
+    """Display of a run with real devices: someone shows the scenes, whose names are asked for."""
+
+    def display(scene: int) -> None:
+        name = acquisition.scenes[scene].name
+        terminal.ask(f"show {name}" if scene >= 0 else "make the scenes dark")
+
+    return display
+
+
+class RecordRun(_DeviceRun):
+    """`deepfsi camera record`.
+
+    Prints a line for each scene as it is recorded. Ctrl-C keeps the scenes that are finished.
+
+    Example: deepfsi camera record patterns --scene images --exposure 10ms --flux 1e7 -o run_0001
+    """
+
+    patterns: PatternFolder
+    settings: Annotated[
+        dict[str, Any],
+        fields.run_options("exposure", "flux", "dark", *fields.COUNTER_EFFECTS),
+    ]
+    scene: Annotated[
+        Path,
+        Field(
+            description="picture, folder or .zip of the scenes; with real devices also a text file "
+            "with NAME or NAME,LABEL on each line"
+        ),
+    ]
+    settle_s: fields.SettleTime = None
+    repeats: fields.Repeats = None
+    inputs: fields.Inputs = ()
+    marker_bit: fields.MarkerBit = None
+    seed: RunSeed = 0
+    yes: LargeFile = False
+
+    def run(self, terminal: Terminal) -> Outcome:
+        """Counts of the run."""
+        from deepfsi.lab import camera_of, displayed, listed_scenes, scenes_of, virtual_camera
+
+        self.check_devices()
+        latencies = self.latencies
+        patterns = read_patterns(self.patterns)
+        camera = camera_of(self.patterns, self.settings)
+        wiring = self.explicit(("settle_s", "repeats", "inputs", "marker_bit"))
+        if self.is_virtual:
+            flux = flux_of(camera)
+            images = displayed(self.scene, self.patterns)
+            virtual = virtual_camera(self.virtual, self.patterns, self.settings)
+            if not self.yes:
+                ask_for_room(terminal, expected_events(patterns, images.x, virtual, flux))
+            scenes = scenes_of(images, self.scene, self.patterns)
+            wiring |= {"seed": self.seed, "camera": virtual.model_dump(mode="json")}
+        else:
+            scenes = listed_scenes(self.scene, self.patterns)
+        acquisition = Acquisition.plan(
+            patterns.manifest, scenes, exposure_s=camera.exposure, flux=camera.flux, **wiring
+        )
+        setup: Setup[PassProjector]
+        if self.is_virtual:
+            with terminal.progress("light of the scenes") as report:
+                setup = virtual_setup(
+                    self.patterns, images.x, acquisition, latencies, report=report
+                )
+        else:
+            devices = replace(
+                self.devices(terminal),
+                inputs=acquisition.inputs,
+                marker_bit=acquisition.marker_bit,
+            )
+            setup = Setup(
+                open_projector(self.projector, devices),
+                open_counter(self.counter, devices),
+                _asked_for(acquisition, terminal),
+            )
+        loading = SILENT if terminal.as_json else None
+        recorded = record_run(self.out, self.patterns, acquisition, setup, report=loading)
+        with closing(recorded) as scenes_so_far:
+            for scene in scenes_so_far:
+                terminal.say(str(scene))
+        if self.counter == "followed":
+            terminal.ask("end the recording in the counter's software")
+        settings = CountSettings(
+            effects=camera.counter_effects(self.settings), clicks=camera_of(self.patterns).clicks
+        )
+        with terminal.progress("counting") as report:
+            counts = count_run(self.out, settings, progress=report)
+        run = read_run(self.out)
+        after = f"run: {self.out}; then: deepfsi camera classify {self.patterns} {self.out}"
+        return Outcome(counts.as_dict(run), [*counts.lines(run), after])
+
+
+class RunLive(_DeviceRun):
+    """`deepfsi camera live`.
+
+    A design of several looks chooses the next dwells, a design of adaptive masks makes the next
+    mask.
+
+    Prints each decision when it is made. Ctrl-C keeps the scenes that are finished.
+
+    Example: deepfsi camera live patterns --scene images --exposure 10ms --flux 1e6 -o run_0002
+    """
+
+    settings: Annotated[
+        dict[str, Any],
+        fields.run_options("exposure", "flux", "dark", *fields.COUNTER_EFFECTS, "shortest_dwell"),
+    ]
+    source: Annotated[
+        fields.DesignPath,
+        fields.argument("folder of patterns; or a design file, shown on a DLP7000"),
+    ]
+    scene: ShownScenes
+    until: Annotated[
+        float | None,
+        Field(
+            description="confidence above which an exposure stops; that of the design's rule "
+            "unless given"
+        ),
+    ] = None
+    photons: fields.ExposureBudget = None
+    background: Annotated[
+        bool,
+        Field(
+            description="first show all masks with the scenes dark, and subtract what they count"
+        ),
+    ] = False
+    inputs: fields.Inputs = ()
+    marker_bit: fields.MarkerBit = None
+    seed: RunSeed = 0
+    yes: LargeFile = False
+
+    def run(self, terminal: Terminal) -> Outcome:
+        """Classes of the scenes, each said as it is decided."""
+        from deepfsi.lab import camera_of, displayed, open_looks, scenes_of, virtual_camera
+
+        self.check_devices()
+        latencies = self.latencies
+        devices = self.devices(terminal)
+        projector = None if self.is_virtual else open_list_projector(self.projector, devices)
+        camera = camera_of(self.source, self.settings)
+        exposure_s = exposure_of(camera)
+        others = self.explicit(("inputs", "marker_bit"))
+        if effects := camera.counter_effects(self.settings):
+            others["effects"] = effects
+        if self.is_virtual:
+            flux = flux_of(camera)
+            virtual = virtual_camera(self.virtual, self.source, self.settings)
+            others |= {"seed": self.seed, "camera": virtual.model_dump(mode="json")}
+        with self._patterns(terminal) as patterns:
+            images = displayed(self.scene, patterns)
+            looks = open_looks(patterns)
+            acquisition = plan_live(
+                patterns,
+                scenes_of(images, self.scene, patterns),
+                exposure_s,
+                camera.shortest_dwell or None,
+                looks=looks,
+                photons=self.photons,
+                until=self.until,
+                background=self.background,
+                flux=camera.flux,
+                **others,
+            )
+            setup: Setup[StreamingProjector]
+            if projector is None:
+                if not self.yes:
+                    shown = read_patterns(patterns)
+                    passes = exposure_s / shown.manifest.pass_s + 1  # at most
+                    events = expected_events(shown, images.x, virtual, flux)
+                    ask_for_room(terminal, events * passes)
+                with terminal.progress("light of the scenes") as report:
+                    setup = virtual_setup(
+                        patterns,
+                        images.x,
+                        acquisition,
+                        latencies,
+                        report=report,
+                        decision_s=looks.decision_s,
+                    )
+            else:
+                wired = replace(
+                    devices, inputs=acquisition.inputs, marker_bit=acquisition.marker_bit
+                )
+                setup = Setup(
+                    projector,
+                    open_counter(self.counter, wired),
+                    _asked_for(acquisition, terminal),
+                )
+            answers = []
+            decisions = []
+            live = run_live(self.out, patterns, acquisition, setup, looks=looks)
+            with closing(live) as steps:
+                for step in steps:
+                    if step.answer is not None:
+                        answers.append(step.answer)
+                        decisions.append(step.decision)
+                        for line in step.answer.lines(exposure_s):
+                            terminal.say(line)
+            if self.counter == "followed":
+                terminal.warn("end the recording in the counter's software")
+        run = LiveAnswers.of(exposure_s, answers, decisions)
+        run.check_classes(self.out)
+        content = run.as_dict()
+        del content["live"]  # as every run of this command is
+        return Outcome(
+            {
+                "folder": str(self.out),
+                "preprocessing": images.preprocessing,
+                "exposure_s": exposure_s,
+                **content,
+            },
+            [f"scenes: {images.preprocessing}", *run.run_lines(), f"run: {self.out}"],
+        )
+
+    @contextmanager
+    def _patterns(self, terminal: Terminal) -> Iterator[Path]:
+        """Folder of patterns, or those of a design file for the moment."""
+        from deepfsi.lab import design_rails
+
+        if self.source.is_dir():
+            yield self.source
+            return
+        with TemporaryDirectory() as folder:
+            patterns = Path(folder) / "patterns"
+            frames = FrameSettings(find_device("dlp7000"), 1e-3)
+            with terminal.progress("patterns") as report:
+                export_patterns(design_rails(self.source), frames, patterns, report)
+            yield patterns
+
+
+class ImportRecording(Command):
+    """`deepfsi camera import`.
+
+    Time stamps become a photon file, their trigger marker 0. Without a trigger it has no markers,
+    as for `camera transits`. Cumulative counts, and counts in even
+    time bins, become a table with a row for each pass, for `camera classify`.
+
+    Example: deepfsi camera import tags.txt --unit 81ps --marker-channel 8 -o run_lab/photons.ptu
+    """
+
+    events: Annotated[
+        Path,
+        fields.argument(
+            "time stamps: two columns, time and channel (.txt .csv .npy .parquet), or a "
+            "Photon-HDF5 file; with --cumulative or --bins a table with a column for each input"
+        ),
+    ]
+    out: Annotated[
+        Path,
+        Field(description="photon file, .ptu, new; with --cumulative or --bins a table, .csv"),
+    ]
+    marker_channel: Annotated[
+        int | None,
+        Field(description="time stamps: channel of the device's trigger; none unless given"),
+    ] = None
+    channels: Annotated[
+        tuple[int, ...],
+        Field(
+            alias="channel",
+            description="channel of each detector, in order; all others unless given",
+        ),
+    ] = ()
+    unit: Annotated[
+        fields.Time | None,
+        Field(description="unit of the times, such as 1ps; the file's own unless given"),
+    ] = None
+    cumulative: Annotated[
+        bool, Field(description="cumulative counts, latched by the trigger of each frame (NI)")
+    ] = False
+    bins: Annotated[
+        fields.Time | None,
+        Field(description="counts in even bins of this time, such as 100us (Hamamatsu units)"),
+    ] = None
+    patterns: Annotated[
+        Path | None, Field(description="--cumulative and --bins: folder of the patterns shown")
+    ] = None
+    passes: Annotated[
+        Count | None, Field(description="--cumulative and --bins: passes; as many as there are")
+    ] = None
+    force: fields.Force = False
+
+    def run(self, terminal: Terminal) -> Outcome:
+        """Photon file or table that was written."""
+        if self.cumulative or self.bins is not None:
+            return self._import_series()
+        if self.patterns is not None or self.passes is not None:
+            raise InputError(f"--patterns and --passes are for {SERIES}: leave them out")
+        fields.check_file(self.out, (".ptu",), self.force)
+        events = read_timestamps(self.events, self.unit)
+        channels = events.write(self.out, self.marker_channel, self.channels or None)
+        contents = summarise(self.out)
+        photons = {number + 1: contents.photons.get(number, 0) for number in range(len(channels))}
+        triggers = contents.markers.get(1, 0)
+        left_out = len(events.times) - sum(photons.values()) - triggers
+        marker = f"channel {self.marker_channel}: {triggers} markers on 0"
+        if self.marker_channel is None:
+            marker = (
+                f"no trigger, so no markers: give --marker-channel if a channel has it, or {SERIES}"
+            )
+        return Outcome(
+            {
+                "file": str(self.out),
+                "channels": channels,
+                "photons": photons,
+                "markers": triggers,
+                "left_out": left_out,
+                "span_s": contents.span_s,
+            },
+            [
+                *(
+                    f"channel {channel}: {count} photons on input {number}"
+                    for channel, (number, count) in zip(channels, photons.items(), strict=True)
+                ),
+                marker,
+                f"{left_out} events of other channels left out",
+                f"time from the first event to the last: {contents.span_s:.6g} s",
+                f"photons: {self.out}",
+            ],
+        )
+
+    def _import_series(self) -> Outcome:
+        """Table of cumulative counts, or of counts in bins."""
+        events = self.explicit(("marker_channel", "channels", "unit"))
+        for name in events:
+            option = {"channels": "channel"}.get(name, name).replace("_", "-")
+            raise InputError(f"--{option} is for time stamps: leave it out, or {SERIES}")
+        fields.check_file(self.out, (".csv",), self.force)
+        if self.patterns is None:
+            raise InputError(f"{SERIES} need the patterns that were shown: give --patterns")
+        table, names = table_of_series(
+            read_table(self.events).values,
+            read_patterns(self.patterns).manifest,
+            bin_s=self.bins,
+            passes=self.passes,
+            name=str(self.events),
+        )
+        rows = [",".join(names), *(",".join(map(str, row)) for row in table.tolist())]
+        write_atomically(self.out, "\n".join([*rows, ""]).encode())
+        has_ends = "on" in {name.split("/")[0] for name in names}
+        needs = [] if has_ends else ["--photons", "--background"]
+        settle = "" if self.bins is None else f" --settle {self.bins:g}"
+        return Outcome(
+            {
+                "file": str(self.out),
+                "passes": len(table),
+                "values": len(names),
+                "settle_s": self.bins or 0.0,
+                "needs": needs,
+            },
+            [
+                f"{len(table)} passes of {len(names)} values",
+                f"table: {self.out}",
+                *(
+                    ["the last frame of a pass has no end: all-ON and all-OFF frames are left out; "
+                     f"give {' and '.join(needs)} to classify"]
+                    if needs
+                    else []
+                ),
+                f"then: deepfsi camera classify {self.patterns} {self.out}{settle}",
+            ],
+        )  # fmt: skip
