@@ -31,11 +31,10 @@ from deepfsi.designfile import check_masks, trained_on
 from deepfsi.hardware.calibration import view_dataset
 from deepfsi.hardware.patterns import write_photomask
 from deepfsi.jobs import Job, find_job, read_matrix, sorted_settings, usual_mask_count
-from deepfsi.measures import details_text, score_text
+from deepfsi.measures import Result, details_text, lit_text, score_text
 
 if TYPE_CHECKING:
     from deepfsi.design import Design
-    from deepfsi.measures import Result
 
 
 class LearnDesign(Command):
@@ -199,7 +198,7 @@ def _scenes_text(trained: Dataset, tested: Dataset) -> str:
     return words if folds == 1 else f"{words}, and tests every scene once, in {folds} folds"
 
 
-def _test_lines(design: "Design", results: "list[Result]", lit: int) -> Iterator[str]:
+def _test_lines(design: "Design", results: list[Result], lit: int) -> Iterator[str]:
     """Tests of a new design, of whose masks so many have light, and what may be done better."""
     for result in results:
         counts = f"{count_text(result.counts)} counts"
@@ -216,8 +215,6 @@ def _test_lines(design: "Design", results: "list[Result]", lit: int) -> Iterator
     yield from full_gates_lines(design, results)
     masks = len(results[0].photons_per_mask)
     if lit < masks:
-        from deepfsi.measures import lit_text
-
         yield f"masks: {lit_text(masks, lit)}; give a longer --exposure, or --masks {lit}"
     left_out = design.info.get("left_out")
     if left_out and left_out["guesses"]:
