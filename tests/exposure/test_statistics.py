@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from deepfsi.exposure.training import standardise
+from deepfsi.exposure import training
 
 
 @pytest.mark.parametrize("scale", ["each", "common"])
@@ -14,8 +14,8 @@ def test_features_of_each_job_are_brought_to_a_mean_square_of_one_in_their_batch
     features -= features.mean(dim=0)
     shown = torch.arange(3) < torch.arange(50).remainder(3).add(1)[:, None, None]
     for found, seen in (
-        (standardise(features, scale), torch.ones(50, 1, 3)),
-        (standardise(features, scale, shown), shown),
+        (training.standardise(features, scale), torch.ones(50, 1, 3)),
+        (training.standardise(features, scale, shown), shown),
     ):
         over = 0 if scale == "each" else (0, 2)
         power = (features.square() * seen).sum(dim=over, keepdim=True)
@@ -29,7 +29,7 @@ def test_features_that_do_not_vary_in_a_batch_are_0_and_have_finite_gradients(sc
     """As of detectors whose gates all click."""
     features = torch.zeros(50, 1, 3, requires_grad=True)
     shown = torch.ones(50, 1, 3) if some else None
-    scaled = standardise(features, scale, shown)
+    scaled = training.standardise(features, scale, shown)
     scaled.sum().backward()
     assert (scaled == 0).all()
     assert features.grad.isfinite().all()

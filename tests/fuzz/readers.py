@@ -38,7 +38,7 @@ class Reader:
 def read_design(path: Path) -> None:
     from deepfsi import Design
     from deepfsi.designfile import trained_on
-    from deepfsi.evaluation.stopping import rule_of
+    from deepfsi.evaluation import stopping
     from deepfsi.lab import camera_of
 
     design = Design.load(path)
@@ -46,7 +46,7 @@ def read_design(path: Path) -> None:
     repr(design)
     _ = design.camera, trained_on(design.info)
     if design.exposure.chooses:
-        rule_of(design)
+        stopping.rule_of(design)
     elif design.exposure.kind != "patches":  # whose counts are of each patch
         counts = np.ones(design.counts_shape)
         chances = design.classify(counts, 1e4)
@@ -85,12 +85,12 @@ def read_loop(path: Path) -> None:
 
 
 def read_patterns(path: Path) -> None:
-    from deepfsi.hardware.counting.tables import column_names
+    from deepfsi.hardware.counting import tables
     from deepfsi.hardware.patterns import read_patterns
 
     patterns = read_patterns(path.parent)
     assert np.isfinite(patterns.rails).all()
-    column_names(patterns.manifest)
+    tables.column_names(patterns.manifest)
 
 
 def check_patterns(path: Path) -> None:

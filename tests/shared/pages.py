@@ -8,11 +8,9 @@ from html.parser import HTMLParser
 
 import numpy as np
 
-from deepfsi.report import accuracy_figure
+from deepfsi.report import accuracy_figure, masks, rendering
 from deepfsi.report.accuracy import count_figure
-from deepfsi.report.masks import masks_figure, values_figure
-from deepfsi.report.rendering import ABBREVIATIONS
-from deepfsi_paper.report.section import Claim, Picture, Section, Table
+from deepfsi_paper.report import section
 from shared.results import make_results
 
 SCRIPT = "<script>window.harmed = true</script>"
@@ -78,11 +76,11 @@ def assert_explained(page):
     body = page[page.index("<body") :]
     words = re.sub(r"<(svg|script|abbr|pre|dl|select)\b.*?</\1>", " ", body, flags=re.DOTALL)
     bare = set(re.findall(r"(?<![\w-])[A-Z]{2,}(?!\w)", re.sub(r"<[^>]*>", " ", words)))
-    assert not bare & set(ABBREVIATIONS), bare
+    assert not bare & set(rendering.ABBREVIATIONS), bare
     figures = " ".join(re.findall(r"<text[^>]*>([^<]*)<", body))
-    drawn = {name for name in ABBREVIATIONS if re.search(rf"\b{name}\b", figures)}
+    drawn = {name for name in rendering.ABBREVIATIONS if re.search(rf"\b{name}\b", figures)}
     marked = set(re.findall(r'<abbr title="[^"]{9,}">([^<]*)</abbr>', body))
-    assert marked <= set(ABBREVIATIONS)
+    assert marked <= set(rendering.ABBREVIATIONS)
     for name in drawn | marked:
         assert body.count(f'id="term-{name}"') == 1
     for name in marked:
@@ -95,7 +93,7 @@ def run_without_torch(code, folder):
     subprocess.run([sys.executable, "-c", f"import sys; {code}", str(folder)], check=True)
 
 
-def accuracy_table() -> Table:
+def accuracy_table() -> section.Table:
     """Sixty rows of words, numbers of every size, and values that are missing."""
     rng = np.random.default_rng(1)
     designs = ["DeepFSI", "PCA (FSI)", "truncated Hadamard", "raster scan", SCRIPT, LONG]
@@ -119,10 +117,10 @@ def accuracy_table() -> Table:
     heads = (
         "design", "noise", "photons", "masks", "accuracy", "low", "high", "p", "seed", "choice",
     )  # fmt: skip
-    return Table("Test accuracy of every design, budget and seed.", heads, tuple(rows))
+    return section.Table("Test accuracy of every design, budget and seed.", heads, tuple(rows))
 
 
-def example(folder) -> list[Section]:
+def example(folder) -> list[section.Section]:
     """Two experiments with what a real study has, and with words that break careless pages."""
     one = make_results(folder / "one")
     two = make_results(folder / "two", noises=("poisson", "gaussian"), budgets=(1e2, 1e3, 1e5))
@@ -135,24 +133,24 @@ def example(folder) -> list[Section]:
         "seeds": [0, 1, 2],
         "seconds": 5321.7,
     }
-    learned = Claim(
+    learned = section.Claim(
         "Learned masks classify better than principal components at every photon budget tested.",
         True,
         "+0.084 (0.071 to 0.097) at 10⁴ photons; +0.012 (0.006 to 0.018) at 10⁶ photons",
         "All five intervals of the difference lie above 0.",
     )
-    raster = Claim(
+    raster = section.Claim(
         "Raster scan is better than impulse imaging.",
         False,
         "−0.762 (−0.770 to −0.754)",
         "The interval lies below 0: with the same light, each pixel is seen for 1/N of the time.",
     )
-    undecided = Claim(
+    undecided = section.Claim(
         f"The {LONG} of {SCRIPT} needs fewer masks than truncated Hadamard.",
         None,
         "−1 mask (−6 to 4)",
     )
-    photon = Section(
+    photon = section.Section(
         name="photon-noise",
         title="Accuracy under photon noise",
         found="DeepFSI leads at every budget. At 10⁴ photons it reaches 0.924 (0.919 to 0.929) "
@@ -163,47 +161,51 @@ def example(folder) -> list[Section]:
         "and the advantage grows as light gets scarce. Raster scan and Hadamard fall to chance "
         "below 10⁴ photons.",
         pictures=(
-            Picture(
+            section.Picture(
                 accuracy_figure(one),
                 "Test accuracy against the photon budget, each design at its best number of masks. "
                 "Bars are 95 % intervals over three seeds of training.",
                 "Accuracy rises with photons; DeepFSI is above PCA.",
             ),
-            Picture(
+            section.Picture(
                 count_figure(one.with_points(p for p in one.points if p.photons == 1e4)),
                 "Accuracy against the number of masks; filled markers were chosen on validation "
                 "data.",
                 "Accuracy falls slowly with the number of masks.",
             ),
-            Picture(
-                masks_figure(matrix, (16, 16), title="Learned at 10⁴ photons"),
+            section.Picture(
+                masks.masks_figure(matrix, (16, 16), title="Learned at 10⁴ photons"),
                 f"The twelve brightest masks learned on {SCRIPT}.",
                 "Twelve images of masks.",
             ),
-            Picture(values_figure(matrix), "How their values are distributed.", "A histogram."),
+            section.Picture(
+                masks.values_figure(matrix), "How their values are distributed.", "A histogram."
+            ),
         ),
         claims=(learned, raster, undecided) * 3,
         tables=(
             accuracy_table(),
-            Table("Photons needed for an accuracy of 0.8.", ("design", "photons"), ()),
+            section.Table("Photons needed for an accuracy of 0.8.", ("design", "photons"), ()),
         ),
         files=("photon-noise/accuracy.csv", "photon-noise/masks 10.csv"),
         command="deepfsi experiment photon-noise --data mnist --photons 1e2,1e3,1e4,1e5,1e6 "
         f"--trials 3 -o runs/paper/photon-noise # {LONG}",
         facts=facts,
     )
-    read = Section(
+    read = section.Section(
         name="read-noise",
         title=f"Read noise on {SCRIPT}: Hadamard gains, and {LONG}",
         found="Hadamard gains over raster scan as theory says.",
         paper="Multiplexing helps when the noise does not grow with the light.",
         pictures=(
-            Picture(
+            section.Picture(
                 accuracy_figure(two),
                 "Accuracy under both noises. The budgets differ, so that both cover one axis.",
                 "Two panels of accuracy against photons.",
             ),
-            Picture(masks_figure(spectra, (30,)), "Masks for spectra.", "Four curves."),
+            section.Picture(
+                masks.masks_figure(spectra, (30,)), "Masks for spectra.", "Four curves."
+            ),
         ),
         claims=(raster, undecided),
         tables=(accuracy_table(),),

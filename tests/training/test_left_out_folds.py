@@ -9,8 +9,7 @@ from scipy.special import softmax
 
 from deepfsi import evaluate, learn
 from deepfsi.evaluation import logits_at_stops
-from deepfsi.exposure import AdaptivePosterior, next_masks
-from deepfsi.exposure.posterior import LookOptics
+from deepfsi.exposure import AdaptivePosterior, next_masks, posterior
 from deepfsi.networks import stop_temperatures
 from deepfsi.training import characterisation
 
@@ -121,7 +120,7 @@ def test_temperatures_change_confidence_and_no_mask_or_answer(adaptive, few):
     )
     states = []
     for each in (adaptive, plain):
-        optics = LookOptics.of(each.camera, each.image_shape, PHOTONS)
+        optics = posterior.LookOptics.of(each.camera, each.image_shape, PHOTONS)
         state, generator = (
             AdaptivePosterior(each.prior_exposure.prior, 40, optics),
             torch.Generator(),

@@ -26,7 +26,7 @@ from deepfsi.hardware.patterns import (
     read_patterns,
     unpack,
 )
-from deepfsi.hardware.patterns.folder import hash_mirrors
+from deepfsi.hardware.patterns import folder as folder_module
 from deepfsi.physics import ROUNDING_SLACK, light_law
 
 every_shown = pytest.mark.parametrize(
@@ -202,7 +202,7 @@ def test_mirror_counts_that_do_not_fit_are_refused(tmp_path):
     np.save(path, wrong)
     with pytest.raises(InputError, match=r"mirrors\.npy was changed"):
         read_patterns(tmp_path / "p")
-    change(tmp_path / "p", mirrors_sha256=hash_mirrors(wrong), sha256=None)
+    change(tmp_path / "p", mirrors_sha256=folder_module.hash_mirrors(wrong), sha256=None)
     with pytest.raises(InputError, match=r"frame 6 of .*\(mask 2, plus\) does not show"):
         check_patterns(tmp_path / "p")
     wrong[4, 7] = shown.manifest.grid.mirrors + 1
