@@ -11,7 +11,7 @@ from pydantic import BaseModel, Field
 from deepfsi.base import InputError, Table
 from deepfsi.base.models import Share, WholeNumber
 from deepfsi.cli.command import ClickCommand, Command, read_parameters
-from deepfsi.cli.fields import Numbers, OptionsOf, Size, Time, argument
+from deepfsi.cli.fields import NumberList, OptionsOf, Size, Time, argument
 from deepfsi.cli.terminal import Outcome, Terminal
 
 
@@ -35,7 +35,7 @@ class Show(Command):
     times: Annotated[Time | None, Field(gt=0, description="how long")] = None
     part: Annotated[Share, Field(description="share of it")] = 0.5
     places: Annotated[tuple[WholeNumber, ...], Field(alias="place", description="where")] = ()
-    budgets: Annotated[Numbers, Field(description="light")] = (1.0,)
+    budgets: Annotated[NumberList, Field(description="light")] = (1.0,)
     size: Size = None
     deep: Annotated[bool, Field(description="all of it")] = False
 

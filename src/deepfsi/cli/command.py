@@ -107,7 +107,7 @@ class Parameter:
 
     @property
     def kind(self) -> str:
-        """What is written: ``number``, ``time``, ``dual|single``; empty of an option alone."""
+        """Form of a value: ``number``, ``time``, ``dual|single``; empty of an option alone."""
         kind, metadata = self._value
         word = "" if kind is bool else KIND_WORDS.get(kind, "text")
         readers = _readers(metadata)
@@ -150,7 +150,7 @@ class Parameter:
 
     @property
     def default(self) -> str:
-        """What holds where none is given; empty where it depends on what else is given."""
+        """Value that holds where none is given; empty where it depends on what else is given."""
         value = self.field.default
         words = str(self.field.description)
         if self.source is not None and (
@@ -169,7 +169,7 @@ class Parameter:
 
     @property
     def metavar(self) -> str:
-        """What is written after the name of an option."""
+        """Form of its value, as it stands after the name of an option."""
         return f"<{self.kind}{' …' * self.repeated}>" if self.kind else ""
 
     @property
@@ -181,7 +181,7 @@ class Parameter:
         return f"{self.field.description}  [{text}]" if text else str(self.field.description)
 
     def for_click(self) -> click.Parameter:
-        """What parses it: any text, which the model reads."""
+        """Parser of it: of any text, which the model reads."""
         if self.is_argument:
             return click.Argument(
                 [self.key],

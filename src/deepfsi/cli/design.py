@@ -44,11 +44,11 @@ class LearnDesign(Command):
     """
 
     settings: Annotated[dict[str, Any], fields.job_options()]
-    out: fields.DesignFile
-    data: fields.Data = "digits"
+    out: fields.DesignOut
+    data: fields.TrainingData = "digits"
     size: fields.Size = None
     skip_bad: fields.SkipBad = False
-    normal: fields.Normal = None
+    normal: fields.NormalClass = None
     hold_out: Annotated[
         WholeNumber,
         Field(

@@ -33,17 +33,17 @@ class EvaluateDesign(Command):
     """
 
     file: fields.DesignOrPatterns
-    photons: Annotated[fields.Numbers, Field(description="budgets, such as 1e2,1e3,1e4")]
+    photons: Annotated[fields.NumberList, Field(description="budgets, such as 1e2,1e3,1e4")]
     data: fields.TestData = None
     size: fields.Size = None
-    noise: fields.NoiseName = None
+    noise: fields.NoiseOption = None
     sigma: fields.Sigma = None
     dark: fields.Dark = None
     fluctuation: fields.LightFluctuation = None
     first: Annotated[
         Count | None, Field(description="use only this many first masks of a nested design")
     ] = None
-    draws: fields.Draws = 3
+    draws: fields.DrawCount = 3
     ideal: Annotated[
         bool, Field(description="also give the accuracy of the ideal observer of the counts")
     ] = False
@@ -131,7 +131,7 @@ class StopEarly(Command):
         fields.Output(DESIGN_ENDINGS),
         Field(description="write the design with this rule, for `camera live`"),
     ] = None
-    draws: fields.Draws = 3
+    draws: fields.DrawCount = 3
     seed: fields.NoiseSeed = 0
     trust: fields.Trust = False
     device: fields.TorchDevice = "auto"
@@ -197,7 +197,7 @@ class PredictClasses(Command):
         fields.Output((".csv",)),
         Field(description="table with a line for each picture, .csv"),
     ] = None
-    noise: fields.NoiseName = None
+    noise: fields.NoiseOption = None
     sigma: fields.Sigma = None
     dark: fields.Dark = None
     skip_bad: fields.SkipBad = False

@@ -74,7 +74,7 @@ def hidden(words: str) -> Any:
 
 @dataclass(frozen=True)
 class Written:
-    """How a text of an option is written, for its help: ``Written("HEIGHTxWIDTH", "x")``."""
+    """Form in which an option is written, for its help: ``Written("HEIGHTxWIDTH", "x")``."""
 
     form: str
     between: str = ","
@@ -287,7 +287,7 @@ def number(text: str) -> float:
 
 
 def parse_option(option: str, read: Callable[[str], T], text: str) -> T:
-    """What is read of an option that a command has of a model, or `InputError` that names it.
+    """Value of an option that a command has of a model, or `InputError` that names it.
 
     Parameters
     ----------
@@ -327,7 +327,7 @@ def _size(text: Any) -> Any:
 Number = Annotated[float, BeforeValidator(number)]
 """A finite number."""
 
-Numbers = Annotated[tuple[Number, ...], BeforeValidator(split_commas)]
+NumberList = Annotated[tuple[Number, ...], BeforeValidator(split_commas)]
 """Numbers, separated by commas."""
 
 Names = Annotated[tuple[str, ...], BeforeValidator(split_commas)]
@@ -347,7 +347,7 @@ Size = Annotated[
 DataSource = Annotated[str, AfterValidator(_source)]
 """Name or path of data that are there."""
 
-Data = Annotated[
+TrainingData = Annotated[
     DataSource,
     Field(
         description="name (deepfsi data list), folder or .zip of images, .csv of file names and "
@@ -361,7 +361,7 @@ TestData = Annotated[
 SkipBad = Annotated[
     bool, Field(description="leave pictures that cannot be read out, and name them")
 ]
-Normal = Annotated[
+NormalClass = Annotated[
     str | None,
     Field(description="class to be told from anomalies; these are made from its own scenes"),
 ]
@@ -378,8 +378,8 @@ DesignPath = Annotated[Path, AfterValidator(check_design_file)]
 DesignOrPatterns = Annotated[
     DesignPath, argument("design file, or a folder of patterns that `dmd export` wrote")
 ]
-DesignFile = Annotated[Path, Field(description="design file, .safetensors")]
-NoiseName = Annotated[
+DesignOut = Annotated[Path, Field(description="design file, .safetensors")]
+NoiseOption = Annotated[
     str | None,
     Field(description="noise of the tests; that of the design's camera unless given"),
 ]
@@ -395,7 +395,7 @@ LightFluctuation = Annotated[
     Amount | None,
     Field(description="relative standard deviation of the light from frame to frame"),
 ]
-Draws = Annotated[int, Field(ge=1, le=MOST_DRAWS, description="noise draws of each scene")]
+DrawCount = Annotated[int, Field(ge=1, le=MOST_DRAWS, description="noise draws of each scene")]
 NoiseSeed = Annotated[WholeNumber, Field(description="seed of the noise")]
 Matrix = Annotated[
     str | None,
@@ -468,7 +468,7 @@ ExposureBudget = Annotated[
 # studies
 
 Ratios = Annotated[
-    Numbers | None,
+    NumberList | None,
     Field(description="readouts divided by pixels, m/N for one detector, such as 0.01,0.04,0.09"),
 ]
 Designs = Annotated[Names | None, Field(description="names, separated by commas")]

@@ -500,7 +500,7 @@ class LearnReadouts(Command):
             "table of readouts, .mat .npz .h5 .csv .parquet; or a folder of such files"
         ),
     ]
-    out: Annotated[fields.DesignFile, fields.Output(DESIGN_ENDINGS)]
+    out: Annotated[fields.DesignOut, fields.Output(DESIGN_ENDINGS)]
     settings: Annotated[dict[str, Any], _readouts_options()]
     values: Annotated[
         str | None,

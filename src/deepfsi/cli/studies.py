@@ -74,10 +74,10 @@ class CompareDesigns(Command):
 
     settings: Annotated[dict[str, Any], fields.job_options(axes=True, leave=("design", "seed"))]
     out: fields.StudyFolder = Path("runs/compare")
-    data: fields.Data = "digits"
+    data: fields.TrainingData = "digits"
     size: fields.Size = None
     skip_bad: fields.SkipBad = False
-    normal: fields.Normal = None
+    normal: fields.NormalClass = None
     designs: fields.Designs = None
     ratios: fields.Ratios = None
     trials: fields.Trials = None
@@ -143,7 +143,7 @@ class PlanPhotons(Command):
     settings: Annotated[dict[str, Any], fields.job_options(axes=True, leave=("design", "seed"))]
     target: Annotated[fields.Number, Field(description="target accuracy, such as 0.95")]
     out: fields.StudyFolder = Path("runs/plan")
-    data: fields.Data = "digits"
+    data: fields.TrainingData = "digits"
     size: fields.Size = None
     skip_bad: fields.SkipBad = False
     designs: fields.Designs = None
@@ -260,7 +260,7 @@ class SweepRecipe(Command):
         return replace(outcome, lines=[*outcome.lines, f"table: {self.table}"])
 
     def _forecast(self, recipe: "Recipe", scenes: "Dataset", terminal: Terminal) -> Outcome:
-        """How long the trials would take here."""
+        """Time that the trials would take here."""
         from deepfsi.sweeps import forecast_cost
 
         with terminal.progress("timing a few steps of each kind") as report:

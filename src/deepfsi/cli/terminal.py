@@ -1,4 +1,4 @@
-"""What a command says, and to whom: lines and tables for a reader, JSON for a script."""
+"""Output of commands: lines and tables for a reader, JSON for a script."""
 
 import json
 import re
@@ -16,7 +16,7 @@ JSON_SCHEMA = 1
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a command found: as a dict for scripts, and in lines for a reader.
+    """Result of a command: as a dict for scripts, and in lines for a reader.
 
     Parameters
     ----------
