@@ -141,11 +141,9 @@ def read_camera(path: Path) -> None:
 
 
 def read_virtual(path: Path) -> None:
-    from deepfsi.base import as_input_error, read_toml
     from deepfsi.hardware.virtual import VirtualCamera
 
-    with as_input_error():
-        VirtualCamera.model_validate(read_toml(path))
+    VirtualCamera.load(str(path))
 
 
 def read_recipe(path: Path) -> None:

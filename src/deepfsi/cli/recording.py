@@ -1,6 +1,6 @@
 """Commands that record a run, with a virtual camera or with devices, or import what others did."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -327,15 +327,17 @@ class _DeviceRun(Command):
         with as_input_error():
             return Latencies(**times)
 
+    def wire(self, projector: Any, acquisition: Acquisition, terminal: Terminal) -> Setup[Any]:
+        """Real devices of a run: someone shows the scenes, whose names are asked for."""
+        devices = replace(
+            self.devices(terminal), inputs=acquisition.inputs, marker_bit=acquisition.marker_bit
+        )
 
-def _asked_for(acquisition: Acquisition, terminal: Terminal) -> Callable[[int], None]:
-    """Display of a run with real devices: someone shows the scenes, whose names are asked for."""
+        def display(scene: int) -> None:
+            name = acquisition.scenes[scene].name
+            terminal.ask(f"show {name}" if scene >= 0 else "make the scenes dark")
 
-    def display(scene: int) -> None:
-        name = acquisition.scenes[scene].name
-        terminal.ask(f"show {name}" if scene >= 0 else "make the scenes dark")
-
-    return display
+        return Setup(projector, open_counter(self.counter, devices), display)
 
 
 class RecordRun(_DeviceRun):
@@ -394,16 +396,8 @@ class RecordRun(_DeviceRun):
                     self.patterns, images.x, acquisition, latencies, report=report
                 )
         else:
-            devices = replace(
-                self.devices(terminal),
-                inputs=acquisition.inputs,
-                marker_bit=acquisition.marker_bit,
-            )
-            setup = Setup(
-                open_projector(self.projector, devices),
-                open_counter(self.counter, devices),
-                _asked_for(acquisition, terminal),
-            )
+            projector = open_projector(self.projector, self.devices(terminal))
+            setup = self.wire(projector, acquisition, terminal)
         loading = SILENT if terminal.as_json else None
         recorded = record_run(self.out, self.patterns, acquisition, setup, report=loading)
         with closing(recorded) as scenes_so_far:
@@ -466,8 +460,9 @@ class RunLive(_DeviceRun):
 
         self.check_devices()
         latencies = self.latencies
-        devices = self.devices(terminal)
-        projector = None if self.is_virtual else open_list_projector(self.projector, devices)
+        projector = None
+        if not self.is_virtual:
+            projector = open_list_projector(self.projector, self.devices(terminal))
         camera = camera_of(self.source, self.settings)
         exposure_s = exposure_of(camera)
         others = self.explicit(("inputs", "marker_bit"))
@@ -509,14 +504,7 @@ class RunLive(_DeviceRun):
                         decision_s=looks.decision_s,
                     )
             else:
-                wired = replace(
-                    devices, inputs=acquisition.inputs, marker_bit=acquisition.marker_bit
-                )
-                setup = Setup(
-                    projector,
-                    open_counter(self.counter, wired),
-                    _asked_for(acquisition, terminal),
-                )
+                setup = self.wire(projector, acquisition, terminal)
             answers = []
             decisions = []
             live = run_live(self.out, patterns, acquisition, setup, looks=looks)

@@ -197,7 +197,12 @@ class ClassifyRun(Command):
         from deepfsi.lab import classify_run, classify_table
 
         if self.counted.is_dir():
-            self._check_of_run()
+            of_tables = ("background", "settle_s", "exposures", "gain", "read_noise", "repeats")
+            for name in (*self.explicit(of_tables), *self.settings):
+                option = name.removesuffix("_s").replace("_", "-")
+                raise InputError(
+                    f"--{option} is for tables, and {self.counted} is a folder: leave it out"
+                )
             if is_live(self.counted) and not (self.counted / LiveCounts.NAME).exists():
                 with terminal.progress("counting") as report:
                     LiveCounts.count(self.counted, report)
@@ -219,15 +224,6 @@ class ClassifyRun(Command):
             trust=self.trust,
         )
         return Outcome(table.as_dict(), table.lines())
-
-    def _check_of_run(self) -> None:
-        """Raise `InputError` for options of a table."""
-        names = ("background", "settle_s", "exposures", "gain", "read_noise", "repeats")
-        for name in (*self.explicit(names), *self.settings):
-            option = name.removesuffix("_s").replace("_", "-")
-            raise InputError(
-                f"--{option} is for tables, and {self.counted} is a folder: leave it out"
-            )
 
     def _table_settings(self) -> TableSettings:
         names = ("photons", "settle_s", "exposures", "repeats", "gain", "read_noise")
