@@ -11,7 +11,7 @@ from deepfsi.base import InputError
 from deepfsi.design import to_onnx
 from deepfsi.evaluation import check_playable, cramer_rao, stop
 from deepfsi.evaluation.bounds import linear_bound
-from deepfsi.physics import Click
+from deepfsi.physics.noise import Click
 from shared.values import SLOPES, SPREAD, linear_scenes, placed_digits
 
 SIGMA = 4.0

@@ -7,7 +7,8 @@ import pytest
 import torch
 
 from conftest import generator
-from deepfsi.physics import Click, TrainingNoise, detection, noise
+from deepfsi.physics import TrainingNoise, detection, noise
+from deepfsi.physics.noise import Click
 
 DRAWS = 200_000
 BOTH = detection.Readouts(

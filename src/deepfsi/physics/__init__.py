@@ -11,7 +11,7 @@ from deepfsi.physics.laws import (
     through,
 )
 from deepfsi.physics.masks import FixedMasks, LearnedMasks
-from deepfsi.physics.noise import Click, Fluctuation, NoiseFunction, Poisson, noise_of, root
+from deepfsi.physics.noise import Fluctuation, NoiseFunction, Poisson, noise_of, root
 from deepfsi.physics.rails import Rails
 from deepfsi.physics.scanner import Scanner, project, project_rails
 from deepfsi.physics.surroundings import library_defaults, torch_device
@@ -26,7 +26,6 @@ from deepfsi.physics.transit import FixedPattern, LearnedPattern, ScenePath, in_
 
 __all__ = [
     "ROUNDING_SLACK",
-    "Click",
     "Detection",
     "Draws",
     "FixedMasks",

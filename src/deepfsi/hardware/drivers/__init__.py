@@ -8,6 +8,7 @@ from deepfsi.hardware.drivers.catalogue import (
     open_list_projector,
     open_projector,
 )
+from deepfsi.hardware.drivers.dlpc900 import Dlpc900Projector
 from deepfsi.hardware.drivers.protocols import (
     PATIENCE_S,
     PassProjector,
@@ -22,6 +23,7 @@ __all__ = [
     "PATIENCE_S",
     "PROJECTORS",
     "DeviceSettings",
+    "Dlpc900Projector",
     "PassProjector",
     "Setup",
     "StreamingCounter",
