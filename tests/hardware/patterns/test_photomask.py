@@ -70,8 +70,8 @@ def made(tmp_path_factory):
     [
         ("grey", "m.svg", 5, "polygons are open or dark.*--levels 2"),
         ("binary", "m.gds", 5, "end the name in .svg or .png"),
-        ("binary", "m.svg", 0, "a pixel of 0 µm is not allowed"),
-        ("binary", "m.svg", float("nan"), "a pixel of nan µm is not allowed"),
+        ("binary", "m.svg", 0, "--pixel 0: give more than 0"),
+        ("binary", "m.svg", float("nan"), "--pixel nan: give a finite number"),
         ("missing", "m.svg", 5, "no design file at"),
     ],
     ids=str,
