@@ -324,3 +324,12 @@ def test_learned_column_masks_start_from_the_fitted_matrix(digits):
     assert torch.allclose(
         rails_of(LearnedMasks(matrix, "column"), "dual"), light_law("column").fit(matrix)
     )
+
+
+@every_optics
+def test_the_light_of_a_start_does_not_matter(light, rails):
+    matrix = torch.rand(4, 9, generator=generator()) + 0.1
+    law = light_law(light)
+    assert torch.allclose(law.fit(7 * matrix, rails), law.fit(matrix, rails))
+    small, large = (law.project(law.weights(k * matrix, rails), rails) for k in (0.01, 100))
+    assert torch.allclose(small.stacked, large.stacked, rtol=1e-5)
