@@ -231,8 +231,8 @@ def _leaves(annotation: Any, metadata: tuple[Any, ...] = ()) -> Iterator[tuple[A
             if each is not NoneType:
                 yield from _leaves(each, metadata)
     else:
-        told = [each.metadata if isinstance(each, FieldInfo) else [each] for each in metadata]
-        yield annotation, [each for group in told for each in group]
+        groups = [each.metadata if isinstance(each, FieldInfo) else [each] for each in metadata]
+        yield annotation, [each for group in groups for each in group]
 
 
 JSON = Parameter(

@@ -128,7 +128,7 @@ def as_test_part(
     y : array, shape (n,) or (n, q)
         Names of the classes, or their numbers from 0; or values.
     image_shape : tuple of int
-        PictureSize of a scene of the design.
+        Of a scene of the design.
     classes, values : sequence of str
         Names of its classes, or of its values.
 
@@ -261,10 +261,10 @@ Parts: TypeAlias = tuple[npt.ArrayLike, npt.ArrayLike | None]
 """Labels or values of the training and of the test part."""
 
 
-def _classes(parts: Parts, names: Sequence[str] | None, scenes: list[int], name: str) -> Targets:
+def _classes(parts: Parts, names: Sequence[str] | None, counts: list[int], name: str) -> Targets:
     """Class numbers of labels, which are integers or strings, one for each of so many scenes."""
     y, y_test = parts
-    labels = _labels(y, scenes[0], f"{name}: y")
+    labels = _labels(y, counts[0], f"{name}: y")
     classes, numbers = _class_names(labels, names, name)
     truth = _class_numbers(labels, numbers, f"{name}: y")
     sizes = np.bincount(truth, minlength=len(classes))
@@ -280,13 +280,13 @@ def _classes(parts: Parts, names: Sequence[str] | None, scenes: list[int], name:
     if y_test is None:
         return Targets(truth, None, classes)
     what = f"{name}: y_test"
-    return Targets(truth, _class_numbers(_labels(y_test, scenes[1], what), numbers, what), classes)
+    return Targets(truth, _class_numbers(_labels(y_test, counts[1], what), numbers, what), classes)
 
 
-def _values(parts: Parts, names: Sequence[str] | None, scenes: list[int], name: str) -> Targets:
+def _values(parts: Parts, names: Sequence[str] | None, counts: list[int], name: str) -> Targets:
     """Values of so many scenes, which are floats."""
     truths = []
-    for part, count, what in zip(parts, scenes, ("y", "y_test"), strict=False):
+    for part, count, what in zip(parts, counts, ("y", "y_test"), strict=False):
         if part is None:
             continue
         check_unmasked(part, f"{name}: {what}")
@@ -399,19 +399,19 @@ def _scenes(
     return [reflectance(part, levels) for part in read.values()], words + colours, levels
 
 
-def _labels(y: npt.ArrayLike, scenes: int, what: str) -> npt.NDArray[Any]:
+def _labels(y: npt.ArrayLike, count: int, what: str) -> npt.NDArray[Any]:
     """Labels (n,), integers or strings, one for each of so many scenes."""
     check_unmasked(y, what)
     labels = np.asarray(y)
     if labels.dtype == object and all(isinstance(label, str) for label in labels.flat):
         labels = labels.astype(str)
-    if labels.shape in ((scenes, 1), (1, scenes)):  # MATLAB's vectors
+    if labels.shape in ((count, 1), (1, count)):  # MATLAB's vectors
         labels = labels.ravel()
     if labels.dtype.kind == "U":
         labels = np.array([normal_name(label) for label in labels.flat]).reshape(labels.shape)
-    if labels.shape != (scenes,):
+    if labels.shape != (count,):
         raise InputError(
-            f"{what} has shape {labels.shape} for {scenes} scenes; give one label for each"
+            f"{what} has shape {labels.shape} for {count} scenes; give one label for each"
         )
     if labels.dtype.kind not in "iuU":
         raise InputError(

@@ -158,8 +158,8 @@ def _load_source(source: str, options: LoadOptions) -> Dataset:
         path = _existing(source)
         _refuse(options, path.name, options_of(source))
         data = _load_path(path, options)
-    in_force = options._replace(size=as_shape(options.size), white=data.white)
-    return replace(data, origin=Origin(data=origin, **in_force._asdict()))
+    resolved = options._replace(size=as_shape(options.size), white=data.white)
+    return replace(data, origin=Origin(data=origin, **resolved._asdict()))
 
 
 def _load_path(path: Path, options: LoadOptions) -> Dataset:

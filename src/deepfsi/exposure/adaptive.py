@@ -427,8 +427,7 @@ class AdaptiveExposure(ExposureKind):
 
     def first(self, masks: int) -> tuple["AdaptiveExposure", float]:
         """Raise `InputError`: all looks are needed."""
-        self.check("ideal observer")
-        raise AssertionError("the first masks are not refused")
+        raise InputError(POSTERIOR_ANSWERS)
 
     def stopping_at(self, threshold: float) -> "AdaptiveExposure":
         """The kind whose exposures stop at a probability of a class."""

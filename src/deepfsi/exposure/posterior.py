@@ -171,15 +171,16 @@ class ScenePrior:
         """All that a file needs, coefficients in 8 bits: n · (d + 4) bytes, and N · d · 4."""
         steps = self.coefficients.abs().amax(dim=0).clamp(min=1e-12) / 127
         levels = (self.coefficients / steps).round().to(torch.int8)
-        found = {"mean": self.mean, "components": self.components, "steps": steps, "levels": levels}
+        tensors = {"mean": self.mean, "components": self.components}
+        tensors |= {"steps": steps, "levels": levels}
         numbers = [self.summed_reflectance, self.spread]
-        known = self.temperatures and vars(self.temperatures)
+        temperatures = vars(self.temperatures) if self.temperatures else {}
         return {
-            **{name: each.numpy() for name, each in found.items()},
+            **{name: each.numpy() for name, each in tensors.items()},
             "sizes": np.array(self.sizes),
             "members": self.members.numpy().astype(np.int32),
             "numbers": np.array(numbers),
-            **{f"{TEMPERATURE}{name}": each for name, each in (known or {}).items()},
+            **{f"{TEMPERATURE}{name}": each for name, each in temperatures.items()},
         }
 
     @classmethod
@@ -194,14 +195,15 @@ class ScenePrior:
         prior.components = torch.from_numpy(arrays["components"])
         levels = torch.from_numpy(arrays["levels"]).float()
         prior.coefficients = levels * torch.from_numpy(arrays["steps"])
-        held = {
+        temperatures = {
             name: arrays[f"{TEMPERATURE}{name}"]
             for name in ("logs", "budgets")
             if f"{TEMPERATURE}{name}" in arrays
         }
         prior.temperatures = None
-        if held:
-            prior.temperatures = Temperatures.restored(held, len(held["logs"]))
+        if temperatures:
+            looks = len(temperatures["logs"])
+            prior.temperatures = Temperatures.restored(temperatures, looks)
         return prior
 
     def few(self, count: int, seed: int = 0) -> "ScenePrior":

@@ -414,8 +414,8 @@ def _check_design(design: str | os.PathLike[str], manifest: Manifest) -> Path:
     """Design file, or that in a folder of patterns; `InputError` if other patterns were shown."""
     path = Path(design)
     file = path / Patterns.DESIGN if path.is_dir() else path
-    known = manifest.design_sha256
-    if (known or manifest.looks) and hash_file(file) != known:
+    exported = manifest.design_sha256
+    if (exported or manifest.looks) and hash_file(file) != exported:
         raise InputError(
             f"{file} is not the design whose patterns were shown: give the file that "
             "`deepfsi dmd export` was given"

@@ -29,8 +29,8 @@ def details_text(result: Result | Estimates, classes: Sequence[str]) -> str:
         Names of the classes.
     """
     if isinstance(result, Estimates):
-        told = ", ".join(map(" ".join, zip(result.values, _answers(result, ()), strict=True)))
-        return f"root mean squared error (of the best linear estimator): {told}"
+        errors = ", ".join(map(" ".join, zip(result.values, _answers(result, ()), strict=True)))
+        return f"root mean squared error (of the best linear estimator): {errors}"
     _, balanced, *others = (
         f"{each.title} {_interval(result, each)}"
         for each in result.measures()
@@ -109,8 +109,7 @@ def results_lines(
     )
     reached = "reaches them" if clicks else "they count"
     yield f"counted: share of the budget that {reached}, in the mean over training scenes"
-    if not values:
-        yield "ECE: expected calibration error, between probabilities and how often they are right"
+    yield from (each.legend for each in measures if each.legend)
 
 
 def _confusion_table(result: Result, classes: Sequence[str]) -> Table:

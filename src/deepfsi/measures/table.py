@@ -47,6 +47,8 @@ class Measure:
         There are none where the answers do not have the measure, as an area of three classes.
     column : str
         Head of its column in tables of tests, and of points if it is `averaged`; none if empty.
+    legend : str
+        Line below tables of tests that says what the column is, where its head does not.
     averaged : bool
         Whether points of a comparison hold its mean over trials.
     chooses : bool
@@ -62,6 +64,7 @@ class Measure:
     terms: str = ""
     terms_of: Callable[[Any], np.ndarray] | None = None
     column: str = ""
+    legend: str = ""
     averaged: bool = False
     chooses: bool = False
 
@@ -76,7 +79,7 @@ class Measure:
         if self.interval is None:
             return [value]
         if terms is None:
-            return [None] * 3
+            return [None] * len(self.keys)
         mean, low, high = self.interval(terms, answers.truth)
         return [mean if value is None else value, low, high]
 
@@ -164,6 +167,8 @@ MEASURES: dict[str, Measure] = {
                 answers.confidence, answers.classes == answers.true
             ),
             column="ECE",
+            legend="ECE: expected calibration error, between probabilities and how often they are "
+            "right",
         ),
         Measure(
             key="log_loss",

@@ -99,13 +99,13 @@ def plan_trials(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None)
     InputError
         If anything that is asked cannot be had; all of it is named.
     """
-    plan_trials = _Plan(recipe, data, matrix)
-    if faults := [*_scene_faults(recipe, data), *plan_trials.faults()]:
+    plan = _Plan(recipe, data, matrix)
+    if faults := [*_scene_faults(recipe, data), *plan.faults()]:
         raise InputError(join_messages(faults))
     trials: dict[str, Trial] = {}
     hash_of_file = functools.cache(source_hash)
-    for named, variant, job in plan_trials.jobs():
-        test_noise = plan_trials.test_noise(job)
+    for named, variant, job in plan.jobs():
+        test_noise = plan.test_noise(job)
         custom = custom_parts(job, *test_noise)
         masks = matrix if job.code.is_custom else None
         trial = Trial(

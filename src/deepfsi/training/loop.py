@@ -70,6 +70,7 @@ def optimise(
     stacked = device.type == "cuda" and isinstance(classifiers[0], Mlp)
     classify = Replicas(classifiers, stacked, network_dtype(job, device))
     choose = exposure.choose
+    networks = [*classifiers, *choose.networks]
     batch = batch_of(settings, len(labels))
     draws = Draws([each.seed for each in exposure.jobs], exposure.noise, labels, batch)
     steps = draws.steps
@@ -86,9 +87,7 @@ def optimise(
     optimiser = check_made("optimiser", made, torch.optim.Optimizer)
     schedule = check_made("schedule", (hooks.schedule or one_cycle)(optimiser, total), LRScheduler)
     modules = [classify, choose, *([exposure.masks] if exposure.learns else [])]
-    generators = exposure.noise.generators + _generators(
-        settings, [*classifiers, *choose.networks], device
-    )
+    generators = exposure.noise.generators + _generators(settings, networks, device)
     state = LoopState(
         modules=modules,
         optimiser=optimiser,
@@ -100,7 +99,7 @@ def optimise(
     )
     elements = batch * len(exposure.jobs) * exposure.tokens * max(job.masks, *settings.hidden, 1)
     of_torch = seeded(job.seed) if settings.is_custom else nullcontext()
-    watching = hooks.of_loop(exposure, state, scene_loss, [*classifiers, *choose.networks])
+    watching = hooks.of_loop(exposure, state, scene_loss, networks)
     with _threads(elements), of_torch, checkpoint.of_loop(state), watching as watch:
         report(state.step / total)
         due = time.monotonic() + REPORT_SECONDS
@@ -129,7 +128,7 @@ def optimise(
                 break
     for replicas in (classify, choose):
         replicas.hand_back()
-    for network in [*classifiers, *choose.networks]:
+    for network in networks:
         if isinstance(network, Mlp):
             network.generator = None
         network.eval()

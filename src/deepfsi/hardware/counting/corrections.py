@@ -183,8 +183,8 @@ class Ambient:
         exposures = len(gated.arrivals)
         rate, noise = np.zeros((2, manifest.inputs))
         flux = 0.0
-        on = _rate(frames, frames_s, [0, -2])
-        off = _rate(frames, frames_s, [1, -1])
+        on = _rate(frames, frames_s, ALL_ON)
+        off = _rate(frames, frames_s, ALL_OFF)
         if on is not None and off is not None:
             rate = manifest.dark_inputs(on.arrivals, off.arrivals)
             noise = manifest.dark_inputs(on.variance, off.variance)
@@ -220,6 +220,10 @@ def _rate(photons: np.ndarray, seconds: np.ndarray, frames: list[int]) -> Estima
     total = photons[frames].sum(axis=0)
     return Estimate(total / spent, total.clip(min=0) / spent**2)
 
+
+ALL_ON = [0, -2]
+ALL_OFF = [1, -1]
+"""Frames at the ends of a pass that are all ON, and those that are all OFF."""
 
 ENDS = [0, 1, -2, -1]
 """Frames of a pass that are all ON, all OFF, all ON and all OFF."""

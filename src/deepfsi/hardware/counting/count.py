@@ -16,6 +16,8 @@ from deepfsi.base import SILENT, InputError, Progress, time_text
 from deepfsi.camera import NO_EFFECTS, CounterEffects
 from deepfsi.hardware.counting.acquisition import Calibration, Run, read_run
 from deepfsi.hardware.counting.corrections import (
+    ALL_OFF,
+    ALL_ON,
     ENDS,
     Ambient,
     Correction,
@@ -345,7 +347,7 @@ def _count_photons(
     recording.check_lit(light.lit)
     on, off = (
         np.nanmean((rates * factors.arrivals)[:, frames], axis=1)[:, manifest.arm].sum(axis=1)
-        for frames in ([0, -2], [1, -1])
+        for frames in (ALL_ON, ALL_OFF)
     )
     counts = gated.gates(gates.repeats)
     return recording.counts(
@@ -437,8 +439,8 @@ def _show_ends(recording: _Recording, gated: WindowCounts) -> np.ndarray:
     photons = photons[..., recording.run.manifest.arm].sum(axis=-1)
     fits = np.array(
         [
-            spent[[0, -2]].any()
-            and spent[[1, -1]].any()
+            spent[ALL_ON].any()
+            and spent[ALL_OFF].any()
             and find_steps(frames, spent)[0][[0, -1]].all()
             for frames, spent in zip(photons, seconds, strict=True)
         ]
@@ -447,7 +449,7 @@ def _show_ends(recording: _Recording, gated: WindowCounts) -> np.ndarray:
         path = recording.source.path
         spent = seconds.sum(axis=0)
         rates = photons.sum(axis=0) / np.where(spent > 0, spent, np.inf)
-        if min(rates[[1, -1]]) > 2 * max(rates[[0, -2]]):
+        if min(rates[ALL_OFF]) > 2 * max(rates[ALL_ON]):
             raise InputError(
                 f"{path} has bright all-OFF frames and dark all-ON ones: the mirrors are "
                 "inverted; export the patterns again with --invert, or give the inputs of the arms "

@@ -31,6 +31,8 @@ from deepfsi.base.numeric import NumberTable
 from deepfsi.camera import NO_EFFECTS, CounterEffects
 from deepfsi.hardware.counting.acquisition import MOST_READOUTS, Scene
 from deepfsi.hardware.counting.corrections import (
+    ALL_OFF,
+    ALL_ON,
     ENDS,
     Ambient,
     Estimate,
@@ -456,7 +458,7 @@ def _find_light(exposures: _Exposures, frames: Estimate, scene_of: np.ndarray) -
     spent = np.bincount(scene_of)[:, None] * seconds
     on, off = (
         photons[:, ends].sum(axis=1) / spent[:, ends].sum(axis=1, keepdims=True)
-        for ends in ([0, -2], [1, -1])
+        for ends in (ALL_ON, ALL_OFF)
     )
     if settings.analogue:
         measured = off.copy()
