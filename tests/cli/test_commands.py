@@ -239,7 +239,7 @@ def test_ctrl_c_says_that_work_is_kept(call, tmp_path, monkeypatch):
     def stop(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("deepfsi.sweeps.compare", stop)
+    monkeypatch.setattr("deepfsi.sweeps.run.run_trials", stop)
     code, _, err = call("compare", "-o", tmp_path / "out")
     assert code == 130
     assert "kept" in err

@@ -657,7 +657,9 @@ class ImportRecording(Command):
         write_atomically(self.out, "\n".join([*rows, ""]).encode())
         has_ends = "on" in {name.split("/")[0] for name in names}
         needs = [] if has_ends else ["--photons", "--background"]
-        settle = "" if self.bins is None else f" --settle {self.bins:g}"
+        settle = ""
+        if self.bins is not None:
+            settle = f" --settle {time_text(self.bins).replace(' ', '').replace('µ', 'u')}"
         return Outcome(
             {
                 "file": str(self.out),
