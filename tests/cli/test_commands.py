@@ -235,17 +235,6 @@ def test_full_disk_is_one_line(refuse, tmp_path, monkeypatch):
     assert f"cannot write {file}: No space left" in refuse(*words, "-o", file)
 
 
-def test_ctrl_c_says_that_work_is_kept(call, tmp_path, monkeypatch):
-    def stop(*_, **__):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("deepfsi.sweeps.run.run_trials", stop)
-    code, _, err = call("compare", "-o", tmp_path / "out")
-    assert code == 130
-    assert "kept" in err
-    assert err.count("\n") == 1
-
-
 RECIPE = 'designs = ["pca"]\nphotons = [1e2, 1e4]\nmasks = 3\n[training]\nepochs = 1\n'
 
 
@@ -254,6 +243,18 @@ def recipe(tmp_path):
     path = tmp_path / "own.toml"
     path.write_text(RECIPE)
     return path
+
+
+def test_ctrl_c_says_that_work_is_kept(call, recipe, tmp_path, monkeypatch):
+    """Once a trial is finished."""
+
+    def stop(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("deepfsi.sweeps.run.summarise_records", stop)
+    code, _, err = call("compare", "--recipe", recipe, "-o", tmp_path / "out")
+    assert code == 130
+    assert "kept" in err.splitlines()[-1]
 
 
 def test_a_dry_run_says_what_it_would_cost_and_does_nothing(done, recipe, tmp_path):

@@ -180,7 +180,7 @@ def _camera_text(points: Iterable[Point]) -> str:
     splitting = {name for name, law in LIGHT_LAWS.items() if not law.in_turn}
     if lights and lights <= splitting:
         return (
-            f"Under the light law {lights.pop()}, optics split the scene’s Φ photons among all "
+            f"Under the light law {min(lights)}, optics split the scene’s Φ photons among all "
             "masks at once, with a detector for each readout, which no single mirror device does."
         )
     if rows and _with_one_detector(rows):
