@@ -178,7 +178,7 @@ class StoredScenes:
     --------
     >>> import numpy as np
     >>> x = np.array([[0, 51], [255, 102]], np.uint8)
-    >>> stored = StoredScenes(x, measure({"x": x}))
+    >>> stored = StoredScenes(x, measure_levels({"x": x}))
     >>> stored.shape, stored[1].tolist(), len(stored[:1])
     ((2, 2), [1.0, 0.4000000059604645], 1)
     """
