@@ -432,7 +432,8 @@ class Calibration(StrictModel):
     """
 
     schema_version: Literal[1] = 1
-    deepfsi: str = version("deepfsi")  # Version of the package that wrote it
+    # Version of the package that wrote it
+    deepfsi: str = Field(default_factory=lambda: version("deepfsi"))
     homography: tuple[
         HomographyRow, HomographyRow, HomographyRow
     ]  # Display → device, unit squares, (across, down, 1)
