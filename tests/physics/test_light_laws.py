@@ -333,3 +333,15 @@ def test_the_light_of_a_start_does_not_matter(light, rails):
     assert torch.allclose(law.fit(7 * matrix, rails), law.fit(matrix, rails))
     small, large = (law.project(law.weights(k * matrix, rails), rails) for k in (0.01, 100))
     assert torch.allclose(small.stacked, large.stacked, rtol=1e-5)
+
+
+@pytest.mark.parametrize("kind", ["single", "dual"])
+def test_masks_that_learn_under_a_dose_take_all_of_it(kind):
+    """From weights that are too bright they are divided until the mean over pixels is 1."""
+    start = torch.rand(1, 3, 16, generator=torch.Generator().manual_seed(0)) + 0.1
+    masks = LearnedMasks(start, "dose", kind)
+    with torch.no_grad():
+        for weight in masks.parameters():
+            weight *= 10
+        sums = masks().total.sum(dim=-2)
+    assert float(sums.mean()) == pytest.approx(1, rel=1e-5)
