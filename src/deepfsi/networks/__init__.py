@@ -5,6 +5,7 @@ from deepfsi.networks.classifiers import (
     Classifier,
     Mlp,
     Replicas,
+    Sizes,
     Vit,
     restore_network,
 )
@@ -19,6 +20,7 @@ __all__ = [
     "Mlp",
     "OwnClassifier",
     "Replicas",
+    "Sizes",
     "Values",
     "Vit",
     "check_classes",

@@ -4,7 +4,7 @@ import itertools
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import Any, Self, TypeVar
+from typing import Any, NamedTuple, Self, TypeVar
 
 import numpy as np
 import torch
@@ -28,31 +28,36 @@ class Classifier(nn.Module, ABC):
         """Name for people."""
 
 
+class Sizes(NamedTuple):
+    """Sizes of a classifier that its data decide.
+
+    Attributes
+    ----------
+    inputs : int
+        m, features of a scene, or of each of its parts.
+    classes : int
+        C, outputs.
+    parts : int
+        Parts of a scene that are exposed by themselves, such as patches.
+    """
+
+    inputs: int
+    classes: int
+    parts: int
+
+
 class NamedClassifier(Classifier):
     """A classifier of the package, which settings name: one of `CLASSIFIER_TYPES`."""
 
     @classmethod
     @abstractmethod
-    def of_settings(
-        cls,
-        settings: Training,
-        *,
-        inputs: int,
-        classes: int,
-        parts: int,
-        generator: torch.Generator,
-    ) -> Self:
+    def of_settings(cls, settings: Training, sizes: Sizes, generator: torch.Generator) -> Self:
         """Untrained classifier of a training.
 
         Parameters
         ----------
         settings : Training
-        inputs : int
-            m, features of a scene, or of each of its parts.
-        classes : int
-            C, outputs.
-        parts : int
-            Parts of a scene that are exposed by themselves, such as patches.
+        sizes : Sizes
         generator : torch.Generator
             For the initial weights.
         """
@@ -104,17 +109,9 @@ class Mlp(NamedClassifier):
             self.layers.append(layer)
 
     @classmethod
-    def of_settings(
-        cls,
-        settings: Training,
-        *,
-        inputs: int,
-        classes: int,
-        parts: int,
-        generator: torch.Generator,
-    ) -> Self:
+    def of_settings(cls, settings: Training, sizes: Sizes, generator: torch.Generator) -> Self:
         """Untrained classifier of a training, as `NamedClassifier` says."""
-        return cls(inputs, classes, settings.hidden, settings.dropout, generator)
+        return cls(sizes.inputs, sizes.classes, settings.hidden, settings.dropout, generator)
 
     @property
     def arrays(self) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -221,18 +218,10 @@ class Vit(NamedClassifier):
                 nn.init.constant_(parameter, float("norm" in name and "weight" in name))
 
     @classmethod
-    def of_settings(
-        cls,
-        settings: Training,
-        *,
-        inputs: int,
-        classes: int,
-        parts: int,
-        generator: torch.Generator,
-    ) -> Self:
+    def of_settings(cls, settings: Training, sizes: Sizes, generator: torch.Generator) -> Self:
         """Untrained classifier of a training, as `NamedClassifier` says."""
-        sizes = {"patches": parts, **settings.classifier_arguments}
-        return cls(inputs, classes=classes, **sizes, generator=generator)
+        chosen = {"patches": sizes.parts, **settings.classifier_arguments}
+        return cls(sizes.inputs, classes=sizes.classes, **chosen, generator=generator)
 
     @property
     def header(self) -> dict[str, Any]:

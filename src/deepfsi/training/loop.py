@@ -21,7 +21,7 @@ from torch.optim.lr_scheduler import LRScheduler, OneCycleLR
 from deepfsi.base import SILENT, InputError, Progress
 from deepfsi.exposure import ExposureTraining, network_dtype
 from deepfsi.jobs import Training
-from deepfsi.networks import CLASSIFIER_TYPES, Classifier, Mlp, Replicas, make_custom, seeded
+from deepfsi.networks import CLASSIFIER_TYPES, Classifier, Mlp, Replicas, Sizes, make_custom, seeded
 from deepfsi.physics import Draws
 from deepfsi.training.checkpoint import NO_CHECKPOINT, Checkpoint, LoopState
 from deepfsi.training.hooks import LoopHooks, check_made
@@ -195,8 +195,8 @@ def _classifiers(exposure: ExposureTraining) -> list[Classifier]:
         return [made.to(device).train()]
     seeds = [torch.Generator(device).manual_seed(each.seed) for each in exposure.jobs]
     network = CLASSIFIER_TYPES[settings.classifier]
-    sizes = {"inputs": inputs, "classes": classes, "parts": exposure.tokens}
-    return [network.of_settings(settings, **sizes, generator=seed) for seed in seeds]
+    sizes = Sizes(inputs, classes, exposure.tokens)
+    return [network.of_settings(settings, sizes, seed) for seed in seeds]
 
 
 @contextmanager
