@@ -133,12 +133,12 @@ class ConsistencyResult:
 
 @dataclass(frozen=True)
 class FrameLight:
-    """Light of the frames of simulated exposures.
+    """Light of the frames of simulated exposures, where it fluctuates.
 
     Attributes
     ----------
     fluctuation : float
-        Relative standard deviation from frame to frame; 0 of steady light.
+        Relative standard deviation from frame to frame.
     frame : array, shape (rails, m)
         Number of the frame in which each readout is counted.
     """
@@ -148,15 +148,11 @@ class FrameLight:
 
     def counts(self, expected: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         """Counts of exposures (n, rails, m) that expect so many; readouts of a frame share it."""
-        if not self.fluctuation:
-            return rng.poisson(expected)
         light = self.levels((len(expected), int(self.frame.max()) + 1), rng)
         return rng.poisson(expected * light[:, self.frame])
 
     def levels(self, shape: tuple[int, ...], rng: np.random.Generator) -> np.ndarray:
-        """Light of frames over the mean: log-normal; 1 where it is steady."""
-        if not self.fluctuation:
-            return np.ones(shape)
+        """Light of frames over the mean, log-normal."""
         sigma = np.sqrt(np.log1p(self.fluctuation**2))
         return rng.lognormal(-(sigma**2) / 2, sigma, shape)
 

@@ -132,14 +132,14 @@ def check_playable(design: Design) -> None:
     """Raise `InputError` for a design that no page can play."""
     check_classes(design.values, "a page")
     check_masks(design.info, "a page")
-    if design.exposure.makes_masks:
-        design.prior_exposure.optics_at(1.0)
     if not design.camera.noise_facts.steady:
         raise InputError(
             "this design is for light that fluctuates, and a page draws photon and dark counts of "
             "steady light: give a design of fluctuation 0"
         )
-    if not design.exposure.makes_masks:
+    if design.exposure.makes_masks:
+        design.prior_exposure.optics_at(1.0)
+    else:
         _classifier(design)
 
 
