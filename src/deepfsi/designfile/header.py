@@ -13,7 +13,14 @@ from pydantic import AfterValidator, Field, model_validator
 from deepfsi.base import IMPORT_PATH
 from deepfsi.base.models import Count, StrictModel
 from deepfsi.camera import LightLawName, Readout, SummedReflectance
-from deepfsi.jobs import MOST_LAYERS, AdaptiveMasks, ExposureEntry, Widths, check_design
+from deepfsi.jobs import (
+    MOST_LAYERS,
+    AdaptiveMasks,
+    ExposureEntry,
+    Widths,
+    check_design,
+    find_classifier,
+)
 
 DESIGN_SCHEMA: Literal[1] = 1
 """Number of the design file's schema."""
@@ -47,7 +54,6 @@ class MlpEntry(StrictModel, strict=True):
     hidden: Widths
     dropout: float = Field(ge=0, lt=1)
     patches: ClassVar = 1
-    reads_patches: ClassVar = False
 
 
 class VitEntry(StrictModel, strict=True):
@@ -73,7 +79,6 @@ class VitEntry(StrictModel, strict=True):
     depth: int = Field(ge=1, le=MOST_LAYERS)
     heads: Count
     hidden: Count
-    reads_patches: ClassVar = True
 
 
 class CustomEntry(StrictModel, strict=True):
@@ -91,7 +96,6 @@ class CustomEntry(StrictModel, strict=True):
     factory: str = Field(pattern=f"^({IMPORT_PATH})?$")
     arguments: dict[str, Any]
     patches: ClassVar = 1
-    reads_patches: ClassVar = False
 
 
 class MaskHeader(StrictModel, strict=True, populate_by_name=True):
@@ -138,7 +142,7 @@ class MaskHeader(StrictModel, strict=True, populate_by_name=True):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        if self.classifier.reads_patches != (self.exposure.kind == "patches"):
+        if find_classifier(self.classifier.kind).reads_patches != (self.exposure.kind == "patches"):
             raise ValueError("a transformer reads patches, and nothing else does")
         if bool(self.classes) == bool(self.values):
             raise ValueError("a design answers either classes or values")

@@ -47,6 +47,7 @@ from deepfsi.jobs.job import (
 from deepfsi.jobs.mask_files import read_matrix
 from deepfsi.jobs.tiles import check_count, count_allowed, sensing_matrix
 from deepfsi.jobs.training import (
+    CUSTOM_CLASSIFIER,
     MLP,
     MOST_LAYERS,
     READOUTS_TRAINING,
@@ -56,10 +57,12 @@ from deepfsi.jobs.training import (
     TrainingSource,
     Widths,
     describe_classifier,
+    find_classifier,
 )
 
 __all__ = [
     "ADAPTIVE",
+    "CUSTOM_CLASSIFIER",
     "DESIGNS",
     "EVERY_PIXEL",
     "EXPOSURE_FIELDS",
@@ -99,6 +102,7 @@ __all__ = [
     "custom_parts",
     "cut_patches",
     "describe_classifier",
+    "find_classifier",
     "find_exposure",
     "find_job",
     "find_table",

@@ -56,6 +56,17 @@ CLASSIFIERS = {
 CUSTOM_CLASSIFIER = ClassifierFacts(settings=("classifier_arguments",))
 """A user's own."""
 
+
+def find_classifier(name: str) -> ClassifierFacts:
+    """Facts of a classifier that settings or a design file name; those of a user's own, else.
+
+    Parameters
+    ----------
+    name : str
+    """
+    return CLASSIFIERS.get(name, CUSTOM_CLASSIFIER)
+
+
 READOUTS_TRAINING: dict[str, Any] = {
     "hidden": (256, 256), "epochs": 200, "lr": 5e-3, "dropout": 0.3, "scale": "each"
 }  # fmt: skip
@@ -272,7 +283,7 @@ class Training(UserModel):
     @property
     def classifier_facts(self) -> ClassifierFacts:
         """Facts of the classifier."""
-        return CLASSIFIERS.get(classifier_name(self.classifier), CUSTOM_CLASSIFIER)
+        return find_classifier(classifier_name(self.classifier))
 
 
 TrainingSource = Training | Mapping[str, Any]

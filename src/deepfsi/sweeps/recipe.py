@@ -36,12 +36,14 @@ from deepfsi.camera import (
 )
 from deepfsi.datasets import Dataset
 from deepfsi.jobs import (
+    CUSTOM_CLASSIFIER,
     DESIGNS,
     MLP,
     Exposure,
     Training,
     check_design,
     count_allowed,
+    find_classifier,
     find_exposure,
     mask_count,
 )
@@ -65,10 +67,10 @@ _TABLES = ("camera", "exposure", "training")
 _MASK_SETTINGS = ("start", "mask_lr")
 """Settings of the training that only learned masks have."""
 
-_MLP_SETTINGS = ("hidden", "dropout")
+_MLP_SETTINGS = find_classifier(MLP).settings
 """Settings of the training that only the usual classifier has."""
 
-_CUSTOM_SETTINGS = ("classifier_arguments",)
+_CUSTOM_SETTINGS = CUSTOM_CLASSIFIER.settings
 """Settings of the training that only classifiers of one's own have."""
 
 MOST_LOOKS = 32
