@@ -45,11 +45,11 @@ mask counts that are best beside it."""
 LEAST_DECADES = 0.2
 """Decades between two budgets that are worth a training each."""
 
-_CURVE_AXES = ("light", "rails", "detectors", "readout", "design")
-"""Fields that tell two curves apart."""
+_OPTICS_AXES = ("light", "rails", "detectors", "readout")
+"""Fields of the camera that tell two curves of a design apart: a table has those that differ."""
 
-_SAID_AXES = ("light", "rails", "detectors", "readout")
-"""Those that a table has where they differ."""
+_CURVE_AXES = (*_OPTICS_AXES, "design")
+"""Fields that tell two curves apart."""
 
 _Curve = dict[float, Point]
 """Point of a summary at the best mask count, by budget, rising."""
@@ -399,7 +399,7 @@ def photons_needed(
 
 def plan_lines(plan: Mapping[str, Any]) -> Iterator[str | Table]:
     """Say what each design needs, as `photons_needed` gives it, the fewest photons first."""
-    several = [axis for axis in _SAID_AXES if len({need[axis] for need in plan["needs"]}) > 1]
+    several = [axis for axis in _OPTICS_AXES if len({need[axis] for need in plan["needs"]}) > 1]
     yield Table(
         f"{plan['data']['name']}: accuracy {plan['target']:g} needs",
         ("design", "photons", "95 % interval", "masks", "tried", *several),
@@ -469,12 +469,11 @@ def check_plan(recipe: Recipe, data: Dataset, target: float) -> None:
         )
     if len(set(recipe.photons)) < 3 or not recipe.held_out(data):
         raise InputError("a plan needs three budgets or more, and scenes held out to choose on")
-    of_curves = {"light", "rails", "detectors", "readout"}
     axes = [
         recipe.test_levels,
         *recipe.exposure.values(),
         *recipe.training.values(),
-        *(values for name, values in recipe.camera.items() if name not in of_curves),
+        *(values for name, values in recipe.camera.items() if name not in _OPTICS_AXES),
         *(values for settings in recipe.tuned.values() for values in settings.values()),
     ]
     if any(len(values) > 1 for values in axes) or recipe.test_photons or recipe.test_noise:
