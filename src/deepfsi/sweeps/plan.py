@@ -104,10 +104,10 @@ def plan_trials(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None)
         raise InputError(join_messages(faults))
     trials: dict[str, Trial] = {}
     hash_of_file = functools.cache(source_hash)
+    matrix_hash = "" if matrix is None else _matrix_hash(matrix)
     for named, variant, job in plan.jobs():
         test_noise = plan.test_noise(job)
         custom = custom_parts(job, *test_noise)
-        masks = matrix if job.code.is_custom else None
         trial = Trial(
             job=job,
             trained_under=job.noise,
@@ -115,7 +115,7 @@ def plan_trials(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None)
             detectors="1x1" if job.code.every_pixel else named.detectors,
             data=data.name,
             data_hash=data.hash,
-            matrix_hash="" if masks is None else _matrix_hash(masks),
+            matrix_hash=matrix_hash if job.code.is_custom else "",
             source_hash=_content_hash({"sources": [*map(hash_of_file, custom)]}) if custom else "",
             validation=recipe.held_out(data),
             draws=recipe.draws,
