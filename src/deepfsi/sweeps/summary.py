@@ -5,6 +5,7 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from functools import cached_property
 from importlib.metadata import version
 from typing import Any, NamedTuple
 
@@ -107,7 +108,7 @@ def summarise_records(
             groups[tuple(at[axis] for axis in _AXES)].append(_Member(record, index))
     measure = "balanced" if recipe.balances else main_measure(scenes.measure).key
     points = [
-        _Setting.of(dict(zip(_AXES, key, strict=True)), members, tested).point(scenes, measure)
+        _Setting(dict(zip(_AXES, key, strict=True)), members, tested.y_test).point(scenes, measure)
         for key, members in groups.items()
     ]
     return Results(
@@ -267,29 +268,26 @@ class _Member(NamedTuple):
 
 @dataclass(frozen=True)
 class _Setting:
-    """Trials of one setting: its values on `_AXES`, and what its trials gave.
-
-    Each measure of which records keep what the test images gave has it as `terms` (trials, images);
-    `labels` (images,) are their classes.
-    """
+    """Trials of one setting: its values on `_AXES`, and classes (images,) of the test images."""
 
     axes: Mapping[str, Any]
     members: Sequence[_Member]
-    tests: Sequence[Record]
-    terms: Mapping[str, np.ndarray]
     labels: np.ndarray
 
-    @classmethod
-    def of(cls, axes: Mapping[str, Any], members: Sequence[_Member], tested: Dataset) -> "_Setting":
-        """A setting whose tests were on the scenes of `tested`."""
-        tests = [record["test"][place] for record, place in members]
-        packed = [test.get("terms", {}) for test in tests]
-        terms = {
+    @cached_property
+    def tests(self) -> Sequence[Record]:
+        """Test of each trial."""
+        return [record["test"][place] for record, place in self.members]
+
+    @cached_property
+    def terms(self) -> Mapping[str, np.ndarray]:
+        """Values of the test images (trials, images) by measure, where all tests keep them."""
+        packed = [test.get("terms", {}) for test in self.tests]
+        return {
             name: np.stack([unpack_values(texts[name]) for texts in packed])
             for name in packed[0]
             if all(name in texts for texts in packed)
         }
-        return cls(axes, members, tests, terms, tested.y_test)
 
     def point(self, data: Dataset, chosen_by: str) -> Point:
         """The trials, averaged."""
