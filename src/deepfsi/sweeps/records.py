@@ -212,7 +212,7 @@ class Records:
 
 def record_rows(records: Sequence[Record]) -> list[dict[str, Any]]:
     """Records as the rows of one table: settings of the trial, then one test."""
-    record_rows = []
+    rows = []
     columns = {key: measure for key, measure in MEASURES.items() if measure.chooses}
     main = [key for key, measure in columns.items() if isinstance(measure, MainMeasure)]
     others = [key for key in columns if key not in main]
@@ -232,7 +232,7 @@ def record_rows(records: Sequence[Record]) -> list[dict[str, Any]]:
             del settings[table]
         for index, test in enumerate(record["test"]):
             validation = record["validation"][index] if record["validation"] else {}
-            record_rows.append(
+            rows.append(
                 {
                     "key": record["key"],
                     "data": trial["data"],
@@ -246,7 +246,7 @@ def record_rows(records: Sequence[Record]) -> list[dict[str, Any]]:
                     "seconds": record["info"]["seconds"],
                 }
             )
-    return record_rows
+    return rows
 
 
 def write_table(records: Sequence[Record], path: Path) -> Path:
