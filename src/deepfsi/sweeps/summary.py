@@ -85,7 +85,7 @@ def summarise_records(
     """
     held_out = recipe.held_out(folds[0].data)
     scenes = _pooled(data, [fold.data for fold in folds])
-    tested = _pooled(data, [_tested_scenes(recipe, fold) for fold in folds])
+    labels = np.concatenate([_tested_labels(recipe, fold) for fold in folds])
     records = [_of_all_folds(trial) for trial in zip(*(f.records for f in folds), strict=True)]
     groups: dict[tuple[Any, ...], list[_Member]] = defaultdict(list)
     for record in records:
@@ -108,7 +108,7 @@ def summarise_records(
             groups[tuple(at[axis] for axis in _AXES)].append(_Member(record, index))
     measure = "balanced" if recipe.balances else main_measure(scenes.measure).key
     points = [
-        _Setting(dict(zip(_AXES, key, strict=True)), members, tested.y_test).point(scenes, measure)
+        _Setting(dict(zip(_AXES, key, strict=True)), members, labels).point(scenes, measure)
         for key, members in groups.items()
     ]
     return Results(
@@ -195,8 +195,8 @@ def _pooled(data: Dataset, folds: Sequence[Dataset]) -> Dataset:
     )
 
 
-def _tested_scenes(recipe: Recipe, fold: FoldRecords) -> Dataset:
-    """The data with the test scenes that were tested: those of the training were left out."""
+def _tested_labels(recipe: Recipe, fold: FoldRecords) -> np.ndarray:
+    """Classes or values of the tested scenes: test scenes of the training were left out."""
     data = fold.data
     sizes = {
         len(unpack_values(text))
@@ -204,10 +204,10 @@ def _tested_scenes(recipe: Recipe, fold: FoldRecords) -> Dataset:
         for text in record["test"][0].get("terms", {}).values()
     }
     if not sizes or sizes == {len(data.x_test)}:
-        return data
+        return data.y_test
     held_out = recipe.held_out(data)
     training = data.hold_out(held_out) if held_out else data
-    return new_scenes(TrainingScenes.of(training), data)[0]
+    return new_scenes(TrainingScenes.of(training), data)[0].y_test
 
 
 def _of_all_folds(folds: Sequence[Record]) -> Record:
