@@ -14,7 +14,7 @@ from typing import IO, TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from deepfsi.base import InputError, kind_of_content
+from deepfsi.base import InputError, kind_of_content, plural
 from deepfsi.datasets.levels import Family, ValueRange, grey, levels_of
 
 if TYPE_CHECKING:
@@ -184,7 +184,7 @@ class Tally:
             "with a gamma of their own, which was left out": self.gammas,
             "the first of several in a file": self.several,
         }
-        parts = [f"{self.count} image{'' if self.count == 1 else 's'} of {size}"]
+        parts = [f"{plural(self.count, 'image')} of {size}"]
         parts += [f"{count} {what}" for what, count in counted.items() if count]
         if self.bad:
             named = ", ".join(f"{Path(name).parent.name}/{Path(name).name}" for name in self.bad)

@@ -14,6 +14,7 @@ from deepfsi.base import (
     InputError,
     Table,
     budget_text,
+    plural,
     rate_text,
     short_name,
     write_atomically,
@@ -319,7 +320,7 @@ def _ends(rows: list[Point]) -> str:
 def _reach(point: Point, where: str = "") -> str:
     """Accuracy, interval, place and number of masks of a point."""
     interval = f"({share_text(point.low)}–{share_text(point.high)})"
-    masks = "" if point.every_pixel else f" with {point.masks} mask{'s' if point.masks > 1 else ''}"
+    masks = "" if point.every_pixel else f" with {plural(point.masks, 'mask')}"
     return f"{share_text(point.accuracy)} {interval}{where}{masks}"
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from markupsafe import Markup
 
-from deepfsi.base import write_atomically
+from deepfsi.base import plural, write_atomically
 from deepfsi.camera import LIGHT_LAWS
 from deepfsi.report import LAW_TERMS, render
 from deepfsi.report.style import photons_text
@@ -87,9 +87,7 @@ def _masks(payload: _Payload) -> int:
 
 def masks_text(payload: _Payload) -> str:
     """Number of masks."""
-    count = _masks(payload)
-    kind = "adaptive mask" if _is_adaptive(payload) else "mask"
-    return f"1 {kind}" if count == 1 else f"{count} {kind}s"
+    return plural(_masks(payload), "adaptive mask" if _is_adaptive(payload) else "mask")
 
 
 def detector_count_text(payload: _Payload) -> str:
@@ -154,7 +152,7 @@ def _facts(payload: _Payload) -> list[tuple[str, str]]:
         **(_posterior(payload) if _is_adaptive(payload) else _networks(payload)),
         "Stopping": _stopping(payload),
         "Accuracy": f"Share of {test['images']} test scenes that are classified rightly, with "
-        f"{test['draws']} noise draw{'s' if test['draws'] > 1 else ''} of each. The bars are 95 % "
+        f"{plural(test['draws'], 'noise draw')} of each. The bars are 95 % "
         f"intervals over {test['covers']}. Circles are measured; the line joins them.",
     }
     return [(name, words) for name, words in facts.items() if words]
