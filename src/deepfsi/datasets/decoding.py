@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from deepfsi.base import InputError, kind_of_content, plural
-from deepfsi.datasets.levels import Family, ValueRange, grey, levels_of
+from deepfsi.datasets.levels import Family, ValueRange, family_of, grey, levels_of
 
 if TYPE_CHECKING:
     from PIL.Image import Image as PillowImage
@@ -139,7 +139,7 @@ class Tally:
         coloured = image.mode not in GREY_MODES and not image.mode.startswith("I;16")
         deep = coloured and is_deep(image)
         values = _deep_values(image, where, again) if deep else _values(image, where)
-        family: Family = {"u": "byte", "i": "integer", "f": "float"}[values.dtype.kind]  # type: ignore[assignment]
+        family = family_of(values.dtype, where)
         if self.family not in (None, family):
             raise InputError(
                 f"images differ in depth: {self.first} has {DEPTHS[self.family]}, {where} has "

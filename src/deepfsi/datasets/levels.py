@@ -85,7 +85,7 @@ def measure_levels(parts: Mapping[str, AnyArray], white: float | None = None) ->
     white : float, optional
         Value that is reflectance 1, of integers wider than a byte.
     """
-    families = {_family(part.dtype, what) for what, part in parts.items()}
+    families = {family_of(part.dtype, what) for what, part in parts.items()}
     if len(families) > 1:
         types = " and ".join(f"{what} {part.dtype}" for what, part in parts.items())
         raise InputError(f"{types} have no white in common; give one type")
@@ -140,7 +140,8 @@ def levels_of(
     return ValueRange(kind, low, high, white=white, chosen=family == "integer")
 
 
-def _family(dtype: np.dtype[Any], what: str) -> Family:
+def family_of(dtype: np.dtype[Any], what: str) -> Family:
+    """Rule for white of values of a type; `what` is their name in messages."""
     if dtype == np.uint8:
         return "byte"
     kinds: dict[str, Family] = {"b": "truth", "i": "integer", "u": "integer", "f": "float"}
@@ -219,7 +220,7 @@ class StoredScenes:
         x = reflectance(self._values[self._rows[key]], self._levels)
         low, high = self._ends
         # bytes are in [0, 1], as they would be after it
-        bytes_as_they_are = _family(self._values.dtype, "x") == "byte" and high - low == 1
+        bytes_as_they_are = family_of(self._values.dtype, "x") == "byte" and high - low == 1
         return x if bytes_as_they_are else mapped(x, low, high)
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> npt.NDArray[Any]:
@@ -296,7 +297,7 @@ def grey(values: AnyArray, what: str) -> AnyArray:
 
     Integers keep their type, rounded; `what` is the name of the values in messages.
     """
-    family = _family(values.dtype, what)
+    family = family_of(values.dtype, what)
     if values.shape[3] == 1:
         return values[..., 0]
     out = np.empty(values.shape[:3], np.float32 if family == "truth" else values.dtype)
