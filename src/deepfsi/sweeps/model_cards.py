@@ -100,8 +100,7 @@ class DesignRecipe(StrictModel):
         """The data set, or `InputError` where it is not at hand or the job cannot be had on it."""
         from deepfsi.networks import check_classes
 
-        options = {"rescale": self.rescale, "split": self.split, "size": self.size}
-        data = load_dataset(self.data, **options)  # type: ignore[arg-type]
+        data = load_dataset(self.data, rescale=self.rescale, split=self.split, size=self.size)
         check_classes(data.values, "a published design")
         self.job.check(data)
         return data
