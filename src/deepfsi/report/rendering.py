@@ -54,6 +54,7 @@ def render(template: str, folder: Path = _TEMPLATES, /, **values: Any) -> str:
     environment.filters.update(
         photons=photons_text,
         counts=lambda counts: "–" if counts is None else photons_text(float(f"{counts:.3g}")),
+        capital=capital,
         noise=noise_text,
         share=share_text,
         explain=terms.explain,
