@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PIL import Image
 
 from deepfsi.base import SILENT, InputError, Progress, write_atomically
 from deepfsi.camera import DmdLayout
@@ -112,6 +111,8 @@ def write_reference(patterns: Patterns, folder: Path) -> list[Path]:
     list of path
         The files; none for masks of one axis, which have no orientation in a plane.
     """
+    from PIL import Image
+
     if not has_reference(patterns.manifest):
         return []
     picture = io.BytesIO()
