@@ -31,7 +31,7 @@ from deepfsi.base import (
 )
 from deepfsi.base.models import StrictModel
 from deepfsi.cli.fields import FIRST, OptionsOf, Output, Written
-from deepfsi.cli.terminal import Outcome, Terminal
+from deepfsi.cli.terminal import Outcome, Terminal, option_name
 
 ONE_VALUE = ("camera", "hidden")
 """Options of one value where others are axes."""
@@ -64,6 +64,12 @@ class Command(StrictModel):
     def explicit(self, fields: Iterable[str]) -> dict[str, Any]:
         """Those of these fields that stand on the command line, by name."""
         return {name: getattr(self, name) for name in fields if name in self.model_fields_set}
+
+    @classmethod
+    def option(cls, name: str) -> str:
+        """Option of a field, or of a setting among its options: --settle of `settle_s`."""
+        field = cls.model_fields.get(name)
+        return option_name((field and field.alias) or name)
 
 
 @dataclass(frozen=True)
@@ -102,7 +108,7 @@ class Parameter:
         """As it is written: ``("--out", "-o")``; of an argument that in the usage."""
         if self.is_argument:
             return (self._extra["argument"] or self.key,)
-        option = f"--{self.key.replace('_', '-')}"
+        option = option_name(self.key)
         return (option, "-o") if self.key == "out" else (option,)
 
     @property

@@ -298,7 +298,7 @@ class _DeviceRun(Command):
         given = self.settings.keys() | self.model_fields_set
         for setting, devices in takers.items():
             if setting in given and not chosen & set(devices):
-                option = f"--{setting.replace('_', '-')}"
+                option = self.option(setting)
                 raise InputError(f"{option} is for {' or '.join(devices)}: leave it out")
         if self.counter_config is not None:
             fields.check_there(self.counter_config, "counter configuration")
@@ -641,8 +641,7 @@ class ImportRecording(Command):
         """Table of cumulative counts, or of counts in bins."""
         events = self.explicit(("marker_channel", "channels", "unit"))
         for name in events:
-            option = {"channels": "channel"}.get(name, name).replace("_", "-")
-            raise InputError(f"--{option} is for time stamps: leave it out, or {SERIES}")
+            raise InputError(f"{self.option(name)} is for time stamps: leave it out, or {SERIES}")
         fields.check_file(self.out, (".csv",), self.force)
         if self.patterns is None:
             raise InputError(f"{SERIES} need the patterns that were shown: give --patterns")

@@ -199,9 +199,9 @@ class ClassifyRun(Command):
         if self.counted.is_dir():
             of_tables = ("background", "settle_s", "exposures", "gain", "read_noise", "repeats")
             for name in (*self.explicit(of_tables), *self.settings):
-                option = name.removesuffix("_s").replace("_", "-")
                 raise InputError(
-                    f"--{option} is for tables, and {self.counted} is a folder: leave it out"
+                    f"{self.option(name)} is for tables, and {self.counted} is a folder: leave it "
+                    "out"
                 )
             if is_live(self.counted) and not (self.counted / LiveCounts.NAME).exists():
                 with terminal.progress("counting") as report:

@@ -94,8 +94,13 @@ def as_options(text: str) -> str:
     return text.write(_as_option) if isinstance(text, Message) else text
 
 
+def option_name(setting: str) -> str:
+    """Name of the option of a setting: --shortest-dwell of `shortest_dwell`."""
+    return f"--{setting.replace('_', '-')}"
+
+
 def _as_option(setting: str, value: str) -> str:
-    return f"--{setting.replace('_', '-')} {value}".rstrip()
+    return f"{option_name(setting)} {value}".rstrip()
 
 
 def error_line(text: str) -> str:
