@@ -152,7 +152,7 @@ def _calibrate(
 
 
 def _tail(logs: np.ndarray) -> np.ndarray:
-    """Logarithms (..., chances) that values (..., n) exceed with each of `CHANCES`."""
+    """Logarithms (..., chances) that values (..., n) exceed with each of `TAIL_CHANCES`."""
     chances = np.array(TAIL_CHANCES)
     tail = chances[chances * logs.shape[-1] >= IN_TAIL].min()
     bulk = np.moveaxis(np.quantile(logs, 1 - chances, axis=-1), 0, -1)

@@ -497,7 +497,7 @@ def _training_of(settings: Mapping[str, Any]) -> Any:
 
 
 def custom_parts(job: Job, *noises: str) -> list[str]:
-    """Import paths of a user's own parts in a job and in further noises, `UNNAMED` among them."""
+    """Import paths of a user's own parts in a job and in further noises, or `UNNAMED_PLUGIN`."""
     parts = classifier_name(job.training.classifier), loss_name(job.training.loss) or ""
     names = {job.noise, *noises, *parts}
     return sorted(name for name in names if ":" in name or name == UNNAMED_PLUGIN)

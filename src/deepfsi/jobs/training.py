@@ -103,7 +103,7 @@ def describe_classifier(
     Returns
     -------
     name : str
-        An import path where there is one, else `UNNAMED`.
+        An import path where there is one, else `UNNAMED_PLUGIN`.
     arguments : dict
         Those of a partial among them.
     """
@@ -128,7 +128,7 @@ def classifier_name(given: Any) -> str:
 
 
 def loss_name(given: Any) -> str | None:
-    """Import path of a loss, `UNNAMED` of one that has none; None where none is given."""
+    """Import path of a loss, `UNNAMED_PLUGIN` of one that has none; None where none is given."""
     return (
         given if given is None or isinstance(given, str) else import_path(given) or UNNAMED_PLUGIN
     )

@@ -48,8 +48,8 @@ def optimise(
     Parameters
     ----------
     exposure : ExposureTraining
-        Masks of R jobs, as `build` gives them. They are trained in place, as are the networks
-        beside the classifiers.
+        Masks of R jobs, as `build_training` gives them. They are trained in place, as are the
+        networks beside the classifiers.
     report : Progress
     checkpoint : Checkpoint
         Where the state of the loop is kept, from which it may be resumed.

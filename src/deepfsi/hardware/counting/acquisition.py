@@ -4,7 +4,7 @@
     patterns/          manifest.json, mirrors.npy and the design of the patterns shown, no frames
     photons.ptu        photons and frame markers, as the vendor's software or a virtual camera wrote
     counts.npz         photons of each readout (`Counts`), written by `count`
-    reference.json     what the reference target showed (`Verdict`), where it was kept
+    reference.json     what the reference target showed (`ReferenceVerdict`), where it was kept
     calibration/       spot scans and flat fields, if there are any
 
 A recording can be counted again for another exposure: gates are shorter or longer, and as many
@@ -65,7 +65,7 @@ class Scene(StrictModel):
     name: str = Field(max_length=1000)  # By which results name it
     label: str | None = Field(default=None, max_length=1000)  # Its class, where that is known
     # Of its picture as the design of the patterns sees it, where there is one: tells scenes that
-    # the design was trained on (`design.training_data.scene_hashes`)
+    # the design was trained on (`designfile.scene_hashes`)
     hash: str | None = Field(default=None, pattern="^[0-9a-f]{8}$")
 
     @model_serializer(mode="wrap")

@@ -83,8 +83,8 @@ class FrameCounts:
     starts_s : array (F,)
         Times of their markers on the counter's clock, seconds.
     parts : array (F, K, inputs)
-        Photons in equal parts of their gates, `PARTS` of the checks of the light; 1 of a counter
-        that knows no more than whole gates.
+        Photons in equal parts of their gates, `PARTS_OF_FRAME` of them; 1 of a counter that knows
+        no more than whole gates.
     """
 
     starts_s: np.ndarray

@@ -294,7 +294,7 @@ class UnsteadyFrame(LightCheck):
 
     LOOKED_AT_SIGMAS = 3.0  # below which a part of a frame is not worth an exact test
 
-    # Parts of a frame that are compared with its others, each way, (ways, PARTS)
+    # Parts of a frame that are compared with its others, each way, (ways, PARTS_OF_FRAME)
     SPLITS = np.array(
         [
             (np.arange(PARTS_OF_FRAME) >= first) & (np.arange(PARTS_OF_FRAME) < stop)

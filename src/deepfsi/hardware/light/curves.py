@@ -36,7 +36,7 @@ class Arrivals:
         Frames in the order in which they were shown.
     photons : array (..., F, K, inputs)
         Photons in each part, of one list of frames or of passes (P) over the same frames. K is
-        `PARTS`, or 1 where frames were counted whole.
+        `PARTS_OF_FRAME`, or 1 where frames were counted whole.
     variance : array (..., F, K, inputs)
         Variance of their noise.
     seconds : array (..., F, K)

@@ -417,7 +417,7 @@ def record_run(
     patterns_folder : path
         Patterns that are shown.
     acquisition : Acquisition
-        Settings of the run, as `plan_acquisition` makes them.
+        Settings of the run, as `Acquisition.plan` makes them.
     setup : Setup
         Devices; taken hold of, and let go at the end.
     report : callable, optional
