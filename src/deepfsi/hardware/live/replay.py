@@ -159,12 +159,8 @@ class LiveCounts:
 
     def as_dict(self) -> dict[str, Any]:
         """JSON types only: numbers of all, and the counts of each list of frames."""
-        looks = [shown.look for scene in self.log.scenes for shown in scene.lists]
         return {
-            "scenes": len(self.log.scenes),
-            "looks": sum(look >= 0 for look in looks),
-            "frames": len(self.frames.starts_s),
-            "photons_counted": int(self.frames.parts.sum()),
+            **self._totals,
             "counts": [
                 [
                     {"look": shown.look, "frames": shown.frames, "counts": counts.counts.tolist()}
@@ -176,12 +172,23 @@ class LiveCounts:
 
     def lines(self) -> list[str]:
         """Say how much was counted."""
-        content = self.as_dict()
+        totals = self._totals
         return [
-            f"a live run: {content['scenes']} scenes, {content['looks']} looks, "
-            f"{content['frames']} frames",
-            f"{content['photons_counted']} photons counted",
+            f"a live run: {totals['scenes']} scenes, {totals['looks']} looks, "
+            f"{totals['frames']} frames",
+            f"{totals['photons_counted']} photons counted",
         ]
+
+    @property
+    def _totals(self) -> dict[str, int]:
+        """Numbers of all that was counted."""
+        looks = [shown.look for scene in self.log.scenes for shown in scene.lists]
+        return {
+            "scenes": len(self.log.scenes),
+            "looks": sum(look >= 0 for look in looks),
+            "frames": len(self.frames.starts_s),
+            "photons_counted": int(self.frames.parts.sum()),
+        }
 
     @property
     def by_scene(self) -> Iterator[tuple[LoggedScene, list[FrameCounts]]]:
