@@ -363,7 +363,7 @@ class WriteMask(Command):
     Example: deepfsi mask passing.safetensors --pixel 5 -o pattern.svg
     """
 
-    file: Annotated[fields.DesignPath, fields.argument("design file of scenes that pass a pattern")]
+    file: fields.PassingDesign
     out: Annotated[
         Path,
         fields.Output((".svg", ".png")),

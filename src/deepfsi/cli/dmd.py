@@ -140,7 +140,7 @@ class CheckPatterns(Command):
     Example: deepfsi dmd check patterns
     """
 
-    folder: Annotated[Path, fields.argument("folder of patterns")]
+    folder: fields.PatternFolder
 
     def run(self, terminal: Terminal) -> Outcome:
         """Patterns of the folder, all of whose frames are as they were exported."""

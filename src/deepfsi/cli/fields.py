@@ -378,6 +378,7 @@ DesignPath = Annotated[Path, AfterValidator(check_design_file)]
 DesignOrPatterns = Annotated[
     DesignPath, argument("design file, or a folder of patterns that `dmd export` wrote")
 ]
+PassingDesign = Annotated[DesignPath, argument("design file of scenes that pass a pattern")]
 DesignOut = Annotated[Path, Field(description="design file, .safetensors")]
 NoiseOption = Annotated[
     str | None,
@@ -419,6 +420,7 @@ Force = Annotated[bool, Field(description="replace what is at --out")]
 
 # acquisitions
 
+PatternFolder = Annotated[Path, argument("folder of patterns")]
 RunFolder = Annotated[Path, argument("acquisition folder, with photons.ptu in it")]
 SettleTime = Annotated[
     Time | None,

@@ -64,7 +64,6 @@ EVENT_BYTES = 4
 SERIES = "--cumulative or --bins"
 """Options of counts that are no events."""
 
-PatternFolder = Annotated[Path, fields.argument("folder of patterns")]
 NewRun = Annotated[Path, fields.Output(new=True), Field(description="acquisition folder, new")]
 ShownScenes = Annotated[
     Path,
@@ -93,7 +92,7 @@ class PrepareRun(Command):
     Example: deepfsi camera prepare patterns --scenes scenes.csv --input 1 --marker 0 -o run_lab
     """
 
-    patterns: PatternFolder
+    patterns: fields.PatternFolder
     scenes: Annotated[
         Path,
         Field(
@@ -142,7 +141,7 @@ class SimulateRun(Command):
     Example: deepfsi camera simulate patterns --scene images --flux 1e7 --exposure 10ms -o run_0001
     """
 
-    patterns: PatternFolder
+    patterns: fields.PatternFolder
     settings: Annotated[
         dict[str, Any],
         fields.run_options("exposure", "flux", "dark", *fields.COUNTER_EFFECTS),
@@ -348,7 +347,7 @@ class RecordRun(_DeviceRun):
     Example: deepfsi camera record patterns --scene images --exposure 10ms --flux 1e7 -o run_0001
     """
 
-    patterns: PatternFolder
+    patterns: fields.PatternFolder
     settings: Annotated[
         dict[str, Any],
         fields.run_options("exposure", "flux", "dark", *fields.COUNTER_EFFECTS),

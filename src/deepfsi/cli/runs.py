@@ -412,9 +412,7 @@ class FindTransits(Command):
     Example: deepfsi camera transits passing.safetensors photons.ptu --bin 100us
     """
 
-    design: Annotated[
-        fields.DesignPath, fields.argument("design file of scenes that pass a pattern")
-    ]
+    design: fields.PassingDesign
     file: Annotated[
         Path,
         fields.existing("a .ptu file"),
