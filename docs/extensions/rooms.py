@@ -5,6 +5,7 @@ export, and the rooms that they import from. Nothing in it is written by hand.
 """
 
 import sys
+from collections import Counter
 from pathlib import Path
 
 from markdown import Made, table
@@ -14,25 +15,26 @@ import deepfsi
 ROOT = Path(deepfsi.__file__).parents[2]
 sys.path.append(str(ROOT / "tests"))
 
-from shared.house import House, all_names  # noqa: E402
+from shared.house import House  # noqa: E402
+
+
+def lines(modules):
+    """Number of lines of modules."""
+    return sum(len(module.path.read_text().splitlines()) for module in modules)
 
 
 def counted(house):
     """Text and table of a house."""
-    rows = []
-    for room, modules in sorted(house.rooms.items()):
-        door = house.modules[f"{house.package}.{room}"]
-        if not modules and not all_names(door.tree):
-            continue  # a folder of rooms
-        lines = door.lines + sum(module.lines for module in modules)
-        exports = len(all_names(door.tree) or ())
-        counts = sorted(house.neighbours[room].items(), key=lambda item: -item[1])
+    rows, every = [], house.modules.values()
+    for room, exports in sorted(house.exports.items()):
+        inside = [module for module in every if module.room == room]
+        used = [house.room(each.target) for each in house.imports if each.source in inside]
+        counts = Counter(other for other in used if other not in (None, room)).most_common()
         others = ", ".join(f"{name} {count}" for name, count in counts)
-        numbers = [str(number) for number in (len(modules), lines, exports)]
+        numbers = [str(number) for number in (len(inside) - 1, lines(inside), len(exports))]
         rows.append([f"`{room}`", *numbers, others or "none"])
-    modules = sum(not module.is_door for module in house.modules.values())
-    lines = sum(module.lines for module in house.modules.values())
-    text = f"The package has {len(rows)} rooms, {modules} modules and {lines} lines."
+    modules = sum(not module.is_door for module in every)
+    text = f"The package has {len(rows)} rooms, {modules} modules and {lines(every)} lines."
     heads = ["room", "modules", "lines", "exports", "imports from, how many names"]
     return f"{text}\n\n{table(heads, rows, 'stacked')}"
 
