@@ -167,7 +167,7 @@ def _classifier(design: Design) -> Mlp:
     return design.classifier
 
 
-def pack(values: np.ndarray) -> dict[str, Any]:
+def _pack(values: np.ndarray) -> dict[str, Any]:
     """An array of float32, uint16 or int8, for JSON."""
     types = {np.dtype(np.uint16): "<u2", np.dtype(np.int8): "<i1"}
     content = np.ascontiguousarray(values, types.get(values.dtype, "<f4"))
@@ -185,7 +185,7 @@ def _networks(design: Design) -> dict[str, Any]:
     sums = None
     if rails.count == 2 and not np.array_equal(total, np.abs(difference)):
         flat = np.ptp(total, axis=1).max() < ROUNDING_SLACK * total.max()
-        sums = pack(total.mean(axis=1, keepdims=True) if flat else total)
+        sums = _pack(total.mean(axis=1, keepdims=True) if flat else total)
     scanner = design.front_end(design.camera)
     dark = scanner.noise.settings.get("dark", 0.0)  # of a detector in an exposure
     return {
@@ -194,11 +194,11 @@ def _networks(design: Design) -> dict[str, Any]:
         "rails": rails.count,
         "readout": design.detection.readout,
         "dark": dark,
-        "dark_counts": pack(scanner.dark_counts(rails.count).cpu().numpy()) if dark else None,
-        "matrix": pack(difference),
+        "dark_counts": _pack(scanner.dark_counts(rails.count).cpu().numpy()) if dark else None,
+        "matrix": _pack(difference),
         "total": sums,
-        "mean": pack(design.mean.cpu().numpy()),
-        "std": pack(design.std.cpu().numpy()),
+        "mean": _pack(design.mean.cpu().numpy()),
+        "std": _pack(design.std.cpu().numpy()),
         "network": _layers(_classifier(design)),
         "exposure": {
             **design.mask_exposure.entry().model_dump(),
@@ -221,7 +221,7 @@ def _posterior(design: Design, whole: Design) -> dict[str, Any]:
         "dark": optics.dark,
         "shares": exposure.settings.shares,
         "counted": design.shares.tolist(),
-        "prior": {name: pack(prior.arrays[name]) for name in names}  # whole numbers as float32
+        "prior": {name: _pack(prior.arrays[name]) for name in names}  # whole numbers as float32
         | {
             "sizes": prior.sizes,
             "spread": prior.spread,
@@ -247,7 +247,7 @@ def _temperatures(fitted: Temperatures | None) -> dict[str, Any] | None:
 
 
 def _layers(network: Mlp) -> list[dict[str, Any]]:
-    return [{"weight": pack(weight), "bias": pack(bias)} for weight, bias in network.arrays]
+    return [{"weight": _pack(weight), "bias": _pack(bias)} for weight, bias in network.arrays]
 
 
 def _rules(design: Design, data: Dataset, seed: int, report: Progress) -> list[dict[str, Any]]:
@@ -293,7 +293,7 @@ def _scenes(data: Dataset, seed: int) -> dict[str, Any]:
         "flattest": float(np.asarray(data.x_train).std(axis=1).min()),
         "low": low,
         "high": high,
-        "levels": pack(levels),
+        "levels": _pack(levels),
         "labels": data.y_test[rows].tolist(),
         "wavelengths": None
         if data.wavelengths is None

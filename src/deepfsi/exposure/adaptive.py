@@ -201,7 +201,7 @@ def measure(
 
 
 @dataclass(frozen=True)
-class PosteriorObservation(Observation):
+class _PosteriorObservation(Observation):
     """Knowledge of the class after a look with adaptive masks.
 
     Attributes
@@ -359,7 +359,7 @@ class AdaptiveExposure(ExposureKind):
 
     def observe(
         self, front: Camera, rates: Tensor, photons: float, generator: torch.Generator
-    ) -> Iterator[PosteriorObservation]:
+    ) -> Iterator[_PosteriorObservation]:
         """Exposures after each of all looks, of at most `exposed_at_once` scenes."""
         state = AdaptivePosterior(self.prior, len(rates), self.optics_at(photons, front))
         counts = 0.0
@@ -367,11 +367,11 @@ class AdaptiveExposure(ExposureKind):
             look = look_at(state, rates, share, generator)
             state.update(look.masks, look.counts, share)
             counts += float(look.light.double().sum())
-            yield PosteriorObservation(look.counts / photons, chances=state.chances, counts=counts)
+            yield _PosteriorObservation(look.counts / photons, chances=state.chances, counts=counts)
 
     def expose(
         self, front: Camera, rates: Tensor, photons: float, generator: torch.Generator
-    ) -> PosteriorObservation:
+    ) -> _PosteriorObservation:
         """Exposures at their end, each of which stops where it is sure enough."""
         optics = self.optics_at(photons, front)
         parts = []
@@ -382,7 +382,7 @@ class AdaptiveExposure(ExposureKind):
             parts.append(chances)
             counted += float(counts.sum())
         every = torch.cat(parts)
-        return PosteriorObservation(every[:, :0], chances=every, counts=counted)
+        return _PosteriorObservation(every[:, :0], chances=every, counts=counted)
 
     def _run(
         self, state: AdaptivePosterior, x: Tensor, generator: torch.Generator
@@ -411,12 +411,12 @@ class AdaptiveExposure(ExposureKind):
         self, front: Camera, rates: Tensor, seen: Observation, photons: float
     ) -> CountedLight:
         """Light of exposures together, which do not click; parameters of `observe`."""
-        assert isinstance(seen, PosteriorObservation)
+        assert isinstance(seen, _PosteriorObservation)
         return CountedLight(seen.counts, seen.counts)
 
     def answer(self, seen: Observation, photons: Tensor | float, network: ReadsCounts) -> Answer:
         """Answer of the posterior: nothing else reads the counts."""
-        assert isinstance(seen, PosteriorObservation)
+        assert isinstance(seen, _PosteriorObservation)
         chances = seen.chances
         return Answer(chances.clamp(min=LEAST_WEIGHT).log(), chances, chances.argmax(dim=-1))
 

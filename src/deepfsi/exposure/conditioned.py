@@ -136,7 +136,7 @@ class ConditionedExposure(MaskExposure):
         """Inputs of the classifier, features and two more; 0 are features beyond those shown."""
         # scaled (..., k): standardised features of the first masks; (..., 1): ratio, conditioning
         # budget over `photons`, and shown, number of masks
-        seen = torch.where(first(scaled.shape[-1], shown * self.width), scaled, 0.0)
+        seen = torch.where(_first(scaled.shape[-1], shown * self.width), scaled, 0.0)
         seen = functional.pad(seen, (0, self.masks * self.width - scaled.shape[-1]))
         middle = math.log(self.span) / 2
         level = (torch.log(ratio) - middle) / max(middle, 1.0)  # -1 to 1 over the range
@@ -145,7 +145,7 @@ class ConditionedExposure(MaskExposure):
         return torch.cat([seen, level.expand_as(column), share.expand_as(column)], dim=-1)
 
 
-def first(count: int, shown: Tensor) -> Tensor:
+def _first(count: int, shown: Tensor) -> Tensor:
     """Mask (..., count), true for the first `shown` (..., 1)."""
     return torch.arange(count, device=shown.device) < shown
 
@@ -214,7 +214,7 @@ class ConditionedTraining(ExposureTraining):
             counts.append(stream.repeated(shown))
         number = side_by_side(counts)
         seen = side_by_side(features)
-        scaled = standardise(seen, self.scale, first(seen.shape[-1], number * self.lowest.width))
+        scaled = standardise(seen, self.scale, _first(seen.shape[-1], number * self.lowest.width))
         return self.lowest.inputs(scaled, side_by_side(ratios), number)
 
     def fix(self) -> None:

@@ -51,7 +51,7 @@ class FixedExposure(MaskExposure):
         return FixedEntry()
 
 
-class FixedTraining(ExposureTraining):
+class _FixedTraining(ExposureTraining):
     """Masks that do not learn, whose products with all scenes are known.
 
     Where no counts are drawn the products are standardised once, for the first of the replicas that
@@ -116,7 +116,7 @@ class FixedTraining(ExposureTraining):
         return torch.addcmul(scaled, normal, gain)
 
 
-class LearnedTraining(ExposureTraining):
+class _LearnedTraining(ExposureTraining):
     """Masks that learn."""
 
     masks: LearnedMasks
@@ -173,4 +173,4 @@ class LearnedTraining(ExposureTraining):
 
 def fixed_training(group: JobGroup) -> ExposureTraining:
     """Training of masks that are shown once, whether they learn or not."""
-    return (LearnedTraining if group.jobs[0].code.learned else FixedTraining)(group)
+    return (_LearnedTraining if group.jobs[0].code.learned else _FixedTraining)(group)

@@ -87,7 +87,7 @@ class TrainingSet:
         """Which pixels (N,) differ anywhere in the training set; the first if none does."""
         varying = (
             torch.from_numpy(self.full.stored.min(axis=0) != self.full.stored.max(axis=0))
-            if isinstance(self.full, ReadScenes)
+            if isinstance(self.full, _ReadScenes)
             else (self.full != self.full[0]).any(dim=0)
         )
         varying[0] |= not varying.any()
@@ -108,8 +108,8 @@ class TrainingSet:
         if key not in self._centred:
             mean = torch.where(self.varying, self.full.mean(dim=0), self.full[0])
             seen = detection.of_pixels(pixels)
-            if isinstance(self.full, ReadScenes):
-                every = CentredScenes(self.full, mean, pixels, kind=kind, detection=seen)
+            if isinstance(self.full, _ReadScenes):
+                every = _CentredScenes(self.full, mean, pixels, kind=kind, detection=seen)
                 self._centred[key] = cast(Tensor, every)
             else:
                 centred = torch.cat([self.full - mean, mean.unsqueeze(0)])
@@ -147,7 +147,7 @@ READ_VALUES = 2**24
 """Values of scenes that are read at once."""
 
 
-class ReadScenes:
+class _ReadScenes:
     """Scenes (n, N) that are read where they are needed, used as a tensor of all would be.
 
     Parameters
@@ -186,12 +186,12 @@ class ReadScenes:
 
 
 @dataclass(frozen=True, eq=False)
-class CentredScenes:
+class _CentredScenes:
     """Pixels (n + 1, P) of scenes that are read where they are needed, less their mean.
 
     Attributes
     ----------
-    scenes : ReadScenes, shape (n, N)
+    scenes : _ReadScenes, shape (n, N)
     mean : tensor, shape (N,)
         Which is the last row.
     pixels : tensor, shape (N,)
@@ -201,13 +201,13 @@ class CentredScenes:
         Of these pixels, which are arranged by it.
     """
 
-    scenes: ReadScenes
+    scenes: _ReadScenes
     mean: Tensor
     pixels: Tensor
     kind: torch.dtype
     detection: Detection
 
-    device = ReadScenes.device
+    device = _ReadScenes.device
 
     def index_select(self, dim: int, rows: Tensor) -> Tensor:
         """Rows (B, P) of places (B,), of which that of the mean is the last, if it is there."""
@@ -227,7 +227,7 @@ def _on_device(x: np.ndarray, device: torch.device) -> Tensor:
         # a cluster shares arrays read-only
         return torch.from_numpy(np.require(x, requirements="W")).to(device)
     if device.type == "cpu":
-        return cast(Tensor, ReadScenes(x))
+        return cast(Tensor, _ReadScenes(x))
     parts = map(torch.from_numpy, x.parts())
     whole = torch.empty(x.shape, device=device)
     for rows, part in zip(whole.split(x.step), parts, strict=True):

@@ -84,9 +84,9 @@ class AdaptiveLooks:
             )
         return cls(Design.load(folder / Patterns.DESIGN), manifest)
 
-    def expose(self, scene: int, state: ExposureState) -> "AdaptiveLiveExposure":
+    def expose(self, scene: int, state: ExposureState) -> "_AdaptiveLiveExposure":
         """Begin an exposure of a scene."""
-        return AdaptiveLiveExposure(self, scene, state)
+        return _AdaptiveLiveExposure(self, scene, state)
 
     def lit(self, asked: FrameList) -> np.ndarray:
         """Pixels of the mask of a look that are ON, (1, N)."""
@@ -94,7 +94,7 @@ class AdaptiveLooks:
         return asked.masks.astype(float)
 
 
-class AdaptiveLiveExposure:
+class _AdaptiveLiveExposure:
     """One exposure of a scene with adaptive masks."""
 
     def __init__(self, looks: AdaptiveLooks, scene: int, state: ExposureState) -> None:

@@ -259,7 +259,7 @@ def classify_transits(
     from deepfsi.physics import library_defaults
 
     check_classes(design.values, "a transit's answer")
-    path = passing_of(design).transit
+    path = _passing_of(design).transit
     budget = check_budget(photons or design.info["job"]["photons"])
     for name, value in (("bin_s", bin_s), ("false_alarms", false_alarms)):
         if not 0 < value < np.inf:
@@ -310,7 +310,7 @@ def classify_transits(
     return classify()
 
 
-def passing_of(design: "Design") -> "PassingExposure":
+def _passing_of(design: "Design") -> "PassingExposure":
     """Exposure of a design of passing scenes, or `InputError`."""
     from deepfsi.exposure import PassingExposure
 
@@ -361,7 +361,7 @@ def simulate_transits(
 
     from deepfsi.physics import library_defaults
 
-    path = passing_of(design).transit
+    path = _passing_of(design).transit
     step = path.speed / FINE  # pixels
     steps = int(np.ceil((path.shifts - 1) / step))
 
@@ -369,7 +369,7 @@ def simulate_transits(
     def expect() -> np.ndarray:
         x = torch.from_numpy(np.ascontiguousarray(scenes, dtype=np.float32))
         edges = (path.shifts - 1) / 2 + step * (torch.arange(steps + 1) - steps / 2)
-        rates = passing_of(design).rates(design.scanner(), x)
+        rates = _passing_of(design).rates(design.scanner(), x)
         traces = path.means(rates[:, 0], edges).double().numpy()
         return np.asarray(traces * photons / FINE)
 
