@@ -14,7 +14,7 @@ from deepfsi.hardware.drivers import dlpc900
 
 BUSY = 3  # how often the fake says that its sequencer runs, for each start
 STOPPED, STARTED, ON_THE_FLY = 0, 2, 3
-NOT_ALLOWED, BAD_PARAMETER, BAD_EXPOSURE, BAD_NUMBER = 5, 6, 14, 15
+NOT_ALLOWED, BAD_EXPOSURE, BAD_NUMBER = 5, 14, 15
 
 
 class Refused(Exception):
@@ -33,13 +33,12 @@ class Controller:
         self.table, self.entries, self.count = {}, 0, 0
         self.pictures: dict[tuple[int, int], np.ndarray] = {}  # by controller and index
         self.coming: list = [None, None]  # index, bytes to come and those that came
-        self.busy, self.stuck, self.error, self.opened = 0, False, 0, False
-        self.unplugged = False
+        self.busy = self.error = 0
+        self.stuck = self.opened = self.unplugged = False
         self.begins = False  # whether a start shows the first pattern first
         self.refuse: dict[int, int] = {}  # error codes of commands that are to fail
         self.silent: set[int] = set()  # commands that are not answered
         self.interrupt_at: int | None = None  # report after which Ctrl-C comes
-        self.on_start = lambda patterns: None
         self._message, self.replies = b"", []
 
     @property
@@ -51,24 +50,23 @@ class Controller:
         assert len(report) == 65
         assert report[0] == 0
         self._message += bytes(report[1:])
-        length = int.from_bytes(self._message[2:4], "little")
+        length = number(self._message, 2, 4)
         assert 2 <= length <= 508, "the buffer has 512 bytes"
         if len(self._message) >= 4 + length:
             message, self._message = self._message, b""
             assert not any(message[4 + length :]), "a command is padded with zeros"
             assert len(message) - 4 - length < 64
-            self._execute(message[:4], message[4 : 4 + length])
+            self._execute(message[0], message[1], message[4 : 4 + length])
         if self.interrupt_at is not None:
             self.interrupt_at -= 1
             if self.interrupt_at < 0:
                 self.interrupt_at = None
                 raise KeyboardInterrupt
 
-    def _execute(self, head, content):
-        flag, sequence = head[0], head[1]
+    def _execute(self, flag, sequence, content):
         assert flag & 0b00111111 == 0
         assert not (flag & 0x80 and not flag & 0x40), "a read wants a reply"
-        command, data = int.from_bytes(content[:2], "little"), content[2:]
+        command, data = number(content, 0, 2), content[2:]
         self.commands.append((command, data))
         answer = b""
         try:
@@ -85,78 +83,68 @@ class Controller:
             self.replies.append(list(reply.ljust(64, b"\0")))
 
     def _read(self, command):
+        running = self.busy > 0
         if command == 0x1A0C:  # main status
-            running = self.busy > 0
             self.busy -= running and not self.stuck
-            return bytes([2 * running])
         return {
-            0x0100: lambda: bytes([self.error]),
-            0x0206: lambda: bytes([self.hardware]) + b"firmware".ljust(31, b"\0"),
-            0x1A0A: lambda: bytes([self.status]),
-            0x1A1B: lambda: bytes([self.mode]),
-        }[command]()
+            0x0100: bytes([self.error]),
+            0x0206: bytes([self.hardware]) + b"firmware".ljust(31, b"\0"),
+            0x1A0A: bytes([self.status]),
+            0x1A0C: bytes([2 * running]),
+            0x1A1B: bytes([self.mode]),
+        }[command]
 
     def _write(self, command, data):
         if command in (0x1A1B, 0x1A34, 0x1A31, 0x1A2A, 0x1A2C) and self.busy:
             raise Refused(NOT_ALLOWED)
-        {
-            0x1A1B: self._set_mode,
-            0x1A34: self._define,
-            0x1A31: self._configure,
-            0x1A2A: lambda data: self._begin(0, data),
-            0x1A2B: lambda data: self._fill(0, data),
-            0x1A2C: lambda data: self._begin(1, data),
-            0x1A2D: lambda data: self._fill(1, data),
-            0x1A24: self._start,
-        }[command](data)
+        side = int(command in (0x1A2C, 0x1A2D))
+        match command:
+            case 0x1A1B:
+                (self.mode,) = data
+                self.table.clear()
+            case 0x1A34:
+                self._define(data)
+            case 0x1A31:
+                assert len(data) == 6
+                self.entries, self.count = number(data, 0, 2), number(data, 2, 6)
+                if self.entries > 400 or sorted(self.table) != list(range(self.entries)):
+                    raise Refused(BAD_NUMBER)
+                self.pictures.clear()  # they are to be loaded again
+            case 0x1A2A | 0x1A2C:
+                assert side == 0 or self.dual
+                index = number(data, 0, 2)
+                assert index <= 17
+                before = [at for controller, at in self.pictures if controller == side]
+                assert not before or index == min(before) - 1, "the last picture comes first"
+                self.coming[side] = index, number(data, 2, 6), b""
+            case 0x1A2B | 0x1A2D:
+                assert 0 < number(data, 0, 2) == len(data) - 2 <= 504
+                index, size, came = self.coming[side]
+                came += data[2:]
+                assert len(came) <= size
+                self.coming[side] = index, size, came
+                if len(came) == size:
+                    columns = self.size[0] // (1 + self.dual)
+                    self.pictures[side, index] = decode(came, columns, self.size[1])
+            case 0x1A24:
+                self._start(data[0])
         return b""
-
-    def _set_mode(self, data):
-        (self.mode,) = data
-        self.table.clear()
 
     def _define(self, data):
         assert len(data) == 12
         if self.mode != ON_THE_FLY:
             raise Refused(NOT_ALLOWED)
-        number, exposure = (int.from_bytes(data[a:b], "little") for a, b in ((0, 2), (2, 5)))
-        if number >= 400:
+        entry, exposure, place = number(data, 0, 2), number(data, 2, 5), number(data, 10, 12)
+        if entry >= 400:
             raise Refused(BAD_NUMBER)
         if exposure < 105:
             raise Refused(BAD_EXPOSURE)
         assert data[5] == 0, "one bit, no lamp, not cleared, no trigger in"
-        place = int.from_bytes(data[10:12], "little")
-        dark = int.from_bytes(data[6:9], "little")
-        self.table[number] = exposure, dark, not data[9] & 1, place & 0x7FF, place >> 11
+        dark, marked = number(data, 6, 9), not data[9] & 1
+        self.table[entry] = exposure, dark, marked, place & 0x7FF, place >> 11
 
-    def _configure(self, data):
-        assert len(data) == 6
-        self.entries, self.count = (int.from_bytes(each, "little") for each in (data[:2], data[2:]))
-        if self.entries > 400 or sorted(self.table) != list(range(self.entries)):
-            raise Refused(BAD_NUMBER)
-        self.pictures.clear()  # they are to be loaded again
-
-    def _begin(self, side, data):
-        assert side == 0 or self.dual
-        index, size = (int.from_bytes(each, "little") for each in (data[:2], data[2:6]))
-        assert index <= 17
-        before = [at for controller, at in self.pictures if controller == side]
-        assert not before or index == min(before) - 1, "the last picture comes first"
-        self.coming[side] = index, size, b""
-
-    def _fill(self, side, data):
-        count, packet = int.from_bytes(data[:2], "little"), data[2:]
-        assert 0 < count == len(packet) <= 504
-        index, size, came = self.coming[side]
-        came += packet
-        assert len(came) <= size
-        self.coming[side] = index, size, came
-        if len(came) == size:
-            columns = self.size[0] // 2 if self.dual else self.size[0]
-            self.pictures[side, index] = decode(came, columns, self.size[1])
-
-    def _start(self, data):
-        if data[0] != STARTED:
+    def _start(self, what):
+        if what != STARTED:
             self.busy, self.begins = STOPPED, True
             return
         if self.busy:
@@ -165,13 +153,11 @@ class Controller:
         assert self.begins, "a stop makes the next start begin with the first pattern"
         self.begins = False
         assert self.count, "0 repeats the sequence for ever"
-        patterns = [self._pattern(place % self.entries) for place in range(self.count)]
-        self.shown.append(patterns)
+        self.shown.append([self._pattern(place % self.entries) for place in range(self.count)])
         self.busy = BUSY
-        self.on_start(patterns)
 
-    def _pattern(self, number):
-        exposure, dark, marked, index, bit = self.table[number]
+    def _pattern(self, entry):
+        exposure, dark, marked, index, bit = self.table[entry]
         self.markers += marked
         sides = [self.pictures[side, index] for side in range(1 + self.dual)]
         picture = np.concatenate(sides, axis=1)
@@ -179,34 +165,35 @@ class Controller:
         return np.packbits(lit, axis=1), exposure, dark
 
 
+def number(content, start, stop):
+    return int.from_bytes(content[start:stop], "little")
+
+
 def decode(content, columns, rows):
     """Picture (rows, columns, 3) of a header of 48 bytes and enhanced run-length encoding."""
     header, at = content[:48], 48
     assert header[:4] == bytes([0x53, 0x70, 0x6C, 0x64])
-    assert [int.from_bytes(header[k : k + 2], "little") for k in (4, 6)] == [columns, rows]
-    assert int.from_bytes(header[8:12], "little") == len(content) - 48
-    assert header[12:20] == b"\xff" * 8
-    assert header[20:25] == bytes(5)
-    assert header[25] == 2, "enhanced run-length encoding"
-    assert header[26] == 1
-    assert header[27:] == bytes(21)
+    assert (number(header, 4, 6), number(header, 6, 8)) == (columns, rows)
+    assert number(header, 8, 12) == len(content) - 48
+    enhanced = 2
+    assert header[12:] == b"\xff" * 8 + bytes(5) + bytes([enhanced, 1]) + bytes(21)
     out = np.zeros((rows * columns, 3), np.uint8)
     done = 0
 
-    def number(at):
+    def read_count(at):
         if content[at] < 128:
             return content[at], at + 1
         return content[at] & 127 | content[at + 1] << 7, at + 2
 
     while True:
-        count, at = number(at)
+        count, at = read_count(at)
         if count:  # repeats of one pixel
             pixels, at = content[at : at + 3] * count, at + 3
         else:
-            count, at = number(at)
+            count, at = read_count(at)
             assert count, "no ends of lines"
             if count == 1:
-                count, at = number(at)
+                count, at = read_count(at)
                 if not count:
                     break
                 assert done >= columns, "there is a line above"

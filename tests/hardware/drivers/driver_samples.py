@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from deepfsi.base import InputError
+from deepfsi.hardware.drivers import StreamingCounter
 from deepfsi.hardware.patterns import DesignRails, FrameSettings, export_patterns
+from deepfsi.hardware.photons import count_windows, read_markers
 
 
 def make_patterns(folder, device, masks, light="free-dwell", format="npy", dwell=1e-3, least=0.1):
@@ -18,6 +20,26 @@ def make_patterns(folder, device, masks, light="free-dwell", format="npy", dwell
         folder,
     )
     return folder
+
+
+def collect(counter: StreamingCounter, frames: int) -> np.ndarray:
+    """Counts (frames, inputs) of so many frames or more, as they come."""
+    found: list[list[int]] = []
+    while len(found) < frames:
+        more = counter.counts_since_marker(60).counts.tolist()
+        assert more, f"{len(found)} frames came, of {frames}"
+        found += more
+    return np.array(found)
+
+
+def check_counts(found, path, gates, inputs, tick_s):
+    """Counts of frames are those of the file that is left, by markers of its bit 2."""
+    times, bits = read_markers(path)
+    starts = times[bits == 2][: len(found)]
+    opens = starts + np.rint(gates.offsets_s / tick_s).astype(int)
+    closes = opens + np.rint(gates.lengths_s / tick_s).astype(int)
+    assert np.array_equal(found, count_windows(path, opens, closes, inputs))
+    assert found.sum() > 100
 
 
 def check_refused_before_a_recording(made, folder, said):

@@ -6,19 +6,13 @@ import time
 import numpy as np
 import ptufile
 import pytest
-from driver_samples import check_refused_before_a_recording
+from driver_samples import check_counts, check_refused_before_a_recording, collect
 
 from deepfsi.base import InputError
 from deepfsi.hardware.counting import FrameGates
-from deepfsi.hardware.drivers import StreamingCounter, swabian
-from deepfsi.hardware.photons import count_windows, read_markers
-from hardware.drivers.swabian_fake import (
-    ERROR,
-    MISSED,
-    OVERFLOW_BEGIN,
-    OVERFLOW_END,
-    install,
-)
+from deepfsi.hardware.drivers import swabian
+from deepfsi.hardware.photons import read_markers
+from hardware.drivers.swabian_fake import ERROR, MISSED, OVERFLOW_BEGIN, OVERFLOW_END, install
 
 FRAME, FRAMES = 10**8, 12  # ps
 GATES = FrameGates.of(10e-6, np.linspace(5e-6, 80e-6, FRAMES))
@@ -38,15 +32,6 @@ def signals() -> tuple[np.ndarray, np.ndarray]:
     return times, np.where(np.isin(times, starts), -1, rng.integers(0, 3, len(times)))
 
 
-def collect(counter: StreamingCounter, frames: int) -> np.ndarray:
-    found: list[list[int]] = []
-    while len(found) < frames:
-        more = counter.counts_since_marker(20).counts.tolist()
-        assert more, f"{len(found)} frames came, of {frames}"
-        found += more
-    return np.array(found)
-
-
 def test_counts_are_those_of_the_file_that_is_left(device, signals, tmp_path):
     path, times = tmp_path / "photons.ptu", signals[0]
     settings = swabian.TaggerSettings(trigger_levels={"1": 0.1, "8": -0.5})
@@ -57,12 +42,7 @@ def test_counts_are_those_of_the_file_that_is_left(device, signals, tmp_path):
         for part in np.array_split(np.arange(len(times)), 50):
             device.write(times[part], signals[1][part])
         found = collect(counter, FRAMES)
-    at, bits = read_markers(path)
-    assert (bits == 2).all()
-    opens = at[:FRAMES] + 10 * 10**6
-    closes = opens + np.rint(GATES.lengths_s * 1e12).astype(int)
-    assert np.array_equal(found[:FRAMES], count_windows(path, opens, closes, (2, 0)))
-    assert found.sum() > 1000
+    check_counts(found[:FRAMES], path, GATES, (2, 0), 1e-12)
     assert device.levels == {1: 0.1, 8: -0.5}
     assert "TimeTagStream [8, 3, 1]" in device.steps
     assert device.steps[-2:] == ["stop", "freeTimeTagger"]
@@ -120,22 +100,20 @@ def test_what_is_lost_is_said_and_what_came_before_is_kept(device, tmp_path, kin
     assert device.steps[-1] == "freeTimeTagger"
 
 
-def test_a_loss_at_the_very_end_is_said_by_stop(device, tmp_path):
-    device.cut = lambda count: 0
-    with swabian.TaggerCounter(trigger=8) as counter:
-        counter.start(tmp_path / "photons.ptu")
-        device.add(times=[0, 5], channels=[1, 1], types=[0, MISSED], missed=[0, 3])
-        with pytest.raises(InputError, match="lost 3 tags"):
-            counter.stop()
-
-
-def test_tags_that_found_no_room_are_said(device, tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ("missed", "message"), [(3, "lost 3 tags"), (0, "more tags came than the 100")]
+)
+def test_a_loss_at_the_very_end_and_tags_that_found_no_room_are_said_by_stop(
+    device, tmp_path, monkeypatch, missed, message
+):
     monkeypatch.setattr(swabian, "MOST_TAGS", 100)
     device.cut = lambda count: 0
     with swabian.TaggerCounter(trigger=8) as counter:
         counter.start(tmp_path / "photons.ptu")
-        device.write(np.arange(101), np.zeros(101, int))
-        with pytest.raises(InputError, match="more tags came than the 100"):
+        lost = np.arange(101) == 5 if missed else np.zeros(101)
+        device.add(times=np.arange(101), channels=np.ones(101), types=MISSED * lost,
+                   missed=missed * lost)  # fmt: skip
+        with pytest.raises(InputError, match=message):
             counter.stop()
 
 
@@ -144,11 +122,10 @@ def test_tags_that_found_no_room_are_said(device, tmp_path, monkeypatch):
 )
 def test_a_refusal_is_one_line_and_lets_go_of_the_device(device, tmp_path, step):
     device.fail_at[step] = RuntimeError("Got the USB error 'Failed'")
+    settings = swabian.TaggerSettings(trigger_levels={1: 0.5})
     with (
         pytest.raises(InputError, match=r"the Time Tagger cannot .* USB error") as caught,
-        swabian.TaggerCounter(
-            trigger=-8, settings=swabian.TaggerSettings(trigger_levels={1: 0.5})
-        ) as counter,
+        swabian.TaggerCounter(trigger=-8, settings=settings) as counter,
     ):
         counter.start(tmp_path / "photons.ptu")
     assert "\n" not in str(caught.value)

@@ -16,8 +16,13 @@ def library(monkeypatch):
     return install(monkeypatch)
 
 
-def patterns(folder, light="free-dwell", format="npy", masks=70, device=DEVICE, dwell=1e-3):
-    return make_patterns(folder, device, masks, light, format, dwell)
+@pytest.fixture
+def patterns(tmp_path):
+    def make(light="free-dwell", format="npy", masks=70, device=DEVICE, dwell=1e-3):
+        folder = tmp_path / f"{device.columns} {dwell}"
+        return make_patterns(folder, device, masks, light, format, dwell)
+
+    return make
 
 
 def show(folder, while_it_runs=lambda: None):
@@ -30,8 +35,8 @@ def show(folder, while_it_runs=lambda: None):
 
 @pytest.mark.parametrize("format", ["npy", "png", "raw"])
 @pytest.mark.parametrize("light", ["equal-dwell", "free-dwell"])
-def test_a_pass_shows_every_frame_for_its_time(library, tmp_path, light, format):
-    folder = patterns(tmp_path / "patterns", light, format)
+def test_a_pass_shows_every_frame_for_its_time(library, patterns, light, format):
+    folder = patterns(light, format)
     shares = []
     with vialux.VialuxProjector() as projector:
         projector.load(folder, Progress(lambda share, _: shares.append(share)))
@@ -57,11 +62,11 @@ def test_a_pass_shows_every_frame_for_its_time(library, tmp_path, light, format)
 
 
 @pytest.mark.parametrize("columns", [1024, 1920, 1280, 60])
-def test_rows_of_every_length_reach_the_mirrors(library, tmp_path, columns):
+def test_rows_of_every_length_reach_the_mirrors(library, patterns, columns):
     """ALP pads the packed rows of 1080p devices to 256 bytes, and says of some not how."""
     device = Device(name="wide", columns=columns, rows=24)
     library.size = columns, 24
-    folder = patterns(tmp_path / "patterns", "equal-dwell", masks=3, device=device)
+    folder = patterns("equal-dwell", masks=3, device=device)
     with vialux.VialuxProjector() as projector:
         projector.load(folder)
         [sequence] = library.sequences.values()
@@ -93,30 +98,25 @@ def test_numbers_that_the_device_is_told_are_those_of_its_header():
         ("SeqPut", 1009, "Failure 1009"),
         ("Run", 1008, "Failure 1008"),
         ("AlpProjInquire", 1012, "Failure 1012"),
+        *((step, KeyboardInterrupt(), "^$")
+          for step in ("AlpDevInquire", "ProjControl", "SeqPut", "Run")),
     ],
-)
-def test_a_refusal_is_one_line_and_frees_the_device(library, tmp_path, step, failure, words):
-    folder = patterns(tmp_path / "patterns")
+)  # fmt: skip
+def test_a_refusal_is_one_line_and_frees_the_device_as_ctrl_c_does(
+    library, patterns, step, failure, words
+):
+    folder = patterns()
     library.fail_at = {step: failure}
-    with pytest.raises(InputError, match=words) as caught:
+    wanted = KeyboardInterrupt if isinstance(failure, KeyboardInterrupt) else InputError
+    with pytest.raises(wanted, match=words) as caught:
         show(folder)
     assert "\n" not in str(caught.value)
     assert not library.allocated
     assert not library.fail_at
 
 
-@pytest.mark.parametrize("step", ["AlpDevInquire", "ProjControl", "SeqPut", "Run"])
-def test_ctrl_c_frees_the_device(library, tmp_path, step):
-    folder = patterns(tmp_path / "patterns")
-    library.fail_at = {step: KeyboardInterrupt()}
-    with pytest.raises(KeyboardInterrupt):
-        show(folder)
-    assert not library.allocated
-    assert library.calls[-1] == "Free"
-
-
-def test_ctrl_c_while_waiting_halts_and_frees_even_where_halting_fails(library, tmp_path):
-    folder = patterns(tmp_path / "patterns")
+def test_ctrl_c_while_waiting_halts_and_frees_even_where_halting_fails(library, patterns):
+    folder = patterns()
 
     def trouble():
         library.fail_at = {"AlpProjInquire": KeyboardInterrupt(), "ProjControl": 1012}
@@ -133,8 +133,8 @@ def test_a_failed_cleanup_is_told_where_nothing_else_was_wrong(library):
     assert library.calls[-1] == "Free"
 
 
-def test_a_failed_load_leaves_nothing_to_run(library, tmp_path):
-    folder = patterns(tmp_path / "patterns")
+def test_a_failed_load_leaves_nothing_to_run_and_another_replaces_it(library, patterns):
+    folder = patterns()
     with vialux.VialuxProjector() as projector:
         library.fail_at = {"SeqPut": 1009}
         with pytest.raises(InputError, match="Failure 1009"):
@@ -142,37 +142,26 @@ def test_a_failed_load_leaves_nothing_to_run(library, tmp_path):
         assert not library.sequences
         with pytest.raises(InputError, match="load a pattern folder first"):
             projector.run()
+        library.memory = 80  # room for these 74 frames once
+        projector.load(folder)
         projector.load(folder)
         projector.run()
 
 
-def test_loading_again_replaces(library, tmp_path):
-    folder = patterns(tmp_path / "patterns", "equal-dwell", masks=3)
-    library.memory = 8  # room for these 7 frames once
+def test_what_the_device_cannot_show_is_refused(library, patterns):
+    library.memory = 50
+    for settings, words in (
+        ({"device": Device(name="other", columns=72, rows=24)}, "made for 72 x 24 mirrors"),
+        ({"light": "equal-dwell", "masks": 1, "dwell": 20.0}, "44 to 10000000 µs"),
+        ({}, "has room for 50"),
+    ):
+        with pytest.raises(InputError, match=words):
+            show(patterns(**settings))
+
+
+def test_a_pass_that_still_runs_is_not_started_again(library, patterns):
     with vialux.VialuxProjector() as projector:
-        projector.load(folder)
-        projector.load(folder)
-        assert [s["count"] for s in library.sequences.values()] == [7]
-
-
-def test_what_the_device_cannot_show_is_refused(library, tmp_path):
-    folder = patterns(tmp_path / "patterns")
-    other = patterns(tmp_path / "other", device=Device(name="other", columns=72, rows=24))
-    slow = patterns(tmp_path / "slow", "equal-dwell", masks=1, dwell=20.0)
-    assert read_patterns(slow).manifest.frames[0].picture_us == 20_000_000
-    with vialux.VialuxProjector() as projector:
-        with pytest.raises(InputError, match="made for 72 x 24 mirrors"):
-            projector.load(other)
-        with pytest.raises(InputError, match="44 to 10000000 µs"):
-            projector.load(slow)
-        library.memory = 50
-        with pytest.raises(InputError, match="has room for 50"):
-            projector.load(folder)
-
-
-def test_a_pass_that_still_runs_is_not_started_again(library, tmp_path):
-    with vialux.VialuxProjector() as projector:
-        projector.load(patterns(tmp_path / "patterns", "equal-dwell", masks=3))
+        projector.load(patterns("equal-dwell", masks=3))
         projector.run()
         library.stuck = True
         with pytest.raises(InputError, match="still shows a pass"):
@@ -182,19 +171,24 @@ def test_a_pass_that_still_runs_is_not_started_again(library, tmp_path):
 
 
 @pytest.mark.parametrize("light", ["equal-dwell", "free-dwell"])  # waiting for the end, the queue
-def test_a_device_that_never_ends_is_not_waited_for(library, tmp_path, monkeypatch, light):
+def test_a_device_that_never_ends_is_not_waited_for(library, patterns, monkeypatch, light):
     monkeypatch.setattr(vialux, "GRACE_S", 0.05)
-    folder = patterns(tmp_path / "patterns", light, masks=8)
-    library.stuck = True
+    folder, one = patterns(light, masks=8), np.array([44e-6])
+    with vialux.VialuxLooks() as projector:
+        projector.load(folder)
+        projector.show(np.array([0]), one)
+        library.stuck = True
+        with pytest.raises(InputError, match="should have ended"):
+            projector.show(np.array([1]), one)
     with pytest.raises(InputError, match="should have ended"):
         show(folder)
 
 
-# Lists of frames ---------------------------------------------------------------------------------
+# Lists of frames
 
 
-def test_a_list_repeats_frames_that_were_loaded_once(library, tmp_path):
-    folder = patterns(tmp_path / "patterns", masks=9)
+def test_a_list_repeats_frames_that_were_loaded_once(library, patterns):
+    folder = patterns(masks=9)
     looks = [([0, 1], [100e-6, 44e-6]), ([12, 3, 3], [45e-6, 1e-6, 440e-6]), ([5], [1e-3])]
     with vialux.VialuxLooks() as projector:
         projector.load(folder)
@@ -218,8 +212,8 @@ def test_a_list_repeats_frames_that_were_loaded_once(library, tmp_path):
     assert not library.allocated
 
 
-def test_a_frame_is_replaced_between_two_lists(library, tmp_path):
-    folder = patterns(tmp_path / "patterns", masks=3)
+def test_a_frame_is_replaced_between_two_lists(library, patterns):
+    folder = patterns(masks=3)
     other = np.flipud(list(read_frames(folder))[2])
     with vialux.VialuxLooks() as projector:
         projector.load(folder)
@@ -233,11 +227,11 @@ def test_a_frame_is_replaced_between_two_lists(library, tmp_path):
     assert len(library.lists) == 2
 
 
-def test_a_list_longer_than_the_table_has_longer_pictures(library, tmp_path):
+def test_a_list_longer_than_the_table_has_longer_pictures(library, patterns):
     dwells = np.array([0.5, 0.1, 44e-6, 0.3])
     library.entries = 512
     with vialux.VialuxLooks() as projector:
-        projector.load(patterns(tmp_path / "patterns", masks=2))
+        projector.load(patterns(masks=2))
         projector.show(np.arange(4), dwells)
         repeats, each_s = projector.pictures(dwells)
     shown, us = library.lists[-1]
@@ -247,18 +241,19 @@ def test_a_list_longer_than_the_table_has_longer_pictures(library, tmp_path):
     assert us < 1.02 * dwells.sum() * 1e6 / (512 - 4)
 
 
-def test_more_frames_than_nine_bits_name_take_entries_of_eighteen(library, tmp_path):
+def test_more_frames_than_nine_bits_name_take_entries_of_eighteen(library, patterns):
     with vialux.VialuxLooks() as projector:
-        projector.load(patterns(tmp_path / "patterns", "equal-dwell", masks=600))
+        projector.load(patterns("equal-dwell", masks=600))
         projector.show(np.array([603, 511]), np.array([44e-6, 88e-6]))
         assert library.lists == [([603, 511, 511], 44)]
         with pytest.raises(InputError, match=r"a list of 2049 pictures .* takes 2048"):
             projector.show(np.zeros(2049, int), np.full(2049, 44e-6))
 
 
-def test_a_trigger_gives_the_pictures_their_time(library, tmp_path):
+def test_a_trigger_gives_the_pictures_their_time(library, patterns):
+    folder = patterns(masks=2)
     with vialux.VialuxLooks(trigger_s=50e-6) as projector:
-        projector.load(patterns(tmp_path / "patterns", masks=2))
+        projector.load(folder)
         assert library.mode == vialux.Alp.SLAVE
         repeats, each_s = projector.pictures(np.array([50e-6, 51e-6, 1e-3]))
         assert (repeats.tolist(), each_s.tolist()) == ([1, 2, 20], [50e-6] * 3)
@@ -266,16 +261,16 @@ def test_a_trigger_gives_the_pictures_their_time(library, tmp_path):
             projector.show(np.array([1]), np.array([1.0]))
     with vialux.VialuxLooks(trigger_s=44e-6) as projector:
         with pytest.raises(InputError, match="too fast"):
-            projector.load(tmp_path / "patterns")
+            projector.load(folder)
         assert not library.sequences
 
 
-def test_lists_that_cannot_be_are_refused(library, tmp_path):
+def test_lists_that_cannot_be_are_refused(library, patterns):
     one = np.array([44e-6])
     with vialux.VialuxLooks() as projector:
         with pytest.raises(InputError, match="load a pattern folder first"):
             projector.show(np.array([0]), one)
-        projector.load(patterns(tmp_path / "patterns", masks=2))
+        projector.load(patterns(masks=2))
         for frames, dwells, words in [
             (np.array([6]), one, "of those loaded, 0 to 5"),
             (np.array([-1]), one, "of those loaded, 0 to 5"),
@@ -286,14 +281,3 @@ def test_lists_that_cannot_be_are_refused(library, tmp_path):
             with pytest.raises(InputError, match=words):
                 projector.show(frames, dwells)
         assert not library.lists
-
-
-def test_a_list_waits_until_the_last_has_ended(library, tmp_path, monkeypatch):
-    monkeypatch.setattr(vialux, "GRACE_S", 0.0)
-    with vialux.VialuxLooks() as projector:
-        projector.load(patterns(tmp_path / "patterns", masks=2))
-        projector.show(np.array([0]), np.array([44e-6]))
-        library.stuck = True
-        with pytest.raises(InputError, match="should have ended"):
-            projector.show(np.array([1]), np.array([44e-6]))
-        projector.halt()

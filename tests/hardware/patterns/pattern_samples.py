@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 
 from deepfsi.base import SILENT
-from deepfsi.camera import DmdLayout, find_device
+from deepfsi.camera import DEVICES, Device, DmdLayout, find_device
 from deepfsi.hardware.patterns import DesignRails, FrameSettings, export_patterns
-
-FORMATS = ("npy", "png", "bmp", "raw")
 
 SMALL = find_device("67x50")
 """Not whole bytes across, and cells of 8 x 8 leave margins."""
@@ -17,8 +15,20 @@ SMALL = find_device("67x50")
 UNEQUAL = np.array([0.999, 0.001])[None, :, None].repeat(16, axis=2)
 """Two masks of very different shares, rails (1, 2, 16)."""
 
-every_format = pytest.mark.parametrize("form", FORMATS)
+every_format = pytest.mark.parametrize("form", ["npy", "png", "bmp", "raw", "planes"])
 every_selection = pytest.mark.parametrize("selection", ["ordered", "random"])
+
+
+def family(name: str) -> Device:
+    """A device of few mirrors with the limits of a named one.
+
+    Its rows have no whole bytes, and no whole 4 bytes of a bitmap.
+    """
+    return DEVICES[name].model_copy(update={"columns": 37, "rows": 26})
+
+
+BOARD = family("dlp6500")
+"""A device that takes every format."""
 
 
 def grey(masks: int = 5, pixels: int = 16, rails: int = 2, seed: int = 0) -> np.ndarray:

@@ -1,6 +1,5 @@
 """Folder of patterns: it holds what was designed, mirror by mirror, and damage is found."""
 
-import contextlib
 import json
 import math
 import tempfile
@@ -10,9 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from pattern_samples import SMALL, UNEQUAL, every_format, every_selection, export, grey
+from pattern_samples import BOARD, SMALL, UNEQUAL, every_format, every_selection, export, grey
 from PIL import Image
 from scipy.linalg import hadamard
 
@@ -29,25 +26,17 @@ from deepfsi.hardware.patterns import (
 from deepfsi.hardware.patterns import folder as folder_module
 from deepfsi.physics import ROUNDING_SLACK, light_law
 
-every_shown = pytest.mark.parametrize(
+
+@pytest.mark.parametrize(
     ("design", "light", "rails"),
     [
         *(("deepfsi", light, rails) for light, rails in OPTICS),
-        ("hadamard", "column", "dual"),
-        ("raster", "free-dwell", "dual"),
-        ("s-matrix", "equal-dwell", "dual"),
+        ("hadamard", "column", "dual"),  # three levels
+        ("raster", "free-dwell", "dual"),  # one lit pixel
+        ("s-matrix", "equal-dwell", "dual"),  # two levels
         ("random", "two-arm", "dual"),
     ],
 )
-"""Masks that are learned, have three levels, one lit pixel, two levels, and are drawn."""
-
-
-def hadamard_rails(order: int) -> np.ndarray:
-    signed = hadamard(order) / (2 * order - 1)
-    return np.stack([signed.clip(0), (-signed).clip(0)]).astype(np.float32)
-
-
-@every_shown
 def test_the_realised_matrix_is_the_design_in_steps_of_each_peak(
     made, tmp_path, design, light, rails
 ):
@@ -77,7 +66,7 @@ def test_the_realised_matrix_is_the_design_in_steps_of_each_peak(
 
 
 @every_selection
-@every_format
+@pytest.mark.parametrize("form", ["npy", "png", "bmp", "raw"])
 @pytest.mark.parametrize("device", [SMALL, find_device("64x32")], ids=lambda one: one.name)
 def test_what_is_read_back_is_what_was_written(tmp_path, form, selection, device):
     written = export(
@@ -103,7 +92,8 @@ def test_what_is_read_back_is_what_was_written(tmp_path, form, selection, device
 
 
 def test_a_long_sequence_needs_the_memory_of_a_few_frames():
-    rails, device = hadamard_rails(1024), DEVICES["dlp7000"]
+    device, signed = DEVICES["dlp7000"], hadamard(1024).astype(np.float32) / 2047
+    rails = np.stack([signed.clip(0), (-signed).clip(0)])
     whole = 2051 * device.frame_bytes
     with tempfile.TemporaryDirectory() as folder:
         tracemalloc.start()
@@ -133,29 +123,27 @@ def test_an_export_that_stops_leaves_nothing(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def damage(folder: Path, form: str, place: int) -> None:
-    """Flip the first mirror of a frame."""
-    if form in ("png", "bmp"):
-        path = folder / "frames" / f"{place:04d}.{form}"
-        with Image.open(path) as picture:
-            changed = picture.copy()
-        changed.putpixel((3, 2), 0 if changed.getpixel((3, 2)) else 255)
-        changed.save(path)
-        return
-    path = folder / ("frames.npy" if form == "npy" else "frames.bin")
-    content = bytearray(path.read_bytes())
-    start = len(content) - len(read_patterns(folder).manifest.frames) * SMALL.frame_bytes
-    content[start + place * SMALL.frame_bytes + 2 * 9] ^= 0x10
-    path.write_bytes(content)
-
-
 @every_format
-@pytest.mark.parametrize(("place", "name"), [(0, "all ON"), (4, "mask 1, plus"), (13, "all OFF")])
-def test_a_changed_mirror_is_found_and_its_frame_named(tmp_path, form, place, name):
-    export(tmp_path / "p", format=form)
-    damage(tmp_path / "p", form, place)
-    with pytest.raises(InputError, match=rf"frame {place} of .*\({name}\) is not what was"):
-        check_patterns(tmp_path / "p")
+@pytest.mark.parametrize(("index", "name"), [(0, "all ON"), (4, "mask 1, plus"), (13, "all OFF")])
+def test_a_changed_mirror_is_found_and_its_frame_named(tmp_path, form, index, name):
+    folder = tmp_path / "p"
+    export(folder, device=BOARD, format=form)
+    if form in ("npy", "raw"):
+        path = folder / ("frames.npy" if form == "npy" else "frames.bin")
+        content = bytearray(path.read_bytes())
+        content[(index - 14) * BOARD.frame_bytes + 2 * 5] ^= 0x10
+        path.write_bytes(content)
+    else:
+        path = folder / ("images/0000.bmp" if form == "planes" else f"frames/{index:04}.{form}")
+        with Image.open(path) as picture:
+            changed = np.array(picture)
+        if form == "planes":  # green's bits follow blue's
+            changed[2, 3, 2 - index // 8] ^= 1 << index % 8
+        else:
+            changed[2, 3] ^= True
+        Image.fromarray(changed).save(path)
+    with pytest.raises(InputError, match=rf"frame {index} of .*\({name}\) is not what was"):
+        check_patterns(folder)
 
 
 def change(folder: Path, **changes: object) -> None:
@@ -197,27 +185,23 @@ def test_a_manifest_that_does_not_fit_is_refused(tmp_path, key, value, message):
 def test_mirror_counts_that_do_not_fit_are_refused(tmp_path):
     shown = export(tmp_path / "p")
     path = tmp_path / "p" / "mirrors.npy"
-    wrong = shown.on.copy()
+    wrong, beyond = shown.on.copy(), shown.on.copy()
     wrong[4, 7] += 1 if wrong[4, 7] < shown.manifest.grid.mirrors else -1
-    np.save(path, wrong)
-    with pytest.raises(InputError, match=r"mirrors\.npy was changed"):
-        read_patterns(tmp_path / "p")
+    beyond[4, 7] = shown.manifest.grid.mirrors + 1
+    for content, message in (
+        (shown.on.astype(np.int64), "uint32 numbers"),
+        (np.array([{}], dtype=object), "uint32 numbers"),
+        (beyond, "more than their 192 mirrors"),
+        (wrong, r"mirrors\.npy was changed"),
+    ):
+        np.save(path, content)
+        with pytest.raises(InputError, match=message):
+            read_patterns(tmp_path / "p")
     change(tmp_path / "p", mirrors_sha256=folder_module.hash_mirrors(wrong), sha256=None)
     with pytest.raises(InputError, match=r"frame 6 of .*\(mask 2, plus\) does not show"):
         check_patterns(tmp_path / "p")
-    wrong[4, 7] = shown.manifest.grid.mirrors + 1
-    np.save(path, wrong)
-    with pytest.raises(InputError, match="more than their 192 mirrors"):
-        read_patterns(tmp_path / "p")
-    np.save(path, shown.on)
     path.write_bytes(path.read_bytes()[:-70])
     with pytest.raises(InputError, match=r"it breaks off in frame 10;"):
-        read_patterns(tmp_path / "p")
-    np.save(path, shown.on.astype(np.int64))
-    with pytest.raises(InputError, match="uint32 numbers"):
-        read_patterns(tmp_path / "p")
-    np.save(path, np.array([{}], dtype=object))
-    with pytest.raises(InputError, match="uint32 numbers"):
         read_patterns(tmp_path / "p")
 
 
@@ -232,52 +216,11 @@ def test_another_design_beside_the_frames_is_found(tmp_path):
         check_patterns(tmp_path / "p")
 
 
-@pytest.fixture(scope="module")
-def kept(tmp_path_factory) -> Path:
-    folder = tmp_path_factory.mktemp("patterns") / "p"
-    export(folder, grey(2))
-    return folder
-
-
-@settings(max_examples=200, deadline=None)
-@given(st.binary(max_size=60))
-def test_garbage_for_a_manifest_is_an_input_error(kept, content):
-    (kept / "manifest.json").write_bytes(content)
-    with pytest.raises(InputError):
-        read_patterns(kept)
-
-
-JSON = st.recursive(
-    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
-    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner),
-    max_leaves=4,
-)
-
-
-@settings(max_examples=200, deadline=None)
-@given(st.data())
-def test_a_mutated_manifest_is_read_or_refused(tmp_path_factory, data):
-    folder = tmp_path_factory.getbasetemp() / "mutated"
-    if not folder.exists():
-        export(folder, grey(2))
-        (folder / "as-written.json").write_bytes((folder / "manifest.json").read_bytes())
-    manifest = json.loads((folder / "as-written.json").read_text())
-    manifest["sha256"] = None
-    place = data.draw(
-        st.sampled_from([manifest, manifest["device"], *manifest["frames"]]), label="place"
-    )
-    place[data.draw(st.sampled_from(sorted(place)))] = data.draw(JSON)
-    (folder / "manifest.json").write_text(json.dumps(manifest))
-    with contextlib.suppress(InputError):
-        assert np.isfinite(check_patterns(folder).rails).all()
-
-
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
         ({"light": "free-dwel"}, "did you mean 'free-dwell'"),
         ({"rails": np.zeros((2, 3, 16))}, "every mask is dark"),
-        ({"rails": grey()[0]}, r"rails of shape \(5, 16\)"),
         ({"rails": grey(pixels=15)}, r"give \(2 or 1, masks, 16\)"),
         ({"rails": -grey()}, "0 or more"),
         ({"rails": grey() * np.nan}, "finite"),
@@ -293,10 +236,7 @@ def test_a_mutated_manifest_is_read_or_refused(tmp_path_factory, data):
         ({"device": find_device("3x3")}, "do not fit"),
         ({"image_shape": (16, 1, 1)}, "1 or 2 axes"),
         ({"image_shape": (16, 0)}, "1 or 2 axes"),
-        (
-            {"device": Device(name="slow", columns=8, rows=8, settle_us=1e3)},
-            "leave no time after the 1000 µs in which mirrors",
-        ),
+        ({"device": Device(name="slow", columns=8, rows=8, settle_us=1e3)}, "leave no time after"),
     ],
 )
 def test_what_cannot_be_shown_is_refused_before_anything_is_written(tmp_path, changes, message):

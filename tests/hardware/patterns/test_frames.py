@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pattern_samples import every_format, export
+from pattern_samples import BOARD, every_format, export
 from PIL import Image
-from vendor_readers import read_one_bit
+from vendor_readers import read_bmp
 
 from deepfsi.base import InputError
-from deepfsi.camera import DEVICES, Device, DmdLayout, find_device, find_grid
+from deepfsi.camera import Device, DmdLayout, find_device, find_grid
 from deepfsi.hardware.patterns import check_patterns, folder, make_frames, read_frames, unpack
 from deepfsi.hardware.patterns import frames as frames_module
 from shared.disks import nearly_full
@@ -43,9 +43,6 @@ def test_frames_are_mirrors_counted_in_cells_and_packed(data):
                 inside = np.zeros_like(mirrors)
                 inside[grid.top :, grid.left :][: len(cells), : cells.shape[1]] = order < cells
                 assert np.array_equal(mirrors, inside)
-
-
-cells = pytest.mark.parametrize("shape", [(24, 32), (6, 8), (33, 60), (64, 80), (1, 40)])
 
 
 def varying(height: int, width: int) -> dict[str, np.ndarray]:
@@ -82,7 +79,7 @@ def expected_square(scenes: np.ndarray) -> np.ndarray:
     return scenes.var(axis=(1, 2))[:, None] * k * (mirrors - k) / (mirrors - 1)
 
 
-@cells
+@pytest.mark.parametrize("shape", [(24, 32), (6, 8), (33, 60), (64, 80), (1, 40)])
 def test_ordered_mirrors_weigh_a_gradient_to_less_than_one_mirror(shape):
     """At every grey level and angle; random ones are off by √(k (1 − k/K) / 12) of one."""
     scenes = varying(*shape)["gradient"]
@@ -111,12 +108,7 @@ def test_random_mirrors_err_as_drawn_without_replacement():
     assert (abs(drawn[:, :, 8:-8].var(axis=0) - inner) <= within).all()
 
 
-EVERY_FORMAT = get_args(frames_module.Format)
-BOARD = DEVICES["dlp6500"].model_copy(update={"columns": 37, "rows": 26})
-"""A device of few mirrors that takes every format."""
-
-
-@pytest.mark.parametrize("form", EVERY_FORMAT)
+@every_format
 def test_a_full_disk_leaves_no_patterns_whichever_file_it_cuts(tmp_path, form):
     """Libraries that write a small array or picture by themselves say nothing of what was lost."""
     whole = tmp_path / "whole"
@@ -131,7 +123,7 @@ def test_frames_ask_for_their_room(tmp_path, monkeypatch):
     """Of every format that has a size known before: at least that of its files of frames."""
     asked = []
     monkeypatch.setattr(folder, "check_disk_space", lambda path, size, advice: asked.append(size))
-    for form in EVERY_FORMAT:
+    for form in get_args(frames_module.Format):
         export(tmp_path / form, device=BOARD, format=form)
         names = ("frames*", "frames/*", "images/*")
         parts = [path for name in names for path in (tmp_path / form).glob(name)]
@@ -140,47 +132,48 @@ def test_frames_ask_for_their_room(tmp_path, monkeypatch):
         assert form == "png" or sum(files) - header * len(files) <= asked[-1] <= sum(files)
 
 
-@every_format
+@pytest.mark.parametrize("form", ["npy", "png", "bmp", "raw"])
 def test_the_left_mirror_is_the_highest_bit_and_on_is_white(tmp_path, form):
     rails = np.zeros((1, 2, 16))
     rails[0, 0, 0], rails[0, 1, 11] = 0.5, 0.25  # top left; third row, right
-    device = find_device("20x4")
-    export(tmp_path / "p", rails, image_shape=(4, 4), device=device, format=form)
+    export(tmp_path / "p", rails, device=find_device("20x4"), format=form)
     wanted = np.zeros((2, 4, 20), dtype=bool)
     wanted[0, 0, :5] = wanted[1, 2, 15:20] = True
     frames = list(read_frames(tmp_path / "p"))[2:4]
     assert frames[0][0].tolist() == [0b11111000, 0, 0]
     assert frames[1][2].tolist() == [0, 0b00000001, 0b11110000]
-    if form == "bmp":
-        for mirrors, path in zip(wanted, ("0002.bmp", "0003.bmp"), strict=True):
-            assert np.array_equal(read_one_bit(tmp_path / "p" / "frames" / path), mirrors)
-    elif form == "png":
-        for mirrors, path in zip(wanted, ("0002.png", "0003.png"), strict=True):
-            with Image.open(tmp_path / "p" / "frames" / path) as picture:
-                assert picture.mode == "1"
-                assert np.array_equal(np.asarray(picture.convert("L")), mirrors * np.uint8(255))
-            header = (tmp_path / "p" / "frames" / path).read_bytes()[16:26]
-            assert header == bytes([0, 0, 0, 20, 0, 0, 0, 4, 1, 0])  # one bit, grey
-    else:
-        content = (tmp_path / "p" / f"frames.{'npy' if form == 'npy' else 'bin'}").read_bytes()
+    if form in ("npy", "raw"):
+        content = (tmp_path / "p" / FILES[form]).read_bytes()
         bits = np.unpackbits(np.frombuffer(content[-6 * 12 :], np.uint8).reshape(6, 4, 3), axis=2)
         assert np.array_equal(bits[2:4, :, :20], wanted)
         assert not bits[:, :, 20:].any()
+        return
+    for mirrors, place in zip(wanted, (2, 3), strict=True):
+        path = tmp_path / "p" / f"frames/{place:04d}.{form}"
+        if form == "bmp":
+            assert np.array_equal(read_bmp(path, 1), mirrors)
+            continue
+        with Image.open(path) as picture:
+            assert np.array_equal(np.asarray(picture.convert("L")), mirrors * np.uint8(255))
+        header = bytes([0, 0, 0, 20, 0, 0, 0, 4, 1, 0])  # one bit, grey
+        assert path.read_bytes()[16:26] == header
+
+
+FILES = {
+    "npy": "frames.npy",
+    "raw": "frames.bin",
+    "png": "frames/0003.png",
+    "bmp": "frames/0003.bmp",
+    "planes": "images/0000.bmp",
+}
 
 
 @every_format
 def test_other_files_than_the_frames_are_refused(tmp_path, form):
-    export(tmp_path / "p", format=form)
-    path = (
-        tmp_path / "p"
-        / {"npy": "frames.npy", "raw": "frames.bin"}.get(form, f"frames/0003.{form}")
-    )  # fmt: skip
-    whole = path.read_bytes()
-    contents = [
-        b"",
-        whole[: len(whole) // 2],
-        b"GIF89a" if form in ("png", "bmp") else whole + b"x",
-    ]
+    export(tmp_path / "p", device=BOARD, format=form)
+    path = tmp_path / "p" / FILES[form]
+    whole, pictures = path.read_bytes(), form not in ("npy", "raw")
+    contents = [b"", whole[: len(whole) // 2], b"GIF89a" if pictures else whole + b"x"]
     if form == "npy":
         contents += [whole.replace(b"|u1", b"|i1", 1), whole.replace(b"(14,", b"(13,", 1)]
         contents += [b"\x93NUMPY\x01\x00\x76\x00" + b"{" * 118 + whole[128:]]
@@ -188,8 +181,9 @@ def test_other_files_than_the_frames_are_refused(tmp_path, form):
         path.write_bytes(content)
         with pytest.raises(InputError):
             check_patterns(tmp_path / "p")
-    if form in ("png", "bmp"):
-        for mode, size in (("L", (67, 50)), ("1", (50, 67))):
-            Image.new(mode, size).save(path)
-            with pytest.raises(InputError, match="one bit a pixel"):
-                check_patterns(tmp_path / "p")
+    others = [("L", (37, 26), "one bit a pixel"), ("1", (26, 37), "one bit a pixel")]
+    others = [("RGB", (40, 26), "is a 40 x 26 BMP")] if form == "planes" else others
+    for mode, size, said in others if pictures else []:
+        Image.new(mode, size).save(path)
+        with pytest.raises(InputError, match=said):
+            check_patterns(tmp_path / "p")

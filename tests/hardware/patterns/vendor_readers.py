@@ -7,7 +7,6 @@ settings     of TI's DLPC900REF-SW: "Normal Mode", then file,bits,exposure,dark,
 batch file   of TI's DLPC900REF-SW: a command a line, "NAME : 0x00 0x01 ..."
 LUT entry    12 bytes, DLPC900 programmer's guide DLPU018J, 0x1A34
 video        DLPC347x: bit-planes of one picture after another
-ALP          one bit a mirror, the leftmost in the highest bit, rows from the top
 """
 
 import csv
@@ -22,41 +21,26 @@ import numpy as np
 class Shown(NamedTuple):
     """A frame as a controller shows it."""
 
-    mirrors: np.ndarray  # bool (rows, columns)
+    mirrors: np.ndarray  # 0 or 1, (rows, columns)
     exposure_us: int
     dark_us: int
 
 
-def read_bmp(path: Path) -> np.ndarray:
-    """Values of 24 bits (rows, columns): blue in the lowest 8 bits, then green, then red."""
+def read_bmp(path: Path, depth: int) -> np.ndarray:
+    """Values (rows, columns) of 24 bits, blue in the lowest 8, then green, then red; or of one."""
     content = path.read_bytes()
     assert content[:2] == b"BM"
     start, size, width, height, planes, bits, compression = struct.unpack_from(
         "<IIiiHHI", content, 10
     )
-    assert (size >= 40, planes, bits, compression) == (True, 1, 24, 0)
-    stride = -(-3 * width // 4) * 4
-    rows = [
-        content[start + row * stride : start + row * stride + 3 * width] for row in range(height)
-    ]
-    pixels = np.frombuffer(b"".join(reversed(rows)), np.uint8).reshape(height, width, 3)
-    return pixels[..., 0] + 2**8 * pixels[..., 1].astype(int) + 2**16 * pixels[..., 2].astype(int)
-
-
-def read_one_bit(path: Path) -> np.ndarray:
-    """Mirrors of a bitmap of one bit a pixel, ON white: bool (rows, columns)."""
-    content = path.read_bytes()
-    assert content[:2] == b"BM"
-    start, size, width, height, planes, bits, compression = struct.unpack_from(
-        "<IIiiHHI", content, 10
-    )
-    assert (size, planes, bits, compression) == (40, 1, 1, 0)
-    black, white = content[54:58], content[58:62]
-    assert (black[:3], white[:3]) == (b"\0\0\0", b"\xff\xff\xff")
-    stride = 4 * -(-width // 32)
+    assert (size, planes, bits, compression) == (40, 1, depth, 0)
+    stride = 4 * -(-width * bits // 32)
     assert len(content) == start + height * stride
     lines = np.frombuffer(content[start:], np.uint8).reshape(height, stride)[::-1]
-    return np.unpackbits(lines, axis=1)[:, :width].astype(bool)
+    if bits == 1:
+        assert content[54:57] + content[58:61] == b"\0\0\0\xff\xff\xff"  # black, and white ON
+        return np.unpackbits(lines, axis=1)[:, :width]
+    return lines[:, : 3 * width].reshape(height, width, 3) @ np.array([1, 2**8, 2**16])
 
 
 def load_settings(folder: Path) -> list[Shown]:
@@ -68,7 +52,7 @@ def load_settings(folder: Path) -> list[Shown]:
         name, bits, exposure, dark, colour, trigger_in, trigger_out = line.split(",")
         assert (bits, trigger_in, trigger_out) == ("1", "0", "1")
         assert colour in "1234567"
-        out.append(Shown(read_one_bit(folder / name), int(exposure), int(dark)))
+        out.append(Shown(read_bmp(folder / name, 1), int(exposure), int(dark)))
     return out
 
 
@@ -92,9 +76,9 @@ def play_dlpc900(folder: Path) -> list[Shown]:
         found = entry[10] + 256 * entry[11]
         image, bit = found & 0x7FF, found >> 11
         assert bit < 24
-        picture = read_bmp(folder / f"images/{image:04d}.bmp")
+        picture = read_bmp(folder / f"images/{image:04d}.bmp", 24)
         exposure, dark = (entry[at] + 2**8 * entry[at + 1] + 2**16 * entry[at + 2] for at in (2, 6))
-        out.append(Shown((picture >> bit & 1).astype(bool), exposure, dark))
+        out.append(Shown(picture >> bit & 1, exposure, dark))
     return out
 
 
@@ -106,8 +90,8 @@ def play_dlpc350(folder: Path) -> list[Shown]:
             assert row["new_image"] == str(int(row["image"] != before))  # swap the buffer
             before, number = row["image"], int(row["bit"])
             lowest = (8, 16, 0)[number // 8]  # of green, red, blue in a bitmap's pixel
-            picture = read_bmp(folder / row["image"])
-            mirrors = (picture >> lowest + number % 8 & 1).astype(bool)
+            picture = read_bmp(folder / row["image"], 24)
+            mirrors = picture >> lowest + number % 8 & 1
             out.append(Shown(mirrors, int(row["exposure_us"]), int(row["dark_us"])))
     return out
 
@@ -116,25 +100,7 @@ def play_dlpc347x(folder: Path, patterns: int, exposure_us: int, dark_us: int) -
     """Frames of a video of pictures with so many patterns each, all for one time."""
     out = []
     for path in sorted((folder / "images").iterdir()):
-        picture = read_bmp(path)
+        picture = read_bmp(path, 24)
         assert picture.max() < 2**patterns  # nothing beyond the patterns that are set
-        out += [
-            Shown((picture >> bit & 1).astype(bool), exposure_us, dark_us)
-            for bit in range(patterns)
-        ]
+        out += [Shown(picture >> bit & 1, exposure_us, dark_us) for bit in range(patterns)]
     return out
-
-
-def read_packed(path: Path, rows: int, columns: int, header: int = 0) -> list[np.ndarray]:
-    """Frames of one bit a mirror, bit by bit."""
-    content, stride = path.read_bytes()[header:], -(-columns // 8)
-    assert len(content) % (rows * stride) == 0
-    frames = []
-    for start in range(0, len(content), rows * stride):
-        lines = [content[start + row * stride :][:stride] for row in range(rows)]
-        frames.append(
-            np.array(
-                [[line[x // 8] >> 7 - x % 8 & 1 for x in range(columns)] for line in lines], bool
-            )
-        )
-    return frames
