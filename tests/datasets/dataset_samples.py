@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from deepfsi.base import InputError
-from deepfsi.datasets import SpectralImage
+from deepfsi.datasets import SpectralImage, load_dataset
 from deepfsi.datasets.catalog import DATASETS, Cifar10
 
 
@@ -20,6 +20,12 @@ def refused(*parts):
     assert "\n" not in message
     for part in parts:
         assert part in message
+
+
+def not_loaded(source, *parts, **options):
+    """Expect that a source is refused in one line that has these parts."""
+    with refused(*parts):
+        load_dataset(source, **options)
 
 
 def scenes(n=30, shape=(3, 4), classes=3):
