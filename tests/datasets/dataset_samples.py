@@ -8,7 +8,7 @@ import pytest
 
 from deepfsi.base import InputError
 from deepfsi.datasets import SpectralImage, load_dataset
-from deepfsi.datasets.catalog import DATASETS, Cifar10
+from deepfsi.datasets.catalog import DATASETS
 
 
 @contextmanager
@@ -56,19 +56,6 @@ PARTS = (TINY_IMAGES[:20], TINY_LABELS[:20], TINY_IMAGES[20:], TINY_LABELS[20:])
 
 TINY = dict(zip(DATASETS["mnist"].hashes, map(idx_file, PARTS), strict=True))
 
-# ---------------------------------------------------------------- CIFAR-10, twenty images a batch
-
-BATCH = 20
-
-RECORDS = np.random.default_rng(8).integers(0, 256, (6, BATCH, 3073), dtype=np.uint8)
-
-RECORDS[..., 0] = np.arange(BATCH) % 10
-
-RECORDS[0, :, 0] = RECORDS[0, ::-1, 0]
-
-BINARY = {name: records.tobytes() for name, records in zip(Cifar10.BATCHES, RECORDS, strict=True)}
-
-
 # ---------------------------------------------------------------- a hyperspectral image
 
 
@@ -94,6 +81,6 @@ def numbered(labels, bands=5):
 
 LABELS = fields()
 
-IMAGE = SpectralImage("farm", numbered(LABELS), LABELS)
+CUBE = numbered(LABELS)
 
-NM = np.linspace(400.02, 2498.96, 220).round(6)
+IMAGE = SpectralImage("farm", CUBE, LABELS)

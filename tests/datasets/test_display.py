@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from deepfsi.base import InputError
 from deepfsi.datasets import load_dataset, read_display, write_display
+from shared.pictures import save_images
 
 
 def test_scenes_are_written_and_read_back(digits, tmp_path):
@@ -35,26 +35,22 @@ def test_classes_that_are_no_folders_are_refused(digits, tmp_path, label):
 
 
 def test_one_picture_or_a_plain_folder_is_read(tmp_path):
-    for number in range(2):
-        Image.fromarray(np.full((4, 6), 51 * number, np.uint8)).save(tmp_path / f"{number}.png")
+    save_images(tmp_path, [np.full((4, 6), level, np.uint8) for level in (0, 51)])
     shown = read_display(tmp_path)
-    assert shown.names == ("0.png", "1.png")
+    assert shown.names == ("000.png", "001.png")
     assert shown.labels is None
     assert shown.x[1, 0, 0] == pytest.approx(0.2)
-    assert read_display(tmp_path / "1.png").x.shape == (1, 4, 6)
+    assert read_display(tmp_path / "001.png").x.shape == (1, 4, 6)
     with pytest.raises(InputError, match="no picture"):
-        read_display(tmp_path / "2.png")
+        read_display(tmp_path / "002.png")
 
 
 def test_names_that_are_not_utf_8_are_told_as_text(tmp_path):
     """Of pictures, of the folders of classes; a path that a design would keep is refused."""
     odd = os.fsdecode(b"c\xff")
-    for place in (odd, "b"):
-        (tmp_path / place).mkdir()
-        for number in range(6):
-            picture = np.random.default_rng(number).integers(0, 255, (4, 4), dtype=np.uint8)
-            Image.fromarray(picture).save(tmp_path / place / f"{number}{odd}.png")
-    assert read_display(tmp_path).names[-1] == r"c\xff/5c\xff.png"
+    for label in (odd, "b"):
+        save_images(tmp_path / label, np.eye(6, dtype=np.uint8)[:, None], f"{odd}.png")
+    assert read_display(tmp_path).names[-1] == r"c\xff/005c\xff.png"
     assert load_dataset(tmp_path).classes == ("b", r"c\xff")
     with pytest.raises(InputError, match=r"c\\xff is not UTF-8: rename the file or folder"):
         load_dataset(tmp_path / odd)

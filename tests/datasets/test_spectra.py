@@ -1,16 +1,16 @@
 """Hyperspectral images of any file become scenes with honest splits."""
 
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from dataset_samples import IMAGE, LABELS, fields, numbered, refused
+from dataset_samples import CUBE, IMAGE, LABELS, fields, not_loaded, numbered, refused
 from scipy.io import savemat
 from scipy.ndimage import distance_transform_cdt
 from spectral.io import envi
 
 from deepfsi.datasets import SpectralImage, load_dataset, spectra
-from deepfsi.datasets.spectra import by_header, read_cube
 
 
 def pixels(x):
@@ -23,8 +23,6 @@ def test_each_labelled_pixel_is_a_scene(split):
     data = IMAGE.dataset(split, bands=8)
     assert data.image_shape == (8,)
     assert data.classes == ("1", "2", "3", "4")
-    assert data.x_train.dtype == np.float32
-    assert data.y_train.dtype == np.int64
     for x, y in ((data.x_train, data.y_train), (data.x_test, data.y_test)):
         assert np.allclose(x[:, 3], 130 / 400)
         assert np.allclose(x[:, 4], (20 * (y + 1) + 100) / 400)
@@ -94,7 +92,7 @@ def test_reflectance_is_left_as_it_is():
 def test_classes_and_wavelengths():
     wavelengths = np.arange(400.0, 900, 100)
     names = ("oak", "ash", "elm", "yew", "fir")
-    data = SpectralImage("farm", numbered(LABELS), LABELS, names, wavelengths).dataset(bands=8)
+    data = SpectralImage("farm", CUBE, LABELS, names, wavelengths).dataset(bands=8)
     assert data.classes == names[:4], "fir has no pixel"
     assert data.wavelengths is not None
     assert data.wavelengths[:5].tolist() == wavelengths.tolist()
@@ -102,155 +100,135 @@ def test_classes_and_wavelengths():
     assert data.hold_out().wavelengths is data.wavelengths
     assert IMAGE.dataset().wavelengths is None
     gaps = np.where(LABELS == 2, 9, LABELS)
-    assert SpectralImage("farm", numbered(LABELS), gaps).class_names == ("1", "3", "4", "9")
+    assert SpectralImage("farm", CUBE, gaps).class_names == ("1", "3", "4", "9")
 
 
-def bad(**changes):
-    return SpectralImage(**{"name": "farm", "cube": numbered(LABELS), "labels": LABELS, **changes})
+def image(**changes):
+    return SpectralImage(**{"name": "farm", "cube": CUBE, "labels": LABELS, **changes})
 
 
-NAN = numbered(LABELS).astype(float)
+def zeros(*fields):
+    """A label map of nothing but fields."""
+    labels = np.zeros((60, 60), np.uint8)
+    for number, field in enumerate(fields):
+        labels[field] = number + 1
+    return labels
 
-NAN[3, 3, 3] = np.nan
+
+SMALL = zeros(np.s_[:4, 0], np.s_[9:20, 9:20])
+ONE_BLOCK = zeros(np.s_[:4, :2], np.s_[:4, 2:4])
 
 
 @pytest.mark.parametrize(
-    ("changes", "parts"),
+    ("attempt", "parts"),
     [
-        ({"cube": LABELS}, ("the cube is uint8 of shape (60, 60)", "(height, width, bands)")),
-        ({"cube": numbered(LABELS) > 3}, ("the cube is bool",)),
-        ({"cube": numbered(LABELS)[:, :, :0]}, ("(60, 60, 0)",)),
-        ({"cube": NAN}, ("NaN",)),
-        ({"labels": LABELS[:-1]}, ("label map is uint8 of shape (59, 60)", "(60, 60)")),
-        ({"labels": LABELS / 2}, ("label map is float64",)),
-        ({"labels": LABELS * 0}, ("0 classes",)),
-        ({"labels": LABELS // 4}, ("1 classes", "two or more")),
-        ({"classes": ("a", "b")}, ("1, 2, 3, 4 for 2 class names",)),
-        ({"wavelengths": np.arange(4.0)}, ("4 wavelengths for 5 bands",)),
-    ],
-)
-def test_images_that_do_not_fit(changes, parts):
-    with refused("farm", *parts):
-        bad(**changes)
-
-
-def test_options_that_cannot_be():
-    small = np.zeros((60, 60), np.uint8)
-    small[:4, 0], small[9:20, 9:20] = 1, 2
-    one_block = np.zeros((60, 60), np.uint8)
-    one_block[:4, :2], one_block[:4, 2:4] = 1, 2
-    for attempt, parts in (
+        (lambda: image(cube=LABELS), ("cube is uint8 of shape (60, 60)", "(height, width, bands)")),
+        (lambda: image(cube=CUBE > 3), ("the cube is bool",)),
+        (lambda: image(cube=CUBE[:, :, :0]), ("(60, 60, 0)",)),
+        (lambda: image(cube=np.where(CUBE == 300, np.nan, CUBE)), ("NaN",)),
+        (lambda: image(labels=LABELS[:-1]), ("map is uint8 of shape (59, 60)", "(60, 60)")),
+        (lambda: image(labels=LABELS / 2), ("label map is float64",)),
+        (lambda: image(labels=LABELS * 0), ("0 classes",)),
+        (lambda: image(labels=LABELS // 4), ("1 classes", "two or more")),
+        (lambda: image(classes=("a", "b")), ("1, 2, 3, 4 for 2 class names",)),
+        (lambda: image(wavelengths=np.arange(4.0)), ("4 wavelengths for 5 bands",)),
         (lambda: IMAGE.parts("block"), ("unknown split 'block'", "'blocks'")),
         (lambda: IMAGE.parts("random", -1), ("seed -1",)),
         (lambda: IMAGE.scenes(4), ("5 bands cannot be padded to 4",)),
-        (lambda: bad(labels=small).parts(), ("class '1' has 4 pixels", "5 or more")),
-        (lambda: bad(labels=one_block).parts("blocks"), ("fewer than 5 blocks", "at random")),
-        (lambda: bad(cube=np.full((60, 60, 3), 7)).scenes(), ("every value of the cube is 7",)),
-    ):
-        with refused(*parts):
-            attempt()
+        (lambda: image(labels=SMALL).parts(), ("class '1' has 4 pixels", "5 or more")),
+        (lambda: image(labels=ONE_BLOCK).parts("blocks"), ("fewer than 5 blocks", "at random")),
+        (lambda: image(cube=np.full((60, 60, 3), 7)).scenes(), ("every value of the cube is 7",)),
+    ],
+)
+def test_images_that_do_not_fit_and_options_that_cannot_be(attempt, parts):
+    with refused(*parts):
+        attempt()
 
 
 def test_files_side_by_side(tmp_path):
-    cube = numbered(LABELS)
-    savemat(tmp_path / "farm_corrected.mat", {"farm_corrected": cube, "note": "a word"})
+    savemat(tmp_path / "farm_corrected.mat", {"farm_corrected": CUBE, "note": "a word"})
     savemat(tmp_path / "farm_gt.mat", {"farm_gt": LABELS.astype(float)}, do_compression=True)
-    np.save(tmp_path / "plot.npy", cube)
+    np.save(tmp_path / "PLOT.NPY", CUBE)
+    (tmp_path / "PLOT.NPY.npy").rename(tmp_path / "PLOT.NPY")
     np.save(tmp_path / "plot_gt.npy", LABELS)
-    for name in ("farm_corrected.mat", "plot.npy"):
+    for name in ("farm_corrected.mat", "PLOT.NPY"):
         data = load_dataset(tmp_path / name, split="blocks", seed=2)
         assert data.hash == IMAGE.dataset("blocks", 2).hash
         assert data.name == Path(name).stem
         assert load_dataset(tmp_path / name).hash == IMAGE.dataset().hash
-        assert np.array_equal(read_cube(tmp_path / name).labels, LABELS)
-    mixed = read_cube(tmp_path / "plot.npy", tmp_path / "farm_gt.mat", name="mixed")
+    mixed = spectra.read_cube(tmp_path / "PLOT.NPY", tmp_path / "farm_gt.mat", name="mixed")
     assert mixed.dataset().hash == IMAGE.dataset().hash
 
 
+@pytest.fixture
+def farm(tmp_path):
+    """Write a cube and its label map as ENVI files; gives the header."""
+
+    def write(cube=CUBE, **metadata):
+        header = tmp_path / "farm.hdr"
+        fields = {name.replace("_", " "): value for name, value in metadata.items()}
+        interleave = fields.pop("interleave", "bsq")
+        envi.save_image(str(header), cube, metadata=fields, interleave=interleave)
+        names = ["none", "oak", "ash", "elm", "yew"]
+        envi.save_classification(str(tmp_path / "farm_gt.hdr"), LABELS, class_names=names)
+        return header
+
+    return write
+
+
 @pytest.mark.parametrize("interleave", ["bsq", "bil", "bip"])
-def test_envi(tmp_path, interleave):
-    metadata = {"wavelength": [0.4, 0.5, 0.6, 0.7, 0.8], "wavelength units": "Micrometers"}
-    envi.save_image(
-        str(tmp_path / "farm.hdr"), numbered(LABELS), metadata=metadata, interleave=interleave
-    )
-    envi.save_classification(
-        str(tmp_path / "farm_gt.hdr"), LABELS, class_names=["none", "oak", "ash", "elm", "yew"]
-    )
-    image = read_cube(tmp_path / "farm.hdr")
+def test_envi(farm, interleave):
+    micrometres = [0.4, 0.5, 0.6, 0.7, 0.8]
+    units = "Micrometers"
+    header = farm(interleave=interleave, wavelength=micrometres, wavelength_units=units)
+    image = spectra.read_cube(header)
     assert image.class_names == ("oak", "ash", "elm", "yew")
-    assert image.wavelengths is not None
     assert image.wavelengths == pytest.approx([400, 500, 600, 700, 800])
-    assert np.array_equal(image.cube, numbered(LABELS))
-    assert np.array_equal(load_dataset(tmp_path / "farm.hdr").x_test, IMAGE.dataset().x_test)
-
-    data_file = tmp_path / "farm.img"
+    assert np.array_equal(image.cube, CUBE)
+    assert np.array_equal(load_dataset(header).x_test, IMAGE.dataset().x_test)
+    data_file = header.with_suffix(".img")
     data_file.write_bytes(data_file.read_bytes()[:-10])
-    with refused("farm.hdr as ENVI", "less than the header says"):
-        load_dataset(tmp_path / "farm.hdr")
-    (tmp_path / "farm.hdr").write_text("not ENVI")
-    with refused("farm.hdr as ENVI"):
-        load_dataset(tmp_path / "farm.hdr")
+    not_loaded(header, "farm.hdr as ENVI", "less than the header says")
+    header.write_text("not ENVI")
+    not_loaded(header, "farm.hdr as ENVI")
 
 
-def test_envi_without_its_package(tmp_path, monkeypatch):
-    (tmp_path / "a.hdr").write_text("ENVI")
+def test_envi_without_its_package(farm, monkeypatch):
+    header = farm()
+    monkeypatch.setitem(sys.modules, "spectral.io", None)
+    not_loaded(header, "pip install spectral")
+
+
+@pytest.mark.parametrize(
+    ("variables", "parts"),
+    [
+        ({"a": CUBE, "b": CUBE}, ("not one variable alone", "a, b: save a 3-dimensional one")),
+        (
+            {"a": LABELS, "word": "cube", "cell": np.array([CUBE], object)},
+            ("in 3 dimensions", "but none"),
+        ),
+        ({"a": np.zeros((60, 60, 6))}, ("(60, 60, 6)", "or fewer")),
+    ],
+)
+def test_files_that_do_not_serve(tmp_path, monkeypatch, variables, parts):
+    savemat(tmp_path / "a.mat", {"a": CUBE})
+    not_loaded(tmp_path / "a.mat", "no label map beside it", "a_gt", ".mat or .npy or .hdr")
     np.save(tmp_path / "a_gt.npy", LABELS)
-    monkeypatch.setitem(__import__("sys").modules, "spectral.io", None)
-    with refused("pip install spectral"):
-        load_dataset(tmp_path / "a.hdr")
+    monkeypatch.setattr(spectra, "MAX_VALUES", CUBE.size)
+    load_dataset(tmp_path / "a.mat")
+    savemat(tmp_path / "a.mat", variables)
+    not_loaded(tmp_path / "a.mat", *parts)
+    np.save(tmp_path / "a.npy", CUBE[..., 0])
+    not_loaded(tmp_path / "a.npy", "(60, 60)", "(height, width, bands)")
 
 
-def test_files_that_do_not_serve(tmp_path, monkeypatch):
-    cube = numbered(LABELS)
-    path = tmp_path / "a.mat"
-
-    def refuse(*parts):
-        with refused(*parts):
-            load_dataset(path)
-
-    savemat(path, {"a": cube})
-    refuse("no label map beside it", "a_gt", ".mat or .npy or .hdr")
-    np.save(tmp_path / "a_gt.npy", LABELS)
-    load_dataset(path)
-    savemat(path, {"a": cube, "b": cube})
-    refuse("not one variable alone", "a, b: save a 3-dimensional one alone")
-    savemat(path, {"a": LABELS, "word": "cube", "cell": np.array([cube], object)})
-    refuse("in 3 dimensions", "but none")
-    savemat(path, {"a": np.zeros((60, 60, 2000), np.uint8)}, do_compression=True)
-    monkeypatch.setattr(spectra, "MAX_VALUES", 60 * 60 * 2000 - 1)
-    refuse("(60, 60, 2000)", "or fewer")
-    monkeypatch.undo()
-    path.write_bytes(path.read_bytes()[:200])
-    refuse("cannot read", "a.mat")
-    path.write_bytes(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM" + bytes(400))
-    refuse("7.3", "-v7")
-    path.write_bytes(b"")
-    refuse("cannot read", "a.mat")
-
-    path = tmp_path / "a.npy"
-    np.save(path, np.full((60, 60, 5), None), allow_pickle=True)
-    refuse("cannot read", "a.npy")
-    np.save(path, cube)
-    path.write_bytes(path.read_bytes()[:-5])
-    refuse("cannot read", "a.npy")
-    np.save(path, cube[..., 0])
-    refuse("(60, 60)", "(height, width, bands)")
-
-
-def test_a_missing_file(tmp_path):
-    with refused("a.mat", "no file"):
-        load_dataset(tmp_path / "a.mat")
-    with refused("'indian-pines'?"):
-        load_dataset("indian-pine")
-
-
-CUBE = np.arange(24.0).reshape(2, 3, 4)
+SMALL_CUBE = np.arange(24.0).reshape(2, 3, 4)
 
 
 def test_a_header_says_how_its_data_are_read():
     """No spectral is needed for what a header means."""
-    made = by_header(
-        CUBE.astype(np.int16),
+    made = spectra.by_header(
+        SMALL_CUBE.astype(np.int16),
         {
             "bbl": ["1", "0", "1.0", "1"],
             "data gain values": ["2", "5", "2", "2"],
@@ -261,7 +239,7 @@ def test_a_header_says_how_its_data_are_read():
         },
     )
     assert made.values.dtype == np.float32
-    assert made.values == pytest.approx((2 * CUBE[..., [0, 2, 3]] + 1) / 100)
+    assert made.values == pytest.approx((2 * SMALL_CUBE[..., [0, 2, 3]] + 1) / 100)
     assert made.wavelengths == pytest.approx([400, 600, 700])
     assert made.notes == (
         "1 bad bands left out",
@@ -269,7 +247,7 @@ def test_a_header_says_how_its_data_are_read():
         "with the header's offsets",
         "divided by the reflectance scale factor 100",
     )
-    assert by_header(CUBE, {}).notes == ()
+    assert spectra.by_header(SMALL_CUBE, {}).notes == ()
 
 
 @pytest.mark.parametrize(
@@ -284,11 +262,11 @@ def test_a_header_says_how_its_data_are_read():
     ],
 )
 def test_pixels_without_data_set_no_range(dtype, ignored):
-    cube = (CUBE + 1).astype(dtype)
+    cube = (SMALL_CUBE + 1).astype(dtype)
     spoilt = cube.copy()
     spoilt[0, 1, 2] = float(ignored)
     spoilt[1, 0] = float(ignored)
-    made = by_header(spoilt.copy(), {"data ignore value": ignored})
+    made = spectra.by_header(spoilt.copy(), {"data ignore value": ignored})
     assert made.missing.tolist() == [[False, True, False], [True, False, False]]
     assert np.array_equal(made.values[~made.missing], cube[~made.missing].astype(made.values.dtype))
     assert (made.values.min(), made.values.max()) == (1, 24)
@@ -307,10 +285,12 @@ def test_pixels_without_data_set_no_range(dtype, ignored):
 )
 def test_a_header_that_does_not_fit_its_cube_is_refused(header, said):
     with pytest.raises(ValueError, match=said):
-        by_header(CUBE.copy(), header)
-    assert not by_header(CUBE.astype("i2"), {"data ignore value": "65535"}).missing.any()
+        spectra.by_header(SMALL_CUBE.copy(), header)
+    assert not spectra.by_header(
+        SMALL_CUBE.astype("i2"), {"data ignore value": "65535"}
+    ).missing.any()
     with pytest.raises(ValueError, match="every pixel"):
-        by_header(np.ones((2, 3, 4)), {"data ignore value": "1"})
+        spectra.by_header(np.ones((2, 3, 4)), {"data ignore value": "1"})
 
 
 @pytest.mark.parametrize(
@@ -327,55 +307,38 @@ def test_a_header_that_does_not_fit_its_cube_is_refused(header, said):
 def test_wavelengths_are_those_of_the_unit(unit, scale):
     given = [500, 600, 700, 800]
     header = {"wavelength": list(map(str, given)), "wavelength units": unit}
-    found = by_header(CUBE, header).wavelengths
+    found = spectra.by_header(SMALL_CUBE, header).wavelengths
     assert found is None if scale is None else found.tolist() == [scale * one for one in given]
     header = {"wavelength": ["0.5", "0.6", "0.7", "0.8"]}
-    assert by_header(CUBE, header).wavelengths is None  # no unit, and none are nm
+    assert spectra.by_header(SMALL_CUBE, header).wavelengths is None  # no unit, and none are nm
 
 
-def test_no_data_of_an_envi_file_is_left_out_of_the_data_set(tmp_path):
-    cube = numbered(LABELS).astype(np.float32)
-    whole = cube.copy()
+def test_no_data_of_an_envi_file_is_left_out_of_the_data_set(farm):
+    cube = CUBE.astype(np.float32)
     cube[:2] = -9999
-    envi.save_image(str(tmp_path / "farm.hdr"), cube, metadata={"data ignore value": -9999})
-    envi.save_classification(str(tmp_path / "farm_gt.hdr"), LABELS)
-    image = read_cube(tmp_path / "farm.hdr")
+    image = spectra.read_cube(farm(cube, data_ignore_value=-9999))
     assert not image.labels[:2].any()
     assert np.array_equal(image.labels[2:], LABELS[2:])
-    assert np.array_equal(image.cube[2:], whole[2:])
-    assert image.reach == (whole[2:].min(), whole[2:].max())
+    assert np.array_equal(image.cube[2:], CUBE[2:])
+    assert image.reach == (CUBE[2:].min(), CUBE[2:].max())
     assert f"{2 * LABELS.shape[1]} pixels without data left out" in image.dataset().preprocessing
 
 
 @pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "cp1252"])
-def test_a_header_is_read_as_any_editor_saves_it(tmp_path, encoding):
-    envi.save_image(str(tmp_path / "farm.hdr"), numbered(LABELS))
-    envi.save_classification(str(tmp_path / "farm_gt.hdr"), LABELS)
-    whole = load_dataset(tmp_path / "farm.hdr").hash
-    header = tmp_path / "farm.hdr"
+def test_a_header_is_read_as_any_editor_saves_it(farm, encoding):
+    header = farm()
+    whole = load_dataset(header).hash
     text = header.read_text() + "sensor type = \u00fcber\n"
     header.write_bytes(text.replace("\n", "\r\n").encode(encoding))
     assert load_dataset(header).hash == whole
 
 
-def test_upper_case_endings_are_the_same(tmp_path):
-    np.save(tmp_path / "farm.npy", numbered(LABELS))
-    np.save(tmp_path / "farm_gt.npy", LABELS)
-    whole = load_dataset(tmp_path / "farm.npy")
-    (tmp_path / "farm.npy").rename(tmp_path / "FARM.NPY")
-    (tmp_path / "farm_gt.npy").rename(tmp_path / "FARM_GT.NPY")
-    assert load_dataset(tmp_path / "FARM.NPY").hash == whole.hash
-
-
-def test_the_size_of_an_envi_file_is_checked_before_it_is_read(tmp_path, monkeypatch):
-    envi.save_image(str(tmp_path / "farm.hdr"), numbered(LABELS))
-    envi.save_classification(str(tmp_path / "farm_gt.hdr"), LABELS)
-    monkeypatch.setattr(spectra, "MAX_VALUES", numbered(LABELS).size - 1)
-    with refused("farm.hdr has the shape (60, 60, 5)", "or fewer"):
-        load_dataset(tmp_path / "farm.hdr")
-    monkeypatch.undo()
+def test_the_size_of_an_envi_file_is_checked_before_it_is_read(farm, monkeypatch):
+    header = farm()
+    with monkeypatch.context() as patch:
+        patch.setattr(spectra, "MAX_VALUES", CUBE.size - 1)
+        not_loaded(header, "farm.hdr has the shape (60, 60, 5)", "or fewer")
     monkeypatch.setattr("deepfsi.base.numeric.arrays.free_memory", lambda: 100.0)
-    for name in ("farm.hdr", "farm.npy"):
-        np.save(tmp_path / "farm.npy", numbered(LABELS))
-        with refused("the values of", name, "GB of memory"):
-            load_dataset(tmp_path / name)
+    np.save(header.with_suffix(".npy"), CUBE)
+    for path in (header, header.with_suffix(".npy")):
+        not_loaded(path, "the values of", path.name, "GB of memory")

@@ -52,7 +52,7 @@ def _status(field: str) -> int:
     return 1024 * int(found[1])
 
 
-def fault_of(name: str, path: Path) -> str:
+def fault_of(name: str, path: Path, most_bytes: float = MOST_BYTES) -> str:
     """What goes wrong with a file; empty where it is read or refused as it should be."""
     signal.setitimer(signal.ITIMER_PROF, MOST_S)
     Path("/proc/self/clear_refs").write_text("5")  # the peak counts from here
@@ -69,7 +69,7 @@ def fault_of(name: str, path: Path) -> str:
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0)
     used = _status("VmHWM") - before
-    return f"{used / 1e6:.0f} MB" if used > MOST_BYTES else ""
+    return f"{used / 1e6:.0f} MB" if used > most_bytes else ""
 
 
 def main(samples: Path, work: Path, first: int, count: int, names: list[str]) -> None:
