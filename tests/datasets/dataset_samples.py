@@ -1,6 +1,5 @@
 """Scenes, pictures and files that the tests of the data sets share."""
 
-import gzip
 from contextlib import contextmanager
 
 import numpy as np
@@ -8,7 +7,6 @@ import pytest
 
 from deepfsi.base import InputError
 from deepfsi.datasets import SpectralImage, load_dataset
-from deepfsi.datasets.catalog import DATASETS
 
 
 @contextmanager
@@ -42,19 +40,6 @@ def numbers(x, n=30):
 
 X, Y = scenes()
 
-
-def idx_file(array):
-    header = bytes([0, 0, 8, array.ndim]) + np.array(array.shape, ">u4").tobytes()
-    return gzip.compress(header + array.astype(np.uint8).tobytes(), mtime=0)
-
-
-TINY_IMAGES = np.random.default_rng(4).integers(0, 256, (24, 28, 28), dtype=np.uint8)
-
-TINY_LABELS = np.arange(24) % 10
-
-PARTS = (TINY_IMAGES[:20], TINY_LABELS[:20], TINY_IMAGES[20:], TINY_LABELS[20:])
-
-TINY = dict(zip(DATASETS["mnist"].hashes, map(idx_file, PARTS), strict=True))
 
 # ---------------------------------------------------------------- a hyperspectral image
 
