@@ -1,6 +1,5 @@
 """Intervals of what a test measures, differences of them, where a curve crosses a target."""
 
-import math
 from itertools import product
 
 import numpy as np
@@ -57,15 +56,20 @@ def crossed(rng, images, seeds, rate, spread=0.3, draws=3):
     return rng.binomial(draws, stats.norm.cdf(place + image + seed + both)) / draws
 
 
+def assert_covers(intervals, truth, most=0.99):
+    """Intervals hold the truth in 95 % of studies and at most 99 %, within four deviations."""
+    covered = [low <= truth <= high for low, high in intervals]
+    runs = len(covered)
+    assert binom.ppf(3e-5, runs, 0.95) <= sum(covered) <= binom.ppf(1 - 3e-5, runs, most)
+
+
 @pytest.mark.parametrize("images", [24, 100, 1000])
 @pytest.mark.parametrize("seeds", [1, 3, 5])
 @pytest.mark.parametrize("rate", [0.6, 0.9])
 def test_it_covers_images_seeds_and_draws(images, seeds, rate):
-    """In 95 % of 400 studies and at most 99 %, less or more four standard deviations."""
     rng = np.random.default_rng(images + seeds)
     ends = [accuracy_interval(crossed(rng, images, seeds, rate)) for _ in range(400)]
-    covered = sum(low <= rate <= high for _, low, high in ends)
-    assert binom.ppf(3e-5, 400, 0.95) <= covered <= binom.ppf(1 - 3e-5, 400, 0.99)
+    assert_covers([(low, high) for _, low, high in ends], rate)
     assert all(0 <= low <= mean <= high <= 1 for mean, low, high in ends)
 
 
@@ -91,38 +95,24 @@ def test_it_covers_the_truth(truth, images, share):
 
 def test_means_without_bounds_cover_images_and_seeds():
     rng = np.random.default_rng(5)
-
-    def study():
-        return 0.9 + 0.3 * (rng.standard_normal(50) + 0.3 * rng.standard_normal((4, 1)))
-
-    covered = sum(
-        low <= 0.9 <= high for _, low, high in (image_interval(study()) for _ in range(400))
-    )
-    assert binom.ppf(3e-5, 400, 0.95) <= covered <= binom.ppf(1 - 3e-5, 400, 0.99)
+    studies = [
+        0.9 + 0.3 * (rng.standard_normal(50) + 0.3 * rng.standard_normal((4, 1)))
+        for _ in range(400)
+    ]
+    assert_covers([image_interval(study)[1:] for study in studies], 0.9)
     assert image_interval(np.full((2, 5), 0.4)) == pytest.approx((0.4, 0.4, 0.4))
 
 
-def test_an_interval_over_trials_covers_what_it_says():
+def of_mean(values):
+    mean = mean_of_trials(values)
+    return mean.low, mean.high
+
+
+@pytest.mark.parametrize("interval", [student, of_mean])
+def test_an_interval_over_five_trials_covers_what_it_says(interval):
     """Student's interval of five normal values holds their mean in 95 % of cases."""
-    runs = 2000
-    values = np.random.default_rng(0).normal(0.3, 0.02, (runs, 5))
-    held = [low <= 0.3 <= high for low, high in map(student, values)]
-    assert np.mean(held) == pytest.approx(0.95, abs=5 * (0.95 * 0.05 / runs) ** 0.5)
-
-
-def point(accuracies, half=0.01):
-    return a_point(float(np.mean(accuracies)), half, accuracies=tuple(accuracies))
-
-
-def test_an_interval_of_a_mean_of_trials_covers_what_it_says():
-    """Student's interval of five normal values holds their mean in 95 % of cases."""
-    rng = np.random.default_rng(0)
-    runs = 2000
-    held = [
-        each.low <= 0.3 <= each.high
-        for each in (mean_of_trials(0.3 + 0.1 * rng.standard_normal(5)) for _ in range(runs))
-    ]
-    assert abs(np.mean(held) - 0.95) <= 5 * math.sqrt(0.95 * 0.05 / runs)
+    values = np.random.default_rng(0).normal(0.3, 0.02, (2000, 5))
+    assert_covers(list(map(interval, values)), 0.3, most=0.95)
 
 
 def answers(rng, images, seeds, gain):
@@ -158,8 +148,12 @@ def test_pairs_tell_apart_what_intervals_beside_each_other_do_not():
 
 def test_points_are_paired_by_the_terms_of_their_images():
     one, other = answers(np.random.default_rng(0), 60, 2, 0.5)
-    points = [point(rows.mean(axis=1)).model_copy(update={"terms": tuple(map(pack_values, rows))})
-              for rows in (one, other)]  # fmt: skip
+    points = [
+        a_point(float(rows.mean()), accuracies=tuple(rows.mean(axis=1))).model_copy(
+            update={"terms": tuple(map(pack_values, rows))}
+        )
+        for rows in (one, other)
+    ]
     found, expected = accuracy_difference(*points), paired_difference(one, other)
     assert (found.low, found.high) == pytest.approx((expected.low, expected.high), abs=1e-6)
     assert (-found).high == -found.low
@@ -169,13 +163,8 @@ def test_damaged_terms_are_refused():
     values = np.array([0.0, 1 / 3, 1.0])
     text = pack_values(values)
     assert unpack_values(text) == pytest.approx(values, abs=1e-7)
-    for damaged in (
-        "",
-        "§",
-        text[:-8],
-        text[:8] + "AAAA" + text[12:],
-        pack_values(np.array([np.nan])),
-    ):
+    no_number = pack_values(np.array([np.nan]))
+    for damaged in ("", "§", text[:-8], text[:8] + "AAAA" + text[12:], no_number):
         with pytest.raises(ValueError, match=r"values|base64|padding|characters|ascii"):
             unpack_values(damaged)
 
@@ -204,55 +193,48 @@ def auc(scores, positive):
     return auc_of(auc_terms(scores, positive), positive)
 
 
-def normal_scores(seed, images=120, draws=2, distance=1.0):
-    rng = np.random.default_rng(seed)
-    positive = np.arange(images) % 3 == 0
-    own = rng.normal(size=(images, 1)) + distance * positive[:, None]
-    return own + 0.5 * rng.normal(size=(images, draws)), positive
+def normal_scores(seed):
+    """Scores (120, 2) of images in two draws, whose classes are 1 apart."""
+    rng, positive = np.random.default_rng(seed), np.arange(120) % 3 == 0
+    image = rng.normal(size=(120, 1)) + positive[:, None]
+    return image + 0.5 * rng.normal(size=(120, 2)), positive
 
 
 def test_it_is_the_area_of_scikit_learn_ties_half():
     scores, positive = normal_scores(0)
     rough = scores.round(0)  # many ties
-    assert auc(rough, positive)[0] == pytest.approx(
-        roc_auc_score(np.repeat(positive, 2), rough.ravel())
-    )
+    area = roc_auc_score(np.repeat(positive, 2), rough.ravel())
+    assert auc(rough, positive)[0] == pytest.approx(area)
 
 
 def test_the_interval_covers_the_true_area_in_95_of_100_samples():
     """One observation an image: the area is Φ(distance / √(2 · variance))."""
     truth = stats.norm.cdf(1.0 / np.sqrt(2 * (1 + 0.25)))
-    covered = [
-        low <= truth <= high
-        for _, low, high in (auc(*normal_scores(seed, draws=2)) for seed in range(400))
-    ]
-    assert stats.binomtest(sum(covered), 400, 0.95).pvalue > 1e-3
+    ends = [auc(*normal_scores(seed))[1:] for seed in range(400)]
+    covered = sum(low <= truth <= high for low, high in ends)
+    assert stats.binomtest(covered, 400, 0.95).pvalue > 1e-3
 
 
 def test_it_covers_training_seeds_too():
     """Three trainings that look at the same images, each with a distance of its own."""
-    covered, runs = 0, 300
     truth = stats.norm.cdf(1.0 / np.sqrt(2 * (1 + 0.25) + 0.3**2))
-    for seed in range(runs):
+    intervals, positive = [], np.arange(200) % 3 == 0
+    for seed in range(300):
         rng = np.random.default_rng(seed)
-        image, positive = rng.normal(size=(200, 1)), np.arange(200) % 3 == 0
-        rows = []
+        image, rows = rng.normal(size=(200, 1)), []
         for _ in range(3):
             apart = (1.0 + 0.3 * rng.normal()) * positive[:, None]
-            scores = image + apart + 0.5 * rng.normal(size=(200, 1))
-            rows.append(auc_terms(scores, positive))
-        _, low, high = auc_of(np.array(rows), positive)
-        covered += low <= truth <= high
-    assert covered >= stats.binom.ppf(3e-5, runs, 0.95)
+            rows.append(auc_terms(image + apart + 0.5 * rng.normal(size=(200, 1)), positive))
+        intervals.append(auc_of(np.array(rows), positive)[1:])
+    assert_covers(intervals, truth, most=1.0)
 
 
 def test_images_and_draws_count_once_where_trainings_are_alike():
     """Then (S − 1) spread / crossed is χ² of S − 1: below it, 0.632 of three alike trainings."""
     rng = np.random.default_rng(0)
     none = [seeds_error(rng.binomial(3, 0.8, (3, 200)) / 3) == 0 for _ in range(1000)]
-    assert np.mean(none) == pytest.approx(
-        stats.chi2.cdf(2, 2), abs=5 * (0.632 * 0.368 / 1000) ** 0.5
-    )
+    deviation = (0.632 * 0.368 / 1000) ** 0.5
+    assert np.mean(none) == pytest.approx(stats.chi2.cdf(2, 2), abs=5 * deviation)
     apart = 0.8 + 0.1 * np.array([[-1], [0], [1]]) + np.zeros((3, 50))
     assert seeds_error(apart) == pytest.approx(0.1 / 3**0.5)
 

@@ -2,25 +2,24 @@
 
 import os
 import random
-import signal
 import subprocess
 import sys
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 
 import pytest
 
 from deepfsi.base import Locks, locks
 from shared.waiting import until
 
-ELSEWHERE = "0123456789ab-1-1-00000000"
-"""Name of a process of another host."""
 
-
-def left(folder: Path) -> list[Path]:
-    return sorted(folder.rglob("*"))
+def lock_of(process, folder):
+    """The file of a lock `a` that a process has."""
+    path = folder / "locks" / "a" / str(process)
+    path.parent.mkdir(parents=True)
+    path.touch()
+    return path
 
 
 def test_one_has_it_until_it_is_given_up(tmp_path):
@@ -31,14 +30,14 @@ def test_one_has_it_until_it_is_given_up(tmp_path):
     first.give_up("a")
     assert second.take("a")
     second.give_up_all()
-    assert not left(tmp_path)
+    assert not list(tmp_path.iterdir())
 
 
 def test_many_at_once_never_share_a_lock(tmp_path):
     """Each of four takes it twenty times; whoever has it is alone."""
     alone = threading.Lock()
 
-    def take_turns(seed: int) -> int:
+    def take_turns(seed):
         mine, chance, turns, wrong = Locks(tmp_path), random.Random(seed), 0, 0
         while turns < 20:
             if mine.take("a"):
@@ -75,7 +74,7 @@ def other(tmp_path):
 def test_a_lock_ends_with_its_process(tmp_path, other):
     mine = Locks(tmp_path)
     assert not mine.take("a")
-    os.kill(other.pid, signal.SIGKILL)
+    other.kill()
     other.wait()
     assert mine.take("a")
     assert len(list(tmp_path.glob("locks/a/*"))) == 1
@@ -84,26 +83,21 @@ def test_a_lock_ends_with_its_process(tmp_path, other):
 def test_locks_of_killed_processes_are_not_left_over(tmp_path, other):
     Locks(tmp_path)
     assert list(tmp_path.glob("locks/a/*"))
-    os.kill(other.pid, signal.SIGKILL)
+    other.kill()
     other.wait()
     Locks(tmp_path)
-    assert not left(tmp_path)
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_new_process_of_an_old_number_is_another_one(tmp_path):
     """Numbers of processes come again; their moments of start do not."""
     own = locks.this_process()
-    old = own._replace(start_s=own.start_s - 3600)
-    path = tmp_path / "locks/a" / str(old)
-    path.parent.mkdir(parents=True)
-    path.touch()
+    lock_of(own._replace(start_s=own.start_s - 3600), tmp_path)
     assert Locks(tmp_path).take("a")
 
 
 def test_another_host_keeps_its_lock_while_its_file_changes(tmp_path, monkeypatch):
-    path = tmp_path / "locks/a" / ELSEWHERE
-    path.parent.mkdir(parents=True)
-    path.touch()
+    path = lock_of("0123456789ab-1-1-00000000", tmp_path)
     mine = Locks(tmp_path)
     assert not mine.take("a")
     monkeypatch.setattr(locks, "SILENT_SECONDS", 0.0)

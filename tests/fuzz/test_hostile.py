@@ -293,13 +293,12 @@ def test_a_bomb_in_parquet(tmp_path, refused):
     refused("parquet", path, "would unpack")
 
 
-@pytest.mark.slow
-def test_a_table_of_two_hundred_thousand_columns_is_read(tmp_path):
-    wide = 200_000
-    lines = (",".join(f"c{k}" for k in range(wide)), ",".join(map(str, range(wide))))
-    (tmp_path / "x.csv").write_text("\n".join(lines))
+def test_a_wide_table_costs_little_more_than_its_numbers(tmp_path):
+    """A series of polars for each of many columns took 150 times the file."""
+    path = tmp_path / "x.csv"
+    path.write_text("\n".join([",".join(["123"] * 200_000)] * 6))
     with watching():
-        assert not fault_of("csv", tmp_path / "x.csv")
+        assert not fault_of("csv", path, 40 * path.stat().st_size + 2**24)
 
 
 def test_a_table_of_more_columns_is_refused(tmp_path, refused):
