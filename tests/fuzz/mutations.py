@@ -56,38 +56,29 @@ def mangled(rng: random.Random, content: bytes) -> bytes:
     return bytes(out)
 
 
-def _changed(rng: random.Random, held: Any) -> Any:
-    """JSON with one field replaced, left out or added."""
-    inner = [each for each in (held.values() if isinstance(held, dict) else held) if each]
-    if any(isinstance(each, dict | list) for each in inner) and rng.random() < 0.75:
-        keys = list(held) if isinstance(held, dict) else list(range(len(held)))
-        deep = [key for key in keys if isinstance(held[key], dict | list) and held[key]]
-        key = rng.choice(deep)
-        held[key] = _changed(rng, held[key])
-        return held
-    kind = rng.randrange(8)
-    if isinstance(held, dict):
-        key = rng.choice(list(held))
-        if kind == 0:
-            del held[key]
-        elif kind == 1:
-            held["unknown"] = deepcopy(rng.choice(VALUES))
-        else:
-            held[key] = deepcopy(rng.choice(VALUES))
-    elif kind == 0:
-        del held[rng.randrange(len(held))]
-    elif kind == 1:
-        held.append(deepcopy(rng.choice([*held, *VALUES])))
+def _changed(rng: random.Random, held: Any) -> None:
+    """Replace a field of JSON, leave it out, or add one."""
+    keys = list(held) if isinstance(held, dict) else list(range(len(held)))
+    deep = [key for key in keys if isinstance(held[key], dict | list) and held[key]]
+    if deep and rng.random() < 0.75:
+        return _changed(rng, held[rng.choice(deep)])
+    kind, key, value = rng.randrange(8), rng.choice(keys), deepcopy(rng.choice(VALUES))
+    if kind == 0:
+        del held[key]
+    elif kind > 1:
+        held[key] = value
+    elif isinstance(held, dict):
+        held["unknown"] = value
     else:
-        held[rng.randrange(len(held))] = deepcopy(rng.choice(VALUES))
-    return held
+        held.append(value)
 
 
 def changed_json(rng: random.Random, content: bytes) -> bytes:
     """A JSON table of which a field or two are others, or which is nested without an end."""
     held = json.loads(content)
     for _ in range(rng.choice((1, 1, 2))):
-        held = _changed(rng, held) if held else held
+        if held:
+            _changed(rng, held)
     text = json.dumps(held)
     if rng.random() < 0.02:
         text = text.replace(":", ":" + rng.choice(("[", '{"a":')) * 100_000, 1)
