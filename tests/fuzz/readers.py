@@ -172,6 +172,8 @@ READERS = {
     "bmp frames": Reader("bmp/frames/0002.bmp", check_patterns, (mangled,), 1),
     "table of planes": Reader("planes/patterns.csv", check_patterns, (mangled,), 1),
     "acquisition": Reader("lost/acquisition.json", use_run, JSON),
+    "counted acquisition": Reader("lost/acquisition.json",
+                                  lambda path: counting.count_run(path.parent), JSON, 2),
     "counts": Reader("lost/counts.npz", use_run, ZIP),
     "photons": Reader("clicks/photons.ptu", use_photons, (mangled,), 8),
     "shown frames": Reader("live/shown.jsonl", use_live, (changed_lines, mangled)),

@@ -41,14 +41,14 @@ many = settings(
 )
 
 
-def schedule(pictures: list[int], sentinel: int = 1000) -> Manifest:
+def schedule(pictures: list[int]) -> Manifest:
     """Manifest of masks with these picture times, µs."""
-    ends = [Frame(role=role, picture_us=sentinel, sha256="0" * 64) for role in ("on", "off")]
-    share = 1 / len(pictures)
-    masks = [
-        Frame(role="mask", mask=i, rail="plus", share=share, picture_us=us, sha256="0" * 64)
-        for i, us in enumerate(pictures)
-    ]
+
+    def frame(role: str, picture_us: int = 1000, **mask) -> Frame:
+        return Frame(role=role, picture_us=picture_us, sha256="0" * 64, **mask)
+
+    ends, share = (frame("on"), frame("off")), 1 / len(pictures)
+    masks = [frame("mask", us, mask=i, rail="plus", share=share) for i, us in enumerate(pictures)]
     return Manifest(
         deepfsi="0",
         device=DEVICES["dlp7000"],
@@ -92,21 +92,13 @@ def lamp(manifest: Manifest, starts: np.ndarray, seed: int = 0) -> markers_modul
     rng = np.random.default_rng(seed)
     rates = rng.uniform(0.1, 0.9, starts.shape) * 1e6
     rates[:, [0, -2]], rates[:, [1, -1]] = 1e6, 1e3
-    length = np.append(
-        np.diff(starts, axis=1), manifest.picture_s[-1] * np.ones((len(starts), 1)), 1
-    )
-    edges = np.concatenate([starts, starts + length], axis=1)
+    last = starts[:, -1:] + manifest.picture_s[-1]
+    length = np.diff(np.append(starts, last, axis=1), axis=1)
     edges = np.stack([starts, starts + length], axis=-1).ravel()
     rate = np.stack([rates, np.zeros_like(rates)], axis=-1).ravel() + 1e3
     total = np.concatenate([[0.0], np.cumsum(np.diff(edges) * rate[:-1])])
 
-    def counter(begin: np.ndarray, end: np.ndarray) -> np.ndarray:
-        def until(t: np.ndarray) -> np.ndarray:
-            return np.interp(t, edges, total)
-
-        return rng.poisson(until(end) - until(begin))
-
-    return counter
+    return lambda begin, end: rng.poisson(np.diff(np.interp([begin, end], edges, total), axis=0)[0])
 
 
 @dataclass
@@ -133,6 +125,10 @@ class Trouble:
             return np.sort(np.append(markers, time + self.amount * DWELL))
         if self.kind == "cut":
             return markers[: max(near, 2)]
+        if self.kind == "next":
+            return np.append(markers, true[-1, -1] + DWELL * (1 + self.frame % 3))
+        if self.kind == "before":
+            return np.append(true[0, 0] - DWELL * (1 + self.frame % 3), markers)
         first = int(np.argmin(np.abs(markers - true[0, frame])))
         return markers[first:]  # the recording begins within the first pass
 
@@ -153,6 +149,13 @@ def troubles(*kinds: str) -> st.SearchStrategy[list[Trouble]]:
         amount=st.floats(-0.45, 0.95),
     )
     return st.lists(trouble, min_size=1, max_size=6)
+
+
+def write_photons(folder: Path, times_s: np.ndarray, codes: np.ndarray) -> None:
+    """Events in any order as the file of a run."""
+    order = np.argsort(times_s, kind="stable")
+    with PtuWriter(folder / "photons.ptu", TICK) as writer:
+        writer.write(np.rint(times_s[order] / TICK).astype(np.int64), codes[order])
 
 
 DEVICE = find_device("24x16")
@@ -222,10 +225,7 @@ class Run:
                 codes.append(np.full(many, each))
         times.append(np.linspace(0, markers.min() * 0.9, 50))  # before the first marker
         codes.append(np.zeros(50, int))
-        every, kinds = np.concatenate(times), np.concatenate(codes)
-        order = np.argsort(every, kind="stable")
-        with PtuWriter(self.folder / "photons.ptu", TICK) as writer:
-            writer.write(np.rint(every[order] / TICK).astype(np.int64), kinds[order])
+        write_photons(self.folder, np.concatenate(times), np.concatenate(codes))
 
     def edit(self, **changes) -> None:
         path = self.folder / "acquisition.json"

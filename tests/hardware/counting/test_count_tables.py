@@ -1,7 +1,6 @@
 """Tables of any counter: readouts by the scanner's law, and one line for what does not fit."""
 
 import json
-import re
 
 import numpy as np
 import pytest
@@ -22,26 +21,9 @@ from deepfsi.hardware.virtual import VirtualCamera, arrival_rates
 from deepfsi.physics import light_law
 
 SHAPE, PIXELS, S_BAR = (3, 4), 12, 7.0
-
-
 DEVICE = Device(name="small", columns=36, rows=26, shortest_us=10, settle_us=2)
-
-
 CELLS = (0, 0, 1, 2, 0, 0, 1, 2, 0, 0, 0, 2)
-
-
-OPTICS = [("equal-dwell", "dual"), ("free-dwell", "single"), ("two-arm", "dual")]
-
-
-every_optics = pytest.mark.parametrize(("light", "rails"), OPTICS)
-
-
-every_count = pytest.mark.parametrize("cells", [None, CELLS], ids=["one", "three"])
-
-
 SCENES = np.random.default_rng(4).uniform(0.1, 1, (3, *SHAPE)).astype(np.float32)
-
-
 FLUX, DARK = 1e12, 1e9
 
 
@@ -67,43 +49,34 @@ def expected(rails: np.ndarray, cells) -> np.ndarray:
     return np.einsum("rmn,sn,nd->srmd", rails, flat, parts)
 
 
-def by_scene(values: np.ndarray, axes: int) -> np.ndarray:
-    return values.reshape(-1, *[1] * (axes - 1))
-
-
-def close(counts, wanted: np.ndarray, rtol: float = 1e-5) -> None:
-    found = counts.signal()[:, 0] / counts.photons.reshape(-1, *[1] * (wanted.ndim - 1))
-    np.testing.assert_allclose(found, wanted, rtol=rtol, atol=1e-6)
-
-
-@every_optics
-@every_count
+@pytest.mark.parametrize(
+    ("light", "rails"), [("equal-dwell", "dual"), ("free-dwell", "single"), ("two-arm", "dual")]
+)
+@pytest.mark.parametrize("cells", [None, CELLS], ids=["one", "three"])
 def test_counts_between_markers_give_the_scanners_readouts(tmp_path, light, rails, cells):
     """So much light that noise is left out, whatever a picture lasts beyond its share."""
     patterns = exported(tmp_path / "p", light, rails, cells)
-    manifest = patterns.manifest
+    manifest, wanted = patterns.manifest, expected(patterns.rails, cells)
     rates = arrival_rates(tmp_path / "p", SCENES, VirtualCamera(dark=DARK), FLUX)
     values = np.rint(rates * manifest.picture_s[:, None]).reshape(len(SCENES), -1)
     assert values.shape[1] == len(tables.column_names(manifest))
-    counts, scenes = count_table(NumberTable(values), manifest, TableSettings())
-    assert [scene.name for scene in scenes] == ["1", "2", "3"]
-    assert counts.faults == ()
-    assert counts.dark_rate == pytest.approx(DARK, rel=1e-3)
-    close(counts, expected(patterns.rails, cells))
+
+    def check(values, usual=None, **settings):
+        """Readouts over the budget, or that of the `usual` counts, which is another."""
+        counts, scenes = count_table(NumberTable(values), manifest, TableSettings(**settings))
+        photons = (usual or counts).photons.reshape(-1, *[1] * (wanted.ndim - 1))
+        assert [scene.name for scene in scenes] == ["1", "2", "3"]
+        assert counts.faults == ()
+        np.testing.assert_allclose(counts.signal()[:, 0] / photons, wanted, rtol=1e-5, atol=1e-6)
+        return counts
+
+    counts = check(values)
     late = np.rint(rates * (manifest.picture_s - 3e-6)[:, None]).reshape(len(SCENES), -1)
-    settled, _ = count_table(NumberTable(late), manifest, TableSettings(settle_s=3e-6))
-    assert settled.settle_s == 3e-6
-    close(settled, expected(patterns.rails, cells))
-    analogue, _ = count_table(NumberTable(values / 8), manifest, TableSettings(gain=8.0))
-    assert analogue.dark_rate == pytest.approx(DARK, rel=1e-3)
-    scale = counts.photons / analogue.photons  # of each scene its own light, or of all the mean
-    close(analogue, expected(patterns.rails, cells) * by_scene(scale, counts.counts.ndim - 1))
-    background = DARK * counts.exposure_s
+    assert check(late, settle_s=3e-6).settle_s == 3e-6
+    for one in (counts, check(values / 8, counts, gain=8.0)):
+        assert one.dark_rate == pytest.approx(DARK, rel=1e-3)
     bare = values[:, 2 * manifest.inputs : -2 * manifest.inputs]
-    photons = float(counts.photons[0])
-    given = TableSettings(photons=photons, background=background)
-    again, _ = count_table(NumberTable(bare), manifest, given)
-    close(again, expected(patterns.rails, cells))
+    check(bare, photons=float(counts.photons[0]), background=DARK * counts.exposure_s)
 
 
 def test_a_column_design_is_shown_by_no_one_device():
@@ -123,45 +96,42 @@ def counted(tmp_path_factory):
     return manifest, np.rint(rates * manifest.picture_s)
 
 
-def signal(counted, table, **settings) -> np.ndarray:
-    return count_table(table, counted[0], TableSettings(**settings), "t.csv")[0].signal()
+def refuse(manifest, said: str, table: NumberTable, **settings) -> None:
+    with pytest.raises(InputError, match=said) as error:
+        count_table(table, manifest, TableSettings(**settings))
+    assert "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize(
     ("shape", "settings", "said"),
     [
-        ((3, 8), {}, "3 rows and 8 columns: an exposure has 5 values (5 frames of masks), or 9"),
+        ((3, 8), {}, r"3 rows and 8 columns: .* has 5 values \(5 frames of masks\), or 9"),
         ((9, 5), {}, "either may be exposures: say `exposures` rows or columns"),
         ((3, 9), {"exposures": "columns"}, "exposures are its columns"),
         ((3, 5), {}, "give `photons`"),
         ((3, 9), {"repeats": 2}, "no multiple of 2"),
         ((3, 9), {"settle_s": 1.0}, "nothing of the shortest frame"),
+        *(((3, 9), {name: -1.0}, f"`{name}`") for name in ("photons", "gain", "read_noise")),
+        ((3, 9), {"exposures": "up"}, "`exposures`"),
     ],
 )
 def test_what_does_not_fit_is_one_line(counted, shape, settings, said):
-    with pytest.raises(InputError, match=re.escape(said)) as error:
-        count_table(NumberTable(np.ones(shape)), counted[0], TableSettings(**settings), "t.csv")
-    assert "\n" not in str(error.value)
+    refuse(counted[0], said, NumberTable(np.ones(shape)), **settings)
 
 
 def test_names_and_values_that_do_not_fit_are_one_line(counted):
     manifest, values = counted
     names = tables.column_names(manifest)
-    for table, said in (
-        (NumberTable(values, ("time", *names[1:])), "'time' that is no frame"),
-        (NumberTable(values[:, 1:], tuple(names[1:])), "no column 'on'"),
-        (NumberTable(np.delete(values, 3, 1), tuple(np.delete(names, 3))), "no column 'mask1'"),
-        (NumberTable(values + 0.5), "which is no count of photons"),
-        (NumberTable(values - 1e9), "which is no count of photons"),
-        (NumberTable(values, (), {"scene": ("a", "b", "a")}), "scene twice"),
-        (NumberTable(0 * values), "no light"),
+    for said, *table in (
+        ("'time' that is no frame", values, ("time", *names[1:])),
+        ("no column 'on'", values[:, 1:], tuple(names[1:])),
+        ("no column 'mask1'", np.delete(values, 3, 1), tuple(np.delete(names, 3))),
+        ("which is no count of photons", values + 0.5),
+        ("which is no count of photons", values - 1e9),
+        ("scene twice", values, (), {"scene": ("a", "b", "a")}),
+        ("no light", 0 * values),
     ):
-        with pytest.raises(InputError, match=said) as error:
-            count_table(table, manifest, TableSettings())
-        assert "\n" not in str(error.value)
-    for bad in ({"photons": 0.0}, {"gain": -1.0}, {"read_noise": -1.0}, {"exposures": "up"}):
-        with pytest.raises(InputError, match="`"):
-            TableSettings(**bad)
+        refuse(manifest, said, NumberTable(*table))
 
 
 def test_law_units_of_an_analogue_detector_are_counts_with_read_noise(tmp_path):
@@ -188,61 +158,53 @@ def test_law_units_of_an_analogue_detector_are_counts_with_read_noise(tmp_path):
 
 
 # Clicks
-def clicks_table(manifest, rate: float, scenes: int = 60, gates: int = 8) -> NumberTable:
-    """Clicks of exposures at a rate of photons/s with all ON, half of it behind masks."""
-    light = {"on": rate, "off": 0.0, "mask": rate / 2}
-    photons = manifest.picture_s * [light[frame.role] for frame in manifest.frames]
-    chance = -np.expm1(-photons / gates)
-    drawn = np.random.default_rng(2).binomial(gates, chance, (scenes, len(photons)))
+
+
+def clicks_of(manifest, mean: float, scenes: int = 60, gates: int = 8) -> NumberTable:
+    """Clicks of exposures to so many photons a gate with all ON, half of them behind masks."""
+    light = {"on": mean, "off": 0.0, "mask": mean / 2}
+    relative = manifest.picture_s / manifest.picture_s[0]
+    chance = -np.expm1(-relative * [light[frame.role] for frame in manifest.frames])
+    drawn = np.random.default_rng(2).binomial(gates, chance, (scenes, len(chance)))
     return NumberTable(drawn.astype(float), tuple(tables.column_names(manifest)))
 
 
-def test_clicks_of_a_table_are_read_as_they_are_and_tell_the_budget(tmp_path):
+def test_clicks_of_a_table_are_read_as_they_are_and_tell_the_budget(counted):
     """The budget by what all-ON gates miss, to five standard errors of 2 x 8 x 60 gates."""
-    manifest = exported(tmp_path / "p").manifest
-    mean = 0.8  # photons in a gate with all ON
-    rate = mean * 8 / manifest.picture_s[0]
-    table = clicks_table(manifest, rate)
+    manifest, mean = counted[0], 0.8
+    table = clicks_of(manifest, mean)
     counts, scenes = count_table(table, manifest, TableSettings(clicks=8))
-    assert len(scenes) == 60
-    assert counts.gates == 8
+    assert (len(scenes), counts.gates) == (60, 8)
     rail, mask, column, _ = manifest.read
     drawn = table.values[:, manifest.shown]
     assert np.array_equal(counts.signal()[:, 0, rail, mask], drawn[:, column])
-    error = np.sqrt(np.expm1(mean) / (2 * 8 * 60)) / mean
+    error, rate = np.sqrt(np.expm1(mean) / (2 * 8 * 60)) / mean, 8 * mean / manifest.picture_s[0]
     assert counts.flux == pytest.approx(np.full(60, rate), rel=5 * error)
     assert (counts.background == 0).all()
     given = count_table(table, manifest, TableSettings(photons=50.0, clicks=8))[0]
     assert np.array_equal(given.counts, counts.counts)
 
 
-def test_more_counts_than_gates_are_refused_with_their_place(tmp_path):
-    manifest = exported(tmp_path / "p").manifest
-    table = clicks_table(manifest, 1e5)
-    table.values[4, 3] = 9
-    match = "9 counts in mask1 of exposure 5, and .* clicks at most 8 times in a frame: give clicks"
-    with pytest.raises(InputError, match=match):
-        count_table(table, manifest, TableSettings(clicks=8))
-    table.values[4, 3] = 2.5
-    with pytest.raises(InputError, match=r"holds 2\.5, which is no count"):
-        count_table(table, manifest, TableSettings(clicks=8))
-
-
-def test_clicks_that_tell_no_budget_need_it(tmp_path):
-    manifest = exported(tmp_path / "p").manifest
-    for rate in (0.0, 1e9):
-        table = clicks_table(manifest, rate)
-        with pytest.raises(InputError, match="does not tell its budget: all-ON frames leave less"):
-            count_table(table, manifest, TableSettings(clicks=8))
+def test_clicks_that_cannot_be_or_tell_no_budget_are_refused(counted):
+    manifest = counted[0]
+    said = "9 counts in mask1 of exposure 5, and .* clicks at most 8 times in a frame: give clicks"
+    for wrong, match in ((9, said), (2.5, r"holds 2\.5, which is no count")):
+        table = clicks_of(manifest, 0.1)
+        table.values[4, 3] = wrong
+        refuse(manifest, match, table, clicks=8)
+    for mean in (0.0, 1e4):
+        table = clicks_of(manifest, mean)
+        refuse(manifest, "does not tell its budget: all-ON frames leave less", table, clicks=8)
         assert count_table(table, manifest, TableSettings(clicks=8, photons=9.0))[0].valid.all()
     bare = NumberTable(table.values[:, 2:-2], table.names[2:-2])
-    with pytest.raises(InputError, match="no all-ON and all-OFF frames, which tell the budget"):
-        count_table(bare, manifest, TableSettings(clicks=8))
+    refuse(manifest, "no all-ON and all-OFF frames, which tell the budget", bare, clicks=8)
+
+
+# Series
 
 
 MASKS, BRIGHT, BIN_US = 8, 2e7, 100
 """Masks of a series, its flux, counts/s, and its bins, µs."""
-
 
 LIT_SCENES = np.random.default_rng(4).uniform(0.5, 1, (5, *SHAPE)).astype(np.float32)
 
@@ -295,42 +257,34 @@ def test_passes_in_bins_are_found_where_they_are(shown, seed):
         assert any(np.array_equal(row, each) for each in clean)
 
 
-def test_the_table_has_the_counts_that_the_light_says(shown, done, tmp_path):
-    """Through the files and the commands; the budget and each readout within 5 sigma."""
+def test_a_series_is_imported_as_the_function_reads_it(shown, done, tmp_path):
     folder, manifest, rates = shown
     counts, _ = in_bins(manifest, rates, 0)
     np.savetxt(tmp_path / "bins.txt", counts, fmt="%d")
     words = ("camera", "import", tmp_path / "bins.txt", "--bins", "100us", "--patterns", folder)
-    out = done(*words, "-o", tmp_path / "table.csv")
-    assert "5 passes" in out
-    assert "--settle 100us" in out
+    said = json.loads(done(*words, "--passes", 5, "--json", "-o", tmp_path / "table.csv"))
+    assert (said["passes"], said["settle_s"]) == (5, pytest.approx(1e-4))
+    rows, names = table_of_series(counts.astype(float), manifest, bin_s=1e-4)
     table = read_table(tmp_path / "table.csv")
-    found, _ = count_table(table, manifest, TableSettings(settle_s=BIN_US * 1e-6))
-    wanted = (rates - 200.0)[:, manifest.shown] * (manifest.shares * found.exposure_s)[:, None]
-    signal = found.signal()[:, 0, 0].reshape(wanted.shape)
-    noise = np.sqrt(found.variance[:, 0, 0].reshape(wanted.shape) + 1)
-    assert abs((signal - wanted) / noise).max() < 5
-    told = json.loads(done(*words, "--passes", 5, "--json", "-o", tmp_path / "2.csv"))
-    assert (told["passes"], told["settle_s"]) == (5, pytest.approx(1e-4))
+    assert np.array_equal(table.values, rows)
+    assert list(table.names) == names
 
 
 def test_bins_that_do_not_tell_are_refused(shown):
     _, manifest, rates = shown
-    counts, _ = in_bins(manifest, rates, 1)
-    given = counts.astype(float)
-    with pytest.raises(InputError, match=r"5 passes .* and 6 are asked for"):
-        table_of_series(given, manifest, bin_s=BIN_US * 1e-6, passes=6)
-    with pytest.raises(InputError, match="not whole numbers of bins of 30 µs"):
-        table_of_series(given, manifest, bin_s=30e-6)
-    with pytest.raises(InputError, match="0 passes"):
-        table_of_series(np.ones_like(given), manifest, bin_s=BIN_US * 1e-6)
-    with pytest.raises(InputError, match="no count"):
-        table_of_series(given - 0.5, manifest, bin_s=BIN_US * 1e-6)
-    with pytest.raises(InputError, match="a column for each"):
-        table_of_series(given[:, [0, 0, 0]], manifest, bin_s=BIN_US * 1e-6)
+    counts = in_bins(manifest, rates, 1)[0].astype(float)
     alike = np.tile(np.repeat([1000.0, 0.0], 10), 3 * len(manifest.frames) // 2)[:, None]
-    with pytest.raises(InputError, match="counts do not tell"):  # masks that are all ON or all OFF
-        table_of_series(np.repeat(alike, counts.shape[1], axis=1), manifest, bin_s=BIN_US * 1e-6)
+    for bins, asked, match in (
+        (counts, {"passes": 6}, r"5 passes .* and 6 are asked for"),
+        (counts, {"bin_s": 30e-6}, "not whole numbers of bins of 30 µs"),
+        (np.ones_like(counts), {}, "0 passes"),
+        (counts - 0.5, {}, "no count"),
+        (counts[:, [0, 0, 0]], {}, "a column for each"),
+        # masks that are all ON or all OFF:
+        (np.repeat(alike, counts.shape[1], axis=1), {}, "counts do not tell"),
+    ):
+        with pytest.raises(InputError, match=match):
+            table_of_series(bins, manifest, **{"bin_s": BIN_US * 1e-6, **asked})
 
 
 @pytest.mark.parametrize("first", [0, tables.ROLL_OVER - 1000])
@@ -355,14 +309,15 @@ def test_latches_that_are_not_of_whole_passes_are_refused(shown, refuse, tmp_pat
     _, manifest, rates = shown
     frames, inputs = len(manifest.frames), rates.shape[2]
     rising = np.arange(frames * (frames + 1) * inputs, dtype=float).reshape(-1, inputs)
-    with pytest.raises(InputError, match="how many `passes`"):
-        table_of_series(rising, manifest)
-    assert len(table_of_series(rising, manifest, passes=frames)[0]) == frames
-    assert len(table_of_series(rising, manifest, passes=frames + 1)[0]) == frames + 1
-    with pytest.raises(InputError, match="whole passes"):
-        table_of_series(rising[:-1], manifest)
-    with pytest.raises(InputError, match="fall within a pass"):
-        table_of_series(rising[::-1], manifest, passes=frames)
+    for passes in (frames, frames + 1):
+        assert len(table_of_series(rising, manifest, passes=passes)[0]) == passes
+    for latched, passes, match in (
+        (rising, None, "how many `passes`"),
+        (rising[:-1], None, "whole passes"),
+        (rising[::-1], frames, "fall within a pass"),
+    ):
+        with pytest.raises(InputError, match=match):
+            table_of_series(latched, manifest, passes=passes)
     np.savetxt(tmp_path / "n.txt", rising, fmt="%d")
     words = ("camera", "import", tmp_path / "n.txt", "-o", tmp_path / "t.csv")
     assert "--patterns" in refuse(*words, "--cumulative")

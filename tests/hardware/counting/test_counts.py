@@ -1,81 +1,68 @@
 """The file of counts: read as it was written, or refused."""
 
 import json
-import zipfile
 
 import numpy as np
 import pytest
 import recording_samples
-from recording_samples import Run
 
 from deepfsi.base import InputError
-from deepfsi.hardware.counting import count_run, read_counts
+from deepfsi.hardware.counting import read_counts
 from deepfsi.hardware.pictures import reconstruct
 
 run, whole = recording_samples.run, recording_samples.whole
 
 
-def test_counts_of_another_acquisition_are_refused(run):
-    run.edit(settle_s=1e-5)
-    with pytest.raises(InputError, match=r"counts\.npz is of another acquisition"):
-        read_counts(run.folder)
-    count_run(run.folder)
-    read_counts(run.folder)
-
-
-def rewrite(run: Run, compression: int = zipfile.ZIP_STORED, **arrays: np.ndarray) -> None:
-    path = run.folder / "counts.npz"
-    with np.load(path) as held:
-        content = dict(held) | arrays
-    write = np.savez if compression == zipfile.ZIP_STORED else np.savez_compressed
-    write(path, **content)
-
-
-@pytest.mark.parametrize("name", ["swapped", "large", "bright", "valid", "exposure", "faults"])
-def test_edited_counts_are_refused(run, name):
-    """Every one of these was read, and classified, as it stood."""
-    with np.load(run.folder / "counts.npz") as file:
-        held = dict(file)
-    about = json.loads(held["about"].tobytes())
-    if name == "swapped":
-        held["counts"] = held["counts"][[1, 0, 2]]
-    elif name == "large":
-        held["counts"][1, 0, 0, 3] = 10**9
-    elif name == "bright":
-        held["on_rate"] = held["on_rate"] * 10
-    elif name == "valid":
-        held["valid"][0] = False
-    elif name == "exposure":
-        about["exposure_s"] *= 2
-    else:
-        about["faults"] = [{"kind": "lost", "scene": 0, "frame": None, "detail": ""}]
-    rewrite(run, **held | {"about": np.frombuffer(json.dumps(about).encode(), np.uint8)})
+def refuse(folder, match: str) -> None:
     for read in (read_counts, reconstruct):
-        with pytest.raises(InputError, match=r"counts\.npz was changed after it was written"):
-            read(run.folder)
+        with pytest.raises(InputError, match=match):
+            read(folder)
 
 
-def test_counts_are_of_the_photons_beside_them(run):
-    path = run.folder / "photons.ptu"
-    wanted = read_counts(run.folder).counts
-    content = bytearray(path.read_bytes())
+def test_counts_are_of_the_acquisition_and_the_photons_beside_them(run):
+    photons, wanted = run.folder / "photons.ptu", read_counts(run.folder).counts
+    run.edit(settle_s=1e-5)
+    refuse(run.folder, r"counts\.npz is of another acquisition")
+    run.edit(settle_s=2e-5)
+    content = bytearray(photons.read_bytes())
     content[-1] ^= 1
-    path.write_bytes(content)
-    with pytest.raises(InputError, match=r"counts\.npz is of another photons\.ptu"):
-        read_counts(run.folder)
-    path.unlink()  # kept elsewhere
+    photons.write_bytes(content)
+    refuse(run.folder, r"counts\.npz is of another photons\.ptu")
+    photons.unlink()  # kept elsewhere
     assert (read_counts(run.folder).counts == wanted).all()
 
 
-def test_compressed_or_cut_counts_are_refused(run):
-    rewrite(run, zipfile.ZIP_DEFLATED)
-    with pytest.raises(InputError, match=r"counts\.npz is not a whole file"):
-        read_counts(run.folder)
-    count_run(run.folder)
+EDITS = {
+    "scenes swapped": lambda held, about: held.update(counts=held["counts"][[1, 0, 2]]),
+    "one more count": lambda held, about: held.update(counts=held["counts"] + 1),
+    "brighter": lambda held, about: held.update(on_rate=10 * held["on_rate"]),
+    "invalid": lambda held, about: held.update(valid=~held["valid"]),
+    "exposure": lambda held, about: about.update(exposure_s=2 * about["exposure_s"]),
+    "faults": lambda held, about: about.update(
+        faults=[{"kind": "lost", "scene": 0, "frame": None, "detail": ""}]
+    ),
+}
+
+
+@pytest.mark.parametrize("change", EDITS.values(), ids=EDITS)
+def test_edited_counts_are_refused(run, change):
+    """Every one of these was read, and classified, as it stood."""
     path = run.folder / "counts.npz"
-    path.write_bytes(path.read_bytes()[:-100])
-    with pytest.raises(InputError, match=r"counts\.npz is not a whole file"):
-        reconstruct(run.folder)
+    with np.load(path) as file:
+        held = dict(file)
+    about = json.loads(held["about"].tobytes())
+    change(held, about)
+    np.savez(path, **held | {"about": np.frombuffer(json.dumps(about).encode(), np.uint8)})
+    refuse(run.folder, r"counts\.npz was changed after it was written")
+
+
+def test_compressed_cut_or_missing_counts_are_refused(run):
+    path = run.folder / "counts.npz"
+    whole = path.read_bytes()
+    with np.load(path) as held:
+        np.savez_compressed(path, **dict(held))
+    refuse(run.folder, r"counts\.npz is not a whole file")
+    path.write_bytes(whole[:-100])
+    refuse(run.folder, r"counts\.npz is not a whole file")
     path.unlink()
-    with pytest.raises(InputError, match=r"counts\.npz is missing.* camera count"):
-        read_counts(run.folder)
+    refuse(run.folder, r"counts\.npz is missing.* camera count")

@@ -2,19 +2,12 @@
 
 import numpy as np
 import pytest
-from recording_samples import DWELL, TICK, named, patterns_of, schedule, train
+from recording_samples import DWELL, named, patterns_of, schedule, train, write_photons
 
 from deepfsi.base import InputError
 from deepfsi.hardware.counting import CountSettings, count_run, prepare_run
-from deepfsi.hardware.photons import PtuWriter
 
-FLUX = 1e7
-
-
-DARK = 100.0
-
-
-SCENES = 5
+FLUX, DARK, SCENES = 1e7, 100.0, 5
 
 
 @pytest.fixture
@@ -38,9 +31,7 @@ def lamp(tmp_path):
         times = np.concatenate([starts + late, photons, dark, flash])
         codes = np.zeros(len(times), int)
         codes[: len(starts)] = -1
-        order = np.argsort(times, kind="stable")
-        with PtuWriter(tmp_path / "run" / "photons.ptu", TICK) as writer:
-            writer.write(np.rint(times[order] / TICK).astype(np.int64), codes[order])
+        write_photons(tmp_path / "run", times, codes)
 
     return tmp_path / "run", record
 
@@ -75,7 +66,5 @@ def test_gates_that_hold_light_of_the_next_frame_are_said(lamp):
 def test_settling_leaves_something_of_frames_before_their_guard():
     manifest = schedule([3000] * 4)
     assert named(1).gates(manifest, 4e-3, 9.85e-4).settle_s == 9.85e-4
-    with pytest.raises(
-        InputError, match=r"leaves nothing of the all-ON .* give less than 0\.00099"
-    ):
+    with pytest.raises(InputError, match=r"nothing of the all-ON .* give less than 0\.00099"):
         named(1).gates(manifest, 4e-3, 9.95e-4)

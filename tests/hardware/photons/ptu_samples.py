@@ -134,11 +134,11 @@ def special(code: int, time: int = 0) -> int:
 
 
 class StreamedFile(PtuStream):
-    """A file as a stream whose bytes arrive in cuts of some size, random ones unless given."""
+    """A file as a stream whose bytes arrive in random cuts, often none or a part of a record."""
 
-    def __init__(self, path: Path, size: int | None = None) -> None:
+    def __init__(self, path: Path) -> None:
         super().__init__(path)
-        self.pieces = cut(path.read_bytes(), size)
+        self.pieces = cut(path.read_bytes())
         for piece in self.pieces:
             self.feed(piece)
             if self.begun:
@@ -154,13 +154,12 @@ class StreamedFile(PtuStream):
             yield from super().parts()
 
 
-def cut(content: bytes, size: int | None) -> Iterator[bytes]:
-    """Pieces that follow each other; random ones often have none or a part of a record."""
+def cut(content: bytes) -> Iterator[bytes]:
     first, rng = 0, np.random.default_rng(len(content))
     while first < len(content):
-        some = int(rng.integers(0, 2 ** int(rng.integers(1, 20)))) if size is None else size
-        yield content[first : first + some]
-        first += some
+        size = int(rng.integers(0, 2 ** int(rng.integers(1, 20))))
+        yield content[first : first + size]
+        first += size
 
 
 SOURCES = {"file": PtuFile, "stream": StreamedFile}

@@ -115,41 +115,6 @@ def test_real_lines_frames_and_pixels_are_those_of_ptufile():
     assert np.bincount(found.frame).tolist() == [256] * 5
 
 
-@real
-@pytest.mark.parametrize("damage", ["cut", "marker", "flipped", "header"])
-def test_a_real_file_that_is_damaged_is_named_in_one_line(tmp_path, damage):
-    content = bytearray(HAZELNUT.read_bytes())
-    with ptufile.PtuFile(HAZELNUT) as file:
-        offset = file.record_offset
-    words = np.frombuffer(content, "<u4", offset=offset).copy()
-    special = words >> 28 == 15
-    markers = np.flatnonzero(special & ((words >> 16 & 15) == 2))
-    if damage == "cut":
-        words = words[: len(words) // 2]
-    elif damage == "marker":
-        words[markers[300]] = words[markers[300] - 1]  # a photon again in its place
-    elif damage == "flipped":
-        words[2_000_000] = 0
-    else:
-        place = content.index(b"TTResult_NumberOfRecords") + 40
-        content[place : place + 8] = (len(words) - 1000).to_bytes(8, "little")
-    path = tmp_path / "damaged.ptu"
-    path.write_bytes(bytes(content[:offset]) + words.tobytes())
-    if damage == "flipped":
-        with pytest.raises(InputError, match="record") as refused:
-            count_scan(path, ScanMarkers())
-        assert "\n" not in str(refused.value)
-        return
-    faults = count_scan(path, ScanMarkers()).faults
-    said = {
-        "cut": "records are missing: the file is cut",
-        "marker": "has no end: a marker on 1 is lost",
-        "header": "bytes follow the 6069158 records that the header gives",
-    }
-    assert said[damage] in faults[0]
-    assert all("\n" not in fault for fault in faults)
-
-
 @pytest.mark.parametrize("kind", [T2, ptu.PICOHARP_T3], ids=["T2", "T3"])
 @pytest.mark.parametrize("at_end", [True, False])
 def test_counts_of_lines_and_pixels(tmp_path, kind, at_end):
