@@ -1,9 +1,10 @@
 """Loading a data set by its name, from a path, or from arrays."""
 
 import os
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy.typing as npt
 
@@ -23,10 +24,54 @@ from deepfsi.datasets.pictures import as_shape, load_pictures
 from deepfsi.datasets.spectra import CUBE_ENDINGS, read_cube
 from deepfsi.datasets.variants import one_class
 
-SOURCES_OF_PATHS = (
-    "a folder or .zip of images with a folder for each class, a .csv of their names and labels, "
-    f"a cube ({', '.join(CUBE_ENDINGS)}) or an .npz file of arrays x and y"
+
+class FileKind(NamedTuple):
+    """Files of one kind that hold a data set.
+
+    Attributes
+    ----------
+    what : str
+        In words, for messages.
+    endings : tuple of str
+        Of their names, in small letters; `FOLDER` for a folder.
+    options : tuple of str
+        Options of `load_dataset` that they take, and not every source does.
+    load : callable
+        Reads one with the options.
+    """
+
+    what: str
+    endings: tuple[str, ...]
+    options: tuple[str, ...]
+    load: Callable[[Path, LoadOptions], Dataset]
+
+
+def _load_cube(path: Path, options: LoadOptions) -> Dataset:
+    split = options.split or "random"
+    return read_cube(path).dataset(split, options.seed, rescale=options.rescale)
+
+
+FOLDER = "/"
+"""What stands for the ending of a folder."""
+
+FILE_KINDS = (
+    FileKind(
+        "a folder or .zip of images with a folder for each class",
+        (FOLDER, ".zip"),
+        ("size", "images", "white", "skip_bad"),
+        load_pictures,
+    ),
+    FileKind(
+        "a .csv of their names and labels", (".csv",), ("size", "white", "skip_bad"), load_pictures
+    ),
+    FileKind(f"a cube ({', '.join(CUBE_ENDINGS)})", CUBE_ENDINGS, ("split",), _load_cube),
+    FileKind("an .npz file of arrays x and y", (".npz",), ("white",), load_npz),
 )
+"""Kinds of files that hold a data set: a new one is an entry here."""
+
+SOURCES_OF_PATHS = " or ".join((
+    ", ".join(kind.what for kind in FILE_KINDS[:-1]), FILE_KINDS[-1].what
+))  # fmt: skip
 """Sources of data sets besides names, for messages."""
 
 TAKERS = {
@@ -156,21 +201,19 @@ def _load_source(source: str, options: LoadOptions) -> Dataset:
         data = DATASETS[source].load(options)
     else:
         path = _existing(source)
-        _refuse(options, path.name, options_of(source))
-        data = _load_path(path, options)
+        kind = _kind_of(path)
+        _refuse(options, path.name, kind.options)
+        data = kind.load(path, options)
     resolved = options._replace(size=as_shape(options.size), white=data.white)
     return replace(data, origin=Origin(data=origin, **resolved._asdict()))
 
 
-def _load_path(path: Path, options: LoadOptions) -> Dataset:
-    ending = path.suffix.lower()
-    if path.is_dir() or ending in (".zip", ".csv"):
-        return load_pictures(path, options)
-    if ending in CUBE_ENDINGS:
-        split = options.split or "random"
-        return read_cube(path).dataset(split, options.seed, rescale=options.rescale)
-    if ending == ".npz":
-        return load_npz(path, options)
+def _kind_of(path: Path) -> FileKind:
+    """Kind of a file or folder that is there, or `InputError` where it holds no data set."""
+    ending = FOLDER if path.is_dir() else path.suffix.lower()
+    for kind in FILE_KINDS:
+        if ending in kind.endings:
+            return kind
     header = next((end for end in (".hdr", ".HDR") if path.with_suffix(end).is_file()), "")
     if header or Path(f"{path}.hdr").is_file():
         header_path = path.with_suffix(header) if header else f"{path}.hdr"
@@ -203,13 +246,7 @@ def options_of(source: str) -> tuple[str, ...]:
     """Options of `load_dataset` that this source takes, and not every one does."""
     if source in DATASETS:
         return DATASETS[source].options
-    path = _existing(source)
-    ending = path.suffix.lower()
-    if path.is_dir() or ending == ".zip":
-        return ("size", "images", "white", "skip_bad")
-    if ending == ".csv":
-        return ("size", "white", "skip_bad")
-    return ("split",) if ending in CUBE_ENDINGS else ("white",)
+    return _kind_of(_existing(source)).options
 
 
 def as_dataset(data: Source) -> Dataset:
