@@ -71,7 +71,7 @@ def slopes(name: str, rate: float, function) -> torch.Tensor:
     rates = torch.full((DRAWS,), rate, dtype=torch.float64, requires_grad=True)
     kind = noise_module.make_noise(name)
     y = kind.draw(rates, generator())
-    if kind.counting:
+    if kind.draws_rails:
         y = kind.gradient(y, noise_module.Expectation(rates, rates, ONE_RAIL))
     function(y).sum().backward()
     return rates.grad
@@ -160,7 +160,7 @@ def test_features_have_the_mean_and_the_variance_that_a_noise_claims(noise, gain
     assert ((drawn.var(dim=0) - variance).abs() <= error).all()
     centre = (mean[0] - mean[1]) / gain
     assert ((drawn.mean(dim=0) - centre).abs() <= 5 * (variance / DRAWS).sqrt() + 1e-12).all()
-    if not noise.counting:
+    if not noise.draws_rails:
         assert torch.allclose(noise.deviation(light).square(), variance)
 
 

@@ -82,7 +82,7 @@ class _FixedTraining(ExposureTraining):
         self.mean, self.std, _ = self.statistics(means=self.means)
         self.read = detection.readouts(arranged)
         self.totals = totals if noise.kind.of_light else None
-        if noise.kind.counting:
+        if noise.kind.draws_rails:
             return
         replicas = self.means.shape[1]
         self.alone = replicas == len(self.std)
@@ -101,7 +101,7 @@ class _FixedTraining(ExposureTraining):
 
     def _of_seed(self, stream: SeedStream) -> Tensor:
         expected = stream.products(self.means)
-        if self.noise.kind.counting:
+        if self.noise.kind.draws_rails:
             assert self.totals is not None
             totals = stream.products(self.totals)
             counts = stream.noise.counted(expected, totals, stream.readouts(self.read))

@@ -58,7 +58,7 @@ class Noise(ABC):
     ----------
     name : str
         By which a camera names it; of a user's own its import path.
-    counting : bool
+    draws_rails : bool
         True if counts of each rail are drawn, rather than a normal number for each feature.
     of_light : bool
         True if its draws depend on the light.
@@ -71,7 +71,7 @@ class Noise(ABC):
     """
 
     name: ClassVar[str]
-    counting: ClassVar[bool] = True
+    draws_rails: ClassVar[bool] = True
     of_light: ClassVar[bool] = True
     unbiased: ClassVar[bool] = True
     has_moments: ClassVar[bool] = True
@@ -194,7 +194,7 @@ class NoNoise(Noise):
     """
 
     name = "none"
-    counting = of_light = False
+    draws_rails = of_light = False
 
     def draw(self, rates: Tensor, random: Random = None, dark: Tensor | float = 0.0) -> Tensor:
         """The rates."""
@@ -233,7 +233,7 @@ class Gaussian(Noise):
 
     sigma: float | Tensor = 1.0
     name = "gaussian"
-    counting = of_light = False
+    draws_rails = of_light = False
 
     def draw(self, rates: Tensor, random: Random = None, dark: Tensor | float = 0.0) -> Tensor:
         """Rates with read noise."""
@@ -264,7 +264,7 @@ class MlGauss(Noise):
     """
 
     name = "ml_gauss"
-    counting = False
+    draws_rails = False
 
     def draw(self, rates: Tensor, random: Random = None, dark: Tensor | float = 0.0) -> Tensor:
         """Rates with normal noise whose variance is the rate."""

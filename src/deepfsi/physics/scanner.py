@@ -97,7 +97,7 @@ class Scanner(nn.Module):
         """
         noise = self.noise
         seen = self.detection
-        if noise.counting:
+        if noise.draws_rails:
             rates = self.rates(photons)
             counts = seen.features(self.read(rates, generator))
             if not noise.unbiased:  # the draws have their own gradient

@@ -82,7 +82,7 @@ class TrainingNoise:
         normal : callable
             Draws of a noise that does not count.
         """
-        if self.kind.counting:
+        if self.kind.draws_rails:
             return self.counted(mean, total, read)
         return mean + self.deviation(mean, total, read) * normal(mean.shape[-1])
 
@@ -126,7 +126,7 @@ class TrainingNoise:
         parts = detection.count
         features: list[Tensor] = []
         light: list[tuple[Tensor, Tensor]] = []
-        if self.kind.counting:
+        if self.kind.draws_rails:
             # one of a user's own may have another mean than the rates: its features are centred in
             # their batch
             rails = masks()
