@@ -1,5 +1,7 @@
 """Cells of each detector, found from a scan of spots."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -58,21 +60,12 @@ def test_a_detector_without_cells_is_named(tmp_path):
     with pytest.raises(InputError, match="the camera has 3 detectors, and the patterns are for 4"):
         scanned(tmp_path / "camera", camera=eyes)
     counts, shown = scanned(tmp_path / "three", camera=eyes, detectors=3)
-    idle = np.zeros((*counts.counts.shape[:-1], 1), int)
-    some = {
-        **vars(counts),
-        **{
-            name: np.concatenate([getattr(counts, name), idle], axis=-1)
-            for name in ("counts", "arrivals", "variance")
-        },
-        **{
-            name: np.concatenate([held := getattr(counts, name), 0 * held[..., :1]], axis=-1)
-            for name in ("dark_rate", "ambient", "ambient_variance")
-        },
-        "inputs": (*counts.inputs, 12),
-    }
+    names = ("counts", "arrivals", "variance", "dark_rate", "ambient", "ambient_variance")
+    given = {name: getattr(counts, name) for name in names}
+    wider = {k: np.concatenate([v, 0 * v[..., :1]], axis=-1) for k, v in given.items()}
+    counts = replace(counts, inputs=(*counts.inputs, 12), **wider)
     with pytest.raises(InputError, match="input 13 counts most in no cell"):
-        find_detectors(Counts(**some), shown)
+        find_detectors(counts, shown)
 
 
 def test_nothing_is_simulated_of_detectors_that_see_nobody_knows_what(tmp_path):

@@ -10,27 +10,22 @@ from deepfsi.datasets import read_display
 from deepfsi.hardware.calibration import find_reference, reference, write_reference
 from deepfsi.hardware.counting import count_run
 from deepfsi.hardware.patterns import DesignRails, FrameSettings, export_patterns
-from deepfsi.hardware.virtual import (
-    CAMERAS,
-    RecordingSettings,
-    VirtualCamera,
-    record_scenes,
-)
+from deepfsi.hardware.virtual import CAMERAS, RecordingSettings, VirtualCamera, record_scenes
 
 DEVICE = Device(name="d", columns=256, rows=192, shortest_us=10, settle_us=2)
 PLAIN = DmdLayout()
 
 
-def masks(count_run: int = 16, seed: int = 0) -> np.ndarray:
+def masks(number: int = 16) -> np.ndarray:
     """Smooth grey masks (1, m, 64), as learned ones are."""
-    grey = ndimage.gaussian_filter(np.random.default_rng(seed).random((count_run, 8, 8)), (0, 1, 1))
+    grey = ndimage.gaussian_filter(np.random.default_rng(0).random((number, 8, 8)), (0, 1, 1))
     grey -= grey.min(axis=(1, 2), keepdims=True)
     grey /= grey.max(axis=(1, 2), keepdims=True)
-    return grey.reshape(1, count_run, 64) / count_run
+    return grey.reshape(1, number, 64) / number
 
 
-def export(folder, layout=PLAIN, rails=None, **settings):
-    design = DesignRails(masks() if rails is None else rails, "equal-dwell", (8, 8), 20.0)
+def export(folder, layout=PLAIN, number=16):
+    design = DesignRails(masks(number), "equal-dwell", (8, 8), 20.0)
     shown = export_patterns(design, FrameSettings(DEVICE, 1e-3, layout=layout), folder)
     write_reference(shown, folder)
     return shown
@@ -45,8 +40,8 @@ def view(layout=PLAIN, scale=1.0, shift=(0.0, 0.0), turn=0.0):
     return (*linear[0], start[0]), (*linear[1], start[1]), (0.0, 0.0, 1.0)
 
 
-def found(tmp_path, shown, camera, flux=3e8, picture=None, exposure=0.01):
-    x = read_display(tmp_path / "p" / reference.REFERENCE).x if picture is None else picture
+def found(tmp_path, shown, camera, flux=3e8, exposure=0.01):
+    x = read_display(tmp_path / "p" / reference.REFERENCE).x
     settings = RecordingSettings(camera, flux, exposure)
     record_scenes(tmp_path / "p", x, ["reference"], None, tmp_path / "run", settings)
     return find_reference(count_run(tmp_path / "run"), shown)
@@ -84,7 +79,7 @@ def test_little_light_is_said_to_be_too_little(tmp_path):
 
 
 def test_few_masks_and_spectra_are_refused(tmp_path):
-    shown = export(tmp_path / "p", rails=masks(5))
+    shown = export(tmp_path / "p", number=5)
     with pytest.raises(InputError, match=r"5 readouts do not tell .*hadamard --size 8x8"):
         found(tmp_path, shown, CAMERAS["ideal"], exposure=1e-3)
     spectra = DesignRails(masks(), "equal-dwell", (64,), 20.0)

@@ -14,8 +14,7 @@ from deepfsi.hardware.patterns import (
     Patterns,
     export_patterns,
 )
-from deepfsi.hardware.photons import PtuWriter
-from hardware.counting.recording_samples import DEVICE, DWELL, SHAPE, TICK, named, split
+from hardware.counting.recording_samples import DEVICE, DWELL, SHAPE, named, split, write_photons
 
 SETTLE = 2e-5
 WITHIN = 0.04
@@ -93,42 +92,28 @@ class Lit:
 
     def record(self, folder: Path, patterns_folder: Path) -> None:
         """Write the folder of the acquisition."""
-        rates, rng, starts = self.rates, self.rng, self.starts()
-        arms = rates.shape[2]
-        inputs = ARM_INPUTS[:arms]
+        starts, rng = self.starts(), self.rng
+        inputs = ARM_INPUTS[: self.rates.shape[2]]
         given = {"exposure_s": 0.9 * DWELL * len(self.patterns.manifest.shown), "settle_s": SETTLE}
-        prepare_run(
-            folder,
-            patterns_folder,
-            named(self.scenes, inputs=inputs, marker_bit=MARKER, **given),
-        )
+        wanted = named(self.scenes, inputs=inputs, marker_bit=MARKER, **given)
+        prepare_run(folder, patterns_folder, wanted)
         grid = np.linspace(0, self.scenes * self.pass_s, 20_001)
-        most_lamp, most_stray = 1.05 * self.lamp(grid).max(), 1.05 * self.stray(grid).max()
         times, codes = [starts.ravel()], [np.full(starts.size, -MARKER)]
         for arm, each in enumerate(inputs):
-            for kind in range(2):
-                top = (
-                    rates[..., arm] * most_lamp if kind == 0 else np.full(starts.shape, most_stray)
-                )
-                number = rng.poisson(top * DWELL)
-                came = np.repeat(starts.ravel(), number.ravel())
-                came = came + rng.random(len(came)) * DWELL
-                course, most = ((self.lamp, most_lamp), (self.stray, most_stray))[kind]
+            for rates, course, heard in (
+                (self.rates[..., arm], self.lamp, 7 if self.deaf else each),
+                (np.ones(starts.shape), self.stray, each),
+            ):
+                most = 1.05 * course(grid).max()
+                number = rng.poisson(rates * most * DWELL).ravel()
+                came = np.repeat(starts.ravel(), number) + rng.random(number.sum()) * DWELL
                 came = came[rng.random(len(came)) * most < course(came)]
                 times.append(came)
-                heard = 7 if self.deaf and kind == 0 else each
                 codes.append(np.full(len(came), heard))
-        every, kinds = np.concatenate(times), np.concatenate(codes)
-        order = np.argsort(every, kind="stable")
-        with PtuWriter(folder / "photons.ptu", TICK) as writer:
-            writer.write(np.rint((every[order] + 0.01) / TICK).astype(np.int64), kinds[order])
+        write_photons(folder, np.concatenate(times) + 0.01, np.concatenate(codes))
 
     def errors(self, counts: Counts) -> np.ndarray:
-        """Relative error (S,) of each scene's features, apart from the photons' noise.
-
-        Of what the counts are in the mean, less the background and divided by the budget that were
-        found, from what a steady lamp gives.
-        """
+        """Relative error (S,) of each scene's features by a steady lamp, without photon noise."""
         manifest, wrong, size = self.patterns.manifest, 0.0, 0.0
         gate = float(counts.gate_s[0])
         inside = SETTLE + (np.arange(40) + 0.5) / 40 * gate
@@ -142,15 +127,16 @@ class Lit:
         return np.sqrt(wrong / size)
 
 
-def _some_pass(lit: Lit) -> tuple[int, float]:
-    place = int(lit.rng.integers(lit.scenes))
-    return place, place * lit.pass_s
+def while_in(begin: float, end: float, inside: Course | float, usual: float) -> Course:
+    """Something else within a time."""
+    course = inside if callable(inside) else steady(inside)
+    return lambda t: np.where((t >= begin) & (t < end), course(t), usual)
 
 
 def lamp_off(lit: Lit) -> None:
     first = int(lit.rng.integers(lit.scenes))
     last = int(lit.rng.integers(first, lit.scenes)) + 1 if first else 1
-    lit.lamp = lambda t: np.where((t >= first * lit.pass_s) & (t < last * lit.pass_s), 0.0, 1.0)
+    lit.lamp = while_in(first * lit.pass_s, last * lit.pass_s, 0.0, 1.0)
 
 
 def never_lit(lit: Lit) -> None:
@@ -162,7 +148,7 @@ def lamp_steps(lit: Lit) -> None:
     at = lit.pass_s * lit.rng.uniform(0.5, lit.scenes - 0.5)
     at = at if lit.rng.random() < 0.3 else round(at / lit.pass_s) * lit.pass_s
     factor = lit.rng.uniform(0.25, 0.6) ** lit.rng.choice([-1, 1])
-    lit.lamp = lambda t: np.where(t >= at, factor, 1.0)
+    lit.lamp = while_in(at, np.inf, factor, 1.0)
 
 
 def lamp_decays(lit: Lit) -> None:
@@ -178,11 +164,10 @@ def lamp_flickers(lit: Lit) -> None:
 
 def lamp_sags(lit: Lit) -> None:
     """Within one pass, and back."""
-    _, begin = _some_pass(lit)
+    begin = lit.pass_s * int(lit.rng.integers(lit.scenes))
     depth = lit.rng.uniform(0.3, 0.8)
-    lit.lamp = lambda t: np.where(
-        (t >= begin) & (t < begin + lit.pass_s), 1 - depth * (t - begin) / lit.pass_s, 1.0
-    )
+    sag = while_in(begin, begin + lit.pass_s, lambda t: 1 - depth * (t - begin) / lit.pass_s, 1.0)
+    lit.lamp = sag
 
 
 def stray_burst(lit: Lit) -> None:
@@ -191,18 +176,19 @@ def stray_burst(lit: Lit) -> None:
     A weaker one that begins and ends with a frame looks like another scene: these counts alone
     cannot tell, and what the design was trained for must.
     """
-    _, begin = _some_pass(lit)
+    begin = lit.pass_s * int(lit.rng.integers(lit.scenes))
     length = lit.pass_s * lit.rng.uniform(0.05, 0.6)
     begin += lit.rng.uniform(0, lit.pass_s - length)
-    usual, size = lit.stray(np.zeros(1))[0], lit.flux * lit.rng.uniform(0.8, 3)
-    lit.stray = lambda t: usual + np.where((t >= begin) & (t < begin + length), size, 0.0)
+    usual = lit.stray(np.zeros(1))[0]
+    burst = usual + lit.flux * lit.rng.uniform(0.8, 3)
+    lit.stray = while_in(begin, begin + length, burst, usual)
 
 
 def stray_stays(lit: Lit) -> None:
     """From some scene on."""
     at = lit.pass_s * int(lit.rng.integers(1, lit.scenes))
-    usual, size = lit.stray(np.zeros(1))[0], lit.flux * lit.rng.uniform(0.1, 1)
-    lit.stray = lambda t: usual + np.where(t >= at, size, 0.0)
+    usual = lit.stray(np.zeros(1))[0]
+    lit.stray = while_in(at, np.inf, usual + lit.flux * lit.rng.uniform(0.1, 1), usual)
 
 
 def wrong_input(lit: Lit) -> None:
@@ -212,14 +198,7 @@ def wrong_input(lit: Lit) -> None:
 FAULTS = {
     fault.__name__: fault
     for fault in (
-        lamp_off,
-        never_lit,
-        lamp_steps,
-        lamp_decays,
-        lamp_flickers,
-        lamp_sags,
-        stray_burst,
-        stray_stays,
-        wrong_input,
+        *(lamp_off, never_lit, lamp_steps, lamp_decays, lamp_flickers, lamp_sags),
+        *(stray_burst, stray_stays, wrong_input),
     )
 }

@@ -23,12 +23,6 @@ def test_law_the_error_of_the_background_is_in_the_test_of_levels(unit):
         background = flux.Background.of(curve, 1e-4)
         assert len(background.segments) == 2
         every = np.ones(passes, bool)
-        alarms += (
-            len(
-                flux.Flux.of(
-                    curve, background, used=every, brightness=brightness, chance=1e-4
-                ).levels
-            )
-            > 1
-        )
+        given = {"used": every, "brightness": brightness, "chance": 1e-4}
+        alarms += len(flux.Flux.of(curve, background, **given).levels) > 1
     assert alarms == 0

@@ -24,10 +24,8 @@ def all_on(photons: int) -> LightMonitor:
     """Light after the first all-ON frame of a run of scenes of one brightness; none is dark."""
     same = Brightness(low=1, high=1, between=1, within=0)
     manifest = schedule([1000] * 4).model_copy(update={"brightness": same})
-    light, parts = (
-        LightMonitor(manifest, (0,), SCENES),
-        np.full((2, PARTS_OF_FRAME), SECONDS / PARTS_OF_FRAME),
-    )
+    light = LightMonitor(manifest, (0,), SCENES)
+    parts = np.full((2, PARTS_OF_FRAME), SECONDS / PARTS_OF_FRAME)
     counts = np.zeros((2, PARTS_OF_FRAME, 1))
     counts[0] = photons / PARTS_OF_FRAME
     middles = (np.arange(2)[:, None] + (np.arange(PARTS_OF_FRAME) + 0.5) / PARTS_OF_FRAME) * SECONDS
