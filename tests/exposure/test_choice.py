@@ -21,18 +21,21 @@ from deepfsi.jobs import AdaptiveMasks
 
 PIXELS, SCENES, CLASSES = 8, 40, 3
 QUARTERS = torch.arange(PIXELS) // 2
+SHARES = np.array([0.05, 0.1, 0.1, 0.15, 0.2, 0.4])
+MASKS = (np.random.default_rng(1).random((6, PIXELS)) < 0.5).astype(float)
+"""Masks of six looks, and their shares of the exposure."""
 
 
-def tried(data: Dataset, photons, camera="dmd", prior=None, draws=1, **settings) -> Result:
+def tried(data: Dataset, photons, camera="dmd", draws=1, **settings) -> Result:
     """Accuracy of adaptive masks on the test scenes of data."""
     chosen = AdaptiveMasks(**settings)
-    held = prior or prior_of(data, chosen)
-    exposure = AdaptiveExposure(held, chosen, data.image_shape, torch.zeros(chosen.looks))
+    prior = prior_of(data, chosen)
+    exposure = AdaptiveExposure(prior, chosen, data.image_shape, torch.zeros(chosen.looks))
     design = Design("adaptive", data.classes, exposure)
     return evaluate(design, data, photons, camera=camera, draws=draws)[0]
 
 
-def small(seed: int):
+def small(seed: int = 0):
     """Scenes (n, N) of classes (n,), about a pattern of each class."""
     rng = np.random.default_rng(seed)
     labels = rng.permutation(np.arange(SCENES) % CLASSES)
@@ -40,9 +43,9 @@ def small(seed: int):
     return x.astype(np.float32), labels
 
 
-def state_of(x, labels, photons, exposures=1, spread=0.0, **optics) -> AdaptivePosterior:
+def state_of(x, labels, photons, spread=0.0, **optics) -> AdaptivePosterior:
     prior = ScenePrior(x, labels, CLASSES, spread=spread)
-    return AdaptivePosterior(prior, exposures, posterior.LookOptics(photons, **optics))
+    return AdaptivePosterior(prior, 20, posterior.LookOptics(photons, **optics))
 
 
 def readouts(masks, arms=1, detectors=None) -> np.ndarray:
@@ -54,17 +57,17 @@ def readouts(masks, arms=1, detectors=None) -> np.ndarray:
     return np.stack([rail * area for rail in rails.swapaxes(0, 1) for area in areas], axis=1)
 
 
-def expected(x, seen, photons, shares, dark=0.0) -> np.ndarray:
+def expected(x, seen, photons, dark=0.0) -> np.ndarray:
     """Counts (n, looks, Q) behind readouts (looks, Q, N), in float64."""
     light = np.einsum("kqj,nj->nkq", seen, x.astype(float)) * photons / x.sum(axis=1).mean()
-    return (light + dark) * np.asarray(shares)[:, None]
+    return (light + dark) * SHARES[:, None]
 
 
-def told(state, masks, counts, shares) -> AdaptivePosterior:
-    """State after looks that show masks (looks, N) and count (b, looks, Q)."""
-    for k, share in enumerate(shares):
-        row = torch.from_numpy(masks[k]).float().expand(len(state), -1)
-        state.update(row, torch.from_numpy(counts[:, k]).float(), share)
+def told(state, counts) -> AdaptivePosterior:
+    """State after looks that show the masks and count (b, looks, Q)."""
+    for mask, count, share in zip(MASKS, counts.swapaxes(0, 1), SHARES, strict=True):
+        row = torch.from_numpy(mask).float().expand(len(state), -1)
+        state.update(row, torch.from_numpy(count).float(), share)
     return state
 
 
@@ -73,56 +76,44 @@ def by_hand(logs, labels):
     return np.exp(each - logsumexp(each, axis=1)[:, None])
 
 
-SHARES = np.array([0.05, 0.1, 0.1, 0.15, 0.2, 0.4])
-
-
 @pytest.mark.parametrize("photons", [1.0, 1e2, 1e4, 1e7])
 @pytest.mark.parametrize("dark", [0.0, 30.0])
 @pytest.mark.parametrize("arms", [1, 2])
 @pytest.mark.parametrize("detectors", [None, QUARTERS], ids=["one", "four"])
 def test_the_posterior_is_that_of_the_poisson_law(photons, dark, arms, detectors):
-    x, labels = small(0)
-    rng = np.random.default_rng(1)
-    masks = (rng.random((6, PIXELS)) < 0.5).astype(float)
-    seen = readouts(masks, arms, detectors)
-    mean = expected(x, seen, photons, SHARES, dark)
+    (x, labels), rng = small(), np.random.default_rng(1)
+    mean = expected(x, readouts(MASKS, arms, detectors), photons, dark)
     counts = rng.poisson(mean[:20])
-    state = state_of(x, labels, photons, 20, dark=dark, arms=arms, detectors=detectors)
-    found = told(state, masks, counts, SHARES).chances
+    state = state_of(x, labels, photons, dark=dark, arms=arms, detectors=detectors)
+    found = told(state, counts).chances
     with np.errstate(invalid="ignore"):
         each = np.where(mean > 0, poisson.logpmf(counts[:, None], mean), 0.0)
     np.testing.assert_allclose(found, by_hand(each.sum(axis=(2, 3)), labels), atol=2e-3)
 
 
 def test_with_masks_that_are_given_it_is_the_ideal_observer():
-    x, labels = small(0)
-    rng = np.random.default_rng(1)
-    masks = (rng.random((6, PIXELS)) < 0.5).astype(float)
-    mean = expected(x, readouts(masks), 1.0, SHARES)
-    counts = rng.poisson(1e3 * mean[:20])
+    x, labels = small()
+    mean = expected(x, readouts(MASKS), 1.0)
+    counts = np.random.default_rng(1).poisson(1e3 * mean[:20])
     rates, truth = torch.from_numpy(mean).float(), torch.from_numpy(labels)
     ideal = IdealObserver(rates, truth, CLASSES).chances(torch.from_numpy(counts).float(), 1e3)
-    found = told(state_of(x, labels, 1e3, 20), masks, counts, SHARES).chances
+    found = told(state_of(x, labels, 1e3), counts).chances
     torch.testing.assert_close(found, ideal, atol=1e-4, rtol=0)
 
 
 @pytest.mark.parametrize("spread", [0.3, 1.0])
 def test_scenes_near_those_of_the_prior_are_as_likely_as_their_normal_law_says(spread):
     """At so many photons counts are normal, and all looks at once have one covariance."""
-    x, labels = small(0)
-    rng = np.random.default_rng(1)
-    masks = (rng.random((6, PIXELS)) < 0.5).astype(float)
-    photons = 3e5
-    state = state_of(x, labels, photons, 20, spread=spread)
+    (x, labels), rng, photons = small(), np.random.default_rng(1), 3e5
+    state = state_of(x, labels, photons, spread=spread)
     parts = state.prior.components.double().numpy()
     near = parts.T @ parts
-    gain = photons / x.sum(axis=1).mean()
-    mean = expected(x, readouts(masks), photons, SHARES)[..., 0]
-    lit = gain * SHARES[:, None] * masks
+    mean = expected(x, readouts(MASKS), photons)[..., 0]
+    lit = photons / x.sum(axis=1).mean() * SHARES[:, None] * MASKS
     whole = lit @ near @ lit.T
     errors = rng.multivariate_normal(np.zeros(6), whole, 20)
     counts = rng.poisson(np.clip(mean[:20] + errors, 0, None))
-    found = told(state, masks, counts[..., None], SHARES)
+    found = told(state, counts[..., None])
     logs = np.zeros((20, SCENES))
     for k, centre in enumerate(mean):
         law = multivariate_normal(centre, whole + np.diag(mean.mean(axis=0)))
@@ -138,29 +129,25 @@ def test_scenes_near_those_of_the_prior_are_as_likely_as_their_normal_law_says(s
     assert np.abs(weights @ x - exact).mean() > 0.005, "what counts tell beyond the prior's scenes"
 
 
-def every_mask() -> np.ndarray:
-    return (np.arange(1, 2**PIXELS)[:, None] >> np.arange(PIXELS) & 1).astype(np.float32)
-
-
 @pytest.mark.parametrize("arms", [1, 2])
 def test_the_brightest_mask_is_nearly_the_best_of_all(arms):
     """Of all 255 masks: the largest squared difference over its photons."""
     rng = np.random.default_rng(2)
     differ, scene = rng.normal(size=(50, PIXELS)), rng.random((50, PIXELS)) + 0.1
     differ[:, 0] = abs(differ[:, 0])  # else the best mask may be all OFF
-    masks = every_mask()[:-1]  # all ON has no other arm
+    # but for all ON, which has no other arm
+    masks = (np.arange(1, 2**PIXELS - 1)[:, None] >> np.arange(PIXELS) & 1).astype(np.float32)
 
     def worth(shown):
         signal, noise = differ @ shown.T, scene @ shown.T
         return np.where((signal > 0) | (arms == 2), signal**2 / noise, 0)
 
-    every = worth(masks) + (worth(1 - masks) if arms == 2 else 0)
-    found = choice.difference_masks(
-        *map(torch.from_numpy, (differ, scene)), torch.ones(1, PIXELS).double(), arms
-    )
-    mine = np.diag(worth(found.numpy()))
-    if arms == 2:
-        mine = mine + np.diag(worth(1 - found.numpy()))
+    def of_arms(shown):
+        return worth(shown) + (worth(1 - shown) if arms == 2 else 0)
+
+    every, lit = of_arms(masks), torch.ones(1, PIXELS).double()
+    found = choice.difference_masks(torch.from_numpy(differ), torch.from_numpy(scene), lit, arms)
+    mine = np.diag(of_arms(found.numpy()))
     worst, mean = (0.5, 0.95) if arms == 1 else (0.2, 0.85)  # local maxima of two arms
     assert (mine > worst * every.max(axis=1)).all()
     assert (mine / every.max(axis=1)).mean() > mean

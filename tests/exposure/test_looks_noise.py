@@ -32,9 +32,10 @@ every_optics = pytest.mark.parametrize("optics", OPTICS, ids=str)
 every_noise = pytest.mark.parametrize(("dark", "sigma"), [(DARK, 0.0), (0.0, SIGMA), (DARK, SIGMA)])
 
 
-def readouts(optics: dict[str, str]) -> int:
-    """Readouts whose sum or difference is a feature."""
-    return 2 if optics.get("readout") == "difference" else 1
+def added_to(dwell: Tensor, optics: dict[str, str], dark: float, sigma: float) -> Tensor:
+    """Variance of dark counts and read noise, of one or two readouts a feature."""
+    readouts = 2 if optics.get("readout") == "difference" else 1
+    return readouts * (dark * dwell + LOOKS * sigma**2)
 
 
 def assert_law(off: Tensor, variance: Tensor) -> None:
@@ -58,7 +59,7 @@ def test_sums_of_looks_have_the_mean_and_variance_of_light_dark_counts_and_read_
         expected = PHOTONS * design.exposure.expected(rates, seen)
     off = seen.features * PHOTONS - design.detection.features(expected)
     dwell = seen.dwell.repeat_interleave(design.features // seen.dwell.shape[-1], dim=-1)
-    added = readouts(optics) * (dark * dwell + LOOKS * sigma**2)
+    added = added_to(dwell, optics, dark, sigma)
     variance = (design.detection.totals(expected) + added).double()
     assert_law(off.double(), variance)
     with pytest.raises(AssertionError):  # each part is seen
@@ -93,7 +94,7 @@ def test_looks_of_a_training_have_the_same_law(optics, dark, sigma):
     off, dwell = last[:, :k], 3 * last[:, k:] / q
     assert dwell.sum(dim=-1).numpy() == pytest.approx(1, abs=1e-5)
     dwell = dwell.repeat_interleave(k // q, dim=-1)
-    added = readouts(optics) * (dark * dwell + LOOKS * sigma**2) / rates
+    added = added_to(dwell, optics, dark, sigma) / rates
     assert_law(off, q * dwell + added)
     with pytest.raises(AssertionError):
         assert_law(off, q * dwell + added * (0.5 if dark else 0.0))

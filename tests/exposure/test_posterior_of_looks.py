@@ -1,20 +1,17 @@
 """Laws of exposures whose dwells are chosen while they run."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import torch
 
-from conftest import RECIPE
+from conftest import RECIPE, exposing, generator
 from deepfsi import Design, evaluate
 from deepfsi.base import InputError
-from deepfsi.datasets import Dataset, from_arrays
+from deepfsi.datasets import from_arrays
 from deepfsi.evaluation import stopping
 from deepfsi.exposure import LooksExposure
 from deepfsi.exposure.looks import Dwells
 from deepfsi.physics import ROUNDING_SLACK, light_law
-from shared.design_files import refused, rewrite
 from shared.jobs import learn
 
 LOOKS = 3
@@ -32,14 +29,13 @@ def design(digits) -> Design:
     return seeing(digits)
 
 
-def exposures(design: Design, data: Dataset, photons: float, draws: int = 1, noise="poisson"):
-    """Exposures of test scenes, each drawn several times: dwells and features."""
-    scanner, generator = design.scanner(noise), torch.Generator().manual_seed(1)
-    x = torch.from_numpy(data.x_test).repeat_interleave(draws, dim=0)
+def exposures(design: Design, x: np.ndarray, photons: float):
+    """Exposures of scenes: their rates, dwells and features."""
+    scanner = design.scanner()
     with torch.no_grad():
-        rates = scanner.rates(x / design.summed_reflectance)
-        *_, seen = design.observe(scanner, rates, generator, photons)
-    return seen
+        rates = scanner.rates(torch.from_numpy(x) / design.summed_reflectance)
+        *_, seen = design.observe(scanner, rates, generator(1), photons)
+    return rates, seen
 
 
 @pytest.mark.parametrize("levels", [0, 2])
@@ -47,7 +43,7 @@ def exposures(design: Design, data: Dataset, photons: float, draws: int = 1, noi
 def test_each_exposure_takes_its_time_and_no_more(digits, name, levels):
     masks = 67 if name == "s-matrix" else 6
     design = seeing(digits, design=name, levels=levels, masks=masks)
-    dwell = exposures(design, digits, 1e3).dwell
+    dwell = exposures(design, digits.x_test, 1e3)[1].dwell
     assert torch.allclose(dwell.sum(dim=-1), torch.ones(len(dwell)), atol=1e-5)
     assert (dwell >= 0).all()
     peaks = design.rails.stacked.amax(dim=-1)
@@ -57,14 +53,10 @@ def test_each_exposure_takes_its_time_and_no_more(digits, name, levels):
 
 def test_counts_at_known_dwells_are_poisson(digits, design):
     """Of (y − r)² / r the mean is 1 and the variance 2 + 1/r. Later dwells follow from counts."""
-    photons, generator = 1e5, torch.Generator().manual_seed(1)
-    design = replace(design, exposure=replace(design.exposure, looks=1))
-    scanner = design.scanner()
-    x = torch.from_numpy(digits.x_test).repeat_interleave(20, dim=0) / design.summed_reflectance
-    with torch.no_grad():
-        [seen] = design.observe(scanner, scanner.rates(x), generator, photons)
-    rates = (photons * 6 * seen.dwell * (x @ design.rails.plus.T)).double()
-    chi = ((seen.features * photons - rates).square() / rates)[rates > 20]
+    one_look = exposing(design, looks=1)
+    light, seen = exposures(one_look, digits.x_test.repeat(20, axis=0), 1e5)
+    rates = (1e5 * 6 * seen.dwell * light[..., 0, :]).double()
+    chi = ((seen.features * 1e5 - rates).square() / rates)[rates > 20]
     assert len(chi) > 1e4
     assert abs(float(chi.mean()) - 1) < 5 * (2.05 / len(chi)) ** 0.5
 
@@ -91,12 +83,11 @@ def test_dwells_follow_the_counts_and_only_from_the_second_look(design):
 
 def test_gradients_through_all_looks_are_those_of_finite_differences():
     """Of the mean and of the variance, since the draws are fixed and rates move both."""
-    generator = torch.Generator().manual_seed(0)
-    draw = lambda *shape: torch.randn(*shape, generator=generator, dtype=torch.float64)  # noqa: E731
-    weight = (0.3 * draw(4, 9)).requires_grad_()
-    light = (1 + draw(5, 4).abs()).requires_grad_()
-    noise = draw(LOOKS, 5, 4)
-    mean, std = draw(4).abs(), torch.ones(4, dtype=torch.float64)
+    random = {"generator": generator(), "dtype": torch.float64}
+    weight = (0.3 * torch.randn(4, 9, **random)).requires_grad_()
+    light = (1 + torch.randn(5, 4, **random).abs()).requires_grad_()
+    noise = torch.randn(LOOKS, 5, 4, **random)
+    mean, std = torch.randn(4, **random).abs(), torch.ones(4, dtype=torch.float64)
 
     def exposed(weight, light):
         draws = iter(noise)
@@ -143,48 +134,31 @@ def test_two_looks_tell_what_one_cannot():
     assert accuracy[2] - accuracy[1] > 5 * noise
 
 
-@pytest.mark.parametrize(
-    "damage",
-    [
-        {"exposure": {"kind": "adaptive", "looks": 2.5, "hidden": [8], "shortest": 0.0}},
-        {"exposure": {"kind": "adaptive", "looks": 10**9, "hidden": [8], "shortest": 0.0}},
-        {"exposure": {"kind": "adaptive", "looks": True, "hidden": [8], "shortest": 0.0}},
-        {"exposure": {"kind": "adaptive", "looks": 3, "hidden": [9], "shortest": 0.0}},
-        {"exposure": {"kind": "fixed"}},
-        {"light": "column"},
-    ],
-)
-def test_damaged_looks_are_refused(design, tmp_path, damage):
-    path = design.save(tmp_path / "looks.safetensors")
-    rewrite(path, lambda header, _: header.update(damage))
-    refused(path)
-
-
 def test_what_a_fixed_sequence_is_for_is_refused(digits, design):
-    with pytest.raises(InputError, match="photon noise"):
-        evaluate(design, digits, 1e3, noise="gaussian")
-    with pytest.raises(InputError, match="give dwell"):
-        design.classify(np.zeros(6), 1e3)
-    with pytest.raises(InputError, match="dwells of shape"):
-        design.classify(np.zeros(6), 1e3, dwell=np.zeros(5))
-    for wrong in (np.zeros(5), tuple(range(6)), "six", (np.zeros(6), np.zeros(5))):
-        with pytest.raises(InputError, match="a look does not fit"):
-            design.classify_live(lambda dwell, wrong=wrong: wrong, 1e3)
-    with pytest.raises(InputError, match="was to take"):
-        design.classify_live(lambda dwell: (np.zeros(6), 2 * dwell), 1e3)
-    with pytest.raises(InputError, match="not judged after 1: this rule is for 3 to 4"):
-        design.classify_live(
-            lambda dwell: np.zeros(6),
-            1e3,
-            stopping.StoppingRule(after=(3, 4), threshold=0.5, photons=1e3).decide,
-        )
-    with pytest.raises(InputError, match="finite"):
-        design.classify_live(lambda dwell: np.full(6, np.nan), 1e3)
+    dark = np.zeros(6)
+    rule = stopping.StoppingRule(after=(3, 4), threshold=0.5, photons=1e3)
     fixed = seeing(digits, looks=1)
-    with pytest.raises(InputError, match="`looks`"):
-        fixed.classify_live(lambda dwell: np.zeros(6), 1e3)
-    with pytest.raises(InputError, match="leave dwell out"):
-        fixed.classify(np.zeros(6), 1e3, dwell=np.ones(6) / 6)
+    refused = {
+        "photon noise": lambda: evaluate(design, digits, 1e3, noise="gaussian"),
+        "give dwell": lambda: design.classify(dark, 1e3),
+        "dwells of shape": lambda: design.classify(dark, 1e3, dwell=np.zeros(5)),
+        "leave dwell out": lambda: fixed.classify(dark, 1e3, dwell=np.ones(6) / 6),
+        "`looks`": lambda: fixed.classify_live(lambda dwell: dark, 1e3),
+        "not judged after 1: this rule is for 3 to 4": lambda: design.classify_live(
+            lambda dwell: dark, 1e3, rule.decide
+        ),
+    }
+    for match, use in refused.items():
+        with pytest.raises(InputError, match=match):
+            use()
+    for answer, match in (
+        *((wrong, "a look does not fit") for wrong in (np.zeros(5), tuple(range(6)), "six")),
+        ((dark, np.zeros(5)), "a look does not fit"),
+        ((dark, np.ones(6)), "was to take"),
+        (np.full(6, np.nan), "finite"),
+    ):
+        with pytest.raises(InputError, match=match):
+            design.classify_live(lambda dwell, answer=answer: answer, 1e3)
 
 
 @pytest.mark.parametrize("before", [(), (5,), (5, 2)])

@@ -2,7 +2,7 @@
 
 import numpy as np
 import torch
-from scipy.special import logsumexp
+from scipy.special import softmax
 from scipy.stats import multivariate_normal
 
 from deepfsi import evaluate, learn
@@ -20,19 +20,9 @@ def unequal(seed: int = 0):
     return (x + 0.1 * rng.normal(size=(sum(SIZES), PIXELS)).clip(-2, 2)).astype(np.float32), labels
 
 
-def settings(clusters=None) -> dict:
-    return {
-        "design": "adaptive",
-        "masks": 8,
-        "photons": PHOTONS,
-        "training": {"clusters": clusters},
-    }
-
-
 def test_before_any_count_classes_are_as_likely_as_they_are_frequent():
-    state = AdaptivePosterior(
-        ScenePrior(*unequal(), 3, clusters=4), 2, posterior.LookOptics(PHOTONS)
-    )
+    prior = ScenePrior(*unequal(), 3, clusters=4)
+    state = AdaptivePosterior(prior, 2, posterior.LookOptics(PHOTONS))
     wanted = torch.tensor(SIZES) / sum(SIZES)
     torch.testing.assert_close(state.chances, wanted.expand(2, 3))
     torch.testing.assert_close(state.scene, state.prior.mean.expand(2, PIXELS))
@@ -54,23 +44,16 @@ def test_one_centre_a_class_is_a_normal_law_of_each_class():
     away = x - means[labels]
     near = prior.spread**2 * away.T @ away / len(x)
     noise = lit @ near @ lit.T + np.diag(lit @ x.mean(axis=0))
-    logs = np.stack(
-        [
-            multivariate_normal(lit @ mean, noise).logpdf(counts) + np.log(size)
-            for mean, size in zip(means, SIZES, strict=True)
-        ],
-        axis=1,
-    )
-    exact = np.exp(logs - logsumexp(logs, axis=1)[:, None])
+    laws = [multivariate_normal(lit @ mean, noise).logpdf(counts) for mean in means]
+    exact = softmax(np.stack(laws, axis=1) + np.log(SIZES), axis=1)
     np.testing.assert_allclose(state.chances, exact, atol=0.05)
     assert (exact.max(axis=1) < 0.9).any(), "some classes are not told apart"
 
 
 def test_centres_answer_as_the_scenes_do_and_more_of_them_better(digits):
-    one, some, whole = (
-        evaluate(learn(digits, **settings(count)), digits, PHOTONS, draws=3)[0].accuracy
-        for count in (1, 20, None)
-    )
+    settings = {"design": "adaptive", "masks": 8, "photons": PHOTONS}
+    designs = [learn(digits, **settings, training={"clusters": k}) for k in (1, 20, None)]
+    one, some, whole = (evaluate(each, digits, PHOTONS, draws=3)[0].accuracy for each in designs)
     spread = np.sqrt(0.5 / len(digits.y_test))  # images as the trials, of two tests
     assert some > whole - 3 * spread
     assert some > one - spread

@@ -1,11 +1,9 @@
 """Laws of designs that know the shortest dwell of their device."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from conftest import RECIPE
+from conftest import RECIPE, exposing
 from deepfsi import Design
 from deepfsi.physics import ROUNDING_SLACK, light_law
 from shared.jobs import learn
@@ -14,7 +12,6 @@ SHORTEST = 0.06
 """Share of the exposure: five frames of a look of three, of ten masks."""
 
 ONE_DMD = {"light": "free-dwell", "rails": "single"}
-ROUNDING = 1e-5
 
 
 @pytest.fixture(scope="module")
@@ -38,9 +35,9 @@ def dwells_of(design: Design) -> list[np.ndarray]:
 
 def check_dwells(dwells: np.ndarray, total: float) -> None:
     lit = dwells[dwells > 0]
-    assert lit.min() >= SHORTEST * (1 - ROUNDING)
+    assert lit.min() >= SHORTEST * (1 - 1e-5)
     assert lit.size <= total / SHORTEST
-    assert dwells.sum() == pytest.approx(total, rel=ROUNDING)
+    assert dwells.sum() == pytest.approx(total, rel=1e-5)
 
 
 def test_no_look_has_a_frame_below_the_shortest(looking):
@@ -48,8 +45,8 @@ def test_no_look_has_a_frame_below_the_shortest(looking):
     assert len(told) == 3
     for dwell in told:
         check_dwells(dwell, 1 / 3)
-    free = replace(looking, exposure=replace(looking.exposure, shortest=0.0))
-    assert min(dwell.min() for dwell in dwells_of(free)) < SHORTEST / 2
+    free = dwells_of(exposing(looking, shortest=0.0))
+    assert min(dwell.min() for dwell in free) < SHORTEST / 2
 
 
 @pytest.mark.parametrize("levels", [0, 2])

@@ -21,47 +21,46 @@ from shared.jobs import learn
 from shared.networks import Cnn
 from shared.noises import photons, saturating
 
-CPU = torch.device("cpu")
+NOT_FINITE = (math.nan, math.inf)
+BAD = {
+    "photons": (0, -1, "abc", None, *NOT_FINITE),
+    "masks": (0, 65, 10.5, math.nan, "ten"),
+    "design": ("deepfsy",),
+    "light": ("colum",),
+    "rails": ("triple",),
+    "noise": ("poison",),
+    "sigma": (-0.1, *NOT_FINITE),
+    "epochs": (0,),
+    "batch": (1,),
+    "lr": (0, *NOT_FINITE),
+    "mask_lr": (0, *NOT_FINITE),
+    "decay": (-0.1, *NOT_FINITE),
+    "dropout": (-0.1, 1.0, math.nan),
+    "hidden": ((0,), (8, 0), (1.5,)),
+    "scale": ("none",),
+    "start": ("pcaa", "deepfsi", "control", "custom", "hadamard"),
+    "precision": ("float16",),
+    "levels": (1, -1, 2.5, 2**25),
+    "seed": (1.5, 2**70),
+    "device": ("tpu",),
+}
+TOGETHER = [
+    {"light": "two-arm", "rails": "single"},
+    {"design": "hadamard", "masks": 64, "rails": "single"},
+    {"design": "raster", "masks": 64, "light": "two-arm"},
+    {"design": "lda", "masks": 10},
+    {"noise": "gaussian", "sigma": 0},
+    {"design": "control", "dark": 5.0},  # its masks learn under gaussian noise
+    {"design": "random", "seed": -1},
+]
 
 
 @pytest.mark.parametrize(
-    "settings",
-    [
-        *({"photons": bad} for bad in (0, -1, math.nan, math.inf, "abc", None)),
-        *({"masks": bad} for bad in (0, -1, 65, 10.5, math.nan, "ten")),
-        {"design": "deepfsy"},
-        {"light": "colum"},
-        {"rails": "triple"},
-        {"light": "two-arm", "rails": "single"},
-        {"design": "hadamard", "masks": 64, "rails": "single"},
-        {"design": "raster", "masks": 64, "light": "two-arm"},
-        {"design": "lda", "masks": 10},
-        {"noise": "poison"},
-        *({"sigma": bad} for bad in (-0.1, math.nan, math.inf)),
-        {"noise": "gaussian", "sigma": 0},
-        {"design": "control", "dark": 5.0},  # its masks learn under gaussian noise
-        {"epochs": 0},
-        {"batch": 1},
-        *({"lr": bad} for bad in (0, -1, math.nan, math.inf)),
-        *({"mask_lr": bad} for bad in (0, -1, math.nan, math.inf)),
-        *({"decay": bad} for bad in (-0.1, math.nan, math.inf)),
-        *({"dropout": bad} for bad in (-0.1, 1.0, math.nan)),
-        *({"hidden": bad} for bad in ((0,), (-3,), (8, 0), (1.5,))),
-        {"scale": "none"},
-        *({"start": bad} for bad in ("pcaa", "deepfsi", "control", "custom", "hadamard")),
-        {"precision": "float16"},
-        *({"levels": bad} for bad in (1, -1, 2.5, 2**25)),
-        {"seed": 1.5},
-        {"seed": 2**70},
-        {"design": "random", "seed": -1},
-        {"device": "tpu"},
-    ],
-    ids=str,
+    "settings", [*({name: bad} for name, every in BAD.items() for bad in every), *TOGETHER], ids=str
 )
-def test_a_setting_that_is_not_allowed_is_one_clear_line(digits, settings):
-    with pytest.raises(InputError) as error:
+def test_a_setting_that_is_not_allowed_is_refused(digits, settings):
+    with pytest.raises(InputError):
         learn(digits, **{"photons": 1e4, "masks": 7, "epochs": 1, "device": "cpu", **settings})
-    assert "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize(
@@ -78,38 +77,29 @@ def test_a_setting_that_is_not_allowed_is_one_clear_line(digits, settings):
     ],
 )
 def test_a_bad_matrix_is_refused_before_training(digits, matrix, match):
-    seen = []
-    settings = {"photons": 1e4, "masks": 7, "device": "cpu"}
-    report = Progress(lambda share, what: seen.append(share))
+    report = Progress(lambda share, what: pytest.fail("it was trained"))
     with pytest.raises(InputError, match=match):
-        learn(digits, design="custom", matrix=matrix, report=report, **settings)
-    assert not seen
+        learn(digits, design="custom", matrix=matrix, report=report, photons=1e4, masks=7)
 
 
-@pytest.fixture
-def fast_processor(monkeypatch):
-    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: {"avx512_bf16": True})
+PHOTON_LIMIT = training_set.BFLOAT16_COUNTS
 
 
 @pytest.mark.parametrize(
     ("limit", "settings"),
     [
-        (20 * training_set.BFLOAT16_COUNTS, {}),
-        (20 * training_set.BFLOAT16_COUNTS, {"noise": "poisson"}),
-        (10 * training_set.BFLOAT16_COUNTS, {"rails": "single"}),
+        (20 * PHOTON_LIMIT, {}),
+        (20 * PHOTON_LIMIT, {"noise": "poisson"}),
+        (10 * PHOTON_LIMIT, {"rails": "single"}),
         (20 * 128, {"noise": "gaussian"}),
         (20 * 128 * 5, {"noise": "gaussian", "sigma": 5.0}),
     ],
 )
-def test_bfloat16_only_where_rounding_stays_under_the_noise(fast_processor, limit, settings):
-    assert (
-        training_set.product_dtype(job_of(masks=10, photons=limit, **settings), CPU)
-        == torch.bfloat16
-    )
-    assert (
-        training_set.product_dtype(job_of(masks=10, photons=limit * 1.01, **settings), CPU)
-        == torch.float32
-    )
+def test_bfloat16_only_where_rounding_stays_under_the_noise(monkeypatch, limit, settings):
+    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: {"avx512_bf16": True})
+    for budget, dtype in ((limit, torch.bfloat16), (limit * 1.01, torch.float32)):
+        job = job_of(masks=10, photons=budget, **settings)
+        assert training_set.product_dtype(job, torch.device("cpu")) == dtype
 
 
 def rounding(digits, masks: int, photons: float) -> float:
@@ -125,7 +115,7 @@ def rounding(digits, masks: int, photons: float) -> float:
 
 
 def test_bfloat16_error_is_under_the_photon_noise_where_allowed(digits):
-    assert rounding(digits, 10, 20 * training_set.BFLOAT16_COUNTS) < 0.5
+    assert rounding(digits, 10, 20 * PHOTON_LIMIT) < 0.5
     assert rounding(digits, 2, 1e8) > 1  # and would not be here
 
 
@@ -148,89 +138,78 @@ def test_a_job_comes_back_from_json():
 @pytest.mark.parametrize(
     ("settings", "match"),
     [
-        ({"epochs": 3}, r"no setting 'epochs': give `training=\{'epochs': ...\}`"),
-        ({"light": "column"}, r"no setting 'light': give `camera=\{'light': ...\}`"),
-        ({"looks": 3}, r"no setting 'looks': give `exposure=\{'looks': ...\}`"),
+        ({"epochs": 3}, r"give `training=\{'epochs': ...\}`"),
+        ({"light": "column"}, r"give `camera=\{'light': ...\}`"),
+        ({"looks": 3}, r"give `exposure=\{'looks': ...\}`"),
         ({"train_noise": "none"}, r"give `training=\{'noise': ...\}`"),
-        ({"photon": 1e3}, "no setting 'photon': did you mean 'photons'"),
-        ({"camera": "dmt"}, "unknown camera 'dmt': did you mean 'dmd'"),
+        ({"photon": 1e3}, "did you mean 'photons'"),
+        ({"camera": "dmt"}, "did you mean 'dmd'"),
         ({"camera": {"light": "colum"}}, "light = 'colum'"),
-        ({"exposure": {"look": 3}}, "an exposure has no setting 'look': did you mean 'looks'"),
+        ({"exposure": {"look": 3}}, "did you mean 'looks'"),
         ({"exposure": "looks"}, "exposure = 'looks'"),
-        ({"training": {"epoch": 3}}, "a training has no setting 'epoch': did you mean 'epochs'"),
-        ({"training": {"epochs": 0}}, "training.epochs = 0: give 1 or more"),
-        ({"training": {"classifier": 3}}, "training.classifier = 3: give mlp, or a module"),
-        ({"training": {"classifier": "cnn"}}, "give mlp, or module:factory of your own"),
+        ({"training": {"epoch": 3}}, "did you mean 'epochs'"),
+        ({"training": {"epochs": 0}}, "training.epochs = 0"),
+        ({"training": {"classifier": 3}}, "training.classifier = 3"),
         ({"training": 3}, "training = 3"),
-        ({"design": "pca", "training": {"start": "lda"}}, "pca has its own: leave it out"),
+        ({"design": "pca", "training": {"start": "lda"}}, "pca has its own"),
         ({"photons": None}, "told once: .*or a camera with its flux"),
-        ({"photons": None, "counts": -1.0}, "-1.0 counts are not allowed"),
-        (
-            {"photons": None, "counts": 30.0, "exposure": {"span": 10.0}},
-            "counts are of one budget: leave the range of budgets, `span`, out",
-        ),
-        ({"masks": 0}, "masks = 0"),
-        ({"masks": None}, "masks: it is missing: give one"),
+        ({"photons": None, "counts": -1.0}, "-1.0 counts"),
+        ({"photons": None, "counts": 30.0, "exposure": {"span": 10.0}}, "leave .*`span`, out"),
+        ({"masks": None}, "masks: it is missing"),
         ({"seed": -1}, "seed = -1"),
     ],
     ids=str,
 )
-def test_what_is_no_job_is_one_line(settings, match):
+def test_what_is_no_job_is_refused(settings, match):
     given = {"masks": 6, "photons": 1e3, **settings}
     counts = given.pop("counts", None)
-    with pytest.raises(InputError, match=match) as error:
+    with pytest.raises(InputError, match=match):
         find_job(given, counts)
-    assert "\n" not in str(error.value)
+
+
+ONE_ARM = ("column", "single", "difference", "1x1")
 
 
 @pytest.mark.parametrize(
-    ("settings", "light", "rails", "readout", "detectors"),
+    ("settings", "optics"),
     [
-        ({"camera": "dmd-2x2"}, "free-dwell", "single", "difference", "2x2"),
-        ({"camera": "two-arm"}, "two-arm", "dual", "both", "1x1"),
-        ({"camera": "dmd-2x2", "design": "impulse"}, "column", "single", "difference", "1x1"),
-        (
-            {"camera": "two-arm", "dmd": "dlp7000", "design": "impulse"},
-            "column", "single", "difference", "1x1",
-        ),
-        ({"camera": "paper", "design": "raster"}, "column", "single", "difference", "1x1"),
-        ({"camera": "dmd", "readout": "both"}, "free-dwell", "single", "difference", "1x1"),
+        ({"camera": "dmd-2x2"}, ("free-dwell", "single", "difference", "2x2")),
+        ({"camera": "two-arm"}, ("two-arm", "dual", "both", "1x1")),
+        ({"camera": "dmd-2x2", "design": "impulse"}, ONE_ARM),
+        ({"camera": "two-arm", "dmd": "dlp7000", "design": "impulse"}, ONE_ARM),
+        ({"camera": "paper", "design": "raster"}, ONE_ARM),
+        ({"camera": "dmd", "readout": "both"}, ("free-dwell", "single", "difference", "1x1")),
     ],
     ids=str,
-)  # fmt: skip
-def test_a_design_has_the_optics_that_it_needs(settings, light, rails, readout, detectors):
+)
+def test_a_design_has_the_optics_that_it_needs(settings, optics):
     """The job keeps the camera that was given; in force is what the design has of it."""
     job = job_of(masks=6, photons=1e3, **settings)
     found = job.optics
-    assert (found.light, found.rails, found.readout, found.detectors) == (
-        light, rails, readout, detectors,
-    )  # fmt: skip
+    assert (found.light, found.rails, found.readout, found.detectors) == optics
     assert job.resolved.camera == found
     assert job.resolved.resolved == job.resolved
     assert job.camera == job_of(masks=6, photons=1e3, **{**settings, "design": "deepfsi"}).camera
 
 
 @pytest.mark.parametrize(
-    ("settings", "noise"),
+    ("camera", "others", "noise"),
     [
-        ({}, "ml_gauss"),
-        ({"dark": 5.0}, "camera"),
-        ({"noise": "gaussian"}, "gaussian"),
-        ({"exposure": {"looks": 2}}, "poisson"),
-        ({"exposure": {"looks": 2}, "dark": 5.0}, "camera"),
-        ({"training": {"noise": "none"}, "dark": 5.0}, "none"),
-        ({"noise": photons}, "shared.noises:photons"),
+        ({}, {}, "ml_gauss"),
+        ({"dark": 5.0}, {}, "camera"),
+        ({"noise": "gaussian"}, {}, "gaussian"),
+        ({}, {"exposure": {"looks": 2}}, "poisson"),
+        ({"dark": 5.0}, {"exposure": {"looks": 2}}, "camera"),
+        ({"dark": 5.0}, {"training": {"noise": "none"}}, "none"),
+        ({"noise": photons}, {}, "shared.noises:photons"),
     ],
 )
-def test_a_job_trains_under_its_cameras_noise_unless_told(settings, noise):
-    own = {name: settings[name] for name in settings.keys() & {"exposure", "training"}}
-    camera = {name: settings[name] for name in settings.keys() - own.keys()}
-    job = Job(masks=6, photons=1e3, camera=camera, **own)
+def test_a_job_trains_under_its_cameras_noise_unless_told(camera, others, noise):
+    job = Job(masks=6, photons=1e3, camera=camera, **others)
     assert job.noise == noise
-    control = job.model_copy(update={"design": "control"})
-    assert control.mask_job().noise == "gaussian"
-    assert control.mask_job().design == "deepfsi"
     assert job.mask_job() is job
+    masks = job.model_copy(update={"design": "control"}).mask_job()
+    assert (masks.noise, masks.design) == ("gaussian", "deepfsi")
 
 
 def test_a_device_that_cannot_show_the_scenes_is_a_fault_of_the_job(digits):

@@ -13,6 +13,7 @@ from conftest import OPTICS
 from deepfsi.base import InputError
 from deepfsi.jobs import read_matrix
 from deepfsi.physics import light_law
+from shared.pictures import save_images
 
 SIGNED = np.linspace(-0.1, 0.2, 24).reshape(3, 8)
 GREY = np.random.default_rng(0).integers(0, 256, (3, 2, 4), dtype=np.uint8)
@@ -21,35 +22,22 @@ AS_GREY = GREY.reshape(3, 8) / 255 / 3
 AS_WIDE = WIDE.reshape(3, 8) / 65535 / 3
 
 
-@pytest.mark.parametrize(
-    ("given", "wanted"),
-    [
-        (SIGNED, SIGNED),
-        (SIGNED.reshape(3, 2, 4), SIGNED),
-        (SIGNED.astype(np.float32), SIGNED.astype(np.float32)),
-        (SIGNED.astype(np.float16), SIGNED.astype(np.float16)),
-        (np.arange(8).reshape(2, 4), np.arange(8).reshape(2, 4)),
-        (WIDE.astype(np.uint32), WIDE.reshape(3, 8)),
-        (GREY, AS_GREY),
-        (GREY.reshape(3, 8), AS_GREY),
-        (WIDE, AS_WIDE),
-        (GREY > 127, (GREY > 127).reshape(3, 8) / 3),
-        ((GREY > 127).astype(np.uint8), (GREY > 127).reshape(3, 8) / 3),
-    ],
-    ids=[
-        "signed",
-        "stack",
-        "float32",
-        "float16",
-        "integers",
-        "uint32",
-        "grey",
-        "rows",
-        "wide",
-        "bool",
-        "binary",
-    ],
-)
+ARRAYS = {
+    "signed": (SIGNED, SIGNED),
+    "stack": (SIGNED.reshape(3, 2, 4), SIGNED),
+    "float32": (SIGNED.astype(np.float32), SIGNED.astype(np.float32)),
+    "float16": (SIGNED.astype(np.float16), SIGNED.astype(np.float16)),
+    "integers": (np.arange(8).reshape(2, 4), np.arange(8).reshape(2, 4)),
+    "uint32": (WIDE.astype(np.uint32), WIDE.reshape(3, 8)),
+    "grey": (GREY, AS_GREY),
+    "rows": (GREY.reshape(3, 8), AS_GREY),
+    "wide": (WIDE, AS_WIDE),
+    "bool": (GREY > 127, (GREY > 127).reshape(3, 8) / 3),
+    "binary": ((GREY > 127).astype(np.uint8), (GREY > 127).reshape(3, 8) / 3),
+}
+
+
+@pytest.mark.parametrize(("given", "wanted"), ARRAYS.values(), ids=ARRAYS)
 @pytest.mark.parametrize("end", ["npy", "mat", "mat:own", "h5", "h5:own"])
 def test_arrays(tmp_path, given, wanted, end):
     if end == "npy":
@@ -70,9 +58,7 @@ def test_images(tmp_path, stack, wanted):
     pages = [Image.fromarray(page) for page in stack]
     pages[0].save(tmp_path / "m.tif", save_all=True, append_images=pages[1:])
     folder = tmp_path / "masks"
-    folder.mkdir()
-    for name, page in zip("abc", pages, strict=True):
-        page.save(folder / f"{name}.png")
+    save_images(folder, stack)
     (folder / "notes.txt").write_text("of ours")
     for source in (tmp_path / "m.tif", folder):
         np.testing.assert_allclose(read_matrix(str(source)), wanted, rtol=1e-12)
@@ -85,53 +71,49 @@ def test_grey_levels_obey_every_constraint(tmp_path, light, rails):
     light_law(light).check(light_law(light).rails(own, rails))
 
 
-def write_bad(folder):
-    np.save(folder / "words.npy", np.array(["a"]))
-    np.save(folder / "complex.npy", np.eye(2) * 1j)
-    np.save(folder / "flat.npy", np.ones(4))
-    np.save(folder / "none.npy", np.ones((0, 4)))
-    np.savez(folder / "several.npz", a=np.eye(2))
-    savemat(folder / "two.mat", {"a": np.eye(2), "b": np.eye(2)})
-    savemat(folder / "complex.mat", {"a": np.eye(2) * 1j})
-    savemat(folder / "text.mat", {"a": "b"})
-    (folder / "cut.mat").write_bytes((folder / "two.mat").read_bytes()[:150])
-    (folder / "cut.npy").write_bytes((folder / "flat.npy").read_bytes()[:100])
-    (folder / "junk.png").write_bytes(b"no image")
-    Image.new("L", (8, 6)).save(folder / "postscript.png", format="EPS")
-    (folder / "new.mat").write_bytes(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM" + bytes(99))
-    (folder / "empty").mkdir()
-    (folder / "mixed").mkdir()
-    for side in (2, 3):
-        Image.fromarray(np.zeros((side, 2), np.uint8)).save(folder / f"mixed/{side}.png")
-    Image.fromarray(np.zeros((2, 2), np.int32)).save(folder / "deep.tif")
+def save(path, content):
+    {".npy": np.save, ".npz": np.savez, ".mat": savemat}[path.suffix](path, content)
 
 
-@pytest.mark.parametrize(
-    ("source", "words"),
-    [
-        ("nowhere.npy", "no matrix at"),
-        ("nowhere.mat:a", "no matrix at"),
-        ("words.npy", "real numbers"),
-        ("complex.npy", "real numbers"),
-        ("flat.npy", r"shape \(4,\)"),
-        ("none.npy", r"shape \(0, 4\)"),
-        ("several.npz", "real numbers"),
-        ("cut.npy", "real numbers"),
-        ("two.mat", "a, b: name one"),
-        ("two.mat:c", "no variable 'c'.* a, b: name one"),
-        ("text.mat", "but none"),
-        ("complex.mat", "complex"),
-        ("cut.mat", "save it again"),
-        ("new.mat", "-v7"),
-        ("junk.png", "cannot read the image"),
-        ("postscript.png", "no image"),  # decoding it would start another program
-        ("deep.tif", "32 bits"),
-        ("empty", "no images in"),
-        ("mixed", "2x2 pixels of uint8"),
-    ],
-)
-def test_what_holds_no_masks_is_refused_in_one_line(tmp_path, source, words):
-    write_bad(tmp_path)
+def save_cut(path, content, length):
+    save(path, content)
+    path.write_bytes(path.read_bytes()[:length])
+
+
+TWO = {"a": np.eye(2), "b": np.eye(2)}
+NEW = b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM" + bytes(99)
+BAD = {
+    "nowhere.npy": (None, "no matrix at"),
+    "nowhere.mat:a": (None, "no matrix at"),
+    "words.npy": (lambda path: save(path, np.array(["a"])), "real numbers"),
+    "complex.npy": (lambda path: save(path, np.eye(2) * 1j), "real numbers"),
+    "flat.npy": (lambda path: save(path, np.ones(4)), r"shape \(4,\)"),
+    "none.npy": (lambda path: save(path, np.ones((0, 4))), r"shape \(0, 4\)"),
+    "several.npz": (lambda path: save(path, np.eye(2)), "real numbers"),
+    "cut.npy": (lambda path: save_cut(path, np.ones(4), 100), "real numbers"),
+    "two.mat": (lambda path: save(path, TWO), "a, b: name one"),
+    "two.mat:c": (lambda path: save(path, TWO), "no variable 'c'.* a, b: name one"),
+    "text.mat": (lambda path: save(path, {"a": "b"}), "but none"),
+    "complex.mat": (lambda path: save(path, {"a": np.eye(2) * 1j}), "complex"),
+    "cut.mat": (lambda path: save_cut(path, TWO, 150), "save it again"),
+    "new.mat": (lambda path: path.write_bytes(NEW), "-v7"),
+    "junk.png": (lambda path: path.write_bytes(b"no image"), "cannot read the image"),
+    # decoding it would start another program
+    "postscript.png": (lambda path: Image.new("L", (8, 6)).save(path, format="EPS"), "no image"),
+    "deep.tif": (lambda path: Image.new("I", (2, 2)).save(path), "32 bits"),
+    "empty": (lambda path: path.mkdir(), "no images in"),
+    "mixed": (
+        lambda path: save_images(path, [np.zeros((side, 2), np.uint8) for side in (2, 3)]),
+        "2x2 pixels of uint8",
+    ),
+}
+
+
+@pytest.mark.parametrize("source", BAD)
+def test_what_holds_no_masks_is_refused_in_one_line(tmp_path, source):
+    write, words = BAD[source]
+    if write:
+        write(tmp_path / source.partition(":")[0])
     with pytest.raises(InputError, match=words) as refused:
         read_matrix(f"{tmp_path}/{source}")
     assert "\n" not in str(refused.value)

@@ -7,16 +7,13 @@ from deepfsi import InputError
 from deepfsi.physics import torch_device
 
 
-@pytest.mark.parametrize("given", ["gpu", "cuda:x", "cuda:-1", "meta", "xpu", "", 0, None])
-def test_an_unknown_device_is_refused(given):
-    with pytest.raises(InputError, match=r"^unknown device '.*': choose auto, cpu, cuda, cuda:1"):
-        torch_device(given)
-
-
-def test_the_count_of_gpus_bounds_their_numbers(monkeypatch):
+def test_a_device_is_one_that_torch_has(monkeypatch):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
     assert torch_device("auto") == torch.device("cuda")
     assert torch_device("cuda:1") == torch_device(torch.device("cuda", 1)) == torch.device("cuda:1")
     with pytest.raises(InputError, match="torch sees 2 of CUDA"):
         torch_device("cuda:2")
+    for unknown in ("gpu", "cuda:x", "cuda:-1", "meta", "xpu", "", 0, None):
+        with pytest.raises(InputError, match=r"^unknown device '.*': choose auto, cpu, cuda"):
+            torch_device(unknown)

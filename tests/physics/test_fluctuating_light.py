@@ -8,9 +8,8 @@ from conftest import generator
 from deepfsi import Camera, Scanner
 from deepfsi.base import InputError
 from deepfsi.jobs import Job, Range
-from deepfsi.physics import Detection, Poisson, Rails
+from deepfsi.physics import Detection, Poisson, Rails, TrainingNoise
 from deepfsi.physics import noise as noise_module
-from deepfsi.physics.training_noise import TrainingNoise
 
 DRAWS = 100_000
 SIGMA = 0.2
@@ -21,6 +20,7 @@ APART = torch.stack([SIGNED.clamp(min=0), (-SIGNED).clamp(min=0)])
 AT_ONCE = torch.stack([0.5 + SIGNED, 0.5 - SIGNED]) / 2
 """Rails (2, m, N) that one arm shows one after the other, and that two arms see at once."""
 
+FLUCTUATION = noise_module.Fluctuation(Poisson(), SIGMA)
 OPTICS = {
     "one rail": (APART[:1] + 0.1, [[0], [1]]),
     "one after the other": (APART, [[0, 2], [1, 3]]),
@@ -29,10 +29,16 @@ OPTICS = {
 """Rails, and number of the frame (m, rails) of each."""
 
 
-def covariance(rates: Tensor, frames: Tensor, relative: float = SIGMA) -> Tensor:
+def covariance(rates: Tensor, frames: Tensor) -> Tensor:
     """By the definition: δ r of photons, and σ² r r′ of readouts of one frame, of rates (k,)."""
     alike = frames[:, None] == frames
-    return torch.diag(rates) + relative**2 * alike * rates[:, None] * rates
+    return torch.diag(rates) + SIGMA**2 * alike * rates[:, None] * rates
+
+
+def frames_of(optics: str, detectors: int) -> Tensor:
+    """Number of the frame of each readout."""
+    rails, frames = OPTICS[optics]
+    return torch.tensor(frames).T[: len(rails)].repeat_interleave(detectors, dim=1).flatten()
 
 
 def assert_covariance(counts: Tensor, mean: Tensor, expected: Tensor) -> None:
@@ -48,14 +54,10 @@ def assert_covariance(counts: Tensor, mean: Tensor, expected: Tensor) -> None:
 @pytest.mark.parametrize("detection", [Detection(), TILES], ids=["one detector", "two"])
 def test_counts_of_one_frame_share_its_light(optics, detection):
     """For all detectors; for both rails where two arms see them at once."""
-    rails, frames = OPTICS[optics]
-    scanner = Scanner.from_rails(
-        rails, noise_module.Fluctuation(Poisson(), SIGMA), detection=detection
-    )
+    scanner = Scanner.from_rails(OPTICS[optics][0], FLUCTUATION, detection=detection)
     rates = scanner.rates(LIGHT).flatten()
-    frame = torch.tensor(frames).T[: len(rails)].repeat_interleave(detection.count, dim=1)
     counts = scanner.counts(LIGHT.expand(DRAWS, 4), generator()).flatten(1)
-    assert_covariance(counts, rates, covariance(rates, frame.flatten()))
+    assert_covariance(counts, rates, covariance(rates, frames_of(optics, detection.count)))
 
 
 @pytest.mark.parametrize("optics", OPTICS)
@@ -63,11 +65,9 @@ def test_counts_of_one_frame_share_its_light(optics, detection):
 @pytest.mark.parametrize("inner", [Poisson(), noise_module.MlGauss()], ids=repr)
 def test_features_of_a_training_have_the_same_law(optics, readout, inner):
     """And the variance that is claimed of them: that of the photons, and of the light."""
-    rails, frames = OPTICS[optics]
+    (rails, _), gain = OPTICS[optics], 3.0
     detection = Detection(readout, 2, TILES.labels)
-    gain = 3.0
-    arranged = Rails.of(rails).map(detection.arrange)
-    read = detection.readouts(arranged)
+    read = detection.readouts(Rails.of(rails).map(detection.arrange))
     scanner = Scanner.from_rails(rails, "none", detection=detection)
     rates = scanner.rates(LIGHT)
     mean, total = detection.features(rates), detection.totals(rates)
@@ -77,8 +77,7 @@ def test_features_of_a_training_have_the_same_law(optics, readout, inner):
     )
     pair = (each.expand(DRAWS, 1, len(mean)) / gain for each in (mean, total))
     drawn = noise.features(*pair, read, lambda count: torch.zeros(0))[:, 0] * gain
-    frame = torch.tensor(frames).T[: len(rails)].repeat_interleave(2, dim=1)
-    every = covariance(rates.flatten(), frame.flatten())
+    every = covariance(rates.flatten(), frames_of(optics, 2))
     # features are sums of counts of rails: by the same map as of the rates
     signs = torch.stack(
         [detection.features(unit.view_as(rates)) for unit in torch.eye(rates.numel()).double()], -1
@@ -99,40 +98,13 @@ def test_dark_counts_and_read_noise_do_not_fluctuate():
     assert_covariance(counts.flatten(1), rates, expected)
 
 
-@pytest.mark.parametrize("optics", OPTICS)
-def test_gradient_is_that_of_the_expected_square(optics):
-    """E y² = μ² + L: of a quadratic the gradient of drawn counts is right in the mean."""
-    rails, _ = OPTICS[optics]
-    scale = torch.ones(2, 1, dtype=torch.float64, requires_grad=True)  # of each mask
-
-    class Dimmed(torch.nn.Module):
-        def forward(self) -> Rails:
-            return Rails.of(rails * scale)
-
-    scanner = Scanner(Dimmed(), noise_module.Fluctuation(Poisson(), SIGMA))
-    rates = rails @ LIGHT
-    mean = rates[0] - rates[1] if len(rates) == 2 else rates[0]
-    bright = mean.square() if optics == "two arms" else rates.square().sum(dim=0)
-    exact = 2 * mean.square() + rates.sum(dim=0) + 2 * SIGMA**2 * bright
-    parts = []
-    for seed in range(100):
-        drawn = scanner(LIGHT.expand(2000, 4), generator(seed)).square().mean(dim=0).sum()
-        parts.append(torch.autograd.grad(drawn, scale)[0].flatten())
-    found = torch.stack(parts)
-    error = 5 * found.std(dim=0) / len(found) ** 0.5
-    assert ((found.mean(dim=0) - exact).abs() <= error).all()
-    assert (error < 0.1 * exact).all()
-
-
 def test_a_reference_count_divides_the_light_out():
     """Y C / c has the variance r + r² / C, of a detector whose pixel no mask changes."""
     # Pixels 0 and 1 behind masks, 2 the reference; of the second order in 1 / C is less than 1 %
     light, rates = torch.tensor([100.0, 200.0, 1e4], dtype=torch.float64), 200.0
     rails = torch.tensor([[[1.0, 0.5, 1.0], [0.0, 1.0, 1.0]]], dtype=torch.float64) / 1.0
     detection = Detection(count=2, labels=torch.tensor([0, 0, 1]))
-    scanner = Scanner.from_rails(
-        rails, noise_module.Fluctuation(Poisson(), SIGMA), detection=detection
-    )
+    scanner = Scanner.from_rails(rails, FLUCTUATION, detection=detection)
     counts = scanner.counts(light.expand(DRAWS, 3), generator())[:, 0].unflatten(-1, (2, 2))
     measured, reference = counts.unbind(dim=-1)
     divided = measured / reference * 1e4

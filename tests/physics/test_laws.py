@@ -39,11 +39,6 @@ SCENES = {
 }
 
 
-def readouts(rails: Tensor) -> Tensor:
-    """All readouts that are not dark, (F, N), float64."""
-    return frames(rails).double()
-
-
 def separation(masks: Tensor, power: Tensor, difference: Tensor) -> Tensor:
     """Squared distance of two scenes in the best linear feature, in its standard deviations."""
     return ((difference @ masks.T).square() / power).sum(dim=-1)
@@ -51,10 +46,12 @@ def separation(masks: Tensor, power: Tensor, difference: Tensor) -> Tensor:
 
 @every_passive_design
 def test_no_scene_is_counted_beyond_its_own_light(made, digits, design, light, rails):
+    """Every law implies the bound on the flux of each pixel."""
     made_design = made(design, light, rails)
     photons = light_on(made_design, digits.x_test)
     counted = made_design.scanner("none").rates(photons).sum(dim=(-2, -1))
     assert (counted <= photons.sum(dim=-1) * (1 + FLOAT32)).all()
+    assert light_law("column").excess(made_design.rails.stacked) <= FLOAT32
 
 
 @every_design
@@ -110,11 +107,6 @@ def test_padding_takes_no_light_from_the_laws(design):
     assert (counted <= photons.sum(dim=-1) * (1 + FLOAT32)).all()
 
 
-@every_passive_design
-def test_every_constraint_implies_the_flux_bound(made, design, light, rails):
-    assert light_law("column").excess(made(design, light, rails).rails.stacked) <= FLOAT32
-
-
 def scan(design: str, digits) -> Tensor:
     """Rails of all N masks, float64."""
     matrix = torch.from_numpy(sensing_matrix(design, N, digits))
@@ -144,12 +136,8 @@ def simulated_error(rails: Tensor, photons: Tensor, noise: str, sigma: float) ->
     scanner = Scanner.from_rails(rails, noise, sigma)
     features = scanner(photons.expand(DRAWS, N), generator(1))
     reconstruction = features @ torch.linalg.inv(Rails.of(rails).difference).T
-    assert torch.allclose(  # unbiased: 5 sigma of the mean
-        reconstruction.mean(dim=0),
-        photons,
-        rtol=0,
-        atol=5 * float(reconstruction.std(0).max()) / DRAWS**0.5,
-    )
+    error = 5 * reconstruction.std(dim=0).max() / DRAWS**0.5
+    assert ((reconstruction.mean(dim=0) - photons).abs() <= error).all()  # unbiased
     return float(reconstruction.var(dim=0).mean())
 
 
@@ -171,8 +159,7 @@ def test_photon_noise_hadamard_equals_raster(digits, name, noise):
     hadamard, raster = scan("hadamard", digits), scan("raster", digits)
     photons = scene(name, digits)
     worth = [analytic_error(rails, photons, noise, 1.0) for rails in (raster, hadamard)]
-    assert worth[0] == pytest.approx(worth[1], rel=1e-9)
-    assert worth[0] == pytest.approx(N * float(photons.mean()), rel=1e-9)
+    assert worth == pytest.approx([N * float(photons.mean())] * 2, rel=1e-9)
     drawn = [simulated_error(rails, photons, noise, 1.0) for rails in (raster, hadamard)]
     assert drawn == pytest.approx(worth, rel=5 * (2.1 / DRAWS) ** 0.5)
 
@@ -181,10 +168,10 @@ def test_photon_noise_hadamard_equals_raster(digits, name, noise):
 def test_hadamard_on_one_device(digits, name):
     """Its 2N − 1 frames share the time of one detector; two arms show two of them at once."""
     matrix = torch.from_numpy(sensing_matrix("hadamard", N, digits))
-    raster, photons, frames = scan("raster", digits), scene(name, digits), 2 * N - 1
+    raster, photons, shown = scan("raster", digits), scene(name, digits), 2 * N - 1
     for light, photon_noise, read_noise in (
-        ("free-dwell", frames / N, frames**3 / N**4),
-        ("two-arm", 1.0, frames / N**2),
+        ("free-dwell", shown / N, shown**3 / N**4),
+        ("two-arm", 1.0, shown / N**2),
     ):
         hadamard = light_law(light).fit(matrix)
         for noise, ratio in (("poisson", photon_noise), ("gaussian", read_noise)):
@@ -196,7 +183,7 @@ def test_hadamard_on_one_device(digits, name):
 def test_photon_noise_nothing_separates_two_scenes_better_than_impulse(
     made, digits, design, light, rails
 ):
-    masks = readouts(made(design, light, rails).rails.stacked)
+    masks = frames(made(design, light, rails).rails.stacked).double()
     first = light_on(made(design, light, rails), digits.x_test[:100])
     second = first.roll(1, dims=0)
     mean, difference = (first + second) / 2, first - second
@@ -207,10 +194,10 @@ def test_photon_noise_nothing_separates_two_scenes_better_than_impulse(
 
 @every_design
 def test_subtracting_rails_adds_no_information(made, digits, design, light, rails):
-    made_design = made(design, light, rails)
-    signed, total = made_design.rails.difference.double(), made_design.rails.total.double()
-    masks = readouts(made_design.rails.stacked)
-    first = light_on(made_design, digits.x_test[:100])
+    rails_made = made(design, light, rails).rails
+    signed, total = rails_made.difference.double(), rails_made.total.double()
+    masks = frames(rails_made.stacked).double()
+    first = light_on(made(design, light, rails), digits.x_test[:100])
     mean, difference = (first + first.roll(1, dims=0)) / 2, first - first.roll(1, dims=0)
     apart = separation(masks, (mean @ masks.T).clamp(min=1e-12), difference)
     feature = separation(signed, (mean @ total.T).clamp(min=1e-12), difference)
@@ -221,7 +208,7 @@ def test_subtracting_rails_adds_no_information(made, digits, design, light, rail
 def test_coded_counts_are_impulse_counts_routed_at_random(made, digits, light, rails):
     """Draw the impulse camera's photons, send each to a readout or away, compare with Scanner."""
     made_design = made("deepfsi", light, rails)
-    masks = readouts(made_design.rails.stacked)
+    masks = frames(made_design.rails.stacked).double()
     photons = light_on(made_design, digits.x_test[0], 1e3)
     rng, draws = np.random.default_rng(0), 10_000
     routed = np.zeros((draws, len(masks) + 1))
@@ -258,13 +245,9 @@ def test_more_light_classifies_better(digits, design):
 @pytest.mark.usefixtures("uncharacterised")
 def test_mnist_photon_noise_orders_designs_as_the_paper():
     whole = load_dataset("mnist")
-    data = replace(
-        whole,
-        x_train=whole.x_train[:3_000],
-        y_train=whole.y_train[:3_000],
-        x_test=whole.x_train[-1_000:],
-        y_test=whole.y_train[-1_000:],
-    )
+    few = {f"{name}_train": getattr(whole, f"{name}_train")[:3_000] for name in "xy"}
+    test = {f"{name}_test": getattr(whole, f"{name}_train")[-1_000:] for name in "xy"}
+    data = replace(whole, **few, **test)
     training_set = TrainingSet(data, "cpu")
     settings = {**RECIPE, "epochs": 6, "lr": 1e-2, "mask_lr": 0.1, "hidden": (40, 128)}
     accuracy = []

@@ -6,9 +6,12 @@ import pytest
 import torch
 from torch.nn.functional import softplus
 
-from conftest import assert_moments, generator
+from conftest import assert_moments, generator, quick
+from deepfsi import Scanner
+from deepfsi.base import InputError
 from deepfsi.physics import Poisson, detection
 from deepfsi.physics import noise as noise_module
+from shared.noises import RAILS, exact, saturating
 
 DRAWS = 100_000
 ONE_RAIL = detection.Readouts(
@@ -19,66 +22,54 @@ DEVICES = ["cpu", *["cuda"] * torch.cuda.is_available()]
 RATES = [0, 1e-3, 1, 1e3, math.nextafter(LIMIT, 0), LIMIT, math.nextafter(LIMIT, 1e9), 1e8, 1e10]
 
 
-def drawn(name: str, rate: float, sigma: float = 1.0, dtype=torch.float64) -> torch.Tensor:
-    rates = torch.full((DRAWS,), rate, dtype=dtype)
-    return noise_module.make_noise(name, sigma=sigma).draw(rates, generator(4))
-
-
 @pytest.mark.parametrize("rate", RATES)
-@pytest.mark.parametrize("name", ["poisson", "ml_gauss"])
+@pytest.mark.parametrize(
+    ("name", "sigma", "dark"),
+    [
+        ("poisson", 0.0, 0.0),
+        ("ml_gauss", 0.0, 0.0),
+        ("gaussian", 1.0, 0.0),
+        ("gaussian", 7.0, 0.0),
+        ("camera", 0.0, 0.3),
+        ("camera", 0.5, 0.0),
+        ("camera", 7.0, 50.0),
+    ],
+)
 @pytest.mark.parametrize("device", DEVICES)
-def test_photon_noise_has_the_rate_as_mean_and_variance(name, rate, device):
+def test_counts_have_the_mean_and_variance_of_light_dark_counts_and_read_noise(
+    name, sigma, dark, rate, device
+):
     rates = torch.full((DRAWS,), rate, dtype=torch.float64, device=device)
     seeded = torch.Generator(device).manual_seed(4)
-    counts = noise_module.make_noise(name).draw(rates, seeded).cpu()
-    assert_moments(counts, rate, rate, poisson=name == "poisson", rounding=0.5)
-
-
-@pytest.mark.parametrize("rate", [0, 1e-3, 1, 1e3, 1e8])
-@pytest.mark.parametrize("sigma", [1.0, 7.0])
-def test_read_noise_has_a_constant_variance(rate, sigma):
-    assert_moments(drawn("gaussian", rate, sigma), rate, sigma**2, poisson=False, rounding=1e-6)
+    counts = noise_module.make_noise(name, sigma=sigma).draw(rates, seeded, dark)
+    variance = sigma**2 + (0 if name == "gaussian" else rate + dark)
+    rounding = 0.5 * (rate > 1e6) if name != "gaussian" else 1e-6
+    poisson = name in ("poisson", "camera")
+    assert_moments(counts.cpu(), rate, variance, poisson=poisson, rounding=rounding)
 
 
 @pytest.mark.parametrize("rate", RATES)
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-def test_photon_counts_are_whole_and_never_negative(rate, dtype):
-    counts = drawn("poisson", rate, dtype=dtype)
+@pytest.mark.parametrize("name", ["poisson", "ml_gauss"])
+def test_float32_keeps_mean_and_variance_up_to_1e10(name, rate, dtype):
+    """Photon counts are whole and never negative."""
+    rates = torch.full((DRAWS,), rate, dtype=dtype)
+    counts = noise_module.make_noise(name).draw(rates, generator(4))
     assert counts.dtype == dtype
-    assert (counts == counts.round()).all()
-    assert (counts >= 0).all()
+    spacing = 2.0 ** max(math.floor(math.log2(max(rate, 1e-9))) - 23, -23)
+    assert_moments(counts, rate, rate, poisson=name == "poisson", rounding=max(spacing, 1.0) / 2)
+    if name == "poisson":
+        assert (counts == counts.round()).all()
+        assert (counts >= 0).all()
 
 
 @pytest.mark.parametrize("rate", [0.05, 1.0, 4.0])
 def test_faint_counts_follow_poissons_law(rate):
-    counts = drawn("poisson", rate)
+    counts = Poisson().draw(torch.full((DRAWS,), rate, dtype=torch.float64), generator(4))
     for k in range(4):
         share = math.exp(-rate) * rate**k / math.factorial(k)
         found = float((counts == k).double().mean())
         assert abs(found - share) <= 5 * math.sqrt(share * (1 - share) / DRAWS)
-
-
-@pytest.mark.parametrize("rate", [1e3, LIMIT, 1e8, 1e10])
-@pytest.mark.parametrize("name", ["poisson", "ml_gauss"])
-def test_float32_keeps_mean_and_variance_up_to_1e10(name, rate):
-    spacing = 2.0 ** max(math.floor(math.log2(rate)) - 23, -23)
-    counts = drawn(name, rate, dtype=torch.float32)
-    assert_moments(counts, rate, rate, poisson=name == "poisson", rounding=max(spacing, 1.0) / 2)
-
-
-def slopes(name: str, rate: float, function) -> torch.Tensor:
-    """Gradient of function(y) in the rate of one rail, one for each draw."""
-    rates = torch.full((DRAWS,), rate, dtype=torch.float64, requires_grad=True)
-    kind = noise_module.make_noise(name)
-    y = kind.draw(rates, generator())
-    if kind.draws_rails:
-        y = kind.gradient(y, noise_module.Expectation(rates, rates, ONE_RAIL))
-    function(y).sum().backward()
-    return rates.grad
-
-
-def assert_mean(samples: torch.Tensor, mean: float) -> None:
-    assert abs(samples.mean() - mean) <= 5 * float(samples.std()) / math.sqrt(len(samples))
 
 
 @pytest.mark.parametrize("rate", [0.05, 0.5, 2.0])
@@ -88,39 +79,20 @@ def test_counts_of_one_rail_follow_their_rate_by_the_trapezoid_rule(rate):
     law = torch.exp(counts * math.log(rate) - rate - torch.lgamma(counts + 1)).detach()
     losses = softplus(counts)
     (slope,) = torch.autograd.grad(losses.sum(), counts)
-    found = slopes("poisson", rate, softplus)
-    assert_mean(found, float(law[:-1] @ (slope[:-1] + slope[1:]) / 2))
-
-    exact, straight = float(law[:-1] @ losses.detach().diff()), float(law @ slope)
-    assert abs(found.mean() - exact) < abs(straight - exact) / 4
-
-
-@pytest.mark.parametrize(("plus", "minus"), [(0.3, 0.9), (2.0, 0.5), (40.0, 40.0), (3.0, 0.0)])
-def test_counts_of_two_rails_follow_mean_and_variance(plus, minus):
-    """E[y²] = (r⁺ − r⁻)² + r⁺ + r⁻, whose slopes are ±2 (r⁺ − r⁻) + 1."""
-    rates = torch.tensor([plus, minus], dtype=torch.float64).repeat(DRAWS, 1).requires_grad_()
-    mean, light = rates[:, 0] - rates[:, 1], rates.sum(dim=1)
-    counts = Poisson().draw(rates, generator())
-    y = noise_module.attach_gradient(counts[:, 0] - counts[:, 1], mean, light)
-    assert torch.equal(y, counts[:, 0] - counts[:, 1])
-    y.square().sum().backward()
-    for slope, sign in zip(rates.grad.T, (1, -1), strict=True):
-        assert_mean(slope, 2 * sign * (plus - minus) + 1)
+    rates = torch.full((DRAWS,), rate, dtype=torch.float64, requires_grad=True)
+    light = noise_module.Expectation(rates, rates, ONE_RAIL)
+    drawn = Poisson().draw(rates, generator())
+    softplus(Poisson().gradient(drawn, light)).sum().backward()
+    found, error = rates.grad.mean(), 5 * rates.grad.std() / math.sqrt(DRAWS)
+    assert abs(found - law[:-1] @ (slope[:-1] + slope[1:]) / 2) <= error
+    exact, straight = law[:-1] @ losses.detach().diff(), law @ slope
+    assert abs(found - exact) < abs(straight - exact) / 4
 
 
-@pytest.mark.parametrize("name", ["ml_gauss", "poisson"])
-def test_a_dark_rail_has_a_finite_gradient(name):
-    assert (slopes(name, 0.0, torch.clone) == 1).all()
-
-
-def test_gradients_equal_finite_differences():
+@pytest.mark.parametrize("noise", [noise_module.MlGauss(), noise_module.Gaussian(2.0)], ids=repr)
+def test_gradients_equal_finite_differences(noise):
     rate = torch.tensor([1e-2, 0.3, 1.0, 40.0, 1e3], dtype=torch.float64, requires_grad=True)
-    assert torch.autograd.gradcheck(
-        lambda r: noise_module.MlGauss().draw(r, generator()).square(), rate
-    )
-    assert torch.autograd.gradcheck(
-        lambda r: noise_module.Gaussian(2.0).draw(r, generator()).square(), rate
-    )
+    assert torch.autograd.gradcheck(lambda r: noise.draw(r, generator()).square(), rate)
 
 
 ALL = [
@@ -177,3 +149,35 @@ def test_trainings_side_by_side_have_the_numbers_of_each(noise):
     for name, number in noise.settings.items():
         kept = both.of_jobs(0).settings[name]
         assert kept == number if isinstance(number, int) else kept.tolist() == [number]
+
+
+@pytest.mark.parametrize("own", [saturating, "shared.noises:saturating"], ids=str)
+def test_a_noise_of_ones_own_is_drawn_for_each_rail(own):
+    scene = torch.tensor([600.0, 900.0], dtype=torch.float64)
+    scanner = Scanner.from_rails(RAILS, own)
+    assert scanner.noise.name == "shared.noises:saturating"
+    rates = RAILS @ scene
+    seen = rates / (1 + rates / 1000)
+    every = scene.expand(DRAWS, 2)
+    counts, features = scanner.counts(every, generator()), scanner(every, generator())
+    assert_moments(counts, seen, seen, poisson=False, rounding=1e-9)
+    assert_moments(features, seen[0] - seen[1], seen.sum(dim=0), poisson=False, rounding=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("own", "match"),
+    [
+        (exact, "no gradient in the rates"),
+        (lambda rates: rates, "cannot be used"),
+        (lambda rates, generator: rates[:, :1], "of the shape of the rates"),
+        (lambda rates, generator: rates / 0, "no finite counts"),
+        (lambda rates, generator: rates.tolist(), "cannot be used"),
+        ("shared.noises:no_such", "has no no_such"),
+        ("no_such_module:noise", "No module named"),
+        ("camrea", "did you mean 'camera'"),
+    ],
+)
+def test_what_is_no_noise_is_refused_in_one_line(digits, own, match):
+    with pytest.raises(InputError, match=match) as error:
+        quick(digits, noise=own)
+    assert "\n" not in str(error.value)

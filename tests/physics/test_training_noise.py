@@ -1,59 +1,89 @@
 """Noise in units of the scene is that of counts, divided by the counts of one reflecting pixel."""
 
+import math
+
 import pytest
 import torch
 
-from deepfsi.physics import TrainingNoise, detection
-from shared.noises import training_noise
+from conftest import assert_moments
+from deepfsi.physics import Rails, TrainingNoise, detection, noise
+from shared.noises import RAILS
 
-READ = detection.Readouts(
-    torch.tensor([[[True] * 3], [[True, True, False]]]),
-    torch.ones(2, 1, 3),
-    torch.arange(6).view(2, 1, 3),
-)
+DRAWS = 50_000
+GAINS = [50.0, 200.0]
+NUMBERS = {
+    "poisson": [{}, {}],
+    "ml_gauss": [{}, {}],
+    "gaussian": [{"sigma": 2.0}, {"sigma": 5.0}],
+    "camera": [{"sigma": 2.0, "dark": 30.0}, {"sigma": 5.0, "dark": 10.0}],
+    "click": [{"gates": 20}, {"gates": 20}],
+}
+"""Of two trainings side by side."""
 
-
-LIT = READ.lit
-
-
-DRAWS = 200_000
-GAINS, SIGMAS = [4.0, 50.0], [3.0, 0.5]
-MEAN = torch.tensor([[0.4, -0.2, 0.5], [0.4, -0.2, 0.5]])
-TOTAL = torch.tensor([[0.9, 0.5, 0.5], [0.9, 0.5, 0.5]])
-READ = detection.Readouts(
-    torch.tensor([[[True] * 3], [[True, True, False]]]),
-    torch.ones(2, 1, 3),
-    torch.arange(6).view(2, 1, 3),
-)
+SCENE = torch.tensor([0.4, 0.9], dtype=torch.float64)
+TRAINED = Rails.of(RAILS.unsqueeze(0))
 
 
-def noise(kind: str) -> TrainingNoise:
-    return training_noise(kind, GAINS, SIGMAS, [0, 1], torch.device("cpu"))
+def alone(kind: str) -> list[noise.Noise]:
+    return [noise.make_noise(kind, **numbers) for numbers in NUMBERS[kind]]
 
 
-def test_counted_features_have_the_moments_of_two_poisson_rails():
-    """Within five standard errors; a variance of Poisson rails has the kurtosis of their sum."""
-    every = noise("poisson")
-    drawn = every.counted(MEAN.expand(DRAWS, 2, 3), TOTAL.expand(DRAWS, 2, 3), READ)
-    variance = TOTAL / every.gain
-    error = (variance / DRAWS).sqrt()
-    assert ((drawn.mean(dim=0) - MEAN).abs() < 5 * error).all()
-    kurtosis = 2 + 1 / (TOTAL * every.gain)
-    spread = variance * (kurtosis / DRAWS).sqrt()
-    assert ((drawn.var(dim=0) - variance).abs() < 5 * spread).all()
-    assert drawn.shape == (DRAWS, 2, 3)
+def side_by_side(kind: str) -> TrainingNoise:
+    return TrainingNoise.of(alone(kind), GAINS, [0, 1], torch.device("cpu"))
+
+
+@pytest.mark.parametrize("kind", ["poisson", "camera", "click"])
+def test_training_draws_what_the_scanner_does(kind):
+    """Counted features of a step, against the law of each training, which is also claimed."""
+    trained = side_by_side(kind)
+    mean, light = (each @ SCENE for each in (TRAINED.difference, TRAINED.total))  # (1, 4)
+    read = detection.SINGLE_DETECTION.readouts(TRAINED)
+    features = trained.counted(mean.expand(DRAWS, 2, 4), light.expand(DRAWS, 2, 4), read)
+    claimed = trained.variance(mean, light, read).double()
+    of_one = detection.SINGLE_DETECTION.readouts(Rails.of(RAILS))
+    for job, (one, gain) in enumerate(zip(alone(kind), GAINS, strict=True)):
+        plus, minus = one.mean(RAILS @ SCENE * gain)
+        power = one.variance(noise.Expectation(mean[0] * gain, light[0] * gain, of_one))
+        drawn = features[:, job] * gain
+        assert_moments(drawn, plus - minus, power, poisson=True, rounding=1e-4)
+        assert torch.allclose(claimed[job], power / gain**2)
+
+
+@pytest.mark.parametrize("kind", ["ml_gauss", "gaussian"])
+def test_a_noise_that_does_not_count_deviates_as_counts_over_the_gain(kind):
+    mean, light = (each @ SCENE for each in (TRAINED.difference, TRAINED.total))
+    read = detection.SINGLE_DETECTION.readouts(TRAINED)
+    found = side_by_side(kind).deviation(mean, light, read).square()
+    for job, gain in enumerate(GAINS):
+        lit = (RAILS.amax(dim=-1) > 0).sum(dim=0)
+        power = light[0] * gain if kind == "ml_gauss" else lit * NUMBERS[kind][job]["sigma"] ** 2
+        assert torch.allclose(found[job].double(), power.double() / gain**2)
 
 
 @pytest.mark.parametrize("kind", ["ml_gauss", "poisson"])
 def test_a_part_of_the_trainings_has_their_own_noise(kind):
-    part = noise(kind).of_jobs(slice(1, 2))
-    assert part.gain.tolist() == [[50.0]]
-    assert part.unit.item() == pytest.approx(50**-0.5)
+    part = side_by_side(kind).of_jobs(slice(1, 2))
+    assert part.gain.tolist() == [[200.0]]
+    assert part.unit.item() == pytest.approx(200**-0.5)
 
 
-def test_mlgauss_and_read_noise_deviate_as_counts_over_the_gain():
-    gain, sigma = torch.tensor(GAINS)[:, None], torch.tensor(SIGMAS)[:, None]
-    photons = noise("ml_gauss").deviation(MEAN, TOTAL, READ).square()
-    assert torch.allclose(photons, TOTAL * gain / gain**2)
-    read = noise("gaussian").deviation(MEAN, TOTAL, READ).square()
-    assert torch.allclose(read, LIT * sigma**2 / gain**2)
+@pytest.mark.parametrize("kind", ["poisson", "camera"])
+def test_training_follows_mean_light_and_time(kind):
+    """E[y²] = μ² + (L + σ² / Φ + d / Φ) / Φ a feature: slopes 2 μ in μ, 1 / Φ in L and in d / Φ."""
+    gain, dark = GAINS[0], NUMBERS["camera"][0]["dark"]
+    noisy = TrainingNoise.of(alone(kind)[:1], [gain], [0], torch.device("cpu"))
+    rails = Rails.of(RAILS[:, :2].unsqueeze(0))
+    read = detection.SINGLE_DETECTION.readouts(rails)
+    read = read._replace(time=read.time.clone().requires_grad_())
+    mean, light = (
+        (each @ SCENE).expand(DRAWS, 1, 2).clone().requires_grad_()
+        for each in (rails.difference, rails.total)
+    )
+    noisy.counted(mean, light, read).square().sum().backward()
+    by_mean, by_light = mean.grad[:, 0], light.grad[:, 0]
+    for found, wanted in ((by_mean, 2 * mean[0, 0]), (by_light, 1 / gain)):
+        assert ((found.mean(dim=0) - wanted).abs() <= 5 * found.std(dim=0) / DRAWS**0.5).all()
+    if kind == "camera":
+        error = 5 * by_light.std(dim=0) / math.sqrt(DRAWS)
+        by_time = read.time.grad[0, 0] / DRAWS  # through d = D t
+        assert ((by_time - dark / gain**2).abs() <= error * dark / gain).all()

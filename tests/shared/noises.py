@@ -1,12 +1,9 @@
 """Noises as users write them, importable as `shared.noises:NAME`."""
 
-from collections.abc import Sequence
-
 import torch
 from torch import Tensor
 
-from deepfsi.camera import find_noise
-from deepfsi.physics import TrainingNoise, noise, root
+from deepfsi.physics import root
 
 
 def photons(rates: Tensor, generator: torch.Generator | None = None) -> Tensor:
@@ -30,16 +27,10 @@ def offset(rates: Tensor, generator: torch.Generator | None = None) -> Tensor:
     return photons(rates, generator) + 1e7
 
 
-def training_noise(
-    kind: str,
-    gains: Sequence[float],
-    sigmas: Sequence[float],
-    seeds: Sequence[int],
-    device: torch.device,
-    darks: Sequence[float] | None = None,
-) -> TrainingNoise:
-    """A noise of trainings side by side, of the numbers of each."""
-    darks = darks if find_noise(kind).dark else None
-    each = zip(sigmas, darks or [0.0] * len(sigmas), strict=True)
-    noises = [noise.make_noise(kind, sigma=sigma, dark=dark) for sigma, dark in each]
-    return TrainingNoise.of(noises, gains, seeds, device)
+PLUS = torch.tensor([[0.5, 0.0], [0.25, 0.2], [0.0, 0.0], [0.0, 0.0]], dtype=torch.float64)
+MINUS = torch.tensor([[0.0, 0.25], [0.0, 0.0], [0.25, 0.5], [0.0, 0.0]], dtype=torch.float64)
+RAILS = torch.stack([PLUS, MINUS])
+"""Rails (2, 4, 2): of the masks both are lit, one alone, the other alone, and none."""
+
+TIMES = torch.tensor([[0.5, 0.25, 0.0, 0.0], [0.25, 0.0, 0.5, 0.0]], dtype=torch.float64)
+"""Shares of the exposure that each is shown, by hand."""

@@ -7,9 +7,10 @@ import pytest
 import torch
 from scipy.special import softmax
 
+from conftest import exposing, generator
 from deepfsi import evaluate, learn
 from deepfsi.evaluation import logits_at_stops
-from deepfsi.exposure import AdaptivePosterior, next_masks, posterior
+from deepfsi.exposure import AdaptivePosterior, next_masks
 from deepfsi.networks import stop_temperatures
 from deepfsi.training import characterisation
 
@@ -27,23 +28,18 @@ SETTINGS = {
 }
 
 
-def drawn(digits, each, seed):
-    """So many training scenes of each of three classes; all others are the test."""
-    x, y = (np.concatenate(pair) for pair in ((digits.x_train, digits.x_test),
-                                              (digits.y_train, digits.y_test)))  # fmt: skip
-    order = np.random.default_rng(seed).permutation(len(x))
-    rows = [order[y[order] == label] for label in CLASSES]
-    kept, others = (np.concatenate([own[part] for own in rows])
-                    for part in (slice(each), slice(each, None)))  # fmt: skip
-    place = {label: k for k, label in enumerate(CLASSES)}
-    labels = np.array([place.get(label, -1) for label in y])
-    return replace(digits, x_train=x[kept], y_train=labels[kept], x_test=x[others],
-                   y_test=labels[others], classes=("3", "8", "9"), origin=None)  # fmt: skip
-
-
 @pytest.fixture(scope="module")
 def few(digits):
-    return drawn(digits, EACH, 5)
+    """Training scenes of three classes; all others of them are the test."""
+    x = np.concatenate([digits.x_train, digits.x_test])
+    y = np.concatenate([digits.y_train, digits.y_test])
+    order = np.random.default_rng(5).permutation(len(x))
+    rows = [order[y[order] == label] for label in CLASSES]
+    train, test = (np.concatenate([own[some] for own in rows])
+                   for some in (slice(EACH), slice(EACH, None)))  # fmt: skip
+    labels = np.searchsorted(CLASSES, y)
+    return replace(digits, x_train=x[train], y_train=labels[train], x_test=x[test],
+                   y_test=labels[test], classes=("3", "8", "9"), origin=None)  # fmt: skip
 
 
 @pytest.fixture(scope="module", params=SETTINGS)
@@ -51,27 +47,16 @@ def design(request, few):
     return learn(few, photons=PHOTONS, **SETTINGS[request.param])
 
 
-@pytest.fixture(scope="module")
-def adaptive(few):
-    return learn(few, photons=PHOTONS, **SETTINGS["adaptive"])
-
-
-def rows_of(x):
-    return {row.tobytes() for row in x}
-
-
 def test_each_fold_leaves_out_what_its_training_does_not_hold(digits):
     few = replace(digits, x_train=digits.x_train[:90], y_train=digits.y_train[:90])
     folds = characterisation.folds_of(few)
     assert len(folds) == characterisation.FOLDS
     for fold in folds:
-        assert not rows_of(fold.x_train) & rows_of(fold.x_test)
-        assert rows_of(fold.x_train) | rows_of(fold.x_test) == rows_of(few.x_train)
-        part = (
-            np.bincount(fold.y_test, minlength=10)
-            - np.bincount(few.y_train, minlength=10) / characterisation.FOLDS
-        )
-        assert np.abs(part).max() < 1
+        seen, left = ({row.tobytes() for row in x} for x in (fold.x_train, fold.x_test))
+        assert not seen & left
+        assert seen | left == {row.tobytes() for row in few.x_train}
+        share = np.bincount(few.y_train, minlength=10) / characterisation.FOLDS
+        assert np.abs(np.bincount(fold.y_test, minlength=10) - share).max() < 1
     assert sum(len(fold.x_test) for fold in folds) == 90
 
 
@@ -85,14 +70,10 @@ def chances(design, data, photons=PHOTONS, seed=3):
     return softmax(logits / stop_temperatures(design.temperatures, photons)[-1], axis=1)
 
 
-def loss(given, truth):
-    return -np.log(given[np.arange(len(truth)), truth].clip(1e-30))
-
-
 @pytest.mark.parametrize("ratio", [0.1, 1, 10])
 def test_few_scenes_make_no_design_worse_than_guessing(design, few, ratio):
     given = chances(design, few, ratio * PHOTONS)
-    losses = loss(given, few.y_test)
+    losses = -np.log(given[np.arange(len(given)), few.y_test].clip(1e-30))
     error = losses.std() / len(losses) ** 0.5
     assert losses.mean() < np.log(3) + 3 * error
     # 48 scenes tell an accuracy to 0.06 at best, and two in five of their digits are mistaken
@@ -111,32 +92,25 @@ def test_its_test_says_what_new_scenes_give(design, few):
     assert test["log_loss"] <= test["uncalibrated_log_loss"] + 0.02
 
 
-def test_temperatures_change_confidence_and_no_mask_or_answer(adaptive, few):
-    plain = replace(
-        adaptive,
-        exposure=replace(
-            adaptive.exposure, prior=adaptive.prior_exposure.prior.with_temperatures(None)
-        ),
-    )
+def test_temperatures_change_confidence_and_no_mask_or_answer(few):
+    adaptive = learn(few, photons=PHOTONS, **SETTINGS["adaptive"])
+    prior = adaptive.prior_exposure.prior
+    plain = exposing(adaptive, prior=prior.with_temperatures(None))
     states = []
     for each in (adaptive, plain):
-        optics = posterior.LookOptics.of(each.camera, each.image_shape, PHOTONS)
-        state, generator = (
-            AdaptivePosterior(each.prior_exposure.prior, 40, optics),
-            torch.Generator(),
-        )
-        generator.manual_seed(1)
-        for share in each.prior_exposure.settings.shares:
-            masks = next_masks(state, share, generator)
-            counts = torch.poisson(
-                state.expected(masks, torch.from_numpy(few.x_test[:40]), share), generator
-            )
+        optics, draws = adaptive.exposure.optics_at(PHOTONS), generator(1)
+        state = AdaptivePosterior(each.prior_exposure.prior, 40, optics)
+        for share in adaptive.exposure.settings.shares:
+            masks = next_masks(state, share, draws)
+            rates = state.expected(masks, torch.from_numpy(few.x_test[:40]), share)
+            counts = torch.poisson(rates, draws)
             state.update(masks, counts, share)
         states.append((masks, counts, state.chances))
-    assert torch.equal(states[0][0], states[1][0])
-    assert torch.equal(states[0][1], states[1][1])
-    assert torch.equal(states[0][2].argmax(dim=1), states[1][2].argmax(dim=1))
-    assert float((states[0][2] - states[1][2]).abs().max()) > 0.05
+    (masks, counts, sure), (plain_masks, plain_counts, plain_sure) = states
+    assert torch.equal(masks, plain_masks)
+    assert torch.equal(counts, plain_counts)
+    assert torch.equal(sure.argmax(dim=1), plain_sure.argmax(dim=1))
+    assert float((sure - plain_sure).abs().max()) > 0.05
     found, wanted = (evaluate(each, few, PHOTONS, draws=1)[0] for each in (adaptive, plain))
     assert found.confusion == wanted.confusion
     assert found.log_loss < wanted.log_loss

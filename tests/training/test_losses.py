@@ -5,25 +5,22 @@ import torch
 
 from deepfsi import evaluate, learn
 from deepfsi.base import InputError
-from deepfsi.jobs import Training
 from deepfsi.training import losses
 from shared.values import placed_digits
 
 
-def absolute(outputs, truth):
-    """Absolute error, whose best answer is the median."""
-    return (outputs - truth).abs().mean(dim=-1)
-
-
 def test_a_loss_of_ones_own_that_is_the_usual_one_trains_the_same_design():
-    data, few = placed_digits(), {"camera": "dmd", "photons": 1e4, "masks": 4}
-    usual = learn(data, **few, training={"epochs": 2})
-    own = learn(data, **few, training={"epochs": 2, "loss": losses.squared_error})
+    data, name = placed_digits(), "deepfsi.training.losses:squared_error"
+
+    def made(**loss):
+        training = {"epochs": 2, **loss}
+        return learn(data, camera="dmd", photons=1e4, masks=4, training=training)
+
+    usual, own, named = made(), made(loss=losses.squared_error), made(loss=name)
     assert torch.equal(usual.rails.stacked, own.rails.stacked)
-    assert own.info["job"]["training"]["loss"] == "deepfsi.training.losses:squared_error"
-    named = Training(epochs=2, loss="deepfsi.training.losses:squared_error")
-    assert torch.equal(learn(data, **few, training=named).rails.stacked, own.rails.stacked)
-    other = learn(data, **few, training={"epochs": 2, "loss": absolute})
+    assert torch.equal(usual.rails.stacked, named.rails.stacked)
+    assert own.info["job"]["training"]["loss"] == name
+    other = made(loss=lambda outputs, truth: (outputs - truth).abs().mean(dim=-1))
     assert not torch.equal(usual.rails.stacked, other.rails.stacked)
     assert evaluate(other, data, 1e4, draws=1)[0].r2 > 0.3
 

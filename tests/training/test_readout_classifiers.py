@@ -6,9 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from readout_samples import EACH, drifting
 
-from deepfsi.datasets import Variables, read_readouts
+from deepfsi.datasets import MeasuredReadouts, Variables, read_readouts
 from deepfsi.design import classify_readouts
 from deepfsi.training import learn_readouts, measure_readouts
 from deepfsi.training.readouts import measure_order
@@ -21,8 +20,32 @@ real = pytest.mark.skipif(not DATA.is_dir(), reason="needs $DEEPFSI_DATA/spc_mod
 MODES = Variables("conv_cp", "digit", "ImageName", None, ("note_pump", "note_signal"))
 
 
-def result_of(table):
-    designs = {split: learn_readouts(table, split, training=FEW) for split in table.splits}
+CLASSES, EACH, MODES_MADE = 3, 400, 5
+
+
+def drifting(order: str, drift: float = 3.0, seed: int = 0) -> MeasuredReadouts:
+    """Readouts (n, k) of three classes under a random walk of the set-up, which a monitor reads.
+
+    Files were recorded one after another, in "blocks", or in "turns", one at each place.
+    """
+    rng = np.random.default_rng(seed)
+    count = CLASSES * EACH
+    file, place = np.repeat(np.arange(CLASSES), EACH), np.tile(np.arange(float(EACH)), CLASSES)
+    time = np.arange(count) if order == "blocks" else place.astype(int) * CLASSES + file
+    walk = np.cumsum(rng.normal(size=count))
+    state = (drift * (walk - walk.mean()) / walk.std())[time]
+    centres = rng.normal(scale=2.0, size=(CLASSES, MODES_MADE))
+    noise = rng.normal(size=(count, MODES_MADE))
+    values = centres[file] + noise + np.outer(state, rng.normal(size=MODES_MADE))
+    monitor = state[:, None] + rng.normal(scale=0.05, size=(count, 2))
+    return MeasuredReadouts(
+        name="made up", values=values, y=file, classes=("a", "b", "c"), file=file, position=place,
+        ordered=False, picture=None, monitors={"laser": monitor},
+    )  # fmt: skip
+
+
+def measured(table, **training):
+    designs = {split: learn_readouts(table, split, training=training) for split in table.splits}
     return measure_readouts(table, designs)
 
 
@@ -54,7 +77,8 @@ def test_a_drift_is_named_where_the_last_part_is_worse():
     late = table.position > 0.8 * EACH - 1
     moved = replace(table, values=table.values - 6.0 * late[:, None])
     words = [
-        next(line for line in result_of(t).verdict if line[:5] == "drift") for t in (table, moved)
+        next(line for line in measured(each, **FEW).verdict if line[:5] == "drift")
+        for each in (table, moved)
     ]
     assert "no difference" in words[0]
     assert "flatters" in words[1]
@@ -76,11 +100,9 @@ def test_real_readouts_as_well_as_ridge_and_recorded_in_turn(folder, ridge, coun
     assert "took turns" in measure_order(table).words
     if folder != "1f_july31":  # the hardest of the small ones; each takes many seconds
         return
-    brief = {"epochs": 30}  # of 100, which reach 0.96
-    designs = {split: learn_readouts(table, split, training=brief) for split in table.splits}
-    found = measure_readouts(table, designs)
+    found = measured(table, epochs=30)  # of 100, which reach 0.96
     random, later = found.splits
     assert random.network.high >= ridge
     assert random.network.mean > ridge - 0.01
     assert later.network.high < random.network.low
-    assert all(each.ridge.low < 0.1 for each in found.monitors[:1])
+    assert found.monitors[0].ridge.low < 0.1

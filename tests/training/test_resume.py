@@ -12,56 +12,34 @@ from safetensors.numpy import load_file, save_file
 from conftest import RECIPE
 from deepfsi.base import InputError, Progress, interrupts
 from deepfsi.exposure import TrainingSet
-from deepfsi.training import Checkpoint, Diverged, learning, loop, train
+from deepfsi.training import Checkpoint, Diverged, loop, train
 from deepfsi.training import checkpoint as module
-from shared.checkpoints import Stopped, write_each_step
+from shared.checkpoints import TRAININGS, Stopped, write_each_step
 from shared.jobs import job as job_of
 from shared.jobs import learn
 
-SCENES = 100
 SHORT = {**RECIPE, "epochs": 2, "batch": 32, "masks": 5, "photons": 1e3, "device": "cpu", "seed": 3}
 """Six steps of a training."""
 
-CASES = {
-    "fixed masks": {"design": "random", "dropout": 0.1},
-    "fixed masks, read noise": {"design": "pca", "noise": "gaussian", "sigma": 2.0},
-    "ml_gauss": {"dropout": 0.1, "decay": 0.01, "balance": True},
-    "gaussian": {"noise": "gaussian", "sigma": 3.0, "light": "two-arm"},
-    "poisson": {"noise": "poisson", "rails": "single", "light": "free-dwell"},
-    "camera noise": {"camera": "dmd", "noise": "camera", "sigma": 1.0, "dark": 5.0, "levels": 4},
-    "few counts": {"noise": "poisson", "counts": 50.0, "camera": "dmd"},
-    "a range of budgets": {"span": 100.0},
-    "nested masks": {"nested": 2, "light": "equal-dwell"},
-    "looks": {"camera": "dmd", "looks": 2, "dropout": 0.1},
-    "patches": {"design": "deepfsi", "patch": 4, "masks": 6, "classifier": "vit", "hidden": None},
-    "a module of one's own": {"classifier": "shared.networks:Cnn", "hidden": None},
-    "a noise of one's own": {"noise": "shared.noises:photons", "design": "pca"},
-    "the control group": {"design": "control", "sigma": 3.0, "dropout": 0.1},
-    "a budget of counts": {"counts": 200.0, "photons": None, "camera": "dmd"},
-    "values in bfloat16": {"precision": "bfloat16"},
-}
-
 
 def settings(changes):
-    """Settings of the short training with changes; None leaves one out."""
     return {name: each for name, each in {**SHORT, **changes}.items() if each is not None}
 
 
 @pytest.fixture
 def few(digits):
-    """Scenes that are not left out in folds, whose trainings have their own test."""
-    return replace(digits, x_train=digits.x_train[:SCENES], y_train=digits.y_train[:SCENES])
-
-
-@pytest.fixture
-def unfolded(monkeypatch):
-    monkeypatch.setattr(learning, "folds_of", lambda data: [])
+    return replace(digits, x_train=digits.x_train[:100], y_train=digits.y_train[:100])
 
 
 @pytest.fixture
 def writes(monkeypatch):
     """Write a checkpoint after each step; end the training after one of them, numbered from 1."""
     return write_each_step(monkeypatch)
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "training.checkpoint"
 
 
 def bits(design) -> bytes:
@@ -88,30 +66,25 @@ def check_law(make, writes, path: Path) -> None:
         assert not path.exists()
 
 
-@pytest.mark.usefixtures("unfolded")
-@pytest.mark.parametrize("case", CASES)
-def test_a_resumed_training_ends_in_the_same_bits(few, writes, tmp_path, case):
-    check_law(
-        lambda path: [learn(few, checkpoint=path, **settings(CASES[case]))],
-        writes,
-        tmp_path / "training.checkpoint",
-    )
+@pytest.mark.usefixtures("trained_once")
+@pytest.mark.parametrize("case", TRAININGS)
+def test_a_resumed_training_ends_in_the_same_bits(few, writes, path, case):
+    given = settings(TRAININGS[case])
+    check_law(lambda path: [learn(few, checkpoint=path, **given)], writes, path)
 
 
-@pytest.mark.usefixtures("uncharacterised", "unfolded")
+@pytest.mark.usefixtures("uncharacterised", "trained_once")
 @pytest.mark.parametrize("stacked", [False, True])
 @pytest.mark.parametrize("design", ["pca", "deepfsi"])
 def test_designs_of_two_seeds_side_by_side_are_resumed(
-    few, writes, tmp_path, monkeypatch, design, stacked
+    few, writes, path, monkeypatch, design, stacked
 ):
     """With their weights stacked, as on a GPU, or not."""
-    from deepfsi.training import loop
-
     usual = loop.Replicas
     monkeypatch.setattr(loop, "Replicas", lambda nets, _, dtype: usual(nets, stacked, dtype))
-    given = {**SHORT, "noise": "poisson", "design": design, "dropout": 0.1}
-    del given["device"], given["seed"], given["photons"]
-    jobs = [job_of(seed=s, photons=b, **given) for s, b in ((3, 1e2), (3, 1e4), (5, 1e3))]
+    given = settings({"noise": "poisson", "design": design, "dropout": 0.1, "device": None})
+    numbers = ((3, 1e2), (3, 1e4), (5, 1e3))
+    jobs = [job_of(**{**given, "seed": seed, "photons": photons}) for seed, photons in numbers]
     training_set = TrainingSet(few, "cpu")
 
     def make(path):
@@ -120,55 +93,45 @@ def test_designs_of_two_seeds_side_by_side_are_resumed(
         kept.remove()
         return designs
 
-    check_law(make, writes, tmp_path / "training.checkpoint")
+    check_law(make, writes, path)
 
 
-def test_trainings_that_leave_folds_out_are_resumed(digits, writes, tmp_path):
+def test_trainings_that_leave_folds_out_are_resumed(digits, writes, path):
     """Eleven trainings: the sixth and the last are stopped, too."""
     few = replace(digits, x_train=digits.x_train[:40], y_train=digits.y_train[:40])
-    given = {**SHORT, "epochs": 1}
-    check_law(
-        lambda path: [learn(few, checkpoint=path, **given)], writes, tmp_path / "few.checkpoint"
-    )
+    given = settings({"epochs": 1})
+    check_law(lambda path: [learn(few, checkpoint=path, **given)], writes, path)
 
 
 @pytest.fixture
-def stopped(few, writes, tmp_path, unfolded):
+def stopped(few, writes, path, trained_once):
     """Checkpoint of a training that was stopped after three steps."""
     writes["last"] = 3
-    path = tmp_path / "training.checkpoint"
     with pytest.raises(Stopped):
         learn(few, checkpoint=path, **SHORT)
     writes["last"] = 0
     return path
 
 
-@pytest.mark.parametrize(
-    "change", [{"seed": 4}, {"photons": 1e4}, {"lr": 1e-3}, {"epochs": 3}, {"noise": "poisson"}]
-)
-def test_a_checkpoint_of_other_settings_is_refused_and_kept(few, stopped, change):
+def test_a_checkpoint_of_another_training_is_refused_and_kept(few, stopped):
+    changes = {"seed": 4}, {"photons": 1e4}, {"lr": 1e-3}, {"epochs": 3}, {"noise": "poisson"}
+    others = [(few, change) for change in changes]
+    others.append((replace(few, x_train=few.x_train[::-1].copy()), {}))
     before = stopped.read_bytes()
-    with pytest.raises(InputError, match=r"training\.checkpoint is of another training.*") as said:
-        learn(few, checkpoint=stopped, **{**SHORT, **change})
-    assert "\n" not in str(said.value)
-    assert "deepfsi, 5 masks, 1000 photons" in str(said.value)
-    assert stopped.read_bytes() == before
+    for data, change in others:
+        match = r"training\.checkpoint is of another training.*deepfsi, 5 masks, 1000 photons"
+        with pytest.raises(InputError, match=match):
+            learn(data, checkpoint=stopped, **settings(change))
+        assert stopped.read_bytes() == before
 
 
-def test_a_checkpoint_of_other_data_is_refused(few, stopped):
-    other = replace(few, x_train=few.x_train[::-1].copy())
-    with pytest.raises(InputError, match="is of another training"):
-        learn(other, checkpoint=stopped, **SHORT)
-
-
-def test_a_checkpoint_of_another_source_file_is_refused(few, writes, tmp_path, monkeypatch):
-    (tmp_path / "lab_net.py").write_text("import torch\nnet = torch.nn.Linear\n")
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.syspath_prepend(tmp_path)
+def test_a_checkpoint_of_another_source_file_is_refused(few, writes, path, monkeypatch):
+    (path.parent / "lab_net.py").write_text("import torch\nnet = torch.nn.Linear\n")
+    monkeypatch.syspath_prepend(path.parent)
     given = settings({"classifier": "lab_net:net", "hidden": None})
     source = iter("abab")
     monkeypatch.setattr(module, "source_hash", lambda name: next(source))
-    path, writes["last"] = tmp_path / "training.checkpoint", 2
+    writes["last"] = 2
     with pytest.raises(Stopped):
         learn(few, checkpoint=path, **given)
     with pytest.raises(InputError, match="is of another training"):
@@ -177,9 +140,7 @@ def test_a_checkpoint_of_another_source_file_is_refused(few, writes, tmp_path, m
 
 def damages(path: Path):
     content, tensors = path.read_bytes(), load_file(path)
-    yield content[: len(content) // 2]
-    yield b""
-    yield b"photons"
+    yield from (content[: len(content) // 2], b"", b"photons")
     for place in (20, len(content) // 2, len(content) - 3):
         yield content[:place] + bytes([content[place] ^ 1]) + content[place + 1 :]
     save_file(tensors, path)
@@ -196,18 +157,17 @@ def test_a_damaged_checkpoint_is_named(few, stopped):
     learn(few, checkpoint=stopped, **SHORT)
 
 
-@pytest.mark.usefixtures("unfolded")
-def test_a_full_disk_does_not_end_a_training(few, writes, monkeypatch, tmp_path):
+@pytest.mark.usefixtures("trained_once")
+def test_a_full_disk_does_not_end_a_training(few, writes, monkeypatch, path):
     def full(path, content):
         raise InputError(f"cannot write {path}: no space left; nothing of it was kept")
 
     monkeypatch.setattr(module, "write_atomically", full)
     with pytest.warns(UserWarning, match="no space left"):
-        design = learn(few, checkpoint=tmp_path / "training.checkpoint", **SHORT)
+        design = learn(few, checkpoint=path, **SHORT)
     assert bits(design) == bits(learn(few, **SHORT))
 
 
-@pytest.mark.usefixtures("unfolded")
 def test_the_time_before_a_stop_counts(few, stopped, monkeypatch):
     read = module.read_tensors
 
@@ -219,22 +179,21 @@ def test_the_time_before_a_stop_counts(few, stopped, monkeypatch):
     assert 1000 < learn(few, checkpoint=stopped, **SHORT).info["seconds"] < 2000
 
 
-@pytest.mark.usefixtures("unfolded")
-def test_a_training_that_diverged_leaves_no_checkpoint(few, writes, tmp_path):
-    path = tmp_path / "training.checkpoint"
+@pytest.mark.usefixtures("trained_once")
+def test_a_training_that_diverged_leaves_no_checkpoint(few, writes, path):
     with pytest.raises(Diverged):
-        learn(few, checkpoint=path, **{**SHORT, "lr": 1e30, "mask_lr": 1e30})
+        learn(few, checkpoint=path, **settings({"lr": 1e30, "mask_lr": 1e30}))
     assert writes["count"]
     assert not path.exists()
 
 
-@pytest.mark.usefixtures("unfolded")
+@pytest.mark.usefixtures("trained_once")
 @pytest.mark.parametrize("number", interrupts.STOP_SIGNALS)
-def test_a_signal_ends_a_training_after_its_step_and_writes_it(few, monkeypatch, tmp_path, number):
+def test_a_signal_ends_a_training_after_its_step_and_writes_it(few, monkeypatch, path, number):
     """A handler that a command line has: it raises. The resumed training is the whole one."""
-    path, usual = tmp_path / "training.checkpoint", signal.getsignal(number)
+    usual, steps = signal.getsignal(number), []
     monkeypatch.setattr(module, "STOP_SECONDS", 0.0)
-    steps = []
+    monkeypatch.setattr(loop, "REPORT_SECONDS", 0.0)
 
     def stop(number, frame):
         raise KeyboardInterrupt
@@ -244,7 +203,6 @@ def test_a_signal_ends_a_training_after_its_step_and_writes_it(few, monkeypatch,
         if len(steps) == 3:
             os.kill(os.getpid(), number)
 
-    monkeypatch.setattr(loop, "REPORT_SECONDS", 0.0)
     signal.signal(number, stop)
     try:
         with pytest.raises(KeyboardInterrupt):
