@@ -8,12 +8,11 @@ import pytest
 import torch
 from scipy.special import logsumexp
 from scipy.stats import poisson
-from torch import Tensor
 
 from conftest import every_optics, generator, quick, real_mnist
 from deepfsi import IdealObserver, evaluate, ideal_observer
 from deepfsi.base import InputError
-from deepfsi.datasets import Dataset, from_arrays, load_dataset
+from deepfsi.datasets import from_arrays, load_dataset
 
 
 def exact(rates: np.ndarray, labels: np.ndarray, counts: np.ndarray, photons: float) -> np.ndarray:
@@ -24,14 +23,6 @@ def exact(rates: np.ndarray, labels: np.ndarray, counts: np.ndarray, photons: fl
         logs = poisson.logpmf(read, mean).sum(axis=2)
     each = [logsumexp(logs[:, labels == k], axis=1) for k in range(labels.max() + 1)]
     return np.exp(np.stack(each, axis=1) - logsumexp(logs, axis=1)[:, None])
-
-
-def drawn(rates: np.ndarray, photons: float) -> Tensor:
-    return torch.poisson(torch.from_numpy(photons * rates), generator=generator(3))
-
-
-def impulse(data: Dataset) -> Tensor:
-    return torch.eye(data.pixels)[None]
 
 
 @pytest.mark.parametrize("photons", [3.0, 1e3, 1e5, 1e7])
@@ -49,16 +40,16 @@ def test_chances_are_those_of_the_poisson_law(made, digits, light, rails, photon
     np.testing.assert_allclose(found, exact(flat, labels, read, photons), atol=2e-3)
 
 
-def test_single_precision_does_for_as_many_photons_as_a_design_is_made_for(digits):
+@pytest.mark.parametrize("photons", [30.0, 1e3, 1e5])
+def test_single_precision_does_for_as_many_photons_as_a_design_is_made_for(digits, photons):
     """Chances in float32 are those in float64 where most classes are still in doubt and beyond."""
     x, labels = torch.from_numpy(digits.x_train), torch.from_numpy(digits.y_train)
-    for photons in (30.0, 1e3, 1e5):
-        counts = drawn(digits.x_test / digits.x_train.sum(axis=1).mean(), photons)
-        s = x.sum(dim=1).mean()
-        single = IdealObserver(x / s, labels, 10).chances(counts, photons)
-        double = IdealObserver(x.double() / s, labels, 10).chances(counts, photons)
-        assert (single - double).abs().max() < 1e-4
-        assert (single.argmax(dim=1) == double.argmax(dim=1)).all()
+    s = x.sum(dim=1).mean()
+    counts = torch.poisson(torch.from_numpy(photons * digits.x_test) / s, generator=generator(3))
+    single = IdealObserver(x / s, labels, 10).chances(counts, photons)
+    double = IdealObserver(x.double() / s, labels, 10).chances(counts, photons)
+    assert (single - double).abs().max() < 1e-4
+    assert (single.argmax(dim=1) == double.argmax(dim=1)).all()
 
 
 def test_two_scenes_are_told_apart_as_by_the_likelihood_ratio():
@@ -100,20 +91,19 @@ def test_no_other_rule_is_better_on_scenes_of_the_prior(good, digits, photons):
     [network] = evaluate(good, known, photons, draws=draws, seed=1)
     spread = math.sqrt(2 * 0.25 / len(known.y_test))
     assert ideal.accuracy > network.accuracy - 5 * spread
-    [bound] = ideal_observer(impulse(known), known, photons, draws=draws)
+    [bound] = ideal_observer(torch.eye(known.pixels)[None], known, photons, draws=draws)
     assert bound.accuracy > ideal.accuracy - 5 * spread, "column designs route impulse imaging's"
 
 
 def test_what_cannot_be_had_is_refused(good, digits):
     looks = quick(digits, light="free-dwell", rails="single", looks=2, noise="poisson")
-    with pytest.raises(InputError, match="1 look"):
-        ideal_observer(looks, digits, 1e3)
-    with pytest.raises(InputError, match="photon budget"):
-        ideal_observer(good, digits, -1.0)
-    with pytest.raises(InputError, match="photons of shape"):
-        ideal_observer(torch.eye(63)[None], digits, 1e3)
-    with pytest.raises(InputError, match="noise draws"):
-        ideal_observer(good, digits, 1e3, draws=0)
+    for design, photons, match in (
+        (looks, 1e3, "1 look"),
+        (good, -1.0, "photon budget"),
+        (torch.eye(63)[None], 1e3, "photons of shape"),
+    ):
+        with pytest.raises(InputError, match=match):
+            ideal_observer(design, digits, photons)
 
 
 @real_mnist

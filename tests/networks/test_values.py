@@ -86,34 +86,6 @@ def test_information_of_clicks_is_that_of_their_distribution(gates):
     assert scanner.information(rates.detach())[0].numpy() == pytest.approx(expected.numpy())
 
 
-@pytest.mark.parametrize("noise", ["poisson", "gaussian", "camera", "none", Click(1), Click(4)])
-def test_moments_are_those_of_drawn_counts(noise):
-    rails = torch.tensor([[[0.5, 0.0], [0.2, 0.3]], [[0.0, 0.4], [0.0, 0.0]]])
-    dark = 3.0 if noise == "camera" else 0.0
-    scanner = Scanner.from_rails(rails, noise, 2.0, dark)
-    rates = scanner.rates(torch.tensor([6.0, 3.0]))
-    draws = 40_000
-    drawn = scanner.detection.features(
-        scanner.read(rates.expand(draws, 2, 2), torch.Generator().manual_seed(0))
-    ).double()
-    mean, power = (each.double() for each in scanner.moments(rates))
-    off = 5 * (power / draws).sqrt() + 1e-6
-    assert ((drawn.mean(dim=0) - mean).abs() <= off).all()
-    fourth = ((drawn - mean) ** 4).mean(dim=0)
-    assert ((drawn.var(dim=0) - power).abs() <= 5 * (fourth / draws).sqrt() + 1e-6).all()
-
-
-def test_estimates_of_the_scanners_counts_are_those_of_the_test(placed, design):
-    """By hand: counts of the scanner, `estimate`, and the errors; its interval holds both."""
-    scenes = torch.from_numpy(placed.x_test) * (1e4 / placed.x_train.sum(axis=1).mean())
-    counts = design.scanner().counts(scenes, torch.Generator().manual_seed(3))[:, 0].numpy()
-    errors = design.estimate(counts, 1e4) - placed.y_test
-    [result] = evaluate(design, placed, 1e4, draws=1)
-    for rmse, low, high in zip(np.sqrt((errors**2).mean(axis=0)), result.rmse_low,
-                               result.rmse_high, strict=True):  # fmt: skip
-        assert low - (high - low) < rmse < high + (high - low)
-
-
 def test_what_is_of_classes_is_refused_in_one_line(placed, design, digits, tmp_path):
     counts = np.ones(design.counts_shape)
     for refused in (
