@@ -1,31 +1,32 @@
 """The virtual camera: light where it should be, and counts that agree with the scanner's."""
 
 import tracemalloc
-from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 from pydantic import ValidationError
-from virtual_samples import DEVICE, SHAPE, SUMMED_REFLECTANCE, into, patterns, scenes
+from virtual_samples import (
+    DEVICE,
+    OPTICS,
+    SHAPE,
+    SUMMED_REFLECTANCE,
+    expected,
+    patterns,
+    record,
+    scenes,
+)
 
-from deepfsi import Scanner
-from deepfsi.base import SILENT, InputError, Progress
+from deepfsi.base import InputError, Progress
 from deepfsi.camera import Device, DmdLayout, find_grid
 from deepfsi.hardware.counting import count_run
-from deepfsi.hardware.patterns import (
-    GatePlan,
-    Patterns,
-)
+from deepfsi.hardware.patterns import GatePlan
 from deepfsi.hardware.photons import summarise
 from deepfsi.hardware.virtual import (
     CAMERAS,
-    RecordingSettings,
     VirtualCamera,
     arrival_rates,
     detector,
     expected_events,
-    record_scenes,
 )
 from deepfsi.hardware.virtual import camera as module
 from deepfsi_paper.camera import gate_counts
@@ -34,21 +35,9 @@ GRID = find_grid(DEVICE, SHAPE, DmdLayout(stretch=True))
 MIRRORS = GRID.mirrors
 AREA = slice(GRID.top, GRID.top + 24), slice(GRID.left, GRID.left + 36)
 IDEAL = CAMERAS["ideal"]
-OPTICS = [
-    ("equal-dwell", "dual"),
-    ("free-dwell", "dual"),
-    ("free-dwell", "single"),
-    ("two-arm", "dual"),
-    ("column", "dual"),
-]
-every_optics = pytest.mark.parametrize(("light", "rails"), OPTICS)
-
-
-def scanner_rates(shown: Patterns, x: np.ndarray, photons: float) -> np.ndarray:
-    """What the scanner expects of the realised rails, (S, rails, m)."""
-    scanner = Scanner.from_rails(torch.from_numpy(shown.rails))
-    flat = torch.from_numpy(x.reshape(len(x), -1).astype(np.float64))
-    return scanner.rates(flat * (photons / SUMMED_REFLECTANCE)).numpy()
+every_optics = pytest.mark.parametrize(
+    ("light", "rails"), [*OPTICS, ("free-dwell", "dual"), ("column", "dual")]
+)
 
 
 def assert_poisson(counts: np.ndarray, mean: np.ndarray) -> None:
@@ -93,9 +82,8 @@ def test_perspective_puts_a_spot_where_the_homography_does():
     device = Device(name="large", columns=400, rows=300)
     spot = np.zeros((1, 50, 50))
     spot[0, 10, 35] = 1  # at (0.71, 0.21)
-    light = module.irradiance(spot, VirtualCamera(view=view), device, find_grid(device, (30, 40)))[
-        0
-    ]
+    grid = find_grid(device, (30, 40))
+    [light] = module.irradiance(spot, VirtualCamera(view=view), device, grid)
     x, y, depth = np.array(view) @ (0.71, 0.21, 1)
     rows, columns = np.nonzero(light)
     assert columns.mean() + 0.5 == pytest.approx(400 * x / depth, abs=1)
@@ -130,10 +118,8 @@ def test_blur_keeps_the_light_and_has_its_width():
 def test_vignetting_dims_the_corners():
     device = Device(name="large", columns=200, rows=200)
     grid = find_grid(device, (2, 2))
-    light = (
-        module.irradiance(np.ones((1, 2, 2)), VirtualCamera(vignetting=0.3), device, grid)[0]
-        * grid.mirrors
-    )
+    [light] = module.irradiance(np.ones((1, 2, 2)), VirtualCamera(vignetting=0.3), device, grid)
+    light *= grid.mirrors
     assert light[100, 100] == pytest.approx(1, abs=1e-3)
     assert light[0, 0] == pytest.approx(0.7, abs=0.01)
     assert light[100, 0] == pytest.approx(0.85, abs=0.01)
@@ -175,9 +161,9 @@ def test_rates_do_not_depend_on_how_scenes_and_frames_are_grouped(tmp_path, monk
     monkeypatch.setattr(module, "SCENES_AT_ONCE", 2)
     monkeypatch.setattr(module, "FRAMES_AT_ONCE", 3)
     done = []
-    assert arrival_rates(tmp_path / "p", x, camera, 1e6, into(done)) == pytest.approx(
-        at_once, rel=1e-5
-    )
+    report = Progress(lambda share, _: done.append(share))
+    again = arrival_rates(tmp_path / "p", x, camera, 1e6, report)
+    assert again == pytest.approx(at_once, rel=1e-5)
     assert done == sorted(done)
     assert done[-1] == 1
 
@@ -215,75 +201,34 @@ def test_scenes_and_fluxes_that_are_none_are_refused(tmp_path, given, flux, mess
 
 
 @pytest.mark.parametrize(
-    "settings",
+    ("name", "value"),
     [
-        {"view": ((1, 0, 0), (1, 0, 0), (0, 0, 1))},
-        {"efficiency": 0},
-        {"efficiency": 1.1},
-        {"dark": -1},
-        {"dead_time_s": float("nan")},
-        {"afterpulse_probability": 1},
-        {"vignetting": 2},
-        {"focus": 1},
+        ("view", ((1, 0, 0), (1, 0, 0), (0, 0, 1))),
+        *(("efficiency", value) for value in (0, 1.1)),
+        ("dark", -1),
+        ("dead_time_s", float("nan")),
+        ("afterpulse_probability", 1),
+        ("vignetting", 2),
     ],
 )
-def test_cameras_that_cannot_be_are_refused(settings):
+def test_cameras_that_cannot_be_are_refused(name, value):
     with pytest.raises(ValidationError):
-        VirtualCamera(**settings)
-
-
-# Counts in memory
-
-
-@every_optics
-def test_law_ideal_counts_are_poisson_with_the_scanners_mean(tmp_path, light, rails):
-    shown, x, flux, exposure = patterns(tmp_path / "p", light, rails), scenes(), 2e6, 1e-3
-    gates = GatePlan(0.0, shown.manifest.shares * exposure, 20_000)
-    flow = arrival_rates(tmp_path / "p", x, IDEAL, flux)
-    counts = gate_counts.draw_counts(flow, shown.manifest, gates, IDEAL, np.random.default_rng(0))
-    mean = scanner_rates(shown, x, flux * exposure)
-    assert counts.shape == (3, 20_000, *mean.shape[1:])
-    for drawn, expected in zip(counts, mean, strict=True):
-        assert_poisson(drawn, expected)
-
-
-def test_counts_of_an_imperfect_detector_have_its_mean(tmp_path):
-    shown = patterns(tmp_path / "p", "two-arm")
-    flow = arrival_rates(tmp_path / "p", scenes(), CAMERAS["spad"], 1e7)
-    gates = GatePlan(0.0, shown.manifest.shares * 1e-3, 5_000)
-    counts = gate_counts.draw_counts(
-        flow, shown.manifest, gates, CAMERAS["spad"], np.random.default_rng(0)
-    )
-    n = flow[:, shown.manifest.shown].transpose(0, 2, 1)
-    mean = n / (1 + n * 28.5e-9) * 1.01 * gates.length_s
-    assert np.all(abs(counts.mean(axis=1) - mean) <= 5 * counts.std(axis=1) / 5_000**0.5)
-    assert (counts.var(axis=1) < mean).all()  # dead time calms
+        VirtualCamera(**{name: value})
 
 
 # Files
-
-
-def shoot(folder: Path, name: str = "run", x=None, names=("a", "b", "c"), labels=None, **changes):
-    """Record scenes with random masks exported to `folder`/p."""
-    report = changes.pop("report", SILENT)
-    given = {"camera": IDEAL, "flux": 2e6, "exposure_s": 1e-3, "seed": 7, **changes}
-    x = scenes() if x is None else x
-    settings = RecordingSettings(**given)
-    return record_scenes(folder / "p", x, names, labels, folder / name, settings, report)
 
 
 @every_optics
 def test_law_counts_from_a_file_are_poisson_with_the_scanners_mean(tmp_path, light, rails):
     shown = patterns(tmp_path / "p", light, rails, dwell=2e-2)
     exposure, flux, x = 2e-4, 5e6, scenes()
-    shoot(tmp_path, exposure_s=exposure, flux=flux)
-    counted = count_run(tmp_path / "run")
+    counted = count_run(record(tmp_path, x, camera=IDEAL, flux=flux, exposure_s=exposure, seed=7))
     assert counted.valid.all()
     assert counted.faults == ()
-    mean = scanner_rates(shown, x, flux * exposure)
     assert counted.counts.shape[1] >= 50
-    for drawn, expected in zip(counted.counts, mean, strict=True):
-        assert_poisson(drawn, expected)
+    for drawn, mean in zip(counted.counts, expected(shown, x, flux * exposure), strict=True):
+        assert_poisson(drawn, mean)
 
 
 @pytest.mark.parametrize("name", ["pmt", "spad"])
@@ -291,14 +236,13 @@ def test_counts_from_a_file_are_as_in_memory(tmp_path, name):
     shown = patterns(tmp_path / "p", "equal-dwell", dwell=2e-2)
     camera = CAMERAS[name].model_copy(update={"ambient": 2e5, "blur": 1.5, "vignetting": 0.2})
     flux, exposure = 2e7, 2e-4
-    acquisition = shoot(tmp_path, camera=camera, flux=flux, exposure_s=exposure)
-    counted = count_run(tmp_path / "run").counts
+    run = record(tmp_path, scenes(), camera=camera, flux=flux, exposure_s=exposure, seed=7)
+    counted = count_run(run).counts
     flow = arrival_rates(tmp_path / "p", scenes(), camera, flux)
     gates = GatePlan(0.0, shown.manifest.shares * exposure, 4000)
     drawn = gate_counts.draw_counts(flow, shown.manifest, gates, camera, np.random.default_rng(0))
     lit = drawn.any(axis=1)
     one, other = (np.moveaxis(c, 1, 0)[:, lit].astype(float) for c in (counted, drawn))
-    assert len(one) == acquisition.repeats
     error = other.std(axis=0) / len(one) ** 0.5
     off = (one.mean(axis=0) - other.mean(axis=0)) / error
     assert np.all(abs(off) <= 5.5)
@@ -307,23 +251,20 @@ def test_counts_from_a_file_are_as_in_memory(tmp_path, name):
     assert abs(power - 1) <= 5 * np.sqrt(2 / one.size) * 1.2
 
 
-def test_a_recording_that_is_stopped_leaves_nothing(tmp_path):
+def test_a_recording_that_is_stopped_leaves_nothing_and_another_is_not_written_to(tmp_path):
     patterns(tmp_path / "p")
+    settings = {"camera": IDEAL, "flux": 2e6, "exposure_s": 1e-3}
 
     def stop(share: float, what: str) -> None:
         if share > 0.5:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        shoot(tmp_path, report=Progress(stop))
+        record(tmp_path, scenes(), report=Progress(stop), **settings)
     assert [path.name for path in tmp_path.iterdir()] == ["p"]
-
-
-def test_a_folder_that_exists_is_not_written_to(tmp_path):
-    patterns(tmp_path / "p")
     (tmp_path / "run").mkdir()
     with pytest.raises(InputError, match="exists"):
-        shoot(tmp_path)
+        record(tmp_path, scenes(), **settings)
     assert not list((tmp_path / "run").iterdir())
 
 

@@ -2,15 +2,10 @@
 
 import numpy as np
 import pytest
-from virtual_samples import patterns, scenes
+from virtual_samples import patterns, record, scenes
 
 from deepfsi.hardware.counting import count_run
-from deepfsi.hardware.virtual import (
-    RecordingSettings,
-    VirtualCamera,
-    detector,
-    record_scenes,
-)
+from deepfsi.hardware.virtual import VirtualCamera, detector
 
 PICTURES = 20_000
 
@@ -44,21 +39,13 @@ def test_law_factors_are_correlated_over_their_time():
         assert abs(found - np.exp(-lag * 1e-3 / seconds)) <= 5 * error
 
 
-def recorded(folder, fluctuation: float, number: int = 300) -> np.ndarray:
-    """Counts of whole pictures (scenes, rails, m) of one scene again and again."""
-    # of complete scenes: all ON of a few is too dark beside their masks
-    camera = VirtualCamera(fluctuation=fluctuation)
-    settings = RecordingSettings(camera, 2e6, 1e-3, seed=7)
-    x = np.repeat(scenes(1), number, axis=0)
-    record_scenes(folder / "p", x, [f"s{k}" for k in range(number)], None, folder / "run", settings)
-    found = count_run(folder / "run")
-    return found.counts[found.valid.all(axis=1)].sum(axis=1)
-
-
 def test_law_counts_of_a_file_have_the_excess_of_the_light(tmp_path):
     patterns(tmp_path / "p")
-    relative = 0.1
-    counts = recorded(tmp_path, relative)
+    relative, x = 0.1, np.repeat(scenes(1), 300, axis=0)
+    camera = VirtualCamera(fluctuation=relative)
+    found = count_run(record(tmp_path, x, camera=camera, flux=2e6, exposure_s=1e-3, seed=7))
+    # of complete scenes: all ON of a few is too dark beside their masks
+    counts = found.counts[found.valid.all(axis=1)].sum(axis=1)
     lit = counts[:, counts.mean(axis=0) > 50]
     mean = lit.mean(axis=0)
     excess = (lit.var(axis=0, ddof=1) - mean) / mean**2

@@ -2,16 +2,13 @@
 
 import numpy as np
 import pytest
-import torch
-from virtual_samples import SUMMED_REFLECTANCE, patterns, scenes
+from virtual_samples import SUMMED_REFLECTANCE, every_optics, expected, patterns, record, scenes
 
-from deepfsi import Scanner
 from deepfsi.base import InputError
 from deepfsi.camera import CounterEffects, DeadTime
 from deepfsi.hardware.counting import CountSettings, count_run, read_counts
-from deepfsi.hardware.patterns import Patterns
 from deepfsi.hardware.pictures import reconstruct
-from deepfsi.hardware.virtual import RecordingSettings, VirtualCamera, record_scenes
+from deepfsi.hardware.virtual import VirtualCamera
 from deepfsi.lab import check_view, gains_of
 
 GATES = 4
@@ -19,35 +16,19 @@ EXPOSURE = 4e-3
 FLUX = 1.5e4
 """Photons/s: about one in a gate."""
 
-every_optics = pytest.mark.parametrize(
-    ("light", "rails"),
-    [("equal-dwell", "dual"), ("free-dwell", "single"), ("two-arm", "dual")],
-)
-
-
-def recorded(folder, name, camera, x, flux=FLUX, **settings):
-    how = RecordingSettings(camera, flux, EXPOSURE, **settings)
-    record_scenes(folder / "p", x, [str(k) for k in range(len(x))], None, folder / name, how)
-    return folder / name
-
-
-def expected(shown: Patterns, x: np.ndarray) -> np.ndarray:
-    """Photons (S, rails, m) of an exposure, by the scanner."""
-    scanner = Scanner.from_rails(torch.from_numpy(shown.rails))
-    flat = torch.from_numpy(x.reshape(len(x), -1).astype(np.float64))
-    return scanner.rates(flat * (FLUX * EXPOSURE / SUMMED_REFLECTANCE)).numpy()
+LIGHT = {"flux": FLUX, "exposure_s": EXPOSURE}
 
 
 @every_optics
 def test_clicks_of_each_readout_are_binomial(tmp_path, light, rails):
     """Mean and variance of all exposures of two scenes, to five standard errors."""
     shown, x = patterns(tmp_path / "p", light, rails), scenes(2)
-    gated = recorded(tmp_path, "run", VirtualCamera(gates=GATES), x.repeat(150, axis=0))
+    gated = record(tmp_path, x.repeat(150, axis=0), camera=VirtualCamera(gates=GATES), **LIGHT)
     counts = count_run(gated, CountSettings(clicks=GATES))
     assert counts.valid.all()
     assert counts.gates == read_counts(gated).gates == GATES
     found = counts.signal().reshape(2, -1, *counts.counts.shape[2:])
-    n, p = found.shape[1], -np.expm1(-expected(shown, x) / GATES)
+    n, p = found.shape[1], -np.expm1(-expected(shown, x, FLUX * EXPOSURE) / GATES)
     assert (found[:, :, p[0] == 0] == 0).all()
     lit = p > 0
     found, p = found.swapaxes(0, 1)[:, lit], p[lit]
@@ -63,8 +44,9 @@ def test_clicks_of_each_readout_are_binomial(tmp_path, light, rails):
 def test_a_gated_and_a_free_detector_give_the_same_clicks(tmp_path, light, rails):
     """Of one seed, photon by photon; a second count of gated photons changes nothing."""
     patterns(tmp_path / "p", light, rails)
+    settings = {"seed": 3, "repeats": 1, **LIGHT}
     runs = [
-        recorded(tmp_path, name, VirtualCamera(gates=gates), scenes(20), seed=3, repeats=1)
+        record(tmp_path, scenes(20), name, camera=VirtualCamera(gates=gates), **settings)
         for name, gates in (("gated", GATES), ("free", None))
     ]
     gated, free = (count_run(run, CountSettings(clicks=GATES)) for run in runs)
@@ -79,9 +61,10 @@ def test_a_gated_and_a_free_detector_give_the_same_clicks(tmp_path, light, rails
 @pytest.mark.parametrize(("gates", "flux"), [(None, FLUX), (None, 30 * FLUX), (40, FLUX)])
 def test_all_on_frames_tell_the_budget_by_clicks_or_by_photons(tmp_path, gates, flux):
     """Clicks where gates hold few photons, and the photons of a free detector where many."""
-    patterns(tmp_path / "p", "equal-dwell", "dual")
+    patterns(tmp_path / "p")
     x = scenes(1).repeat(40, axis=0)
-    run = recorded(tmp_path, "run", VirtualCamera(gates=gates), x, flux, repeats=1)
+    camera = VirtualCamera(gates=gates)
+    run = record(tmp_path, x, camera=camera, flux=flux, exposure_s=EXPOSURE, repeats=1)
     counts, number = count_run(run, CountSettings(clicks=gates or GATES)), 80 * (gates or GATES)
     wanted = flux * float(x[0].sum()) / SUMMED_REFLECTANCE
     mean = wanted * 2e-3 / (gates or GATES)  # photons in a gate, about
@@ -92,13 +75,11 @@ def test_all_on_frames_tell_the_budget_by_clicks_or_by_photons(tmp_path, gates, 
 
 
 def test_what_is_of_photons_refuses_clicks(tmp_path):
-    patterns(tmp_path / "p", "equal-dwell", "dual")
-    gated = recorded(tmp_path, "run", VirtualCamera(gates=GATES), scenes(), repeats=1)
+    patterns(tmp_path / "p")
+    gated = record(tmp_path, scenes(), camera=VirtualCamera(gates=GATES), **LIGHT, repeats=1)
+    dead = CounterEffects(dead_time=DeadTime(seconds=2e-8))
     for settings, match in [
-        (
-            {"effects": CounterEffects(dead_time=DeadTime(seconds=2e-8))},
-            "dead time is of photon counts",
-        ),
+        ({"effects": dead}, "dead time is of photon counts"),
         ({"background": "0"}, "a background is of photon counts"),
         ({"gains": (1.0,)}, "a flat field is of photon counts"),
         ({"exposure_s": EXPOSURE / 2}, "first photons alone of 4 gates"),
