@@ -13,18 +13,8 @@ from shared.jobs import learn
 
 
 @pytest.fixture(scope="module")
-def digits():
-    return load_dataset("digits")
-
-
-@pytest.fixture(scope="module")
 def design(digits):
     return learn(digits, photons=1e4, masks=12, epochs=20)
-
-
-@pytest.fixture(scope="module")
-def file(design, tmp_path_factory):
-    return design.save(tmp_path_factory.mktemp("design") / "digits.safetensors")
 
 
 @pytest.fixture
@@ -90,20 +80,6 @@ def test_size_white_and_damaged_pictures(tmp_path):
         assert part in found.preprocessing
 
 
-def test_what_cannot_be_predicted_is_refused(design, digits, tmp_path):
-    Image.fromarray(np.zeros((9, 8), np.uint8)).save(tmp_path / "a.png")
-    with pytest.raises(
-        InputError, match=r"pictures are of 9x8 pixels and the design's scenes of 8x8"
-    ):
-        deepfsi.predict(design, tmp_path / "a.png", 1e4)
-    with pytest.raises(InputError, match="photon budget True"):
-        deepfsi.predict(design, tmp_path / "a.png", True)
-    arrays = digits.x_train, digits.y_train
-    unknown = learn(deepfsi.from_arrays(*arrays), photons=1e4, masks=4, epochs=1)
-    with pytest.raises(InputError, match="does not know what to do to pictures"):
-        deepfsi.predict(unknown, tmp_path / "a.png", 1e4)
-
-
 def test_light_is_that_of_the_camera_unless_it_is_told(digits, raw, design):
     """Of a camera whose light was not trained for, the lowest that was."""
     told = deepfsi.predict(design, raw, 1e4, seed=3)
@@ -116,6 +92,8 @@ def test_light_is_that_of_the_camera_unless_it_is_told(digits, raw, design):
     dark_free = deepfsi.Camera(exposure="10ms", flux=3e6)
     several = learn(digits, camera=dark_free, photons=1e3, span=100, masks=4, epochs=1)
     assert deepfsi.predict(several, raw).photons == pytest.approx(3e4)
+    with pytest.raises(InputError, match="does not know what to do to pictures"):
+        deepfsi.predict(replace(design, info={"job": design.info["job"]}), raw, 1e4)
     silent = replace(design, info={k: v for k, v in design.info.items() if k != "job"})
     with pytest.raises(InputError, match="give `photons`"):
         deepfsi.predict(silent, raw)
@@ -123,36 +101,38 @@ def test_light_is_that_of_the_camera_unless_it_is_told(digits, raw, design):
 
 def test_arrays_are_predicted_as_the_scenes_and_pictures_that_they_are(design, digits, raw):
     """Floats as the data set has them; whole numbers get what pictures of files get."""
-    [shape] = {(len(digits.x_test), *design.image_shape)}
     found = deepfsi.predict(design, digits.x_test, 1e4)
-    assert found.pictures == deepfsi.predict(design, digits.x_test.reshape(shape), 1e4).pictures
+    square = digits.x_test.reshape(-1, *design.image_shape)
+    assert found.pictures == deepfsi.predict(design, square, 1e4).pictures
     assert [each.name for each in found.pictures[:2]] == ["0", "1"]
     files = sorted(raw.iterdir())
     levels = np.stack([np.asarray(Image.open(file)) for file in files])
-    here, there = deepfsi.predict(design, levels, 1e4), deepfsi.predict(design, raw, 1e4)
-    mapped = "divided by 255, then mapped from [0, 1] to [0.3, 1]"
-    assert here.preprocessing.endswith(mapped)
-    assert there.preprocessing.endswith(mapped)
-    answers = [
-        [(each.predicted, each.confidence, each.trained_on) for each in one.pictures]
-        for one in (here, there)
-    ]
-    assert answers[0] == answers[1]
-    kept = deepfsi.predict(design, levels.reshape(len(levels), -1), 1e4)
-    assert kept.pictures == here.pictures
+    answers = []
+    for given in (raw, levels, levels.reshape(len(levels), -1)):
+        found = deepfsi.predict(design, given, 1e4)
+        mapped = "divided by 255, then mapped from [0, 1] to [0.3, 1]"
+        assert found.preprocessing.endswith(mapped)
+        answers.append([(one.predicted, one.confidence, one.trained_on) for one in found.pictures])
+    assert answers[0] == answers[1] == answers[2]
 
 
 @pytest.mark.parametrize(
-    ("pictures", "match"),
+    ("pictures", "photons", "match"),
     [
-        (None, "pictures were given as NoneType: give a picture, a folder"),
-        (np.zeros((3, 5)), "the pictures are of 5 pixels and the design's scenes of 8x8"),
-        (np.zeros((0, 8, 8)), "holds no pictures: give one or more"),
-        (np.full((2, 8, 8), 7.0), "pictures"),
-        (np.full((2, 8, 8), np.nan), "pictures"),
+        (None, 1e4, "pictures were given as NoneType: give a picture, a folder"),
+        (np.zeros((3, 5)), 1e4, "the pictures are of 5 pixels and the design's scenes of 8x8"),
+        (np.zeros((0, 8, 8)), 1e4, "holds no pictures: give one or more"),
+        (np.full((2, 8, 8), 7.0), 1e4, "pictures"),
+        (np.full((2, 8, 8), np.nan), 1e4, "pictures"),
+        ("a.png", 1e4, r"pictures are of 9x8 pixels and the design's scenes of 8x8"),
+        ("a.png", True, "photon budget True"),
     ],
 )
-def test_what_is_no_array_of_pictures_is_one_line(design, pictures, match):
+def test_what_cannot_be_predicted_is_one_line(
+    design, tmp_path, monkeypatch, pictures, photons, match
+):
+    monkeypatch.chdir(tmp_path)
+    Image.fromarray(np.zeros((9, 8), np.uint8)).save("a.png")
     with pytest.raises(InputError, match=match) as error:
-        deepfsi.predict(design, pictures, 1e4)
+        deepfsi.predict(design, pictures, photons)
     assert "\n" not in str(error.value)
