@@ -26,6 +26,13 @@ def lognormal(spread: float, size: tuple[int, ...], rng: np.random.Generator) ->
     return np.exp(sigma * rng.standard_normal(size) - sigma**2 / 2)
 
 
+def assert_mean(measured, truth) -> None:
+    """Means of measured values (n, ...) are the truth (...), to four standard errors."""
+    found = np.array(measured)
+    error = found.std(axis=0, ddof=1) / np.sqrt(len(found))
+    assert (abs(found.mean(axis=0) - truth) < 4 * error).all()
+
+
 @pytest.mark.parametrize(("runs", "mean"), [(1, 600.0), (3, 40.0)])
 def test_poisson_counts_are_called_poisson(runs, mean):
     rng = np.random.default_rng(1)
@@ -47,47 +54,38 @@ def test_an_excess_that_was_put_in_is_measured():
         for _ in range(30)
     ]
     assert not any(one.poisson for one in found)
-    excess = np.array([one.runs[0].excess.variance for one in found])
-    error = excess.std(ddof=1) / np.sqrt(len(excess))
-    assert abs(excess.mean() - spread**2) < 4 * error
-    held = [one.runs[0].excess.low <= spread**2 <= one.runs[0].excess.high for one in found]
+    excess = [one.runs[0].excess for one in found]
+    assert_mean([one.variance for one in excess], spread**2)
+    held = [one.low <= spread**2 <= one.high for one in excess]
     assert sum(held) >= binom.ppf(1e-3, len(held), 0.93)  # a skew statistic: 93 % are enough
 
 
 def test_what_runs_share_is_told_from_what_each_has_of_its_own():
     rng, own = np.random.default_rng(3), np.array([0.05, 0.02, 0.0])
-    common, each = [], []
+    measured = []
     for _ in range(20):
         shared = lognormal(0.1, (PAIRS,), rng)
         light = shared * np.stack([lognormal(one, (PAIRS,), rng) for one in own])
         found = rail_sums.check_rail_sums(counts(light, 2000, rng), FINE)
-        common.append(found.common.variance)
-        each.append([one.variance for one in found.own])
-    for measured, truth in zip(
-        [np.array(common), *np.array(each).T], [0.1**2, *own**2], strict=True
-    ):
-        error = measured.std(ddof=1) / np.sqrt(len(measured))
-        assert abs(measured.mean() - truth) < 4 * error
+        measured.append([one.variance for one in (found.common, *found.own)])
+    assert_mean(measured, [0.1**2, *own**2])
 
 
 @pytest.mark.parametrize("own", [(0.1, 0.05, 0.0), (0.08, 0.04)])
 def test_law_the_excess_of_single_pictures_is_that_of_the_virtual_camera(own):
     rng, spread = np.random.default_rng(10), np.array(own)
     share, times = rng.uniform(0.4, 0.6, PAIRS), np.array([300, 600, 1200])[: len(own)]
-    measured, sums = [], []
+    pictures, sums = [], []
     for _ in range(20):
         light = np.stack([lognormal(one, (2, PAIRS), rng) for one in own])
         mean = times[:, None, None] * np.stack([share, 1 - share]) * light
         found = rail_sums.check_rail_sums(rng.poisson(mean).astype(float), FINE)
-        measured.append([one.variance for one in found.pictures])
+        pictures.append([one.variance for one in found.pictures])
         sums.append([one.variance for one in found.own])
     truth = spread**2 if len(own) > 2 else np.full(2, (spread**2).mean())
-    for each, one in zip(np.array(measured).T, truth, strict=True):
-        assert abs(each.mean() - one) < 4 * each.std(ddof=1) / np.sqrt(len(each))
+    assert_mean(pictures, truth)
     # light of two pictures: sums of a pair have half of it, and a little more as shares are uneven
-    halves = truth * (share**2 + (1 - share) ** 2).mean()
-    for each, one in zip(np.array(sums).T, halves, strict=True):
-        assert abs(each.mean() - one) < 4 * each.std(ddof=1) / np.sqrt(len(each))
+    assert_mean(sums, truth * (share**2 + (1 - share) ** 2).mean())
 
 
 @pytest.mark.parametrize("cause", ["fineness", "block", "place in block", "sequence"])
