@@ -70,6 +70,15 @@ def replay(folder: Path) -> tuple[ReplayedScene, ...]:
     return replay_run(LiveCounts.read(folder), open_looks(folder / "patterns")).scenes
 
 
+def check_replay(folder: Path, decided: list[run.LiveStep]) -> None:
+    """Count a run; its replay comes to the same decisions, bit for bit."""
+    LiveCounts.count(folder)
+    replayed = replay(folder)
+    assert all(each.answer.agrees for each in replayed)
+    again = [one.chances for each in replayed for one in each.decisions]
+    assert np.array_equal([each.decision.chances for each in decided], again)
+
+
 def live(
     folder: Path, patterns: Path, digits, count: int = 5, flux: float = 1e6,
     exposure_s: float = 10e-3, camera: VirtualCamera = CAMERAS["ideal"],

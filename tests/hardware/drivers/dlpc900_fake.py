@@ -45,8 +45,24 @@ class Controller:
     def dual(self):
         return bool(self.status & 16)
 
-    def take(self, report):
+    def open(self, vendor_id=0, product_id=0, serial_number=None):
+        assert (vendor_id, product_id) == (0x0451, 0xC900)
+        if self.opened:
+            raise OSError("open failed")
+        self.opened = True
+
+    def close(self):
+        self.opened = False
+
+    def read(self, max_length, timeout_ms=0):
+        assert max_length == 64
+        assert timeout_ms > 0, "0 waits for ever"
+        return self.replies.pop(0) if self.replies else []
+
+    def write(self, report):
         """One report of 64 bytes, with the report's number before it."""
+        if self.unplugged:
+            return -1
         assert len(report) == 65
         assert report[0] == 0
         self._message += bytes(report[1:])
@@ -62,6 +78,7 @@ class Controller:
             if self.interrupt_at < 0:
                 self.interrupt_at = None
                 raise KeyboardInterrupt
+        return len(report)
 
     def _execute(self, flag, sequence, content):
         assert flag & 0b00111111 == 0
@@ -211,29 +228,8 @@ def install(monkeypatch) -> Controller:
     """Put the fake where the driver looks for hidapi, with a DLP6500 of few mirrors."""
     fake = Controller()
 
-    class device:
-        def open(self, vendor_id=0, product_id=0, serial_number=None):
-            assert (vendor_id, product_id) == (0x0451, 0xC900)
-            if fake.opened:
-                raise OSError("open failed")
-            fake.opened = True
-
-        def write(self, buff):
-            if fake.unplugged:
-                return -1
-            fake.take(buff)
-            return len(buff)
-
-        def read(self, max_length, timeout_ms=0):
-            assert max_length == 64
-            assert timeout_ms > 0, "0 waits for ever"
-            return fake.replies.pop(0) if fake.replies else []
-
-        def close(self):
-            fake.opened = False
-
     module = types.ModuleType("hid")
-    module.device = device
+    module.device = lambda: fake
     monkeypatch.setitem(sys.modules, "hid", module)
     known = DEVICES["dlp6500"].model_copy(update={"columns": 64, "rows": 24})
     monkeypatch.setitem(DEVICES, "dlp6500", known)

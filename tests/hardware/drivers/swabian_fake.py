@@ -13,31 +13,12 @@ TAG, ERROR, OVERFLOW_BEGIN, OVERFLOW_END, MISSED = range(5)
 COLUMNS = ("times", np.int64), ("channels", np.int32), ("types", np.uint8), ("missed", np.uint16)
 
 
-class TimeTagStreamBuffer:
-    def __init__(self, tags):
-        self.tags = tags
-        self.size = len(tags["times"])
-        self.hasOverflows = bool(tags["types"].any())
-
-    def getTimestamps(self):
-        return self.tags["times"]
-
-    def getChannels(self):
-        return self.tags["channels"]
-
-    def getEventTypes(self):
-        return self.tags["types"]
-
-    def getMissedEvents(self):
-        return self.tags["missed"]
-
-
 class TimeTagStream:
     """Tags of some channels since the last call, in blocks that end anywhere."""
 
     def __init__(self, tagger, n_max_events, channels):
-        tagger.device.step(f"TimeTagStream {channels}")
-        self.device, self.most, self.channels = tagger.device, n_max_events, channels
+        tagger.step(f"TimeTagStream {channels}")
+        self.device, self.most, self.channels = tagger, n_max_events, channels
         self.device.given = self.device.tags()
         self.device.stream = self
 
@@ -49,32 +30,17 @@ class TimeTagStream:
             size = self.most if self.device.synced else self.device.cut(np.count_nonzero(wanted))
             tags = {name: each[wanted][:size][: self.most] for name, each in given.items()}
             self.device.given = {name: each[wanted][size:] for name, each in given.items()}
-            return TimeTagStreamBuffer(tags)
+            return types.SimpleNamespace(
+                size=len(tags["times"]),
+                getTimestamps=lambda: tags["times"],
+                getChannels=lambda: tags["channels"],
+                getEventTypes=lambda: tags["types"],
+                getMissedEvents=lambda: tags["missed"],
+            )
 
     def stop(self):
         self.device.steps.append("stop")
         self.device.stream = None
-
-
-class TimeTagger:
-    def __init__(self, device):
-        self.device = device
-
-    def setTriggerLevel(self, channel, voltage):
-        self.device.step("setTriggerLevel")
-        self.device.levels[channel] = voltage
-
-    def setStreamBlockSize(self, max_events, max_latency):
-        self.device.step("setStreamBlockSize")
-        assert 4096 <= max_events <= 32 * 2**20
-        assert 1 <= max_latency <= 10000
-
-    def sync(self, timeout=-1):
-        self.device.step("sync")
-        assert timeout > 0, "a device that is gone never answers"
-        with self.device.lock:
-            self.device.synced = self.device.stream is not None
-        return not self.device.dead
 
 
 class Device:
@@ -118,10 +84,26 @@ class Device:
         if self.used:
             raise RuntimeError("No Time Tagger attached or already in use.")
         self.used = True
-        return TimeTagger(self)
+        return self
+
+    def setTriggerLevel(self, channel, voltage):
+        self.step("setTriggerLevel")
+        self.levels[channel] = voltage
+
+    def setStreamBlockSize(self, max_events, max_latency):
+        self.step("setStreamBlockSize")
+        assert 4096 <= max_events <= 32 * 2**20
+        assert 1 <= max_latency <= 10000
+
+    def sync(self, timeout=-1):
+        self.step("sync")
+        assert timeout > 0, "a device that is gone never answers"
+        with self.lock:
+            self.synced = self.stream is not None
+        return not self.dead
 
     def free(self, tagger):
-        assert isinstance(tagger, TimeTagger)
+        assert tagger is self
         assert self.stream is None, "a stream is used after its tagger"
         self.steps.append("freeTimeTagger")
         self.used = False

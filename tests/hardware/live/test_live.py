@@ -14,7 +14,7 @@ from deepfsi.hardware.live import LiveCounts, frame_log
 from deepfsi.hardware.live import run as runs
 from deepfsi.hardware.patterns import read_patterns
 from deepfsi.hardware.virtual import CAMERAS, Latencies, VirtualCamera, arrival_rates
-from shared.live_samples import LOOKS, bench, live, make_patterns, replay, scenes_of
+from shared.live_samples import LOOKS, bench, check_replay, live, make_patterns, replay, scenes_of
 
 EXPOSURE_S = 10e-3
 
@@ -85,16 +85,6 @@ def test_the_clock_adds_up(digits, patterns, tmp_path):
         lists = 2 + LOOKS
         # Each list ends with a block of the counter: 0.1 s, as lists take less.
         assert 0.1 * (lists - 1) < scene.clock_s <= 0.1 * lists + 0.0051
-    quick = Latencies(display=1e-3, command=0, block=1e-6, transfer=0, decision=0)
-    decided = live(tmp_path / "quick", patterns, digits, count=3, latencies=quick)
-    manifest = read_patterns(patterns).manifest
-    for scene in frame_log.FrameLog.read(tmp_path / "quick").scenes:
-        gates = np.concatenate([each.gate_ns for each in scene.lists[1:-1]]) * 1e-9
-        masks = np.ceil((gates * 1e6 + 12).round(6)) * 1e-6
-        ends = 4 * manifest.frames[0].picture_us * 1e-6
-        rests = (LOOKS + 1) * 44e-6
-        assert scene.clock_s == pytest.approx(masks.sum() + ends + rests, abs=5e-6)
-        assert scene.clock_s > EXPOSURE_S
 
 
 def test_a_background_is_measured_first_and_the_run_is_replayed_with_it(digits, patterns, tmp_path):
@@ -109,12 +99,8 @@ def test_a_background_is_measured_first_and_the_run_is_replayed_with_it(digits, 
     budgets = [[one.decision.photons for one in each if one.answer] for each in (decided, sound)]
     on, measured = 1e7 * 1e-3, 1e7 * 10e-3 / LOOKS  # counts of an all-ON frame of either pass
     np.testing.assert_allclose(*budgets, rtol=5 * np.sqrt(3 / on + 2 / measured))
-    LiveCounts.count(folder)
-    replayed = replay(folder)
-    assert len(replayed) == 8
-    assert all(each.answer.agrees for each in replayed)
-    again = [one.chances for each in replayed for one in each.decisions]
-    assert np.array_equal([each.decision.chances for each in decided], again)
+    assert len(decided) == 8 * LOOKS
+    check_replay(folder, decided)
 
 
 @pytest.mark.parametrize("stop", [KeyboardInterrupt, InputError("the device refuses")])
@@ -134,10 +120,7 @@ def test_finished_scenes_are_kept_when_a_run_is_stopped(digits, patterns, tmp_pa
         for each in runs.run_live(folder, patterns, acquisition, devices):
             done.append(each)
     assert len(frame_log.FrameLog.read(folder).scenes) == 2
-    LiveCounts.count(folder)
-    replayed = replay(folder)
-    assert [each.answer.agrees for each in replayed] == [True, True]
-    assert np.array_equal(replayed[1].decisions[-1].chances, done[2 * LOOKS - 1].decision.chances)
+    check_replay(folder, done[: 2 * LOOKS])
 
 
 def test_a_line_that_a_killed_run_left_is_no_scene(copied):
@@ -281,7 +264,6 @@ def test_a_device_that_repeats_frames_is_followed(digits, patterns, tmp_path):
     acquisition = runs.plan_live(patterns, scenes, EXPOSURE_S)
     decided = list(runs.run_live(tmp_path / "run", patterns, acquisition, devices))
     assert len(decided) == 3 * LOOKS
-    LiveCounts.count(tmp_path / "run")
-    assert all(each.answer.agrees for each in replay(tmp_path / "run"))
+    check_replay(tmp_path / "run", decided)
     counts, expected = counts_and_means(tmp_path / "run", patterns, x)
     assert abs(counts.sum() - expected.sum()) < 5 * np.sqrt(expected.sum())

@@ -6,35 +6,14 @@ import numpy as np
 import pytest
 
 from deepfsi.hardware.drivers import Setup, file_tail, swabian, vialux
-from deepfsi.hardware.live import LiveCounts, frame_log, plan_live, run_live
+from deepfsi.hardware.live import frame_log, plan_live, run_live
 from deepfsi.hardware.photons import PtuWriter
-from deepfsi.hardware.virtual import CAMERAS, arrival_rates
+from deepfsi.hardware.virtual import DETECTOR_TICK_S
 from hardware.drivers import swabian_fake
 from hardware.drivers.vialux_fake import install
-from shared.live_samples import LOOKS, bench, live, make_patterns, replay, scenes_of
+from shared.live_samples import LOOKS, bench, check_replay, live, make_patterns, scenes_of
 
 SCENES, FLUX = 3, 1e7
-
-
-class Laboratory:
-    """What is recorded while a device shows lists of pictures: a marker and photons for each."""
-
-    def __init__(self, rates):
-        self.rates, self.scene, self.now = rates, 0, 10**9
-        self.rng = np.random.default_rng(0)
-        self.written = None
-
-    def show(self, frames, us):
-        for frame in frames:
-            length = us * 10**6
-            photons = self.rng.poisson(self.rates[self.scene, frame, 0] * us * 1e-6)
-            times = self.now + np.sort(self.rng.integers(0, length, photons))
-            self.written.write(np.append(self.now, times), np.append(-1, np.zeros(photons, int)))
-            self.now += length
-        self.now += 10**9
-
-    def display(self, scene):
-        self.scene = scene
 
 
 @pytest.mark.parametrize("entries", [4096, 100])
@@ -42,22 +21,24 @@ def test_the_loop_runs_on_a_vialux_device_and_a_file_that_grows(
     digits, tmp_path, monkeypatch, entries
 ):
     """Also where lists are so long that pictures must last longer than the shortest."""
-    patterns = make_patterns(tmp_path, digits, epochs=1)
+    patterns, folder = make_patterns(tmp_path, digits, epochs=1), tmp_path / "run"
     x, scenes = scenes_of(digits, SCENES)
-    laboratory = Laboratory(arrival_rates(patterns, x, CAMERAS["ideal"], FLUX))
-    library = install(monkeypatch)
-    library.size, library.on_list, library.entries = (64, 48), laboratory.show, entries
+    usual, library = bench(patterns, x, FLUX), install(monkeypatch)
+    optics = usual.projector._optics
+
+    def on_list(frames, us):
+        optics.show(np.array(frames), np.full(len(frames), us * 1e-6))
 
     class Counter(file_tail.FollowedCounter):
         def start(self, path):
-            laboratory.written = PtuWriter(path, growing=True).__enter__()
+            optics.written = PtuWriter(path, DETECTOR_TICK_S, growing=True).__enter__()
             super().start(path)
 
-    bench = Setup(vialux.VialuxLooks(), Counter(), laboratory.display)
-    folder = tmp_path / "run"
+    library.size, library.on_list, library.entries = (64, 48), on_list, entries
+    devices = Setup(vialux.VialuxLooks(), Counter(), usual.display)
     acquisition = plan_live(patterns, scenes, 20e-3)
-    decided = list(run_live(folder, patterns, acquisition, bench))
-    laboratory.written.__exit__(None, None, None)
+    decided = list(run_live(folder, patterns, acquisition, devices))
+    optics.written.__exit__(None, None, None)
     assert len(decided) == SCENES * LOOKS
     assert library.calls.count("SeqAlloc") == 1
     assert not library.allocated
@@ -71,12 +52,7 @@ def test_the_loop_runs_on_a_vialux_device_and_a_file_that_grows(
         assert (held * 1000 >= np.array(each.gate_ns) + acquisition.settle_s * 1e9).all()
     assert (max(us for _, us in library.lists) > 44) == (entries == 100)
     assert max(max(each.markers) for each in lists) > 3
-
-    LiveCounts.count(folder)
-    replayed = replay(folder)
-    assert [each.answer.agrees for each in replayed] == [True] * SCENES
-    again = [one.chances for each in replayed for one in each.decisions]
-    assert np.array_equal([each.decision.chances for each in decided], again)
+    check_replay(folder, decided)
 
 
 def test_the_loop_runs_on_a_time_tagger_as_on_the_virtual_counter(digits, tmp_path, monkeypatch):
@@ -91,11 +67,7 @@ def test_the_loop_runs_on_a_time_tagger_as_on_the_virtual_counter(digits, tmp_pa
     decided = list(run_live(folder, patterns, acquisition, replace(devices, counter=counter)))
     assert len(decided) == SCENES * LOOKS
     assert device.steps[-2:] == ["stop", "freeTimeTagger"]
-
-    LiveCounts.count(folder)
-    replayed = replay(folder)
-    assert [each.answer.agrees for each in replayed] == [True] * SCENES
-    chances = [each.decision.chances for each in decided]
-    assert np.array_equal(chances, [one.chances for each in replayed for one in each.decisions])
+    check_replay(folder, decided)
     usual = live(tmp_path / "usual", patterns, digits, SCENES, FLUX, 20e-3)
+    chances = [each.decision.chances for each in decided]
     assert np.array_equal(chances, [each.decision.chances for each in usual])
