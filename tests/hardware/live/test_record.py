@@ -16,6 +16,7 @@ from deepfsi.hardware.live import run as record
 from deepfsi.hardware.patterns import FrameSettings, export_patterns, read_patterns
 from deepfsi.hardware.virtual import CAMERAS, Latencies, virtual_setup
 from hardware.drivers import swabian_fake
+from shared.pictures import save_images
 
 
 @pytest.fixture(scope="module")
@@ -92,6 +93,17 @@ def test_a_run_that_is_stopped_keeps_its_finished_scenes(
     assert "tags" not in stop or device.steps[-2:] == ["stop", "freeTimeTagger"]
     assert [scene.name for scene in read_run(tmp_path / "run").acquisition.scenes] == ["0", "1"]
     assert count_run(tmp_path / "run").valid.tolist() == [[True], [True]]
+
+
+def test_one_command_records_and_says_the_light_of_each_scene(done, patterns, digits, tmp_path):
+    save_images(tmp_path / "images", (digits.x_test[:3].reshape(3, 8, 8) * 255).astype(np.uint8))
+    light = ("--flux", "1e7", "--exposure", "10ms", "--virtual", "ideal")
+    out = done("camera", "record", patterns, "--scene", tmp_path / "images", *light,
+               "-o", tmp_path / "run")  # fmt: skip
+    assert out.count("counts/s in the masks' frames") == 3
+    assert "NO LIGHT" not in out
+    assert "of them whole" in out
+    assert count_run(tmp_path / "run").valid.all()
 
 
 def test_real_devices_are_asked_by_the_same_options(refuse, patterns, tmp_path, monkeypatch):
