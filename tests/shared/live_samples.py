@@ -9,7 +9,6 @@ from deepfsi.camera import find_device
 from deepfsi.hardware.counting import Scene
 from deepfsi.hardware.drivers import Setup
 from deepfsi.hardware.live import LiveCounts, plan_live, replay_run, run, run_live
-from deepfsi.hardware.live.replay import ReplayedScene
 from deepfsi.hardware.patterns import FrameSettings, export_patterns
 from deepfsi.hardware.virtual import (
     CAMERAS,
@@ -65,7 +64,7 @@ def scenes_of(digits, count: int) -> tuple[np.ndarray, tuple[Scene, ...]]:
     return x, tuple(Scene(name=str(k), label=each) for k, each in enumerate(labels))
 
 
-def replay(folder: Path) -> tuple[ReplayedScene, ...]:
+def replay(folder: Path):
     """Replay a run that was counted."""
     return replay_run(LiveCounts.read(folder), open_looks(folder / "patterns")).scenes
 
