@@ -10,7 +10,6 @@ from deepfsi.base import (
     WINDOWS_ENCODING,
     GrowingFile,
     InputError,
-    content_of,
     new_folder,
     read_text,
     read_toml,
@@ -106,24 +105,6 @@ def test_text_is_the_same_from_every_editor(tmp_path, encoding, end):
     path.write_bytes(f"a = 'ü'{end}b = 2{end}".encode(encoding))
     assert read_text(path, 100, "") == "a = 'ü'\nb = 2\n"
     assert read_toml(path) == {"a": "ü", "b": 2}
-
-
-@pytest.mark.parametrize(
-    ("content", "said"),
-    [
-        (b"", "nothing"),
-        (b"PK\x03\x04\x14\0", "a zip file"),
-        (b"\n<!DOCTYPE html><html>", "a web page"),
-        (b"\xef\xbb\xbf<html>", "a web page"),
-        (b"version https://git-lfs.github.com/spec/v1\n", "a pointer of Git LFS"),
-        (b"\x89PNG\r\n\x1a\n", "a PNG picture"),
-        (b"1,2\r\n", "text"),
-        (bytes(range(256)), "data of an unknown kind"),
-    ],
-)
-def test_what_a_file_holds_is_told_by_its_first_bytes(tmp_path, content, said):
-    (tmp_path / "file.npz").write_bytes(content)
-    assert content_of(tmp_path / "file.npz").startswith(said)
 
 
 @pytest.mark.parametrize(

@@ -4,15 +4,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from dataset_samples import X, Y, not_loaded, numbers, refused, scenes
+from dataset_samples import X, Y, not_loaded, numbers, refused
 
 from deepfsi.datasets import arrays, from_arrays, load_dataset
 from deepfsi.datasets.arrays import draw_stratified
 
 
 def test_arrays_are_divided_into_stratified_parts_that_share_no_scene():
-    x, y = scenes()
-    data = from_arrays(x, y)
+    data = from_arrays(X, Y)
     assert data.x_train.shape == (24, 12)
     assert data.x_train.dtype == data.x_test.dtype == np.float32
     assert data.y_train.dtype == data.y_test.dtype == np.int64
@@ -27,34 +26,23 @@ def test_arrays_are_divided_into_stratified_parts_that_share_no_scene():
         (data.x_train, data.y_train, train),
         (data.x_test, data.y_test, test),
     ):
-        assert np.array_equal(part_x, x[part].reshape(-1, 12).astype(np.float32))
-        assert np.array_equal(part_y, y[part])
+        assert np.array_equal(part_x, X[part].reshape(-1, 12).astype(np.float32))
+        assert np.array_equal(part_y, Y[part])
 
 
-@pytest.mark.parametrize("own_test", [False, True])
+@pytest.mark.parametrize("own_test", [(), (X, Y)])
 def test_the_seed_decides(own_test):
-    x, y = scenes()
-    rest = (x, y) if own_test else ()
-    first, again, other = (numbers(from_arrays(x, y, *rest, seed=s).x_train) for s in (3, 3, 4))
+    first, again, other = (numbers(from_arrays(X, Y, *own_test, seed=s).x_train) for s in (3, 3, 4))
     assert first == again != other
 
 
 def test_a_test_part_of_its_own_keeps_its_order_and_the_training_part_is_shuffled():
-    x, y = scenes()
-    data = load_dataset((x, y, x[:7], y[:7]))
+    data = load_dataset((X, Y, X[:7], Y[:7]))
     assert numbers(data.x_test) == list(range(7))
-    assert data.y_test.tolist() == y[:7].tolist()
+    assert data.y_test.tolist() == Y[:7].tolist()
     order = numbers(data.x_train)
     assert sorted(order) == list(range(30)) != order
-    assert data.y_train.tolist() == y[order].tolist()
-
-
-def test_bytes_are_divided_by_255():
-    x = np.zeros((30, 2, 2), np.uint8)
-    x[:, 0, 0], x[:, 0, 1] = 255, 51
-    data = from_arrays(x, scenes()[1])
-    assert data.x_train[0].tolist() == pytest.approx([1, 0.2, 0, 0])
-    assert data.preprocessing == "Uint8 values from 0 to 255, divided by 255."
+    assert data.y_train.tolist() == Y[order].tolist()
 
 
 @pytest.mark.parametrize(
@@ -63,9 +51,11 @@ def test_bytes_are_divided_by_255():
         ("u2", 200, 255), ("u2", 255, 255), ("u2", 256, 1023), ("u2", 3971, 4095),
         ("u2", 16383, 16383), ("u2", 65535, 65535), ("i2", 4096, 16383), ("i8", 255, 255),
         ("i8", 1, 1), ("u4", 2**20, 2**24 - 1), ("i8", 2**32 - 1, 2**32 - 1), ("i1", 127, 255),
+        ("u1", 200, 255), ("?", 1, 1),
     ],
 )  # fmt: skip
 def test_integers_are_divided_by_the_fewest_bits_that_hold_them(dtype, largest, white):
+    """Bytes always by 255, and truth values are black and white."""
     x = np.zeros((30, 2, 2), dtype)
     x[:, 0, 0] = largest
     x[0, 0, 1] = largest // 3
@@ -73,9 +63,10 @@ def test_integers_are_divided_by_the_fewest_bits_that_hold_them(dtype, largest, 
     every = np.r_[data.x_train, data.x_test]
     assert every[:, 0] == pytest.approx(largest / white)
     assert every.max(axis=0)[1] == pytest.approx(largest // 3 / white)
-    assert data.white == white
-    assert f"from 0 to {largest:.4g}, " in data.preprocessing
-    assert white == 1 or f"divided by {white} ({white.bit_length()} bits)" in data.preprocessing
+    assert data.white == (None if dtype in ("u1", "?") else white)
+    bits = f" ({white.bit_length()} bits)" if data.white else ""
+    done = "as given" if white == 1 else f"divided by {white}{bits}"
+    assert f"from 0 to {largest:.4g}, {done}" in data.preprocessing
 
 
 def test_training_and_test_scenes_share_one_white():
@@ -96,12 +87,6 @@ def test_a_white_that_is_told_holds(tmp_path):
     not_loaded("digits", "digits: a white was given", white=16)
 
 
-def test_truth_values_are_black_and_white():
-    data = from_arrays(X > 0.5, Y)
-    assert set(np.unique(data.x_train)) == {0, 1}
-    assert data.white is None
-
-
 @pytest.mark.parametrize("dtype", ["u1", "u2", "i8", "f4", "f8", "?"])
 def test_colours_of_arrays_turn_grey_by_their_luma(dtype):
     white = {"f4": 1, "f8": 1, "?": 1, "u1": 255}.get(dtype, 4095)
@@ -117,24 +102,16 @@ def test_colours_of_arrays_turn_grey_by_their_luma(dtype):
 
 
 def test_rescale_maps_the_ends_exactly_and_stays_in_range():
-    x, y = scenes()
-    x[:, 1, 0], x[:, 1, 1], x[:, 1, 2] = 0, 1, 0.5
-    data = from_arrays(x, y, rescale=(0.3, 1))
+    """Also values that the rounding of a scaler has moved out of [0, 1]."""
+    x = X.copy()
+    x[:, 1, 0], x[:, 1, 1], x[:, 1, 2] = -1e-17, 1 + 1e-15, 0.5
+    data = from_arrays(x, Y, rescale=(0.3, 1))
     assert data.x_train[0, 4:7].tolist() == pytest.approx([0.3, 1, 0.65])
-    assert data.x_train.max() == 1
+    assert data.x_train.max() == from_arrays(x, Y).x_test.max() == 1
     assert data.x_train.min() == np.float32(0.3)
-    assert data.preprocessing == (
-        "Float64 values from 0 to 1, as given, then mapped from [0, 1] to [0.3, 1]."
-    )
-    assert x[0, 1, 0] == 0, "the caller's array is left alone"
-
-
-def test_rounding_of_a_scaler_is_forgiven_and_removed():
-    x, y = scenes()
-    x[0, 1, 1], x[1, 1, 1] = 1 + 1e-15, -1e-17
-    data = from_arrays(x, y, x, y)
-    assert data.x_test.max() == 1
-    assert data.x_test.min() >= 0
+    assert from_arrays(x, Y).x_test.min() >= 0
+    assert data.preprocessing.endswith(", then mapped from [0, 1] to [0.3, 1].")
+    assert x[0, 1, 2] == 0.5, "the caller's array is left alone"
 
 
 WORDS = np.array(["oak", "ash", "yew"])
@@ -157,7 +134,7 @@ def test_classes_are_sorted_labels_or_those_that_are_given(labels, options, clas
 
 
 def spoil(value):
-    x, _ = scenes()
+    x = X.copy()
     x[4, 1, 1] = value
     return x
 

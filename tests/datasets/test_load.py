@@ -67,6 +67,9 @@ def test_a_file_of_another_kind_is_told_which_kinds_are_read(tmp_path, name):
     [
         (b"<!DOCTYPE html><html>", "a web page"),
         (b"", "nothing"),
+        (b"\xef\xbb\xbf<html>", "a web page"),
+        (b"1,2\r\n", "text"),
+        (bytes(range(256)), "data of an unknown kind"),
         (b"\x89PNG\r\n\x1a\n\0\0", "a PNG picture"),
         (b"version https://git-lfs.github.com/spec/v1\n", "Git LFS"),
     ],
