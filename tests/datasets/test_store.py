@@ -197,19 +197,28 @@ def test_fewer_training_images_keep_the_classes_shares_and_the_test_part(server,
     assert load_dataset("mnist", images=10, seed=1).hash != few.hash
 
 
-def test_an_array_that_cannot_be_kept_is_made_again(tmp_path):
-    """A cache that cannot be written, and an array that is not the expected one."""
-    made = []
+def test_an_array_is_kept_and_made_again_where_it_cannot_be_or_is_another(tmp_path):
+    """A cache that cannot be written, or holds another array, or none."""
+    made, array = [], np.arange(6.0)
 
     def make():
         made.append(1)
-        return np.arange(6.0)
+        return array
 
+    expected = store.hash_array(array)
+    assert expected != store.hash_array(array.reshape(2, 3))
     (tmp_path / "file").write_text("in the way of a folder")
-    expected = store.hash_array(np.arange(6.0))
-    for path, digest in ((tmp_path / "file" / "a.npy", expected), (tmp_path / "b.npy", "other")):
+    np.save(tmp_path / "another.npy", array + 1)
+    (tmp_path / "none.npy").write_bytes(b"no array")
+    for name, digest, times in (
+        ("file/a.npy", expected, 2),
+        ("b.npy", "other", 2),
+        ("c.npy", expected, 1),
+        ("another.npy", expected, 1),
+        ("none.npy", expected, 1),
+    ):
+        made.clear()
         for _ in range(2):
-            assert np.array_equal(store.kept_array(path, digest, make), np.arange(6.0))
-    assert len(made) == 4
+            assert np.array_equal(store.kept_array(tmp_path / name, digest, make), array)
+        assert len(made) == times
     assert not (tmp_path / "b.npy").exists()
-    assert store.hash_array(np.arange(6.0)) != store.hash_array(np.arange(6.0).reshape(2, 3))
