@@ -12,8 +12,6 @@ import signal
 import sys
 import traceback
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
 
@@ -35,16 +33,6 @@ def _hang(signum: int, frame: FrameType | None) -> None:
     raise Hang
 
 
-@contextmanager
-def watching() -> Iterator[None]:
-    """Let the signal of the processor time mean a hang."""
-    before = signal.signal(signal.SIGPROF, _hang)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGPROF, before)
-
-
 def _status(field: str) -> int:
     """Bytes of a field of the process's memory."""
     found = re.search(rf"{field}:\s+(\d+) kB", Path("/proc/self/status").read_text())
@@ -54,6 +42,7 @@ def _status(field: str) -> int:
 
 def fault_of(name: str, path: Path, most_bytes: float = MOST_BYTES) -> str:
     """What goes wrong with a file; empty where it is read or refused as it should be."""
+    usual = signal.signal(signal.SIGPROF, _hang)
     signal.setitimer(signal.ITIMER_PROF, MOST_S)
     Path("/proc/self/clear_refs").write_text("5")  # the peak counts from here
     before = _status("VmRSS")
@@ -68,6 +57,7 @@ def fault_of(name: str, path: Path, most_bytes: float = MOST_BYTES) -> str:
         return "".join(traceback.format_exc()[-1500:])
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0)
+        signal.signal(signal.SIGPROF, usual)
     used = _status("VmHWM") - before
     return f"{used / 1e6:.0f} MB" if used > most_bytes else ""
 
@@ -93,5 +83,4 @@ def main(samples: Path, work: Path, first: int, count: int, names: list[str]) ->
 
 
 if __name__ == "__main__":
-    with watching():
-        main(Path(sys.argv[1]), Path(sys.argv[2]), int(sys.argv[3]), int(sys.argv[4]), sys.argv[5:])
+    main(Path(sys.argv[1]), Path(sys.argv[2]), int(sys.argv[3]), int(sys.argv[4]), sys.argv[5:])
