@@ -30,14 +30,9 @@ def test_arrays_are_divided_into_stratified_parts_that_share_no_scene():
         assert np.array_equal(part_y, Y[part])
 
 
-@pytest.mark.parametrize("own_test", [(), (X, Y)])
-def test_the_seed_decides(own_test):
-    first, again, other = (numbers(from_arrays(X, Y, *own_test, seed=s).x_train) for s in (3, 3, 4))
-    assert first == again != other
-
-
 def test_a_test_part_of_its_own_keeps_its_order_and_the_training_part_is_shuffled():
     data = load_dataset((X, Y, X[:7], Y[:7]))
+    assert load_dataset((X, Y, X[:7], Y[:7]), seed=1).hash != data.hash
     assert numbers(data.x_test) == list(range(7))
     assert data.y_test.tolist() == Y[:7].tolist()
     order = numbers(data.x_train)

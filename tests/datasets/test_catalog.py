@@ -131,20 +131,6 @@ def test_size_is_bilinear_and_images_are_drawn_by_class(archive):
     assert len(set(few)) == 2
 
 
-def test_the_archive_is_downloaded_and_kept(archive, monkeypatch):
-    whole = archive.read_bytes()
-    archive.unlink()
-
-    def retrieve(url, expected, name, path, **_):
-        assert url.endswith("/cifar-10-binary.tar.gz")
-        path.mkdir(parents=True, exist_ok=True)
-        (path / name).write_bytes(whole)
-
-    monkeypatch.setattr(pooch, "retrieve", retrieve)
-    assert load_dataset("cifar10").x_train.shape == (100, 1024)
-    assert download("cifar10") == archive.parents[1] / "cache" / "cifar10"
-
-
 def test_a_damaged_archive(archive):
     archive.write_bytes(archive.read_bytes()[:-9])
     not_loaded("cifar10", str(archive), "md5 is", "replace it with the original")
@@ -180,15 +166,6 @@ def test_a_copy_in_jpeg_that_is_not_whole(archive):
     put_jpegs(archive.parent, 10, 1)
     not_loaded("cifar10-jpeg", "test folder does not hold 2 images of each of airplane")
     assert not check("cifar10-jpeg")[0].ok
-
-
-@needs("cifar10/cifar10-jpeg.zip")
-def test_the_real_copy_in_jpeg():
-    data = load_dataset("cifar10-jpeg", images=1000)
-    assert data.x_train.shape == (1000, 1024)
-    assert np.bincount(data.y_test).tolist() == [1000] * 10
-    luma_mean = 0.299 * 0.4913 + 0.587 * 0.4821 + 0.114 * 0.4465
-    assert data.x_train.mean(dtype=float) == pytest.approx(luma_mean, abs=0.03)
 
 
 LOSSLESS = "cifar10/cifar-10-train-first4000-lossless.bin.gz"
@@ -378,10 +355,3 @@ def test_the_real_copy_lost_its_carriage_returns(real):
     undone = np.where((cube >> 8) == 18, cube - 768, cube).astype(np.uint16)
     wrong = catalog.restore_high_bytes(undone, 15) != cube
     assert wrong.sum() < 1e-3 * ((undone >> 8) == 15).sum()
-
-
-@needs("indian_pines")
-def test_a_folder_goes_before_the_package():
-    assert download("indian-pines") == MINE / "indian_pines"
-    assert all(result.ok for result in check("indian-pines"))
-    assert load_dataset("indian-pines").wavelengths is not None

@@ -30,14 +30,6 @@ def test_pictures_stand_as_every_viewer_shows_them(tmp_path, orientation, suffix
         assert ("1 turned as their EXIF data say" in shown.preprocessing) == (orientation > 1)
 
 
-def test_pictures_of_a_telephone_are_of_one_size(tmp_path):
-    exif = Image.Exif()
-    exif[274] = 6
-    Image.fromarray(GREY).save(tmp_path / "a.jpg", exif=exif)
-    Image.fromarray(np.rot90(GREY, -1)).save(tmp_path / "b.JPG")
-    assert read_display(tmp_path).x.shape == (2, 8, 6)
-
-
 @pytest.mark.parametrize(
     ("values", "said"),
     [
@@ -123,12 +115,6 @@ def test_modes_have_the_grey_of_their_colours(tmp_path, mode):
 def test_what_is_no_image_is_named(images, content, said):
     (images / "cat" / "000.png").write_bytes(content)
     not_loaded(images, f"000.png ({said}")
-
-
-def test_a_jpeg_that_is_called_png_is_read(tmp_path):
-    with (tmp_path / "a.png").open("wb") as file:
-        Image.fromarray(GREY).save(file, "jpeg")
-    assert read_display(tmp_path / "a.png").x.shape == (1, 6, 8)
 
 
 SHAPE = (5, 7)

@@ -71,14 +71,6 @@ def test_a_class_in_one_block_is_trained_on():
         assert (labels[train] == 5).any()
 
 
-def test_the_map_and_the_scenes_agree():
-    every = IMAGE.scenes(8)
-    assert every.shape == (3600, 8)
-    data = IMAGE.dataset(bands=8)
-    for row, (i, j) in zip(data.x_test[:20], pixels(data.x_test[:20]), strict=True):
-        assert np.array_equal(row, every[60 * i + j])
-
-
 def test_reflectance_is_left_as_it_is():
     cube = np.random.default_rng(2).uniform(0.2, 0.7, (60, 60, 4))
     data = SpectralImage("farm", cube, LABELS).dataset()

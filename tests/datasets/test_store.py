@@ -109,12 +109,6 @@ def test_no_mirror_gives_a_file(server, tmp_path):
     assert kept == sorted(FILES[:2]), "nothing half-written"
 
 
-def test_no_connection(server):
-    server.shutdown()
-    server.server_close()
-    not_loaded("mnist", "127.0.0.1", "(ConnectionError)", "set DEEPFSI_DATA")
-
-
 def test_a_damaged_file_in_the_cache_is_downloaded_again(server, tmp_path):
     fill(tmp_path / "first")
     fill(tmp_path / "cache" / "mnist", **{FILES[3]: b"damaged"})
