@@ -7,7 +7,6 @@ import pytest
 from dataset_samples import X, Y, not_loaded, numbers, refused
 
 from deepfsi.datasets import arrays, from_arrays, load_dataset
-from deepfsi.datasets.arrays import draw_stratified
 
 
 def test_arrays_are_divided_into_stratified_parts_that_share_no_scene():
@@ -197,17 +196,17 @@ BAD_ARRAYS = {
 
 @pytest.mark.parametrize("case", BAD_ARRAYS)
 def test_bad_arrays(case):
-    (arrays, options), parts = BAD_ARRAYS[case]
-    with refused(*parts):
-        from_arrays(*arrays, **options)
+    (parts_of_data, options), words = BAD_ARRAYS[case]
+    with refused(*words):
+        from_arrays(*parts_of_data, **options)
 
 
 def test_shares_of_unequal_classes():
     labels = np.repeat([0, 1, 2], [80, 15, 5])
-    drawn = draw_stratified(labels, 20, 0, "a")
+    drawn = arrays.draw_stratified(labels, 20, 0, "a")
     assert np.bincount(labels[drawn]).tolist() == [16, 3, 1]
     assert len(set(drawn)) == 20
-    assert set(labels[draw_stratified(labels, 3, 0, "a")]) == {0, 1, 2}
+    assert set(labels[arrays.draw_stratified(labels, 3, 0, "a")]) == {0, 1, 2}
 
 
 def test_npz(tmp_path):

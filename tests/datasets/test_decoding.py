@@ -10,7 +10,6 @@ from dataset_samples import not_loaded, refused
 from PIL import Image, PngImagePlugin
 
 from deepfsi.datasets import load_dataset, read_display
-from deepfsi.datasets.levels import LUMA
 
 GREY = (np.arange(48).reshape(6, 8) * 5).astype(np.uint8)
 UPRIGHT = {1: GREY, 3: GREY[::-1, ::-1], 6: np.rot90(GREY, -1), 8: np.rot90(GREY), 4: GREY[::-1]}
@@ -160,7 +159,7 @@ def rows(data):
 def test_colours_of_16_bits_are_read_whole(tmp_path, writer, highest, channels):
     folder, every = folder_of(tmp_path, WRITERS[writer], channels, highest)
     data = load_dataset(folder)
-    levels = np.rint(every[..., :3] @ np.array(LUMA)).reshape(10, -1) / highest
+    levels = np.rint(every[..., :3] @ [0.299, 0.587, 0.114]).reshape(10, -1) / highest
     assert rows(data) == pytest.approx(np.array(sorted(map(tuple, levels))), abs=1e-6)
     assert data.white == highest
     bits = {65535: 16, 4095: 12}[highest]

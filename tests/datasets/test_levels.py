@@ -65,11 +65,8 @@ def test_large_data_are_the_same_data_set(form, tmp_path, large, monkeypatch):
     x = np.asarray(stored.x_train)
     assert x.dtype == stored.x_train.dtype == np.float32
     assert np.array_equal(x, whole.x_train)
-    rows = np.array([5, 2, 400])
-    assert np.array_equal(stored.x_train[rows], x[rows])
-    assert np.array_equal(stored.x_train[3], x[3])
-    assert np.array_equal(stored.x_train[:, rows[:2]], x[:, rows[:2]])
-    assert np.array_equal(stored.x_train[whole.y_train == 1], x[whole.y_train == 1])
+    for part in (3, [5, 2, 400], np.s_[:, [5, 2]], whole.y_train == 1):
+        assert np.array_equal(stored.x_train[part], x[part])
     assert np.array_equal(stored.x_train.max(axis=0), x.max(axis=0))
     assert stored.x_train.min() == x.min()
     assert np.allclose(stored.x_train.mean(axis=0), x.mean(axis=0, dtype=float))
@@ -90,12 +87,12 @@ def test_large_data_are_the_same_data_set(form, tmp_path, large, monkeypatch):
 def test_designs_are_the_same_of_all_forms(design, settings, tmp_path, large):
     """Bit for bit, in whatever form the scenes are given."""
     asked = {"camera": "dmd", "training": deepfsi.Training(epochs=1), **settings}
-    made = []
-    for form in FORMS[:3]:
-        data = given(form, tmp_path)
-        made.append(deepfsi.learn(data, design=design, masks=6, photons=1e4, **asked))
-    assert all(same(made[0], other) for other in made[1:])
-    assert len({str(each.info["brightness"]) for each in made}) == 1
+    first, *others = (
+        deepfsi.learn(given(form, tmp_path), design=design, masks=6, photons=1e4, **asked)
+        for form in FORMS[:3]
+    )
+    assert all(same(first, other) for other in others)
+    assert all(first.info["brightness"] == other.info["brightness"] for other in others)
 
 
 def test_designs_of_large_and_of_small_data_agree(large, monkeypatch):

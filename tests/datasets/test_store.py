@@ -12,8 +12,7 @@ import pytest
 from dataset_samples import not_loaded
 
 from deepfsi.base import Progress
-from deepfsi.datasets import check, download, list_datasets, load_dataset, store
-from deepfsi.datasets.catalog import DATASETS
+from deepfsi.datasets import catalog, check, download, list_datasets, load_dataset, store
 
 IMAGES = np.random.default_rng(4).integers(0, 256, (24, 28, 28), dtype=np.uint8)
 LABELS = np.arange(24) % 10
@@ -24,7 +23,7 @@ def idx_file(array):
     return gzip.compress(header + array.astype(np.uint8).tobytes(), mtime=0)
 
 
-FILES = list(DATASETS["mnist"].hashes)
+FILES = list(catalog.DATASETS["mnist"].hashes)
 PARTS = (IMAGES[:20], LABELS[:20], IMAGES[20:], LABELS[20:])
 TINY = dict(zip(FILES, map(idx_file, PARTS), strict=True))
 
@@ -54,7 +53,7 @@ def server(tmp_path, monkeypatch):
     serving.requests = []
     threading.Thread(target=serving.serve_forever, args=(0.01,), daemon=True).start()
     address = f"http://127.0.0.1:{serving.server_port}"
-    mnist = DATASETS["mnist"]
+    mnist = catalog.DATASETS["mnist"]
     sums = {file: f"sha256:{hashlib.sha256(each).hexdigest()}" for file, each in TINY.items()}
     monkeypatch.setattr(mnist, "hashes", sums)
     monkeypatch.setattr(mnist, "mirrors", (f"{address}/first/", f"{address}/second/"))
@@ -138,7 +137,7 @@ def test_a_damaged_file_in_deepfsi_data(server, tmp_path, monkeypatch):
 
 
 def test_check_and_list(server, tmp_path, monkeypatch):
-    monkeypatch.setattr(DATASETS["indian-pines"], "PACKAGE", ("no_such_package", "data"))
+    monkeypatch.setattr(catalog.DATASETS["indian-pines"], "PACKAGE", ("no_such_package", "data"))
     where = {info.name: info.where for info in list_datasets()}
     assert where.pop("digits") == "embedded"
     assert len(where) == 5

@@ -8,8 +8,7 @@ from dataset_samples import refused
 
 from conftest import quick, synthetic
 from deepfsi.camera import photons_per_pixel, summed_reflectance
-from deepfsi.datasets import ambient, jitter, load_dataset
-from deepfsi.datasets.variants import anomalies_of, one_class
+from deepfsi.datasets import ambient, jitter, load_dataset, variants
 from shared.values import linear_scenes
 
 
@@ -51,7 +50,7 @@ def test_anomalies_are_the_seeds_and_the_origin_makes_them_again(three):
 def test_spectra_and_images_are_changed_alike(shape):
     rng = np.random.default_rng(0)
     scenes = rng.random((40, *shape), dtype=np.float32)
-    made = anomalies_of(scenes, rng)
+    made = variants.anomalies_of(scenes, rng)
     assert made.shape == scenes.shape
     assert made.dtype == scenes.dtype
     assert (made != scenes).reshape(40, -1).any(axis=1).mean() > 0.9
@@ -117,8 +116,8 @@ def test_displacements_are_seeded_and_each_scene_has_its_own(digits):
         *((lambda data, by=by: jitter(data, *by), ("0 or more",))
           for by in ((-1, 0), (0, -1), (float("nan"), 0))),
         (lambda data: jitter(synthetic((6,)), 1.0), ("for images",)),
-        (lambda data: one_class(data, "33"), ("no class '33'", "normal")),
-        (lambda data: one_class(linear_scenes(20, 5), "3"), ("has values and no classes",)),
+        (lambda data: variants.one_class(data, "33"), ("no class '33'", "normal")),
+        (lambda data: variants.one_class(linear_scenes(20, 5), "3"), ("values and no classes",)),
     ],
 )  # fmt: skip
 def test_variants_that_cannot_be_are_refused(digits, change, parts):

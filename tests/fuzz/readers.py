@@ -18,13 +18,18 @@ from PIL import Image
 from scipy.io import savemat
 from spectral.io import envi
 
+import deepfsi.hardware.counting as counting
+import deepfsi.hardware.live as live
+import deepfsi.hardware.patterns as patterns
+import deepfsi.hardware.photons as photons
 from deepfsi import Design, from_arrays, load_dataset, load_design
 from deepfsi.base.numeric import read_table
 from deepfsi.camera import Camera, find_device
 from deepfsi.cli.studies import read_recipe
 from deepfsi.designfile import CollectionIndex, read_loop, trained_on
 from deepfsi.evaluation import stopping
-from deepfsi.hardware import counting, live, patterns, photons, virtual
+from deepfsi.hardware.counting import tables
+from deepfsi.hardware.virtual import VirtualCamera
 from deepfsi.jobs import read_matrix
 from deepfsi.lab import camera_of, design_rails
 from deepfsi.lab.scenes import read_scenes
@@ -95,7 +100,7 @@ def use_loop(path: Path) -> None:
 def use_patterns(path: Path) -> None:
     exported = patterns.read_patterns(path.parent)
     assert np.isfinite(exported.rails).all()
-    counting.tables.column_names(exported.manifest)
+    tables.column_names(exported.manifest)
 
 
 def check_patterns(path: Path) -> None:
@@ -185,7 +190,7 @@ READERS = {
     "device": Reader("device/device.toml", use_camera, (changed_toml,), 2),
     "detectors": Reader("device/map.npy", use_camera, (mangled,), 1),
     "virtual camera": Reader("virtual.toml",
-                             lambda path: virtual.VirtualCamera.load(str(path)), TOML),
+                             lambda path: VirtualCamera.load(str(path)), TOML),
     "recipe": Reader("recipe.toml", use_recipe, TOML),
     "results": Reader("out/results.json", read_results, JSON),
     "report": Reader("out/results.json", lambda path: build_report(path.parent),
