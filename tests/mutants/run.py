@@ -17,9 +17,10 @@ import subprocess
 import sys
 import tempfile
 import tomllib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import partial
+from functools import cache
 from pathlib import Path
 from typing import Annotated
 
@@ -27,34 +28,24 @@ import typer
 
 ROOT = Path(__file__).parents[2]
 
-LONGEST_S = 600.0
+LONGEST_S = 900.0
 """Seconds after which tests that hang count as failed."""
 
 
 @dataclass(frozen=True)
 class Mutant:
-    """One deliberate fault, found by function and code, not by file and text.
-
-    Parameters
-    ----------
-    wrong
-        What is wrong, in one sentence.
-    at
-        Module and qualified name of the function, class or constant in it that is changed,
-        ``deepfsi.physics.noise:poisson``.
-    old
-        An expression or statements that stand there once, formatted in any way.
-    new
-        What stands there instead.
-    tests
-        Paths below ``tests``, one of which must fail.
-    """
+    """One deliberate fault, found by function and code, not by file and text."""
 
     wrong: str
+    """What is wrong, in one sentence."""
     at: str
+    """Module and qualified name of the function, class or constant in it that is changed."""
     old: str
+    """An expression or statements that stand there once, formatted in any way."""
     new: str
-    tests: list[str]
+    """What stands there instead."""
+    tests: tuple[str, ...]
+    """Paths below ``tests``, one of which must fail."""
 
     def file(self, tree: Path) -> Path:
         """File of the changed module in a copy of the repository."""
@@ -62,47 +53,44 @@ class Mutant:
         return module / "__init__.py" if module.is_dir() else module.with_suffix(".py")
 
     def apply(self, source: str) -> str:
-        """Source of the module with the fault.
-
-        Raises
-        ------
-        ValueError
-            If the name is not there, or `old` does not stand in it exactly once.
-        """
-        tree = ast.parse(source)
-        scopes = named(tree, self.at.partition(":")[2])
-        if not scopes:
-            raise ValueError(f"{self.at} is not there")
+        """Source of the module with the fault, which must fit at exactly one place."""
+        tree, kind, places = ast.parse(source), ast.stmt, []
         old, new = ast.parse(self.old).body, ast.parse(self.new).body
-        search = expressions if is_expression(old) and is_expression(new) else statements
-        replacements = [each for scope in scopes for each in search(scope, old, new)]
-        if len(replacements) != 1:
-            raise ValueError(f"{self.at} holds {len(replacements)} times: {self.old}")
-        replacements[0]()
+        if all(len(code) == 1 and isinstance(code[0], ast.Expr) for code in (old, new)):
+            kind, old, new = ast.expr, [old[0].value], [new[0].value]
+        wanted = [same(node) for node in old]
+        for parent in named(tree, self.at.partition(":")[2]):
+            for field, value in ast.iter_fields(parent):
+                nodes = value if isinstance(value, list) else [value]
+                codes = [isinstance(node, kind) and same(node) for node in nodes]
+                for first in range(len(codes) - len(old) + 1):
+                    last = first + len(old)
+                    if codes[first:last] == wanted:
+                        changed = [*nodes[:first], *new, *nodes[last:]]
+                        # what is left of a block without statements is `pass`, but for an `else`
+                        rest = [ast.Pass()] if field == "body" else []
+                        changed = (changed or rest) if isinstance(value, list) else changed[0]
+                        places.append((parent, field, changed))
+        if len(places) != 1:
+            raise ValueError(f"{self.at} holds {len(places)} times: {self.old}")
+        setattr(*places[0])
         return ast.unparse(tree)
 
 
-def named(tree: ast.Module, name: str) -> list[ast.stmt]:
-    """Definitions of a qualified name: a property and its setter are two."""
-    bodies, last = [tree.body], []
+def named(tree: ast.Module, name: str) -> Iterator[ast.AST]:
+    """Definitions of a qualified name with all in them: a property and its setter are two."""
+    nodes: list[ast.AST] = [tree]
     for part in name.split("."):
-        last = [node for body in bodies for node in body if part in _names(node)]
-        bodies = [getattr(node, "body", []) for node in last]
-    return last
+        bodies = [node for outer in nodes for node in getattr(outer, "body", [])]
+        nodes = [node for node in bodies if part in _names(node)]
+    return (inner for node in nodes for inner in ast.walk(node))
 
 
 def _names(node: ast.stmt) -> set[str]:
     """Names that a statement defines."""
-    if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
-        return {node.name}
     targets = node.targets if isinstance(node, ast.Assign) else [getattr(node, "target", None)]
     stored = [name for target in targets if target for name in ast.walk(target)]
-    return {name.id for name in stored if isinstance(name, ast.Name)}
-
-
-def is_expression(body: list[ast.stmt]) -> bool:
-    """True if the code is one expression."""
-    return len(body) == 1 and isinstance(body[0], ast.Expr)
+    return {getattr(node, "name", None), *(getattr(name, "id", None) for name in stored)}
 
 
 def same(node: ast.AST) -> str:
@@ -110,62 +98,35 @@ def same(node: ast.AST) -> str:
     return re.sub(r",? ?ctx=\w+\(\)", "", ast.dump(node))
 
 
-def expressions(
-    scope: ast.stmt, old: list[ast.stmt], new: list[ast.stmt]
-) -> Iterator[Callable[[], None]]:
-    """Replacements of an expression by another, one for each place where it stands."""
-    wanted, instead = same(old[0].value), new[0].value  # type: ignore[attr-defined]
-    for parent in ast.walk(scope):
-        for field, value in ast.iter_fields(parent):
-            if isinstance(value, ast.expr) and same(value) == wanted:
-                yield partial(setattr, parent, field, instead)
-            elif isinstance(value, list):
-                for index, item in enumerate(value):
-                    if isinstance(item, ast.expr) and same(item) == wanted:
-                        yield partial(value.__setitem__, index, instead)
-
-
-def statements(
-    scope: ast.stmt, old: list[ast.stmt], new: list[ast.stmt]
-) -> Iterator[Callable[[], None]]:
-    """Replacements of statements by others, one for each place where they stand."""
-    wanted = [same(node) for node in old]
-    for parent in ast.walk(scope):
-        for field, body in ast.iter_fields(parent):
-            if not isinstance(body, list) or not all(isinstance(n, ast.stmt) for n in body):
-                continue
-            dumps = [same(node) for node in body]
-            for first in range(len(body) - len(old) + 1):
-                if dumps[first : first + len(old)] == wanted:
-                    changed = [*body[:first], *new, *body[first + len(old) :]]
-                    # what is left of a block without statements is `pass`, but for an `else`
-                    yield partial(
-                        setattr, parent, field, changed or ([ast.Pass()] * (field == "body"))
-                    )
-
-
 def read_mutants() -> list[Mutant]:
     """Mutants of the list, in its order."""
-    listed = tomllib.loads(Path(__file__).with_name("mutants.toml").read_text())
-    return [Mutant(**each) for each in listed["mutant"]]
+    listed = tomllib.loads(Path(__file__).with_name("mutants.toml").read_text())["mutant"]
+    return [Mutant(**{**each, "tests": tuple(each["tests"])}) for each in listed]
 
 
-def first_failure(tree: Path, tests: list[str]) -> str | None:
-    """Test that fails first in a copy of the tree, or None."""
+@contextmanager
+def copied_tree() -> Iterator[Path]:
+    """Copy of the repository, for as long as it is needed."""
+    with tempfile.TemporaryDirectory() as folder:
+        left_out = shutil.ignore_patterns(".*", "runs", "__pycache__")
+        yield shutil.copytree(ROOT, Path(folder) / "tree", symlinks=True, ignore=left_out)
+
+
+def first_failure(tree: Path, tests: tuple[str, ...], *options: str) -> str | None:
+    """Test below ``tests`` that fails first in a copy of the tree, or None."""
     environment = {**os.environ, "PYTHONPATH": str(tree / "src"), "OMP_NUM_THREADS": "1"}
     environment["PYTHONDONTWRITEBYTECODE"] = "1"  # a change of equal length may look unchanged
-    options = ["-q", "-x", "-p", "no:cacheprovider", "--no-header", "-rfE"]
-    command = [sys.executable, "-m", "pytest", *options, *(f"tests/{each}" for each in tests)]
+    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", "-rfE"]
+    command += [*options, *(f"tests/{each}" for each in tests)]
     try:
         done = subprocess.run(
             command, cwd=tree, env=environment, capture_output=True, text=True, timeout=LONGEST_S
         )
     except subprocess.TimeoutExpired:
         return f"no answer after {LONGEST_S:g} s"
-    if done.returncode == 0:
-        return None
-    lines = [line for line in done.stdout.splitlines() if line.startswith(("FAILED", "ERROR"))]
-    return lines[0].split(" - ")[0] if lines else done.stdout[-300:] + done.stderr[-300:]
+    failed = re.search(r"^(?:FAILED|ERROR) .*?(?= - |$)", done.stdout, re.M)
+    said = failed[0] if failed else done.stdout[-300:] + done.stderr[-300:]
+    return said if done.returncode else None
 
 
 def run(
@@ -175,27 +136,19 @@ def run(
     """Run the tests of each mutant and exit 1 if one survives."""
     listed = read_mutants()[first - 1 :]
     chosen = [m for m in listed if not only or any(word in m.wrong for word in only)]
-    survivors: list[Mutant] = []
-    sound: dict[tuple[str, ...], str | None] = {}
-    with tempfile.TemporaryDirectory() as folder:
-        tree = Path(folder) / "tree"
-        left_out = shutil.ignore_patterns(".*", "runs", "__pycache__")
-        shutil.copytree(ROOT, tree, symlinks=True, ignore=left_out)
+    survivors, on_sound_code = 0, cache(first_failure)
+    with copied_tree() as tree:
         for number, mutant in enumerate(chosen, start=first):
-            tests = tuple(mutant.tests)
-            if tests not in sound:
-                sound[tests] = first_failure(tree, mutant.tests)
-            if sound[tests]:
-                raise SystemExit(f"fails without any fault: {sound[tests]}")
+            if failure := on_sound_code(tree, mutant.tests):
+                raise SystemExit(f"fails without any fault: {failure}")
             path = mutant.file(tree)
             source = path.read_text()
             path.write_text(mutant.apply(source))
             killer = first_failure(tree, mutant.tests)
             path.write_text(source)
-            if killer is None:
-                survivors.append(mutant)
+            survivors += killer is None
             print(f"{number:3} {killer or 'SURVIVES'}\n    {mutant.wrong}", flush=True)
-    print(f"{len(chosen)} mutants, {len(survivors)} survive")
+    print(f"{len(chosen)} mutants, {survivors} survive")
     raise SystemExit(bool(survivors))
 
 

@@ -1,7 +1,7 @@
 """Random faults by the operators of cosmic-ray, wing by wing, and those that no test notices.
 
     pip install cosmic-ray
-    python tests/mutants/sample.py optics training --number 40 --seed 1
+    python tests/mutants/sample.py physics training --number 40 --seed 1
 
     python tests/mutants/sample.py hardware --near --trust      in a hurry
 
@@ -10,32 +10,15 @@ seed and code. The fast tests of the wing run against it, first those that impor
 of the tree is changed, never the tree itself. Survivors are missing laws, or change nothing.
 """
 
-import os
 import random
 import re
-import shutil
-import signal
-import subprocess
-import sys
-import tempfile
-import time
-import traceback
 from collections.abc import Iterator
-from contextlib import suppress
 from difflib import unified_diff
-from importlib import import_module
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
 import typer
-
-os.environ |= {"OMP_NUM_THREADS": "1", "MPLBACKEND": "Agg"}  # before numpy and torch
-sys.dont_write_bytecode = True  # a change of equal length may look unchanged
-
-ROOT = Path(__file__).parents[2]
-
-LONGEST_S = 900.0
-"""Seconds after which tests that hang count as failed."""
+from run import copied_tree, first_failure
 
 OPERATORS = re.compile(
     "core/(AddNot|ReplaceTrueWithFalse|ReplaceFalseWithTrue|ReplaceAndWithOr|ReplaceOrWithAnd|"
@@ -70,86 +53,34 @@ def faults(package: Path, wing: str) -> Iterator[Fault]:
                 yield Fault(path.relative_to(package), name, occurrence)
 
 
-def changed(source: str, fault: Fault) -> str:
-    """Source with a fault."""
+def stages(tests: Path, module: Path, near_only: bool) -> list[tuple[str, ...]]:
+    """Tests of the wing of a module: those that import it, then the others unless left out."""
+    name = ".".join(("deepfsi", *module.with_suffix("").parts)).removesuffix(".__init__")
+    every = sorted((tests / module.parts[0]).rglob("test_*.py"))
+    near = [each for each in every if re.search(rf"{name}\b", each.read_text())]
+    near.sort(key=lambda each: each.stem != f"test_{module.stem}")
+    groups = [group for group in (near, [each for each in every if each not in near]) if group]
+    kept = groups[: 1 if near_only else 2]
+    return [tuple(str(each.relative_to(tests)) for each in group) for group in kept]
+
+
+def try_fault(tree: Path, fault: Fault, near: bool) -> tuple[bool, str]:
+    """True and the test that fails of a fault, or False and the difference that it makes."""
     from cosmic_ray.mutating import mutate_code
     from cosmic_ray.plugins import get_operator
 
-    return mutate_code(source, get_operator(fault.operator)(), fault.occurrence)
-
-
-def preload(tree: Path) -> None:
-    """Import what the package imports from others, once for all children."""
-    script = "import sys, deepfsi.cli, deepfsi.training.learning; print(*sys.modules)"
-    environment = {**os.environ, "PYTHONPATH": str(tree / "src")}
-    done = subprocess.run(
-        [sys.executable, "-c", script], env=environment, check=True, capture_output=True, text=True
-    )
-    for name in done.stdout.split():
-        if not name.startswith(("deepfsi", "_", "sitecustomize")):
-            with suppress(ImportError):
-                import_module(name)
-
-
-def run_tests(tree: Path, tests: list[str], log: Path) -> int:
-    """Exit status of pytest on tests of a tree, in a child that has torch already."""
-    child = os.fork()
-    if child == 0:
-        status = 1
-        try:
-            status = _pytest(tree, tests, log)
-        except BaseException:
-            traceback.print_exc()
-        finally:
-            os._exit(status)
-    due = time.monotonic() + LONGEST_S
-    while not (done := os.waitpid(child, os.WNOHANG))[0]:
-        if time.monotonic() > due:
-            os.killpg(child, signal.SIGKILL)
-            return os.waitpid(child, 0)[1] or 1
-        time.sleep(0.05)
-    return os.waitstatus_to_exitcode(done[1])
-
-
-def _pytest(tree: Path, tests: list[str], log: Path) -> int:
-    os.setsid()
-    os.chdir(tree)
-    handle = os.open(log, os.O_CREAT | os.O_WRONLY | os.O_TRUNC)
-    os.dup2(handle, 1)
-    os.dup2(handle, 2)
-    os.environ["PYTHONPATH"] = f"{tree / 'src'}:{tree / 'tests'}"
-    sys.path[:0] = [str(tree / "src"), str(tree / "tests")]
-    import pytest
-
-    options = ["-q", "-x", "-m", "not slow", "-p", "no:cacheprovider", "-rfE", "--tb=no"]
-    return pytest.main([*options, *tests])
-
-
-def stages(tree: Path, module: Path, near_only: bool) -> list[list[str]]:
-    """Tests of the wing of a module: those that import it, then the others unless left out."""
-    wing = module.parts[0]
-    name = ".".join(("deepfsi", *module.with_suffix("").parts)).removesuffix(".__init__")
-    found = sorted((tree / "tests" / wing).rglob("test_*.py"))
-    near = [each for each in found if re.search(rf"{name}\b", each.read_text())]
-    near.sort(key=lambda each: each.stem != f"test_{module.stem}")
-    far = [each for each in found if each not in near]
-    kept = [stage for stage in (near, far) if stage][: 1 if near_only else 2]
-    return [[str(each.relative_to(tree)) for each in stage] for stage in kept]
-
-
-def survives(tree: Path, fault: Fault, log: Path, near: bool) -> str | None:
-    """Difference that a fault makes, if no test fails on it."""
-    path = tree / "src" / "deepfsi" / fault.module
+    path = tree / "src/deepfsi" / fault.module
     source = path.read_text()
-    wrong = changed(source, fault)
+    wrong = mutate_code(source, get_operator(fault.operator)(), fault.occurrence)
     path.write_text(wrong)
     try:
-        if any(run_tests(tree, stage, log) for stage in stages(tree, fault.module, near)):
-            return None
+        for tests in stages(tree / "tests", fault.module, near):
+            if killer := first_failure(tree, tests, "-m", "not slow"):
+                return True, killer
     finally:
         path.write_text(source)
     lines = unified_diff(source.splitlines(), wrong.splitlines(), lineterm="", n=1)
-    return "\n".join(line for line in lines if not line.startswith(("---", "+++")))
+    return False, "\n".join(line for line in lines if not line.startswith(("---", "+++")))
 
 
 def main(
@@ -163,25 +94,16 @@ def main(
     """Draw faults of wings, list the survivors, and give the share that was found."""
     from scipy.stats import binomtest
 
-    with tempfile.TemporaryDirectory() as folder:
-        tree, log = Path(folder) / "tree", Path(folder) / "log"
-        left_out = shutil.ignore_patterns(".*", "runs", "__pycache__")
-        shutil.copytree(ROOT, tree, symlinks=True, ignore=left_out)
-        preload(tree)
+    with copied_tree() as tree:
         for wing in wings:
-            if not trust and run_tests(tree, [f"tests/{wing}"], log):
-                raise SystemExit(f"fails without any fault: {log.read_text()[-300:]}")
-            every = list(faults(tree / "src" / "deepfsi", wing))
+            if not trust and (failure := first_failure(tree, (wing,), "-m", "not slow")):
+                raise SystemExit(f"fails without any fault: {failure}")
+            every, dead = list(faults(tree / "src/deepfsi", wing)), 0
             drawn = random.Random(seed).sample(every, min(number, len(every)))[first - 1 :]
-            alive = 0
-            for place, fault in enumerate(drawn, start=first):
-                began = time.monotonic()
-                found = survives(tree, fault, log, near)
-                alive += found is not None
-                said = f"{fault.module} {fault.operator} {fault.occurrence}"
-                said += f" ({time.monotonic() - began:.0f} s)"
-                print(f"{wing} {place:3} {said}\n{found or log.read_text()[-200:]}", flush=True)
-            dead = len(drawn) - alive
+            for index, fault in enumerate(drawn, start=first):
+                killed, said = try_fault(tree, fault, near)
+                dead += killed
+                print(f"{wing} {index:3} {' '.join(map(str, fault))}\n{said}", flush=True)
             low, high = binomtest(dead, len(drawn)).proportion_ci(0.95, method="wilson")
             print(
                 f"{wing}: {dead} of {len(drawn)} drawn of {len(every)} found, "
