@@ -58,7 +58,7 @@ def test_a_mutant_is_found_by_its_code_however_that_is_formatted(at, old, new, l
     """Unless it fits at no place, or at two."""
     mutant = Mutant("wrong", f"box:{at}", old, new, ())
     if line is None:
-        with pytest.raises(ValueError, match="holds [02] times"):
+        with pytest.raises(ValueError, match=r"holds [^1] times"):
             mutant.apply(SOURCE)
     else:
         before = ast.unparse(ast.parse(SOURCE)).splitlines()
