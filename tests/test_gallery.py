@@ -9,8 +9,6 @@ import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
-import pytest
-
 DOCS = Path(__file__).parent.parent / "docs"
 GALLERY = sorted(DOCS.glob("gallery/*/plot_*.py"))
 SCRIPTS = [*GALLERY, *sorted(DOCS.glob("tutorial/plot_*.py"))]
@@ -27,36 +25,30 @@ def named(tree: ast.Module) -> set[tuple[str, str]]:
     return found
 
 
-def test_a_dozen_scripts():
+def test_names_exist_and_are_public():
+    for path in (*SCRIPTS, DOCS / "exposure.py"):
+        tree = ast.parse(path.read_text())
+        compile(tree, str(path), "exec")
+        for module, name in named(tree):
+            assert not any(part.startswith("_") for part in (*module.split("."), name)), path
+            assert hasattr(importlib.import_module(module), name), f"{module} has no {name}"
+
+
+def test_form():
+    """A title with its line beneath, and figures that are shown, drawn for a phone.
+
+    `docs/extensions/figures.py` has their style; wider ones have too small words there.
+    """
     assert len(GALLERY) >= 12
-
-
-@pytest.mark.parametrize("path", [*SCRIPTS, DOCS / "exposure.py"], ids=lambda path: path.stem)
-def test_names_exist_and_are_public(path):
-    tree = ast.parse(path.read_text())
-    compile(tree, str(path), "exec")
-    for module, name in named(tree):
-        assert not any(part.startswith("_") for part in (*module.split("."), name))
-        assert hasattr(importlib.import_module(module), name), f"{module} has no {name}"
-
-
-@pytest.mark.parametrize("path", SCRIPTS, ids=lambda path: path.stem)
-def test_form(path):
-    """A title with its line beneath, and a figure that is shown."""
-    text = path.read_text()
-    _, title, line, empty, *words = ast.get_docstring(ast.parse(text), clean=False).split("\n")
-    assert (line, empty) == ("=" * len(title), "")
-    assert len(re.findall(r"[.?]", " ".join(words))) >= 2
-    assert "\nplt.show()\n" in text
-
-
-@pytest.mark.parametrize("path", SCRIPTS, ids=lambda path: path.stem)
-def test_figures_are_drawn_for_a_phone(path):
-    """`docs/extensions/figures.py` has their style; wider ones have too small words there."""
-    text = path.read_text()
-    assert "rcParams" not in text
-    assert "fontsize" not in text
-    assert {float(width) for width in re.findall(r"figsize=\(([\d.]+),", text)} <= {4.8}
+    for path in SCRIPTS:
+        text = path.read_text()
+        docs = ast.get_docstring(ast.parse(text), clean=False)
+        _, title, line, empty, *words = docs.split("\n")
+        assert (line, empty) == ("=" * len(title), ""), path
+        assert len(re.findall(r"[.?]", " ".join(words))) >= 2, path
+        assert "\nplt.show()\n" in text, path
+        assert not re.search("rcParams|fontsize", text), path
+        assert set(re.findall(r"figsize=\(([\d.]+),", text)) <= {"4.8"}, path
 
 
 def test_moving_picture_stands_alone():

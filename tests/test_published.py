@@ -48,28 +48,23 @@ def test_published_masks_fit_their_constraint_at_their_smallest_budget(tmp_path)
 
 
 def test_designs_are_compared_with_a_published_network(tmp_path, capsys):
+    """Means over seeds and their spread, of rounded numbers."""
     published_network(tmp_path, 64)
     words = ["--data", "digits", "--neurons", "5", "--epochs", "1", "-o", str(tmp_path / "out")]
-    words += ["--seeds", "0", "1"]
-    benchmark("published").main([str(tmp_path), *words])
+    benchmark("published").main([str(tmp_path), *words, "--seeds", "0", "1"])
     printed = capsys.readouterr().out
-    for head in (
-        "| neurons |",
-        "| column, Φ of |",
-        "| free-dwell, Φ of |",
-        "| column, clicks of |",
-        "| free-dwell, clicks of |",
-    ):
-        assert head in printed
+    laws = [
+        f"| {light}, {what} of |" for what in ("Φ", "clicks") for light in ("column", "free-dwell")
+    ]
+    assert all(head in printed for head in ("| neurons |", *laws))
     assert printed.count("\n| 5 | ") == 9
-    for rows in (printed.split("clicks of |")[1], printed.split("clicks of |")[2]):
+    for rows in printed.split("clicks of |")[1:3]:
         first, second, mean = (row.split(" | ") for row in rows.split("\n")[2:5])
-        for place in (3, 6, 7):
-            both = [float(row[place].split()[0].strip("|")) for row in (first, second)]
-            middle, spread = map(float, mean[place].strip(" |").split(" ± "))
-            off = 0.11 if place > 5 else 2e-4  # of rounded numbers
-            assert middle == pytest.approx(np.mean(both), abs=off)
-            assert spread == pytest.approx(np.std(both, ddof=1), abs=off)
+        for column, rounding in ((3, 2e-4), (6, 0.11), (7, 0.11)):
+            both = [float(row[column].split()[0].strip("|")) for row in (first, second)]
+            middle, spread = map(float, mean[column].strip(" |").split(" ± "))
+            wanted = pytest.approx((np.mean(both), np.std(both, ddof=1)), abs=rounding)
+            assert (middle, spread) == wanted
     with pytest.raises(SystemExit):
         benchmark("published").main([str(tmp_path), "--data", "digits", "--neurons", "7"])
     assert "CC BY 4.0" in capsys.readouterr().err
@@ -112,16 +107,15 @@ def test_published_networks_reach_what_was_published():
     for size, (once, ten, clicked, *budgets) in known.items():
         network = published.Network.read(SPDNN / f"incoherent_n{size}.npz", data.pixels)
         shots = [network.clicks(data.x_test, seed) for seed in range(10)]
-        clicks = shots[0]
-        for accuracy, found in (
-            (once, network.classes(clicks)),
+        for accuracy, classes in (
+            (once, network.classes(shots[0])),
             (ten, network.classes(np.sum(shots, axis=0), 10)),
         ):
-            right = (found == data.y_test).mean()
-            assert abs(right - accuracy) < 5 * np.sqrt(accuracy * (1 - accuracy) / len(clicks))
-        assert clicks.sum(axis=1).mean() == pytest.approx(clicked, rel=0.01)
-        found = [network.least_photons(light, s) for light in published.LAWS]
-        assert found == pytest.approx(budgets, abs=0.6)
+            error = np.sqrt(accuracy * (1 - accuracy) / len(classes))
+            assert abs((classes == data.y_test).mean() - accuracy) < 5 * error
+        assert shots[0].sum(axis=1).mean() == pytest.approx(clicked, rel=0.01)
+        least = [network.least_photons(light, s) for light in published.LAWS]
+        assert least == pytest.approx(budgets, abs=0.6)
 
 
 def test_the_rule_of_photons_is_the_rule_of_bayes_where_they_are_independent(rules, digits):

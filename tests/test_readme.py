@@ -55,30 +55,21 @@ def test_python(block, tmp_path, monkeypatch):
     assert names["probabilities"].shape == (len(names["data"].x_test), 10)
 
 
-MOST_WORDS = 450
-"""Words of README, those of its code among them."""
-
-
-def test_readme_names_the_two_commands_that_do_all_the_set_up_with_their_time():
-    """And is short: for whom, on which system, how to cite."""
-    for command, minutes in (("make run", 4), ("make test", 12)):
-        assert re.search(rf"^{command} +# {minutes} minutes on two cores", README, re.MULTILINE)
-        target = command.removeprefix("make ")
-        assert re.search(rf"^{target}\b.*:", (ROOT / "Makefile").read_text(), re.MULTILINE)
+def test_readme_is_short_and_names_the_commands_that_do_all_the_set_up():
+    """For whom, on which system, how to cite, and how long `make` takes."""
+    make = re.sub(r"\\\n\s*", "", (ROOT / "Makefile").read_text())
+    for target, minutes in (("run", 4), ("test", 12)):
+        said = f"^make {target} +# {minutes} minutes on two cores"
+        assert re.search(said, README, re.MULTILINE)
+        assert re.search(rf"^{target}\b.*:", make, re.MULTILINE)
     for words in ("is for people who", "Linux or macOS", "Windows", "@article", "CITATION.cff"):
         assert words in README
-    assert len(README.split()) <= MOST_WORDS
+    assert len(README.split()) <= 450
     assert README.count("![") == 1
-
-
-def test_make_run_ends_with_adaptive_masks():
-    """In the comparison, and as the page that README opens."""
-    lines = re.sub(r"\\\n\s*", "", (ROOT / "Makefile").read_text())
-    run = re.search(r"^run:.*\n((?:\t.*\n)+)", lines, re.MULTILINE)[1].splitlines()
-    assert "compare" in run[-3]
-    assert "adaptive" in run[-3]
-    assert "--design adaptive" in run[-2]
-    assert run[-1].endswith("-o runs/dmd/page.html")
+    compare, design, page = re.search(r"^run:.*\n((?:\t.*\n)+)", make, re.M)[1].splitlines()[-3:]
+    assert re.search("compare.*adaptive", compare)
+    assert "--design adaptive" in design
+    assert page.endswith("-o runs/dmd/page.html")
 
 
 def test_no_line_is_left_out():
@@ -93,23 +84,18 @@ def test_no_line_is_left_out():
         assert name in LINES or "```sh\n" not in page.read_text(), name
 
 
-PAGES = [ROOT / "README.md", *(ROOT / "docs").glob("[!_g]*/*.md")]
-"""Pages that people write."""
-
-
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_commands_and_files_that_a_page_names_exist(page):
-    text = re.sub(r"\\\n\s*", "", page.read_text())
-    for line in re.findall(r"^(deepfsi .+)$|`(deepfsi [^`]+)`", text, flags=re.MULTILINE):
-        words = " ".join(line).split("#")[0].split()[1:]
-        path = next((p for n in (2, 1) if (p := " ".join(words[:n])) in OPTIONS), None)
-        group = {each.split()[0] for each in OPTIONS} & set(words[:1])
-        assert path or len(words) == len(group) or words[len(group)][0] in "-C", line
-        known = OPTIONS.get(str(path), set()) | {"--help"}
-        given = {word.split("=")[0] for word in words if re.match("--?[a-z]", word)}
-        assert given <= known, line
-    for path in re.findall(r"\b(?:tests|benchmarks|docs)/[\w/]+\.(?:py|png|svg)\b", text):
-        assert (ROOT / path).is_file(), path
+def test_commands_and_files_that_pages_name_exist():
+    for page in [ROOT / "README.md", *(ROOT / "docs").glob("[!_g]*/*.md")]:
+        text = re.sub(r"\\\n\s*", "", page.read_text())
+        for line in re.findall(r"^(deepfsi .+)$|`(deepfsi [^`]+)`", text, flags=re.MULTILINE):
+            words = " ".join(line).split("#")[0].split()[1:]
+            path = next((p for n in (2, 1) if (p := " ".join(words[:n])) in OPTIONS), None)
+            group = {each.split()[0] for each in OPTIONS} & set(words[:1])
+            assert path or len(words) == len(group) or words[len(group)][0] in "-C", line
+            given = {word.split("=")[0] for word in words if re.match("--?[a-z]", word)}
+            assert given <= OPTIONS.get(str(path), set()) | {"--help"}, line
+        for path in re.findall(r"\b(?:tests|benchmarks|docs)/[\w/]+\.(?:py|png|svg)\b", text):
+            assert (ROOT / path).is_file(), path
 
 
 @pytest.fixture
@@ -169,10 +155,7 @@ def test_readme(run, tmp_path):
 @pytest.mark.parametrize(
     ("page", "made"),
     [
-        (
-            "do/compare",
-            ("masks.png", "patterns/manifest.json", "runs/plan/plan.json"),
-        ),
+        ("do/compare", ("masks.png", "patterns/manifest.json", "runs/plan/plan.json")),
         ("do/deploy", ("looks.html", "digits.onnx")),
         ("do/cluster", ("runs/quick.csv",)),
         ("notebook/reproduce", ("runs/paper/report.html",)),

@@ -1,7 +1,7 @@
 """The page that gives a run's counts to deepinv and SpyRIT.
 
-Its code is held to its formulas with stand-ins of what it takes from both packages, and with the
-packages themselves where they can be imported.
+Its code is held to its formulas with stand-ins of what it takes from both packages, and runs as it
+is where they can be imported.
 """
 
 import importlib
@@ -106,28 +106,14 @@ def names_of(*blocks: str) -> dict[str, Any]:
     return names
 
 
-def need(package: str) -> None:
-    try:
-        importlib.import_module(package)
-    except (ImportError, RuntimeError) as error:  # the second where torchvision is of another torch
-        pytest.skip(f"{package} cannot be imported: {error}")
-
-
-def code(block: str, package: str, kind: str, monkeypatch) -> SimpleNamespace:
-    """Names that the page's first block and another make, on stand-ins or on the package."""
-    if kind == "package":
-        need(package)
-    else:
-        monkeypatch.setitem(sys.modules, package, ModuleType(package))
-        for name, held in STAND_INS[package].items():
-            module = ModuleType(f"{package}.{name}")
-            vars(module).update(held)
-            monkeypatch.setitem(sys.modules, module.__name__, module)
+def code(block: str, package: str, monkeypatch) -> SimpleNamespace:
+    """Names that the page's first block and another make on stand-ins."""
+    monkeypatch.setitem(sys.modules, package, ModuleType(package))
+    for name, held in STAND_INS[package].items():
+        module = ModuleType(f"{package}.{name}")
+        vars(module).update(held)
+        monkeypatch.setitem(sys.modules, module.__name__, module)
     return SimpleNamespace(**names_of(READ, block))
-
-
-either = pytest.mark.parametrize("kind", ["formula", "package"])
-lenient = pytest.mark.filterwarnings("default")  # the packages' own warnings are not ours
 
 
 @pytest.fixture(scope="module")
@@ -209,11 +195,9 @@ def test_an_exposure_that_was_lost_is_left_out(runs):
     torch.testing.assert_close(added, torch.tensor([[7.0], [28]]).double().expand_as(added))
 
 
-@lenient
-@either
 @every_optics
-def test_deepinv(runs, light, kind, monkeypatch):
-    page = code(DEEPINV, "deepinv", kind, monkeypatch)
+def test_deepinv(runs, light, monkeypatch):
+    page = code(DEEPINV, "deepinv", monkeypatch)
     run = page.read(runs[light])
     camera, counts = page.SinglePixelCamera(run), run.counts.flatten(1)
     u = torch.randn(3, 1, *SHAPE, generator=generator(), dtype=torch.float64)
@@ -238,12 +222,10 @@ def test_deepinv(runs, light, kind, monkeypatch):
     assert (likelihood(likely) > likelihood(scenes)).all()
 
 
-@lenient
-@either
 @every_optics
-def test_spyrit(runs, light, kind, monkeypatch):
+def test_spyrit(runs, light, monkeypatch):
     """The estimate is that of least mean squared error, in its other form."""
-    page = code(SPYRIT, "spyrit", kind, monkeypatch)
+    page = code(SPYRIT, "spyrit", monkeypatch)
     run = page.read(runs[light])
     pictures = torch.rand(200, 8, generator=generator(), dtype=torch.float64)
     plain, likely = page.by_spyrit(run, pictures)
@@ -265,10 +247,13 @@ def test_spyrit(runs, light, kind, monkeypatch):
         torch.testing.assert_close(likely[place].flatten(), best)
 
 
-@lenient
+@pytest.mark.filterwarnings("default")  # the packages' own warnings are not ours
 def test_the_page(tmp_path, monkeypatch, done):
-    need("deepinv")
-    need("spyrit")
+    for package in ("deepinv", "spyrit"):
+        try:
+            importlib.import_module(package)
+        except (ImportError, RuntimeError) as error:  # where torchvision is of another torch
+            pytest.skip(f"{package} cannot be imported: {error}")
     monkeypatch.chdir(tmp_path)
     for line in LINES:
         done(*shlex.split(line)[1:], *(("--epochs", "5") if "design" in line.split()[1] else ()))

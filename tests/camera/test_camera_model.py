@@ -1,4 +1,7 @@
-"""Laws of the camera: a laboratory's units, presets, what follows from what, files and refusals."""
+"""Laws of the camera: a laboratory's units, presets, what follows from what, files and refusals.
+
+Each field with values that are allowed and refused, files and words are golden.
+"""
 
 import json
 
@@ -30,15 +33,18 @@ def test_times_are_seconds_or_have_a_unit(time, wanted):
     assert seconds(time) == pytest.approx(wanted, rel=1e-12)
 
 
-def test_a_camera_of_an_older_file_keeps_its_stretched_cells_and_levels():
+@pytest.mark.parametrize(
+    ("device", "levels", "stretch"), [("dlp7000", 769, True), (None, None, False)]
+)
+def test_a_camera_of_an_older_file_keeps_its_stretched_cells_and_levels(device, levels, stretch):
     """Designs of 0.2.0 know no layout: their levels are of cells that fill the device."""
-    known = Camera(device="dlp7000").model_dump(mode="json")
-    del known["region"], known["stretch"]
-    assert Camera.restored(known).mask_levels((32, 32)) == 769
-    assert Camera.load(Camera.restored(known), region="768x768").layout.stretch
-    plain = Camera().model_dump(mode="json")
-    del plain["region"], plain["stretch"]
-    assert not Camera.restored(plain).stretch  # no device, no levels: exports are square
+    fields = Camera(device=device).model_dump(mode="json")
+    del fields["region"], fields["stretch"]
+    old = Camera.restored(fields)
+    assert old.stretch == stretch
+    if device:
+        assert old.mask_levels((32, 32)) == levels
+        assert Camera.load(old, region="768x768").layout.stretch
 
 
 FULL = {
@@ -69,42 +75,23 @@ def test_a_camera_comes_back_from_json(given):
 @pytest.mark.parametrize(
     ("given", "match"),
     [
-        ("dmd-3x3", "unknown camera 'dmd-3x3': did you mean 'dmd-2x2'|'dmd-4x4'"),
-        ("none.toml", "none.toml is missing: give a TOML file"),
+        ("dmd-3x3", "did you mean 'dmd-2x2'|'dmd-4x4'"),
+        ("none.toml", "none.toml is missing"),
         (5, "a camera cannot be 5: give a preset's name, a TOML file or its fields"),
         ({"ligth": "column"}, "unknown key 'ligth': did you mean 'light'"),
-        ({"light": "colum"}, "light = 'colum': .*'column'"),
-        ({"rails": "triple"}, "rails = 'triple': .*'single'"),
         ({"light": "two-arm", "rails": "single"}, "rails = 'single': .*use dual rails"),
         ({"light": "column", "detectors": "2x2"}, "detectors = '2x2': .*give light equal-dwell"),
         ({"light": "column", "device": "dlp7000"}, "device = 'dlp7000': .*or leave device out"),
-        ({"detectors": "2by2"}, "detectors = '2by2': give ROWSxCOLUMNS such as 2x2"),
-        ({"detectors": "0x2"}, "detectors = '0x2': give ROWSxCOLUMNS such as 2x2"),
-        ({"detectors": "no.npy"}, "detectors = 'no.npy': no.npy is missing: give a .npy file"),
-        ({"readout": "sum"}, "readout = 'sum': .*'both'"),
+        ({"detectors": "no.npy"}, "detectors = 'no.npy': no.npy is missing"),
         ({"device": "dlp7001"}, "device = 'dlp7001': .*did you mean 'dlp7000'"),
-        ({"device": "no.toml"}, "device = 'no.toml': no.toml is missing: give a TOML file"),
-        ({"exposure": "10 minutes"}, "exposure = '10 minutes': .*give seconds, or such as 10ms"),
+        ({"device": "no.toml"}, "device = 'no.toml': no.toml is missing"),
         ({"exposure": "10mm"}, "exposure = '10mm': .*is not a time"),
-        ({"exposure": 0}, "exposure = 0: give more than 0"),
-        ({"shortest_dwell": "44uss"}, "shortest_dwell = '44uss': .*is not a time"),
-        (
-            {"shortest_dwell": "2s", "exposure": 1},
-            "exposure = 1: .*at least: give a longer exposure",
-        ),
+        ({"shortest_dwell": "2s", "exposure": 1}, "exposure = 1: .*give a longer exposure"),
         ({"device": "dlp7000", "exposure": "30us"}, "exposure = '30us': .*give a longer exposure"),
-        ({"levels": 1}, "levels = 1: .*give 2 or more, or 0"),
-        ({"levels": 2.5}, "levels = 2.5: give a whole number"),
-        ({"flux": 0}, "flux = 0: give more than 0"),
-        ({"flux": float("inf")}, "flux = inf: .*finite"),
-        ({"dark": -1}, "dark = -1: give 0 or more"),
         ({"dark": 3, "noise": "poisson"}, "noise = 'poisson': .*give noise camera, or leave dark"),
         ({"dark": 3, "noise": saturating}, "shared.noises:saturating noise has no dark counts"),
         ({"dead_time": "1s"}, "dead_time = 1.0: give 1e-05 or less"),
-        ({"dead_time_model": "dead"}, "dead_time_model = 'dead': .*'paralysable'"),
-        ({"noise": "poison"}, "noise = 'poison': .*did you mean 'poisson'"),
         ({"noise": 3}, "noise = 3: give a noise's name, or noise"),
-        ({"sigma": -1}, "sigma = -1: give 0 or more"),
         ({"sigma": float("nan")}, "sigma = nan: .*finite"),
         ({"dark": -1, "flux": 0}, "flux = 0: .*; dark = -1: "),
     ],
@@ -114,23 +101,6 @@ def test_what_is_no_camera_is_one_line_that_names_the_field(given, match):
         Camera.load(given)
     assert "\n" not in str(error.value)
     assert "Undefined" not in str(error.value)
-
-
-@pytest.mark.parametrize(
-    ("text", "match"),
-    [
-        ("light = ", "camera.toml is no TOML file"),
-        ('light = "colum"', "camera.toml cannot be used at light: .*'column'"),
-        ('exposure = "10mm"', "camera.toml cannot be used at exposure: .*is not a time"),
-        ('ligth = "column"', "camera.toml has an unknown key 'ligth': did you mean 'light'"),
-    ],
-)
-def test_a_bad_camera_file_is_named(tmp_path, text, match):
-    file = tmp_path / "camera.toml"
-    file.write_text(text)
-    with pytest.raises(InputError, match=match) as error:
-        Camera.load(file)
-    assert "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize("name", DEVICES)

@@ -51,16 +51,15 @@ def test_arrivals_have_the_mean_and_the_variance_that_are_said(paralysable, blin
         assert variance.mean() == pytest.approx(mean * (1 + blind), rel=0.01)
 
 
-def test_rates_go_there_and_back():
+@both
+def test_rates_go_there_and_back(paralysable):
     rates = np.linspace(0, 0.45, 50) / TAU
-    for paralysable in (False, True):
-        dead = DeadTime(seconds=TAU, paralysable=paralysable)
-        seen = Detector(dead_time_s=TAU, paralysable=paralysable).registered(rates)
-        np.testing.assert_allclose(seen * dead.correction(seen).arrivals, rates, rtol=1e-12)
-        most = MOST_BLIND[paralysable] / TAU
-        assert dead.most_registered == pytest.approx(
-            float(Detector(dead_time_s=TAU, paralysable=paralysable).registered(np.array(most)))
-        )
+    dead = DeadTime(seconds=TAU, paralysable=paralysable)
+    detector = Detector(dead_time_s=TAU, paralysable=paralysable)
+    seen = detector.registered(rates)
+    np.testing.assert_allclose(seen * dead.correction(seen).arrivals, rates, rtol=1e-12)
+    most = detector.registered(np.array(MOST_BLIND[paralysable] / TAU))
+    assert dead.most_registered == pytest.approx(float(most))
 
 
 FLUX, EXPOSURE, REPEATS = 1.5e7, 2.5e-3, 2
@@ -83,6 +82,11 @@ def run(request, tmp_path_factory):
     return folder / "run", shown, rates, DeadTime(seconds=TAU, paralysable=request.param)
 
 
+def corrected(kind, dead):
+    """Settings of counting that correct for a dead time."""
+    return kind(effects=CounterEffects(dead_time=dead))
+
+
 def off_by(counts, shown, rates) -> np.ndarray:
     """Signal less its mean, in standard errors of all gates of a readout together."""
     dark = rates[:, 1:2]
@@ -93,10 +97,7 @@ def off_by(counts, shown, rates) -> np.ndarray:
 
 def test_a_recording_is_corrected_gate_by_gate_with_its_budget(run):
     folder, shown, rates, dead = run
-    bare, counts = (
-        count_run(folder),
-        count_run(folder, CountSettings(effects=CounterEffects(dead_time=dead))),
-    )
+    bare, counts = count_run(folder), count_run(folder, corrected(CountSettings, dead))
     assert counts.faults == ()
     assert np.array_equal(bare.counts, counts.counts)
     assert np.array_equal(bare.arrivals, bare.counts)
@@ -121,9 +122,7 @@ def test_sound_light_gives_no_false_fault(tmp_path, paralysable):
     shown = patterns_of(tmp_path / "p", "free-dwell").manifest
     rates = arrival_rates(tmp_path / "p", scenes(20), VirtualCamera(), 1.4e7)[..., 0]
     detector = Detector(dead_time_s=TAU, paralysable=paralysable)
-    settings = TableSettings(
-        effects=CounterEffects(dead_time=DeadTime(seconds=TAU, paralysable=paralysable))
-    )
+    settings = corrected(TableSettings, DeadTime(seconds=TAU, paralysable=paralysable))
     for seed in range(20):
         rng = np.random.default_rng(seed)
         values = gate_counts.draw(detector, rates, shown.picture_s, rng).astype(float)
@@ -133,18 +132,11 @@ def test_sound_light_gives_no_false_fault(tmp_path, paralysable):
 def test_a_counter_near_saturation_is_named(run):
     folder, shown, rates, dead = run
     slow = dead.model_copy(update={"seconds": 200e-9})
-    with pytest.raises(
-        InputError, match=r"counts/s on input 1 in all ON, .* dim the light"
-    ) as said:
-        count_run(folder, CountSettings(effects=CounterEffects(dead_time=slow)))
-    assert "\n" not in str(said.value)
-    values = np.rint(rates * shown.manifest.picture_s)
+    with pytest.raises(InputError, match=r"counts/s on input 1 in all ON, .* dim the light"):
+        count_run(folder, corrected(CountSettings, slow))
+    values = NumberTable(np.rint(rates * shown.manifest.picture_s))
     with pytest.raises(InputError, match="all ON"):
-        count_table(
-            NumberTable(values),
-            shown.manifest,
-            TableSettings(effects=CounterEffects(dead_time=slow)),
-        )
+        count_table(values, shown.manifest, corrected(TableSettings, slow))
 
 
 def test_a_dead_time_of_more_than_ten_microseconds_is_refused():

@@ -50,6 +50,8 @@ def test_limits_of_the_dlpc900_are_those_of_its_documents():
     family = {name: one for name, one in DEVICES.items() if one.controller == "dlpc900"}
     assert {one.patterns for one in family.values()} == {TABLE}
     assert {name: one.shortest_us for name, one in family.items()} == SHORTEST_US
+    packed = {one.controller for one in DEVICES.values() if one.packed}
+    assert packed == {c for one in DEVICES.values() if (c := one.controller).startswith("dlpc")}
 
 
 def test_names_are_found_in_any_case_and_the_nearest_is_told():
@@ -59,19 +61,15 @@ def test_names_are_found_in_any_case_and_the_nearest_is_told():
 
 
 @pytest.mark.parametrize(
-    "fields",
+    ("field", "value"),
     [
-        {"shortest_us": 10, "longest_us": 9},
-        {"planes": "BGG"},
-        {"patterns": 0},
-        {"lattice": "hexagonal"},
-        {"pitch_um": -1},
+        ("longest_us", 9),  # shorter than the shortest
+        ("planes", "BGG"),
+        ("patterns", 0),
+        ("lattice", "hexagonal"),
+        ("pitch_um", -1),
     ],
 )
-def test_devices_that_cannot_be_are_refused(fields):
-    with pytest.raises(ValueError, match=next(iter(fields))):
-        Device(name="mine", columns=8, rows=8, **fields)
-
-
-def test_boards_of_ti_take_bit_planes_and_others_packed_frames():
-    assert all(one.packed == one.controller.startswith("dlpc") for one in DEVICES.values())
+def test_devices_that_cannot_be_are_refused(field, value):
+    with pytest.raises(ValueError, match=field):
+        Device(name="mine", columns=8, rows=8, **{"shortest_us": 10, field: value})

@@ -1,5 +1,7 @@
 """Layout of cells on a device: square, in a region, flipped, turned and inverted."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -8,11 +10,9 @@ from deepfsi.camera import DEVICES, Device, DmdLayout, find_device, find_grid
 from deepfsi.hardware.patterns import check_patterns, read_frames, read_patterns, unpack
 from hardware.patterns.pattern_samples import SMALL, export
 
-SHAPES = ((32, 32), (8, 8), (3, 5))
-
 
 @pytest.mark.parametrize("name", DEVICES)
-@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("shape", [(32, 32), (8, 8), (3, 5)])
 def test_law_cells_are_square_and_in_the_middle_of_each_device(name, shape):
     """In length, not in mirrors: columns of a diamond lattice are two rows apart."""
     device = DEVICES[name]
@@ -28,34 +28,24 @@ def test_law_cells_are_square_and_in_the_middle_of_each_device(name, shape):
 
 
 @pytest.mark.parametrize(
-    ("name", "stretched", "square", "share"),
-    [("dlp7000", (24, 32), 24, 0.75), ("dlp6500", (33, 60), 33, 0.5377777777777778)],
+    ("device", "shape", "layout", "cell", "corner"),
+    [
+        ("dlp7000", (32, 32), {"stretch": True}, (24, 32), (0, 0)),
+        ("dlp7000", (32, 32), {}, (24, 24), (0, 128)),
+        ("dlp6500", (32, 32), {"stretch": True}, (33, 60), (12, 0)),
+        ("dlp6500", (32, 32), {}, (33, 33), (12, 432)),
+        ("dlp7000", (64,), {}, (768, 16), (0, 0)),
+        ("dlp7000", (8, 8), {"region": "400x320+100+40"}, (40, 40), (40, 140)),
+        ("dlp7000", (8, 8), {"region": "400x320", "stretch": True}, (40, 50), (224, 312)),
+        ("dlp4500", (8, 8), {"region": "400x400+1+3"}, (50, 25), (2, 101)),
+    ],
 )
-def test_stretched_cells_fill_the_device_and_are_not_square(name, stretched, square, share):
-    device = DEVICES[name]
-    grid = find_grid(device, (32, 32), DmdLayout(stretch=True))
-    assert (grid.height, grid.width) == stretched
-    assert grid.aspect == stretched[1] / stretched[0]
-    grid = find_grid(device, (32, 32))
-    assert (grid.height, grid.width) == (square, square)
-    used = grid.mirrors * 1024 / (device.rows * device.columns)
-    assert used == pytest.approx(share)
-
-
-def test_a_spectrum_fills_the_height():
-    grid = find_grid(DEVICES["dlp7000"], (64,))
-    assert (grid.height, grid.width, grid.down, grid.across) == (768, 16, 1, 64)
-
-
-def test_cells_lie_in_the_region():
-    device = DEVICES["dlp7000"]
-    grid = find_grid(device, (8, 8), DmdLayout(region="400x320+100+40"))
-    assert (grid.height, grid.width) == (40, 40)
-    assert (grid.left, grid.top) == (100 + 40, 40)
-    grid = find_grid(device, (8, 8), DmdLayout(region="400x320", stretch=True))
-    assert (grid.height, grid.width, grid.left, grid.top) == (40, 50, 312, 224)
-    diamond = find_grid(DEVICES["dlp4500"], (8, 8), DmdLayout(region="400x400+1+3"))
-    assert diamond.top % 2 == 0
+def test_cells_lie_in_the_region_or_fill_it(device, shape, layout, cell, corner):
+    """A spectrum fills the height; a diamond lattice begins at an even row."""
+    grid = find_grid(DEVICES[device], shape, DmdLayout(**layout))
+    assert ((grid.height, grid.width), (grid.top, grid.left)) == (cell, corner)
+    if layout.get("stretch") and "region" not in layout:
+        assert grid.aspect == cell[1] / cell[0]
 
 
 @pytest.mark.parametrize(
@@ -64,28 +54,19 @@ def test_cells_lie_in_the_region():
         ("1025x768", "the region 1025x768 does not lie on dlp7000 with 1024 x 768 mirrors"),
         ("100x100+1000+0", "does not lie on dlp7000"),
         ("4x4", "8 x 8 cells do not fit the region 4x4 with 4 x 4 mirrors"),
+        *((text, "give COLUMNSxROWS") for text in ("768", "0x5", "768X768", "-1x4", "4x4+1")),
     ],
 )
 def test_a_region_that_cannot_be_is_named(region, match):
-    with pytest.raises(InputError, match=match):
+    with pytest.raises((InputError, ValueError), match=match):
         find_grid(DEVICES["dlp7000"], (8, 8), DmdLayout(region=region))
-
-
-@pytest.mark.parametrize("region", ["768", "0x5", "768X768", "-1x4", "4x4+1"])
-def test_text_that_is_no_region_is_refused(region):
-    with pytest.raises(ValueError, match="give COLUMNSxROWS"):
-        DmdLayout(region=region)
-
-
-def oriented(picture: np.ndarray, layout: DmdLayout) -> np.ndarray:
-    """A picture flipped left to right, then turned clockwise."""
-    return np.rot90(picture[:, ::-1] if layout.flip else picture, -layout.rotate // 90)
 
 
 @pytest.mark.parametrize("layout", DmdLayout().orientations(), ids=str)
 @pytest.mark.parametrize("device", [SMALL, find_device("dlp4500")], ids=["square", "diamond"])
 @pytest.mark.parametrize("selection", ["ordered", "random"])
 def test_law_frames_show_the_masks_flipped_and_turned(tmp_path, layout, device, selection):
+    """Flipped left to right, then turned clockwise."""
     masks = np.arange(1, 13).reshape(1, 1, 12) / 12
     made = export(
         tmp_path / "p", masks, image_shape=(3, 4), layout=layout, device=device,
@@ -93,11 +74,11 @@ def test_law_frames_show_the_masks_flipped_and_turned(tmp_path, layout, device, 
     )  # fmt: skip
     grid = made.manifest.grid
     frame = list(read_frames(tmp_path / "p"))[2]
-    rows, columns = grid.window
-    lit = unpack(frame, device)[rows, columns]
+    lit = unpack(frame, device)[grid.window]
     cells = lit.reshape(grid.down, grid.height, grid.across, grid.width).sum(axis=(1, 3))
-    wanted = oriented(made.on[0].reshape(3, 4), layout)
-    assert np.array_equal(cells, wanted)
+    picture = made.on[0].reshape(3, 4)
+    picture = picture[:, ::-1] if layout.flip else picture
+    assert np.array_equal(cells, np.rot90(picture, -layout.rotate // 90))
     assert check_patterns(tmp_path / "p").manifest.layout == layout
 
 
@@ -112,10 +93,7 @@ def test_inverted_files_have_a_one_for_every_mirror_that_is_off(tmp_path):
 
 def test_a_manifest_that_says_no_layout_is_of_stretched_cells(tmp_path):
     """Folders of 0.2.0 keep their cells."""
-    import json
-
-    made = export(tmp_path / "p")
-    file = tmp_path / "p" / "manifest.json"
+    made, file = export(tmp_path / "p"), tmp_path / "p" / "manifest.json"
     content = json.loads(file.read_text())
     del content["layout"], content["sha256"]
     file.write_text(json.dumps(content))
@@ -124,6 +102,5 @@ def test_a_manifest_that_says_no_layout_is_of_stretched_cells(tmp_path):
 
 def test_the_share_of_the_light_is_that_of_the_mirrors(tmp_path):
     device = Device(name="d", columns=64, rows=48)
-    made = export(tmp_path / "p", device=device, layout=DmdLayout())
-    assert made.manifest.used == 0.75
+    assert export(tmp_path / "p", device=device, layout=DmdLayout()).manifest.used == 0.75
     check_patterns(tmp_path / "p")

@@ -8,7 +8,7 @@ import torch
 from deepfsi import Camera, Design, evaluate, learn, load_design
 from deepfsi.base import InputError
 from deepfsi.evaluation import stop
-from shared.design_files import rewrite
+from shared.design_files import assert_refused
 
 LOOKS, PHOTONS, HELD_OUT = 6, 1e4, 200
 
@@ -21,13 +21,8 @@ def few(digits):
 
 
 @pytest.fixture(scope="module")
-def kept(few):
-    return few.hold_out(HELD_OUT)
-
-
-@pytest.fixture(scope="module")
-def adaptive(kept):
-    return learn(kept, design="adaptive", masks=LOOKS, photons=PHOTONS)
+def adaptive(few):
+    return learn(few.hold_out(HELD_OUT), design="adaptive", masks=LOOKS, photons=PHOTONS)
 
 
 def test_a_file_gives_the_design_back(adaptive, few, tmp_path):
@@ -35,68 +30,31 @@ def test_a_file_gives_the_design_back(adaptive, few, tmp_path):
     back, same = load_design(path), Design.load(path)
     assert back.exposure.makes_masks
     assert back.to_bytes() == same.to_bytes() == path.read_bytes()
-    assert (back.prior_exposure.settings, back.classes, back.info) == (
-        adaptive.prior_exposure.settings, adaptive.classes, adaptive.info
-    )  # fmt: skip
+    assert back.prior_exposure.settings == adaptive.prior_exposure.settings
+    assert (back.classes, back.info) == (adaptive.classes, adaptive.info)
     found, wanted = (evaluate(each, few, PHOTONS, draws=2)[0] for each in (back, adaptive))
     # scenes are kept in 8 bits: some answers may change, of the same noise and few of them
     assert found.accuracy == pytest.approx(wanted.accuracy, abs=0.05)
     assert evaluate(back, few, PHOTONS) == evaluate(same, few, PHOTONS)
 
 
-def shorter(header, tensors):
-    tensors["shares"] = tensors["shares"][:-1]
-
-
-def lost(header, tensors):
-    del tensors["levels"]
-
-
-def other_shape(header, tensors):
-    header["image_shape"] = [9, 9]
-
-
-def not_finite(header, tensors):
-    tensors["mean"][0] = torch.nan
-
-
-def fewer_classes(header, tensors):
-    header["classes"] = header["classes"][:-1]
-
-
-def more_scenes(header, tensors):
-    tensors["sizes"][0] += 1
-
-
-def negative_sizes(header, tensors):
-    tensors["sizes"][:2] += torch.tensor([-10_000, 10_000])
-
-
-def wide(header, tensors):
-    tensors["components"] = tensors["components"].double()
-
-
-def no_photons(header, tensors):
-    tensors["numbers"][0] = 0.0
-
-
-def nobody(header, tensors):
-    tensors["members"][0] = 0
-
-
-CHANGES = [
-    shorter, lost, other_shape, not_finite, fewer_classes, more_scenes, negative_sizes, wide,
-    no_photons, nobody,
-]  # fmt: skip
-
-
-@pytest.mark.parametrize("change", CHANGES)
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda header, tensors: tensors.update(shares=tensors["shares"][:-1]),
+        lambda header, tensors: tensors.pop("levels"),
+        lambda header, tensors: header.update(image_shape=[9, 9]),
+        lambda header, tensors: tensors["mean"][0].fill_(torch.nan),
+        lambda header, tensors: header["classes"].pop(),
+        lambda header, tensors: tensors["sizes"][0].add_(1),
+        lambda header, tensors: tensors["sizes"][:2].add_(torch.tensor([-10_000, 10_000])),
+        lambda header, tensors: tensors.update(components=tensors["components"].double()),
+        lambda header, tensors: tensors["numbers"][0].fill_(0),
+        lambda header, tensors: tensors["members"][0].fill_(0),
+    ],
+)
 def test_a_damaged_file_is_refused_in_one_line(adaptive, tmp_path, change):
-    path = adaptive.save(tmp_path / "a.safetensors")
-    rewrite(path, change)
-    with pytest.raises(InputError, match="not a whole deepfsi design file") as error:
-        load_design(path)
-    assert "\n" not in str(error.value)
+    assert_refused(adaptive, tmp_path, change)
 
 
 def test_answers_are_good_and_better_with_more_light(adaptive, few):
@@ -106,12 +64,11 @@ def test_answers_are_good_and_better_with_more_light(adaptive, few):
 
 
 def test_an_exposure_that_never_stops_is_a_whole_one(adaptive, few):
-    found = stop(adaptive, few, PHOTONS, threshold=1.0, draws=1)
-    assert found.used.mean == pytest.approx(1.0)
-    assert found.stopped.mean == found.whole.mean
-    assert found.rule.after == tuple(range(1, LOOKS + 1))
-    early = stop(adaptive, few, PHOTONS, threshold=0.9, draws=1)
-    assert early.used.mean < 0.95 < 1.0
+    never = stop(adaptive, few, PHOTONS, threshold=1.0, draws=1)
+    assert never.used.mean == pytest.approx(1.0)
+    assert never.stopped.mean == never.whole.mean
+    assert never.rule.after == tuple(range(1, LOOKS + 1))
+    assert stop(adaptive, few, PHOTONS, threshold=0.9, draws=1).used.mean < 0.95
 
 
 @pytest.mark.parametrize(
@@ -122,14 +79,9 @@ def test_an_exposure_that_never_stops_is_a_whole_one(adaptive, few):
         ({"exposure": {"looks": 2}}, "a look each"),
         ({"training": {"classifier": torch.nn.Linear}}, "leave `classifier` out"),
         ({"masks": 65}, "1 to 64"),
-        (
-            {"camera": Camera(device="dlp7000", exposure="1ms"), "masks": 50},
-            "give at most [0-9]+ masks",
-        ),
+        ({"camera": Camera(device="dlp7000", exposure="1ms"), "masks": 50}, "give at most [0-9]+ "),
     ],
 )
 def test_what_adaptive_masks_cannot_do_is_refused(few, settings, words):
-    given = {"design": "adaptive", "masks": LOOKS, "photons": PHOTONS} | settings
-    with pytest.raises(InputError, match=words) as error:
-        learn(few, **given)
-    assert "\n" not in str(error.value)
+    with pytest.raises(InputError, match=words):
+        learn(few, **({"design": "adaptive", "masks": LOOKS, "photons": PHOTONS} | settings))

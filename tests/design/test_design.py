@@ -1,18 +1,18 @@
 """A design file gives the design back bit for bit, or one clear error; it never runs code."""
 
 import copy
+import io
 import os
 import pickle
 import random
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from safetensors.torch import save_file
+from safetensors.torch import save
 from torch import nn
 
 from conftest import PHOTONS, every_optics, light_on
@@ -23,7 +23,7 @@ from deepfsi.designfile.header import DESIGN_SCHEMA
 from deepfsi.exposure import Observation
 from shared import vectors
 from shared.design_files import refused, rewrite
-from shared.jobs import learn as learned
+from shared.jobs import learn
 
 
 @pytest.fixture
@@ -34,10 +34,8 @@ def saved(made, tmp_path) -> Path:
 def test_a_noise_that_a_file_names_is_not_run(digits, saved, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "foreign_noise.py").write_text("open('ran', 'w')\ndef noise(rates, generator): ...")
-    rewrite(
-        saved,
-        lambda header, _: header["info"]["job"]["camera"].update(noise="foreign_noise:noise"),
-    )
+    camera = {"noise": "foreign_noise:noise"}
+    rewrite(saved, lambda header, _: header["info"]["job"]["camera"].update(camera))
     loaded = Design.load(saved)
     with pytest.raises(InputError, match="a file does not run: give `noise`, it or another"):
         evaluate(loaded, digits, 1e4)
@@ -45,93 +43,79 @@ def test_a_noise_that_a_file_names_is_not_run(digits, saved, tmp_path, monkeypat
     assert not (tmp_path / "ran").exists()
 
 
-@pytest.mark.parametrize("share", [0, 1e-9, 0.001, 0.02, 0.1, 0.5, 0.9, 1 - 1e-9])
-def test_a_truncated_file_is_refused(saved, share):
-    whole = saved.read_bytes()
-    kept = min(len(whole) - 1, max(int(share * len(whole)), int(share > 0)))
-    saved.write_bytes(whole[:kept])
-    refused(saved)
-
-
-@pytest.mark.parametrize("size", [1, 7, 8, 9, 100, 10_000])
-def test_random_bytes_are_refused(tmp_path, size):
-    path = tmp_path / "noise.safetensors"
-    for seed in range(5):
-        path.write_bytes(random.Random(seed).randbytes(size))
-        refused(path)
-
-
 class Bomb:
-    def __init__(self, target: Path) -> None:
-        self.target = target
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return Path.touch, (self.target,)
+    def __reduce__(self):
+        return Path.touch, (Path("ran"),)
 
 
-@pytest.mark.parametrize("write", [torch.save, lambda o, p: p.write_bytes(pickle.dumps(o))])
-def test_a_pickle_in_disguise_is_refused_and_not_run(tmp_path, write):
-    path = tmp_path / "design.safetensors"
-    write(Bomb(tmp_path / "ran"), path)
-    refused(path)
-    assert not (tmp_path / "ran").exists()
+def zipped(thing) -> bytes:
+    torch.save(thing, buffer := io.BytesIO())
+    return buffer.getvalue()
+
+
+def with_metadata(metadata) -> bytes:
+    return save({"rails": torch.ones(2, 3, 4)}, metadata)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        *(lambda whole, share=share: whole[: int(share * len(whole))] for share in (0, 0.001, 0.5)),
+        lambda whole: whole[:-1],
+        *(lambda _, n=n: random.Random(n).randbytes(n) for n in (1, 7, 8, 9, 100, 10_000)),
+        lambda _: pickle.dumps(Bomb()),
+        lambda _: zipped(Bomb()),
+        *(
+            lambda _, metadata=metadata: with_metadata(metadata)
+            for metadata in (None, {"other": "x"}, {"deepfsi": "{"}, {"deepfsi": "[]"})
+        ),
+    ],
+)
+def test_a_truncated_or_foreign_file_is_refused_and_not_run(saved, monkeypatch, content):
+    monkeypatch.chdir(saved.parent)
+    saved.write_bytes(content(saved.read_bytes()))
+    refused(saved)
+    assert not Path("ran").exists()
 
 
 def test_a_file_of_another_version_is_called_so_and_a_damaged_one_is_not(saved):
     rewrite(saved, lambda header, _: (header.pop("exposure"), header.update(schema=3)))
-    rewrite(saved, lambda header, _: header.update(deepfsi="0.1.0"))
-    refused(
-        saved, "written by deepfsi 0.1.0 with schema 3, older than .* make it again with `deepf"
-    )
-    rewrite(saved, lambda header, _: header.update(deepfsi="99.0.0", schema=DESIGN_SCHEMA))
-    refused(saved, "written by deepfsi 99.0.0, newer than this one: upgrade deepfsi")
-    rewrite(saved, lambda header, _: header.update(deepfsi=version("deepfsi")))
-    refused(saved)
+    for fields, words in (
+        ({"deepfsi": "0.1.0"}, "written by deepfsi 0.1.0 with schema 3, older than .* make it "),
+        ({"deepfsi": "99.0.0", "schema": DESIGN_SCHEMA}, "99.0.0, newer than this one: upgrade"),
+        ({"deepfsi": version("deepfsi")}, "not a whole deepfsi design file"),
+    ):
+        rewrite(saved, lambda header, _, fields=fields: header.update(fields))
+        refused(saved, words)
 
 
-@pytest.mark.parametrize("metadata", [None, {"other": "x"}, {"deepfsi": "{"}, {"deepfsi": "[]"}])
-def test_safetensors_without_our_header_are_refused(tmp_path, metadata):
-    path = tmp_path / "other.safetensors"
-    save_file({"rails": torch.ones(2, 3, 4)}, path, metadata)
-    refused(path)
+DAMAGE = {
+    "missing": lambda tensors, key: tensors.pop(key),
+    "shape": lambda tensors, key: tensors.update({key: tensors[key][..., 1:].contiguous()}),
+    "nan": lambda tensors, key: tensors[key].view(-1)[0].fill_(torch.nan),
+    "infinite": lambda tensors, key: tensors[key].view(-1)[0].fill_(torch.inf),
+}
+NETWORK = ("0.weight", "1.weight", "1.bias")
 
 
+@pytest.mark.parametrize("damage", DAMAGE)
 @pytest.mark.parametrize(
-    "key",
-    ["rails", "mean", "std", "shares", *(f"classifier.layers.{part}" for part in
-                                         ("0.weight", "1.weight", "1.bias"))],
-)  # fmt: skip
-@pytest.mark.parametrize(
-    "change",
-    [
-        lambda tensors, key: tensors.pop(key),
-        lambda tensors, key: tensors.update({key: tensors[key][..., 1:].contiguous()}),
-        lambda tensors, key: tensors[key].view(-1)[0].fill_(torch.nan),
-        lambda tensors, key: tensors[key].view(-1)[0].fill_(torch.inf),
-    ],
-    ids=["missing", "another shape", "nan", "infinite"],
+    "key", ["rails", "mean", "std", "shares", *(f"classifier.layers.{part}" for part in NETWORK)]
 )
-def test_a_damaged_tensor_is_refused(saved, key, change):
-    rewrite(saved, lambda _, tensors: change(tensors, key))
+def test_a_damaged_tensor_is_refused(saved, key, damage):
+    rewrite(saved, lambda _, tensors: DAMAGE[damage](tensors, key))
     refused(saved)
 
 
 @pytest.mark.parametrize(
     ("key", "value"),
     [
-        ("light", "sunlight"),
-        ("summed_reflectance", 0.0),
-        ("summed_reflectance", -3.0),
-        ("summed_reflectance", float("nan")),
-        ("summed_reflectance", "bright"),
-        ("image_shape", [8, 9]),
-        ("image_shape", "8x8"),
-        ("classes", ["a", "b"]),
-        ("classes", 10),
+        *(("summed_reflectance", value) for value in (0.0, -3.0, float("nan"), "bright")),
+        *(("image_shape", value) for value in ([8, 9], "8x8")),
+        *(("classes", value) for value in (["a", "b"], 10)),
         ("classifier", {"kind": "mlp", "hidden": [9], "dropout": 0.0}),
         ("classifier", {"kind": "forest", "hidden": [8], "dropout": 0.0}),
-        ("schema", "new"),
-        ("schema", 0),
+        *(("schema", value) for value in ("new", 0)),
         ("light", "two-arm"),
         ("info", {"job": 3}),
         ("exposure", {"kind": "patches", "side": 8}),
@@ -146,58 +130,46 @@ def test_a_damaged_header_is_refused(saved, key, value):
 @pytest.mark.parametrize(
     "change",
     [
-        pytest.param(lambda rails: -rails, id="negative"),
-        pytest.param(lambda rails: 2 * rails, id="too-bright"),
-        pytest.param(lambda rails: rails[[0, 1, 1]], id="three-rails"),
-        pytest.param(lambda rails: rails[:0], id="no-rail"),
+        lambda rails: -rails,
+        lambda rails: 2 * rails,
+        lambda rails: rails[[0, 1, 1]],
+        lambda rails: rails[:0],
     ],
+    ids=["negative", "too bright", "three rails", "no rail"],
 )
 def test_rails_that_no_design_can_have_are_refused(saved, change):
     rewrite(saved, lambda _, tensors: tensors.update(rails=change(tensors["rails"]).contiguous()))
-    with pytest.raises(InputError):
-        Design.load(saved)
+    refused(saved, ".")
 
 
-def test_only_mlps_can_be_saved(made, tmp_path):
-    design = copy.copy(made("deepfsi", "column", "dual"))
-    design.classifier = nn.Linear(7, 10)
-    with pytest.raises(InputError, match="Linear classifier cannot be saved"):
-        design.save(tmp_path / "design.safetensors")
-    assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize("step", ["replace", "fsync"])
+@pytest.mark.parametrize("step", ["replace", "fsync", None])
 def test_a_failed_write_leaves_the_old_file_and_nothing_else(saved, made, monkeypatch, step):
-    def full(*_: Any) -> None:
+    def full(*_):
         raise OSError(28, "No space left on device")
 
-    whole = saved.read_bytes()
-    monkeypatch.setattr(os, step, full)
-    with pytest.raises(InputError, match=r"cannot write .*No space left"):
-        made("pca", "column", "dual").save(saved)
+    design, words, whole = made("pca", "column", "dual"), "cannot write", saved.read_bytes()
+    if step is None:  # what is no network of the package's own cannot be saved
+        design, words = copy.copy(design), "Linear classifier cannot be saved"
+        design.classifier = nn.Linear(7, 10)
+    else:
+        monkeypatch.setattr(os, step, full)
+    with pytest.raises(InputError, match=words):
+        design.save(saved)
     assert list(saved.parent.iterdir()) == [saved]
     assert saved.read_bytes() == whole
 
 
-@pytest.fixture(params=["dual", "single"])
-def camera(request, made) -> Design:
-    return made("deepfsi", "free-dwell", request.param)
-
-
-def some_counts(design: Design, *lead: int) -> np.ndarray:
-    rails = (2,) if design.rails.count == 2 else ()
-    return np.random.default_rng(0).poisson(50, (*lead, *rails, design.masks))
-
-
-def test_classify_takes_one_budget_or_one_for_each_exposure(camera):
-    counts, budgets = some_counts(camera, 3, 2), np.array([[1e3, 1e4], [1e5, 2e3], [3e4, 1e4]])
-    together = camera.classify(counts, budgets)
-    for i, j in np.ndindex(3, 2):
-        alone = camera.classify(counts[i, j][None], budgets[i, j])
-        assert together[i, j] == pytest.approx(alone[0], abs=1e-6)
-    assert np.allclose(
-        camera.classify(counts, [1e3, 1e4])[:, 0], camera.classify(counts[:, 0], 1e3)
-    )
+@pytest.mark.parametrize("rails", ["dual", "single"])
+def test_classify_takes_one_budget_or_one_for_each_exposure(made, rails):
+    design = made("deepfsi", "free-dwell", rails)
+    counts = np.random.default_rng(0).poisson(50, (3, 2, *design.counts_shape))
+    budgets = np.array([[1e3, 1e4], [1e5, 2e3], [3e4, 1e4]])
+    together = design.classify(counts, budgets)
+    for index in np.ndindex(3, 2):
+        alone = design.classify(counts[index][None], budgets[index])
+        assert together[index] == pytest.approx(alone[0], abs=1e-6)
+    one = design.classify(counts[:, 0], 1e3)
+    assert np.allclose(design.classify(counts, [1e3, 1e4])[:, 0], one)
 
 
 @every_optics
@@ -206,25 +178,21 @@ def test_dimmer_patterns_are_classified_as_the_design_classifies(digits, made, l
     design = made("deepfsi", light, rails)
     dim = design.as_shown(0.1 * design.rails.stacked.numpy(), design.image_shape, 0.1)
     photons = light_on(design, digits.x_test[:50]).float()
-    wanted, found = (each.logits(each.scanner("none")(photons), PHOTONS) for each in (design, dim))
-    torch.testing.assert_close(found, wanted, rtol=1e-3, atol=1e-3)
+    wanted, logits = (each.logits(each.scanner("none")(photons), PHOTONS) for each in (design, dim))
+    torch.testing.assert_close(logits, wanted, rtol=1e-3, atol=1e-3)
 
 
 @pytest.mark.parametrize("kind", vectors.KINDS)
 def test_it_answers_the_vectors(kind, tmp_path):
     """Which the file in NumPy and the page in JavaScript answer alike."""
-    content, matrix, expected = vectors.read_vectors(kind)
-    path = tmp_path / "design.safetensors"
-    path.write_bytes(content)
+    path, matrix, expected = vectors.write_file(kind, tmp_path)
     design = Design.load(path)
     np.testing.assert_allclose(design.matrix, matrix, atol=1e-7)
     for vector in expected:
         part = design if vector.masks == design.masks else design.first(vector.masks)
         counts = vector.counts[:, : vector.masks].reshape(part.counts_shape)
         photons = vector.photons * part.exposure.used / design.exposure.used
-        dwell = None
-        if vector.dwell is not None:
-            dwell = design.exposure.dwells.by_rail(vector.dwell)
+        dwell = None if vector.dwell is None else design.exposure.dwells.by_rail(vector.dwell)
         chances = part.classify(counts, photons, dwell)
         np.testing.assert_allclose(chances, vector.chances, atol=vectors.AGREES)
         if vector.look is not None:
@@ -244,7 +212,7 @@ def test_a_design_predicts_what_it_classifies_of_its_counts(digits, exposure):
     """Both as a test of the same scenes by the same noise; images and flat scenes alike."""
     few = replace(digits, x_test=digits.x_test[:40], y_test=digits.y_test[:40])
     given = {"camera": "dmd", "photons": 1e4, "masks": None if "bins" in exposure else 4}
-    made = learned(few, epochs=1, device="cpu", **{**given, **exposure})
+    made = learn(few, epochs=1, device="cpu", **{**given, **exposure})
     images = few.x_test.reshape(5, 8, 8, 8)
     classes = made.predict(images, 1e4)
     assert classes.shape == (5, 8)
@@ -260,9 +228,6 @@ def test_a_design_predicts_what_it_classifies_of_its_counts(digits, exposure):
     answers = made.classify(counts, 1e4).argmax(axis=-1)
     assert (np.array(made.classes)[answers] == classes).all()
     assert (counts != made.expose(images, 1e4, seed=1)).any()
-    for bad, words in (
-        (images[..., :7], r"give \(..., 8, 8\) or \(..., 64\)"),
-        (2 * images, "in .0, 1.$"),
-    ):
+    for bad, words in ((images[..., :7], r"give \(..., 8, 8\)"), (2 * images, "in .0, 1.$")):
         with pytest.raises(InputError, match=words):
             made.expose(bad, 1e4)

@@ -11,7 +11,7 @@ from deepfsi import Design, evaluate
 from deepfsi.base import InputError
 from deepfsi.networks import stop_temperatures
 from deepfsi.physics import ROUNDING_SLACK, Detection, light_law
-from shared.design_files import refused, rewrite
+from shared.design_files import assert_refused
 
 KINDS = {
     "fixed": {},
@@ -28,20 +28,24 @@ OPTICS = [
 ]
 
 
+CASES = [(kind, *optics) for kind in KINDS for optics in OPTICS]
+
+
 def trained(digits, kind="fixed", light="free-dwell", rails="single", readout=None, **settings):
     words = {"masks": 5, "detectors": "2x2", **KINDS[kind], **settings}
     words |= {} if readout is None else {"readout": readout}
     return once(digits, light=light, rails=rails, **words)
 
 
-def possible(kind, light, rails, readout) -> bool:
-    return kind != "looks" or light != "equal-dwell"
-
-
-CASES = [(kind, *optics) for kind in KINDS for optics in OPTICS if possible(kind, *optics)]
-
-
-@pytest.mark.parametrize(("kind", "light", "rails", "readout"), CASES)
+@pytest.mark.parametrize(
+    ("kind", "light", "rails", "readout"),
+    [
+        (k, *optics)
+        for k in KINDS
+        for optics in OPTICS
+        if (k, optics[0]) != ("looks", "equal-dwell")
+    ],
+)
 def test_every_kind_of_design_works_with_several_detectors(
     digits, tmp_path, kind, light, rails, readout
 ):
@@ -56,14 +60,13 @@ def test_every_kind_of_design_works_with_several_detectors(
     first, second = (evaluate(each, digits, 1e4, draws=1)[0] for each in (design, loaded))
     assert first == second
     assert len(first.photons_per_mask) == 5
-    scanner, draw = loaded.scanner(), generator(7)
-    rates = loaded.rates(scanner, torch.from_numpy(digits.x_test[:30]))
     if kind == "looks":
         return
-    counts = scanner.read(rates * 1e4, draw)
+    scanner = loaded.scanner()
+    rates = loaded.rates(scanner, torch.from_numpy(digits.x_test[:30]))
+    counts = scanner.read(rates * 1e4, generator(7))
     shown = counts.reshape(30, *loaded.counts_shape).numpy()
-    with torch.no_grad():
-        logits = loaded.logits(loaded.detection.features(counts), 1e4)
+    logits = loaded.logits(loaded.detection.features(counts), 1e4).detach()
     by_hand = (logits / stop_temperatures(loaded.temperatures, 1e4)[-1]).softmax(-1)
     np.testing.assert_allclose(loaded.classify(shown, 1e4), by_hand, atol=1e-6)
 
@@ -118,17 +121,14 @@ def test_what_cannot_be_detected_is_told(digits, settings, match):
         trained(digits, **settings)
 
 
-@pytest.mark.parametrize("damage", ["gap", "short", "readout"])
-def test_damaged_detectors_are_refused(digits, tmp_path, damage):
-    path = trained(digits).save(tmp_path / "design.safetensors")
-
-    def change(header, tensors):
-        if damage == "readout":
-            header["readout"] = "both rails"
-        elif damage == "gap":
-            tensors["detectors"] = tensors["detectors"] * 2
-        else:
-            tensors["detectors"] = tensors["detectors"][:-1]
-
-    rewrite(path, change)
-    refused(path)
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda header, tensors: header.update(readout="both rails"),
+        lambda header, tensors: tensors.update(detectors=tensors["detectors"] * 2),
+        lambda header, tensors: tensors.update(detectors=tensors["detectors"][:-1]),
+    ],
+    ids=["readout", "gap", "short"],
+)
+def test_damaged_detectors_are_refused(digits, tmp_path, change):
+    assert_refused(trained(digits), tmp_path, change)

@@ -12,7 +12,7 @@ from deepfsi import Design
 from deepfsi.base import InputError
 from deepfsi.designfile import DesignFile, find_design
 from shared.design_files import file_of
-from shared.vectors import AGREES, KINDS, read_vectors
+from shared.vectors import AGREES, KINDS, write_file
 
 OPTICS = {
     "single": {"light": "free-dwell", "rails": "single"},
@@ -31,11 +31,10 @@ def design(request, digits) -> Design:
 
 def test_it_says_and_chooses_what_the_design_does(design):
     """Through all looks, with any counts."""
-    file, rng = file_of(design), np.random.default_rng(0)
-    shape, photons = design.counts_shape, 1e3
-    rails = (file.rail_count, file.masks, file.detector_count)
+    file, rng, photons = file_of(design), np.random.default_rng(0), 1e3
     asked: list[np.ndarray] = []
-    counts = rng.poisson(photons * float(design.shares.mean()) / 3, (3, *shape))
+    mean = photons * float(design.shares.mean()) / 3
+    counts = rng.poisson(mean, (3, *design.counts_shape))
 
     def read(dwell):
         asked.append(design.exposure.dwells.by_mask(dwell))
@@ -46,7 +45,8 @@ def test_it_says_and_chooses_what_the_design_does(design):
     for look in range(3):
         chosen = file.next_dwell(file.inputs(features, dwell), look)
         np.testing.assert_allclose(chosen, asked[look], rtol=1e-4)
-        features = features + file.features(counts[look].reshape(rails)) / photons
+        readouts = counts[look].reshape(file.rail_count, file.masks, file.detector_count)
+        features = features + file.features(readouts) / photons
         dwell = dwell + asked[look]
     inputs = file.inputs(features, dwell)
     np.testing.assert_allclose(file.chances(inputs, photons), wanted, atol=1e-5)
@@ -61,15 +61,13 @@ def test_a_file_comes_back_byte_by_byte(name):
 
 
 def test_what_it_cannot_do_is_said(good):
-    file = file_of(good)
+    file, bias = file_of(good), "classifier.layers.0.bias"
     with pytest.raises(InputError, match="one look: learn one of several `looks`"):
         file.next_dwell(np.zeros(1), 0)
     with pytest.raises(InputError, match="makes its masks while the camera looks"):
         _ = DesignFile.read(find_design("adaptive-mnist")).classifier
-    for changed in (
-        file.arrays | {"classifier.layers.0.bias": np.zeros(1, np.float32)},
-        {name: array for name, array in file.arrays.items() if name != "classifier.layers.0.bias"},
-    ):
+    fewer = {name: array for name, array in file.arrays.items() if name != bias}
+    for changed in (fewer, fewer | {bias: np.zeros(1, np.float32)}):
         with pytest.raises(InputError, match="networks do not fit its masks"):
             _ = replace(file, arrays=changed).classifier
 
@@ -86,18 +84,17 @@ def test_torch_is_not_needed():
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_it_answers_the_vectors(kind, tmp_path):
-    content, matrix, vectors = read_vectors(kind)
-    path = tmp_path / "design.safetensors"
-    path.write_bytes(content)
+    path, matrix, vectors = write_file(kind, tmp_path)
     file = DesignFile.read(path)
-    assert file.to_bytes() == content
+    assert file.to_bytes() == path.read_bytes()
     signed = file.rails[0] - (file.rails[1] if file.rail_count == 2 else 0)
     np.testing.assert_allclose(signed, matrix, atol=1e-7)
     for vector in vectors:
         features = file.features(vector.counts[:, : vector.masks]) / vector.photons
         inputs = file.inputs(features, vector.dwell)
-        chances = file.chances(inputs, vector.photons)
-        np.testing.assert_allclose(chances, vector.chances, atol=AGREES)
+        np.testing.assert_allclose(
+            file.chances(inputs, vector.photons), vector.chances, atol=AGREES
+        )
         if vector.look is not None:
             dwell = file.next_dwell(inputs, vector.look)
             np.testing.assert_allclose(dwell, vector.next_dwell, atol=AGREES)

@@ -7,12 +7,11 @@ import pytest
 import torch
 
 from conftest import quick
-from deepfsi import Design
 from deepfsi.base import InputError
-from deepfsi.datasets import Dataset, from_arrays
+from deepfsi.datasets import from_arrays
 from deepfsi.designfile import REFUSED, UNSURE, FrameLight
 from deepfsi.evaluation import distribution_fit, find_distribution
-from shared.design_files import refused, rewrite
+from shared.design_files import assert_refused
 
 READOUTS = (2, 9)
 CLASSES = 5
@@ -31,10 +30,30 @@ def scenes_of(count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     return 0.02 * rates, labels
 
 
+def fitted(light: FrameLight | None = None):
+    """Distribution of many scenes, and their rates."""
+    rates, labels = scenes_of(distribution_fit.MOST_SCENES, seed=2)
+    return find_distribution(torch.from_numpy(rates), labels, CLASSES, light=light), rates
+
+
 @pytest.fixture(scope="module")
 def known():
-    rates, labels = scenes_of(distribution_fit.MOST_SCENES, seed=2)
-    return find_distribution(torch.from_numpy(rates), labels, CLASSES)
+    return fitted()[0]
+
+
+def fluctuating(rates, light: FrameLight, seed: int):
+    """Factors of the light of the frames of exposures (n, 2, m)."""
+    rng, sigma = np.random.default_rng(seed), np.sqrt(np.log1p(light.fluctuation**2))
+    frames = light.frame.max() + 1
+    return rng, rng.lognormal(-(sigma**2) / 2, sigma, (len(rates), frames))[:, light.frame]
+
+
+def assert_as_often(unsure, least_photons):
+    """Within five sigma of this sample and of the one that calibrates."""
+    error = 5 * np.sqrt(UNSURE * (1 / len(unsure) + 1 / distribution_fit.MOST_SCENES))
+    # counts of one or two take few values, so that fewer may be unsure
+    least = UNSURE - error if least_photons > 100 else 0.0
+    assert least <= unsure.mean() <= UNSURE + error
 
 
 @pytest.mark.parametrize(
@@ -43,11 +62,11 @@ def known():
 def test_exposures_of_other_light_or_background_are_compared_each_with_its_own(
     known, photons, dark
 ):
-    rng = np.random.default_rng(5)
-    photons, dark = np.array(photons), np.array(dark)
-    background = dark[:, None, None] * np.ones(READOUTS)
+    photons = np.array(photons)
+    background = np.array(dark)[:, None, None] * np.ones(READOUTS)
     rates, _ = scenes_of(len(photons), seed=6)
-    counts = rng.poisson(rates * photons[:, None, None] + background) - background
+    counts = np.random.default_rng(5).poisson(rates * photons[:, None, None] + background)
+    counts = counts - background
     counts[:, 1, 3] = 0
     each = zip(counts, photons, background, strict=True)
     alone = [known.test(*(part[None] for part in one)).exposures[0] for one in each]
@@ -57,17 +76,12 @@ def test_exposures_of_other_light_or_background_are_compared_each_with_its_own(
 @pytest.mark.parametrize("dark", [0.0, 0.3, 3.0])
 @pytest.mark.parametrize("photons", [30.0, 1e3, 2e4, 5e5, 1e9])
 def test_sound_exposures_are_unsure_as_often_as_stated(known, photons, dark):
-    """Within five sigma of this sample and of the one that calibrates."""
     rng = np.random.default_rng(3)
     rates, _ = scenes_of(8000, seed=4)
     background = dark * 0.01 * photons * rng.random(READOUTS)
     counts = rng.poisson(rates * photons + background) - background
     counts[:, 1, 3] = 0
-    found = known.test(counts, np.full(len(counts), photons), background)
-    error = 5 * np.sqrt(UNSURE * (1 / len(counts) + 1 / distribution_fit.MOST_SCENES))
-    # counts of one or two take few values, so that fewer may be unsure
-    least = UNSURE - error if photons > 100 else 0.0
-    assert least <= found.unsure.mean() <= UNSURE + error
+    assert_as_often(known.test(counts, np.full(len(counts), photons), background).unsure, photons)
 
 
 FRAMES = {
@@ -78,106 +92,68 @@ FRAMES = {
 
 
 @pytest.mark.parametrize("frames", FRAMES)
-def test_sound_exposures_of_fluctuating_light_are_unsure_as_often_as_stated(frames):
+def test_sound_exposures_of_fluctuating_light_are_unsure_as_often_as_stated(known, frames):
     """All together they are refused by a distribution that takes the light for steady."""
     light = FrameLight(0.1, FRAMES[frames])
-    rates, labels = scenes_of(distribution_fit.MOST_SCENES, seed=2)
-    aware, unaware = (
-        find_distribution(torch.from_numpy(rates), labels, CLASSES, light=each)
-        for each in (light, None)
-    )
-    rng = np.random.default_rng(3)
+    aware, _ = fitted(light)
     rates, _ = scenes_of(8000, seed=4)
-    error = 5 * np.sqrt(UNSURE * (1 / len(rates) + 1 / distribution_fit.MOST_SCENES))
     for photons in (30.0, 1e3, 2e4, 1e9):
-        sigma = np.sqrt(np.log1p(0.1**2))
-        level = rng.lognormal(-(sigma**2) / 2, sigma, (len(rates), 18))[:, light.frame]
-        counts = rng.poisson(rates * photons * level)
-        budgets = np.full(len(rates), photons)
-        unsure = aware.test(counts, budgets, 0.0).unsure.mean()
-        assert (UNSURE - error if photons > 100 else 0.0) <= unsure <= UNSURE + error
+        rng, level = fluctuating(rates, light, seed=3)
+        counts, budgets = rng.poisson(rates * photons * level), np.full(len(rates), photons)
+        assert_as_often(aware.test(counts, budgets, 0.0).unsure, photons)
     assert not aware.test(counts, budgets, 0.0).refused
-    assert unaware.test(counts, budgets, 0.0).refused
-    wrong = counts[:20, :, ::-1], budgets[:20], 0.0
-    assert aware.test(*wrong).refused
+    assert known.test(counts, budgets, 0.0).refused
+    assert aware.test(counts[:20, :, ::-1], budgets[:20], 0.0).refused
 
 
 def test_scenes_that_are_alike_are_told_under_fluctuating_light():
     light = FrameLight(0.03, FRAMES["one after another"])
-    rates, labels = scenes_of(distribution_fit.MOST_SCENES, seed=2)
-    known = find_distribution(torch.from_numpy(rates), labels, CLASSES, light=light)
-    rng = np.random.default_rng(8)
-    sigma = np.sqrt(np.log1p(0.03**2))
-    level = rng.lognormal(-(sigma**2) / 2, sigma, (40, *READOUTS))
-    one = rng.poisson(np.repeat(rates[:1], 40, axis=0) * 1e6 * level)
-    others = rng.poisson(rates[:40] * 1e6 * level)
-    assert known.test(one, np.full(40, 1e6), 0.0).alike < REFUSED
-    assert known.test(others, np.full(40, 1e6), 0.0).alike == 1
+    aware, rates = fitted(light)
+    rng, level = fluctuating(rates[:40], light, seed=8)
+    for scenes, wanted in ((rates[:1], 0), (rates[:40], 1)):
+        alike = aware.test(rng.poisson(scenes * 1e6 * level), np.full(40, 1e6), 0.0).alike
+        assert alike == 1 if wanted else alike < REFUSED
 
 
-@pytest.mark.parametrize("mixture", ["as trained", "one class", "two classes"])
-def test_sound_acquisitions_are_refused_as_seldom_as_stated(known, mixture):
+@pytest.mark.parametrize("classes", [CLASSES, 1, 2])
+def test_sound_acquisitions_are_refused_as_seldom_as_stated(known, classes):
     """Of any size, budgets scene by scene, background and classes."""
     rng = np.random.default_rng(5)
     rates, labels = scenes_of(20_000, seed=6)
-    trials, alarms, alike = 300, 0, 0
+    trials, results = 300, []
     for _ in range(trials):
-        some = {"as trained": CLASSES, "one class": 1, "two classes": 2}[mixture]
-        there = np.flatnonzero(np.isin(labels, rng.choice(CLASSES, some, replace=False)))
+        there = np.flatnonzero(np.isin(labels, rng.choice(CLASSES, classes, replace=False)))
         chosen = rates[rng.choice(there, rng.choice([1, 2, 5, 20, 60]), replace=False)]
         photons = 10 ** rng.uniform(2, 7) * rng.uniform(0.7, 1.4, size=len(chosen))
         background = np.full(READOUTS, photons.mean() * 10 ** rng.uniform(-5, -2))
         background[1, 3] = 0
         counts = rng.poisson(chosen * photons[:, None, None] + background) - background
-        found = known.test(counts, photons, background)
-        alarms += found.refused
-        alike += found.alike < REFUSED
+        results.append(known.test(counts, photons, background))
     most = trials * REFUSED + 5 * np.sqrt(trials * REFUSED)
-    assert alarms <= most
-    assert alike <= most
-
-
-WIDTH = 24
-
-
-def shapes(kind: int, count: int, rng: np.random.Generator) -> np.ndarray:
-    """Pictures (count, pixels) of a disc, a frame or a cross, at any place, as bright as may be."""
-    y, x = np.mgrid[:WIDTH, :WIDTH]
-    shown = []
-    for across, down in rng.normal(WIDTH / 2, 2, size=(count, 2)):
-        off, up = abs(x - across), abs(y - down)
-        far = np.maximum(off, up)
-        lit = [off**2 + up**2 < 36, (far >= 3) & (far < 6), np.minimum(off, up) < 2][kind]
-        shown.append(200 + lit * rng.uniform(2000, 3600) + rng.normal(0, 40, size=lit.shape))
-    return np.array(shown).reshape(count, -1) / 4095
-
-
-def shape_rates(kinds: list[int], counts: list[int], rng: np.random.Generator) -> np.ndarray:
-    """Shares of the budget (n, 2, 8) of shapes, by random masks and their complements."""
-    masks = np.random.default_rng(14).random((8, WIDTH**2))
-    x = np.concatenate([shapes(k, n, rng) for k, n in zip(kinds, counts, strict=True)])
-    return np.stack([x @ masks.T, x @ (1 - masks).T], axis=1) / masks.size
+    assert sum(each.refused for each in results) <= most
+    assert sum(each.alike < REFUSED for each in results) <= most
 
 
 @pytest.mark.parametrize("sizes", [[200, 15, 12], [200, 50, 50], [200, 80, 60]])
 def test_unbalanced_classes_refuse_no_more_sound_acquisitions(sizes):
     """New scenes of any classes; classes that are too few to tell are not tested."""
-    trials = alarms = 0
+    refused = []
     for seed in range(6):
-        rng = np.random.default_rng([15, seed])
-        rates, labels = shape_rates([0, 1, 2], sizes, rng), np.repeat(range(3), sizes)
-        found = find_distribution(torch.from_numpy(rates), labels, 3)
-        assert find_distribution(torch.from_numpy(rates), labels, 4) is None  # one has no scenes
-        assert (found is None) == (min(sizes) < distribution_fit.FEWEST_OF_A_CLASS)
-        for kinds in ([0], [1], [2], [0, 1, 2]) if found else ():
-            fresh = shape_rates(kinds, [36 // len(kinds)] * len(kinds), rng)
+        rates, labels = scenes_of(4000, seed)
+        some = np.concatenate([np.flatnonzero(labels == k)[:n] for k, n in enumerate(sizes)])
+        known = find_distribution(torch.from_numpy(rates[some]), labels[some], 3)
+        assert (known is None) == (min(sizes) < distribution_fit.FEWEST_OF_A_CLASS)
+        for kinds in ([0], [1], [2], [0, 1, 2]) if known else ():
+            chosen = np.flatnonzero(np.isin(labels[2000:], kinds))[-36:] + 2000
             for photons in (1e4, 1e6):
-                alarms += found.test(rng.poisson(fresh * photons), [photons] * 36, 0.0).refused
-                trials += 1
-    assert alarms <= trials * REFUSED + 5 * np.sqrt(trials * REFUSED)
+                counts = np.random.default_rng(seed).poisson(rates[chosen] * photons)
+                refused.append(known.test(counts, np.full(36, photons), 0.0).refused)
+    assert sum(refused) <= len(refused) * REFUSED + 5 * np.sqrt(len(refused) * REFUSED)
+    assert find_distribution(torch.from_numpy(rates[some]), labels[some], 4) is None  # none of one
 
 
-def split(digits: Dataset) -> Dataset:
+@pytest.fixture(scope="module")
+def data(digits):
     """Digits in another order, 800 of them to test with: the test part has other writers."""
     x = np.concatenate([digits.x_train, digits.x_test])
     y = np.concatenate([digits.y_train, digits.y_test])
@@ -187,95 +163,84 @@ def split(digits: Dataset) -> Dataset:
 
 
 @pytest.fixture(scope="module")
-def data(digits) -> Dataset:
-    return split(digits)
-
-
-@pytest.fixture(scope="module")
-def design(data) -> Design:
+def design(data):
     return quick(data, masks=16, light="equal-dwell")
 
 
-def rates_of(design: Design, x: np.ndarray) -> np.ndarray:
-    with torch.no_grad():
-        return design.rates(design.scanner(), torch.from_numpy(x).float()).double().numpy()
+@torch.no_grad()
+def rates_of(design, x: np.ndarray) -> np.ndarray:
+    return design.rates(design.scanner(), torch.from_numpy(x).float()).double().numpy()
 
 
-def whole(design: Design, rates: np.ndarray, photons: float) -> list[bool]:
-    """Verdicts of acquisitions of 40 scenes."""
-    counts = np.random.default_rng(7).poisson(rates * photons)
-    parts = np.split(counts, len(counts) // 40)
-    return [design.consistency(part, photons).refused for part in parts]
+def moved(rates: np.ndarray, frames) -> np.ndarray:
+    """Rates with the frames of both rails in another order."""
+    return rates.reshape(len(rates), -1)[:, frames].reshape(rates.shape)
 
 
-@pytest.mark.parametrize(
-    ("fault", "photons"),
-    [
-        ("another design", 1e4),
-        ("half the light", 1e3),
-        ("twice the light", 1e2),
-        ("a frame late", 1e4),
-        ("two frames swapped", 3e5),
-        ("inverted scenes", 1e5),
-        ("rails swapped", 1e4),
-    ],
-)
-def test_what_is_not_trained_for_is_refused(design, data, fault, photons):
-    rates = rates_of(design, data.x_test)
-    flat = rates.reshape(len(rates), -1)
-    if fault == "another design":
-        rates = rates_of(quick(data, "random", masks=16, light="equal-dwell"), data.x_test)
-    elif fault == "inverted scenes":
-        rates = rates_of(design, 1 - data.x_test)
-    elif fault == "a frame late":
-        rates = np.roll(flat, 1, axis=1).reshape(rates.shape)
-    elif fault == "two frames swapped":
-        order = np.arange(flat.shape[1])
-        order[[3, 20]] = order[[20, 3]]
-        rates = flat[:, order].reshape(rates.shape)
-    elif fault == "rails swapped":
-        rates = rates[:, ::-1]
-    else:
-        rates = rates * {"half the light": 0.5, "twice the light": 2.0}[fault]
-    assert all(whole(design, rates, photons))
+SWAPPED = np.arange(32)
+SWAPPED[[3, 20]] = 20, 3
+FAULTS = {
+    "another design": (1e4, lambda rates, data: rates_of(another(data), data.x_test)),
+    "half the light": (1e3, lambda rates, _: rates / 2),
+    "twice the light": (1e2, lambda rates, _: rates * 2),
+    "a frame late": (1e4, lambda rates, _: moved(rates, np.roll(np.arange(32), 1))),
+    "two frames swapped": (3e5, lambda rates, _: moved(rates, SWAPPED)),
+    "rails swapped": (1e4, lambda rates, _: rates[:, ::-1]),
+}
+
+
+def another(data):
+    return quick(data, "random", masks=16, light="equal-dwell")
+
+
+@pytest.mark.parametrize("fault", [*FAULTS, "inverted scenes"])
+def test_what_is_not_trained_for_is_refused(design, data, fault):
+    """In every acquisition of 40 scenes."""
+    x = 1 - data.x_test if fault == "inverted scenes" else data.x_test
+    photons, change = FAULTS.get(fault, (1e5, lambda rates, _: rates))
+    counts = np.random.default_rng(7).poisson(change(rates_of(design, x), data) * photons)
+    for part in np.split(counts, len(counts) // 40):
+        assert design.consistency(part, photons).refused
 
 
 def test_a_scene_with_stray_light_in_some_frames_is_unsure(design, data):
     """All-ON and all-OFF frames do not see light that comes and goes with other frames."""
-    rates = rates_of(design, data.x_test)[:40]
+    rates = rates_of(design, data.x_test[:40])
     rates[7, :, :4] += rates.mean()
-    found = design.consistency(np.random.default_rng(13).poisson(rates * 1e4), 1e4)
-    assert found.unsure[7]
-    assert found.unsure.sum() <= 1 + 4  # of 39 sound ones, more by chance once in 15 000
-    assert not found.refused
+    result = design.consistency(np.random.default_rng(13).poisson(rates * 1e4), 1e4)
+    assert result.unsure[7]
+    assert result.unsure.sum() <= 1 + 4  # of 39 sound ones, more by chance once in 15 000
+    assert not result.refused
 
 
 @pytest.mark.parametrize(
-    "change",
+    ("name", "change"),
     [
-        lambda held: held.pop("distribution.tails"),
-        lambda held: held.update({"distribution.mean": torch.zeros(2, 16)}),
-        lambda held: held.update({"distribution.mean": torch.ones(2, 15)}),
-        lambda held: held.update({"distribution.rest": -torch.ones(2, 16)}),
-        lambda held: held.update({"distribution.pairs": held["distribution.pairs"].flip(-1)}),
-        lambda held: held.update({"distribution.more": torch.ones(1)}),
-        lambda held: held.pop("distribution.directions"),
+        ("tails", None),
+        ("directions", None),
+        ("mean", lambda held: torch.zeros(2, 16)),
+        ("mean", lambda held: torch.ones(2, 15)),
+        ("rest", lambda held: -torch.ones(2, 16)),
+        ("pairs", lambda held: held.flip(-1)),
+        ("more", lambda held: torch.ones(1)),
     ],
 )
-def test_a_damaged_distribution_is_refused(design, tmp_path, change):
-    path = design.save(tmp_path / "design.safetensors")
-    rewrite(path, lambda header, held: change(held))
-    refused(path)
+def test_a_damaged_distribution_is_refused(design, tmp_path, name, change):
+    def damage(_, tensors):
+        held = tensors.pop(f"distribution.{name}", None)
+        if change:
+            tensors[f"distribution.{name}"] = change(held)
+
+    assert_refused(design, tmp_path, damage)
 
 
 def test_what_has_no_distribution_says_so(data, design):
     few = from_arrays(data.x_train[:60].reshape(-1, 8, 8), data.y_train[:60] % 2)
-    small = quick(few, masks=4, batch=32)
-    looks = quick(data, masks=4, light="free-dwell", rails="single", looks=2)
-    for each in (small, design.quantised(3)):
+    for each in (quick(few, masks=4, batch=32), design.quantised(3)):
         assert each.distribution is None
         with pytest.raises(InputError, match="no distribution"):
             each.consistency(np.ones((1, *each.rails.stacked.shape[:2])), 1e3)
+    looks = quick(data, masks=4, light="free-dwell", rails="single", looks=2)
     with pytest.raises(InputError, match="live run"):  # which has the all-ON frames, too
         looks.consistency(np.ones((1, 4)), 1e3)
 
@@ -296,10 +261,9 @@ def test_bad_counts_are_named(design, counts, photons, said):
 
 def test_two_tests_of_an_acquisition_share_its_chance():
     """Of one exposure of a single class both are the same test: its own chance counts twice."""
-    rng = np.random.default_rng(8)
     rates, labels = scenes_of(2000, seed=2)
-    known = find_distribution(torch.from_numpy(rates), 0 * labels, 1)
+    one_class = find_distribution(torch.from_numpy(rates), 0 * labels, 1)
     rates, _ = scenes_of(40, seed=9)
-    for counts in rng.poisson(rates * 1e4):
-        found = known.test(counts[None], np.array([1e4]), 0.0)
-        assert found.whole == pytest.approx(min(1.0, 2 * found.exposures[0]), rel=1e-6)
+    for counts in np.random.default_rng(8).poisson(rates * 1e4):
+        result = one_class.test(counts[None], np.array([1e4]), 0.0)
+        assert result.whole == pytest.approx(min(1.0, 2 * result.exposures[0]), rel=1e-6)

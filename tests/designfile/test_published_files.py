@@ -88,11 +88,7 @@ def test_a_file_of_another_hash_is_refused_and_not_kept(address, collection, tmp
 @pytest.mark.parametrize(
     ("where", "words"),
     [
-        (
-            None,
-            "no design file and no published design 'smal': .*or set "
-            f"{DESIGNS_VARIABLE} to the folder",
-        ),
+        ("", f"no published design 'smal': .*or set {DESIGNS_VARIABLE} to the folder"),
         ("collection", "no published design 'smal': did you mean 'small'"),
         ("nowhere", f"nowhere/{INDEX_NAME} is missing: give the folder of a collection"),
         ("ftp://a.example", "give a folder, or an address of http, https or file"),
@@ -100,9 +96,7 @@ def test_a_file_of_another_hash_is_refused_and_not_kept(address, collection, tmp
     ],
 )
 def test_what_cannot_be_found_is_said_in_one_line(collection, monkeypatch, where, words):
-    monkeypatch.delenv(DESIGNS_VARIABLE) if where is None else monkeypatch.setenv(
-        DESIGNS_VARIABLE, where
-    )
+    monkeypatch.setenv(DESIGNS_VARIABLE, where)
     with pytest.raises(InputError, match=words):
         load_design("smal")
 
@@ -110,8 +104,8 @@ def test_what_cannot_be_found_is_said_in_one_line(collection, monkeypatch, where
 @pytest.mark.parametrize(
     ("spoilt", "said"),
     [
-        ("{", "cannot be used.*make the collection again"),
-        ('{"designs": {"../a": {}}}', "cannot be used.*make the collection again"),
+        ("{", "make the collection again"),
+        ('{"designs": {"../a": {}}}', "make the collection again"),
         ('{"schema_version": 2}', "newer than this one: upgrade deepfsi"),
     ],
 )
@@ -129,30 +123,24 @@ def test_small_designs_come_with_the_package(monkeypatch, tmp_path):
     monkeypatch.delenv(DESIGNS_VARIABLE, raising=False)
     monkeypatch.chdir(tmp_path)
     designs, recipes = read_indexes()[str(SHIPPED_DESIGNS)], Collection.read().designs
+    files = {f"{name}.{kind}" for name in NAMES for kind in ("md", "safetensors")}
     assert designs.keys() == NAMES
-    assert {path.name for path in SHIPPED_DESIGNS.iterdir()} == {
-        INDEX_NAME, *(f"{name}.{kind}" for name in NAMES for kind in ("md", "safetensors")),
-    }  # fmt: skip
-    for name, entry in designs.items():
-        assert entry.recipe == recipes[name].hash
-        design = load_design(name)
-        assert design.image_shape == (32, 32)
-        assert len(design.classes) == 10
-        assert design.info["job"]["photons"] == entry.photons
-        assert find_design(name).stat().st_size < 9e5
+    assert {path.name for path in SHIPPED_DESIGNS.iterdir()} == {INDEX_NAME, *files}
     page = (Path(__file__).parents[2] / "docs/notebook/designs.md").read_text()
     for name, entry in designs.items():
-        half = (entry.high - entry.low) / 2
+        design = load_design(name)
+        assert (design.image_shape, len(design.classes)) == ((32, 32), 10)
+        assert entry.recipe == recipes[name].hash
+        assert entry.photons == design.info["job"]["photons"]
+        assert find_design(name).stat().st_size < 9e5
+        said = f"{entry.accuracy:.3f} ± {(entry.high - entry.low) / 2:.3f}"
         [row] = [line for line in page.splitlines() if line.startswith(f"| `{name}`")]
-        assert f"{entry.accuracy:.3f} ± {half:.3f}" in row
+        assert said in row
 
 
 def test_shipped_designs_are_listed_and_a_spoilt_one_is_refused(
     collection, done, monkeypatch, tmp_path
 ):
-    printed = done("designs", "list")
-    assert "shipped with the package" in printed
-    assert all(name in printed for name in ("small", *NAMES))
     told = json.loads(done("designs", "list", "--json"))
     assert told["where"] == str(collection)
     assert [len(each["designs"]) for each in told["collections"]] == [1, len(NAMES)]

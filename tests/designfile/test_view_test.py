@@ -5,8 +5,8 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from conftest import quick
-from deepfsi import Design
 from deepfsi.designfile import SceneModel, SceneReadouts, ViewTest, view_test
+from shared.design_files import file_of
 
 SHAPE, PHOTONS, MASKS = (8, 8), 1e4, 16
 
@@ -23,29 +23,22 @@ def masks(digits):
     return blocks * PHOTONS / digits.x_train.sum(axis=1).mean() / 4
 
 
-def exposed(model, masks, scenes, rng, frames=0, shown=None):
-    """Result of a run of scenes (S, N), behind masks, of which others may be shown in truth."""
-    test = ViewTest(model, SHAPE, frames)
-    none = np.zeros(len(masks))
-    places = (np.arange(len(masks)), np.ones(len(masks))) if frames else (None, None)
+def exposed(model, masks, scenes, rng):
+    """Result of a run of scenes (S, N) behind masks."""
+    test, none = ViewTest(model, SHAPE, 0), np.zeros(MASKS)
     for x in scenes:
-        read = rng.poisson((masks if shown is None else shown) @ x.clip(min=0)).astype(float)
-        test.add(SceneReadouts(masks, read, none, none.astype(int), *places))
+        read = rng.poisson(masks @ x.clip(min=0)).astype(float)
+        test.add(SceneReadouts(masks, read, none, none.astype(int)))
     return test.result
-
-
-def chosen(digits, rng, count=40):
-    return digits.x_test[rng.integers(0, len(digits.x_test), count)].astype(float)
 
 
 def test_densities_are_those_of_scenes_and_noise_together():
     rng = np.random.default_rng(1)
     axes, away = rng.normal(size=(3, 7)), rng.normal(size=(2, 7))
-    found = view_test._log_densities(
-        np.eye(3) + axes @ axes.T, away @ axes.T, (away**2).sum(axis=1)
-    )
+    together = np.eye(3) + axes @ axes.T
+    logs = view_test._log_densities(together, away @ axes.T, (away**2).sum(axis=1))
     whole = multivariate_normal(np.zeros(7), np.eye(7) + axes.T @ axes).logpdf(away)
-    np.testing.assert_allclose(found, whole + 7 / 2 * np.log(2 * np.pi))
+    np.testing.assert_allclose(logs, whole + 7 / 2 * np.log(2 * np.pi))
 
 
 def test_a_likelihood_ratio_is_1_in_the_mean_of_sound_runs(model, masks):
@@ -76,12 +69,10 @@ def test_a_likelihood_ratio_is_1_in_the_mean_of_sound_runs(model, masks):
 def test_sound_runs_are_let_pass_whatever_their_classes(digits, model, masks):
     """None of 35: with at most `FALSE_ALARM` each, two or more alarms have a chance of 0.014."""
     rng, alarms = np.random.default_rng(3), 0
-    for _ in range(25):
-        alarms += exposed(model, masks, chosen(digits, rng), rng).named
-    for label in range(10):
-        own = digits.x_test[digits.y_test == label].astype(float)
-        scenes = own[rng.permutation(len(own))[:20]]
-        alarms += exposed(model, masks, scenes, rng).named
+    for label in [None] * 25 + list(range(10)):
+        own = digits.x_test[digits.y_test == label] if label is not None else digits.x_test
+        chosen = own[rng.permutation(len(own))[: 40 if label is None else 20]]
+        alarms += exposed(model, masks, chosen.astype(float), rng).named
     assert alarms <= 1
 
 
@@ -92,18 +83,17 @@ def test_sound_runs_are_let_pass_whatever_their_classes(digits, model, masks):
 )
 def test_each_fault_is_refused_and_named_in_40_scenes(digits, model, masks, view):
     rng = np.random.default_rng(4)
-    scenes = chosen(digits, rng)
+    scenes = digits.x_test[rng.integers(0, len(digits.x_test), 40)].astype(float)
     seen = view.see(scenes.reshape(-1, *SHAPE)).reshape(scenes.shape)
-    found = exposed(model, masks, seen + view.stray * scenes.mean(), rng)
-    assert found.named
-    assert found.likeliest == view.words
-    assert view.words in found.remark
+    result = exposed(model, masks, seen + view.stray * scenes.mean(), rng)
+    assert result.named
+    assert result.likeliest == view.words
+    assert view.words in result.remark
 
 
-def test_the_file_of_a_design_keeps_the_model_and_one_without_reads(digits, tmp_path):
+def test_the_file_of_a_design_keeps_the_model_and_one_without_reads(digits):
     design = quick(digits, masks=4, epochs=1, photons=1e4)
-    again = Design.load(design.save(tmp_path / "one.safetensors"))
-    for name, held in design.scene_model.arrays.items():
-        np.testing.assert_array_equal(again.scene_model.arrays[name], held)
+    for name, kept in file_of(design).scene_model.arrays.items():
+        np.testing.assert_array_equal(design.scene_model.arrays[name], kept)
     design.scene_model = None
-    assert Design.load(design.save(tmp_path / "old.safetensors")).scene_model is None
+    assert file_of(design).scene_model is None

@@ -36,6 +36,13 @@ def refused(path: Path, match: str = "not a whole deepfsi design file") -> None:
     assert "\n" not in str(error.value)
 
 
+def assert_refused(design: Design, folder: Path, change: Callable[..., object]) -> None:
+    """Assert that the file of a design is refused after a change of its header and tensors."""
+    path = design.save(folder / "changed.safetensors")
+    rewrite(path, change)
+    refused(path)
+
+
 def file_of(design: Design) -> DesignFile:
     """File of a design, written and read."""
     with tempfile.TemporaryDirectory() as folder:

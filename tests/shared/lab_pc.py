@@ -7,9 +7,11 @@ opened as text without its encoding is an error.
 """
 
 import os
+import shutil
 import signal
 import sys
 import warnings
+from importlib import import_module
 from pathlib import Path
 
 MODULES = ("fcntl", "resource", "pwd", "grp", "termios", "tty", "pty", "posix", "syslog")
@@ -18,7 +20,14 @@ CALLS = """
     sched_getaffinity sched_setaffinity getloadavg sysconf statvfs mkfifo chown chroot wait3 wait4
     WNOHANG O_NONBLOCK O_CLOEXEC O_NOFOLLOW O_DIRECTORY openpty ttyname sync pread pwrite
 """
-SIGNALS = ("SIGINT", "SIGTERM", "SIGABRT", "SIGFPE", "SIGILL", "SIGSEGV", "SIG_DFL", "SIG_IGN")
+SIGNALS = """
+    SIGINT SIGTERM SIGABRT SIGFPE SIGILL SIGSEGV SIG_DFL SIG_IGN signal Signals
+"""
+USUAL = """
+    multiprocessing.spawn subprocess click matplotlib.pyplot polars psutil rich.progress scipy.io
+    skimage.measure skimage.transform sklearn.datasets
+"""
+"""Modules that are others there: of the standard library, and compiled packages."""
 
 
 class Hidden:
@@ -28,27 +37,15 @@ class Hidden:
         self.names = names
 
     def find_spec(self, name: str, path: object = None, target: object = None) -> None:
-        if name.partition(".")[0] in self.names:
-            top = name.partition(".")[0]
+        top = name.partition(".")[0]
+        if top in self.names:
             raise ModuleNotFoundError(f"No module named {name!r}", name=top)
 
 
 def as_windows() -> None:
     """Hide what Windows has not, in this process, from what is imported from now on."""
-    import multiprocessing.spawn  # noqa: F401  the standard library is another one there
-    import shutil
-    import subprocess  # noqa: F401
-
-    import click  # noqa: F401
-    import matplotlib.pyplot  # noqa: F401  so are compiled packages
-    import polars  # noqa: F401
-    import psutil  # noqa: F401
-    import rich.progress  # noqa: F401
-    import scipy.io  # noqa: F401
-    import skimage.measure
-    import skimage.transform  # noqa: F401
-    import sklearn.datasets  # noqa: F401
-
+    for name in USUAL.split():
+        import_module(name)
     usage = shutil.disk_usage(".")
     shutil.disk_usage = lambda path: usage  # there without statvfs
     for name in MODULES:
@@ -56,11 +53,9 @@ def as_windows() -> None:
     sys.meta_path.insert(0, Hidden(MODULES))
     for name in CALLS.split():
         vars(os).pop(name, None)
-    for name in list(vars(signal)):
-        if name.startswith(("SIG", "pthread", "sig", "alarm", "setitimer", "pause")) and (
-            name not in (*SIGNALS, "signal", "Signals")
-        ):
-            delattr(signal, name)
+    gone = ("SIG", "pthread", "sig", "alarm", "setitimer", "pause")
+    for name in {each for each in vars(signal) if each.startswith(gone)} - {*SIGNALS.split()}:
+        delattr(signal, name)
     sys.platform = "win32"
     for name in ("replace", "rename", "unlink", "remove", "rmdir"):
         setattr(os, name, _checked(name, getattr(os, name)))

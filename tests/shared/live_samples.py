@@ -6,19 +6,11 @@ import numpy as np
 
 from conftest import quick
 from deepfsi.camera import find_device
+from deepfsi.hardware import virtual
 from deepfsi.hardware.counting import Scene
 from deepfsi.hardware.drivers import Setup
 from deepfsi.hardware.live import LiveCounts, plan_live, replay_run, run, run_live
 from deepfsi.hardware.patterns import FrameSettings, export_patterns
-from deepfsi.hardware.virtual import (
-    CAMERAS,
-    Latencies,
-    VirtualCamera,
-    VirtualCounter,
-    VirtualOptics,
-    VirtualProjector,
-    arrival_rates,
-)
 from deepfsi.lab import design_rails, open_looks
 
 LOOKS = 3
@@ -28,31 +20,28 @@ OPTICS = {
     "two arms": {"light": "two-arm", "readout": "both"},
     "detectors": {"light": "free-dwell", "rails": "single", "detectors": "2x2"},
 }
+IDEAL = virtual.CAMERAS["ideal"]
 
 
 def make_patterns(folder: Path, digits, optics: str = "single", device=None, **settings) -> Path:
     """Folder of patterns of a design of several looks, on a small device."""
     words = {"masks": 6, "looks": LOOKS, "photons": 1e4, "epochs": 4, **OPTICS[optics], **settings}
-    design = quick(digits, **words)
-    design.save(folder / "looks.safetensors")
+    path = quick(digits, **words).save(folder / "looks.safetensors")
     frames = FrameSettings(device or find_device("64x48"), 1e-3)
-    export_patterns(design_rails(folder / "looks.safetensors"), frames, folder / "patterns")
+    export_patterns(design_rails(path), frames, folder / "patterns")
     return folder / "patterns"
 
 
-def bench(
-    patterns: Path, scenes: np.ndarray, flux: float, camera: VirtualCamera = CAMERAS["ideal"],
-    latencies: Latencies | None = None, seed: int = 0,
-) -> Setup:  # fmt: skip
+def bench(patterns: Path, scenes, flux: float, camera=IDEAL, latencies=None, seed=0) -> Setup:
     every = np.concatenate([scenes, np.zeros_like(scenes[:1])])  # the last one is the darkness
-    rates = arrival_rates(patterns, every, camera, flux)
-    latencies = latencies or Latencies()
-    setup = VirtualOptics(rates, camera, latencies, seed)
+    rates = virtual.arrival_rates(patterns, every, camera, flux)
+    latencies = latencies or virtual.Latencies()
+    optics = virtual.VirtualOptics(rates, camera, latencies, seed)
     return Setup(
-        VirtualProjector(setup),
-        VirtualCounter(setup, tuple(range(rates.shape[2]))),
-        setup.display,
-        lambda: setup.now_s,
+        virtual.VirtualProjector(optics),
+        virtual.VirtualCounter(optics, tuple(range(rates.shape[2]))),
+        optics.display,
+        lambda: optics.now_s,
         latencies.model_dump(),
     )
 
@@ -80,8 +69,7 @@ def check_replay(folder: Path, decided: list[run.LiveStep]) -> None:
 
 def live(
     folder: Path, patterns: Path, digits, count: int = 5, flux: float = 1e6,
-    exposure_s: float = 10e-3, camera: VirtualCamera = CAMERAS["ideal"],
-    latencies: Latencies | None = None, **settings,
+    exposure_s: float = 10e-3, camera=IDEAL, latencies=None, **settings,
 ) -> list[run.LiveStep]:  # fmt: skip
     """Run a few scenes."""
     x, scenes = scenes_of(digits, count)

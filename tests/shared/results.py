@@ -21,83 +21,80 @@ DESIGNS = {
 }
 
 
+POINT = {
+    "trained_under": "ml_gauss",
+    "light": "column",
+    "rails": "dual",
+    "detectors": "1x1",
+    "design": "deepfsi",
+    "variant": "",
+    "noise": "poisson",
+    "photons": 1e4,
+    "levels": 0,
+    "masks": 92,
+    "specific": True,
+    "learned": False,
+    "trials": 3,
+    "worst_class": 1,
+    "covers": "seeds of training (t over 3 trials)",
+    "throughput": 0.45,
+    "seconds": 1.0,
+    "keys": ("key",),
+    "best": True,
+}
+DATA = {
+    "name": "digits",
+    "hash": "abc123",
+    "image_shape": (32, 32),
+    "classes": tuple("0123456789"),
+    "train": 1000,
+    "validation": 200,
+    "test": 360,
+    "chance": 0.1,
+    "preprocessing": "x / 16",
+    "mean_reflectance": 0.42,
+}
+PROVENANCE = Provenance(
+    deepfsi="0.2.0",
+    torch="2.13.0",
+    numpy="2.0.0",
+    python="3.11.2",
+    device="cpu",
+    finished="2026-01-01T00:00:00+00:00",
+    seconds=63.1,
+    training_seconds=60.0,
+)
+
+
 def a_point(accuracy: float = 0.9, half: float = 0.01, **fields: Any) -> Point:
     """A point with these fields; its interval is `half` to both sides unless given."""
-    photons, design = fields.get("photons", 1e4), fields.get("design", "deepfsi")
-    given = {
-        "trained_under": "ml_gauss",
-        "light": "column",
-        "rails": "dual",
-        "detectors": "1x1",
-        "readout": "difference" if fields.get("rails", "dual") == "dual" else "",
-        "design": design,
-        "trained_at": photons,
-        "variant": "",
-        "noise": "poisson",
-        "photons": photons,
-        "levels": 0,
-        "masks": 92,
-        "label": design,
-        "title": design,
-        "specific": True,
-        "learned": False,
-        "ratio": fields.get("masks", 92) / 1024,
-        "trials": 3,
-        "validation": accuracy,
-        "accuracy": accuracy,
-        "low": accuracy - half,
-        "high": accuracy + half,
-        "balanced": accuracy - 0.02,
-        "balanced_low": accuracy - 0.02 - half,
-        "balanced_high": accuracy - 0.02 + half,
+    given = POINT | fields
+    scores = {"validation": accuracy, "accuracy": accuracy, "balanced": accuracy - 0.02}
+    for name, prefix in (("accuracy", ""), ("balanced", "balanced_")):
+        scores |= {f"{prefix}low": scores[name] - half, f"{prefix}high": scores[name] + half}
+    follows = {
+        "readout": "difference" if given["rails"] == "dual" else "",
+        "trained_at": given["photons"],
+        "label": given["design"],
+        "title": given["design"],
+        "ratio": given["masks"] / 1024,
         "worst": accuracy / 2,
-        "worst_class": 1,
-        "covers": "seeds of training (t over 3 trials)",
-        "counts": 0.45 * photons,
-        "throughput": 0.45,
-        "seconds": 1.0,
+        "counts": 0.45 * given["photons"],
         "accuracies": (accuracy,),
-        "keys": ("key",),
-        "best": True,
     }
-    return Point(**{**given, **fields})
+    return Point(**{**follows, **scores, **given})
 
 
 def some_results(
-    points: Iterable[Point],
-    *,
-    recipe: dict[str, Any] | None = None,
-    data: dict[str, Any] | None = None,
-    **fields: Any,
+    points: Iterable[Point], *, recipe: dict[str, Any] | None = None, data: Any = (), **fields: Any
 ) -> Results:
     """Results of ten classes with these points; `data` holds fields of it that are others."""
-    facts = {
-        "name": "digits",
-        "hash": "abc123",
-        "image_shape": (32, 32),
-        "classes": tuple(str(k) for k in range(10)),
-        "train": 1000,
-        "validation": 200,
-        "test": 360,
-        "chance": 0.1,
-        "preprocessing": "x / 16",
-        "mean_reflectance": 0.42,
-    }
     given = {
         "title": "digits under photon noise",
         "command": "deepfsi compare --data digits -o out",
         "recipe": recipe or {},
-        "data": Data(**{**facts, **(data or {})}),
-        "provenance": Provenance(
-            deepfsi="0.2.0",
-            torch="2.13.0",
-            numpy="2.0.0",
-            python="3.11.2",
-            device="cpu",
-            finished="2026-01-01T00:00:00+00:00",
-            seconds=63.1,
-            training_seconds=60.0,
-        ),
+        "data": Data(**DATA | dict(data or {})),
+        "provenance": PROVENANCE,
         "chosen_on": "validation",
         "points": tuple(points),
     }
@@ -124,26 +121,13 @@ def make_results(
         for masks in [pixels] if fixed else counts:
             accuracy = top - 0.3 / np.log10(photons) - masks / 1000
             key = f"{noise}-{light}-{design}-{photons:g}-{masks}"
-            points.append(
-                a_point(
-                    accuracy,
-                    0.004,
-                    design=design,
-                    label=label,
-                    title=title,
-                    specific=specific,
-                    learned=learned,
-                    noise=noise,
-                    light=light,
-                    rails="single" if fixed else "dual",
-                    photons=photons,
-                    masks=masks,
-                    ratio=masks / pixels,
-                    validation=accuracy + 0.01,
-                    keys=(key,),
-                    best=fixed or masks == counts[0],
-                )
-            )
+            rails = "single" if fixed else "dual"
+            named = {"design": design, "label": label, "title": title, "keys": (key,)}
+            optics = {"noise": noise, "light": light, "rails": rails, "photons": photons}
+            chosen = {"validation": accuracy + 0.01, "best": fixed or masks == counts[0]}
+            kind = {"specific": specific, "learned": learned, "masks": masks}
+            fields = {**named, **optics, **chosen, **kind, "ratio": masks / pixels}
+            points.append(a_point(accuracy, 0.004, **fields))
             if learned:
                 matrix = rng.normal(size=(masks, pixels)) / masks
                 write_design(folder / "designs" / f"{key}.safetensors", matrix, shape)

@@ -47,43 +47,40 @@ CASES = 6
 
 @dataclass(frozen=True)
 class Vector:
-    """Counts of one exposure so far, and the answers to them.
-
-    Attributes
-    ----------
-    counts : array, shape (rails, m, D)
-        Of several looks, all so far together.
-    photons : float
-        Budget of the whole exposure.
-    masks : int
-        First masks that were shown; all but of nested ones.
-    chances : array, shape (C,)
-    dwell : array, shape (q,), or None
-        Share of the exposure that each frame had so far, where dwells are chosen.
-    look : int or None
-        The next look, from 0, if there is one.
-    next_dwell : array, shape (q,), or None
-        Its dwells.
-    """
+    """Counts of one exposure so far, and the answers to them."""
 
     counts: np.ndarray
+    """Shape (rails, m, D); of several looks, all so far together."""
     photons: float
+    """Budget of the whole exposure."""
     masks: int
+    """First masks that were shown; all but of nested ones."""
     chances: np.ndarray
+    """Shape (C,)."""
     dwell: np.ndarray | None = None
+    """Share of the exposure that each frame had so far (q,), where dwells are chosen."""
     look: int | None = None
+    """The next look, from 0, if there is one."""
     next_dwell: np.ndarray | None = None
+    """Its dwells (q,)."""
 
 
 def read_vectors(kind: str) -> tuple[bytes, np.ndarray, list[Vector]]:
     """File of a design, its sensing matrix (m, N), and its vectors."""
     entry = json.loads(PATH.read_text())[kind]
-    arrays = ("counts", "chances", "dwell", "next_dwell")
-    vectors = []
-    for fields in entry["vectors"]:
-        fields |= {name: np.array(fields[name]) for name in arrays if name in fields}
-        vectors.append(Vector(**fields))
+    vectors = [
+        Vector(**{n: np.array(v) if isinstance(v, list) else v for n, v in fields.items()})
+        for fields in entry["vectors"]
+    ]
     return base64.b64decode(entry["file"]), np.array(entry["matrix"]), vectors
+
+
+def write_file(kind: str, folder: Path) -> tuple[Path, np.ndarray, list[Vector]]:
+    """The same, with the path of the file in a folder."""
+    content, matrix, vectors = read_vectors(kind)
+    path = folder / "design.safetensors"
+    path.write_bytes(content)
+    return path, matrix, vectors
 
 
 def scenes() -> Dataset:
@@ -93,24 +90,17 @@ def scenes() -> Dataset:
 
 def main() -> None:
     """Learn the designs and write their vectors."""
-    rng = np.random.default_rng(0)
-    entries = {}
+    rng, entries = np.random.default_rng(0), {}
+    bare = dict.fromkeys(("distribution", "scene_model", "training_scenes"))
     for kind, settings in KINDS.items():
         job = {"photons": 1e3, "epochs": 8, "lr": 2e-2, "hidden": (5, 4), **settings}
         learned = learn(scenes(), device="cpu", **job)
-        design = replace(
-            learned,
-            info={"job": learned.info["job"]},
-            distribution=None,
-            scene_model=None,
-            training_scenes=None,
-        )
+        design = replace(learned, info={"job": learned.info["job"]}, **bare)
         answer = answer_look if design.exposure.looks > 1 else answer_masks
-        budgets = np.geomspace(3, 3e6, CASES).tolist()
         entries[kind] = {
             "file": base64.b64encode(design.to_bytes()).decode(),
             "matrix": design.matrix.tolist(),
-            "vectors": [answer(design, photons, rng) for photons in budgets],
+            "vectors": [answer(design, photons, rng) for photons in np.geomspace(3, 3e6, CASES)],
         }
     PATH.write_text(json.dumps(entries, indent=0) + "\n")
 
@@ -120,7 +110,7 @@ def drawn(design: Design, photons: float, rng: np.random.Generator) -> dict[str,
     mean = photons * float(design.shares.mean()) / design.detection.width(design.rails.count)
     shape = (design.rails.count, design.masks, design.detection.count)
     counts = rng.poisson(mean * rng.uniform(0.5, 1.5, shape))
-    return {"counts": counts.tolist(), "photons": photons, "masks": design.masks}
+    return {"counts": counts.tolist(), "photons": float(photons), "masks": design.masks}
 
 
 def answer_masks(design: Design, photons: float, rng: np.random.Generator) -> dict[str, Any]:
@@ -140,8 +130,7 @@ def answer_look(design: Design, photons: float, rng: np.random.Generator) -> dic
     look = int(rng.integers(1, exposure.looks + 1))
     dwell = rng.dirichlet(np.ones(exposure.dwells.count)) * look / exposure.looks
     counts = torch.tensor(fields["counts"]).float().reshape(design.counts_shape)
-    features = design.features_of(counts) / photons
-    seen = Observation(features, torch.from_numpy(dwell).float())
+    seen = Observation(design.features_of(counts) / photons, torch.from_numpy(dwell).float())
     fields |= {"chances": design.chances(seen, photons).tolist(), "dwell": dwell.tolist()}
     if look == exposure.looks:
         return fields
