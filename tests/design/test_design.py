@@ -19,10 +19,9 @@ from conftest import PHOTONS, every_optics, light_on
 from deepfsi import Design, evaluate
 from deepfsi.base import InputError
 from deepfsi.camera import share_out
-from deepfsi.designfile.header import DESIGN_SCHEMA
 from deepfsi.exposure import Observation
 from shared import vectors
-from shared.design_files import refused, rewrite
+from shared.design_files import header_of, refused, rewrite
 from shared.jobs import learn
 
 
@@ -79,10 +78,11 @@ def test_a_truncated_or_foreign_file_is_refused_and_not_run(saved, monkeypatch, 
 
 
 def test_a_file_of_another_version_is_called_so_and_a_damaged_one_is_not(saved):
+    schema = header_of(saved)["schema"]
     rewrite(saved, lambda header, _: (header.pop("exposure"), header.update(schema=3)))
     for fields, words in (
         ({"deepfsi": "0.1.0"}, "written by deepfsi 0.1.0 with schema 3, older than .* make it "),
-        ({"deepfsi": "99.0.0", "schema": DESIGN_SCHEMA}, "99.0.0, newer than this one: upgrade"),
+        ({"deepfsi": "99.0.0", "schema": schema}, "99.0.0, newer than this one: upgrade"),
         ({"deepfsi": version("deepfsi")}, "not a whole deepfsi design file"),
     ):
         rewrite(saved, lambda header, _, fields=fields: header.update(fields))

@@ -23,7 +23,6 @@ from deepfsi.designfile import (
     find_design,
     read_indexes,
 )
-from deepfsi.designfile.published import DESIGNS_VARIABLE
 from deepfsi.sweeps import Collection
 
 
@@ -36,7 +35,7 @@ def collection(made, tmp_path, monkeypatch):
     (folder / "small.safetensors").write_bytes(content)
     index(folder, hashlib.sha256(content).hexdigest())
     monkeypatch.setattr(pooch, "os_cache", lambda _: tmp_path / "cache")
-    monkeypatch.setenv(DESIGNS_VARIABLE, str(folder))
+    monkeypatch.setenv("DEEPFSI_DESIGNS", str(folder))
     monkeypatch.chdir(tmp_path)
     return folder
 
@@ -59,7 +58,7 @@ def address(collection, monkeypatch):
     serving = functools.partial(Handler, directory=str(collection))
     with http.server.ThreadingHTTPServer(("127.0.0.1", 0), serving) as server:
         threading.Thread(target=server.serve_forever, args=(0.01,), daemon=True).start()
-        monkeypatch.setenv(DESIGNS_VARIABLE, f"http://127.0.0.1:{server.server_port}/")
+        monkeypatch.setenv("DEEPFSI_DESIGNS", f"http://127.0.0.1:{server.server_port}/")
         yield asked
         server.shutdown()
 
@@ -80,7 +79,7 @@ def test_a_file_of_another_hash_is_refused_and_not_kept(address, collection, tmp
     with pytest.raises(InputError, match=r"small.safetensors \(wrong hash\), and nothing of it"):
         load_design("small")
     assert not list((tmp_path / "cache").rglob("*.*"))
-    monkeypatch.setenv(DESIGNS_VARIABLE, str(collection))
+    monkeypatch.setenv("DEEPFSI_DESIGNS", str(collection))
     with pytest.raises(InputError, match=r"wrong sha256.*make it again"):
         load_design("small")
 
@@ -88,7 +87,7 @@ def test_a_file_of_another_hash_is_refused_and_not_kept(address, collection, tmp
 @pytest.mark.parametrize(
     ("where", "words"),
     [
-        ("", f"no published design 'smal': .*or set {DESIGNS_VARIABLE} to the folder"),
+        ("", "no published design 'smal': .*or set DEEPFSI_DESIGNS to the folder"),
         ("collection", "no published design 'smal': did you mean 'small'"),
         ("nowhere", f"nowhere/{INDEX_NAME} is missing: give the folder of a collection"),
         ("ftp://a.example", "give a folder, or an address of http, https or file"),
@@ -96,7 +95,7 @@ def test_a_file_of_another_hash_is_refused_and_not_kept(address, collection, tmp
     ],
 )
 def test_what_cannot_be_found_is_said_in_one_line(collection, monkeypatch, where, words):
-    monkeypatch.setenv(DESIGNS_VARIABLE, where)
+    monkeypatch.setenv("DEEPFSI_DESIGNS", where)
     with pytest.raises(InputError, match=words):
         load_design("smal")
 
@@ -120,7 +119,7 @@ NAMES = {"dmd-mnist", "adaptive-mnist"}
 
 def test_small_designs_come_with_the_package(monkeypatch, tmp_path):
     """Made by the package's own list as it is; a collection of one's own comes before them."""
-    monkeypatch.delenv(DESIGNS_VARIABLE, raising=False)
+    monkeypatch.delenv("DEEPFSI_DESIGNS", raising=False)
     monkeypatch.chdir(tmp_path)
     designs, recipes = read_indexes()[str(SHIPPED_DESIGNS)], Collection.read().designs
     files = {f"{name}.{kind}" for name in NAMES for kind in ("md", "safetensors")}
@@ -154,7 +153,7 @@ def test_shipped_designs_are_listed_and_a_spoilt_one_is_refused(
 @real_mnist
 def test_shipped_designs_are_as_accurate_as_their_index_says(monkeypatch):
     """On some test images, of one noise draw; within four standard errors."""
-    monkeypatch.delenv(DESIGNS_VARIABLE, raising=False)
+    monkeypatch.delenv("DEEPFSI_DESIGNS", raising=False)
     mnist = load_dataset("mnist")
     few = replace(mnist, x_test=mnist.x_test[:400], y_test=mnist.y_test[:400])
     for name, entry in read_indexes()[str(SHIPPED_DESIGNS)].items():

@@ -6,11 +6,18 @@ import numpy as np
 
 from conftest import quick
 from deepfsi.camera import find_device
-from deepfsi.hardware import virtual
 from deepfsi.hardware.counting import Scene
 from deepfsi.hardware.drivers import Setup
 from deepfsi.hardware.live import LiveCounts, plan_live, replay_run, run, run_live
 from deepfsi.hardware.patterns import FrameSettings, export_patterns
+from deepfsi.hardware.virtual import (
+    CAMERAS,
+    Latencies,
+    VirtualCounter,
+    VirtualOptics,
+    VirtualProjector,
+    arrival_rates,
+)
 from deepfsi.lab import design_rails, open_looks
 
 LOOKS = 3
@@ -20,7 +27,7 @@ OPTICS = {
     "two arms": {"light": "two-arm", "readout": "both"},
     "detectors": {"light": "free-dwell", "rails": "single", "detectors": "2x2"},
 }
-IDEAL = virtual.CAMERAS["ideal"]
+IDEAL = CAMERAS["ideal"]
 
 
 def make_patterns(folder: Path, digits, optics: str = "single", device=None, **settings) -> Path:
@@ -34,12 +41,12 @@ def make_patterns(folder: Path, digits, optics: str = "single", device=None, **s
 
 def bench(patterns: Path, scenes, flux: float, camera=IDEAL, latencies=None, seed=0) -> Setup:
     every = np.concatenate([scenes, np.zeros_like(scenes[:1])])  # the last one is the darkness
-    rates = virtual.arrival_rates(patterns, every, camera, flux)
-    latencies = latencies or virtual.Latencies()
-    optics = virtual.VirtualOptics(rates, camera, latencies, seed)
+    rates = arrival_rates(patterns, every, camera, flux)
+    latencies = latencies or Latencies()
+    optics = VirtualOptics(rates, camera, latencies, seed)
     return Setup(
-        virtual.VirtualProjector(optics),
-        virtual.VirtualCounter(optics, tuple(range(rates.shape[2]))),
+        VirtualProjector(optics),
+        VirtualCounter(optics, tuple(range(rates.shape[2]))),
         optics.display,
         lambda: optics.now_s,
         latencies.model_dump(),

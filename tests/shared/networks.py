@@ -24,14 +24,6 @@ class Cnn(nn.Module):
         return self.layers(features)
 
 
-class Branching(nn.Linear):
-    """Takes one of two ways, by a value that a trace does not follow."""
-
-    def forward(self, features: Tensor) -> Tensor:
-        logits = super().forward(features)
-        return logits if float(features.detach().mean()) > -0.1 else 5 - 3 * logits
-
-
 class Tied(nn.Module):
     """Two layers of one weight."""
 
