@@ -6,7 +6,6 @@ from calibration_samples import GRID, VIEW, apply, calibration_of, pictures_of, 
 
 from deepfsi.base import InputError
 from deepfsi.hardware.calibration import camera_view, fit
-from deepfsi.hardware.calibration.view import view_matrix
 
 
 def off_corners(found):
@@ -30,7 +29,8 @@ def test_a_calibration_finds_what_was_done(blur_cells, noise):
     assert found.residual < 0.08
     assert (found.spots, found.shown) == (25, 25)
     np.testing.assert_allclose(found.blur, blur, rtol=0.05)
-    filled = view_matrix((32, 32), calibration_of(VIEW, blur), (32, 32)).sum(axis=1) > 0.99
+    white = np.ones((1, 1024), np.float32)
+    filled = camera_view(white, (32, 32), calibration_of(VIEW, blur), (32, 32))[0] > 0.99
     ratio = np.array(found.flat)[filled.reshape(32, 32)] / flat[filled.reshape(32, 32)]
     assert ratio.std() / ratio.mean() < 0.01 + 1.5 * noise
     assert (found.dark, found.ambient) == (3.0, 5.0)

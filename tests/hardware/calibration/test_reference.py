@@ -7,7 +7,7 @@ from scipy import ndimage
 from deepfsi.base import InputError
 from deepfsi.camera import Device, DmdLayout
 from deepfsi.datasets import read_display
-from deepfsi.hardware.calibration import find_reference, reference, write_reference
+from deepfsi.hardware.calibration import find_reference, write_reference
 from deepfsi.hardware.counting import count_run
 from deepfsi.hardware.patterns import DesignRails, FrameSettings, export_patterns
 from deepfsi.hardware.virtual import CAMERAS, RecordingSettings, VirtualCamera, record_scenes
@@ -41,7 +41,7 @@ def view(layout=PLAIN, scale=1.0, shift=(0.0, 0.0), turn=0.0):
 
 
 def found(tmp_path, shown, camera, flux=3e8, exposure=0.01):
-    x = read_display(tmp_path / "p" / reference.REFERENCE).x
+    x = read_display(tmp_path / "p" / "reference.png").x
     settings = RecordingSettings(camera, flux, exposure)
     record_scenes(tmp_path / "p", x, ["reference"], None, tmp_path / "run", settings)
     return find_reference(count_run(tmp_path / "run"), shown)

@@ -10,7 +10,6 @@ from deepfsi.base import InputError
 from deepfsi.camera import Device, DmdLayout, find_device, find_grid
 from deepfsi.datasets import load_dataset
 from deepfsi.hardware.calibration import camera_view, view_dataset
-from deepfsi.hardware.calibration.view import view_matrix
 from deepfsi.hardware.counting import Calibration
 from deepfsi.hardware.virtual import camera
 
@@ -28,14 +27,17 @@ def test_a_data_set_in_the_cameras_view():
     np.testing.assert_array_equal(view.y_train, data.y_train)
 
 
-def test_shapes_that_do_not_fit_are_refused():
-    with pytest.raises(InputError, match=r"give \(n, h"):
-        camera_view(np.ones((2, 7)), (2, 4), calibration_of())
-    with pytest.raises(InputError, match="no images"):
-        view_matrix((8,), calibration_of(), (4, 4))
-    away = [[1, 0, 5], [0, 1, 0], [0, 0, 1]]
-    with pytest.raises(InputError, match="no cell looks"):
-        view_matrix((8, 8), calibration_of(away), (4, 4))
+@pytest.mark.parametrize(
+    ("pixels", "shape", "homography", "match"),
+    [
+        (7, (2, 4), VIEW, r"give \(n, h"),
+        (8, (8,), VIEW, "no images"),
+        (64, (8, 8), [[1, 0, 5], [0, 1, 0], [0, 0, 1]], "no cell looks"),
+    ],
+)
+def test_shapes_and_views_that_do_not_fit_are_refused(pixels, shape, homography, match):
+    with pytest.raises(InputError, match=match):
+        camera_view(np.ones((2, pixels)), shape, calibration_of(homography), (4, 4))
 
 
 @pytest.mark.parametrize("blur", [0.0, 10.0])
@@ -81,11 +83,3 @@ def test_a_damaged_file_is_named(tmp_path, change, words):
     with pytest.raises(InputError, match=words) as caught:
         Calibration.load(tmp_path)
     assert "\n" not in str(caught.value)
-
-
-def test_a_missing_or_broken_file_is_named(tmp_path):
-    with pytest.raises(InputError, match="is missing: calibrate"):
-        Calibration.load(tmp_path)
-    (tmp_path / "calibration.json").write_bytes(b"{\xff")
-    with pytest.raises(InputError, match=r"calibration.json holds text of another encoding"):
-        Calibration.load(tmp_path)

@@ -3,6 +3,7 @@
 import json
 import os
 import shutil
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Self
@@ -15,7 +16,6 @@ from hypothesis import strategies as st
 from deepfsi.base import InputError
 from deepfsi.camera import DEVICES, find_device
 from deepfsi.hardware.counting import Acquisition, CountSettings, Scene, count_run, prepare_run
-from deepfsi.hardware.counting import markers as markers_module
 from deepfsi.hardware.patterns import (
     DesignRails,
     Frame,
@@ -87,7 +87,9 @@ def train(
     return starts + rng.uniform(-jitter, jitter, starts.shape)
 
 
-def lamp(manifest: Manifest, starts: np.ndarray, seed: int = 0) -> markers_module.Counter:
+def lamp(
+    manifest: Manifest, starts: np.ndarray, seed: int = 0
+) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
     """Photons as a detector would count them: 1e6/s at all ON, 1e3/s at all OFF."""
     rng = np.random.default_rng(seed)
     rates = rng.uniform(0.1, 0.9, starts.shape) * 1e6
@@ -194,11 +196,10 @@ def split(patterns: Patterns, light: np.ndarray, arms: int) -> np.ndarray:
     return np.stack([light @ part.T, light @ (1 - part.T)], axis=-1)[..., :arms]
 
 
-def shining(patterns: Patterns, scenes: int, arms: int = 1, dark: int = 3) -> np.ndarray:
-    """Photons (S, F, arms) of random scenes; at all ON some 1000."""
-    rng = np.random.default_rng(9)
-    bright = rng.uniform(100, 200, (scenes, patterns.on.shape[1]))
-    return np.rint(split(patterns, bright, arms)).astype(int) + dark
+def shining(patterns: Patterns, scenes: int) -> np.ndarray:
+    """Photons (S, F, 1) of random scenes on one arm; at all ON some 1000, dark 3."""
+    bright = np.random.default_rng(9).uniform(100, 200, (scenes, patterns.on.shape[1]))
+    return np.rint(split(patterns, bright, 1)).astype(int) + 3
 
 
 @dataclass
@@ -237,21 +238,16 @@ class Run:
         assert "\n" not in str(error.value)
 
 
-def made(tmp: Path, light: str = "equal-dwell", scenes: int = 3, **settings) -> Run:
-    patterns = patterns_of(tmp / "patterns", light)
-    arms = 2 if light == "two-arm" else 1
-    given = {"inputs": (2, 1)[:arms], "marker_bit": 4, **settings}
-    prepare_run(tmp / "run", tmp / "patterns", named(scenes, **given))
-    starts = train(patterns.manifest, scenes, 1.5e-4)
-    run = Run(tmp / "run", patterns, starts, shining(patterns, scenes, arms))
-    run.record(starts, starts.ravel(), run.photons)
-    return run
-
-
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory) -> Run:
     """A recording of three scenes on one arm, counted: do not change it."""
-    run = made(tmp_path_factory.mktemp("whole"), exposure_s=DWELL * 11 * 0.97)
+    home = tmp_path_factory.mktemp("whole")
+    patterns = patterns_of(home / "patterns")
+    asked = named(3, exposure_s=DWELL * 11 * 0.97, inputs=(2,), marker_bit=4)
+    prepare_run(home / "run", home / "patterns", asked)
+    starts = train(patterns.manifest, 3, 1.5e-4)
+    run = Run(home / "run", patterns, starts, shining(patterns, 3))
+    run.record(starts, starts.ravel(), run.photons)
     count_run(run.folder)
     return run
 

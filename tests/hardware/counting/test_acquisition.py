@@ -19,18 +19,6 @@ from deepfsi.hardware.pictures import reconstruct
 run, whole = recording_samples.run, recording_samples.whole
 
 
-@pytest.mark.parametrize(
-    "name", ["acquisition.json", "photons.ptu", "patterns/manifest.json", "patterns/mirrors.npy"]
-)
-@pytest.mark.parametrize("content", [None, b"", b"garbage", b"[" * 100_000])
-def test_bad_files_are_named(run, name, content):
-    path = run.folder / name
-    path.unlink()
-    if content is not None:
-        path.write_bytes(content)
-    run.refused(name.split("/")[0])
-
-
 SCENES = [{"name": "a"}]
 
 

@@ -4,15 +4,11 @@ import numpy as np
 import pytest
 from recording_samples import schedule
 
-from deepfsi.base import InputError
-from deepfsi.base.numeric import NumberTable
 from deepfsi.camera import DetectorMap, Device
 from deepfsi.hardware.counting import (
     CountSettings,
-    TableSettings,
     corrections,
     count_run,
-    count_table,
     read_counts,
 )
 from deepfsi.hardware.patterns import DesignRails, FrameSettings, export_patterns, read_patterns
@@ -89,28 +85,6 @@ def test_scenes_are_rid_of_ambient_light_as_strong_as_they(tmp_path, law, where)
     again = read_counts(run)
     np.testing.assert_array_equal(again.ambient, counts.ambient)
     np.testing.assert_array_equal(again.ambient_variance, counts.ambient_variance)
-
-
-def test_a_table_of_the_dark_scene_is_subtracted_alike(tmp_path):
-    shown = patterns(tmp_path / "patterns", "single")
-    manifest, rng = shown.manifest, np.random.default_rng(0)
-    x = np.stack([STEADY, np.zeros(SHAPE, np.float32)])
-    camera = VirtualCamera(dark=300.0, ambient=FLUX)
-    lit, dark = arrival_rates(tmp_path / "patterns", x, camera, FLUX)[..., 0] * manifest.picture_s
-    clean = arrival_rates(tmp_path / "patterns", x[:1], VirtualCamera(), FLUX)[0, :, 0]
-    settings = TableSettings(dark=NumberTable(rng.poisson(dark, (50, len(dark))).astype(float)))
-    table = NumberTable(rng.poisson(lit, (50, len(lit))).astype(float))
-    counts, _ = count_table(table, manifest, settings)
-    wanted = clean[manifest.shown] * manifest.shares * counts.exposure_s
-    found = counts.signal()[:, 0, 0].mean(axis=0)
-    noise = counts.variance[:, 0, 0].mean(axis=0) / 50 + counts.ambient_variance[0]
-    assert abs((found - wanted) / np.sqrt(noise)).max() < 5
-    assert counts.flux.mean() == pytest.approx(clean[0], rel=0.02)
-    half = TableSettings(dark=NumberTable(table.values[:, 2:-2]))
-    with pytest.raises(InputError, match="or none"):
-        count_table(table, manifest, half)
-    with pytest.raises(InputError, match="no light beyond its background"):
-        count_table(NumberTable(settings.dark.values), manifest, TableSettings(dark=table))
 
 
 @pytest.mark.parametrize("exposures", [1, 5])

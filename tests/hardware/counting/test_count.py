@@ -29,12 +29,10 @@ def test_every_photon_of_a_frame_is_counted_for_its_readout(run):
     assert counts.counts.dtype == np.int64
     assert counts.valid.all()
     assert counts.faults == ()
-    for place in manifest.shown:
-        frame = manifest.frames[place]
-        rail = 0 if frame.rail == "plus" else 1
-        assert (counts.counts[:, 0, rail, frame.mask] == run.photons[:, place, 0]).all()
-    assert (counts.counts[:, 0, 1, 0] == 0).all()  # a dark rail
-    assert len(manifest.shown) == 11
+    rail, mask, column, _ = manifest.read
+    shown = run.photons[:, manifest.shown, 0]
+    assert (counts.counts[:, 0, rail, mask] == shown[:, column]).all()
+    assert counts.counts.sum() == shown.sum()  # a rail is dark
     seconds = DWELL - 3e-5  # less settling and guard
     assert np.allclose(counts.on_rate, run.photons[:, 0, 0] / seconds, rtol=2e-3)
     assert np.allclose(counts.off_rate, 3 / seconds, rtol=2e-3)

@@ -8,39 +8,31 @@ import pytest
 
 from deepfsi.base import InputError
 from deepfsi.hardware.counting import FrameCounter, FrameGates
-from deepfsi.hardware.photons import (
-    PtuFile,
-    PtuWriter,
-    count_windows,
-    marker_slack_s,
-    ptu,
-    read_markers,
-)
-from hardware.photons.ptu_samples import END, T2, photon, recorded, save, special, tags_of
+from deepfsi.hardware.photons import PtuFile, count_windows, marker_slack_s, ptu, read_markers
+from hardware.counting.recording_samples import write_photons
+from hardware.photons.ptu_samples import END, T2, encode, recorded, save, tags_of
 
 TICK_S, SETTLE = 1e-12, 10e-6
 
 
-def record(path, dwells_s, rate):
+def record(folder, dwells_s, rate):
     """Frames one after another, each with a marker of bit 2 at its start; some of bit 1 between."""
     rng = np.random.default_rng(0)
-    starts = np.rint((1e-4 + np.append(0, np.cumsum(dwells_s))) / TICK_S).astype(np.int64)
-    last = int(starts[-1] + 1e-4 / TICK_S)
-    photons = rng.integers(0, last, rng.poisson(rate * last * TICK_S))
-    times = np.concatenate([photons, starts[:-1], rng.integers(0, last, 20)])
+    starts = 1e-4 + np.append(0, np.cumsum(dwells_s))
+    last = starts[-1] + 1e-4
+    photons = rng.uniform(0, last, rng.poisson(rate * last))
+    times = np.concatenate([photons, starts[:-1], rng.uniform(0, last, 20)])
     codes = np.repeat([0, -2, -1], [len(photons), len(dwells_s), 20])
     codes[: len(photons)] = rng.integers(0, 2, len(photons))
-    order = np.argsort(times, kind="stable")
-    with PtuWriter(path, TICK_S) as writer:
-        writer.write(times[order], codes[order])
-    return path
+    write_photons(folder, times, codes)
+    return folder / "photons.ptu"
 
 
 @pytest.mark.parametrize(("rate", "ahead"), [(0, 12), (1e5, 12), (3e6, 4)])
 def test_frames_are_counted_as_at_the_end_and_may_be_told_after_the_last(tmp_path, rate, ahead):
     """Gates of different lengths that end before their frames do, told some at a time."""
     dwells = np.random.default_rng(4).uniform(44e-6, 90e-6, 12)
-    path = record(tmp_path / "a.ptu", dwells, rate)
+    path = record(tmp_path, dwells, rate)
     times, bits = read_markers(path)
     starts = times[bits == 2]
     opens, lengths = starts + round(SETTLE / TICK_S), (dwells - SETTLE) * 0.8
@@ -91,11 +83,8 @@ def test_frames_of_all_types_of_records_are_counted_alike(tmp_path, kind, seed):
 
     counter, content = FrameCounter((1, 0, 2), bit), path.read_bytes()
     counter.expect(FrameGates(offsets * header.tick_s, lengths * header.tick_s, markers))
-    found, found_s, cuts = (
-        [],
-        [],
-        np.cumsum(rng.integers(0, 2 ** rng.integers(1, 14), len(content))),
-    )
+    found, found_s = [], []
+    cuts = np.cumsum(rng.integers(0, 2 ** rng.integers(1, 14), len(content)))
     for piece in np.split(np.frombuffer(content, np.uint8), cuts[cuts < len(content)]):
         counts = counter.feed(piece.tobytes())
         found += counts.counts.tolist()
@@ -119,15 +108,10 @@ def looks(pictures_s, lost=None, doubled=None, off_s=0.0):
     if doubled is not None:
         starts = np.insert(starts, doubled, starts[doubled] + 15 * 10**6)
     starts[3] += round(off_s / TICK_S)
-    photons = np.random.default_rng(0).integers(0, starts[-1] + 10**9, 20000)
-    times = np.sort(np.append(photons, starts))
-    words, wraps = [], 0
-    for time in times.tolist():
-        while time >> 25 > wraps:
-            words.append(special(63, 1))
-            wraps += 1
-        field = time & (1 << 25) - 1
-        words.append(special(1, field) if time in starts else photon(field))
+    rng = np.random.default_rng(0)
+    events = [("photon", time, 0) for time in rng.integers(0, starts[-1] + 10**9, 20000).tolist()]
+    events += [("marker", time, 1) for time in starts.tolist()]
+    words = encode(T2, sorted(events, key=lambda event: event[1]), rng)
     return tags_of(T2, 0) + END + np.array(words, "<u4").tobytes()
 
 
@@ -171,7 +155,7 @@ def test_markers_that_are_a_little_off_and_clocks_that_differ_are_no_fault(shown
     ],
 )
 def test_markers_and_gates_that_do_not_fit_are_refused(tmp_path, told, message):
-    path = record(tmp_path / "a.ptu", [44e-6] * 3, 1e6)
+    path = record(tmp_path, [44e-6] * 3, 1e6)
     counter = FrameCounter((0,), marker_bit=2, stream=path)
     with pytest.raises(InputError, match=message) as error:  # noqa: PT012
         for offset, lengths in told:
@@ -183,7 +167,7 @@ def test_markers_and_gates_that_do_not_fit_are_refused(tmp_path, told, message):
 def test_the_lines_of_the_page_run(tmp_path, monkeypatch, capsys):
     page = (Path(__file__).parents[3] / "docs/develop/drivers.md").read_text()
     (lines,) = re.findall(r"^```python\n(.*?FrameCounter.*?)^```", page, re.M | re.S)
-    record(tmp_path / "photons.ptu", [54e-6, 110e-6], 1e6)
+    record(tmp_path, [54e-6, 110e-6], 1e6)
     content = (tmp_path / "photons.ptu").read_bytes()
     monkeypatch.chdir(tmp_path)
     exec(lines.replace("marker_bit=1", "marker_bit=2"), {})

@@ -19,39 +19,36 @@ def decode(code: int, words: list[int]) -> list[tuple[str, int, int]]:
     """Records by name, each with its time and its input or marker bits."""
     wraps, out = 0, []
     for word in words:
-        top = word >> 28
+        top, what, step = word >> 28, "unknown", 1
         if code == 0x00010203:
-            time, marker = word & 0xFFFFFFF, word & 15
-            if top == 15 and marker == 0:
-                wraps += 210698240
-                out.append(("overflow", wraps, 1))
-            elif top == 15:
-                out.append(("marker", wraps + time, marker))
-            else:
-                out.append(("photon" if top <= 4 else "unknown", wraps + time, top))
+            time, value, wrap = word & 0xFFFFFFF, top, 210698240
+            if top == 15:
+                value = word & 15
+                what = "marker" if value else "overflow"
+            elif top <= 4:
+                what = "photon"
         elif code == 0x00010303:
-            time, marker = word & 0xFFFF, word >> 16 & 0xFFF
-            if top == 15 and marker == 0:
-                wraps += 65536
-                out.append(("overflow", wraps, 1))
-            elif top == 15:
-                out.append(("marker" if marker <= 15 else "unknown", wraps + time, marker))
-            else:
-                out.append(("photon" if 1 <= top <= 4 else "unknown", wraps + time, top - 1))
+            time, value, wrap = word & 0xFFFF, top - 1, 65536
+            if top == 15:
+                value = word >> 16 & 0xFFF
+                what = ("marker" if value <= 15 else "unknown") if value else "overflow"
+            elif 1 <= top <= 4:
+                what = "photon"
         else:
             t3, old = code >> 8 & 3 == 3, code >> 24 == 0 and code & 0xFF == 4
-            time = word & (0x3FF if t3 else 0x1FFFFFF)
-            channel = word >> 25 & 63
+            time, value = word & (0x3FF if t3 else 0x1FFFFFF), word >> 25 & 63
+            wrap = 1024 if t3 else 33552000 if old else 33554432
             if not word >> 31:
-                out.append(("photon", wraps + time, channel))
-            elif channel == 63:
-                wrap = 1024 if t3 else 33552000 if old else 33554432
-                wraps += wrap * (1 if old else max(time, 1))
-                out.append(("overflow", wraps, 1))
-            elif channel == 0 and not t3:
-                out.append(("sync", wraps + time, 0))
-            else:
-                out.append(("marker" if 1 <= channel <= 15 else "unknown", wraps + time, channel))
+                what = "photon"
+            elif value == 63:
+                what, step = "overflow", 1 if old else max(time, 1)
+            elif value == 0 and not t3:
+                what = "sync"
+            elif 1 <= value <= 15:
+                what = "marker"
+        if what == "overflow":
+            wraps, time, value = wraps + step * wrap, 0, 1
+        out.append((what, wraps + time, value))
     return out
 
 

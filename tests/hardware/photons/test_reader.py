@@ -33,7 +33,7 @@ from deepfsi.hardware.photons import (
 every_kind = pytest.mark.parametrize("kind", ptu.KINDS.values(), ids=lambda kind: kind.name)
 
 
-def gates_over(times: list[int], gates: int) -> tuple[np.ndarray, np.ndarray]:
+def gates_over(times: np.ndarray, gates: int) -> tuple[np.ndarray, np.ndarray]:
     """Gates from before the first to after the last, whose edges are often an event's time."""
     rng = np.random.default_rng(1)
     last, others = max(times), rng.integers(-5, max(times) + 10, gates - 4)
@@ -51,40 +51,39 @@ def test_every_type_of_record_is_read_as_ptufile_reads_it(
     monkeypatch.setattr(records, "RECORDS_IN_CACHE", chunk // 3 + 1)
     words = recorded(kind.code, 400 if chunk == 1 else 3000)
     path = save(tmp_path / "a.ptu", kind, words)
-    found = decode(kind.code, words)
-    assert {what for what, _, _ in found} == {"photon", "marker", "overflow"} | (
+    what, times, values = map(np.array, zip(*decode(kind.code, words), strict=True))
+    assert set(what) == {"photon", "marker", "overflow"} | (
         {"sync"} if kind.mode == "T2" and kind.inputs == 64 else set()
     )
+    timed = what != "overflow"
+    photons, marker, syncs = (what == name for name in ("photon", "marker", "sync"))
     with ptufile.PtuFile(path) as theirs:
         events = theirs.decode_records()
-        timed = np.array([what != "overflow" for what, _, _ in found])
-        assert events["time"][timed].tolist() == [time for w, time, _ in found if w != "overflow"]
-        syncs = np.array([what == "sync" for what, _, _ in found])
-        photons = (events["channel"] >= 0) & ~syncs  # ptufile calls a sync event channel 0
-        inputs, times = (events[name][photons].astype(int) for name in ("channel", "time"))
-        marker = events["marker"] > 0
-        wanted = events["time"][marker], events["marker"][marker]
+    assert np.array_equal(events["time"][timed], times[timed])
+    assert np.array_equal(events["channel"] >= 0, photons | syncs)  # it says channel 0 of a sync
+    assert np.array_equal(events["channel"][photons], values[photons])
+    assert np.array_equal(events["marker"] > 0, marker)
+    assert np.array_equal(events["marker"][marker], values[marker])
 
-    for ours, their in zip(read_markers(opened(path)), wanted, strict=True):
-        assert np.array_equal(ours, their)
+    for ours, wanted in zip(read_markers(opened(path)), (times, values), strict=True):
+        assert np.array_equal(ours, wanted[marker])
     contents = summarise(opened(path))
-    assert contents.photons == dict(zip(*np.unique(inputs, return_counts=True), strict=True))
+    inputs = np.unique(values[photons], return_counts=True)
+    assert contents.photons == dict(zip(*inputs, strict=True))
     for bit in (1, 2, 4, 8):
-        assert contents.markers[bit] == np.count_nonzero(wanted[1] & bit)
-    assert contents.syncs == syncs.sum()
-    assert contents.overflows == sum(what == "overflow" for what, _, _ in found)
+        assert contents.markers[bit] == np.count_nonzero(values[marker] & bit)
+    assert (contents.syncs, contents.overflows) == (syncs.sum(), (~timed).sum())
     assert contents.records == len(words)
-    real = [time for what, time, _ in found if what != "overflow"]
-    assert (contents.first, contents.last) == (min(real), max(real))
+    assert (contents.first, contents.last) == (times[timed].min(), times[timed].max())
     assert contents.span_s == contents.last * contents.tick_s
     assert contents.problems == ()
 
-    starts, stops = gates_over(real, 60)
+    starts, stops = gates_over(times[timed], 60)
     columns = (0, 2, kind.inputs - 1, 1)
     gated = count_windows(opened(path), starts, stops, columns)
     assert gated.dtype == np.int64
     for column, n in enumerate(columns):
-        one = times[inputs == n]
+        one = times[photons & (values == n)]
         wanted = np.searchsorted(one, stops) - np.searchsorted(one, starts)
         assert np.array_equal(gated[:, column], wanted)
         assert wanted.sum() > 0
