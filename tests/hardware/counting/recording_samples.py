@@ -87,9 +87,7 @@ def train(
     return starts + rng.uniform(-jitter, jitter, starts.shape)
 
 
-def lamp(
-    manifest: Manifest, starts: np.ndarray, seed: int = 0
-) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+def lamp(manifest: Manifest, starts: np.ndarray, seed: int = 0) -> Callable[..., np.ndarray]:
     """Photons as a detector would count them: 1e6/s at all ON, 1e3/s at all OFF."""
     rng = np.random.default_rng(seed)
     rates = rng.uniform(0.1, 0.9, starts.shape) * 1e6
