@@ -9,7 +9,6 @@ from deepfsi.hardware.counting import (
     CountSettings,
     corrections,
     count_run,
-    read_counts,
 )
 from deepfsi.hardware.patterns import DesignRails, FrameSettings, export_patterns, read_patterns
 from deepfsi.hardware.virtual import (
@@ -62,9 +61,8 @@ def test_scenes_are_rid_of_ambient_light_as_strong_as_they(tmp_path, law, where)
     read = counts.lengths_s > 0
     manifest = shown.manifest
     rail, mask, column, arm = manifest.read
-    d = manifest.detector_count
-    frames = wanted[manifest.shown].reshape(len(manifest.shown), -1, d)
-    clean = np.zeros((manifest.rails, manifest.masks, d))
+    frames = wanted[manifest.shown].reshape(len(manifest.shown), -1, manifest.detector_count)
+    clean = np.zeros((manifest.rails, manifest.masks, manifest.detector_count))
     clean[rail, mask] = frames[column, arm] * counts.gate_s[column][:, None]
     clean = clean.reshape(counts.ambient.shape)[read]
     seen = slice(0, SCENES)
@@ -75,16 +73,12 @@ def test_scenes_are_rid_of_ambient_light_as_strong_as_they(tmp_path, law, where)
     assert (z**2).mean() == pytest.approx(1, abs=5 * np.sqrt(2 / z.size))
     off = (raw.signal()[seen, 0].mean(axis=0)[read] - clean) / np.sqrt(noise)
     assert abs(off).mean() > 10
-    flux = wanted[0][:d].sum()
+    flux = wanted[0][: manifest.detector_count].sum()
     assert counts.flux[0] == pytest.approx(flux, rel=0.02)
     assert raw.flux[0] > 1.6 * flux  # cells leave some of the device dark
     if where == "scene":
         assert not counts.valid[SCENES].any()
         assert [fault.scene for fault in counts.faults if "subtracted" in fault.detail] == [SCENES]
-    count_run(run, CountSettings(background=background))
-    again = read_counts(run)
-    np.testing.assert_array_equal(again.ambient, counts.ambient)
-    np.testing.assert_array_equal(again.ambient_variance, counts.ambient_variance)
 
 
 @pytest.mark.parametrize("exposures", [1, 5])

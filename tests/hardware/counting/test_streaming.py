@@ -145,21 +145,20 @@ def test_markers_that_are_a_little_off_and_clocks_that_differ_are_no_fault(shown
 
 
 @pytest.mark.parametrize(
-    ("told", "message"),
+    ("offset", "lengths", "message"),
     [
-        ([(SETTLE, [30e-6] * 2)], "starts no frame"),
-        ([(SETTLE, [70e-6, 70e-6])], "before the gate of the frame before has ended"),
-        ([(0.9e-6, [30e-6])], "a longer time to settle"),
-        ([(SETTLE, [30e-6, np.nan])], "no times"),
-        ([(SETTLE, [30e-6, -1.0])], "no times"),
+        (SETTLE, [30e-6] * 2, "starts no frame"),
+        (SETTLE, [70e-6, 70e-6], "before the gate of the frame before has ended"),
+        (0.9e-6, [30e-6], "a longer time to settle"),
+        (SETTLE, [30e-6, np.nan], "no times"),
+        (SETTLE, [30e-6, -1.0], "no times"),
     ],
 )
-def test_markers_and_gates_that_do_not_fit_are_refused(tmp_path, told, message):
+def test_markers_and_gates_that_do_not_fit_are_refused(tmp_path, offset, lengths, message):
     path = record(tmp_path, [44e-6] * 3, 1e6)
     counter = FrameCounter((0,), marker_bit=2, stream=path)
     with pytest.raises(InputError, match=message) as error:  # noqa: PT012
-        for offset, lengths in told:
-            counter.expect(FrameGates.of(offset, lengths))
+        counter.expect(FrameGates.of(offset, lengths))
         counter.feed(path.read_bytes())
     assert "\n" not in str(error.value)
 
